@@ -1,0 +1,10 @@
+//! One module per subcommand: its options and what it does.
+
+pub mod collect;
+pub mod demo;
+pub mod encode;
+pub mod evaluate;
+pub mod predict;
+pub mod render;
+pub mod steer;
+pub mod train;

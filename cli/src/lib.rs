@@ -1,0 +1,4 @@
+//! Files, progress bars and plots around `entire-core`: everything behind the `entire` command, as a library so that
+//! tests and fuzz targets reach it.
+
+pub mod commands;

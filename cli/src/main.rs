@@ -1,0 +1,56 @@
+//! The `entire` command. Exit status: 0, 1 for bad input (one line on standard error that says why and what to do),
+//! 2 for wrong usage.
+
+use clap::{Parser, Subcommand};
+use entire_cli::commands;
+use std::process::ExitCode;
+
+/// Tells how long a volume-rendered frame will take before it is drawn, and picks the ray step that keeps it inside its
+/// budget.
+#[derive(Debug, Parser)]
+#[command(name = "entire", version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Render many random frames of volumes and write down how long each took.
+    Collect(commands::collect::Options),
+    /// Train or fine-tune a predictor on collected frames.
+    Train(commands::train::Options),
+    /// Measure how well predictors do on collected frames.
+    Evaluate(commands::evaluate::Options),
+    /// Predict seconds for rows of model inputs.
+    Predict(commands::predict::Options),
+    /// Turn a volume into its feature vector.
+    Encode(commands::encode::Options),
+    /// Render one frame and time it.
+    Render(commands::render::Options),
+    /// Play a path against a target frame time under several controllers.
+    Steer(commands::steer::Options),
+    /// Calibrate, explore and report: the main job, end to end.
+    Demo(commands::demo::Options),
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    let result = match &cli.command {
+        Command::Collect(options) => commands::collect::run(options),
+        Command::Train(options) => commands::train::run(options),
+        Command::Evaluate(options) => commands::evaluate::run(options),
+        Command::Predict(options) => commands::predict::run(options),
+        Command::Encode(options) => commands::encode::run(options),
+        Command::Render(options) => commands::render::run(options),
+        Command::Steer(options) => commands::steer::run(options),
+        Command::Demo(options) => commands::demo::run(options),
+    };
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("entire: {error:#}");
+            ExitCode::from(1)
+        }
+    }
+}

@@ -1,0 +1,1 @@
+//! Observations and what they teach: bias, margin, drift, and the refusal of broken timings.

@@ -1,0 +1,1 @@
+//! Numbers about the scene: names, order and units, once per volume and once per frame.

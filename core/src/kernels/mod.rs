@@ -1,0 +1,1 @@
+//! Vector kernels behind a level token: the only module of this crate with `unsafe`.

@@ -1,0 +1,1 @@
+//! The safetensors model file, read all or nothing.

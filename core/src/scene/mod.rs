@@ -1,0 +1,14 @@
+//! What is drawn: the volume, the camera, the transfer function and the frame. Everything is checked here, at the
+//! door, so that the rest of the library never meets a zero size, a NaN or a product that overflows.
+
+mod camera;
+mod frame;
+mod transfer;
+mod volume;
+
+pub use camera::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
+pub use frame::{Frame, MAX_IMAGE_SIDE, Shading, Skipping};
+pub use transfer::{
+    COLOR_RAMP, ControlPoint, GaussianLobe, TABLE_LEN, TransferFunction, TransferTable, corrected_opacity,
+};
+pub use volume::{ScalarType, Scalars, VolumeView};

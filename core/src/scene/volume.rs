@@ -1,0 +1,397 @@
+//! A borrowed view of a scalar volume.
+
+use crate::error::bail;
+use crate::{Error, ErrorKind, Result};
+use glam::Vec3;
+
+/// The scalar types that volumes come in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum ScalarType {
+    /// Unsigned bytes.
+    U8,
+    /// Unsigned 16-bit integers.
+    U16,
+    /// Signed 16-bit integers.
+    I16,
+    /// 32-bit floats.
+    F32,
+}
+
+impl ScalarType {
+    /// Bytes per voxel.
+    pub const fn bytes(self) -> usize {
+        match self {
+            Self::U8 => 1,
+            Self::U16 | Self::I16 => 2,
+            Self::F32 => 4,
+        }
+    }
+
+    /// The name used in files, options and messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::U8 => "u8",
+            Self::U16 => "u16",
+            Self::I16 => "i16",
+            Self::F32 => "f32",
+        }
+    }
+}
+
+/// Borrowed voxels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Scalars<'a> {
+    /// Unsigned bytes.
+    U8(&'a [u8]),
+    /// Unsigned 16-bit integers.
+    U16(&'a [u16]),
+    /// Signed 16-bit integers.
+    I16(&'a [i16]),
+    /// 32-bit floats; NaN counts as the low end of the range, infinities as its ends.
+    F32(&'a [f32]),
+}
+
+impl Scalars<'_> {
+    /// Number of elements in the slice.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::U8(s) => s.len(),
+            Self::U16(s) => s.len(),
+            Self::I16(s) => s.len(),
+            Self::F32(s) => s.len(),
+        }
+    }
+
+    /// Whether the slice has no element.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The element type.
+    pub fn scalar_type(&self) -> ScalarType {
+        match self {
+            Self::U8(_) => ScalarType::U8,
+            Self::U16(_) => ScalarType::U16,
+            Self::I16(_) => ScalarType::I16,
+            Self::F32(_) => ScalarType::F32,
+        }
+    }
+
+    /// The element at `index`, as a float.
+    #[inline]
+    pub fn get(&self, index: usize) -> f32 {
+        match self {
+            Self::U8(s) => f32::from(s[index]),
+            Self::U16(s) => f32::from(s[index]),
+            Self::I16(s) => f32::from(s[index]),
+            Self::F32(s) => s[index],
+        }
+    }
+}
+
+/// A checked, borrowed scalar volume: voxels, sizes, strides, spacing and the scalar range that maps to [0, 1].
+///
+/// Axis order is (x, y, z) everywhere; in the usual contiguous layout x runs fastest.
+#[derive(Clone, Copy, Debug)]
+pub struct VolumeView<'a> {
+    scalars: Scalars<'a>,
+    dims: [usize; 3],
+    strides: [usize; 3],
+    spacing: Vec3,
+    range: (f32, f32),
+}
+
+impl<'a> VolumeView<'a> {
+    /// A contiguous volume (x fastest) with unit spacing and the default range: 0…255 for unsigned bytes, the finite
+    /// minimum…maximum for other types (a scan over the voxels).
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidArgument`] for a zero size, [`ErrorKind::SizeMismatch`] when the slice is too short for
+    /// the sizes or their product overflows.
+    pub fn new(scalars: Scalars<'a>, dims: [usize; 3]) -> Result<Self> {
+        let row = dims[0];
+        let slice = row.checked_mul(dims[1]).ok_or_else(|| overflow(dims))?;
+        Self::with_strides(scalars, dims, [1, row, slice])
+    }
+
+    /// As [`VolumeView::new`] with strides in elements. Strides may be zero (a broadcast axis) and may overlap.
+    ///
+    /// # Errors
+    /// As [`VolumeView::new`].
+    pub fn with_strides(scalars: Scalars<'a>, dims: [usize; 3], strides: [usize; 3]) -> Result<Self> {
+        for (axis, &n) in ["x", "y", "z"].iter().zip(&dims) {
+            if n == 0 {
+                bail!(InvalidArgument, "volume size along {axis} is 0; every size must be at least 1");
+            }
+        }
+        let voxels = (dims[0] as u64).checked_mul(dims[1] as u64).and_then(|p| p.checked_mul(dims[2] as u64));
+        if voxels.is_none() {
+            return Err(overflow(dims));
+        }
+        let mut last = 0u64;
+        for axis in 0..3 {
+            last = (dims[axis] as u64 - 1)
+                .checked_mul(strides[axis] as u64)
+                .and_then(|o| o.checked_add(last))
+                .ok_or_else(|| overflow(dims))?;
+        }
+        let found = scalars.len() as u64;
+        if last >= found {
+            bail!(
+                SizeMismatch,
+                "volume of {} x {} x {} voxels with strides {:?} needs {} elements, the slice has {found}; check sizes and strides",
+                dims[0],
+                dims[1],
+                dims[2],
+                strides,
+                last + 1
+            );
+        }
+        let mut view = Self { scalars, dims, strides, spacing: Vec3::ONE, range: (0.0, 1.0) };
+        view.range = view.default_range();
+        Ok(view)
+    }
+
+    /// Sets the voxel spacing along x, y, z (any common unit of length).
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidArgument`] unless all three are finite and positive.
+    pub fn with_spacing(mut self, spacing: [f32; 3]) -> Result<Self> {
+        if spacing.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
+            bail!(
+                InvalidArgument,
+                "voxel spacing is {spacing:?}; all three must be finite and positive (use 1, 1, 1 when unknown)"
+            );
+        }
+        let (lo, hi) =
+            (spacing.iter().copied().fold(f32::MAX, f32::min), spacing.iter().copied().fold(0.0, f32::max));
+        if hi / lo > 1e6 {
+            bail!(InvalidArgument, "voxel spacing {spacing:?} has a ratio over 1e6; check its units");
+        }
+        self.spacing = Vec3::from_array(spacing);
+        Ok(self)
+    }
+
+    /// Sets the scalar range that maps to [0, 1] (an ensemble shares one).
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidArgument`] unless both ends are finite and `low <= high`.
+    pub fn with_range(mut self, low: f32, high: f32) -> Result<Self> {
+        if !(low.is_finite() && high.is_finite() && low <= high) {
+            bail!(
+                InvalidArgument,
+                "scalar range is {low}…{high}; both ends must be finite and the low end not above the high one"
+            );
+        }
+        self.range = (low, high);
+        Ok(self)
+    }
+
+    /// The voxels.
+    pub fn scalars(&self) -> Scalars<'a> {
+        self.scalars
+    }
+
+    /// The element type.
+    pub fn scalar_type(&self) -> ScalarType {
+        self.scalars.scalar_type()
+    }
+
+    /// Voxels along x, y, z.
+    pub fn dims(&self) -> [usize; 3] {
+        self.dims
+    }
+
+    /// Elements from one voxel to the next along x, y, z.
+    pub fn strides(&self) -> [usize; 3] {
+        self.strides
+    }
+
+    /// Whether voxels lie in one block with x fastest.
+    pub fn is_contiguous(&self) -> bool {
+        self.strides == [1, self.dims[0], self.dims[0] * self.dims[1]]
+    }
+
+    /// Number of voxels.
+    pub fn voxels(&self) -> u64 {
+        self.dims.iter().map(|&n| n as u64).product()
+    }
+
+    /// Voxel spacing along x, y, z.
+    pub fn spacing(&self) -> Vec3 {
+        self.spacing
+    }
+
+    /// The scalar range that maps to [0, 1].
+    pub fn range(&self) -> (f32, f32) {
+        self.range
+    }
+
+    /// World size of the volume's box: voxels × spacing (voxel-centred samples, the box reaches half a voxel beyond).
+    pub fn extent(&self) -> Vec3 {
+        Vec3::new(self.dims[0] as f32, self.dims[1] as f32, self.dims[2] as f32) * self.spacing
+    }
+
+    /// Radius of the bounding sphere in world units: the unit of length of scene space.
+    pub fn bounding_radius(&self) -> f32 {
+        0.5 * self.extent().length()
+    }
+
+    /// Half the box in scene space (unit = bounding-sphere radius), so its length is 1.
+    pub fn half_extent(&self) -> Vec3 {
+        0.5 * self.extent() / self.bounding_radius()
+    }
+
+    /// The reference ray step in scene space: the smallest voxel spacing.
+    pub fn reference_step(&self) -> f32 {
+        self.spacing.min_element() / self.bounding_radius()
+    }
+
+    /// Element index of a voxel. Panics in debug builds when out of bounds.
+    #[inline]
+    pub fn index(&self, x: usize, y: usize, z: usize) -> usize {
+        debug_assert!(x < self.dims[0] && y < self.dims[1] && z < self.dims[2]);
+        x * self.strides[0] + y * self.strides[1] + z * self.strides[2]
+    }
+
+    /// The stored value of a voxel.
+    #[inline]
+    pub fn value(&self, x: usize, y: usize, z: usize) -> f32 {
+        self.scalars.get(self.index(x, y, z))
+    }
+
+    /// The value of a voxel mapped to [0, 1] over the range.
+    #[inline]
+    pub fn normalized(&self, x: usize, y: usize, z: usize) -> f32 {
+        self.normalize(self.value(x, y, z))
+    }
+
+    /// Maps a stored value to [0, 1] over the range: clamped, NaN → 0; an empty range maps everything to 0.
+    #[inline]
+    pub fn normalize(&self, value: f32) -> f32 {
+        let (lo, hi) = self.range;
+        let width = hi - lo;
+        if !(width > 0.0) || value.is_nan() {
+            return 0.0;
+        }
+        // Written so that an infinite width (f32::MIN…f32::MAX) still gives a number in [0, 1].
+        let t = if width.is_finite() {
+            (value - lo) / width
+        } else {
+            (value * 0.5 - lo * 0.5) / (hi * 0.5 - lo * 0.5)
+        };
+        t.clamp(0.0, 1.0)
+    }
+
+    fn default_range(&self) -> (f32, f32) {
+        if self.scalar_type() == ScalarType::U8 {
+            return (0.0, 255.0);
+        }
+        let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
+        for z in 0..self.dims[2] {
+            for y in 0..self.dims[1] {
+                for x in 0..self.dims[0] {
+                    let v = self.value(x, y, z);
+                    if v.is_finite() {
+                        lo = lo.min(v);
+                        hi = hi.max(v);
+                    }
+                }
+            }
+        }
+        if lo <= hi { (lo, hi) } else { (0.0, 1.0) }
+    }
+}
+
+#[cold]
+fn overflow(dims: [usize; 3]) -> Error {
+    Error::new(
+        ErrorKind::SizeMismatch,
+        alloc::format!(
+            "volume of {} x {} x {} voxels is too large to address; check the sizes",
+            dims[0],
+            dims[1],
+            dims[2]
+        ),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn u8_keeps_the_full_byte_range_and_f32_finds_its_finite_range() {
+        let bytes = [3u8; 8];
+        assert_eq!(VolumeView::new(Scalars::U8(&bytes), [2, 2, 2]).unwrap().range(), (0.0, 255.0));
+        let floats = [f32::NAN, -2.0, f32::INFINITY, 6.0, 0.0, 1.0];
+        let v = VolumeView::new(Scalars::F32(&floats), [1, 2, 3]).unwrap();
+        assert_eq!(v.range(), (-2.0, 6.0));
+        assert_eq!(v.normalized(0, 0, 0), 0.0);
+        assert_eq!(v.normalized(0, 0, 1), 1.0);
+        assert_eq!(v.normalized(0, 0, 2), 0.25);
+    }
+
+    #[test]
+    fn constant_and_non_finite_volumes_normalise_to_zero() {
+        let constant = [7i16; 4];
+        let v = VolumeView::new(Scalars::I16(&constant), [4, 1, 1]).unwrap();
+        assert_eq!(v.normalized(3, 0, 0), 0.0);
+        let nan = [f32::NAN; 4];
+        let v = VolumeView::new(Scalars::F32(&nan), [4, 1, 1]).unwrap();
+        assert_eq!((v.range(), v.normalized(1, 0, 0)), ((0.0, 1.0), 0.0));
+    }
+
+    #[test]
+    fn whole_float_range_does_not_overflow() {
+        let v = [f32::MIN, f32::MAX, 0.0];
+        let v = VolumeView::new(Scalars::F32(&v), [3, 1, 1]).unwrap();
+        assert_eq!(v.normalized(0, 0, 0), 0.0);
+        assert_eq!(v.normalized(1, 0, 0), 1.0);
+        assert!((v.normalized(2, 0, 0) - 0.5).abs() < 1e-6);
+    }
+
+    #[test]
+    fn strides_address_a_sub_block() {
+        // The 2 x 2 x 2 corner at (1, 1, 1) of a 3 x 4 x 5 volume.
+        let data: alloc::vec::Vec<u16> = (0..60).collect();
+        let v = VolumeView::with_strides(Scalars::U16(&data[1 + 3 + 12..]), [2, 2, 2], [1, 3, 12]).unwrap();
+        assert_eq!(v.value(0, 0, 0), 16.0);
+        assert_eq!(v.value(1, 1, 1), 32.0);
+        assert!(!v.is_contiguous());
+    }
+
+    #[test]
+    fn bad_sizes_are_refused_with_a_remedy() {
+        let data = [0u8; 10];
+        let kind = |d| VolumeView::new(Scalars::U8(&data), d).unwrap_err();
+        assert_eq!(kind([0, 1, 1]).kind(), ErrorKind::InvalidArgument);
+        assert_eq!(kind([11, 1, 1]).kind(), ErrorKind::SizeMismatch);
+        assert!(kind([3, 2, 2]).message().contains("needs 12 elements, the slice has 10"));
+        assert_eq!(kind([usize::MAX, usize::MAX, 2]).kind(), ErrorKind::SizeMismatch);
+        let v = VolumeView::new(Scalars::U8(&data), [10, 1, 1]).unwrap();
+        for bad in [
+            [0.0, 1.0, 1.0],
+            [1.0, -1.0, 1.0],
+            [f32::NAN, 1.0, 1.0],
+            [1.0, 1.0, f32::INFINITY],
+            [1.0, 1.0, 1e7],
+        ] {
+            assert_eq!(v.with_spacing(bad).unwrap_err().kind(), ErrorKind::InvalidArgument);
+        }
+        assert!(v.with_range(2.0, 1.0).is_err() && v.with_range(f32::NAN, 1.0).is_err());
+    }
+
+    #[test]
+    fn geometry_is_spacing_aware() {
+        let data = [0u8; 4 * 2];
+        let v =
+            VolumeView::new(Scalars::U8(&data), [4, 2, 1]).unwrap().with_spacing([0.5, 1.0, 4.0]).unwrap();
+        assert_eq!(v.extent(), Vec3::new(2.0, 2.0, 4.0));
+        assert!((v.bounding_radius() - 0.5 * 24f32.sqrt()).abs() < 1e-6);
+        assert!((v.half_extent().length() - 1.0).abs() < 1e-6);
+        assert!((v.reference_step() - 0.5 / v.bounding_radius()).abs() < 1e-7);
+    }
+}

@@ -1,0 +1,1 @@
+//! PredNet training and fine-tuning.

@@ -1,0 +1,120 @@
+//! What every renderer of this crate can do.
+
+use entire_core::scene::{Frame, TransferTable, VolumeView};
+use std::fmt;
+
+/// An error of a renderer: the call that failed, why, and what to do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Error {
+    message: String,
+}
+
+/// Shorthand used throughout the crate.
+pub type Result<T> = std::result::Result<T, Error>;
+
+impl Error {
+    /// Makes an error from its text.
+    pub fn new(message: impl Into<String>) -> Self {
+        Self { message: message.into() }
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.message)
+    }
+}
+
+impl std::error::Error for Error {}
+
+/// An 8-bit RGBA image, rows from top to bottom, colours premultiplied by opacity over black.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image {
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// `width * height * 4` bytes.
+    pub rgba: Vec<u8>,
+}
+
+/// How long a frame took, by each clock that there is. A clock that does not exist is `None`, never zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FrameTime {
+    /// Between device timestamps around the ray-casting pass, seconds.
+    pub device: Option<f64>,
+    /// From submission to completion as the host saw it, seconds.
+    pub wall: f64,
+    /// CPU time that this process spent meanwhile, all threads, seconds.
+    pub cpu: Option<f64>,
+}
+
+impl FrameTime {
+    /// The time that prediction is judged by: the device's where it has timestamps, else wall time.
+    pub fn seconds(&self) -> f64 {
+        self.device.unwrap_or(self.wall)
+    }
+
+    /// The name of the clock behind [`FrameTime::seconds`]: `device` or `wall`.
+    pub fn source(&self) -> &'static str {
+        if self.device.is_some() { "device" } else { "wall" }
+    }
+}
+
+/// What a frame really did. Counted by renderers that can, over the whole image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct WorkCounts {
+    /// Rays that hit the volume's box.
+    pub rays: u64,
+    /// Samples taken.
+    pub samples: u64,
+    /// Jumps over empty blocks.
+    pub skips: u64,
+    /// Samples that were shaded (visible ones, with shading on).
+    pub shaded: u64,
+}
+
+/// A finished frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rendered {
+    /// The picture.
+    pub image: Image,
+    /// How long it took.
+    pub time: FrameTime,
+    /// What it did, where the renderer counts.
+    pub counts: Option<WorkCounts>,
+}
+
+/// Time of a preparation (volume or transfer-function change), apart from any frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Preparation {
+    /// Upload, block map and whatever else the change needed, wall seconds.
+    pub wall: f64,
+}
+
+/// A volume renderer. Set a volume and a transfer function, then render frames.
+pub trait Renderer {
+    /// What renders: device name and driver, for manifests.
+    fn device(&self) -> String;
+
+    /// `vulkan` or `cpu`.
+    fn backend(&self) -> &'static str;
+
+    /// Takes a volume; the view is only borrowed for the call.
+    ///
+    /// # Errors
+    /// When the device cannot hold it; says the size and the limit.
+    fn set_volume(&mut self, volume: &VolumeView<'_>) -> Result<Preparation>;
+
+    /// Takes a transfer function.
+    ///
+    /// # Errors
+    /// When the device fails.
+    fn set_transfer(&mut self, table: &TransferTable) -> Result<Preparation>;
+
+    /// Renders a frame and reads it back.
+    ///
+    /// # Errors
+    /// When volume or transfer function were not set, or the device fails; after an error nothing is half done.
+    fn render(&mut self, frame: &Frame) -> Result<Rendered>;
+}
