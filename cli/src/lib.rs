@@ -2,3 +2,4 @@
 //! tests and fuzz targets reach it.
 
 pub mod commands;
+pub mod dataset;
