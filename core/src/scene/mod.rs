@@ -3,11 +3,13 @@
 
 mod camera;
 mod frame;
+mod nodes;
 mod transfer;
 mod volume;
 
 pub use camera::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
 pub use frame::{Frame, MAX_IMAGE_SIDE, Shading, Skipping};
+pub use nodes::{ColorNode, Nodes, OpacityNode};
 pub use transfer::{
     COLOR_RAMP, ControlPoint, GaussianLobe, TABLE_LEN, TransferFunction, TransferTable, corrected_opacity,
 };

@@ -1,5 +1,8 @@
-//! Transfer functions: Gaussian lobes, piecewise-linear control points, or a table. All become a 256-entry RGBA table.
+//! Transfer functions: Gaussian lobes, piecewise-linear control points, VTK's nodes, or a table. All become a
+//! 256-entry RGBA table.
 
+use super::Nodes;
+use super::VolumeView;
 use crate::Result;
 use crate::error::bail;
 use alloc::boxed::Box;
@@ -40,6 +43,8 @@ pub enum TransferFunction {
     /// Piecewise-linear control points in ascending position; constant beyond the first and last. Two points at one
     /// position make a step.
     Points(Vec<ControlPoint>),
+    /// Opacity and colour nodes with midpoint and sharpness, as VTK and ParaView have them.
+    Nodes(Nodes),
 }
 
 /// Colours of Gaussian transfer functions: (position, red, green, blue), linear in between. Dark blue over green and
@@ -62,6 +67,7 @@ impl TransferFunction {
         match self {
             Self::Gaussian(lobes) => gaussian_table(lobes),
             Self::Points(points) => points_table(points),
+            Self::Nodes(nodes) => nodes.to_table(),
         }
     }
 }
@@ -106,6 +112,15 @@ impl TransferTable {
         Ok(self)
     }
 
+    /// Sets the distance over which the table's opacities hold, in the volume's unit of length (VTK's scalar opacity
+    /// unit distance, ANARI's `unitDistance`).
+    ///
+    /// # Errors
+    /// As [`TransferTable::with_unit_distance`].
+    pub fn with_world_unit_distance(self, distance: f32, volume: &VolumeView<'_>) -> Result<Self> {
+        self.with_unit_distance(distance / volume.spacing().min_element())
+    }
+
     /// The entries.
     pub fn rgba(&self) -> &[[f32; 4]; TABLE_LEN] {
         &self.rgba
@@ -141,7 +156,7 @@ pub fn corrected_opacity(alpha: f32, ratio: f32) -> f32 {
     -libm::expm1f(ratio * libm::log1pf(-alpha))
 }
 
-fn ramp(s: f32) -> [f32; 3] {
+pub(super) fn ramp(s: f32) -> [f32; 3] {
     let upper = COLOR_RAMP.iter().position(|&(p, _)| p >= s).unwrap_or(COLOR_RAMP.len() - 1).max(1);
     let ((p0, c0), (p1, c1)) = (COLOR_RAMP[upper - 1], COLOR_RAMP[upper]);
     let t = ((s - p0) / (p1 - p0)).clamp(0.0, 1.0);
@@ -273,6 +288,19 @@ mod tests {
             assert!((corrected_opacity(alpha, 1.0) - alpha).abs() < 1e-6);
         }
         assert!((corrected_opacity(1e-6, 2.0) - 2e-6).abs() < 1e-11);
+    }
+
+    #[test]
+    fn unit_distance_in_world_units_counts_reference_steps() {
+        let voxels = [0u8; 8];
+        let volume = VolumeView::new(crate::scene::Scalars::U8(&voxels), [2, 2, 2])
+            .unwrap()
+            .with_spacing([0.5, 2.0, 7.0])
+            .unwrap();
+        let table = TransferTable::new([[0.5; 4]; TABLE_LEN]).unwrap();
+        assert_eq!(table.clone().with_world_unit_distance(3.0, &volume).unwrap().unit_distance(), 6.0);
+        assert!(table.clone().with_world_unit_distance(f32::NAN, &volume).is_err());
+        assert!(table.with_world_unit_distance(0.0, &volume).is_err());
     }
 
     #[test]

@@ -1,0 +1,62 @@
+//! Node transfer functions against tables that VTK itself computed (`tests/golden/vtk_transfer/make.py`).
+
+use entire_core::scene::{ColorNode, Nodes, OpacityNode, TABLE_LEN, TransferFunction};
+use serde_json::Value;
+
+/// The agreement that the module documents, per table entry.
+const TOLERANCE: f64 = 1e-6;
+
+fn number(v: &Value) -> f64 {
+    v.as_f64().expect("a number")
+}
+
+#[test]
+fn tables_equal_those_of_vtk() {
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/golden/vtk_transfer/values.json");
+    let golden: Value = serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap();
+    let cases = golden["cases"].as_array().unwrap();
+    assert!(cases.len() >= 12);
+    let mut bent = 0;
+    for (index, case) in cases.iter().enumerate() {
+        let opacity: Vec<_> = case["opacity_nodes"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|n| OpacityNode {
+                position: number(&n[0]),
+                opacity: number(&n[1]),
+                midpoint: number(&n[2]),
+                sharpness: number(&n[3]),
+            })
+            .collect();
+        bent += opacity.iter().filter(|n| n.sharpness >= 0.01 && n.sharpness <= 0.99).count();
+        let color: Vec<_> = case["color_nodes"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|n| ColorNode {
+                position: number(&n[0]),
+                color: [0, 1, 2].map(|c| number(&n[1][c])),
+                midpoint: number(&n[2]),
+                sharpness: number(&n[3]),
+            })
+            .collect();
+        let (low, high) = (number(&case["range"][0]), number(&case["range"][1]));
+        let nodes =
+            Nodes::new(opacity, color, low, high).unwrap().with_clamping(case["clamp"].as_bool().unwrap());
+        let table = TransferFunction::Nodes(nodes).to_table().unwrap();
+        for i in 0..TABLE_LEN {
+            let [r, g, b, a] = table.rgba()[i].map(f64::from);
+            let wanted = number(&case["opacity"][i]);
+            assert!((a - wanted).abs() <= TOLERANCE, "case {index}, opacity {i}: {a}, VTK has {wanted}");
+            for (c, value) in [r, g, b].into_iter().enumerate() {
+                let wanted = number(&case["color"][3 * i + c]);
+                assert!(
+                    (value - wanted).abs() <= TOLERANCE,
+                    "case {index}, color {i}.{c}: {value}, VTK has {wanted}"
+                );
+            }
+        }
+    }
+    assert!(bent > 10, "too few nodes of the golden cases take the curved branch");
+}
