@@ -3,3 +3,4 @@
 
 pub mod commands;
 pub mod dataset;
+pub mod report;

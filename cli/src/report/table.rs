@@ -1,0 +1,192 @@
+//! Tables that print on a terminal, in an HTML page and in Markdown from one description.
+
+use super::escape;
+use std::fmt::Write as _;
+
+/// Where a column's texts stand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Align {
+    /// Texts.
+    Left,
+    /// Numbers.
+    Right,
+}
+
+/// A column: its heading, with unit, and alignment.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Column {
+    name: String,
+    align: Align,
+}
+
+impl Column {
+    /// A column of texts.
+    pub fn text(name: impl Into<String>) -> Self {
+        Self { name: name.into(), align: Align::Left }
+    }
+
+    /// A column of numbers.
+    pub fn number(name: impl Into<String>) -> Self {
+        Self { name: name.into(), align: Align::Right }
+    }
+}
+
+/// A cell: its text, and whether it is the best of its column.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Cell {
+    text: String,
+    best: bool,
+}
+
+impl From<String> for Cell {
+    fn from(text: String) -> Self {
+        Self { text, best: false }
+    }
+}
+
+impl From<&str> for Cell {
+    fn from(text: &str) -> Self {
+        text.to_owned().into()
+    }
+}
+
+/// A table. Rows shorter than the heading are padded with empty cells.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Table {
+    columns: Vec<Column>,
+    rows: Vec<Vec<Cell>>,
+}
+
+impl Table {
+    /// An empty table.
+    pub fn new(columns: Vec<Column>) -> Self {
+        Self { columns, rows: Vec::new() }
+    }
+
+    /// Adds a row.
+    pub fn row(&mut self, cells: Vec<Cell>) {
+        self.rows.push(cells);
+    }
+
+    /// Marks the best cell of a numeric column (several where equal): the lowest value, or the highest. `values` has
+    /// one entry per row; those that are not finite take no part.
+    pub fn mark_best(&mut self, column: usize, values: &[f64], lowest: bool) {
+        let sign = if lowest { 1.0 } else { -1.0 };
+        let best = values.iter().filter(|v| v.is_finite()).map(|v| v * sign).fold(f64::INFINITY, f64::min);
+        for (row, value) in self.rows.iter_mut().zip(values) {
+            if let Some(cell) = row.get_mut(column) {
+                cell.best = value.is_finite() && value * sign <= best;
+            }
+        }
+    }
+
+    fn text_of(&self, row: &[Cell], column: usize) -> String {
+        row.get(column).map(|c| c.text.clone()).unwrap_or_default()
+    }
+
+    /// For a terminal: columns padded with spaces, best cells marked with an asterisk.
+    pub fn to_text(&self) -> String {
+        let show = |row: &[Cell], c: usize| {
+            let best = row.get(c).is_some_and(|cell| cell.best);
+            format!("{}{}", self.text_of(row, c), if best { "*" } else { "" })
+        };
+        let widths: Vec<usize> = (0..self.columns.len())
+            .map(|c| {
+                self.rows
+                    .iter()
+                    .map(|r| show(r, c).chars().count())
+                    .chain([self.columns[c].name.chars().count()])
+                    .max()
+                    .unwrap_or(0)
+            })
+            .collect();
+        let line = |texts: Vec<String>| {
+            let mut out = String::new();
+            for (c, text) in texts.iter().enumerate() {
+                let pad = " ".repeat(widths[c].saturating_sub(text.chars().count()));
+                let _ = match self.columns[c].align {
+                    Align::Left => write!(out, "{text}{pad}  "),
+                    Align::Right => write!(out, "{pad}{text}  "),
+                };
+            }
+            out.trim_end().to_owned() + "\n"
+        };
+        let mut out = line(self.columns.iter().map(|c| c.name.clone()).collect());
+        out += &line(widths.iter().map(|w| "-".repeat(*w)).collect());
+        for row in &self.rows {
+            out += &line((0..self.columns.len()).map(|c| show(row, c)).collect());
+        }
+        out
+    }
+
+    /// For an HTML page; best cells are bold.
+    pub fn to_html(&self) -> String {
+        let class = |c: usize| if self.columns[c].align == Align::Right { " class=\"n\"" } else { "" };
+        let mut out = String::from("<div class=\"scroll\"><table><thead><tr>");
+        for (c, column) in self.columns.iter().enumerate() {
+            let _ = write!(out, "<th{}>{}</th>", class(c), escape(&column.name));
+        }
+        out += "</tr></thead><tbody>";
+        for row in &self.rows {
+            out += "<tr>";
+            for c in 0..self.columns.len() {
+                let text = escape(&self.text_of(row, c));
+                let best = row.get(c).is_some_and(|cell| cell.best);
+                let _ = if best {
+                    write!(out, "<td{}><b>{text}</b></td>", class(c))
+                } else {
+                    write!(out, "<td{}>{text}</td>", class(c))
+                };
+            }
+            out += "</tr>";
+        }
+        out + "</tbody></table></div>"
+    }
+
+    /// For a Markdown file; best cells are bold.
+    pub fn to_markdown(&self) -> String {
+        let safe = |t: &str| t.replace('|', "\\|").replace('\n', " ");
+        let mut out = String::new();
+        for column in &self.columns {
+            let _ = write!(out, "| {} ", safe(&column.name));
+        }
+        out += "|\n";
+        for column in &self.columns {
+            out += if column.align == Align::Right { "|---:" } else { "|---" };
+        }
+        out += "|\n";
+        for row in &self.rows {
+            for c in 0..self.columns.len() {
+                let text = safe(&self.text_of(row, c));
+                let best = row.get(c).is_some_and(|cell| cell.best);
+                let _ = if best { write!(out, "| **{text}** ") } else { write!(out, "| {text} ") };
+            }
+            out += "|\n";
+        }
+        out
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table() -> Table {
+        let mut t = Table::new(vec![Column::text("who"), Column::number("misses / %")]);
+        t.row(vec!["fixed".into(), "50.0".into()]);
+        t.row(vec!["a|<b>".into(), "2.5".into()]);
+        t.row(vec!["short".into()]);
+        t.mark_best(1, &[50.0, 2.5, f64::NAN], true);
+        t
+    }
+
+    #[test]
+    fn one_description_prints_three_ways() {
+        assert_eq!(
+            table().to_text(),
+            "who    misses / %\n-----  ----------\nfixed        50.0\na|<b>        2.5*\nshort\n"
+        );
+        assert!(table().to_html().contains("<td>a|&lt;b&gt;</td><td class=\"n\"><b>2.5</b></td>"));
+        assert!(table().to_markdown().contains("| a\\|<b> | **2.5** |"));
+    }
+}
