@@ -1,1 +1,15 @@
-//! Networks in plain meaning: dense, convolution, activation, PredNet, VolumeNet. Speed lives in `kernels`.
+//! Networks in plain meaning: dense layers, activation, PredNet, VolumeNet. Speed lives in `kernels`.
+//!
+//! [`PredNetParts`] and [`VolumeNetParts`] are checked weights without any layout: what a model file holds, what training
+//! writes. [`PredNet`] is built from them for one [`Level`](crate::kernels::Level) and one [`Storage`].
+
+mod parts;
+mod prednet;
+
+pub use parts::{ConvBlockParts, DenseParts, Dtype, Normalization, PredNetParts, Target, VolumeNetParts};
+pub use prednet::{PREDNET_F32_TOLERANCE, PredNet, PredScratch, Storage};
+
+/// SELU's scale λ (Klambauer et al. 2017, self-normalizing networks).
+pub const SELU_SCALE: f64 = 1.050_700_987_355_480_5;
+/// SELU's α: SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise.
+pub const SELU_ALPHA: f64 = 1.673_263_242_354_377_2;

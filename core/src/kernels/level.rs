@@ -1,0 +1,294 @@
+//! Which instructions the kernels may use, found at run time.
+
+use crate::Result;
+use crate::error::bail;
+use core::fmt;
+use core::sync::atomic::{AtomicU32, Ordering};
+
+/// Environment variable that caps the level chosen by [`Level::detect`]: `scalar`, `avx2` or `avx512`.
+///
+/// Read only with the feature `std`. It can lower the level, never raise it above what the CPU has.
+pub const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
+
+/// The instruction set a kernel is written for, in rising order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[non_exhaustive]
+pub enum Isa {
+    /// Portable Rust, vectorised by the compiler; the standard that the others are tested against.
+    Scalar,
+    /// x86-64 with AVX2, FMA and F16C.
+    Avx2,
+    /// x86-64 with AVX-512 F, BW, DQ and VL (and everything of [`Isa::Avx2`]).
+    Avx512,
+}
+
+impl Isa {
+    /// Every instruction set this version has kernels for, lowest first.
+    pub const ALL: [Isa; 3] = [Isa::Scalar, Isa::Avx2, Isa::Avx512];
+
+    /// The name used by [`LEVEL_VARIABLE`] and in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Isa::Scalar => "scalar",
+            Isa::Avx2 => "avx2",
+            Isa::Avx512 => "avx512",
+        }
+    }
+
+    /// Reads a name as [`Isa::name`] writes it.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) when the text is none of the three names.
+    pub fn parse(text: &str) -> Result<Self> {
+        match Self::ALL.iter().find(|isa| isa.name() == text) {
+            Some(&isa) => Ok(isa),
+            None => bail!(
+                InvalidArgument,
+                "unknown level {text:?}: use \"scalar\", \"avx2\" or \"avx512\" (or leave {LEVEL_VARIABLE} unset)"
+            ),
+        }
+    }
+}
+
+impl fmt::Display for Isa {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+const HAS_AVX2: u32 = 1 << 1;
+const HAS_AVX512: u32 = 1 << 2;
+const HAS_VNNI: u32 = 1 << 3;
+const HAS_BF16: u32 = 1 << 4;
+const HAS_FP16: u32 = 1 << 5;
+const PROBED: u32 = 1 << 31;
+
+/// Proof that the CPU has the instructions of one [`Isa`].
+///
+/// Same model, same inputs, same level: same bits, with and without the feature `std`.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Level {
+    isa: Isa,
+    extras: u32,
+}
+
+impl Level {
+    /// The portable level, which every machine has.
+    pub const SCALAR: Level = Level { isa: Isa::Scalar, extras: 0 };
+
+    /// The highest level of this CPU, capped by [`LEVEL_VARIABLE`] where the feature `std` is on. An unknown value there
+    /// is ignored here and reported by [`Level::check_override`].
+    pub fn detect() -> Self {
+        #[cfg(feature = "std")]
+        if let Ok(Some(cap)) = Self::override_isa() {
+            return Self::at_most(cap);
+        }
+        Self::at_most(Isa::Avx512)
+    }
+
+    /// The highest level of this CPU that is not above `cap`, whatever the environment says: the override for programs.
+    pub fn at_most(cap: Isa) -> Self {
+        let best = Isa::ALL.into_iter().rev().filter(|&isa| isa <= cap).find_map(Self::exactly);
+        best.unwrap_or(Self::SCALAR)
+    }
+
+    /// The level of exactly this instruction set, or `None` where the CPU (or the architecture) lacks it.
+    pub fn exactly(isa: Isa) -> Option<Self> {
+        let found = features();
+        match isa {
+            Isa::Scalar => Some(Self::SCALAR),
+            Isa::Avx2 => (found & HAS_AVX2 != 0).then_some(Level { isa, extras: 0 }),
+            Isa::Avx512 => (found & HAS_AVX512 != 0)
+                .then_some(Level { isa, extras: found & (HAS_VNNI | HAS_BF16 | HAS_FP16) }),
+        }
+    }
+
+    /// Every level this CPU has, lowest first.
+    pub fn available() -> impl Iterator<Item = Level> {
+        Isa::ALL.into_iter().filter_map(Self::exactly)
+    }
+
+    /// Checks [`LEVEL_VARIABLE`], for programs that want to refuse a misspelled override. Always `Ok` without `std`.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a value that names no level, [`Unsupported`](crate::ErrorKind::Unsupported) for a level that this
+    /// CPU does not have.
+    pub fn check_override() -> Result<()> {
+        #[cfg(feature = "std")]
+        if let Some(isa) = Self::override_isa()?
+            && Self::exactly(isa).is_none()
+        {
+            bail!(
+                Unsupported,
+                "{LEVEL_VARIABLE}={isa}, but this CPU has no more than {}: unset it or lower it",
+                Self::at_most(Isa::Avx512)
+            );
+        }
+        Ok(())
+    }
+
+    #[cfg(feature = "std")]
+    fn override_isa() -> Result<Option<Isa>> {
+        match std::env::var(LEVEL_VARIABLE) {
+            Ok(text) if text.is_empty() => Ok(None),
+            Ok(text) => Isa::parse(&text).map(Some),
+            Err(std::env::VarError::NotPresent) => Ok(None),
+            Err(std::env::VarError::NotUnicode(text)) => Isa::parse(&text.to_string_lossy()).map(Some),
+        }
+    }
+
+    /// The instruction set.
+    pub const fn isa(self) -> Isa {
+        self.isa
+    }
+
+    /// Whether the level includes AVX512_VNNI (8-bit integer dot products).
+    pub const fn has_vnni(self) -> bool {
+        self.extras & HAS_VNNI != 0
+    }
+
+    /// Whether the level includes AVX512_BF16.
+    pub const fn has_bf16(self) -> bool {
+        self.extras & HAS_BF16 != 0
+    }
+
+    /// Whether the level includes AVX512_FP16.
+    pub const fn has_fp16(self) -> bool {
+        self.extras & HAS_FP16 != 0
+    }
+}
+
+impl fmt::Debug for Level {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, f)
+    }
+}
+
+impl fmt::Display for Level {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.isa.name())?;
+        for (has, name) in [(self.has_vnni(), "vnni"), (self.has_bf16(), "bf16"), (self.has_fp16(), "fp16")] {
+            if has {
+                write!(f, "+{name}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What the CPU has, asked once: `cpuid` is slow under a hypervisor.
+fn features() -> u32 {
+    static FOUND: AtomicU32 = AtomicU32::new(0);
+    let known = FOUND.load(Ordering::Relaxed);
+    if known != 0 {
+        return known;
+    }
+    let found = probe() | PROBED;
+    FOUND.store(found, Ordering::Relaxed);
+    found
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn probe() -> u32 {
+    0
+}
+
+/// Asks `cpuid` for the instructions and `xgetbv` whether the operating system saves the wide registers; the same code
+/// with and without `std`, so that both choose the same level.
+#[cfg(target_arch = "x86_64")]
+fn probe() -> u32 {
+    use core::arch::x86_64::{__cpuid, __cpuid_count, _xgetbv};
+
+    #[target_feature(enable = "xsave")]
+    fn enabled_state() -> u64 {
+        // SAFETY: OSXSAVE was checked by the only caller, and register 0 exists wherever that is set.
+        unsafe { _xgetbv(0) }
+    }
+
+    let bit = |word: u32, n: u32| word >> n & 1 != 0;
+    if __cpuid(0).eax < 7 {
+        return 0;
+    }
+    let leaf1 = __cpuid(1);
+    let (fma, osxsave, avx, f16c) =
+        (bit(leaf1.ecx, 12), bit(leaf1.ecx, 27), bit(leaf1.ecx, 28), bit(leaf1.ecx, 29));
+    if !osxsave {
+        return 0;
+    }
+    // SAFETY: OSXSAVE says that the CPU has XGETBV and that the operating system enabled it.
+    let state = unsafe { enabled_state() };
+    let ymm = state & 0b110 == 0b110;
+    let zmm = state & 0b1110_0110 == 0b1110_0110;
+    let leaf7 = __cpuid_count(7, 0);
+    let mut found = 0;
+    if ymm && avx && fma && f16c && bit(leaf7.ebx, 5) {
+        found |= HAS_AVX2;
+        if zmm && [16, 17, 30, 31].into_iter().all(|n| bit(leaf7.ebx, n)) {
+            found |= HAS_AVX512;
+            if bit(leaf7.ecx, 11) {
+                found |= HAS_VNNI;
+            }
+            if bit(leaf7.edx, 23) {
+                found |= HAS_FP16;
+            }
+            if leaf7.eax >= 1 && bit(__cpuid_count(7, 1).eax, 5) {
+                found |= HAS_BF16;
+            }
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ErrorKind;
+    use alloc::vec::Vec;
+
+    #[test]
+    fn names_are_read_back_and_others_refused() {
+        for isa in Isa::ALL {
+            assert_eq!(Isa::parse(isa.name()).unwrap(), isa);
+        }
+        let error = Isa::parse("AVX-512").unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument);
+        assert!(error.message().contains("avx512"), "{error}");
+    }
+
+    #[test]
+    fn levels_rise_and_start_with_scalar() {
+        let levels: Vec<_> = Level::available().collect();
+        assert_eq!(levels[0], Level::SCALAR);
+        assert!(levels.windows(2).all(|pair| pair[0].isa() < pair[1].isa()));
+        assert_eq!(Level::at_most(Isa::Avx512), *levels.last().unwrap());
+    }
+
+    #[test]
+    fn a_cap_is_never_exceeded() {
+        for cap in Isa::ALL {
+            assert!(Level::at_most(cap).isa() <= cap);
+        }
+    }
+
+    #[cfg(all(target_arch = "x86_64", feature = "std"))]
+    #[test]
+    fn agrees_with_the_standard_library() {
+        let avx2 = std::is_x86_feature_detected!("avx2")
+            && std::is_x86_feature_detected!("fma")
+            && std::is_x86_feature_detected!("f16c");
+        let avx512 = avx2
+            && std::is_x86_feature_detected!("avx512f")
+            && std::is_x86_feature_detected!("avx512bw")
+            && std::is_x86_feature_detected!("avx512dq")
+            && std::is_x86_feature_detected!("avx512vl");
+        assert_eq!(Level::exactly(Isa::Avx2).is_some(), avx2);
+        assert_eq!(Level::exactly(Isa::Avx512).is_some(), avx512);
+        if let Some(level) = Level::exactly(Isa::Avx512) {
+            assert_eq!(level.has_vnni(), std::is_x86_feature_detected!("avx512vnni"));
+            assert_eq!(level.has_bf16(), std::is_x86_feature_detected!("avx512bf16"));
+            assert_eq!(level.has_fp16(), std::is_x86_feature_detected!("avx512fp16"));
+        }
+    }
+}

@@ -1,0 +1,285 @@
+//! The container: tensors and metadata, read from and written to safetensors bytes.
+
+use super::keys;
+use super::read::{InputGroup, Model, Source};
+use crate::Result;
+use crate::error::bail;
+use crate::nn::{Dtype, Normalization, PredNetParts};
+use alloc::borrow::{Cow, ToOwned};
+use alloc::collections::BTreeMap;
+use alloc::format;
+use alloc::string::String;
+use alloc::vec::Vec;
+use safetensors::Dtype as Stored;
+use serde::ser::{Serialize, SerializeMap, Serializer};
+
+/// Bytes of the length field that a safetensors file starts with.
+const PREFIX: usize = 8;
+/// Longest header that is accepted or written, in bytes.
+const MAX_HEADER: usize = 16 << 20;
+
+/// One tensor as the file holds it: little-endian numbers, last axis fastest.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct TensorData<'a> {
+    pub(super) dtype: Stored,
+    pub(super) shape: Vec<usize>,
+    pub(super) data: Cow<'a, [u8]>,
+}
+
+impl<'a> Source<'a> {
+    /// Splits the bytes into tensors and metadata. Every size is checked against the bytes that are there before
+    /// anything is allocated for it.
+    pub(super) fn parse(bytes: &'a [u8]) -> Result<Self> {
+        let Some((prefix, rest)) = bytes.split_first_chunk::<PREFIX>() else {
+            bail!(InvalidModel, "not a safetensors file: {} bytes, expected at least {PREFIX}", bytes.len());
+        };
+        let stated = u64::from_le_bytes(*prefix);
+        if stated > MAX_HEADER as u64 || stated > rest.len() as u64 {
+            bail!(
+                InvalidModel,
+                "not a safetensors file, or cut short: it states a header of {stated} bytes, {} bytes follow (at most \
+                 {MAX_HEADER} are accepted)",
+                rest.len()
+            );
+        }
+        let (header, data) = rest.split_at(stated as usize);
+        let header: safetensors::tensor::Metadata = match serde_json::from_slice(header) {
+            Ok(header) => header,
+            Err(e) => bail!(InvalidModel, "the safetensors header is damaged: {e}"),
+        };
+        if header.data_len() != data.len() {
+            bail!(
+                InvalidModel,
+                "the header describes {} bytes of tensors, the file holds {}: it was cut short or has bytes added",
+                header.data_len(),
+                data.len()
+            );
+        }
+        let mut tensors = BTreeMap::new();
+        for (name, info) in header.tensors() {
+            let (start, end) = info.data_offsets;
+            let Some(slice) = data.get(start..end) else {
+                bail!(
+                    InvalidModel,
+                    "{name} lies at bytes {start} to {end} of {}: out of the file",
+                    data.len()
+                );
+            };
+            let tensor =
+                TensorData { dtype: info.dtype, shape: info.shape.clone(), data: Cow::Borrowed(slice) };
+            tensors.insert(name, tensor);
+        }
+        let metadata = header.metadata().iter().flatten().map(|(k, v)| (k.clone(), v.clone())).collect();
+        Ok(Self { tensors, metadata })
+    }
+}
+
+/// A model file being written: named tensors and metadata. Those it does not know stay as they are, so that
+/// fine-tuning a file loses nothing (training's decoder tensors, notes, …).
+///
+/// The bytes depend on the content alone, never on the order in which it was put in.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ModelFile {
+    tensors: BTreeMap<String, TensorData<'static>>,
+    metadata: BTreeMap<String, String>,
+}
+
+impl ModelFile {
+    /// An empty file: nothing but the format's version.
+    pub fn new() -> Self {
+        let mut file = Self::default();
+        file.set_metadata(keys::FORMAT_KEY, keys::FORMAT);
+        file
+    }
+
+    /// Reads any safetensors file, a model or not.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for bytes that are no safetensors file.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
+        let source = Source::parse(bytes)?;
+        let own = |(name, t): (String, TensorData<'_>)| {
+            (name, TensorData { dtype: t.dtype, shape: t.shape, data: Cow::Owned(t.data.into_owned()) })
+        };
+        Ok(Self { tensors: source.tensors.into_iter().map(own).collect(), metadata: source.metadata })
+    }
+
+    /// All metadata.
+    pub fn metadata(&self) -> &BTreeMap<String, String> {
+        &self.metadata
+    }
+
+    /// Sets one metadata entry (see [`keys`]).
+    pub fn set_metadata(&mut self, key: impl Into<String>, value: impl Into<String>) -> &mut Self {
+        self.metadata.insert(key.into(), value.into());
+        self
+    }
+
+    /// Removes one metadata entry and returns its value.
+    pub fn remove_metadata(&mut self, key: &str) -> Option<String> {
+        self.metadata.remove(key)
+    }
+
+    /// Names of the tensors in alphabetical order.
+    pub fn tensor_names(&self) -> impl Iterator<Item = &str> {
+        self.tensors.keys().map(String::as_str)
+    }
+
+    /// Puts a tensor in, rounding to `dtype` (to nearest, ties to even).
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when the shape and the number of values disagree or a value
+    /// is not finite in `dtype`.
+    pub fn set_tensor(
+        &mut self,
+        name: &str,
+        dtype: Dtype,
+        shape: &[usize],
+        values: &[f32],
+    ) -> Result<&mut Self> {
+        if shape.iter().try_fold(1usize, |n, &d| n.checked_mul(d)) != Some(values.len()) {
+            bail!(InvalidTensor, "{name}: shape {shape:?} does not hold {} numbers", values.len());
+        }
+        let mut data = Vec::with_capacity(values.len() * dtype.bytes());
+        for (i, &value) in values.iter().enumerate() {
+            let finite = match dtype {
+                Dtype::F32 => {
+                    data.extend_from_slice(&value.to_le_bytes());
+                    value.is_finite()
+                }
+                Dtype::F16 => {
+                    let half = half::f16::from_f32_const(value);
+                    data.extend_from_slice(&half.to_le_bytes());
+                    half.is_finite()
+                }
+                Dtype::Bf16 => {
+                    let half = half::bf16::from_f32_const(value);
+                    data.extend_from_slice(&half.to_le_bytes());
+                    half.is_finite()
+                }
+            };
+            if !finite {
+                bail!(InvalidTensor, "{name}[{i}] (flat index) is {value}: not finite as {}", dtype.name());
+            }
+        }
+        let dtype = match dtype {
+            Dtype::F32 => Stored::F32,
+            Dtype::F16 => Stored::F16,
+            Dtype::Bf16 => Stored::BF16,
+        };
+        self.tensors
+            .insert(name.to_owned(), TensorData { dtype, shape: shape.to_vec(), data: Cow::Owned(data) });
+        Ok(self)
+    }
+
+    /// Removes one tensor; says whether it was there.
+    pub fn remove_tensor(&mut self, name: &str) -> bool {
+        self.tensors.remove(name).is_some()
+    }
+
+    /// Replaces every tensor under `prednet.`, the target and the input groups. Weights are stored in each layer's
+    /// [`dtype`](crate::nn::DenseParts::dtype), everything else of PredNet as F32.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when the parts do not pass [`PredNetParts::check`] or a
+    /// weight overflows its format.
+    pub fn set_prednet(&mut self, net: &PredNetParts, inputs: &[InputGroup]) -> Result<&mut Self> {
+        net.check()?;
+        self.tensors.retain(|name, _| !name.starts_with("prednet."));
+        for (i, layer) in net.layers.iter().enumerate() {
+            let shape = [layer.outputs, layer.inputs];
+            self.set_tensor(&format!("prednet.{i}.weight"), layer.dtype, &shape, &layer.weight)?;
+            self.set_tensor(&format!("prednet.{i}.bias"), Dtype::F32, &[layer.outputs], &layer.bias)?;
+        }
+        for (name, norm) in [("input", &net.input), ("output", &net.output)] {
+            if let Some(Normalization { mean, std }) = norm {
+                self.set_tensor(&format!("prednet.{name}.mean"), Dtype::F32, &[mean.len()], mean)?;
+                self.set_tensor(&format!("prednet.{name}.std"), Dtype::F32, &[std.len()], std)?;
+            }
+        }
+        self.set_metadata(keys::TARGET, net.target.name());
+        self.set_metadata(keys::INPUTS, json(inputs)?);
+        Ok(self)
+    }
+
+    /// Names the scene features, in order.
+    pub fn set_scene_features<S: AsRef<str>>(&mut self, names: &[S]) -> Result<&mut Self> {
+        let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
+        let text = json(&names)?;
+        Ok(self.set_metadata(keys::SCENE_FEATURES, text))
+    }
+
+    /// Checks the content as [`Model::from_bytes`] would.
+    ///
+    /// # Errors
+    ///
+    /// As [`Model::from_bytes`].
+    pub fn to_model(&self) -> Result<Model> {
+        let borrow = |(name, t): (&String, &TensorData<'static>)| (name.clone(), t.clone());
+        Source { tensors: self.tensors.iter().map(borrow).collect(), metadata: self.metadata.clone() }.model()
+    }
+
+    /// The file's bytes. Refuses to write what could not be read back as a model.
+    ///
+    /// # Errors
+    ///
+    /// As [`Model::from_bytes`].
+    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+        self.to_model()?;
+        // Widest numbers first keeps every tensor aligned to its own size, as the format's other writers do it.
+        let mut order: Vec<_> = self.tensors.iter().collect();
+        order.sort_by(|(name, t), (other, o)| o.dtype.cmp(&t.dtype).then_with(|| name.cmp(other)));
+        let mut header = json(&Header { metadata: &self.metadata, tensors: &order })?.into_bytes();
+        header.resize(header.len().next_multiple_of(PREFIX), b' ');
+        if header.len() > MAX_HEADER {
+            bail!(
+                InvalidModel,
+                "the header would take {} bytes, at most {MAX_HEADER} are read back: shorten the metadata",
+                header.len()
+            );
+        }
+        let size: usize = order.iter().map(|(_, t)| t.data.len()).sum();
+        let mut bytes = Vec::with_capacity(PREFIX + header.len() + size);
+        bytes.extend_from_slice(&(header.len() as u64).to_le_bytes());
+        bytes.extend_from_slice(&header);
+        for (_, tensor) in order {
+            bytes.extend_from_slice(&tensor.data);
+        }
+        Ok(bytes)
+    }
+}
+
+/// The safetensors header with entries in a fixed order.
+struct Header<'a> {
+    metadata: &'a BTreeMap<String, String>,
+    tensors: &'a [(&'a String, &'a TensorData<'static>)],
+}
+
+impl Serialize for Header<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> core::result::Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(self.tensors.len() + 1))?;
+        map.serialize_entry("__metadata__", self.metadata)?;
+        let mut start = 0;
+        for (name, tensor) in self.tensors {
+            let end = start + tensor.data.len();
+            let info = safetensors::tensor::TensorInfo {
+                dtype: tensor.dtype,
+                shape: tensor.shape.clone(),
+                data_offsets: (start, end),
+            };
+            map.serialize_entry(name, &info)?;
+            start = end;
+        }
+        map.end()
+    }
+}
+
+fn json<T: Serialize + ?Sized>(value: &T) -> Result<String> {
+    match serde_json::to_string(value) {
+        Ok(text) => Ok(text),
+        Err(e) => bail!(InvalidModel, "cannot be written as JSON: {e}"),
+    }
+}

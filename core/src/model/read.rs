@@ -1,0 +1,520 @@
+//! From bytes to a checked [`Model`].
+
+use super::file::TensorData;
+use super::keys;
+use crate::error::bail;
+use crate::nn::{ConvBlockParts, DenseParts, Dtype, Normalization, PredNetParts, Target, VolumeNetParts};
+use crate::{Error, ErrorKind, Result};
+use alloc::borrow::ToOwned;
+use alloc::collections::BTreeMap;
+use alloc::format;
+use alloc::string::String;
+use alloc::vec::Vec;
+use serde::{Deserialize, Serialize};
+
+/// Largest edge of VolumeNet's input that is accepted, in voxels (512³ voxels are 512 MiB as f32).
+pub const MAX_VOLUMENET_INPUT: usize = 512;
+
+/// Variance offset of batch normalisation.
+const BATCH_NORM_EPSILON: f64 = 1e-5;
+
+/// A named run of inputs: the model's inputs are the groups one after another.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct InputGroup {
+    /// Name, such as `camera`.
+    pub name: String,
+    /// How many numbers.
+    pub size: usize,
+}
+
+/// A checked model file: every tensor that its networks need is there, fits, and holds finite numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    inputs: Vec<InputGroup>,
+    scene_features: Vec<String>,
+    prednet: Option<PredNetParts>,
+    volumenet: Option<VolumeNetParts>,
+    metadata: BTreeMap<String, String>,
+}
+
+impl Model {
+    /// Reads a model file. The bytes need no alignment; unknown tensors and metadata are ignored.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidModel`](ErrorKind::InvalidModel) for bytes that are not such a file or metadata that does not fit;
+    /// [`InvalidTensor`](ErrorKind::InvalidTensor) for a tensor that is missing, misshapen or not finite. Nothing
+    /// half-loads.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
+        let source = Source::parse(bytes)?;
+        source.model()
+    }
+
+    /// The input groups in order; empty where the file has no PredNet.
+    pub fn inputs(&self) -> &[InputGroup] {
+        &self.inputs
+    }
+
+    /// The size of a named group, or `None` where the model has no such group.
+    pub fn input_size(&self, name: &str) -> Option<usize> {
+        self.inputs.iter().find(|group| group.name == name).map(|group| group.size)
+    }
+
+    /// What PredNet's output stands for; `None` where the file has no PredNet.
+    pub fn target(&self) -> Option<Target> {
+        self.prednet.as_ref().map(|net| net.target)
+    }
+
+    /// PredNet's weights, or `None` where the file lacks one.
+    pub fn prednet(&self) -> Option<&PredNetParts> {
+        self.prednet.as_ref()
+    }
+
+    /// The encoder's weights with batch normalisation folded in, or `None` where the file lacks one.
+    pub fn volumenet(&self) -> Option<&VolumeNetParts> {
+        self.volumenet.as_ref()
+    }
+
+    /// Names of the scene features in order; empty where the model has no such group.
+    pub fn scene_features(&self) -> &[String] {
+        &self.scene_features
+    }
+
+    /// Everything under `__metadata__`, known or not (see [`keys`]).
+    pub fn metadata(&self) -> &BTreeMap<String, String> {
+        &self.metadata
+    }
+
+    /// What rendered the frames that the timings come from, where the file says it.
+    pub fn renderer(&self) -> Option<&str> {
+        self.metadata.get(keys::RENDERER).map(String::as_str)
+    }
+
+    /// The device that the timings come from, where the file says it.
+    pub fn device(&self) -> Option<&str> {
+        self.metadata.get(keys::DEVICE).map(String::as_str)
+    }
+
+    /// What a step of 1 meant in the timings, where the file says it.
+    pub fn step_reference(&self) -> Option<&str> {
+        self.metadata.get(keys::STEP_REFERENCE).map(String::as_str)
+    }
+
+    /// Where the weights come from, where the file says it.
+    pub fn provenance(&self) -> Option<&str> {
+        self.metadata.get(keys::PROVENANCE).map(String::as_str)
+    }
+}
+
+/// Tensors and metadata that are about to become a model.
+pub(super) struct Source<'a> {
+    pub(super) tensors: BTreeMap<String, TensorData<'a>>,
+    pub(super) metadata: BTreeMap<String, String>,
+}
+
+impl Source<'_> {
+    pub(super) fn model(self) -> Result<Model> {
+        match self.metadata.get(keys::FORMAT_KEY).map(String::as_str) {
+            Some(keys::FORMAT) => {}
+            Some(other) => bail!(
+                InvalidModel,
+                "{} is {other:?}, this version reads {:?}: use a newer version of the library",
+                keys::FORMAT_KEY,
+                keys::FORMAT
+            ),
+            None => bail!(
+                InvalidModel,
+                "the metadata lacks {:?}, expected {:?}: this is not a model of ours, or it was saved without metadata",
+                keys::FORMAT_KEY,
+                keys::FORMAT
+            ),
+        }
+        let volumenet = if self.has_volumenet() { Some(self.volumenet()?) } else { None };
+        let (mut inputs, mut scene_features, mut prednet) = (Vec::new(), Vec::new(), None);
+        if let Some(layers) = self.prednet_layers()? {
+            let net = self.prednet(layers)?;
+            inputs = self.input_groups(net.inputs(), volumenet.as_ref())?;
+            scene_features = self.scene_features(&inputs)?;
+            prednet = Some(net);
+        }
+        if prednet.is_none() && volumenet.is_none() {
+            bail!(
+                InvalidModel,
+                "the file holds neither a PredNet (prednet.0.weight) nor a VolumeNet (volumenet.encoder.0.conv.weight)"
+            );
+        }
+        Ok(Model { inputs, scene_features, prednet, volumenet, metadata: self.metadata })
+    }
+
+    fn required(&self, key: &str, example: &str) -> Result<&str> {
+        match self.metadata.get(key) {
+            Some(text) => Ok(text),
+            None => bail!(InvalidModel, "the metadata lacks {key:?}, for example {example}"),
+        }
+    }
+
+    /// Number of PredNet's layers, or `None` without any tensor of it.
+    fn prednet_layers(&self) -> Result<Option<usize>> {
+        let last =
+            self.tensors.keys().filter_map(|name| numbered(name, "prednet.", &["weight", "bias"])).max();
+        if last.is_none()
+            && let Some(name) = self
+                .tensors
+                .keys()
+                .find(|n| n.starts_with("prednet.input.") || n.starts_with("prednet.output."))
+        {
+            bail!(InvalidTensor, "prednet.0.weight is missing, although the file holds {name}");
+        }
+        Ok(last.map(|n| n + 1))
+    }
+
+    fn prednet(&self, layers: usize) -> Result<PredNetParts> {
+        let target = match self.required(keys::TARGET, "\"seconds\"")? {
+            "seconds" => Target::Seconds,
+            "log_seconds" => Target::LogSeconds,
+            other => {
+                bail!(InvalidModel, "{} is {other:?}, expected \"seconds\" or \"log_seconds\"", keys::TARGET)
+            }
+        };
+        // A number in a name bounds nothing; the tensors that exist do.
+        let mut parts = Vec::new();
+        for i in 0..layers {
+            let known = parts.last().map(|layer: &DenseParts| layer.outputs);
+            let last = i + 1 == layers;
+            parts.push(self.dense(&format!("prednet.{i}"), known, last.then_some(1))?);
+        }
+        let net = PredNetParts {
+            input: self.normalization("prednet.input", parts[0].inputs)?,
+            output: self.normalization("prednet.output", 1)?,
+            layers: parts,
+            target,
+        };
+        net.check()?;
+        Ok(net)
+    }
+
+    fn input_groups(&self, width: usize, volumenet: Option<&VolumeNetParts>) -> Result<Vec<InputGroup>> {
+        let key = keys::INPUTS;
+        let text = self.required(key, "[{\"name\":\"camera\",\"size\":3}]")?;
+        let groups: Vec<InputGroup> = match serde_json::from_str(text) {
+            Ok(groups) => groups,
+            Err(e) => bail!(
+                InvalidModel,
+                "{key} is not a JSON array of {{\"name\": text, \"size\": whole number}}: {e}"
+            ),
+        };
+        let mut total = 0usize;
+        for (i, group) in groups.iter().enumerate() {
+            let name = group.name.as_str();
+            if groups[..i].iter().any(|other| other.name == name) {
+                bail!(InvalidModel, "{key} names the group {name:?} twice");
+            }
+            let (fits, expected) = match name {
+                keys::GROUP_CAMERA => (group.size == 3, "3"),
+                keys::GROUP_RESOLUTION => (group.size == 2, "2"),
+                keys::GROUP_STEP_SIZE => (group.size == 1, "1"),
+                keys::GROUP_TRANSFER_FUNCTION => {
+                    (group.size > 0 && group.size % 3 == 0, "a multiple of 3 (c, w, h per lobe)")
+                }
+                _ => (group.size > 0, "at least 1"),
+            };
+            if !fits {
+                bail!(InvalidModel, "{key}: the group {name:?} has size {}, expected {expected}", group.size);
+            }
+            if let (keys::GROUP_VOLUME_FEATURES, Some(net)) = (name, volumenet)
+                && group.size != net.features()
+            {
+                bail!(
+                    InvalidModel,
+                    "{key}: the group {name:?} has size {}, but volumenet.fc.weight gives {} features",
+                    group.size,
+                    net.features()
+                );
+            }
+            total = total.saturating_add(group.size);
+        }
+        if total != width {
+            bail!(
+                InvalidModel,
+                "{key} adds up to {total} inputs, but prednet.0.weight takes {width}: make them agree"
+            );
+        }
+        Ok(groups)
+    }
+
+    fn scene_features(&self, inputs: &[InputGroup]) -> Result<Vec<String>> {
+        let Some(group) = inputs.iter().find(|group| group.name == keys::GROUP_SCENE_FEATURES) else {
+            return Ok(Vec::new());
+        };
+        let key = keys::SCENE_FEATURES;
+        let names: Vec<String> = match serde_json::from_str(self.required(key, "[\"footprint\"]")?) {
+            Ok(names) => names,
+            Err(e) => bail!(InvalidModel, "{key} is not a JSON array of names: {e}"),
+        };
+        if names.len() != group.size {
+            bail!(
+                InvalidModel,
+                "{key} names {} features, but the group {:?} has size {}",
+                names.len(),
+                group.name,
+                group.size
+            );
+        }
+        for (i, name) in names.iter().enumerate() {
+            if names[..i].contains(name) {
+                bail!(InvalidModel, "{key} names {name:?} twice");
+            }
+        }
+        Ok(names)
+    }
+
+    fn has_volumenet(&self) -> bool {
+        self.tensors
+            .keys()
+            .any(|name| name.starts_with("volumenet.encoder.") || name.starts_with("volumenet.fc."))
+    }
+
+    fn volumenet(&self) -> Result<VolumeNetParts> {
+        #[derive(Deserialize)]
+        struct Layout {
+            input: usize,
+            blocks: Vec<Block>,
+        }
+        #[derive(Deserialize)]
+        struct Block {
+            stride: usize,
+            padding: usize,
+        }
+        let key = keys::VOLUMENET;
+        let example = "{\"input\":128,\"blocks\":[{\"stride\":2,\"padding\":1}]}";
+        let layout: Layout = match serde_json::from_str(self.required(key, example)?) {
+            Ok(layout) => layout,
+            Err(e) => bail!(InvalidModel, "{key} is not of the form {example}: {e}"),
+        };
+        if layout.input == 0 || layout.input > MAX_VOLUMENET_INPUT {
+            bail!(InvalidModel, "{key}: input is {}, accepted are 1 to {MAX_VOLUMENET_INPUT}", layout.input);
+        }
+        let found = self
+            .tensors
+            .keys()
+            .filter_map(|name| numbered(name, "volumenet.encoder.", &["conv.weight"]))
+            .max()
+            .map_or(0, |n| n + 1);
+        if layout.blocks.is_empty() || layout.blocks.len() != found {
+            bail!(
+                InvalidModel,
+                "{key} lists {} blocks, but the file holds volumenet.encoder.*.conv.weight for {found}: expected one \
+                 entry per block and at least one",
+                layout.blocks.len()
+            );
+        }
+        let (mut edge, mut channels) = (layout.input, 1);
+        let mut blocks: Vec<ConvBlockParts> = Vec::new();
+        for (i, &Block { stride, padding }) in layout.blocks.iter().enumerate() {
+            let block = self.conv_block(i, edge, channels, stride, padding)?;
+            (edge, channels) = (block.output_edge, block.outputs);
+            blocks.push(block);
+        }
+        let Some(flat) = edge.checked_pow(3).and_then(|n| n.checked_mul(channels)) else {
+            bail!(InvalidTensor, "the last block gives {channels} x {edge}^3 numbers: too many to flatten");
+        };
+        let fc = self.dense("volumenet.fc", Some(flat), None)?;
+        fc.check("volumenet.fc")?;
+        Ok(VolumeNetParts { input: layout.input, blocks, fc })
+    }
+
+    fn conv_block(
+        &self,
+        i: usize,
+        input_edge: usize,
+        inputs: usize,
+        stride: usize,
+        padding: usize,
+    ) -> Result<ConvBlockParts> {
+        let name = format!("volumenet.encoder.{i}");
+        let conv = format!("{name}.conv.weight");
+        let tensor = self.tensor(&conv)?;
+        let &[outputs, cin, kernel, k1, k2] = tensor.shape.as_slice() else {
+            bail!(
+                InvalidTensor,
+                "{conv} has shape {:?}, expected [channels, {inputs}, k, k, k]",
+                tensor.shape
+            );
+        };
+        if outputs == 0 || cin != inputs || kernel == 0 || k1 != kernel || k2 != kernel {
+            bail!(
+                InvalidTensor,
+                "{conv} has shape {:?}, expected [channels, {inputs}, k, k, k] with channels and k at least 1",
+                tensor.shape
+            );
+        }
+        if stride == 0 || padding >= kernel {
+            bail!(
+                InvalidModel,
+                "{}: block {i} has stride {stride} and padding {padding}, expected a stride of at least 1 and a \
+                 padding below the kernel's size {kernel}",
+                keys::VOLUMENET
+            );
+        }
+        // Neither sum can overflow: the edge is at most MAX_VOLUMENET_INPUT plus paddings that existing weights bound.
+        let padded = input_edge + 2 * padding;
+        if kernel > padded {
+            bail!(
+                InvalidTensor,
+                "{conv} has kernel {kernel}, but block {i}'s padded input is only {padded} wide: fewer blocks, a \
+                 larger input or more padding"
+            );
+        }
+        let output_edge = (padded - kernel) / stride + 1;
+        let (weight, dtype) = tensor.numbers(&conv)?;
+        let bias = match self.tensors.contains_key(&format!("{name}.conv.bias")) {
+            true => Some(self.vector(&format!("{name}.conv.bias"), outputs)?),
+            false => None,
+        };
+        let gamma = self.vector(&format!("{name}.bn.weight"), outputs)?;
+        let beta = self.vector(&format!("{name}.bn.bias"), outputs)?;
+        let mean = self.vector(&format!("{name}.bn.running_mean"), outputs)?;
+        let variance = self.vector(&format!("{name}.bn.running_var"), outputs)?;
+        if let Some(c) = variance.iter().position(|&v| v < 0.0) {
+            bail!(
+                InvalidTensor,
+                "{name}.bn.running_var[{c}] is {}: a variance cannot be negative",
+                variance[c]
+            );
+        }
+        let mut folded = Vec::with_capacity(weight.len());
+        let mut folded_bias = Vec::with_capacity(outputs);
+        for (c, filter) in weight.chunks_exact(weight.len() / outputs).enumerate() {
+            let scale = f64::from(gamma[c]) / libm::sqrt(f64::from(variance[c]) + BATCH_NORM_EPSILON);
+            folded.extend(filter.iter().map(|&w| (f64::from(w) * scale) as f32));
+            let shift = bias.as_ref().map_or(0.0, |b| f64::from(b[c])) - f64::from(mean[c]);
+            folded_bias.push((shift * scale + f64::from(beta[c])) as f32);
+        }
+        if let Some(at) = folded.iter().position(|w| !w.is_finite()) {
+            bail!(InvalidTensor, "{conv}[{at}] (flat index) overflows once {name}.bn is folded into it");
+        }
+        if let Some(c) = folded_bias.iter().position(|b| !b.is_finite()) {
+            bail!(InvalidTensor, "{name}.conv.bias[{c}] overflows once {name}.bn is folded into it");
+        }
+        Ok(ConvBlockParts {
+            inputs,
+            outputs,
+            kernel,
+            stride,
+            padding,
+            weight: folded,
+            bias: folded_bias,
+            input_edge,
+            output_edge,
+            dtype,
+        })
+    }
+
+    fn tensor(&self, name: &str) -> Result<&TensorData<'_>> {
+        match self.tensors.get(name) {
+            Some(tensor) => Ok(tensor),
+            None => bail!(InvalidTensor, "{name} is missing"),
+        }
+    }
+
+    fn vector(&self, name: &str, length: usize) -> Result<Vec<f32>> {
+        let Some(tensor) = self.tensors.get(name) else {
+            bail!(InvalidTensor, "{name} is missing, expected shape [{length}]");
+        };
+        if tensor.shape != [length] {
+            bail!(InvalidTensor, "{name} has shape {:?}, expected [{length}]", tensor.shape);
+        }
+        Ok(tensor.numbers(name)?.0)
+    }
+
+    /// A dense layer whose input and output sizes may be known beforehand.
+    fn dense(&self, name: &str, inputs: Option<usize>, outputs: Option<usize>) -> Result<DenseParts> {
+        let weight_name = format!("{name}.weight");
+        let size = |known: Option<usize>, unknown: &str| known.map_or(unknown.to_owned(), |n| format!("{n}"));
+        let expected = format!("[{}, {}]", size(outputs, "out"), size(inputs, "in"));
+        let Some(weight) = self.tensors.get(&weight_name) else {
+            bail!(InvalidTensor, "{weight_name} is missing, expected shape {expected}");
+        };
+        let &[out, width] = weight.shape.as_slice() else {
+            bail!(InvalidTensor, "{weight_name} has shape {:?}, expected {expected}", weight.shape);
+        };
+        if out == 0 || width == 0 || inputs.is_some_and(|n| n != width) || outputs.is_some_and(|n| n != out) {
+            bail!(InvalidTensor, "{weight_name} has shape {:?}, expected {expected}", weight.shape);
+        }
+        let bias = self.vector(&format!("{name}.bias"), out)?;
+        let (weight, dtype) = weight.numbers(&weight_name)?;
+        Ok(DenseParts { inputs: width, outputs: out, weight, bias, dtype })
+    }
+
+    fn normalization(&self, name: &str, length: usize) -> Result<Option<Normalization>> {
+        let (mean, std) = (format!("{name}.mean"), format!("{name}.std"));
+        if !self.tensors.contains_key(&mean) && !self.tensors.contains_key(&std) {
+            return Ok(None);
+        }
+        let norm = Normalization { mean: self.vector(&mean, length)?, std: self.vector(&std, length)? };
+        norm.check(name, length)?;
+        Ok(Some(norm))
+    }
+}
+
+impl TensorData<'_> {
+    /// The numbers, widened exactly to f32, and the format they had. Refuses other formats, NaN and infinity.
+    fn numbers(&self, name: &str) -> Result<(Vec<f32>, Dtype)> {
+        use safetensors::Dtype as Stored;
+        let (values, dtype): (Vec<f32>, Dtype) = match self.dtype {
+            Stored::F32 => {
+                let read = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
+                (self.data.chunks_exact(4).map(read).collect(), Dtype::F32)
+            }
+            Stored::F16 => {
+                let read = |b: &[u8]| half::f16::from_le_bytes([b[0], b[1]]).to_f32_const();
+                (self.data.chunks_exact(2).map(read).collect(), Dtype::F16)
+            }
+            Stored::BF16 => {
+                let read = |b: &[u8]| half::bf16::from_le_bytes([b[0], b[1]]).to_f32_const();
+                (self.data.chunks_exact(2).map(read).collect(), Dtype::Bf16)
+            }
+            other => bail!(
+                InvalidTensor,
+                "{name} is stored as {other}, expected F32, F16 or BF16: convert it before saving"
+            ),
+        };
+        if let Some(i) = values.iter().position(|v| !v.is_finite()) {
+            return Err(Error::new(
+                ErrorKind::InvalidTensor,
+                format!(
+                    "{name}{} is {}: every number in a model must be finite",
+                    index_of(i, &self.shape),
+                    values[i]
+                ),
+            ));
+        }
+        Ok((values, dtype))
+    }
+}
+
+/// A flat index as the tensor's own indices, such as `[3, 17]`.
+fn index_of(flat: usize, shape: &[usize]) -> String {
+    let mut rest = flat;
+    let mut indices: Vec<usize> = shape
+        .iter()
+        .rev()
+        .map(|&n| {
+            let i = rest % n.max(1);
+            rest /= n.max(1);
+            i
+        })
+        .collect();
+    indices.reverse();
+    format!("{indices:?}")
+}
+
+/// The number in `prefix` + number + `.` + one of `suffixes`, written without leading zeros.
+fn numbered(name: &str, prefix: &str, suffixes: &[&str]) -> Option<usize> {
+    let (number, suffix) = name.strip_prefix(prefix)?.split_once('.')?;
+    if !suffixes.contains(&suffix) || (number.len() > 1 && number.starts_with('0')) {
+        return None;
+    }
+    // Six digits are far more layers than a file of any size holds, and cannot overflow.
+    (number.len() <= 6 && number.bytes().all(|b| b.is_ascii_digit())).then(|| number.parse().ok())?
+}

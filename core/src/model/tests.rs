@@ -1,0 +1,331 @@
+//! Round trips, and every way in which a model file can be wrong.
+
+use super::*;
+use crate::ErrorKind;
+use crate::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
+use alloc::format;
+use alloc::string::{String, ToString};
+use alloc::vec;
+use alloc::vec::Vec;
+
+fn layer(inputs: usize, outputs: usize, dtype: Dtype) -> DenseParts {
+    // Multiples of 1/8 below 4 are exact in all three formats.
+    let number = |i: usize| (i % 13) as f32 * 0.125 - 0.75;
+    DenseParts {
+        inputs,
+        outputs,
+        weight: (0..inputs * outputs).map(number).collect(),
+        bias: (0..outputs).map(number).collect(),
+        dtype,
+    }
+}
+
+fn prednet(dtype: Dtype) -> PredNetParts {
+    PredNetParts {
+        layers: vec![layer(6, 5, dtype), layer(5, 3, dtype), layer(3, 1, dtype)],
+        input: Some(Normalization { mean: vec![0.5; 6], std: vec![2.0; 6] }),
+        output: Some(Normalization { mean: vec![-3.0], std: vec![0.25] }),
+        target: Target::LogSeconds,
+    }
+}
+
+fn groups() -> Vec<InputGroup> {
+    let group = |name: &str, size| InputGroup { name: name.to_string(), size };
+    vec![group("camera", 3), group("resolution", 2), group("step_size", 1)]
+}
+
+fn file() -> ModelFile {
+    let mut file = ModelFile::new();
+    file.set_prednet(&prednet(Dtype::F32), &groups()).unwrap();
+    file
+}
+
+fn with_volumenet() -> ModelFile {
+    let mut file = file();
+    let ones = |n: usize| vec![0.5f32; n];
+    for (name, shape) in [
+        ("volumenet.encoder.0.conv.weight", vec![2, 1, 3, 3, 3]),
+        ("volumenet.encoder.0.conv.bias", vec![2]),
+        ("volumenet.encoder.0.bn.weight", vec![2]),
+        ("volumenet.encoder.0.bn.bias", vec![2]),
+        ("volumenet.encoder.0.bn.running_mean", vec![2]),
+        ("volumenet.encoder.0.bn.running_var", vec![2]),
+        ("volumenet.encoder.1.conv.weight", vec![3, 2, 2, 2, 2]),
+        ("volumenet.encoder.1.bn.weight", vec![3]),
+        ("volumenet.encoder.1.bn.bias", vec![3]),
+        ("volumenet.encoder.1.bn.running_mean", vec![3]),
+        ("volumenet.encoder.1.bn.running_var", vec![3]),
+        ("volumenet.fc.weight", vec![4, 24]),
+        ("volumenet.fc.bias", vec![4]),
+    ] {
+        let n = shape.iter().product();
+        file.set_tensor(name, Dtype::F32, &shape, &ones(n)).unwrap();
+    }
+    file.set_metadata(
+        keys::VOLUMENET,
+        r#"{"input":8,"blocks":[{"stride":2,"padding":1},{"stride":2,"padding":0}]}"#,
+    );
+    file
+}
+
+fn fails(file: &ModelFile, kind: ErrorKind, says: &[&str]) {
+    let error = file.to_model().unwrap_err();
+    assert_eq!(error.kind(), kind, "{error}");
+    for text in says {
+        assert!(error.message().contains(text), "{error:?} does not say {text:?}");
+    }
+    assert_eq!(file.to_bytes().unwrap_err(), error, "such a file must not be written");
+}
+
+#[test]
+fn what_is_written_is_read_back() {
+    for dtype in [Dtype::F32, Dtype::F16, Dtype::Bf16] {
+        let mut file = ModelFile::new();
+        file.set_prednet(&prednet(dtype), &groups()).unwrap();
+        file.set_metadata(keys::DEVICE, "a device").set_metadata("notes", "kept");
+        let model = Model::from_bytes(&file.to_bytes().unwrap()).unwrap();
+        assert_eq!(model.prednet(), Some(&prednet(dtype)));
+        assert_eq!(model.inputs(), groups());
+        assert_eq!(model.target(), Some(Target::LogSeconds));
+        assert_eq!(model.device(), Some("a device"));
+        assert_eq!(model.metadata()["notes"], "kept");
+        assert!(model.volumenet().is_none() && model.renderer().is_none());
+        assert_eq!(PredNet::new(model.prednet().unwrap()).unwrap().inputs(), 6);
+    }
+}
+
+#[test]
+fn bytes_need_no_alignment_and_have_one_order() {
+    let bytes = with_volumenet().to_bytes().unwrap();
+    let expected = Model::from_bytes(&bytes).unwrap();
+    for shift in 1..8 {
+        let mut moved = vec![0; shift];
+        moved.extend_from_slice(&bytes);
+        assert_eq!(Model::from_bytes(&moved[shift..]).unwrap(), expected);
+    }
+    assert_eq!(ModelFile::from_bytes(&bytes).unwrap().to_bytes().unwrap(), bytes);
+}
+
+#[test]
+fn unknown_tensors_and_metadata_survive_fine_tuning() {
+    let mut file = with_volumenet();
+    file.set_tensor("volumenet.decoder.0.weight", Dtype::F16, &[3], &[1.0, 2.0, 3.0]).unwrap();
+    file.set_tensor("prednet.note", Dtype::F32, &[], &[1.0]).unwrap();
+    let before = ModelFile::from_bytes(&file.to_bytes().unwrap()).unwrap();
+    let mut tuned = before.clone();
+    tuned.set_prednet(&prednet(Dtype::F16), &groups()).unwrap();
+    let kept: Vec<_> = before.tensor_names().filter(|n| !n.starts_with("prednet.")).collect();
+    for name in &kept {
+        assert!(tuned.tensor_names().any(|n| n == *name), "{name} was lost");
+    }
+    assert_eq!(tuned.metadata(), before.metadata());
+    assert_eq!(tuned.to_model().unwrap().volumenet(), before.to_model().unwrap().volumenet());
+}
+
+#[test]
+fn volumenet_shapes_are_followed_and_batch_normalisation_is_folded() {
+    let model = with_volumenet().to_model().unwrap();
+    let net = model.volumenet().unwrap();
+    assert_eq!((net.input, net.features(), net.blocks.len()), (8, 4, 2));
+    assert_eq!((net.blocks[0].output_edge, net.blocks[1].output_edge), (4, 2));
+    // gamma / sqrt(var + eps) with gamma = var = 0.5, on a weight of 0.5.
+    let scale = 0.5 / libm::sqrt(0.5 + 1e-5);
+    assert_eq!(net.blocks[0].weight[0], (0.5 * scale) as f32);
+    assert_eq!(net.blocks[0].bias[0], 0.5, "(bias - mean) * scale + beta");
+    assert_eq!(net.blocks[1].bias[0], (-0.5 * scale + 0.5) as f32, "no convolution bias");
+}
+
+#[test]
+fn damaged_containers_are_refused() {
+    let bytes = file().to_bytes().unwrap();
+    for cut in 0..bytes.len() {
+        let error = Model::from_bytes(&bytes[..cut]).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::InvalidModel, "cut to {cut} bytes: {error}");
+    }
+    let mut longer = bytes.clone();
+    longer.push(0);
+    assert_eq!(Model::from_bytes(&longer).unwrap_err().kind(), ErrorKind::InvalidModel);
+    let with_header = |header: &str, data: usize| {
+        let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
+        bytes.extend_from_slice(header.as_bytes());
+        bytes.resize(bytes.len() + data, 0);
+        Model::from_bytes(&bytes).unwrap_err()
+    };
+    for header in [
+        "",
+        "[]",
+        "{",
+        "{\"a\":1}",
+        // Sizes that overflow once the header's own length is added, or once they are multiplied.
+        r#"{"a":{"dtype":"U8","shape":[18446744073709551615],"data_offsets":[0,18446744073709551615]}}"#,
+        r#"{"a":{"dtype":"F32","shape":[4294967296,4294967296],"data_offsets":[0,0]}}"#,
+        r#"{"a":{"dtype":"F32","shape":[2],"data_offsets":[8,0]}}"#,
+        r#"{"a":{"dtype":"F32","shape":[2],"data_offsets":[4,12]}}"#,
+        r#"{"a":{"dtype":"F32","shape":[2],"data_offsets":[0,8]}}"#,
+        r#"{"a":{"dtype":"F99","shape":[2],"data_offsets":[0,8]}}"#,
+        r#"{"__metadata__":{"entire.format":1}}"#,
+    ] {
+        assert_eq!(with_header(header, 4).kind(), ErrorKind::InvalidModel, "{header}");
+    }
+    let mut lying = bytes;
+    lying[..8].copy_from_slice(&u64::MAX.to_le_bytes());
+    assert!(Model::from_bytes(&lying).unwrap_err().message().contains("18446744073709551615"));
+}
+
+#[test]
+fn a_flipped_byte_never_panics() {
+    let bytes = with_volumenet().to_bytes().unwrap();
+    for i in 0..bytes.len() {
+        for flip in [0x01, 0x20, 0x80, 0xff] {
+            let mut changed = bytes.clone();
+            changed[i] ^= flip;
+            let _ = Model::from_bytes(&changed);
+        }
+    }
+}
+
+#[test]
+fn metadata_is_checked() {
+    let remove = |key: &str| {
+        let mut f = file();
+        f.remove_metadata(key);
+        f
+    };
+    let set = |key: &str, value: &str| {
+        let mut f = with_volumenet();
+        f.set_metadata(key, value);
+        f
+    };
+    let invalid = ErrorKind::InvalidModel;
+    for key in [keys::FORMAT_KEY, keys::INPUTS, keys::TARGET] {
+        fails(&remove(key), invalid, &[key]);
+    }
+    fails(&set(keys::FORMAT_KEY, "2"), invalid, &["\"2\"", "\"1\""]);
+    fails(&set(keys::TARGET, "ms"), invalid, &["\"ms\"", "log_seconds"]);
+    fails(&set(keys::INPUTS, "camera"), invalid, &[keys::INPUTS, "JSON"]);
+    fails(
+        &set(keys::INPUTS, r#"[{"name":"camera","size":4},{"name":"x","size":2}]"#),
+        invalid,
+        &["camera", "4", "3"],
+    );
+    fails(&set(keys::INPUTS, r#"[{"name":"x","size":3},{"name":"x","size":3}]"#), invalid, &["twice"]);
+    fails(&set(keys::INPUTS, r#"[{"name":"x","size":5}]"#), invalid, &["5", "6"]);
+    fails(&set(keys::INPUTS, r#"[{"name":"x","size":6},{"name":"y","size":0}]"#), invalid, &["\"y\""]);
+    fails(
+        &set(keys::INPUTS, r#"[{"name":"x","size":18446744073709551615},{"name":"y","size":7}]"#),
+        invalid,
+        &["adds up"],
+    );
+    fails(
+        &set(keys::INPUTS, r#"[{"name":"transfer_function","size":4},{"name":"x","size":2}]"#),
+        invalid,
+        &["lobe"],
+    );
+    fails(
+        &set(keys::INPUTS, r#"[{"name":"volume_features","size":5},{"name":"x","size":1}]"#),
+        invalid,
+        &["volume_features", "5", "4"],
+    );
+    let scene = r#"[{"name":"scene_features","size":6}]"#;
+    fails(&set(keys::INPUTS, scene), invalid, &[keys::SCENE_FEATURES]);
+    for (names, says) in
+        [("[\"a\"]", "1 features"), ("[\"a\",\"b\",\"c\",\"d\",\"e\",\"a\"]", "twice"), ("{}", "JSON")]
+    {
+        let mut f = set(keys::INPUTS, scene);
+        f.set_metadata(keys::SCENE_FEATURES, names);
+        fails(&f, invalid, &[says]);
+    }
+    let mut f = set(keys::INPUTS, scene);
+    f.set_scene_features(&["a", "b", "c", "d", "e", "f"]).unwrap();
+    assert_eq!(f.to_model().unwrap().scene_features(), ["a", "b", "c", "d", "e", "f"].map(String::from));
+    let one = r#"{"input":8,"blocks":[{"stride":2,"padding":1}]}"#;
+    fails(&set(keys::VOLUMENET, one), invalid, &["1 blocks", "2"]);
+    fails(&set(keys::VOLUMENET, &one.replace('8', "0")), invalid, &["input is 0"]);
+    fails(&set(keys::VOLUMENET, &one.replace('8', "100000")), invalid, &["100000", "512"]);
+    fails(&set(keys::VOLUMENET, "8"), invalid, &["form"]);
+    let two = |a: &str, b: &str| format!(r#"{{"input":8,"blocks":[{a},{b}]}}"#);
+    let (good, zero, padded) =
+        (r#"{"stride":2,"padding":1}"#, r#"{"stride":0,"padding":1}"#, r#"{"stride":2,"padding":3}"#);
+    fails(&set(keys::VOLUMENET, &two(zero, good)), invalid, &["stride 0"]);
+    fails(&set(keys::VOLUMENET, &two(padded, good)), invalid, &["padding 3"]);
+}
+
+#[test]
+fn tensors_are_checked() {
+    let invalid = ErrorKind::InvalidTensor;
+    for name in with_volumenet().tensor_names().map(String::from).collect::<Vec<_>>() {
+        // A bias of a convolution is optional; a block less is a matter of the metadata.
+        let mut f = with_volumenet();
+        f.remove_tensor(&name);
+        if name == "volumenet.encoder.0.conv.bias" {
+            assert!(f.to_model().is_ok());
+        } else if name == "volumenet.encoder.1.conv.weight" {
+            fails(&f, ErrorKind::InvalidModel, &["blocks"]);
+        } else if name == "prednet.2.weight" {
+            fails(&f, invalid, &["prednet.2.weight", "missing", "[1, 3]"]);
+        } else {
+            fails(&f, invalid, &[&name, "missing"]);
+        }
+        let mut f = with_volumenet();
+        f.set_tensor(&name, Dtype::F32, &[7, 7, 7], &[0.5; 343]).unwrap();
+        fails(&f, invalid, &["[7, 7, 7]"]);
+    }
+    let set = |name: &str, shape: &[usize], value: f32| {
+        let mut f = with_volumenet();
+        f.set_tensor(name, Dtype::F32, shape, &vec![value; shape.iter().product()]).unwrap();
+        f
+    };
+    fails(&set("prednet.1.weight", &[3, 4], 1.0), invalid, &["prednet.1.weight", "[3, 4]", "[out, 5]"]);
+    fails(&set("prednet.2.weight", &[2, 3], 1.0), invalid, &["prednet.2.weight", "[2, 3]", "[1, 3]"]);
+    fails(&set("prednet.0.weight", &[0, 6], 1.0), invalid, &["prednet.0.weight", "[0, 6]"]);
+    fails(&set("prednet.input.std", &[6], 0.0), invalid, &["prednet.input.std[0]", "0"]);
+    fails(&set("prednet.output.std", &[1], -1.0), invalid, &["prednet.output.std[0]", "-1"]);
+    fails(&set("volumenet.encoder.1.conv.weight", &[3, 2, 5, 5, 5], 1.0), invalid, &["kernel 5", "4"]);
+    fails(&set("volumenet.encoder.0.bn.running_var", &[2], -0.5), invalid, &["running_var[0]", "-0.5"]);
+    let mut f = set("volumenet.encoder.0.bn.weight", &[2], 1e38);
+    f.set_tensor("volumenet.encoder.0.bn.running_var", Dtype::F32, &[2], &[0.0, 0.0]).unwrap();
+    fails(&f, invalid, &["encoder.0", "overflows"]);
+    fails(
+        &set("volumenet.fc.weight", &[4, 23], 1.0),
+        invalid,
+        &["volumenet.fc.weight", "[4, 23]", "[out, 24]"],
+    );
+    fails(&set("prednet.7.weight", &[3, 3], 1.0), invalid, &["prednet.3.weight", "missing"]);
+    let mut f = ModelFile::new();
+    fails(&f, ErrorKind::InvalidModel, &["neither"]);
+    f.set_tensor("prednet.input.mean", Dtype::F32, &[1], &[1.0]).unwrap();
+    fails(&f, invalid, &["prednet.0.weight"]);
+}
+
+#[test]
+fn nan_and_infinity_are_refused_by_name_and_index() {
+    let bytes = file().to_bytes().unwrap();
+    let quarter = 0.125f32.to_le_bytes();
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        let at = bytes.windows(4).rposition(|w| w == quarter).unwrap();
+        let mut changed = bytes.clone();
+        changed[at..at + 4].copy_from_slice(&bad.to_le_bytes());
+        let error = Model::from_bytes(&changed).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::InvalidTensor);
+        assert!(error.message().contains("prednet.") && error.message().contains('['), "{error}");
+        let mut f = file();
+        assert!(f.set_tensor("x", Dtype::F32, &[1], &[bad]).unwrap_err().message().contains("x[0]"));
+    }
+    // Finite as F32, not as F16.
+    assert!(file().set_tensor("x", Dtype::F16, &[1], &[1e6]).unwrap_err().message().contains("F16"));
+    assert!(file().set_tensor("x", Dtype::F32, &[2], &[1.0]).unwrap_err().message().contains("[2]"));
+}
+
+#[test]
+fn other_number_formats_are_refused() {
+    let header = concat!(
+        r#"{"__metadata__":{"entire.format":"1","entire.target":"seconds","entire.inputs":"[]"},"#,
+        r#""prednet.0.weight":{"dtype":"F64","shape":[1,1],"data_offsets":[0,8]},"#,
+        r#""prednet.0.bias":{"dtype":"F32","shape":[1],"data_offsets":[8,12]}}"#
+    );
+    let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
+    bytes.extend_from_slice(header.as_bytes());
+    bytes.resize(bytes.len() + 12, 0);
+    let error = Model::from_bytes(&bytes).unwrap_err();
+    assert!(error.message().contains("prednet.0.weight") && error.message().contains("F64"), "{error}");
+}

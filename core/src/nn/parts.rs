@@ -1,0 +1,251 @@
+//! Checked weights without any layout: the seam between model files, training and the networks.
+
+use crate::Result;
+use crate::error::bail;
+use alloc::vec::Vec;
+
+/// Number format in which weights are stored in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Dtype {
+    /// IEEE 754 single precision.
+    F32,
+    /// IEEE 754 half precision.
+    F16,
+    /// bfloat16: the upper half of a single-precision number.
+    Bf16,
+}
+
+impl Dtype {
+    /// The name that safetensors headers use.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Dtype::F32 => "F32",
+            Dtype::F16 => "F16",
+            Dtype::Bf16 => "BF16",
+        }
+    }
+
+    /// Bytes per number.
+    pub const fn bytes(self) -> usize {
+        match self {
+            Dtype::F32 => 4,
+            Dtype::F16 | Dtype::Bf16 => 2,
+        }
+    }
+}
+
+/// What PredNet's last layer stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Target {
+    /// Seconds.
+    Seconds,
+    /// The natural logarithm of seconds.
+    LogSeconds,
+}
+
+impl Target {
+    /// The name in the model file's metadata.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Target::Seconds => "seconds",
+            Target::LogSeconds => "log_seconds",
+        }
+    }
+}
+
+/// One dense layer: y = W·x + b.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DenseParts {
+    /// Length of x.
+    pub inputs: usize,
+    /// Length of y.
+    pub outputs: usize,
+    /// W, row by row: `outputs` × `inputs` numbers.
+    pub weight: Vec<f32>,
+    /// b: `outputs` numbers.
+    pub bias: Vec<f32>,
+    /// The format W had in the file; the numbers above are its exact values.
+    pub dtype: Dtype,
+}
+
+impl DenseParts {
+    /// Checks sizes and that every number is finite.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming `name` and the first index at fault.
+    pub fn check(&self, name: &str) -> Result<()> {
+        if self.inputs == 0 || self.outputs == 0 {
+            bail!(
+                InvalidTensor,
+                "{name}.weight has shape [{}, {}]: both sizes must be at least 1",
+                self.outputs,
+                self.inputs
+            );
+        }
+        if self.outputs.checked_mul(self.inputs) != Some(self.weight.len()) {
+            bail!(
+                InvalidTensor,
+                "{name}.weight holds {} numbers, expected {} x {}",
+                self.weight.len(),
+                self.outputs,
+                self.inputs
+            );
+        }
+        if self.bias.len() != self.outputs {
+            bail!(InvalidTensor, "{name}.bias holds {} numbers, expected {}", self.bias.len(), self.outputs);
+        }
+        check_finite(&self.weight, name, "weight")?;
+        check_finite(&self.bias, name, "bias")
+    }
+}
+
+/// x ← (x − mean) / std, or y ← y·std + mean on the way out.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Normalization {
+    /// Subtracted on the way in.
+    pub mean: Vec<f32>,
+    /// Divided by on the way in; finite and above zero.
+    pub std: Vec<f32>,
+}
+
+impl Normalization {
+    /// Checks lengths, that every number is finite and that every std is above zero.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming `name` and the first index at fault.
+    pub fn check(&self, name: &str, length: usize) -> Result<()> {
+        for (part, values) in [("mean", &self.mean), ("std", &self.std)] {
+            if values.len() != length {
+                bail!(InvalidTensor, "{name}.{part} holds {} numbers, expected {length}", values.len());
+            }
+            check_finite(values, name, part)?;
+        }
+        // A subnormal std has no finite reciprocal.
+        if let Some(i) = self.std.iter().position(|&s| s < f32::MIN_POSITIVE) {
+            bail!(
+                InvalidTensor,
+                "{name}.std[{i}] is {}: it must be above zero (drop or rescale an input that never varies)",
+                self.std[i]
+            );
+        }
+        Ok(())
+    }
+}
+
+fn check_finite(values: &[f32], name: &str, part: &str) -> Result<()> {
+    match values.iter().position(|v| !v.is_finite()) {
+        None => Ok(()),
+        Some(i) => bail!(
+            InvalidTensor,
+            "{name}.{part}[{i}] is {} (flat index): every number in a model must be finite",
+            values[i]
+        ),
+    }
+}
+
+/// PredNet (paper, section on the prediction network): dense layers with SELU after every layer but the last.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PredNetParts {
+    /// The layers, first to last; the last has one output.
+    pub layers: Vec<DenseParts>,
+    /// Normalisation of the inputs, if any.
+    pub input: Option<Normalization>,
+    /// De-normalisation of the output, if any (length 1).
+    pub output: Option<Normalization>,
+    /// What the output stands for.
+    pub target: Target,
+}
+
+impl PredNetParts {
+    /// Number of inputs; 0 where there is no layer.
+    pub fn inputs(&self) -> usize {
+        self.layers.first().map_or(0, |layer| layer.inputs)
+    }
+
+    /// Checks that the layers fit together and that every number is usable.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming the tensor, what was expected and what was found.
+    pub fn check(&self) -> Result<()> {
+        let Some(last) = self.layers.last() else {
+            bail!(InvalidTensor, "PredNet has no layer: expected at least prednet.0.weight");
+        };
+        for (i, layer) in self.layers.iter().enumerate() {
+            layer.check(&alloc::format!("prednet.{i}"))?;
+            if i > 0 && layer.inputs != self.layers[i - 1].outputs {
+                bail!(
+                    InvalidTensor,
+                    "prednet.{i}.weight has shape [{}, {}], expected [{}, {}]: the layer before it has {} outputs",
+                    layer.outputs,
+                    layer.inputs,
+                    layer.outputs,
+                    self.layers[i - 1].outputs,
+                    self.layers[i - 1].outputs
+                );
+            }
+        }
+        if last.outputs != 1 {
+            bail!(
+                InvalidTensor,
+                "prednet.{}.weight has shape [{}, {}], expected [1, {}]: the last layer gives one number",
+                self.layers.len() - 1,
+                last.outputs,
+                last.inputs,
+                last.inputs
+            );
+        }
+        if let Some(norm) = &self.input {
+            norm.check("prednet.input", self.inputs())?;
+        }
+        if let Some(norm) = &self.output {
+            norm.check("prednet.output", 1)?;
+        }
+        Ok(())
+    }
+}
+
+/// One block of VolumeNet's encoder with batch normalisation folded in: SELU(conv(x, weight) + bias).
+#[derive(Clone, Debug, PartialEq)]
+pub struct ConvBlockParts {
+    /// Input channels.
+    pub inputs: usize,
+    /// Output channels.
+    pub outputs: usize,
+    /// Edge of the cubic kernel, in voxels.
+    pub kernel: usize,
+    /// Step between output voxels along each axis.
+    pub stride: usize,
+    /// Zero voxels added on each side of each axis.
+    pub padding: usize,
+    /// `outputs` × `inputs` × kernel × kernel × kernel, the last axis along x.
+    pub weight: Vec<f32>,
+    /// One number per output channel.
+    pub bias: Vec<f32>,
+    /// Edge of the cubic input, in voxels.
+    pub input_edge: usize,
+    /// Edge of the cubic output, in voxels: (input_edge + 2·padding − kernel) / stride + 1.
+    pub output_edge: usize,
+    /// The format the weights had in the file.
+    pub dtype: Dtype,
+}
+
+/// VolumeNet's encoder (paper, section on the volume network): blocks, then one dense layer without activation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VolumeNetParts {
+    /// Edge of the cubic input volume, in voxels.
+    pub input: usize,
+    /// The blocks, first to last; the first has one input channel.
+    pub blocks: Vec<ConvBlockParts>,
+    /// From the last block's output, flattened in (C, D, H, W) order, to the features.
+    pub fc: DenseParts,
+}
+
+impl VolumeNetParts {
+    /// Number of features.
+    pub fn features(&self) -> usize {
+        self.fc.outputs
+    }
+}
