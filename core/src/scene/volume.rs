@@ -356,7 +356,7 @@ mod tests {
     #[test]
     fn strides_address_a_sub_block() {
         // The 2 x 2 x 2 corner at (1, 1, 1) of a 3 x 4 x 5 volume.
-        let data: alloc::vec::Vec<u16> = (0..60).collect();
+        let data: Vec<u16> = (0..60).collect();
         let v = VolumeView::with_strides(Scalars::U16(&data[1 + 3 + 12..]), [2, 2, 2], [1, 3, 12]).unwrap();
         assert_eq!(v.value(0, 0, 0), 16.0);
         assert_eq!(v.value(1, 1, 1), 32.0);
