@@ -4,3 +4,4 @@
 pub mod commands;
 pub mod dataset;
 pub mod report;
+pub mod volume;

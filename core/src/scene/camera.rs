@@ -114,7 +114,7 @@ impl Camera {
     pub fn to_arcball(&self) -> Arcball {
         let eye = self.eye();
         let dz = eye.length();
-        if !(dz > 1e-12) {
+        if dz.is_nan() || dz <= 1e-12 {
             return Arcball { rx: 0.0, ry: 0.0, dz: 0.0 };
         }
         let rx = libm::asinf((eye.y / dz).clamp(-1.0, 1.0)).to_degrees();

@@ -157,12 +157,18 @@ impl<'a> VolumeView<'a> {
     /// Sets the voxel spacing along x, y, z (any common unit of length).
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] unless all three are finite and positive.
+    /// [`ErrorKind::InvalidArgument`] unless all three are finite, positive and within 1e-30…1e30.
     pub fn with_spacing(mut self, spacing: [f32; 3]) -> Result<Self> {
         if spacing.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
             bail!(
                 InvalidArgument,
                 "voxel spacing is {spacing:?}; all three must be finite and positive (use 1, 1, 1 when unknown)"
+            );
+        }
+        if spacing.iter().any(|s| !(1e-30..=1e30).contains(s)) {
+            bail!(
+                InvalidArgument,
+                "voxel spacing is {spacing:?}; all three must lie in 1e-30…1e30, choose another unit of length"
             );
         }
         let (lo, hi) =
@@ -236,7 +242,10 @@ impl<'a> VolumeView<'a> {
 
     /// Radius of the bounding sphere in world units: the unit of length of scene space.
     pub fn bounding_radius(&self) -> f32 {
-        0.5 * self.extent().length()
+        // Scaled first: the square of a spacing in centimetres of a galaxy, or of metres of an atom, leaves f32's range.
+        let extent = self.extent();
+        let longest = extent.max_element();
+        0.5 * (extent / longest).length() * longest
     }
 
     /// Half the box in scene space (unit = bounding-sphere radius), so its length is 1.
@@ -273,7 +282,7 @@ impl<'a> VolumeView<'a> {
     pub fn normalize(&self, value: f32) -> f32 {
         let (lo, hi) = self.range;
         let width = hi - lo;
-        if !(width > 0.0) || value.is_nan() {
+        if width <= 0.0 || value.is_nan() {
             return 0.0;
         }
         // Written so that an infinite width (f32::MIN…f32::MAX) still gives a number in [0, 1].
@@ -382,6 +391,21 @@ mod tests {
             assert_eq!(v.with_spacing(bad).unwrap_err().kind(), ErrorKind::InvalidArgument);
         }
         assert!(v.with_range(2.0, 1.0).is_err() && v.with_range(f32::NAN, 1.0).is_err());
+    }
+
+    #[test]
+    fn geometry_holds_in_any_unit_of_length() {
+        let data = [0u8; 4 * 2];
+        let plain = VolumeView::new(Scalars::U8(&data), [4, 2, 1]).unwrap();
+        let expected = plain.with_spacing([0.5, 1.0, 4.0]).unwrap();
+        for unit in [1e-29f32, 1e-12, 1e24, 1e29] {
+            let v = plain.with_spacing([0.5 * unit, unit, 4.0 * unit]).unwrap();
+            assert!((v.half_extent() - expected.half_extent()).length() < 1e-6, "{unit}");
+            assert!((v.reference_step() - expected.reference_step()).abs() < 1e-6, "{unit}");
+        }
+        for unit in [1e-31, 1e31] {
+            assert!(plain.with_spacing([unit; 3]).is_err());
+        }
     }
 
     #[test]

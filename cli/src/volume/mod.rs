@@ -1,0 +1,388 @@
+//! Scalar volumes in files: NRRD, MetaImage, VTK XML image data, NIfTI, and raw voxels beside a JSON description.
+//!
+//! [`Volume::open`] picks the format by the file name's ending, else by the first bytes. Readers work on any
+//! [`Stream`], so they read files, memory and decompressed data alike, and never allocate more than the bytes that
+//! are really there call for: a header that claims a huge volume over a few bytes of data is an error, not an
+//! allocation.
+//!
+//! # What becomes of the stored types
+//!
+//! | in the file | in memory |
+//! |---|---|
+//! | unsigned 8, 16 bit; signed 16 bit; 32-bit float | the same |
+//! | signed 8 bit | signed 16 bit, exactly |
+//! | signed and unsigned 32 and 64 bit | 32-bit float, rounded to nearest (whole numbers up to 2^24 exactly) |
+//! | 64-bit float | 32-bit float, rounded to nearest (beyond its range: an infinity) |
+//! | any type with a slope or intercept other than 1, 0 (NIfTI) | 32-bit float of value × slope + intercept |
+//!
+//! NaN and infinite voxels are kept; they count as the ends of the range when a view normalizes them (see
+//! [`VolumeView::normalize`]). Axes stay in the file's order, the fastest is x; positions and directions in space are
+//! not used, voxel spacings are.
+
+mod element;
+mod nrrd;
+mod stream;
+
+pub use element::{Element, Endian};
+pub use nrrd::write as write_nrrd;
+pub use stream::{Companions, Folder, NoCompanions, Stream};
+
+use anyhow::{Context, Result, bail};
+use entire_core::scene::{ScalarType, Scalars, VolumeView};
+use std::path::{Path, PathBuf};
+
+/// Owned voxels in one of the types that the core takes.
+#[derive(Clone, Debug, PartialEq)]
+pub enum VolumeData {
+    /// Unsigned bytes.
+    U8(Vec<u8>),
+    /// Unsigned 16-bit integers.
+    U16(Vec<u16>),
+    /// Signed 16-bit integers.
+    I16(Vec<i16>),
+    /// 32-bit floats.
+    F32(Vec<f32>),
+}
+
+impl VolumeData {
+    /// The voxels as the core takes them.
+    pub fn scalars(&self) -> Scalars<'_> {
+        match self {
+            Self::U8(v) => Scalars::U8(v),
+            Self::U16(v) => Scalars::U16(v),
+            Self::I16(v) => Scalars::I16(v),
+            Self::F32(v) => Scalars::F32(v),
+        }
+    }
+
+    /// Number of voxels.
+    pub fn len(&self) -> usize {
+        self.scalars().len()
+    }
+
+    /// Whether there is no voxel.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The element type.
+    pub fn scalar_type(&self) -> ScalarType {
+        self.scalars().scalar_type()
+    }
+
+    /// Number of voxels that are NaN or infinite.
+    pub fn non_finite(&self) -> usize {
+        match self {
+            Self::F32(v) => v.iter().filter(|v| !v.is_finite()).count(),
+            _ => 0,
+        }
+    }
+}
+
+/// A checked scalar volume that owns its voxels: x fastest, one component, no padding.
+#[derive(Clone, Debug)]
+pub struct Volume {
+    data: VolumeData,
+    dims: [usize; 3],
+    spacing: [f32; 3],
+    range: Option<(f32, f32)>,
+    name: String,
+    source: PathBuf,
+}
+
+/// The file formats that volumes are read from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Format {
+    /// NRRD: `.nrrd`, or `.nhdr` with the voxels in another file.
+    Nrrd,
+}
+
+impl Format {
+    /// The format that a file name's ending stands for.
+    pub fn of_name(name: &str) -> Option<Self> {
+        let name = name.to_ascii_lowercase();
+        let ends = |suffixes: &[&str]| suffixes.iter().any(|s| name.ends_with(s));
+        if ends(&[".nrrd", ".nhdr"]) { Some(Self::Nrrd) } else { None }
+    }
+
+    /// The format that a file's first bytes (512 are enough) stand for.
+    pub fn of_content(head: &[u8]) -> Option<Self> {
+        if head.starts_with(b"NRRD") { Some(Self::Nrrd) } else { None }
+    }
+}
+
+/// What a format's reader found, before it is checked as a whole.
+pub(crate) struct Parts {
+    pub(crate) data: VolumeData,
+    pub(crate) dims: [usize; 3],
+    pub(crate) spacing: [f64; 3],
+    pub(crate) name: Option<String>,
+}
+
+/// The endings that [`Volume::open`] knows, for messages.
+const KNOWN_ENDINGS: &str = ".nrrd, .nhdr";
+
+impl Volume {
+    /// Makes a volume of voxels in memory, x fastest.
+    ///
+    /// # Errors
+    /// A zero size, a number of voxels that differs from the sizes' product, a spacing that is not finite and
+    /// positive.
+    pub fn new(
+        data: VolumeData,
+        dims: [usize; 3],
+        spacing: [f32; 3],
+        name: impl Into<String>,
+    ) -> Result<Self> {
+        let volume = Self { data, dims, spacing, range: None, name: name.into(), source: PathBuf::new() };
+        let view = volume.checked_view()?;
+        if view.voxels() != volume.data.len() as u64 {
+            bail!(
+                "volume of {} x {} x {} has {} voxels, the data has {}; check the sizes",
+                dims[0],
+                dims[1],
+                dims[2],
+                view.voxels(),
+                volume.data.len()
+            );
+        }
+        Ok(volume)
+    }
+
+    /// Reads a volume file. The format follows from the name's ending, else from the first bytes.
+    ///
+    /// # Errors
+    /// One line that names the file, what was expected, what was found and what to do: a missing or unreadable file,
+    /// an unknown format, a broken header, a zero size, more or fewer bytes of voxels than the header calls for,
+    /// several components or time steps.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let shown = path.display();
+        let mut stream = Stream::open(path)?;
+        let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let format = match Format::of_name(&name) {
+            Some(format) => format,
+            None => match Format::of_content(stream.peek().with_context(|| format!("{shown}"))?) {
+                Some(format) => format,
+                None => bail!("{shown}: not a volume format that is read here; accepted are {KNOWN_ENDINGS}"),
+            },
+        };
+        let folder = Folder::new(path.parent().unwrap_or(Path::new("")));
+        let mut volume = Self::read(format, stream, &folder).with_context(|| format!("{shown}"))?;
+        if volume.name.is_empty() {
+            volume.name = stem(&name).to_owned();
+        }
+        volume.source = path.to_owned();
+        Ok(volume)
+    }
+
+    /// Reads a volume of a known format from a stream; files that its header names come from `companions`.
+    ///
+    /// # Errors
+    /// As [`Volume::open`], without the file's name.
+    pub fn read(format: Format, stream: Stream<'_>, companions: &dyn Companions) -> Result<Self> {
+        let parts = match format {
+            Format::Nrrd => nrrd::read(stream, companions),
+        }?;
+        Self::new(parts.data, parts.dims, parts.spacing.map(|s| s as f32), parts.name.unwrap_or_default())
+    }
+
+    /// The voxels as the core takes them: with spacing, and the range where one was set (else the default of
+    /// [`VolumeView::new`], which scans all voxels unless they are bytes).
+    pub fn view(&self) -> VolumeView<'_> {
+        self.checked_view().expect("sizes, spacing and range were checked when they were set")
+    }
+
+    fn checked_view(&self) -> Result<VolumeView<'_>, entire_core::Error> {
+        let view = VolumeView::new(self.data.scalars(), self.dims)?.with_spacing(self.spacing)?;
+        match self.range {
+            Some((low, high)) => view.with_range(low, high),
+            None => Ok(view),
+        }
+    }
+
+    /// Sets the scalar range that maps to [0, 1]; `None` for the default.
+    ///
+    /// # Errors
+    /// Unless both ends are finite and the low end is not above the high one.
+    pub fn set_range(&mut self, range: Option<(f32, f32)>) -> Result<()> {
+        let before = std::mem::replace(&mut self.range, range);
+        if let Err(error) = self.checked_view() {
+            self.range = before;
+            return Err(error.into());
+        }
+        Ok(())
+    }
+
+    /// The voxels.
+    pub fn data(&self) -> &VolumeData {
+        &self.data
+    }
+
+    /// Voxels along x, y, z.
+    pub fn dims(&self) -> [usize; 3] {
+        self.dims
+    }
+
+    /// Voxel spacing along x, y, z, in the file's unit of length (1 where the file states none).
+    pub fn spacing(&self) -> [f32; 3] {
+        self.spacing
+    }
+
+    /// The scalar range that was set, if any.
+    pub fn range(&self) -> Option<(f32, f32)> {
+        self.range
+    }
+
+    /// The volume's name: what its description says, else the file's name without its ending.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The file it was read from; empty for one made in memory.
+    pub fn source(&self) -> &Path {
+        &self.source
+    }
+}
+
+/// A file name without its ending (`.nii.gz` and the like count as one).
+fn stem(name: &str) -> &str {
+    let name = match name.len().checked_sub(3).and_then(|at| name.split_at_checked(at)) {
+        Some((rest, ending)) if ending.eq_ignore_ascii_case(".gz") && !rest.is_empty() => rest,
+        _ => name,
+    };
+    match name.rfind('.') {
+        Some(dot) if dot > 0 => &name[..dot],
+        _ => name,
+    }
+}
+
+/// Checks three sizes from a header.
+///
+/// # Errors
+/// Names the axis of a zero size; a product that cannot be addressed.
+pub(crate) fn checked_dims(sizes: [u64; 3]) -> Result<[usize; 3]> {
+    for (size, axis) in sizes.iter().zip(["x", "y", "z"]) {
+        if *size == 0 {
+            bail!("size along {axis} is 0; every axis needs at least one voxel");
+        }
+    }
+    let voxels = sizes[0].checked_mul(sizes[1]).and_then(|p| p.checked_mul(sizes[2]));
+    match voxels {
+        Some(voxels) if voxels <= (isize::MAX as u64) / 8 => Ok(sizes.map(|s| s as usize)),
+        _ => bail!(
+            "{} x {} x {} voxels are more than can be addressed; check the sizes in the header",
+            sizes[0],
+            sizes[1],
+            sizes[2]
+        ),
+    }
+}
+
+/// Brings sizes and spacings of any number of axes to three: fewer than three axes are refused, further ones must
+/// have one element.
+///
+/// # Errors
+/// Names the axis that makes the data multi-component, time-varying or flat.
+pub(crate) fn three_axes<T: Copy>(
+    sizes: &[u64],
+    values: &[T],
+    spatial: &[bool],
+) -> Result<([u64; 3], [T; 3])> {
+    if sizes.len() < 3 {
+        bail!(
+            "the data has {} axes; a volume needs three (give a single slice a third axis of size 1)",
+            sizes.len()
+        );
+    }
+    let mut keep: Vec<usize> = (0..sizes.len()).collect();
+    // Axes of one element carry nothing: drop those first that the file does not place in space, then the last ones.
+    while keep.len() > 3 {
+        let dropped = keep
+            .iter()
+            .rposition(|&a| sizes[a] == 1 && !spatial.get(a).copied().unwrap_or(true))
+            .or_else(|| keep.iter().rposition(|&a| sizes[a] == 1));
+        match dropped {
+            Some(at) => {
+                keep.remove(at);
+            }
+            None => return Err(not_a_volume(sizes, spatial)),
+        }
+    }
+    if keep.iter().any(|&a| sizes[a] != 1 && !spatial.get(a).copied().unwrap_or(true)) {
+        return Err(not_a_volume(sizes, spatial));
+    }
+    Ok(([0, 1, 2].map(|i| sizes[keep[i]]), [0, 1, 2].map(|i| values[keep[i]])))
+}
+
+fn not_a_volume(sizes: &[u64], spatial: &[bool]) -> anyhow::Error {
+    let list = sizes.iter().map(u64::to_string).collect::<Vec<_>>().join(" x ");
+    let culprit = (0..sizes.len())
+        .find(|&a| sizes[a] != 1 && !spatial.get(a).copied().unwrap_or(true))
+        .or_else(|| (sizes[0] <= 4).then_some(0))
+        .unwrap_or(sizes.len() - 1);
+    anyhow::anyhow!(
+        "the data has {} axes ({list}); axis {culprit} holds {} components or time steps, one is accepted: save one component of one time step",
+        sizes.len(),
+        sizes[culprit]
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_lose_their_endings() {
+        for (name, expected) in [
+            ("a.nrrd", "a"),
+            ("a.b.nii.gz", "a.b"),
+            ("a.GZ", "a"),
+            (".gz", ".gz"),
+            ("plain", "plain"),
+            (".hidden", ".hidden"),
+            ("ü.gz", "ü"),
+        ] {
+            assert_eq!(stem(name), expected, "{name}");
+        }
+    }
+
+    #[test]
+    fn sizes_are_checked_in_wide_arithmetic() {
+        assert!(checked_dims([1, 0, 2]).unwrap_err().to_string().contains("along y is 0"));
+        assert!(checked_dims([u64::MAX, u64::MAX, u64::MAX]).is_err());
+        assert!(checked_dims([1 << 21, 1 << 21, 1 << 21]).is_err());
+        assert_eq!(checked_dims([5, 7, 11]).unwrap(), [5, 7, 11]);
+    }
+
+    #[test]
+    fn single_element_axes_are_dropped_and_others_named() {
+        let s = |sizes: &[u64], spatial: &[bool]| {
+            three_axes(sizes, &(0..sizes.len()).collect::<Vec<_>>(), spatial).map(|(s, _)| s)
+        };
+        assert_eq!(s(&[1, 5, 7, 11], &[false, true, true, true]).unwrap(), [5, 7, 11]);
+        assert_eq!(s(&[1, 7, 11, 1], &[]).unwrap(), [1, 7, 11]);
+        assert_eq!(s(&[5, 7, 1], &[]).unwrap(), [5, 7, 1]);
+        let message = s(&[3, 5, 7, 11], &[]).unwrap_err().to_string();
+        assert!(message.contains("axis 0 holds 3"), "{message}");
+        let message = s(&[5, 7, 11, 20], &[]).unwrap_err().to_string();
+        assert!(message.contains("axis 3 holds 20"), "{message}");
+        assert!(s(&[3, 5, 7], &[false, true, true]).unwrap_err().to_string().contains("axis 0 holds 3"));
+        assert!(s(&[5, 7], &[]).unwrap_err().to_string().contains("2 axes"));
+    }
+
+    #[test]
+    fn volumes_in_memory_are_checked() {
+        let ok = Volume::new(VolumeData::I16(vec![1, 2, 3, 4]), [2, 2, 1], [1.0, 2.0, 3.0], "v").unwrap();
+        assert_eq!(ok.view().range(), (1.0, 4.0));
+        assert!(Volume::new(VolumeData::U8(vec![0; 5]), [2, 2, 1], [1.0; 3], "v").is_err());
+        assert!(Volume::new(VolumeData::U8(vec![0; 3]), [2, 2, 1], [1.0; 3], "v").is_err());
+        assert!(Volume::new(VolumeData::U8(vec![0; 4]), [2, 2, 1], [1.0, f32::NAN, 1.0], "v").is_err());
+        let mut v = ok.clone();
+        assert!(v.set_range(Some((2.0, 1.0))).is_err());
+        assert_eq!(v.range(), None);
+        v.set_range(Some((0.0, 8.0))).unwrap();
+        assert_eq!(v.view().normalized(1, 1, 0), 0.5);
+    }
+}

@@ -1,0 +1,469 @@
+//! NRRD ("nearly raw raster data"): a text header of `field: value` lines, a blank line, the voxels; or the voxels in
+//! the file that `data file` names. Encodings raw, gzip and ascii are read, gzip is written.
+
+use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
+use super::stream::{Companions, Remaining, Stream};
+use super::{Element, Endian, Parts, Volume, VolumeData, checked_dims, three_axes};
+use anyhow::{Context, Result, bail};
+use flate2::{Compression, write::GzEncoder};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+const MAX_LINE: usize = 1 << 16;
+const MAX_LINES: usize = 1 << 14;
+/// NRRD_DIM_MAX of the format's own library.
+const MAX_AXES: usize = 16;
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Encoding {
+    Raw,
+    Gzip,
+    Text,
+}
+
+#[derive(Default)]
+struct Header {
+    element: Option<Element>,
+    dimension: Option<usize>,
+    sizes: Option<Vec<u64>>,
+    encoding: Option<Encoding>,
+    endian: Option<Endian>,
+    spacings: Option<Vec<f64>>,
+    directions: Option<Vec<Option<f64>>>,
+    kinds: Option<Vec<String>>,
+    data_file: Option<String>,
+    byte_skip: i64,
+    line_skip: u64,
+}
+
+pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Result<Parts> {
+    let header = header(&mut stream)?;
+    let element = header.element.context("NRRD header has no \"type\" field")?;
+    let dimension = header.dimension.context("NRRD header has no \"dimension\" field")?;
+    let sizes = header.sizes.context("NRRD header has no \"sizes\" field")?;
+    let encoding = header.encoding.context("NRRD header has no \"encoding\" field")?;
+    for (found, field) in [
+        (Some(sizes.len()), "sizes"),
+        (header.spacings.as_ref().map(Vec::len), "spacings"),
+        (header.directions.as_ref().map(Vec::len), "space directions"),
+        (header.kinds.as_ref().map(Vec::len), "kinds"),
+    ] {
+        if let Some(found) = found
+            && found != dimension
+        {
+            bail!("NRRD field \"{field}\" has {found} entries, \"dimension\" says {dimension}");
+        }
+    }
+    let spatial: Vec<bool> = (0..dimension)
+        .map(|axis| {
+            let placed = header.directions.as_ref().is_none_or(|d| d[axis].is_some());
+            let kind = header.kinds.as_ref().map_or("???", |k| k[axis].as_str());
+            placed && matches!(kind, "domain" | "space" | "???" | "none")
+        })
+        .collect();
+    let spacings: Vec<f64> = match (&header.directions, header.spacings) {
+        (Some(directions), _) => directions.iter().map(|d| d.unwrap_or(1.0)).collect(),
+        (None, Some(spacings)) => spacings,
+        (None, None) => vec![1.0; dimension],
+    };
+    let (sizes, spacing) = three_axes(&sizes, &spacings, &spatial)?;
+    if spacing.iter().any(|s| s.is_nan()) {
+        bail!(
+            "NRRD spacing is {spacing:?}; all three must be positive numbers (write 1 where the spacing is unknown)"
+        );
+    }
+    let dims = checked_dims(sizes)?;
+    let endian = match header.endian {
+        Some(endian) => endian,
+        None if element.bytes() == 1 || encoding == Encoding::Text => Endian::Little,
+        None => bail!(
+            "NRRD header has no \"endian\" field, which {} bytes per voxel need; add \"endian: little\" or \"endian: big\"",
+            element.bytes()
+        ),
+    };
+    let mut stream = match &header.data_file {
+        None => stream,
+        Some(name) => companions.open(name)?,
+    };
+    for _ in 0..header.line_skip {
+        if stream.line(MAX_LINE)?.is_none() {
+            bail!("{}the header says to skip {} lines, there are fewer", stream.prefix(), header.line_skip);
+        }
+    }
+    if encoding == Encoding::Gzip {
+        stream = stream.gunzip();
+    }
+    match u64::try_from(header.byte_skip) {
+        Ok(skip) => stream.skip(skip)?,
+        // -1: the voxels are the last bytes of the file.
+        Err(_) if encoding == Encoding::Raw => {
+            let expected = byte_count(dims, element)?;
+            if let Remaining::Exact(left) = stream.remaining() {
+                stream.skip(left.saturating_sub(expected))?;
+            }
+        }
+        Err(_) => bail!("NRRD \"byte skip: -1\" is for raw encoding alone; state the number of bytes"),
+    }
+    let data = if encoding == Encoding::Text {
+        parse_voxels(&mut stream, dims, element)?
+    } else {
+        let data = read_voxels(&mut stream, dims, element, endian)?;
+        expect_end(&mut stream, dims, element)?;
+        data
+    };
+    Ok(Parts { data, dims, spacing, name: None })
+}
+
+fn header(stream: &mut Stream<'_>) -> Result<Header> {
+    let magic = stream.line(MAX_LINE)?.unwrap_or_default();
+    match magic.as_slice() {
+        [b'N', b'R', b'R', b'D', b'0', b'0', b'0', b'1'..=b'5'] => {}
+        [b'N', b'R', b'R', b'D', ..] => {
+            bail!("NRRD version {:?} is not known; accepted are NRRD0001 to NRRD0005", text(&magic))
+        }
+        _ => bail!("not a NRRD file: its first bytes are not \"NRRD\""),
+    }
+    let mut header = Header::default();
+    let mut seen: Vec<String> = Vec::new();
+    for number in 2.. {
+        if number > MAX_LINES {
+            bail!("NRRD header has more than {MAX_LINES} lines without a blank line that ends it");
+        }
+        let Some(line) = stream.line(MAX_LINE)? else { break };
+        if line.is_empty() {
+            break;
+        }
+        let line = std::str::from_utf8(&line)
+            .map(str::to_owned)
+            .unwrap_or_else(|_| String::from_utf8_lossy(&line).into_owned());
+        if line.starts_with('#') {
+            continue;
+        }
+        // "field: value" describes the data, "key:=value" is the writer's own; whichever separator comes first decides.
+        let (field, value) = match (line.find(": "), line.find(":=")) {
+            (Some(at), pair) if pair.is_none_or(|p| at < p) => (&line[..at], line[at + 2..].trim()),
+            (_, Some(_)) => continue,
+            _ => match line.strip_suffix(':') {
+                Some(field) => (field, ""),
+                None => bail!("NRRD header line {number} is neither \"field: value\" nor \"key:=value\""),
+            },
+        };
+        let field = field.trim().to_ascii_lowercase();
+        if seen.contains(&field) {
+            bail!("NRRD header line {number}: field \"{field}\" stands there twice");
+        }
+        header.set(&field, value).with_context(|| format!("NRRD header line {number}"))?;
+        seen.push(field);
+    }
+    Ok(header)
+}
+
+impl Header {
+    /// Takes one field.
+    fn set(&mut self, field: &str, value: &str) -> Result<()> {
+        match field {
+            "type" => self.element = Some(element(value)?),
+            "dimension" => {
+                let dimension: usize = number(field, value)?;
+                if !(1..=MAX_AXES).contains(&dimension) {
+                    bail!("\"dimension\" is {dimension}; 1 to {MAX_AXES} are possible");
+                }
+                self.dimension = Some(dimension);
+            }
+            "sizes" => self.sizes = Some(numbers(field, value)?),
+            "encoding" => {
+                self.encoding = Some(match value.to_ascii_lowercase().as_str() {
+                    "raw" => Encoding::Raw,
+                    "gzip" | "gz" => Encoding::Gzip,
+                    "ascii" | "text" | "txt" => Encoding::Text,
+                    other => bail!("encoding {other:?} is not read; save as raw, gzip or ascii"),
+                });
+            }
+            "endian" => {
+                self.endian = Some(match value.to_ascii_lowercase().as_str() {
+                    "little" => Endian::Little,
+                    "big" => Endian::Big,
+                    other => bail!("endian {other:?} is not known; accepted are little and big"),
+                });
+            }
+            "spacings" => self.spacings = Some(numbers(field, value)?),
+            "space directions" => self.directions = Some(directions(value)?),
+            "kinds" => {
+                self.kinds = Some(value.split_whitespace().map(str::to_ascii_lowercase).collect());
+            }
+            "byte skip" | "byteskip" => {
+                self.byte_skip = number(field, value)?;
+                if self.byte_skip < -1 {
+                    bail!("\"{field}\" is {value}; accepted are -1 and up");
+                }
+            }
+            "line skip" | "lineskip" => {
+                self.line_skip = number(field, value)?;
+            }
+            "data file" | "datafile" => {
+                let several = value.split_whitespace().next() == Some("LIST")
+                    || (value.contains('%') && value.split_whitespace().count() > 1);
+                if several {
+                    bail!("the voxels are spread over several files ({value}); join them into one first");
+                }
+                if value.is_empty() {
+                    bail!("\"{field}\" names no file");
+                }
+                self.data_file = Some(value.to_owned());
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+}
+
+fn element(value: &str) -> Result<Element> {
+    let words = value.to_ascii_lowercase().split_whitespace().collect::<Vec<_>>().join(" ");
+    Ok(match words.as_str() {
+        "signed char" | "int8" | "int8_t" => Element::I8,
+        "uchar" | "unsigned char" | "uint8" | "uint8_t" => Element::U8,
+        "short" | "short int" | "signed short" | "signed short int" | "int16" | "int16_t" => Element::I16,
+        "ushort" | "unsigned short" | "unsigned short int" | "uint16" | "uint16_t" => Element::U16,
+        "int" | "signed int" | "int32" | "int32_t" => Element::I32,
+        "uint" | "unsigned int" | "uint32" | "uint32_t" => Element::U32,
+        "longlong"
+        | "long long"
+        | "long long int"
+        | "signed long long"
+        | "signed long long int"
+        | "int64"
+        | "int64_t" => Element::I64,
+        "ulonglong" | "unsigned long long" | "unsigned long long int" | "uint64" | "uint64_t" => Element::U64,
+        "float" => Element::F32,
+        "double" => Element::F64,
+        other => bail!("type {other:?} is not read; accepted are 8- to 64-bit integers, float and double"),
+    })
+}
+
+fn number<T: std::str::FromStr>(field: &str, value: &str) -> Result<T> {
+    match value.parse() {
+        Ok(number) => Ok(number),
+        Err(_) => bail!("\"{field}\" has {value:?} where a number is expected"),
+    }
+}
+
+fn numbers<T: std::str::FromStr>(field: &str, value: &str) -> Result<Vec<T>> {
+    let found: Vec<T> =
+        value.split_whitespace().take(MAX_AXES + 1).map(|word| number(field, word)).collect::<Result<_>>()?;
+    if found.len() > MAX_AXES {
+        bail!("\"{field}\" has more than {MAX_AXES} entries");
+    }
+    Ok(found)
+}
+
+/// The lengths of the vectors of "space directions": `(x,y,z)` or `none` per axis.
+fn directions(value: &str) -> Result<Vec<Option<f64>>> {
+    let mut found = Vec::new();
+    let mut rest = value.trim();
+    while !rest.is_empty() {
+        if found.len() == MAX_AXES {
+            bail!("\"space directions\" has more than {MAX_AXES} entries");
+        }
+        if let Some(after) = rest.strip_prefix("none") {
+            found.push(None);
+            rest = after.trim_start();
+            continue;
+        }
+        let Some((inner, after)) = rest.strip_prefix('(').and_then(|r| r.split_once(')')) else {
+            bail!("\"space directions\" has {rest:?} where a vector (x,y,z) or none is expected");
+        };
+        let mut length = 0.0f64;
+        for word in inner.split(',') {
+            length = length.hypot(number::<f64>("space directions", word.trim())?);
+        }
+        found.push(Some(length));
+        rest = after.trim_start();
+    }
+    Ok(found)
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(&bytes[..bytes.len().min(40)]).into_owned()
+}
+
+/// Writes a volume as one `.nrrd` file, gzip encoding, little endian, with its spacing. The file appears under its
+/// name when it is complete.
+///
+/// # Errors
+/// Names the path when it cannot be written.
+pub fn write(path: impl AsRef<Path>, volume: &Volume) -> Result<()> {
+    let path = path.as_ref();
+    let mut partial = path.as_os_str().to_owned();
+    partial.push(".part");
+    let partial = Path::new(&partial);
+    let written = write_to(partial, volume).and_then(|()| Ok(std::fs::rename(partial, path)?));
+    if written.is_err() {
+        // The first error is the one to report.
+        let _ = std::fs::remove_file(partial);
+    }
+    written.with_context(|| format!("{}: cannot be written", path.display()))
+}
+
+fn write_to(path: &Path, volume: &Volume) -> Result<()> {
+    let mut out = BufWriter::new(File::create(path)?);
+    let [x, y, z] = volume.dims();
+    let [sx, sy, sz] = volume.spacing();
+    let kind = match volume.data() {
+        VolumeData::U8(_) => "uint8",
+        VolumeData::U16(_) => "uint16",
+        VolumeData::I16(_) => "int16",
+        VolumeData::F32(_) => "float",
+    };
+    write!(
+        out,
+        "NRRD0004\ntype: {kind}\ndimension: 3\nsizes: {x} {y} {z}\nspacings: {sx} {sy} {sz}\nendian: little\nencoding: gzip\n\n"
+    )?;
+    let mut packed = GzEncoder::new(out, Compression::default());
+    let mut chunk = Vec::with_capacity(1 << 16);
+    macro_rules! numbers {
+        ($values:expr) => {
+            for part in $values.chunks(1 << 14) {
+                chunk.clear();
+                part.iter().for_each(|v| chunk.extend_from_slice(&v.to_le_bytes()));
+                packed.write_all(&chunk)?;
+            }
+        };
+    }
+    match volume.data() {
+        VolumeData::U8(v) => packed.write_all(v)?,
+        VolumeData::U16(v) => numbers!(v),
+        VolumeData::I16(v) => numbers!(v),
+        VolumeData::F32(v) => numbers!(v),
+    }
+    packed.finish()?.flush()?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{Format, NoCompanions};
+    use super::*;
+
+    fn open(bytes: &[u8]) -> Result<Volume> {
+        Volume::read(Format::Nrrd, Stream::from_bytes(bytes), &NoCompanions)
+    }
+
+    fn message(bytes: &[u8]) -> String {
+        format!("{:#}", open(bytes).unwrap_err())
+    }
+
+    fn with(fields: &str, data: &[u8]) -> Vec<u8> {
+        [b"NRRD0004\n".as_slice(), fields.as_bytes(), b"\n", data].concat()
+    }
+
+    const PLAIN: &str = "type: uint8\ndimension: 3\nsizes: 2 3 4\nencoding: raw\n";
+
+    #[test]
+    fn every_type_comes_back_from_what_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("v.nrrd");
+        for data in [
+            VolumeData::U8((0..=255).cycle().take(385).collect()),
+            VolumeData::U16((0..385).map(|v| v * 170).collect()),
+            VolumeData::I16((0..385).map(|v| v * 85 - 16000).collect()),
+            VolumeData::F32((0..385).map(|v| v as f32 * 0.37 - 50.0).collect()),
+        ] {
+            let volume = Volume::new(data.clone(), [5, 7, 11], [0.5, 1.25, 3.0], "v").unwrap();
+            write(&path, &volume).unwrap();
+            let back = Volume::open(&path).unwrap();
+            assert_eq!(back.data(), &data);
+            assert_eq!((back.dims(), back.spacing(), back.name()), ([5, 7, 11], [0.5, 1.25, 3.0], "v"));
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn comments_pairs_line_ends_and_spelling_are_taken_as_the_format_allows() {
+        let data: Vec<u8> = (0..24).collect();
+        let fields = "# made by hand\r\nType: unsigned   char\r\ndimension: 3\r\nsizes: 2 3 4\r\nkey: of=x\r\nmy:=own: pair\r\nspace directions: (0,3,4) (1,0,0) (0,0,-2)\r\nencoding: RAW\r\ncontent:\r\n\r";
+        let volume = open(&with(fields, &data)).unwrap();
+        assert_eq!((volume.dims(), volume.spacing()), ([2, 3, 4], [5.0, 1.0, 2.0]));
+        assert_eq!(volume.data(), &VolumeData::U8(data));
+    }
+
+    #[test]
+    fn skips_and_text_are_honoured() {
+        let data: Vec<u8> = (0..24).collect();
+        let junk = [b"two\nlines\n###".as_slice(), &data].concat();
+        let volume = open(&with(&format!("{PLAIN}line skip: 2\nbyte skip: 3\n"), &junk)).unwrap();
+        assert_eq!(volume.data(), &VolumeData::U8(data.clone()));
+        let volume = open(&with(&format!("{PLAIN}byte skip: -1\n"), &junk)).unwrap();
+        assert_eq!(volume.data(), &VolumeData::U8(data.clone()));
+        let text = data.iter().map(|v| format!("{v}\n")).collect::<String>();
+        let ascii = PLAIN.replace("raw", "ascii").replace("uint8", "short");
+        let volume = open(&with(&ascii, text.as_bytes())).unwrap();
+        assert_eq!(volume.data(), &VolumeData::I16((0..24).collect()));
+        assert!(message(&with(&ascii, text.replace("7", "x").as_bytes())).contains("number 7 is \"x\""));
+        assert!(message(&with(&ascii, &text.as_bytes()[..50])).contains("of the 24 numbers"));
+        assert!(message(&with(&ascii, &text.as_bytes()[..10])).contains("need at least 47 bytes"));
+    }
+
+    #[test]
+    fn lies_are_named_with_what_was_expected_and_found() {
+        for (bytes, expected) in [
+            (with(PLAIN, &[0; 23]), "need 24 bytes, the file has 23"),
+            (with(PLAIN, &[0; 25]), "need 24 bytes, the data has 25"),
+            (
+                with(&PLAIN.replace("2 3 4", "10000 10000 10000"), &[0; 100]),
+                "need 1000000000000 bytes, the file has 100",
+            ),
+            (
+                with(&PLAIN.replace("2 3 4", "10000 10000 10000").replace("raw", "gzip"), &[0; 100]),
+                "can hold 103200 at most",
+            ),
+            (
+                with(&PLAIN.replace("2 3 4", "4294967296 4294967296 4294967296"), &[]),
+                "more than can be addressed",
+            ),
+            (with(&PLAIN.replace("2 3 4", "2 0 4"), &[]), "size along y is 0"),
+            (with(&PLAIN.replace("2 3 4", "2 -3 4"), &[]), "\"-3\" where a number"),
+            (with(&PLAIN.replace("2 3 4", "2 3"), &[]), "\"sizes\" has 2 entries, \"dimension\" says 3"),
+            (with(&format!("{PLAIN}spacings: 1 nan 1\n"), &[0; 24]), "must be positive numbers"),
+            (with(&format!("{PLAIN}spacings: 1 0 1\n"), &[0; 24]), "finite and positive"),
+            (with(&format!("{PLAIN}spacings: 1 -1 1\n"), &[0; 24]), "finite and positive"),
+            (with(&format!("{PLAIN}sizes: 2 3 4\n"), &[0; 24]), "stands there twice"),
+            (with(&format!("{PLAIN}data file: gone.raw\n"), &[]), "gone.raw"),
+            (with(&format!("{PLAIN}data file: LIST\na\nb\n"), &[]), "several files"),
+            (with(&format!("{PLAIN}kinds: vector space space\n"), &[0; 24]), "axis 0 holds 2"),
+            (with(&PLAIN.replace("uint8", "short"), &[0; 48]), "no \"endian\""),
+            (with(&PLAIN.replace("uint8", "block"), &[0; 48]), "type \"block\" is not read"),
+            (with(&PLAIN.replace("raw", "bzip2"), &[0; 48]), "save as raw, gzip or ascii"),
+            (with("dimension: 3\n", &[]), "no \"type\" field"),
+            (with("what is this\n", &[]), "line 2 is neither"),
+            (b"NRRD0009\n".to_vec(), "version \"NRRD0009\""),
+            (b"NRRX".to_vec(), "not a NRRD file"),
+            (Vec::new(), "not a NRRD file"),
+            ([b"NRRD0004\n".as_slice(), &[b'a'; 1 << 17]].concat(), "longer than 65536 bytes"),
+        ] {
+            let message = message(&bytes);
+            assert!(message.contains(expected), "{message:?} should contain {expected:?}");
+            assert!(!message.contains('\n'), "{message:?}");
+        }
+    }
+
+    #[test]
+    fn compressed_data_is_bounded_by_what_the_header_calls_for() {
+        let pack = |bytes: &[u8]| {
+            let mut packed = GzEncoder::new(Vec::new(), Compression::best());
+            packed.write_all(bytes).unwrap();
+            packed.finish().unwrap()
+        };
+        let gzip = PLAIN.replace("raw", "gzip");
+        assert_eq!(open(&with(&gzip, &pack(&[7; 24]))).unwrap().data(), &VolumeData::U8(vec![7; 24]));
+        assert!(message(&with(&gzip, &pack(&[7; 1 << 24]))).contains("the data has more"));
+        assert!(message(&with(&gzip, &pack(&[7; 20]))).contains("end after 20 of 24 bytes"));
+        let whole = pack(&(0..24).collect::<Vec<u8>>());
+        assert!(message(&with(&gzip, &whole[..whole.len() - 12])).contains("of 24"));
+        assert!(!message(&with(&gzip, b"not gzip at all")).is_empty());
+        let mut broken = whole;
+        let at = broken.len() - 6;
+        broken[at] ^= 0x55;
+        assert!(!message(&with(&gzip, &broken)).is_empty());
+    }
+}

@@ -1,0 +1,296 @@
+//! Byte streams that know how much they can hold, whatever they come from.
+
+use anyhow::{Context, Result, bail};
+use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
+use std::fmt;
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+
+/// No deflate stream grows by more than this factor when it is unpacked (RFC 1951: 258 bytes from 2 bits, less the
+/// block's own cost).
+const DEFLATE_GROWTH: u64 = 1032;
+
+/// How many bytes a stream still holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Remaining {
+    /// Exactly so many.
+    Exact(u64),
+    /// No more than so many: it is compressed.
+    AtMost(u64),
+}
+
+/// A readable source of bytes with a name for messages and a bound on its length.
+pub struct Stream<'a> {
+    reader: Box<dyn BufRead + 'a>,
+    remaining: Remaining,
+    read: u64,
+    label: String,
+}
+
+impl fmt::Debug for Stream<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Stream").field("label", &self.label).field("remaining", &self.remaining).finish()
+    }
+}
+
+impl<'a> Stream<'a> {
+    /// Opens a regular file.
+    ///
+    /// # Errors
+    /// Names the path when it is missing, unreadable or not a regular file.
+    pub fn open(path: &Path) -> Result<Stream<'static>> {
+        let shown = path.display();
+        let file = match File::open(path) {
+            Ok(file) => file,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                bail!("{shown}: no such file; check the path")
+            }
+            Err(error) => bail!("{shown}: cannot be opened: {error}"),
+        };
+        let metadata = file.metadata().with_context(|| format!("{shown}"))?;
+        if metadata.is_dir() {
+            bail!("{shown}: is a folder; name a volume file in it");
+        }
+        if !metadata.is_file() {
+            bail!("{shown}: is not a regular file; save the volume to a file first");
+        }
+        Ok(Stream {
+            reader: Box::new(BufReader::with_capacity(1 << 16, file)),
+            remaining: Remaining::Exact(metadata.len()),
+            read: 0,
+            label: String::new(),
+        })
+    }
+
+    /// Reads from memory.
+    pub fn from_bytes(bytes: &'a [u8]) -> Self {
+        Self {
+            reader: Box::new(bytes),
+            remaining: Remaining::Exact(bytes.len() as u64),
+            read: 0,
+            label: String::new(),
+        }
+    }
+
+    /// Gives the stream a name for messages, for a file other than the one that was asked for.
+    pub fn labelled(mut self, label: impl Into<String>) -> Self {
+        self.label = label.into();
+        self
+    }
+
+    /// The stream's name with a colon behind it, or nothing.
+    pub(crate) fn prefix(&self) -> String {
+        if self.label.is_empty() { String::new() } else { format!("{}: ", self.label) }
+    }
+
+    pub(crate) fn remaining(&self) -> Remaining {
+        self.remaining
+    }
+
+    /// The bytes at hand, without taking them: some, unless the stream is at its end.
+    pub(crate) fn peek(&mut self) -> io::Result<&[u8]> {
+        loop {
+            match self.reader.fill_buf() {
+                Ok(_) => break,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+        self.reader.fill_buf()
+    }
+
+    /// Takes a line without its end (LF or CRLF); `None` at the end of the stream.
+    ///
+    /// # Errors
+    /// When the line is longer than `limit` bytes.
+    pub(crate) fn line(&mut self, limit: usize) -> Result<Option<Vec<u8>>> {
+        let mut line = Vec::new();
+        self.take(limit as u64 + 1).read_until(b'\n', &mut line)?;
+        if line.is_empty() {
+            return Ok(None);
+        }
+        if line.last() == Some(&b'\n') {
+            line.pop();
+            if line.last() == Some(&b'\r') {
+                line.pop();
+            }
+        } else if line.len() > limit {
+            bail!(
+                "{}header line at byte {} is longer than {limit} bytes; this is not the text header that its first bytes announce",
+                self.prefix(),
+                self.read - line.len() as u64
+            );
+        }
+        Ok(Some(line))
+    }
+
+    /// Leaves out `count` bytes.
+    ///
+    /// # Errors
+    /// When the stream ends before.
+    pub(crate) fn skip(&mut self, count: u64) -> Result<()> {
+        if let Remaining::Exact(left) = self.remaining
+            && left < count
+        {
+            bail!(
+                "{}the header says to skip {count} bytes, only {left} are left; is the file cut short?",
+                self.prefix()
+            );
+        }
+        let skipped = io::copy(&mut self.take(count), &mut io::sink())
+            .with_context(|| format!("{}skipping {count} bytes", self.prefix()))?;
+        if skipped < count {
+            bail!(
+                "{}the header says to skip {count} bytes, only {skipped} are left; is the file cut short?",
+                self.prefix()
+            );
+        }
+        Ok(())
+    }
+
+    /// Reads everything that is left, if that is at most `limit` bytes.
+    ///
+    /// # Errors
+    /// When there is more.
+    pub fn all(&mut self, limit: u64) -> Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        if let Remaining::Exact(left) = self.remaining
+            && left <= limit
+            && bytes.try_reserve_exact(left as usize).is_err()
+        {
+            bail!("{}{left} bytes do not fit into this machine's memory", self.prefix());
+        }
+        self.take(limit.saturating_add(1))
+            .read_to_end(&mut bytes)
+            .with_context(|| format!("{}reading", self.prefix()))?;
+        if bytes.len() as u64 > limit {
+            bail!("{}is longer than the {limit} bytes accepted here", self.prefix());
+        }
+        Ok(bytes)
+    }
+
+    /// The rest of the stream unpacked as gzip (one or several members).
+    pub(crate) fn gunzip(self) -> Stream<'a> {
+        self.unpacked(|reader| Box::new(BufReader::with_capacity(1 << 16, MultiGzDecoder::new(reader))))
+    }
+
+    /// The rest of the stream unpacked as zlib, or as gzip where it starts like that.
+    ///
+    /// # Errors
+    /// When the stream cannot be read.
+    pub fn inflate(mut self) -> Result<Stream<'a>> {
+        if self.peek()?.starts_with(&[0x1f, 0x8b]) {
+            return Ok(self.gunzip());
+        }
+        Ok(self.unpacked(|reader| Box::new(BufReader::with_capacity(1 << 16, ZlibDecoder::new(reader)))))
+    }
+
+    fn unpacked(self, unpack: impl FnOnce(Box<dyn BufRead + 'a>) -> Box<dyn BufRead + 'a>) -> Stream<'a> {
+        let (Remaining::Exact(packed) | Remaining::AtMost(packed)) = self.remaining;
+        Stream {
+            reader: unpack(self.reader),
+            remaining: Remaining::AtMost(packed.saturating_mul(DEFLATE_GROWTH)),
+            read: 0,
+            label: self.label,
+        }
+    }
+}
+
+impl Read for Stream<'_> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let count = self.reader.read(out)?;
+        self.count(count);
+        Ok(count)
+    }
+}
+
+impl BufRead for Stream<'_> {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        self.reader.fill_buf()
+    }
+
+    fn consume(&mut self, count: usize) {
+        self.reader.consume(count);
+        self.count(count);
+    }
+}
+
+impl Stream<'_> {
+    fn count(&mut self, count: usize) {
+        self.read += count as u64;
+        let (Remaining::Exact(left) | Remaining::AtMost(left)) = &mut self.remaining;
+        *left = left.saturating_sub(count as u64);
+    }
+}
+
+/// Where the files come from that a header names beside itself.
+pub trait Companions {
+    /// Opens a file by the name that the header gives.
+    ///
+    /// # Errors
+    /// When there is none of that name.
+    fn open(&self, name: &str) -> Result<Stream<'_>>;
+
+    /// Whether there is a file of that name.
+    fn exists(&self, name: &str) -> bool;
+
+    /// The names that end in `suffix`, sorted; for formats whose header does not name its data.
+    fn ending_in(&self, suffix: &str) -> Vec<String>;
+}
+
+/// Files beside a header in a folder.
+#[derive(Clone, Debug)]
+pub struct Folder {
+    path: PathBuf,
+}
+
+impl Folder {
+    /// The folder that names are relative to.
+    pub fn new(path: impl Into<PathBuf>) -> Self {
+        Self { path: path.into() }
+    }
+}
+
+impl Companions for Folder {
+    fn open(&self, name: &str) -> Result<Stream<'_>> {
+        let path = self.path.join(name);
+        let stream = Stream::open(&path).context("the data file that the header names")?;
+        Ok(stream.labelled(path.display().to_string()))
+    }
+
+    fn exists(&self, name: &str) -> bool {
+        self.path.join(name).is_file()
+    }
+
+    fn ending_in(&self, suffix: &str) -> Vec<String> {
+        let folder = if self.path.as_os_str().is_empty() { Path::new(".") } else { &self.path };
+        let mut names: Vec<String> = std::fs::read_dir(folder)
+            .into_iter()
+            .flatten()
+            .flatten()
+            .filter_map(|entry| entry.file_name().into_string().ok())
+            .filter(|name| name.ends_with(suffix))
+            .collect();
+        names.sort();
+        names
+    }
+}
+
+/// No files beside the header: everything must be in the stream itself.
+#[derive(Clone, Copy, Debug)]
+pub struct NoCompanions;
+
+impl Companions for NoCompanions {
+    fn open(&self, name: &str) -> Result<Stream<'_>> {
+        bail!("the header names the data file {name:?}, and there are no files beside it")
+    }
+
+    fn exists(&self, _name: &str) -> bool {
+        false
+    }
+
+    fn ending_in(&self, _suffix: &str) -> Vec<String> {
+        Vec::new()
+    }
+}
