@@ -1,0 +1,534 @@
+//! Inner loops of resampling: weighted sums of rows, then along the row. One source for every level; the order of
+//! operations is the same in each and products are never fused into sums, so every level gives the same bits.
+
+use crate::kernels::Level;
+use crate::kernels::multiversion::{Task, multiversion};
+use crate::scene::VolumeView;
+use bytemuck::Pod;
+
+/// The input voxels that one output voxel averages along one axis: `first … first + count`, with one weight for the
+/// first, one for the last, and one for all between. A single voxel has weight `head`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Span {
+    pub(crate) first: usize,
+    pub(crate) count: usize,
+    pub(crate) head: f32,
+    pub(crate) middle: f32,
+    pub(crate) tail: f32,
+}
+
+impl Span {
+    /// The voxels and weights of output `i` when `m` voxels become `n`; weights come from exact integers.
+    pub(crate) fn of(i: usize, m: usize, n: usize) -> Self {
+        let (i, m, n) = (i as u64, m as u64, n as u64);
+        let ratio = |a: u64, b: u64| (a as f64 / b as f64) as f32;
+        if m == n {
+            return Self::single(i as usize);
+        }
+        if m > n {
+            // In units of 1/n voxel: the output covers [i·m, (i+1)·m), voxel j covers [j·n, (j+1)·n).
+            let (low, high) = (i * m, (i + 1) * m);
+            let (first, last) = (low / n, (high - 1) / n);
+            if first == last {
+                return Self::single(first as usize);
+            }
+            return Self {
+                first: first as usize,
+                count: (last - first + 1) as usize,
+                head: ratio((first + 1) * n - low, m),
+                middle: ratio(n, m),
+                tail: ratio(high - last * n, m),
+            };
+        }
+        // In units of 1/(2n) voxel: the center of the output, from the center of the first voxel.
+        let at = ((2 * i + 1) * m).saturating_sub(n);
+        let (first, rest) = (at / (2 * n), at % (2 * n));
+        if rest == 0 || first + 1 >= m {
+            return Self::single(first.min(m - 1) as usize);
+        }
+        Self {
+            first: first as usize,
+            count: 2,
+            head: ratio(2 * n - rest, 2 * n),
+            middle: 0.0,
+            tail: ratio(rest, 2 * n),
+        }
+    }
+
+    pub(crate) const fn single(first: usize) -> Self {
+        Self { first, count: 1, head: 1.0, middle: 0.0, tail: 0.0 }
+    }
+
+    #[inline(always)]
+    fn weight(&self, j: usize) -> f32 {
+        if j == 0 {
+            self.head
+        } else if j + 1 == self.count {
+            self.tail
+        } else {
+            self.middle
+        }
+    }
+}
+
+/// A voxel type that rows are made of.
+pub(crate) trait Scalar: Pod + Send + Sync {
+    /// The stored value.
+    fn to_f32(self) -> f32;
+}
+
+impl Scalar for u8 {
+    #[inline(always)]
+    fn to_f32(self) -> f32 {
+        f32::from(self)
+    }
+}
+
+impl Scalar for u16 {
+    #[inline(always)]
+    fn to_f32(self) -> f32 {
+        f32::from(self)
+    }
+}
+
+impl Scalar for i16 {
+    #[inline(always)]
+    fn to_f32(self) -> f32 {
+        f32::from(self)
+    }
+}
+
+impl Scalar for f32 {
+    #[inline(always)]
+    fn to_f32(self) -> f32 {
+        self
+    }
+}
+
+/// What is done to a voxel before it is averaged.
+pub(crate) trait Map<T: Scalar>: Copy + Send + Sync {
+    /// The value that enters the average.
+    fn map(&self, voxel: T) -> f32;
+}
+
+/// The stored value itself.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Raw;
+
+impl<T: Scalar> Map<T> for Raw {
+    #[inline(always)]
+    fn map(&self, voxel: T) -> f32 {
+        voxel.to_f32()
+    }
+}
+
+/// `(v - low)·scale` clamped to [0, 1]; NaN gives 0.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Affine {
+    pub(crate) low: f32,
+    pub(crate) scale: f32,
+}
+
+impl<T: Scalar> Map<T> for Affine {
+    #[inline(always)]
+    fn map(&self, voxel: T) -> f32 {
+        let t = (voxel.to_f32() - self.low) * self.scale;
+        // Comparisons, not max and min: NaN fails the first one and becomes 0.
+        let t = if t > 0.0 { t } else { 0.0 };
+        if t < 1.0 { t } else { 1.0 }
+    }
+}
+
+/// The view's own normalisation, for ranges without a usable reciprocal.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Exact<'a>(pub(crate) &'a VolumeView<'a>);
+
+impl<T: Scalar> Map<T> for Exact<'_> {
+    #[inline(always)]
+    fn map(&self, voxel: T) -> f32 {
+        self.0.normalize(voxel.to_f32())
+    }
+}
+
+/// What is done to an average: `v·scale + offset`, then clamped to [0, 1].
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct After {
+    pub(crate) scale: f32,
+    pub(crate) offset: f32,
+}
+
+impl After {
+    #[inline(always)]
+    fn apply(&self, v: f32) -> f32 {
+        let t = v * self.scale + self.offset;
+        let t = if t > 0.0 { t } else { 0.0 };
+        if t < 1.0 { t } else { 1.0 }
+    }
+}
+
+/// Sizes of one call.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Geometry<'a> {
+    /// Input voxels along x, y, z.
+    pub(crate) dims: [usize; 3],
+    /// Elements between neighbours along x, y, z.
+    pub(crate) strides: [usize; 3],
+    /// Output voxels per axis.
+    pub(crate) n: usize,
+    /// One span per output column.
+    pub(crate) columns: &'a [Span],
+    /// Which instructions to use.
+    pub(crate) level: Level,
+}
+
+/// Floats of scratch that one thread needs: a row sum, a second one for long sums, and two rows for the spread.
+pub(crate) fn scratch_len(row: usize, n: usize) -> usize {
+    2 * row + 2 * n
+}
+
+/// Rows summed straight into one row of floats; longer sums go through a second one, which keeps rounding errors
+/// from piling up.
+const DIRECT_ROWS: usize = 64;
+
+/// Rows of bytes whose sum fits 16 bits.
+const BYTE_ROWS: usize = 65535 / 255;
+
+/// Whether every axis is an integer multiple of `n` and the sums of bytes fit.
+pub(crate) fn integer_ratio(dims: &[usize; 3], n: usize) -> bool {
+    dims.iter().all(|&d| d % n == 0)
+        && (dims[1] / n).saturating_mul(dims[2] / n) <= BYTE_ROWS
+        // Exact in a float's 24 bits.
+        && dims.iter().map(|&d| d / n).fold(1usize, usize::saturating_mul) <= (1 << 24) / 255
+}
+
+/// The span of plane `z` of the reduced planes: the output's planes, or the input's where z grows.
+#[inline(always)]
+fn reduced_span(i: usize, m: usize, n: usize) -> Span {
+    if m < n { Span::single(i) } else { Span::of(i, m, n) }
+}
+
+/// Fills reduced planes `z0 …`: averages of bytes at integer ratios, with integer sums. The result is
+/// `sum·scale / voxels + offset`, clamped to [0, 1].
+pub(crate) fn bytes(
+    g: &Geometry<'_>,
+    src: &[u8],
+    scale: f64,
+    offset: f64,
+    z0: usize,
+    planes: &mut [f32],
+    scratch: &mut [f32],
+) {
+    let voxels: usize = g.dims.iter().map(|&d| d / g.n).product();
+    let after = After { scale: (scale / voxels as f64) as f32, offset: offset as f32 };
+    struct Body<'a>(&'a Geometry<'a>, &'a [u8], After, usize, &'a mut [f32], &'a mut [f32]);
+    impl Task for Body<'_> {
+        #[inline(always)]
+        fn run(self) {
+            bytes_body(self.0, self.1, self.2, self.3, self.4, self.5);
+        }
+    }
+    multiversion(g.level, Body(g, src, after, z0, planes, scratch));
+}
+
+#[inline(always)]
+fn bytes_body(g: &Geometry<'_>, src: &[u8], after: After, z0: usize, planes: &mut [f32], scratch: &mut [f32]) {
+    let n = g.n;
+    let [rx, ry, rz] = g.dims.map(|d| d / n);
+    let sums: &mut [u16] = &mut bytemuck::cast_slice_mut(scratch)[..g.dims[0]];
+    for (dz, plane) in planes.chunks_exact_mut(n * n).enumerate() {
+        for (y, out) in plane.chunks_exact_mut(n).enumerate() {
+            let mut first = true;
+            for z in (z0 + dz) * rz..(z0 + dz + 1) * rz {
+                let mut row = y * ry;
+                let end = row + ry;
+                let at = |row: usize| z * g.strides[2] + row * g.strides[1];
+                if g.strides[0] != 1 {
+                    for row in row..end {
+                        add_bytes_strided(sums, &src[at(row)..], g.strides[0], first);
+                        first = false;
+                    }
+                    continue;
+                }
+                while end - row >= 4 {
+                    let rows = [at(row), at(row + 1), at(row + 2), at(row + 3)];
+                    add_bytes(sums, rows.map(|o| &src[o..o + g.dims[0]]), first);
+                    first = false;
+                    row += 4;
+                }
+                while row < end {
+                    add_bytes(sums, [&src[at(row)..at(row) + g.dims[0]]], first);
+                    first = false;
+                    row += 1;
+                }
+            }
+            match rx {
+                1 => fold_sums::<1>(sums, out, after),
+                2 => fold_sums::<2>(sums, out, after),
+                3 => fold_sums::<3>(sums, out, after),
+                4 => fold_sums::<4>(sums, out, after),
+                8 => fold_sums::<8>(sums, out, after),
+                _ => {
+                    for (o, s) in out.iter_mut().zip(sums.chunks_exact(rx)) {
+                        *o = after.apply(s.iter().map(|&v| u32::from(v)).sum::<u32>() as f32);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn add_bytes<const R: usize>(sums: &mut [u16], rows: [&[u8]; R], first: bool) {
+    let n = sums.len();
+    let rows = rows.map(|r| &r[..n]);
+    if first {
+        for (x, sum) in sums.iter_mut().enumerate() {
+            let mut s = u16::from(rows[0][x]);
+            for row in &rows[1..] {
+                s += u16::from(row[x]);
+            }
+            *sum = s;
+        }
+    } else {
+        for (x, sum) in sums.iter_mut().enumerate() {
+            let mut s = u16::from(rows[0][x]);
+            for row in &rows[1..] {
+                s += u16::from(row[x]);
+            }
+            *sum += s;
+        }
+    }
+}
+
+#[inline(always)]
+fn add_bytes_strided(sums: &mut [u16], src: &[u8], stride: usize, first: bool) {
+    for (x, sum) in sums.iter_mut().enumerate() {
+        let v = u16::from(src[x * stride]);
+        *sum = if first { v } else { *sum + v };
+    }
+}
+
+#[inline(always)]
+fn fold_sums<const R: usize>(sums: &[u16], out: &mut [f32], after: After) {
+    let (sums, _) = sums.as_chunks::<R>();
+    for (o, s) in out.iter_mut().zip(sums) {
+        let mut t = 0u32;
+        for &v in s {
+            t += u32::from(v);
+        }
+        *o = after.apply(t as f32);
+    }
+}
+
+/// Fills reduced planes `z0 …` of any volume: rows are mapped and summed with their weights, then along x.
+pub(crate) fn planes<T: Scalar, M: Map<T>>(
+    g: &Geometry<'_>,
+    src: &[T],
+    map: M,
+    after: After,
+    z0: usize,
+    planes: &mut [f32],
+    scratch: &mut [f32],
+) {
+    struct Body<'a, T, M>(&'a Geometry<'a>, &'a [T], M, After, usize, &'a mut [f32], &'a mut [f32]);
+    impl<T: Scalar, M: Map<T>> Task for Body<'_, T, M> {
+        #[inline(always)]
+        fn run(self) {
+            planes_body(self.0, self.1, self.2, self.3, self.4, self.5, self.6);
+        }
+    }
+    multiversion(g.level, Body(g, src, map, after, z0, planes, scratch));
+}
+
+#[inline(always)]
+fn planes_body<T: Scalar, M: Map<T>>(
+    g: &Geometry<'_>,
+    src: &[T],
+    map: M,
+    after: After,
+    z0: usize,
+    planes: &mut [f32],
+    scratch: &mut [f32],
+) {
+    let n = g.n;
+    let (sum, rest) = scratch.split_at_mut(g.dims[0]);
+    let (long, spare) = rest.split_at_mut(g.dims[0]);
+    let height = g.dims[1].min(n);
+    for (dz, plane) in planes.chunks_exact_mut(n * n).enumerate() {
+        let zs = reduced_span(z0 + dz, g.dims[2], n);
+        // Where y grows, the input's rows go to the last places of the plane.
+        for (y, out) in plane[(n - height) * n..].chunks_exact_mut(n).enumerate() {
+            let ys = reduced_span(y, g.dims[1], n);
+            if ys.count.saturating_mul(zs.count) <= DIRECT_ROWS {
+                for z in 0..zs.count {
+                    sum_rows(g, src, map, (zs.first + z, zs.weight(z)), &ys, sum, z == 0);
+                }
+                fold(sum, g.columns, after, out);
+            } else {
+                for z in 0..zs.count {
+                    sum_rows(g, src, map, (zs.first + z, 1.0), &ys, sum, true);
+                    let w = zs.weight(z);
+                    if z == 0 {
+                        for (l, &s) in long.iter_mut().zip(&*sum) {
+                            *l = w * s;
+                        }
+                    } else {
+                        for (l, &s) in long.iter_mut().zip(&*sum) {
+                            *l += w * s;
+                        }
+                    }
+                }
+                fold(long, g.columns, after, out);
+            }
+        }
+        if height < n {
+            spread(plane, height, n, n, &mut spare[..2 * n]);
+        }
+    }
+}
+
+/// Adds the rows of one plane to `sum`, weighted by the plane's weight times the row's.
+#[inline(always)]
+fn sum_rows<T: Scalar, M: Map<T>>(
+    g: &Geometry<'_>,
+    src: &[T],
+    map: M,
+    (z, wz): (usize, f32),
+    ys: &Span,
+    sum: &mut [f32],
+    mut first: bool,
+) {
+    let at = |row: usize| z * g.strides[2] + (ys.first + row) * g.strides[1];
+    let mut row = 0;
+    if g.strides[0] != 1 {
+        while row < ys.count {
+            let (src, w) = (&src[at(row)..], wz * ys.weight(row));
+            for (x, s) in sum.iter_mut().enumerate() {
+                let v = w * map.map(src[x * g.strides[0]]);
+                *s = if first { v } else { *s + v };
+            }
+            first = false;
+            row += 1;
+        }
+        return;
+    }
+    let slice = |row: usize| &src[at(row)..at(row) + g.dims[0]];
+    let weight = |row: usize| wz * ys.weight(row);
+    while ys.count - row >= 4 {
+        let rows = [slice(row), slice(row + 1), slice(row + 2), slice(row + 3)];
+        let weights = [weight(row), weight(row + 1), weight(row + 2), weight(row + 3)];
+        add_rows(sum, rows, weights, map, first);
+        first = false;
+        row += 4;
+    }
+    while row < ys.count {
+        add_rows(sum, [slice(row)], [weight(row)], map, first);
+        first = false;
+        row += 1;
+    }
+}
+
+#[inline(always)]
+fn add_rows<T: Scalar, M: Map<T>, const R: usize>(
+    sum: &mut [f32],
+    rows: [&[T]; R],
+    weights: [f32; R],
+    map: M,
+    first: bool,
+) {
+    let n = sum.len();
+    let rows = rows.map(|r| &r[..n]);
+    let at = |x: usize| {
+        let mut t = weights[0] * map.map(rows[0][x]);
+        for r in 1..R {
+            t += weights[r] * map.map(rows[r][x]);
+        }
+        t
+    };
+    if first {
+        for (x, s) in sum.iter_mut().enumerate() {
+            *s = at(x);
+        }
+    } else {
+        for (x, s) in sum.iter_mut().enumerate() {
+            *s += at(x);
+        }
+    }
+}
+
+/// Averages a row of sums along x.
+#[inline(always)]
+fn fold(sum: &[f32], columns: &[Span], after: After, out: &mut [f32]) {
+    if sum.len() == out.len() {
+        for (o, &s) in out.iter_mut().zip(sum) {
+            *o = after.apply(s);
+        }
+        return;
+    }
+    match sum.len() / out.len() {
+        2 if sum.len() == 2 * out.len() => fold_exact::<2>(sum, columns, after, out),
+        4 if sum.len() == 4 * out.len() => fold_exact::<4>(sum, columns, after, out),
+        _ => {
+            for (o, c) in out.iter_mut().zip(columns) {
+                let s = &sum[c.first..c.first + c.count];
+                let t = if c.count == 1 {
+                    s[0]
+                } else {
+                    let inner = &s[1..c.count - 1];
+                    let (quads, rest) = inner.as_chunks::<4>();
+                    let mut lanes = [0.0f32; 4];
+                    for quad in quads {
+                        for (lane, v) in lanes.iter_mut().zip(quad) {
+                            *lane += v;
+                        }
+                    }
+                    let mut middle = (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]);
+                    for v in rest {
+                        middle += v;
+                    }
+                    c.head * s[0] + c.middle * middle + c.tail * s[c.count - 1]
+                };
+                *o = after.apply(t);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn fold_exact<const R: usize>(sum: &[f32], columns: &[Span], after: After, out: &mut [f32]) {
+    let weight = columns[0].head;
+    let (sum, _) = sum.as_chunks::<R>();
+    for (o, s) in out.iter_mut().zip(sum) {
+        let mut t = s[0];
+        for &v in &s[1..] {
+            t += v;
+        }
+        *o = after.apply(weight * t);
+    }
+}
+
+/// Linear interpolation in place from the last `m` slabs of `data` to all `n` slabs of `slab` values each. `spare` holds
+/// two rows of any equal length that divides `slab`.
+///
+/// Going up, slab `i` is written after everything that reads the source slab in the same place: that source is number
+/// `i - (n - m)`, and output `i` reads source `floor((i + ½)·m/n - ½)`, which is never below it.
+pub(crate) fn spread(data: &mut [f32], m: usize, n: usize, slab: usize, spare: &mut [f32]) {
+    let row = spare.len() / 2;
+    let (low, high) = spare.split_at_mut(row);
+    for i in 0..n {
+        let span = Span::of(i, m, n);
+        let source = (n - m + span.first) * slab;
+        for at in (0..slab).step_by(row) {
+            low.copy_from_slice(&data[source + at..source + at + row]);
+            if span.count == 1 {
+                data[i * slab + at..i * slab + at + row].copy_from_slice(low);
+                continue;
+            }
+            high.copy_from_slice(&data[source + slab + at..source + slab + at + row]);
+            let out = &mut data[i * slab + at..i * slab + at + row];
+            for ((o, &a), &b) in out.iter_mut().zip(&*low).zip(&*high) {
+                *o = span.head * a + span.tail * b;
+            }
+        }
+    }
+}

@@ -1,0 +1,442 @@
+//! Resampling of any volume to a cube of floats.
+//!
+//! Each axis is treated alone, on voxel counts (the spacing plays no part):
+//!
+//! - An axis of `m` voxels **shrinks** to `n < m` by area average: output `i` is the mean of the input over
+//!   `[i·m/n, (i+1)·m/n)`, each voxel counted by the exact fraction of it that lies inside.
+//! - An axis **grows** to `n > m` by linear interpolation between voxel centers: output `i` sits at
+//!   `(i + ½)·m/n − ½` in voxel coordinates, clamped to the first and last voxel.
+//! - An axis with `m = n` is copied.
+//!
+//! Voxels are mapped to [0, 1] by the view's range first ([`VolumeView::normalize`]), so values outside the range, NaN
+//! and infinities never reach an average.
+
+use crate::Result;
+use crate::error::bail;
+use crate::kernels::Level;
+use crate::kernels::resample::{self as kernel, Map, Span};
+use crate::nn::Executor;
+use crate::scene::{Scalars, VolumeView};
+use alloc::vec::Vec;
+
+/// Largest absolute difference between [`Resampler::resample`]'s values and the exact average of the exactly normalised voxels,
+/// for at most [`RESAMPLE_MAX_RATIO`] input voxels per output voxel and axis.
+pub const RESAMPLE_TOLERANCE: f32 = 2e-6;
+
+/// The shrinking ratio per axis up to which [`RESAMPLE_TOLERANCE`] holds. Beyond, the error grows with the ratio.
+pub const RESAMPLE_MAX_RATIO: usize = 64;
+
+/// Longest axis that [`Resampler::resample`] takes.
+const MAX_AXIS: u64 = 1 << 31;
+
+/// Resamples volumes. Holds the SIMD level and working memory that grows to what the longest row so far needed, so
+/// that a second call with the same sizes allocates nothing.
+#[derive(Clone, Debug)]
+pub struct Resampler {
+    level: Level,
+    rows: Vec<f32>,
+    columns: Vec<Span>,
+}
+
+impl Default for Resampler {
+    fn default() -> Self {
+        Self::new(Level::detect())
+    }
+}
+
+impl Resampler {
+    /// A resampler that uses the instructions of `level`. Every level gives the same bits.
+    pub const fn new(level: Level) -> Self {
+        Self { level, rows: Vec::new(), columns: Vec::new() }
+    }
+
+    /// Resamples a volume to `n`³ values in [0, 1], written to `out` with x fastest, then y, then z.
+    ///
+    /// The result depends on the volume, its range and `n` alone: neither on the executor nor on the level.
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidArgument`](crate::ErrorKind) when `n` is 0 or an axis is longer than 2³¹ voxels,
+    /// [`ErrorKind::SizeMismatch`](crate::ErrorKind) when `out` does not hold exactly `n`³ values.
+    pub fn resample(
+        &mut self,
+        view: &VolumeView<'_>,
+        n: usize,
+        out: &mut [f32],
+        executor: Executor<'_>,
+    ) -> Result<()> {
+        if n == 0 {
+            bail!(InvalidArgument, "resampling to 0 voxels per axis; the size must be at least 1");
+        }
+        let dims = view.dims();
+        if dims.iter().any(|&d| d as u64 > MAX_AXIS) || n as u64 > MAX_AXIS {
+            bail!(
+                InvalidArgument,
+                "resampling {} x {} x {} voxels to {n} per axis; an axis has at most {MAX_AXIS} voxels",
+                dims[0],
+                dims[1],
+                dims[2]
+            );
+        }
+        let wanted = (n as u64).checked_mul(n as u64).and_then(|p| p.checked_mul(n as u64));
+        if wanted != Some(out.len() as u64) {
+            bail!(SizeMismatch, "resampling to {n} x {n} x {n} values, the output holds {}", out.len());
+        }
+        self.columns.clear();
+        self.columns.extend((0..n).map(|i| Span::of(i, dims[0], n)));
+        let row_len = kernel::scratch_len(dims[0], n);
+        // A few parts per thread even out a thread that the system holds up.
+        let parts = match executor.threads() {
+            1 => 1,
+            threads => (4 * threads).min(n),
+        };
+        if self.rows.len() < row_len * parts {
+            self.rows.resize(row_len * parts, 0.0);
+        }
+        let rows = &mut self.rows[..row_len * parts];
+        let columns = self.columns.as_slice();
+        let geometry = kernel::Geometry { dims, strides: view.strides(), n, columns, level: self.level };
+        let job = Job { geometry: &geometry, executor };
+        let (low, high) = view.range();
+        let width = high - low;
+        // The plain affine map needs a reciprocal that is a normal number.
+        let affine = width > 0.0 && width.is_finite() && (1.0 / width).is_normal();
+        match view.scalars() {
+            Scalars::U8(s) if low <= 0.0 && high >= 255.0 && affine => {
+                // Nothing is clamped, so the map is applied to the averages.
+                let width = f64::from(high) - f64::from(low);
+                let (scale, offset) = (1.0 / width, -f64::from(low) / width);
+                if kernel::integer_ratio(&dims, n) {
+                    job.run(out, rows, &|z0, planes, rows| {
+                        kernel::bytes(&geometry, s, scale, offset, z0, planes, rows);
+                    });
+                } else {
+                    let after = kernel::After { scale: scale as f32, offset: offset as f32 };
+                    job.run(out, rows, &|z0, planes, rows| {
+                        kernel::planes(&geometry, s, kernel::Raw, after, z0, planes, rows);
+                    });
+                }
+            }
+            Scalars::U8(s) => job.mapped(s, view, affine, out, rows),
+            Scalars::U16(s) => job.mapped(s, view, affine, out, rows),
+            Scalars::I16(s) => job.mapped(s, view, affine, out, rows),
+            Scalars::F32(s) => job.mapped(s, view, affine, out, rows),
+        }
+        Ok(())
+    }
+}
+
+struct Job<'a> {
+    geometry: &'a kernel::Geometry<'a>,
+    executor: Executor<'a>,
+}
+
+impl Job<'_> {
+    fn mapped<T: kernel::Scalar>(
+        &self,
+        scalars: &[T],
+        view: &VolumeView<'_>,
+        affine: bool,
+        out: &mut [f32],
+        rows: &mut [f32],
+    ) {
+        if affine {
+            let (low, high) = view.range();
+            self.typed(scalars, kernel::Affine { low, scale: 1.0 / (high - low) }, out, rows);
+        } else {
+            self.typed(scalars, kernel::Exact(view), out, rows);
+        }
+    }
+
+    fn typed<T: kernel::Scalar, M: Map<T>>(&self, scalars: &[T], map: M, out: &mut [f32], rows: &mut [f32]) {
+        let after = kernel::After { scale: 1.0, offset: 0.0 };
+        self.run(out, rows, &|z0, planes, rows| {
+            kernel::planes(self.geometry, scalars, map, after, z0, planes, rows);
+        });
+    }
+
+    /// Fills the planes of the output, split over the executor's threads. Where z grows, the input's planes go to the
+    /// last places of the output and are then spread in place.
+    fn run(&self, out: &mut [f32], rows: &mut [f32], fill: &(dyn Fn(usize, &mut [f32], &mut [f32]) + Sync)) {
+        let g = self.geometry;
+        let plane = g.n * g.n;
+        let depth = g.dims[2].min(g.n);
+        let row_len = kernel::scratch_len(g.dims[0], g.n);
+        split(self.executor, plane, row_len, 0, &mut out[(g.n - depth) * plane..], rows, fill);
+        if depth < g.n {
+            kernel::spread(out, depth, g.n, plane, &mut rows[..2 * g.n]);
+        }
+    }
+}
+
+/// Halves planes and row scratch until one piece of scratch is left.
+fn split(
+    executor: Executor<'_>,
+    plane: usize,
+    row_len: usize,
+    z0: usize,
+    planes: &mut [f32],
+    rows: &mut [f32],
+    fill: &(dyn Fn(usize, &mut [f32], &mut [f32]) + Sync),
+) {
+    let parts = rows.len() / row_len;
+    let depth = planes.len() / plane;
+    if parts <= 1 || depth <= 1 {
+        fill(z0, planes, &mut rows[..row_len]);
+        return;
+    }
+    let left = parts / 2;
+    let cut = depth * left / parts;
+    let (planes_a, planes_b) = planes.split_at_mut(cut * plane);
+    let (rows_a, rows_b) = rows.split_at_mut(left * row_len);
+    executor.join(
+        || {
+            if cut > 0 {
+                split(executor, plane, row_len, z0, planes_a, rows_a, fill);
+            }
+        },
+        || split(executor, plane, row_len, z0 + cut, planes_b, rows_b, fill),
+    );
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ErrorKind;
+    use alloc::vec;
+
+    /// The definition, in float64: the weight of input voxel `j` in output `i` along one axis.
+    fn weight(i: usize, j: usize, m: usize, n: usize) -> f64 {
+        let ratio = m as f64 / n as f64;
+        if m >= n {
+            let (low, high) = (i as f64 * ratio, (i + 1) as f64 * ratio);
+            return (high.min(j as f64 + 1.0) - low.max(j as f64)).max(0.0) / ratio;
+        }
+        let p = ((i as f64 + 0.5) * ratio - 0.5).clamp(0.0, (m - 1) as f64);
+        (1.0 - (p - j as f64).abs()).max(0.0)
+    }
+
+    /// Every output as the sum over every voxel of the product of three weights.
+    fn definition(view: &VolumeView<'_>, n: usize) -> Vec<f64> {
+        let [nx, ny, nz] = view.dims();
+        let mut out = vec![0.0; n * n * n];
+        for z in 0..n {
+            for y in 0..n {
+                for x in 0..n {
+                    let mut sum = 0.0;
+                    for k in 0..nz {
+                        let wz = weight(z, k, nz, n);
+                        for j in (0..ny).filter(|_| wz > 0.0) {
+                            let wy = weight(y, j, ny, n);
+                            for i in (0..nx).filter(|_| wy > 0.0) {
+                                let w = wz * wy * weight(x, i, nx, n);
+                                if w > 0.0 {
+                                    sum += w * normalized(view, i, j, k);
+                                }
+                            }
+                        }
+                    }
+                    out[(z * n + y) * n + x] = sum;
+                }
+            }
+        }
+        out
+    }
+
+    fn normalized(view: &VolumeView<'_>, x: usize, y: usize, z: usize) -> f64 {
+        let (low, high) = (f64::from(view.range().0), f64::from(view.range().1));
+        let v = f64::from(view.value(x, y, z));
+        if v.is_nan() || high <= low { 0.0 } else { ((v - low) / (high - low)).clamp(0.0, 1.0) }
+    }
+
+    fn noise(seed: u64) -> impl FnMut() -> u64 {
+        let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+        move || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            state >> 11
+        }
+    }
+
+    /// Resamples at every level and checks that all give the same bits within the tolerance of the definition.
+    fn check(view: &VolumeView<'_>, n: usize) {
+        let expected = definition(view, n);
+        let mut bits: Option<Vec<u32>> = None;
+        for level in Level::available() {
+            let mut out = vec![f32::NAN; n * n * n];
+            Resampler::new(level).resample(view, n, &mut out, Executor::serial()).unwrap();
+            for (i, (&o, &e)) in out.iter().zip(&expected).enumerate() {
+                let error = (f64::from(o) - e).abs();
+                assert!(
+                    error <= f64::from(RESAMPLE_TOLERANCE) && (0.0..=1.0).contains(&o),
+                    "{:?} {:?} to {n} at {level}: output {i} is {o}, expected {e}",
+                    view.scalar_type(),
+                    view.dims()
+                );
+            }
+            let found: Vec<u32> = out.iter().map(|v| v.to_bits()).collect();
+            assert_eq!(*bits.get_or_insert_with(|| found.clone()), found, "{:?} at {level}", view.dims());
+        }
+    }
+
+    const SHAPES: [([usize; 3], usize); 16] = [
+        ([5, 7, 11], 8),
+        ([11, 5, 7], 8),
+        ([7, 11, 5], 8),
+        ([8, 8, 8], 8),
+        ([16, 8, 24], 8),
+        ([32, 32, 32], 8),
+        ([33, 31, 17], 8),
+        ([64, 48, 40], 8),
+        ([1, 1, 1], 4),
+        ([1, 9, 30], 4),
+        ([9, 1, 30], 4),
+        ([30, 9, 1], 4),
+        ([2, 3, 2], 1),
+        ([100, 3, 2], 3),
+        ([2, 70, 65], 3),
+        ([23, 130, 140], 2),
+    ];
+
+    #[test]
+    fn every_type_and_shape_meets_the_definition() {
+        for (seed, (dims, n)) in SHAPES.into_iter().enumerate() {
+            let voxels = dims.iter().product();
+            let mut next = noise(seed as u64 + 1);
+            let bytes: Vec<u8> = (0..voxels).map(|_| next() as u8).collect();
+            let view = VolumeView::new(Scalars::U8(&bytes), dims).unwrap();
+            check(&view, n);
+            check(&view.with_range(-3.5, 300.0).unwrap(), n);
+            check(&view.with_range(40.0, 200.5).unwrap(), n);
+            let words: Vec<u16> = (0..voxels).map(|_| 60000 + next() as u16 % 1000).collect();
+            check(&VolumeView::new(Scalars::U16(&words), dims).unwrap(), n);
+            let signed: Vec<i16> = (0..voxels).map(|_| next() as i16).collect();
+            check(&VolumeView::new(Scalars::I16(&signed), dims).unwrap(), n);
+            check(&VolumeView::new(Scalars::I16(&signed), dims).unwrap().with_range(-100.0, 9000.0).unwrap(), n);
+            let floats: Vec<f32> = (0..voxels)
+                .map(|_| match next() % 50 {
+                    0 => f32::NAN,
+                    1 => f32::INFINITY,
+                    2 => f32::NEG_INFINITY,
+                    v => v as f32 * 1e-3 - 0.02,
+                })
+                .collect();
+            check(&VolumeView::new(Scalars::F32(&floats), dims).unwrap(), n);
+        }
+    }
+
+    #[test]
+    fn ranges_without_a_reciprocal_meet_the_definition() {
+        let dims = [5, 7, 11];
+        let mut next = noise(99);
+        let huge: Vec<f32> = (0..385).map(|_| if next() % 2 == 0 { f32::MIN } else { f32::MAX }).collect();
+        check(&VolumeView::new(Scalars::F32(&huge), dims).unwrap(), 8);
+        let tiny: Vec<f32> = (0..385).map(|_| f32::from_bits((next() % 100) as u32)).collect();
+        check(&VolumeView::new(Scalars::F32(&tiny), dims).unwrap(), 8);
+        let constant = [4.5f32; 385];
+        let view = VolumeView::new(Scalars::F32(&constant), dims).unwrap();
+        check(&view, 8);
+        check(&view.with_range(0.0, 5.0).unwrap(), 8);
+        check(&VolumeView::new(Scalars::F32(&[f32::NAN; 385]), dims).unwrap(), 8);
+    }
+
+    #[test]
+    fn strided_views_read_the_right_voxels() {
+        let mut next = noise(5);
+        let data: Vec<u8> = (0..40 * 40 * 40).map(|_| next() as u8).collect();
+        let words: Vec<i16> = data.iter().map(|&b| i16::from(b) * 3 - 200).collect();
+        // Padded rows, a transposed volume, every second voxel, a broadcast axis.
+        for (dims, strides) in [
+            ([16, 8, 24], [1, 40, 1600]),
+            ([17, 9, 23], [1, 40, 1600]),
+            ([11, 13, 9], [1600, 40, 1]),
+            ([16, 16, 16], [2, 80, 3200]),
+            ([8, 5, 16], [1, 0, 40]),
+            ([8, 16, 16], [0, 1, 40]),
+        ] {
+            check(&VolumeView::with_strides(Scalars::U8(&data), dims, strides).unwrap(), 8);
+            check(&VolumeView::with_strides(Scalars::I16(&words), dims, strides).unwrap(), 8);
+        }
+    }
+
+    #[test]
+    fn long_averages_do_not_pile_up_rounding_errors() {
+        // 64 voxels per axis and output; a constant makes all roundings go the same way.
+        let dims = [128, 128, 128];
+        for value in [0.1f32, 0.7, 0.3333] {
+            let floats = vec![value; 128 * 128 * 128];
+            let view = VolumeView::new(Scalars::F32(&floats), dims).unwrap().with_range(0.0, 1.0).unwrap();
+            let mut out = [0.0; 8];
+            Resampler::default().resample(&view, 2, &mut out, Executor::serial()).unwrap();
+            for o in out {
+                assert!((o - value).abs() <= RESAMPLE_TOLERANCE, "{o} for {value}");
+            }
+        }
+        assert_eq!(RESAMPLE_MAX_RATIO, 64);
+    }
+
+    #[test]
+    fn a_copy_is_exact_to_a_rounding_and_a_ramp_stays_a_ramp() {
+        let bytes: Vec<u8> = (0..64).map(|v| v * 4).collect();
+        let view = VolumeView::new(Scalars::U8(&bytes), [4, 4, 4]).unwrap();
+        let mut out = [0.0; 64];
+        Resampler::default().resample(&view, 4, &mut out, Executor::serial()).unwrap();
+        for (o, &b) in out.iter().zip(&bytes) {
+            assert!((o - f32::from(b) / 255.0).abs() <= 6e-8);
+        }
+        let ramp: Vec<f32> = (0..8).map(|x| x as f32).collect();
+        let view = VolumeView::new(Scalars::F32(&ramp), [8, 1, 1]).unwrap();
+        let mut out = [0.0; 8];
+        Resampler::default().resample(&view, 2, &mut out, Executor::serial()).unwrap();
+        for (o, e) in out.iter().zip([1.5 / 7.0, 5.5 / 7.0].iter().cycle()) {
+            assert!((o - e).abs() < 1e-6);
+        }
+    }
+
+    #[cfg(feature = "rayon")]
+    #[test]
+    fn threads_change_no_bit() {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+        let mut next = noise(77);
+        for (dims, n) in SHAPES {
+            let voxels: usize = dims.iter().product();
+            let bytes: Vec<u8> = (0..voxels).map(|_| next() as u8).collect();
+            let floats: Vec<f32> = (0..voxels).map(|_| next() as f32).collect();
+            for scalars in [Scalars::U8(&bytes), Scalars::F32(&floats)] {
+                let view = VolumeView::new(scalars, dims).unwrap();
+                let (mut one, mut many) = (vec![0.0f32; n * n * n], vec![0.0f32; n * n * n]);
+                Resampler::default().resample(&view, n, &mut one, Executor::serial()).unwrap();
+                Resampler::default().resample(&view, n, &mut many, Executor::rayon(&pool)).unwrap();
+                assert!(one.iter().zip(&many).all(|(a, b)| a.to_bits() == b.to_bits()), "{dims:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_resampler_serves_volumes_of_any_size_in_turn() {
+        let mut resampler = Resampler::default();
+        let bytes = [9u8; 27 * 64];
+        for (dims, n) in [([3, 9, 64], 4), ([64, 9, 3], 2), ([1, 1, 1], 5), ([1728, 1, 1], 3)] {
+            let view = VolumeView::new(Scalars::U8(&bytes), dims).unwrap();
+            let mut out = vec![0.0; n * n * n];
+            resampler.resample(&view, n, &mut out, Executor::serial()).unwrap();
+            assert!(out.iter().all(|o| (o - 9.0 / 255.0).abs() < 1e-6), "{dims:?}");
+        }
+    }
+
+    #[test]
+    fn bad_sizes_are_refused() {
+        let view = VolumeView::new(Scalars::U8(&[1, 2]), [2, 1, 1]).unwrap();
+        let mut resampler = Resampler::default();
+        let e = resampler.resample(&view, 0, &mut [], Executor::serial()).unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::InvalidArgument);
+        let e = resampler.resample(&view, 2, &mut [0.0; 7], Executor::serial()).unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::SizeMismatch);
+        assert!(e.message().contains("2 x 2 x 2") && e.message().contains('7'));
+        let e = resampler.resample(&view, usize::MAX, &mut [0.0; 7], Executor::serial()).unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::InvalidArgument);
+        let long = VolumeView::with_strides(Scalars::U8(&[1]), [1 << 40, 1, 1], [0, 0, 0]).unwrap();
+        let e = resampler.resample(&long, 1, &mut [0.0], Executor::serial()).unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::InvalidArgument);
+    }
+}
