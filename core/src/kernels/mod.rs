@@ -5,5 +5,7 @@
 #![allow(unsafe_code, reason = "SIMD intrinsics and packed storage; every block states why it is sound")]
 
 mod level;
+mod multiversion;
+pub(crate) mod resample;
 
 pub use level::{Isa, LEVEL_VARIABLE, Level};

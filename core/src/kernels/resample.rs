@@ -231,7 +231,14 @@ pub(crate) fn bytes(
 }
 
 #[inline(always)]
-fn bytes_body(g: &Geometry<'_>, src: &[u8], after: After, z0: usize, planes: &mut [f32], scratch: &mut [f32]) {
+fn bytes_body(
+    g: &Geometry<'_>,
+    src: &[u8],
+    after: After,
+    z0: usize,
+    planes: &mut [f32],
+    scratch: &mut [f32],
+) {
     let n = g.n;
     let [rx, ry, rz] = g.dims.map(|d| d / n);
     let sums: &mut [u16] = &mut bytemuck::cast_slice_mut(scratch)[..g.dims[0]];

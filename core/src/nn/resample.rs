@@ -125,6 +125,9 @@ impl Resampler {
     }
 }
 
+/// Fills planes from a first number on, with row scratch.
+type Fill<'a> = dyn Fn(usize, &mut [f32], &mut [f32]) + Sync + 'a;
+
 struct Job<'a> {
     geometry: &'a kernel::Geometry<'a>,
     executor: Executor<'a>,
@@ -156,7 +159,7 @@ impl Job<'_> {
 
     /// Fills the planes of the output, split over the executor's threads. Where z grows, the input's planes go to the
     /// last places of the output and are then spread in place.
-    fn run(&self, out: &mut [f32], rows: &mut [f32], fill: &(dyn Fn(usize, &mut [f32], &mut [f32]) + Sync)) {
+    fn run(&self, out: &mut [f32], rows: &mut [f32], fill: &Fill<'_>) {
         let g = self.geometry;
         let plane = g.n * g.n;
         let depth = g.dims[2].min(g.n);
@@ -176,7 +179,7 @@ fn split(
     z0: usize,
     planes: &mut [f32],
     rows: &mut [f32],
-    fill: &(dyn Fn(usize, &mut [f32], &mut [f32]) + Sync),
+    fill: &Fill<'_>,
 ) {
     let parts = rows.len() / row_len;
     let depth = planes.len() / plane;
@@ -312,7 +315,10 @@ mod tests {
             check(&VolumeView::new(Scalars::U16(&words), dims).unwrap(), n);
             let signed: Vec<i16> = (0..voxels).map(|_| next() as i16).collect();
             check(&VolumeView::new(Scalars::I16(&signed), dims).unwrap(), n);
-            check(&VolumeView::new(Scalars::I16(&signed), dims).unwrap().with_range(-100.0, 9000.0).unwrap(), n);
+            check(
+                &VolumeView::new(Scalars::I16(&signed), dims).unwrap().with_range(-100.0, 9000.0).unwrap(),
+                n,
+            );
             let floats: Vec<f32> = (0..voxels)
                 .map(|_| match next() % 50 {
                     0 => f32::NAN,
