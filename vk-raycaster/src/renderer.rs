@@ -27,7 +27,7 @@ impl fmt::Display for Error {
 
 impl std::error::Error for Error {}
 
-/// An 8-bit RGBA image, rows from top to bottom, colours premultiplied by opacity over black.
+/// An 8-bit RGBA image, rows from top to bottom, colors premultiplied by opacity over black.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Image {
     /// Width in pixels.
@@ -66,9 +66,9 @@ impl FrameTime {
 pub struct WorkCounts {
     /// Rays that hit the volume's box.
     pub rays: u64,
-    /// Samples taken.
+    /// Samples taken, those of shadow rays included; the fetches of a gradient are not counted.
     pub samples: u64,
-    /// Jumps over empty blocks.
+    /// Jumps over empty blocks, those of shadow rays included.
     pub skips: u64,
     /// Samples that were shaded (visible ones, with shading on).
     pub shaded: u64,
@@ -85,11 +85,20 @@ pub struct Rendered {
     pub counts: Option<WorkCounts>,
 }
 
-/// Time of a preparation (volume or transfer-function change), apart from any frame.
+/// Time of a preparation (volume or transfer-function change), apart from any frame: the whole and its parts, wall
+/// seconds. A part that the change did not need is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Preparation {
-    /// Upload, block map and whatever else the change needed, wall seconds.
+    /// Everything that the change needed.
     pub wall: f64,
+    /// Bringing the voxels into the renderer's form and onto its device.
+    pub upload: Option<f64>,
+    /// The smallest and largest value of each block.
+    pub block_map: Option<f64>,
+    /// Which blocks are empty under the transfer function.
+    pub occupancy: Option<f64>,
+    /// The distances between empty and occupied blocks.
+    pub distance_map: Option<f64>,
 }
 
 /// A volume renderer. Set a volume and a transfer function, then render frames.

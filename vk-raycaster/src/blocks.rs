@@ -1,0 +1,210 @@
+//! Min–max blocks, which of them are empty under a transfer function, and how far each is from the other kind.
+
+use crate::table::Classifier;
+use crate::voxels::{PreparedVolume, Voxel, with_voxels};
+use rayon::prelude::*;
+
+/// Cells along a block's edge.
+pub const BLOCK_EDGE: usize = 8;
+
+/// Largest distance that a [`SkipMap`] entry holds.
+const MAX_DISTANCE: u8 = 127;
+
+/// Bit of a [`SkipMap`] entry that marks an empty block.
+pub(crate) const EMPTY_BIT: u8 = 128;
+
+/// Smallest and largest table position (0…255) among the voxels that samples in a block touch: the block's voxels
+/// and one more along each axis.
+pub(crate) struct BlockMap {
+    pub(crate) dims: [usize; 3],
+    pub(crate) ranges: Vec<[f32; 2]>,
+}
+
+impl BlockMap {
+    pub(crate) fn new(volume: &PreparedVolume) -> Self {
+        let dims = volume.dims.map(|n| n.div_ceil(BLOCK_EDGE));
+        let ranges = with_voxels!(&volume.voxels, v => ranges(v, volume, dims));
+        Self { dims, ranges }
+    }
+}
+
+fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3]) -> Vec<[f32; 2]> {
+    let [nx, ny, nz] = volume.dims;
+    let position = |v: V| (v.to_f32() * volume.scale + volume.bias).clamp(0.0, 255.0);
+    let mut out = vec![[0.0; 2]; dims[0] * dims[1] * dims[2]];
+    out.par_chunks_mut(dims[0]).enumerate().for_each(|(row, out)| {
+        let (by, bz) = (row % dims[1], row / dims[1]);
+        // Per block of the row: the extremes over its rows of voxels so far.
+        let mut ends: Vec<Option<(V, V)>> = vec![None; dims[0]];
+        for z in bz * BLOCK_EDGE..=((bz + 1) * BLOCK_EDGE).min(nz - 1) {
+            for y in by * BLOCK_EDGE..=((by + 1) * BLOCK_EDGE).min(ny - 1) {
+                let line = &voxels[(z * ny + y) * nx..][..nx];
+                for (bx, ends) in ends.iter_mut().enumerate() {
+                    let run = &line[bx * BLOCK_EDGE..=((bx + 1) * BLOCK_EDGE).min(nx - 1)];
+                    let (mut low, mut high) = ends.unwrap_or((run[0], run[0]));
+                    for &v in run {
+                        low = if v < low { v } else { low };
+                        high = if v > high { v } else { high };
+                    }
+                    *ends = Some((low, high));
+                }
+            }
+        }
+        for (o, e) in out.iter_mut().zip(ends) {
+            if let Some((low, high)) = e {
+                *o = [position(low), position(high)];
+            }
+        }
+    });
+    out
+}
+
+/// One byte per block: bit 7 set for an empty block; below it the Chebyshev distance in blocks to the nearest block
+/// of the other kind, 1…127. Everything closer than that distance is of the block's own kind.
+pub(crate) struct SkipMap {
+    pub(crate) dims: [usize; 3],
+    pub(crate) bytes: Vec<u8>,
+}
+
+impl SkipMap {
+    /// Emptiness alone, all distances 1.
+    pub(crate) fn occupancy(blocks: &BlockMap, classifier: &Classifier) -> Self {
+        let bytes = blocks
+            .ranges
+            .par_iter()
+            .map(|&[low, high]| if classifier.is_empty(low, high) { EMPTY_BIT | 1 } else { 1 })
+            .collect();
+        Self { dims: blocks.dims, bytes }
+    }
+
+    /// Fills in the distances: three passes, one per axis, each exact (the Chebyshev ball is a product of intervals).
+    pub(crate) fn add_distances(&mut self) {
+        let to_occupied = distances(&self.bytes, self.dims, 0);
+        let to_empty = distances(&self.bytes, self.dims, EMPTY_BIT);
+        for ((b, o), e) in self.bytes.iter_mut().zip(to_occupied).zip(to_empty) {
+            let empty = *b & EMPTY_BIT;
+            *b = empty | if empty != 0 { o } else { e };
+        }
+    }
+
+    /// Number of empty blocks.
+    #[cfg(test)]
+    pub(crate) fn empty_blocks(&self) -> usize {
+        self.bytes.iter().filter(|&&b| b & EMPTY_BIT != 0).count()
+    }
+}
+
+/// Chebyshev distance of every block to the nearest whose bit 7 equals `kind`, at most [`MAX_DISTANCE`].
+///
+/// With d(x) the distances so far, a pass replaces d(x) by the minimum over x' of max(d(x'), |x − x'|) along one axis.
+fn distances(bytes: &[u8], dims: [usize; 3], kind: u8) -> Vec<u8> {
+    let mut d: Vec<u8> = bytes.iter().map(|b| if b & EMPTY_BIT == kind { 0 } else { MAX_DISTANCE }).collect();
+    let strides = [1, dims[0], dims[0] * dims[1]];
+    let mut line = Vec::new();
+    for axis in 0..3 {
+        let (n, stride) = (dims[axis], strides[axis]);
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        for b in 0..dims[v] {
+            for a in 0..dims[u] {
+                let start = a * strides[u] + b * strides[v];
+                line.clear();
+                line.extend((0..n).map(|i| d[start + i * stride]));
+                for i in 0..n {
+                    // Search outwards until nothing farther away can be nearer.
+                    let mut best = line[i];
+                    let mut r = 1;
+                    while r < usize::from(best) {
+                        let left = if i >= r { line[i - r] } else { MAX_DISTANCE };
+                        let right = line.get(i + r).copied().unwrap_or(MAX_DISTANCE);
+                        best = best.min(left.min(right).max(r as u8));
+                        r += 1;
+                    }
+                    d[start + i * stride] = best;
+                }
+            }
+        }
+    }
+    d
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_core::scene::{Scalars, TABLE_LEN, TransferTable, VolumeView};
+
+    fn block_map(data: &[u8], dims: [usize; 3]) -> BlockMap {
+        BlockMap::new(&PreparedVolume::new(&VolumeView::new(Scalars::U8(data), dims).unwrap()))
+    }
+
+    #[test]
+    fn blocks_hold_their_voxels_and_one_layer_more() {
+        let dims = [17, 9, 8];
+        let mut data = vec![10u8; 17 * 9 * 8];
+        data[8] = 99; // x = 8: apron of block 0, inside block 1
+        data[16 + 17 * 8] = 1; // x = 16, y = 8: the corner of the last block, apron of its neighbors
+        let map = block_map(&data, dims);
+        assert_eq!(map.dims, [3, 2, 1]);
+        assert_eq!(map.ranges[0], [10.0, 99.0]);
+        assert_eq!(map.ranges[1], [1.0, 99.0]);
+        assert_eq!(map.ranges[2], [1.0, 10.0]);
+        assert_eq!(map.ranges[3], [10.0, 10.0]);
+        assert_eq!(map.ranges[5], [1.0, 10.0]);
+    }
+
+    #[test]
+    fn one_voxel_makes_one_block() {
+        let map = block_map(&[42], [1, 1, 1]);
+        assert_eq!((map.dims, map.ranges), ([1, 1, 1], vec![[42.0, 42.0]]));
+    }
+
+    #[test]
+    fn distances_match_a_search_over_all_blocks() {
+        let dims = [7, 5, 6];
+        let mut state = 12345u32;
+        for density in [2u32, 10, 100] {
+            let bytes: Vec<u8> = (0..7 * 5 * 6)
+                .map(|_| {
+                    state = state.wrapping_mul(1664525).wrapping_add(1013904223);
+                    if (state >> 16).is_multiple_of(density) { 1 } else { EMPTY_BIT | 1 }
+                })
+                .collect();
+            let mut map = SkipMap { dims, bytes: bytes.clone() };
+            map.add_distances();
+            let at = |x: usize, y: usize, z: usize| (z * dims[1] + y) * dims[0] + x;
+            for z in 0..dims[2] {
+                for y in 0..dims[1] {
+                    for x in 0..dims[0] {
+                        let mut want = MAX_DISTANCE;
+                        for k in 0..dims[2] {
+                            for j in 0..dims[1] {
+                                for i in 0..dims[0] {
+                                    if (bytes[at(i, j, k)] ^ bytes[at(x, y, z)]) & EMPTY_BIT != 0 {
+                                        let d = i.abs_diff(x).max(j.abs_diff(y)).max(k.abs_diff(z));
+                                        want = want.min(d as u8);
+                                    }
+                                }
+                            }
+                        }
+                        assert_eq!(
+                            map.bytes[at(x, y, z)],
+                            bytes[at(x, y, z)] & EMPTY_BIT | want,
+                            "{x} {y} {z}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn occupancy_follows_the_table() {
+        let mut data = vec![0u8; 16 * 8 * 8];
+        data[15] = 200;
+        let map = block_map(&data, [16, 8, 8]);
+        let mut rgba = [[1.0, 1.0, 1.0, 0.0]; TABLE_LEN];
+        rgba[150][3] = 0.5;
+        let skip = SkipMap::occupancy(&map, &Classifier::new(&TransferTable::new(rgba).unwrap()));
+        assert_eq!(skip.bytes, [EMPTY_BIT | 1, 1]);
+        assert_eq!(skip.empty_blocks(), 1);
+    }
+}

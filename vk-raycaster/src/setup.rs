@@ -1,0 +1,142 @@
+//! What a frame hands to its rays: the numbers that the shader reads as its uniform block and the twin as a struct.
+
+use crate::voxels::PreparedVolume;
+use entire_core::scene::{Frame, Shading};
+
+/// Direction towards the light of single scattering, in scene space, not normalized.
+pub const LIGHT_DIRECTION: [f32; 3] = [0.4, 0.8, 0.45];
+
+/// Distance between the samples of a shadow ray, in steps of the frame.
+pub const SHADOW_STEP: u32 = 2;
+
+/// Transmittance below which a shadow ray stops.
+pub const SHADOW_TERMINATION: f32 = 0.25;
+
+/// Smallest advance per step along an axis, in voxels; keeps its inverse finite.
+pub(crate) const SMALLEST_ADVANCE: f32 = 1e-9;
+
+/// Everything a ray needs to know of its frame. Laid out as a uniform block: eleven rows of 16 bytes.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub(crate) struct FrameSetup {
+    /// The eye in voxel coordinates.
+    pub(crate) eye: [f32; 3],
+    /// 2 / image width.
+    pub(crate) pixel_width: f32,
+    /// Ray basis in scene space (see `Camera::ray_basis`).
+    pub(crate) forward: [f32; 3],
+    /// 2 / image height.
+    pub(crate) pixel_height: f32,
+    pub(crate) right: [f32; 3],
+    /// Opacity at which a ray stops; over 1 for never.
+    pub(crate) termination: f32,
+    pub(crate) up: [f32; 3],
+    /// 1 with jitter, else 0.
+    pub(crate) jitter: u32,
+    /// Voxels per step for a unit direction in scene space.
+    pub(crate) advance: [f32; 3],
+    /// Table position per voxel value.
+    pub(crate) scale: f32,
+    /// Voxels along each axis.
+    pub(crate) dims: [f32; 3],
+    /// Table position of voxel value 0.
+    pub(crate) bias: f32,
+    /// Smallest spacing / spacing along each axis.
+    pub(crate) gradient_scale: [f32; 3],
+    /// First pixel row of the dispatch.
+    pub(crate) tile_y: u32,
+    /// Voxels per shadow step.
+    pub(crate) light: [f32; 3],
+    /// First pixel column of the dispatch.
+    pub(crate) tile_x: u32,
+    /// Inverse of `light`.
+    pub(crate) light_inverse: [f32; 3],
+    /// Pixels per row of the dispatch's output.
+    pub(crate) tile_width: u32,
+    /// Pixel rows of the dispatch's output.
+    pub(crate) tile_height: u32,
+    /// Unused.
+    pub(crate) pad: [u32; 3],
+    /// Blocks along each axis.
+    pub(crate) blocks: [u32; 3],
+    /// Unused.
+    pub(crate) pad_end: u32,
+}
+
+impl FrameSetup {
+    pub(crate) fn new(volume: &PreparedVolume, blocks: [usize; 3], frame: &Frame) -> Self {
+        let (eye, right, up, forward) = frame.camera().ray_basis(frame.width(), frame.height());
+        let dims = volume.dims.map(|n| n as f64);
+        let eye = eye.to_array().map(f64::from);
+        let step = f64::from(frame.step()) * volume.reference_step();
+        // Voxels per unit of scene space along each axis.
+        let density = [0, 1, 2].map(|a| dims[a] / (2.0 * volume.half_extent[a]));
+        let light = LIGHT_DIRECTION.map(f64::from);
+        let length = light.iter().map(|l| l * l).sum::<f64>().sqrt();
+        let light = [0, 1, 2].map(|a| light[a] / length * step * f64::from(SHADOW_STEP) * density[a]);
+        Self {
+            eye: [0, 1, 2].map(|a| ((eye[a] + volume.half_extent[a]) * density[a]) as f32),
+            pixel_width: (2.0 / f64::from(frame.width())) as f32,
+            forward: forward.to_array(),
+            pixel_height: (2.0 / f64::from(frame.height())) as f32,
+            right: right.to_array(),
+            termination: if frame.termination() < 1.0 { frame.termination() } else { 2.0 },
+            up: up.to_array(),
+            jitter: u32::from(frame.jitter()),
+            advance: density.map(|d| (d * step) as f32),
+            scale: volume.scale,
+            dims: dims.map(|n| n as f32),
+            bias: volume.bias,
+            gradient_scale: volume.relative_spacing.map(|s| (1.0 / s) as f32),
+            tile_y: 0,
+            light: light.map(|l| l as f32),
+            tile_x: 0,
+            light_inverse: light.map(|l| 1.0 / (l as f32)),
+            tile_width: frame.width(),
+            tile_height: frame.height(),
+            pad: [0; 3],
+            blocks: blocks.map(|n| n as u32),
+            pad_end: 0,
+        }
+    }
+}
+
+/// Whether samples of a frame are shaded.
+pub(crate) fn is_shaded(frame: &Frame) -> bool {
+    frame.shading() != Shading::None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_core::scene::{Arcball, Camera, Scalars, VolumeView};
+
+    #[test]
+    fn the_uniform_block_has_the_layout_of_the_shader() {
+        assert_eq!(size_of::<FrameSetup>(), 11 * 16);
+        assert_eq!(core::mem::offset_of!(FrameSetup, advance), 64);
+        assert_eq!(core::mem::offset_of!(FrameSetup, light), 112);
+        assert_eq!(core::mem::offset_of!(FrameSetup, tile_height), 144);
+        assert_eq!(core::mem::offset_of!(FrameSetup, blocks), 160);
+    }
+
+    #[test]
+    fn eye_and_advance_are_in_voxels() {
+        let data = vec![0u8; 8 * 4 * 2];
+        let view =
+            VolumeView::new(Scalars::U8(&data), [8, 4, 2]).unwrap().with_spacing([1.0, 2.0, 4.0]).unwrap();
+        let volume = PreparedVolume::new(&view);
+        let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 }).unwrap();
+        let frame = Frame::new(camera, 4, 4).unwrap().with_step(0.5).unwrap();
+        let setup = FrameSetup::new(&volume, [1, 1, 1], &frame);
+        // The box is a cube of edge 8: half its diagonal is 4√3; the eye stands two of those from the center.
+        assert!((setup.eye[0] - 4.0).abs() < 1e-5 && (setup.eye[1] - 2.0).abs() < 1e-5);
+        assert!((setup.eye[2] - (1.0 + 8.0 * 3f32.sqrt() / 4.0)).abs() < 1e-4);
+        for (a, want) in setup.advance.iter().zip([0.5, 0.25, 0.125]) {
+            assert!((a - want).abs() < 1e-6);
+        }
+        assert_eq!(setup.termination, 0.99);
+        let off = FrameSetup::new(&volume, [1, 1, 1], &frame.with_termination(1.0).unwrap());
+        assert!(off.termination > 1.0);
+    }
+}

@@ -1,0 +1,86 @@
+//! The transfer-function table as the renderers use it.
+
+use entire_core::scene::{TABLE_LEN, TransferTable, corrected_opacity};
+
+/// Opacities below this, per reference step, count as zero. A ray of 1000 reference steps through such a medium would
+/// gather an opacity of at most 0.03.
+pub const OPACITY_FLOOR: f32 = 1.0 / 32768.0;
+
+/// The opacity-corrected table of a ray step: what a sample looks up.
+pub(crate) type StepTable = [[f32; 4]; TABLE_LEN];
+
+/// A transfer function with its opacity floor applied.
+pub(crate) struct Classifier {
+    table: TransferTable,
+    /// `visible_before[i]`: how many of the entries 0…i−1 have an opacity.
+    visible_before: [u32; TABLE_LEN + 1],
+}
+
+impl Classifier {
+    pub(crate) fn new(table: &TransferTable) -> Self {
+        let mut visible_before = [0; TABLE_LEN + 1];
+        for (i, entry) in table.rgba().iter().enumerate() {
+            visible_before[i + 1] =
+                visible_before[i] + u32::from(is_visible(entry[3], table.unit_distance()));
+        }
+        Self { table: table.clone(), visible_before }
+    }
+
+    /// The table for a ray step of `step` reference steps.
+    pub(crate) fn step_table(&self, step: f32) -> Box<StepTable> {
+        let mut out = self.table.corrected(step);
+        for (corrected, entry) in out.iter_mut().zip(self.table.rgba()) {
+            if !is_visible(entry[3], self.table.unit_distance()) {
+                corrected[3] = 0.0;
+            }
+        }
+        out
+    }
+
+    /// Whether samples at table positions `low`…`high` (0…255) are all transparent. A margin of 1/1000 entry on both
+    /// sides makes this hold for values that rounding has pushed over the ends.
+    pub(crate) fn is_empty(&self, low: f32, high: f32) -> bool {
+        let first = (low - 1e-3).floor().clamp(0.0, 255.0) as usize;
+        let last = (high + 1e-3).ceil().clamp(0.0, 255.0) as usize;
+        self.visible_before[last + 1] == self.visible_before[first]
+    }
+}
+
+fn is_visible(opacity: f32, unit_distance: f32) -> bool {
+    corrected_opacity(opacity, 1.0 / unit_distance) >= OPACITY_FLOOR
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn classifier(visible: impl Fn(usize) -> f32) -> Classifier {
+        let mut rgba = [[0.5; 4]; TABLE_LEN];
+        for (i, e) in rgba.iter_mut().enumerate() {
+            e[3] = visible(i);
+        }
+        Classifier::new(&TransferTable::new(rgba).unwrap())
+    }
+
+    #[test]
+    fn intervals_are_empty_only_without_any_neighboring_opacity() {
+        let c = classifier(|i| if (100..110).contains(&i) { 0.5 } else { 0.0 });
+        assert!(c.is_empty(0.0, 98.9));
+        assert!(!c.is_empty(0.0, 99.5), "a sample at 99.5 blends entry 100");
+        assert!(!c.is_empty(0.0, 99.0), "within the rounding margin of entry 100");
+        assert!(!c.is_empty(105.0, 105.0));
+        assert!(c.is_empty(110.5, 255.0));
+        assert!(!c.is_empty(0.0, 255.0));
+        assert!(classifier(|_| 0.0).is_empty(0.0, 255.0));
+        assert!(!classifier(|_| 1.0).is_empty(255.0, 255.0));
+    }
+
+    #[test]
+    fn faint_opacities_are_zero_at_every_step() {
+        let c = classifier(|i| if i == 7 { 1e-5 } else { 0.25 });
+        let t = c.step_table(16.0);
+        assert_eq!(t[7][3], 0.0);
+        assert!((t[8][3] - (1.0 - 0.75f32.powi(16))).abs() < 1e-5);
+        assert!(c.is_empty(7.0 + 2e-3, 7.0 - 2e-3) && !c.is_empty(7.0, 7.0));
+    }
+}
