@@ -11,17 +11,6 @@ pub(crate) enum Voxels {
     F32(Vec<f32>),
 }
 
-impl Voxels {
-    /// Bytes per voxel.
-    pub(crate) fn bytes_per_voxel(&self) -> usize {
-        match self {
-            Self::U8(_) => 1,
-            Self::U16(_) => 2,
-            Self::F32(_) => 4,
-        }
-    }
-}
-
 /// A prepared volume: the table position of a voxel v is `v * scale + bias`, in 0…255 for every voxel.
 pub(crate) struct PreparedVolume {
     pub(crate) voxels: Voxels,
