@@ -3,15 +3,18 @@
 //! [`PredNetParts`] and [`VolumeNetParts`] are checked weights without any layout: what a model file holds, what training
 //! writes. [`PredNet`] is built from them for one [`Level`](crate::kernels::Level) and one [`Storage`].
 
+mod conv3d;
 mod executor;
 mod parts;
 mod prednet;
 mod resample;
+mod volumenet;
 
 pub use executor::Executor;
 pub use parts::{ConvBlockParts, DenseParts, Dtype, Normalization, PredNetParts, Target, VolumeNetParts};
 pub use prednet::{PREDNET_F32_TOLERANCE, PredNet, PredScratch, Storage};
 pub use resample::{RESAMPLE_MAX_RATIO, RESAMPLE_TOLERANCE, Resampler};
+pub use volumenet::{EncodeScratch, VOLUMENET_TOLERANCE, VolumeNet};
 
 /// SELU's scale λ (Klambauer et al. 2017, self-normalizing networks).
 pub const SELU_SCALE: f64 = 1.050_700_987_355_480_5;
