@@ -4,8 +4,14 @@
 //! Networks keep the level they were built for and dispatch once per call, never once per layer.
 #![allow(unsafe_code, reason = "SIMD intrinsics and packed storage; every block states why it is sound")]
 
+mod activation;
 mod level;
 mod multiversion;
 pub(crate) mod resample;
+mod scalar;
+mod simd;
+#[cfg(target_arch = "x86_64")]
+mod x86_64;
 
+pub use activation::selu;
 pub use level::{Isa, LEVEL_VARIABLE, Level};

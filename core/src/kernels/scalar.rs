@@ -1,0 +1,156 @@
+//! The portable level: four lanes of plain Rust, laid out so that compilers turn them into whatever vectors they have.
+
+use super::simd::Simd;
+
+/// Token of the portable level.
+#[derive(Clone, Copy)]
+pub(crate) struct Scalar;
+
+#[derive(Clone, Copy)]
+#[repr(C, align(16))]
+pub(crate) struct Four<T>([T; 4]);
+
+#[inline(always)]
+fn map<T: Copy, U>(v: Four<T>, f: impl Fn(T) -> U) -> Four<U> {
+    Four([f(v.0[0]), f(v.0[1]), f(v.0[2]), f(v.0[3])])
+}
+
+#[inline(always)]
+fn zip<T: Copy>(a: Four<T>, b: Four<T>, f: impl Fn(T, T) -> T) -> Four<T> {
+    Four([f(a.0[0], b.0[0]), f(a.0[1], b.0[1]), f(a.0[2], b.0[2]), f(a.0[3], b.0[3])])
+}
+
+impl Simd for Scalar {
+    type F = Four<f32>;
+    type I = Four<i32>;
+    const LANES: usize = 4;
+    const TILE_ROWS: usize = 6;
+    const TILE_VECTORS: usize = 2;
+
+    #[inline(always)]
+    fn splat(self, x: f32) -> Self::F {
+        Four([x; 4])
+    }
+    #[inline(always)]
+    unsafe fn load(self, p: *const f32) -> Self::F {
+        // SAFETY: the caller vouches for four numbers at `p`.
+        Four(unsafe { p.cast::<[f32; 4]>().read() })
+    }
+    #[inline(always)]
+    unsafe fn store(self, p: *mut f32, v: Self::F) {
+        // SAFETY: the caller vouches for room for four numbers at `p`.
+        unsafe { p.cast::<[f32; 4]>().write(v.0) }
+    }
+    #[inline(always)]
+    unsafe fn load_f16(self, p: *const u16) -> Self::F {
+        // SAFETY: the caller vouches for four numbers at `p`.
+        map(Four(unsafe { p.cast::<[u16; 4]>().read() }), f16_to_f32)
+    }
+    #[inline(always)]
+    unsafe fn load_bf16_pairs(self, p: *const u32) -> (Self::F, Self::F) {
+        // SAFETY: the caller vouches for four words at `p`.
+        let words = Four(unsafe { p.cast::<[u32; 4]>().read() });
+        (map(words, |w| f32::from_bits(w << 16)), map(words, |w| f32::from_bits(w & 0xffff_0000)))
+    }
+    #[inline(always)]
+    fn add(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| a + b)
+    }
+    #[inline(always)]
+    fn sub(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| a - b)
+    }
+    #[inline(always)]
+    fn mul(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| a * b)
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
+        self.add(self.mul(a, b), c)
+    }
+    #[inline(always)]
+    fn neg_mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F {
+        self.sub(c, self.mul(a, b))
+    }
+    #[inline(always)]
+    fn max(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| if a > b { a } else { b })
+    }
+    #[inline(always)]
+    fn min(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| if a < b { a } else { b })
+    }
+    #[inline(always)]
+    fn if_positive(self, x: Self::F, positive: Self::F, other: Self::F) -> Self::F {
+        let pick = |i: usize| if x.0[i] > 0.0 { positive.0[i] } else { other.0[i] };
+        Four([pick(0), pick(1), pick(2), pick(3)])
+    }
+    #[inline(always)]
+    fn scale_by_power(self, scale: f32, shifted: Self::F) -> Self::F {
+        map(shifted, |s| f32::from_bits((s.to_bits() << 23).wrapping_add(scale.to_bits())))
+    }
+    #[inline(always)]
+    fn sum(self, v: Self::F) -> f32 {
+        (v.0[0] + v.0[2]) + (v.0[1] + v.0[3])
+    }
+    #[inline(always)]
+    fn largest(self, v: Self::F) -> f32 {
+        v.0[0].max(v.0[1]).max(v.0[2].max(v.0[3]))
+    }
+    #[inline(always)]
+    fn zero_i(self) -> Self::I {
+        Four([0; 4])
+    }
+    #[inline(always)]
+    fn to_f(self, v: Self::I) -> Self::F {
+        map(v, |v| v as f32)
+    }
+    #[inline(always)]
+    unsafe fn dot4(self, sum: Self::I, a: u32, w: *const i8) -> Self::I {
+        // SAFETY: the caller vouches for sixteen bytes at `w`.
+        let w = unsafe { w.cast::<[[i8; 4]; 4]>().read() };
+        let a = a.to_le_bytes().map(i32::from);
+        let dot = |w: [i8; 4]| {
+            let w = w.map(i32::from);
+            a[0] * w[0] + a[1] * w[1] + a[2] * w[2] + a[3] * w[3]
+        };
+        zip(sum, Four([dot(w[0]), dot(w[1]), dot(w[2]), dot(w[3])]), i32::wrapping_add)
+    }
+    #[inline(always)]
+    unsafe fn store_u8(self, p: *mut u8, v: Self::F) {
+        // 2²³ rounds to nearest even, as the vector units do; values are below 2²².
+        const SHIFT: f32 = 8_388_608.0;
+        let bytes = map(v, |v| (v.clamp(0.0, 255.0) + SHIFT - SHIFT) as u8);
+        // SAFETY: the caller vouches for room for four bytes at `p`.
+        unsafe { p.cast::<[u8; 4]>().write(bytes.0) }
+    }
+}
+
+/// Exact widening of an IEEE half-precision number.
+#[inline(always)]
+pub(crate) fn f16_to_f32(bits: u16) -> f32 {
+    let sign = u32::from(bits & 0x8000) << 16;
+    let rest = u32::from(bits & 0x7fff);
+    // A multiplication moves the exponent and makes subnormals normal; infinity and NaN keep their exponent.
+    let scaled = f32::from_bits(rest << 13) * f32::from_bits(0x7780_0000);
+    let magnitude = if rest >= 0x7c00 { rest << 13 | 0x7f80_0000 } else { scaled.to_bits() };
+    f32::from_bits(sign | magnitude)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::f16_to_f32;
+
+    #[test]
+    fn every_half_widens_exactly() {
+        for bits in 0..=u16::MAX {
+            let expected = half::f16::from_bits(bits).to_f32_const();
+            let found = f16_to_f32(bits);
+            assert!(
+                found == expected || (found.is_nan() && expected.is_nan()),
+                "{bits:#06x}: {found} {expected}"
+            );
+            assert_eq!(found.is_sign_negative(), expected.is_sign_negative(), "{bits:#06x}");
+        }
+    }
+}

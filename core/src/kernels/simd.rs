@@ -1,0 +1,133 @@
+//! The few vector operations that the kernels are written in, once for every instruction set.
+//!
+//! A kernel implements [`Kernel`]: one generic body, everything in it `#[inline(always)]`. [`Level::run`] enters a
+//! function that has the level's instructions enabled and hands the body that level's [`Simd`] token, so a network is
+//! dispatched once and compiled once per instruction set.
+
+use super::{Isa, Level};
+
+/// Work that can run on any level. `run` must be `#[inline(always)]`, and so must every generic function it calls:
+/// what is not inlined is compiled without the level's instructions.
+pub(crate) trait Kernel {
+    type Output;
+
+    fn run<S: Simd>(self, simd: S) -> Self::Output;
+}
+
+impl Level {
+    /// Runs a kernel with this level's instructions.
+    #[inline]
+    pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        match self.isa() {
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx512 if self.has_vnni() => {
+                // SAFETY: the level proves AVX-512 F, BW, DQ, VL and VNNI.
+                unsafe { super::x86_64::avx512::enter_vnni(kernel) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx512 => {
+                // SAFETY: the level proves AVX-512 F, BW, DQ and VL.
+                unsafe { super::x86_64::avx512::enter(kernel) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx2 => {
+                // SAFETY: the level proves AVX2, FMA and F16C.
+                unsafe { super::x86_64::avx2::enter(kernel) }
+            }
+            _ => kernel.run(super::scalar::Scalar),
+        }
+    }
+}
+
+/// The token of one instruction set: whoever holds one may use its instructions, so its methods are safe except for
+/// those that take pointers.
+///
+/// Pointers need no alignment beyond that of their element.
+pub(crate) trait Simd: Copy + 'static {
+    /// A vector of `LANES` f32.
+    type F: Copy;
+    /// A vector of `LANES` i32.
+    type I: Copy;
+    /// 4, 8 or 16.
+    const LANES: usize;
+    /// Rows and vectors of the accumulator tile that fits the register file.
+    const TILE_ROWS: usize;
+    /// See `TILE_ROWS`.
+    const TILE_VECTORS: usize;
+
+    fn splat(self, x: f32) -> Self::F;
+    /// # Safety
+    /// `p` must be valid for reading `LANES` numbers.
+    unsafe fn load(self, p: *const f32) -> Self::F;
+    /// # Safety
+    /// `p` must be valid for writing `LANES` numbers.
+    unsafe fn store(self, p: *mut f32, v: Self::F);
+    /// Widens `LANES` IEEE half-precision numbers.
+    /// # Safety
+    /// `p` must be valid for reading `LANES` numbers.
+    unsafe fn load_f16(self, p: *const u16) -> Self::F;
+    /// Widens `LANES` pairs of bfloat16: the lower and the upper halves of 32-bit words.
+    /// # Safety
+    /// `p` must be valid for reading `LANES` words.
+    unsafe fn load_bf16_pairs(self, p: *const u32) -> (Self::F, Self::F);
+
+    fn add(self, a: Self::F, b: Self::F) -> Self::F;
+    fn sub(self, a: Self::F, b: Self::F) -> Self::F;
+    fn mul(self, a: Self::F, b: Self::F) -> Self::F;
+    /// a·b + c, rounded once where the instruction set has it.
+    fn mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F;
+    /// c − a·b.
+    fn neg_mul_add(self, a: Self::F, b: Self::F, c: Self::F) -> Self::F;
+    /// The larger; `b` where either is NaN.
+    fn max(self, a: Self::F, b: Self::F) -> Self::F;
+    /// The smaller; `b` where either is NaN.
+    fn min(self, a: Self::F, b: Self::F) -> Self::F;
+    /// `positive` in the lanes where `x > 0`, `other` in the rest (NaN included).
+    fn if_positive(self, x: Self::F, positive: Self::F, other: Self::F) -> Self::F;
+    /// `scale`·2ⁿ for a `shifted` = 1.5·2²³ + n, by adding n to the exponent; the result must be normal.
+    fn scale_by_power(self, scale: f32, shifted: Self::F) -> Self::F;
+    /// Sum of the lanes, in a fixed order.
+    fn sum(self, v: Self::F) -> f32;
+    /// Largest lane; lanes must not be NaN.
+    fn largest(self, v: Self::F) -> f32;
+
+    fn zero_i(self) -> Self::I;
+    fn to_f(self, v: Self::I) -> Self::F;
+    /// Adds to each 32-bit lane the sum of four products of an unsigned byte of `a` (the same four in every lane) with
+    /// a signed byte of the lane. Never saturates.
+    /// # Safety
+    /// `w` must be valid for reading 4·`LANES` bytes.
+    unsafe fn dot4(self, sum: Self::I, a: u32, w: *const i8) -> Self::I;
+    /// Rounds to the nearest integers, clamps to 0…255 and stores `LANES` bytes.
+    /// # Safety
+    /// `p` must be valid for writing `LANES` bytes.
+    unsafe fn store_u8(self, p: *mut u8, v: Self::F);
+
+    /// SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise, within
+    /// [`SELU_TOLERANCE`](crate::nn::SELU_TOLERANCE). NaN stays NaN.
+    ///
+    /// eˣ − 1 = 2ⁿ·(eʳ − 1) + (2ⁿ − 1) with n = round(x / ln 2): exact near zero, where eˣ − 1 cancels.
+    #[inline(always)]
+    fn selu(self, x: Self::F) -> Self::F {
+        /// 1.5·2²³: adding it rounds to an integer, which then stands in the low bits.
+        const SHIFT: f32 = 12_582_912.0;
+        const LAMBDA: f32 = crate::nn::SELU_SCALE as f32;
+        const LAMBDA_ALPHA: f32 = (crate::nn::SELU_SCALE * crate::nn::SELU_ALPHA) as f32;
+        // Minimax for (eʳ − 1 − r) / r² on |r| ≤ ln 2 / 2; relative error of eʳ − 1 below 2e-8.
+        const Q: [f32; 5] = [0.499_999_97, 0.166_665_43, 0.041_667_2, 0.008_366_547_5, 0.001_388_251_7];
+        // Below -20 the result is -λα to the last bit.
+        let t = self.max(self.splat(-20.0), x);
+        let shifted = self.mul_add(t, self.splat(core::f32::consts::LOG2_E), self.splat(SHIFT));
+        let n = self.sub(shifted, self.splat(SHIFT));
+        let r = self.neg_mul_add(n, self.splat(core::f32::consts::LN_2), t);
+        let mut q = self.splat(Q[4]);
+        q = self.mul_add(q, r, self.splat(Q[3]));
+        q = self.mul_add(q, r, self.splat(Q[2]));
+        q = self.mul_add(q, r, self.splat(Q[1]));
+        q = self.mul_add(q, r, self.splat(Q[0]));
+        let p = self.mul_add(self.mul(r, r), q, r);
+        let s = self.scale_by_power(LAMBDA_ALPHA, shifted);
+        let negative = self.mul_add(s, p, self.sub(s, self.splat(LAMBDA_ALPHA)));
+        self.if_positive(x, self.mul(x, self.splat(LAMBDA)), negative)
+    }
+}
