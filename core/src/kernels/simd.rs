@@ -43,6 +43,7 @@ impl Level {
 /// those that take pointers.
 ///
 /// Pointers need no alignment beyond that of their element.
+#[allow(dead_code, reason = "one vocabulary for all kernels, whichever of them are compiled in")]
 pub(crate) trait Simd: Copy + 'static {
     /// A vector of `LANES` f32.
     type F: Copy;

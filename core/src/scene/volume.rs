@@ -330,6 +330,7 @@ fn overflow(dims: [usize; 3]) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use alloc::vec::Vec;
 
     #[test]
     fn u8_keeps_the_full_byte_range_and_f32_finds_its_finite_range() {
