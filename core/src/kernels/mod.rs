@@ -6,6 +6,8 @@
 
 mod activation;
 mod level;
+#[cfg(feature = "train")]
+pub(crate) mod matmul;
 mod multiversion;
 pub(crate) mod resample;
 mod scalar;

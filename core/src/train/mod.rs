@@ -1,1 +1,19 @@
-//! PredNet training and fine-tuning.
+//! PredNet training and fine-tuning: mini-batch Adam with a cosine learning rate, gradient clipping and early stopping
+//! (paper, supplement "Implementation"), on a rayon pool that the caller gives.
+//!
+//! The result depends on the data, the settings and the seed, and not on the number of threads: the batch is cut into
+//! the same parts whatever the pool, and sums are taken in the same order.
+
+mod loss;
+mod network;
+mod optimizer;
+mod real;
+mod run;
+
+pub use loss::Loss;
+pub use network::{MAX_LAYERS, MAX_WIDTH, Network};
+pub use optimizer::{ADAM_BETA1, ADAM_BETA2, ADAM_EPSILON, Step, Trainer, cosine_learning_rate};
+pub use real::Real;
+pub use run::{
+    EpochRecord, Progress, Samples, Settings, Standardization, Stop, Trained, preset_widths, train,
+};

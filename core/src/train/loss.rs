@@ -1,0 +1,68 @@
+//! What training makes small.
+
+use super::Real;
+use crate::Result;
+use crate::error::bail;
+
+/// The loss of one frame, on standardised targets. Its mean over the batch is made small.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Loss {
+    /// (prediction − target)² (paper, section "Loss Functions").
+    SquaredError,
+    /// ((prediction − target) / target)² in seconds, scaled to a mean weight of 1. Only with the target `seconds`.
+    Relative,
+    /// Half the squared error up to `delta` standard deviations, linear beyond, times two: equal to
+    /// [`Loss::SquaredError`] for small errors.
+    Huber {
+        /// Where it turns linear, in standard deviations of the target.
+        delta: f64,
+    },
+    /// The quantile loss: its minimum is the `quantile` of the target given the inputs.
+    Pinball {
+        /// Between 0 and 1.
+        quantile: f64,
+    },
+}
+
+impl Loss {
+    pub(crate) fn check(self) -> Result<()> {
+        match self {
+            Self::Huber { delta } if !(delta.is_finite() && delta > 0.0) => {
+                bail!(InvalidArgument, "Huber delta is {delta}; it must be finite and positive")
+            }
+            Self::Pinball { quantile } if !(quantile > 0.0 && quantile < 1.0) => {
+                bail!(
+                    InvalidArgument,
+                    "pinball quantile is {quantile}; it must lie between 0 and 1, both excluded"
+                )
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The loss and its derivative with respect to the prediction. `weight` is the sample's.
+    #[inline]
+    pub(crate) fn value_and_slope<T: Real>(self, prediction: T, target: T, weight: T) -> (T, T) {
+        let error = prediction - target;
+        let (value, slope) = match self {
+            Self::SquaredError | Self::Relative => (error * error, error + error),
+            Self::Huber { delta } => {
+                let delta = T::of(delta);
+                let size = if error < T::ZERO { -error } else { error };
+                if size <= delta {
+                    (error * error, error + error)
+                } else {
+                    let sign = if error < T::ZERO { -T::ONE } else { T::ONE };
+                    let two = T::ONE + T::ONE;
+                    (two * delta * size - delta * delta, two * delta * sign)
+                }
+            }
+            Self::Pinball { quantile } => {
+                let q = T::of(quantile);
+                if error < T::ZERO { (-q * error, -q) } else { ((T::ONE - q) * error, T::ONE - q) }
+            }
+        };
+        (value * weight, slope * weight)
+    }
+}

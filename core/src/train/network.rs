@@ -1,0 +1,275 @@
+//! The trainable network: dense layers with SELU between them, parameters in one vector, forward and backward passes.
+
+use super::Real;
+use crate::Result;
+use crate::error::bail;
+use crate::kernels::matmul::Matrix;
+use crate::nn::{PredNetParts, SELU_ALPHA, SELU_SCALE};
+use alloc::vec;
+use alloc::vec::Vec;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+/// Largest number of layers that [`Network`] takes.
+pub const MAX_LAYERS: usize = 1024;
+/// Largest layer width that [`Network`] takes.
+pub const MAX_WIDTH: usize = 65_536;
+
+/// Dense layers, SELU after every one but the last (paper, section "PredNet: Rendering Time Prediction").
+#[derive(Clone, Debug, PartialEq)]
+pub struct Network<T> {
+    widths: Vec<usize>,
+    parameters: Vec<T>,
+}
+
+/// Where a layer's parameters stand in the vector of all of them.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Span {
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    weight: usize,
+}
+
+impl Span {
+    fn weight(self) -> core::ops::Range<usize> {
+        self.weight..self.weight + self.inputs * self.outputs
+    }
+
+    fn bias(self) -> core::ops::Range<usize> {
+        let start = self.weight + self.inputs * self.outputs;
+        start..start + self.outputs
+    }
+}
+
+impl<T: Real> Network<T> {
+    /// A network with random weights: normal with mean 0 and variance 1/inputs (LeCun), as SELU needs; biases 0.
+    /// `widths` runs from the input's to the output's.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for fewer than two widths, a width of 0 or over [`MAX_WIDTH`], or too many
+    /// layers.
+    pub fn random(widths: &[usize], seed: u64) -> Result<Self> {
+        check_widths(widths)?;
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut parameters = Vec::new();
+        for pair in widths.windows(2) {
+            let deviation = libm::sqrt(1.0 / pair[0] as f64);
+            parameters.extend((0..pair[0] * pair[1]).map(|_| T::of(deviation * normal(&mut rng))));
+            parameters.extend((0..pair[1]).map(|_| T::ZERO));
+        }
+        Ok(Self { widths: widths.to_vec(), parameters })
+    }
+
+    /// A network from its layers: (weights \[out, in\] by rows, biases \[out\]).
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidTensor`] when sizes do not fit together or a number is not finite.
+    pub fn from_layers(inputs: usize, layers: &[(&[T], &[T])]) -> Result<Self> {
+        let mut widths = vec![inputs];
+        let mut parameters = Vec::new();
+        for (i, (weight, bias)) in layers.iter().enumerate() {
+            let (before, width) = (widths[i], bias.len());
+            if before.checked_mul(width) != Some(weight.len()) {
+                bail!(
+                    InvalidTensor,
+                    "layer {i} has {} weights and {width} biases for {before} inputs; {width} x {before} weights are needed",
+                    weight.len()
+                );
+            }
+            if let Some(at) = weight.iter().chain(*bias).position(|v| !v.is_finite()) {
+                bail!(InvalidTensor, "layer {i} holds a NaN or an infinity (element {at})");
+            }
+            parameters.extend_from_slice(weight);
+            parameters.extend_from_slice(bias);
+            widths.push(width);
+        }
+        check_widths(&widths)?;
+        Ok(Self { widths, parameters })
+    }
+
+    /// The network of a model file, to be fine-tuned.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidTensor`] when the parts do not fit together.
+    pub fn from_parts(parts: &PredNetParts) -> Result<Self> {
+        parts.check()?;
+        let real = |values: &[f32]| values.iter().map(|v| T::of(f64::from(*v))).collect::<Vec<T>>();
+        let layers: Vec<_> = parts.layers.iter().map(|l| (real(&l.weight), real(&l.bias))).collect();
+        let borrowed: Vec<(&[T], &[T])> = layers.iter().map(|(w, b)| (&w[..], &b[..])).collect();
+        Self::from_layers(parts.inputs(), &borrowed)
+    }
+
+    /// Widths from the input's to the output's.
+    pub fn widths(&self) -> &[usize] {
+        &self.widths
+    }
+
+    /// Number of layers.
+    pub fn layers(&self) -> usize {
+        self.widths.len() - 1
+    }
+
+    /// Weights \[out, in\] by rows and biases \[out\] of a layer.
+    ///
+    /// # Panics
+    /// When there is no such layer.
+    pub fn layer(&self, index: usize) -> (&[T], &[T]) {
+        let span = self.span(index);
+        (&self.parameters[span.weight()], &self.parameters[span.bias()])
+    }
+
+    /// All parameters, layer after layer, each its weights and then its biases.
+    pub fn parameters(&self) -> &[T] {
+        &self.parameters
+    }
+
+    pub(crate) fn parameters_mut(&mut self) -> &mut [T] {
+        &mut self.parameters
+    }
+
+    /// The same network in another precision.
+    pub fn cast<U: Real>(&self) -> Network<U> {
+        Network {
+            widths: self.widths.clone(),
+            parameters: self.parameters.iter().map(|p| U::of(p.wide())).collect(),
+        }
+    }
+
+    pub(crate) fn span(&self, index: usize) -> Span {
+        let weight = self.widths.windows(2).take(index).map(|w| w[0] * w[1] + w[1]).sum();
+        Span { inputs: self.widths[index], outputs: self.widths[index + 1], weight }
+    }
+
+    /// Outputs for rows of inputs, [rows, output width] by rows, in one thread.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::SizeMismatch`] when the inputs are no whole number of rows.
+    pub fn forward(&self, inputs: &[T]) -> Result<Vec<T>> {
+        if !inputs.len().is_multiple_of(self.widths[0]) {
+            bail!(SizeMismatch, "{} inputs are no whole number of rows of {}", inputs.len(), self.widths[0]);
+        }
+        let mut pass = Pass::new(self, inputs.len() / self.widths[0], false);
+        pass.forward(self, inputs);
+        Ok(pass.output().to_vec())
+    }
+}
+
+fn check_widths(widths: &[usize]) -> Result<()> {
+    if widths.len() < 2 || widths.len() > MAX_LAYERS + 1 {
+        bail!(
+            InvalidArgument,
+            "{} layers; between 1 and {MAX_LAYERS} are accepted",
+            widths.len().saturating_sub(1)
+        );
+    }
+    if let Some(bad) = widths.iter().find(|&&w| w == 0 || w > MAX_WIDTH) {
+        bail!(InvalidArgument, "layer width {bad}; widths between 1 and {MAX_WIDTH} are accepted");
+    }
+    Ok(())
+}
+
+/// A standard normal number (Box–Muller, one of the pair).
+fn normal(rng: &mut ChaCha8Rng) -> f64 {
+    let unit = |bits: u64| ((bits >> 11) as f64 + 0.5) * (1.0 / (1u64 << 53) as f64);
+    let (u, v) = (unit(rng.next_u64()), unit(rng.next_u64()));
+    libm::sqrt(-2.0 * libm::log(u)) * libm::cos(core::f64::consts::TAU * v)
+}
+
+/// Buffers for some rows going through a network, and the gradient of their part of the loss.
+#[derive(Clone, Debug)]
+pub(crate) struct Pass<T> {
+    rows: usize,
+    /// Output of every layer, [rows, width] each.
+    activations: Vec<Vec<T>>,
+    /// Gradient with respect to a layer's output, and the next one.
+    delta: Vec<T>,
+    next_delta: Vec<T>,
+    /// As `Network::parameters`.
+    pub(crate) gradient: Vec<T>,
+}
+
+impl<T: Real> Pass<T> {
+    /// Buffers for up to `rows` rows, with those of the backward pass or without.
+    pub(crate) fn new(network: &Network<T>, rows: usize, backward: bool) -> Self {
+        let widest = network.widths.iter().copied().max().unwrap_or(0);
+        let delta = if backward { rows * widest } else { 0 };
+        Self {
+            rows,
+            activations: network.widths[1..].iter().map(|w| vec![T::ZERO; rows * w]).collect(),
+            delta: vec![T::ZERO; delta],
+            next_delta: vec![T::ZERO; delta],
+            gradient: vec![T::ZERO; if backward { network.parameters.len() } else { 0 }],
+        }
+    }
+
+    /// Outputs of the last forward pass.
+    pub(crate) fn output(&self) -> &[T] {
+        match self.activations.last() {
+            Some(last) => &last[..self.rows * (last.len() / self.rows.max(1))],
+            None => &[],
+        }
+    }
+
+    /// Sends rows through the network. `inputs` holds exactly the rows that the buffers were made for.
+    pub(crate) fn forward(&mut self, network: &Network<T>, inputs: &[T]) {
+        debug_assert_eq!(inputs.len(), self.rows * network.widths[0]);
+        for i in 0..network.layers() {
+            let span = network.span(i);
+            let (before, here) = self.activations.split_at_mut(i);
+            let x = before.last().map_or(inputs, Vec::as_slice);
+            let y = &mut here[0];
+            let weight = &network.parameters[span.weight()];
+            T::multiply(
+                Matrix::new(x, self.rows, span.inputs),
+                Matrix::new(weight, span.outputs, span.inputs).transposed(),
+                y,
+            );
+            let bias = &network.parameters[span.bias()];
+            for row in y.chunks_exact_mut(span.outputs) {
+                for (v, b) in row.iter_mut().zip(bias) {
+                    *v += *b;
+                }
+            }
+            if i + 1 < network.layers() {
+                T::selu(y);
+            }
+        }
+    }
+
+    /// The gradient of a loss whose derivative with respect to the outputs is `output_delta`, after
+    /// [`Pass::forward`] with the same inputs. Overwrites `gradient`.
+    pub(crate) fn backward(&mut self, network: &Network<T>, inputs: &[T], output_delta: &[T]) {
+        self.delta[..output_delta.len()].copy_from_slice(output_delta);
+        for i in (0..network.layers()).rev() {
+            let span = network.span(i);
+            let x = if i == 0 { inputs } else { &self.activations[i - 1] };
+            let delta = &self.delta[..self.rows * span.outputs];
+            T::multiply(
+                Matrix::new(delta, self.rows, span.outputs).transposed(),
+                Matrix::new(x, self.rows, span.inputs),
+                &mut self.gradient[span.weight()],
+            );
+            let bias = &mut self.gradient[span.bias()];
+            bias.fill(T::ZERO);
+            for row in delta.chunks_exact(span.outputs) {
+                for (b, d) in bias.iter_mut().zip(row) {
+                    *b += *d;
+                }
+            }
+            if i > 0 {
+                let next = &mut self.next_delta[..self.rows * span.inputs];
+                T::multiply(
+                    Matrix::new(delta, self.rows, span.outputs),
+                    Matrix::new(&network.parameters[span.weight()], span.outputs, span.inputs),
+                    next,
+                );
+                // SELU's slope from its output y: λ where y > 0, else y + λα.
+                let (scale, floor) = (T::of(SELU_SCALE), T::of(SELU_SCALE * SELU_ALPHA));
+                for (d, y) in next.iter_mut().zip(x) {
+                    *d *= if *y > T::ZERO { scale } else { *y + floor };
+                }
+                core::mem::swap(&mut self.delta, &mut self.next_delta);
+            }
+        }
+    }
+}

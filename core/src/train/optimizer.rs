@@ -1,0 +1,265 @@
+//! One step of training: gradients over the batch in parallel, clipping, Adam, the cosine learning rate.
+
+use super::network::{Network, Pass};
+use super::{Loss, Real};
+use crate::Result;
+use crate::error::bail;
+use alloc::vec;
+use alloc::vec::Vec;
+use rayon::ThreadPool;
+use rayon::prelude::*;
+
+/// Adam's decay of the first moment (paper, supplement "Implementation").
+pub const ADAM_BETA1: f64 = 0.9;
+/// Adam's decay of the second moment (paper, supplement "Implementation").
+pub const ADAM_BETA2: f64 = 0.999;
+/// Added to the root of Adam's second moment.
+pub const ADAM_EPSILON: f64 = 1e-8;
+
+/// Rows that one task works on at least. Tasks do not depend on the number of threads, so results do not either.
+const ROWS_PER_TASK: usize = 64;
+const MAX_TASKS: usize = 16;
+const PARAMETERS_PER_TASK: usize = 8192;
+
+/// The learning rate after `step` of `steps` steps: a half cosine from `first` to `last`.
+pub fn cosine_learning_rate(first: f64, last: f64, step: u64, steps: u64) -> f64 {
+    let t = if steps == 0 { 1.0 } else { (step as f64 / steps as f64).min(1.0) };
+    last + 0.5 * (first - last) * (1.0 + libm::cos(core::f64::consts::PI * t))
+}
+
+/// What one step did.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// Mean loss over the batch, before the step.
+    pub loss: f64,
+    /// Norm of the whole gradient, before clipping.
+    pub gradient_norm: f64,
+}
+
+/// A network in training.
+#[derive(Debug)]
+pub struct Trainer<T> {
+    network: Network<T>,
+    loss: Loss,
+    clip_norm: f64,
+    first_moment: Vec<T>,
+    second_moment: Vec<T>,
+    steps: i32,
+    tasks: Vec<(Pass<T>, usize)>,
+    gradient: Vec<T>,
+}
+
+impl<T: Real> Trainer<T> {
+    /// Starts training a network. `clip_norm` is the largest norm of the whole gradient; infinity for no clipping.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] when the network has more than one output, or a setting is out of range.
+    pub fn new(network: Network<T>, loss: Loss, clip_norm: f64) -> Result<Self> {
+        loss.check()?;
+        if network.widths().last() != Some(&1) {
+            bail!(
+                InvalidArgument,
+                "the network has {:?} widths; the last must be 1 (seconds)",
+                network.widths()
+            );
+        }
+        if clip_norm.is_nan() || clip_norm <= 0.0 {
+            bail!(
+                InvalidArgument,
+                "gradient clipping norm is {clip_norm}; it must be positive (infinity for none)"
+            );
+        }
+        let n = network.parameters().len();
+        Ok(Self {
+            network,
+            loss,
+            clip_norm,
+            first_moment: vec![T::ZERO; n],
+            second_moment: vec![T::ZERO; n],
+            steps: 0,
+            tasks: Vec::new(),
+            gradient: vec![T::ZERO; n],
+        })
+    }
+
+    /// The network as it is.
+    pub fn network(&self) -> &Network<T> {
+        &self.network
+    }
+
+    /// The network, its training over.
+    pub fn into_network(self) -> Network<T> {
+        self.network
+    }
+
+    /// Gradient of the last step's mean loss, before clipping.
+    pub fn gradient(&self) -> &[T] {
+        &self.gradient
+    }
+
+    /// Loss and gradient over a batch, without a step. Inputs [rows, width] by rows, one target and one weight a row.
+    /// Equal bits for any number of threads.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::SizeMismatch`] when the numbers of inputs, targets and weights do not fit, or are 0.
+    pub fn evaluate(
+        &mut self,
+        pool: &ThreadPool,
+        inputs: &[T],
+        targets: &[T],
+        weights: &[T],
+    ) -> Result<Step> {
+        let (width, rows) = (self.network.widths()[0], targets.len());
+        if rows == 0 || inputs.len() != rows * width || weights.len() != rows {
+            bail!(
+                SizeMismatch,
+                "batch of {} inputs, {rows} targets and {} weights; {width} inputs, 1 target and 1 weight per row are needed",
+                inputs.len(),
+                weights.len()
+            );
+        }
+        let count = (rows / ROWS_PER_TASK).clamp(1, MAX_TASKS);
+        let bounds = |task: usize| task * rows / count..(task + 1) * rows / count;
+        let same = self.tasks.len() == count && (0..count).all(|t| self.tasks[t].1 == bounds(t).len());
+        if !same {
+            self.tasks = (0..count)
+                .map(|t| (Pass::new(&self.network, bounds(t).len(), true), bounds(t).len()))
+                .collect();
+        }
+        let (network, loss) = (&self.network, self.loss);
+        let share = T::ONE / T::of(rows as f64);
+        let tasks = &mut self.tasks;
+        let gradient = &mut self.gradient;
+        pool.install(|| {
+            let losses: Vec<f64> = tasks
+                .par_iter_mut()
+                .enumerate()
+                .map(|(t, (pass, _))| {
+                    let range = bounds(t);
+                    let x = &inputs[range.start * width..range.end * width];
+                    pass.forward(network, x);
+                    let mut total = 0.0;
+                    let delta: Vec<T> = pass
+                        .output()
+                        .iter()
+                        .zip(&targets[range.clone()])
+                        .zip(&weights[range])
+                        .map(|((&y, &t), &w)| {
+                            let (value, slope) = loss.value_and_slope(y, t, w);
+                            total += value.wide();
+                            slope * share
+                        })
+                        .collect();
+                    pass.backward(network, x, &delta);
+                    total
+                })
+                .collect();
+            let squares: Vec<f64> = gradient
+                .par_chunks_mut(PARAMETERS_PER_TASK)
+                .enumerate()
+                .map(|(block, out)| {
+                    let start = block * PARAMETERS_PER_TASK;
+                    let end = start + out.len();
+                    out.copy_from_slice(&tasks[0].0.gradient[start..end]);
+                    for (pass, _) in &tasks[1..] {
+                        for (sum, g) in out.iter_mut().zip(&pass.gradient[start..end]) {
+                            *sum += *g;
+                        }
+                    }
+                    sum_of_squares(out)
+                })
+                .collect();
+            Ok(Step {
+                loss: losses.iter().sum::<f64>() / rows as f64,
+                gradient_norm: libm::sqrt(squares.iter().sum()),
+            })
+        })
+    }
+
+    /// One step on a batch: gradient, clipping by its global norm, Adam with the given learning rate. A batch whose
+    /// gradient is not finite changes nothing; its [`Step`] tells.
+    ///
+    /// # Errors
+    /// As [`Trainer::evaluate`].
+    pub fn step(
+        &mut self,
+        pool: &ThreadPool,
+        inputs: &[T],
+        targets: &[T],
+        weights: &[T],
+        learning_rate: f64,
+    ) -> Result<Step> {
+        let step = self.evaluate(pool, inputs, targets, weights)?;
+        if !step.gradient_norm.is_finite() {
+            return Ok(step);
+        }
+        self.steps = self.steps.saturating_add(1);
+        let clip = T::of((self.clip_norm / (step.gradient_norm + 1e-6)).min(1.0));
+        let correction1 = 1.0 - libm::pow(ADAM_BETA1, self.steps.into());
+        let correction2 = T::of(libm::sqrt(1.0 - libm::pow(ADAM_BETA2, self.steps.into())));
+        let rate = T::of(learning_rate / correction1);
+        let (b1, b2, epsilon) = (T::of(ADAM_BETA1), T::of(ADAM_BETA2), T::of(ADAM_EPSILON));
+        let (c1, c2) = (T::of(1.0 - ADAM_BETA1), T::of(1.0 - ADAM_BETA2));
+        let gradient = &self.gradient;
+        pool.install(|| {
+            self.network
+                .parameters_mut()
+                .par_chunks_mut(PARAMETERS_PER_TASK)
+                .zip(self.first_moment.par_chunks_mut(PARAMETERS_PER_TASK))
+                .zip(self.second_moment.par_chunks_mut(PARAMETERS_PER_TASK))
+                .zip(gradient.par_chunks(PARAMETERS_PER_TASK))
+                .for_each(|(((p, m), v), g)| {
+                    for (((p, m), v), g) in p.iter_mut().zip(m).zip(v).zip(g) {
+                        let g = *g * clip;
+                        *m = b1 * *m + c1 * g;
+                        *v = b2 * *v + c2 * g * g;
+                        *p -= rate * *m / (v.sqrt() / correction2 + epsilon);
+                    }
+                });
+        });
+        Ok(step)
+    }
+
+    /// Mean loss over rows, without gradients.
+    pub(crate) fn validate(&self, pool: &ThreadPool, inputs: &[T], targets: &[T], weights: &[T]) -> f64 {
+        let rows = targets.len();
+        let outputs = predict(pool, &self.network, inputs);
+        let loss = self.loss;
+        let total: f64 = outputs
+            .iter()
+            .zip(targets)
+            .zip(weights)
+            .map(|((&y, &t), &w)| loss.value_and_slope(y, t, w).0.wide())
+            .sum();
+        total / rows as f64
+    }
+}
+
+/// Outputs of a one-output network for rows of inputs, in parallel.
+pub(crate) fn predict<T: Real>(pool: &ThreadPool, network: &Network<T>, inputs: &[T]) -> Vec<T> {
+    const ROWS: usize = 256;
+    let width = network.widths()[0];
+    pool.install(|| {
+        inputs
+            .par_chunks(ROWS * width)
+            .flat_map_iter(|x| {
+                let mut pass = Pass::new(network, x.len() / width, false);
+                pass.forward(network, x);
+                pass.output().to_vec()
+            })
+            .collect()
+    })
+}
+
+/// Σ x² in eight running sums, so that it becomes vector code.
+fn sum_of_squares<T: Real>(values: &[T]) -> f64 {
+    let mut sums = [0.0f64; 8];
+    let chunks = values.chunks_exact(8);
+    let rest: f64 = chunks.remainder().iter().map(|v| v.wide() * v.wide()).sum();
+    for chunk in chunks {
+        for (s, v) in sums.iter_mut().zip(chunk) {
+            *s += v.wide() * v.wide();
+        }
+    }
+    sums.iter().sum::<f64>() + rest
+}
