@@ -3,5 +3,12 @@
 
 pub mod commands;
 pub mod dataset;
+pub mod device;
+pub mod enlarge;
+pub mod interrupt;
+pub mod machine;
 pub mod report;
+pub mod scenes;
+#[cfg(test)]
+mod scripted;
 pub mod volume;

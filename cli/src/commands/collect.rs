@@ -1,12 +1,691 @@
 //! `entire collect`: render many random frames of volumes and write down how long each took.
+//!
+//! The protocol is the paper's (section "Data collection"): the renderer takes one volume at a time, renders all its
+//! frames, each several times, then takes the next; loading is not timed. Scenes come from
+//! [`SceneDistribution`], each depending on the seed, the volume and its number alone. Every repeat is a row of the
+//! table (see [`crate::dataset`]); medians are taken by whoever reads it.
 
-use anyhow::Result;
+use crate::dataset::{Clock, MANIFEST_FORMAT, Manifest, Measurement, Scene, Table, Writer, noise_floor};
+use crate::device::{self, Device};
+use crate::enlarge::enlarge;
+use crate::interrupt;
+use crate::machine;
+use crate::scenes::{DEFAULT_RADII, SceneDistribution};
+use crate::volume::Volume;
+use anyhow::{Context, Result, bail, ensure};
+use clap::ValueEnum;
+use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
+use entire_vk_raycaster::Renderer;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
 /// Render many random frames of volumes and write down how long each took.
+///
+/// Cameras stand on semi-spheres of several radii, transfer functions are random Gaussian lobes, images are square and
+/// not, sides log-uniform. Each frame is rendered several times and every repeat becomes a row; a manifest beside the
+/// table says with what it was measured. The same seed gives the same frames of a volume, whatever else is collected.
+/// Ctrl-C keeps every finished frame; go on with --resume.
 #[derive(Debug, clap::Args)]
-pub struct Options {}
+#[command(after_help = "Examples:
+  entire collect data/*.nrrd --out frames.csv
+  entire collect castro_blast/m0?/t00*.nrrd --out castro.csv --frames 100 --shade local
+  entire collect skull.nii.gz --out skull.csv --steps 0.5,1,2,4 --max-size 512 --resume")]
+pub struct Options {
+    /// Volume files. Files named like `t0012.nrrd` are time steps; their folder is their ensemble member.
+    #[arg(required = true, value_name = "VOLUME")]
+    pub volumes: Vec<PathBuf>,
+    /// The table to write; its manifest goes beside it as NAME.manifest.json.
+    #[arg(long, value_name = "FILE.csv")]
+    pub out: PathBuf,
+    /// Frames per volume.
+    #[arg(long, default_value_t = 100, value_name = "N")]
+    pub frames: u32,
+    /// How often each frame is rendered.
+    #[arg(long, default_value_t = 5, value_name = "R")]
+    pub repeats: u32,
+    /// Frames rendered and thrown away after each volume is loaded, so that first-use work is not timed.
+    #[arg(long, default_value_t = 2, value_name = "N")]
+    pub warm_up: u32,
+    /// Seed of every random choice.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// What each sample computes.
+    #[arg(long, value_enum, default_value_t)]
+    pub shade: ShadeOption,
+    /// How empty space is skipped.
+    #[arg(long, value_enum, default_value_t)]
+    pub skip: SkipOption,
+    /// Accumulated opacity at which a ray stops; 1 for never.
+    #[arg(long, default_value_t = 0.99, value_name = "OPACITY")]
+    pub termination: f32,
+    /// What renders.
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+    /// Shortest image side, pixels.
+    #[arg(long, default_value_t = 32, value_name = "PIXELS")]
+    pub min_size: u32,
+    /// Longest image side, pixels.
+    #[arg(long, default_value_t = 1024, value_name = "PIXELS")]
+    pub max_size: u32,
+    /// Radii of the semi-spheres that cameras stand on, bounding-sphere radii.
+    #[arg(long, value_delimiter = ',', default_values_t = DEFAULT_RADII, value_name = "R,…")]
+    pub radii: Vec<f32>,
+    /// Gaussian lobes per transfer function: a number, or the least and most as `2-4`.
+    #[arg(long, default_value = "3", value_name = "N[-M]", value_parser = parse_lobe_range)]
+    pub lobes: (u32, u32),
+    /// Ray steps to draw from, reference steps.
+    #[arg(long, value_delimiter = ',', default_values_t = [1.0], value_name = "STEP,…")]
+    pub steps: Vec<f32>,
+    /// Ensemble member of the volumes: one for all, or one for each. Else it follows from the folder's name.
+    #[arg(long, num_args = 1.., value_name = "NAME")]
+    pub member: Vec<String>,
+    /// Enlarge every volume by this factor at load, trilinearly, so that small volumes cost what large ones do.
+    #[arg(long, default_value_t = 1, value_name = "FACTOR")]
+    pub enlarge: usize,
+    /// Go on with a table that was interrupted. Settings and machine must be those of its manifest.
+    #[arg(long)]
+    pub resume: bool,
+}
+
+/// [`Shading`] as an option.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum ShadeOption {
+    /// Colour and opacity alone.
+    #[default]
+    None,
+    /// Local lighting with gradients.
+    Local,
+    /// Single scattering.
+    Scatter,
+}
+
+impl From<ShadeOption> for Shading {
+    fn from(option: ShadeOption) -> Self {
+        match option {
+            ShadeOption::None => Self::None,
+            ShadeOption::Local => Self::Local,
+            ShadeOption::Scatter => Self::Scatter,
+        }
+    }
+}
+
+/// [`Skipping`] as an option.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum SkipOption {
+    /// Every sample is taken.
+    None,
+    /// Empty blocks are jumped over.
+    #[default]
+    Blocks,
+    /// Runs of empty blocks are jumped over at once.
+    Distance,
+}
+
+impl From<SkipOption> for Skipping {
+    fn from(option: SkipOption) -> Self {
+        match option {
+            SkipOption::None => Self::None,
+            SkipOption::Blocks => Self::Blocks,
+            SkipOption::Distance => Self::Distance,
+        }
+    }
+}
+
+fn parse_lobe_range(text: &str) -> std::result::Result<(u32, u32), String> {
+    let (least, most) = text.split_once('-').unwrap_or((text, text));
+    match (least.trim().parse(), most.trim().parse()) {
+        (Ok(least), Ok(most)) => Ok((least, most)),
+        _ => Err(format!("{text:?} is neither a number nor two numbers like 2-4")),
+    }
+}
+
+/// A volume to collect frames of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Job {
+    /// The file.
+    pub path: PathBuf,
+    /// Its ensemble member; empty for none.
+    pub member: String,
+    /// Its time step, where its name tells one.
+    pub time_step: Option<u32>,
+}
+
+impl Job {
+    /// What can be read off a path: `…/m01/t0012.nrrd` is time step 12 of member `m01`.
+    pub fn from_path(path: &Path) -> Self {
+        let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let stem = name.split('.').next().unwrap_or_default();
+        let time_step = stem
+            .strip_prefix('t')
+            .filter(|d| !d.is_empty() && d.bytes().all(|b| b.is_ascii_digit()))
+            .and_then(|d| d.parse().ok());
+        let folder =
+            std::path::absolute(path).ok().and_then(|p| p.parent()?.file_name().map(|n| n.to_owned()));
+        let member = match (time_step, folder) {
+            (Some(_), Some(folder)) => folder.to_string_lossy().into_owned(),
+            _ => String::new(),
+        };
+        Self { path: path.to_owned(), member, time_step }
+    }
+
+    /// The name under which random scenes are drawn: the file's name, for a time step with the two folders above it.
+    /// It does not depend on the working directory or on where the data lie.
+    pub fn seed_name(&self) -> String {
+        let absolute = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
+        let parts: Vec<String> =
+            absolute.components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
+        let keep = if self.time_step.is_some() { 3 } else { 1 };
+        parts[parts.len().saturating_sub(keep)..].join("/")
+    }
+}
+
+/// How frames are drawn and rendered.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Protocol {
+    /// Frames per volume.
+    pub frames: u32,
+    /// Repeats per frame.
+    pub repeats: u32,
+    /// Frames discarded after each volume change.
+    pub warm_up: u32,
+    /// Seed.
+    pub seed: u64,
+    /// What scenes are drawn from.
+    pub scenes: SceneDistribution,
+    /// What each sample computes.
+    pub shading: Shading,
+    /// How empty space is skipped.
+    pub skipping: Skipping,
+    /// Where rays stop.
+    pub termination: f32,
+    /// Enlargement at load.
+    pub enlarge: usize,
+}
+
+impl Protocol {
+    fn settings(&self, jobs: &[Job]) -> serde_json::Value {
+        json!({
+            "frames_per_volume": self.frames,
+            "warm_up_frames_discarded_per_volume": self.warm_up,
+            "shading": self.shading.name(),
+            "skipping": self.skipping.name(),
+            "termination": self.termination,
+            "fov_y_deg": DEFAULT_FOV_Y_DEGREES,
+            "enlarged_trilinearly_by": self.enlarge,
+            "scenes": self.scenes,
+            "volumes": jobs.iter().map(|j| json!({
+                "path": j.path.to_string_lossy(), "member": j.member, "time_step": j.time_step,
+                "seed_name": j.seed_name(),
+            })).collect::<Vec<_>>(),
+        })
+    }
+}
+
+/// What came of a collection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Outcome {
+    /// Frames in the table now.
+    pub done: u64,
+    /// Frames that it is to have.
+    pub total: u64,
+    /// Warm-up frames rendered and discarded in this run.
+    pub discarded: u64,
+    /// Whether it was stopped before the end.
+    pub interrupted: bool,
+}
+
+/// Collects frames of each job in turn, skipping those that the table has. Frame `i` of job `j` has number
+/// `j · frames + i`. `stop` is asked before every rendering; a frame in flight is then given up.
+///
+/// # Errors
+/// A volume that cannot be read, a renderer that fails, a table that cannot be written; names the volume and frame.
+pub fn collect(
+    jobs: &[Job],
+    protocol: &Protocol,
+    renderer: &mut dyn Renderer,
+    open: &mut dyn FnMut(&Path) -> Result<Volume>,
+    table: &mut Writer,
+    stop: &dyn Fn() -> bool,
+    progress: &ProgressBar,
+) -> Result<Outcome> {
+    let total = jobs.len() as u64 * u64::from(protocol.frames);
+    let before = (0..total).filter(|n| table.done().contains(n)).count() as u64;
+    let mut outcome = Outcome { done: before, total, discarded: 0, interrupted: false };
+    progress.set_length(total);
+    progress.set_position(before);
+    progress.reset_eta();
+    for (j, job) in jobs.iter().enumerate() {
+        let first = j as u64 * u64::from(protocol.frames);
+        let missing: Vec<u64> =
+            (0..u64::from(protocol.frames)).filter(|i| !table.done().contains(&(first + i))).collect();
+        if missing.is_empty() {
+            continue;
+        }
+        let shown = job.path.display();
+        progress.set_message(format!("{shown}"));
+        let volume = open(&job.path).with_context(|| format!("{shown}"))?;
+        let volume = if protocol.enlarge == 1 {
+            volume
+        } else {
+            enlarge(&volume, protocol.enlarge).with_context(|| format!("{shown}"))?
+        };
+        renderer.set_volume(&volume.view()).with_context(|| format!("{shown}"))?;
+        let seed_name = job.seed_name();
+        let mut warm_up = protocol.warm_up;
+        for index in missing {
+            let drawn = protocol.scenes.draw(protocol.seed, &seed_name, index);
+            let scene = Scene {
+                volume: job.path.to_string_lossy().into_owned(),
+                member: job.member.clone(),
+                time_step: job.time_step,
+                dims: volume.dims().map(|n| n as u32),
+                camera: drawn.camera,
+                fov_y_degrees: DEFAULT_FOV_Y_DEGREES,
+                width: drawn.width,
+                height: drawn.height,
+                step: drawn.step,
+                shading: protocol.shading,
+                skipping: protocol.skipping,
+                termination: protocol.termination,
+                lobes: drawn.lobes,
+            };
+            let number = first + index;
+            let place = || format!("{shown}, frame {number}");
+            let frame = scene.to_frame().with_context(place)?;
+            renderer.set_transfer(&scene.to_table().with_context(place)?).with_context(place)?;
+            let mut repeats = Vec::with_capacity(protocol.repeats as usize);
+            while repeats.len() < protocol.repeats as usize {
+                if stop() {
+                    outcome.interrupted = true;
+                    return Ok(outcome);
+                }
+                let rendered = renderer.render(&frame).with_context(place)?;
+                if warm_up > 0 {
+                    warm_up -= 1;
+                    outcome.discarded += 1;
+                    continue;
+                }
+                repeats.push(Measurement::new(rendered.time, rendered.counts));
+            }
+            table.append(number, &scene, &repeats)?;
+            outcome.done += 1;
+            progress.inc(1);
+        }
+    }
+    Ok(outcome)
+}
+
+/// Says what keeps a table from being gone on with, if anything.
+fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
+    let mut out = Vec::new();
+    let mut compare = |name: &str, a: serde_json::Value, b: serde_json::Value| {
+        if a != b {
+            out.push(format!("{name} was {a} and is {b} now"));
+        }
+    };
+    compare("seed", json!(old.seed), json!(new.seed));
+    compare("repeats", json!(old.repeats), json!(new.repeats));
+    compare("renderer", json!(old.renderer), json!(new.renderer));
+    compare("device", json!(old.device), json!(new.device));
+    compare("machine", json!(old.machine), json!(new.machine));
+    let empty = serde_json::Map::new();
+    let (a, b) = (old.settings.as_object().unwrap_or(&empty), new.settings.as_object().unwrap_or(&empty));
+    let names: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+    for name in names {
+        let (old, new) = (a.get(name), b.get(name));
+        if name == "volumes" && old != new {
+            out.push("the list of volumes is another (paths, members and order count)".into());
+        } else {
+            let mut compare = |a: Option<&serde_json::Value>, b: Option<&serde_json::Value>| {
+                // Numbers went through text: compare what is written.
+                let text =
+                    |v: Option<&serde_json::Value>| v.map_or("nothing".to_owned(), ToString::to_string);
+                if text(a) != text(b) {
+                    out.push(format!("{name} was {} and is {} now", text(a), text(b)));
+                }
+            };
+            compare(old, new);
+        }
+    }
+    out
+}
+
+fn jobs(options: &Options) -> Result<Vec<Job>> {
+    let mut jobs: Vec<Job> = options.volumes.iter().map(|p| Job::from_path(p)).collect();
+    match options.member.len() {
+        0 => {}
+        1 => jobs.iter_mut().for_each(|j| j.member.clone_from(&options.member[0])),
+        n if n == jobs.len() => {
+            for (job, member) in jobs.iter_mut().zip(&options.member) {
+                job.member.clone_from(member);
+            }
+        }
+        n => bail!("--member names {n} members for {} volumes; give one for all or one for each", jobs.len()),
+    }
+    for job in &jobs {
+        ensure!(job.path.is_file(), "{}: no such file; give volume files", job.path.display());
+    }
+    let mut paths: Vec<&PathBuf> = jobs.iter().map(|j| &j.path).collect();
+    paths.sort();
+    if let Some(twice) = paths.windows(2).find(|w| w[0] == w[1]) {
+        bail!("{} is given twice; give every volume once", twice[0].display());
+    }
+    Ok(jobs)
+}
+
+/// A progress bar with the time left; silent where standard error is no terminal.
+pub fn progress_bar(what: &str) -> ProgressBar {
+    let bar = ProgressBar::new(0);
+    if let Ok(style) = ProgressStyle::with_template("{prefix} [{bar:32}] {pos}/{len}, {eta} left  {wide_msg}")
+    {
+        bar.set_style(style.progress_chars("=> "));
+    }
+    bar.set_prefix(what.to_owned());
+    bar
+}
 
 /// Runs the command.
-pub fn run(_options: &Options) -> Result<()> {
-    anyhow::bail!("`entire collect` is not there yet")
+///
+/// # Errors
+/// Bad options or files, a device that fails, and interruption; the message says how to go on.
+pub fn run(options: &Options) -> Result<()> {
+    let jobs = jobs(options)?;
+    let protocol = Protocol {
+        frames: options.frames,
+        repeats: options.repeats,
+        warm_up: options.warm_up,
+        seed: options.seed,
+        scenes: SceneDistribution {
+            radii: options.radii.clone(),
+            lobes: options.lobes,
+            min_size: options.min_size,
+            max_size: options.max_size,
+            steps: options.steps.clone(),
+        },
+        shading: options.shade.into(),
+        skipping: options.skip.into(),
+        termination: options.termination,
+        enlarge: options.enlarge,
+    };
+    ensure!(protocol.frames > 0 && protocol.repeats > 0, "--frames and --repeats must be at least 1");
+    ensure!(
+        protocol.termination > 0.0 && protocol.termination <= 1.0,
+        "--termination is {}; it must lie in (0, 1], 1 for never",
+        protocol.termination
+    );
+    protocol.scenes.check()?;
+    let stop = interrupt::flag()?;
+    let mut renderer = device::open(options.device)?;
+
+    let mut manifest = Manifest {
+        format: MANIFEST_FORMAT.into(),
+        created: machine::now(),
+        machine: machine::machine(),
+        renderer: renderer.backend().into(),
+        device: renderer.device(),
+        driver: String::new(),
+        commit: machine::version(),
+        seed: protocol.seed,
+        repeats: protocol.repeats,
+        step_reference: "smallest voxel spacing".into(),
+        settings: protocol.settings(&jobs),
+        other: BTreeMap::new(),
+    };
+    let mut runs = Vec::new();
+    let mut table = if options.resume {
+        if let Some(old) = Manifest::read(&options.out)? {
+            let differences = differences(&old, &manifest);
+            ensure!(
+                differences.is_empty(),
+                "cannot go on with {}: {}; use the same settings and machine, or another --out",
+                options.out.display(),
+                differences.join("; ")
+            );
+            runs = old.other.get("runs").and_then(|r| r.as_array().cloned()).unwrap_or_default();
+            if old.commit != manifest.commit {
+                eprintln!("note: the table was begun by version {}, this is {}", old.commit, manifest.commit);
+            }
+            manifest.created = old.created;
+            manifest.commit = old.commit;
+        } else {
+            ensure!(
+                !options.out.exists(),
+                "cannot go on with {}: its manifest {} is missing",
+                options.out.display(),
+                Manifest::path_for(&options.out).display()
+            );
+        }
+        Writer::resume(&options.out, protocol.repeats)?
+    } else {
+        Writer::create(&options.out)?
+    };
+    let started = json!({ "started": machine::now(), "load_average_at_start": machine::load_average(),
+        "commit": machine::version() });
+    let note = |outcome: Option<Outcome>| {
+        let mut run = started.clone();
+        if let Some(o) = outcome {
+            run["ended"] = json!(machine::now());
+            run["load_average_at_end"] = json!(machine::load_average());
+            run["warm_up_frames_discarded"] = json!(o.discarded);
+            run["interrupted"] = json!(o.interrupted);
+        }
+        let mut all = runs.clone();
+        all.push(run);
+        json!(all)
+    };
+    manifest.other.insert("runs".into(), note(None));
+    manifest.write(&options.out)?;
+
+    let bar = progress_bar("collect");
+    let result = collect(
+        &jobs,
+        &protocol,
+        renderer.as_mut(),
+        &mut |path| Volume::open(path),
+        &mut table,
+        &|| interrupt::requested(&stop),
+        &bar,
+    );
+    bar.finish_and_clear();
+    let go_on = format!("go on with the same command and --resume ({})", options.out.display());
+    let outcome = result.with_context(|| format!("finished frames are kept; {go_on}"))?;
+    manifest.other.insert("runs".into(), note(Some(outcome)));
+    manifest.write(&options.out)?;
+    if outcome.interrupted {
+        bail!("interrupted after {} of {} frames; {go_on}", outcome.done, outcome.total);
+    }
+    println!(
+        "{} frames of {} volume{} x {} repeats in {}; {} warm-up frames were rendered and discarded",
+        outcome.done,
+        jobs.len(),
+        if jobs.len() == 1 { "" } else { "s" },
+        protocol.repeats,
+        options.out.display(),
+        outcome.discarded
+    );
+    let frames = Table::read(&options.out, 0)?.frames;
+    for clock in [Clock::Auto, Clock::Cpu] {
+        if let Some(floor) = noise_floor(&frames, clock) {
+            println!(
+                "repeats of a frame scatter by {:.1} % (standard deviation of ln seconds, clock: {})",
+                100.0 * floor.log_sd,
+                clock.name()
+            );
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::COLUMNS;
+    use crate::scripted::ScriptedRenderer;
+    use crate::volume::VolumeData;
+    use std::cell::Cell;
+
+    fn protocol() -> Protocol {
+        Protocol {
+            frames: 4,
+            repeats: 3,
+            warm_up: 2,
+            seed: 11,
+            scenes: SceneDistribution { max_size: 64, ..Default::default() },
+            shading: Shading::None,
+            skipping: Skipping::Blocks,
+            termination: 0.99,
+            enlarge: 1,
+        }
+    }
+
+    fn some_jobs() -> Vec<Job> {
+        ["run/m01/t0003.nrrd", "head.nrrd"].map(|p| Job::from_path(Path::new(p))).to_vec()
+    }
+
+    fn tiny(_: &Path) -> Result<Volume> {
+        Volume::new(VolumeData::U8(vec![9; 27]), [3, 3, 3], [1.0; 3], "tiny")
+    }
+
+    /// Rows without their clock columns.
+    fn without_times(path: &Path) -> Vec<String> {
+        let at = COLUMNS.iter().position(|c| *c == "seconds_device").unwrap();
+        let text = std::fs::read_to_string(path).unwrap();
+        text.lines()
+            .map(|l| {
+                l.split(',')
+                    .enumerate()
+                    .filter(|(i, _)| !(at..at + 3).contains(i))
+                    .map(|(_, f)| f)
+                    .collect::<Vec<_>>()
+                    .join(",")
+            })
+            .collect()
+    }
+
+    fn run_until(path: &Path, renders: Option<u32>, jobs: &[Job]) -> Outcome {
+        let mut table = Writer::resume(path, 3).unwrap();
+        let mut renderer = ScriptedRenderer::default();
+        let asked = Cell::new(0);
+        let stop = || {
+            asked.set(asked.get() + 1);
+            renders.is_some_and(|n| asked.get() > n)
+        };
+        let bar = ProgressBar::hidden();
+        collect(jobs, &protocol(), &mut renderer, &mut tiny, &mut table, &stop, &bar).unwrap()
+    }
+
+    #[test]
+    fn stopping_anywhere_and_resuming_gives_the_same_table() {
+        let dir = tempfile::tempdir().unwrap();
+        let whole = dir.path().join("whole.csv");
+        let outcome = run_until(&whole, None, &some_jobs());
+        assert_eq!(outcome, Outcome { done: 8, total: 8, discarded: 4, interrupted: false });
+        let expected = without_times(&whole);
+        assert_eq!(expected.len(), 1 + 8 * 3);
+        for stop_after in 0..28 {
+            let path = dir.path().join(format!("{stop_after}.csv"));
+            let first = run_until(&path, Some(stop_after), &some_jobs());
+            assert!(first.interrupted, "{stop_after}");
+            // Four renderings of each volume's first frame are two warm-ups and a partial frame: none is in the table.
+            assert_eq!(Table::read(&path, 0).map(|t| t.frames.len() as u64).unwrap(), first.done);
+            let second = run_until(&path, None, &some_jobs());
+            assert!(!second.interrupted && second.done == 8);
+            assert_eq!(without_times(&path), expected, "{stop_after}");
+        }
+    }
+
+    #[test]
+    fn order_of_volumes_changes_numbers_but_no_scene() {
+        let dir = tempfile::tempdir().unwrap();
+        let (a, b) = (dir.path().join("a.csv"), dir.path().join("b.csv"));
+        run_until(&a, None, &some_jobs());
+        run_until(&b, None, &some_jobs().into_iter().rev().collect::<Vec<_>>());
+        let sorted = |p: &Path| {
+            let mut rows: Vec<String> =
+                without_times(p).into_iter().map(|l| l.split_once(',').unwrap().1.to_owned()).collect();
+            rows.sort();
+            rows
+        };
+        assert_eq!(sorted(&a), sorted(&b));
+    }
+
+    #[test]
+    fn members_and_time_steps_come_from_the_path_and_seeds_do_not_depend_on_the_folder() {
+        let job = Job::from_path(Path::new("x/castro_blast/m01/t0012.nrrd"));
+        assert_eq!((job.member.as_str(), job.time_step), ("m01", Some(12)));
+        assert_eq!(job.seed_name(), "castro_blast/m01/t0012.nrrd");
+        let elsewhere = Job::from_path(Path::new("/somewhere/else/castro_blast/m01/t0012.nrrd"));
+        assert_eq!(job.seed_name(), elsewhere.seed_name());
+        let scan = Job::from_path(Path::new("scans/tooth.nii.gz"));
+        assert_eq!(
+            (scan.member.as_str(), scan.time_step, scan.seed_name().as_str()),
+            ("", None, "tooth.nii.gz")
+        );
+        assert_eq!(Job::from_path(Path::new("t.nrrd")).time_step, None);
+    }
+
+    #[test]
+    fn a_table_is_gone_on_with_under_the_same_settings_alone() {
+        let manifest = |p: &Protocol, jobs: &[Job], device: &str| Manifest {
+            format: MANIFEST_FORMAT.into(),
+            created: "then".into(),
+            machine: "m".into(),
+            renderer: "cpu".into(),
+            device: device.into(),
+            driver: String::new(),
+            commit: "1".into(),
+            seed: p.seed,
+            repeats: p.repeats,
+            step_reference: String::new(),
+            settings: p.settings(jobs),
+            other: BTreeMap::new(),
+        };
+        let base = manifest(&protocol(), &some_jobs(), "d");
+        // Through a file and back, numbers and all.
+        let back: Manifest = serde_json::from_str(&serde_json::to_string(&base).unwrap()).unwrap();
+        assert_eq!(differences(&back, &base), Vec::<String>::new());
+        let changed = |f: &dyn Fn(&mut Protocol)| {
+            let mut p = protocol();
+            f(&mut p);
+            differences(&back, &manifest(&p, &some_jobs(), "d")).join("; ")
+        };
+        assert_eq!(changed(&|p| p.seed = 12), "seed was 11 and is 12 now");
+        assert_eq!(changed(&|p| p.repeats = 4), "repeats was 3 and is 4 now");
+        assert!(changed(&|p| p.frames = 5).starts_with("frames_per_volume was 4"));
+        assert!(changed(&|p| p.shading = Shading::Local).contains("shading"));
+        assert!(changed(&|p| p.scenes.steps = vec![0.1]).contains("scenes"));
+        assert!(changed(&|p| p.enlarge = 2).contains("enlarged"));
+        assert!(differences(&back, &manifest(&protocol(), &some_jobs(), "e"))[0].starts_with("device"));
+        assert!(differences(&back, &manifest(&protocol(), &some_jobs()[..1], "d"))[0].contains("volumes"));
+    }
+
+    #[test]
+    fn lobe_numbers_are_one_or_two_numbers() {
+        assert_eq!(parse_lobe_range("3"), Ok((3, 3)));
+        assert_eq!(parse_lobe_range("2-4"), Ok((2, 4)));
+        assert!(
+            parse_lobe_range("two").is_err()
+                && parse_lobe_range("2-").is_err()
+                && parse_lobe_range("").is_err()
+        );
+    }
+
+    #[test]
+    fn a_failing_volume_names_itself() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut table = Writer::create(&dir.path().join("t.csv")).unwrap();
+        let error = collect(
+            &some_jobs(),
+            &protocol(),
+            &mut ScriptedRenderer::default(),
+            &mut |_| bail!("broken header"),
+            &mut table,
+            &|| false,
+            &ProgressBar::hidden(),
+        )
+        .unwrap_err();
+        assert!(format!("{error:#}").contains("t0003.nrrd: broken header"), "{error:#}");
+    }
 }

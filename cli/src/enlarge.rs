@@ -1,0 +1,94 @@
+//! Enlarging volumes at load, so that small ones cost what large ones do.
+
+use crate::volume::{Volume, VolumeData};
+use anyhow::{Result, ensure};
+use entire_core::scene::VolumeView;
+use rayon::prelude::*;
+
+/// Largest enlargement that is accepted, per axis.
+pub const MAX_FACTOR: usize = 8;
+
+/// Enlarges a volume by a whole factor along every axis, trilinearly, voxel centres at halves and the edge held; the
+/// spacing shrinks by the same factor, so that the box stays the same. Whole-number types round to the nearest value.
+/// A scalar range that was set stays; else the enlarged volume keeps its source's default range.
+///
+/// # Errors
+/// A factor of 0 or over [`MAX_FACTOR`].
+pub fn enlarge(volume: &Volume, factor: usize) -> Result<Volume> {
+    ensure!(
+        (1..=MAX_FACTOR).contains(&factor),
+        "volumes can be enlarged by whole factors of 1 to {MAX_FACTOR}; {factor} was asked for"
+    );
+    let view = volume.view();
+    let from = volume.dims();
+    let dims = from.map(|n| n * factor);
+    let values = trilinear(&view, dims);
+    let data = match volume.data() {
+        VolumeData::U8(_) => VolumeData::U8(values.iter().map(|v| v.round() as u8).collect()),
+        VolumeData::U16(_) => VolumeData::U16(values.iter().map(|v| v.round() as u16).collect()),
+        VolumeData::I16(_) => VolumeData::I16(values.iter().map(|v| v.round() as i16).collect()),
+        VolumeData::F32(_) => VolumeData::F32(values),
+    };
+    let spacing = volume.spacing().map(|s| s / factor as f32);
+    let mut enlarged = Volume::new(data, dims, spacing, volume.name())?;
+    enlarged.set_range(Some(view.range()))?;
+    Ok(enlarged)
+}
+
+fn trilinear(view: &VolumeView<'_>, dims: [usize; 3]) -> Vec<f32> {
+    // Per axis and target index: the two source indices and the weight of the second.
+    let axes: [Vec<(usize, usize, f32)>; 3] = std::array::from_fn(|a| {
+        let n = view.dims()[a];
+        (0..dims[a])
+            .map(|i| {
+                let at = ((i as f32 + 0.5) * n as f32 / dims[a] as f32 - 0.5).clamp(0.0, (n - 1) as f32);
+                let low = at as usize;
+                (low, (low + 1).min(n - 1), at - low as f32)
+            })
+            .collect()
+    });
+    let mut out = vec![0.0f32; dims[0] * dims[1] * dims[2]];
+    let mix = |a: f32, b: f32, t: f32| if t == 0.0 { a } else { a + t * (b - a) };
+    out.par_chunks_mut(dims[0] * dims[1]).enumerate().for_each(|(z, slice)| {
+        let (z0, z1, tz) = axes[2][z];
+        for (y, row) in slice.chunks_mut(dims[0]).enumerate() {
+            let (y0, y1, ty) = axes[1][y];
+            for (value, &(x0, x1, tx)) in row.iter_mut().zip(&axes[0]) {
+                let line = |y, z| mix(view.value(x0, y, z), view.value(x1, y, z), tx);
+                *value = mix(mix(line(y0, z0), line(y1, z0), ty), mix(line(y0, z1), line(y1, z1), ty), tz);
+            }
+        }
+    });
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_lie_between_their_neighbours_and_the_box_stays() {
+        let v = Volume::new(VolumeData::U8(vec![0, 100, 200, 40]), [2, 2, 1], [1.0, 2.0, 3.0], "v").unwrap();
+        let e = enlarge(&v, 2).unwrap();
+        assert_eq!(e.dims(), [4, 4, 2]);
+        assert_eq!(e.spacing(), [0.5, 1.0, 1.5]);
+        let VolumeData::U8(d) = e.data() else { panic!("the type changed") };
+        // Along x at y = 0: 0, a quarter, three quarters, 100; both slices alike.
+        assert_eq!(d[..4], [0, 25, 75, 100]);
+        assert_eq!(d[..16], d[16..]);
+        assert_eq!(e.view().extent(), v.view().extent());
+        assert_eq!(e.view().range(), (0.0, 255.0));
+        assert!(enlarge(&v, 0).is_err() && enlarge(&v, 9).is_err());
+    }
+
+    #[test]
+    fn floats_keep_their_sources_range_and_infinities_stay_where_they_are() {
+        let v =
+            Volume::new(VolumeData::F32(vec![1.0, 3.0, f32::INFINITY]), [3, 1, 1], [1.0; 3], "v").unwrap();
+        let e = enlarge(&v, 2).unwrap();
+        assert_eq!(e.view().range(), (1.0, 3.0));
+        let VolumeData::F32(d) = e.data() else { panic!("the type changed") };
+        assert_eq!(d[..3], [1.0, 1.5, 2.5]);
+        assert!(d[3..6].iter().all(|v| *v == f32::INFINITY));
+    }
+}

@@ -1,0 +1,108 @@
+//! Where numbers come from: the machine, its load, the program's version and the date.
+
+use serde::Serialize;
+
+/// The program's version and, when it was built from a checkout, its commit.
+pub fn version() -> String {
+    match option_env!("ENTIRE_COMMIT") {
+        Some(commit) => format!("{} ({commit})", env!("CARGO_PKG_VERSION")),
+        None => env!("CARGO_PKG_VERSION").to_owned(),
+    }
+}
+
+/// Now, UTC, ISO 8601 to the second.
+pub fn now() -> String {
+    let now = time::OffsetDateTime::now_utc();
+    let (date, clock) = (now.date(), now.time());
+    format!(
+        "{:04}-{:02}-{:02}T{:02}:{:02}:{:02}Z",
+        date.year(),
+        u8::from(date.month()),
+        date.day(),
+        clock.hour(),
+        clock.minute(),
+        clock.second()
+    )
+}
+
+/// The load averages over 1, 5 and 15 minutes, where the system tells them.
+pub fn load_average() -> Option<[f64; 3]> {
+    let text = std::fs::read_to_string("/proc/loadavg").ok()?;
+    let mut numbers = text.split_whitespace().map(|w| w.parse::<f64>().ok());
+    Some([numbers.next()??, numbers.next()??, numbers.next()??])
+}
+
+/// Logical processors that this process may use.
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, |n| n.get())
+}
+
+/// What the numbers of a report were measured with.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Provenance {
+    /// Processor, logical processors, operating system.
+    pub machine: String,
+    /// What rendered, with its driver.
+    pub device: String,
+    /// The program's version and commit.
+    pub commit: String,
+    /// When, UTC.
+    pub date: String,
+    /// Load averages over 1, 5 and 15 minutes when this was written.
+    pub load_average: Option<[f64; 3]>,
+}
+
+impl Provenance {
+    /// For measurements that end now.
+    pub fn of(device: String) -> Self {
+        Self { machine: machine(), device, commit: version(), date: now(), load_average: load_average() }
+    }
+
+    /// Name and value pairs for a page.
+    pub fn facts(&self) -> Vec<(&'static str, String)> {
+        let load = self.load_average.map_or("not known".to_owned(), |l| {
+            format!("{:.2}, {:.2}, {:.2} (1, 5, 15 minutes)", l[0], l[1], l[2])
+        });
+        vec![
+            ("Machine", self.machine.clone()),
+            ("Rendered by", self.device.clone()),
+            ("Program", format!("entire {}", self.commit)),
+            ("Date", self.date.clone()),
+            ("Load average", load),
+        ]
+    }
+}
+
+/// Processor model, logical processors, operating system and architecture. No host name: tables get published.
+pub fn machine() -> String {
+    let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let processor = cpuinfo
+        .lines()
+        .find_map(|l| l.strip_prefix("model name").and_then(|r| r.split_once(':')))
+        .map_or("processor not known", |(_, name)| name.trim());
+    let release = std::fs::read_to_string("/etc/os-release").unwrap_or_default();
+    let system = release
+        .lines()
+        .find_map(|l| l.strip_prefix("PRETTY_NAME="))
+        .map_or(std::env::consts::OS, |n| n.trim_matches('"'))
+        .to_owned();
+    let cores = cores();
+    format!(
+        "{processor}, {cores} logical processor{}, {system}, {}",
+        if cores == 1 { "" } else { "s" },
+        std::env::consts::ARCH
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn facts_are_there() {
+        let p = Provenance::of("a device".into());
+        assert!(p.machine.contains("logical processor") && p.commit.starts_with(env!("CARGO_PKG_VERSION")));
+        assert_eq!(p.date.len(), 20);
+        assert!(p.facts().iter().any(|(_, v)| v == "a device"));
+    }
+}

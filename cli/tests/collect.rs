@@ -1,0 +1,134 @@
+//! `entire collect` as a process: interruption, resumption and what it refuses.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+/// A small volume with structure, as NRRD.
+fn write_volume(path: &Path) {
+    let n = 24usize;
+    let mut bytes =
+        format!("NRRD0004\ntype: uint8\ndimension: 3\nsizes: {n} {n} {n}\nencoding: raw\n\n").into_bytes();
+    for z in 0..n {
+        for y in 0..n {
+            for x in 0..n {
+                bytes.push(((x * 7 + y * 5 + z * 3) % 256) as u8);
+            }
+        }
+    }
+    std::fs::write(path, bytes).unwrap();
+}
+
+fn collect(volume: &Path, out: &Path, more: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
+    command.arg("collect").arg(volume).arg("--out").arg(out).args(["--device", "cpu", "--repeats", "2"]);
+    command.args(more).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// The table without its three clock columns.
+fn frames(path: &Path) -> Vec<String> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let first = text.lines().next().unwrap().to_owned();
+    let keep: Vec<bool> = first.split(',').map(|c| !c.starts_with("seconds_")).collect();
+    text.lines()
+        .map(|l| l.split(',').zip(&keep).filter(|(_, k)| **k).map(|(f, _)| f).collect::<Vec<_>>().join(","))
+        .collect()
+}
+
+fn setting() -> (tempfile::TempDir, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let volume = dir.path().join("v.nrrd");
+    write_volume(&volume);
+    (dir, volume)
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_keeps_finished_frames_and_resuming_completes_them() {
+    let (dir, volume) = setting();
+    let (whole, cut) = (dir.path().join("whole.csv"), dir.path().join("cut.csv"));
+    let settings = ["--frames", "40", "--min-size", "96", "--max-size", "160"];
+    let output = collect(&volume, &whole, &settings).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(String::from_utf8_lossy(&output.stdout).contains("2 warm-up frames were rendered and discarded"));
+
+    let child = collect(&volume, &cut, &settings).spawn().unwrap();
+    let begin = Instant::now();
+    // Several frames in, so that there is something to keep and something to lose.
+    while std::fs::read_to_string(&cut).map_or(0, |t| t.lines().count()) < 7 {
+        assert!(begin.elapsed() < Duration::from_secs(120), "no frame was written");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    let output = child.wait_with_output().unwrap();
+    let kept = frames(&cut);
+    if output.status.success() {
+        // The last frame was done before the signal came; nothing was left to interrupt.
+        assert_eq!(kept, frames(&whole));
+        return;
+    }
+    assert_eq!(output.status.code(), Some(1));
+    let message = stderr(&output);
+    assert!(message.contains("interrupted after") && message.contains("--resume"), "{message}");
+    assert_eq!(kept.len() % 2, 1, "a partial frame was left");
+    assert!(kept.len() >= 7 && kept.len() < 81);
+    assert_eq!(kept, frames(&whole)[..kept.len()]);
+
+    // Without --resume the table is not touched; under other settings it is not gone on with.
+    let output = collect(&volume, &cut, &settings).output().unwrap();
+    assert!(output.status.code() == Some(1) && stderr(&output).contains("resume it"));
+    let output =
+        collect(&volume, &cut, &[&settings[..], &["--seed", "2", "--resume"]].concat()).output().unwrap();
+    assert!(stderr(&output).contains("seed was 1 and is 2 now"), "{}", stderr(&output));
+    assert_eq!(frames(&cut), kept);
+
+    let output = collect(&volume, &cut, &[&settings[..], &["--resume"]].concat()).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(frames(&cut), frames(&whole));
+    let manifest: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(dir.path().join("cut.manifest.json")).unwrap())
+            .unwrap();
+    let runs = manifest["runs"].as_array().unwrap();
+    assert_eq!(runs.len(), 2);
+    assert_eq!((&runs[0]["interrupted"], &runs[1]["interrupted"]), (&true.into(), &false.into()));
+    for key in ["machine", "device", "commit", "seed", "settings", "created"] {
+        assert!(!manifest[key].is_null(), "{key}");
+    }
+}
+
+#[test]
+fn bad_input_is_one_line_and_status_1_and_wrong_usage_is_2() {
+    let (dir, volume) = setting();
+    let out = dir.path().join("t.csv");
+    let missing = dir.path().join("missing.nrrd");
+    let broken = dir.path().join("broken.nrrd");
+    std::fs::write(&broken, "NRRD0004\ntype: uint8\n").unwrap();
+    let cases: [(&Path, &[&str], &str); 8] = [
+        (&missing, &[], "no such file"),
+        (&broken, &[], "broken.nrrd"),
+        (&volume, &["--min-size", "0"], "image sides"),
+        (&volume, &["--max-size", "8"], "image sides"),
+        (&volume, &["--lobes", "4-2"], "lobes"),
+        (&volume, &["--steps", "0"], "ray steps"),
+        (&volume, &["--frames", "0"], "at least 1"),
+        (&volume, &["--enlarge", "99", "--frames", "1"], "whole factors"),
+    ];
+    for (volume, more, expected) in cases {
+        let _ = std::fs::remove_file(&out);
+        let output = collect(volume, &out, more).output().unwrap();
+        let message = stderr(&output);
+        assert_eq!(output.status.code(), Some(1), "{more:?}: {message}");
+        assert!(message.contains(expected) && !message.contains("panicked"), "{more:?}: {message}");
+        assert_eq!(message.trim_end().lines().count(), 1, "{more:?}: {message}");
+    }
+    let output = collect(&volume, &out, &["--shade", "phong"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    let output = collect(&volume, &out, &["--member", "a", "b", "--frames", "1"]).output().unwrap();
+    assert!(stderr(&output).contains("2 members for 1 volumes"), "{}", stderr(&output));
+}
