@@ -20,8 +20,12 @@
 //! not used, voxel spacings are.
 
 mod element;
+mod metaimage;
+mod nifti;
 mod nrrd;
+mod openscivis;
 mod stream;
+mod vti;
 
 pub use element::{Element, Endian};
 pub use nrrd::write as write_nrrd;
@@ -96,19 +100,60 @@ pub struct Volume {
 pub enum Format {
     /// NRRD: `.nrrd`, or `.nhdr` with the voxels in another file.
     Nrrd,
+    /// MetaImage: `.mha`, or `.mhd` with the voxels in another file.
+    MetaImage,
+    /// VTK XML image data: `.vti`.
+    VtkImage,
+    /// NIfTI-1 or -2 in one file: `.nii`, `.nii.gz`.
+    Nifti,
+    /// A JSON description, with raw voxels in another file: `.json`.
+    Json,
+    /// Raw voxels, with a JSON description in another file: `.raw`, `.raw.gz`.
+    Raw,
 }
 
 impl Format {
+    /// Every format.
+    pub const ALL: [Self; 6] =
+        [Self::Nrrd, Self::MetaImage, Self::VtkImage, Self::Nifti, Self::Json, Self::Raw];
+
+    /// The endings of file names that stand for the format.
+    pub const fn endings(self) -> &'static [&'static str] {
+        match self {
+            Self::Nrrd => &[".nrrd", ".nhdr"],
+            Self::MetaImage => &[".mhd", ".mha"],
+            Self::VtkImage => &[".vti"],
+            Self::Nifti => &[".nii", ".nii.gz"],
+            Self::Json => &[".json"],
+            Self::Raw => &[".raw", ".raw.gz"],
+        }
+    }
+
     /// The format that a file name's ending stands for.
     pub fn of_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
-        let ends = |suffixes: &[&str]| suffixes.iter().any(|s| name.ends_with(s));
-        if ends(&[".nrrd", ".nhdr"]) { Some(Self::Nrrd) } else { None }
+        Self::ALL.into_iter().find(|format| format.endings().iter().any(|ending| name.ends_with(ending)))
     }
 
     /// The format that a file's first bytes (512 are enough) stand for.
     pub fn of_content(head: &[u8]) -> Option<Self> {
-        if head.starts_with(b"NRRD") { Some(Self::Nrrd) } else { None }
+        let text = head.trim_ascii_start();
+        if head.starts_with(b"NRRD") {
+            Some(Self::Nrrd)
+        } else if head.starts_with(&[0x1f, 0x8b])
+            || matches!(head.get(344..347), Some(b"n+1"))
+            || matches!(head.get(4..7), Some(b"n+2"))
+        {
+            Some(Self::Nifti)
+        } else if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") {
+            Some(Self::VtkImage)
+        } else if text.starts_with(b"ObjectType") || text.starts_with(b"NDims") {
+            Some(Self::MetaImage)
+        } else if text.starts_with(b"{") {
+            Some(Self::Json)
+        } else {
+            None
+        }
     }
 }
 
@@ -121,7 +166,9 @@ pub(crate) struct Parts {
 }
 
 /// The endings that [`Volume::open`] knows, for messages.
-const KNOWN_ENDINGS: &str = ".nrrd, .nhdr";
+fn known_endings() -> String {
+    Format::ALL.iter().flat_map(|format| format.endings()).copied().collect::<Vec<_>>().join(", ")
+}
 
 impl Volume {
     /// Makes a volume of voxels in memory, x fastest.
@@ -165,11 +212,13 @@ impl Volume {
             Some(format) => format,
             None => match Format::of_content(stream.peek().with_context(|| format!("{shown}"))?) {
                 Some(format) => format,
-                None => bail!("{shown}: not a volume format that is read here; accepted are {KNOWN_ENDINGS}"),
+                None => {
+                    bail!("{shown}: not a volume format that is read here; accepted are {}", known_endings())
+                }
             },
         };
         let folder = Folder::new(path.parent().unwrap_or(Path::new("")));
-        let mut volume = Self::read(format, stream, &folder).with_context(|| format!("{shown}"))?;
+        let mut volume = Self::read(format, stream, &name, &folder).with_context(|| format!("{shown}"))?;
         if volume.name.is_empty() {
             volume.name = stem(&name).to_owned();
         }
@@ -177,13 +226,24 @@ impl Volume {
         Ok(volume)
     }
 
-    /// Reads a volume of a known format from a stream; files that its header names come from `companions`.
+    /// Reads a volume of a known format from a stream. `file_name` is what the file is called (raw and JSON files find
+    /// each other by it); files that belong to it come from `companions`.
     ///
     /// # Errors
     /// As [`Volume::open`], without the file's name.
-    pub fn read(format: Format, stream: Stream<'_>, companions: &dyn Companions) -> Result<Self> {
+    pub fn read(
+        format: Format,
+        stream: Stream<'_>,
+        file_name: &str,
+        companions: &dyn Companions,
+    ) -> Result<Self> {
         let parts = match format {
             Format::Nrrd => nrrd::read(stream, companions),
+            Format::MetaImage => metaimage::read(stream, companions),
+            Format::VtkImage => vti::read(stream),
+            Format::Nifti => nifti::read(stream),
+            Format::Json => openscivis::read_json(stream, file_name, companions),
+            Format::Raw => openscivis::read_raw(stream, file_name, companions),
         }?;
         Self::new(parts.data, parts.dims, parts.spacing.map(|s| s as f32), parts.name.unwrap_or_default())
     }

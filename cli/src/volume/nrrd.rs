@@ -346,7 +346,7 @@ mod tests {
     use super::*;
 
     fn open(bytes: &[u8]) -> Result<Volume> {
-        Volume::read(Format::Nrrd, Stream::from_bytes(bytes), &NoCompanions)
+        Volume::read(Format::Nrrd, Stream::from_bytes(bytes), "v.nrrd", &NoCompanions)
     }
 
     fn message(bytes: &[u8]) -> String {

@@ -1,0 +1,198 @@
+//! MetaImage: lines of `Key = Value` that end with `ElementDataFile`, which names the file of the voxels (`.mhd`) or
+//! says `LOCAL`, the voxels then follow (`.mha`).
+
+use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
+use super::stream::{Companions, Remaining, Stream};
+use super::{Element, Endian, Parts, checked_dims, three_axes};
+use anyhow::{Context, Result, bail};
+
+const MAX_LINE: usize = 1 << 16;
+const MAX_LINES: usize = 1 << 14;
+const MAX_AXES: usize = 10;
+
+struct Header {
+    element: Option<Element>,
+    axes: Option<usize>,
+    sizes: Option<Vec<u64>>,
+    spacing: Option<Vec<f64>>,
+    element_size: Option<Vec<f64>>,
+    channels: u64,
+    binary: bool,
+    endian: Endian,
+    compressed: bool,
+    header_size: i64,
+    data_file: String,
+}
+
+pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Result<Parts> {
+    let header = header(&mut stream)?;
+    let element = header.element.context("MetaImage header has no ElementType")?;
+    let axes = header.axes.context("MetaImage header has no NDims")?;
+    let sizes = header.sizes.context("MetaImage header has no DimSize")?;
+    let spacing = header.spacing.or(header.element_size).unwrap_or_else(|| vec![1.0; axes]);
+    for (found, key) in [(sizes.len(), "DimSize"), (spacing.len(), "ElementSpacing or ElementSize")] {
+        if found != axes {
+            bail!("MetaImage {key} has {found} entries, NDims says {axes}");
+        }
+    }
+    if header.channels != 1 {
+        bail!(
+            "MetaImage ElementNumberOfChannels is {}; one component per voxel is accepted, save one of them",
+            header.channels
+        );
+    }
+    let (sizes, spacing) = three_axes(&sizes, &spacing, &[])?;
+    let dims = checked_dims(sizes)?;
+    let mut stream = match header.data_file.as_str() {
+        "LOCAL" | "Local" | "local" => stream,
+        name => companions.open(name)?,
+    };
+    match u64::try_from(header.header_size) {
+        Ok(skip) => stream.skip(skip)?,
+        // -1: the voxels are the last bytes of the file.
+        Err(_) if header.binary && !header.compressed => {
+            let expected = byte_count(dims, element)?;
+            if let Remaining::Exact(left) = stream.remaining() {
+                stream.skip(left.saturating_sub(expected))?;
+            }
+        }
+        Err(_) => {
+            bail!("MetaImage HeaderSize -1 is for uncompressed binary data alone; state the number of bytes")
+        }
+    }
+    if header.compressed {
+        stream = stream.inflate()?;
+    }
+    let data = if header.binary {
+        let data = read_voxels(&mut stream, dims, element, header.endian)?;
+        expect_end(&mut stream, dims, element)?;
+        data
+    } else {
+        parse_voxels(&mut stream, dims, element)?
+    };
+    Ok(Parts { data, dims, spacing, name: None })
+}
+
+fn header(stream: &mut Stream<'_>) -> Result<Header> {
+    let mut header = Header {
+        element: None,
+        axes: None,
+        sizes: None,
+        spacing: None,
+        element_size: None,
+        channels: 1,
+        binary: true,
+        endian: Endian::Little,
+        compressed: false,
+        header_size: 0,
+        data_file: String::new(),
+    };
+    for number in 1..=MAX_LINES {
+        let Some(line) = stream.line(MAX_LINE)? else {
+            bail!(
+                "MetaImage header ends after {} lines without ElementDataFile, which closes it",
+                number - 1
+            );
+        };
+        let line = String::from_utf8_lossy(&line);
+        if line.trim().is_empty() {
+            continue;
+        }
+        let Some((key, value)) = line.split_once('=') else {
+            bail!("MetaImage header line {number} is not \"Key = Value\"");
+        };
+        let (key, value) = (key.trim(), value.trim());
+        let last = header.set(key, value).with_context(|| format!("MetaImage header line {number}"))?;
+        if last {
+            return Ok(header);
+        }
+    }
+    bail!("MetaImage header has more than {MAX_LINES} lines without ElementDataFile, which closes it");
+}
+
+impl Header {
+    /// Takes one entry; whether it closes the header.
+    fn set(&mut self, key: &str, value: &str) -> Result<bool> {
+        match key {
+            "ObjectType" if !value.eq_ignore_ascii_case("image") => {
+                bail!("ObjectType is {value:?}; accepted is Image");
+            }
+            "NDims" => {
+                let axes = number(key, value)?;
+                if !(1..=MAX_AXES).contains(&axes) {
+                    bail!("NDims is {axes}; 1 to {MAX_AXES} are possible");
+                }
+                self.axes = Some(axes);
+            }
+            "DimSize" => self.sizes = Some(numbers(key, value)?),
+            "ElementSpacing" => self.spacing = Some(numbers(key, value)?),
+            "ElementSize" => self.element_size = Some(numbers(key, value)?),
+            "ElementNumberOfChannels" => self.channels = number(key, value)?,
+            "ElementType" => {
+                self.element = Some(match value {
+                    "MET_CHAR" => Element::I8,
+                    "MET_UCHAR" => Element::U8,
+                    "MET_SHORT" => Element::I16,
+                    "MET_USHORT" => Element::U16,
+                    "MET_INT" | "MET_LONG" => Element::I32,
+                    "MET_UINT" | "MET_ULONG" => Element::U32,
+                    "MET_LONG_LONG" => Element::I64,
+                    "MET_ULONG_LONG" => Element::U64,
+                    "MET_FLOAT" => Element::F32,
+                    "MET_DOUBLE" => Element::F64,
+                    other => bail!(
+                        "ElementType {other:?} is not read; accepted are MET_CHAR to MET_ULONG_LONG, MET_FLOAT and MET_DOUBLE"
+                    ),
+                });
+            }
+            "BinaryData" => self.binary = flag(key, value)?,
+            "BinaryDataByteOrderMSB" | "ElementByteOrderMSB" => {
+                self.endian = if flag(key, value)? { Endian::Big } else { Endian::Little };
+            }
+            "CompressedData" => self.compressed = flag(key, value)?,
+            "HeaderSize" => {
+                self.header_size = number(key, value)?;
+                if self.header_size < -1 {
+                    bail!("HeaderSize is {value}; accepted are -1 and up");
+                }
+            }
+            "ElementDataFile" => {
+                if value.is_empty() {
+                    bail!("ElementDataFile names no file");
+                }
+                if value.starts_with("LIST") || (value.contains('%') && value.split_whitespace().count() > 1)
+                {
+                    bail!("the voxels are spread over several files ({value}); join them into one first");
+                }
+                self.data_file = value.to_owned();
+                return Ok(true);
+            }
+            _ => {}
+        }
+        Ok(false)
+    }
+}
+
+fn number<T: std::str::FromStr>(key: &str, value: &str) -> Result<T> {
+    match value.parse() {
+        Ok(number) => Ok(number),
+        Err(_) => bail!("{key} has {value:?} where a number is expected"),
+    }
+}
+
+fn numbers<T: std::str::FromStr>(key: &str, value: &str) -> Result<Vec<T>> {
+    let found: Vec<T> =
+        value.split_whitespace().take(MAX_AXES + 1).map(|word| number(key, word)).collect::<Result<_>>()?;
+    if found.len() > MAX_AXES {
+        bail!("{key} has more than {MAX_AXES} entries");
+    }
+    Ok(found)
+}
+
+fn flag(key: &str, value: &str) -> Result<bool> {
+    match value.as_bytes().first() {
+        Some(b'T' | b't' | b'1' | b'Y' | b'y') => Ok(true),
+        Some(b'F' | b'f' | b'0' | b'N' | b'n') => Ok(false),
+        _ => bail!("{key} is {value:?}; accepted are True and False"),
+    }
+}

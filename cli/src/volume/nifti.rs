@@ -1,0 +1,185 @@
+//! NIfTI-1 and NIfTI-2 in one file (`.nii`, `.nii.gz`), either byte order. The header's slope and intercept are
+//! applied; its orientation is not used.
+
+use super::element::read_voxels;
+use super::stream::Stream;
+use super::{Element, Endian, Parts, VolumeData, checked_dims, three_axes};
+use anyhow::{Context, Result, bail};
+use std::io::Read;
+
+const NIFTI1_BYTES: usize = 348;
+const NIFTI2_BYTES: usize = 540;
+
+/// What is used of either header.
+struct Header {
+    endian: Endian,
+    axes: i64,
+    sizes: [i64; 7],
+    spacing: [f64; 7],
+    data_type: i16,
+    offset: f64,
+    slope: f64,
+    intercept: f64,
+    /// Bytes taken from the stream so far.
+    taken: u64,
+}
+
+pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
+    if stream.peek().context("reading the header")?.starts_with(&[0x1f, 0x8b]) {
+        stream = stream.gunzip();
+    }
+    let header = header(&mut stream)?;
+    if !(1..=7).contains(&header.axes) {
+        bail!("NIfTI dim[0] is {}; 1 to 7 are possible", header.axes);
+    }
+    let axes = header.axes as usize;
+    let mut sizes = Vec::with_capacity(axes);
+    for (axis, &size) in header.sizes[..axes].iter().enumerate() {
+        match u64::try_from(size) {
+            Ok(size) => sizes.push(size),
+            Err(_) => bail!("NIfTI dim[{}] is {size}; sizes are positive", axis + 1),
+        }
+    }
+    let mut spacing = header.spacing;
+    for (axis, value) in spacing[..axes.min(3)].iter_mut().enumerate() {
+        if !value.is_finite() {
+            bail!("NIfTI pixdim[{}] is {value}; the voxel spacing must be finite and positive", axis + 1);
+        }
+        // Writers leave 0 where the spacing is not known, and put an orientation into the sign.
+        *value = if *value == 0.0 { 1.0 } else { value.abs() };
+    }
+    let spatial: Vec<bool> = (0..axes).map(|axis| axis < 3).collect();
+    let (sizes, spacing) = three_axes(&sizes, &spacing[..axes], &spatial)?;
+    let dims = checked_dims(sizes)?;
+    let element = match header.data_type {
+        2 => Element::U8,
+        4 => Element::I16,
+        8 => Element::I32,
+        16 => Element::F32,
+        64 => Element::F64,
+        256 => Element::I8,
+        512 => Element::U16,
+        768 => Element::U32,
+        1024 => Element::I64,
+        1280 => Element::U64,
+        32 | 1792 | 2048 => bail!("NIfTI voxels are complex numbers; save their magnitude"),
+        128 | 2304 => bail!("NIfTI voxels have several color components; save one of them"),
+        other => bail!(
+            "NIfTI datatype {other} is not read; accepted are 8- to 64-bit integers and 32- and 64-bit floats"
+        ),
+    };
+    if !(header.offset >= header.taken as f64 && header.offset < 9e15) {
+        bail!("NIfTI vox_offset is {}; the voxels cannot begin before byte {}", header.offset, header.taken);
+    }
+    stream.skip(header.offset as u64 - header.taken)?;
+    let mut data = read_voxels(&mut stream, dims, element, header.endian)?;
+    let Header { slope, intercept, .. } = header;
+    // A slope of 0 means that there is no scaling.
+    if slope.is_finite() && slope != 0.0 && intercept.is_finite() && (slope, intercept) != (1.0, 0.0) {
+        data = scaled(data, slope, intercept)?;
+    }
+    Ok(Parts { data, dims, spacing, name: None })
+}
+
+fn scaled(data: VolumeData, slope: f64, intercept: f64) -> Result<VolumeData> {
+    let scale = |value: f32| (f64::from(value) * slope + intercept) as f32;
+    if let VolumeData::F32(mut values) = data {
+        values.iter_mut().for_each(|v| *v = scale(*v));
+        return Ok(VolumeData::F32(values));
+    }
+    let mut values = Vec::new();
+    if values.try_reserve_exact(data.len()).is_err() {
+        bail!(
+            "{} bytes of scaled voxels do not fit into this machine's memory",
+            data.len().saturating_mul(4)
+        );
+    }
+    let scalars = data.scalars();
+    values.extend((0..scalars.len()).map(|i| scale(scalars.get(i))));
+    Ok(VolumeData::F32(values))
+}
+
+fn header(stream: &mut Stream<'_>) -> Result<Header> {
+    let mut bytes = [0u8; NIFTI2_BYTES];
+    let mut size = [0u8; 4];
+    take(stream, &mut size, 0)?;
+    let (endian, second) = match (i32::from_le_bytes(size), i32::from_be_bytes(size)) {
+        (348, _) => (Endian::Little, false),
+        (_, 348) => (Endian::Big, false),
+        (540, _) => (Endian::Little, true),
+        (_, 540) => (Endian::Big, true),
+        (found, _) => {
+            bail!("not a NIfTI file: it begins with {found}, a NIfTI header with its size, 348 or 540")
+        }
+    };
+    let length = if second { NIFTI2_BYTES } else { NIFTI1_BYTES };
+    bytes[..4].copy_from_slice(&size);
+    take(stream, &mut bytes[4..length], 4)?;
+    let magic: [u8; 4] = if second { at(&bytes, 4) } else { at(&bytes, 344) };
+    match (&magic, second) {
+        (b"n+1\0", false) | (b"n+2\0", true) => {}
+        (b"ni1\0", false) | (b"ni2\0", true) => {
+            bail!("the voxels stand in a second file (.hdr and .img); convert the pair to one .nii file")
+        }
+        _ => bail!(
+            "not a NIfTI file: its magic is {:?} (an Analyze 7.5 file has none); convert it to NIfTI",
+            String::from_utf8_lossy(&magic)
+        ),
+    }
+    let short = |offset: usize| match endian {
+        Endian::Little => i16::from_le_bytes(at(&bytes, offset)),
+        Endian::Big => i16::from_be_bytes(at(&bytes, offset)),
+    };
+    let long = |offset: usize| match endian {
+        Endian::Little => i64::from_le_bytes(at(&bytes, offset)),
+        Endian::Big => i64::from_be_bytes(at(&bytes, offset)),
+    };
+    let float = |offset: usize| match endian {
+        Endian::Little => f32::from_le_bytes(at(&bytes, offset)),
+        Endian::Big => f32::from_be_bytes(at(&bytes, offset)),
+    };
+    let double = |offset: usize| match endian {
+        Endian::Little => f64::from_le_bytes(at(&bytes, offset)),
+        Endian::Big => f64::from_be_bytes(at(&bytes, offset)),
+    };
+    let axis = [0, 1, 2, 3, 4, 5, 6];
+    Ok(if second {
+        Header {
+            endian,
+            axes: long(16),
+            sizes: axis.map(|i| long(24 + 8 * i)),
+            spacing: axis.map(|i| double(112 + 8 * i)),
+            data_type: short(12),
+            offset: long(168) as f64,
+            slope: double(176),
+            intercept: double(184),
+            taken: length as u64,
+        }
+    } else {
+        Header {
+            endian,
+            axes: i64::from(short(40)),
+            sizes: axis.map(|i| i64::from(short(42 + 2 * i))),
+            spacing: axis.map(|i| f64::from(float(80 + 4 * i))),
+            data_type: short(70),
+            offset: f64::from(float(108)),
+            slope: f64::from(float(112)),
+            intercept: f64::from(float(116)),
+            taken: length as u64,
+        }
+    })
+}
+
+fn at<const N: usize>(bytes: &[u8; NIFTI2_BYTES], offset: usize) -> [u8; N] {
+    std::array::from_fn(|i| bytes[offset + i])
+}
+
+fn take(stream: &mut Stream<'_>, out: &mut [u8], from: usize) -> Result<()> {
+    if let Err(error) = stream.read_exact(out) {
+        if error.kind() == std::io::ErrorKind::UnexpectedEof {
+            bail!("NIfTI header is cut short: the file ends before byte {}", from + out.len());
+        }
+        return Err(error).context("reading the NIfTI header");
+    }
+    Ok(())
+}

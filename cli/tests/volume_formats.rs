@@ -1,0 +1,276 @@
+//! Every reader against files that other people's libraries wrote (see fixtures/make_volumes.py).
+
+use entire_cli::volume::{Volume, VolumeData};
+use std::path::{Path, PathBuf};
+
+fn fixtures() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/volumes")
+}
+
+/// What a voxel of that stored type becomes, by the table in the module's documentation.
+fn expected(kind: &str) -> VolumeData {
+    let whole = |bits: u32, signed: bool| {
+        let spread = (1u128 << bits) / 385;
+        (0..385i128).map(move |i| i * spread as i128 - if signed { 1 << (bits - 1) } else { 0 })
+    };
+    match kind {
+        "uint8" => VolumeData::U8(whole(8, false).map(|v| v as u8).collect()),
+        "int8" => VolumeData::I16(whole(8, true).map(|v| v as i16).collect()),
+        "uint16" => VolumeData::U16(whole(16, false).map(|v| v as u16).collect()),
+        "int16" => VolumeData::I16(whole(16, true).map(|v| v as i16).collect()),
+        "uint32" => VolumeData::F32(whole(32, false).map(|v| v as f32).collect()),
+        "int32" => VolumeData::F32(whole(32, true).map(|v| v as f32).collect()),
+        "uint64" => VolumeData::F32(whole(64, false).map(|v| v as f32).collect()),
+        "int64" => VolumeData::F32(whole(64, true).map(|v| v as f32).collect()),
+        "float32" | "float64" => VolumeData::F32((0..385).map(|i| (i as f32 - 192.0) / 8.0).collect()),
+        other => panic!("fixture of unknown type {other}"),
+    }
+}
+
+#[test]
+fn files_of_other_writers_come_back_voxel_for_voxel() {
+    let mut read = std::collections::BTreeMap::<String, usize>::new();
+    let mut kinds = std::collections::BTreeSet::new();
+    for entry in std::fs::read_dir(fixtures()).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        let (stem, ending) = name.split_once('.').unwrap();
+        let words: Vec<&str> = stem.split('_').collect();
+        // Voxels of detached headers, and files with a test of their own.
+        if words.len() != 4 || ending == "zraw" || (ending.starts_with("raw") && words[0] != "raw") {
+            continue;
+        }
+        let (kind, endian) = (words[2], words[3]);
+        let volume = Volume::open(&path).unwrap_or_else(|error| panic!("{error:#}"));
+        assert_eq!(volume.dims(), [5, 7, 11], "{name}");
+        assert_eq!(volume.spacing(), [0.5, 1.25, 3.0], "{name}");
+        assert_eq!(volume.data(), &expected(kind), "{name}");
+        assert_eq!(volume.source(), path);
+        *read.entry(ending.to_owned()).or_default() += 1;
+        kinds.insert((ending.to_owned(), kind.to_owned(), endian.to_owned()));
+    }
+    for (ending, at_least) in [
+        ("nrrd", 20),
+        ("nhdr", 2),
+        ("mha", 20),
+        ("mhd", 2),
+        ("nii", 21),
+        ("nii.gz", 1),
+        ("vti", 30),
+        ("json", 20),
+        ("raw", 20),
+    ] {
+        assert!(read.get(ending).is_some_and(|n| *n >= at_least), "{ending}: {read:?}");
+    }
+    // Each type in each byte order, where a byte order makes a difference.
+    for ending in ["nrrd", "mha", "nii", "vti", "raw"] {
+        for kind in ["uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64"] {
+            for endian in ["little", "big"] {
+                assert!(
+                    kinds.contains(&(ending.into(), kind.into(), endian.into())),
+                    "{ending} {kind} {endian}"
+                );
+            }
+        }
+        assert!(kinds.contains(&(ending.into(), "int8".into(), "little".into())), "{ending}");
+        assert!(kinds.contains(&(ending.into(), "uint8".into(), "little".into())), "{ending}");
+    }
+}
+
+#[test]
+fn slopes_names_and_descriptions_are_used() {
+    let volume = Volume::open(fixtures().join("scaled.nii")).unwrap();
+    let VolumeData::I16(stored) = expected("int16") else { unreachable!() };
+    let scaled = stored.iter().map(|&v| f32::from(v) * 0.5 - 3.0).collect();
+    assert_eq!(volume.data(), &VolumeData::F32(scaled));
+    assert_eq!(volume.name(), "scaled");
+
+    let described = Volume::open(fixtures().join("raw_5x7x11_int16_big.raw")).unwrap();
+    assert_eq!(described.name(), "Made up");
+    for name in ["scivis.json", "scivis_5x7x11_uint8.raw"] {
+        let volume = Volume::open(fixtures().join(name)).unwrap();
+        assert_eq!((volume.name(), volume.spacing()), ("Made up", [0.5, 1.25, 3.0]));
+        assert_eq!(volume.data(), &expected("uint8"));
+    }
+}
+
+#[test]
+fn raw_voxels_without_a_description_go_by_their_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("skull_5x7x11_uint8.raw");
+    std::fs::copy(fixtures().join("scivis_5x7x11_uint8.raw"), &path).unwrap();
+    let volume = Volume::open(&path).unwrap();
+    assert_eq!((volume.name(), volume.spacing(), volume.dims()), ("skull", [1.0; 3], [5, 7, 11]));
+    std::fs::rename(&path, folder.path().join("skull.raw")).unwrap();
+    let message = format!("{:#}", Volume::open(folder.path().join("skull.raw")).unwrap_err());
+    assert!(message.contains("skull.json") && message.contains("\"size\""), "{message}");
+}
+
+#[test]
+fn formats_are_found_by_their_first_bytes_where_the_ending_says_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in [
+        "pynrrd_raw_uint8_little.nrrd",
+        "itk_local_uint8_little.mha",
+        "nibabel_one_int16_big.nii",
+        "nibabel_two_int16_big.nii",
+        "nibabel_gz_int16_little.nii.gz",
+        "vtk_raw_float64_big.vti",
+    ] {
+        let path = folder.path().join("noending");
+        std::fs::copy(fixtures().join(name), &path).unwrap();
+        let kind = name.split('_').nth(2).unwrap();
+        assert_eq!(Volume::open(&path).unwrap().data(), &expected(kind), "{name}");
+    }
+    let path = folder.path().join("noending");
+    std::fs::write(&path, b"hello").unwrap();
+    let message = format!("{:#}", Volume::open(&path).unwrap_err());
+    assert!(message.contains("accepted are .nrrd, .nhdr, .mhd"), "{message}");
+}
+
+/// Opens bytes under a name of their own; the message of the error.
+fn refused(name: &str, bytes: &[u8]) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name);
+    std::fs::write(&path, bytes).unwrap();
+    let message = format!("{:#}", Volume::open(&path).expect_err(name));
+    assert!(message.contains(name), "{message:?} should name the file");
+    assert!(!message.contains('\n'), "{message:?}");
+    message
+}
+
+fn check(name: &str, bytes: &[u8], expected: &str) {
+    let message = refused(name, bytes);
+    assert!(message.contains(expected), "{name}: {message:?} should contain {expected:?}");
+}
+
+#[test]
+fn several_components_and_missing_files_are_refused() {
+    let message = format!("{:#}", Volume::open(fixtures().join("vectors.vti")).unwrap_err());
+    assert!(message.contains("\"velocity\" has 3 components"), "{message}");
+    let message = format!("{:#}", Volume::open("no/such.nrrd").unwrap_err());
+    assert_eq!(message, "no/such.nrrd: no such file; check the path");
+    let message = format!("{:#}", Volume::open(fixtures()).unwrap_err());
+    assert!(message.contains("is a folder"), "{message}");
+    #[cfg(unix)]
+    assert!(format!("{:#}", Volume::open("/dev/zero").unwrap_err()).contains("not a regular file"));
+}
+
+#[test]
+fn truncated_files_say_what_is_missing() {
+    for name in [
+        "pynrrd_raw_float64_big.nrrd",
+        "itk_local_float32_little.mha",
+        "itk_zlib_int16_little.mha",
+        "itk_text_int16_little.mha",
+        "nibabel_one_int16_big.nii",
+        "nibabel_gz_int16_little.nii.gz",
+        "vtk_ascii_int16_little.vti",
+        "vtk_binary_int16_little.vti",
+        "vtk_binary-zlib_int16_little.vti",
+        "vtk_raw_float64_big.vti",
+        "vtk_raw-zlib-wide_int16_little.vti",
+        "vtk_base64-zlib_int16_little.vti",
+        "pynrrd_gzip_int16_little.nrrd",
+    ] {
+        let whole = std::fs::read(fixtures().join(name)).unwrap();
+        // A cut that certainly takes voxels with it, and one within the header; no cut may panic or succeed.
+        for keep in [whole.len() * 3 / 5, whole.len() / 2, 100, 10, 0] {
+            let message = refused(name, &whole[..keep]);
+            assert!(message.len() > name.len() + 20, "{name} cut to {keep}: {message}");
+        }
+    }
+}
+
+#[test]
+fn lying_headers_do_not_allocate() {
+    let mha = |sizes: &str, more: &str| {
+        format!(
+            "ObjectType = Image\nNDims = 3\n{more}DimSize = {sizes}\nElementType = MET_SHORT\nElementDataFile = LOCAL\n"
+        )
+    };
+    let hundred = "x".repeat(100);
+    check(
+        "a.mha",
+        (mha("10000 10000 10000", "") + &hundred).as_bytes(),
+        "need 2000000000000 bytes, the file has 100",
+    );
+    check(
+        "a.mha",
+        (mha("10000 10000 10000", "CompressedData = True\n") + &hundred).as_bytes(),
+        "can hold 103200 at most",
+    );
+    check(
+        "a.mha",
+        (mha("4294967296 4294967296 4294967296", "") + &hundred).as_bytes(),
+        "more than can be addressed",
+    );
+    check("a.mha", mha("5 0 5", "").as_bytes(), "size along y is 0");
+    check("a.mha", mha("5 5 5", "ElementSpacing = 1 nan 1\n").as_bytes(), "need 250 bytes");
+    check("a.mha", (mha("5 5 2", "ElementSpacing = 1 nan 1\n") + &hundred).as_bytes(), "finite and positive");
+    check("a.mha", (mha("5 5 2", "ElementNumberOfChannels = 3\n") + &hundred).as_bytes(), "Channels is 3");
+    check("a.mha", mha("5 5", "").as_bytes(), "DimSize has 2 entries");
+    check("a.mha", mha("5 5 2", "HeaderSize = 1000\n").as_bytes(), "skip 1000 bytes, only 0 are left");
+    check("a.mha", b"ObjectType = Scene\n", "ObjectType is \"Scene\"");
+    check("a.mha", b"ObjectType = Image\n", "without ElementDataFile");
+    check("a.mha", b"ElementDataFile = a%03d.raw 1 5 1\n", "several files");
+    check(
+        "a.mhd",
+        b"NDims = 3\nDimSize = 2 2 2\nElementType = MET_CHAR\nElementDataFile = gone.raw\n",
+        "gone.raw",
+    );
+
+    let mut nii = std::fs::read(fixtures().join("nibabel_one_int16_little.nii")).unwrap();
+    let mut patched = |at: usize, bytes: &[u8], expected: &str| {
+        let before = nii.clone();
+        nii[at..at + bytes.len()].copy_from_slice(bytes);
+        check("a.nii", &nii, expected);
+        nii = before;
+    };
+    patched(42, &[0x10, 0x27, 0x10, 0x27, 0x10, 0x27], "need 2000000000000 bytes, the file has 770");
+    patched(42, &[0, 0], "size along x is 0");
+    patched(42, &[0xff, 0xff], "dim[1] is -1");
+    patched(40, &[4, 0, 5, 0, 7, 0, 1, 0, 11, 0], "axis 3 holds 11");
+    patched(40, &[9, 0], "dim[0] is 9");
+    patched(40, &[2, 0], "the data has 2 axes");
+    patched(70, &[128, 0], "several color components");
+    patched(70, &[99, 0], "datatype 99");
+    patched(80, &f32::NAN.to_le_bytes(), "pixdim[1] is NaN");
+    patched(108, &1e12f32.to_le_bytes(), "only");
+    patched(108, &3f32.to_le_bytes(), "cannot begin before byte 348");
+    patched(344, b"ni1\0", "second file");
+    patched(344, b"\0\0\0\0", "Analyze");
+    patched(0, &[9, 9, 9, 9], "348 or 540");
+
+    let vti = std::fs::read_to_string(fixtures().join("vtk_binary-zlib_int16_little.vti")).unwrap();
+    for (from, to, expected) in [
+        ("2 6 -3 3 0 10", "0 9999 0 9999 0 9999", "need 2000000000000"),
+        ("2 6 -3 3 0 10", "0 9223372036854775807 0 9 0 9", "more than can be addressed"),
+        ("2 6 -3 3 0 10", "-9223372036854775808 9223372036854775807 0 9 0 9", "holds no voxel"),
+        ("2 6 -3 3 0 10", "2 1 -3 3 0 10", "holds no voxel"),
+        ("2 6 -3 3 0 10", "2 0 -3 3 0 10", "holds no voxel"),
+        ("0.5 1.25 3", "0.5 nan 3", "finite and positive"),
+        ("Scalars=\"density\"", "Scalars=\"gone\"", "\"gone\" is not in the file"),
+        ("Scalars=\"density\"", "Scalars=\"velocity\"", "has 3 components"),
+        ("vtkZLibDataCompressor", "vtkLZ4DataCompressor", "save with zlib or none"),
+        ("ImageData", "PolyData", "accepted is ImageData"),
+        ("LittleEndian", "BigEndian", "compressed blocks hold"),
+        ("Int16", "String", "type \"String\", which is not read"),
+        ("<Piece", "<Piece/><Piece", "several pieces"),
+        ("</DataArray>", "</DataArrau>", "not well-formed"),
+    ] {
+        assert!(vti.contains(from), "{from}");
+        check("a.vti", vti.replace(from, to).as_bytes(), expected);
+    }
+    check("a.vti", b"<html></html>", "not a VTK XML file");
+
+    check("a.json", b"{", "not JSON");
+    check("a.json", b"[]", "not a JSON object");
+    check("a.json", b"{}", "no \"size\"");
+    check("a.json", b"{\"size\": [2, 2, 2], \"type\": \"uint8\"}", "looked for a.raw");
+    check("a.json", b"{\"size\": [2, 2, -2], \"type\": \"uint8\"}", "accepted is an array of numbers");
+    check("a.json", b"{\"size\": [2, 2, 2], \"type\": \"rgb\"}", "type \"rgb\" is not read");
+    check("a.json", b"{\"size\": [2, 2, 2], \"type\": \"uint8\", \"spacing\": [1]}", "1 entries");
+    check("a_9999x9999x9999_uint8.raw", b"123", "need 999700029999 bytes, the file has 3");
+    check("a_1x1x2_uint8.raw", b"123", "need 2 bytes, the data has 3");
+}
