@@ -1,1 +1,11 @@
-//! Observations and what they teach: bias, margin, drift, and the refusal of broken timings.
+//! Observations and what they teach: correction of each part of the cost, margin, drift, and the refusal of broken
+//! timings.
+
+mod correction;
+mod gate;
+mod margin;
+pub(crate) mod state;
+
+pub use correction::{Correction, Prior};
+pub use gate::{LONGEST_FRAME, ObserveFlags, Verdict, check_seconds};
+pub use margin::Margin;

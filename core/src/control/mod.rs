@@ -1,1 +1,217 @@
-//! Step choice under a budget, and the reactive controllers that ours is compared against.
+//! Step choice under a budget: ours, the paper's, and the reactive rules in use elsewhere.
+//!
+//! A [`Controller`] sees one frame at a time: the target, the limits of the step, what the caller knows to have changed,
+//! and the predicted cost of any step ([`StepCost`]). It answers with a step and a [`Reason`], and later hears how long
+//! the frame took. None of them allocates after construction. [`Session`] joins a controller with a predictor and the
+//! scene's features for one render loop.
+
+mod algorithm1;
+mod hybrid;
+mod reactive;
+mod response;
+mod session;
+#[cfg(test)]
+mod tests;
+
+pub use algorithm1::{Algorithm1, Fixed, Olp, Pid};
+pub use hybrid::{Hybrid, HybridOptions};
+pub use reactive::{Filament, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
+pub use response::StepResponse;
+pub use session::{Choice, PENDING_PLANS, Plan, Session};
+
+use crate::Result;
+use crate::adapt::Verdict;
+use crate::error::bail;
+use crate::features::Changes;
+use crate::predict::{CostTerms, Prediction};
+use alloc::vec::Vec;
+
+/// The steps that a controller may choose, in multiples of the reference step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepLimits {
+    finest: f32,
+    coarsest: f32,
+}
+
+impl StepLimits {
+    /// Limits from `finest` to `coarsest`.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] unless 1/64 ≤ finest ≤ coarsest ≤ 4096.
+    pub fn new(finest: f32, coarsest: f32) -> Result<Self> {
+        if !(finest >= 1.0 / 64.0 && finest <= coarsest && coarsest <= 4096.0) {
+            bail!(
+                InvalidArgument,
+                "step limits are {finest}…{coarsest} reference steps; they must satisfy 0.015625 <= finest <= coarsest <= 4096"
+            );
+        }
+        Ok(Self { finest, coarsest })
+    }
+
+    /// The finest step.
+    pub fn finest(&self) -> f32 {
+        self.finest
+    }
+
+    /// The coarsest step.
+    pub fn coarsest(&self) -> f32 {
+        self.coarsest
+    }
+
+    /// The nearest step within the limits; the coarsest for NaN.
+    pub fn clamp(&self, step: f32) -> f32 {
+        if step.is_nan() { self.coarsest } else { step.clamp(self.finest, self.coarsest) }
+    }
+}
+
+impl Default for StepLimits {
+    /// From the reference step to sixteen of them.
+    fn default() -> Self {
+        Self { finest: 1.0, coarsest: 16.0 }
+    }
+}
+
+/// Why a plan is what it is. Stable numbers: they are part of the C ABI.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+#[repr(u32)]
+pub enum Reason {
+    /// The finest step whose upper bound fits the target.
+    Fits = 1,
+    /// As before, but moved there slowly because nothing has changed abruptly.
+    Damped = 2,
+    /// The step before still fits and is close to the best: kept.
+    Held = 3,
+    /// Nothing finer is allowed, and it fits.
+    FinestAllowed = 4,
+    /// Nothing coarser is allowed, and even that is not expected to fit.
+    TargetUnreachable = 5,
+    /// The prediction is not trusted (out of range, or wrong lately): recent frames decide.
+    History = 6,
+    /// Neither a prediction nor a timing is there: the coarsest step allowed.
+    NoInformation = 7,
+    /// Steering is off: the step asked for.
+    Off = 8,
+    /// A rule that reacts to past frames only.
+    Reactive = 9,
+}
+
+impl Reason {
+    /// A short name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Fits => "fits",
+            Self::Damped => "damped",
+            Self::Held => "held",
+            Self::FinestAllowed => "finest allowed",
+            Self::TargetUnreachable => "target unreachable",
+            Self::History => "history",
+            Self::NoInformation => "no information",
+            Self::Off => "off",
+            Self::Reactive => "reactive",
+        }
+    }
+}
+
+/// The predicted cost of a frame as a function of the ray step, uncorrected. A cost of NaN means that nothing is known.
+pub trait StepCost {
+    /// The cost at a step.
+    fn at(&mut self, step: f32) -> CostTerms;
+}
+
+impl<F: FnMut(f32) -> CostTerms> StepCost for F {
+    fn at(&mut self, step: f32) -> CostTerms {
+        self(step)
+    }
+}
+
+/// One frame as a controller sees it before it is drawn.
+pub struct PlanRequest<'a> {
+    /// Seconds that the frame should not exceed; finite and positive.
+    pub target: f32,
+    /// Steps that may be chosen.
+    pub limits: StepLimits,
+    /// What differs from the frame before.
+    pub changes: Changes,
+    /// The predicted cost.
+    pub cost: &'a mut dyn StepCost,
+}
+
+/// A controller's answer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Decision {
+    /// The ray step to draw with.
+    pub step: f32,
+    /// Expected seconds; NaN from rules that expect nothing.
+    pub seconds: f32,
+    /// Upper bound, seconds; NaN where there is none.
+    pub upper: f32,
+    /// As [`Prediction::out_of_range`]; NaN where nothing is known.
+    pub out_of_range: f32,
+    /// Why.
+    pub reason: Reason,
+}
+
+/// A drawn frame as a controller hears of it. The time has been checked: finite and positive.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Observed {
+    /// Measured seconds.
+    pub seconds: f32,
+    /// The step it was drawn with.
+    pub step: f32,
+    /// The target it was planned for.
+    pub target: f32,
+    /// What differed from the frame before it.
+    pub changes: Changes,
+    /// The uncorrected prediction for it.
+    pub terms: CostTerms,
+    /// The time holds other work too (see [`crate::adapt::ObserveFlags`]).
+    pub unusual: bool,
+}
+
+/// Chooses ray steps frame by frame.
+pub trait Controller {
+    /// A short name for tables.
+    fn name(&self) -> &'static str;
+
+    /// Chooses the step of the next frame.
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision;
+
+    /// Takes note of a frame's time.
+    fn observe(&mut self, observed: &Observed) -> Verdict;
+
+    /// Forgets every frame.
+    fn reset(&mut self);
+
+    /// A prediction as this controller corrects it; as it is, where the controller corrects nothing.
+    fn correct(&self, terms: &CostTerms, changes: Changes) -> Prediction {
+        let _ = changes;
+        Prediction {
+            seconds: terms.seconds(),
+            upper: f32::NAN,
+            out_of_range: terms.out_of_range,
+            source: terms.source,
+        }
+    }
+
+    /// Appends what was learned to a byte string.
+    fn save(&self, out: &mut Vec<u8>) {
+        let _ = out;
+    }
+
+    /// Takes up what [`Controller::save`] wrote; on an error nothing changes.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for bytes of another controller, cut short or damaged.
+    fn load(&mut self, bytes: &[u8]) -> Result<()> {
+        if !bytes.is_empty() {
+            bail!(
+                InvalidArgument,
+                "controller {} keeps no state, {} bytes were given",
+                self.name(),
+                bytes.len()
+            );
+        }
+        Ok(())
+    }
+}

@@ -1,1 +1,11 @@
 //! From inputs to seconds: the analytic cost model and PredNet behind one trait, with upper bound and out-of-range score.
+
+mod analytic;
+mod calibration;
+mod inputs;
+mod nnls;
+
+pub use analytic::{AnalyticModel, FitReport, Measurement, TERM_QUANTITIES, TERMS};
+pub use calibration::{Calibration, FeatureRange, UPPER_LEVEL};
+pub use inputs::{CostTerms, InputGroup, Inputs, Prediction, Predictor, Source, write_group};
+pub use nnls::nnls;

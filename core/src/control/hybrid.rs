@@ -1,0 +1,348 @@
+//! Ours: feed-forward prediction, corrected online, with a margin that keeps its promise.
+
+use super::{Controller, Decision, Observed, PlanRequest, Reason, StepLimits};
+use crate::Result;
+use crate::adapt::state::{Reader, Writer};
+use crate::adapt::{Correction, Margin, Prior, Verdict};
+use crate::features::Changes;
+use crate::predict::{CostTerms, Prediction};
+use alloc::vec::Vec;
+
+/// Settings of [`Hybrid`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HybridOptions {
+    /// Share of frames that may exceed the target by more than `tolerance`.
+    pub miss_rate: f32,
+    /// How far over the target a frame may be before it counts as missed, as a share of the target.
+    pub tolerance: f32,
+    /// What is known of the prediction before the first frame.
+    pub prior: Prior,
+    /// Whether moves are damped in calm phases.
+    pub damping: bool,
+    /// Out-of-range score from which recent frames decide instead of the prediction.
+    pub trust_limit: f32,
+}
+
+impl Default for HybridOptions {
+    fn default() -> Self {
+        Self { miss_rate: 0.03, tolerance: 0.1, prior: Prior::Unknown, damping: true, trust_limit: 2.0 }
+    }
+}
+
+/// Feed-forward prediction × online correction of each cost part × adaptive-conformal margin → the finest step whose
+/// upper bound fits.
+///
+/// * Calm phases: the step is kept while it is close to the best one and still fits; finer moves are made by halves,
+///   coarser ones at once. At a known change of scene nothing is damped.
+/// * Limits: there is no integral, so nothing winds up; the plan says which limit was met.
+/// * Fallback: a second forecast from the last three frames alone (brought to a common step by a plain rule) runs in its shadow and takes over when the prediction is out of range or has lately been clearly worse.
+///   Without either, the coarsest step is chosen.
+#[derive(Clone, Debug)]
+pub struct Hybrid {
+    options: HybridOptions,
+    correction: Correction,
+    calm: Margin,
+    changed: Margin,
+    history: History,
+    last_step: f32,
+}
+
+/// Bisections of the step search: 2⁻¹² of the limits' ratio in logarithms.
+const BISECTIONS: usize = 12;
+/// Relative changes of the step below which it is kept.
+const DEAD_BAND: f64 = 0.02;
+
+impl Hybrid {
+    /// A controller that has seen nothing.
+    pub fn new(options: HybridOptions) -> Self {
+        Self {
+            options,
+            correction: Correction::new(options.prior),
+            calm: Margin::new(options.miss_rate, 0.15),
+            changed: Margin::new(options.miss_rate.max(0.05), 0.3),
+            history: History::new(),
+            last_step: f32::NAN,
+        }
+    }
+
+    /// The settings.
+    pub fn options(&self) -> &HybridOptions {
+        &self.options
+    }
+
+    /// What has been learned of the cost parts.
+    pub fn correction(&self) -> &Correction {
+        &self.correction
+    }
+
+    /// Replaces what is known of the prediction before the first frame, and forgets every frame.
+    pub fn set_prior(&mut self, prior: Prior) {
+        self.options.prior = prior;
+        self.correction = Correction::new(prior);
+        self.reset();
+    }
+
+    fn judge(&self, terms: &CostTerms, changes: Changes) -> (f64, f64) {
+        let changed = changes.any();
+        let (seconds, sd) = self.correction.apply(terms, changed);
+        let z = if changed { self.changed.multiple() } else { self.calm.multiple() };
+        (seconds, seconds * libm::exp(z * sd))
+    }
+
+    /// The finest step within the limits that `fits`, by bisection in the logarithm; `None` when none does. Costs are
+    /// taken to fall with the step; where a network says otherwise, the answer still fits.
+    fn finest(limits: StepLimits, mut fits: impl FnMut(f32) -> bool) -> Option<f32> {
+        if fits(limits.finest()) {
+            return Some(limits.finest());
+        }
+        if !fits(limits.coarsest()) {
+            return None;
+        }
+        let (mut low, mut high) = (libm::logf(limits.finest()), libm::logf(limits.coarsest()));
+        let mut best = limits.coarsest();
+        for _ in 0..BISECTIONS {
+            let middle = 0.5 * (low + high);
+            let step = limits.clamp(libm::expf(middle));
+            if fits(step) {
+                high = middle;
+                best = step;
+            } else {
+                low = middle;
+            }
+        }
+        Some(best)
+    }
+}
+
+impl Controller for Hybrid {
+    fn name(&self) -> &'static str {
+        "hybrid"
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        let limits = request.limits;
+        let target = f64::from(request.target);
+        let ceiling = target * (1.0 + f64::from(self.options.tolerance.max(0.0)));
+        let changes = request.changes;
+        let first = request.cost.at(limits.coarsest());
+        let known = first.seconds().is_finite() && first.seconds() > 0.0;
+        let out_of_range = first.out_of_range;
+        let distrusted = !known || out_of_range > self.options.trust_limit || self.history.leads();
+        // Frames before a change of scene say nothing about the frame after it.
+        let by_history = distrusted && !self.history.is_empty() && !changes.any();
+        if !known && !by_history {
+            return Decision {
+                step: limits.coarsest(),
+                seconds: f32::NAN,
+                upper: f32::NAN,
+                out_of_range,
+                reason: Reason::NoInformation,
+            };
+        }
+        let history = self.history;
+        let margin = self.calm.multiple();
+        let this = &*self;
+        let mut judge = |step: f32| -> (f64, f64) {
+            if by_history {
+                history.forecast(step, margin)
+            } else {
+                this.judge(&request.cost.at(step), changes)
+            }
+        };
+        let mut fits = |step: f32| {
+            let (seconds, upper) = judge(step);
+            seconds <= target && upper <= ceiling
+        };
+        let best = Self::finest(limits, &mut fits);
+        let mut reason = if by_history { Reason::History } else { Reason::Fits };
+        let mut step = match best {
+            Some(step) => step,
+            None => {
+                reason = Reason::TargetUnreachable;
+                limits.coarsest()
+            }
+        };
+        if reason == Reason::Fits && step <= limits.finest() {
+            reason = Reason::FinestAllowed;
+        }
+        let last = limits.clamp(self.last_step);
+        if self.options.damping && !changes.any() && self.last_step.is_finite() && last == self.last_step {
+            let delta = libm::log(f64::from(step) / f64::from(last));
+            if libm::fabs(delta) < DEAD_BAND && judge(last).0 <= target * 1.02 {
+                step = last;
+                if reason == Reason::Fits {
+                    reason = Reason::Held;
+                }
+            } else if delta < 0.0 {
+                step = limits.clamp(last * libm::exp(0.5 * delta) as f32);
+                if matches!(reason, Reason::Fits | Reason::FinestAllowed) {
+                    reason = Reason::Damped;
+                }
+            }
+        }
+        let (seconds, upper) = judge(step);
+        self.last_step = step;
+        Decision { step, seconds: seconds as f32, upper: upper as f32, out_of_range, reason }
+    }
+
+    fn observe(&mut self, observed: &Observed) -> Verdict {
+        if observed.unusual {
+            return Verdict::Ignored;
+        }
+        let seconds = f64::from(observed.seconds);
+        let changed = observed.changes.any();
+        // The first frame may hold a compile or an upload: it sets the order of magnitude where nothing else does.
+        let trust = if observed.changes.first { 0.01 } else { 1.0 };
+        let corrected = self.correction.apply(&observed.terms, changed).0;
+        let error = self.correction.observe(&observed.terms, seconds, changed, trust);
+        if !observed.changes.first {
+            let own = libm::fabs(libm::log(seconds / corrected));
+            self.history.compare(observed.step, seconds, own, changed);
+            if changed {
+                self.changed.observe(error);
+            } else {
+                self.calm.observe(error);
+            }
+        }
+        self.history.push(observed.step, seconds, changed);
+        if libm::fabs(error) > 3.0 { Verdict::Clipped } else { Verdict::Learned }
+    }
+
+    fn reset(&mut self) {
+        self.correction.reset();
+        self.calm = Margin::new(self.options.miss_rate, 0.15);
+        self.changed = Margin::new(self.options.miss_rate.max(0.05), 0.3);
+        self.history = History::new();
+        self.last_step = f32::NAN;
+    }
+
+    fn correct(&self, terms: &CostTerms, changes: Changes) -> Prediction {
+        let (seconds, upper) = self.judge(terms, changes);
+        Prediction {
+            seconds: (seconds as f32).clamp(1.0e-9, 1.0e9),
+            upper: upper as f32,
+            out_of_range: terms.out_of_range,
+            source: terms.source,
+        }
+    }
+
+    fn save(&self, out: &mut Vec<u8>) {
+        let mut w = Writer(out);
+        w.tag(*b"ENH1");
+        self.correction.save(&mut w);
+        self.calm.save(&mut w);
+        self.changed.save(&mut w);
+        self.history.save(&mut w);
+    }
+
+    fn load(&mut self, bytes: &[u8]) -> Result<()> {
+        let mut r = Reader(bytes);
+        let mut next = Self::new(self.options);
+        r.tag(*b"ENH1")?;
+        next.correction.load(&mut r)?;
+        next.calm.load(&mut r)?;
+        next.changed.load(&mut r)?;
+        next.history.load(&mut r)?;
+        r.end()?;
+        *self = next;
+        Ok(())
+    }
+}
+
+/// The last three frames, and how well they foretell the next one compared with the prediction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct History {
+    /// (step, seconds).
+    frames: [(f64, f64); 3],
+    len: usize,
+    next: usize,
+    spread: f64,
+    /// Mean |ln error| of the forecast from history, and of the corrected prediction, over calm frames.
+    history_error: f64,
+    own_error: f64,
+    leads: bool,
+    compared: u32,
+}
+
+impl History {
+    const fn new() -> Self {
+        Self {
+            frames: [(1.0, 1.0); 3],
+            len: 0,
+            next: 0,
+            spread: 0.1,
+            history_error: 0.0,
+            own_error: 0.0,
+            leads: false,
+            compared: 0,
+        }
+    }
+
+    fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    fn leads(&self) -> bool {
+        self.leads
+    }
+
+    /// Time of a frame like the last three at another step: mean and upper bound. A tenth of a frame's time is taken
+    /// as fixed and the rest as falling with 1/step: flatter than 1/step, as every renderer is.
+    fn forecast(&self, step: f32, margin: f64) -> (f64, f64) {
+        let step = f64::from(step);
+        let mut sum = 0.0;
+        for &(s, t) in &self.frames[..self.len] {
+            sum += t * (0.1 + 0.9 * s / step);
+        }
+        let seconds = sum / self.len.max(1) as f64;
+        (seconds, seconds * libm::exp(margin * self.spread))
+    }
+
+    fn compare(&mut self, step: f32, seconds: f64, own: f64, changed: bool) {
+        if self.len == 0 || changed {
+            return;
+        }
+        let (forecast, _) = self.forecast(step, 0.0);
+        let history = libm::fabs(libm::log(seconds / forecast)).min(2.0);
+        let own = if own.is_finite() { own.min(2.0) } else { 2.0 };
+        self.compared = self.compared.saturating_add(1);
+        let pace = (1.0 / f64::from(self.compared)).max(0.08);
+        self.history_error += pace * (history - self.history_error);
+        self.own_error += pace * (own - self.own_error);
+        self.spread = (1.25 * self.history_error).clamp(0.01, 1.0);
+        if self.compared >= 10 {
+            self.leads = if self.leads {
+                self.own_error > 1.1 * self.history_error
+            } else {
+                self.own_error > 0.15 && self.own_error > 1.5 * self.history_error
+            };
+        }
+    }
+
+    fn push(&mut self, step: f32, seconds: f64, changed: bool) {
+        if changed {
+            self.len = 0;
+            self.next = 0;
+        }
+        self.frames[self.next] = (f64::from(step), seconds);
+        self.next = (self.next + 1) % 3;
+        self.len = (self.len + 1).min(3);
+    }
+
+    fn save(&self, w: &mut Writer<'_>) {
+        w.f64(self.spread);
+        w.f64(self.history_error);
+        w.f64(self.own_error);
+        w.u64(u64::from(self.leads));
+        w.u64(u64::from(self.compared));
+    }
+
+    fn load(&mut self, r: &mut Reader<'_>) -> Result<()> {
+        self.spread = r.f64(0.01, 1.0)?;
+        self.history_error = r.f64(0.0, 2.0)?;
+        self.own_error = r.f64(0.0, 2.0)?;
+        self.leads = r.u64()? == 1;
+        self.compared = u32::try_from(r.u64()?).unwrap_or(u32::MAX);
+        Ok(())
+    }
+}

@@ -1,0 +1,461 @@
+//! One render loop: a volume, a transfer function, a predictor and a controller.
+
+use super::{
+    Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, StepCost, StepLimits,
+};
+use crate::Result;
+use crate::adapt::state::{Reader, Writer};
+use crate::adapt::{ObserveFlags, Verdict, check_seconds};
+use crate::error::bail;
+use crate::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
+use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Source, TERMS};
+use crate::scene::{Frame, GaussianLobe, Skipping, TransferTable};
+use alloc::boxed::Box;
+use alloc::vec::Vec;
+
+/// Plans that may wait for their observation at a time; older ones are forgotten.
+pub const PENDING_PLANS: usize = 64;
+
+/// What to draw, and what to expect of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plan {
+    /// Names this plan in [`Session::observe`]; never 0, never reused within a session's life.
+    pub id: u64,
+    /// Ray step in multiples of the reference step.
+    pub step: f32,
+    /// Expected seconds; NaN from controllers that expect nothing.
+    pub seconds: f32,
+    /// Upper bound in seconds; NaN where there is none.
+    pub upper: f32,
+    /// 0 inside the predictor's range, 1 at the edge of trust, growing beyond; NaN where unknown.
+    pub out_of_range: f32,
+    /// Why this step.
+    pub reason: Reason,
+}
+
+/// The answer to [`Session::choose`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choice {
+    /// Index of the setting to draw with.
+    pub index: usize,
+    /// Its plan; `step` is the setting's.
+    pub plan: Plan,
+}
+
+#[derive(Clone, Copy)]
+struct Pending {
+    id: u64,
+    step: f32,
+    target: f32,
+    changes: Changes,
+    terms: CostTerms,
+    observed: bool,
+}
+
+/// Predicts and steers one render loop.
+///
+/// Set the volume and the transfer function, then for every frame [`Session::plan`], draw with the plan's step, and
+/// [`Session::observe`] the time it took; late observations are welcome as long as their plan is among the last
+/// [`PENDING_PLANS`]. Plan, choose, predict and observe never allocate.
+pub struct Session {
+    predictor: Box<dyn Predictor + Send>,
+    controller: Box<dyn Controller + Send>,
+    /// Step curve for predictors that do not know the step.
+    shape: AnalyticModel,
+    volume: Option<VolumeSummary>,
+    transfer: Option<TransferSummary>,
+    volume_features: Option<Vec<f32>>,
+    lobes: Option<Vec<GaussianLobe>>,
+    features: FrameFeatures,
+    limits: StepLimits,
+    enabled: bool,
+    changes: Changes,
+    last: Option<Setting>,
+    last_termination: f32,
+    pending: Box<[Option<Pending>; PENDING_PLANS]>,
+    next_id: u64,
+}
+
+impl Session {
+    /// With the default controller: [`Hybrid`] around the given predictor.
+    pub fn new(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Self {
+        Self::with_controller(predictor, Box::new(Hybrid::new(options)))
+    }
+
+    /// Without any model: the analytic model with default costs, which observations correct.
+    pub fn untrained() -> Self {
+        Self::new(Box::new(AnalyticModel::new()), HybridOptions::default())
+    }
+
+    /// With any controller.
+    pub fn with_controller(
+        predictor: Box<dyn Predictor + Send>,
+        controller: Box<dyn Controller + Send>,
+    ) -> Self {
+        Self {
+            predictor,
+            controller,
+            shape: AnalyticModel::new(),
+            volume: None,
+            transfer: None,
+            volume_features: None,
+            lobes: None,
+            features: FrameFeatures::new(),
+            limits: StepLimits::default(),
+            enabled: true,
+            changes: Changes { first: true, ..Changes::NONE },
+            last: None,
+            last_termination: f32::NAN,
+            pending: Box::new([None; PENDING_PLANS]),
+            next_id: 1,
+        }
+    }
+
+    /// Sets the volume by its summary, and VolumeNet's output for it where the model takes one. The transfer function
+    /// must be set again.
+    pub fn set_volume(&mut self, volume: VolumeSummary, volume_features: Option<&[f32]>) {
+        self.volume = Some(volume);
+        self.volume_features = volume_features.map(<[f32]>::to_vec);
+        self.transfer = None;
+        self.changes.volume = true;
+    }
+
+    /// Sets the transfer function, and its Gaussian lobes where it has them.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NotReady`] before a volume was set.
+    pub fn set_transfer(&mut self, table: &TransferTable, lobes: Option<&[GaussianLobe]>) -> Result<()> {
+        let Some(volume) = &self.volume else {
+            bail!(NotReady, "no volume is set; set the volume before its transfer function");
+        };
+        match &mut self.transfer {
+            Some(transfer) => transfer.update(volume, table),
+            None => self.transfer = Some(TransferSummary::new(volume, table)),
+        }
+        match (&mut self.lobes, lobes) {
+            (Some(kept), Some(new)) => {
+                kept.clear();
+                kept.extend_from_slice(new);
+            }
+            (kept, new) => *kept = new.map(<[GaussianLobe]>::to_vec),
+        }
+        self.changes.transfer = true;
+        Ok(())
+    }
+
+    /// Sets the steps that may be chosen.
+    pub fn set_limits(&mut self, limits: StepLimits) {
+        self.limits = limits;
+    }
+
+    /// The steps that may be chosen.
+    pub fn limits(&self) -> StepLimits {
+        self.limits
+    }
+
+    /// Switches steering off (every plan answers the frame's own step, clamped to nothing) or on again. Observations
+    /// are learned from either way.
+    pub fn set_enabled(&mut self, enabled: bool) {
+        self.enabled = enabled;
+    }
+
+    /// Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot see
+    /// (a camera cut, a new pipeline). Volume, transfer function, size and mode changes are noticed by themselves.
+    pub fn mark(&mut self, changes: Changes) {
+        let c = &mut self.changes;
+        c.first |= changes.first;
+        c.transfer |= changes.transfer;
+        c.volume |= changes.volume;
+        c.size |= changes.size;
+        c.mode |= changes.mode;
+        c.camera |= changes.camera;
+    }
+
+    /// The controller's name.
+    pub fn controller_name(&self) -> &'static str {
+        self.controller.name()
+    }
+
+    /// The features of the frame that was planned or predicted last.
+    pub fn features(&self) -> &FrameFeatures {
+        &self.features
+    }
+
+    /// Predicts a frame at its own step, corrected by what was observed. Leaves no trace in the session's state.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NotReady`] before volume and transfer function are set, [`crate::ErrorKind::MissingInput`]
+    /// when the model needs an input that was not supplied.
+    pub fn predict(&mut self, frame: &Frame) -> Result<Prediction> {
+        self.measure(frame)?;
+        let changes = self.changes_for(frame);
+        let terms = self.terms_at(changes, &Setting::of(frame))?;
+        Ok(self.controller.correct(&terms, changes))
+    }
+
+    /// Chooses the step of the next frame; the frame's own step is what a session switched off answers.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for a target that is not finite and positive; else as
+    /// [`Session::predict`].
+    pub fn plan(&mut self, frame: &Frame, target: f32) -> Result<Plan> {
+        check_target(target)?;
+        self.measure(frame)?;
+        let changes = self.changes_for(frame);
+        let setting = Setting::of(frame);
+        // One checked prediction first: the search below then cannot fail for want of an input.
+        let own = self.terms_at(changes, &setting)?;
+        if !self.enabled {
+            let p = self.controller.correct(&own, changes);
+            let decision = Decision {
+                step: frame.step(),
+                seconds: p.seconds,
+                upper: p.upper,
+                out_of_range: p.out_of_range,
+                reason: Reason::Off,
+            };
+            return Ok(self.note(frame, target, changes, own, decision));
+        }
+        let mut cost = Cost {
+            predictor: &mut *self.predictor,
+            shape: &self.shape,
+            reference: None,
+            inputs: Inputs {
+                features: &self.features,
+                setting,
+                changes,
+                camera: self.features.pose(),
+                volume_features: self.volume_features.as_deref(),
+                lobes: self.lobes.as_deref(),
+            },
+        };
+        let mut request = PlanRequest { target, limits: self.limits, changes, cost: &mut cost };
+        let decision = self.controller.plan(&mut request);
+        let terms = cost.at(decision.step);
+        Ok(self.note(frame, target, changes, terms, decision))
+    }
+
+    /// Chooses among settings, best quality first: the first whose upper bound (or expectation, where there is no
+    /// bound) meets the target, else the one expected to be fastest. The image shape must be the frame's for its
+    /// features to hold; other sizes of that shape are free.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for no settings, a step that is not finite and positive, or an empty
+    /// image; else as [`Session::plan`].
+    pub fn choose(&mut self, frame: &Frame, settings: &[Setting], target: f32) -> Result<Choice> {
+        check_target(target)?;
+        if settings.is_empty() {
+            bail!(InvalidArgument, "no settings to choose from; pass at least one, best quality first");
+        }
+        for (i, s) in settings.iter().enumerate() {
+            if !(s.step.is_finite() && s.step > 0.0) || s.width == 0 || s.height == 0 {
+                bail!(
+                    InvalidArgument,
+                    "setting {i} has step {} and size {} x {}; step and size must be positive",
+                    s.step,
+                    s.width,
+                    s.height
+                );
+            }
+        }
+        self.measure(frame)?;
+        let changes = self.changes_for(frame);
+        let mut fastest: Option<(usize, CostTerms, Prediction)> = None;
+        let mut chosen = None;
+        for (i, setting) in settings.iter().enumerate() {
+            let terms = self.terms_at(changes, setting)?;
+            let p = self.controller.correct(&terms, changes);
+            let bound = if p.upper.is_nan() { p.seconds } else { p.upper };
+            if bound <= target {
+                chosen = Some((i, terms, p));
+                break;
+            }
+            if fastest.is_none_or(|(_, _, f)| p.seconds < f.seconds) {
+                fastest = Some((i, terms, p));
+            }
+        }
+        let reason = if chosen.is_some() { Reason::Fits } else { Reason::TargetUnreachable };
+        let Some((index, terms, p)) = chosen.or(fastest) else {
+            bail!(InvalidArgument, "no setting could be predicted");
+        };
+        let decision = Decision {
+            step: settings[index].step,
+            seconds: p.seconds,
+            upper: p.upper,
+            out_of_range: p.out_of_range,
+            reason,
+        };
+        Ok(Choice { index, plan: self.note(frame, target, changes, terms, decision) })
+    }
+
+    /// Hears how long a planned frame took. Refused observations (see [`Verdict::is_refused`]) leave no trace.
+    pub fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> Verdict {
+        let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
+        let Some(pending) = slot.as_mut().filter(|p| p.id == id) else { return Verdict::UnknownPlan };
+        if pending.observed {
+            return Verdict::Duplicate;
+        }
+        if let Some(verdict) = check_seconds(seconds) {
+            return verdict;
+        }
+        pending.observed = true;
+        if flags.cancelled && seconds <= pending.terms.seconds() {
+            // It would have taken longer: that says nothing.
+            return Verdict::Ignored;
+        }
+        let observed = Observed {
+            seconds,
+            step: pending.step,
+            target: pending.target,
+            changes: pending.changes,
+            terms: pending.terms,
+            unusual: flags.unusual,
+        };
+        self.controller.observe(&observed)
+    }
+
+    /// Forgets every observation and every pending plan; volume and transfer function stay.
+    pub fn reset(&mut self) {
+        self.controller.reset();
+        self.pending.fill(None);
+        self.changes = Changes { first: true, ..Changes::NONE };
+        self.last = None;
+    }
+
+    /// What was learned, as bytes for [`Session::load_state`].
+    pub fn save_state(&self) -> Vec<u8> {
+        let mut out = Vec::new();
+        Writer(&mut out).tag(*b"ENS1");
+        self.controller.save(&mut out);
+        out
+    }
+
+    /// Takes up what an earlier session with the same kind of controller learned; on an error nothing changes.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for bytes that are cut short, damaged, or another controller's.
+    pub fn load_state(&mut self, bytes: &[u8]) -> Result<()> {
+        let mut r = Reader(bytes);
+        r.tag(*b"ENS1")?;
+        self.controller.load(r.0)?;
+        self.pending.fill(None);
+        Ok(())
+    }
+
+    fn measure(&mut self, frame: &Frame) -> Result<()> {
+        let (Some(volume), Some(transfer)) = (&self.volume, &mut self.transfer) else {
+            let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
+            bail!(NotReady, "no {missing} is set; set volume and transfer function before the first frame");
+        };
+        if frame.skipping() == Skipping::Distance {
+            transfer.prepare_distance();
+        }
+        self.features.measure(volume, transfer, frame);
+        Ok(())
+    }
+
+    fn changes_for(&self, frame: &Frame) -> Changes {
+        let mut changes = self.changes;
+        if let Some(last) = &self.last {
+            changes.size |= last.width != frame.width() || last.height != frame.height();
+            changes.mode |= last.shading != frame.shading()
+                || last.skipping != frame.skipping()
+                || self.last_termination != frame.termination();
+        }
+        changes
+    }
+
+    fn terms_at(&mut self, changes: Changes, setting: &Setting) -> Result<CostTerms> {
+        let inputs = Inputs {
+            features: &self.features,
+            setting: *setting,
+            changes,
+            camera: self.features.pose(),
+            volume_features: self.volume_features.as_deref(),
+            lobes: self.lobes.as_deref(),
+        };
+        if self.predictor.knows_step() {
+            return self.predictor.terms(&inputs);
+        }
+        let reference = Inputs { setting: setting.with_step(1.0), ..inputs };
+        let terms = self.predictor.terms(&reference)?;
+        Ok(scaled(terms, &self.shape, &self.features, setting))
+    }
+
+    fn note(
+        &mut self,
+        frame: &Frame,
+        target: f32,
+        changes: Changes,
+        terms: CostTerms,
+        decision: Decision,
+    ) -> Plan {
+        let id = self.next_id;
+        self.next_id += 1;
+        self.pending[(id % PENDING_PLANS as u64) as usize] =
+            Some(Pending { id, step: decision.step, target, changes, terms, observed: false });
+        self.changes = Changes::NONE;
+        self.last = Some(Setting::of(frame));
+        self.last_termination = frame.termination();
+        Plan {
+            id,
+            step: decision.step,
+            seconds: decision.seconds,
+            upper: decision.upper,
+            out_of_range: decision.out_of_range,
+            reason: decision.reason,
+        }
+    }
+}
+
+/// The prediction at the reference step, brought to a step by the analytic model's ratio.
+fn scaled(terms: CostTerms, shape: &AnalyticModel, features: &FrameFeatures, setting: &Setting) -> CostTerms {
+    let at = shape.parts(features, setting).seconds();
+    let reference = shape.parts(features, &setting.with_step(1.0)).seconds();
+    let ratio = if reference > 0.0 { at / reference } else { 1.0 };
+    let mut parts = [0.0; TERMS];
+    for (slot, part) in parts.iter_mut().zip(&terms.parts) {
+        *slot = part * ratio;
+    }
+    CostTerms { parts, ..terms }
+}
+
+struct Cost<'a> {
+    predictor: &'a mut (dyn Predictor + Send),
+    shape: &'a AnalyticModel,
+    /// The prediction at the reference step, for predictors that do not know the step.
+    reference: Option<CostTerms>,
+    inputs: Inputs<'a>,
+}
+
+impl StepCost for Cost<'_> {
+    fn at(&mut self, step: f32) -> CostTerms {
+        let unknown =
+            CostTerms { parts: [f32::NAN; TERMS], out_of_range: f32::NAN, source: Source::Analytic };
+        let setting = self.inputs.setting.with_step(step);
+        if self.predictor.knows_step() {
+            self.inputs.setting = setting;
+            return self.predictor.terms(&self.inputs).unwrap_or(unknown);
+        }
+        let reference = match self.reference {
+            Some(terms) => terms,
+            None => {
+                let inputs = Inputs { setting: setting.with_step(1.0), ..self.inputs };
+                let terms = self.predictor.terms(&inputs).unwrap_or(unknown);
+                self.reference = Some(terms);
+                terms
+            }
+        };
+        scaled(reference, self.shape, self.inputs.features, &setting)
+    }
+}
+
+fn check_target(target: f32) -> Result<()> {
+    if !(target.is_finite() && target > 0.0) {
+        bail!(
+            InvalidArgument,
+            "target frame time is {target} seconds; it must be finite and positive (0.025 for 40 frames per second)"
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,258 @@
+//! What one frame will do, for any ray step and image size of the same shape.
+
+use super::{Probe, SceneFeature, SceneQuantity, TransferSummary, VolumeSummary};
+use crate::scene::{Arcball, Frame, Shading, Skipping};
+
+/// Side of the pixel tiles that a renderer runs in lockstep.
+const TILE_SIDE: f32 = 8.0;
+
+/// Optical depth at which a shadow ray counts as opaque: −ln(1 − 0.25), the early-out of single scattering.
+/// What of a frame a controller may vary.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Setting {
+    /// Ray step in multiples of the reference step.
+    pub step: f32,
+    /// Image width in pixels.
+    pub width: u32,
+    /// Image height in pixels.
+    pub height: u32,
+    /// Shading mode.
+    pub shading: Shading,
+    /// Skipping mode.
+    pub skipping: Skipping,
+}
+
+impl Setting {
+    /// The setting of a frame.
+    pub fn of(frame: &Frame) -> Self {
+        Self {
+            step: frame.step(),
+            width: frame.width(),
+            height: frame.height(),
+            shading: frame.shading(),
+            skipping: frame.skipping(),
+        }
+    }
+
+    /// The same with another ray step.
+    pub fn with_step(self, step: f32) -> Self {
+        Self { step, ..self }
+    }
+}
+
+/// What the caller knows to differ from the frame before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Changes {
+    /// No frame came before, or the first one after a pipeline was built.
+    pub first: bool,
+    /// Another transfer function.
+    pub transfer: bool,
+    /// Another volume.
+    pub volume: bool,
+    /// Another image size.
+    pub size: bool,
+    /// Another shading, skipping or termination mode.
+    pub mode: bool,
+    /// The camera jumped (a cut, not a move).
+    pub camera: bool,
+}
+
+impl Changes {
+    /// Nothing changed but the camera's smooth motion.
+    pub const NONE: Self =
+        Self { first: false, transfer: false, volume: false, size: false, mode: false, camera: false };
+
+    /// Whether anything did that makes the frames before a bad guide.
+    pub fn any(&self) -> bool {
+        self.first || self.transfer || self.volume || self.size || self.mode || self.camera
+    }
+}
+
+/// Estimated work of a whole frame. All are counts; none is negative.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Work {
+    /// Pixels of the image.
+    pub pixels: f64,
+    /// Rays that meet the volume's box.
+    pub rays: f64,
+    /// Samples taken.
+    pub samples: f64,
+    /// Jumps over empty blocks.
+    pub skips: f64,
+    /// Samples as a machine pays for them that runs a tile of pixels until its longest ray ends.
+    pub lane_samples: f64,
+    /// Samples with opacity, where shading is on; else 0.
+    pub shaded: f64,
+    /// Samples along shadow rays, with single scattering; else 0.
+    pub shadow_samples: f64,
+}
+
+/// What a camera sees of a volume under a transfer function, measured once per frame.
+///
+/// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::work`] and [`FrameFeatures::write`] then evaluate any
+/// step, shading, skipping and size (of the same shape) without marching again. Nothing here allocates.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameFeatures {
+    probe: Probe,
+    pose: Arcball,
+    fov_y: f32,
+    occupied_share: f32,
+    visible_share: f32,
+    mean_opacity: f32,
+    mean_square_opacity: f32,
+    mean_extinction: f32,
+    max_opacity: f32,
+    voxels: f32,
+    bytes_per_voxel: f32,
+    cells_per_step: f32,
+}
+
+impl Default for FrameFeatures {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl FrameFeatures {
+    /// Features of nothing: no ray meets anything.
+    pub fn new() -> Self {
+        Self {
+            probe: Probe::NOTHING,
+            pose: Arcball { rx: 0.0, ry: 0.0, dz: 0.0 },
+            fov_y: 0.0,
+            occupied_share: 0.0,
+            visible_share: 0.0,
+            mean_opacity: 0.0,
+            mean_square_opacity: 0.0,
+            mean_extinction: 0.0,
+            max_opacity: 0.0,
+            voxels: 0.0,
+            bytes_per_voxel: 0.0,
+            cells_per_step: 0.0,
+        }
+    }
+
+    /// Measures a frame. For [`Skipping::Distance`], call [`TransferSummary::prepare_distance`] first; without it,
+    /// jumps are counted as with [`Skipping::Blocks`].
+    pub fn measure(&mut self, volume: &VolumeSummary, transfer: &TransferSummary, frame: &Frame) {
+        self.probe = Probe::new(volume, transfer, frame);
+        self.pose = frame.camera().to_arcball();
+        self.fov_y = frame.camera().fov_y();
+        self.occupied_share = transfer.occupied_share();
+        self.visible_share = transfer.visible_share();
+        self.mean_opacity = transfer.mean_opacity();
+        self.mean_square_opacity = transfer.mean_square_opacity();
+        self.mean_extinction = transfer.mean_extinction();
+        self.max_opacity = transfer.max_opacity();
+        self.voxels = volume.voxels() as f32;
+        self.bytes_per_voxel = volume.scalar_type().bytes() as f32;
+        let spacing = volume.spacing();
+        self.cells_per_step = spacing.min_element() / spacing.max_element();
+    }
+
+    /// The probe behind the numbers.
+    pub fn probe(&self) -> &Probe {
+        &self.probe
+    }
+
+    /// The arcball pose of the frame's camera.
+    pub fn pose(&self) -> Arcball {
+        self.pose
+    }
+
+    /// Estimated work of the frame at a setting. Never decreases when the step gets finer or the image of the same
+    /// shape larger.
+    pub fn work(&self, setting: &Setting) -> Work {
+        let p = &self.probe;
+        let pixels = f64::from(setting.width) * f64::from(setting.height);
+        let rays = pixels * f64::from(p.footprint.share);
+        let inv = 1.0 / setting.step;
+        let skipping = setting.skipping != Skipping::None;
+        let (length, longest) =
+            if skipping { (p.occupied, p.occupied_max) } else { (p.occupied + p.empty, p.all_max) };
+        // A ray that ends early takes the sample that crosses the threshold: half a step more on average.
+        let crossing = 0.5 * p.terminated;
+        let per_ray = length * inv + crossing;
+        let skips =
+            if skipping { p.skips(setting.step, setting.skipping == Skipping::Distance) } else { 0.0 };
+        // Within a tile, the longest ray is about as far from the mean as the probe's neighbors are, scaled to the
+        // tile's size.
+        let tile = (0.5 * TILE_SIDE / (p.spacing * setting.height as f32)).min(1.0);
+        let per_lane = per_ray + tile * (longest - length).max(0.0) * inv;
+        let shaded = if setting.shading == Shading::None { 0.0 } else { p.visible * inv };
+        let shadow = if setting.shading == Shading::Scatter { p.shadow * inv * inv } else { 0.0 };
+        Work {
+            pixels,
+            rays,
+            samples: rays * f64::from(per_ray),
+            skips: rays * f64::from(skips),
+            lane_samples: rays * f64::from(per_lane),
+            shaded: rays * f64::from(shaded),
+            shadow_samples: rays * f64::from(shadow),
+        }
+    }
+
+    /// A quantity at a setting.
+    pub fn quantity(&self, quantity: SceneQuantity, setting: &Setting, work: &Work, changes: Changes) -> f64 {
+        use SceneQuantity as Q;
+        let p = &self.probe;
+        let flag = |b: bool| f64::from(u8::from(b));
+        let per_pixel = |v: f64| v / work.pixels.max(1.0);
+        let only = |shading: Shading, v: f64| if setting.shading == shading { v } else { 0.0 };
+        match quantity {
+            Q::Pixels => work.pixels,
+            Q::Rays => work.rays,
+            Q::Samples => work.samples,
+            Q::Skips => work.skips,
+            Q::LaneSamples => work.lane_samples,
+            Q::LocalSamples => only(Shading::Local, work.shaded),
+            Q::ScatterSamples => only(Shading::Scatter, work.shaded),
+            Q::ShadowSamples => work.shadow_samples,
+            Q::SamplesPerPixel => per_pixel(work.samples),
+            Q::SkipsPerPixel => per_pixel(work.skips),
+            Q::FootprintShare => f64::from(p.footprint.share),
+            Q::MeanChord => f64::from(p.mean_chord),
+            Q::MaxChord => f64::from(p.max_chord),
+            Q::TerminatedShare => f64::from(p.terminated),
+            Q::Divergence => {
+                if work.samples > 0.0 {
+                    work.lane_samples / work.samples - 1.0
+                } else {
+                    0.0
+                }
+            }
+            Q::OccupiedShare => f64::from(self.occupied_share),
+            Q::VisibleShare => f64::from(self.visible_share),
+            Q::MeanOpacity => f64::from(self.mean_opacity),
+            Q::MeanSquareOpacity => f64::from(self.mean_square_opacity),
+            Q::MeanExtinction => f64::from(self.mean_extinction),
+            Q::MaxOpacity => f64::from(self.max_opacity),
+            Q::Step => f64::from(setting.step),
+            Q::Distance => f64::from(self.pose.dz),
+            Q::FieldOfView => f64::from(self.fov_y),
+            Q::Tilt => f64::from(libm::fabsf(libm::sinf(self.pose.rx.to_radians()))),
+            Q::Turn => f64::from(libm::fabsf(libm::sinf(2.0 * self.pose.ry.to_radians()))),
+            Q::Inside => flag(p.footprint.inside),
+            Q::Voxels => f64::from(self.voxels),
+            Q::BytesPerVoxel => f64::from(self.bytes_per_voxel),
+            Q::Anisotropy => f64::from(self.cells_per_step),
+            Q::Local => flag(setting.shading == Shading::Local),
+            Q::Scatter => flag(setting.shading == Shading::Scatter),
+            Q::SkippingBlocks => flag(setting.skipping == Skipping::Blocks),
+            Q::SkippingDistance => flag(setting.skipping == Skipping::Distance),
+            Q::FirstFrame => flag(changes.first),
+            Q::TransferChanged => flag(changes.transfer),
+            Q::VolumeChanged => flag(changes.volume),
+            Q::SizeChanged => flag(changes.size),
+        }
+    }
+
+    /// Writes features in the order asked for; `out` and `features` are walked together to the shorter end.
+    pub fn write(&self, features: &[SceneFeature], setting: &Setting, changes: Changes, out: &mut [f32]) {
+        let work = self.work(setting);
+        for (slot, feature) in out.iter_mut().zip(features) {
+            let value = self.quantity(feature.quantity, setting, &work, changes);
+            *slot = if feature.log { feature.quantity.log(value) } else { value as f32 };
+        }
+    }
+}

@@ -1,0 +1,408 @@
+//! The coarse ray probe: a few rays through the grid of cells, marched once per frame, evaluated for any step.
+
+use super::{Footprint, Geometry, TransferSummary, VolumeSummary};
+use crate::scene::Frame;
+use glam::Vec3;
+
+/// The probe has this many rays along each side of the footprint's bounding rectangle.
+pub const PROBE_SIDE: usize = 12;
+
+const RAYS: usize = PROBE_SIDE * PROBE_SIDE;
+
+/// Chord lengths through empty cells are kept in half octaves from 2⁻⁴ to 2¹⁰ reference steps.
+const BINS: usize = 28;
+const FIRST_BIN_EXPONENT: u32 = 127 - 4;
+
+/// Work of an average ray that meets the box, as lengths in reference steps; [`super::FrameFeatures::work`] turns it
+/// into counts for a step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Probe {
+    pub(super) footprint: Footprint,
+    /// Share of the probe's rays that met the box (of those in the bounding rectangle).
+    pub(super) rays: u32,
+    pub(super) mean_chord: f32,
+    pub(super) max_chord: f32,
+    /// Length inside occupied blocks up to termination.
+    pub(super) occupied: f32,
+    /// Length inside empty blocks up to termination.
+    pub(super) empty: f32,
+    /// Length in which samples have opacity.
+    pub(super) visible: f32,
+    /// Share of rays that terminate early.
+    pub(super) terminated: f32,
+    /// As `occupied` and `occupied + empty`, the largest of a ray and its neighbors in the probe.
+    pub(super) occupied_max: f32,
+    pub(super) all_max: f32,
+    /// Image distance between neighboring probe rays in units of the image's height.
+    pub(super) spacing: f32,
+    /// Visible length times the length that a shadow ray back to the eye covers before it is opaque.
+    pub(super) shadow: f32,
+    block_skips: Chords,
+    distance_skips: Chords,
+}
+
+impl Probe {
+    /// A probe that met nothing.
+    pub const NOTHING: Self = Self {
+        footprint: Footprint::NOTHING,
+        rays: 0,
+        mean_chord: 0.0,
+        max_chord: 0.0,
+        occupied: 0.0,
+        empty: 0.0,
+        visible: 0.0,
+        terminated: 0.0,
+        occupied_max: 0.0,
+        all_max: 0.0,
+        spacing: 1.0,
+        shadow: 0.0,
+        block_skips: Chords::NOTHING,
+        distance_skips: Chords::NOTHING,
+    };
+
+    /// Marches the probe's rays through a volume. The image's shape enters, its number of pixels does not.
+    ///
+    /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `volume` must be the one that `transfer`
+    /// was made from; a summary of another grid gives [`Probe::NOTHING`].
+    pub fn new(volume: &VolumeSummary, transfer: &TransferSummary, frame: &Frame) -> Self {
+        let geometry = volume.geometry();
+        let footprint = Footprint::new(geometry.half_extent, frame.camera(), frame.width(), frame.height());
+        if footprint.share <= 0.0 || transfer.grid() != volume.cells() {
+            return Self { footprint, ..Self::NOTHING };
+        }
+        let mut march = March::new(volume, transfer, frame, geometry);
+        let (eye, right, up, forward) = frame.camera().ray_basis(frame.width(), frame.height());
+        let (low, high) = (footprint.low, footprint.high);
+        let size = [high[0] - low[0], high[1] - low[1]];
+        let mut rays = [Ray::MISS; RAYS];
+        for (i, ray) in rays.iter_mut().enumerate() {
+            let (ix, iy) = (i % PROBE_SIDE, i / PROBE_SIDE);
+            let u = low[0] + size[0] * (ix as f32 + OFFSETS[i][0]) * (1.0 / PROBE_SIDE as f32);
+            let v = low[1] + size[1] * (iy as f32 + OFFSETS[i][1]) * (1.0 / PROBE_SIDE as f32);
+            *ray = march.ray(eye, forward + u * right + v * up);
+        }
+        let mut hits = rays.iter().filter(|r| r.chord > 0.0).count();
+        if hits == 0 {
+            // A sliver between the rays: its center stands for all of it.
+            let [u, v] = footprint.center;
+            rays[0] = march.ray(eye, forward + u * right + v * up);
+            hits = usize::from(rays[0].chord > 0.0);
+        }
+        if hits == 0 {
+            return Self { footprint, ..Self::NOTHING };
+        }
+        let inv = 1.0 / hits as f32;
+        let mut out = Self { footprint, rays: hits as u32, ..Self::NOTHING };
+        for (i, ray) in rays.iter().enumerate() {
+            out.mean_chord += ray.chord;
+            out.max_chord = out.max_chord.max(ray.chord);
+            out.occupied += ray.occupied;
+            out.empty += ray.empty;
+            out.visible += ray.visible;
+            out.shadow += ray.shadow;
+            out.terminated += f32::from(u8::from(ray.terminated));
+            let (mut o, mut a) = (ray.occupied, ray.occupied + ray.empty);
+            let (ix, iy) = (i % PROBE_SIDE, i / PROBE_SIDE);
+            let mut consider = |n: &Ray| {
+                o = o.max(n.occupied);
+                a = a.max(n.occupied + n.empty);
+            };
+            if ix > 0 {
+                consider(&rays[i - 1]);
+            }
+            if ix + 1 < PROBE_SIDE {
+                consider(&rays[i + 1]);
+            }
+            if iy > 0 {
+                consider(&rays[i - PROBE_SIDE]);
+            }
+            if iy + 1 < PROBE_SIDE {
+                consider(&rays[i + PROBE_SIDE]);
+            }
+            // A pixel that misses the box waits for its neighbors too, so misses count.
+            out.occupied_max += o;
+            out.all_max += a;
+        }
+        for total in [
+            &mut out.mean_chord,
+            &mut out.occupied,
+            &mut out.empty,
+            &mut out.visible,
+            &mut out.shadow,
+            &mut out.terminated,
+            &mut out.occupied_max,
+            &mut out.all_max,
+        ] {
+            *total *= inv;
+        }
+        let aspect = frame.width() as f32 / frame.height() as f32;
+        out.spacing = libm::sqrtf((size[0] * aspect * size[1]).max(1.0e-12)) * 0.5 / PROBE_SIDE as f32;
+        out.block_skips = march.block_skips;
+        out.block_skips.scale(inv);
+        out.distance_skips = if march.distance.is_some() {
+            march.distance_skips.scale(inv);
+            march.distance_skips
+        } else {
+            out.block_skips
+        };
+        out
+    }
+
+    /// Share of the image that the box covers.
+    pub fn footprint(&self) -> &Footprint {
+        &self.footprint
+    }
+
+    /// Mean length of the box along rays that meet it, reference steps.
+    pub fn mean_chord(&self) -> f32 {
+        self.mean_chord
+    }
+
+    /// Largest such length, reference steps.
+    pub fn max_chord(&self) -> f32 {
+        self.max_chord
+    }
+
+    /// Share of rays that end before they leave the box.
+    pub fn terminated(&self) -> f32 {
+        self.terminated
+    }
+
+    /// Number of probe rays that met the box.
+    pub fn rays(&self) -> u32 {
+        self.rays
+    }
+
+    /// Expected jumps per ray at a step, with block skipping or with the distance map.
+    pub(super) fn skips(&self, step: f32, distance: bool) -> f32 {
+        if distance { self.distance_skips.visited(step) } else { self.block_skips.visited(step) }
+    }
+}
+
+/// Chords through empty space by length: how many, and how long together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Chords {
+    count: [f32; BINS],
+    length: [f32; BINS],
+}
+
+impl Chords {
+    const NOTHING: Self = Self { count: [0.0; BINS], length: [0.0; BINS] };
+
+    /// Adds `count` chords of `length` each.
+    #[inline]
+    fn add(&mut self, length: f32, count: f32) {
+        let half_octave = length.to_bits() >> 22;
+        let bin = half_octave.saturating_sub(FIRST_BIN_EXPONENT << 1).min(BINS as u32 - 1) as usize;
+        self.count[bin] += count;
+        self.length[bin] += length * count;
+    }
+
+    fn scale(&mut self, by: f32) {
+        for v in self.count.iter_mut().chain(&mut self.length) {
+            *v *= by;
+        }
+    }
+
+    /// Expected number of chords that hold a sample position: Σ min(1, length / step).
+    fn visited(&self, step: f32) -> f32 {
+        let inv = 1.0 / step;
+        self.count.iter().zip(&self.length).map(|(&n, &l)| n.min(l * inv)).sum()
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Ray {
+    chord: f32,
+    occupied: f32,
+    empty: f32,
+    visible: f32,
+    shadow: f32,
+    terminated: bool,
+}
+
+impl Ray {
+    const MISS: Self =
+        Self { chord: 0.0, occupied: 0.0, empty: 0.0, visible: 0.0, shadow: 0.0, terminated: false };
+}
+
+struct March<'a> {
+    cells: &'a [super::transfer::Cell],
+    distance: Option<&'a [u8]>,
+    grid: [i32; 3],
+    half_extent: Vec3,
+    /// Cells per scene unit along each axis.
+    scale: Vec3,
+    /// Scene length of a reference step, inverted.
+    per_step: f32,
+    /// Optical depth at which a ray ends.
+    depth_end: f32,
+    /// Edges of a block in scene units where cells hold several blocks.
+    block: Option<Vec3>,
+    block_skips: Chords,
+    distance_skips: Chords,
+}
+
+impl<'a> March<'a> {
+    fn new(volume: &VolumeSummary, transfer: &'a TransferSummary, frame: &Frame, geometry: Geometry) -> Self {
+        let dims = Vec3::from_array(volume.dims().map(|n| n as f32));
+        let edge = Vec3::from_array(volume.cell_edge().map(|n| n as f32));
+        let block = Vec3::from_array(volume.block_edge().map(|n| n as f32));
+        let voxel = 2.0 * geometry.half_extent / dims;
+        let termination = frame.termination();
+        Self {
+            cells: transfer.cells(),
+            distance: transfer.distance(),
+            grid: volume.cells().map(|n| n as i32),
+            half_extent: geometry.half_extent,
+            scale: 1.0 / (voxel * edge),
+            per_step: 1.0 / geometry.reference_step,
+            depth_end: if termination < 1.0 { -libm::log1pf(-termination) } else { f32::INFINITY },
+            block: (block != edge).then_some(block * voxel),
+            block_skips: Chords::NOTHING,
+            distance_skips: Chords::NOTHING,
+        }
+    }
+
+    fn ray(&mut self, origin: Vec3, direction: Vec3) -> Ray {
+        let tiny = 1.0e-9;
+        let safe = Vec3::select(
+            direction.abs().cmplt(Vec3::splat(tiny)),
+            Vec3::splat(tiny).copysign(direction),
+            direction,
+        );
+        let inverse = 1.0 / safe;
+        let (a, b) = ((-self.half_extent - origin) * inverse, (self.half_extent - origin) * inverse);
+        let t_enter = a.min(b).max_element().max(0.0);
+        let t_exit = a.max(b).min_element();
+        if !(t_enter < t_exit) {
+            return Ray::MISS;
+        }
+        // Reference steps per unit of t.
+        let rate = direction.length() * self.per_step;
+        let mut out = Ray { chord: (t_exit - t_enter) * rate, ..Ray::MISS };
+        let start = (origin + t_enter * safe + self.half_extent) * self.scale;
+        let delta = (inverse / self.scale).abs();
+        let mut cell = [0i32; 3];
+        let mut next = [0.0f32; 3];
+        let mut stride = [0i32; 3];
+        let mut left = [0i32; 3];
+        let strides = [1, self.grid[0], self.grid[0] * self.grid[1]];
+        for k in 0..3 {
+            let last = self.grid[k] - 1;
+            cell[k] = (start[k] as i32).clamp(0, last);
+            let boundary = if safe[k] > 0.0 { cell[k] + 1 } else { cell[k] };
+            next[k] = t_enter + (boundary as f32 - start[k]) / (safe[k] * self.scale[k]);
+            next[k] = next[k].max(t_enter);
+            stride[k] = if safe[k] > 0.0 { strides[k] } else { -strides[k] };
+            left[k] = if safe[k] > 0.0 { last - cell[k] } else { cell[k] };
+        }
+        let mean_block_chord = self.block.map(|b| {
+            let d = direction.abs();
+            rate * (b.x * b.y * b.z) / (d.x * b.y * b.z + d.y * b.x * b.z + d.z * b.x * b.y)
+        });
+        let mut index = cell[0] * strides[0] + cell[1] * strides[1] + cell[2] * strides[2];
+        let mut t = t_enter;
+        let mut depth = 0.0f32;
+        // Current jump of the distance map: where it began, how far it reaches, its length so far.
+        let mut jump = Jump::NONE;
+        loop {
+            let axis = if next[0] <= next[1] {
+                if next[0] <= next[2] { 0 } else { 2 }
+            } else if next[1] <= next[2] {
+                1
+            } else {
+                2
+            };
+            let t_next = next[axis].min(t_exit);
+            let length = (t_next - t).max(0.0) * rate;
+            let here = self.cells[index as usize];
+            if here.occupied == 0.0 {
+                out.empty += length;
+                match mean_block_chord {
+                    None => self.block_skips.add(length, 1.0),
+                    Some(chord) => self.block_skips.add(chord, length / chord),
+                }
+                if let Some(distance) = self.distance {
+                    let place = [left[0], left[1], left[2]];
+                    if !jump.covers(place) {
+                        jump.finish(&mut self.distance_skips);
+                        jump = Jump { from: place, reach: i32::from(distance[index as usize]), length: 0.0 };
+                    }
+                    jump.length += length;
+                }
+            } else {
+                jump.finish(&mut self.distance_skips);
+                jump = Jump::NONE;
+                let d = here.extinction * length;
+                let (used, ends) = if depth + d >= self.depth_end {
+                    ((self.depth_end - depth) / d * length, true)
+                } else {
+                    (length, false)
+                };
+                let inside = used * here.occupied;
+                out.occupied += inside;
+                let shown = used * here.visible;
+                out.visible += shown;
+                out.shadow += shown * (t - t_enter) * rate;
+                if here.occupied < 1.0 {
+                    let empty = used - inside;
+                    out.empty += empty;
+                    if let Some(chord) = mean_block_chord {
+                        self.block_skips.add(chord, empty / chord);
+                        self.distance_skips.add(chord, empty / chord);
+                    }
+                }
+                if ends {
+                    out.terminated = true;
+                    break;
+                }
+                depth += d;
+            }
+            if left[axis] == 0 || t_next >= t_exit {
+                break;
+            }
+            left[axis] -= 1;
+            index += stride[axis];
+            t = t_next;
+            next[axis] += delta[axis];
+        }
+        jump.finish(&mut self.distance_skips);
+        out
+    }
+}
+
+/// A jump of the distance map, in cells.
+#[derive(Clone, Copy)]
+struct Jump {
+    from: [i32; 3],
+    reach: i32,
+    length: f32,
+}
+
+impl Jump {
+    const NONE: Self = Self { from: [0; 3], reach: 0, length: 0.0 };
+
+    fn covers(&self, place: [i32; 3]) -> bool {
+        self.reach > 0 && (0..3).all(|k| (place[k] - self.from[k]).abs() < self.reach)
+    }
+
+    fn finish(&self, into: &mut Chords) {
+        if self.reach > 0 {
+            into.add(self.length, 1.0);
+        }
+    }
+}
+
+/// Where in its stratum each ray goes: the additive recurrence of the plastic number, which fills the square evenly.
+static OFFSETS: [[f32; 2]; RAYS] = {
+    let mut out = [[0.0; 2]; RAYS];
+    let mut i = 0;
+    while i < RAYS {
+        let u = 0.5 + i as f64 * 0.754_877_666_246_692_8;
+        let v = 0.5 + i as f64 * 0.569_840_290_998_053_2;
+        out[i] = [(u - u as u64 as f64) as f32, (v - v as u64 as f64) as f32];
+        i += 1;
+    }
+    out
+};

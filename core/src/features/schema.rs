@@ -1,0 +1,170 @@
+//! The names, units and order of scene features, as model files use them (`entire.scene_features`).
+
+use crate::Result;
+use crate::error::bail;
+use alloc::string::String;
+use core::fmt;
+
+macro_rules! quantities {
+    ($($variant:ident, $name:literal, $unit:literal, $floor:literal, $doc:literal;)*) => {
+        /// A physical quantity of a scene that the core computes.
+        ///
+        /// | name | unit | log floor | meaning |
+        /// |---|---|---|---|
+        $(#[doc = concat!("| `", $name, "` | ", $unit, " | ", $floor, " | ", $doc, " |")])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        #[non_exhaustive]
+        pub enum SceneQuantity {
+            $(#[doc = $doc] $variant,)*
+        }
+
+        impl SceneQuantity {
+            /// Every quantity, in the order of the table.
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
+
+            /// The name used in model files.
+            pub const fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name,)* }
+            }
+
+            /// The unit.
+            pub const fn unit(self) -> &'static str {
+                match self { $(Self::$variant => $unit,)* }
+            }
+
+            /// What the log variant adds before it takes the natural logarithm.
+            pub const fn log_floor(self) -> f64 {
+                match self { $(Self::$variant => $floor,)* }
+            }
+        }
+    };
+}
+
+quantities! {
+    Pixels, "pixels", "pixels", 1.0, "pixels of the image";
+    Rays, "rays", "rays", 1.0, "pixels whose ray meets the volume's box";
+    Samples, "samples", "samples", 1.0, "expected samples of the frame up to early termination";
+    Skips, "skips", "jumps", 1.0, "expected jumps over empty blocks";
+    LaneSamples, "lane_samples", "samples", 1.0, "samples where a tile of 8 x 8 pixels runs until its longest ray ends";
+    LocalSamples, "local_samples", "samples", 1.0, "visible samples, with local shading; else 0";
+    ScatterSamples, "scatter_samples", "samples", 1.0, "visible samples, with single scattering; else 0";
+    ShadowSamples, "shadow_samples", "samples", 1.0, "samples along shadow rays, with single scattering; else 0";
+    SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, "samples over pixels of the image";
+    SkipsPerPixel, "skips_per_pixel", "jumps/pixel", 0.01, "jumps over pixels of the image";
+    FootprintShare, "footprint_share", "1", 1.0e-6, "share of the image that the volume's box covers";
+    MeanChord, "mean_chord", "reference steps", 1.0, "mean length of the box along the rays that meet it";
+    MaxChord, "max_chord", "reference steps", 1.0, "largest such length";
+    TerminatedShare, "terminated_share", "1", 0.01, "share of rays that end early";
+    Divergence, "divergence", "1", 0.01, "lane samples over samples, less one";
+    OccupiedShare, "occupied_share", "1", 0.0001, "share of blocks that are not empty under the transfer function";
+    VisibleShare, "visible_share", "1", 0.0001, "share of voxels with any opacity";
+    MeanOpacity, "mean_opacity", "1", 1.0e-6, "opacity averaged over voxels";
+    MeanSquareOpacity, "mean_square_opacity", "1", 1.0e-9, "squared opacity averaged over voxels";
+    MeanExtinction, "mean_extinction", "1/reference step", 1.0e-6, "extinction averaged over voxels";
+    MaxOpacity, "max_opacity", "1", 1.0e-6, "largest opacity of the transfer function";
+    Step, "step", "reference steps", 0.0, "ray step";
+    Distance, "distance", "bounding-sphere radii", 0.001, "distance of the eye from the volume's center";
+    FieldOfView, "field_of_view", "radians", 0.0, "vertical field of view";
+    Tilt, "tilt", "1", 0.001, "|sin R_x|";
+    Turn, "turn", "1", 0.001, "|sin 2 R_y|";
+    Inside, "inside", "flag", 1.0, "1 with the eye inside the box";
+    Voxels, "voxels", "voxels", 1.0, "voxels of the volume";
+    BytesPerVoxel, "bytes_per_voxel", "bytes", 1.0, "size of a scalar";
+    Anisotropy, "anisotropy", "1", 1.0e-6, "smallest over largest voxel spacing";
+    Local, "shading_local", "flag", 1.0, "1 with local shading";
+    Scatter, "shading_scatter", "flag", 1.0, "1 with single scattering";
+    SkippingBlocks, "skipping_blocks", "flag", 1.0, "1 with block skipping";
+    SkippingDistance, "skipping_distance", "flag", 1.0, "1 with the distance map";
+    FirstFrame, "first_frame", "flag", 1.0, "1 for the first frame";
+    TransferChanged, "transfer_changed", "flag", 1.0, "1 when the transfer function is new";
+    VolumeChanged, "volume_changed", "flag", 1.0, "1 when the volume is new";
+    SizeChanged, "size_changed", "flag", 1.0, "1 when the image size is new";
+}
+
+impl SceneQuantity {
+    /// The log variant of a value: ln(value + floor), −69 where that is not positive.
+    pub fn log(self, value: f64) -> f32 {
+        libm::log((value + self.log_floor()).max(1.0e-30)) as f32
+    }
+}
+
+/// A quantity as it stands or its logarithm. In files: the quantity's name, or that name after `log_`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct SceneFeature {
+    /// What is measured.
+    pub quantity: SceneQuantity,
+    /// Whether ln(value + floor) is meant instead of the value.
+    pub log: bool,
+}
+
+impl SceneFeature {
+    /// The value itself.
+    pub const fn linear(quantity: SceneQuantity) -> Self {
+        Self { quantity, log: false }
+    }
+
+    /// The logarithm.
+    pub const fn log(quantity: SceneQuantity) -> Self {
+        Self { quantity, log: true }
+    }
+
+    /// The features that a small model takes unless told otherwise: logarithms of counts and lengths, shares, modes.
+    pub const STANDARD: &'static [Self] = &[
+        Self::log(SceneQuantity::Pixels),
+        Self::log(SceneQuantity::Rays),
+        Self::log(SceneQuantity::Samples),
+        Self::log(SceneQuantity::Skips),
+        Self::log(SceneQuantity::LaneSamples),
+        Self::log(SceneQuantity::LocalSamples),
+        Self::log(SceneQuantity::ScatterSamples),
+        Self::log(SceneQuantity::ShadowSamples),
+        Self::log(SceneQuantity::SamplesPerPixel),
+        Self::log(SceneQuantity::SkipsPerPixel),
+        Self::log(SceneQuantity::MeanChord),
+        Self::linear(SceneQuantity::TerminatedShare),
+        Self::linear(SceneQuantity::Divergence),
+        Self::linear(SceneQuantity::OccupiedShare),
+        Self::log(SceneQuantity::MeanOpacity),
+        Self::log(SceneQuantity::Step),
+        Self::log(SceneQuantity::Distance),
+        Self::linear(SceneQuantity::Tilt),
+        Self::linear(SceneQuantity::Turn),
+        Self::linear(SceneQuantity::Inside),
+    ];
+
+    /// Reads a name as [`SceneFeature`]'s `Display` writes it.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::Unsupported`] for a name that this version does not compute; the message lists all.
+    pub fn from_name(name: &str) -> Result<Self> {
+        let (bare, log) = match name.strip_prefix("log_") {
+            Some(rest) => (rest, true),
+            None => (name, false),
+        };
+        match SceneQuantity::ALL.iter().find(|q| q.name() == bare) {
+            Some(&quantity) => Ok(Self { quantity, log }),
+            None => {
+                let mut known = String::new();
+                for q in SceneQuantity::ALL {
+                    if !known.is_empty() {
+                        known.push_str(", ");
+                    }
+                    known.push_str(q.name());
+                }
+                bail!(
+                    Unsupported,
+                    "scene feature {name:?} is not one that this version computes; known are {known}, each also with log_ before it"
+                )
+            }
+        }
+    }
+}
+
+impl fmt::Display for SceneFeature {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.log {
+            f.write_str("log_")?;
+        }
+        f.write_str(self.quantity.name())
+    }
+}

@@ -1,0 +1,264 @@
+//! What a transfer function makes of a volume: emptiness and extinction of each cell.
+
+use super::VolumeSummary;
+use crate::scene::{TABLE_LEN, TransferTable};
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction is that
+/// of its mean transmittance over this length: with 0 it would be the mean extinction, which overrates cells that hold
+/// a few opaque voxels among transparent ones.
+pub const CORRELATION_LENGTH: f32 = 2.0;
+
+/// Opacities are capped here where extinction (−ln(1 − α)) is formed.
+const MAX_OPACITY: f32 = 1.0 - 1.0e-6;
+
+/// A cell as the ray probe meets it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Cell {
+    /// Extinction per reference step.
+    pub(super) extinction: f32,
+    /// Share of the cell's blocks that are not empty; 0 where a renderer skips it whole.
+    pub(super) occupied: f32,
+    /// Share of the cell's values with any opacity.
+    pub(super) visible: f32,
+}
+
+/// Emptiness and extinction of each cell of a volume under a transfer function.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TransferSummary {
+    cells: Vec<Cell>,
+    grid: [usize; 3],
+    /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
+    distance: Vec<u8>,
+    distance_ready: bool,
+    occupied_share: f32,
+    mean_opacity: f32,
+    mean_square_opacity: f32,
+    mean_extinction: f32,
+    visible_share: f32,
+    max_opacity: f32,
+}
+
+impl TransferSummary {
+    /// Applies a table to a volume.
+    pub fn new(volume: &VolumeSummary, table: &TransferTable) -> Self {
+        let n = volume.stats().len();
+        let blank = Cell { extinction: 0.0, occupied: 0.0, visible: 0.0 };
+        let mut summary = Self {
+            cells: vec![blank; n],
+            grid: volume.cells(),
+            distance: vec![0; n],
+            distance_ready: false,
+            occupied_share: 0.0,
+            mean_opacity: 0.0,
+            mean_square_opacity: 0.0,
+            mean_extinction: 0.0,
+            visible_share: 0.0,
+            max_opacity: 0.0,
+        };
+        summary.update(volume, table);
+        summary
+    }
+
+    /// Applies another table, or the table to another volume. Allocates only when the volume has more cells than any
+    /// before it.
+    pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) {
+        let n = volume.stats().len();
+        self.cells.resize(n, Cell { extinction: 0.0, occupied: 0.0, visible: 0.0 });
+        self.distance.resize(n, 0);
+        self.grid = volume.cells();
+        self.distance_ready = false;
+
+        // Prefix tables: entries with opacity, and transmittance over the correlation length.
+        let mut opaque = [0u16; TABLE_LEN + 1];
+        let mut transmittance = [0.0f32; TABLE_LEN + 1];
+        let mut visible = [0.0f32; TABLE_LEN];
+        let ratio = CORRELATION_LENGTH / table.unit_distance();
+        let (mut mean, mut square, mut extinction, mut shown) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
+        self.max_opacity = 0.0;
+        for (i, entry) in table.rgba().iter().enumerate() {
+            let alpha = entry[3];
+            let log = libm::log1pf(-alpha.min(MAX_OPACITY));
+            opaque[i + 1] = opaque[i] + u16::from(alpha > 0.0);
+            transmittance[i + 1] = transmittance[i] + libm::expf(ratio * log);
+            visible[i] = f32::from(alpha > 0.0);
+            let share = f64::from(volume.histogram()[i]);
+            mean += share * f64::from(alpha);
+            square += share * f64::from(alpha) * f64::from(alpha);
+            extinction -= share * f64::from(log) / f64::from(table.unit_distance());
+            shown += share * f64::from(visible[i]);
+            self.max_opacity = self.max_opacity.max(alpha);
+        }
+        self.mean_opacity = mean as f32;
+        self.mean_square_opacity = square as f32;
+        self.mean_extinction = extinction as f32;
+        self.visible_share = shown as f32;
+
+        let mut occupied_sum = 0.0f64;
+        for (index, (cell, stats)) in self.cells.iter_mut().zip(volume.stats()).enumerate() {
+            let is_empty = |low: u8, high: u8| opaque[usize::from(high) + 1] == opaque[usize::from(low)];
+            if is_empty(stats.low, stats.high) {
+                *cell = Cell { extinction: 0.0, occupied: 0.0, visible: 0.0 };
+                continue;
+            }
+            cell.occupied = match volume.blocks_of(index) {
+                None => 1.0,
+                Some(blocks) => {
+                    let full = blocks.iter().filter(|b| !is_empty(b[0], b[1])).count();
+                    full as f32 / blocks.len() as f32
+                }
+            };
+            occupied_sum += f64::from(cell.occupied);
+            let (mut t, mut v) = (0.0f32, 0.0f32);
+            for pair in stats.quantiles.windows(2) {
+                let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
+                let inverse = RECIPROCAL[b - a];
+                t += (transmittance[b + 1] - transmittance[a]) * inverse;
+                v += f32::from(opaque[b + 1] - opaque[a]) * inverse;
+            }
+            let t = (t * (1.0 / super::QUANTILES as f32)).clamp(1.0e-12, 1.0);
+            cell.visible = (v * (1.0 / super::QUANTILES as f32)).clamp(0.0, 1.0);
+            cell.extinction = -libm::logf(t) * (1.0 / CORRELATION_LENGTH);
+        }
+        self.occupied_share = (occupied_sum / n as f64) as f32;
+    }
+
+    /// Share of the volume's blocks that are not empty.
+    pub fn occupied_share(&self) -> f32 {
+        self.occupied_share
+    }
+
+    /// Opacity of the table averaged over the volume's voxels.
+    pub fn mean_opacity(&self) -> f32 {
+        self.mean_opacity
+    }
+
+    /// Squared opacity averaged over the volume's voxels.
+    pub fn mean_square_opacity(&self) -> f32 {
+        self.mean_square_opacity
+    }
+
+    /// Extinction per reference step averaged over the volume's voxels.
+    pub fn mean_extinction(&self) -> f32 {
+        self.mean_extinction
+    }
+
+    /// Share of voxels with any opacity.
+    pub fn visible_share(&self) -> f32 {
+        self.visible_share
+    }
+
+    /// Largest opacity in the table.
+    pub fn max_opacity(&self) -> f32 {
+        self.max_opacity
+    }
+
+    /// Whether a cell is empty, so that a renderer skips it whole.
+    ///
+    /// # Panics
+    /// When the cell lies outside the grid.
+    pub fn is_empty(&self, x: usize, y: usize, z: usize) -> bool {
+        let g = self.grid;
+        assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
+        self.cells[x + g[0] * (y + g[1] * z)].occupied == 0.0
+    }
+
+    /// Extinction of a cell per reference step.
+    ///
+    /// # Panics
+    /// When the cell lies outside the grid.
+    pub fn extinction(&self, x: usize, y: usize, z: usize) -> f32 {
+        let g = self.grid;
+        assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
+        self.cells[x + g[0] * (y + g[1] * z)].extinction
+    }
+
+    pub(super) fn cells(&self) -> &[Cell] {
+        &self.cells
+    }
+
+    pub(super) fn grid(&self) -> [usize; 3] {
+        self.grid
+    }
+
+    /// Makes the distance map that [`crate::scene::Skipping::Distance`] needs, unless it is there. Never allocates.
+    pub fn prepare_distance(&mut self) {
+        if self.distance_ready {
+            return;
+        }
+        let [nx, ny, nz] = self.grid;
+        for (d, c) in self.distance.iter_mut().zip(&self.cells) {
+            *d = if c.occupied > 0.0 { 0 } else { u8::MAX };
+        }
+        // Two raster passes with the 13 preceding (following) neighbors give Chebyshev distances exactly.
+        let at = |x: usize, y: usize, z: usize| x + nx * (y + ny * z);
+        let d = &mut self.distance;
+        for z in 0..nz {
+            for y in 0..ny {
+                for x in 0..nx {
+                    let mut best = d[at(x, y, z)];
+                    for (dx, dy, dz) in PRECEDING {
+                        let (px, py, pz) = (x as isize + dx, y as isize + dy, z as isize + dz);
+                        if px >= 0 && py >= 0 && pz >= 0 && (px as usize) < nx && (py as usize) < ny {
+                            best = best.min(d[at(px as usize, py as usize, pz as usize)].saturating_add(1));
+                        }
+                    }
+                    d[at(x, y, z)] = best;
+                }
+            }
+        }
+        for z in (0..nz).rev() {
+            for y in (0..ny).rev() {
+                for x in (0..nx).rev() {
+                    let mut best = d[at(x, y, z)];
+                    for (dx, dy, dz) in PRECEDING {
+                        let (px, py, pz) = (x as isize - dx, y as isize - dy, z as isize - dz);
+                        if px >= 0
+                            && py >= 0
+                            && (px as usize) < nx
+                            && (py as usize) < ny
+                            && (pz as usize) < nz
+                        {
+                            best = best.min(d[at(px as usize, py as usize, pz as usize)].saturating_add(1));
+                        }
+                    }
+                    d[at(x, y, z)] = best;
+                }
+            }
+        }
+        self.distance_ready = true;
+    }
+
+    /// Chebyshev distances in cells to the nearest occupied cell (255 where there is none), once prepared.
+    pub(super) fn distance(&self) -> Option<&[u8]> {
+        self.distance_ready.then_some(&self.distance)
+    }
+}
+
+const PRECEDING: [(isize, isize, isize); 13] = [
+    (-1, -1, -1),
+    (0, -1, -1),
+    (1, -1, -1),
+    (-1, 0, -1),
+    (0, 0, -1),
+    (1, 0, -1),
+    (-1, 1, -1),
+    (0, 1, -1),
+    (1, 1, -1),
+    (-1, -1, 0),
+    (0, -1, 0),
+    (1, -1, 0),
+    (-1, 0, 0),
+];
+
+/// 1 / (n + 1) for the lengths of quantile intervals.
+static RECIPROCAL: [f32; TABLE_LEN] = {
+    let mut out = [0.0; TABLE_LEN];
+    let mut i = 0;
+    while i < TABLE_LEN {
+        out[i] = 1.0 / (i as f32 + 1.0);
+        i += 1;
+    }
+    out
+};

@@ -1,0 +1,449 @@
+//! What is kept of a volume: a grid of cells with value bounds and quantiles.
+
+use crate::error::bail;
+use crate::scene::{ScalarType, Scalars, VolumeView};
+use crate::{Error, ErrorKind, Result};
+use alloc::vec;
+use alloc::vec::Vec;
+use glam::Vec3;
+
+/// Edge of the blocks that renderers skip by, in voxels.
+pub const BLOCK_EDGE: usize = 8;
+
+/// Most cells along an axis unless [`SummaryOptions`] says otherwise.
+pub const DEFAULT_CELLS_PER_AXIS: usize = 48;
+
+/// Quantile intervals kept per cell; the `QUANTILES + 1` bounds split its voxels into shares of equal size.
+pub const QUANTILES: usize = 8;
+
+/// Most blocks kept inside one cell along an axis; beyond that a kept block is a run of blocks.
+const BLOCKS_PER_CELL_AXIS: usize = 8;
+
+/// How a [`VolumeSummary`] is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SummaryOptions {
+    /// Most cells along each axis, 1…128. Cells have the edge of a block, doubled along an axis until this holds.
+    pub cells_per_axis: usize,
+}
+
+impl Default for SummaryOptions {
+    fn default() -> Self {
+        Self { cells_per_axis: DEFAULT_CELLS_PER_AXIS }
+    }
+}
+
+/// The box that rays meet, in scene space (origin at its center, unit = bounding-sphere radius).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Geometry {
+    /// Half the box.
+    pub half_extent: Vec3,
+    /// The reference ray step.
+    pub reference_step: f32,
+}
+
+/// Value bounds and quantiles of one cell, as indices into a 256-entry table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct CellStats {
+    /// Lowest table entry that a sample in the cell can touch (one voxel of apron included).
+    pub(super) low: u8,
+    /// Highest such entry.
+    pub(super) high: u8,
+    /// Ascending quantile bounds of the cell's own voxels.
+    pub(super) quantiles: [u8; QUANTILES + 1],
+}
+
+/// What is kept of a volume: about 12 bytes per cell of 8³ voxels, never the voxels.
+///
+/// The grid has cells of [`BLOCK_EDGE`] voxels along each axis, coarser by powers of two where the volume is larger than
+/// the options allow; then the value bounds of the blocks inside each cell are kept too, so that emptiness is still
+/// judged by the blocks that a renderer skips.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VolumeSummary {
+    dims: [usize; 3],
+    spacing: Vec3,
+    scalar_type: ScalarType,
+    geometry: Geometry,
+    /// Cells along each axis.
+    cells: [usize; 3],
+    /// Voxels along each axis of a cell.
+    edge: [usize; 3],
+    /// Voxels along each axis of a block.
+    block: [usize; 3],
+    stats: Vec<CellStats>,
+    /// Bounds of the blocks inside each cell, cell after cell; `first_block[c]..first_block[c + 1]`. Empty where every
+    /// cell is one block.
+    blocks: Vec<[u8; 2]>,
+    first_block: Vec<u32>,
+    histogram: [f32; 256],
+    non_finite_share: f32,
+}
+
+impl VolumeSummary {
+    /// Scans a volume once.
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with more
+    /// blocks than can be indexed.
+    pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
+        let mut summary = Self::layout(volume.dims(), volume.spacing(), volume.scalar_type(), options)?;
+        match volume.scalars() {
+            Scalars::U8(s) => summary.scan(volume, |i| f32::from(s[i])),
+            Scalars::U16(s) => summary.scan(volume, |i| f32::from(s[i])),
+            Scalars::I16(s) => summary.scan(volume, |i| f32::from(s[i])),
+            Scalars::F32(s) => summary.scan(volume, |i| s[i]),
+        }
+        Ok(summary)
+    }
+
+    /// From bounds that the renderer already has: one (low, high) pair of normalized scalars per brick of
+    /// `brick_edge` voxels, x fastest, ⌈dims / edge⌉ bricks per axis, the apron that interpolation needs included.
+    /// Values inside a brick are taken as spread evenly between its bounds. NaN bounds count as 0.
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidArgument`] for a zero size, spacing or edge, [`ErrorKind::SizeMismatch`] when the number of
+    /// bricks is not the one that sizes and edge give.
+    pub fn from_bricks(
+        dims: [usize; 3],
+        spacing: [f32; 3],
+        scalar_type: ScalarType,
+        brick_edge: [usize; 3],
+        bounds: &[[f32; 2]],
+    ) -> Result<Self> {
+        if dims.contains(&0) || brick_edge.contains(&0) {
+            bail!(
+                InvalidArgument,
+                "volume of {dims:?} voxels in bricks of {brick_edge:?}; every size must be at least 1"
+            );
+        }
+        if spacing.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
+            bail!(InvalidArgument, "voxel spacing is {spacing:?}; all three must be finite and positive");
+        }
+        let cells: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(brick_edge[a]));
+        let expected = count(cells, dims)?;
+        if expected != bounds.len() {
+            bail!(
+                SizeMismatch,
+                "a volume of {dims:?} voxels in bricks of {brick_edge:?} has {expected} bricks, {} bounds were given; pass one (low, high) pair per brick, x fastest",
+                bounds.len()
+            );
+        }
+        let mut summary = Self::with_grid(dims, Vec3::from_array(spacing), scalar_type, cells, brick_edge)?;
+        summary.block = brick_edge;
+        let clean = |v: f32| if v.is_nan() { 0.0 } else { v.clamp(0.0, 1.0) };
+        for (i, bound) in bounds.iter().enumerate() {
+            let (a, b) = (clean(bound[0]), clean(bound[1]));
+            let (lo, hi) = (a.min(b), a.max(b));
+            let stats = &mut summary.stats[i];
+            stats.low = entry_below(lo);
+            stats.high = entry_above(hi);
+            for (k, q) in stats.quantiles.iter_mut().enumerate() {
+                *q = entry_near(lo + (hi - lo) * k as f32 / QUANTILES as f32);
+            }
+        }
+        summary.histogram_from_quantiles();
+        Ok(summary)
+    }
+
+    /// Voxels along x, y, z.
+    pub fn dims(&self) -> [usize; 3] {
+        self.dims
+    }
+
+    /// Voxel spacing along x, y, z.
+    pub fn spacing(&self) -> Vec3 {
+        self.spacing
+    }
+
+    /// The element type of the volume.
+    pub fn scalar_type(&self) -> ScalarType {
+        self.scalar_type
+    }
+
+    /// The box that rays meet.
+    pub fn geometry(&self) -> Geometry {
+        self.geometry
+    }
+
+    /// Cells along x, y, z.
+    pub fn cells(&self) -> [usize; 3] {
+        self.cells
+    }
+
+    /// Voxels along each axis of a cell (the last cell of an axis may reach beyond the volume).
+    pub fn cell_edge(&self) -> [usize; 3] {
+        self.edge
+    }
+
+    /// Voxels along each axis of the blocks by which emptiness is judged.
+    pub fn block_edge(&self) -> [usize; 3] {
+        self.block
+    }
+
+    /// Lowest and highest table entry that samples in a cell can touch.
+    ///
+    /// # Panics
+    /// When the cell lies outside the grid.
+    pub fn cell_bounds(&self, x: usize, y: usize, z: usize) -> (u8, u8) {
+        assert!(
+            x < self.cells[0] && y < self.cells[1] && z < self.cells[2],
+            "cell {x}, {y}, {z} outside the grid"
+        );
+        let s = &self.stats[x + self.cells[0] * (y + self.cells[1] * z)];
+        (s.low, s.high)
+    }
+
+    /// Share of voxels per table entry; sums to 1.
+    pub fn histogram(&self) -> &[f32; 256] {
+        &self.histogram
+    }
+
+    /// Share of voxels that are NaN or infinite.
+    pub fn non_finite_share(&self) -> f32 {
+        self.non_finite_share
+    }
+
+    /// Number of voxels.
+    pub fn voxels(&self) -> f64 {
+        self.dims.iter().map(|&n| n as f64).product()
+    }
+
+    pub(super) fn stats(&self) -> &[CellStats] {
+        &self.stats
+    }
+
+    /// Bounds of the blocks of a cell, or `None` where the cell is one block.
+    pub(super) fn blocks_of(&self, cell: usize) -> Option<&[[u8; 2]]> {
+        if self.first_block.is_empty() {
+            return None;
+        }
+        Some(&self.blocks[self.first_block[cell] as usize..self.first_block[cell + 1] as usize])
+    }
+
+    fn layout(
+        dims: [usize; 3],
+        spacing: Vec3,
+        scalar_type: ScalarType,
+        options: SummaryOptions,
+    ) -> Result<Self> {
+        let most = options.cells_per_axis;
+        if most == 0 || most > 128 {
+            bail!(InvalidArgument, "{most} cells per axis were asked for; accepted are 1…128");
+        }
+        let mut edge = [BLOCK_EDGE; 3];
+        for axis in 0..3 {
+            while dims[axis].div_ceil(edge[axis]) > most {
+                edge[axis] *= 2;
+            }
+        }
+        let cells: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(edge[a]));
+        Self::with_grid(dims, spacing, scalar_type, cells, edge)
+    }
+
+    fn with_grid(
+        dims: [usize; 3],
+        spacing: Vec3,
+        scalar_type: ScalarType,
+        cells: [usize; 3],
+        edge: [usize; 3],
+    ) -> Result<Self> {
+        let n = count(cells, dims)?;
+        let extent = Vec3::new(dims[0] as f32, dims[1] as f32, dims[2] as f32) * spacing;
+        let radius = 0.5 * extent.length();
+        let geometry =
+            Geometry { half_extent: 0.5 * extent / radius, reference_step: spacing.min_element() / radius };
+        let empty = CellStats { low: 255, high: 0, quantiles: [0; QUANTILES + 1] };
+        Ok(Self {
+            dims,
+            spacing,
+            scalar_type,
+            geometry,
+            cells,
+            edge,
+            block: edge.map(|e| e.min((e / BLOCKS_PER_CELL_AXIS).max(BLOCK_EDGE))),
+            stats: vec![empty; n],
+            blocks: Vec::new(),
+            first_block: Vec::new(),
+            histogram: [0.0; 256],
+            non_finite_share: 0.0,
+        })
+    }
+
+    fn scan(&mut self, volume: &VolumeView<'_>, get: impl Fn(usize) -> f32) {
+        let (dims, edge, cells, block) = (self.dims, self.edge, self.cells, self.block);
+        let split = block != edge;
+        if split {
+            self.first_block.reserve_exact(self.stats.len() + 1);
+            self.first_block.push(0);
+        }
+        let per_cell: [usize; 3] = core::array::from_fn(|a| edge[a] / block[a]);
+        let mut total = [0u64; 256];
+        let mut non_finite = 0u64;
+        let mut histogram = [0u32; 256];
+        // One row of voxels as exact table positions s·255.
+        let mut row = vec![0.0f32; edge[0] + 2];
+        let mut bounds = vec![[255u8, 0u8]; per_cell.iter().product()];
+        for cz in 0..cells[2] {
+            for cy in 0..cells[1] {
+                for cx in 0..cells[0] {
+                    let c = [cx, cy, cz];
+                    let from: [usize; 3] = core::array::from_fn(|a| c[a] * edge[a]);
+                    let to: [usize; 3] = core::array::from_fn(|a| (from[a] + edge[a]).min(dims[a]));
+                    let outer_from = from.map(|f| f.saturating_sub(1));
+                    let outer_to: [usize; 3] = core::array::from_fn(|a| (to[a] + 1).min(dims[a]));
+                    histogram.fill(0);
+                    bounds.fill([255, 0]);
+                    for z in outer_from[2]..outer_to[2] {
+                        for y in outer_from[1]..outer_to[1] {
+                            let core_row = z >= from[2] && z < to[2] && y >= from[1] && y < to[1];
+                            let width = outer_to[0] - outer_from[0];
+                            let start = volume.index(outer_from[0], y, z);
+                            let stride = volume.strides()[0];
+                            for (i, slot) in row[..width].iter_mut().enumerate() {
+                                let value = get(start + i * stride);
+                                *slot = volume.normalize(value) * 255.0;
+                                if core_row && !value.is_finite() {
+                                    let x = outer_from[0] + i;
+                                    non_finite += u64::from(x >= from[0] && x < to[0]);
+                                }
+                            }
+                            if core_row {
+                                let skip = from[0] - outer_from[0];
+                                for &p in &row[skip..skip + to[0] - from[0]] {
+                                    histogram[(p + 0.5) as usize & 255] += 1;
+                                }
+                            }
+                            // Blocks that this row belongs to, aprons included: at most two along each of y and z.
+                            let (y0, y1) = block_span(y, from[1], block[1], per_cell[1]);
+                            let (z0, z1) = block_span(z, from[2], block[2], per_cell[2]);
+                            for bx in 0..per_cell[0] {
+                                let begin = from[0] + bx * block[0];
+                                if begin >= to[0] {
+                                    break;
+                                }
+                                let x0 = begin.saturating_sub(1).max(outer_from[0]) - outer_from[0];
+                                let x1 = (begin + block[0] + 1).min(outer_to[0]) - outer_from[0];
+                                let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
+                                for &p in &row[x0..x1] {
+                                    lo = if p < lo { p } else { lo };
+                                    hi = if p > hi { p } else { hi };
+                                }
+                                let low = lo as u8;
+                                let high = ceil_entry(hi);
+                                for bz in z0..z1 {
+                                    for by in y0..y1 {
+                                        let b = &mut bounds[bx + per_cell[0] * (by + per_cell[1] * bz)];
+                                        b[0] = b[0].min(low);
+                                        b[1] = b[1].max(high);
+                                    }
+                                }
+                            }
+                        }
+                    }
+                    let voxels: u64 = (0..3).map(|a| (to[a] - from[a]) as u64).product();
+                    for (t, &h) in total.iter_mut().zip(&histogram) {
+                        *t += u64::from(h);
+                    }
+                    let stats = &mut self.stats[cx + cells[0] * (cy + cells[1] * cz)];
+                    stats.quantiles = quantiles(&histogram, voxels);
+                    for bz in 0..per_cell[2] {
+                        for by in 0..per_cell[1] {
+                            for bx in 0..per_cell[0] {
+                                let inside = from[0] + bx * block[0] < to[0]
+                                    && from[1] + by * block[1] < to[1]
+                                    && from[2] + bz * block[2] < to[2];
+                                if !inside {
+                                    continue;
+                                }
+                                let b = bounds[bx + per_cell[0] * (by + per_cell[1] * bz)];
+                                stats.low = stats.low.min(b[0]);
+                                stats.high = stats.high.max(b[1]);
+                                if split {
+                                    self.blocks.push(b);
+                                }
+                            }
+                        }
+                    }
+                    if split {
+                        self.first_block.push(self.blocks.len() as u32);
+                    }
+                }
+            }
+        }
+        let voxels = self.voxels();
+        for (h, &t) in self.histogram.iter_mut().zip(&total) {
+            *h = (t as f64 / voxels) as f32;
+        }
+        self.non_finite_share = (non_finite as f64 / voxels) as f32;
+    }
+
+    fn histogram_from_quantiles(&mut self) {
+        let mut sum = [0.0f64; 256];
+        let share = 1.0 / (self.stats.len() * QUANTILES) as f64;
+        for stats in &self.stats {
+            for pair in stats.quantiles.windows(2) {
+                let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
+                let each = share / (b - a + 1) as f64;
+                sum[a..=b].iter_mut().for_each(|s| *s += each);
+            }
+        }
+        for (h, s) in self.histogram.iter_mut().zip(sum) {
+            *h = s as f32;
+        }
+    }
+}
+
+/// Blocks (of one axis of a cell) that a voxel row at `v` belongs to, with one voxel of apron: `first..last`.
+fn block_span(v: usize, from: usize, block: usize, blocks: usize) -> (usize, usize) {
+    // v + 1 lies in the block whose lower apron v may be; v - 1 in the one whose upper apron it may be.
+    let first = v.saturating_sub(from + 1) / block;
+    let last = (v + 1).saturating_sub(from) / block;
+    (first.min(blocks - 1), (last + 1).min(blocks))
+}
+
+fn quantiles(histogram: &[u32; 256], voxels: u64) -> [u8; QUANTILES + 1] {
+    let mut out = [0u8; QUANTILES + 1];
+    let mut below = 0u64;
+    let mut next = 0usize;
+    let mut last = 0u8;
+    for (entry, &n) in histogram.iter().enumerate() {
+        if n == 0 {
+            continue;
+        }
+        below += u64::from(n);
+        last = entry as u8;
+        // Bound k is the smallest entry with more than k/QUANTILES of the voxels at or below it.
+        while next < QUANTILES && below * QUANTILES as u64 > next as u64 * voxels {
+            out[next] = last;
+            next += 1;
+        }
+    }
+    out[next.min(QUANTILES)..].fill(last);
+    out
+}
+
+fn count(cells: [usize; 3], dims: [usize; 3]) -> Result<usize> {
+    let n = cells.iter().try_fold(1u64, |p, &c| p.checked_mul(c as u64)).filter(|&n| n <= 1 << 28);
+    n.map(|n| n as usize).ok_or_else(|| {
+        Error::new(
+            ErrorKind::SizeMismatch,
+            alloc::format!("a volume of {dims:?} voxels has more than 2^28 bricks; use a larger brick edge"),
+        )
+    })
+}
+
+fn ceil_entry(position: f32) -> u8 {
+    let below = position as u8;
+    if f32::from(below) < position { below.saturating_add(1) } else { below }
+}
+
+fn entry_below(s: f32) -> u8 {
+    (s * 255.0) as u8
+}
+
+fn entry_above(s: f32) -> u8 {
+    ceil_entry(s * 255.0)
+}
+
+fn entry_near(s: f32) -> u8 {
+    (s * 255.0 + 0.5) as u8
+}

@@ -1,0 +1,278 @@
+//! The analytic cost model: unit costs times estimated work.
+
+use super::{Calibration, CostTerms, FeatureRange, Inputs, Prediction, Predictor, Source, nnls};
+use crate::Result;
+use crate::error::bail;
+use crate::features::{Changes, FrameFeatures, SceneQuantity, Setting};
+use alloc::vec::Vec;
+
+/// Parts of a cost: the fixed one, then one per quantity of [`TERM_QUANTITIES`].
+pub const TERMS: usize = 9;
+
+/// The quantities that cost time, in the order of the parts after the fixed one.
+pub const TERM_QUANTITIES: [SceneQuantity; TERMS - 1] = [
+    SceneQuantity::Pixels,
+    SceneQuantity::Rays,
+    SceneQuantity::Skips,
+    SceneQuantity::Samples,
+    SceneQuantity::LaneSamples,
+    SceneQuantity::LocalSamples,
+    SceneQuantity::ScatterSamples,
+    SceneQuantity::ShadowSamples,
+];
+
+/// Unit costs of a machine never measured, seconds: a frame, then each of [`TERM_QUANTITIES`]. Of the order of a
+/// software renderer on a few cores; what matters are their ratios, since the first observations set the scale.
+const DEFAULT_COSTS: [f64; TERMS] = [2.0e-4, 2.0e-9, 1.0e-8, 6.0e-9, 1.2e-8, 1.2e-8, 8.0e-8, 4.0e-8, 1.5e-8];
+
+/// Shortest time that is ever predicted.
+const SHORTEST: f32 = 1.0e-9;
+
+/// Longest time that is ever predicted.
+const LONGEST: f32 = 1.0e9;
+
+/// One measured frame, for [`AnalyticModel::fit`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Measurement {
+    /// Work of each of [`TERM_QUANTITIES`], after a leading 1 for the frame itself.
+    pub work: [f64; TERMS],
+    /// Measured seconds.
+    pub seconds: f64,
+}
+
+impl Measurement {
+    /// The estimated work of a frame at a setting, with its measured time.
+    pub fn new(features: &FrameFeatures, setting: &Setting, seconds: f64) -> Self {
+        Self { work: work_of(features, setting), seconds }
+    }
+}
+
+/// How well a fit describes what it was fitted to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FitReport {
+    /// Measurements used.
+    pub used: usize,
+    /// Measurements refused: a time or a count that is not finite and positive.
+    pub refused: usize,
+    /// Median of |predicted / measured − 1|.
+    pub median_error: f64,
+    /// 95th percentile of it.
+    pub p95_error: f64,
+}
+
+/// t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer step or more pixels.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AnalyticModel {
+    costs: [f64; TERMS],
+    fitted: bool,
+    calibration: Calibration,
+    range: FeatureRange,
+}
+
+impl Default for AnalyticModel {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl AnalyticModel {
+    /// The model of a machine never measured: unit costs of a software renderer on a few cores.
+    pub fn new() -> Self {
+        Self {
+            costs: DEFAULT_COSTS,
+            fitted: false,
+            calibration: Calibration::unknown(),
+            range: FeatureRange::unknown(),
+        }
+    }
+
+    /// A model with given unit costs in seconds: of a frame, then of each of [`TERM_QUANTITIES`].
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for a cost that is negative or not finite, or when all are zero.
+    pub fn from_costs(costs: [f64; TERMS]) -> Result<Self> {
+        for (i, &c) in costs.iter().enumerate() {
+            if !(c.is_finite() && c >= 0.0) {
+                bail!(
+                    InvalidArgument,
+                    "unit cost {i} ({}) is {c}; it must be finite and not negative",
+                    term_name(i)
+                );
+            }
+        }
+        if costs.iter().all(|&c| c == 0.0) {
+            bail!(InvalidArgument, "all unit costs are zero; at least one must be positive");
+        }
+        Ok(Self { costs, fitted: true, ..Self::new() })
+    }
+
+    /// Unit costs in seconds.
+    pub fn costs(&self) -> &[f64; TERMS] {
+        &self.costs
+    }
+
+    /// Whether the costs were measured.
+    pub fn is_fitted(&self) -> bool {
+        self.fitted
+    }
+
+    /// The calibration behind [`Prediction::upper`].
+    pub fn calibration(&self) -> &Calibration {
+        &self.calibration
+    }
+
+    /// Replaces the calibration.
+    pub fn set_calibration(&mut self, calibration: Calibration) {
+        self.calibration = calibration;
+    }
+
+    /// Fits the unit costs to measured frames by non-negative least squares on relative errors, outliers
+    /// down-weighted (Huber, in four rounds), and calibrates the upper bound on the same frames. Costs of work that no
+    /// measurement holds keep their default ratio to the others.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] when no measurement is usable.
+    pub fn fit(&mut self, measurements: &[Measurement]) -> Result<FitReport> {
+        let usable: Vec<&Measurement> = measurements
+            .iter()
+            .filter(|m| {
+                m.seconds.is_finite()
+                    && m.seconds > 0.0
+                    && m.work.iter().all(|w| w.is_finite() && *w >= 0.0)
+                    && m.work.iter().any(|w| *w > 0.0)
+            })
+            .collect();
+        if usable.is_empty() {
+            bail!(
+                InvalidArgument,
+                "none of {} measurements has a finite positive time and finite work; measure some frames first",
+                measurements.len()
+            );
+        }
+        let mut weights = alloc::vec![1.0f64; usable.len()];
+        let mut residuals = alloc::vec![0.0f64; usable.len()];
+        let mut costs = [0.0f64; TERMS];
+        // Prior: the default ratios at the machine's speed, worth one measurement in a thousand.
+        let mut ratios: Vec<f64> = usable.iter().map(|m| m.seconds / dot(&DEFAULT_COSTS, &m.work)).collect();
+        let speed = median(&mut ratios);
+        for _ in 0..4 {
+            let mut gram = [0.0f64; TERMS * TERMS];
+            let mut rhs = [0.0f64; TERMS];
+            for (m, &weight) in usable.iter().zip(&weights) {
+                let inv = 1.0 / m.seconds;
+                for i in 0..TERMS {
+                    let a = m.work[i] * inv;
+                    rhs[i] += weight * a;
+                    for j in 0..TERMS {
+                        gram[i * TERMS + j] += weight * a * m.work[j] * inv;
+                    }
+                }
+            }
+            let ridge = 1.0e-3;
+            for i in 0..TERMS {
+                let unit = 1.0 / (DEFAULT_COSTS[i] * speed);
+                // (x / prior − 1)²: nothing is drawn harder than one frame in a thousand would.
+                let pull = ridge * unit;
+                gram[i * TERMS + i] += pull * unit * 1.0e-1;
+                rhs[i] += pull * 1.0e-1;
+            }
+            nnls(&gram, &rhs, &mut costs);
+            for ((m, weight), residual) in usable.iter().zip(&mut weights).zip(&mut residuals) {
+                *residual = dot(&costs, &m.work) / m.seconds - 1.0;
+                *weight = libm::fabs(*residual);
+            }
+            let mut sizes = weights.clone();
+            let limit = (1.5 * 1.4826 * median(&mut sizes)).max(1.0e-6);
+            for weight in &mut weights {
+                *weight = if *weight <= limit { 1.0 } else { limit / *weight };
+            }
+        }
+        if costs.iter().all(|&c| c <= 0.0) {
+            bail!(InvalidArgument, "the measurements give no positive cost; check that times are in seconds");
+        }
+        self.costs = costs;
+        self.fitted = true;
+        let mut logs: Vec<f64> =
+            usable.iter().map(|m| libm::log(m.seconds / dot(&costs, &m.work).max(1.0e-30))).collect();
+        self.calibration = Calibration::from_residuals(&mut logs);
+        let rows: Vec<[f32; RANGE_TERMS]> = usable.iter().map(|m| range_point(&m.work)).collect();
+        self.range = FeatureRange::from_rows(&rows);
+        let mut sizes: Vec<f64> = residuals.iter().map(|r| libm::fabs(*r)).collect();
+        let median_error = median(&mut sizes);
+        let p95_error = sizes[((sizes.len() as f64 * 0.95) as usize).min(sizes.len() - 1)];
+        Ok(FitReport {
+            used: usable.len(),
+            refused: measurements.len() - usable.len(),
+            median_error,
+            p95_error,
+        })
+    }
+
+    /// Predicts from work that is already counted: a leading 1, then [`TERM_QUANTITIES`].
+    pub fn seconds_of(&self, work: &[f64; TERMS]) -> f64 {
+        dot(&self.costs, work)
+    }
+
+    /// The cost in parts for a frame at a setting.
+    pub fn parts(&self, features: &FrameFeatures, setting: &Setting) -> CostTerms {
+        let work = work_of(features, setting);
+        let mut parts: [f32; TERMS] = core::array::from_fn(|i| finite(self.costs[i] * work[i]));
+        if !(parts.iter().sum::<f32>() >= SHORTEST) {
+            parts[0] = SHORTEST;
+        }
+        CostTerms { parts, out_of_range: self.range.score(&range_point(&work)), source: Source::Analytic }
+    }
+}
+
+impl Predictor for AnalyticModel {
+    fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
+        let terms = self.parts(inputs.features, &inputs.setting);
+        let seconds = terms.seconds().clamp(SHORTEST, LONGEST);
+        Ok(Prediction {
+            seconds,
+            upper: self.calibration.upper(seconds),
+            out_of_range: terms.out_of_range,
+            source: Source::Analytic,
+        })
+    }
+
+    fn terms(&mut self, inputs: &Inputs<'_>) -> Result<CostTerms> {
+        Ok(self.parts(inputs.features, &inputs.setting))
+    }
+}
+
+/// Quantities by which the analytic model knows its range.
+const RANGE_TERMS: usize = 5;
+
+fn range_point(work: &[f64; TERMS]) -> [f32; RANGE_TERMS] {
+    let log = |v: f64| libm::log(v + 1.0) as f32;
+    let per_pixel = |v: f64| libm::log(v / work[1].max(1.0) + 0.01) as f32;
+    [log(work[1]), per_pixel(work[2]), per_pixel(work[3]), per_pixel(work[4]), per_pixel(work[5])]
+}
+
+fn work_of(features: &FrameFeatures, setting: &Setting) -> [f64; TERMS] {
+    let work = features.work(setting);
+    let mut out = [1.0; TERMS];
+    for (slot, &quantity) in out[1..].iter_mut().zip(&TERM_QUANTITIES) {
+        *slot = features.quantity(quantity, setting, &work, Changes::NONE);
+    }
+    out
+}
+
+fn term_name(i: usize) -> &'static str {
+    if i == 0 { "frame" } else { TERM_QUANTITIES[i - 1].name() }
+}
+
+fn dot(costs: &[f64; TERMS], work: &[f64; TERMS]) -> f64 {
+    costs.iter().zip(work).map(|(c, w)| c * w).sum()
+}
+
+fn finite(v: f64) -> f32 {
+    if v.is_finite() { (v as f32).clamp(0.0, LONGEST) } else { LONGEST }
+}
+
+/// Sorts and returns the median (upper of the two middle values).
+pub(super) fn median(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    values[values.len() / 2]
+}

@@ -1,0 +1,101 @@
+//! Upper bounds from residuals (split-conformal), and how far inputs lie outside what was seen.
+
+/// Level of the upper bound.
+pub const UPPER_LEVEL: f64 = 0.95;
+
+/// A multiplicative upper bound: with probability [`UPPER_LEVEL`] a frame like the calibration frames takes at most
+/// `factor` times its prediction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Calibration {
+    /// ln of the factor; NaN when never calibrated.
+    log_factor: f32,
+}
+
+impl Calibration {
+    /// Never calibrated: the bound is NaN.
+    pub const fn unknown() -> Self {
+        Self { log_factor: f32::NAN }
+    }
+
+    /// From ln(measured / predicted) of frames that were not used for fitting (or so many that it does not matter):
+    /// the ⌈(n + 1)·level⌉-th smallest, the largest where there are too few. Sorts the slice; NaN residuals count as
+    /// misses.
+    pub fn from_residuals(log_residuals: &mut [f64]) -> Self {
+        if log_residuals.is_empty() {
+            return Self::unknown();
+        }
+        for r in log_residuals.iter_mut() {
+            if r.is_nan() {
+                *r = f64::INFINITY;
+            }
+        }
+        log_residuals.sort_unstable_by(f64::total_cmp);
+        let n = log_residuals.len();
+        let rank = libm::ceil((n as f64 + 1.0) * UPPER_LEVEL) as usize;
+        let log_factor = log_residuals[rank.clamp(1, n) - 1];
+        if log_factor.is_finite() { Self { log_factor: log_factor as f32 } } else { Self::unknown() }
+    }
+
+    /// The factor; NaN when never calibrated.
+    pub fn factor(&self) -> f32 {
+        libm::expf(self.log_factor)
+    }
+
+    /// The bound for a prediction; never below the prediction itself.
+    pub fn upper(&self, seconds: f32) -> f32 {
+        if self.log_factor.is_nan() { f32::NAN } else { seconds * self.factor().max(1.0) }
+    }
+}
+
+/// The box of what was seen in training, in up to `N` numbers, with a margin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FeatureRange<const N: usize = 5> {
+    low: [f32; N],
+    high: [f32; N],
+    known: bool,
+}
+
+impl<const N: usize> FeatureRange<N> {
+    /// Knows nothing: scores are NaN.
+    pub const fn unknown() -> Self {
+        Self { low: [0.0; N], high: [0.0; N], known: false }
+    }
+
+    /// The range of the rows; values that are not finite are passed over.
+    pub fn from_rows(rows: &[[f32; N]]) -> Self {
+        if rows.is_empty() {
+            return Self::unknown();
+        }
+        let mut out = Self { low: [f32::INFINITY; N], high: [f32::NEG_INFINITY; N], known: true };
+        for row in rows {
+            for k in 0..N {
+                if row[k].is_finite() {
+                    out.low[k] = out.low[k].min(row[k]);
+                    out.high[k] = out.high[k].max(row[k]);
+                }
+            }
+        }
+        for k in 0..N {
+            if out.low[k] > out.high[k] {
+                (out.low[k], out.high[k]) = (0.0, 0.0);
+            }
+        }
+        out
+    }
+
+    /// 0 inside the range; outside, the largest distance of any number from it, in units of half the range's width
+    /// (at least 0.7, a factor of two in logarithms). 1 is the edge of trust. NaN where nothing is known.
+    pub fn score(&self, row: &[f32; N]) -> f32 {
+        if !self.known {
+            return f32::NAN;
+        }
+        let mut worst = 0.0f32;
+        for k in 0..N {
+            let beyond = (self.low[k] - row[k]).max(row[k] - self.high[k]);
+            let unit = (0.5 * (self.high[k] - self.low[k])).max(0.7);
+            let score = if row[k].is_finite() { beyond / unit } else { f32::INFINITY };
+            worst = worst.max(score);
+        }
+        worst
+    }
+}

@@ -1,0 +1,226 @@
+//! What a predictor takes and gives.
+
+use super::TERMS;
+use crate::Result;
+use crate::error::bail;
+use crate::features::{Changes, FrameFeatures, SceneFeature, Setting};
+use crate::scene::{Arcball, GaussianLobe};
+
+/// Where a prediction came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+#[repr(u32)]
+pub enum Source {
+    /// The linear cost model on estimated work.
+    Analytic = 1,
+    /// A network from a model file.
+    Network = 2,
+    /// Recent frames, scaled to the setting asked for.
+    History = 3,
+}
+
+/// A predicted frame time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Prediction {
+    /// Expected seconds; finite and positive.
+    pub seconds: f32,
+    /// Upper bound of the calibrated level, seconds; NaN where the predictor was never calibrated.
+    pub upper: f32,
+    /// How far outside its training range the inputs lie: 0 inside, 1 at the edge of trust, growing beyond; NaN
+    /// where the predictor knows no range.
+    pub out_of_range: f32,
+    /// Where it came from.
+    pub source: Source,
+}
+
+/// A prediction as a sum of parts that can be corrected apart from each other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CostTerms {
+    /// Seconds of each part, none negative; [`CostTerms::seconds`] is their sum.
+    pub parts: [f32; TERMS],
+    /// As [`Prediction::out_of_range`].
+    pub out_of_range: f32,
+    /// As [`Prediction::source`].
+    pub source: Source,
+}
+
+impl CostTerms {
+    /// A prediction in one piece, beside a fixed cost of its own.
+    pub fn whole(seconds: f32, out_of_range: f32, source: Source) -> Self {
+        let mut parts = [0.0; TERMS];
+        parts[0] = 0.02 * seconds;
+        parts[1] = 0.98 * seconds;
+        Self { parts, out_of_range, source }
+    }
+
+    /// The sum of the parts.
+    pub fn seconds(&self) -> f32 {
+        self.parts.iter().sum()
+    }
+}
+
+/// Everything that a predictor may ask for about a frame. Groups that the caller does not have are `None`.
+#[derive(Clone, Copy, Debug)]
+pub struct Inputs<'a> {
+    /// The measured frame.
+    pub features: &'a FrameFeatures,
+    /// The setting to predict for.
+    pub setting: Setting,
+    /// What changed since the frame before.
+    pub changes: Changes,
+    /// The camera as arcball pose.
+    pub camera: Arcball,
+    /// VolumeNet's output for the volume.
+    pub volume_features: Option<&'a [f32]>,
+    /// The transfer function as Gaussian lobes.
+    pub lobes: Option<&'a [GaussianLobe]>,
+}
+
+/// Predicts a frame's time. Implementations never allocate on success.
+pub trait Predictor {
+    /// The prediction for one frame at one setting.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::MissingInput`] when an input group that the model names was not supplied.
+    fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction>;
+
+    /// The prediction in parts. The default is [`CostTerms::whole`].
+    ///
+    /// # Errors
+    /// As [`Predictor::predict`].
+    fn terms(&mut self, inputs: &Inputs<'_>) -> Result<CostTerms> {
+        let p = self.predict(inputs)?;
+        Ok(CostTerms::whole(p.seconds, p.out_of_range, p.source))
+    }
+
+    /// Whether the ray step enters the prediction. Where it does not, callers scale by the analytic model.
+    fn knows_step(&self) -> bool {
+        true
+    }
+}
+
+/// The input groups of the model file contract.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum InputGroup {
+    /// `volume_features`.
+    VolumeFeatures,
+    /// `camera`.
+    Camera,
+    /// `resolution`.
+    Resolution,
+    /// `transfer_function`.
+    TransferFunction,
+    /// `step_size`.
+    StepSize,
+    /// `scene_features`.
+    SceneFeatures,
+}
+
+impl InputGroup {
+    /// Every group.
+    pub const ALL: [Self; 6] = [
+        Self::VolumeFeatures,
+        Self::Camera,
+        Self::Resolution,
+        Self::TransferFunction,
+        Self::StepSize,
+        Self::SceneFeatures,
+    ];
+
+    /// The name used in model files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::VolumeFeatures => "volume_features",
+            Self::Camera => "camera",
+            Self::Resolution => "resolution",
+            Self::TransferFunction => "transfer_function",
+            Self::StepSize => "step_size",
+            Self::SceneFeatures => "scene_features",
+        }
+    }
+
+    /// Reads a name.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::MissingInput`] for a group that this version cannot supply.
+    pub fn from_name(name: &str) -> Result<Self> {
+        match Self::ALL.into_iter().find(|g| g.name() == name) {
+            Some(group) => Ok(group),
+            None => bail!(
+                MissingInput,
+                "the model takes an input group {name:?} that this version does not supply; known are volume_features, camera, resolution, transfer_function, step_size, scene_features"
+            ),
+        }
+    }
+}
+
+/// Writes one input group into its place in a model's input vector.
+///
+/// # Errors
+/// [`crate::ErrorKind::MissingInput`] when the caller did not supply the group, or supplied another size.
+pub fn write_group(
+    group: InputGroup,
+    scene_features: &[SceneFeature],
+    inputs: &Inputs<'_>,
+    out: &mut [f32],
+) -> Result<()> {
+    let size = out.len();
+    let fixed = |out: &mut [f32], values: &[f32]| {
+        if out.len() != values.len() {
+            bail!(
+                MissingInput,
+                "the model's input group {} has size {}, this version supplies {}",
+                group.name(),
+                out.len(),
+                values.len()
+            );
+        }
+        out.copy_from_slice(values);
+        Ok(())
+    };
+    match group {
+        InputGroup::VolumeFeatures => match inputs.volume_features {
+            Some(x) => fixed(out, x),
+            None => bail!(
+                MissingInput,
+                "the model takes {size} volume features and none were supplied; encode the volume first"
+            ),
+        },
+        InputGroup::Camera => fixed(out, &[inputs.camera.rx, inputs.camera.ry, inputs.camera.dz]),
+        InputGroup::Resolution => fixed(out, &[inputs.setting.width as f32, inputs.setting.height as f32]),
+        InputGroup::TransferFunction => {
+            let Some(lobes) = inputs.lobes else {
+                bail!(
+                    MissingInput,
+                    "the model takes Gaussian transfer-function parameters and none were supplied; describe the transfer function by {} lobes, or use a model on scene features, which takes any transfer function",
+                    size / 3
+                );
+            };
+            if lobes.len() * 3 != size {
+                bail!(
+                    MissingInput,
+                    "the model takes {} Gaussian lobes, the transfer function has {}; supply as many as the model was trained with",
+                    size / 3,
+                    lobes.len()
+                );
+            }
+            for (slot, lobe) in out.chunks_exact_mut(3).zip(lobes) {
+                slot.copy_from_slice(&[lobe.center, lobe.width, lobe.height]);
+            }
+            Ok(())
+        }
+        InputGroup::StepSize => fixed(out, &[inputs.setting.step]),
+        InputGroup::SceneFeatures => {
+            if scene_features.len() != size {
+                bail!(
+                    MissingInput,
+                    "the model takes {size} scene features and names {}; its file must name each",
+                    scene_features.len()
+                );
+            }
+            inputs.features.write(scene_features, &inputs.setting, inputs.changes, out);
+            Ok(())
+        }
+    }
+}

@@ -1,0 +1,1 @@
+//! A network from a model file as a predictor.
