@@ -62,10 +62,7 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
         let (low, high) = (file.extent[2 * axis], file.extent[2 * axis + 1]);
         let cells_along = high.checked_sub(low).filter(|n| *n >= 0);
         let Some(n) = cells_along else {
-            bail!(
-                "VTK extent along {} is {low} to {high}, which holds no voxel",
-                ["x", "y", "z"][axis]
-            );
+            bail!("VTK extent along {} is {low} to {high}, which holds no voxel", ["x", "y", "z"][axis]);
         };
         sizes[axis] = if cells { n as u64 } else { (n as u64).saturating_add(1) };
     }

@@ -154,7 +154,7 @@ impl Controller for VtkJs {
 
     fn observe(&mut self, observed: &Observed) -> Verdict {
         // A frame is shown no sooner than its slot ends: browsers wait for it.
-        self.elapsed += observed.seconds.max(1.0 / 60.0).min(1.0e4);
+        self.elapsed += observed.seconds.clamp(1.0 / 60.0, 1.0e4);
         self.frames += 1.0;
         self.target = observed.target;
         Verdict::Learned

@@ -1,8 +1,10 @@
 //! From inputs to seconds: the analytic cost model and PredNet behind one trait, with upper bound and out-of-range score.
 
 mod analytic;
+#[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod calibration;
 mod inputs;
+#[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod nnls;
 
 pub use analytic::{AnalyticModel, FitReport, Measurement, TERM_QUANTITIES, TERMS};
