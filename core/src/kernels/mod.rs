@@ -5,10 +5,10 @@
 #![allow(unsafe_code, reason = "SIMD intrinsics and packed storage; every block states why it is sound")]
 
 mod activation;
+pub(crate) mod conv;
 mod level;
 #[cfg(feature = "train")]
 pub(crate) mod matmul;
-mod multiversion;
 pub(crate) mod resample;
 mod scalar;
 mod simd;

@@ -2,7 +2,7 @@
 //! operations is the same in each and products are never fused into sums, so every level gives the same bits.
 
 use crate::kernels::Level;
-use crate::kernels::multiversion::{Task, multiversion};
+use crate::kernels::simd::{Kernel, Simd};
 use crate::scene::VolumeView;
 use bytemuck::Pod;
 
@@ -129,6 +129,14 @@ pub(crate) struct Affine {
     pub(crate) scale: f32,
 }
 
+impl Affine {
+    /// The map of a range, where the range has a width whose reciprocal is a normal number.
+    pub(crate) fn of((low, high): (f32, f32)) -> Option<Self> {
+        let (width, scale) = (high - low, 1.0 / (high - low));
+        (width > 0.0 && width.is_finite() && scale.is_normal()).then_some(Self { low, scale })
+    }
+}
+
 impl<T: Scalar> Map<T> for Affine {
     #[inline(always)]
     fn map(&self, voxel: T) -> f32 {
@@ -221,13 +229,15 @@ pub(crate) fn bytes(
     let voxels: usize = g.dims.iter().map(|&d| d / g.n).product();
     let after = After { scale: (scale / voxels as f64) as f32, offset: offset as f32 };
     struct Body<'a>(&'a Geometry<'a>, &'a [u8], After, usize, &'a mut [f32], &'a mut [f32]);
-    impl Task for Body<'_> {
+    impl Kernel for Body<'_> {
+        type Output = ();
+
         #[inline(always)]
-        fn run(self) {
+        fn run<S: Simd>(self, _: S) {
             bytes_body(self.0, self.1, self.2, self.3, self.4, self.5);
         }
     }
-    multiversion(g.level, Body(g, src, after, z0, planes, scratch));
+    g.level.run(Body(g, src, after, z0, planes, scratch));
 }
 
 #[inline(always)]
@@ -338,13 +348,15 @@ pub(crate) fn planes<T: Scalar, M: Map<T>>(
     scratch: &mut [f32],
 ) {
     struct Body<'a, T, M>(&'a Geometry<'a>, &'a [T], M, After, usize, &'a mut [f32], &'a mut [f32]);
-    impl<T: Scalar, M: Map<T>> Task for Body<'_, T, M> {
+    impl<T: Scalar, M: Map<T>> Kernel for Body<'_, T, M> {
+        type Output = ();
+
         #[inline(always)]
-        fn run(self) {
+        fn run<S: Simd>(self, _: S) {
             planes_body(self.0, self.1, self.2, self.3, self.4, self.5, self.6);
         }
     }
-    multiversion(g.level, Body(g, src, map, after, z0, planes, scratch));
+    g.level.run(Body(g, src, map, after, z0, planes, scratch));
 }
 
 #[inline(always)]

@@ -1,25 +1,16 @@
-//! 3-D convolution in plain meaning.
-//!
-//! A block maps a tensor `x` of `Cin × n³` numbers to `Cout × m³`, m = (n + 2·padding − k) / stride + 1 (rounded down):
-//!
-//! ```text
-//! y[o, z, y, x] = SELU( bias[o] + Σ_{i, a, b, c} weight[o, i, a, b, c] · x[i, z·stride + a − padding,
-//!                                                                           y·stride + b − padding,
-//!                                                                           x·stride + c − padding] )
-//! ```
-//!
-//! where a, b, c run over 0 … k − 1 and x is 0 outside its edge.
+//! The plain definition of a block, in float64: the standard that the kernels are tested against.
 
 use super::parts::ConvBlockParts;
 use super::{SELU_ALPHA, SELU_SCALE};
 use alloc::vec::Vec;
 
-/// The definition above in float64, rounded to f32 at the end. Tensors are (C, D, H, W), the last axis fastest.
-pub(crate) fn reference(block: &ConvBlockParts, x: &[f32], y: &mut Vec<f32>) {
+/// SELU of the convolution, as [`VolumeNet`](super::VolumeNet) defines it. Tensors are (C, D, H, W), the last axis
+/// fastest.
+pub(crate) fn reference(block: &ConvBlockParts, x: &[f64]) -> Vec<f64> {
     let (n, m, k) = (block.input_edge, block.output_edge, block.kernel);
-    y.clear();
     let inside =
         |at: usize, tap: usize| (at * block.stride + tap).checked_sub(block.padding).filter(|&i| i < n);
+    let mut y = Vec::with_capacity(block.outputs * m * m * m);
     for o in 0..block.outputs {
         for z in 0..m {
             for row in 0..m {
@@ -33,15 +24,15 @@ pub(crate) fn reference(block: &ConvBlockParts, x: &[f32], y: &mut Vec<f32>) {
                                 for c in 0..k {
                                     let Some(ix) = inside(column, c) else { continue };
                                     let w = block.weight[(((o * block.inputs + i) * k + a) * k + b) * k + c];
-                                    sum += f64::from(w) * f64::from(x[((i * n + iz) * n + iy) * n + ix]);
+                                    sum += f64::from(w) * x[((i * n + iz) * n + iy) * n + ix];
                                 }
                             }
                         }
                     }
-                    let v = if sum > 0.0 { sum } else { SELU_ALPHA * libm::expm1(sum) };
-                    y.push((SELU_SCALE * v) as f32);
+                    y.push(SELU_SCALE * if sum > 0.0 { sum } else { SELU_ALPHA * libm::expm1(sum) });
                 }
             }
         }
     }
+    y
 }

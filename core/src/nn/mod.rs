@@ -3,6 +3,7 @@
 //! [`PredNetParts`] and [`VolumeNetParts`] are checked weights without any layout: what a model file holds, what training
 //! writes. [`PredNet`] is built from them for one [`Level`](crate::kernels::Level) and one [`Storage`].
 
+#[cfg(test)]
 mod conv3d;
 mod executor;
 mod parts;

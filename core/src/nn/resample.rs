@@ -14,7 +14,7 @@
 use crate::Result;
 use crate::error::bail;
 use crate::kernels::Level;
-use crate::kernels::resample::{self as kernel, Map, Span};
+use crate::kernels::resample::{self as kernel, Affine, Map, Span};
 use crate::nn::Executor;
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
@@ -97,11 +97,9 @@ impl Resampler {
         let geometry = kernel::Geometry { dims, strides: view.strides(), n, columns, level: self.level };
         let job = Job { geometry: &geometry, executor };
         let (low, high) = view.range();
-        let width = high - low;
-        // The plain affine map needs a reciprocal that is a normal number.
-        let affine = width > 0.0 && width.is_finite() && (1.0 / width).is_normal();
+        let affine = Affine::of((low, high));
         match view.scalars() {
-            Scalars::U8(s) if low <= 0.0 && high >= 255.0 && affine => {
+            Scalars::U8(s) if low <= 0.0 && high >= 255.0 && affine.is_some() => {
                 // Nothing is clamped, so the map is applied to the averages.
                 let width = f64::from(high) - f64::from(low);
                 let (scale, offset) = (1.0 / width, -f64::from(low) / width);
@@ -138,15 +136,13 @@ impl Job<'_> {
         &self,
         scalars: &[T],
         view: &VolumeView<'_>,
-        affine: bool,
+        affine: Option<Affine>,
         out: &mut [f32],
         rows: &mut [f32],
     ) {
-        if affine {
-            let (low, high) = view.range();
-            self.typed(scalars, kernel::Affine { low, scale: 1.0 / (high - low) }, out, rows);
-        } else {
-            self.typed(scalars, kernel::Exact(view), out, rows);
+        match affine {
+            Some(map) => self.typed(scalars, map, out, rows),
+            None => self.typed(scalars, kernel::Exact(view), out, rows),
         }
     }
 

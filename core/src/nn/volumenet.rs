@@ -1,13 +1,13 @@
 //! VolumeNet's encoder: from a volume to a few numbers that stand for it.
 
-use super::conv3d;
 use super::parts::VolumeNetParts;
 use super::{Executor, Resampler};
 use crate::Result;
 use crate::error::bail;
 use crate::kernels::Level;
-use crate::scene::VolumeView;
-use alloc::vec;
+use crate::kernels::conv::{Encoder, PreparedPlane, Scratch};
+use crate::kernels::resample::{Affine, Exact, Raw, Scalar};
+use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
 /// Largest error of [`VolumeNet::encode`]'s features against a float64 evaluation of the same weights on the same
@@ -18,19 +18,31 @@ pub const VOLUMENET_TOLERANCE: f64 = 1e-4;
 #[derive(Clone, Debug)]
 pub struct EncodeScratch {
     resampler: Resampler,
-    a: Vec<f32>,
-    b: Vec<f32>,
+    cube: Vec<f32>,
+    encoder: Scratch,
 }
 
 /// The encoder, ready to run: blocks of convolution (batch normalisation folded in) and SELU, then one dense layer
 /// (paper, section on the volume network). Any number of blocks, kernel edges, strides and paddings.
 ///
 /// The input is the volume mapped to [0, 1] over its range, resampled to a cube of [`input_size`](Self::input_size)³
-/// voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W) = (z, y, x).
+/// voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W) = (z, y, x). A block maps a tensor `x` of
+/// `Cin × n³` numbers to `Cout × m³` numbers, m = (n + 2·padding − k) / stride + 1 rounded down:
+///
+/// ```text
+/// y[o, z, y, x] = SELU( bias[o] + Σ_{i, a, b, c} weight[o, i, a, b, c] · x[i, z·stride + a − padding,
+///                                                                           y·stride + b − padding,
+///                                                                           x·stride + c − padding] )
+/// ```
+///
+/// where a, b, c run over 0 … k − 1 and x is 0 outside its edge. The last block's output, flattened in (C, D, H, W)
+/// order, goes through the dense layer, which no activation follows.
 #[derive(Clone, Debug)]
 pub struct VolumeNet {
-    parts: VolumeNetParts,
+    input: usize,
+    features: usize,
     level: Level,
+    encoder: Encoder,
 }
 
 impl VolumeNet {
@@ -48,17 +60,18 @@ impl VolumeNet {
     /// As [`VolumeNet::new`].
     pub fn with(parts: &VolumeNetParts, level: Level) -> Result<Self> {
         check(parts)?;
-        Ok(Self { parts: parts.clone(), level })
+        let encoder = Encoder::new(&parts.blocks, &parts.fc, level);
+        Ok(Self { input: parts.input, features: parts.fc.outputs, level, encoder })
     }
 
     /// Edge of the cubic input, in voxels.
     pub fn input_size(&self) -> usize {
-        self.parts.input
+        self.input
     }
 
     /// Number of features.
     pub fn feature_len(&self) -> usize {
-        self.parts.fc.outputs
+        self.features
     }
 
     /// The level the network was built for.
@@ -66,15 +79,21 @@ impl VolumeNet {
         self.level
     }
 
-    /// Working memory for [`encode`](Self::encode).
+    /// Working memory for [`encode`](Self::encode) on one thread; it grows when more are used.
     pub fn scratch(&self) -> EncodeScratch {
-        EncodeScratch { resampler: Resampler::new(self.level), a: Vec::new(), b: Vec::new() }
+        EncodeScratch {
+            resampler: Resampler::new(self.level),
+            cube: Vec::new(),
+            encoder: self.encoder.scratch(1),
+        }
     }
 
     /// Writes the volume's features to `features`.
     ///
-    /// The same volume, range, network and level give the same bits, whatever the executor. Allocates only where the
-    /// volume's rows are longer or the executor has more threads than in every earlier call with this scratch.
+    /// A volume that has the input's size already, with its rows in one piece, is read in place; any other is resampled
+    /// to a cube of floats in the scratch. The same volume, range, network and level give the same bits, whatever the
+    /// executor. Allocates only where the volume has to be resampled for the first time, its rows are longer, or the
+    /// executor has more threads than in every earlier call with this scratch.
     ///
     /// # Errors
     /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) unless `features` holds [`feature_len`](Self::feature_len)
@@ -86,29 +105,44 @@ impl VolumeNet {
         executor: Executor<'_>,
         features: &mut [f32],
     ) -> Result<()> {
-        let (n, fc) = (self.parts.input, &self.parts.fc);
-        if features.len() != fc.outputs {
+        let n = self.input;
+        if features.len() != self.features {
             bail!(
                 SizeMismatch,
                 "VolumeNet gives {} features, the output holds {} numbers",
-                fc.outputs,
+                self.features,
                 features.len()
             );
         }
-        scratch.a.resize(n * n * n, 0.0);
-        scratch.resampler.resample(view, n, &mut scratch.a, executor)?;
-        for v in &mut scratch.a {
-            *v = 2.0 * *v - 1.0;
+        let encoder = &mut scratch.encoder;
+        if view.dims() == [n; 3] && view.strides()[0] == 1 {
+            let mut run = |prepare: &(dyn Fn(usize, &mut PreparedPlane<'_>) + Sync), encoder: &mut Scratch| {
+                self.encoder.run(prepare, encoder, executor, features);
+            };
+            match view.scalars() {
+                Scalars::U8(s) => run(&|z, plane| in_place(view, s, z, plane), encoder),
+                Scalars::U16(s) => run(&|z, plane| in_place(view, s, z, plane), encoder),
+                Scalars::I16(s) => run(&|z, plane| in_place(view, s, z, plane), encoder),
+                Scalars::F32(s) => run(&|z, plane| in_place(view, s, z, plane), encoder),
+            }
+            return Ok(());
         }
-        for block in &self.parts.blocks {
-            conv3d::reference(block, &scratch.a, &mut scratch.b);
-            core::mem::swap(&mut scratch.a, &mut scratch.b);
+        if scratch.cube.len() != n * n * n {
+            scratch.cube.resize(n * n * n, 0.0);
         }
-        for (f, (row, bias)) in features.iter_mut().zip(fc.weight.chunks_exact(fc.inputs).zip(&fc.bias)) {
-            let sum: f64 = row.iter().zip(&scratch.a).map(|(&w, &x)| f64::from(w) * f64::from(x)).sum();
-            *f = (sum + f64::from(*bias)) as f32;
-        }
+        scratch.resampler.resample(view, n, &mut scratch.cube, executor)?;
+        let cube = scratch.cube.as_slice();
+        self.encoder.run(&|z, plane| plane.fill(cube, z * n * n, n, Raw), encoder, executor, features);
         Ok(())
+    }
+}
+
+/// Prepares plane `z` of a volume that needs no resampling.
+fn in_place<T: Scalar>(view: &VolumeView<'_>, scalars: &[T], z: usize, plane: &mut PreparedPlane<'_>) {
+    let [_, row, slice] = view.strides();
+    match Affine::of(view.range()) {
+        Some(map) => plane.fill(scalars, z * slice, row, map),
+        None => plane.fill(scalars, z * slice, row, Exact(view)),
     }
 }
 
@@ -173,4 +207,277 @@ fn check(parts: &VolumeNetParts) -> Result<()> {
         );
     }
     parts.fc.check("volumenet.fc")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ErrorKind;
+    use crate::nn::conv3d::reference;
+    use crate::nn::{ConvBlockParts, DenseParts, Dtype};
+    use alloc::vec;
+
+    fn noise(seed: u64) -> impl FnMut() -> f32 {
+        let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+        move || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 40) as f32 / (1 << 23) as f32 - 1.0
+        }
+    }
+
+    /// Channels, kernel, stride and padding per block.
+    type Block = (usize, usize, usize, usize);
+
+    fn network(input: usize, blocks: &[Block], features: usize, seed: u64) -> VolumeNetParts {
+        let mut next = noise(seed);
+        let (mut edge, mut channels) = (input, 1);
+        let blocks: Vec<ConvBlockParts> = blocks
+            .iter()
+            .map(|&(outputs, kernel, stride, padding)| {
+                let count = channels * kernel * kernel * kernel;
+                let scale = 1.5 / libm::sqrtf(count as f32);
+                let block = ConvBlockParts {
+                    inputs: channels,
+                    outputs,
+                    kernel,
+                    stride,
+                    padding,
+                    weight: (0..outputs * count).map(|_| scale * next()).collect(),
+                    bias: (0..outputs).map(|_| 0.3 * next()).collect(),
+                    input_edge: edge,
+                    output_edge: (edge + 2 * padding - kernel) / stride + 1,
+                    dtype: Dtype::F32,
+                };
+                (edge, channels) = (block.output_edge, outputs);
+                block
+            })
+            .collect();
+        let inputs = channels * edge * edge * edge;
+        let scale = 1.0 / libm::sqrtf(inputs as f32);
+        let fc = DenseParts {
+            inputs,
+            outputs: features,
+            weight: (0..inputs * features).map(|_| scale * next()).collect(),
+            bias: (0..features).map(|_| next()).collect(),
+            dtype: Dtype::F32,
+        };
+        VolumeNetParts { input, blocks, fc }
+    }
+
+    /// The network in float64 on an input cube in [0, 1].
+    fn exact(parts: &VolumeNetParts, cube: impl Iterator<Item = f64>) -> Vec<f64> {
+        let mut x: Vec<f64> = cube.map(|v| 2.0 * v - 1.0).collect();
+        for block in &parts.blocks {
+            x = reference(block, &x);
+        }
+        let rows = parts.fc.weight.chunks_exact(parts.fc.inputs);
+        rows.zip(&parts.fc.bias)
+            .map(|(row, &bias)| {
+                row.iter().zip(&x).map(|(&w, &x)| f64::from(w) * x).sum::<f64>() + f64::from(bias)
+            })
+            .collect()
+    }
+
+    fn assert_close(found: &[f32], expected: &[f64], what: &str) {
+        let norm = libm::sqrt(expected.iter().map(|e| e * e).sum());
+        let error = libm::sqrt(
+            found.iter().zip(expected).map(|(&f, e)| (f64::from(f) - e) * (f64::from(f) - e)).sum(),
+        );
+        assert!(error <= 0.1 * VOLUMENET_TOLERANCE * norm, "{what}: error {error:e}, norm {norm:e}");
+    }
+
+    fn encode(net: &VolumeNet, view: &VolumeView<'_>) -> Vec<f32> {
+        let mut features = vec![f32::NAN; net.feature_len()];
+        net.encode(view, &mut net.scratch(), Executor::serial(), &mut features).unwrap();
+        features
+    }
+
+    const NETWORKS: [(usize, &[Block]); 14] = [
+        (8, &[(4, 3, 2, 1)]),
+        (9, &[(5, 3, 2, 1), (7, 3, 2, 1)]),
+        (16, &[(8, 3, 2, 1), (16, 3, 2, 1), (32, 3, 2, 1), (64, 3, 2, 1)]),
+        (32, &[(8, 3, 2, 1), (16, 3, 2, 1), (48, 3, 2, 1), (33, 3, 2, 1)]),
+        (70, &[(3, 3, 2, 1), (16, 3, 2, 1), (4, 5, 3, 2)]),
+        (12, &[(6, 1, 1, 0), (9, 1, 1, 0)]),
+        (12, &[(20, 5, 1, 2), (3, 2, 2, 0), (17, 4, 3, 3)]),
+        (11, &[(4, 2, 3, 0), (4, 2, 3, 1)]),
+        (13, &[(4, 1, 4, 0), (6, 1, 2, 2)]),
+        (10, &[(4, 7, 2, 3), (4, 3, 1, 4)]),
+        (5, &[(2, 5, 1, 0), (40, 1, 1, 0)]),
+        (1, &[(3, 1, 1, 0)]),
+        (3, &[(2, 2, 5, 6), (2, 3, 4, 3)]),
+        (34, &[(17, 3, 1, 1)]),
+    ];
+
+    #[test]
+    fn every_level_meets_the_definition_for_any_geometry() {
+        for (seed, (input, blocks)) in NETWORKS.into_iter().enumerate() {
+            let parts = network(input, blocks, 3, seed as u64 + 1);
+            let mut next = noise(seed as u64 + 100);
+            let bytes: Vec<u8> = (0..input * input * input).map(|_| (next() * 127.5 + 127.5) as u8).collect();
+            let view = VolumeView::new(Scalars::U8(&bytes), [input; 3]).unwrap();
+            let expected = exact(&parts, bytes.iter().map(|&b| f64::from(b) / 255.0));
+            for level in Level::available() {
+                let net = VolumeNet::with(&parts, level).unwrap();
+                assert_eq!((net.input_size(), net.feature_len(), net.level()), (input, 3, level));
+                assert_close(&encode(&net, &view), &expected, &alloc::format!("{input} {blocks:?} {level}"));
+            }
+        }
+    }
+
+    #[test]
+    fn every_scalar_type_and_layout_gives_the_features_of_the_same_cube() {
+        let n = 16;
+        let parts = network(n, &[(8, 3, 2, 1), (16, 3, 2, 1), (8, 3, 2, 1)], 4, 3);
+        let mut next = noise(4);
+        let words: Vec<i16> = (0..n * n * n).map(|_| (next() * 30000.0) as i16).collect();
+        let unsigned: Vec<u16> = words.iter().map(|&w| (i32::from(w) + 32768) as u16).collect();
+        let floats: Vec<f32> = words.iter().map(|&w| f32::from(w)).collect();
+        let expected = exact(&parts, words.iter().map(|&w| (f64::from(w) + 30000.0) / 60000.0));
+        let mut transposed = vec![0.0; n * n * n];
+        for (i, &v) in floats.iter().enumerate() {
+            transposed[i % n * n * n + i / n % n * n + i / (n * n)] = v;
+        }
+        let mut padded = vec![f32::NAN; 3 + (n + 5) * n * n];
+        for (i, &v) in floats.iter().enumerate() {
+            padded[3 + i / n * (n + 5) + i % n] = v;
+        }
+        let cube = [n; 3];
+        let views = [
+            VolumeView::new(Scalars::I16(&words), cube).unwrap().with_range(-30000.0, 30000.0).unwrap(),
+            VolumeView::new(Scalars::U16(&unsigned), cube).unwrap().with_range(2768.0, 62768.0).unwrap(),
+            VolumeView::new(Scalars::F32(&floats), cube).unwrap().with_range(-30000.0, 30000.0).unwrap(),
+            VolumeView::with_strides(Scalars::F32(&transposed), cube, [n * n, n, 1])
+                .unwrap()
+                .with_range(-30000.0, 30000.0)
+                .unwrap(),
+            VolumeView::with_strides(Scalars::F32(&padded[3..]), cube, [1, n + 5, n * (n + 5)])
+                .unwrap()
+                .with_range(-30000.0, 30000.0)
+                .unwrap(),
+        ];
+        for level in Level::available() {
+            let net = VolumeNet::with(&parts, level).unwrap();
+            for view in &views {
+                assert_close(
+                    &encode(&net, view),
+                    &expected,
+                    &alloc::format!("{:?} {level}", view.scalar_type()),
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn any_volume_is_resampled_first() {
+        let parts = network(8, &[(4, 3, 2, 1), (8, 3, 2, 1)], 2, 5);
+        let mut next = noise(6);
+        let bytes: Vec<u8> = (0..5 * 7 * 31).map(|_| (next() * 127.5 + 127.5) as u8).collect();
+        let view = VolumeView::new(Scalars::U8(&bytes), [5, 7, 31]).unwrap();
+        let mut cube = vec![0.0; 512];
+        Resampler::default().resample(&view, 8, &mut cube, Executor::serial()).unwrap();
+        let expected = exact(&parts, cube.iter().map(|&v| f64::from(v)));
+        assert_close(&encode(&VolumeNet::new(&parts).unwrap(), &view), &expected, "resampled");
+    }
+
+    #[test]
+    fn odd_volumes_have_features() {
+        let parts = network(8, &[(4, 3, 2, 1), (8, 3, 2, 1)], 2, 8);
+        let net = VolumeNet::new(&parts).unwrap();
+        let zero = exact(&parts, core::iter::repeat_n(0.0, 512));
+        for values in [[4.0f32; 512], [f32::NAN; 512]] {
+            for dims in [[8, 8, 8], [1, 1, 1], [512, 1, 1], [2, 256, 1]] {
+                let view = VolumeView::new(Scalars::F32(&values), dims).unwrap();
+                assert_close(&encode(&net, &view), &zero, "constant");
+            }
+        }
+        let wild: Vec<f32> =
+            (0..512).map(|i| [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1.0, 0.0][i % 5]).collect();
+        let view = VolumeView::new(Scalars::F32(&wild), [8, 8, 8]).unwrap();
+        let clean = exact(&parts, wild.iter().map(|&v| if v > 0.0 { 1.0 } else { 0.0 }));
+        assert_close(&encode(&net, &view), &clean, "NaN and infinities");
+        let huge: Vec<f32> = (0..512).map(|i| if i % 3 == 0 { f32::MAX } else { f32::MIN }).collect();
+        let view = VolumeView::new(Scalars::F32(&huge), [8, 8, 8]).unwrap();
+        let ends = exact(&parts, (0..512).map(|i| if i % 3 == 0 { 1.0 } else { 0.0 }));
+        assert_close(&encode(&net, &view), &ends, "whole float range");
+    }
+
+    #[cfg(feature = "rayon")]
+    #[test]
+    fn threads_and_earlier_calls_change_no_bit() {
+        for threads in [2, 3, 5] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            for (seed, (input, blocks)) in NETWORKS.into_iter().enumerate() {
+                let parts = network(input, blocks, 3, seed as u64 + 1);
+                let bytes: Vec<u8> = (0..2 * input * input * input).map(|i| (i * 37 % 251) as u8).collect();
+                for dims in [[input; 3], [input, 2 * input, input]] {
+                    let view = VolumeView::new(Scalars::U8(&bytes), dims).unwrap();
+                    for level in Level::available() {
+                        let net = VolumeNet::with(&parts, level).unwrap();
+                        let alone = encode(&net, &view);
+                        let mut scratch = net.scratch();
+                        for executor in [Executor::rayon(&pool), Executor::serial(), Executor::rayon(&pool)] {
+                            let mut features = [0.0; 3];
+                            net.encode(&view, &mut scratch, executor, &mut features).unwrap();
+                            let bits = |f: &[f32]| f.iter().map(|f| f.to_bits()).collect::<Vec<_>>();
+                            assert_eq!(bits(&features), bits(&alone), "{input} {blocks:?} {level} {threads}");
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn another_networks_scratch_is_made_to_fit() {
+        let nets: Vec<VolumeNet> = NETWORKS
+            .iter()
+            .enumerate()
+            .flat_map(|(seed, (input, blocks))| {
+                Level::available().map(move |level| (seed, *input, *blocks, level))
+            })
+            .map(|(seed, input, blocks, level)| {
+                VolumeNet::with(&network(input, blocks, 2, seed as u64), level).unwrap()
+            })
+            .collect();
+        let bytes: Vec<u8> = (0..70 * 70 * 70).map(|i| (i * 31 % 255) as u8).collect();
+        let mut shared = nets[0].scratch();
+        for net in nets.iter().chain(nets.iter().rev()) {
+            let view = VolumeView::new(Scalars::U8(&bytes), [net.input_size(); 3]).unwrap();
+            let mut features = [0.0; 2];
+            net.encode(&view, &mut shared, Executor::serial(), &mut features).unwrap();
+            assert_eq!(features.as_slice(), encode(net, &view));
+        }
+    }
+
+    #[test]
+    fn parts_that_do_not_fit_are_refused() {
+        let good = network(8, &[(4, 3, 2, 1), (8, 3, 2, 1)], 2, 1);
+        assert!(VolumeNet::new(&good).is_ok());
+        let refused = |change: &dyn Fn(&mut VolumeNetParts), text: &str| {
+            let mut parts = good.clone();
+            change(&mut parts);
+            let error = VolumeNet::new(&parts).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::InvalidTensor);
+            assert!(error.message().contains(text), "{}", error.message());
+        };
+        refused(&|p| p.input = 0, "input edge");
+        refused(&|p| p.blocks.clear(), "no block");
+        refused(&|p| p.blocks[1].inputs = 5, "volumenet.encoder.1.conv");
+        refused(&|p| p.blocks[0].stride = 0, "stride 0");
+        refused(&|p| p.blocks[0].kernel = 0, "kernel 0");
+        refused(&|p| p.blocks[0].kernel = 11, "kernel 11");
+        refused(&|p| p.blocks[0].padding = usize::MAX, "padding");
+        refused(&|p| p.blocks[1].output_edge = 3, "not 3");
+        refused(&|p| p.blocks[0].weight.truncate(9), "9 weights");
+        refused(&|p| p.blocks[0].bias.truncate(1), "1 biases");
+        refused(&|p| p.fc.inputs = 65, "65");
+        refused(&|p| p.fc.bias[1] = f32::NAN, "volumenet.fc.bias[1]");
+        let net = VolumeNet::new(&good).unwrap();
+        let view = VolumeView::new(Scalars::U8(&[0; 512]), [8; 3]).unwrap();
+        let error = net.encode(&view, &mut net.scratch(), Executor::serial(), &mut [0.0; 3]).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::SizeMismatch);
+    }
 }

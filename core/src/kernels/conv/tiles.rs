@@ -1,0 +1,238 @@
+//! The inner loops: every accumulator is a variable of its own, so that none leaves its register.
+
+use super::{MAX_POSITIONS, Row, Tile};
+use crate::kernels::simd::Simd;
+
+/// How one level cuts the work.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cut {
+    /// Floats per vector.
+    pub(super) lanes: usize,
+    /// Channels per group in the first layer.
+    pub(super) group: usize,
+    /// Outputs along x per step in the first layer.
+    pub(super) width: usize,
+    /// Positions per tile in the later layers.
+    pub(super) positions: usize,
+    /// Whether there are tiles of 16 positions and one vector.
+    pub(super) wide: bool,
+}
+
+impl Cut {
+    pub(super) const fn of<S: Simd>() -> Self {
+        // 32 registers hold 16 sums with room to spare, 16 registers hold 12 or 8.
+        let big = S::LANES == 16;
+        Self {
+            lanes: S::LANES,
+            group: if big { 8 } else { 4 },
+            width: 2 * S::LANES,
+            positions: if big { 8 } else { 6 },
+            wide: big,
+        }
+    }
+}
+
+macro_rules! two_vectors {
+    ($name:ident: $($p:literal $x:ident $a:ident $b:ident),*) => {
+        /// A tile of two vectors of channels.
+        #[inline(always)]
+        unsafe fn $name<S: Simd>(s: S, tile: &Tile) {
+            // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
+            unsafe {
+                $(let $x = tile.input[$p];)*
+                let (b0, b1) = (s.load(tile.bias), s.load(tile.bias.add(S::LANES)));
+                $(let (mut $a, mut $b) = (b0, b1);)*
+                let mut w = tile.weights;
+                let mut tap = tile.taps;
+                let taps_end = tap.add(tile.tap_count);
+                let stride = tile.channel_stride;
+                while tap != taps_end {
+                    let mut at = *tap;
+                    for _ in 0..tile.channels {
+                        let (w0, w1) = (s.load(w), s.load(w.add(S::LANES)));
+                        $(
+                            let x = s.splat(*$x.add(at));
+                            $a = s.mul_add(x, w0, $a);
+                            $b = s.mul_add(x, w1, $b);
+                        )*
+                        w = w.add(2 * S::LANES);
+                        at += stride;
+                    }
+                    tap = tap.add(1);
+                }
+                $(
+                    s.store(tile.output[$p], s.selu($a));
+                    s.store(tile.output[$p].add(S::LANES), s.selu($b));
+                )*
+            }
+        }
+    };
+}
+
+macro_rules! one_vector {
+    ($name:ident: $($p:literal $x:ident $a:ident),*) => {
+        /// A tile of one vector of channels.
+        #[inline(always)]
+        unsafe fn $name<S: Simd>(s: S, tile: &Tile) {
+            // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
+            unsafe {
+                $(let $x = tile.input[$p];)*
+                let b0 = s.load(tile.bias);
+                $(let mut $a = b0;)*
+                let mut w = tile.weights;
+                let mut tap = tile.taps;
+                let taps_end = tap.add(tile.tap_count);
+                let stride = tile.channel_stride;
+                while tap != taps_end {
+                    let mut at = *tap;
+                    for _ in 0..tile.channels {
+                        let w0 = s.load(w);
+                        $($a = s.mul_add(s.splat(*$x.add(at)), w0, $a);)*
+                        w = w.add(S::LANES);
+                        at += stride;
+                    }
+                    tap = tap.add(1);
+                }
+                $(s.store(tile.output[$p], s.selu($a));)*
+            }
+        }
+    };
+}
+
+macro_rules! wide {
+    ($name:ident: $($p:literal $x:ident $a:ident $b:ident),*) => {
+        /// A tile of 16 positions and one vector; position p + 8 lies as far from p as position 8 from position 0.
+        #[inline(always)]
+        unsafe fn $name<S: Simd>(s: S, tile: &Tile) {
+            // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
+            unsafe {
+                $(let $x = tile.input[$p];)*
+                let distance = tile.input[8].offset_from_unsigned(tile.input[0]);
+                let b0 = s.load(tile.bias);
+                $(let (mut $a, mut $b) = (b0, b0);)*
+                let mut w = tile.weights;
+                let mut tap = tile.taps;
+                let taps_end = tap.add(tile.tap_count);
+                let stride = tile.channel_stride;
+                while tap != taps_end {
+                    let mut at = *tap;
+                    let mut far = at + distance;
+                    for _ in 0..tile.channels {
+                        let w0 = s.load(w);
+                        $(
+                            $a = s.mul_add(s.splat(*$x.add(at)), w0, $a);
+                            $b = s.mul_add(s.splat(*$x.add(far)), w0, $b);
+                        )*
+                        w = w.add(S::LANES);
+                        at += stride;
+                        far += stride;
+                    }
+                    tap = tap.add(1);
+                }
+                $(
+                    s.store(tile.output[$p], s.selu($a));
+                    s.store(tile.output[$p + 8], s.selu($b));
+                )*
+            }
+        }
+    };
+}
+
+two_vectors!(two_by_eight: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4, 5 x5 a5 b5, 6 x6 a6 b6, 7 x7 a7 b7);
+two_vectors!(two_by_six: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4, 5 x5 a5 b5);
+one_vector!(one_by_eight: 0 x0 a0, 1 x1 a1, 2 x2 a2, 3 x3 a3, 4 x4 a4, 5 x5 a5, 6 x6 a6, 7 x7 a7);
+one_vector!(one_by_six: 0 x0 a0, 1 x1 a1, 2 x2 a2, 3 x3 a3, 4 x4 a4, 5 x5 a5);
+wide!(one_by_sixteen: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4, 5 x5 a5 b5, 6 x6 a6 b6, 7 x7 a7 b7);
+
+/// Computes a tile of `positions` positions and `vectors` vectors of channels.
+///
+/// # Safety
+/// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] says so, `vectors` is 1 and positions p and p + 8 lie at one
+/// distance. Every input pointer plus any tap plus any channel is readable, weights and biases are packed for the tile,
+/// and every output pointer has room for its vectors, which no other thread touches.
+#[inline(always)]
+pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vectors: usize) {
+    const { assert!(MAX_POSITIONS >= 16) };
+    // SAFETY: passed on to the caller.
+    unsafe {
+        match (vectors, S::LANES == 16) {
+            (2, true) => two_by_eight(s, tile),
+            (2, false) => two_by_six(s, tile),
+            (_, true) if positions == 16 => one_by_sixteen(s, tile),
+            (_, true) => one_by_eight(s, tile),
+            (_, false) => one_by_six(s, tile),
+        }
+    }
+}
+
+macro_rules! row_step {
+    ($name:ident: $($c:literal $a:ident $b:ident),*) => {
+        /// One step of a first-layer row: two vectors along x for every channel of the group.
+        #[inline(always)]
+        unsafe fn $name<S: Simd>(s: S, row: &Row, x: usize) {
+            const GROUP: usize = [$($c),*].len();
+            // SAFETY: `run_row`'s caller vouches for every pointer that is read or written here.
+            unsafe {
+                $(
+                    let mut $a = s.splat(*row.bias.add($c));
+                    let mut $b = $a;
+                )*
+                let mut w = row.weights;
+                let mut tap = row.taps;
+                let taps_end = tap.add(row.tap_count);
+                let input = row.input.add(x);
+                while tap != taps_end {
+                    let v0 = s.load(input.add(*tap));
+                    let v1 = s.load(input.add(*tap + S::LANES));
+                    $(
+                        let weight = s.splat(*w.add($c));
+                        $a = s.mul_add(weight, v0, $a);
+                        $b = s.mul_add(weight, v1, $b);
+                    )*
+                    w = w.add(GROUP);
+                    tap = tap.add(1);
+                }
+                let output = row.output.add(x);
+                if row.width - x >= 2 * S::LANES {
+                    $(
+                        let out = output.add($c * row.channel_stride);
+                        s.store(out, s.selu($a));
+                        s.store(out.add(S::LANES), s.selu($b));
+                    )*
+                } else {
+                    let mut spare = [0.0f32; 32];
+                    $(
+                        s.store(spare.as_mut_ptr(), s.selu($a));
+                        s.store(spare.as_mut_ptr().add(S::LANES), s.selu($b));
+                        let out = output.add($c * row.channel_stride);
+                        core::ptr::copy_nonoverlapping(spare.as_ptr(), out, row.width - x);
+                    )*
+                }
+            }
+        }
+    };
+}
+
+row_step!(eight_channels: 0 a0 b0, 1 a1 b1, 2 a2 b2, 3 a3 b3, 4 a4 b4, 5 a5 b5, 6 a6 b6, 7 a7 b7);
+row_step!(four_channels: 0 a0 b0, 1 a1 b1, 2 a2 b2, 3 a3 b3);
+
+/// Computes one row of the first layer for one group of channels.
+///
+/// # Safety
+/// The input pointer plus any tap plus the width, rounded up to whole steps, is readable; weights and biases are packed
+/// for the group; the output has room for `width` floats per channel, which no other thread touches.
+#[inline(always)]
+pub(super) unsafe fn run_row<S: Simd>(s: S, row: &Row) {
+    let mut x = 0;
+    while x < row.width {
+        // SAFETY: passed on to the caller.
+        unsafe {
+            if S::LANES == 16 {
+                eight_channels(s, row, x);
+            } else {
+                four_channels(s, row, x);
+            }
+        }
+        x += 2 * S::LANES;
+    }
+}
