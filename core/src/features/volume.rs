@@ -154,6 +154,12 @@ impl VolumeSummary {
         self.spacing
     }
 
+    /// Radius of the bounding sphere in world units, as in [`VolumeView::bounding_radius`].
+    pub fn bounding_radius(&self) -> f32 {
+        let [x, y, z] = self.dims.map(|n| n as f32);
+        0.5 * (Vec3::new(x, y, z) * self.spacing).length()
+    }
+
     /// The element type of the volume.
     pub fn scalar_type(&self) -> ScalarType {
         self.scalar_type

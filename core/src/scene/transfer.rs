@@ -2,11 +2,11 @@
 //! 256-entry RGBA table.
 
 use super::Nodes;
-use super::VolumeView;
 use crate::Result;
 use crate::error::bail;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
+use glam::Vec3;
 
 /// Entries of a [`TransferTable`].
 pub const TABLE_LEN: usize = 256;
@@ -59,6 +59,26 @@ pub const COLOR_RAMP: [(f32, [f32; 3]); 6] = [
 ];
 
 impl TransferFunction {
+    /// A function through evenly spaced samples, the first at 0 and the last at 1: red, green, blue and opacity each,
+    /// linear in between.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for fewer than two samples, or one outside [0, 1].
+    pub fn uniform(samples: &[[f32; 4]]) -> Result<Self> {
+        if samples.len() < 2 {
+            bail!(InvalidArgument, "a transfer table has {} entries; it needs at least 2", samples.len());
+        }
+        let last = (samples.len() - 1) as f32;
+        let points = samples.iter().enumerate().map(|(i, &[r, g, b, opacity])| ControlPoint {
+            position: i as f32 / last,
+            color: [r, g, b],
+            opacity,
+        });
+        let points: Vec<_> = points.collect();
+        check_points(&points)?;
+        Ok(Self::Points(points))
+    }
+
     /// Checks the description and samples it into a table, entry i at s = i/255.
     ///
     /// # Errors
@@ -112,13 +132,13 @@ impl TransferTable {
         Ok(self)
     }
 
-    /// Sets the distance over which the table's opacities hold, in the volume's unit of length (VTK's scalar opacity
-    /// unit distance, ANARI's `unitDistance`).
+    /// Sets the distance over which the table's opacities hold, in the unit of the volume's voxel `spacing` (VTK's
+    /// scalar opacity unit distance, ANARI's `unitDistance`).
     ///
     /// # Errors
     /// As [`TransferTable::with_unit_distance`].
-    pub fn with_world_unit_distance(self, distance: f32, volume: &VolumeView<'_>) -> Result<Self> {
-        self.with_unit_distance(distance / volume.spacing().min_element())
+    pub fn with_world_unit_distance(self, distance: f32, spacing: Vec3) -> Result<Self> {
+        self.with_unit_distance(distance / spacing.min_element())
     }
 
     /// The entries.
@@ -192,7 +212,7 @@ fn gaussian_table(lobes: &[GaussianLobe]) -> Result<TransferTable> {
     TransferTable::new(rgba)
 }
 
-fn points_table(points: &[ControlPoint]) -> Result<TransferTable> {
+fn check_points(points: &[ControlPoint]) -> Result<()> {
     if points.is_empty() {
         bail!(InvalidArgument, "a piecewise-linear transfer function needs at least one control point");
     }
@@ -214,6 +234,11 @@ fn points_table(points: &[ControlPoint]) -> Result<TransferTable> {
             bail!(InvalidArgument, "control point {i}: colour and opacity must lie in [0, 1]");
         }
     }
+    Ok(())
+}
+
+fn points_table(points: &[ControlPoint]) -> Result<TransferTable> {
+    check_points(points)?;
     let mut rgba = [[0.0; 4]; TABLE_LEN];
     for (i, entry) in rgba.iter_mut().enumerate() {
         let s = i as f32 / (TABLE_LEN - 1) as f32;
@@ -281,6 +306,17 @@ mod tests {
     }
 
     #[test]
+    fn uniform_samples_come_back_and_are_interpolated() {
+        let samples: Vec<[f32; 4]> = (0..TABLE_LEN).map(|i| [(i % 7) as f32 / 7.0; 4]).collect();
+        let table = TransferFunction::uniform(&samples).unwrap().to_table().unwrap();
+        assert_eq!(table.rgba().as_slice(), samples.as_slice());
+        let table = TransferFunction::uniform(&[[0.0; 4], [1.0; 4]]).unwrap().to_table().unwrap();
+        assert!((table.rgba()[51][3] - 0.2).abs() < 1e-6);
+        assert!(TransferFunction::uniform(&[[0.0; 4]]).is_err());
+        assert!(TransferFunction::uniform(&[[0.0; 4], [0.0, 0.0, 0.0, 1.5]]).is_err());
+    }
+
+    #[test]
     fn opacity_correction_composes() {
         for alpha in [0.0, 0.001, 0.3, 0.99, 1.0] {
             let half = corrected_opacity(alpha, 0.5);
@@ -292,15 +328,11 @@ mod tests {
 
     #[test]
     fn unit_distance_in_world_units_counts_reference_steps() {
-        let voxels = [0u8; 8];
-        let volume = VolumeView::new(crate::scene::Scalars::U8(&voxels), [2, 2, 2])
-            .unwrap()
-            .with_spacing([0.5, 2.0, 7.0])
-            .unwrap();
+        let spacing = Vec3::new(2.0, 0.5, 7.0);
         let table = TransferTable::new([[0.5; 4]; TABLE_LEN]).unwrap();
-        assert_eq!(table.clone().with_world_unit_distance(3.0, &volume).unwrap().unit_distance(), 6.0);
-        assert!(table.clone().with_world_unit_distance(f32::NAN, &volume).is_err());
-        assert!(table.with_world_unit_distance(0.0, &volume).is_err());
+        assert_eq!(table.clone().with_world_unit_distance(3.0, spacing).unwrap().unit_distance(), 6.0);
+        assert!(table.clone().with_world_unit_distance(f32::NAN, spacing).is_err());
+        assert!(table.with_world_unit_distance(0.0, spacing).is_err());
     }
 
     #[test]

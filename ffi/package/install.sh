@@ -1,0 +1,80 @@
+#!/usr/bin/env bash
+# Builds libentire and installs it with its headers, pkg-config file and CMake package.
+#
+#   ffi/package/install.sh [--prefix DIR] [--libdir NAME] [--destdir DIR] [--features LIST] [--no-build]
+#
+# --prefix   where the package will live (default /usr/local)
+# --libdir   the library folder under the prefix (default lib)
+# --destdir  stage into this folder instead, for package builders (default none)
+# --features cargo features of entire-ffi (default none)
+# --no-build install what the last run built
+set -euo pipefail
+
+prefix=/usr/local libdir=lib destdir= features= build=1
+while (($#)); do
+    case $1 in
+        --prefix) prefix=${2:?--prefix needs a folder}; shift 2 ;;
+        --libdir) libdir=${2:?--libdir needs a name}; shift 2 ;;
+        --destdir) destdir=${2?--destdir needs a folder}; shift 2 ;;
+        --features) features=${2?--features needs a list}; shift 2 ;;
+        --no-build) build=; shift ;;
+        -h | --help) sed -n '2,11p' "$0" | cut -c3-; exit 0 ;;
+        *) echo "install.sh: unknown option $1 (try --help)" >&2; exit 2 ;;
+    esac
+done
+case $prefix in /*) ;; *) echo "install.sh: --prefix must be an absolute path, found $prefix" >&2; exit 2 ;; esac
+case $libdir in /* | *..*) echo "install.sh: --libdir is a folder under the prefix, found $libdir" >&2; exit 2 ;; esac
+if [[ $(uname -s) != Linux ]]; then
+    echo "install.sh: installs shared libraries as Linux has them; on $(uname -s) use cargo build -p entire-ffi" >&2
+    exit 1
+fi
+
+cd "$(dirname "$0")/../.."
+here=ffi/package
+cargo=${CARGO:-cargo}
+target=${CARGO_TARGET_DIR:-target}
+built=$target/sdk
+arguments=(--package entire-ffi --lib --profile sdk)
+if [[ $features ]]; then arguments+=(--features "$features"); fi
+if [[ $build ]]; then "$cargo" build --quiet "${arguments[@]}"; fi
+
+# Which system libraries a program with the static library needs: rustc knows.
+native=$("$cargo" rustc --quiet "${arguments[@]}" --crate-type staticlib -- --print native-static-libs 2>&1 \
+    | sed -n 's/^note: native-static-libs: //p' | tail -n 1)
+if [[ -z $native ]]; then
+    echo "install.sh: rustc did not say which system libraries the static library needs" >&2
+    exit 1
+fi
+
+version=$("$cargo" pkgid --package entire-ffi | sed 's/.*[#@]//')
+IFS=. read -r major minor _ <<<"$version"
+soversion=$major
+if [[ $major == 0 ]]; then soversion=0.$minor; fi
+
+upwards() { # as many ".." as the path has parts
+    sed 's|[^/][^/]*|..|g' <<<"$1"
+}
+
+root=$destdir$prefix
+lib=$root/$libdir
+install -d "$lib/pkgconfig" "$lib/cmake/entire" "$root/include/entire" "$root/share/licenses/entire"
+install -m 755 "$built/libentire.so" "$lib/libentire.so.$version"
+ln -sf "libentire.so.$version" "$lib/libentire.so.$soversion"
+ln -sf "libentire.so.$soversion" "$lib/libentire.so"
+install -m 644 "$built/libentire.a" "$lib/libentire.a"
+install -m 644 include/entire/entire.h include/entire/entire.hpp "$root/include/entire/"
+install -m 644 LICENSE-APACHE LICENSE-MIT "$root/share/licenses/entire/"
+
+fill() { # fill TEMPLATE OUT
+    sed -e "s|@VERSION@|$version|g" -e "s|@SOVERSION@|$soversion|g" -e "s|@LIBDIR@|$libdir|g" \
+        -e "s|@NATIVE_LIBS@|$native|g" -e "s|@NATIVE_LIBS_CMAKE@|${native// /;}|g" \
+        -e "s|@PREFIX_FROM_PC@|$(upwards "$libdir/pkgconfig")|g" \
+        -e "s|@PREFIX_FROM_CMAKE@|$(upwards "$libdir/cmake/entire")|g" \
+        -e "s|@POINTER_BYTES@|$(($(getconf LONG_BIT) / 8))|g" "$1" >"$2"
+    if grep -n '@[A-Z_]*@' "$2" >&2; then echo "install.sh: $1 has a placeholder that nothing fills" >&2; exit 1; fi
+    chmod 644 "$2"
+}
+fill $here/entire.pc.in "$lib/pkgconfig/entire.pc"
+fill $here/entireConfig.cmake.in "$lib/cmake/entire/entireConfig.cmake"
+fill $here/entireConfigVersion.cmake.in "$lib/cmake/entire/entireConfigVersion.cmake"
+echo "installed libentire $version into $root"

@@ -1,0 +1,373 @@
+//! Pointers and by-value structs at the boundary: everything that reads or writes the caller's memory.
+
+use crate::result::Failure;
+use crate::result::entire_result::*;
+use std::ffi::{CStr, c_char};
+use std::mem::size_of;
+
+/// No struct of this ABI comes near this size; a larger `struct_size` is memory that was never initialised.
+const LARGEST_STRUCT: usize = 1 << 16;
+
+/// A by-value struct whose first field is `struct_size: usize`, the size that the caller was compiled with.
+///
+/// # Safety
+/// `repr(C)`, first field `struct_size: usize`, no padding that matters, and every bit pattern of every field is a value
+/// (integers, floats, pointers).
+pub(crate) unsafe trait ByValue: Copy {
+    /// Its name in messages.
+    const NAME: &'static str;
+    /// Its size when it was first released; a smaller one never existed.
+    const FIRST_SIZE: usize;
+    /// What fields hold that the caller's older struct does not have, and what `_init` writes.
+    fn defaults() -> Self;
+}
+
+fn check_size<T: ByValue>(size: usize) -> Result<(), Failure> {
+    if !(T::FIRST_SIZE..LARGEST_STRUCT).contains(&size) {
+        return Err(Failure::new(
+            ENTIRE_STRUCT_SIZE,
+            format!(
+                "{name}.struct_size is {size}, the struct has {} bytes; set it to sizeof({name}) or call {name}_init",
+                size_of::<T>(),
+                name = T::NAME
+            ),
+        ));
+    }
+    Ok(())
+}
+
+/// Reads the caller's struct: missing fields of an older caller get their defaults, unknown fields of a newer one must
+/// be zero.
+///
+/// # Safety
+/// `at` is NULL or valid for reads of the bytes that its `struct_size` states.
+pub(crate) unsafe fn read_struct<T: ByValue>(at: *const T) -> Result<T, Failure> {
+    if at.is_null() {
+        return Err(Failure::null(T::NAME));
+    }
+    // SAFETY: not NULL, and the first field is `struct_size`; read without assuming alignment.
+    let size = unsafe { at.cast::<usize>().read_unaligned() };
+    check_size::<T>(size)?;
+    let known = size.min(size_of::<T>());
+    let mut value = T::defaults();
+    // SAFETY: the caller promises `size` readable bytes, `value` has `known` writable ones, and by the trait's contract
+    // any bytes are a value.
+    let unknown = unsafe {
+        std::ptr::copy_nonoverlapping(at.cast::<u8>(), (&raw mut value).cast::<u8>(), known);
+        std::slice::from_raw_parts(at.cast::<u8>().add(known), size - known)
+    };
+    if unknown.iter().any(|&byte| byte != 0) {
+        return Err(Failure::new(
+            ENTIRE_STRUCT_SIZE,
+            format!(
+                "{}.struct_size is {size} and fields beyond the {} bytes that this library knows are set; \
+                 use a library as new as the header, or leave them zero",
+                T::NAME,
+                size_of::<T>()
+            ),
+        ));
+    }
+    Ok(value)
+}
+
+/// Checks that the caller's output struct can be written, before anything is done.
+///
+/// # Safety
+/// As [`write_struct`].
+pub(crate) unsafe fn check_output<T: ByValue>(at: *const T) -> Result<(), Failure> {
+    if at.is_null() {
+        return Err(Failure::null(T::NAME));
+    }
+    // SAFETY: as in read_struct.
+    check_size::<T>(unsafe { at.cast::<usize>().read_unaligned() })
+}
+
+/// Fills the caller's struct as far as the caller knows it; its `struct_size` stays.
+///
+/// # Safety
+/// `at` is NULL or valid for reads and writes of the bytes that its `struct_size` states.
+pub(crate) unsafe fn write_struct<T: ByValue>(at: *mut T, value: &T) -> Result<(), Failure> {
+    // SAFETY: as the caller promises.
+    unsafe { check_output(at)? };
+    // SAFETY: as the caller promises; both sides have at least `known` bytes, and they are different objects.
+    unsafe {
+        let size = at.cast::<usize>().read_unaligned();
+        let known = size.min(size_of::<T>());
+        let field = size_of::<usize>();
+        let from = std::ptr::from_ref(value).cast::<u8>();
+        std::ptr::copy_nonoverlapping(from.add(field), at.cast::<u8>().add(field), known - field);
+    }
+    Ok(())
+}
+
+/// Fills a struct of `size` bytes with its defaults, zero beyond what this library knows, and sets its `struct_size`.
+///
+/// # Safety
+/// `at` is NULL or valid for writes of `size` bytes.
+pub(crate) unsafe fn init_struct<T: ByValue>(at: *mut T, size: usize) -> Result<(), Failure> {
+    if at.is_null() {
+        return Err(Failure::null(T::NAME));
+    }
+    check_size::<T>(size)?;
+    let known = size.min(size_of::<T>());
+    let value = T::defaults();
+    // SAFETY: the caller promises `size` writable bytes; the value has `known` readable ones.
+    unsafe {
+        at.cast::<u8>().write_bytes(0, size);
+        std::ptr::copy_nonoverlapping((&raw const value).cast::<u8>(), at.cast::<u8>(), known);
+        at.cast::<usize>().write_unaligned(size);
+    }
+    Ok(())
+}
+
+/// The caller's array. NULL is an empty array where `len` is 0.
+///
+/// # Safety
+/// `at` is NULL or valid for reads of `len` elements for as long as the result lives.
+pub(crate) unsafe fn slice<'a, T>(at: *const T, len: usize, what: &str) -> Result<&'a [T], Failure> {
+    if len == 0 {
+        return Ok(&[]);
+    }
+    check_array(at, len, what)?;
+    // SAFETY: not NULL, aligned, not longer than an object can be, readable as the caller promises.
+    Ok(unsafe { std::slice::from_raw_parts(at, len) })
+}
+
+/// The caller's output array. It is not touched here: what the caller left in it is some value of a number.
+///
+/// # Safety
+/// `at` is NULL or valid for reads and writes of `len` elements, by nobody else, for as long as the result lives.
+pub(crate) unsafe fn slice_mut<'a, T: Number>(
+    at: *mut T,
+    len: usize,
+    what: &str,
+) -> Result<&'a mut [T], Failure> {
+    if len == 0 {
+        return Ok(&mut []);
+    }
+    check_array(at, len, what)?;
+    // SAFETY: not NULL, aligned, not longer than an object can be, writable as the caller promises; any bytes that come
+    // over the C boundary are a value of a number.
+    Ok(unsafe { std::slice::from_raw_parts_mut(at, len) })
+}
+
+/// Types of which any bytes are a value.
+pub(crate) trait Number: Copy {}
+impl Number for f32 {}
+impl Number for f64 {}
+impl Number for usize {}
+
+fn check_array<T>(at: *const T, len: usize, what: &str) -> Result<(), Failure> {
+    if at.is_null() {
+        return Err(Failure::null(what));
+    }
+    if !at.is_aligned() {
+        return Err(Failure::new(
+            ENTIRE_INVALID_ARGUMENT,
+            format!("{what} is not aligned to {} bytes; pass a pointer to such elements", align_of::<T>()),
+        ));
+    }
+    if len.checked_mul(size_of::<T>()).is_none_or(|bytes| bytes > isize::MAX as usize) {
+        return Err(Failure::new(
+            ENTIRE_SIZE_MISMATCH,
+            format!("{what} is said to have {len} elements, more than memory can hold; check the count"),
+        ));
+    }
+    Ok(())
+}
+
+/// The caller's string, which must be UTF-8.
+///
+/// # Safety
+/// `at` is NULL or a C string that lives as long as the result.
+pub(crate) unsafe fn text<'a>(at: *const c_char, what: &str) -> Result<&'a str, Failure> {
+    if at.is_null() {
+        return Err(Failure::null(what));
+    }
+    // SAFETY: not NULL, and a C string as the caller promises.
+    unsafe { CStr::from_ptr(at) }.to_str().map_err(|e| {
+        Failure::new(
+            ENTIRE_INVALID_ARGUMENT,
+            format!("{what} is not UTF-8 (byte {}); convert it before the call", e.valid_up_to()),
+        )
+    })
+}
+
+/// Checks that an output pointer is there, before anything is done.
+pub(crate) fn check_pointer<T>(at: *const T, what: &str) -> Result<(), Failure> {
+    check_array(at, 1, what)
+}
+
+/// Writes an output.
+///
+/// # Safety
+/// `at` is NULL or valid for one write.
+pub(crate) unsafe fn write<T>(at: *mut T, value: T, what: &str) -> Result<(), Failure> {
+    check_pointer(at, what)?;
+    // SAFETY: not NULL and aligned; valid for a write as the caller promises.
+    unsafe { at.write(value) };
+    Ok(())
+}
+
+/// Copies `text` with a closing NUL into a buffer that may be too short (the text is then cut at a character) or NULL
+/// with capacity 0 (to ask for the length). `length`, where not NULL, receives the whole text's bytes without the NUL.
+///
+/// # Safety
+/// `buffer` is NULL or valid for writes of `capacity` bytes; `length` is NULL or valid for one write.
+pub(crate) unsafe fn write_text(
+    text: &str,
+    buffer: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> Result<(), Failure> {
+    if buffer.is_null() && capacity != 0 {
+        return Err(Failure::null("buffer"));
+    }
+    if buffer.is_null() && length.is_null() {
+        return Err(Failure::null("length (or else buffer)"));
+    }
+    if !length.is_null() {
+        // SAFETY: valid for one write as the caller promises.
+        unsafe { write(length, text.len(), "length")? };
+    }
+    if capacity > 0 {
+        let cut = text.floor_char_boundary(text.len().min(capacity - 1));
+        // SAFETY: `cut` is below the capacity that the caller promises, so the closing NUL fits too.
+        unsafe {
+            std::ptr::copy_nonoverlapping(text.as_ptr(), buffer.cast::<u8>(), cut);
+            buffer.add(cut).write(0);
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[repr(C)]
+    #[derive(Clone, Copy)]
+    struct Probe {
+        struct_size: usize,
+        a: u64,
+        b: f64,
+    }
+
+    // SAFETY: repr(C), first field struct_size, integers and floats only.
+    unsafe impl ByValue for Probe {
+        const NAME: &'static str = "probe";
+        const FIRST_SIZE: usize = 16;
+        fn defaults() -> Self {
+            Self { struct_size: size_of::<Self>(), a: 5, b: f64::NAN }
+        }
+    }
+
+    #[repr(C)]
+    #[derive(Clone, Copy)]
+    struct Newer {
+        old: Probe,
+        tail: u64,
+    }
+
+    #[test]
+    fn an_older_caller_gets_defaults_and_keeps_what_it_set() {
+        let old = [16u64, 9];
+        // SAFETY: 16 bytes are readable, as the first field states.
+        let value = unsafe { read_struct(old.as_ptr().cast::<Probe>()) }.unwrap();
+        assert_eq!(value.a, 9);
+        assert!(value.b.is_nan());
+    }
+
+    #[test]
+    fn a_newer_caller_is_refused_only_when_it_uses_what_is_new() {
+        let mut newer = Newer { old: Probe { struct_size: size_of::<Newer>(), a: 1, b: 2.0 }, tail: 0 };
+        let read = |n: &Newer| {
+            // SAFETY: all bytes that struct_size states are readable.
+            unsafe { read_struct(std::ptr::from_ref(n).cast::<Probe>()) }.map_err(|e| e.code)
+        };
+        assert_eq!(read(&newer).unwrap().b, 2.0);
+        newer.tail = 1;
+        assert_eq!(read(&newer).err(), Some(ENTIRE_STRUCT_SIZE));
+    }
+
+    #[test]
+    fn sizes_that_cannot_be_are_refused() {
+        for size in [0usize, 8, 15, 1 << 16, usize::MAX] {
+            let probe = Probe { struct_size: size, a: 0, b: 0.0 };
+            // SAFETY: refused before more than the first field is read.
+            let failure = unsafe { read_struct(&raw const probe) }.err().unwrap();
+            assert_eq!(failure.code, ENTIRE_STRUCT_SIZE);
+            assert!(failure.message.contains("sizeof(probe)"));
+            let mut probe = probe;
+            // SAFETY: as above.
+            assert_eq!(
+                unsafe { write_struct(&raw mut probe, &Probe::defaults()) }.err().unwrap().code,
+                ENTIRE_STRUCT_SIZE
+            );
+        }
+        // SAFETY: NULL is allowed.
+        assert_eq!(
+            unsafe { read_struct(std::ptr::null::<Probe>()) }.err().unwrap().code,
+            ENTIRE_NULL_ARGUMENT
+        );
+    }
+
+    #[test]
+    fn outputs_are_written_as_far_as_the_caller_knows_them() {
+        let mut old = [16u64, 0, 77];
+        // SAFETY: the stated 16 bytes are writable.
+        unsafe {
+            write_struct(old.as_mut_ptr().cast::<Probe>(), &Probe { struct_size: 0, a: 3, b: 4.0 }).unwrap()
+        };
+        assert_eq!(old, [16, 3, 77]);
+        // SAFETY: the stated 16 bytes are writable.
+        unsafe { init_struct(old.as_mut_ptr().cast::<Probe>(), 16).unwrap() };
+        assert_eq!(old, [16, 5, 77]);
+        let mut newer = [0xffu64; 4];
+        // SAFETY: all 32 bytes are writable.
+        unsafe { init_struct(newer.as_mut_ptr().cast::<Probe>(), 32).unwrap() };
+        assert_eq!((newer[0], newer[1], newer[3]), (32, 5, 0));
+    }
+
+    #[test]
+    fn arrays_are_checked() {
+        let data = [1.0f32, 2.0];
+        // SAFETY: valid pointers and lengths, or refused before use.
+        unsafe {
+            assert_eq!(slice(data.as_ptr(), 2, "x").unwrap(), &data);
+            assert!(slice::<f32>(std::ptr::null(), 0, "x").unwrap().is_empty());
+            assert_eq!(slice::<f32>(std::ptr::null(), 1, "x").unwrap_err().code, ENTIRE_NULL_ARGUMENT);
+            let odd = data.as_ptr().cast::<u8>().wrapping_add(1).cast::<f32>();
+            assert_eq!(slice(odd, 1, "x").unwrap_err().code, ENTIRE_INVALID_ARGUMENT);
+            assert_eq!(slice(data.as_ptr(), usize::MAX, "x").unwrap_err().code, ENTIRE_SIZE_MISMATCH);
+        }
+    }
+
+    #[test]
+    fn text_is_cut_at_a_character_and_the_length_is_that_of_the_whole() {
+        let mut buffer = [1 as c_char; 4];
+        let mut length = 0;
+        // SAFETY: buffer and length are as stated.
+        unsafe { write_text("aäö", buffer.as_mut_ptr(), 4, &raw mut length).unwrap() };
+        // SAFETY: write_text ends the text with a NUL.
+        assert_eq!(unsafe { CStr::from_ptr(buffer.as_ptr()) }.to_str().unwrap(), "aä");
+        assert_eq!(length, 5);
+        // SAFETY: NULL is allowed.
+        unsafe {
+            write_text("abc", std::ptr::null_mut(), 0, &raw mut length).unwrap();
+            assert!(write_text("abc", std::ptr::null_mut(), 0, std::ptr::null_mut()).is_err());
+            assert!(write_text("abc", std::ptr::null_mut(), 3, &raw mut length).is_err());
+        }
+        assert_eq!(length, 3);
+    }
+
+    #[test]
+    fn strings_must_be_utf8() {
+        // SAFETY: C strings, or NULL.
+        unsafe {
+            assert_eq!(text(c"pfad/ä".as_ptr(), "path").unwrap(), "pfad/ä");
+            assert_eq!(text(c"\xff".as_ptr(), "path").unwrap_err().code, ENTIRE_INVALID_ARGUMENT);
+            assert_eq!(text(std::ptr::null(), "path").unwrap_err().code, ENTIRE_NULL_ARGUMENT);
+        }
+    }
+}

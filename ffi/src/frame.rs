@@ -1,0 +1,217 @@
+//! `entire_frame`: what is about to be drawn, and the settings that a caller can choose between.
+
+use crate::abi::{ByValue, init_struct};
+use crate::guard::guard;
+use crate::result::Failure;
+use crate::result::entire_result::{self, *};
+use entire_core::features::Setting;
+use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping};
+use glam::{Mat4, Vec3};
+use std::mem::{offset_of, size_of};
+
+/// How a frame's camera is given: one of the two `ENTIRE_CAMERA_*` numbers.
+pub type entire_camera = u32;
+/// By entire_frame.arcball.
+pub const ENTIRE_CAMERA_ARCBALL: entire_camera = 1;
+/// By entire_frame.view, volume_center and volume_radius.
+pub const ENTIRE_CAMERA_VIEW: entire_camera = 2;
+
+/// What is computed at each sample: one of the `ENTIRE_SHADING_*` numbers.
+pub type entire_shading = u32;
+/// Color and opacity of the transfer function alone.
+pub const ENTIRE_SHADING_NONE: entire_shading = 1;
+/// Local lighting with gradients.
+pub const ENTIRE_SHADING_LOCAL: entire_shading = 2;
+/// Single scattering: a shadow ray per visible sample.
+pub const ENTIRE_SHADING_SCATTER: entire_shading = 3;
+
+/// How empty space is skipped: one of the `ENTIRE_SKIPPING_*` numbers.
+pub type entire_skipping = u32;
+/// Every sample is taken.
+pub const ENTIRE_SKIPPING_NONE: entire_skipping = 1;
+/// Transparent blocks are jumped over.
+pub const ENTIRE_SKIPPING_BLOCKS: entire_skipping = 2;
+/// As blocks, with a distance map so that a run of empty blocks costs one jump.
+pub const ENTIRE_SKIPPING_DISTANCE: entire_skipping = 3;
+
+/// A frame to draw. Fill with entire_frame_init, then set what differs.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_frame {
+    /// sizeof(entire_frame).
+    pub struct_size: usize,
+    /// Image width in pixels, 1 to 16384. No default.
+    pub width: u32,
+    /// Image height in pixels, 1 to 16384. No default.
+    pub height: u32,
+    /// ENTIRE_CAMERA_ARCBALL (default) or ENTIRE_CAMERA_VIEW.
+    pub camera: entire_camera,
+    /// Vertical field of view in degrees, over 0 and up to 179; default 45.
+    pub fov_y: f32,
+    /// Rotation about x and y in degrees (positive raises the eye, moves it to the right), and the eye's distance from
+    /// the volume's center in multiples of its bounding-sphere radius. Default 0, 0, 3.
+    pub arcball: [f32; 3],
+    /// World-to-eye matrix as OpenGL has it: column-major, rotation and translation only, the eye looks along -z. Default
+    /// identity.
+    pub view: [f32; 16],
+    /// World position of the volume's center, for ENTIRE_CAMERA_VIEW; default 0, 0, 0.
+    pub volume_center: [f32; 3],
+    /// World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: the predictor's volume knows it
+    /// (entire_volume_info.bounding_radius), with world units equal to those of its spacing.
+    pub volume_radius: f32,
+    /// Ray step in multiples of the reference step, from 1/64 to 4096; default 1. Predicted for as it is, answered by
+    /// entire_predictor_plan when steering is off.
+    pub step: f32,
+    /// Accumulated opacity at which a ray stops, over 0 and up to 1; 1 for never. Default 0.99.
+    pub termination: f32,
+    /// One of ENTIRE_SHADING_*; default ENTIRE_SHADING_NONE.
+    pub shading: entire_shading,
+    /// One of ENTIRE_SKIPPING_*; default ENTIRE_SKIPPING_BLOCKS.
+    pub skipping: entire_skipping,
+    /// Not 0 where ray starts are jittered; default 0.
+    pub jitter: u32,
+    /// Must be 0.
+    pub reserved: u32,
+}
+
+// SAFETY: repr(C), struct_size first, integers and floats only.
+unsafe impl ByValue for entire_frame {
+    const NAME: &'static str = "entire_frame";
+    const FIRST_SIZE: usize = size_of::<Self>();
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>(),
+            width: 0,
+            height: 0,
+            camera: ENTIRE_CAMERA_ARCBALL,
+            fov_y: DEFAULT_FOV_Y_DEGREES,
+            arcball: [0.0, 0.0, 3.0],
+            view: Mat4::IDENTITY.to_cols_array(),
+            volume_center: [0.0; 3],
+            volume_radius: f32::NAN,
+            step: 1.0,
+            termination: 0.99,
+            shading: ENTIRE_SHADING_NONE,
+            skipping: ENTIRE_SKIPPING_BLOCKS,
+            jitter: 0,
+            reserved: 0,
+        }
+    }
+}
+
+/// One of the settings that entire_predictor_choose may pick.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_setting {
+    /// Ray step in multiples of the reference step.
+    pub step: f32,
+    /// Image width in pixels; width to height should be as in the frame.
+    pub width: u32,
+    /// Image height in pixels.
+    pub height: u32,
+    /// One of ENTIRE_SHADING_*.
+    pub shading: entire_shading,
+    /// One of ENTIRE_SKIPPING_*.
+    pub skipping: entire_skipping,
+}
+
+// The layouts of ABI 1 on 64-bit targets; a field may be added behind, never moved.
+#[cfg(target_pointer_width = "64")]
+const _: () = {
+    assert!(size_of::<entire_frame>() == 144);
+    assert!(offset_of!(entire_frame, fov_y) == 20);
+    assert!(offset_of!(entire_frame, view) == 36);
+    assert!(offset_of!(entire_frame, volume_radius) == 112);
+    assert!(offset_of!(entire_frame, shading) == 124);
+    assert!(size_of::<entire_setting>() == 20);
+};
+
+/// Fills a frame with its defaults; `struct_size` is sizeof(entire_frame).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_frame_init(frame: *mut entire_frame, struct_size: usize) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    guard(|| unsafe { init_struct(frame, struct_size) })
+}
+
+fn shading(number: u32) -> Result<Shading, Failure> {
+    match number {
+        ENTIRE_SHADING_NONE => Ok(Shading::None),
+        ENTIRE_SHADING_LOCAL => Ok(Shading::Local),
+        ENTIRE_SHADING_SCATTER => Ok(Shading::Scatter),
+        other => Err(Failure::new(
+            ENTIRE_INVALID_ARGUMENT,
+            format!(
+                "shading is {other}; it must be one of ENTIRE_SHADING_NONE (1) to ENTIRE_SHADING_SCATTER (3)"
+            ),
+        )),
+    }
+}
+
+fn skipping(number: u32) -> Result<Skipping, Failure> {
+    match number {
+        ENTIRE_SKIPPING_NONE => Ok(Skipping::None),
+        ENTIRE_SKIPPING_BLOCKS => Ok(Skipping::Blocks),
+        ENTIRE_SKIPPING_DISTANCE => Ok(Skipping::Distance),
+        other => Err(Failure::new(
+            ENTIRE_INVALID_ARGUMENT,
+            format!(
+                "skipping is {other}; it must be one of ENTIRE_SKIPPING_NONE (1) to ENTIRE_SKIPPING_DISTANCE (3)"
+            ),
+        )),
+    }
+}
+
+impl entire_frame {
+    /// The core's frame. `radius`: the bounding-sphere radius where the volume is known.
+    pub(crate) fn to_core(&self, radius: Option<f32>) -> Result<Frame, Failure> {
+        let camera = match self.camera {
+            ENTIRE_CAMERA_ARCBALL => {
+                let [rx, ry, dz] = self.arcball;
+                Camera::from_arcball(Arcball { rx, ry, dz })?
+            }
+            ENTIRE_CAMERA_VIEW => {
+                let radius = if self.volume_radius.is_nan() { radius } else { Some(self.volume_radius) };
+                let radius = radius.ok_or_else(|| {
+                    Failure::new(
+                        ENTIRE_NOT_READY,
+                        "volume_radius is NaN and no volume is set that would know it; set the volume first",
+                    )
+                })?;
+                let view = Mat4::from_cols_array(&self.view);
+                Camera::from_world_view(view, Vec3::from_array(self.volume_center), radius)?
+            }
+            other => {
+                return Err(Failure::new(
+                    ENTIRE_INVALID_ARGUMENT,
+                    format!(
+                        "camera is {other}; it must be ENTIRE_CAMERA_ARCBALL (1) or ENTIRE_CAMERA_VIEW (2)"
+                    ),
+                ));
+            }
+        };
+        if self.reserved != 0 {
+            return Err(Failure::new(
+                ENTIRE_INVALID_ARGUMENT,
+                "entire_frame.reserved must be 0; call entire_frame_init",
+            ));
+        }
+        Ok(Frame::new(camera.with_fov_y_degrees(self.fov_y)?, self.width, self.height)?
+            .with_step(self.step)?
+            .with_termination(self.termination)?
+            .with_shading(shading(self.shading)?)
+            .with_skipping(skipping(self.skipping)?)
+            .with_jitter(self.jitter != 0))
+    }
+}
+
+impl entire_setting {
+    pub(crate) fn to_core(self) -> Result<Setting, Failure> {
+        Ok(Setting {
+            step: self.step,
+            width: self.width,
+            height: self.height,
+            shading: shading(self.shading)?,
+            skipping: skipping(self.skipping)?,
+        })
+    }
+}

@@ -1,0 +1,300 @@
+//! The one way into the library: every entry point runs its body in here. Handles are checked, panics become
+//! [`ENTIRE_PANIC`] and mark their handle unusable, and the text of a failure is kept for this thread and for the handle.
+
+use crate::abi::write_text;
+use crate::handle::{Handle, Owner};
+use crate::log;
+use crate::result::Failure;
+use crate::result::entire_result::{self, *};
+use std::any::Any;
+use std::cell::{Cell, RefCell};
+use std::ffi::{CString, c_char};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Once;
+
+/// What the body of an entry point returns.
+pub(crate) type Outcome = Result<(), Failure>;
+
+thread_local! {
+    /// Whether the last call of this thread failed; its text stands in `TEXT`.
+    static FAILED: Cell<bool> = const { Cell::new(false) };
+    static TEXT: RefCell<CString> = RefCell::new(CString::default());
+    /// How many guards are open on this thread, for the panic hook.
+    static DEPTH: Cell<u32> = const { Cell::new(0) };
+    /// Where and why this thread panicked inside a guard.
+    static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
+}
+
+/// Why the calling thread's last call failed, as a sentence that names what was wrong and what to do; empty after a
+/// call that succeeded. Never NULL; valid until the thread's next call of any function but this one.
+#[unsafe(no_mangle)]
+pub extern "C" fn entire_last_error() -> *const c_char {
+    if FAILED.try_with(Cell::get).unwrap_or(false) {
+        TEXT.try_with(|text| text.borrow().as_ptr()).unwrap_or(c"".as_ptr())
+    } else {
+        c"".as_ptr()
+    }
+}
+
+/// Runs a body that works on no handle.
+pub(crate) fn guard(body: impl FnOnce() -> Outcome) -> entire_result {
+    match contained(body) {
+        Ok(()) => succeeded(),
+        Err(failure) => failed(failure),
+    }
+}
+
+/// Runs a body that reads a handle. Several threads may be in such bodies with the same handle.
+///
+/// # Safety
+/// `handle` is NULL or a live handle of this library that no thread is changing.
+pub(crate) unsafe fn reading<H: Handle>(
+    handle: *const H,
+    body: impl FnOnce(&H::Value) -> Outcome,
+) -> entire_result {
+    let mut status = None;
+    let result = contained(|| {
+        // SAFETY: NULL or live, as the caller promises.
+        let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
+        status = Some(handle.status());
+        if handle.status().is_unusable() {
+            return Err(Failure::unusable(H::NAME));
+        }
+        body(handle.value())
+    });
+    match result {
+        Ok(()) => succeeded(),
+        Err(failure) => {
+            if let Some(status) = status {
+                if failure.code == ENTIRE_PANIC {
+                    status.mark_unusable();
+                }
+                status.record(&failure);
+            }
+            failed(failure)
+        }
+    }
+}
+
+/// Runs a body that changes a handle; success forgets the handle's last error.
+///
+/// # Safety
+/// `handle` is NULL or a live handle of this library that no other thread is using.
+pub(crate) unsafe fn changing<H: Handle>(
+    handle: *mut H,
+    body: impl FnOnce(&mut H::Value) -> Outcome,
+) -> entire_result {
+    let result = contained(|| {
+        // SAFETY: NULL or live and used by this thread alone, as the caller promises.
+        let handle = unsafe { handle.as_mut() }.ok_or_else(|| Failure::null(H::NAME))?;
+        let (status, value) = handle.parts_mut();
+        if status.is_unusable() {
+            return Err(Failure::unusable(H::NAME));
+        }
+        body(value)?;
+        status.clear();
+        Ok(())
+    });
+    match result {
+        Ok(()) => succeeded(),
+        Err(failure) => {
+            // SAFETY: as above; the exclusive borrow of the body has ended.
+            if let Some(handle) = unsafe { handle.as_ref() } {
+                if failure.code == ENTIRE_PANIC {
+                    handle.status().mark_unusable();
+                }
+                handle.status().record(&failure);
+            }
+            failed(failure)
+        }
+    }
+}
+
+/// Frees a handle; NULL is nothing to do.
+///
+/// # Safety
+/// `handle` is NULL or a live handle of this library that nobody uses any more.
+pub(crate) unsafe fn freeing<H: Handle>(handle: *mut H) {
+    guard(|| {
+        if !handle.is_null() {
+            // SAFETY: live and given up by its owner, as the caller promises.
+            unsafe { H::Owner::release(handle) };
+        }
+        Ok(())
+    });
+}
+
+/// Copies the last error of a handle (see `entire_model_last_error` and its siblings). Does not change any last error.
+///
+/// # Safety
+/// As [`reading`]; `buffer` is NULL or valid for `capacity` bytes, `length` NULL or valid for one write.
+pub(crate) unsafe fn last_error_of<H: Handle>(
+    handle: *const H,
+    buffer: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> entire_result {
+    let result = contained(|| {
+        // SAFETY: NULL or live, as the caller promises.
+        let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
+        // SAFETY: as the caller promises.
+        unsafe { write_text(&handle.status().text(), buffer, capacity, length) }
+    });
+    match result {
+        Ok(()) => ENTIRE_OK,
+        Err(failure) => failed(failure),
+    }
+}
+
+fn contained(body: impl FnOnce() -> Outcome) -> Outcome {
+    keep_panics_quiet();
+    let _ = DEPTH.try_with(|depth| depth.set(depth.get() + 1));
+    let result = catch_unwind(AssertUnwindSafe(body));
+    let _ = DEPTH.try_with(|depth| depth.set(depth.get() - 1));
+    result.unwrap_or_else(|payload| Err(panicked(payload)))
+}
+
+#[inline]
+fn succeeded() -> entire_result {
+    let _ = FAILED.try_with(|failed| failed.set(false));
+    ENTIRE_OK
+}
+
+#[cold]
+fn failed(failure: Failure) -> entire_result {
+    let code = failure.code;
+    // A second net: a log callback or an allocation that unwinds here must not reach C either.
+    let _ = catch_unwind(AssertUnwindSafe(|| {
+        let text = log::c_text(&failure.message);
+        let _ = TEXT.try_with(|slot| *slot.borrow_mut() = text);
+        let _ = FAILED.try_with(|failed| failed.set(true));
+        log::emit(log::ENTIRE_LOG_ERROR, &failure.message);
+    }));
+    code
+}
+
+#[cold]
+fn panicked(payload: Box<dyn Any + Send>) -> Failure {
+    // Dropping a foreign payload could panic again; leaking it in a process that met a bug harms nobody.
+    std::mem::forget(payload);
+    let place = PANIC.try_with(|text| text.take()).unwrap_or_default();
+    Failure::new(
+        ENTIRE_PANIC,
+        format!("a bug in the library: {place}; please report it, free the handle and make a new one"),
+    )
+}
+
+/// Installs, once, a panic hook that keeps the text of panics inside a guard instead of printing it; all others go to
+/// the hook that was there before. The hook belongs to this library's own copy of the Rust runtime.
+#[inline]
+fn keep_panics_quiet() {
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let before = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |info| {
+            if DEPTH.try_with(Cell::get).unwrap_or(0) == 0 {
+                return before(info);
+            }
+            let text = info.payload_as_str().unwrap_or("panic");
+            let place = info.location().map_or(String::new(), |l| format!(" at {}:{}", l.file(), l.line()));
+            let _ = PANIC.try_with(|slot| *slot.borrow_mut() = format!("{text}{place}"));
+        }));
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::handle::{Status, give, handle};
+    use std::ffi::CStr;
+
+    struct entire_probe {
+        status: Status,
+        value: u32,
+    }
+    handle!(entire_probe, u32, Boxed);
+
+    fn last_error() -> String {
+        // SAFETY: entire_last_error returns a C string that is valid until the next call.
+        unsafe { CStr::from_ptr(entire_last_error()) }.to_str().unwrap().to_owned()
+    }
+
+    fn error_of(handle: *const entire_probe) -> String {
+        let mut buffer = [0 as c_char; 200];
+        // SAFETY: the buffer is as long as stated, the handle is live.
+        let code = unsafe { last_error_of(handle, buffer.as_mut_ptr(), 200, std::ptr::null_mut()) };
+        assert_eq!(code, ENTIRE_OK);
+        // SAFETY: write_text ends the text with a NUL.
+        unsafe { CStr::from_ptr(buffer.as_ptr()) }.to_str().unwrap().to_owned()
+    }
+
+    #[test]
+    fn a_panic_becomes_a_code_and_the_handle_unusable() {
+        let probe = give::<entire_probe>(7);
+        // SAFETY: a live handle, used by this thread alone.
+        unsafe {
+            assert_eq!(
+                changing(probe, |v| {
+                    *v += 1;
+                    Ok(())
+                }),
+                ENTIRE_OK
+            );
+            assert_eq!(changing(probe, |_| panic!("deliberate {}", 3)), ENTIRE_PANIC);
+            assert!(last_error().contains("deliberate 3 at ffi/src/guard.rs:"), "{}", last_error());
+            assert_eq!(error_of(probe), last_error());
+            assert_eq!(reading(probe, |_| Ok(())), ENTIRE_PANIC);
+            assert!(last_error().contains("earlier call panicked inside this entire_probe"));
+            assert_eq!(changing(probe, |_| Ok(())), ENTIRE_PANIC);
+            freeing(probe);
+        }
+        assert_eq!(guard(|| Ok(())), ENTIRE_OK);
+        assert_eq!(last_error(), "");
+    }
+
+    #[test]
+    fn a_panic_while_reading_marks_the_handle_too() {
+        let probe = give::<entire_probe>(7);
+        // SAFETY: a live handle, used by this thread alone.
+        unsafe {
+            assert_eq!(reading(probe, |v| panic!("value {v}")), ENTIRE_PANIC);
+            assert_eq!(reading(probe, |_| Ok(())), ENTIRE_PANIC);
+            freeing(probe);
+        }
+    }
+
+    #[test]
+    fn payloads_that_are_no_text_are_caught() {
+        assert_eq!(guard(|| std::panic::panic_any(42u8)), ENTIRE_PANIC);
+        assert!(last_error().contains("a bug in the library"));
+    }
+
+    #[test]
+    fn changing_calls_forget_the_last_error_and_reading_ones_do_not() {
+        let probe = give::<entire_probe>(7);
+        let fail = || Err(Failure::new(ENTIRE_IO, "no such file"));
+        // SAFETY: a live handle, used by this thread alone.
+        unsafe {
+            assert_eq!(reading(probe, |_| fail()), ENTIRE_IO);
+            assert_eq!((error_of(probe), last_error()), ("no such file".into(), "no such file".into()));
+            assert_eq!(reading(probe, |_| Ok(())), ENTIRE_OK);
+            assert_eq!((error_of(probe), last_error()), ("no such file".into(), String::new()));
+            assert_eq!(changing(probe, |_| Ok(())), ENTIRE_OK);
+            assert_eq!(error_of(probe), "");
+            assert_eq!(changing(probe, |_| fail()), ENTIRE_IO);
+            assert_eq!(error_of(probe), "no such file");
+            freeing(probe);
+        }
+    }
+
+    #[test]
+    fn null_handles_are_named() {
+        // SAFETY: NULL is allowed.
+        unsafe {
+            assert_eq!(reading(std::ptr::null::<entire_probe>(), |_| Ok(())), ENTIRE_NULL_ARGUMENT);
+            assert_eq!(last_error(), "entire_probe is NULL; pass a valid pointer");
+            assert_eq!(changing(std::ptr::null_mut::<entire_probe>(), |_| Ok(())), ENTIRE_NULL_ARGUMENT);
+            freeing(std::ptr::null_mut::<entire_probe>());
+        }
+    }
+}

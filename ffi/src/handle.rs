@@ -1,0 +1,165 @@
+//! Opaque handles: what each noun owns, how C holds it, and the state that every handle carries.
+//!
+//! A type says once how its pointers are owned ([`Boxed`] or [`Counted`]); making, borrowing and freeing all go through
+//! that statement, so freeing a handle in another way than it was made does not compile.
+
+use crate::result::Failure;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+
+/// What every handle carries beside its value.
+#[derive(Default)]
+pub(crate) struct Status {
+    unusable: AtomicBool,
+    failed: AtomicBool,
+    text: Mutex<String>,
+}
+
+impl Status {
+    /// Whether an earlier call panicked half-way through this handle.
+    #[inline]
+    pub(crate) fn is_unusable(&self) -> bool {
+        self.unusable.load(Ordering::Acquire)
+    }
+
+    #[cold]
+    pub(crate) fn mark_unusable(&self) {
+        self.unusable.store(true, Ordering::Release);
+    }
+
+    #[cold]
+    pub(crate) fn record(&self, failure: &Failure) {
+        let mut text = self.text.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        text.clone_from(&failure.message);
+        self.failed.store(true, Ordering::Release);
+    }
+
+    /// Forgets the last failure; no lock where there is none.
+    #[inline]
+    pub(crate) fn clear(&self) {
+        if self.failed.load(Ordering::Acquire) {
+            self.text.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).clear();
+            self.failed.store(false, Ordering::Release);
+        }
+    }
+
+    /// The text of the last failure, empty where there is none.
+    pub(crate) fn text(&self) -> String {
+        self.text.lock().unwrap_or_else(|poisoned| poisoned.into_inner()).clone()
+    }
+}
+
+/// A noun that C holds by pointer.
+pub(crate) trait Handle: Sized {
+    /// What the handle is for.
+    type Value;
+    /// How its pointers are owned.
+    type Owner: Owner<Self>;
+    /// Its name in messages.
+    const NAME: &'static str;
+    /// Puts value and state together.
+    fn assemble(status: Status, value: Self::Value) -> Self;
+    /// The state.
+    fn status(&self) -> &Status;
+    /// The value.
+    fn value(&self) -> &Self::Value;
+    /// Both, the value for writing.
+    fn parts_mut(&mut self) -> (&Status, &mut Self::Value);
+}
+
+/// How pointers to a handle are owned.
+pub(crate) trait Owner<H> {
+    fn into_raw(handle: H) -> *mut H;
+    /// Ends the ownership that `into_raw` gave away.
+    ///
+    /// # Safety
+    /// The pointer comes from `into_raw` and is released once.
+    unsafe fn release(handle: *mut H);
+}
+
+/// One owner, the C side; used by one thread at a time unless every use is `const`.
+pub(crate) struct Boxed;
+
+impl<H> Owner<H> for Boxed {
+    fn into_raw(handle: H) -> *mut H {
+        Box::into_raw(Box::new(handle))
+    }
+
+    unsafe fn release(handle: *mut H) {
+        // SAFETY: as the caller promises, this is the pointer that `into_raw` made from a box.
+        drop(unsafe { Box::from_raw(handle) });
+    }
+}
+
+/// Shared and immutable: the library may hold further references of its own.
+pub(crate) struct Counted;
+
+impl<H> Owner<H> for Counted {
+    fn into_raw(handle: H) -> *mut H {
+        Arc::into_raw(Arc::new(handle)).cast_mut()
+    }
+
+    unsafe fn release(handle: *mut H) {
+        // SAFETY: as the caller promises, this is the pointer that `into_raw` made from an Arc.
+        drop(unsafe { Arc::from_raw(handle.cast_const()) });
+    }
+}
+
+/// Hands a new handle to C.
+pub(crate) fn give<H: Handle>(value: H::Value) -> *mut H {
+    H::Owner::into_raw(H::assemble(Status::default(), value))
+}
+
+/// The value of a handle that a call takes beside its own, for reading.
+///
+/// # Safety
+/// `handle` is NULL or a live handle of this library that no thread is changing, for as long as the result lives.
+pub(crate) unsafe fn borrow<'a, H: Handle + 'a>(handle: *const H) -> Result<&'a H::Value, Failure> {
+    // SAFETY: NULL or live, as the caller promises.
+    let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
+    if handle.status().is_unusable() {
+        return Err(Failure::unusable(H::NAME));
+    }
+    Ok(handle.value())
+}
+
+/// A further reference to a shared handle, for the library to keep.
+///
+/// # Safety
+/// `handle` is a live handle of this library.
+pub(crate) unsafe fn share<H: Handle<Owner = Counted>>(handle: *const H) -> Arc<H> {
+    // SAFETY: the pointer comes from Arc::into_raw (Counted::into_raw) and its owner still holds it, so the count is
+    // at least one; it is raised before the new Arc takes its share.
+    unsafe {
+        Arc::increment_strong_count(handle);
+        Arc::from_raw(handle)
+    }
+}
+
+/// Declares the [`Handle`] of a C noun with the fields `status` and `value`.
+macro_rules! handle {
+    ($noun:ident, $value:ty, $owner:ident) => {
+        impl crate::handle::Handle for $noun {
+            type Value = $value;
+            type Owner = crate::handle::$owner;
+            const NAME: &'static str = stringify!($noun);
+
+            fn assemble(status: crate::handle::Status, value: $value) -> Self {
+                Self { status, value }
+            }
+
+            fn status(&self) -> &crate::handle::Status {
+                &self.status
+            }
+
+            fn value(&self) -> &$value {
+                &self.value
+            }
+
+            fn parts_mut(&mut self) -> (&crate::handle::Status, &mut $value) {
+                (&self.status, &mut self.value)
+            }
+        }
+    };
+}
+pub(crate) use handle;

@@ -1,0 +1,489 @@
+//! `entire_model`: a model file, read once, shared by all who predict with it.
+
+use crate::abi::{ByValue, check_output, check_pointer, slice, slice_mut, text, write, write_struct};
+use crate::guard::{Outcome, freeing, guard, last_error_of, reading};
+use crate::handle::{Status, borrow, give, handle};
+use crate::log;
+use crate::pool::Pool;
+use crate::result::Failure;
+use crate::result::entire_result::{self, *};
+use crate::volume::{Volume, entire_volume};
+use entire_core::kernels::Level;
+use entire_core::model::{Model, keys};
+use entire_core::nn::{EncodeScratch, Executor, PredNet, PredScratch, Target, VolumeNet};
+use entire_core::predict::Predictor;
+use std::collections::BTreeMap;
+use std::ffi::{CString, c_char};
+use std::mem::{offset_of, size_of};
+use std::sync::OnceLock;
+
+/// What a prediction network's output stands for: one of the `ENTIRE_TARGET_*` numbers.
+pub type entire_target = u32;
+/// The model has no prediction network.
+pub const ENTIRE_TARGET_NONE: entire_target = 0;
+/// Seconds.
+pub const ENTIRE_TARGET_SECONDS: entire_target = 1;
+/// The natural logarithm of seconds; predictions are seconds all the same.
+pub const ENTIRE_TARGET_LOG_SECONDS: entire_target = 2;
+
+/// What a model is. Set struct_size before the call.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_model_info {
+    /// sizeof(entire_model_info).
+    pub struct_size: usize,
+    /// How many numbers entire_model_predict takes; 0 where the file has no prediction network.
+    pub input_count: usize,
+    /// How many groups these numbers come in (entire_model_get_input).
+    pub group_count: usize,
+    /// How many scene features the model names (entire_model_scene_feature).
+    pub scene_feature_count: usize,
+    /// How many features entire_model_encode writes; 0 where the file has no volume encoder.
+    pub feature_count: usize,
+    /// Voxels along each axis of the encoder's input; 0 where the file has no volume encoder.
+    pub encoder_edge: usize,
+    /// One of ENTIRE_TARGET_*.
+    pub target: entire_target,
+    /// Must be ignored.
+    pub reserved: u32,
+}
+
+// SAFETY: repr(C), struct_size first, integers only.
+unsafe impl ByValue for entire_model_info {
+    const NAME: &'static str = "entire_model_info";
+    const FIRST_SIZE: usize = size_of::<Self>();
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>(),
+            input_count: 0,
+            group_count: 0,
+            scene_feature_count: 0,
+            feature_count: 0,
+            encoder_edge: 0,
+            target: ENTIRE_TARGET_NONE,
+            reserved: 0,
+        }
+    }
+}
+
+/// A named run of a model's inputs. Set struct_size before the call.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_input_group {
+    /// sizeof(entire_input_group).
+    pub struct_size: usize,
+    /// Its name, such as "camera"; valid as long as the model.
+    pub name: *const c_char,
+    /// How many numbers.
+    pub size: usize,
+    /// Index of its first number among the model's inputs.
+    pub offset: usize,
+}
+
+// SAFETY: repr(C), struct_size first, integers and a raw pointer only.
+unsafe impl ByValue for entire_input_group {
+    const NAME: &'static str = "entire_input_group";
+    const FIRST_SIZE: usize = size_of::<Self>();
+    fn defaults() -> Self {
+        Self { struct_size: size_of::<Self>(), name: std::ptr::null(), size: 0, offset: 0 }
+    }
+}
+
+// The layouts of ABI 1 on 64-bit targets; a field may be added behind, never moved.
+#[cfg(target_pointer_width = "64")]
+const _: () = {
+    assert!(size_of::<entire_model_info>() == 56);
+    assert!(offset_of!(entire_model_info, feature_count) == 32);
+    assert!(offset_of!(entire_model_info, target) == 48);
+    assert!(size_of::<entire_input_group>() == 32);
+    assert!(offset_of!(entire_input_group, size) == 16);
+};
+
+/// A model file in memory. Immutable: any number of threads and predictors may use one model at the same time.
+pub struct entire_model {
+    status: Status,
+    value: Loaded,
+}
+
+pub(crate) struct Loaded {
+    model: Model,
+    prednet: Option<(PredNet, Pool<PredScratch>)>,
+    volumenet: Option<(VolumeNet, Pool<EncodeScratch>)>,
+    groups: Vec<CString>,
+    scene_features: Vec<CString>,
+    metadata: BTreeMap<String, CString>,
+}
+
+handle!(entire_model, Loaded, Counted);
+
+impl Loaded {
+    fn new(model: Model) -> Result<Self, Failure> {
+        let prednet = model.prednet().map(PredNet::new).transpose()?.map(|net| {
+            let scratch = Pool::new(net.scratch());
+            (net, scratch)
+        });
+        let volumenet = model.volumenet().map(VolumeNet::new).transpose()?.map(|net| {
+            let scratch = Pool::new(net.scratch());
+            (net, scratch)
+        });
+        Ok(Self {
+            volumenet,
+            groups: model.inputs().iter().map(|g| log::c_text(&g.name)).collect(),
+            scene_features: model.scene_features().iter().map(|name| log::c_text(name)).collect(),
+            metadata: model.metadata().iter().map(|(k, v)| (k.clone(), log::c_text(v))).collect(),
+            prednet,
+            model,
+        })
+    }
+
+    /// The model as a predictor's source of predictions.
+    pub(crate) fn predictor(&self) -> Result<Box<dyn Predictor + Send>, Failure> {
+        self.prednet()?;
+        Err(Failure::new(ENTIRE_UNSUPPORTED, "networks cannot predict yet"))
+    }
+
+    /// The volume features that the model's predictions take: ready ones, or the encoder's; `None` where it takes none.
+    pub(crate) fn features_of(&self, volume: &Volume) -> Result<Option<Vec<f32>>, Failure> {
+        let Some(size) = self.model.input_size(keys::GROUP_VOLUME_FEATURES) else { return Ok(None) };
+        if let Some(ready) = &volume.features {
+            if ready.len() != size {
+                return Err(Failure::new(
+                    ENTIRE_SIZE_MISMATCH,
+                    format!(
+                        "the volume has {} ready features, the model takes {size}; encode it with this model",
+                        ready.len()
+                    ),
+                ));
+            }
+            return Ok(Some(ready.clone()));
+        }
+        let mut features = vec![0.0; size];
+        self.encode(volume, &mut features)?;
+        Ok(Some(features))
+    }
+
+    fn encode(&self, volume: &Volume, features: &mut [f32]) -> Outcome {
+        let (net, pool) = self.volumenet()?;
+        let view = volume.view()?;
+        pool.with(|| net.scratch(), |scratch| net.encode(view, scratch, Executor::serial(), features))?;
+        Ok(())
+    }
+
+    fn volumenet(&self) -> Result<&(VolumeNet, Pool<EncodeScratch>), Failure> {
+        self.volumenet.as_ref().ok_or_else(|| {
+            Failure::new(
+                ENTIRE_UNSUPPORTED,
+                "the model has no volume encoder; use a file with volumenet.* tensors, \
+                 or hand over ready features with entire_volume_set_features",
+            )
+        })
+    }
+
+    fn prednet(&self) -> Result<&(PredNet, Pool<PredScratch>), Failure> {
+        self.prednet.as_ref().ok_or_else(|| {
+            Failure::new(
+                ENTIRE_UNSUPPORTED,
+                "the model has no prediction network; use a file with prednet.* tensors",
+            )
+        })
+    }
+}
+
+/// The instruction set that models are run with on this CPU, such as "avx512": "scalar", "avx2" or "avx512", with
+/// extensions behind a plus sign. The environment variable ENTIRE_LEVEL lowers it. Static.
+#[unsafe(no_mangle)]
+pub extern "C" fn entire_simd_level() -> *const c_char {
+    static NAME: OnceLock<CString> = OnceLock::new();
+    NAME.get_or_init(|| log::c_text(&Level::detect().to_string())).as_ptr()
+}
+
+/// Reads a model file.
+///
+/// Fails with ENTIRE_IO (the file cannot be read), ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR,
+/// ENTIRE_INVALID_ARGUMENT (a path that is not UTF-8), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_open(
+    path: *const c_char,
+    model: *mut *mut entire_model,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    guard(|| unsafe {
+        check_pointer(model, "model (output)")?;
+        let path = text(path, "path")?;
+        let io =
+            |why: String| Failure::new(ENTIRE_IO, format!("{path}: {why}; check the path of the model file"));
+        let found = std::fs::metadata(path).map_err(|e| io(e.to_string()))?;
+        if !found.is_file() {
+            return Err(io("not a regular file".into()));
+        }
+        let bytes = std::fs::read(path).map_err(|e| io(e.to_string()))?;
+        load(&bytes, path, model)
+    })
+}
+
+/// Reads a model from the bytes of a model file; they may be freed when the call returns.
+///
+/// Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_from_bytes(
+    bytes: *const u8,
+    byte_count: usize,
+    model: *mut *mut entire_model,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    guard(|| unsafe {
+        check_pointer(model, "model (output)")?;
+        load(slice(bytes, byte_count, "bytes")?, "model in memory", model)
+    })
+}
+
+/// # Safety
+/// `out` is NULL or valid for one write.
+unsafe fn load(bytes: &[u8], name: &str, out: *mut *mut entire_model) -> Outcome {
+    let named = |e: entire_core::Error| {
+        let failure = Failure::from(e);
+        Failure::new(failure.code, format!("{name}: {}", failure.message))
+    };
+    let loaded = Loaded::new(Model::from_bytes(bytes).map_err(named)?)?;
+    if log::enabled(log::ENTIRE_LOG_INFO) {
+        let inputs = loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs());
+        log::emit(log::ENTIRE_LOG_INFO, &format!("{name}: {inputs} inputs, level {}", Level::detect()));
+    }
+    // SAFETY: as the caller promises.
+    unsafe { write(out, give(loaded), "model (output)") }
+}
+
+/// Reads what a model is; set info->struct_size first.
+///
+/// Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_get_info(
+    model: *const entire_model,
+    info: *mut entire_model_info,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(model, |loaded| {
+            check_output(info)?;
+            let model = &loaded.model;
+            let out = entire_model_info {
+                input_count: loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs()),
+                group_count: model.inputs().len(),
+                feature_count: loaded.volumenet.as_ref().map_or(0, |(net, _)| net.feature_len()),
+                encoder_edge: loaded.volumenet.as_ref().map_or(0, |(net, _)| net.input_size()),
+                scene_feature_count: model.scene_features().len(),
+                target: match model.target() {
+                    None => ENTIRE_TARGET_NONE,
+                    Some(Target::Seconds) => ENTIRE_TARGET_SECONDS,
+                    Some(Target::LogSeconds) => ENTIRE_TARGET_LOG_SECONDS,
+                },
+                ..ByValue::defaults()
+            };
+            write_struct(info, &out)
+        })
+    }
+}
+
+/// Reads the name, size and place of the model's input group `index`; set group->struct_size first.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (no such group), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_get_input(
+    model: *const entire_model,
+    index: usize,
+    group: *mut entire_input_group,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(model, |loaded| {
+            check_output(group)?;
+            let groups = loaded.model.inputs();
+            let (Some(found), Some(name)) = (groups.get(index), loaded.groups.get(index)) else {
+                return Err(Failure::new(
+                    ENTIRE_INVALID_ARGUMENT,
+                    format!("input group {index} does not exist; the model has {}", groups.len()),
+                ));
+            };
+            let out = entire_input_group {
+                name: name.as_ptr(),
+                size: found.size,
+                offset: groups[..index].iter().map(|g| g.size).sum(),
+                ..ByValue::defaults()
+            };
+            write_struct(group, &out)
+        })
+    }
+}
+
+/// The name of the model's scene feature `index`, NULL where there is no such feature. Valid as long as the model.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_scene_feature(
+    model: *const entire_model,
+    index: usize,
+) -> *const c_char {
+    let mut found = std::ptr::null();
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe {
+        reading(model, |loaded| {
+            found = loaded.scene_features.get(index).map_or(std::ptr::null(), |name| name.as_ptr());
+            Ok(())
+        });
+    }
+    found
+}
+
+/// A metadata value of the model file, such as "entire.renderer", "entire.device", "entire.step_reference" or
+/// "entire.provenance"; NULL where the file does not have the key. Valid as long as the model.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_metadata(
+    model: *const entire_model,
+    key: *const c_char,
+) -> *const c_char {
+    let mut found = std::ptr::null();
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(model, |loaded| {
+            let key = text(key, "key")?;
+            found = loaded.metadata.get(key).map_or(std::ptr::null(), |value| value.as_ptr());
+            Ok(())
+        });
+    }
+    found
+}
+
+/// Encodes a volume's voxels into the features that the model's predictions take. `capacity` counts floats; `feature_count`
+/// receives how many were written (entire_model_info.feature_count). Takes milliseconds to seconds; may run on several
+/// threads at once.
+///
+/// Fails with ENTIRE_SIZE_MISMATCH (a capacity below the feature count), ENTIRE_UNSUPPORTED (a model without an encoder),
+/// ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_encode(
+    model: *const entire_model,
+    volume: *const entire_volume,
+    features: *mut f32,
+    capacity: usize,
+    feature_count: *mut usize,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(model, |loaded| {
+            check_pointer(feature_count, "feature_count (output)")?;
+            let volume = borrow(volume)?;
+            let count = loaded.volumenet()?.0.feature_len();
+            if capacity < count {
+                return Err(Failure::new(
+                    ENTIRE_SIZE_MISMATCH,
+                    format!("features holds {capacity} floats; the model writes {count}"),
+                ));
+            }
+            loaded.encode(volume, slice_mut(features, count, "features")?)?;
+            write(feature_count, count, "feature_count (output)")
+        })
+    }
+}
+
+/// Predicts one frame's time from the model's inputs in the file's order: the network alone, without a predictor's
+/// correction. May run on several threads at once; does not allocate.
+///
+/// Fails with ENTIRE_SIZE_MISMATCH (another number of inputs than the model takes), ENTIRE_INVALID_ARGUMENT (an input
+/// that is not finite), ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_predict(
+    model: *const entire_model,
+    inputs: *const f32,
+    input_count: usize,
+    seconds: *mut f32,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(model, |loaded| {
+            check_pointer(seconds, "seconds (output)")?;
+            let inputs = slice(inputs, input_count, "inputs")?;
+            let (net, pool) = loaded.prednet()?;
+            check_inputs(inputs, net.inputs(), 1)?;
+            let predicted = pool.with(|| net.scratch(), |scratch| net.predict(inputs, scratch));
+            write(seconds, predicted, "seconds (output)")
+        })
+    }
+}
+
+/// Predicts many frames at once: `inputs` holds `rows` rows of `input_count` numbers, `seconds` receives `rows` numbers.
+/// Equal to entire_model_predict on each row, up to rounding.
+///
+/// Fails as entire_model_predict does.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_predict_batch(
+    model: *const entire_model,
+    inputs: *const f32,
+    rows: usize,
+    input_count: usize,
+    seconds: *mut f32,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(model, |loaded| {
+            let (net, pool) = loaded.prednet()?;
+            let Some(count) = rows.checked_mul(input_count) else {
+                return Err(Failure::new(
+                    ENTIRE_SIZE_MISMATCH,
+                    format!(
+                        "{rows} rows of {input_count} inputs are more than memory can hold; check the counts"
+                    ),
+                ));
+            };
+            let inputs = slice(inputs, count, "inputs")?;
+            let seconds = slice_mut(seconds, rows, "seconds (output)")?;
+            if rows == 0 {
+                return Ok(());
+            }
+            check_inputs(inputs, net.inputs(), rows)?;
+            pool.with(|| net.scratch(), |scratch| net.predict_batch(inputs, seconds, scratch))?;
+            Ok(())
+        })
+    }
+}
+
+fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
+    if inputs.len() != expected.saturating_mul(rows) {
+        return Err(Failure::new(
+            ENTIRE_SIZE_MISMATCH,
+            format!(
+                "{} inputs in {rows} row(s); the model takes {expected} in each (entire_model_get_info)",
+                inputs.len()
+            ),
+        ));
+    }
+    if let Some(i) = inputs.iter().position(|v| !v.is_finite()) {
+        return Err(Failure::new(
+            ENTIRE_INVALID_ARGUMENT,
+            format!("input {} of row {} is {}; inputs must be finite", i % expected, i / expected, inputs[i]),
+        ));
+    }
+    Ok(())
+}
+
+/// Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to `capacity`
+/// bytes with its closing NUL; empty where none failed. `length`, where not NULL, receives the whole text's length
+/// without the NUL; `buffer` may be NULL with capacity 0 to ask for it. entire_last_error is the simpler way where the
+/// thread that failed asks itself.
+///
+/// Fails with ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_last_error(
+    model: *const entire_model,
+    buffer: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe { last_error_of(model, buffer, capacity, length) }
+}
+
+/// Gives the caller's share of a model back; NULL is nothing to do. Predictors made from it keep theirs, so a model may
+/// be freed before they are.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_free(model: *mut entire_model) {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe { freeing(model) }
+}

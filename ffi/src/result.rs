@@ -1,0 +1,183 @@
+//! Result codes, and the failure that becomes one.
+
+use entire_core::{Error, ErrorKind};
+use std::ffi::{CStr, c_char};
+
+/// What a call came to. The numbers never change; a retired one stays reserved.
+#[repr(u32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum entire_result {
+    /// Done; all outputs are written.
+    ENTIRE_OK = 0,
+    /// A value is outside what the call accepts (zero size, NaN, negative time, ...).
+    ENTIRE_INVALID_ARGUMENT = 1,
+    /// A buffer is too short, or a product of sizes overflows.
+    ENTIRE_SIZE_MISMATCH = 2,
+    /// The bytes are not a model file that this version reads.
+    ENTIRE_INVALID_MODEL = 3,
+    /// A tensor of the model is missing or has another shape than its neighbours require.
+    ENTIRE_INVALID_TENSOR = 4,
+    /// The model needs an input group that the caller did not supply, or the reverse.
+    ENTIRE_MISSING_INPUT = 5,
+    /// The call needs something that was not set before it (volume, transfer function, model).
+    ENTIRE_NOT_READY = 6,
+    /// An observation was refused (unknown plan, non-positive time, duplicate); nothing was learnt from it.
+    ENTIRE_REJECTED_OBSERVATION = 7,
+    /// Something that this build or this model does not have.
+    ENTIRE_UNSUPPORTED = 8,
+    /// A pointer that must not be NULL is.
+    ENTIRE_NULL_ARGUMENT = 100,
+    /// `struct_size` is not set, too small, or the caller's newer struct asks for what this library does not know.
+    ENTIRE_STRUCT_SIZE = 101,
+    /// A file cannot be read.
+    ENTIRE_IO = 102,
+    /// The library met a bug of its own. The handle refuses all further calls with this code and can only be freed.
+    ENTIRE_PANIC = 103,
+}
+
+use entire_result::*;
+
+impl entire_result {
+    const ALL: [Self; 13] = [
+        ENTIRE_OK,
+        ENTIRE_INVALID_ARGUMENT,
+        ENTIRE_SIZE_MISMATCH,
+        ENTIRE_INVALID_MODEL,
+        ENTIRE_INVALID_TENSOR,
+        ENTIRE_MISSING_INPUT,
+        ENTIRE_NOT_READY,
+        ENTIRE_REJECTED_OBSERVATION,
+        ENTIRE_UNSUPPORTED,
+        ENTIRE_NULL_ARGUMENT,
+        ENTIRE_STRUCT_SIZE,
+        ENTIRE_IO,
+        ENTIRE_PANIC,
+    ];
+
+    fn name(self) -> &'static CStr {
+        match self {
+            ENTIRE_OK => c"ENTIRE_OK",
+            ENTIRE_INVALID_ARGUMENT => c"ENTIRE_INVALID_ARGUMENT",
+            ENTIRE_SIZE_MISMATCH => c"ENTIRE_SIZE_MISMATCH",
+            ENTIRE_INVALID_MODEL => c"ENTIRE_INVALID_MODEL",
+            ENTIRE_INVALID_TENSOR => c"ENTIRE_INVALID_TENSOR",
+            ENTIRE_MISSING_INPUT => c"ENTIRE_MISSING_INPUT",
+            ENTIRE_NOT_READY => c"ENTIRE_NOT_READY",
+            ENTIRE_REJECTED_OBSERVATION => c"ENTIRE_REJECTED_OBSERVATION",
+            ENTIRE_UNSUPPORTED => c"ENTIRE_UNSUPPORTED",
+            ENTIRE_NULL_ARGUMENT => c"ENTIRE_NULL_ARGUMENT",
+            ENTIRE_STRUCT_SIZE => c"ENTIRE_STRUCT_SIZE",
+            ENTIRE_IO => c"ENTIRE_IO",
+            ENTIRE_PANIC => c"ENTIRE_PANIC",
+        }
+    }
+}
+
+/// The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for a number that is none. Static, never
+/// NULL.
+#[unsafe(no_mangle)]
+pub extern "C" fn entire_result_name(result: u32) -> *const c_char {
+    let known = entire_result::ALL.into_iter().find(|known| *known as u32 == result);
+    known.map_or(c"unknown result", entire_result::name).as_ptr()
+}
+
+/// Why a call failed: its code and the text for people.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    pub(crate) code: entire_result,
+    pub(crate) message: String,
+}
+
+impl Failure {
+    pub(crate) fn new(code: entire_result, message: impl Into<String>) -> Self {
+        Self { code, message: message.into() }
+    }
+
+    pub(crate) fn null(what: &str) -> Self {
+        Self::new(ENTIRE_NULL_ARGUMENT, format!("{what} is NULL; pass a valid pointer"))
+    }
+
+    #[cold]
+    pub(crate) fn unusable(what: &str) -> Self {
+        Self::new(
+            ENTIRE_PANIC,
+            format!("an earlier call panicked inside this {what}; free it and make a new one"),
+        )
+    }
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        let code = match error.kind() {
+            ErrorKind::InvalidArgument => ENTIRE_INVALID_ARGUMENT,
+            ErrorKind::SizeMismatch => ENTIRE_SIZE_MISMATCH,
+            ErrorKind::InvalidModel => ENTIRE_INVALID_MODEL,
+            ErrorKind::InvalidTensor => ENTIRE_INVALID_TENSOR,
+            ErrorKind::MissingInput => ENTIRE_MISSING_INPUT,
+            ErrorKind::NotReady => ENTIRE_NOT_READY,
+            ErrorKind::RejectedObservation => ENTIRE_REJECTED_OBSERVATION,
+            // A kind that this file does not list yet; the test below fails when there is one.
+            _ => ENTIRE_UNSUPPORTED,
+        };
+        Self::new(code, error.message())
+    }
+}
+
+// The codes of the core's error kinds are the core's own numbers.
+const _: () = {
+    assert!(ENTIRE_INVALID_ARGUMENT as u32 == ErrorKind::InvalidArgument as u32);
+    assert!(ENTIRE_SIZE_MISMATCH as u32 == ErrorKind::SizeMismatch as u32);
+    assert!(ENTIRE_INVALID_MODEL as u32 == ErrorKind::InvalidModel as u32);
+    assert!(ENTIRE_INVALID_TENSOR as u32 == ErrorKind::InvalidTensor as u32);
+    assert!(ENTIRE_MISSING_INPUT as u32 == ErrorKind::MissingInput as u32);
+    assert!(ENTIRE_NOT_READY as u32 == ErrorKind::NotReady as u32);
+    assert!(ENTIRE_REJECTED_OBSERVATION as u32 == ErrorKind::RejectedObservation as u32);
+    assert!(ENTIRE_UNSUPPORTED as u32 == ErrorKind::Unsupported as u32);
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_code_has_its_own_name() {
+        let mut names = std::collections::BTreeSet::new();
+        for code in entire_result::ALL {
+            // SAFETY: entire_result_name returns a static C string.
+            let name = unsafe { CStr::from_ptr(entire_result_name(code as u32)) };
+            assert_eq!(name.to_str().unwrap(), format!("{code:?}"));
+            assert!(names.insert(name));
+        }
+        // SAFETY: as above.
+        assert_eq!(unsafe { CStr::from_ptr(entire_result_name(99)) }, c"unknown result");
+    }
+
+    #[test]
+    fn core_errors_keep_their_number_and_text() {
+        for kind in [
+            ErrorKind::InvalidArgument,
+            ErrorKind::SizeMismatch,
+            ErrorKind::InvalidModel,
+            ErrorKind::InvalidTensor,
+            ErrorKind::MissingInput,
+            ErrorKind::NotReady,
+            ErrorKind::RejectedObservation,
+            ErrorKind::Unsupported,
+        ] {
+            let failure = Failure::from(Error::new(kind, "text"));
+            assert_eq!((failure.code as u32, failure.message.as_str()), (kind as u32, "text"));
+        }
+    }
+
+    /// The core's error kinds are read from its source, so that one added there is missed by nobody here.
+    #[test]
+    fn no_kind_of_the_core_is_missing() {
+        let source = include_str!("../../core/src/error.rs");
+        let kinds = source.split("pub enum ErrorKind {").nth(1).and_then(|s| s.split('}').next()).unwrap();
+        let variants = kinds.lines().filter(|l| !l.trim_start().starts_with("//") && l.contains('=')).count();
+        assert_eq!(
+            variants, 8,
+            "a kind was added to entire_core::ErrorKind: give it a code in entire_result"
+        );
+    }
+}

@@ -1,0 +1,258 @@
+//! `entire_transfer_function`: Gaussian lobes, VTK's nodes, or a table.
+
+use crate::abi::{check_pointer, slice, slice_mut, write};
+use crate::guard::{changing, freeing, guard, last_error_of, reading};
+use crate::handle::{Status, give, handle};
+use crate::result::Failure;
+use crate::result::entire_result::{self, *};
+use entire_core::scene::{
+    ColorNode, GaussianLobe, Nodes, OpacityNode, TABLE_LEN, TransferFunction, TransferTable,
+};
+use std::ffi::c_char;
+
+/// A Gaussian lobe of the opacity function O(s) = sum of height * exp(-(s - center)^2 / width).
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_gaussian_lobe {
+    /// Where the lobe peaks, in normalized scalar values [0, 1].
+    pub center: f32,
+    /// Its width, positive: the squared distance at which it has fallen to 1/e.
+    pub width: f32,
+    /// Its peak opacity, not negative.
+    pub height: f32,
+}
+
+/// A node of an opacity function, as in vtkPiecewiseFunction.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_opacity_node {
+    /// Scalar value, in the unit of the function's range.
+    pub position: f64,
+    /// Opacity in [0, 1] over one unit distance.
+    pub opacity: f64,
+    /// Where between this node and the next the value is half way, in [0, 1]; 0.5 is the middle.
+    pub midpoint: f64,
+    /// How abrupt the change is, in [0, 1]: 0 linear, 1 nearly a step.
+    pub sharpness: f64,
+}
+
+/// A node of a color function, as in vtkColorTransferFunction with RGB as its color space.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_color_node {
+    /// Scalar value, in the unit of the function's range.
+    pub position: f64,
+    /// Red, green, blue in [0, 1].
+    pub color: [f64; 3],
+    /// As in entire_opacity_node.
+    pub midpoint: f64,
+    /// As in entire_opacity_node; a step over 0.99.
+    pub sharpness: f64,
+}
+
+/// What a unit distance is counted in: one of the `ENTIRE_UNIT_*` numbers.
+pub type entire_unit = u32;
+/// Multiples of the reference step, which is the volume's smallest voxel spacing.
+pub const ENTIRE_UNIT_REFERENCE_STEP: entire_unit = 1;
+/// The unit of the volume's spacing (VTK's ScalarOpacityUnitDistance, ANARI's unitDistance).
+pub const ENTIRE_UNIT_WORLD: entire_unit = 2;
+
+/// Entries of the table that every transfer function becomes.
+pub const ENTIRE_TABLE_ENTRIES: usize = 256;
+const _: () = assert!(ENTIRE_TABLE_ENTRIES == TABLE_LEN);
+
+/// Colors and opacities over normalized scalar values. Immutable but for its unit distance; a predictor copies what it
+/// needs.
+pub struct entire_transfer_function {
+    status: Status,
+    value: Transfer,
+}
+
+#[derive(Clone, Copy)]
+pub(crate) enum UnitDistance {
+    ReferenceSteps(f32),
+    World(f32),
+}
+
+pub(crate) struct Transfer {
+    pub(crate) function: TransferFunction,
+    pub(crate) table: TransferTable,
+    pub(crate) unit: UnitDistance,
+}
+
+handle!(entire_transfer_function, Transfer, Boxed);
+
+/// # Safety
+/// `out` is NULL or valid for one write.
+unsafe fn create(
+    out: *mut *mut entire_transfer_function,
+    function: impl FnOnce() -> Result<TransferFunction, Failure>,
+) -> entire_result {
+    guard(|| {
+        check_pointer(out, "transfer_function (output)")?;
+        let function = function()?;
+        let table = function.to_table()?;
+        let unit = UnitDistance::ReferenceSteps(1.0);
+        let made = give(Transfer { function, table, unit });
+        // SAFETY: as the caller promises.
+        unsafe { write(out, made, "transfer_function (output)") }
+    })
+}
+
+/// Makes a transfer function of Gaussian opacity lobes; none is transparent everywhere. Colors come from a built-in
+/// ramp, since they do not change what a frame costs. The unit distance is one reference step.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive),
+/// ENTIRE_NULL_ARGUMENT, ENTIRE_SIZE_MISMATCH.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_transfer_function_from_lobes(
+    lobes: *const entire_gaussian_lobe,
+    lobe_count: usize,
+    transfer_function: *mut *mut entire_transfer_function,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        create(transfer_function, || {
+            let lobes = slice(lobes, lobe_count, "lobes")?;
+            let lobes =
+                lobes.iter().map(|l| GaussianLobe { center: l.center, width: l.width, height: l.height });
+            Ok(TransferFunction::Gaussian(lobes.collect()))
+        })
+    }
+}
+
+/// Makes a transfer function of opacity and color nodes as VTK and ParaView have them, with the same values as
+/// vtkPiecewiseFunction and vtkColorTransferFunction (RGB) to 1e-6. `low` and `high` are the scalar values that map to 0
+/// and 1: pass the volume's range. Nodes stand in ascending position; two at one position make a step. Without opacity
+/// nodes all is transparent; without color nodes the built-in ramp is used. `clamping` not 0: the outermost nodes'
+/// values go on beyond them, as is VTK's default. The unit distance is one reference step until
+/// entire_transfer_function_set_unit_distance.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_NULL_ARGUMENT, ENTIRE_SIZE_MISMATCH.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_transfer_function_from_nodes(
+    opacity: *const entire_opacity_node,
+    opacity_count: usize,
+    color: *const entire_color_node,
+    color_count: usize,
+    low: f64,
+    high: f64,
+    clamping: u32,
+    transfer_function: *mut *mut entire_transfer_function,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        create(transfer_function, || {
+            let opacity = slice(opacity, opacity_count, "opacity")?.iter().map(|n| OpacityNode {
+                position: n.position,
+                opacity: n.opacity,
+                midpoint: n.midpoint,
+                sharpness: n.sharpness,
+            });
+            let color = slice(color, color_count, "color")?.iter().map(|n| ColorNode {
+                position: n.position,
+                color: n.color,
+                midpoint: n.midpoint,
+                sharpness: n.sharpness,
+            });
+            let nodes = Nodes::new(opacity.collect(), color.collect(), low, high)?;
+            Ok(TransferFunction::Nodes(nodes.with_clamping(clamping != 0)))
+        })
+    }
+}
+
+/// Makes a transfer function of a table: `entries` times red, green, blue, opacity in [0, 1], not premultiplied, the
+/// first entry at scalar value 0 and the last at 1, linear in between. The unit distance is one reference step.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (fewer than 2 entries, a value outside [0, 1]), ENTIRE_NULL_ARGUMENT,
+/// ENTIRE_SIZE_MISMATCH.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_transfer_function_from_table(
+    rgba: *const f32,
+    entries: usize,
+    transfer_function: *mut *mut entire_transfer_function,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands; four floats have the alignment of one.
+    unsafe {
+        create(transfer_function, || {
+            let rgba = slice(rgba.cast::<[f32; 4]>(), entries, "rgba")?;
+            Ok(TransferFunction::uniform(rgba)?)
+        })
+    }
+}
+
+/// Sets the distance along the ray over which the opacities hold, positive, in the given unit.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
+    transfer_function: *mut entire_transfer_function,
+    distance: f32,
+    unit: entire_unit,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        changing(transfer_function, |transfer| {
+            // The core's own check, on a table that is thrown away for the unit that needs a volume.
+            transfer.table.clone().with_unit_distance(distance)?;
+            transfer.unit = match unit {
+                ENTIRE_UNIT_REFERENCE_STEP => UnitDistance::ReferenceSteps(distance),
+                ENTIRE_UNIT_WORLD => UnitDistance::World(distance),
+                other => {
+                    return Err(Failure::new(
+                        ENTIRE_INVALID_ARGUMENT,
+                        format!(
+                            "unit is {other}; it must be ENTIRE_UNIT_REFERENCE_STEP (1) or ENTIRE_UNIT_WORLD (2)"
+                        ),
+                    ));
+                }
+            };
+            Ok(())
+        })
+    }
+}
+
+/// Copies the table that predictions are made from: ENTIRE_TABLE_ENTRIES times red, green, blue, opacity over one unit
+/// distance. `capacity` counts floats.
+///
+/// Fails with ENTIRE_SIZE_MISMATCH (fewer than 4 * ENTIRE_TABLE_ENTRIES floats), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_transfer_function_table(
+    transfer_function: *const entire_transfer_function,
+    rgba: *mut f32,
+    capacity: usize,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(transfer_function, |transfer| {
+            let table = transfer.table.rgba().as_flattened();
+            if capacity < table.len() {
+                return Err(Failure::new(
+                    ENTIRE_SIZE_MISMATCH,
+                    format!("rgba holds {capacity} floats; the table has {}", table.len()),
+                ));
+            }
+            slice_mut(rgba, table.len(), "rgba")?.copy_from_slice(table);
+            Ok(())
+        })
+    }
+}
+
+/// Copies the text of the transfer function's last failure, as entire_model_last_error does.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_transfer_function_last_error(
+    transfer_function: *const entire_transfer_function,
+    buffer: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe { last_error_of(transfer_function, buffer, capacity, length) }
+}
+
+/// Frees a transfer function; NULL is nothing to do.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_transfer_function_free(transfer_function: *mut entire_transfer_function) {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe { freeing(transfer_function) }
+}

@@ -1,0 +1,561 @@
+//! `entire_volume`: voxels of any scalar type, or bounds of bricks; with or without ready features.
+
+use crate::abi::{
+    ByValue, check_output, check_pointer, init_struct, read_struct, slice, write, write_struct,
+};
+use crate::guard::{Outcome, changing, freeing, guard, last_error_of, reading};
+use crate::handle::{Status, give, handle};
+use crate::log;
+use crate::result::Failure;
+use crate::result::entire_result::{self, *};
+use entire_core::features::{SummaryOptions, VolumeSummary};
+use entire_core::scene::{ScalarType, Scalars, VolumeView};
+use std::ffi::{c_char, c_void};
+use std::mem::{offset_of, size_of};
+use std::sync::OnceLock;
+
+/// What a voxel is: one of the `ENTIRE_SCALAR_*` numbers.
+pub type entire_scalar_type = u32;
+/// Unsigned 8-bit integers.
+pub const ENTIRE_SCALAR_U8: entire_scalar_type = 1;
+/// Signed 8-bit integers. Copied only (kept as 16-bit integers).
+pub const ENTIRE_SCALAR_I8: entire_scalar_type = 2;
+/// Unsigned 16-bit integers.
+pub const ENTIRE_SCALAR_U16: entire_scalar_type = 3;
+/// Signed 16-bit integers.
+pub const ENTIRE_SCALAR_I16: entire_scalar_type = 4;
+/// Unsigned 32-bit integers. Copied only (kept as 32-bit floats).
+pub const ENTIRE_SCALAR_U32: entire_scalar_type = 5;
+/// Signed 32-bit integers. Copied only (kept as 32-bit floats).
+pub const ENTIRE_SCALAR_I32: entire_scalar_type = 6;
+/// 32-bit floats.
+pub const ENTIRE_SCALAR_F32: entire_scalar_type = 7;
+/// 64-bit floats. Copied only (kept as 32-bit floats).
+pub const ENTIRE_SCALAR_F64: entire_scalar_type = 8;
+/// Unsigned 64-bit integers. Copied only (kept as 32-bit floats).
+pub const ENTIRE_SCALAR_U64: entire_scalar_type = 9;
+/// Signed 64-bit integers. Copied only (kept as 32-bit floats).
+pub const ENTIRE_SCALAR_I64: entire_scalar_type = 10;
+
+/// Whose the voxels are: one of the two `ENTIRE_VOXELS_*` numbers.
+pub type entire_voxels_ownership = u32;
+/// The library copies the voxels; the caller's memory is free again when the call returns.
+pub const ENTIRE_VOXELS_COPY: entire_voxels_ownership = 1;
+/// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed. For scalar
+/// types U8, U16, I16 and F32, aligned to their size.
+pub const ENTIRE_VOXELS_BORROW: entire_voxels_ownership = 2;
+
+/// In `strides`: x runs fastest, then y, then z, without gaps. All three strides or none.
+pub const ENTIRE_STRIDE_CONTIGUOUS: usize = usize::MAX;
+
+/// A volume of voxels. Fill with entire_volume_desc_init, then set what differs.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_volume_desc {
+    /// sizeof(entire_volume_desc).
+    pub struct_size: usize,
+    /// One of ENTIRE_SCALAR_*. No default.
+    pub scalar_type: entire_scalar_type,
+    /// ENTIRE_VOXELS_COPY (default) or ENTIRE_VOXELS_BORROW.
+    pub ownership: entire_voxels_ownership,
+    /// The voxels. No default.
+    pub voxels: *const c_void,
+    /// How many elements of the scalar type `voxels` points at. No default.
+    pub voxel_count: usize,
+    /// Voxels along x, y, z. No default.
+    pub dims: [usize; 3],
+    /// Elements from one voxel to the next along x, y, z; default ENTIRE_STRIDE_CONTIGUOUS.
+    pub strides: [usize; 3],
+    /// Voxel spacing along x, y, z in any unit; default 1, 1, 1.
+    pub spacing: [f32; 3],
+    /// Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and maximum of the
+    /// voxels.
+    pub range: [f32; 2],
+}
+
+// SAFETY: repr(C), struct_size first, integers, floats and a raw pointer only.
+unsafe impl ByValue for entire_volume_desc {
+    const NAME: &'static str = "entire_volume_desc";
+    const FIRST_SIZE: usize = size_of::<Self>();
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>(),
+            scalar_type: 0,
+            ownership: ENTIRE_VOXELS_COPY,
+            voxels: std::ptr::null(),
+            voxel_count: 0,
+            dims: [0; 3],
+            strides: [ENTIRE_STRIDE_CONTIGUOUS; 3],
+            spacing: [1.0; 3],
+            range: [f32::NAN; 2],
+        }
+    }
+}
+
+/// A volume of which only the bounds of its bricks are known, as renderers keep them for empty-space skipping. Fill with
+/// entire_brick_desc_init, then set what differs.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_brick_desc {
+    /// sizeof(entire_brick_desc).
+    pub struct_size: usize,
+    /// The voxels' scalar type, one of ENTIRE_SCALAR_*. No default.
+    pub scalar_type: entire_scalar_type,
+    /// Must be 0.
+    pub reserved: u32,
+    /// Voxels of the whole volume along x, y, z. No default.
+    pub dims: [usize; 3],
+    /// Voxels of a brick along x, y, z. No default.
+    pub brick_edge: [usize; 3],
+    /// Lowest and highest normalized scalar value (0 to 1 over the volume's range) of each brick, x fastest, the voxels
+    /// that interpolation reaches into included: two floats per brick. No default.
+    pub bounds: *const f32,
+    /// Number of bricks: dims / brick_edge rounded up, multiplied.
+    pub brick_count: usize,
+    /// Voxel spacing along x, y, z in any unit; default 1, 1, 1.
+    pub spacing: [f32; 3],
+    /// Must be 0.
+    pub reserved_tail: u32,
+}
+
+// SAFETY: repr(C), struct_size first, integers, floats and a raw pointer only.
+unsafe impl ByValue for entire_brick_desc {
+    const NAME: &'static str = "entire_brick_desc";
+    const FIRST_SIZE: usize = size_of::<Self>();
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>(),
+            scalar_type: 0,
+            reserved: 0,
+            dims: [0; 3],
+            brick_edge: [0; 3],
+            bounds: std::ptr::null(),
+            brick_count: 0,
+            spacing: [1.0; 3],
+            reserved_tail: 0,
+        }
+    }
+}
+
+/// What the library knows of a volume. Set struct_size before the call.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_volume_info {
+    /// sizeof(entire_volume_info).
+    pub struct_size: usize,
+    /// Voxels along x, y, z.
+    pub dims: [usize; 3],
+    /// Scalar type that the caller gave.
+    pub scalar_type: entire_scalar_type,
+    /// Number of ready features (entire_volume_set_features); 0 where there are none.
+    pub feature_count: u32,
+    /// Voxel spacing along x, y, z.
+    pub spacing: [f32; 3],
+    /// Scalar values that map to 0 and 1; NaN where only bricks are known.
+    pub range: [f32; 2],
+    /// Radius of the bounding sphere in the unit of the spacing: the unit of entire_frame.arcball[2].
+    pub bounding_radius: f32,
+    /// Length of the reference step in the unit of the spacing.
+    pub reference_step: f32,
+    /// Not 0 where the volume has voxels (it can be encoded), 0 where only bricks are known.
+    pub has_voxels: u32,
+}
+
+// SAFETY: repr(C), struct_size first, integers and floats only.
+unsafe impl ByValue for entire_volume_info {
+    const NAME: &'static str = "entire_volume_info";
+    const FIRST_SIZE: usize = size_of::<Self>();
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>(),
+            dims: [0; 3],
+            scalar_type: 0,
+            feature_count: 0,
+            spacing: [f32::NAN; 3],
+            range: [f32::NAN; 2],
+            bounding_radius: f32::NAN,
+            reference_step: f32::NAN,
+            has_voxels: 0,
+        }
+    }
+}
+
+// The layouts of ABI 1 on 64-bit targets; a field may be added behind, never moved.
+#[cfg(target_pointer_width = "64")]
+const _: () = {
+    assert!(size_of::<entire_volume_desc>() == 104);
+    assert!(offset_of!(entire_volume_desc, voxels) == 16);
+    assert!(offset_of!(entire_volume_desc, dims) == 32);
+    assert!(offset_of!(entire_volume_desc, strides) == 56);
+    assert!(offset_of!(entire_volume_desc, spacing) == 80);
+    assert!(offset_of!(entire_volume_desc, range) == 92);
+    assert!(size_of::<entire_brick_desc>() == 96);
+    assert!(offset_of!(entire_brick_desc, bounds) == 64);
+    assert!(offset_of!(entire_brick_desc, spacing) == 80);
+    assert!(size_of::<entire_volume_info>() == 72);
+    assert!(offset_of!(entire_volume_info, spacing) == 40);
+    assert!(offset_of!(entire_volume_info, has_voxels) == 68);
+};
+
+/// Voxels, or what stands for them. Immutable but for its ready features; may be used by any number of predictors.
+pub struct entire_volume {
+    status: Status,
+    value: Volume,
+}
+
+pub(crate) struct Volume {
+    voxels: Option<Voxels>,
+    summary: OnceLock<VolumeSummary>,
+    scalar_type: entire_scalar_type,
+    pub(crate) features: Option<Vec<f32>>,
+}
+
+/// A view and, where the library copied, the memory that it looks at.
+struct Voxels {
+    view: VolumeView<'static>,
+    _copy: Option<Copied>,
+}
+
+#[allow(dead_code, reason = "holds the memory that the view beside it looks at")]
+enum Copied {
+    U8(Vec<u8>),
+    U16(Vec<u16>),
+    I16(Vec<i16>),
+    F32(Vec<f32>),
+}
+
+handle!(entire_volume, Volume, Boxed);
+
+impl Volume {
+    /// The voxels.
+    pub(crate) fn view(&self) -> Result<&VolumeView<'static>, Failure> {
+        self.voxels.as_ref().map(|v| &v.view).ok_or_else(|| {
+            Failure::new(
+                ENTIRE_NOT_READY,
+                "the volume was made from bricks and has no voxels; make it with entire_volume_new, \
+                 or hand over ready features with entire_volume_set_features",
+            )
+        })
+    }
+
+    /// The summary, made at the first call.
+    pub(crate) fn summary(&self) -> Result<&VolumeSummary, Failure> {
+        if let Some(summary) = self.summary.get() {
+            return Ok(summary);
+        }
+        let summary = VolumeSummary::new(self.view()?, SummaryOptions::default())?;
+        if summary.non_finite_share() > 0.0 {
+            log::emit(
+                log::ENTIRE_LOG_WARNING,
+                "the volume has voxels that are NaN or infinite; they count as the ends of the range",
+            );
+        }
+        Ok(self.summary.get_or_init(|| summary))
+    }
+}
+
+/// Fills a volume description with its defaults; `struct_size` is sizeof(entire_volume_desc).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_volume_desc_init(
+    desc: *mut entire_volume_desc,
+    struct_size: usize,
+) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    guard(|| unsafe { init_struct(desc, struct_size) })
+}
+
+/// Fills a brick description with its defaults; `struct_size` is sizeof(entire_brick_desc).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_brick_desc_init(
+    desc: *mut entire_brick_desc,
+    struct_size: usize,
+) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    guard(|| unsafe { init_struct(desc, struct_size) })
+}
+
+/// Makes a volume of voxels. NaN voxels count as the low end of the range, infinities as its ends.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type, a zero size, a spacing that is not positive, borrowed
+/// voxels that are not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need),
+/// ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_volume_new(
+    desc: *const entire_volume_desc,
+    volume: *mut *mut entire_volume,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands, and `desc.voxels` is valid for `voxel_count`
+    // elements, until the volume is freed where they are borrowed.
+    guard(|| unsafe {
+        check_pointer(volume, "volume (output)")?;
+        let desc = read_struct(desc)?;
+        let voxels = take_voxels(&desc)?;
+        log_volume(&voxels.view);
+        let made = Volume {
+            voxels: Some(voxels),
+            summary: OnceLock::new(),
+            scalar_type: desc.scalar_type,
+            features: None,
+        };
+        write(volume, give(made), "volume (output)")
+    })
+}
+
+fn log_volume(view: &VolumeView<'_>) {
+    if log::enabled(log::ENTIRE_LOG_INFO) {
+        let ([x, y, z], (low, high)) = (view.dims(), view.range());
+        let name = view.scalar_type().name();
+        log::emit(
+            log::ENTIRE_LOG_INFO,
+            &format!("volume of {x} x {y} x {z} {name} voxels, range {low} to {high}"),
+        );
+    }
+}
+
+/// # Safety
+/// `desc.voxels` is NULL or valid for reads of `desc.voxel_count` elements, for as long as the result lives where they
+/// are borrowed.
+unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
+    if desc.voxels.is_null() {
+        return Err(Failure::null("entire_volume_desc.voxels"));
+    }
+    let (at, count) = (desc.voxels, desc.voxel_count);
+    let borrow = match desc.ownership {
+        ENTIRE_VOXELS_COPY => false,
+        ENTIRE_VOXELS_BORROW => true,
+        other => {
+            return Err(Failure::new(
+                ENTIRE_INVALID_ARGUMENT,
+                format!(
+                    "ownership is {other}; it must be ENTIRE_VOXELS_COPY (1) or ENTIRE_VOXELS_BORROW (2)"
+                ),
+            ));
+        }
+    };
+    // SAFETY: as the caller promises; each copy whose elements are detached is kept beside the view.
+    let (scalars, copy) = unsafe {
+        match (desc.scalar_type, borrow) {
+            (ENTIRE_SCALAR_U8, true) => (Scalars::U8(slice(at.cast(), count, "voxels")?), None),
+            (ENTIRE_SCALAR_U16, true) => (Scalars::U16(slice(at.cast(), count, "voxels")?), None),
+            (ENTIRE_SCALAR_I16, true) => (Scalars::I16(slice(at.cast(), count, "voxels")?), None),
+            (ENTIRE_SCALAR_F32, true) => (Scalars::F32(slice(at.cast(), count, "voxels")?), None),
+            (ENTIRE_SCALAR_U8, false) => {
+                let copy = convert::<u8, u8>(at, count, |v| v)?;
+                (Scalars::U8(detached(&copy)), Some(Copied::U8(copy)))
+            }
+            (ENTIRE_SCALAR_U16, false) => {
+                let copy = convert::<u16, u16>(at, count, |v| v)?;
+                (Scalars::U16(detached(&copy)), Some(Copied::U16(copy)))
+            }
+            (ENTIRE_SCALAR_I16, false) => {
+                let copy = convert::<i16, i16>(at, count, |v| v)?;
+                (Scalars::I16(detached(&copy)), Some(Copied::I16(copy)))
+            }
+            (ENTIRE_SCALAR_I8, false) => {
+                let copy = convert(at, count, |v: i8| i16::from(v))?;
+                (Scalars::I16(detached(&copy)), Some(Copied::I16(copy)))
+            }
+            (kind, false) => {
+                let copy = match kind {
+                    ENTIRE_SCALAR_F32 => convert(at, count, |v: f32| v)?,
+                    ENTIRE_SCALAR_F64 => convert(at, count, |v: f64| v as f32)?,
+                    ENTIRE_SCALAR_U32 => convert(at, count, |v: u32| v as f32)?,
+                    ENTIRE_SCALAR_I32 => convert(at, count, |v: i32| v as f32)?,
+                    ENTIRE_SCALAR_U64 => convert(at, count, |v: u64| v as f32)?,
+                    ENTIRE_SCALAR_I64 => convert(at, count, |v: i64| v as f32)?,
+                    other => return Err(unknown_scalar(other)),
+                };
+                (Scalars::F32(detached(&copy)), Some(Copied::F32(copy)))
+            }
+            (kind @ ENTIRE_SCALAR_I8..=ENTIRE_SCALAR_I64, true) => {
+                return Err(Failure::new(
+                    ENTIRE_UNSUPPORTED,
+                    format!(
+                        "voxels of scalar type {kind} cannot be borrowed, only U8, U16, I16 and F32 can; use ENTIRE_VOXELS_COPY"
+                    ),
+                ));
+            }
+            (other, true) => return Err(unknown_scalar(other)),
+        }
+    };
+    let contiguous = desc.strides == [ENTIRE_STRIDE_CONTIGUOUS; 3];
+    if !contiguous && desc.strides.contains(&ENTIRE_STRIDE_CONTIGUOUS) {
+        return Err(Failure::new(
+            ENTIRE_INVALID_ARGUMENT,
+            "some strides are ENTIRE_STRIDE_CONTIGUOUS and some are not; set all three or none",
+        ));
+    }
+    let view = if contiguous {
+        VolumeView::new(scalars, desc.dims)?
+    } else {
+        VolumeView::with_strides(scalars, desc.dims, desc.strides)?
+    };
+    let mut view = view.with_spacing(desc.spacing)?;
+    if desc.range.iter().any(|end| !end.is_nan()) {
+        view = view.with_range(desc.range[0], desc.range[1])?;
+    }
+    Ok(Voxels { view, _copy: copy })
+}
+
+/// Copies `count` elements, aligned or not.
+///
+/// # Safety
+/// `at` is valid for reads of `count` elements of `T`, of which any bytes are a value.
+unsafe fn convert<T: Copy, U>(
+    at: *const c_void,
+    count: usize,
+    map: impl Fn(T) -> U,
+) -> Result<Vec<U>, Failure> {
+    let fits =
+        count.checked_mul(size_of::<T>().max(size_of::<U>())).is_some_and(|b| b <= isize::MAX as usize);
+    let mut copy = Vec::new();
+    if !fits || copy.try_reserve_exact(count).is_err() {
+        return Err(Failure::new(
+            ENTIRE_SIZE_MISMATCH,
+            format!(
+                "there is no memory for a copy of {count} voxels; check voxel_count, or use ENTIRE_VOXELS_BORROW"
+            ),
+        ));
+    }
+    let at = at.cast::<T>();
+    // SAFETY: as the caller promises; read without assuming alignment.
+    copy.extend((0..count).map(|i| map(unsafe { at.add(i).read_unaligned() })));
+    Ok(copy)
+}
+
+/// A vector's elements, for as long as its memory lives.
+///
+/// # Safety
+/// The vector is kept, neither grown nor changed, for as long as the result is used.
+unsafe fn detached<T>(copy: &[T]) -> &'static [T] {
+    // SAFETY: the caller keeps the memory, which does not move with its vector.
+    unsafe { std::slice::from_raw_parts(copy.as_ptr(), copy.len()) }
+}
+
+fn unknown_scalar(found: u32) -> Failure {
+    Failure::new(
+        ENTIRE_INVALID_ARGUMENT,
+        format!("scalar_type is {found}; it must be one of ENTIRE_SCALAR_U8 (1) to ENTIRE_SCALAR_I64 (10)"),
+    )
+}
+
+/// Makes a volume of brick bounds. Without voxels it cannot be encoded: a model with volume features needs
+/// entire_volume_set_features beside it.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that sizes and edge do not give),
+/// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_volume_from_bricks(
+    desc: *const entire_brick_desc,
+    volume: *mut *mut entire_volume,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands, and `desc.bounds` is valid for two floats per brick.
+    guard(|| unsafe {
+        check_pointer(volume, "volume (output)")?;
+        let desc = read_struct(desc)?;
+        if desc.reserved != 0 || desc.reserved_tail != 0 {
+            return Err(Failure::new(
+                ENTIRE_INVALID_ARGUMENT,
+                "entire_brick_desc.reserved and reserved_tail must be 0; call entire_brick_desc_init",
+            ));
+        }
+        let kept_as = match desc.scalar_type {
+            ENTIRE_SCALAR_U8 => ScalarType::U8,
+            ENTIRE_SCALAR_U16 => ScalarType::U16,
+            ENTIRE_SCALAR_I8 | ENTIRE_SCALAR_I16 => ScalarType::I16,
+            ENTIRE_SCALAR_U32..=ENTIRE_SCALAR_I64 => ScalarType::F32,
+            other => return Err(unknown_scalar(other)),
+        };
+        let bounds = slice(desc.bounds.cast::<[f32; 2]>(), desc.brick_count, "entire_brick_desc.bounds")?;
+        let summary = VolumeSummary::from_bricks(desc.dims, desc.spacing, kept_as, desc.brick_edge, bounds)?;
+        let made = Volume {
+            voxels: None,
+            summary: OnceLock::from(summary),
+            scalar_type: desc.scalar_type,
+            features: None,
+        };
+        write(volume, give(made), "volume (output)")
+    })
+}
+
+/// Hands over ready volume features, from entire_model_encode with the same model, now or in an earlier run; they are
+/// used instead of encoding the voxels. A count of 0 removes them.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (a feature that is not finite), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_volume_set_features(
+    volume: *mut entire_volume,
+    features: *const f32,
+    feature_count: usize,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        changing(volume, |volume| {
+            let features = slice(features, feature_count, "features")?;
+            if let Some(i) = features.iter().position(|f| !f.is_finite()) {
+                return Err(Failure::new(
+                    ENTIRE_INVALID_ARGUMENT,
+                    format!("feature {i} is {}; all must be finite", features[i]),
+                ));
+            }
+            volume.features = (!features.is_empty()).then(|| features.to_vec());
+            Ok(())
+        })
+    }
+}
+
+/// Reads what the library knows of a volume; set info->struct_size first.
+///
+/// Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_volume_get_info(
+    volume: *const entire_volume,
+    info: *mut entire_volume_info,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe { reading(volume, |volume| describe(volume, info)) }
+}
+
+/// # Safety
+/// As [`write_struct`].
+unsafe fn describe(volume: &Volume, info: *mut entire_volume_info) -> Outcome {
+    // SAFETY: as the caller promises.
+    unsafe { check_output(info)? };
+    let feature_count = volume.features.as_ref().map_or(0, |f| f.len() as u32);
+    let mut out =
+        entire_volume_info { scalar_type: volume.scalar_type, feature_count, ..ByValue::defaults() };
+    if let Some(Voxels { view, .. }) = &volume.voxels {
+        out.dims = view.dims();
+        out.spacing = view.spacing().to_array();
+        out.range = view.range().into();
+        out.bounding_radius = view.bounding_radius();
+        out.reference_step = view.spacing().min_element();
+        out.has_voxels = 1;
+    } else if let Some(summary) = volume.summary.get() {
+        out.dims = summary.dims();
+        out.spacing = summary.spacing().to_array();
+        out.bounding_radius = summary.bounding_radius();
+        out.reference_step = summary.spacing().min_element();
+    }
+    // SAFETY: as the caller promises.
+    unsafe { write_struct(info, &out) }
+}
+
+/// Copies the text of the volume's last failure, as entire_model_last_error does.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_volume_last_error(
+    volume: *const entire_volume,
+    buffer: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe { last_error_of(volume, buffer, capacity, length) }
+}
+
+/// Frees a volume; NULL is nothing to do. Predictors that were given the volume keep what they need of it.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_volume_free(volume: *mut entire_volume) {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe { freeing(volume) }
+}

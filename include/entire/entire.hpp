@@ -1,0 +1,431 @@
+// entire.hpp - C++17 over entire.h: ownership, views, and results that cannot be overlooked. Header only.
+//
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//
+// Every call that can fail returns entire::result<T>. Ask it (`if (r)`, `r.code()`, `r.message()`), or take the value:
+// `r.value()` throws entire::error where the result is a failure. Define ENTIRE_NO_EXCEPTIONS before the include (it is
+// implied where the compiler has exceptions switched off) and `value()` prints the message and ends the program instead.
+// Threads, units and ownership are as at the top of entire.h. Nothing here allocates but error texts and strings.
+#ifndef ENTIRE_ENTIRE_HPP
+#define ENTIRE_ENTIRE_HPP
+
+#include <entire/entire.h>
+
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <memory>
+#include <new>
+#include <string>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#if !defined(ENTIRE_NO_EXCEPTIONS) && !defined(__cpp_exceptions) && !defined(_CPPUNWIND)
+#define ENTIRE_NO_EXCEPTIONS
+#endif
+#ifndef ENTIRE_NO_EXCEPTIONS
+#include <stdexcept>
+#endif
+
+namespace entire {
+
+static_assert(ENTIRE_ABI_VERSION == 1,
+              "entire.hpp and entire.h are of different versions: install the package again");
+
+#ifndef ENTIRE_NO_EXCEPTIONS
+// What result<T>::value() throws.
+class error : public std::runtime_error {
+public:
+    error(entire_result code, const std::string &message) : std::runtime_error(message), code_(code) {}
+    entire_result code() const noexcept { return code_; }
+
+private:
+    entire_result code_;
+};
+#endif
+
+// A failure: its code and why, in words.
+struct failure {
+    entire_result code;
+    std::string message;
+
+    // That of the calling thread's last call.
+    static failure last(entire_result code) { return {code, entire_last_error()}; }
+};
+
+namespace detail {
+struct nothing {};
+
+[[noreturn]] inline void refuse(entire_result code, const std::string &message) {
+#ifndef ENTIRE_NO_EXCEPTIONS
+    throw error(code, message);
+#else
+    std::fprintf(stderr, "entire: %s: %s\n", entire_result_name(code), message.c_str());
+    std::abort();
+#endif
+}
+} // namespace detail
+
+// A value, or why there is none.
+template <class T> class [[nodiscard]] result {
+public:
+    result(T value) : value_(std::make_unique<T>(std::move(value))) {}
+    result(failure why) : failure_(std::move(why)) {}
+
+    explicit operator bool() const noexcept { return value_ != nullptr; }
+    // ENTIRE_OK, or why it failed.
+    entire_result code() const noexcept { return failure_.code; }
+    // Why it failed; empty where it did not.
+    const std::string &message() const noexcept { return failure_.message; }
+
+    T &value() & {
+        check();
+        return *value_;
+    }
+    T value() && {
+        check();
+        return std::move(*value_);
+    }
+
+private:
+    void check() const {
+        if (!value_) detail::refuse(failure_.code, failure_.message);
+    }
+
+    std::unique_ptr<T> value_;
+    failure failure_{ENTIRE_OK, {}};
+};
+
+// The result of a call that only does something, or of one whose value is plain data: kept in place, nothing allocated
+// on success.
+template <class T> class [[nodiscard]] plain_result {
+    static_assert(std::is_trivially_copyable_v<T>, "result<T> is for values that own something");
+
+public:
+    plain_result(T value) : value_(value), code_(ENTIRE_OK) {}
+    plain_result(failure why) : value_(), code_(why.code), message_(std::move(why.message)) {}
+
+    explicit operator bool() const noexcept { return code_ == ENTIRE_OK; }
+    entire_result code() const noexcept { return code_; }
+    const std::string &message() const noexcept { return message_; }
+
+    T value() const {
+        if (code_ != ENTIRE_OK) detail::refuse(code_, message_);
+        return value_;
+    }
+
+private:
+    T value_;
+    entire_result code_;
+    std::string message_;
+};
+
+// The result of a call that only does something.
+using status = plain_result<detail::nothing>;
+
+// A view of elements that somebody else owns, as std::span is in C++20 (which it takes too).
+template <class T> class span {
+public:
+    constexpr span() noexcept = default;
+    constexpr span(T *data, std::size_t size) noexcept : data_(data), size_(size) {}
+    template <std::size_t N> constexpr span(T (&array)[N]) noexcept : data_(array), size_(N) {}
+    template <class Container,
+              class = std::enable_if_t<std::is_convertible_v<decltype(std::declval<Container &>().data()), T *>>>
+    constexpr span(Container &&container) noexcept : data_(container.data()), size_(container.size()) {}
+
+    constexpr T *data() const noexcept { return data_; }
+    constexpr std::size_t size() const noexcept { return size_; }
+    constexpr bool empty() const noexcept { return size_ == 0; }
+    constexpr T *begin() const noexcept { return data_; }
+    constexpr T *end() const noexcept { return data_ + size_; }
+    constexpr T &operator[](std::size_t i) const { return data_[i]; }
+
+private:
+    T *data_ = nullptr;
+    std::size_t size_ = 0;
+};
+
+namespace detail {
+template <class T> T sized() {
+    T value{};
+    value.struct_size = sizeof(T);
+    return value;
+}
+
+inline status done(entire_result code) {
+    if (code != ENTIRE_OK) return failure::last(code);
+    return nothing{};
+}
+
+template <class Handle, void (*Free)(Handle *)> struct deleter {
+    void operator()(Handle *handle) const noexcept { Free(handle); }
+};
+template <class Handle, void (*Free)(Handle *)> using owned = std::unique_ptr<Handle, deleter<Handle, Free>>;
+
+template <class T> struct scalar_type;
+template <> struct scalar_type<std::uint8_t> : std::integral_constant<entire_scalar_type, ENTIRE_SCALAR_U8> {};
+template <> struct scalar_type<std::int8_t> : std::integral_constant<entire_scalar_type, ENTIRE_SCALAR_I8> {};
+template <> struct scalar_type<std::uint16_t> : std::integral_constant<entire_scalar_type, ENTIRE_SCALAR_U16> {};
+template <> struct scalar_type<std::int16_t> : std::integral_constant<entire_scalar_type, ENTIRE_SCALAR_I16> {};
+template <> struct scalar_type<std::uint32_t> : std::integral_constant<entire_scalar_type, ENTIRE_SCALAR_U32> {};
+template <> struct scalar_type<std::int32_t> : std::integral_constant<entire_scalar_type, ENTIRE_SCALAR_I32> {};
+template <> struct scalar_type<std::uint64_t> : std::integral_constant<entire_scalar_type, ENTIRE_SCALAR_U64> {};
+template <> struct scalar_type<std::int64_t> : std::integral_constant<entire_scalar_type, ENTIRE_SCALAR_I64> {};
+template <> struct scalar_type<float> : std::integral_constant<entire_scalar_type, ENTIRE_SCALAR_F32> {};
+template <> struct scalar_type<double> : std::integral_constant<entire_scalar_type, ENTIRE_SCALAR_F64> {};
+} // namespace detail
+
+// A frame, already filled with the defaults.
+struct frame : entire_frame {
+    frame(std::uint32_t image_width, std::uint32_t image_height) : entire_frame() {
+        entire_frame_init(this, sizeof(entire_frame));
+        width = image_width;
+        height = image_height;
+    }
+
+    // The eye on the arcball: degrees about x and y, distance in bounding-sphere radii.
+    frame &orbit(float rx, float ry, float dz) {
+        camera = ENTIRE_CAMERA_ARCBALL;
+        arcball[0] = rx;
+        arcball[1] = ry;
+        arcball[2] = dz;
+        return *this;
+    }
+
+    // A world-to-eye matrix, column-major, and the world position of the volume's center.
+    frame &look(const float (&world_to_eye)[16], float x, float y, float z) {
+        camera = ENTIRE_CAMERA_VIEW;
+        for (int i = 0; i < 16; ++i) view[i] = world_to_eye[i];
+        volume_center[0] = x;
+        volume_center[1] = y;
+        volume_center[2] = z;
+        return *this;
+    }
+};
+
+// A volume of voxels, already filled with the defaults.
+struct volume_desc : entire_volume_desc {
+    volume_desc() : entire_volume_desc() { entire_volume_desc_init(this, sizeof(entire_volume_desc)); }
+
+    template <class T> volume_desc(span<const T> elements, std::size_t x, std::size_t y, std::size_t z) : volume_desc() {
+        scalar_type = detail::scalar_type<T>::value;
+        voxels = elements.data();
+        voxel_count = elements.size();
+        dims[0] = x;
+        dims[1] = y;
+        dims[2] = z;
+    }
+};
+
+struct brick_desc : entire_brick_desc {
+    brick_desc() : entire_brick_desc() { entire_brick_desc_init(this, sizeof(entire_brick_desc)); }
+};
+
+struct predictor_options : entire_predictor_options {
+    predictor_options() : entire_predictor_options() {
+        entire_predictor_options_init(this, sizeof(entire_predictor_options));
+    }
+};
+
+class volume {
+public:
+    static result<volume> create(const entire_volume_desc &desc) {
+        entire_volume *handle = nullptr;
+        if (auto code = entire_volume_new(&desc, &handle)) return failure::last(code);
+        return volume(handle);
+    }
+    static result<volume> from_bricks(const entire_brick_desc &desc) {
+        entire_volume *handle = nullptr;
+        if (auto code = entire_volume_from_bricks(&desc, &handle)) return failure::last(code);
+        return volume(handle);
+    }
+
+    status set_features(span<const float> features) {
+        return detail::done(entire_volume_set_features(get(), features.data(), features.size()));
+    }
+    plain_result<entire_volume_info> info() const {
+        auto out = detail::sized<entire_volume_info>();
+        if (auto code = entire_volume_get_info(get(), &out)) return failure::last(code);
+        return out;
+    }
+    entire_volume *get() const noexcept { return handle_.get(); }
+
+private:
+    explicit volume(entire_volume *handle) : handle_(handle) {}
+    detail::owned<entire_volume, entire_volume_free> handle_;
+};
+
+class transfer_function {
+public:
+    static result<transfer_function> from_lobes(span<const entire_gaussian_lobe> lobes) {
+        entire_transfer_function *handle = nullptr;
+        if (auto code = entire_transfer_function_from_lobes(lobes.data(), lobes.size(), &handle))
+            return failure::last(code);
+        return transfer_function(handle);
+    }
+    // VTK's and ParaView's nodes over the scalar range low...high.
+    static result<transfer_function> from_nodes(span<const entire_opacity_node> opacity,
+                                                span<const entire_color_node> color, double low, double high,
+                                                bool clamping = true) {
+        entire_transfer_function *handle = nullptr;
+        if (auto code = entire_transfer_function_from_nodes(opacity.data(), opacity.size(), color.data(), color.size(),
+                                                            low, high, clamping, &handle))
+            return failure::last(code);
+        return transfer_function(handle);
+    }
+    // Entries of red, green, blue, opacity.
+    static result<transfer_function> from_table(span<const float> rgba) {
+        entire_transfer_function *handle = nullptr;
+        if (auto code = entire_transfer_function_from_table(rgba.data(), rgba.size() / 4, &handle))
+            return failure::last(code);
+        return transfer_function(handle);
+    }
+
+    status set_unit_distance(float distance, entire_unit unit) {
+        return detail::done(entire_transfer_function_set_unit_distance(get(), distance, unit));
+    }
+    result<std::vector<float>> table() const {
+        std::vector<float> rgba(4 * ENTIRE_TABLE_ENTRIES);
+        if (auto code = entire_transfer_function_table(get(), rgba.data(), rgba.size())) return failure::last(code);
+        return rgba;
+    }
+    entire_transfer_function *get() const noexcept { return handle_.get(); }
+
+private:
+    explicit transfer_function(entire_transfer_function *handle) : handle_(handle) {}
+    detail::owned<entire_transfer_function, entire_transfer_function_free> handle_;
+};
+
+class model {
+public:
+    static result<model> open(const char *path) {
+        entire_model *handle = nullptr;
+        if (auto code = entire_model_open(path, &handle)) return failure::last(code);
+        return model(handle);
+    }
+    static result<model> open(const std::string &path) { return open(path.c_str()); }
+    static result<model> from_bytes(span<const std::uint8_t> bytes) {
+        entire_model *handle = nullptr;
+        if (auto code = entire_model_from_bytes(bytes.data(), bytes.size(), &handle)) return failure::last(code);
+        return model(handle);
+    }
+
+    plain_result<entire_model_info> info() const {
+        auto out = detail::sized<entire_model_info>();
+        if (auto code = entire_model_get_info(get(), &out)) return failure::last(code);
+        return out;
+    }
+    plain_result<entire_input_group> input(std::size_t index) const {
+        auto out = detail::sized<entire_input_group>();
+        if (auto code = entire_model_get_input(get(), index, &out)) return failure::last(code);
+        return out;
+    }
+    // NULL where the file does not have the key.
+    const char *metadata(const char *key) const noexcept { return entire_model_metadata(get(), key); }
+    const char *scene_feature(std::size_t index) const noexcept { return entire_model_scene_feature(get(), index); }
+
+    plain_result<float> predict(span<const float> inputs) const {
+        float seconds = 0;
+        if (auto code = entire_model_predict(get(), inputs.data(), inputs.size(), &seconds)) return failure::last(code);
+        return seconds;
+    }
+    // One row of inputs per element of `seconds`.
+    status predict(span<const float> inputs, span<float> seconds) const {
+        const std::size_t columns = seconds.empty() ? 0 : inputs.size() / seconds.size();
+        return detail::done(
+            entire_model_predict_batch(get(), inputs.data(), seconds.size(), columns, seconds.data()));
+    }
+    result<std::vector<float>> encode(const volume &of) const {
+        auto about = info();
+        if (!about) return failure{about.code(), about.message()};
+        std::vector<float> features(about.value().feature_count);
+        std::size_t count = 0;
+        if (auto code = entire_model_encode(get(), of.get(), features.data(), features.size(), &count))
+            return failure::last(code);
+        return features;
+    }
+    entire_model *get() const noexcept { return handle_.get(); }
+
+private:
+    explicit model(entire_model *handle) : handle_(handle) {}
+    detail::owned<entire_model, entire_model_free> handle_;
+};
+
+// What entire_predictor_choose picked.
+struct choice {
+    std::size_t index;
+    entire_plan plan;
+};
+
+class predictor {
+public:
+    // Around a model.
+    static result<predictor> create(const model &with, const entire_predictor_options &options = predictor_options()) {
+        return make(with.get(), options);
+    }
+    // Without a model: a linear cost model that learns from the frames it observes.
+    static result<predictor> untrained(const entire_predictor_options &options = predictor_options()) {
+        return make(nullptr, options);
+    }
+
+    status set_volume(const volume &of) { return detail::done(entire_predictor_set_volume(get(), of.get())); }
+    status set_transfer_function(const transfer_function &to) {
+        return detail::done(entire_predictor_set_transfer_function(get(), to.get()));
+    }
+    status set_limits(float finest_step, float coarsest_step) {
+        return detail::done(entire_predictor_set_limits(get(), finest_step, coarsest_step));
+    }
+    status set_enabled(bool enabled) { return detail::done(entire_predictor_set_enabled(get(), enabled)); }
+    status mark(std::uint32_t changes) { return detail::done(entire_predictor_mark(get(), changes)); }
+
+    plain_result<entire_prediction> predict(const entire_frame &of) {
+        auto out = detail::sized<entire_prediction>();
+        if (auto code = entire_predictor_predict(get(), &of, &out)) return failure::last(code);
+        return out;
+    }
+    plain_result<entire_plan> plan(const entire_frame &of, float target_seconds) {
+        auto out = detail::sized<entire_plan>();
+        if (auto code = entire_predictor_plan(get(), &of, target_seconds, &out)) return failure::last(code);
+        return out;
+    }
+    plain_result<choice> choose(const entire_frame &of, span<const entire_setting> settings, float target_seconds) {
+        choice out{0, detail::sized<entire_plan>()};
+        if (auto code = entire_predictor_choose(get(), &of, settings.data(), settings.size(), target_seconds, &out.index,
+                                                &out.plan))
+            return failure::last(code);
+        return out;
+    }
+    plain_result<entire_verdict> observe(std::uint64_t plan_id, float seconds, std::uint32_t flags = 0) {
+        entire_verdict verdict = ENTIRE_VERDICT_LEARNED;
+        if (auto code = entire_predictor_observe(get(), plan_id, seconds, flags, &verdict)) return failure::last(code);
+        return verdict;
+    }
+    status reset() { return detail::done(entire_predictor_reset(get())); }
+
+    result<std::vector<std::uint8_t>> save_state() const {
+        std::size_t count = 0;
+        if (auto code = entire_predictor_save_state(get(), nullptr, 0, &count)) return failure::last(code);
+        std::vector<std::uint8_t> bytes(count);
+        if (auto code = entire_predictor_save_state(get(), bytes.data(), bytes.size(), &count))
+            return failure::last(code);
+        return bytes;
+    }
+    status load_state(span<const std::uint8_t> bytes) {
+        return detail::done(entire_predictor_load_state(get(), bytes.data(), bytes.size()));
+    }
+    entire_predictor *get() const noexcept { return handle_.get(); }
+
+private:
+    explicit predictor(entire_predictor *handle) : handle_(handle) {}
+    static result<predictor> make(const entire_model *with, const entire_predictor_options &options) {
+        entire_predictor *handle = nullptr;
+        if (auto code = entire_predictor_new(with, &options, &handle)) return failure::last(code);
+        return predictor(handle);
+    }
+    detail::owned<entire_predictor, entire_predictor_free> handle_;
+};
+
+} // namespace entire
+
+#endif // ENTIRE_ENTIRE_HPP
