@@ -1,1 +1,3 @@
 //! tests (see ARCHITECTURE.md).
+
+pub mod levels;

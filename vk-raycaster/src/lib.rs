@@ -43,8 +43,6 @@
 //!
 //! *Counts.* See [`WorkCounts`].
 
-#![deny(unsafe_code)]
-
 mod blocks;
 mod clock;
 mod cpu;
@@ -52,11 +50,9 @@ mod renderer;
 mod setup;
 mod table;
 mod voxels;
-mod vulkan;
 
 pub use blocks::BLOCK_EDGE;
 pub use cpu::CpuRaycaster;
 pub use renderer::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts};
 pub use setup::{LIGHT_DIRECTION, SHADOW_STEP, SHADOW_TERMINATION};
 pub use table::OPACITY_FLOOR;
-pub use vulkan::{VoxelFetch, VulkanOptions, VulkanRaycaster};

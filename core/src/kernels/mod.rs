@@ -9,11 +9,13 @@ pub(crate) mod conv;
 mod level;
 #[cfg(feature = "train")]
 pub(crate) mod matmul;
+pub(crate) mod mlp;
 pub(crate) mod resample;
 mod scalar;
 mod simd;
 #[cfg(target_arch = "x86_64")]
 mod x86_64;
 
-pub use activation::selu;
+pub use activation::{SELU_ALPHA, SELU_SCALE, SELU_TOLERANCE, selu};
 pub use level::{Isa, LEVEL_VARIABLE, Level};
+pub use mlp::Storage;

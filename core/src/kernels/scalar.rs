@@ -106,15 +106,26 @@ impl Simd for Scalar {
         map(v, |v| v as f32)
     }
     #[inline(always)]
-    unsafe fn dot4(self, sum: Self::I, a: u32, w: *const i8) -> Self::I {
-        // SAFETY: the caller vouches for sixteen bytes at `w`.
-        let w = unsafe { w.cast::<[[i8; 4]; 4]>().read() };
-        let a = a.to_le_bytes().map(i32::from);
-        let dot = |w: [i8; 4]| {
-            let w = w.map(i32::from);
-            a[0] * w[0] + a[1] * w[1] + a[2] * w[2] + a[3] * w[3]
+    fn splat_bytes(self, bytes: u32) -> Self::I {
+        Four([bytes as i32; 4])
+    }
+    #[inline(always)]
+    unsafe fn load_bytes(self, p: *const i8) -> Self::I {
+        // SAFETY: the caller vouches for sixteen bytes at `p`.
+        let bytes = unsafe { p.cast::<[[u8; 4]; 4]>().read() };
+        map(Four(bytes), i32::from_le_bytes)
+    }
+    #[inline(always)]
+    fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
+        let dot = |a: i32, w: i32| {
+            let product = |shift: u32| (a >> shift & 0xff) * i32::from((w >> shift) as i8);
+            product(0) + product(8) + product(16) + product(24)
         };
-        zip(sum, Four([dot(w[0]), dot(w[1]), dot(w[2]), dot(w[3])]), i32::wrapping_add)
+        zip(sum, zip(a, w, dot), i32::wrapping_add)
+    }
+    #[inline(always)]
+    fn add_i(self, a: Self::I, b: Self::I) -> Self::I {
+        zip(a, b, i32::wrapping_add)
     }
     #[inline(always)]
     unsafe fn store_u8(self, p: *mut u8, v: Self::F) {

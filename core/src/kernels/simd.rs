@@ -4,6 +4,7 @@
 //! function that has the level's instructions enabled and hands the body that level's [`Simd`] token, so a network is
 //! dispatched once and compiled once per instruction set.
 
+use super::activation::{SELU_ALPHA, SELU_SCALE};
 use super::{Isa, Level};
 
 /// Work that can run on any level. `run` must be `#[inline(always)]`, and so must every generic function it calls:
@@ -94,26 +95,30 @@ pub(crate) trait Simd: Copy + 'static {
 
     fn zero_i(self) -> Self::I;
     fn to_f(self, v: Self::I) -> Self::F;
-    /// Adds to each 32-bit lane the sum of four products of an unsigned byte of `a` (the same four in every lane) with
-    /// a signed byte of the lane. Never saturates.
+    /// The same four bytes in every lane.
+    fn splat_bytes(self, bytes: u32) -> Self::I;
     /// # Safety
-    /// `w` must be valid for reading 4·`LANES` bytes.
-    unsafe fn dot4(self, sum: Self::I, a: u32, w: *const i8) -> Self::I;
+    /// `p` must be valid for reading 4·`LANES` bytes.
+    unsafe fn load_bytes(self, p: *const i8) -> Self::I;
+    /// Adds to each 32-bit lane of `sum` the four products of unsigned bytes of `a` with signed bytes of `w`. Never
+    /// saturates.
+    fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I;
+    fn add_i(self, a: Self::I, b: Self::I) -> Self::I;
     /// Rounds to the nearest integers, clamps to 0…255 and stores `LANES` bytes.
     /// # Safety
     /// `p` must be valid for writing `LANES` bytes.
     unsafe fn store_u8(self, p: *mut u8, v: Self::F);
 
     /// SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise, within
-    /// [`SELU_TOLERANCE`](crate::nn::SELU_TOLERANCE). NaN stays NaN.
+    /// [`SELU_TOLERANCE`](super::SELU_TOLERANCE). NaN stays NaN.
     ///
     /// eˣ − 1 = 2ⁿ·(eʳ − 1) + (2ⁿ − 1) with n = round(x / ln 2): exact near zero, where eˣ − 1 cancels.
     #[inline(always)]
     fn selu(self, x: Self::F) -> Self::F {
         /// 1.5·2²³: adding it rounds to an integer, which then stands in the low bits.
         const SHIFT: f32 = 12_582_912.0;
-        const LAMBDA: f32 = crate::nn::SELU_SCALE as f32;
-        const LAMBDA_ALPHA: f32 = (crate::nn::SELU_SCALE * crate::nn::SELU_ALPHA) as f32;
+        const LAMBDA: f32 = SELU_SCALE as f32;
+        const LAMBDA_ALPHA: f32 = (SELU_SCALE * SELU_ALPHA) as f32;
         // Minimax for (eʳ − 1 − r) / r² on |r| ≤ ln 2 / 2; relative error of eʳ − 1 below 2e-8.
         const Q: [f32; 5] = [0.499_999_97, 0.166_665_43, 0.041_667_2, 0.008_366_547_5, 0.001_388_251_7];
         // Below -20 the result is -λα to the last bit.

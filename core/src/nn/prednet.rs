@@ -1,28 +1,22 @@
 //! PredNet: from a frame's inputs to seconds.
 
 use super::parts::{Dtype, PredNetParts, Target};
-use super::{SELU_ALPHA, SELU_SCALE};
 use crate::Result;
 use crate::error::bail;
-use crate::kernels::Level;
-use alloc::vec;
+use crate::kernels::mlp::{Dense, Mlp, MlpScratch};
+use crate::kernels::{Level, Storage};
 use alloc::vec::Vec;
 
-/// Largest relative error of [`PredNet::predict`] with [`Storage::F32`] against a float64 evaluation of the same
-/// weights.
+/// Largest relative error of [`PredNet::predict`] against a float64 evaluation of the same stored weights: for
+/// [`Storage::F32`], and for [`Storage::F16`] and [`Storage::Bf16`] where the file stores its weights so.
 pub const PREDNET_F32_TOLERANCE: f64 = 1e-5;
-
-/// How a network keeps its weights in memory; activations and sums are f32 throughout.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Storage {
-    /// Single precision.
-    F32,
-    /// Half precision, widened when it is used.
-    F16,
-    /// bfloat16, widened when it is used.
-    Bf16,
-}
+/// Largest error of [`Storage::F16`] on a network whose file holds F32, relative to the largest output over the inputs.
+pub const PREDNET_F16_TOLERANCE: f64 = 5e-3;
+/// Largest error of [`Storage::Bf16`] on a network whose file holds F32, relative to the largest output over the inputs.
+pub const PREDNET_BF16_TOLERANCE: f64 = 5e-2;
+/// Largest error of [`Storage::Int8`], relative to the largest output over the inputs. Judge it on frames of your own
+/// before choosing it: it depends on the network.
+pub const PREDNET_INT8_TOLERANCE: f64 = 1e-1;
 
 impl From<Dtype> for Storage {
     fn from(dtype: Dtype) -> Self {
@@ -34,20 +28,30 @@ impl From<Dtype> for Storage {
     }
 }
 
-/// Working memory of a prediction, made once by [`PredNet::scratch`]; one per thread.
+/// Working memory of predictions, made by [`PredNet::scratch`] or [`PredNet::batch_scratch`]; one per thread.
 #[derive(Clone, Debug, Default)]
 pub struct PredScratch {
-    a: Vec<f32>,
-    b: Vec<f32>,
+    mlp: MlpScratch,
+}
+
+impl PredScratch {
+    /// Rows that a batch works on at once.
+    pub fn rows(&self) -> usize {
+        self.mlp.rows()
+    }
 }
 
 /// A prediction network ready to run: dense layers with SELU after every layer but the last, then the target's
 /// transform (paper, section on the prediction network).
+///
+/// Weights are packed when it is built. A prediction is a pure function of the inputs, the level and the storage.
 #[derive(Clone, Debug)]
 pub struct PredNet {
-    parts: PredNetParts,
-    level: Level,
+    mlp: Mlp,
     storage: Storage,
+    target: Target,
+    /// Mean and std of the output.
+    output: (f64, f64),
 }
 
 impl PredNet {
@@ -61,24 +65,59 @@ impl PredNet {
         Self::with(parts, Level::detect(), storage)
     }
 
+    /// Builds the network with another storage than the file's. Storing wider than the file costs memory and changes
+    /// nothing; storing narrower rounds the weights.
+    ///
+    /// # Errors
+    ///
+    /// As [`with`](Self::with).
+    pub fn with_storage(parts: &PredNetParts, storage: Storage) -> Result<Self> {
+        Self::with(parts, Level::detect(), storage)
+    }
+
     /// Builds the network for a given level and storage.
     ///
     /// # Errors
     ///
-    /// As [`PredNetParts::check`].
+    /// As [`PredNetParts::check`]; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when a weight overflows half
+    /// precision.
     pub fn with(parts: &PredNetParts, level: Level, storage: Storage) -> Result<Self> {
         parts.check()?;
-        Ok(Self { parts: parts.clone(), level, storage })
+        if matches!(storage, Storage::F16 | Storage::Bf16) {
+            let finite = |w: f32| match storage {
+                Storage::F16 => half::f16::from_f32_const(w).is_finite(),
+                _ => half::bf16::from_f32_const(w).is_finite(),
+            };
+            for (i, layer) in parts.layers.iter().enumerate() {
+                if let Some(at) = layer.weight.iter().position(|&w| !finite(w)) {
+                    bail!(
+                        InvalidTensor,
+                        "prednet.{i}.weight[{at}] (flat index) is {}, too large for {} storage: choose another storage",
+                        layer.weight[at],
+                        storage.name()
+                    );
+                }
+            }
+        }
+        let layers: Vec<_> = parts
+            .layers
+            .iter()
+            .map(|l| Dense { inputs: l.inputs, outputs: l.outputs, weight: &l.weight, bias: &l.bias })
+            .collect();
+        let norm = parts.input.as_ref().map(|n| (n.mean.as_slice(), n.std.as_slice()));
+        let output =
+            parts.output.as_ref().map_or((0.0, 1.0), |n| (f64::from(n.mean[0]), f64::from(n.std[0])));
+        Ok(Self { mlp: Mlp::new(level, storage, &layers, norm), storage, target: parts.target, output })
     }
 
     /// Number of inputs.
     pub fn inputs(&self) -> usize {
-        self.parts.inputs()
+        self.mlp.inputs()
     }
 
     /// The level the network was built for.
     pub fn level(&self) -> Level {
-        self.level
+        self.mlp.level()
     }
 
     /// How the weights are kept.
@@ -88,86 +127,78 @@ impl PredNet {
 
     /// What the raw output stands for.
     pub fn target(&self) -> Target {
-        self.parts.target
+        self.target
     }
 
-    /// Working memory for [`predict`](Self::predict) and [`predict_batch`](Self::predict_batch).
+    /// Bytes of weights that one prediction reads.
+    pub fn bytes(&self) -> usize {
+        self.mlp.bytes()
+    }
+
+    /// The packed weights as they lie in memory, for benchmarks that evict them from the caches.
+    pub fn memory(&self) -> &[u8] {
+        self.mlp.memory()
+    }
+
+    /// Working memory for [`predict`](Self::predict). [`predict_batch`](Self::predict_batch) works with it too, row
+    /// by row.
     pub fn scratch(&self) -> PredScratch {
-        let widest = self.parts.layers.iter().map(|layer| layer.inputs.max(layer.outputs)).max().unwrap_or(0);
-        PredScratch { a: vec![0.0; widest], b: vec![0.0; widest] }
+        self.batch_scratch(1)
+    }
+
+    /// Working memory for batches; `rows` is how many rows are worked on at once, at most 192 are used.
+    pub fn batch_scratch(&self, rows: usize) -> PredScratch {
+        PredScratch { mlp: self.mlp.scratch(rows) }
     }
 
     /// Predicts one frame's time in seconds from [`inputs`](Self::inputs) numbers in the model's order.
     ///
-    /// The result is the network's own: it may be zero, negative (target `seconds`) or infinite. NaN in, NaN out; a
-    /// wrong number of inputs or another network's scratch gives NaN as well. Never allocates.
+    /// The result is the network's own: it may be zero, negative (target `seconds`) or infinite. NaN in, NaN out
+    /// (with [`Storage::Int8`], anything not finite in, NaN out); a wrong number of inputs or another network's scratch
+    /// gives NaN as well. Never allocates.
+    #[inline]
     pub fn predict(&self, inputs: &[f32], scratch: &mut PredScratch) -> f32 {
-        if inputs.len() != self.inputs() {
-            return f32::NAN;
+        match self.mlp.forward(inputs, &mut scratch.mlp) {
+            Some(y) => self.seconds(y),
+            None => f32::NAN,
         }
-        let (mut x, mut y) = (&mut scratch.a, &mut scratch.b);
-        let Some(first) = x.get_mut(..inputs.len()) else { return f32::NAN };
-        first.copy_from_slice(inputs);
-        if let Some(norm) = &self.parts.input {
-            for (x, (mean, std)) in first.iter_mut().zip(norm.mean.iter().zip(&norm.std)) {
-                *x = (*x - mean) / std;
-            }
-        }
-        for (i, layer) in self.parts.layers.iter().enumerate() {
-            if x.len() < layer.inputs || y.len() < layer.outputs {
-                return f32::NAN;
-            }
-            for ((y, row), bias) in y.iter_mut().zip(layer.weight.chunks_exact(layer.inputs)).zip(&layer.bias)
-            {
-                let sum: f32 = row.iter().zip(x.iter()).map(|(w, x)| w * x).sum();
-                let v = sum + bias;
-                *y = if i + 1 == self.parts.layers.len() { v } else { selu(v) };
-            }
-            core::mem::swap(&mut x, &mut y);
-        }
-        self.seconds(x[0])
     }
 
     /// Predicts many frames: `inputs` holds one row of [`inputs`](Self::inputs) numbers per element of `seconds`.
-    /// Rows are as in [`predict`](Self::predict), up to rounding. Never allocates on success.
+    /// Rows are as in [`predict`](Self::predict), up to the order of summation; a row's result does not depend on the
+    /// others, nor on the scratch's size. Never allocates on success.
     ///
     /// # Errors
     ///
-    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) when the lengths disagree.
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) when the lengths disagree or the scratch is another network's.
     pub fn predict_batch(
         &self,
         inputs: &[f32],
         seconds: &mut [f32],
         scratch: &mut PredScratch,
     ) -> Result<()> {
-        if self.inputs().checked_mul(seconds.len()) != Some(inputs.len()) {
+        if self.mlp.forward_rows(inputs, seconds, &mut scratch.mlp).is_none() {
             bail!(
                 SizeMismatch,
-                "{} inputs for {} predictions, expected {} for each",
+                "{} inputs for {} predictions, expected {} for each, and a scratch made by this network",
                 inputs.len(),
                 seconds.len(),
                 self.inputs()
             );
         }
-        for (row, out) in inputs.chunks_exact(self.inputs()).zip(seconds) {
-            *out = self.predict(row, scratch);
+        for y in seconds {
+            *y = self.seconds(*y);
         }
         Ok(())
     }
 
     /// From the last layer's output to seconds.
+    #[inline]
     fn seconds(&self, y: f32) -> f32 {
-        let mut y = f64::from(y);
-        if let Some(norm) = &self.parts.output {
-            y = y * f64::from(norm.std[0]) + f64::from(norm.mean[0]);
-        }
-        match self.parts.target {
+        let y = f64::from(y) * self.output.1 + self.output.0;
+        match self.target {
             Target::Seconds => y as f32,
             Target::LogSeconds => libm::exp(y) as f32,
         }
     }
-}
-
-fn selu(x: f32) -> f32 {
-    if x > 0.0 { SELU_SCALE as f32 * x } else { (SELU_SCALE * SELU_ALPHA) as f32 * libm::expm1f(x) }
 }

@@ -129,12 +129,20 @@ impl Simd for Avx2 {
         unsafe { _mm256_cvtepi32_ps(v) }
     }
     #[inline(always)]
-    unsafe fn dot4(self, sum: Self::I, a: u32, w: *const i8) -> Self::I {
-        // SAFETY: token; the caller vouches for 32 bytes at `w`.
+    fn splat_bytes(self, bytes: u32) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm256_set1_epi32(bytes as i32) }
+    }
+    #[inline(always)]
+    unsafe fn load_bytes(self, p: *const i8) -> Self::I {
+        // SAFETY: token; the caller vouches for 32 bytes at `p`.
+        unsafe { _mm256_loadu_si256(p.cast()) }
+    }
+    #[inline(always)]
+    fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
+        // SAFETY: token.
         unsafe {
-            let w = _mm256_loadu_si256(w.cast());
-            let a = _mm256_set1_epi32(a as i32);
-            // Even and odd bytes apart: 255·127·2 fits 16-bit products' 32-bit sums, but not maddubs' 16-bit ones.
+            // Even and odd bytes apart: two products of 255·127 overflow maddubs' 16 bits, but not 32.
             let low = _mm256_set1_epi16(0xff);
             let even = _mm256_madd_epi16(
                 _mm256_and_si256(a, low),
@@ -143,6 +151,11 @@ impl Simd for Avx2 {
             let odd = _mm256_madd_epi16(_mm256_srli_epi16::<8>(a), _mm256_srai_epi16::<8>(w));
             _mm256_add_epi32(sum, _mm256_add_epi32(even, odd))
         }
+    }
+    #[inline(always)]
+    fn add_i(self, a: Self::I, b: Self::I) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm256_add_epi32(a, b) }
     }
     #[inline(always)]
     unsafe fn store_u8(self, p: *mut u8, v: Self::F) {

@@ -137,15 +137,23 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         unsafe { _mm512_cvtepi32_ps(v) }
     }
     #[inline(always)]
-    unsafe fn dot4(self, sum: Self::I, a: u32, w: *const i8) -> Self::I {
-        // SAFETY: token (which says whether VNNI is there); the caller vouches for 64 bytes at `w`.
+    fn splat_bytes(self, bytes: u32) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_set1_epi32(bytes as i32) }
+    }
+    #[inline(always)]
+    unsafe fn load_bytes(self, p: *const i8) -> Self::I {
+        // SAFETY: token; the caller vouches for 64 bytes at `p`.
+        unsafe { _mm512_loadu_si512(p.cast()) }
+    }
+    #[inline(always)]
+    fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I {
+        // SAFETY: token (which says whether VNNI is there).
         unsafe {
-            let w = _mm512_loadu_si512(w.cast());
-            let a = _mm512_set1_epi32(a as i32);
             if VNNI {
                 return _mm512_dpbusd_epi32(sum, a, w);
             }
-            // Even and odd bytes apart: 255·127·2 fits 16-bit products' 32-bit sums, but not maddubs' 16-bit ones.
+            // Even and odd bytes apart: two products of 255·127 overflow maddubs' 16 bits, but not 32.
             let low = _mm512_set1_epi16(0xff);
             let even = _mm512_madd_epi16(
                 _mm512_and_si512(a, low),
@@ -154,6 +162,11 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
             let odd = _mm512_madd_epi16(_mm512_srli_epi16::<8>(a), _mm512_srai_epi16::<8>(w));
             _mm512_add_epi32(sum, _mm512_add_epi32(even, odd))
         }
+    }
+    #[inline(always)]
+    fn add_i(self, a: Self::I, b: Self::I) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_add_epi32(a, b) }
     }
     #[inline(always)]
     unsafe fn store_u8(self, p: *mut u8, v: Self::F) {

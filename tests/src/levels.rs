@@ -1,0 +1,18 @@
+//! The same test on every level of the kernels.
+
+use entire_core::kernels::{Isa, Level};
+use libtest_mimic::{Failed, Trial};
+
+/// One trial per instruction set: `name::avx2`, … . A level that this CPU lacks is reported as ignored, never as
+/// passed.
+pub fn on_every_level(name: &'static str, test: fn(Level)) -> impl Iterator<Item = Trial> {
+    Isa::ALL.into_iter().map(move |isa| {
+        let level = Level::exactly(isa);
+        let run = move || -> Result<(), Failed> {
+            let level = level.ok_or("this CPU lacks the level")?;
+            test(level);
+            Ok(())
+        };
+        Trial::test(format!("{name}::{isa}"), run).with_ignored_flag(level.is_none())
+    })
+}

@@ -1,0 +1,171 @@
+//! Networks against float64 evaluations by PyTorch (`tests/golden/make_golden.py`), stamped on every level. A level that
+//! this CPU lacks is reported as ignored.
+
+use entire_core::kernels::{Isa, Level};
+use entire_core::model::Model;
+use entire_core::nn::{
+    PREDNET_BF16_TOLERANCE, PREDNET_F16_TOLERANCE, PREDNET_F32_TOLERANCE, PREDNET_INT8_TOLERANCE, PredNet,
+    Storage,
+};
+use entire_tests::levels::on_every_level;
+use libtest_mimic::Arguments;
+use serde_json::Value;
+use std::path::PathBuf;
+
+fn golden(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("golden").join(name)
+}
+
+fn cases(kind: &str) -> Vec<Value> {
+    let text = std::fs::read_to_string(golden("golden.json")).expect("golden.json");
+    let json: Value = serde_json::from_str(&text).expect("valid JSON");
+    json[kind].as_array().expect("a list of cases").clone()
+}
+
+fn model(case: &Value) -> Model {
+    let name = case["model"].as_str().expect("a file name");
+    Model::from_bytes(&std::fs::read(golden(name)).expect(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value.as_array().expect("numbers").iter().map(|v| v.as_f64().expect("a number")).collect()
+}
+
+fn rows(case: &Value) -> (Vec<Vec<f32>>, Vec<f64>) {
+    let inputs = case["inputs"].as_array().expect("rows");
+    let inputs = inputs.iter().map(|row| numbers(row).into_iter().map(|v| v as f32).collect()).collect();
+    (inputs, numbers(&case["seconds"]))
+}
+
+/// Storages that lose nothing of what the file holds, and the loss of the others.
+fn tolerance(stored: &str, storage: Storage) -> f64 {
+    match storage {
+        Storage::F32 => PREDNET_F32_TOLERANCE,
+        Storage::F16 if stored == "F16" => PREDNET_F32_TOLERANCE,
+        Storage::Bf16 if stored == "BF16" => PREDNET_F32_TOLERANCE,
+        Storage::F16 => PREDNET_F16_TOLERANCE,
+        Storage::Bf16 => PREDNET_BF16_TOLERANCE,
+        _ => PREDNET_INT8_TOLERANCE,
+    }
+}
+
+/// Exact storages are judged row by row, as the contract has it; rounded ones against the largest value, since what a
+/// rounded weight does to a sum that nearly cancels is no matter of the arithmetic.
+fn prednets_agree(level: Level) {
+    for case in cases("prednets") {
+        let (model, (inputs, expected)) = (model(&case), rows(&case));
+        let name = case["model"].as_str().expect("a name");
+        let scale = expected.iter().fold(0.0f64, |m, y| m.max(y.abs()));
+        for storage in Storage::ALL {
+            let net = PredNet::with(model.prednet().expect("a PredNet"), level, storage).expect("a network");
+            let tolerance = tolerance(case["dtype"].as_str().expect("a dtype"), storage);
+            let allowed =
+                |y: f64| tolerance * if tolerance == PREDNET_F32_TOLERANCE { y.abs() } else { scale };
+            let mut scratch = net.scratch();
+            let single: Vec<f32> = inputs.iter().map(|row| net.predict(row, &mut scratch)).collect();
+            for rows in [1, 2, 5, 192] {
+                let mut scratch = net.batch_scratch(rows);
+                let mut batch = vec![0.0; inputs.len()];
+                net.predict_batch(&inputs.concat(), &mut batch, &mut scratch).expect("a batch");
+                for (i, &y) in expected.iter().enumerate() {
+                    for (how, found) in [("predict", single[i]), ("predict_batch", batch[i])] {
+                        let error = (f64::from(found) - y).abs();
+                        assert!(
+                            error <= allowed(y),
+                            "{name} row {i}, {} on {level}, {how} with {rows} rows at once: {found} instead of {y}, \
+                             error {:.2e}",
+                            storage.name(),
+                            error / y.abs()
+                        );
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The sums of int8 layers are exact integers, so all levels see the same bytes up to the rounding of activations.
+fn storage_follows_the_file(level: Level) {
+    let _ = level;
+    for case in cases("prednets") {
+        let net = PredNet::new(model(&case).prednet().expect("a PredNet")).expect("a network");
+        let expected = match case["dtype"].as_str().expect("a dtype") {
+            "F16" => Storage::F16,
+            "BF16" => Storage::Bf16,
+            _ => Storage::F32,
+        };
+        assert_eq!(net.storage(), expected);
+    }
+}
+
+/// Same model, same inputs, same level: same bits, whatever else is in the batch and however it is cut.
+fn batches_do_not_depend_on_their_cut(level: Level) {
+    for case in cases("prednets") {
+        let (model, (inputs, _)) = (model(&case), rows(&case));
+        for storage in Storage::ALL {
+            let net = PredNet::with(model.prednet().expect("a PredNet"), level, storage).expect("a network");
+            let many: Vec<f32> = inputs.iter().cycle().take(401).flatten().copied().collect();
+            let mut expected = vec![0.0; 401];
+            net.predict_batch(&many, &mut expected, &mut net.batch_scratch(192)).expect("a batch");
+            for rows in [1, 7, 100, 1000] {
+                let mut found = vec![0.0; 401];
+                net.predict_batch(&many, &mut found, &mut net.batch_scratch(rows)).expect("a batch");
+                assert_eq!(found, expected, "{} rows at once, {}", rows, storage.name());
+            }
+            for (i, y) in expected.iter().enumerate() {
+                assert_eq!(y.to_bits(), expected[i % inputs.len()].to_bits(), "row {i}");
+            }
+        }
+    }
+}
+
+fn bad_inputs_have_an_answer(level: Level) {
+    for case in cases("prednets") {
+        let (model, (inputs, _)) = (model(&case), rows(&case));
+        for storage in Storage::ALL {
+            let net = PredNet::with(model.prednet().expect("a PredNet"), level, storage).expect("a network");
+            let mut scratch = net.scratch();
+            let row = &inputs[0];
+            let good = net.predict(row, &mut scratch);
+            assert!(good.is_finite());
+            assert!(net.predict(&row[1..], &mut scratch).is_nan(), "too few inputs");
+            assert!(net.predict(&[], &mut scratch).is_nan(), "no inputs");
+            assert!(net.predict(row, &mut Default::default()).is_nan(), "an empty scratch");
+            for i in 0..row.len() {
+                let mut bad = row.clone();
+                bad[i] = f32::NAN;
+                assert!(net.predict(&bad, &mut scratch).is_nan(), "NaN at input {i}");
+                for big in [f32::INFINITY, f32::NEG_INFINITY, f32::MAX] {
+                    bad[i] = big;
+                    let _ = net.predict(&bad, &mut scratch);
+                }
+            }
+            assert_eq!(
+                net.predict(row, &mut scratch).to_bits(),
+                good.to_bits(),
+                "the scratch keeps no trace"
+            );
+            let mut out = [0.0; 2];
+            assert!(
+                net.predict_batch(row, &mut out, &mut scratch).is_err(),
+                "inputs for one, outputs for two"
+            );
+            assert!(
+                net.predict_batch(row, &mut out[..1], &mut Default::default()).is_err(),
+                "an empty scratch"
+            );
+            assert!(net.predict_batch(&[], &mut [], &mut scratch).is_ok(), "nothing to do");
+        }
+    }
+}
+
+fn main() {
+    let arguments = Arguments::from_args();
+    let mut trials = Vec::new();
+    trials.extend(on_every_level("prednets_agree_with_float64", prednets_agree));
+    trials.extend(on_every_level("batches_do_not_depend_on_their_cut", batches_do_not_depend_on_their_cut));
+    trials.extend(on_every_level("bad_inputs_have_an_answer", bad_inputs_have_an_answer));
+    trials.extend(on_every_level("storage_follows_the_file", storage_follows_the_file));
+    assert!(trials.len() >= Isa::ALL.len());
+    libtest_mimic::run(&arguments, trials).exit();
+}
