@@ -20,7 +20,7 @@
 //! precision; where the range is narrower than the data they are requantized to 16 bits over the range.
 //!
 //! *Classification.* The 256-entry table is looked up at 255·s, linear between neighbors. Its opacities are corrected
-//! to the step, α′ = 1 − (1 − α)^(δ / unit distance). Opacities that are below [`OPACITY_FLOOR`] per reference step
+//! to the step, α′ = 1 − (1 − α)^(δ / unit distance). Opacities that are below [`OPACITY_FLOOR`](entire_core::scene::OPACITY_FLOOR) per reference step
 //! count as zero, so that the tails of a Gaussian lobe leave empty space to skip.
 //!
 //! *Compositing.* Front to back, C += (1 − A)·α′·c, A += (1 − A)·α′. The ray stops once A reaches the frame's
@@ -55,4 +55,4 @@ pub use blocks::BLOCK_EDGE;
 pub use cpu::CpuRaycaster;
 pub use renderer::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts};
 pub use setup::{LIGHT_DIRECTION, SHADOW_STEP, SHADOW_TERMINATION};
-pub use table::OPACITY_FLOOR;
+pub use vulkan::{VoxelFetch, VulkanOptions, VulkanRaycaster};

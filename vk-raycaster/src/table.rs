@@ -1,10 +1,6 @@
 //! The transfer-function table as the renderers use it.
 
-use entire_core::scene::{TABLE_LEN, TransferTable, corrected_opacity};
-
-/// Opacities below this, per reference step, count as zero. A ray of 1000 reference steps through such a medium would
-/// gather an opacity of at most 0.03.
-pub const OPACITY_FLOOR: f32 = 1.0 / 32768.0;
+use entire_core::scene::{TABLE_LEN, TransferTable};
 
 /// The opacity-corrected table of a ray step: what a sample looks up.
 pub(crate) type StepTable = [[f32; 4]; TABLE_LEN];
@@ -19,9 +15,8 @@ pub(crate) struct Classifier {
 impl Classifier {
     pub(crate) fn new(table: &TransferTable) -> Self {
         let mut visible_before = [0; TABLE_LEN + 1];
-        for (i, entry) in table.rgba().iter().enumerate() {
-            visible_before[i + 1] =
-                visible_before[i] + u32::from(is_visible(entry[3], table.unit_distance()));
+        for i in 0..TABLE_LEN {
+            visible_before[i + 1] = visible_before[i] + u32::from(table.is_visible(i));
         }
         Self { table: table.clone(), visible_before }
     }
@@ -29,8 +24,8 @@ impl Classifier {
     /// The table for a ray step of `step` reference steps.
     pub(crate) fn step_table(&self, step: f32) -> Box<StepTable> {
         let mut out = self.table.corrected(step);
-        for (corrected, entry) in out.iter_mut().zip(self.table.rgba()) {
-            if !is_visible(entry[3], self.table.unit_distance()) {
+        for (i, corrected) in out.iter_mut().enumerate() {
+            if !self.table.is_visible(i) {
                 corrected[3] = 0.0;
             }
         }
@@ -44,10 +39,6 @@ impl Classifier {
         let last = (high + 1e-3).ceil().clamp(0.0, 255.0) as usize;
         self.visible_before[last + 1] == self.visible_before[first]
     }
-}
-
-fn is_visible(opacity: f32, unit_distance: f32) -> bool {
-    corrected_opacity(opacity, 1.0 / unit_distance) >= OPACITY_FLOOR
 }
 
 #[cfg(test)]

@@ -78,11 +78,12 @@ impl TransferSummary {
         let (mut mean, mut square, mut extinction, mut shown) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
         self.max_opacity = 0.0;
         for (i, entry) in table.rgba().iter().enumerate() {
-            let alpha = entry[3];
+            let counts = table.is_visible(i);
+            let alpha = if counts { entry[3] } else { 0.0 };
             let log = libm::log1pf(-alpha.min(MAX_OPACITY));
-            opaque[i + 1] = opaque[i] + u16::from(alpha > 0.0);
+            opaque[i + 1] = opaque[i] + u16::from(counts);
             transmittance[i + 1] = transmittance[i] + libm::expf(ratio * log);
-            visible[i] = f32::from(alpha > 0.0);
+            visible[i] = f32::from(counts);
             let share = f64::from(volume.histogram()[i]);
             mean += share * f64::from(alpha);
             square += share * f64::from(alpha) * f64::from(alpha);

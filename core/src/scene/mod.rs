@@ -11,6 +11,7 @@ pub use camera::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
 pub use frame::{Frame, MAX_IMAGE_SIDE, Shading, Skipping};
 pub use nodes::{ColorNode, Nodes, OpacityNode};
 pub use transfer::{
-    COLOR_RAMP, ControlPoint, GaussianLobe, TABLE_LEN, TransferFunction, TransferTable, corrected_opacity,
+    COLOR_RAMP, ControlPoint, GaussianLobe, OPACITY_FLOOR, TABLE_LEN, TransferFunction, TransferTable,
+    corrected_opacity,
 };
 pub use volume::{ScalarType, Scalars, VolumeView};

@@ -11,6 +11,10 @@ use glam::Vec3;
 /// Entries of a [`TransferTable`].
 pub const TABLE_LEN: usize = 256;
 
+/// Opacities below this, per reference step, count as zero, so that the tails of a Gaussian lobe leave empty space to
+/// skip. A ray of 1000 reference steps through such a medium would gather an opacity of at most 0.03.
+pub const OPACITY_FLOOR: f32 = 1.0 / 32768.0;
+
 /// A Gaussian lobe of the opacity function O(s) = Σ h·exp(−(s − c)²/w) (paper, section "PredNet: Rendering Time
 /// Prediction").
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -159,6 +163,14 @@ impl TransferTable {
             entry[3] = corrected_opacity(entry[3], step / self.unit_distance);
         }
         out
+    }
+
+    /// Whether entry `index` counts as having any opacity (see [`OPACITY_FLOOR`]).
+    ///
+    /// # Panics
+    /// When `index` is not below [`TABLE_LEN`].
+    pub fn is_visible(&self, index: usize) -> bool {
+        corrected_opacity(self.rgba[index][3], 1.0 / self.unit_distance) >= OPACITY_FLOOR
     }
 
     /// Largest opacity in the table.
@@ -333,6 +345,17 @@ mod tests {
         assert_eq!(table.clone().with_world_unit_distance(3.0, spacing).unwrap().unit_distance(), 6.0);
         assert!(table.clone().with_world_unit_distance(f32::NAN, spacing).is_err());
         assert!(table.with_world_unit_distance(0.0, spacing).is_err());
+    }
+
+    #[test]
+    fn faint_opacities_count_as_zero_by_the_reference_step() {
+        let mut rgba = [[0.0; 4]; TABLE_LEN];
+        rgba[3][3] = OPACITY_FLOOR * 1.01;
+        rgba[4][3] = OPACITY_FLOOR * 0.99;
+        let table = TransferTable::new(rgba).unwrap();
+        assert_eq!([2, 3, 4].map(|i| table.is_visible(i)), [false, true, false]);
+        let coarse = table.clone().with_unit_distance(2.0).unwrap();
+        assert!(!coarse.is_visible(3), "half the floor per reference step");
     }
 
     #[test]
