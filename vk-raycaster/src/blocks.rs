@@ -22,15 +22,15 @@ pub(crate) struct BlockMap {
 
 impl BlockMap {
     pub(crate) fn new(volume: &PreparedVolume) -> Self {
-        let dims = volume.dims.map(|n| n.div_ceil(BLOCK_EDGE));
+        let dims = volume.geometry.dims.map(|n| n.div_ceil(BLOCK_EDGE));
         let ranges = with_voxels!(&volume.voxels, v => ranges(v, volume, dims));
         Self { dims, ranges }
     }
 }
 
 fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3]) -> Vec<[f32; 2]> {
-    let [nx, ny, nz] = volume.dims;
-    let position = |v: V| (v.to_f32() * volume.scale + volume.bias).clamp(0.0, 255.0);
+    let [nx, ny, nz] = volume.geometry.dims;
+    let position = |v: V| (v.to_f32() * volume.geometry.scale + volume.geometry.bias).clamp(0.0, 255.0);
     let mut out = vec![[0.0; 2]; dims[0] * dims[1] * dims[2]];
     out.par_chunks_mut(dims[0]).enumerate().for_each(|(row, out)| {
         let (by, bz) = (row % dims[1], row / dims[1]);

@@ -41,12 +41,12 @@ impl CpuRaycaster {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             return Err(Error::new(format!("nothing to render: no {missing} was set")));
         };
-        let setup = FrameSetup::new(volume, skip.dims, frame);
+        let setup = FrameSetup::new(&volume.geometry, skip.dims, frame);
         let table = classifier.step_table(frame.step());
         let mut pixels = vec![[0.0; 4]; frame.width() as usize * frame.height() as usize];
         let counts = with_voxels!(&volume.voxels, voxels => {
-            let dims = volume.dims;
-            Caster { setup: &setup, table: &table, skip, frame, voxels, dims }.cast_all(&mut pixels)
+            let dims = volume.geometry.dims;
+            Caster { setup: &setup, table: &table, skip, frame, voxels, dims }.trace_all(&mut pixels)
         });
         Ok((pixels, counts))
     }
@@ -133,7 +133,7 @@ struct Caster<'a, V> {
 }
 
 impl<V: Voxel> Caster<'_, V> {
-    fn cast_all(&self, pixels: &mut [[f32; 4]]) -> WorkCounts {
+    fn trace_all(&self, pixels: &mut [[f32; 4]]) -> WorkCounts {
         let width = self.frame.width() as usize;
         pixels
             .par_chunks_mut(width)
@@ -141,7 +141,7 @@ impl<V: Voxel> Caster<'_, V> {
             .map(|(y, row)| {
                 let mut counts = WorkCounts::default();
                 for (x, pixel) in row.iter_mut().enumerate() {
-                    *pixel = self.cast(x as u32, y as u32, &mut counts);
+                    *pixel = self.trace(x as u32, y as u32, &mut counts);
                 }
                 counts
             })
@@ -182,7 +182,7 @@ impl<V: Voxel> Caster<'_, V> {
         Some(Ray { direction, first, advance, inverse, count: (exit - start).ceil() })
     }
 
-    fn cast(&self, x: u32, y: u32, counts: &mut WorkCounts) -> [f32; 4] {
+    fn trace(&self, x: u32, y: u32, counts: &mut WorkCounts) -> [f32; 4] {
         let Some(ray) = self.ray(x, y) else { return [0.0; 4] };
         counts.rays += 1;
         let mut sum = [0.0f32; 4];

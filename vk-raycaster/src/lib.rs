@@ -20,8 +20,8 @@
 //! precision; where the range is narrower than the data they are requantized to 16 bits over the range.
 //!
 //! *Classification.* The 256-entry table is looked up at 255·s, linear between neighbors. Its opacities are corrected
-//! to the step, α′ = 1 − (1 − α)^(δ / unit distance). Opacities that are below [`OPACITY_FLOOR`](entire_core::scene::OPACITY_FLOOR) per reference step
-//! count as zero, so that the tails of a Gaussian lobe leave empty space to skip.
+//! to the step, α′ = 1 − (1 − α)^(δ / unit distance). Opacities below
+//! [`OPACITY_FLOOR`](entire_core::scene::OPACITY_FLOOR) per reference step count as zero, so that the tails of a Gaussian lobe leave empty space to skip.
 //!
 //! *Compositing.* Front to back, C += (1 − A)·α′·c, A += (1 − A)·α′. The ray stops once A reaches the frame's
 //! termination opacity; 1 means never. The image holds C and A, 8 bits each, over black.
@@ -43,6 +43,8 @@
 //!
 //! *Counts.* See [`WorkCounts`].
 
+#![deny(unsafe_code)]
+
 mod blocks;
 mod clock;
 mod cpu;
@@ -50,6 +52,7 @@ mod renderer;
 mod setup;
 mod table;
 mod voxels;
+mod vulkan;
 
 pub use blocks::BLOCK_EDGE;
 pub use cpu::CpuRaycaster;

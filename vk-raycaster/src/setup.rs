@@ -1,6 +1,6 @@
 //! What a frame hands to its rays: the numbers that the shader reads as its uniform block and the twin as a struct.
 
-use crate::voxels::PreparedVolume;
+use crate::voxels::Geometry;
 use entire_core::scene::{Frame, Shading};
 
 /// Direction towards the light of single scattering, in scene space, not normalized.
@@ -64,7 +64,7 @@ pub(crate) struct FrameSetup {
 }
 
 impl FrameSetup {
-    pub(crate) fn new(volume: &PreparedVolume, blocks: [usize; 3], frame: &Frame) -> Self {
+    pub(crate) fn new(volume: &Geometry, blocks: [usize; 3], frame: &Frame) -> Self {
         let (eye, right, up, forward) = frame.camera().ray_basis(frame.width(), frame.height());
         let dims = volume.dims.map(|n| n as f64);
         let eye = eye.to_array().map(f64::from);
@@ -109,6 +109,7 @@ pub(crate) fn is_shaded(frame: &Frame) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::voxels::PreparedVolume;
     use entire_core::scene::{Arcball, Camera, Scalars, VolumeView};
 
     #[test]
@@ -125,7 +126,7 @@ mod tests {
         let data = vec![0u8; 8 * 4 * 2];
         let view =
             VolumeView::new(Scalars::U8(&data), [8, 4, 2]).unwrap().with_spacing([1.0, 2.0, 4.0]).unwrap();
-        let volume = PreparedVolume::new(&view);
+        let volume = PreparedVolume::new(&view).geometry;
         let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 }).unwrap();
         let frame = Frame::new(camera, 4, 4).unwrap().with_step(0.5).unwrap();
         let setup = FrameSetup::new(&volume, [1, 1, 1], &frame);

@@ -11,16 +11,24 @@ pub(crate) enum Voxels {
     F32(Vec<f32>),
 }
 
-/// A prepared volume: the table position of a voxel v is `v * scale + bias`, in 0…255 for every voxel.
-pub(crate) struct PreparedVolume {
-    pub(crate) voxels: Voxels,
+/// A volume's shape and how its voxels map to table positions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Geometry {
+    /// Voxels along each axis.
     pub(crate) dims: [usize; 3],
     /// Voxel spacing divided by the smallest of the three.
     pub(crate) relative_spacing: [f64; 3],
     /// Half the box in scene space.
     pub(crate) half_extent: [f64; 3],
+    /// The table position of a voxel v is `v * scale + bias`, in 0…255 for every voxel.
     pub(crate) scale: f32,
     pub(crate) bias: f32,
+}
+
+/// A prepared volume.
+pub(crate) struct PreparedVolume {
+    pub(crate) voxels: Voxels,
+    pub(crate) geometry: Geometry,
 }
 
 impl PreparedVolume {
@@ -36,16 +44,18 @@ impl PreparedVolume {
         let dims = view.dims();
         let extent = [0, 1, 2].map(|a| dims[a] as f64 * spacing[a]);
         let diagonal = extent.iter().map(|e| e * e).sum::<f64>().sqrt();
-        Self {
-            voxels,
+        let geometry = Geometry {
             dims,
             relative_spacing: spacing.map(|s| s / smallest),
             half_extent: extent.map(|e| e / diagonal),
             scale,
             bias,
-        }
+        };
+        Self { voxels, geometry }
     }
+}
 
+impl Geometry {
     /// The smallest spacing in scene space: the reference step.
     pub(crate) fn reference_step(&self) -> f64 {
         (0..3).map(|a| 2.0 * self.half_extent[a] / self.dims[a] as f64).fold(f64::INFINITY, f64::min)
@@ -155,7 +165,7 @@ mod tests {
     use super::*;
 
     fn position(volume: &PreparedVolume, i: usize) -> f32 {
-        with_voxels!(&volume.voxels, v => v[i].to_f32()) * volume.scale + volume.bias
+        with_voxels!(&volume.voxels, v => v[i].to_f32()) * volume.geometry.scale + volume.geometry.bias
     }
 
     #[test]
@@ -204,7 +214,7 @@ mod tests {
         let v =
             VolumeView::new(Scalars::U8(&data), [4, 2, 1]).unwrap().with_spacing([0.5, 1.0, 4.0]).unwrap();
         let p = PreparedVolume::new(&v);
-        assert_eq!(p.relative_spacing, [1.0, 2.0, 8.0]);
-        assert!((p.reference_step() - f64::from(v.reference_step())).abs() < 1e-7);
+        assert_eq!(p.geometry.relative_spacing, [1.0, 2.0, 8.0]);
+        assert!((p.geometry.reference_step() - f64::from(v.reference_step())).abs() < 1e-7);
     }
 }

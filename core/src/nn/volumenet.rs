@@ -116,7 +116,8 @@ impl VolumeNet {
         }
         let encoder = &mut scratch.encoder;
         if view.dims() == [n; 3] && view.strides()[0] == 1 {
-            let mut run = |prepare: &(dyn Fn(usize, &mut PreparedPlane<'_>) + Sync), encoder: &mut Scratch| {
+            let mut run = |prepare: &(dyn Fn(usize, &mut PreparedPlane<'_>) + Sync),
+                           encoder: &mut Scratch| {
                 self.encoder.run(prepare, encoder, executor, features);
             };
             match view.scalars() {

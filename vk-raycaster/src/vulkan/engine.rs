@@ -1,0 +1,664 @@
+//! Plays recordings on a device.
+
+use super::gpu::{Gpu, NamedCall};
+use super::recording::{Command, Hazard, IMAGE_BYTES, Target, Tile, WORK_BYTES, record_slices};
+use super::resources::{Buffer, COLOR_RANGE, Image, Owned};
+use crate::renderer::{Error, Result};
+use crate::setup::FrameSetup;
+use crate::table::StepTable;
+use ash::vk;
+use gpu_allocator::MemoryLocation;
+use std::collections::HashMap;
+use std::sync::Arc;
+
+/// Every compiled variant of the shader: shading, skipping, fetch, counting; SPIR-V.
+static SHADERS: &[([u32; 4], &[u8])] = &include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
+
+/// Bytes that a staging buffer holds, unless one slice needs more.
+const STAGING_BYTES: u64 = 64 << 20;
+
+/// Which variant of the shader.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct ShaderKey {
+    pub(crate) shading: u32,
+    pub(crate) skipping: u32,
+    pub(crate) fetch: u32,
+    pub(crate) counting: u32,
+}
+
+/// A finished tile.
+pub(crate) struct CastTile<'a> {
+    /// Between the timestamps around the dispatch.
+    pub(crate) seconds: Option<f64>,
+    pub(crate) image: &'a [u8],
+    /// Empty unless the work was counted.
+    pub(crate) work: &'a [u8],
+}
+
+/// Buffers whose size follows the tile.
+struct TileBuffers {
+    pixels: u64,
+    counting: bool,
+    image: Buffer,
+    work: Option<Buffer>,
+    read_back: Buffer,
+}
+
+pub(crate) struct Engine {
+    gpu: Arc<Gpu>,
+    pipelines: HashMap<ShaderKey, Owned<vk::Pipeline>>,
+    pipeline_layout: Owned<vk::PipelineLayout>,
+    /// Kept for `pipeline_layout`.
+    _set_layout: Owned<vk::DescriptorSetLayout>,
+    /// Keeps `set` alive.
+    _descriptors: Owned<vk::DescriptorPool>,
+    set: vk::DescriptorSet,
+    sampler: Owned<vk::Sampler>,
+    pool: Owned<vk::CommandPool>,
+    commands: vk::CommandBuffer,
+    fence: Owned<vk::Fence>,
+    queries: Option<Owned<vk::QueryPool>>,
+    setup: Buffer,
+    table_staging: Buffer,
+    table: Image,
+    volume: Option<Image>,
+    skip_map: Option<Image>,
+    staging: Option<Buffer>,
+    tile: Option<TileBuffers>,
+    /// A failed submission may still be running: nothing is freed or submitted before the device is idle again.
+    broken: bool,
+}
+
+impl Engine {
+    pub(crate) fn new(gpu: Arc<Gpu>) -> Result<Self> {
+        let binding = |i: u32, kind| {
+            vk::DescriptorSetLayoutBinding::default()
+                .binding(i)
+                .descriptor_type(kind)
+                .descriptor_count(1)
+                .stage_flags(vk::ShaderStageFlags::COMPUTE)
+        };
+        let bindings = [
+            binding(0, vk::DescriptorType::UNIFORM_BUFFER),
+            binding(1, vk::DescriptorType::SAMPLED_IMAGE),
+            binding(2, vk::DescriptorType::SAMPLED_IMAGE),
+            binding(3, vk::DescriptorType::SAMPLER),
+            binding(4, vk::DescriptorType::SAMPLED_IMAGE),
+            binding(5, vk::DescriptorType::STORAGE_BUFFER),
+            binding(6, vk::DescriptorType::STORAGE_BUFFER),
+        ];
+        let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
+        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes into an
+        // `Owned` that destroys it once.
+        let layout = unsafe { gpu.device.create_descriptor_set_layout(&info, None) }
+            .named("vkCreateDescriptorSetLayout")?;
+        let set_layout = Owned::new(&gpu, layout, |d, h| {
+            // SAFETY: see `Owned`.
+            unsafe { d.destroy_descriptor_set_layout(h, None) }
+        });
+        let layouts = [layout];
+        let info = vk::PipelineLayoutCreateInfo::default().set_layouts(&layouts);
+        // SAFETY: as above.
+        let handle =
+            unsafe { gpu.device.create_pipeline_layout(&info, None) }.named("vkCreatePipelineLayout")?;
+        let pipeline_layout = Owned::new(&gpu, handle, |d, h| {
+            // SAFETY: see `Owned`.
+            unsafe { d.destroy_pipeline_layout(h, None) }
+        });
+        let size = |kind, count| vk::DescriptorPoolSize { ty: kind, descriptor_count: count };
+        let sizes = [
+            size(vk::DescriptorType::UNIFORM_BUFFER, 1),
+            size(vk::DescriptorType::SAMPLED_IMAGE, 3),
+            size(vk::DescriptorType::SAMPLER, 1),
+            size(vk::DescriptorType::STORAGE_BUFFER, 2),
+        ];
+        let info = vk::DescriptorPoolCreateInfo::default().max_sets(1).pool_sizes(&sizes);
+        // SAFETY: as above.
+        let handle =
+            unsafe { gpu.device.create_descriptor_pool(&info, None) }.named("vkCreateDescriptorPool")?;
+        let descriptors = Owned::new(&gpu, handle, |d, h| {
+            // SAFETY: see `Owned`.
+            unsafe { d.destroy_descriptor_pool(h, None) }
+        });
+        let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(handle).set_layouts(&layouts);
+        // SAFETY: the pool has room for this one set.
+        let set = unsafe { gpu.device.allocate_descriptor_sets(&info) }.named("vkAllocateDescriptorSets")?[0];
+        let info = vk::SamplerCreateInfo::default()
+            .mag_filter(vk::Filter::LINEAR)
+            .min_filter(vk::Filter::LINEAR)
+            .address_mode_u(vk::SamplerAddressMode::CLAMP_TO_EDGE)
+            .address_mode_v(vk::SamplerAddressMode::CLAMP_TO_EDGE)
+            .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE);
+        // SAFETY: as above.
+        let handle = unsafe { gpu.device.create_sampler(&info, None) }.named("vkCreateSampler")?;
+        let sampler = Owned::new(&gpu, handle, |d, h| {
+            // SAFETY: see `Owned`.
+            unsafe { d.destroy_sampler(h, None) }
+        });
+        let info = vk::CommandPoolCreateInfo::default()
+            .queue_family_index(gpu.family)
+            .flags(vk::CommandPoolCreateFlags::TRANSIENT);
+        // SAFETY: as above.
+        let handle = unsafe { gpu.device.create_command_pool(&info, None) }.named("vkCreateCommandPool")?;
+        let pool = Owned::new(&gpu, handle, |d, h| {
+            // SAFETY: see `Owned`.
+            unsafe { d.destroy_command_pool(h, None) }
+        });
+        let info = vk::CommandBufferAllocateInfo::default()
+            .command_pool(handle)
+            .level(vk::CommandBufferLevel::PRIMARY)
+            .command_buffer_count(1);
+        // SAFETY: the pool is alive.
+        let commands =
+            unsafe { gpu.device.allocate_command_buffers(&info) }.named("vkAllocateCommandBuffers")?[0];
+        // SAFETY: as above.
+        let handle = unsafe { gpu.device.create_fence(&vk::FenceCreateInfo::default(), None) }
+            .named("vkCreateFence")?;
+        let fence = Owned::new(&gpu, handle, |d, h| {
+            // SAFETY: see `Owned`.
+            unsafe { d.destroy_fence(h, None) }
+        });
+        let queries = if gpu.timestamps.is_some() {
+            let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(2);
+            // SAFETY: as above.
+            let handle = unsafe { gpu.device.create_query_pool(&info, None) }.named("vkCreateQueryPool")?;
+            Some(Owned::new(&gpu, handle, |d, h| {
+                // SAFETY: see `Owned`.
+                unsafe { d.destroy_query_pool(h, None) }
+            }))
+        } else {
+            None
+        };
+        let setup = Buffer::new(
+            &gpu,
+            "frame setup",
+            size_of::<FrameSetup>() as u64,
+            vk::BufferUsageFlags::UNIFORM_BUFFER | vk::BufferUsageFlags::TRANSFER_DST,
+            MemoryLocation::GpuOnly,
+        )?;
+        let table_staging = Buffer::new(
+            &gpu,
+            "transfer table staging",
+            size_of::<StepTable>() as u64,
+            vk::BufferUsageFlags::TRANSFER_SRC | vk::BufferUsageFlags::TRANSFER_DST,
+            MemoryLocation::GpuOnly,
+        )?;
+        let table = Image::new(
+            &gpu,
+            "transfer table",
+            vk::ImageType::TYPE_2D,
+            [entire_core::scene::TABLE_LEN as u32, 1, 1],
+            vk::Format::R32G32B32A32_SFLOAT,
+        )?;
+        let engine = Self {
+            pipelines: HashMap::new(),
+            pipeline_layout,
+            _set_layout: set_layout,
+            _descriptors: descriptors,
+            set,
+            sampler,
+            pool,
+            commands,
+            fence,
+            queries,
+            setup,
+            table_staging,
+            table,
+            volume: None,
+            skip_map: None,
+            staging: None,
+            tile: None,
+            broken: false,
+            gpu,
+        };
+        engine.bind_buffer(0, vk::DescriptorType::UNIFORM_BUFFER, &engine.setup);
+        engine.bind_image(1, &engine.table);
+        let sampler = [vk::DescriptorImageInfo::default().sampler(engine.sampler.get())];
+        engine.write_descriptor(
+            vk::WriteDescriptorSet::default()
+                .dst_binding(3)
+                .descriptor_type(vk::DescriptorType::SAMPLER)
+                .image_info(&sampler),
+        );
+        Ok(engine)
+    }
+
+    pub(crate) fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
+    /// Makes the image behind `target`, unless it has this shape already. Its contents are undefined.
+    pub(crate) fn reserve(&mut self, target: Target, extent: [u32; 3], format: vk::Format) -> Result<()> {
+        self.recover()?;
+        let (slot, name, binding) = match target {
+            Target::Volume => (&mut self.volume, "volume texture", 2),
+            Target::SkipMap => (&mut self.skip_map, "skip map", 4),
+            Target::Table => return Err(Error::new("the transfer table is made once")),
+        };
+        if slot.as_ref().is_some_and(|i| i.extent == extent && i.format == format) {
+            return Ok(());
+        }
+        // The old one goes first: both may not fit.
+        *slot = None;
+        let [x, y, z] = extent;
+        let image = Image::new(&self.gpu, name, vk::ImageType::TYPE_3D, extent, format)
+            .map_err(|e| Error::new(format!("the {name} of {x} x {y} x {z} texels does not fit: {e}")))?;
+        self.bind_image(binding, &image);
+        match target {
+            Target::Volume => self.volume = Some(image),
+            _ => self.skip_map = Some(image),
+        }
+        Ok(())
+    }
+
+    /// Fills a reserved image slice by slice: `fill` gets the first slice of a run and the bytes to write.
+    pub(crate) fn copy_slices(&mut self, target: Target, fill: impl Fn(usize, &mut [u8])) -> Result<()> {
+        self.recover()?;
+        let image = match target {
+            Target::Volume => self.volume.as_ref(),
+            Target::SkipMap => self.skip_map.as_ref(),
+            Target::Table => None,
+        };
+        let Some(image) = image else { return Err(Error::new("the image to copy to was not reserved")) };
+        let [x, y, depth] = image.extent;
+        let slice = u64::from(x) * u64::from(y) * texel_bytes(image.format);
+        let per_copy = (STAGING_BYTES / slice).clamp(1, u64::from(depth)) as u32;
+        if self.staging.as_ref().is_none_or(|s| s.size() < slice * u64::from(per_copy)) {
+            self.staging = None;
+            self.staging = Some(Buffer::new(
+                &self.gpu,
+                "staging buffer",
+                slice * u64::from(per_copy),
+                vk::BufferUsageFlags::TRANSFER_SRC,
+                MemoryLocation::CpuToGpu,
+            )?);
+        }
+        let mut first = 0;
+        while first < depth {
+            let slices = per_copy.min(depth - first);
+            if let Some(staging) = &mut self.staging {
+                fill(first as usize, &mut staging.bytes_mut()?[..(slice * u64::from(slices)) as usize]);
+            }
+            self.submit("copy to the device", None, &record_slices(target, depth, first, slices))?;
+            first += slices;
+        }
+        // A large staging buffer is not kept for small later uses.
+        if self.staging.as_ref().is_some_and(|s| s.size() > STAGING_BYTES / 8) {
+            self.staging = None;
+        }
+        Ok(())
+    }
+
+    /// Casts the rays of a tile and waits for it.
+    pub(crate) fn cast(
+        &mut self,
+        pass: &str,
+        key: ShaderKey,
+        tile: Tile,
+        commands: &[Command],
+    ) -> Result<CastTile<'_>> {
+        self.recover()?;
+        let pixels = u64::from(tile.width) * u64::from(tile.height);
+        let counting = key.counting != 0;
+        self.reserve_tile(pixels, counting)?;
+        self.prepare_pipeline(key)?;
+        let pipeline = self.pipelines.get(&key).map(Owned::get);
+        self.submit(pass, pipeline, commands)?;
+        let seconds = self.read_seconds()?;
+        let Some(buffers) = &self.tile else { return Err(Error::new("no tile buffers")) };
+        let bytes = buffers.read_back.bytes()?;
+        let image_bytes = (pixels * IMAGE_BYTES) as usize;
+        let work_bytes = if counting { (pixels * WORK_BYTES) as usize } else { 0 };
+        let (image, rest) = bytes.split_at(image_bytes);
+        Ok(CastTile { seconds, image, work: &rest[..work_bytes] })
+    }
+
+    fn reserve_tile(&mut self, pixels: u64, counting: bool) -> Result<()> {
+        if self.tile.as_ref().is_some_and(|t| t.pixels >= pixels && t.counting >= counting) {
+            return Ok(());
+        }
+        self.tile = None;
+        let storage = vk::BufferUsageFlags::STORAGE_BUFFER | vk::BufferUsageFlags::TRANSFER_SRC;
+        let make = |name, bytes| Buffer::new(&self.gpu, name, bytes, storage, MemoryLocation::GpuOnly);
+        let image = make("image buffer", pixels * IMAGE_BYTES)?;
+        let work = if counting { Some(make("work counts", pixels * WORK_BYTES)?) } else { None };
+        let read_back = Buffer::new(
+            &self.gpu,
+            "read-back buffer",
+            pixels * (IMAGE_BYTES + if counting { WORK_BYTES } else { 0 }),
+            vk::BufferUsageFlags::TRANSFER_DST,
+            MemoryLocation::GpuToCpu,
+        )?;
+        self.bind_buffer(5, vk::DescriptorType::STORAGE_BUFFER, &image);
+        if let Some(work) = &work {
+            self.bind_buffer(6, vk::DescriptorType::STORAGE_BUFFER, work);
+        }
+        self.tile = Some(TileBuffers { pixels, counting, image, work, read_back });
+        Ok(())
+    }
+
+    fn prepare_pipeline(&mut self, key: ShaderKey) -> Result<()> {
+        if self.pipelines.contains_key(&key) {
+            return Ok(());
+        }
+        let wanted = [key.shading, key.skipping, key.fetch, key.counting];
+        let Some((_, bytes)) = SHADERS.iter().find(|(k, _)| *k == wanted) else {
+            return Err(Error::new(format!("there is no shader for {key:?}")));
+        };
+        let words: Vec<u32> =
+            bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        let info = vk::ShaderModuleCreateInfo::default().code(&words);
+        // SAFETY: `words` is a whole SPIR-V module made by the build script.
+        let handle =
+            unsafe { self.gpu.device.create_shader_module(&info, None) }.named("vkCreateShaderModule")?;
+        let module = Owned::new(&self.gpu, handle, |d, h| {
+            // SAFETY: see `Owned`.
+            unsafe { d.destroy_shader_module(h, None) }
+        });
+        let stage = vk::PipelineShaderStageCreateInfo::default()
+            .stage(vk::ShaderStageFlags::COMPUTE)
+            .module(module.get())
+            .name(c"main");
+        let info = vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.pipeline_layout.get());
+        // SAFETY: module and layout are alive, the entry point `main` exists and its bindings are those of the layout.
+        let made =
+            unsafe { self.gpu.device.create_compute_pipelines(vk::PipelineCache::null(), &[info], None) };
+        let handle = made.map_err(|(_, r)| r).named("vkCreateComputePipelines")?[0];
+        let pipeline = Owned::new(&self.gpu, handle, |d, h| {
+            // SAFETY: see `Owned`.
+            unsafe { d.destroy_pipeline(h, None) }
+        });
+        self.pipelines.insert(key, pipeline);
+        Ok(())
+    }
+
+    fn write_descriptor(&self, write: vk::WriteDescriptorSet<'_>) {
+        // SAFETY: nothing that uses the set is running (every submission is waited for), and the resource is alive.
+        unsafe { self.gpu.device.update_descriptor_sets(&[write.dst_set(self.set)], &[]) };
+    }
+
+    fn bind_image(&self, binding: u32, image: &Image) {
+        let info = [vk::DescriptorImageInfo::default()
+            .image_view(image.view())
+            .image_layout(vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL)];
+        self.write_descriptor(
+            vk::WriteDescriptorSet::default()
+                .dst_binding(binding)
+                .descriptor_type(vk::DescriptorType::SAMPLED_IMAGE)
+                .image_info(&info),
+        );
+    }
+
+    fn bind_buffer(&self, binding: u32, kind: vk::DescriptorType, buffer: &Buffer) {
+        let info = [vk::DescriptorBufferInfo::default().buffer(buffer.get()).range(vk::WHOLE_SIZE)];
+        self.write_descriptor(
+            vk::WriteDescriptorSet::default().dst_binding(binding).descriptor_type(kind).buffer_info(&info),
+        );
+    }
+
+    /// After a failed submission: waits until the device is idle, so that resources may be changed.
+    fn recover(&mut self) -> Result<()> {
+        if self.broken {
+            // SAFETY: the device is alive; the queue is used by this thread alone (`&mut self`).
+            unsafe { self.gpu.device.device_wait_idle() }.named("vkDeviceWaitIdle")?;
+            let fences = [self.fence.get()];
+            // SAFETY: the device is idle, so the fence is in no pending submission.
+            unsafe { self.gpu.device.reset_fences(&fences) }.named("vkResetFences")?;
+            self.broken = false;
+        }
+        Ok(())
+    }
+
+    /// Plays a recording and waits for its end.
+    fn submit(&mut self, pass: &str, pipeline: Option<vk::Pipeline>, commands: &[Command]) -> Result<()> {
+        self.broken = true;
+        self.try_submit(pipeline, commands)
+            .map_err(|e| Error::new(format!("{e} (last pass: {pass}, on {})", self.gpu.name)))?;
+        self.broken = false;
+        Ok(())
+    }
+
+    fn try_submit(&self, pipeline: Option<vk::Pipeline>, commands: &[Command]) -> Result<()> {
+        let device = &self.gpu.device;
+        // SAFETY: the one command buffer of the pool is not pending: every submission is waited for below, or
+        // `recover` has waited for the device.
+        unsafe { device.reset_command_pool(self.pool.get(), vk::CommandPoolResetFlags::empty()) }
+            .named("vkResetCommandPool")?;
+        let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+        // SAFETY: the command buffer is in its initial state.
+        unsafe { device.begin_command_buffer(self.commands, &begin) }.named("vkBeginCommandBuffer")?;
+        for command in commands {
+            self.play(pipeline, command)?;
+        }
+        // SAFETY: recording was begun above.
+        unsafe { device.end_command_buffer(self.commands) }.named("vkEndCommandBuffer")?;
+        let buffers = [self.commands];
+        let submit = [vk::SubmitInfo::default().command_buffers(&buffers)];
+        let fences = [self.fence.get()];
+        // SAFETY: the command buffer is complete, everything it uses is kept until the fence has signaled, the fence
+        // is unsignaled, and `&mut self` of the callers keeps other threads from the queue.
+        unsafe { device.queue_submit(self.gpu.queue, &submit, fences[0]) }.named("vkQueueSubmit")?;
+        // SAFETY: the fence was submitted above.
+        unsafe { device.wait_for_fences(&fences, true, u64::MAX) }.named("vkWaitForFences")?;
+        // SAFETY: the fence has signaled and is in no pending submission.
+        unsafe { device.reset_fences(&fences) }.named("vkResetFences")
+    }
+
+    fn image(&self, target: Target) -> Result<&Image> {
+        match target {
+            Target::Volume => self.volume.as_ref(),
+            Target::SkipMap => self.skip_map.as_ref(),
+            Target::Table => Some(&self.table),
+        }
+        .ok_or_else(|| Error::new("an image that a command names was not reserved"))
+    }
+
+    fn play(&self, pipeline: Option<vk::Pipeline>, command: &Command) -> Result<()> {
+        let device = &self.gpu.device;
+        let commands = self.commands;
+        // SAFETY: the command buffer is being recorded; every resource named by a command belongs to this engine and
+        // lives until the submission was waited for; ranges lie inside their buffers and images, because recordings
+        // are made from the same tile and image sizes that these were reserved with.
+        unsafe {
+            match command {
+                Command::WriteSetup(setup) => {
+                    device.cmd_update_buffer(commands, self.setup.get(), 0, bytemuck::bytes_of(&**setup));
+                }
+                Command::WriteTable(table) => {
+                    let bytes: &[u8] = bytemuck::cast_slice(table.as_slice());
+                    device.cmd_update_buffer(commands, self.table_staging.get(), 0, bytes);
+                }
+                Command::PrepareCopy { target, keep } => self.image_barrier(
+                    self.image(*target)?,
+                    if *keep { vk::ImageLayout::TRANSFER_DST_OPTIMAL } else { vk::ImageLayout::UNDEFINED },
+                    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                    (
+                        vk::PipelineStageFlags::COMPUTE_SHADER | vk::PipelineStageFlags::TRANSFER,
+                        vk::AccessFlags::TRANSFER_WRITE,
+                    ),
+                    (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
+                ),
+                Command::FinishCopy { target } => self.image_barrier(
+                    self.image(*target)?,
+                    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                    vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
+                    (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
+                    (vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_READ),
+                ),
+                Command::CopySlices { target, first_slice, slices } => {
+                    let image = self.image(*target)?;
+                    let Some(staging) = &self.staging else {
+                        return Err(Error::new("a copy without staging buffer"));
+                    };
+                    let [width, height, _] = image.extent;
+                    let region = copy_region(*first_slice, [width, height, *slices]);
+                    device.cmd_copy_buffer_to_image(
+                        commands,
+                        staging.get(),
+                        image.get(),
+                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                        &[region],
+                    );
+                }
+                Command::CopyTable => device.cmd_copy_buffer_to_image(
+                    commands,
+                    self.table_staging.get(),
+                    self.table.get(),
+                    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                    &[copy_region(0, self.table.extent)],
+                ),
+                Command::BufferBarrier(hazard) => {
+                    let (source, target) = barrier_masks(*hazard);
+                    let barrier =
+                        [vk::MemoryBarrier::default().src_access_mask(source.1).dst_access_mask(target.1)];
+                    device.cmd_pipeline_barrier(
+                        commands,
+                        source.0,
+                        target.0,
+                        vk::DependencyFlags::empty(),
+                        &barrier,
+                        &[],
+                        &[],
+                    );
+                }
+                Command::ResetTimestamps => {
+                    if let Some(queries) = &self.queries {
+                        device.cmd_reset_query_pool(commands, queries.get(), 0, 2);
+                    }
+                }
+                Command::Timestamp(index) => {
+                    if let Some(queries) = &self.queries {
+                        // At the bottom of the pipe: once all work recorded before is done.
+                        let stage = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
+                        device.cmd_write_timestamp(commands, stage, queries.get(), *index);
+                    }
+                }
+                Command::Dispatch { groups } => {
+                    let Some(pipeline) = pipeline else {
+                        return Err(Error::new("a dispatch without pipeline"));
+                    };
+                    let point = vk::PipelineBindPoint::COMPUTE;
+                    device.cmd_bind_pipeline(commands, point, pipeline);
+                    device.cmd_bind_descriptor_sets(
+                        commands,
+                        point,
+                        self.pipeline_layout.get(),
+                        0,
+                        &[self.set],
+                        &[],
+                    );
+                    device.cmd_dispatch(commands, groups[0], groups[1], 1);
+                }
+                Command::ReadBack { image_bytes, work_bytes } => {
+                    let Some(tile) = &self.tile else {
+                        return Err(Error::new("a read-back without tile buffers"));
+                    };
+                    let region = [vk::BufferCopy { src_offset: 0, dst_offset: 0, size: *image_bytes }];
+                    device.cmd_copy_buffer(commands, tile.image.get(), tile.read_back.get(), &region);
+                    if let (Some(work), 1..) = (&tile.work, *work_bytes) {
+                        let region =
+                            [vk::BufferCopy { src_offset: 0, dst_offset: *image_bytes, size: *work_bytes }];
+                        device.cmd_copy_buffer(commands, work.get(), tile.read_back.get(), &region);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Records a layout change of a whole image.
+    ///
+    /// # Safety
+    /// The command buffer is being recorded, and `old` is the image's layout by then (or undefined).
+    unsafe fn image_barrier(
+        &self,
+        image: &Image,
+        old: vk::ImageLayout,
+        new: vk::ImageLayout,
+        source: (vk::PipelineStageFlags, vk::AccessFlags),
+        target: (vk::PipelineStageFlags, vk::AccessFlags),
+    ) {
+        let barrier = [vk::ImageMemoryBarrier::default()
+            .image(image.get())
+            .old_layout(old)
+            .new_layout(new)
+            .src_access_mask(source.1)
+            .dst_access_mask(target.1)
+            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .subresource_range(COLOR_RANGE)];
+        // SAFETY: the caller's contract.
+        unsafe {
+            self.gpu.device.cmd_pipeline_barrier(
+                self.commands,
+                source.0,
+                target.0,
+                vk::DependencyFlags::empty(),
+                &[],
+                &[],
+                &barrier,
+            );
+        }
+    }
+
+    /// Seconds between the two timestamps of the last submission.
+    fn read_seconds(&self) -> Result<Option<f64>> {
+        let (Some(queries), Some(clock)) = (&self.queries, &self.gpu.timestamps) else { return Ok(None) };
+        let mut ticks = [0u64; 2];
+        // SAFETY: the submission that wrote both queries was waited for.
+        unsafe {
+            self.gpu.device.get_query_pool_results(
+                queries.get(),
+                0,
+                &mut ticks,
+                vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT,
+            )
+        }
+        .named("vkGetQueryPoolResults")?;
+        Ok(Some(clock.seconds(ticks[0], ticks[1])))
+    }
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        // SAFETY: the device is alive. An error means that the device is lost: then nothing runs on it.
+        let _ = unsafe { self.gpu.device.device_wait_idle() };
+    }
+}
+
+fn copy_region(first_slice: u32, extent: [u32; 3]) -> vk::BufferImageCopy {
+    vk::BufferImageCopy::default()
+        .image_subresource(vk::ImageSubresourceLayers {
+            aspect_mask: vk::ImageAspectFlags::COLOR,
+            mip_level: 0,
+            base_array_layer: 0,
+            layer_count: 1,
+        })
+        .image_offset(vk::Offset3D { x: 0, y: 0, z: first_slice as i32 })
+        .image_extent(vk::Extent3D { width: extent[0], height: extent[1], depth: extent[2] })
+}
+
+type Access = (vk::PipelineStageFlags, vk::AccessFlags);
+
+fn barrier_masks(hazard: Hazard) -> (Access, Access) {
+    let written = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
+    let transfer = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_READ);
+    let shader = vk::PipelineStageFlags::COMPUTE_SHADER;
+    match hazard {
+        Hazard::TransferToTransfer => (written, transfer),
+        Hazard::TransferToShader => {
+            (written, (shader, vk::AccessFlags::UNIFORM_READ | vk::AccessFlags::SHADER_READ))
+        }
+        Hazard::ShaderToTransfer => ((shader, vk::AccessFlags::SHADER_WRITE), transfer),
+        Hazard::TransferToHost => (written, (vk::PipelineStageFlags::HOST, vk::AccessFlags::HOST_READ)),
+    }
+}
+
+fn texel_bytes(format: vk::Format) -> u64 {
+    match format {
+        vk::Format::R8_UNORM | vk::Format::R8_UINT => 1,
+        vk::Format::R16_UNORM => 2,
+        vk::Format::R32G32B32A32_SFLOAT => 16,
+        _ => 4,
+    }
+}

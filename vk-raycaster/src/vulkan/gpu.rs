@@ -1,0 +1,449 @@
+//! Loader, instance, device, queue and allocator.
+
+use crate::renderer::{Error, Result};
+use ash::vk;
+use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
+use std::ffi::{CStr, c_void};
+use std::mem::ManuallyDrop;
+use std::sync::{Arc, Mutex, PoisonError};
+
+const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
+
+/// Which device, and whether under the validation layer.
+pub(crate) struct GpuOptions<'a> {
+    /// Part of a device's name, in any case, or its index among all devices.
+    pub(crate) device: Option<&'a str>,
+    pub(crate) validation: bool,
+}
+
+/// How device timestamps become seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct TimestampClock {
+    /// Significant bits of a timestamp, 1…64.
+    pub(crate) valid_bits: u32,
+    /// Nanoseconds per tick.
+    pub(crate) period: f64,
+}
+
+impl TimestampClock {
+    /// Seconds from one timestamp to a later one; the counter may have wrapped once in between.
+    pub(crate) fn seconds(&self, begin: u64, end: u64) -> f64 {
+        let mask = if self.valid_bits >= 64 { u64::MAX } else { (1 << self.valid_bits) - 1 };
+        let ticks = end.wrapping_sub(begin) & mask;
+        ticks as f64 * self.period * 1e-9
+    }
+}
+
+/// What the validation layer said.
+#[derive(Default)]
+struct Messages(Mutex<Vec<String>>);
+
+/// An open device. Everything made from it holds an `Arc` of it, so it goes last.
+pub(crate) struct Gpu {
+    pub(crate) instance: ash::Instance,
+    pub(crate) physical: vk::PhysicalDevice,
+    pub(crate) device: ash::Device,
+    pub(crate) queue: vk::Queue,
+    pub(crate) family: u32,
+    pub(crate) timestamps: Option<TimestampClock>,
+    pub(crate) limits: vk::PhysicalDeviceLimits,
+    /// Largest single allocation, bytes.
+    pub(crate) max_allocation: u64,
+    pub(crate) is_cpu: bool,
+    pub(crate) name: String,
+    pub(crate) driver: String,
+    pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
+    debug: Option<(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
+    messages: Arc<Messages>,
+    /// Keeps the loader's library open.
+    _entry: ash::Entry,
+}
+
+/// Makes an error of a failed Vulkan call.
+pub(crate) fn call_failed(call: &str, result: vk::Result) -> Error {
+    let remedy = match result {
+        vk::Result::ERROR_OUT_OF_DEVICE_MEMORY => {
+            "the device's memory is full: use a smaller volume or image, or close other programs that use the device"
+        }
+        vk::Result::ERROR_OUT_OF_HOST_MEMORY => {
+            "the host's memory is full: use a smaller volume or image, or close other programs"
+        }
+        vk::Result::ERROR_DEVICE_LOST => {
+            "the driver gave the device up, often because one dispatch ran too long: make a new renderer, with smaller tiles (ENTIRE_TILE) or a coarser step"
+        }
+        vk::Result::ERROR_INCOMPATIBLE_DRIVER | vk::Result::ERROR_INITIALIZATION_FAILED => {
+            "no working Vulkan driver was found: install one (Debian and Ubuntu: mesa-vulkan-drivers, which holds the software device llvmpipe too), or render on the CPU"
+        }
+        vk::Result::ERROR_LAYER_NOT_PRESENT => {
+            "install the validation layer (Debian and Ubuntu: vulkan-validationlayers) or switch validation off (ENTIRE_VALIDATION=0)"
+        }
+        _ => "update the graphics driver, choose another device (ENTIRE_DEVICE), or render on the CPU",
+    };
+    Error::new(format!("{call} failed with {result:?}; {remedy}"))
+}
+
+/// Maps the error of a Vulkan call, naming it.
+pub(crate) trait NamedCall<T> {
+    fn named(self, call: &str) -> Result<T>;
+}
+
+impl<T> NamedCall<T> for ash::prelude::VkResult<T> {
+    fn named(self, call: &str) -> Result<T> {
+        self.map_err(|r| call_failed(call, r))
+    }
+}
+
+impl Gpu {
+    pub(crate) fn open(options: &GpuOptions<'_>) -> Result<Self> {
+        // SAFETY: loading the Vulkan loader runs its initializers; it is the system's own library.
+        let entry = unsafe { ash::Entry::load() }.map_err(|e| {
+            Error::new(format!(
+                "the Vulkan loader could not be opened ({e}); install it with a driver (Debian and Ubuntu: libvulkan1 mesa-vulkan-drivers), or render on the CPU"
+            ))
+        })?;
+        let messages = Arc::<Messages>::default();
+        let mut instance = InstanceGuard(Some(create_instance(&entry, options.validation, &messages)?));
+        let raw = instance.get();
+
+        let debug = if options.validation {
+            let loader = ash::ext::debug_utils::Instance::new(&entry, raw);
+            let info = messenger_info(&messages);
+            // SAFETY: the instance was made with VK_EXT_debug_utils; `messages` is shared and outlives the messenger.
+            let messenger = unsafe { loader.create_debug_utils_messenger(&info, None) }
+                .named("vkCreateDebugUtilsMessengerEXT")?;
+            Some((loader, messenger))
+        } else {
+            None
+        };
+
+        let chosen = match choose_device(raw, options.device) {
+            Ok(chosen) => chosen,
+            Err(e) => {
+                destroy_messenger(debug.as_ref());
+                return Err(e);
+            }
+        };
+        let device = match create_device(raw, &chosen) {
+            Ok(device) => device,
+            Err(e) => {
+                destroy_messenger(debug.as_ref());
+                return Err(e);
+            }
+        };
+        let allocator = Allocator::new(&AllocatorCreateDesc {
+            instance: raw.clone(),
+            device: device.clone(),
+            physical_device: chosen.physical,
+            debug_settings: Default::default(),
+            buffer_device_address: false,
+            allocation_sizes: Default::default(),
+        });
+        let allocator = match allocator {
+            Ok(allocator) => allocator,
+            Err(e) => {
+                // SAFETY: the device was made above and nothing was made from it.
+                unsafe { device.destroy_device(None) };
+                destroy_messenger(debug.as_ref());
+                return Err(Error::new(format!("the device's memory allocator could not start: {e}")));
+            }
+        };
+        // SAFETY: the family index is the one that the device was made with, and it has one queue.
+        let queue = unsafe { device.get_device_queue(chosen.family, 0) };
+        Ok(Self {
+            instance: instance.take(),
+            physical: chosen.physical,
+            device,
+            queue,
+            family: chosen.family,
+            timestamps: chosen.timestamps,
+            limits: chosen.limits,
+            max_allocation: chosen.max_allocation,
+            is_cpu: chosen.kind == vk::PhysicalDeviceType::CPU,
+            name: chosen.name,
+            driver: chosen.driver,
+            allocator: ManuallyDrop::new(Mutex::new(allocator)),
+            debug,
+            messages,
+            _entry: entry,
+        })
+    }
+
+    /// What the validation layer has said so far, warnings and errors.
+    pub(crate) fn messages(&self) -> Vec<String> {
+        self.messages.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Whether optimally tiled images of a format can be sampled, and with a linear filter.
+    pub(crate) fn sampling(&self, format: vk::Format) -> (bool, bool) {
+        // SAFETY: the physical device belongs to this instance.
+        let properties =
+            unsafe { self.instance.get_physical_device_format_properties(self.physical, format) };
+        let found = properties.optimal_tiling_features;
+        (
+            found.contains(vk::FormatFeatureFlags::SAMPLED_IMAGE | vk::FormatFeatureFlags::TRANSFER_DST),
+            found.contains(vk::FormatFeatureFlags::SAMPLED_IMAGE_FILTER_LINEAR),
+        )
+    }
+}
+
+impl Drop for Gpu {
+    fn drop(&mut self) {
+        // SAFETY: everything made from the device holds an `Arc` of this and is gone. The allocator is dropped once,
+        // here, before its device; the instance goes last.
+        unsafe {
+            // A lost device cannot be waited for, and nothing runs on it any more.
+            let _ = self.device.device_wait_idle();
+            ManuallyDrop::drop(&mut self.allocator);
+            self.device.destroy_device(None);
+            destroy_messenger(self.debug.as_ref());
+            self.instance.destroy_instance(None);
+        }
+    }
+}
+
+/// Destroys the instance when opening fails half-way.
+struct InstanceGuard(Option<ash::Instance>);
+
+impl InstanceGuard {
+    fn get(&self) -> &ash::Instance {
+        self.0.as_ref().expect("only `take` empties it")
+    }
+
+    fn take(&mut self) -> ash::Instance {
+        self.0.take().expect("taken once")
+    }
+}
+
+impl Drop for InstanceGuard {
+    fn drop(&mut self) {
+        if let Some(instance) = &self.0 {
+            // SAFETY: devices and messengers made from it were destroyed by whoever returned early.
+            unsafe { instance.destroy_instance(None) };
+        }
+    }
+}
+
+fn destroy_messenger(debug: Option<&(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>) {
+    if let Some((loader, messenger)) = debug {
+        // SAFETY: made from the same loader, destroyed once, while the instance still exists.
+        unsafe { loader.destroy_debug_utils_messenger(*messenger, None) };
+    }
+}
+
+fn messenger_info(messages: &Arc<Messages>) -> vk::DebugUtilsMessengerCreateInfoEXT<'_> {
+    vk::DebugUtilsMessengerCreateInfoEXT::default()
+        .message_severity(
+            vk::DebugUtilsMessageSeverityFlagsEXT::ERROR | vk::DebugUtilsMessageSeverityFlagsEXT::WARNING,
+        )
+        .message_type(
+            vk::DebugUtilsMessageTypeFlagsEXT::GENERAL
+                | vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
+                | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
+        )
+        .pfn_user_callback(Some(on_message))
+        .user_data(Arc::as_ptr(messages).cast_mut().cast())
+}
+
+unsafe extern "system" fn on_message(
+    _severity: vk::DebugUtilsMessageSeverityFlagsEXT,
+    _kind: vk::DebugUtilsMessageTypeFlagsEXT,
+    data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
+    user: *mut c_void,
+) -> vk::Bool32 {
+    // SAFETY: `user` is the shared `Messages` given at creation, which outlives the messenger; it is shared, not
+    // mutated but through its lock. `data` and its text are valid for the length of the call.
+    unsafe {
+        if let (Some(messages), Some(data)) = (user.cast::<Messages>().as_ref(), data.as_ref()) {
+            let text = data.message_as_c_str().map(CStr::to_string_lossy).unwrap_or_default();
+            messages.0.lock().unwrap_or_else(PoisonError::into_inner).push(text.into_owned());
+        }
+    }
+    vk::FALSE
+}
+
+fn create_instance(entry: &ash::Entry, validation: bool, messages: &Arc<Messages>) -> Result<ash::Instance> {
+    // SAFETY: plain query on a loaded entry.
+    let version = unsafe { entry.try_enumerate_instance_version() }
+        .named("vkEnumerateInstanceVersion")?
+        .unwrap_or(vk::API_VERSION_1_0);
+    if version < vk::API_VERSION_1_1 {
+        return Err(Error::new(
+            "the Vulkan loader is of version 1.0, at least 1.1 is needed; update it (Debian and Ubuntu: libvulkan1), or render on the CPU",
+        ));
+    }
+    let application = vk::ApplicationInfo::default()
+        .application_name(c"entire")
+        .engine_name(c"entire-vk-raycaster")
+        .api_version(vk::API_VERSION_1_1);
+    let layers = if validation { vec![VALIDATION_LAYER.as_ptr()] } else { vec![] };
+    let extensions = if validation {
+        vec![ash::ext::debug_utils::NAME.as_ptr(), ash::ext::validation_features::NAME.as_ptr()]
+    } else {
+        vec![]
+    };
+    let enabled = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
+    let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&enabled);
+    // Also hears what the layer says of the instance's own creation and destruction.
+    let mut messenger = messenger_info(messages);
+    let mut info = vk::InstanceCreateInfo::default()
+        .application_info(&application)
+        .enabled_layer_names(&layers)
+        .enabled_extension_names(&extensions);
+    if validation {
+        info = info.push_next(&mut features).push_next(&mut messenger);
+    }
+    // SAFETY: all pointers in `info` live until the call returns.
+    unsafe { entry.create_instance(&info, None) }.named("vkCreateInstance")
+}
+
+struct ChosenDevice {
+    physical: vk::PhysicalDevice,
+    kind: vk::PhysicalDeviceType,
+    family: u32,
+    timestamps: Option<TimestampClock>,
+    limits: vk::PhysicalDeviceLimits,
+    max_allocation: u64,
+    name: String,
+    driver: String,
+}
+
+/// The device that was asked for, else the first of the best kind.
+fn choose_device(instance: &ash::Instance, wanted: Option<&str>) -> Result<ChosenDevice> {
+    // SAFETY: the instance is alive.
+    let all = unsafe { instance.enumerate_physical_devices() }.named("vkEnumeratePhysicalDevices")?;
+    let mut usable: Vec<(usize, ChosenDevice)> = all
+        .iter()
+        .enumerate()
+        .filter_map(|(i, &physical)| Some((i, describe_device(instance, physical)?)))
+        .collect();
+    let names = usable.iter().map(|(i, d)| format!("{i}: {}", d.name)).collect::<Vec<_>>().join(", ");
+    if usable.is_empty() {
+        return Err(Error::new(
+            "no Vulkan 1.1 device with a compute queue was found; install a driver (Debian and Ubuntu: mesa-vulkan-drivers, which holds the software device llvmpipe too), or render on the CPU",
+        ));
+    }
+    let position = match wanted {
+        None => {
+            let ranks: Vec<_> = usable.iter().map(|(_, d)| rank(d.kind)).collect();
+            let best = ranks.iter().copied().min().unwrap_or_default();
+            ranks.iter().position(|&r| r == best)
+        }
+        Some(wanted) => {
+            let lower = wanted.to_lowercase();
+            let index = wanted.parse::<usize>().ok();
+            usable
+                .iter()
+                .position(|(i, _)| Some(*i) == index)
+                .or_else(|| usable.iter().position(|(_, d)| d.name.to_lowercase().contains(&lower)))
+        }
+    };
+    match position {
+        Some(p) => Ok(usable.swap_remove(p).1),
+        None => Err(Error::new(format!(
+            "no Vulkan device has the index or a name with {:?} in it; there are: {names}",
+            wanted.unwrap_or_default()
+        ))),
+    }
+}
+
+fn rank(kind: vk::PhysicalDeviceType) -> u32 {
+    match kind {
+        vk::PhysicalDeviceType::DISCRETE_GPU => 0,
+        vk::PhysicalDeviceType::INTEGRATED_GPU => 1,
+        vk::PhysicalDeviceType::VIRTUAL_GPU => 2,
+        vk::PhysicalDeviceType::CPU => 3,
+        _ => 4,
+    }
+}
+
+/// A device's properties, if it can run compute shaders under Vulkan 1.1.
+fn describe_device(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Option<ChosenDevice> {
+    // SAFETY: `physical` was enumerated from `instance`.
+    let (core, families) = unsafe {
+        (
+            instance.get_physical_device_properties(physical),
+            instance.get_physical_device_queue_family_properties(physical),
+        )
+    };
+    if core.api_version < vk::API_VERSION_1_1 {
+        return None;
+    }
+    let family = families.iter().position(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE))?;
+    let mut maintenance = vk::PhysicalDeviceMaintenance3Properties::default();
+    let mut driver = vk::PhysicalDeviceDriverProperties::default();
+    let mut properties = vk::PhysicalDeviceProperties2::default().push_next(&mut maintenance);
+    let has_driver_properties = core.api_version >= vk::API_VERSION_1_2;
+    if has_driver_properties {
+        properties = properties.push_next(&mut driver);
+    }
+    // SAFETY: as above; the chained structures are known to the device's version.
+    unsafe { instance.get_physical_device_properties2(physical, &mut properties) };
+    let limits = core.limits;
+    let valid_bits = families[family].timestamp_valid_bits;
+    let period = f64::from(limits.timestamp_period);
+    let timestamps = (valid_bits > 0 && period > 0.0).then_some(TimestampClock { valid_bits, period });
+    let text = |c: Option<&CStr>| c.map(|c| c.to_string_lossy().into_owned()).unwrap_or_default();
+    let driver = if has_driver_properties {
+        let (name, info) =
+            (text(driver.driver_name_as_c_str().ok()), text(driver.driver_info_as_c_str().ok()));
+        format!("{name} {info}").trim().to_owned()
+    } else {
+        format!("driver version {:#x}", core.driver_version)
+    };
+    Some(ChosenDevice {
+        physical,
+        kind: core.device_type,
+        family: u32::try_from(family).ok()?,
+        timestamps,
+        limits,
+        max_allocation: maintenance.max_memory_allocation_size,
+        name: text(core.device_name_as_c_str().ok()),
+        driver,
+    })
+}
+
+fn create_device(instance: &ash::Instance, chosen: &ChosenDevice) -> Result<ash::Device> {
+    let priorities = [1.0];
+    let queues = [vk::DeviceQueueCreateInfo::default()
+        .queue_family_index(chosen.family)
+        .queue_priorities(&priorities)];
+    let info = vk::DeviceCreateInfo::default().queue_create_infos(&queues);
+    // SAFETY: the family exists and has at least one queue; all pointers live until the call returns.
+    unsafe { instance.create_device(chosen.physical, &info, None) }.named("vkCreateDevice")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn timestamps_are_masked_and_scaled() {
+        let clock = TimestampClock { valid_bits: 36, period: 52.08 };
+        assert!((clock.seconds(1000, 3000) - 2000.0 * 52.08e-9).abs() < 1e-15);
+        // The counter wrapped, and the bits above the valid ones are garbage.
+        let begin = (0xabc << 36) | ((1 << 36) - 10);
+        let end = (0xdef << 36) | 5;
+        assert!((clock.seconds(begin, end) - 15.0 * 52.08e-9).abs() < 1e-15);
+        let full = TimestampClock { valid_bits: 64, period: 1.0 };
+        assert_eq!(full.seconds(u64::MAX, 9), 10e-9);
+    }
+
+    #[test]
+    fn errors_name_the_call_the_result_and_the_remedy() {
+        let text = call_failed("vkQueueSubmit", vk::Result::ERROR_DEVICE_LOST).to_string();
+        assert!(
+            text.contains("vkQueueSubmit")
+                && text.contains("ERROR_DEVICE_LOST")
+                && text.contains("ENTIRE_TILE")
+        );
+        let text = call_failed("vkCreateInstance", vk::Result::ERROR_LAYER_NOT_PRESENT).to_string();
+        assert!(text.contains("vulkan-validationlayers"));
+    }
+
+    #[test]
+    fn real_devices_come_first() {
+        use vk::PhysicalDeviceType as T;
+        let order = [T::DISCRETE_GPU, T::INTEGRATED_GPU, T::VIRTUAL_GPU, T::CPU, T::OTHER];
+        assert!(order.windows(2).all(|w| rank(w[0]) < rank(w[1])));
+    }
+}

@@ -1,0 +1,324 @@
+//! The ray caster on Vulkan.
+
+#[allow(unsafe_code, reason = "calls into Vulkan")]
+mod engine;
+#[allow(unsafe_code, reason = "calls into Vulkan")]
+mod gpu;
+mod recording;
+#[allow(unsafe_code, reason = "calls into Vulkan")]
+mod resources;
+mod upload;
+
+use crate::blocks::{BlockMap, SkipMap};
+use crate::clock::Stopwatch;
+use crate::renderer::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts};
+use crate::setup::FrameSetup;
+use crate::table::Classifier;
+use crate::voxels::{Geometry, PreparedVolume};
+use engine::{Engine, ShaderKey};
+use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
+use gpu::{Gpu, GpuOptions};
+use recording::{IMAGE_BYTES, Target, WORK_BYTES, record_tile, tiles};
+use std::sync::Arc;
+
+/// A dispatch that takes longer than this makes the tiles of its shading mode smaller.
+const LONG_DISPATCH_SECONDS: f64 = 0.5;
+
+/// The smallest edge that tiles shrink to.
+const SMALLEST_TILE: u32 = 64;
+
+/// Where the shader gets voxels from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum VoxelFetch {
+    /// A 3-D texture through a sampler that interpolates: fastest on GPUs.
+    Sampler,
+    /// Eight texels of a 3-D texture, interpolated by the shader in 32 bits.
+    Texels,
+    /// Two texels that hold four neighboring voxels each, interpolated by the shader: fastest on software devices;
+    /// bytes only, four times the memory.
+    Packed,
+}
+
+/// How to open a [`VulkanRaycaster`].
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct VulkanOptions {
+    /// Part of the device's name, in any case, or its index. `None` takes the best: discrete, then integrated,
+    /// virtual, CPU.
+    pub device: Option<String>,
+    /// Run under the Khronos validation layer with synchronization validation.
+    pub validation: bool,
+    /// Where voxels come from. `None` takes what is fastest on the device.
+    pub fetch: Option<VoxelFetch>,
+    /// Count rays, samples, skips and shaded samples (a variant of the shader; times are a little longer).
+    pub count_work: bool,
+    /// Edge of the tiles that large images are cut into, in pixels. `None` is 1024.
+    pub tile: Option<u32>,
+}
+
+impl VulkanOptions {
+    /// Reads `ENTIRE_DEVICE`, `ENTIRE_VALIDATION` (1 or 0) and `ENTIRE_TILE` (pixels); what is not set is the default.
+    ///
+    /// # Errors
+    /// When a variable holds something else.
+    pub fn from_env() -> Result<Self> {
+        Self::from_variables(|name| std::env::var(name).ok())
+    }
+
+    fn from_variables(get: impl Fn(&str) -> Option<String>) -> Result<Self> {
+        let validation = match get("ENTIRE_VALIDATION").as_deref() {
+            None | Some("" | "0") => false,
+            Some("1") => true,
+            Some(other) => {
+                return Err(Error::new(format!("ENTIRE_VALIDATION is {other:?}; it must be 1 or 0")));
+            }
+        };
+        let tile = match get("ENTIRE_TILE").as_deref() {
+            None | Some("") => None,
+            Some(text) => match text.parse::<u32>() {
+                Ok(edge) if (8..=16384).contains(&edge) => Some(edge),
+                _ => {
+                    return Err(Error::new(format!("ENTIRE_TILE is {text:?}; it must be 8…16384 pixels")));
+                }
+            },
+        };
+        let device = get("ENTIRE_DEVICE").filter(|d| !d.is_empty());
+        Ok(Self { device, validation, tile, ..Self::default() })
+    }
+}
+
+/// The Vulkan renderer: a compute shader that renders the picture that the crate documentation defines.
+///
+/// With [`VoxelFetch::Texels`] and [`VoxelFetch::Packed`] it follows the twin in every operation; a sampler
+/// interpolates with the device's precision.
+pub struct VulkanRaycaster {
+    engine: Engine,
+    options: VulkanOptions,
+    volume: Option<DeviceVolume>,
+    classifier: Option<Classifier>,
+    /// The step whose table is on the device; `None` when there is none of the present transfer function.
+    table_step: Option<f32>,
+    has_skip_map: bool,
+    /// Edge of the tiles for each shading mode.
+    tile: [u32; 3],
+}
+
+/// What the host keeps of a volume that is on the device.
+struct DeviceVolume {
+    geometry: Geometry,
+    blocks: BlockMap,
+    fetch: VoxelFetch,
+}
+
+impl VulkanRaycaster {
+    /// Opens a device.
+    ///
+    /// # Errors
+    /// When there is no Vulkan loader, no driver or no such device; says what to install or to choose from.
+    pub fn new(options: VulkanOptions) -> Result<Self> {
+        let gpu =
+            Gpu::open(&GpuOptions { device: options.device.as_deref(), validation: options.validation })?;
+        let groups = gpu.limits.max_compute_work_group_count;
+        let pixels = u64::from(gpu.limits.max_storage_buffer_range) / WORK_BYTES;
+        let largest = (groups[0].min(groups[1]).saturating_mul(recording::GROUP_EDGE))
+            .min(pixels.isqrt().try_into().unwrap_or(u32::MAX));
+        let edge = options.tile.unwrap_or(1024).clamp(recording::GROUP_EDGE, largest);
+        Ok(Self {
+            engine: Engine::new(Arc::new(gpu))?,
+            options,
+            volume: None,
+            classifier: None,
+            table_step: None,
+            has_skip_map: false,
+            tile: [edge; 3],
+        })
+    }
+
+    /// What the validation layer has said so far; empty without validation.
+    pub fn validation_messages(&self) -> Vec<String> {
+        self.engine.gpu().messages()
+    }
+
+    /// Whether frames have device times.
+    pub fn has_timestamps(&self) -> bool {
+        self.engine.gpu().timestamps.is_some()
+    }
+
+    /// Whether the device is a CPU in truth (llvmpipe, SwiftShader).
+    pub fn is_software(&self) -> bool {
+        self.engine.gpu().is_cpu
+    }
+
+    /// Where voxels of the present volume come from.
+    pub fn fetch(&self) -> Option<VoxelFetch> {
+        self.volume.as_ref().map(|v| v.fetch)
+    }
+
+    /// Switches the counting of work on or off.
+    pub fn set_count_work(&mut self, on: bool) {
+        self.options.count_work = on;
+    }
+
+    /// Brings the empty blocks of the present volume and transfer function onto the device.
+    fn update_skip_map(&mut self, preparation: &mut Preparation) -> Result<()> {
+        self.has_skip_map = false;
+        if let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) {
+            let watch = Stopwatch::start();
+            let mut map = SkipMap::occupancy(&volume.blocks, classifier);
+            preparation.occupancy = Some(watch.wall());
+            let watch = Stopwatch::start();
+            map.add_distances();
+            preparation.distance_map = Some(watch.wall());
+            let watch = Stopwatch::start();
+            let dims = map.dims.map(|n| n as u32);
+            self.engine.reserve(Target::SkipMap, dims, ash::vk::Format::R8_UINT)?;
+            let slice = map.dims[0] * map.dims[1];
+            self.engine.copy_slices(Target::SkipMap, |first, out| {
+                out.copy_from_slice(&map.bytes[first * slice..][..out.len()]);
+            })?;
+            preparation.upload = Some(preparation.upload.unwrap_or(0.0) + watch.wall());
+            self.has_skip_map = true;
+        }
+        Ok(())
+    }
+}
+
+impl Renderer for VulkanRaycaster {
+    fn device(&self) -> String {
+        let gpu = self.engine.gpu();
+        if gpu.driver.is_empty() { gpu.name.clone() } else { format!("{}, {}", gpu.name, gpu.driver) }
+    }
+
+    fn backend(&self) -> &'static str {
+        "vulkan"
+    }
+
+    fn set_volume(&mut self, view: &VolumeView<'_>) -> Result<Preparation> {
+        let all = Stopwatch::start();
+        let mut preparation = Preparation::default();
+        upload::check_size(self.engine.gpu(), view.dims())?;
+        let prepared = PreparedVolume::new(view);
+        let plan = upload::plan(self.engine.gpu(), &prepared, self.options.fetch)?;
+        self.volume = None;
+        self.has_skip_map = false;
+        let dims = prepared.geometry.dims;
+        self.engine.reserve(Target::Volume, dims.map(|n| n as u32), plan.format)?;
+        self.engine.copy_slices(Target::Volume, |first, out| {
+            upload::fill_slices(&prepared, &plan, first, out);
+        })?;
+        preparation.upload = Some(all.wall());
+        let watch = Stopwatch::start();
+        let blocks = BlockMap::new(&prepared);
+        preparation.block_map = Some(watch.wall());
+        let mut geometry = prepared.geometry;
+        geometry.scale *= plan.unit;
+        self.volume = Some(DeviceVolume { geometry, blocks, fetch: plan.fetch });
+        self.update_skip_map(&mut preparation)?;
+        preparation.wall = all.wall();
+        Ok(preparation)
+    }
+
+    fn set_transfer(&mut self, table: &TransferTable) -> Result<Preparation> {
+        let all = Stopwatch::start();
+        let mut preparation = Preparation::default();
+        self.classifier = Some(Classifier::new(table));
+        self.table_step = None;
+        self.update_skip_map(&mut preparation)?;
+        preparation.wall = all.wall();
+        Ok(preparation)
+    }
+
+    fn render(&mut self, frame: &Frame) -> Result<Rendered> {
+        let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) else {
+            let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
+            return Err(Error::new(format!("nothing to render: no {missing} was set")));
+        };
+        if !self.has_skip_map {
+            return Err(Error::new(
+                "nothing to render: the last change of volume or transfer function failed; set it again",
+            ));
+        }
+        let watch = Stopwatch::start();
+        let setup = FrameSetup::new(&volume.geometry, volume.blocks.dims, frame);
+        let class = shading_index(frame.shading());
+        let key = ShaderKey {
+            shading: class as u32,
+            skipping: match frame.skipping() {
+                Skipping::None => 0,
+                Skipping::Blocks => 1,
+                _ => 2,
+            },
+            fetch: volume.fetch as u32,
+            counting: u32::from(self.options.count_work),
+        };
+        let mut table = (self.table_step != Some(frame.step())).then(|| classifier.step_table(frame.step()));
+        self.table_step = None;
+        let (width, height) = (frame.width(), frame.height());
+        let mut rgba = vec![0; width as usize * height as usize * IMAGE_BYTES as usize];
+        let mut counts = WorkCounts::default();
+        let mut device = self.has_timestamps().then_some(0.0);
+        let cut = tiles(width, height, self.tile[class]);
+        for (i, &tile) in cut.iter().enumerate() {
+            let timestamps = device.is_some();
+            let commands =
+                record_tile(&setup, tile, table.take().as_deref(), timestamps, self.options.count_work);
+            let pass = format!("ray casting, tile {} of {}", i + 1, cut.len());
+            let tile_watch = Stopwatch::start();
+            let done = self.engine.cast(&pass, key, tile, &commands)?;
+            device = device.zip(done.seconds).map(|(sum, s)| sum + s);
+            if done.seconds.unwrap_or_else(|| tile_watch.wall()) > LONG_DISPATCH_SECONDS {
+                self.tile[class] = (self.tile[class] / 2).max(SMALLEST_TILE.min(self.tile[class]));
+            }
+            let row_bytes = tile.width as usize * 4;
+            for (y, row) in done.image.chunks_exact(row_bytes).enumerate() {
+                let start = ((tile.y as usize + y) * width as usize + tile.x as usize) * 4;
+                rgba[start..start + row_bytes].copy_from_slice(row);
+            }
+            for pixel in done.work.chunks_exact(WORK_BYTES as usize) {
+                let number = |i: usize| {
+                    u64::from(u32::from_le_bytes([pixel[i], pixel[i + 1], pixel[i + 2], pixel[i + 3]]))
+                };
+                counts.rays += number(0);
+                counts.samples += number(4);
+                counts.skips += number(8);
+                counts.shaded += number(12);
+            }
+        }
+        self.table_step = Some(frame.step());
+        let time = FrameTime { device, wall: watch.wall(), cpu: watch.cpu() };
+        Ok(Rendered {
+            image: Image { width, height, rgba },
+            time,
+            counts: self.options.count_work.then_some(counts),
+        })
+    }
+}
+
+fn shading_index(shading: Shading) -> usize {
+    match shading {
+        Shading::None => 0,
+        Shading::Scatter => 2,
+        _ => 1,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn environment_variables_are_read_and_checked() {
+        let read = |pairs: &[(&str, &str)]| {
+            VulkanOptions::from_variables(|name| {
+                pairs.iter().find(|(n, _)| *n == name).map(|(_, v)| (*v).to_owned())
+            })
+        };
+        assert_eq!(read(&[]).unwrap(), VulkanOptions::default());
+        let o =
+            read(&[("ENTIRE_DEVICE", "llvm"), ("ENTIRE_VALIDATION", "1"), ("ENTIRE_TILE", "256")]).unwrap();
+        assert_eq!((o.device.as_deref(), o.validation, o.tile), (Some("llvm"), true, Some(256)));
+        assert!(read(&[("ENTIRE_VALIDATION", "yes")]).unwrap_err().to_string().contains("\"yes\""));
+        for bad in ["0", "7", "big", "-8", "99999"] {
+            assert!(read(&[("ENTIRE_TILE", bad)]).is_err());
+        }
+    }
+}

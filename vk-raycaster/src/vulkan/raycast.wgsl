@@ -1,0 +1,295 @@
+// The ray caster. src/cpu.rs is its twin: same names, same operations in the same order. The crate documentation
+// defines the picture.
+
+// Lines that start with # are directives of build.rs, which makes one module per mode:
+// SHADING   0 none, 1 local, 2 scatter
+// SKIPPING  0 none, 1 blocks, 2 distance
+// FETCH     where voxels come from: 0 sampler, 1 eight texels, 2 two texels of four packed bytes
+// COUNTING  1 to count the work of each pixel
+
+const SMALLEST_ADVANCE: f32 = 1e-9;
+const FAR: f32 = 3.0e38;
+const BLOCK_EDGE: f32 = 8.0;
+const EMPTY_BIT: u32 = 128u;
+const SHADOW_STEP: u32 = 2u;
+const SHADOW_TERMINATION: f32 = 0.25;
+
+struct FrameSetup {
+    eye: vec3<f32>,
+    pixel_width: f32,
+    forward: vec3<f32>,
+    pixel_height: f32,
+    right: vec3<f32>,
+    termination: f32,
+    up: vec3<f32>,
+    jitter: u32,
+    advance: vec3<f32>,
+    scale: f32,
+    dims: vec3<f32>,
+    bias: f32,
+    gradient_scale: vec3<f32>,
+    tile_y: u32,
+    light: vec3<f32>,
+    tile_x: u32,
+    light_inverse: vec3<f32>,
+    tile_width: u32,
+    tile_height: u32,
+    pad_a: u32,
+    pad_b: u32,
+    pad_c: u32,
+    blocks: vec3<u32>,
+    pad_end: u32,
+}
+
+@group(0) @binding(0) var<uniform> setup: FrameSetup;
+@group(0) @binding(1) var table: texture_2d<f32>;
+#if FETCH == 2
+@group(0) @binding(2) var volume: texture_3d<u32>;
+#else
+@group(0) @binding(2) var volume: texture_3d<f32>;
+#endif
+#if FETCH == 0
+@group(0) @binding(3) var volume_sampler: sampler;
+#endif
+#if SKIPPING != 0
+@group(0) @binding(4) var skip_map: texture_3d<u32>;
+#endif
+@group(0) @binding(5) var<storage, read_write> image: array<u32>;
+#if COUNTING == 1
+@group(0) @binding(6) var<storage, read_write> work: array<vec4<u32>>;
+#endif
+
+struct Segment {
+    empty: bool,
+    end: f32,
+}
+
+struct Counts {
+    samples: u32,
+    skips: u32,
+    shaded: u32,
+}
+
+var<private> counts: Counts;
+
+fn jitter(x: u32, y: u32) -> f32 {
+    var h = (x * 0x9e3779b1u) ^ (y * 0x85ebca77u);
+    h = (h ^ (h >> 15u)) * 0x2c1b3c6du;
+    h = (h ^ (h >> 12u)) * 0x297a2d39u;
+    h = h ^ (h >> 15u);
+    return f32(h >> 8u) * (1.0 / 16777216.0);
+}
+
+// The run of samples from k on that are treated alike.
+fn segment(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, count: f32) -> Segment {
+#if SKIPPING == 0
+    return Segment(false, count);
+#else
+    let cell = floor(min(max(first + k * advance - 0.5, vec3<f32>(0.0)), setup.dims - 1.0));
+    let block = vec3<u32>(cell) >> vec3<u32>(3u);
+    let entry = textureLoad(skip_map, vec3<i32>(block), 0).x;
+    let empty = (entry & EMPTY_BIT) != 0u;
+    var distance = f32(entry & 127u);
+#if SKIPPING == 1
+    distance = select(distance, 1.0, empty);
+#endif
+    let corner = vec3<f32>(block);
+    let ahead = (corner + distance) * BLOCK_EDGE + 0.5;
+    let behind = (corner - distance + 1.0) * BLOCK_EDGE + 0.5;
+    let face = select(behind, ahead, advance > vec3<f32>(0.0));
+    let t = (face - first) * inverse;
+    let exit = min(min(t.x, t.y), t.z);
+    return Segment(empty, min(max(ceil(exit - 1e-3), k + 1.0), count));
+#endif
+}
+
+fn mix1(a: f32, b: f32, f: f32) -> f32 {
+    return a + f * (b - a);
+}
+
+// The table position (0…255) of the volume at p.
+fn position(p: vec3<f32>) -> f32 {
+#if FETCH == 0
+    let value = textureSampleLevel(volume, volume_sampler, p / setup.dims, 0.0).x;
+#else
+    let last = setup.dims - 1.0;
+    let q = min(max(p - 0.5, vec3<f32>(0.0)), last);
+    let cell = floor(q);
+    let f = q - cell;
+    let low = vec3<i32>(cell);
+    let high = min(low + 1, vec3<i32>(last));
+#if FETCH == 1
+    let v000 = textureLoad(volume, low, 0).x;
+    let v100 = textureLoad(volume, vec3<i32>(high.x, low.y, low.z), 0).x;
+    let v010 = textureLoad(volume, vec3<i32>(low.x, high.y, low.z), 0).x;
+    let v110 = textureLoad(volume, vec3<i32>(high.x, high.y, low.z), 0).x;
+    let v001 = textureLoad(volume, vec3<i32>(low.x, low.y, high.z), 0).x;
+    let v101 = textureLoad(volume, vec3<i32>(high.x, low.y, high.z), 0).x;
+    let v011 = textureLoad(volume, vec3<i32>(low.x, high.y, high.z), 0).x;
+    let v111 = textureLoad(volume, high, 0).x;
+#else
+    // A word holds the voxels (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1) of one slice.
+    let near = textureLoad(volume, low, 0).x;
+    let far = textureLoad(volume, vec3<i32>(low.x, low.y, high.z), 0).x;
+    let v000 = f32(near & 255u);
+    let v100 = f32((near >> 8u) & 255u);
+    let v010 = f32((near >> 16u) & 255u);
+    let v110 = f32(near >> 24u);
+    let v001 = f32(far & 255u);
+    let v101 = f32((far >> 8u) & 255u);
+    let v011 = f32((far >> 16u) & 255u);
+    let v111 = f32(far >> 24u);
+#endif
+    let near_slice = mix1(mix1(v000, v100, f.x), mix1(v010, v110, f.x), f.y);
+    let far_slice = mix1(mix1(v001, v101, f.x), mix1(v011, v111, f.x), f.y);
+    let value = mix1(near_slice, far_slice, f.z);
+#endif
+    return min(max(value * setup.scale + setup.bias, 0.0), 255.0);
+}
+
+// Color and opacity at a table position.
+fn classify(position: f32) -> vec4<f32> {
+    let i = floor(min(position, 254.0));
+    let f = position - i;
+    let index = i32(i);
+    let a = textureLoad(table, vec2<i32>(index, 0), 0);
+    let b = textureLoad(table, vec2<i32>(index + 1, 0), 0);
+    return a + f * (b - a);
+}
+
+#if SHADING == 1
+// Blinn–Phong with a head light.
+fn light(p: vec3<f32>, view: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
+    let x = (position(p + vec3<f32>(1.0, 0.0, 0.0)) - position(p - vec3<f32>(1.0, 0.0, 0.0))) * setup.gradient_scale.x;
+    let y = (position(p + vec3<f32>(0.0, 1.0, 0.0)) - position(p - vec3<f32>(0.0, 1.0, 0.0))) * setup.gradient_scale.y;
+    let z = (position(p + vec3<f32>(0.0, 0.0, 1.0)) - position(p - vec3<f32>(0.0, 0.0, 1.0))) * setup.gradient_scale.z;
+    let square = x * x + y * y + z * z;
+    if square < 1e-6 {
+        return color;
+    }
+    let cosine = min(abs(x * view.x + y * view.y + z * view.z) / sqrt(square), 1.0);
+    let diffuse = 0.3 + 0.7 * cosine;
+    let c2 = cosine * cosine;
+    let c4 = c2 * c2;
+    let c8 = c4 * c4;
+    let c16 = c8 * c8;
+    let specular = 0.2 * (c16 * c16);
+    return min(color * diffuse + specular, vec3<f32>(1.0));
+}
+#endif
+
+#if SHADING == 2
+// Single scattering with a shadow ray towards the light.
+fn scatter(p: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
+    let face = select(vec3<f32>(0.0), setup.dims, setup.light > vec3<f32>(0.0));
+    let t = (face - p) * setup.light_inverse;
+    let count = ceil(min(min(t.x, t.y), t.z));
+    var transmittance = 1.0;
+    var k = 1.0;
+    while k < count {
+        let run = segment(p, setup.light, setup.light_inverse, k, count);
+        if run.empty {
+            counts.skips += 1u;
+            k = run.end;
+        } else {
+            loop {
+                counts.samples += 1u;
+                let clear = 1.0 - classify(position(p + k * setup.light)).w;
+                for (var i = 0u; i < SHADOW_STEP; i++) {
+                    transmittance *= clear;
+                }
+                k += 1.0;
+                if transmittance < SHADOW_TERMINATION {
+                    k = count;
+                }
+                continuing {
+                    break if !(k < run.end);
+                }
+            }
+        }
+    }
+    let lit = 0.25 + 0.75 * transmittance;
+    return color * lit;
+}
+#endif
+
+fn trace(pixel: vec2<u32>) -> vec4<f32> {
+    let u = (f32(pixel.x) + 0.5) * setup.pixel_width - 1.0;
+    let v = 1.0 - (f32(pixel.y) + 0.5) * setup.pixel_height;
+    let d = setup.forward + u * setup.right + v * setup.up;
+    let length = sqrt(d.x * d.x + d.y * d.y + d.z * d.z);
+    let direction = d / length;
+    let product = direction * setup.advance;
+    let advance = select(product, vec3<f32>(SMALLEST_ADVANCE), abs(product) < vec3<f32>(SMALLEST_ADVANCE));
+    let inverse = 1.0 / advance;
+    let near = (vec3<f32>(0.0) - setup.eye) * inverse;
+    let far = (setup.dims - setup.eye) * inverse;
+    let closer = min(near, far);
+    let farther = max(near, far);
+    let enter = max(max(max(closer.x, closer.y), closer.z), 0.0);
+    let exit = min(min(farther.x, farther.y), farther.z);
+    var sum = vec4<f32>(0.0);
+    if exit <= enter {
+        return vec4<f32>(-1.0);
+    }
+    var offset = 0.5;
+    if setup.jitter != 0u {
+        offset = jitter(pixel.x, pixel.y);
+    }
+    let start = enter + offset;
+    let first = setup.eye + start * advance;
+    let count = ceil(exit - start);
+    var k = 0.0;
+    while k < count {
+        let run = segment(first, advance, inverse, k, count);
+        if run.empty {
+            counts.skips += 1u;
+            k = run.end;
+        } else {
+            loop {
+                let p = first + k * advance;
+                counts.samples += 1u;
+                let found = classify(position(p));
+                k += 1.0;
+                if found.w > 0.0 {
+                    var color = found.xyz;
+#if SHADING == 1
+                    color = light(p, direction, color);
+#endif
+#if SHADING == 2
+                    color = scatter(p, color);
+#endif
+#if SHADING != 0
+                    counts.shaded += 1u;
+#endif
+                    let weight = (1.0 - sum.w) * found.w;
+                    sum += weight * vec4<f32>(color, 1.0);
+                    if sum.w >= setup.termination {
+                        k = count;
+                    }
+                }
+                continuing {
+                    break if !(k < run.end);
+                }
+            }
+        }
+    }
+    return sum;
+}
+
+// Eight by eight pixels in Morton order: eight neighboring invocations cover 4 × 2 pixels.
+@compute @workgroup_size(64)
+fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let x = group.x * 8u + ((lane & 1u) | ((lane >> 1u) & 2u) | ((lane >> 2u) & 4u));
+    let y = group.y * 8u + (((lane >> 1u) & 1u) | ((lane >> 2u) & 2u) | ((lane >> 3u) & 4u));
+    if x < setup.tile_width && y < setup.tile_height {
+        let sum = trace(vec2<u32>(setup.tile_x + x, setup.tile_y + y));
+        let hit = sum.w >= 0.0;
+        let bytes = vec4<u32>(min(max(sum, vec4<f32>(0.0)), vec4<f32>(1.0)) * 255.0 + 0.5);
+        let index = y * setup.tile_width + x;
+        image[index] = bytes.x | (bytes.y << 8u) | (bytes.z << 16u) | (bytes.w << 24u);
+#if COUNTING == 1
+        work[index] = vec4<u32>(u32(hit), counts.samples, counts.skips, counts.shaded);
+#endif
+    }
+}

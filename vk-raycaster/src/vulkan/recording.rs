@@ -1,0 +1,208 @@
+//! What a submission does, as plain data that can be looked at without a device. The engine plays it.
+
+use crate::setup::FrameSetup;
+use crate::table::StepTable;
+
+/// Pixels along the edge of a workgroup.
+pub(crate) const GROUP_EDGE: u32 = 8;
+
+/// Bytes per pixel of the image and of the work counts.
+pub(crate) const IMAGE_BYTES: u64 = 4;
+pub(crate) const WORK_BYTES: u64 = 16;
+
+/// The resources that commands name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Target {
+    Volume,
+    SkipMap,
+    Table,
+}
+
+/// One step of a submission.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Command {
+    /// Writes the uniform block.
+    WriteSetup(Box<FrameSetup>),
+    /// Writes the step table into its staging buffer on the device.
+    WriteTable(Box<StepTable>),
+    /// Makes an image ready to be copied to; what it held is lost unless `keep`.
+    PrepareCopy { target: Target, keep: bool },
+    /// Copies slices `first_slice…` of the volume or skip map from the staging buffer.
+    CopySlices { target: Target, first_slice: u32, slices: u32 },
+    /// Copies the table's staging buffer to its image.
+    CopyTable,
+    /// Makes a copied image ready to be sampled by the shader.
+    FinishCopy { target: Target },
+    /// Makes earlier writes to buffers visible to the copy or shader that follows.
+    BufferBarrier(Hazard),
+    /// Clears the two timestamps.
+    ResetTimestamps,
+    /// Writes timestamp 0 (before) or 1 (after the work so far).
+    Timestamp(u32),
+    /// Casts the rays of the tile.
+    Dispatch { groups: [u32; 2] },
+    /// Copies the image, and the work counts if there are any, to the buffer that the host reads.
+    ReadBack { image_bytes: u64, work_bytes: u64 },
+}
+
+/// Between which accesses a buffer barrier stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Hazard {
+    /// A transfer wrote what a transfer reads.
+    TransferToTransfer,
+    /// A transfer wrote what the shader reads.
+    TransferToShader,
+    /// The shader wrote what a transfer reads.
+    ShaderToTransfer,
+    /// A transfer wrote what the host reads.
+    TransferToHost,
+}
+
+/// A rectangle of the image, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Tile {
+    pub(crate) x: u32,
+    pub(crate) y: u32,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+}
+
+/// Cuts an image into tiles of at most `edge` × `edge` pixels, row by row.
+pub(crate) fn tiles(width: u32, height: u32, edge: u32) -> Vec<Tile> {
+    let mut out = Vec::new();
+    let mut y = 0;
+    while y < height {
+        let mut x = 0;
+        while x < width {
+            out.push(Tile { x, y, width: edge.min(width - x), height: edge.min(height - y) });
+            x += edge;
+        }
+        y += edge;
+    }
+    out
+}
+
+/// Records one tile of a frame. A table comes along when the step or the transfer function changed.
+pub(crate) fn record_tile(
+    setup: &FrameSetup,
+    tile: Tile,
+    table: Option<&StepTable>,
+    timestamps: bool,
+    counting: bool,
+) -> Vec<Command> {
+    let mut setup = *setup;
+    (setup.tile_x, setup.tile_y) = (tile.x, tile.y);
+    (setup.tile_width, setup.tile_height) = (tile.width, tile.height);
+    let mut commands = vec![];
+    if timestamps {
+        commands.push(Command::ResetTimestamps);
+    }
+    commands.push(Command::WriteSetup(Box::new(setup)));
+    if let Some(table) = table {
+        commands.extend([
+            Command::WriteTable(Box::new(*table)),
+            Command::BufferBarrier(Hazard::TransferToTransfer),
+            Command::PrepareCopy { target: Target::Table, keep: false },
+            Command::CopyTable,
+            Command::FinishCopy { target: Target::Table },
+        ]);
+    }
+    commands.push(Command::BufferBarrier(Hazard::TransferToShader));
+    if timestamps {
+        commands.push(Command::Timestamp(0));
+    }
+    commands.push(Command::Dispatch {
+        groups: [tile.width.div_ceil(GROUP_EDGE), tile.height.div_ceil(GROUP_EDGE)],
+    });
+    if timestamps {
+        commands.push(Command::Timestamp(1));
+    }
+    let pixels = u64::from(tile.width) * u64::from(tile.height);
+    commands.extend([
+        Command::BufferBarrier(Hazard::ShaderToTransfer),
+        Command::ReadBack {
+            image_bytes: pixels * IMAGE_BYTES,
+            work_bytes: if counting { pixels * WORK_BYTES } else { 0 },
+        },
+        Command::BufferBarrier(Hazard::TransferToHost),
+    ]);
+    commands
+}
+
+/// Records the copy of some slices of a volume or skip map out of the staging buffer.
+pub(crate) fn record_slices(target: Target, depth: u32, first_slice: u32, slices: u32) -> Vec<Command> {
+    let mut commands = vec![Command::PrepareCopy { target, keep: first_slice > 0 }];
+    commands.push(Command::CopySlices { target, first_slice, slices });
+    // Only a whole image may be sampled; until then it stays a copy target.
+    if first_slice + slices == depth {
+        commands.push(Command::FinishCopy { target });
+    }
+    commands
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_cover_every_pixel_once() {
+        for (w, h, edge) in [(1, 1, 8), (100, 7, 32), (64, 64, 64), (65, 129, 64), (8192, 8192, 1024)] {
+            let tiles = tiles(w, h, edge);
+            let area: u64 = tiles.iter().map(|t| u64::from(t.width) * u64::from(t.height)).sum();
+            assert_eq!(area, u64::from(w) * u64::from(h));
+            assert!(
+                tiles
+                    .iter()
+                    .all(|t| t.width <= edge && t.height <= edge && t.x % edge == 0 && t.y % edge == 0)
+            );
+            assert!(tiles.iter().all(|t| t.x + t.width <= w && t.y + t.height <= h));
+        }
+    }
+
+    fn position(commands: &[Command], find: impl Fn(&Command) -> bool) -> usize {
+        commands.iter().position(find).unwrap_or_else(|| panic!("missing in {commands:?}"))
+    }
+
+    #[test]
+    fn a_tile_writes_before_it_casts_and_reads_back_after() {
+        let setup: FrameSetup = bytemuck::Zeroable::zeroed();
+        let tile = Tile { x: 16, y: 32, width: 33, height: 9 };
+        let table = [[0.0; 4]; 256];
+        let c = record_tile(&setup, tile, Some(&table), true, true);
+        let write =
+            position(&c, |c| matches!(c, Command::WriteSetup(s) if s.tile_x == 16 && s.tile_height == 9));
+        let copied = position(&c, |c| *c == Command::FinishCopy { target: Target::Table });
+        let ready = position(&c, |c| *c == Command::BufferBarrier(Hazard::TransferToShader));
+        let begin = position(&c, |c| *c == Command::Timestamp(0));
+        let cast = position(&c, |c| *c == Command::Dispatch { groups: [5, 2] });
+        let end = position(&c, |c| *c == Command::Timestamp(1));
+        let wait = position(&c, |c| *c == Command::BufferBarrier(Hazard::ShaderToTransfer));
+        let read =
+            position(&c, |c| *c == Command::ReadBack { image_bytes: 33 * 9 * 4, work_bytes: 33 * 9 * 16 });
+        let host = position(&c, |c| *c == Command::BufferBarrier(Hazard::TransferToHost));
+        assert_eq!(c[0], Command::ResetTimestamps);
+        assert!(write < copied && copied < ready && ready < begin && begin < cast && cast < end);
+        assert!(end < wait && wait < read && read < host && host == c.len() - 1);
+    }
+
+    #[test]
+    fn without_clock_table_and_counts_nothing_is_recorded_for_them() {
+        let setup: FrameSetup = bytemuck::Zeroable::zeroed();
+        let c = record_tile(&setup, Tile { x: 0, y: 0, width: 8, height: 8 }, None, false, false);
+        assert!(
+            !c.iter()
+                .any(|c| matches!(c, Command::Timestamp(_) | Command::ResetTimestamps | Command::CopyTable))
+        );
+        assert!(c.contains(&Command::ReadBack { image_bytes: 256, work_bytes: 0 }));
+    }
+
+    #[test]
+    fn only_a_whole_image_becomes_readable() {
+        let finishes = |c: &[Command]| c.contains(&Command::FinishCopy { target: Target::Volume });
+        let first = record_slices(Target::Volume, 10, 0, 6);
+        let last = record_slices(Target::Volume, 10, 6, 4);
+        assert!(!finishes(&first) && finishes(&last));
+        assert!(first.contains(&Command::PrepareCopy { target: Target::Volume, keep: false }));
+        assert!(last.contains(&Command::PrepareCopy { target: Target::Volume, keep: true }));
+    }
+}

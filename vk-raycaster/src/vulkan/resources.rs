@@ -1,0 +1,229 @@
+//! Device objects that free themselves.
+
+use super::gpu::{Gpu, NamedCall};
+use crate::renderer::{Error, Result};
+use ash::vk;
+use gpu_allocator::MemoryLocation;
+use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
+use std::sync::{Arc, PoisonError};
+
+/// A handle that destroys itself. Whoever holds one makes sure that the device no longer uses it when it drops.
+pub(crate) struct Owned<T: Copy> {
+    gpu: Arc<Gpu>,
+    handle: T,
+    destroy: fn(&ash::Device, T),
+}
+
+impl<T: Copy> Owned<T> {
+    pub(crate) fn new(gpu: &Arc<Gpu>, handle: T, destroy: fn(&ash::Device, T)) -> Self {
+        Self { gpu: Arc::clone(gpu), handle, destroy }
+    }
+
+    pub(crate) fn get(&self) -> T {
+        self.handle
+    }
+}
+
+impl<T: Copy> Drop for Owned<T> {
+    fn drop(&mut self) {
+        (self.destroy)(&self.gpu.device, self.handle);
+    }
+}
+
+fn allocate(
+    gpu: &Gpu,
+    name: &str,
+    requirements: vk::MemoryRequirements,
+    location: MemoryLocation,
+    linear: bool,
+) -> Result<Allocation> {
+    if requirements.size > gpu.max_allocation {
+        return Err(Error::new(format!(
+            "the {name} needs {} bytes, {} allocates at most {} at once; use a smaller volume or image",
+            requirements.size, gpu.name, gpu.max_allocation
+        )));
+    }
+    gpu.allocator
+        .lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .allocate(&AllocationCreateDesc {
+            name,
+            requirements,
+            location,
+            linear,
+            allocation_scheme: AllocationScheme::GpuAllocatorManaged,
+        })
+        .map_err(|e| {
+            Error::new(format!(
+                "no memory for the {name}, {} bytes, on {}: {e}; use a smaller volume or image, or close other programs that use the device",
+                requirements.size, gpu.name
+            ))
+        })
+}
+
+/// Frees an allocation. A failure could only be a foreign allocation, which cannot happen here.
+fn free(gpu: &Gpu, allocation: Option<Allocation>) {
+    if let Some(allocation) = allocation {
+        let _ = gpu.allocator.lock().unwrap_or_else(PoisonError::into_inner).free(allocation);
+    }
+}
+
+/// A buffer with its memory.
+pub(crate) struct Buffer {
+    gpu: Arc<Gpu>,
+    buffer: vk::Buffer,
+    allocation: Option<Allocation>,
+    size: u64,
+}
+
+impl Buffer {
+    pub(crate) fn new(
+        gpu: &Arc<Gpu>,
+        name: &str,
+        size: u64,
+        usage: vk::BufferUsageFlags,
+        location: MemoryLocation,
+    ) -> Result<Self> {
+        let info =
+            vk::BufferCreateInfo::default().size(size).usage(usage).sharing_mode(vk::SharingMode::EXCLUSIVE);
+        // SAFETY: the device is alive; the size is not 0.
+        let buffer = unsafe { gpu.device.create_buffer(&info, None) }.named("vkCreateBuffer")?;
+        let mut this = Self { gpu: Arc::clone(gpu), buffer, allocation: None, size };
+        // SAFETY: the buffer was made from this device.
+        let requirements = unsafe { gpu.device.get_buffer_memory_requirements(buffer) };
+        let allocation = allocate(gpu, name, requirements, location, true)?;
+        // SAFETY: the allocation was made for this buffer's requirements and is bound once.
+        let bound =
+            unsafe { gpu.device.bind_buffer_memory(buffer, allocation.memory(), allocation.offset()) };
+        this.allocation = Some(allocation);
+        bound.named("vkBindBufferMemory")?;
+        Ok(this)
+    }
+
+    pub(crate) fn get(&self) -> vk::Buffer {
+        self.buffer
+    }
+
+    pub(crate) fn size(&self) -> u64 {
+        self.size
+    }
+
+    /// The bytes, where the host sees them.
+    pub(crate) fn bytes(&self) -> Result<&[u8]> {
+        self.allocation
+            .as_ref()
+            .and_then(Allocation::mapped_slice)
+            .map(|s| &s[..self.size as usize])
+            .ok_or_else(|| Error::new("a buffer that the host reads is not mapped; this is a driver fault"))
+    }
+
+    /// The bytes, to write.
+    pub(crate) fn bytes_mut(&mut self) -> Result<&mut [u8]> {
+        let size = self.size as usize;
+        self.allocation
+            .as_mut()
+            .and_then(Allocation::mapped_slice_mut)
+            .map(|s| &mut s[..size])
+            .ok_or_else(|| Error::new("a buffer that the host writes is not mapped; this is a driver fault"))
+    }
+}
+
+impl Drop for Buffer {
+    fn drop(&mut self) {
+        // SAFETY: made from this device, destroyed once; the holder makes sure that the device is done with it.
+        unsafe { self.gpu.device.destroy_buffer(self.buffer, None) };
+        free(&self.gpu, self.allocation.take());
+    }
+}
+
+/// A sampled image with its memory and a view of all of it.
+pub(crate) struct Image {
+    gpu: Arc<Gpu>,
+    image: vk::Image,
+    view: vk::ImageView,
+    allocation: Option<Allocation>,
+    pub(crate) extent: [u32; 3],
+    pub(crate) format: vk::Format,
+}
+
+impl Image {
+    /// A 2-D or 3-D image that is copied to and sampled from.
+    pub(crate) fn new(
+        gpu: &Arc<Gpu>,
+        name: &str,
+        kind: vk::ImageType,
+        extent: [u32; 3],
+        format: vk::Format,
+    ) -> Result<Self> {
+        let info = vk::ImageCreateInfo::default()
+            .image_type(kind)
+            .format(format)
+            .extent(vk::Extent3D { width: extent[0], height: extent[1], depth: extent[2] })
+            .mip_levels(1)
+            .array_layers(1)
+            .samples(vk::SampleCountFlags::TYPE_1)
+            .tiling(vk::ImageTiling::OPTIMAL)
+            .usage(vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST)
+            .sharing_mode(vk::SharingMode::EXCLUSIVE)
+            .initial_layout(vk::ImageLayout::UNDEFINED);
+        // SAFETY: the caller has checked extent and format against the device.
+        let image = unsafe { gpu.device.create_image(&info, None) }.named("vkCreateImage")?;
+        let mut this = Self {
+            gpu: Arc::clone(gpu),
+            image,
+            view: vk::ImageView::null(),
+            allocation: None,
+            extent,
+            format,
+        };
+        // SAFETY: the image was made from this device.
+        let requirements = unsafe { gpu.device.get_image_memory_requirements(image) };
+        let allocation = allocate(gpu, name, requirements, MemoryLocation::GpuOnly, false)?;
+        // SAFETY: the allocation was made for this image's requirements and is bound once.
+        let bound = unsafe { gpu.device.bind_image_memory(image, allocation.memory(), allocation.offset()) };
+        this.allocation = Some(allocation);
+        bound.named("vkBindImageMemory")?;
+        let view_type = if kind == vk::ImageType::TYPE_3D {
+            vk::ImageViewType::TYPE_3D
+        } else {
+            vk::ImageViewType::TYPE_2D
+        };
+        let info = vk::ImageViewCreateInfo::default()
+            .image(image)
+            .view_type(view_type)
+            .format(format)
+            .subresource_range(COLOR_RANGE);
+        // SAFETY: the image is bound and its format and kind are those of the view.
+        this.view = unsafe { gpu.device.create_image_view(&info, None) }.named("vkCreateImageView")?;
+        Ok(this)
+    }
+
+    pub(crate) fn get(&self) -> vk::Image {
+        self.image
+    }
+
+    pub(crate) fn view(&self) -> vk::ImageView {
+        self.view
+    }
+}
+
+impl Drop for Image {
+    fn drop(&mut self) {
+        // SAFETY: made from this device, destroyed once (destroying a null view does nothing); the holder makes sure
+        // that the device is done with it.
+        unsafe {
+            self.gpu.device.destroy_image_view(self.view, None);
+            self.gpu.device.destroy_image(self.image, None);
+        }
+        free(&self.gpu, self.allocation.take());
+    }
+}
+
+/// The one mip level and layer that every image here has.
+pub(crate) const COLOR_RANGE: vk::ImageSubresourceRange = vk::ImageSubresourceRange {
+    aspect_mask: vk::ImageAspectFlags::COLOR,
+    base_mip_level: 0,
+    level_count: 1,
+    base_array_layer: 0,
+    layer_count: 1,
+};

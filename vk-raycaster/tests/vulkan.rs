@@ -1,0 +1,337 @@
+//! The Vulkan renderer against its CPU twin, under the validation layer where that is installed. Where no Vulkan
+//! device exists every test is reported as ignored.
+
+mod common;
+
+use common::{constant, field_bytes, field_voxels, frame, medium, opaque, transparent};
+use entire_core::scene::{Frame, Scalars, Shading, Skipping, TransferTable, VolumeView};
+use entire_vk_raycaster::{CpuRaycaster, Renderer, VoxelFetch, VulkanOptions, VulkanRaycaster, WorkCounts};
+use libtest_mimic::{Arguments, Failed, Trial};
+
+/// Largest difference of a channel between device and twin, of 255.
+const LARGEST: u8 = 2;
+/// Largest mean difference over all channels, of 255.
+const MEAN: f64 = 0.1;
+
+type Outcome = Result<(), Failed>;
+type Test = (&'static str, fn() -> Outcome);
+
+fn open(options: VulkanOptions) -> Result<VulkanRaycaster, Failed> {
+    let environment = VulkanOptions::from_env()?;
+    Ok(VulkanRaycaster::new(VulkanOptions { device: environment.device, ..options })?)
+}
+
+/// Under validation where the layer is installed.
+fn open_validated(fetch: Option<VoxelFetch>) -> Result<VulkanRaycaster, Failed> {
+    let options = |validation| VulkanOptions { validation, fetch, count_work: true, ..Default::default() };
+    open(options(true)).or_else(|_| open(options(false)))
+}
+
+fn expect_silence(gpu: &VulkanRaycaster) -> Outcome {
+    let messages = gpu.validation_messages();
+    if messages.is_empty() { Ok(()) } else { Err(format!("validation: {}", messages.join("\n")).into()) }
+}
+
+struct Scene {
+    name: &'static str,
+    frame: Frame,
+    table: TransferTable,
+}
+
+/// Cameras, sizes, steps, transfer functions; the modes are run through by the tests.
+fn scenes() -> Vec<Scene> {
+    let mut all = vec![];
+    let mut add = |name, frame: Frame, table| all.push(Scene { name, frame, table });
+    add("transparent", frame(20.0, 35.0, 3.0, 61, 47), transparent());
+    add("medium", frame(-40.0, 120.0, 2.5, 61, 47), medium());
+    add("opaque", frame(70.0, -20.0, 3.0, 61, 47), opaque());
+    add("axis-aligned", frame(0.0, 0.0, 3.0, 32, 32), medium());
+    add("from above", frame(90.0, 0.0, 2.0, 33, 31), medium());
+    add("half step", frame(10.0, 200.0, 2.5, 40, 30).with_step(0.5).unwrap(), medium());
+    add("triple step", frame(10.0, 200.0, 2.5, 40, 30).with_step(3.0).unwrap(), medium());
+    add("inside", frame(15.0, 45.0, 0.3, 50, 38), medium());
+    add("at the center", frame(0.0, 10.0, 1e-4, 24, 24), transparent());
+    add("one pixel", frame(5.0, 5.0, 2.0, 1, 1), medium());
+    add("one row", frame(5.0, 5.0, 2.0, 37, 1), medium());
+    add("no termination", frame(30.0, 30.0, 2.5, 40, 40).with_termination(1.0).unwrap(), opaque());
+    add("early termination", frame(30.0, 30.0, 2.5, 40, 40).with_termination(0.5).unwrap(), opaque());
+    add("jitter", frame(30.0, 30.0, 2.5, 40, 40).with_jitter(true), medium());
+    add("invisible", frame(30.0, 30.0, 2.5, 40, 40), constant(0.0));
+    add("solid", frame(30.0, 30.0, 2.5, 40, 40), constant(1.0));
+    add("misses", frame(0.0, 0.0, 800.0, 9, 9), medium());
+    all
+}
+
+/// The voxels of a test volume in each scalar type.
+struct Data {
+    dims: [usize; 3],
+    bytes: Vec<u8>,
+    words: Vec<u16>,
+    signed: Vec<i16>,
+    floats: Vec<f32>,
+}
+
+impl Data {
+    fn new(dims: [usize; 3]) -> Self {
+        let floats = field_voxels(dims);
+        Self {
+            dims,
+            bytes: field_bytes(dims),
+            words: floats.iter().map(|v| (v * 60000.0) as u16 + 1000).collect(),
+            signed: floats.iter().map(|v| (v * 4000.0 - 1000.0) as i16).collect(),
+            floats,
+        }
+    }
+
+    fn views(&self) -> Vec<(&'static str, VolumeView<'_>)> {
+        [
+            ("u8", Scalars::U8(&self.bytes)),
+            ("u16", Scalars::U16(&self.words)),
+            ("i16", Scalars::I16(&self.signed)),
+            ("f32", Scalars::F32(&self.floats)),
+        ]
+        .map(|(name, s)| {
+            let view = VolumeView::new(s, self.dims).unwrap().with_spacing([1.0, 1.4, 0.8]).unwrap();
+            (name, view)
+        })
+        .to_vec()
+    }
+}
+
+/// Differences between two images, of 255: largest of a channel and mean.
+fn difference(a: &[u8], b: &[u8]) -> (u8, f64) {
+    assert_eq!(a.len(), b.len());
+    let largest = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).max().unwrap_or(0);
+    let sum: u64 = a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+    (largest, sum as f64 / a.len() as f64)
+}
+
+const SHADINGS: [Shading; 3] = [Shading::None, Shading::Local, Shading::Scatter];
+const SKIPPINGS: [Skipping; 3] = [Skipping::None, Skipping::Blocks, Skipping::Distance];
+
+/// Device against twin over all scenes and modes for one way to fetch voxels.
+fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
+    let mut gpu = open_validated(Some(fetch))?;
+    let mut twin = CpuRaycaster::new();
+    let exact = fetch != VoxelFetch::Sampler && gpu.is_software();
+    let data = Data::new([37, 53, 29]);
+    for (kind, view) in data.views().into_iter().take(if bytes_only { 1 } else { 4 }) {
+        gpu.set_volume(&view)?;
+        twin.set_volume(&view)?;
+        // One type runs through all scenes, the others through the first few.
+        for scene in scenes().into_iter().take(if kind == "u8" { usize::MAX } else { 3 }) {
+            gpu.set_transfer(&scene.table)?;
+            twin.set_transfer(&scene.table)?;
+            for shading in SHADINGS {
+                for skipping in SKIPPINGS {
+                    let frame = scene.frame.with_shading(shading).with_skipping(skipping);
+                    let name = format!("{kind}, {}, {}, {}", scene.name, shading.name(), skipping.name());
+                    let (a, b) = (gpu.render(&frame)?, twin.render(&frame)?);
+                    let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
+                    if largest > LARGEST || mean > MEAN {
+                        return Err(
+                            format!("{name}: differs by up to {largest}/255, mean {mean:.3}/255").into()
+                        );
+                    }
+                    let counts = (a.counts.ok_or("no counts")?, b.counts.ok_or("no counts")?);
+                    if exact && counts.0 != counts.1 {
+                        return Err(format!("{name}: device {:?}, twin {:?}", counts.0, counts.1).into());
+                    }
+                    check_counts(&name, counts)?;
+                }
+            }
+        }
+    }
+    expect_silence(&gpu)
+}
+
+/// Where the device's arithmetic differs, a few samples at box and block borders and some barely visible ones may too.
+fn check_counts(name: &str, (device, twin): (WorkCounts, WorkCounts)) -> Outcome {
+    let close = |a: u64, b: u64, share: f64| a.abs_diff(b) as f64 <= 4.0 + share * b as f64;
+    if close(device.rays, twin.rays, 0.01)
+        && close(device.samples, twin.samples, 0.02)
+        && close(device.shaded, twin.shaded, 0.05)
+    {
+        return Ok(());
+    }
+    Err(format!("{name}: device {device:?}, twin {twin:?}").into())
+}
+
+fn odd_volumes() -> Outcome {
+    let mut gpu = open_validated(None)?;
+    let mut twin = CpuRaycaster::new();
+    for dims in [[1, 1, 1], [16, 9, 1], [1, 17, 3], [2, 2, 2], [8, 8, 8], [65, 3, 2]] {
+        let data = Data::new(dims);
+        for (kind, view) in data.views() {
+            gpu.set_volume(&view)?;
+            twin.set_volume(&view)?;
+            for table in [medium(), constant(0.3)] {
+                gpu.set_transfer(&table)?;
+                twin.set_transfer(&table)?;
+                for shading in SHADINGS {
+                    let f = frame(33.0, 20.0, 2.0, 31, 17).with_shading(shading).with_step(0.3).unwrap();
+                    let (a, b) = (gpu.render(&f)?, twin.render(&f)?);
+                    let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
+                    if largest > LARGEST || mean > MEAN {
+                        return Err(format!("{kind} {dims:?} {}: {largest} {mean}", shading.name()).into());
+                    }
+                }
+            }
+        }
+    }
+    expect_silence(&gpu)
+}
+
+fn homogeneous_slab() -> Outcome {
+    let mut gpu = open(VulkanOptions::default())?;
+    let data = vec![100u8; 32 * 32 * 32];
+    gpu.set_volume(&VolumeView::new(Scalars::U8(&data), [32; 3]).unwrap())?;
+    for alpha in [0.001f32, 0.02, 0.3] {
+        gpu.set_transfer(&constant(alpha))?;
+        for step in [0.5, 1.0, 2.0] {
+            let f = frame(0.0, 0.0, 3.0, 1, 1).with_step(step).unwrap().with_termination(1.0).unwrap();
+            let found = gpu.render(&f)?.image.rgba[3];
+            let want = (1.0 - (1.0 - f64::from(alpha)).powi(32)) * 255.0;
+            if (f64::from(found) - want).abs() > 1.0 {
+                return Err(format!("opacity {alpha}, step {step}: {found} for {want}").into());
+            }
+        }
+    }
+    Ok(())
+}
+
+fn skipping_changes_nothing() -> Outcome {
+    let mut gpu = open_validated(None)?;
+    let dims = [45, 37, 61];
+    let data = field_bytes(dims);
+    gpu.set_volume(&VolumeView::new(Scalars::U8(&data), dims).unwrap())?;
+    for table in [transparent(), medium(), opaque()] {
+        gpu.set_transfer(&table)?;
+        let f = frame(25.0, -50.0, 2.5, 64, 48);
+        let [none, blocks, distance] = SKIPPINGS.map(|s| gpu.render(&f.with_skipping(s)));
+        let (none, blocks, distance) = (none?, blocks?, distance?);
+        if none.image != blocks.image || none.image != distance.image {
+            return Err("the pictures differ".into());
+        }
+        let (n, b, d) = (none.counts.unwrap(), blocks.counts.unwrap(), distance.counts.unwrap());
+        if !(b.samples < n.samples && d.samples == b.samples && d.skips <= b.skips) {
+            return Err(format!("{n:?} {b:?} {d:?}").into());
+        }
+    }
+    expect_silence(&gpu)
+}
+
+fn tiles_join_without_seams() -> Outcome {
+    let dims = [40; 3];
+    let data = field_bytes(dims);
+    let view = VolumeView::new(Scalars::U8(&data), dims).unwrap();
+    let f = frame(10.0, 60.0, 2.0, 150, 91).with_jitter(true);
+    let mut images = vec![];
+    for tile in [None, Some(64), Some(24)] {
+        let mut gpu = open(VulkanOptions { tile, validation: false, ..Default::default() })?;
+        gpu.set_volume(&view)?;
+        gpu.set_transfer(&medium())?;
+        images.push(gpu.render(&f)?.image);
+    }
+    if images.windows(2).all(|w| w[0] == w[1]) { Ok(()) } else { Err("tiled images differ".into()) }
+}
+
+fn times_are_plausible() -> Outcome {
+    let mut gpu = open(VulkanOptions::default())?;
+    let data = field_bytes([64; 3]);
+    let p = gpu.set_volume(&VolumeView::new(Scalars::U8(&data), [64; 3]).unwrap())?;
+    if !(p.upload.is_some() && p.block_map.is_some() && p.occupancy.is_none() && p.wall > 0.0) {
+        return Err(format!("{p:?}").into());
+    }
+    let p = gpu.set_transfer(&medium())?;
+    if !(p.occupancy.is_some() && p.distance_map.is_some()) {
+        return Err(format!("{p:?}").into());
+    }
+    let r = gpu.render(&frame(10.0, 20.0, 2.5, 256, 256))?;
+    if r.counts.is_some() {
+        return Err("counts without being asked".into());
+    }
+    match r.time.device {
+        Some(t) if gpu.has_timestamps() && t > 0.0 && t <= r.time.wall => Ok(()),
+        None if !gpu.has_timestamps() => Ok(()),
+        _ => Err(format!("{:?}", r.time).into()),
+    }
+}
+
+fn volume_and_table_may_change_between_frames() -> Outcome {
+    let mut gpu = open_validated(None)?;
+    let mut twin = CpuRaycaster::new();
+    let f = frame(20.0, 30.0, 2.5, 40, 40);
+    if !gpu.render(&f).is_err_and(|e| e.to_string().contains("no volume")) {
+        return Err("rendered without a volume".into());
+    }
+    for (dims, table) in [([20; 3], medium()), ([20; 3], opaque()), ([31, 9, 14], transparent())] {
+        let data = field_bytes(dims);
+        let view = VolumeView::new(Scalars::U8(&data), dims).unwrap();
+        gpu.set_volume(&view)?;
+        twin.set_volume(&view)?;
+        gpu.set_transfer(&table)?;
+        twin.set_transfer(&table)?;
+        for step in [1.0, 2.0, 1.0] {
+            let f = f.with_step(step).unwrap();
+            let (largest, _) = difference(&gpu.render(&f)?.image.rgba, &twin.render(&f)?.image.rgba);
+            if largest > LARGEST {
+                return Err(format!("{dims:?} step {step}: {largest}").into());
+            }
+        }
+    }
+    expect_silence(&gpu)
+}
+
+fn oversized_volumes_are_refused_with_size_and_limit() -> Outcome {
+    let mut gpu = open(VulkanOptions::default())?;
+    // A broadcast axis: a huge volume in one byte.
+    let data = [1u8];
+    let view = VolumeView::with_strides(Scalars::U8(&data), [1 << 20, 1, 1], [0, 0, 0]).unwrap();
+    match gpu.set_volume(&view) {
+        Err(e) if e.to_string().contains("1048576 x 1 x 1") && e.to_string().contains("at most") => Ok(()),
+        other => Err(format!("{other:?}").into()),
+    }
+}
+
+fn main() {
+    let arguments = Arguments::from_args();
+    let device = open(VulkanOptions::default());
+    if let Err(e) = &device {
+        eprintln!("No Vulkan device, these tests are ignored: {}", e.message().unwrap_or_default());
+    }
+    let none = device.is_err();
+    drop(device);
+    let validation = open(VulkanOptions { validation: true, ..Default::default() }).is_ok();
+    let tests: Vec<Test> = vec![
+        ("texels_match_the_twin", || compare(VoxelFetch::Texels, false)),
+        ("sampler_matches_the_twin", || compare(VoxelFetch::Sampler, false)),
+        ("packed_fetch_matches_the_twin", || compare(VoxelFetch::Packed, true)),
+        ("odd_volumes_match_the_twin", odd_volumes),
+        ("homogeneous_slab_absorbs_by_its_thickness", homogeneous_slab),
+        ("skipping_changes_nothing_but_the_work", skipping_changes_nothing),
+        ("tiles_join_without_seams", tiles_join_without_seams),
+        ("times_are_plausible", times_are_plausible),
+        ("volume_and_table_may_change_between_frames", volume_and_table_may_change_between_frames),
+        ("oversized_volumes_are_refused", oversized_volumes_are_refused_with_size_and_limit),
+        ("unknown_devices_are_refused_with_the_choice", || {
+            match VulkanRaycaster::new(VulkanOptions { device: Some("no such".into()), ..Default::default() })
+            {
+                Err(e) if e.to_string().contains("there are: 0: ") => Ok(()),
+                Err(e) => Err(e.to_string().into()),
+                Ok(_) => Err("opened".into()),
+            }
+        }),
+    ];
+    let mut trials: Vec<Trial> =
+        tests.into_iter().map(|(name, run)| Trial::test(name, run).with_ignored_flag(none)).collect();
+    // The other tests run without the layer where it is missing; this one says so.
+    trials.push(
+        Trial::test("validation_layer_was_heard", || {
+            let gpu = open(VulkanOptions { validation: true, ..Default::default() })?;
+            expect_silence(&gpu)
+        })
+        .with_ignored_flag(none || !validation),
+    );
+    libtest_mimic::run(&arguments, trials).exit();
+}
