@@ -5,6 +5,7 @@ pub mod commands;
 pub mod dataset;
 pub mod device;
 pub mod enlarge;
+pub mod files;
 pub mod interrupt;
 pub mod machine;
 pub mod report;

@@ -3,7 +3,9 @@
 
 use clap::{Parser, Subcommand};
 use entire_cli::commands;
+use std::io::Write;
 use std::process::ExitCode;
+use std::sync::{Arc, Mutex};
 
 /// Tells how long a volume-rendered frame will take before it is drawn, and picks the ray step that keeps it inside its
 /// budget.
@@ -35,22 +37,53 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
-    let result = match &cli.command {
-        Command::Collect(options) => commands::collect::run(options),
-        Command::Train(options) => commands::train::run(options),
-        Command::Evaluate(options) => commands::evaluate::run(options),
-        Command::Predict(options) => commands::predict::run(options),
-        Command::Encode(options) => commands::encode::run(options),
-        Command::Render(options) => commands::render::run(options),
-        Command::Steer(options) => commands::steer::run(options),
-        Command::Demo(options) => commands::demo::run(options),
+    // What went wrong is told once, below, in one line: the hook only remembers where.
+    let location = Arc::new(Mutex::new(None));
+    let noted = location.clone();
+    std::panic::set_hook(Box::new(move |info| {
+        if let (Some(at), Ok(mut noted)) = (info.location(), noted.lock()) {
+            *noted = Some(format!("{}:{}", at.file(), at.line()));
+        }
+    }));
+    let result = std::panic::catch_unwind(|| Cli::parse().run());
+    let line = match result {
+        Ok(Ok(())) => return ExitCode::SUCCESS,
+        // Whoever read our output has seen enough.
+        Ok(Err(error)) if error.chain().any(is_broken_pipe) => return ExitCode::SUCCESS,
+        Ok(Err(error)) => format!("{error:#}"),
+        Err(panic) => {
+            let text = panic
+                .downcast_ref::<String>()
+                .map(String::as_str)
+                .or_else(|| panic.downcast_ref::<&str>().copied())
+                .unwrap_or("unknown");
+            if text.starts_with("failed printing to std") {
+                return ExitCode::SUCCESS;
+            }
+            let at = location.lock().ok().and_then(|at| at.clone()).unwrap_or_default();
+            format!("internal error ({text}, {at}); please report it with the command that you ran")
+        }
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("entire: {error:#}");
-            ExitCode::from(1)
+    let line: String = line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    let _ = writeln!(std::io::stderr().lock(), "entire: {line}");
+    ExitCode::from(1)
+}
+
+impl Cli {
+    fn run(&self) -> anyhow::Result<()> {
+        match &self.command {
+            Command::Collect(options) => commands::collect::run(options),
+            Command::Train(options) => commands::train::run(options),
+            Command::Evaluate(options) => commands::evaluate::run(options),
+            Command::Predict(options) => commands::predict::run(options),
+            Command::Encode(options) => commands::encode::run(options),
+            Command::Render(options) => commands::render::run(options),
+            Command::Steer(options) => commands::steer::run(options),
+            Command::Demo(options) => commands::demo::run(options),
         }
     }
+}
+
+fn is_broken_pipe(error: &(dyn std::error::Error + 'static)) -> bool {
+    error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
 }

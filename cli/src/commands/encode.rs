@@ -1,12 +1,60 @@
 //! `entire encode`: turn a volume into its feature vector.
 
-use anyhow::Result;
+use crate::files::{digits, open_model, open_volume, parse_range};
+use anyhow::{Context, Result, bail};
+use entire_core::nn::{Executor, VolumeNet};
+use std::io::Write;
+use std::path::PathBuf;
 
 /// Turn a volume into its feature vector.
+///
+/// The volume is mapped to [0, 1] over its range (0…255 for unsigned bytes, else the finite minimum…maximum; --range
+/// sets another, such as an ensemble's), resampled to the network's input and encoded. Prints the features on one
+/// line, comma-separated, 9 significant digits.
 #[derive(Debug, clap::Args)]
-pub struct Options {}
+#[command(after_help = "Examples:
+  entire encode --model volumenet.safetensors data/mr_banana.nrrd
+  entire encode --model volumenet.safetensors --range -1024,3071 ct.nii.gz")]
+pub struct Options {
+    /// Model file with a VolumeNet.
+    #[arg(long, value_name = "M.safetensors")]
+    pub model: PathBuf,
+    /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json or .raw.
+    pub volume: PathBuf,
+    /// Scalar range that maps to [0, 1].
+    #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
+    pub range: Option<(f32, f32)>,
+    /// Threads to use; 0 for as many as the machine has.
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    pub threads: usize,
+}
 
 /// Runs the command.
-pub fn run(_options: &Options) -> Result<()> {
-    anyhow::bail!("`entire encode` is not there yet")
+pub fn run(options: &Options) -> Result<()> {
+    let model = open_model(&options.model)?;
+    let Some(parts) = model.volumenet() else {
+        bail!(
+            "{}: has no VolumeNet (volumenet.encoder.0.conv.weight); give a model that encodes volumes",
+            options.model.display()
+        );
+    };
+    let net = VolumeNet::new(parts).with_context(|| format!("{}", options.model.display()))?;
+    let volume = open_volume(&options.volume, options.range)?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(options.threads)
+        .build()
+        .context("cannot start threads; try --threads 1")?;
+    let mut features = vec![0.0; net.feature_len()];
+    net.encode(&volume.view(), &mut net.scratch(), Executor::rayon(&pool), &mut features)
+        .with_context(|| format!("{}", options.volume.display()))?;
+    if let Some(at) = features.iter().position(|f| !f.is_finite()) {
+        bail!(
+            "{}: feature {at} is {}; the model's weights are too large for this volume",
+            options.volume.display(),
+            features[at]
+        );
+    }
+    let line = features.iter().map(|&f| digits(f)).collect::<Vec<_>>().join(",");
+    writeln!(std::io::stdout().lock(), "{line}")?;
+    Ok(())
 }

@@ -1,12 +1,105 @@
 //! `entire predict`: predict seconds for rows of model inputs.
 
-use anyhow::Result;
+use crate::files::{digits, open_model};
+use anyhow::{Context, Result, bail};
+use entire_core::model::{InputGroup, Model};
+use entire_core::nn::PredNet;
+use std::io::{BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
 
 /// Predict seconds for rows of model inputs.
+///
+/// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the model's
+/// order. Prints one line per row: seconds, 9 significant digits. Nothing is printed when any row is wrong.
 #[derive(Debug, clap::Args)]
-pub struct Options {}
+#[command(after_help = "Examples:
+  entire predict --model model.safetensors --inputs frames.csv
+  printf '20,35,2.5,512,512,0.4,0.01,0.6\\n' | entire predict --model model.safetensors --inputs -
+
+A model lists its inputs in its metadata key entire.inputs; a wrong number of columns prints them.")]
+pub struct Options {
+    /// Model file with a PredNet.
+    #[arg(long, value_name = "M.safetensors")]
+    pub model: PathBuf,
+    /// Table of inputs; `-` for standard input.
+    #[arg(long, value_name = "X.csv")]
+    pub inputs: PathBuf,
+}
 
 /// Runs the command.
-pub fn run(_options: &Options) -> Result<()> {
-    anyhow::bail!("`entire predict` is not there yet")
+pub fn run(options: &Options) -> Result<()> {
+    let model = open_model(&options.model)?;
+    let Some(parts) = model.prednet() else {
+        bail!("{}: has no PredNet (prednet.0.weight); give a model that predicts", options.model.display());
+    };
+    let net = PredNet::new(parts).with_context(|| format!("{}", options.model.display()))?;
+    let seconds = if options.inputs == Path::new("-") {
+        predict(&net, &model, std::io::stdin().lock()).context("standard input")
+    } else {
+        let stream = crate::volume::Stream::open(&options.inputs)?;
+        predict(&net, &model, stream).with_context(|| format!("{}", options.inputs.display()))
+    }?;
+    let mut out = BufWriter::new(std::io::stdout().lock());
+    for value in seconds {
+        writeln!(out, "{}", digits(value))?;
+    }
+    out.flush()?;
+    Ok(())
+}
+
+fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
+    let mut reader =
+        csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(table);
+    let mut scratch = net.scratch();
+    let mut inputs = Vec::with_capacity(net.inputs());
+    let mut seconds = Vec::new();
+    let mut record = csv::ByteRecord::new();
+    loop {
+        let row = seconds.len() + 1;
+        if !reader.read_byte_record(&mut record).with_context(|| format!("row {row}"))? {
+            break;
+        }
+        if record.len() != net.inputs() {
+            bail!(
+                "row {row} has {} column{}, the model takes {}: {}",
+                record.len(),
+                if record.len() == 1 { "" } else { "s" },
+                net.inputs(),
+                groups(model.inputs())
+            );
+        }
+        inputs.clear();
+        for (column, field) in record.iter().enumerate() {
+            let text = String::from_utf8_lossy(field);
+            let Ok(value) = text.parse::<f32>() else {
+                bail!(
+                    "row {row}, column {}: {text:?} is not a number{}",
+                    column + 1,
+                    if row == 1 { " (the table has no header line)" } else { "" }
+                );
+            };
+            if !value.is_finite() {
+                bail!(
+                    "row {row}, column {}: {text:?} is not finite; accepted are numbers within ±3.4e38",
+                    column + 1
+                );
+            }
+            inputs.push(value);
+        }
+        let value = net.predict(&inputs, &mut scratch);
+        if !value.is_finite() {
+            bail!(
+                "row {row}: the model answers {value} seconds; the inputs are far from what it was trained on, check their units"
+            );
+        }
+        seconds.push(value);
+    }
+    if seconds.is_empty() {
+        bail!("holds no row; one row per frame is expected, {} columns each", net.inputs());
+    }
+    Ok(seconds)
+}
+
+fn groups(groups: &[InputGroup]) -> String {
+    groups.iter().map(|g| format!("{} {}", g.name, g.size)).collect::<Vec<_>>().join(", ")
 }

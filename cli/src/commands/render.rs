@@ -1,12 +1,198 @@
 //! `entire render`: render one frame and time it.
 
-use anyhow::Result;
+use crate::commands::collect::{ShadeOption, SkipOption};
+use crate::device::{self, Device};
+use crate::files::{open_volume, parse_list, parse_numbers, parse_range};
+use anyhow::{Context, Result, anyhow};
+use entire_core::scene::{
+    Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
+};
+use entire_vk_raycaster::{Image, Rendered};
+use serde_json::json;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
 
 /// Render one frame and time it.
+///
+/// Writes the picture over black as PNG (8-bit RGB) and prints how long it took: a line, or with --json a JSON object with the
+/// seconds of every repeat, the samples taken (null where the renderer does not count), device and step.
 #[derive(Debug, clap::Args)]
-pub struct Options {}
+#[command(after_help = "Examples:
+  entire render data/mr_banana.nrrd --camera 20,35,2.5 --tf 0.4,0.01,0.6 --size 512x512 --out banana.png
+  entire render ct.nii.gz --camera -10,120,3 --tf 0.2,0.002,0.1,0.7,0.01,0.8 --size 1280x720 --step 2 \\
+      --shade local --skip distance --device vulkan --repeat 5 --out ct.png --json")]
+pub struct Options {
+    /// Volume file: .nrrd, .nhdr, .mhd, .mha, .vti, .nii, .nii.gz, .json or .raw.
+    pub volume: PathBuf,
+    /// Rotation about x and y in degrees, and the eye's distance in bounding-sphere radii.
+    #[arg(long, value_name = "RX,RY,DZ", value_parser = parse_camera, allow_hyphen_values = true)]
+    pub camera: Arcball,
+    /// Opacity lobes: center and width over [0, 1], and height, of each; O(s) = Σ h·exp(−(s − c)²/w).
+    #[arg(long, value_name = "c,w,h[,c,w,h…]", value_parser = parse_lobes, allow_hyphen_values = true)]
+    pub tf: Lobes,
+    /// Image size in pixels.
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    pub size: (u32, u32),
+    /// Ray step in reference steps (the smallest voxel spacing).
+    #[arg(long, default_value_t = 1.0, value_name = "S", allow_hyphen_values = true)]
+    pub step: f32,
+    /// What each sample computes.
+    #[arg(long, value_enum, default_value_t)]
+    pub shade: ShadeOption,
+    /// How empty space is skipped.
+    #[arg(long, value_enum, default_value_t)]
+    pub skip: SkipOption,
+    /// Accumulated opacity at which a ray stops; 1 for never.
+    #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
+    pub termination: f32,
+    /// Vertical field of view in degrees.
+    #[arg(long, default_value_t = DEFAULT_FOV_Y_DEGREES, value_name = "DEGREES", allow_hyphen_values = true)]
+    pub fov: f32,
+    /// Scalar range that maps to [0, 1]; else 0…255 for unsigned bytes, the finite minimum…maximum for other types.
+    #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
+    pub range: Option<(f32, f32)>,
+    /// What renders.
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+    /// How often the frame is rendered.
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub repeat: u32,
+    /// The picture to write.
+    #[arg(long, value_name = "IMG.png")]
+    pub out: PathBuf,
+    /// Print a JSON object instead of a line.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The lobes of `--tf`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lobes(pub Vec<GaussianLobe>);
+
+fn parse_camera(text: &str) -> Result<Arcball, String> {
+    let [rx, ry, dz] = parse_numbers(text)?;
+    Ok(Arcball { rx, ry, dz })
+}
+
+fn parse_lobes(text: &str) -> Result<Lobes, String> {
+    let numbers = parse_list(text)?;
+    if !numbers.len().is_multiple_of(3) {
+        return Err(format!(
+            "three numbers per lobe are expected (center, width, height), there are {}",
+            numbers.len()
+        ));
+    }
+    let lobes = numbers.as_chunks::<3>().0;
+    Ok(Lobes(lobes.iter().map(|&[center, width, height]| GaussianLobe { center, width, height }).collect()))
+}
+
+fn parse_size(text: &str) -> Result<(u32, u32), String> {
+    let sizes = text.split_once(['x', 'X', '×']);
+    match sizes.and_then(|(w, h)| Some((w.trim().parse().ok()?, h.trim().parse().ok()?))) {
+        Some(size) => Ok(size),
+        None => Err("width and height in pixels are expected, like 640x480".to_owned()),
+    }
+}
 
 /// Runs the command.
-pub fn run(_options: &Options) -> Result<()> {
-    anyhow::bail!("`entire render` is not there yet")
+pub fn run(options: &Options) -> Result<()> {
+    // Everything that can be wrong is checked before the volume is loaded.
+    let camera = Camera::from_arcball(options.camera)?.with_fov_y_degrees(options.fov)?;
+    let frame = Frame::new(camera, options.size.0, options.size.1)?
+        .with_step(options.step)?
+        .with_termination(options.termination)?
+        .with_shading(options.shade.into())
+        .with_skipping(options.skip.into());
+    let table = TransferFunction::Gaussian(options.tf.0.clone()).to_table()?;
+    let volume = open_volume(&options.volume, options.range)?;
+    let mut renderer = device::open(options.device)?;
+    let view = volume.view();
+    let volume_time = renderer.set_volume(&view).with_context(|| format!("{}", options.volume.display()))?;
+    let table_time = renderer.set_transfer(&table)?;
+    let mut repeats = Vec::new();
+    let mut last: Option<Rendered> = None;
+    for _ in 0..options.repeat {
+        let rendered = renderer.render(&frame)?;
+        repeats.push(rendered.time);
+        last = Some(rendered);
+    }
+    let Rendered { image, counts, .. } = last.context("--repeat is 0; render at least once")?;
+    write_png(&options.out, &image)?;
+
+    let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();
+    let clock = repeats.first().map_or("wall", |time| time.source());
+    let median = median(&seconds);
+    let mut out = std::io::stdout().lock();
+    if options.json {
+        let range = view.range();
+        let json = json!({
+            "volume": options.volume.to_string_lossy(),
+            "dims": view.dims(),
+            "scalar_type": view.scalar_type().name(),
+            "range": [range.0, range.1],
+            "camera": { "rx_deg": options.camera.rx, "ry_deg": options.camera.ry, "dz_radii": options.camera.dz, "fov_y_deg": options.fov },
+            "tf": options.tf.0.iter().map(|l| [l.center, l.width, l.height]).collect::<Vec<_>>(),
+            "width": image.width,
+            "height": image.height,
+            "step": frame.step(),
+            "shade": Shading::from(options.shade).name(),
+            "skip": Skipping::from(options.skip).name(),
+            "termination": frame.termination(),
+            "backend": renderer.backend(),
+            "device": renderer.device(),
+            "clock": clock,
+            "seconds": seconds,
+            "seconds_median": median,
+            "seconds_wall": repeats.iter().map(|time| time.wall).collect::<Vec<_>>(),
+            "seconds_cpu": repeats.iter().map(|time| time.cpu).collect::<Vec<_>>(),
+            "seconds_prepare_volume": volume_time.wall,
+            "seconds_prepare_transfer": table_time.wall,
+            "samples": counts.map(|c| c.samples),
+            "skips": counts.map(|c| c.skips),
+            "rays": counts.map(|c| c.rays),
+            "shaded": counts.map(|c| c.shaded),
+            "out": options.out.to_string_lossy(),
+        });
+        writeln!(out, "{json}")?;
+    } else {
+        let samples = counts.map_or_else(String::new, |c| format!(", {} samples", c.samples));
+        let of = if seconds.len() > 1 { format!(", median of {}", seconds.len()) } else { String::new() };
+        writeln!(
+            out,
+            "{:.3} ms ({clock} time{of}){samples} on {}; wrote {}",
+            median * 1e3,
+            renderer.device(),
+            options.out.display()
+        )?;
+    }
+    Ok(())
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match sorted.len() {
+        0 => f64::NAN,
+        n if n % 2 == 1 => sorted[n / 2],
+        n => 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]),
+    }
+}
+
+/// Writes a picture as PNG: what is seen over black, which premultiplied colors already are.
+fn write_png(path: &Path, image: &Image) -> Result<()> {
+    let rgb: Vec<u8> = image.rgba.as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
+    let file = std::fs::File::create(path)
+        .map_err(|error| anyhow!("{}: cannot be written: {error}; check --out", path.display()))?;
+    let mut out = BufWriter::new(file);
+    let encoder = image::codecs::png::PngEncoder::new(&mut out);
+    image::ImageEncoder::write_image(
+        encoder,
+        &rgb,
+        image.width,
+        image.height,
+        image::ExtendedColorType::Rgb8,
+    )
+    .with_context(|| format!("{}: cannot be written", path.display()))?;
+    out.flush().with_context(|| format!("{}: cannot be written", path.display()))?;
+    Ok(())
 }

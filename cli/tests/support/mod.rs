@@ -1,0 +1,165 @@
+//! Runs the built command and makes its input files.
+#![allow(dead_code, reason = "each test file uses its own part")]
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// Runs `entire` in a folder.
+pub(crate) fn entire(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_entire")).args(arguments).current_dir(folder).output().unwrap()
+}
+
+pub(crate) fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+pub(crate) fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Standard output of a run that must succeed.
+pub(crate) fn succeeds(folder: &Path, arguments: &[&str]) -> String {
+    let output = entire(folder, arguments);
+    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", stderr(&output));
+    stdout(&output)
+}
+
+/// A run that must end with status 1, nothing on standard output and one line on standard error that contains every
+/// one of `parts`.
+pub(crate) fn refuses(folder: &Path, arguments: &[&str], parts: &[&str]) {
+    let output = entire(folder, arguments);
+    let told = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{arguments:?}: {told}");
+    let errors: Vec<&str> = told.lines().filter(|line| !line.starts_with("note: ")).collect();
+    assert_eq!(errors.len(), 1, "{arguments:?} should say one line: {told:?}");
+    assert!(errors[0].starts_with("entire: "), "{told}");
+    assert!(!told.contains("panicked") && !told.contains("internal error"), "{told}");
+    assert!(output.stdout.is_empty(), "{arguments:?}: {}", stdout(&output));
+    for part in parts {
+        assert!(errors[0].contains(part), "{arguments:?}: {told:?} should contain {part:?}");
+    }
+}
+
+/// A tensor for [`safetensors`].
+pub(crate) type Tensor<'a> = (&'a str, Vec<usize>, Vec<f32>);
+
+/// A safetensors file, whether it makes sense or not.
+pub(crate) fn safetensors(metadata: &[(&str, &str)], tensors: &[Tensor<'_>]) -> Vec<u8> {
+    let mut header = serde_json::Map::new();
+    let pairs: serde_json::Map<String, serde_json::Value> =
+        metadata.iter().map(|(k, v)| ((*k).to_owned(), (*v).into())).collect();
+    header.insert("__metadata__".into(), pairs.into());
+    let mut data = Vec::new();
+    for (name, shape, values) in tensors {
+        let start = data.len();
+        values.iter().for_each(|v| data.extend_from_slice(&v.to_le_bytes()));
+        header.insert(
+            (*name).to_owned(),
+            serde_json::json!({ "dtype": "F32", "shape": shape, "data_offsets": [start, data.len()] }),
+        );
+    }
+    let header = serde_json::Value::Object(header).to_string();
+    let mut file = (header.len() as u64).to_le_bytes().to_vec();
+    file.extend_from_slice(header.as_bytes());
+    file.extend_from_slice(&data);
+    file
+}
+
+/// Metadata of [`prednet`].
+pub(crate) const PREDNET_METADATA: [(&str, &str); 3] = [
+    ("entire.format", "1"),
+    ("entire.inputs", r#"[{"name":"camera","size":3},{"name":"resolution","size":2}]"#),
+    ("entire.target", "seconds"),
+];
+
+/// Tensors of a PredNet of 5 inputs (camera, resolution) and 4 hidden units.
+pub(crate) fn prednet() -> Vec<Tensor<'static>> {
+    let weight = |n: usize, seed: f32| (0..n).map(|i| ((i as f32 + seed) * 0.7).sin() * 0.5).collect();
+    vec![
+        ("prednet.0.weight", vec![4, 5], weight(20, 1.0)),
+        ("prednet.0.bias", vec![4], weight(4, 2.0)),
+        ("prednet.1.weight", vec![1, 4], weight(4, 3.0)),
+        ("prednet.1.bias", vec![1], vec![0.25]),
+        ("prednet.input.mean", vec![5], vec![0.0, 0.0, 2.5, 512.0, 512.0]),
+        ("prednet.input.std", vec![5], vec![60.0, 90.0, 1.0, 300.0, 300.0]),
+    ]
+}
+
+/// Metadata of [`volumenet`].
+pub(crate) const VOLUMENET_METADATA: [(&str, &str); 2] =
+    [("entire.format", "1"), ("entire.volumenet", r#"{"input":4,"blocks":[{"stride":2,"padding":0}]}"#)];
+
+/// Tensors of a VolumeNet that takes 4³ voxels, one block of two channels (kernel 2, stride 2), 2 features.
+pub(crate) fn volumenet() -> Vec<Tensor<'static>> {
+    let weight = |n: usize, seed: f32| (0..n).map(|i| ((i as f32 + seed) * 0.9).cos() * 0.3).collect();
+    vec![
+        ("volumenet.encoder.0.conv.weight", vec![2, 1, 2, 2, 2], weight(16, 0.0)),
+        ("volumenet.encoder.0.conv.bias", vec![2], vec![0.1, -0.2]),
+        ("volumenet.encoder.0.bn.weight", vec![2], vec![1.0, 1.5]),
+        ("volumenet.encoder.0.bn.bias", vec![2], vec![0.0, 0.1]),
+        ("volumenet.encoder.0.bn.running_mean", vec![2], vec![0.05, -0.05]),
+        ("volumenet.encoder.0.bn.running_var", vec![2], vec![0.5, 2.0]),
+        ("volumenet.fc.weight", vec![2, 16], weight(32, 5.0)),
+        ("volumenet.fc.bias", vec![2], vec![0.0, 1.0]),
+    ]
+}
+
+/// A NRRD file of plain floats.
+pub(crate) fn float_nrrd(dims: [usize; 3], values: impl Iterator<Item = f32>) -> Vec<u8> {
+    let [x, y, z] = dims;
+    let mut file =
+        format!("NRRD0004\ntype: float\ndimension: 3\nsizes: {x} {y} {z}\nendian: little\nencoding: raw\n\n")
+            .into_bytes();
+    values.for_each(|v| file.extend_from_slice(&v.to_le_bytes()));
+    file
+}
+
+/// A folder with the files that most tests use; it goes away with the test.
+pub(crate) fn workshop() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    let put = |name: &str, bytes: &[u8]| std::fs::write(folder.path().join(name), bytes).unwrap();
+    put("pred.safetensors", &safetensors(&PREDNET_METADATA, &prednet()));
+    put("volume.safetensors", &safetensors(&VOLUMENET_METADATA, &volumenet()));
+    // A soft ball in a box that is longer along z.
+    let ball = (0..12 * 10 * 16).map(|i| {
+        let (x, y, z) = (i % 12, i / 12 % 10, i / 120);
+        let d = ((x as f32 - 5.5) / 6.0).powi(2)
+            + ((y as f32 - 4.5) / 5.0).powi(2)
+            + ((z as f32 - 7.5) / 8.0).powi(2);
+        (1.0 - d).max(0.0)
+    });
+    put("ball.nrrd", &float_nrrd([12, 10, 16], ball));
+    let mut rows = String::new();
+    for i in 0..7 {
+        writeln!(rows, "{},{},2.5,{},512", i * 10, i * -25, 128 * (i + 1)).unwrap();
+    }
+    put("rows.csv", rows.as_bytes());
+    folder
+}
+
+pub(crate) fn fixture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/volumes").join(name)
+}
+
+/// The pixels of a PNG picture: width, height, RGB.
+pub(crate) fn picture(path: &Path) -> (u32, u32, Vec<u8>) {
+    let image = image::open(path).unwrap().into_rgb8();
+    (image.width(), image.height(), image.into_raw())
+}
+
+/// `render` of a volume with the CPU twin, further arguments behind; gives the arguments.
+pub(crate) fn render<'a>(
+    volume: &'a str,
+    camera: &'a str,
+    tf: &'a str,
+    size: &'a str,
+    more: &[&'a str],
+) -> Vec<&'a str> {
+    let mut arguments = vec![
+        "render", volume, "--camera", camera, "--tf", tf, "--size", size, "--device", "cpu", "--out",
+        "out.png",
+    ];
+    arguments.extend_from_slice(more);
+    arguments
+}
