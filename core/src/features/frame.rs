@@ -1,12 +1,11 @@
 //! What one frame will do, for any ray step and image size of the same shape.
 
-use super::{Probe, SceneFeature, SceneQuantity, TransferSummary, VolumeSummary};
+use super::{Probe, SHADOW_STEP, SceneFeature, SceneQuantity, TransferSummary, VolumeSummary};
 use crate::scene::{Arcball, Frame, Shading, Skipping};
 
 /// Side of the pixel tiles that a renderer runs in lockstep.
 const TILE_SIDE: f32 = 8.0;
 
-/// Optical depth at which a shadow ray counts as opaque: −ln(1 − 0.25), the early-out of single scattering.
 /// What of a frame a controller may vary.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Setting {
@@ -75,9 +74,9 @@ pub struct Work {
     pub pixels: f64,
     /// Rays that meet the volume's box.
     pub rays: f64,
-    /// Samples taken.
+    /// Samples taken along primary rays.
     pub samples: f64,
-    /// Jumps over empty blocks.
+    /// Jumps over empty blocks, those of shadow rays included.
     pub skips: f64,
     /// Samples as a machine pays for them that runs a tile of pixels until its longest ray ends.
     pub lane_samples: f64,
@@ -90,7 +89,8 @@ pub struct Work {
 /// What a camera sees of a volume under a transfer function, measured once per frame.
 ///
 /// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::work`] and [`FrameFeatures::write`] then evaluate any
-/// step, shading, skipping and size (of the same shape) without marching again. Nothing here allocates.
+/// step, skipping and size (of the same shape) without marching again, and other shadings too except that single
+/// scattering must be the measured frame's. Nothing here allocates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
     probe: Probe,
@@ -180,12 +180,17 @@ impl FrameFeatures {
         let tile = (0.5 * TILE_SIDE / (p.spacing * setting.height as f32)).min(1.0);
         let per_lane = per_ray + tile * (longest - length).max(0.0) * inv;
         let shaded = if setting.shading == Shading::None { 0.0 } else { p.visible * inv };
-        let shadow = if setting.shading == Shading::Scatter { p.shadow * inv * inv } else { 0.0 };
+        let (mut shadow, mut shadow_skips) = (0.0, 0.0);
+        if setting.shading == Shading::Scatter {
+            let length = if skipping { p.shadow } else { p.shadow_all };
+            shadow = length * inv * inv * (1.0 / SHADOW_STEP);
+            shadow_skips = if skipping { p.shadow_skips * inv } else { 0.0 };
+        }
         Work {
             pixels,
             rays,
             samples: rays * f64::from(per_ray),
-            skips: rays * f64::from(skips),
+            skips: rays * f64::from(skips + shadow_skips),
             lane_samples: rays * f64::from(per_lane),
             shaded: rays * f64::from(shaded),
             shadow_samples: rays * f64::from(shadow),

@@ -15,7 +15,7 @@ mod volume;
 
 pub use footprint::Footprint;
 pub use frame::{Changes, FrameFeatures, Setting, Work};
-pub use probe::{PROBE_SIDE, Probe};
+pub use probe::{PROBE_SIDE, Probe, SHADOW_DIRECTION, SHADOW_OPACITY, SHADOW_STEP};
 pub use schema::{SceneFeature, SceneQuantity};
 pub use transfer::{CORRELATION_LENGTH, TransferSummary};
 pub use volume::{BLOCK_EDGE, DEFAULT_CELLS_PER_AXIS, Geometry, QUANTILES, SummaryOptions, VolumeSummary};

@@ -1,11 +1,20 @@
 //! The coarse ray probe: a few rays through the grid of cells, marched once per frame, evaluated for any step.
 
 use super::{Footprint, Geometry, TransferSummary, VolumeSummary};
-use crate::scene::Frame;
+use crate::scene::{Frame, Shading};
 use glam::Vec3;
 
 /// The probe has this many rays along each side of the footprint's bounding rectangle.
 pub const PROBE_SIDE: usize = 12;
+
+/// Direction towards the light of single scattering in scene space, not normalized.
+pub const SHADOW_DIRECTION: [f32; 3] = [0.4, 0.8, 0.45];
+
+/// Step of shadow rays in steps of the frame.
+pub const SHADOW_STEP: f32 = 2.0;
+
+/// Opacity at which a shadow ray stops.
+pub const SHADOW_OPACITY: f32 = 0.75;
 
 const RAYS: usize = PROBE_SIDE * PROBE_SIDE;
 
@@ -35,8 +44,12 @@ pub struct Probe {
     pub(super) all_max: f32,
     /// Image distance between neighboring probe rays in units of the image's height.
     pub(super) spacing: f32,
-    /// Visible length times the length that a shadow ray back to the eye covers before it is opaque.
+    /// Visible length times the length in occupied blocks that a shadow ray covers; 0 unless the frame scatters.
     pub(super) shadow: f32,
+    /// Visible length times the empty blocks that a shadow ray jumps over.
+    pub(super) shadow_skips: f32,
+    /// Visible length times the length of a shadow ray without skipping.
+    pub(super) shadow_all: f32,
     block_skips: Chords,
     distance_skips: Chords,
 }
@@ -56,6 +69,8 @@ impl Probe {
         all_max: 0.0,
         spacing: 1.0,
         shadow: 0.0,
+        shadow_skips: 0.0,
+        shadow_all: 0.0,
         block_skips: Chords::NOTHING,
         distance_skips: Chords::NOTHING,
     };
@@ -79,13 +94,13 @@ impl Probe {
             let (ix, iy) = (i % PROBE_SIDE, i / PROBE_SIDE);
             let u = low[0] + size[0] * (ix as f32 + OFFSETS[i][0]) * (1.0 / PROBE_SIDE as f32);
             let v = low[1] + size[1] * (iy as f32 + OFFSETS[i][1]) * (1.0 / PROBE_SIDE as f32);
-            *ray = march.ray(eye, forward + u * right + v * up);
+            *ray = march.ray(eye, forward + u * right + v * up, OFFSETS[RAYS - 1 - i][0]);
         }
         let mut hits = rays.iter().filter(|r| r.chord > 0.0).count();
         if hits == 0 {
             // A sliver between the rays: its center stands for all of it.
             let [u, v] = footprint.center;
-            rays[0] = march.ray(eye, forward + u * right + v * up);
+            rays[0] = march.ray(eye, forward + u * right + v * up, 0.5);
             hits = usize::from(rays[0].chord > 0.0);
         }
         if hits == 0 {
@@ -100,6 +115,8 @@ impl Probe {
             out.empty += ray.empty;
             out.visible += ray.visible;
             out.shadow += ray.shadow;
+            out.shadow_skips += ray.shadow_skips;
+            out.shadow_all += ray.shadow_all;
             out.terminated += f32::from(u8::from(ray.terminated));
             let (mut o, mut a) = (ray.occupied, ray.occupied + ray.empty);
             let (ix, iy) = (i % PROBE_SIDE, i / PROBE_SIDE);
@@ -129,6 +146,8 @@ impl Probe {
             &mut out.empty,
             &mut out.visible,
             &mut out.shadow,
+            &mut out.shadow_skips,
+            &mut out.shadow_all,
             &mut out.terminated,
             &mut out.occupied_max,
             &mut out.all_max,
@@ -218,12 +237,22 @@ struct Ray {
     empty: f32,
     visible: f32,
     shadow: f32,
+    shadow_skips: f32,
+    shadow_all: f32,
     terminated: bool,
 }
 
 impl Ray {
-    const MISS: Self =
-        Self { chord: 0.0, occupied: 0.0, empty: 0.0, visible: 0.0, shadow: 0.0, terminated: false };
+    const MISS: Self = Self {
+        chord: 0.0,
+        occupied: 0.0,
+        empty: 0.0,
+        visible: 0.0,
+        shadow: 0.0,
+        shadow_skips: 0.0,
+        shadow_all: 0.0,
+        terminated: false,
+    };
 }
 
 struct March<'a> {
@@ -233,6 +262,9 @@ struct March<'a> {
     half_extent: Vec3,
     /// Cells per scene unit along each axis.
     scale: Vec3,
+    /// Cells begin at voxel centers: half a voxel in cells.
+    shift: Vec3,
+    scatters: bool,
     /// Scene length of a reference step, inverted.
     per_step: f32,
     /// Optical depth at which a ray ends.
@@ -256,6 +288,8 @@ impl<'a> March<'a> {
             grid: volume.cells().map(|n| n as i32),
             half_extent: geometry.half_extent,
             scale: 1.0 / (voxel * edge),
+            shift: 0.5 / edge,
+            scatters: frame.shading() == Shading::Scatter,
             per_step: 1.0 / geometry.reference_step,
             depth_end: if termination < 1.0 { -libm::log1pf(-termination) } else { f32::INFINITY },
             block: (block != edge).then_some(block * voxel),
@@ -264,7 +298,8 @@ impl<'a> March<'a> {
         }
     }
 
-    fn ray(&mut self, origin: Vec3, direction: Vec3) -> Ray {
+    /// Marches one ray. `draw` in [0, 1) picks the visible point that a shadow ray starts from.
+    fn ray(&mut self, origin: Vec3, direction: Vec3, mut draw: f32) -> Ray {
         let tiny = 1.0e-9;
         let safe = Vec3::select(
             direction.abs().cmplt(Vec3::splat(tiny)),
@@ -281,7 +316,7 @@ impl<'a> March<'a> {
         // Reference steps per unit of t.
         let rate = direction.length() * self.per_step;
         let mut out = Ray { chord: (t_exit - t_enter) * rate, ..Ray::MISS };
-        let start = (origin + t_enter * safe + self.half_extent) * self.scale;
+        let start = (origin + t_enter * safe + self.half_extent) * self.scale - self.shift;
         let delta = (inverse / self.scale).abs();
         let mut cell = [0i32; 3];
         let mut next = [0.0f32; 3];
@@ -306,6 +341,8 @@ impl<'a> March<'a> {
         let mut depth = 0.0f32;
         // Current jump of the distance map: where it began, how far it reaches, its length so far.
         let mut jump = Jump::NONE;
+        // Where on the ray the shadow ray starts; negative for none.
+        let mut lit = -1.0f32;
         loop {
             let axis = if next[0] <= next[1] {
                 if next[0] <= next[2] { 0 } else { 2 }
@@ -344,7 +381,16 @@ impl<'a> March<'a> {
                 out.occupied += inside;
                 let shown = used * here.visible;
                 out.visible += shown;
-                out.shadow += shown * (t - t_enter) * rate;
+                if self.scatters && shown > 0.0 {
+                    // Keeps one visible point with the probability of its length, reusing the draw.
+                    let keep = shown / out.visible;
+                    if draw < keep {
+                        draw /= keep;
+                        lit = t + draw * (t_next - t);
+                    } else {
+                        draw = (draw - keep) / (1.0 - keep);
+                    }
+                }
                 if here.occupied < 1.0 {
                     let empty = used - inside;
                     out.empty += empty;
@@ -368,7 +414,72 @@ impl<'a> March<'a> {
             next[axis] += delta[axis];
         }
         jump.finish(&mut self.distance_skips);
+        if lit >= 0.0 {
+            let (occupied, all, skips) = self.shadow(origin + lit * safe);
+            out.shadow = out.visible * occupied;
+            out.shadow_all = out.visible * all;
+            out.shadow_skips = out.visible * skips;
+        }
         out
+    }
+
+    /// Marches a shadow ray from a point in the box: length in occupied blocks, length in all, and empty blocks met.
+    fn shadow(&self, from: Vec3) -> (f32, f32, f32) {
+        let direction = Vec3::from_array(SHADOW_DIRECTION);
+        let mut t_exit = f32::INFINITY;
+        let start = (from + self.half_extent) * self.scale - self.shift;
+        let strides = [1, self.grid[0], self.grid[0] * self.grid[1]];
+        let mut next = [0.0f32; 3];
+        let mut delta = [0.0f32; 3];
+        let mut left = [0i32; 3];
+        let mut index = 0;
+        for k in 0..3 {
+            // The direction's components are all positive.
+            t_exit = t_exit.min((self.half_extent[k] - from[k]) / direction[k]);
+            let cell = (start[k] as i32).clamp(0, self.grid[k] - 1);
+            delta[k] = 1.0 / (direction[k] * self.scale[k]);
+            next[k] = (((cell + 1) as f32 - start[k]) * delta[k]).max(0.0);
+            left[k] = self.grid[k] - 1 - cell;
+            index += cell * strides[k];
+        }
+        let rate = direction.length() * self.per_step;
+        let end = -libm::log1pf(-SHADOW_OPACITY);
+        let (mut t, mut depth, mut occupied, mut skips) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
+        while t < t_exit {
+            let axis = if next[0] <= next[1] {
+                if next[0] <= next[2] { 0 } else { 2 }
+            } else if next[1] <= next[2] {
+                1
+            } else {
+                2
+            };
+            let t_next = next[axis].min(t_exit);
+            let length = (t_next - t).max(0.0) * rate;
+            let here = self.cells[index as usize];
+            if here.occupied == 0.0 {
+                skips += 1.0;
+            } else {
+                let d = here.extinction * length;
+                if depth + d >= end {
+                    let used = (end - depth) / d;
+                    return (
+                        occupied + used * length * here.occupied,
+                        (t + used * (t_next - t)) * rate,
+                        skips,
+                    );
+                }
+                depth += d;
+                occupied += length * here.occupied;
+            }
+            if left[axis] == 0 {
+                break;
+            }
+            left[axis] -= 1;
+            index += strides[axis];
+            t = t_next;
+            next[axis] += delta[axis];
+        }
+        (occupied, t_exit.max(0.0) * rate, skips)
     }
 }
 

@@ -73,7 +73,6 @@ impl TransferSummary {
         // Prefix tables: entries with opacity, and transmittance over the correlation length.
         let mut opaque = [0u16; TABLE_LEN + 1];
         let mut transmittance = [0.0f32; TABLE_LEN + 1];
-        let mut visible = [0.0f32; TABLE_LEN];
         let ratio = CORRELATION_LENGTH / table.unit_distance();
         let (mut mean, mut square, mut extinction, mut shown) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
         self.max_opacity = 0.0;
@@ -83,12 +82,11 @@ impl TransferSummary {
             let log = libm::log1pf(-alpha.min(MAX_OPACITY));
             opaque[i + 1] = opaque[i] + u16::from(counts);
             transmittance[i + 1] = transmittance[i] + libm::expf(ratio * log);
-            visible[i] = f32::from(counts);
             let share = f64::from(volume.histogram()[i]);
             mean += share * f64::from(alpha);
             square += share * f64::from(alpha) * f64::from(alpha);
             extinction -= share * f64::from(log) / f64::from(table.unit_distance());
-            shown += share * f64::from(visible[i]);
+            shown += share * f64::from(u8::from(counts));
             self.max_opacity = self.max_opacity.max(alpha);
         }
         self.mean_opacity = mean as f32;

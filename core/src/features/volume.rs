@@ -44,7 +44,7 @@ pub struct Geometry {
 /// Value bounds and quantiles of one cell, as indices into a 256-entry table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct CellStats {
-    /// Lowest table entry that a sample in the cell can touch (one voxel of apron included).
+    /// Lowest table entry that a sample in the cell can touch (interpolation with the voxels beyond its far side included).
     pub(super) low: u8,
     /// Highest such entry.
     pub(super) high: u8,
@@ -54,7 +54,8 @@ pub(super) struct CellStats {
 
 /// What is kept of a volume: about 12 bytes per cell of 8³ voxels, never the voxels.
 ///
-/// The grid has cells of [`BLOCK_EDGE`] voxels along each axis, coarser by powers of two where the volume is larger than
+/// Cell (i, j, k) with edge e holds the samples between the centers of voxels e·i and e·(i + 1) along each axis; so one
+/// voxel beyond its far side enters its bounds. The edge is [`BLOCK_EDGE`] voxels along each axis, coarser by powers of two where the volume is larger than
 /// the options allow; then the value bounds of the blocks inside each cell are kept too, so that emptiness is still
 /// judged by the blocks that a renderer skips.
 #[derive(Clone, Debug, PartialEq)]
@@ -294,40 +295,35 @@ impl VolumeSummary {
                     let c = [cx, cy, cz];
                     let from: [usize; 3] = core::array::from_fn(|a| c[a] * edge[a]);
                     let to: [usize; 3] = core::array::from_fn(|a| (from[a] + edge[a]).min(dims[a]));
-                    let outer_from = from.map(|f| f.saturating_sub(1));
-                    let outer_to: [usize; 3] = core::array::from_fn(|a| (to[a] + 1).min(dims[a]));
+                    // One voxel more at the far side: interpolation between the last voxel and the next is the cell's.
+                    let outer: [usize; 3] = core::array::from_fn(|a| (to[a] + 1).min(dims[a]));
                     histogram.fill(0);
                     bounds.fill([255, 0]);
-                    for z in outer_from[2]..outer_to[2] {
-                        for y in outer_from[1]..outer_to[1] {
-                            let core_row = z >= from[2] && z < to[2] && y >= from[1] && y < to[1];
-                            let width = outer_to[0] - outer_from[0];
-                            let start = volume.index(outer_from[0], y, z);
+                    for z in from[2]..outer[2] {
+                        for y in from[1]..outer[1] {
+                            let core_row = z < to[2] && y < to[1];
+                            let width = outer[0] - from[0];
+                            let core_width = if core_row { to[0] - from[0] } else { 0 };
+                            let start = volume.index(from[0], y, z);
                             let stride = volume.strides()[0];
                             for (i, slot) in row[..width].iter_mut().enumerate() {
                                 let value = get(start + i * stride);
                                 *slot = volume.normalize(value) * 255.0;
-                                if core_row && !value.is_finite() {
-                                    let x = outer_from[0] + i;
-                                    non_finite += u64::from(x >= from[0] && x < to[0]);
-                                }
+                                non_finite += u64::from(i < core_width && !value.is_finite());
                             }
-                            if core_row {
-                                let skip = from[0] - outer_from[0];
-                                for &p in &row[skip..skip + to[0] - from[0]] {
-                                    histogram[(p + 0.5) as usize & 255] += 1;
-                                }
+                            for &p in &row[..core_width] {
+                                histogram[(p + 0.5) as usize & 255] += 1;
                             }
-                            // Blocks that this row belongs to, aprons included: at most two along each of y and z.
-                            let (y0, y1) = block_span(y, from[1], block[1], per_cell[1]);
-                            let (z0, z1) = block_span(z, from[2], block[2], per_cell[2]);
+                            // Blocks that this row belongs to: its own and, as their far side, the ones before it.
+                            let (y0, y1) = block_span(y - from[1], block[1], per_cell[1]);
+                            let (z0, z1) = block_span(z - from[2], block[2], per_cell[2]);
                             for bx in 0..per_cell[0] {
-                                let begin = from[0] + bx * block[0];
-                                if begin >= to[0] {
+                                let begin = bx * block[0];
+                                if begin >= to[0] - from[0] {
                                     break;
                                 }
-                                let x0 = begin.saturating_sub(1).max(outer_from[0]) - outer_from[0];
-                                let x1 = (begin + block[0] + 1).min(outer_to[0]) - outer_from[0];
+                                let x0 = begin;
+                                let x1 = (begin + block[0] + 1).min(width);
                                 let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
                                 for &p in &row[x0..x1] {
                                     lo = if p < lo { p } else { lo };
@@ -398,11 +394,11 @@ impl VolumeSummary {
     }
 }
 
-/// Blocks (of one axis of a cell) that a voxel row at `v` belongs to, with one voxel of apron: `first..last`.
-fn block_span(v: usize, from: usize, block: usize, blocks: usize) -> (usize, usize) {
-    // v + 1 lies in the block whose lower apron v may be; v - 1 in the one whose upper apron it may be.
-    let first = v.saturating_sub(from + 1) / block;
-    let last = (v + 1).saturating_sub(from) / block;
+/// Blocks along an axis of a cell that a voxel at offset `v` belongs to, each with one voxel beyond its far side:
+/// `first..last`.
+fn block_span(v: usize, block: usize, blocks: usize) -> (usize, usize) {
+    let first = v.saturating_sub(1) / block;
+    let last = v / block;
     (first.min(blocks - 1), (last + 1).min(blocks))
 }
 
