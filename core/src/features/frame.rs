@@ -183,7 +183,8 @@ impl FrameFeatures {
         let (mut shadow, mut shadow_skips) = (0.0, 0.0);
         if setting.shading == Shading::Scatter {
             let length = if skipping { p.shadow } else { p.shadow_all };
-            shadow = length * inv * inv * (1.0 / SHADOW_STEP);
+            // Shadow rays begin one of their steps away from the sample, and take the sample that crosses the threshold.
+            shadow = (inv * (length * inv * (1.0 / SHADOW_STEP) - 0.25 * p.visible)).max(0.0);
             shadow_skips = if skipping { p.shadow_skips * inv } else { 0.0 };
         }
         Work {

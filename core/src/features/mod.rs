@@ -10,6 +10,8 @@ mod footprint;
 mod frame;
 mod probe;
 mod schema;
+#[cfg(test)]
+mod tests;
 mod transfer;
 mod volume;
 

@@ -331,6 +331,10 @@ impl<'a> March<'a> {
             next[k] = next[k].max(t_enter);
             stride[k] = if safe[k] > 0.0 { strides[k] } else { -strides[k] };
             left[k] = if safe[k] > 0.0 { last - cell[k] } else { cell[k] };
+            if left[k] == 0 {
+                // The outermost cells reach to the box.
+                next[k] = f32::INFINITY;
+            }
         }
         let mean_block_chord = self.block.map(|b| {
             let d = direction.abs();
@@ -405,13 +409,13 @@ impl<'a> March<'a> {
                 }
                 depth += d;
             }
-            if left[axis] == 0 || t_next >= t_exit {
+            if t_next >= t_exit {
                 break;
             }
             left[axis] -= 1;
             index += stride[axis];
             t = t_next;
-            next[axis] += delta[axis];
+            next[axis] = if left[axis] == 0 { f32::INFINITY } else { next[axis] + delta[axis] };
         }
         jump.finish(&mut self.distance_skips);
         if lit >= 0.0 {
@@ -440,6 +444,9 @@ impl<'a> March<'a> {
             delta[k] = 1.0 / (direction[k] * self.scale[k]);
             next[k] = (((cell + 1) as f32 - start[k]) * delta[k]).max(0.0);
             left[k] = self.grid[k] - 1 - cell;
+            if left[k] == 0 {
+                next[k] = f32::INFINITY;
+            }
             index += cell * strides[k];
         }
         let rate = direction.length() * self.per_step;
@@ -471,13 +478,13 @@ impl<'a> March<'a> {
                 depth += d;
                 occupied += length * here.occupied;
             }
-            if left[axis] == 0 {
+            if t_next >= t_exit {
                 break;
             }
             left[axis] -= 1;
             index += strides[axis];
             t = t_next;
-            next[axis] += delta[axis];
+            next[axis] = if left[axis] == 0 { f32::INFINITY } else { next[axis] + delta[axis] };
         }
         (occupied, t_exit.max(0.0) * rate, skips)
     }

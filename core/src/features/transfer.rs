@@ -72,7 +72,8 @@ impl TransferSummary {
 
         // Prefix tables: entries with opacity, and transmittance over the correlation length.
         let mut opaque = [0u16; TABLE_LEN + 1];
-        let mut transmittance = [0.0f32; TABLE_LEN + 1];
+        // In double precision: differences of sums near 256 must resolve transmittances near 1e-12.
+        let mut transmittance = [0.0f64; TABLE_LEN + 1];
         let ratio = CORRELATION_LENGTH / table.unit_distance();
         let (mut mean, mut square, mut extinction, mut shown) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
         self.max_opacity = 0.0;
@@ -81,7 +82,7 @@ impl TransferSummary {
             let alpha = if counts { entry[3] } else { 0.0 };
             let log = libm::log1pf(-alpha.min(MAX_OPACITY));
             opaque[i + 1] = opaque[i] + u16::from(counts);
-            transmittance[i + 1] = transmittance[i] + libm::expf(ratio * log);
+            transmittance[i + 1] = transmittance[i] + f64::from(libm::expf(ratio * log));
             let share = f64::from(volume.histogram()[i]);
             mean += share * f64::from(alpha);
             square += share * f64::from(alpha) * f64::from(alpha);
@@ -113,7 +114,7 @@ impl TransferSummary {
             for pair in stats.quantiles.windows(2) {
                 let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
                 let inverse = RECIPROCAL[b - a];
-                t += (transmittance[b + 1] - transmittance[a]) * inverse;
+                t += (transmittance[b + 1] - transmittance[a]) as f32 * inverse;
                 v += f32::from(opaque[b + 1] - opaque[a]) * inverse;
             }
             let t = (t * (1.0 / super::QUANTILES as f32)).clamp(1.0e-12, 1.0);

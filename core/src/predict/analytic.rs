@@ -1,9 +1,15 @@
 //! The analytic cost model: unit costs times estimated work.
 
-use super::{Calibration, CostTerms, FeatureRange, Inputs, Prediction, Predictor, Source, nnls};
+use super::network::Stored;
+use super::{
+    CALIBRATION_KEY, Calibration, CostTerms, FeatureRange, GroupKind, Inputs, Prediction, Predictor, Source,
+    UPPER_LEVEL, nnls,
+};
 use crate::Result;
 use crate::error::bail;
 use crate::features::{Changes, FrameFeatures, SceneQuantity, Setting};
+use crate::model::{InputGroup, Model, ModelFile};
+use crate::nn::{DenseParts, Dtype, PredNetParts, Target};
 use alloc::vec::Vec;
 
 /// Parts of a cost: the fixed one, then one per quantity of [`TERM_QUANTITIES`].
@@ -206,6 +212,76 @@ impl AnalyticModel {
             median_error,
             p95_error,
         })
+    }
+
+    /// The model as a file: one dense layer on [`TERM_QUANTITIES`] as scene features, target seconds, calibration and
+    /// range beside it under [`CALIBRATION_KEY`].
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidTensor`] when a cost does not fit single precision.
+    pub fn to_model_file(&self) -> Result<ModelFile> {
+        let mut file = ModelFile::new();
+        let parts = PredNetParts {
+            layers: alloc::vec![DenseParts {
+                inputs: TERMS - 1,
+                outputs: 1,
+                weight: self.costs[1..].iter().map(|&c| c as f32).collect(),
+                bias: alloc::vec![self.costs[0] as f32],
+                dtype: Dtype::F32,
+            }],
+            input: None,
+            output: None,
+            target: Target::Seconds,
+        };
+        let group = InputGroup { name: GroupKind::SceneFeatures.name().into(), size: TERMS - 1 };
+        file.set_prednet(&parts, &[group])?;
+        file.set_scene_features(&TERM_QUANTITIES.map(SceneQuantity::name))?;
+        let stored = Stored {
+            level: UPPER_LEVEL,
+            log_factor: Some(self.calibration.log_factor()).filter(|f| f.is_finite()),
+            low: self.range.ends().map(|(low, _)| low.to_vec()),
+            high: self.range.ends().map(|(_, high)| high.to_vec()),
+        };
+        file.set_metadata(CALIBRATION_KEY, stored.to_json()?);
+        Ok(file)
+    }
+
+    /// Reads back what [`AnalyticModel::to_model_file`] wrote; `None` for any other model.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidModel`] when the calibration beside it is damaged.
+    pub fn from_model(model: &Model) -> Result<Option<Self>> {
+        let names = model.scene_features();
+        let Some(net) = model.prednet() else { return Ok(None) };
+        let [layer] = &net.layers[..] else { return Ok(None) };
+        let fits = model.inputs().len() == 1
+            && names.len() == TERMS - 1
+            && names.iter().zip(&TERM_QUANTITIES).all(|(n, q)| n == q.name())
+            && net.input.is_none()
+            && net.output.is_none()
+            && net.target == Target::Seconds
+            && layer.weight.iter().chain(&layer.bias).all(|&w| w >= 0.0);
+        if !fits {
+            return Ok(None);
+        }
+        let mut costs = [0.0; TERMS];
+        costs[0] = f64::from(layer.bias[0]);
+        for (cost, &w) in costs[1..].iter_mut().zip(&layer.weight) {
+            *cost = f64::from(w);
+        }
+        if costs.iter().all(|&c| c == 0.0) {
+            return Ok(None);
+        }
+        let mut out = Self::from_costs(costs)?;
+        if let Some(stored) = Stored::of(model)? {
+            out.calibration = Calibration::from_log_factor(stored.log_factor.unwrap_or(f32::NAN));
+            if let (Some(low), Some(high)) = (stored.low, stored.high)
+                && let (Ok(low), Ok(high)) = (low.try_into(), high.try_into())
+            {
+                out.range = FeatureRange::from_ends(low, high);
+            }
+        }
+        Ok(Some(out))
     }
 
     /// Predicts from work that is already counted: a leading 1, then [`TERM_QUANTITIES`].

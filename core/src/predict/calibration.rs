@@ -36,6 +36,16 @@ impl Calibration {
         if log_factor.is_finite() { Self { log_factor: log_factor as f32 } } else { Self::unknown() }
     }
 
+    /// With a given ln of the factor; NaN for never calibrated.
+    pub fn from_log_factor(log_factor: f32) -> Self {
+        Self { log_factor: if log_factor.is_finite() { log_factor } else { f32::NAN } }
+    }
+
+    /// ln of the factor; NaN when never calibrated.
+    pub fn log_factor(&self) -> f32 {
+        self.log_factor
+    }
+
     /// The factor; NaN when never calibrated.
     pub fn factor(&self) -> f32 {
         libm::expf(self.log_factor)
@@ -59,6 +69,17 @@ impl<const N: usize> FeatureRange<N> {
     /// Knows nothing: scores are NaN.
     pub const fn unknown() -> Self {
         Self { low: [0.0; N], high: [0.0; N], known: false }
+    }
+
+    /// With given ends; unknown when any is not finite.
+    pub fn from_ends(low: [f32; N], high: [f32; N]) -> Self {
+        let known = low.iter().chain(&high).all(|v| v.is_finite());
+        if known { Self { low, high, known } } else { Self::unknown() }
+    }
+
+    /// Low and high ends, or `None` where nothing is known.
+    pub fn ends(&self) -> Option<(&[f32; N], &[f32; N])> {
+        self.known.then_some((&self.low, &self.high))
     }
 
     /// The range of the rows; values that are not finite are passed over.

@@ -102,7 +102,7 @@ pub trait Predictor {
 /// The input groups of the model file contract.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
-pub enum InputGroup {
+pub enum GroupKind {
     /// `volume_features`.
     VolumeFeatures,
     /// `camera`.
@@ -117,7 +117,7 @@ pub enum InputGroup {
     SceneFeatures,
 }
 
-impl InputGroup {
+impl GroupKind {
     /// Every group.
     pub const ALL: [Self; 6] = [
         Self::VolumeFeatures,
@@ -160,7 +160,7 @@ impl InputGroup {
 /// # Errors
 /// [`crate::ErrorKind::MissingInput`] when the caller did not supply the group, or supplied another size.
 pub fn write_group(
-    group: InputGroup,
+    group: GroupKind,
     scene_features: &[SceneFeature],
     inputs: &Inputs<'_>,
     out: &mut [f32],
@@ -180,16 +180,16 @@ pub fn write_group(
         Ok(())
     };
     match group {
-        InputGroup::VolumeFeatures => match inputs.volume_features {
+        GroupKind::VolumeFeatures => match inputs.volume_features {
             Some(x) => fixed(out, x),
             None => bail!(
                 MissingInput,
                 "the model takes {size} volume features and none were supplied; encode the volume first"
             ),
         },
-        InputGroup::Camera => fixed(out, &[inputs.camera.rx, inputs.camera.ry, inputs.camera.dz]),
-        InputGroup::Resolution => fixed(out, &[inputs.setting.width as f32, inputs.setting.height as f32]),
-        InputGroup::TransferFunction => {
+        GroupKind::Camera => fixed(out, &[inputs.camera.rx, inputs.camera.ry, inputs.camera.dz]),
+        GroupKind::Resolution => fixed(out, &[inputs.setting.width as f32, inputs.setting.height as f32]),
+        GroupKind::TransferFunction => {
             let Some(lobes) = inputs.lobes else {
                 bail!(
                     MissingInput,
@@ -210,8 +210,8 @@ pub fn write_group(
             }
             Ok(())
         }
-        InputGroup::StepSize => fixed(out, &[inputs.setting.step]),
-        InputGroup::SceneFeatures => {
+        GroupKind::StepSize => fixed(out, &[inputs.setting.step]),
+        GroupKind::SceneFeatures => {
             if scene_features.len() != size {
                 bail!(
                     MissingInput,

@@ -1,13 +1,17 @@
 //! From inputs to seconds: the analytic cost model and PredNet behind one trait, with upper bound and out-of-range score.
+//!
+//! [`load`] turns a model file into the predictor that fits it.
 
 mod analytic;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod calibration;
 mod inputs;
+mod network;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod nnls;
 
 pub use analytic::{AnalyticModel, FitReport, Measurement, TERM_QUANTITIES, TERMS};
 pub use calibration::{Calibration, FeatureRange, UPPER_LEVEL};
-pub use inputs::{CostTerms, InputGroup, Inputs, Prediction, Predictor, Source, write_group};
+pub use inputs::{CostTerms, GroupKind, Inputs, Prediction, Predictor, Source, write_group};
+pub use network::{CALIBRATION_KEY, ModelPredictor, load};
 pub use nnls::nnls;

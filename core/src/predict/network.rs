@@ -1,1 +1,382 @@
 //! A network from a model file as a predictor.
+
+use super::{AnalyticModel, Calibration, GroupKind, Inputs, Prediction, Predictor, Source, write_group};
+use crate::Result;
+use crate::error::bail;
+use crate::features::{SceneFeature, SceneQuantity};
+use crate::model::Model;
+use crate::nn::{PredNet, PredScratch};
+use alloc::boxed::Box;
+use alloc::string::String;
+use alloc::sync::Arc;
+use alloc::vec;
+use alloc::vec::Vec;
+use serde::{Deserialize, Serialize};
+
+/// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95), `log_factor`
+/// (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of their work). Optional.
+pub const CALIBRATION_KEY: &str = "entire.calibration";
+
+/// Shortest time that a network's prediction is taken for, seconds. Networks trained on seconds go below zero for cheap
+/// frames.
+const SHORTEST: f32 = 1.0e-6;
+
+/// Longest time, seconds; also what a network says whose output is not a number.
+const LONGEST: f32 = 1.0e9;
+
+/// Distance from the training mean, in standard deviations, up to which an input counts as inside.
+const INSIDE: f32 = 2.5;
+
+/// What [`CALIBRATION_KEY`] holds.
+#[derive(Serialize, Deserialize)]
+pub(super) struct Stored {
+    pub(super) level: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) log_factor: Option<f32>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) low: Option<Vec<f32>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) high: Option<Vec<f32>>,
+}
+
+impl Stored {
+    pub(super) fn to_json(&self) -> Result<String> {
+        match serde_json::to_string(self) {
+            Ok(text) => Ok(text),
+            Err(e) => bail!(InvalidArgument, "the calibration cannot be written as JSON: {e}"),
+        }
+    }
+
+    pub(super) fn of(model: &Model) -> Result<Option<Self>> {
+        let Some(text) = model.metadata().get(CALIBRATION_KEY) else { return Ok(None) };
+        match serde_json::from_str::<Self>(text) {
+            Ok(stored) => Ok(Some(stored)),
+            Err(e) => bail!(InvalidModel, "{CALIBRATION_KEY} is not a calibration object: {e}"),
+        }
+    }
+}
+
+/// The predictor that fits a model file: the analytic model where the file is one, else its PredNet.
+///
+/// # Errors
+/// As [`ModelPredictor::new`].
+pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
+    Ok(match AnalyticModel::from_model(model)? {
+        Some(analytic) => Box::new(analytic),
+        None => Box::new(ModelPredictor::new(model)?),
+    })
+}
+
+/// A model file's PredNet, its inputs assembled from named groups in the file's order.
+///
+/// The out-of-range score looks at the inputs' distance from their training means, where the file holds them; volume
+/// features take no part in it, since an encoder maps any volume to familiar codes.
+#[derive(Clone, Debug)]
+pub struct ModelPredictor {
+    net: Arc<PredNet>,
+    groups: Vec<(GroupKind, usize)>,
+    scene_features: Vec<SceneFeature>,
+    /// Mean and standard deviation per input; NaN mean where an input takes no part in the score.
+    spread: Vec<(f32, f32)>,
+    scratch: PredScratch,
+    row: Vec<f32>,
+    knows_step: bool,
+    calibration: Calibration,
+}
+
+impl ModelPredictor {
+    /// From a checked model, for this CPU's best level.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::MissingInput`] for an input group that this version does not know,
+    /// [`crate::ErrorKind::Unsupported`] for such a scene feature, [`crate::ErrorKind::InvalidModel`] for a file
+    /// without PredNet or with a damaged calibration.
+    pub fn new(model: &Model) -> Result<Self> {
+        let Some(parts) = model.prednet() else {
+            bail!(
+                InvalidModel,
+                "the file holds no PredNet (prednet.0.weight); a VolumeNet alone cannot predict times"
+            );
+        };
+        Self::with_net(Arc::new(PredNet::new(parts)?), model)
+    }
+
+    /// As [`ModelPredictor::new`] with a network that was built from the same model before, so that several predictors
+    /// share its weights.
+    ///
+    /// # Errors
+    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network of another input size.
+    pub fn with_net(net: Arc<PredNet>, model: &Model) -> Result<Self> {
+        let mut groups = Vec::with_capacity(model.inputs().len());
+        for group in model.inputs() {
+            groups.push((GroupKind::from_name(&group.name)?, group.size));
+        }
+        let scene_features =
+            model.scene_features().iter().map(|n| SceneFeature::from_name(n)).collect::<Result<Vec<_>>>()?;
+        let width: usize = groups.iter().map(|g| g.1).sum();
+        if width != net.inputs() {
+            bail!(
+                SizeMismatch,
+                "the network takes {} inputs, the model's groups hold {width}; build it from the same model",
+                net.inputs()
+            );
+        }
+        let mut spread = vec![(f32::NAN, 1.0); width];
+        if let Some(norm) = model.prednet().and_then(|p| p.input.as_ref()) {
+            let mut at = 0;
+            for &(kind, size) in &groups {
+                if kind != GroupKind::VolumeFeatures {
+                    let ends = norm.mean[at..at + size].iter().zip(&norm.std[at..at + size]);
+                    for (slot, (&mean, &std)) in spread[at..at + size].iter_mut().zip(ends) {
+                        *slot = (mean, std);
+                    }
+                }
+                at += size;
+            }
+        }
+        let knows_step = groups.iter().any(|g| g.0 == GroupKind::StepSize)
+            || scene_features.iter().any(|f| {
+                matches!(
+                    f.quantity,
+                    SceneQuantity::Step
+                        | SceneQuantity::Samples
+                        | SceneQuantity::LaneSamples
+                        | SceneQuantity::LocalSamples
+                        | SceneQuantity::ScatterSamples
+                        | SceneQuantity::SamplesPerPixel
+                        | SceneQuantity::ShadowSamples
+                )
+            });
+        let calibration = Stored::of(model)?
+            .and_then(|s| s.log_factor)
+            .map_or(Calibration::unknown(), Calibration::from_log_factor);
+        let scratch = net.scratch();
+        Ok(Self {
+            net,
+            groups,
+            scene_features,
+            spread,
+            scratch,
+            row: vec![0.0; width],
+            knows_step,
+            calibration,
+        })
+    }
+
+    /// Replaces the calibration behind [`Prediction::upper`].
+    pub fn set_calibration(&mut self, calibration: Calibration) {
+        self.calibration = calibration;
+    }
+
+    /// The scene features that the model takes, in order.
+    pub fn scene_features(&self) -> &[SceneFeature] {
+        &self.scene_features
+    }
+
+    /// The input row of a frame, in the model's order.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::MissingInput`] for a group that was not supplied.
+    pub fn row(&mut self, inputs: &Inputs<'_>) -> Result<&[f32]> {
+        let mut rest = &mut self.row[..];
+        for &(kind, size) in &self.groups {
+            let (head, tail) = rest.split_at_mut(size);
+            write_group(kind, &self.scene_features, inputs, head)?;
+            rest = tail;
+        }
+        Ok(&self.row)
+    }
+
+    fn score(&self) -> f32 {
+        let (mut worst, mut known) = (0.0f32, false);
+        for (x, &(mean, std)) in self.row.iter().zip(&self.spread) {
+            if mean.is_nan() {
+                continue;
+            }
+            known = true;
+            let z = (x - mean).abs() / std;
+            worst = worst.max(if z.is_nan() { f32::INFINITY } else { z });
+        }
+        if known { (worst / INSIDE - 1.0).max(0.0) } else { f32::NAN }
+    }
+}
+
+impl Predictor for ModelPredictor {
+    fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
+        self.row(inputs)?;
+        let seconds = self.net.predict(&self.row, &mut self.scratch);
+        let (seconds, out_of_range) = if seconds.is_nan() {
+            (LONGEST, f32::INFINITY)
+        } else {
+            (seconds.clamp(SHORTEST, LONGEST), self.score())
+        };
+        Ok(Prediction {
+            seconds,
+            upper: self.calibration.upper(seconds),
+            out_of_range,
+            source: Source::Network,
+        })
+    }
+
+    fn knows_step(&self) -> bool {
+        self.knows_step
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ErrorKind;
+    use crate::features::{Changes, FrameFeatures, Setting};
+    use crate::model::{InputGroup, ModelFile};
+    use crate::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
+    use crate::scene::{Arcball, Camera, Frame, GaussianLobe};
+
+    fn model(
+        groups: &[(&str, usize)],
+        features: &[&str],
+        target: Target,
+        norm: Option<Normalization>,
+    ) -> Model {
+        let n: usize = groups.iter().map(|g| g.1).sum();
+        let mut file = ModelFile::new();
+        let parts = PredNetParts {
+            layers: vec![DenseParts {
+                inputs: n,
+                outputs: 1,
+                weight: (0..n).map(|i| 0.001 * (i + 1) as f32).collect(),
+                bias: vec![0.5],
+                dtype: Dtype::F32,
+            }],
+            input: norm,
+            output: None,
+            target,
+        };
+        let inputs: Vec<InputGroup> =
+            groups.iter().map(|&(name, size)| InputGroup { name: name.into(), size }).collect();
+        file.set_prednet(&parts, &inputs).unwrap();
+        if !features.is_empty() {
+            file.set_scene_features(features).unwrap();
+        }
+        file.to_model().unwrap()
+    }
+
+    fn frame() -> Frame {
+        Frame::new(Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).unwrap(), 64, 32).unwrap()
+    }
+
+    fn inputs<'a>(features: &'a FrameFeatures, x: &'a [f32], lobes: &'a [GaussianLobe]) -> Inputs<'a> {
+        Inputs {
+            features,
+            setting: Setting::of(&frame()).with_step(3.0),
+            changes: Changes::NONE,
+            camera: Arcball { rx: 10.0, ry: 20.0, dz: 2.0 },
+            volume_features: Some(x),
+            lobes: Some(lobes),
+        }
+    }
+
+    #[test]
+    fn groups_are_assembled_in_the_files_order() {
+        let m = model(
+            &[
+                ("step_size", 1),
+                ("transfer_function", 3),
+                ("resolution", 2),
+                ("volume_features", 2),
+                ("camera", 3),
+                ("scene_features", 2),
+            ],
+            &["step", "log_pixels"],
+            Target::LogSeconds,
+            None,
+        );
+        let mut p = ModelPredictor::new(&m).unwrap();
+        let features = FrameFeatures::new();
+        let lobes = [GaussianLobe { center: 0.1, width: 0.2, height: 0.3 }];
+        let x = [7.0, 8.0];
+        let inputs = inputs(&features, &x, &lobes);
+        let log_pixels = libm::log(64.0 * 32.0 + 1.0) as f32;
+        let expected = [3.0, 0.1, 0.2, 0.3, 64.0, 32.0, 7.0, 8.0, 10.0, 20.0, 2.0, 3.0, log_pixels];
+        assert_eq!(p.row(&inputs).unwrap(), expected);
+        let y: f64 = 0.5
+            + expected.iter().enumerate().map(|(i, &v)| 0.001 * (i + 1) as f64 * f64::from(v)).sum::<f64>();
+        let seconds = p.predict(&inputs).unwrap();
+        assert!((f64::from(seconds.seconds) / y.exp() - 1.0).abs() < 1e-5);
+        assert!(seconds.upper.is_nan() && seconds.out_of_range.is_nan() && p.knows_step());
+    }
+
+    #[test]
+    fn a_group_that_was_not_supplied_is_an_error_and_never_zero() {
+        let features = FrameFeatures::new();
+        let lobes = [GaussianLobe { center: 0.1, width: 0.2, height: 0.3 }; 2];
+        let x = [1.0];
+        let full = inputs(&features, &x, &lobes);
+        let check = |group: (&str, usize), inputs: &Inputs<'_>, text: &str| {
+            let mut p = ModelPredictor::new(&model(&[group], &[], Target::Seconds, None)).unwrap();
+            let e = p.predict(inputs).unwrap_err();
+            assert_eq!(e.kind(), ErrorKind::MissingInput);
+            assert!(e.message().contains(text), "{e}");
+        };
+        check(("volume_features", 2), &Inputs { volume_features: None, ..full }, "none were supplied");
+        check(("volume_features", 2), &full, "supplies 1");
+        check(("transfer_function", 6), &Inputs { lobes: None, ..full }, "2 lobes");
+        check(("transfer_function", 9), &full, "takes 3 Gaussian lobes, the transfer function has 2");
+        let unknown = model(&[("phase_of_the_moon", 1)], &[], Target::Seconds, None);
+        assert_eq!(ModelPredictor::new(&unknown).unwrap_err().kind(), ErrorKind::MissingInput);
+        let unknown = model(&[("scene_features", 1)], &["mood"], Target::Seconds, None);
+        assert_eq!(ModelPredictor::new(&unknown).unwrap_err().kind(), ErrorKind::Unsupported);
+    }
+
+    #[test]
+    fn seconds_are_positive_and_far_inputs_are_told() {
+        let norm = Normalization { mean: vec![64.0, 32.0], std: vec![10.0, 10.0] };
+        let m = model(&[("resolution", 2)], &[], Target::Seconds, Some(norm));
+        let mut p = ModelPredictor::new(&m).unwrap();
+        assert!(!p.knows_step());
+        let features = FrameFeatures::new();
+        let mut i = inputs(&features, &[], &[]);
+        assert_eq!(p.predict(&i).unwrap().out_of_range, 0.0);
+        i.setting.width = 164;
+        assert!((p.predict(&i).unwrap().out_of_range - 3.0).abs() < 1e-6);
+        let negative = {
+            let mut file = ModelFile::new();
+            let parts = PredNetParts {
+                layers: vec![DenseParts {
+                    inputs: 2,
+                    outputs: 1,
+                    weight: vec![-1.0; 2],
+                    bias: vec![0.0],
+                    dtype: Dtype::F32,
+                }],
+                input: None,
+                output: None,
+                target: Target::Seconds,
+            };
+            file.set_prednet(&parts, &[InputGroup { name: "resolution".into(), size: 2 }]).unwrap();
+            file.to_model().unwrap()
+        };
+        let seconds = ModelPredictor::new(&negative).unwrap().predict(&i).unwrap().seconds;
+        assert!(seconds > 0.0 && seconds.is_finite());
+    }
+
+    #[test]
+    fn analytic_models_survive_their_file() {
+        let mut analytic =
+            AnalyticModel::from_costs([1e-3, 2e-9, 0.0, 4e-9, 5e-8, 0.0, 7e-8, 0.0, 9e-8]).unwrap();
+        analytic.set_calibration(Calibration::from_log_factor(0.25));
+        let model = analytic.to_model_file().unwrap().to_model().unwrap();
+        let back = AnalyticModel::from_model(&model).unwrap().unwrap();
+        for (a, b) in analytic.costs().iter().zip(back.costs()) {
+            assert!((a - b).abs() <= 1e-7 * a);
+        }
+        assert_eq!(back.calibration().log_factor(), 0.25);
+        // The same file through the network's path gives the same seconds.
+        let features = FrameFeatures::new();
+        let inputs = inputs(&features, &[], &[]);
+        let mut net = ModelPredictor::new(&model).unwrap();
+        let (a, b) = (load(&model).unwrap().predict(&inputs).unwrap(), net.predict(&inputs).unwrap());
+        assert!((a.seconds / b.seconds - 1.0).abs() < 1e-5);
+        assert_eq!((a.source, b.source), (Source::Analytic, Source::Network));
+    }
+}

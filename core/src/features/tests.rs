@@ -1,0 +1,281 @@
+//! The summaries against plain loops, and the probe's invariants.
+
+use super::*;
+use crate::scene::*;
+use crate::{ErrorKind, Result};
+use proptest::prelude::*;
+use std::vec::Vec;
+
+fn noise(n: usize, seed: u64) -> Vec<u8> {
+    let mut state = seed;
+    (0..n)
+        .map(|_| {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (state >> 56) as u8
+        })
+        .collect()
+}
+
+fn summary(data: &[u8], dims: [usize; 3], cells_per_axis: usize) -> VolumeSummary {
+    let view = VolumeView::new(Scalars::U8(data), dims).unwrap();
+    VolumeSummary::new(&view, SummaryOptions { cells_per_axis }).unwrap()
+}
+
+fn table(opacity: impl Fn(usize) -> f32) -> TransferTable {
+    TransferTable::new(core::array::from_fn(|i| [0.5, 0.5, 0.5, opacity(i)])).unwrap()
+}
+
+fn frame(rx: f32, ry: f32, dz: f32, size: u32) -> Frame {
+    Frame::new(Camera::from_arcball(Arcball { rx, ry, dz }).unwrap(), size, size).unwrap()
+}
+
+fn measured(volume: &VolumeSummary, table: &TransferTable, frame: &Frame) -> FrameFeatures {
+    let mut transfer = TransferSummary::new(volume, table);
+    transfer.prepare_distance();
+    let mut features = FrameFeatures::new();
+    features.measure(volume, &transfer, frame);
+    features
+}
+
+#[test]
+fn cell_bounds_are_those_of_their_voxels_and_the_next() {
+    for (dims, per_axis) in
+        [([17, 9, 8], 48), ([1, 1, 1], 48), ([40, 3, 70], 48), ([64, 64, 40], 2), ([100, 1, 33], 4)]
+    {
+        let n = dims.iter().product();
+        let data = noise(n, 5);
+        let s = summary(&data, dims, per_axis);
+        let edge = s.cell_edge();
+        let cells = s.cells();
+        for c in 0..3 {
+            assert!(cells[c] <= per_axis && cells[c] == dims[c].div_ceil(edge[c]));
+        }
+        for z in 0..cells[2] {
+            for y in 0..cells[1] {
+                for x in 0..cells[0] {
+                    let (mut lo, mut hi) = (255, 0);
+                    let range = |c: usize, a: usize| c * edge[a]..(c * edge[a] + edge[a] + 1).min(dims[a]);
+                    for k in range(z, 2) {
+                        for j in range(y, 1) {
+                            for i in range(x, 0) {
+                                let v = data[i + dims[0] * (j + dims[1] * k)];
+                                lo = lo.min(v);
+                                hi = hi.max(v);
+                            }
+                        }
+                    }
+                    assert_eq!(s.cell_bounds(x, y, z), (lo, hi), "{dims:?} {x} {y} {z}");
+                }
+            }
+        }
+        assert!((s.histogram().iter().sum::<f32>() - 1.0).abs() < 1e-4);
+    }
+}
+
+#[test]
+fn coarse_cells_judge_emptiness_by_their_blocks() {
+    // 128 voxels along x in cells of 64: one bright voxel occupies one of eight blocks.
+    let dims = [128, 8, 8];
+    let mut data = std::vec![0u8; 128 * 8 * 8];
+    data[20] = 255;
+    let s = summary(&data, dims, 2);
+    assert_eq!((s.cells(), s.block_edge()), ([2, 1, 1], [8, 8, 8]));
+    let t = TransferSummary::new(&s, &table(|i| if i > 100 { 0.5 } else { 0.0 }));
+    assert!((t.occupied_share() - 1.0 / 16.0).abs() < 1e-6, "{}", t.occupied_share());
+    assert!(!t.is_empty(0, 0, 0) && t.is_empty(1, 0, 0));
+}
+
+#[test]
+fn uniform_volumes_have_the_tables_extinction() {
+    for alpha in [0.001f32, 0.1, 0.9] {
+        for unit in [1.0f32, 0.25, 8.0] {
+            let data = std::vec![100u8; 16 * 16 * 16];
+            let s = summary(&data, [16; 3], 48);
+            let table = table(|i| if (90..=110).contains(&i) { alpha } else { 0.0 })
+                .with_unit_distance(unit)
+                .unwrap();
+            let t = TransferSummary::new(&s, &table);
+            let expected = -(1.0 - alpha).ln() / unit;
+            assert!(
+                (t.extinction(1, 1, 1) / expected - 1.0).abs() < 1e-2,
+                "{alpha} {unit}: {}",
+                t.extinction(1, 1, 1)
+            );
+            assert_eq!((t.occupied_share(), t.visible_share()), (1.0, 1.0));
+        }
+    }
+}
+
+#[test]
+fn bricks_give_the_same_bounds_as_voxels() {
+    let dims = [24, 16, 9];
+    let data = noise(24 * 16 * 9, 3);
+    let s = summary(&data, dims, 48);
+    let mut bounds = Vec::new();
+    for z in 0..s.cells()[2] {
+        for y in 0..s.cells()[1] {
+            for x in 0..s.cells()[0] {
+                let (lo, hi) = s.cell_bounds(x, y, z);
+                bounds.push([f32::from(lo) / 255.0, f32::from(hi) / 255.0]);
+            }
+        }
+    }
+    let b = VolumeSummary::from_bricks(dims, [1.0; 3], ScalarType::U8, [8; 3], &bounds).unwrap();
+    for z in 0..s.cells()[2] {
+        for y in 0..s.cells()[1] {
+            for x in 0..s.cells()[0] {
+                let (a, b) = (s.cell_bounds(x, y, z), b.cell_bounds(x, y, z));
+                assert!(a.0.abs_diff(b.0) <= 1 && a.1.abs_diff(b.1) <= 1);
+            }
+        }
+    }
+    let kind = |r: Result<VolumeSummary>| r.unwrap_err().kind();
+    let t = ScalarType::U8;
+    assert_eq!(
+        kind(VolumeSummary::from_bricks(dims, [1.0; 3], t, [8; 3], &bounds[1..])),
+        ErrorKind::SizeMismatch
+    );
+    assert_eq!(
+        kind(VolumeSummary::from_bricks([0, 1, 1], [1.0; 3], t, [8; 3], &[])),
+        ErrorKind::InvalidArgument
+    );
+    assert_eq!(
+        kind(VolumeSummary::from_bricks(dims, [1.0, 0.0, 1.0], t, [8; 3], &bounds)),
+        ErrorKind::InvalidArgument
+    );
+    assert_eq!(
+        kind(VolumeSummary::from_bricks(dims, [1.0; 3], t, [0, 8, 8], &bounds)),
+        ErrorKind::InvalidArgument
+    );
+    let nan = VolumeSummary::from_bricks([8; 3], [1.0; 3], t, [8; 3], &[[f32::NAN, f32::INFINITY]]).unwrap();
+    assert_eq!(nan.cell_bounds(0, 0, 0), (0, 255));
+    assert!(VolumeSummary::from_bricks([usize::MAX, usize::MAX, 9], [1.0; 3], t, [1; 3], &[]).is_err());
+}
+
+#[test]
+fn options_out_of_range_are_refused() {
+    let data = [0u8; 8];
+    let view = VolumeView::new(Scalars::U8(&data), [2, 2, 2]).unwrap();
+    for cells_per_axis in [0, 129] {
+        assert_eq!(
+            VolumeSummary::new(&view, SummaryOptions { cells_per_axis }).unwrap_err().kind(),
+            ErrorKind::InvalidArgument
+        );
+    }
+}
+
+#[test]
+fn non_finite_voxels_are_counted_and_harmless() {
+    let mut data = std::vec![0.5f32; 9 * 9 * 9];
+    data[0] = f32::NAN;
+    data[100] = f32::INFINITY;
+    data[728] = -1.0;
+    let view = VolumeView::new(Scalars::F32(&data), [9; 3]).unwrap();
+    let s = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    assert!((s.non_finite_share() - 2.0 / 729.0).abs() < 1e-7);
+    let w = measured(&s, &table(|_| 0.1), &frame(0.0, 0.0, 2.0, 64))
+        .work(&Setting::of(&frame(0.0, 0.0, 2.0, 64)));
+    assert!(w.samples.is_finite() && w.samples > 0.0);
+}
+
+#[test]
+fn a_transparent_table_leaves_only_jumps_and_an_opaque_one_the_first_sample() {
+    let data = noise(64 * 64 * 64, 9);
+    let s = summary(&data, [64; 3], 48);
+    let f = frame(10.0, 20.0, 2.0, 256);
+    let clear = measured(&s, &table(|_| 0.0), &f);
+    let w = clear.work(&Setting::of(&f));
+    assert_eq!((w.samples, w.shaded), (0.0, 0.0));
+    assert!(w.rays > 0.0 && w.skips > 4.0 * w.rays && w.skips < 30.0 * w.rays, "{w:?}");
+    let far = clear.work(&Setting { skipping: Skipping::Distance, ..Setting::of(&f) });
+    assert!(far.skips < 1.5 * far.rays, "one jump leaves an empty volume: {far:?}");
+    let solid = measured(&s, &table(|_| 1.0), &f).work(&Setting::of(&f));
+    assert!(solid.samples < 1.2 * solid.rays && solid.samples > 0.5 * solid.rays, "{solid:?}");
+    let never = f.with_termination(1.0).unwrap();
+    let whole = measured(&s, &table(|_| 1.0), &never);
+    let length = f64::from(whole.probe().mean_chord());
+    let w = whole.work(&Setting::of(&never));
+    assert!(
+        (w.samples / w.rays / length - 1.0).abs() < 1e-3,
+        "without termination every sample is taken: {w:?} {length}"
+    );
+}
+
+#[test]
+fn thin_flat_and_tiny_volumes_give_finite_features() {
+    for dims in [[1, 1, 1], [200, 1, 1], [1, 64, 64], [2, 300, 2]] {
+        let data = noise(dims.iter().product(), 4);
+        let view = VolumeView::new(Scalars::U8(&data), dims).unwrap().with_spacing([1.0, 10.0, 0.1]).unwrap();
+        let s = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+        for (rx, ry, dz) in [(0.0, 0.0, 2.0), (90.0, 0.0, 1.1), (30.0, 45.0, 0.01), (0.0, 90.0, 50.0)] {
+            for size in [1, 33] {
+                let f = frame(rx, ry, dz, size).with_shading(Shading::Scatter);
+                let features = measured(&s, &table(|i| i as f32 / 255.0), &f);
+                let mut out = [0.0; 2 * SceneQuantity::ALL.len()];
+                let all: Vec<SceneFeature> = SceneQuantity::ALL
+                    .iter()
+                    .flat_map(|&q| [SceneFeature::linear(q), SceneFeature::log(q)])
+                    .collect();
+                features.write(&all, &Setting::of(&f), Changes::NONE, &mut out);
+                for (feature, value) in all.iter().zip(out) {
+                    assert!(value.is_finite(), "{feature} is {value} for {dims:?} {rx} {ry} {dz} {size}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn names_round_trip_and_unknown_ones_are_refused() {
+    for &q in SceneQuantity::ALL {
+        for feature in [SceneFeature::linear(q), SceneFeature::log(q)] {
+            assert_eq!(SceneFeature::from_name(&std::format!("{feature}")).unwrap(), feature);
+        }
+    }
+    let e = SceneFeature::from_name("log_mood").unwrap_err();
+    assert!(e.kind() == ErrorKind::Unsupported && e.message().contains("lane_samples"));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// A coarser step or fewer pixels is never more work; every count is finite and not negative.
+    #[test]
+    fn work_never_grows_with_the_step_nor_shrinks_with_the_image(
+        rx in -89.0f32..89.0, ry in -180.0f32..180.0, dz in 0.05f32..6.0,
+        center in 0.0f32..1.0, width in 1e-4f32..0.1, height in 0.001f32..1.0,
+        seed in 0u64..8, shading in 0usize..3, skipping in 0usize..3,
+    ) {
+        let mut data = noise(40 * 33 * 21, seed);
+        if seed % 2 == 0 {
+            data.iter_mut().enumerate().for_each(|(i, v)| *v = (i / 200) as u8);
+        }
+        let s = summary(&data, [40, 33, 21], 48);
+        let tf = TransferFunction::Gaussian(std::vec![GaussianLobe { center, width, height }]).to_table().unwrap();
+        let f = frame(rx, ry, dz, 100)
+            .with_shading([Shading::None, Shading::Local, Shading::Scatter][shading])
+            .with_skipping([Skipping::None, Skipping::Blocks, Skipping::Distance][skipping]);
+        let features = measured(&s, &tf, &f);
+        let counts = |w: Work| [w.pixels, w.rays, w.samples, w.skips, w.lane_samples, w.shaded, w.shadow_samples];
+        let mut last: Option<[f64; 7]> = None;
+        for i in 0..40 {
+            let step = 0.25 * 1.15f32.powi(i);
+            let now = counts(features.work(&Setting::of(&f).with_step(step)));
+            for (k, v) in now.iter().enumerate() {
+                prop_assert!(v.is_finite() && *v >= 0.0);
+                if let Some(last) = last {
+                    prop_assert!(*v <= last[k] * (1.0 + 1e-6), "count {} rose from {} to {} at step {}", k, last[k], v, step);
+                }
+            }
+            last = Some(now);
+        }
+        let mut last = [0.0f64; 7];
+        for size in [1, 2, 3, 10, 50, 100, 333, 1000, 4000] {
+            let now = counts(features.work(&Setting { width: size, height: size, ..Setting::of(&f) }));
+            for (k, v) in now.iter().enumerate() {
+                prop_assert!(*v >= last[k] * (1.0 - 1e-6), "count {} fell at size {}", k, size);
+            }
+            last = now;
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! Compares the coarse ray probe's estimated work with the counts of the CPU twin of the reference raycaster.
+//!
+//! ```text
+//! cargo run --release -p entire-tests --example probe_accuracy -- [--frames N] [--max-size N] VOLUME…
+//! ```
+//!
+//! Draws random scenes as `entire collect` does (seed 1), for every volume with steps 1, 2 and 4, and prints for each
+//! shading mode the median and 90th percentile of |estimate / count − 1| and the median of estimate / count, over the
+//! frames in which the counted work is not negligible.
+
+use entire_cli::scenes::SceneDistribution;
+use entire_cli::volume::Volume;
+use entire_core::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
+use entire_core::scene::{Camera, Frame, Shading, Skipping, TransferFunction};
+use entire_vk_raycaster::{CpuRaycaster, Renderer};
+
+fn main() {
+    let mut frames = 24;
+    let mut max_size = 160;
+    let mut volumes = Vec::new();
+    let mut args = std::env::args().skip(1);
+    while let Some(arg) = args.next() {
+        let mut number = || args.next().and_then(|v| v.parse().ok()).expect("a number");
+        match arg.as_str() {
+            "--frames" => frames = number(),
+            "--max-size" => max_size = number(),
+            _ => volumes.push(arg),
+        }
+    }
+    assert!(!volumes.is_empty(), "give at least one volume file");
+    let distribution = SceneDistribution {
+        min_size: 32.min(max_size as u32),
+        max_size: max_size as u32,
+        steps: vec![1.0, 2.0, 4.0],
+        ..SceneDistribution::default()
+    };
+    let names = ["rays", "samples", "skips", "shaded", "shadow"];
+    for (shading, skipping) in [
+        (Shading::None, Skipping::None),
+        (Shading::None, Skipping::Blocks),
+        (Shading::None, Skipping::Distance),
+        (Shading::Local, Skipping::Blocks),
+        (Shading::Scatter, Skipping::Blocks),
+    ] {
+        let mut ratios: [Vec<f64>; 5] = Default::default();
+        for path in &volumes {
+            let volume = Volume::open(path).unwrap_or_else(|e| panic!("{e:#}"));
+            let view = volume.view();
+            let summary = VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary");
+            let mut renderer = CpuRaycaster::new();
+            renderer.set_volume(&view).expect("the volume");
+            let mut worst = (0.0, String::new());
+            for index in 0..frames {
+                let scene = distribution.draw(1, path, index as u64);
+                let table = TransferFunction::Gaussian(scene.lobes.clone()).to_table().expect("a table");
+                renderer.set_transfer(&table).expect("the transfer function");
+                let frame = Frame::new(
+                    Camera::from_arcball(scene.camera).expect("a camera"),
+                    scene.width,
+                    scene.height,
+                )
+                .and_then(|f| f.with_step(scene.step))
+                .expect("a frame")
+                .with_shading(shading)
+                .with_skipping(skipping);
+                let counts = renderer.render(&frame).expect("a picture").counts.expect("counts");
+                let mut transfer = TransferSummary::new(&summary, &table);
+                transfer.prepare_distance();
+                let mut features = FrameFeatures::new();
+                features.measure(&summary, &transfer, &frame);
+                let work = features.work(&Setting::of(&frame));
+                // The twin counts shadow samples with the primary ones.
+                let pairs = [
+                    (work.rays, counts.rays as f64),
+                    (work.samples + work.shadow_samples, counts.samples as f64),
+                    (work.skips, counts.skips as f64),
+                    (work.shaded, counts.shaded as f64),
+                    (work.samples, counts.samples as f64 - work.shadow_samples),
+                ];
+                for (k, (estimate, count)) in pairs.into_iter().enumerate() {
+                    // Less than a tenth of an event per ray is no work.
+                    if count > 0.1 * counts.rays as f64 && (k < 4) {
+                        ratios[k].push(estimate / count);
+                        let off = (estimate / count).ln().abs();
+                        if k == 1 && off > worst.0 {
+                            worst = (
+                                off,
+                                format!(
+                                    "frame {index} estimate {estimate:.0} count {count:.0} rays {} terminated {:.2} occupied {:.3} step {} {:?}",
+                                    counts.rays,
+                                    features.probe().terminated(),
+                                    transfer.occupied_share(),
+                                    scene.step,
+                                    scene.lobes
+                                ),
+                            );
+                        }
+                    }
+                }
+            }
+            if std::env::var_os("WORST").is_some() {
+                println!("  {path}: x{:.2} {}", f64::exp(worst.0), worst.1);
+            }
+        }
+        println!("{} / {}", shading.name(), skipping.name());
+        for (name, ratios) in names.iter().zip(&mut ratios) {
+            if ratios.is_empty() {
+                continue;
+            }
+            ratios.sort_by(f64::total_cmp);
+            let mut errors: Vec<f64> = ratios.iter().map(|r| (r - 1.0).abs()).collect();
+            errors.sort_by(f64::total_cmp);
+            let at = |v: &[f64], q: f64| v[((v.len() - 1) as f64 * q) as usize];
+            println!(
+                "  {name:8} n {:4}  median error {:5.1} %  p90 {:5.1} %  bias {:+5.1} %",
+                ratios.len(),
+                100.0 * at(&errors, 0.5),
+                100.0 * at(&errors, 0.9),
+                100.0 * (at(ratios, 0.5) - 1.0)
+            );
+        }
+    }
+}
