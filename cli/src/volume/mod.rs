@@ -20,6 +20,7 @@
 //! not used, voxel spacings are.
 
 mod element;
+pub mod hostile;
 mod metaimage;
 mod nifti;
 mod nrrd;
