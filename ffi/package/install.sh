@@ -1,24 +1,27 @@
 #!/usr/bin/env bash
 # Builds libentire and installs it with its headers, pkg-config file and CMake package.
 #
-#   ffi/package/install.sh [--prefix DIR] [--libdir NAME] [--destdir DIR] [--features LIST] [--no-build]
+#   ffi/package/install.sh [--prefix DIR] [--libdir NAME] [--destdir DIR] [--features LIST]
+#                          [--profile NAME] [--no-build]
 #
 # --prefix   where the package will live (default /usr/local)
 # --libdir   the library folder under the prefix (default lib)
 # --destdir  stage into this folder instead, for package builders (default none)
 # --features cargo features of entire-ffi (default none)
+# --profile  cargo profile (default sdk)
 # --no-build install what the last run built
 set -euo pipefail
 
-prefix=/usr/local libdir=lib destdir= features= build=1
+prefix=/usr/local libdir=lib destdir= features= profile=sdk build=1
 while (($#)); do
     case $1 in
         --prefix) prefix=${2:?--prefix needs a folder}; shift 2 ;;
         --libdir) libdir=${2:?--libdir needs a name}; shift 2 ;;
         --destdir) destdir=${2?--destdir needs a folder}; shift 2 ;;
         --features) features=${2?--features needs a list}; shift 2 ;;
+        --profile) profile=${2:?--profile needs a name}; shift 2 ;;
         --no-build) build=; shift ;;
-        -h | --help) sed -n '2,11p' "$0" | cut -c3-; exit 0 ;;
+        -h | --help) sed -n '2,13p' "$0" | cut -c3-; exit 0 ;;
         *) echo "install.sh: unknown option $1 (try --help)" >&2; exit 2 ;;
     esac
 done
@@ -33,8 +36,8 @@ cd "$(dirname "$0")/../.."
 here=ffi/package
 cargo=${CARGO:-cargo}
 target=${CARGO_TARGET_DIR:-target}
-built=$target/sdk
-arguments=(--package entire-ffi --lib --profile sdk)
+case $profile in dev) built=$target/debug ;; *) built=$target/$profile ;; esac
+arguments=(--package entire-ffi --lib --profile "$profile")
 if [[ $features ]]; then arguments+=(--features "$features"); fi
 if [[ $build ]]; then "$cargo" build --quiet "${arguments[@]}"; fi
 

@@ -300,16 +300,12 @@ mod tests {
             assert!(failure.message.contains("sizeof(probe)"));
             let mut probe = probe;
             // SAFETY: as above.
-            assert_eq!(
-                unsafe { write_struct(&raw mut probe, &Probe::defaults()) }.err().unwrap().code,
-                ENTIRE_STRUCT_SIZE
-            );
+            let refused = unsafe { write_struct(&raw mut probe, &Probe::defaults()) }.err();
+            assert_eq!(refused.unwrap().code, ENTIRE_STRUCT_SIZE);
         }
         // SAFETY: NULL is allowed.
-        assert_eq!(
-            unsafe { read_struct(std::ptr::null::<Probe>()) }.err().unwrap().code,
-            ENTIRE_NULL_ARGUMENT
-        );
+        let refused = unsafe { read_struct(std::ptr::null::<Probe>()) }.err();
+        assert_eq!(refused.unwrap().code, ENTIRE_NULL_ARGUMENT);
     }
 
     #[test]

@@ -163,7 +163,7 @@ fn skipping(number: u32) -> Result<Skipping, Failure> {
 
 impl entire_frame {
     /// The core's frame. `radius`: the bounding-sphere radius where the volume is known.
-    pub(crate) fn to_core(&self, radius: Option<f32>) -> Result<Frame, Failure> {
+    pub(crate) fn checked(&self, radius: Option<f32>) -> Result<Frame, Failure> {
         let camera = match self.camera {
             ENTIRE_CAMERA_ARCBALL => {
                 let [rx, ry, dz] = self.arcball;
@@ -205,7 +205,7 @@ impl entire_frame {
 }
 
 impl entire_setting {
-    pub(crate) fn to_core(self) -> Result<Setting, Failure> {
+    pub(crate) fn checked(self) -> Result<Setting, Failure> {
         Ok(Setting {
             step: self.step,
             width: self.width,

@@ -11,11 +11,11 @@ use crate::volume::{Volume, entire_volume};
 use entire_core::kernels::Level;
 use entire_core::model::{Model, keys};
 use entire_core::nn::{EncodeScratch, Executor, PredNet, PredScratch, Target, VolumeNet};
-use entire_core::predict::Predictor;
+use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
 use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
 use std::mem::{offset_of, size_of};
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 /// What a prediction network's output stands for: one of the `ENTIRE_TARGET_*` numbers.
 pub type entire_target = u32;
@@ -99,6 +99,9 @@ const _: () = {
     assert!(offset_of!(entire_input_group, size) == 16);
 };
 
+/// Rows of a batch that are worked on at once.
+const ROWS_AT_ONCE: usize = 192;
+
 /// A model file in memory. Immutable: any number of threads and predictors may use one model at the same time.
 pub struct entire_model {
     status: Status,
@@ -107,7 +110,9 @@ pub struct entire_model {
 
 pub(crate) struct Loaded {
     model: Model,
-    prednet: Option<(PredNet, Pool<PredScratch>)>,
+    prednet: Option<(Arc<PredNet>, Pool<PredScratch>)>,
+    /// Working memory of batches.
+    rows: Pool<PredScratch>,
     volumenet: Option<(VolumeNet, Pool<EncodeScratch>)>,
     groups: Vec<CString>,
     scene_features: Vec<CString>,
@@ -119,14 +124,15 @@ handle!(entire_model, Loaded, Counted);
 impl Loaded {
     fn new(model: Model) -> Result<Self, Failure> {
         let prednet = model.prednet().map(PredNet::new).transpose()?.map(|net| {
-            let scratch = Pool::new(net.scratch());
-            (net, scratch)
+            let scratch = Pool::with_first(net.scratch());
+            (Arc::new(net), scratch)
         });
         let volumenet = model.volumenet().map(VolumeNet::new).transpose()?.map(|net| {
-            let scratch = Pool::new(net.scratch());
+            let scratch = Pool::with_first(net.scratch());
             (net, scratch)
         });
         Ok(Self {
+            rows: Pool::new(),
             volumenet,
             groups: model.inputs().iter().map(|g| log::c_text(&g.name)).collect(),
             scene_features: model.scene_features().iter().map(|name| log::c_text(name)).collect(),
@@ -138,8 +144,11 @@ impl Loaded {
 
     /// The model as a predictor's source of predictions.
     pub(crate) fn predictor(&self) -> Result<Box<dyn Predictor + Send>, Failure> {
-        self.prednet()?;
-        Err(Failure::new(ENTIRE_UNSUPPORTED, "networks cannot predict yet"))
+        let (net, _) = self.prednet()?;
+        Ok(match AnalyticModel::from_model(&self.model)? {
+            Some(analytic) => Box::new(analytic),
+            None => Box::new(ModelPredictor::with_net(net.clone(), &self.model)?),
+        })
     }
 
     /// The volume features that the model's predictions take: ready ones, or the encoder's; `None` where it takes none.
@@ -179,7 +188,7 @@ impl Loaded {
         })
     }
 
-    fn prednet(&self) -> Result<&(PredNet, Pool<PredScratch>), Failure> {
+    fn prednet(&self) -> Result<&(Arc<PredNet>, Pool<PredScratch>), Failure> {
         self.prednet.as_ref().ok_or_else(|| {
             Failure::new(
                 ENTIRE_UNSUPPORTED,
@@ -423,7 +432,7 @@ pub unsafe extern "C" fn entire_model_predict_batch(
     // SAFETY: the pointers are as the crate's documentation demands.
     unsafe {
         reading(model, |loaded| {
-            let (net, pool) = loaded.prednet()?;
+            let (net, _) = loaded.prednet()?;
             let Some(count) = rows.checked_mul(input_count) else {
                 return Err(Failure::new(
                     ENTIRE_SIZE_MISMATCH,
@@ -438,7 +447,8 @@ pub unsafe extern "C" fn entire_model_predict_batch(
                 return Ok(());
             }
             check_inputs(inputs, net.inputs(), rows)?;
-            pool.with(|| net.scratch(), |scratch| net.predict_batch(inputs, seconds, scratch))?;
+            let scratch = || net.batch_scratch(ROWS_AT_ONCE);
+            loaded.rows.with(scratch, |scratch| net.predict_batch(inputs, seconds, scratch))?;
             Ok(())
         })
     }

@@ -13,11 +13,16 @@ pub(crate) struct Pool<T> {
 }
 
 impl<T> Pool<T> {
+    /// A pool that holds nothing yet.
+    pub(crate) fn new() -> Self {
+        Self { slots: [const { AtomicPtr::new(ptr::null_mut()) }; SLOTS] }
+    }
+
     /// A pool that holds `first` alone.
-    pub(crate) fn new(first: T) -> Self {
-        let slots = [const { AtomicPtr::new(ptr::null_mut()) }; SLOTS];
-        slots[0].store(Box::into_raw(Box::new(first)), Ordering::Release);
-        Self { slots }
+    pub(crate) fn with_first(first: T) -> Self {
+        let pool = Self::new();
+        pool.put(Box::new(first));
+        pool
     }
 
     /// Runs `body` with a piece that nobody else is using; `make` makes one where all are taken.
@@ -66,7 +71,7 @@ mod tests {
     #[test]
     fn pieces_are_reused_and_never_shared() {
         let made = AtomicUsize::new(1);
-        let pool = Pool::new(0u64);
+        let pool = Pool::with_first(0u64);
         let make = || {
             made.fetch_add(1, Ordering::Relaxed);
             0u64
@@ -96,7 +101,7 @@ mod tests {
 
     #[test]
     fn nested_use_makes_further_pieces() {
-        let pool = Pool::new(1);
+        let pool = Pool::with_first(1);
         let depth = pool.with(|| 2, |a| pool.with(|| 2, |b| *a + *b));
         assert_eq!(depth, 3);
     }

@@ -493,7 +493,7 @@ pub unsafe extern "C" fn entire_predictor_predict(
     unsafe {
         changing(predictor, |state| {
             check_output(prediction)?;
-            let frame = read_struct(frame)?.to_core(state.radius())?;
+            let frame = read_struct(frame)?.checked(state.radius())?;
             let p = state.session.predict(&frame)?;
             let out = entire_prediction {
                 seconds: p.seconds,
@@ -524,7 +524,7 @@ pub unsafe extern "C" fn entire_predictor_plan(
     unsafe {
         changing(predictor, |state| {
             check_output(plan)?;
-            let frame = read_struct(frame)?.to_core(state.radius())?;
+            let frame = read_struct(frame)?.checked(state.radius())?;
             let made = state.session.plan(&frame, target_seconds)?;
             write_struct(plan, &made.into())
         })
@@ -552,7 +552,7 @@ pub unsafe extern "C" fn entire_predictor_choose(
         changing(predictor, |state| {
             check_output(plan)?;
             check_pointer(index, "index (output)")?;
-            let frame = read_struct(frame)?.to_core(state.radius())?;
+            let frame = read_struct(frame)?.checked(state.radius())?;
             if setting_count > ENTIRE_MAX_SETTINGS {
                 return Err(Failure::new(
                     ENTIRE_SIZE_MISMATCH,
@@ -562,7 +562,7 @@ pub unsafe extern "C" fn entire_predictor_choose(
             let given = slice(settings, setting_count, "settings")?;
             let mut settings = [entire_core::features::Setting::of(&frame); ENTIRE_MAX_SETTINGS];
             for (slot, setting) in settings.iter_mut().zip(given) {
-                *slot = setting.to_core()?;
+                *slot = setting.checked()?;
             }
             let choice = state.session.choose(&frame, &settings[..setting_count], target_seconds)?;
             write(index, choice.index, "index (output)")?;
@@ -691,4 +691,12 @@ pub unsafe extern "C" fn entire_predictor_last_error(
 pub unsafe extern "C" fn entire_predictor_free(predictor: *mut entire_predictor) {
     // SAFETY: the pointer is as the crate's documentation demands.
     unsafe { freeing(predictor) }
+}
+
+/// Panics on purpose, for the test of the panic boundary.
+#[cfg(feature = "test-panic")]
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_test_panic(predictor: *mut entire_predictor) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe { changing(predictor, |state| panic!("deliberate, with radius {:?}", state.radius())) }
 }

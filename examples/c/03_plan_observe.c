@@ -1,0 +1,70 @@
+/* A render loop that is steered: plan, draw with the plan's step, observe how long it took. No model is needed: the
+ * predictor starts from a cost model and learns this "renderer" (a formula here) from its first frames. At frame 20 the
+ * transfer function changes abruptly.
+ *
+ *   03_plan_observe
+ */
+#include <entire/entire.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+
+enum { N = 48, FRAMES = 40 };
+static uint8_t voxels[N * N * N];
+
+static void check(entire_result result) {
+    if (result != ENTIRE_OK) {
+        fprintf(stderr, "%s: %s\n", entire_result_name(result), entire_last_error());
+        exit(1);
+    }
+}
+
+/* What a renderer would measure, in seconds: the thinner the medium, the further rays go. */
+static float draw(float step, int dense) {
+    return 0.004f + (dense ? 0.05f : 0.2f) / step;
+}
+
+static void set_lobe(entire_predictor *predictor, float height) {
+    entire_gaussian_lobe lobe = {.center = 0.5f, .width = 0.05f, .height = height};
+    entire_transfer_function *tf = NULL;
+    check(entire_transfer_function_from_lobes(&lobe, 1, &tf));
+    check(entire_predictor_set_transfer_function(predictor, tf));
+    entire_transfer_function_free(tf); /* the predictor keeps what it needs */
+}
+
+int main(void) {
+    for (int i = 0; i < N * N * N; ++i) voxels[i] = (uint8_t)(128 + 127 * ((i / N) % N) / N);
+    entire_volume_desc desc;
+    check(entire_volume_desc_init(&desc, sizeof desc));
+    desc.scalar_type = ENTIRE_SCALAR_U8;
+    desc.voxels = voxels;
+    desc.voxel_count = sizeof voxels;
+    desc.dims[0] = desc.dims[1] = desc.dims[2] = N;
+    entire_volume *volume = NULL;
+    check(entire_volume_new(&desc, &volume));
+
+    entire_predictor *predictor = NULL;
+    check(entire_predictor_new(NULL, NULL, &predictor));
+    check(entire_predictor_set_volume(predictor, volume));
+    set_lobe(predictor, 0.9f);
+
+    entire_frame frame;
+    check(entire_frame_init(&frame, sizeof frame));
+    frame.width = frame.height = 512;
+    for (int i = 0; i < FRAMES; ++i) {
+        int dense = i < FRAMES / 2;
+        if (i == FRAMES / 2) set_lobe(predictor, 0.01f);
+        frame.arcball[1] = 3.0f * (float)i;
+        entire_plan plan = {.struct_size = sizeof plan};
+        check(entire_predictor_plan(predictor, &frame, 0.04f, &plan));
+        float seconds = draw(plan.step, dense);
+        check(entire_predictor_observe(predictor, plan.id, seconds, 0, NULL));
+        printf("frame %2d  step %5.2f  predicted ", i, plan.step);
+        if (plan.absent & ENTIRE_ABSENT_SECONDS) printf("   unknown");
+        else printf("%7.1f ms", 1e3 * plan.seconds);
+        printf("  took %6.1f ms  reason %u\n", 1e3 * seconds, plan.reason);
+    }
+    entire_predictor_free(predictor);
+    entire_volume_free(volume);
+    return 0;
+}

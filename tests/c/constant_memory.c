@@ -1,0 +1,64 @@
+/* Plans and observations do not grow memory: the resident set is the same after the first tenth of the loop and at its
+ * end, and nothing was taken from the heap in between.
+ *
+ *   constant_memory MODEL ROUNDS
+ */
+#define _GNU_SOURCE
+#include "check.h"
+#include <malloc.h>
+#include <unistd.h>
+
+/* Defined by the address sanitizer's runtime, whose own bookkeeping grows. */
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define SANITIZED 1
+#elif defined(__has_feature)
+#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
+#define SANITIZED 1
+#endif
+#endif
+#ifndef SANITIZED
+#define SANITIZED 0
+#endif
+
+static long resident_pages(void) {
+    long size = 0, resident = 0;
+    FILE *file = fopen("/proc/self/statm", "r");
+    CHECK(file != NULL);
+    CHECK(fscanf(file, "%ld %ld", &size, &resident) == 2);
+    fclose(file);
+    return resident;
+}
+
+int main(int argc, char **argv) {
+    CHECK(argc == 3);
+    const long rounds = strtol(argv[2], NULL, 10);
+    entire_model *model = NULL;
+    OK(entire_model_open(argv[1], &model));
+    entire_predictor *predictor = toy_predictor(model);
+    entire_frame frame = toy_frame();
+    frame.width = frame.height = 16;
+    long pages = 0;
+    size_t heap = 0;
+    for (long i = 0; i < rounds; ++i) {
+        entire_plan plan = {.struct_size = sizeof plan};
+        frame.arcball[1] = (float)(i % 360);
+        entire_result planned = entire_predictor_plan(predictor, &frame, 0.01f, &plan);
+        entire_result observed = entire_predictor_observe(predictor, plan.id, 0.001f + 0.02f / plan.step, 0, NULL);
+        if (planned != ENTIRE_OK || observed != ENTIRE_OK) CHECK(!"plan and observe succeed");
+        if (i == rounds / 10) {
+            pages = resident_pages();
+            heap = mallinfo2().uordblks;
+        }
+    }
+    const size_t heap_now = mallinfo2().uordblks;
+    const long grown = resident_pages() - pages;
+    printf("%ld rounds: heap %zu bytes after a tenth, %zu at the end; resident set grew by %ld pages\n", rounds, heap,
+           heap_now, grown);
+    if (!SANITIZED) {
+        CHECK(heap == heap_now);
+        CHECK(grown <= 16);
+    }
+    entire_predictor_free(predictor);
+    entire_model_free(model);
+    return 0;
+}

@@ -1,0 +1,123 @@
+/* Version, result names, last error, log callback, struct sizes. */
+#include "check.h"
+
+_Static_assert(ENTIRE_OK == 0 && ENTIRE_INVALID_ARGUMENT == 1 && ENTIRE_SIZE_MISMATCH == 2 && ENTIRE_INVALID_MODEL == 3 &&
+                   ENTIRE_INVALID_TENSOR == 4 && ENTIRE_MISSING_INPUT == 5 && ENTIRE_NOT_READY == 6 &&
+                   ENTIRE_REJECTED_OBSERVATION == 7 && ENTIRE_UNSUPPORTED == 8 && ENTIRE_NULL_ARGUMENT == 100 &&
+                   ENTIRE_STRUCT_SIZE == 101 && ENTIRE_IO == 102 && ENTIRE_PANIC == 103,
+               "result numbers never change");
+_Static_assert(ENTIRE_STRIDE_CONTIGUOUS == SIZE_MAX, "the library takes it for SIZE_MAX");
+
+/* The layouts of ABI 1 on 64-bit targets, as C sees them. */
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_model_info) == 56, "entire_model_info");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_input_group) == 32, "entire_input_group");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_volume_desc) == 104, "entire_volume_desc");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_brick_desc) == 96, "entire_brick_desc");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_volume_info) == 72, "entire_volume_info");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_frame) == 144, "entire_frame");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_predictor_options) == 32, "entire_predictor_options");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_plan) == 40, "entire_plan");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_prediction) == 32, "entire_prediction");
+_Static_assert(sizeof(entire_gaussian_lobe) == 12 && sizeof(entire_opacity_node) == 32 &&
+                   sizeof(entire_color_node) == 48 && sizeof(entire_setting) == 20,
+               "elements of arrays");
+_Static_assert(offsetof(entire_frame, view) == 36 && offsetof(entire_frame, volume_radius) == 112 &&
+                   offsetof(entire_frame, shading) == 124,
+               "entire_frame's fields");
+_Static_assert(sizeof(void *) != 8 || (offsetof(entire_plan, id) == 8 && offsetof(entire_plan, step) == 16 &&
+                                       offsetof(entire_plan, reason) == 32 && offsetof(entire_plan, absent) == 36),
+               "entire_plan's fields");
+_Static_assert(sizeof(void *) != 8 ||
+                   (offsetof(entire_volume_desc, voxels) == 16 && offsetof(entire_volume_desc, dims) == 32 &&
+                    offsetof(entire_volume_desc, strides) == 56 && offsetof(entire_volume_desc, spacing) == 80),
+               "entire_volume_desc's fields");
+
+typedef struct {
+    int calls;
+    entire_log_level last_level;
+    char last[400];
+    entire_result reentered;
+} heard;
+
+static void listen(void *user_data, entire_log_level level, const char *message) {
+    heard *log = user_data;
+    log->calls += 1;
+    log->last_level = level;
+    snprintf(log->last, sizeof log->last, "%s", message);
+    log->reentered = entire_set_log(NULL, NULL, ENTIRE_LOG_OFF);
+}
+
+static void log_callback(void) {
+    heard log = {0};
+    entire_model *model = NULL;
+    OK(entire_set_log(listen, &log, ENTIRE_LOG_INFO));
+    EXPECT(ENTIRE_IO, entire_model_open("no such file", &model));
+    CHECK(log.calls == 1 && log.last_level == ENTIRE_LOG_ERROR && strstr(log.last, "no such file"));
+    CHECK(log.reentered == ENTIRE_INVALID_ARGUMENT);
+
+    entire_volume_free(toy_volume());
+    CHECK(log.calls == 2 && log.last_level == ENTIRE_LOG_INFO && strstr(log.last, "5 x 7 x 11"));
+
+    OK(entire_set_log(listen, &log, ENTIRE_LOG_ERROR));
+    entire_volume_free(toy_volume());
+    CHECK(log.calls == 2);
+
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_set_log(listen, &log, 4));
+    log.calls = 0;
+    OK(entire_set_log(NULL, NULL, ENTIRE_LOG_INFO));
+    EXPECT(ENTIRE_IO, entire_model_open("no such file", &model));
+    CHECK(log.calls == 0 && model == NULL);
+    OK(entire_set_log(listen, &log, ENTIRE_LOG_OFF));
+    EXPECT(ENTIRE_IO, entire_model_open("no such file", &model));
+    CHECK(log.calls == 0);
+}
+
+/* A caller compiled against another version of a struct. */
+static void struct_sizes(void) {
+    struct {
+        entire_frame frame;
+        uint64_t later_field;
+    } newer;
+    memset(&newer, 0xff, sizeof newer);
+    OK(entire_frame_init(&newer.frame, sizeof newer));
+    CHECK(newer.frame.struct_size == sizeof newer && newer.later_field == 0);
+
+    entire_predictor *predictor = toy_predictor(NULL);
+    entire_plan plan = {.struct_size = sizeof plan};
+    newer.frame.width = newer.frame.height = 32;
+    OK(entire_predictor_plan(predictor, &newer.frame, 0.02f, &plan));
+    newer.later_field = 1;
+    EXPECT(ENTIRE_STRUCT_SIZE, entire_predictor_plan(predictor, &newer.frame, 0.02f, &plan));
+    SAYS("entire_frame.struct_size");
+
+    const size_t bad[] = {0, 1, sizeof(size_t), sizeof(entire_frame) - 1, (size_t)1 << 16, SIZE_MAX};
+    for (size_t i = 0; i < sizeof bad / sizeof bad[0]; ++i) {
+        entire_frame frame = toy_frame();
+        EXPECT(ENTIRE_STRUCT_SIZE, entire_frame_init(&frame, bad[i]));
+        frame.struct_size = bad[i];
+        EXPECT(ENTIRE_STRUCT_SIZE, entire_predictor_plan(predictor, &frame, 0.02f, &plan));
+    }
+    /* An output struct of a newer caller is filled as far as the library knows it. */
+    struct {
+        entire_plan plan;
+        uint64_t later_field;
+    } newer_plan = {.plan = {.struct_size = sizeof newer_plan}, .later_field = 77};
+    entire_frame frame = toy_frame();
+    OK(entire_predictor_plan(predictor, &frame, 0.02f, &newer_plan.plan));
+    CHECK(newer_plan.plan.struct_size == sizeof newer_plan && newer_plan.plan.id != 0 && newer_plan.later_field == 77);
+    entire_predictor_free(predictor);
+}
+
+int main(void) {
+    CHECK(strcmp(entire_version(), ENTIRE_VERSION) == 0);
+    CHECK(entire_version_number() == ENTIRE_VERSION_NUMBER);
+    CHECK(entire_abi_version() == ENTIRE_ABI_VERSION);
+    CHECK(ENTIRE_VERSION_NUMBER == ENTIRE_VERSION_MAJOR * 1000000 + ENTIRE_VERSION_MINOR * 1000 + ENTIRE_VERSION_PATCH);
+    CHECK(strlen(entire_simd_level()) > 0);
+    CHECK(strcmp(entire_result_name(ENTIRE_IO), "ENTIRE_IO") == 0);
+    CHECK(strcmp(entire_result_name(12345), "unknown result") == 0);
+    CHECK(entire_last_error()[0] == '\0');
+    log_callback();
+    struct_sizes();
+    return 0;
+}
