@@ -6,10 +6,13 @@ pub mod dataset;
 pub mod device;
 pub mod enlarge;
 pub mod files;
+pub mod inputs;
 pub mod interrupt;
 pub mod machine;
+pub mod metrics;
 pub mod report;
 pub mod scenes;
 #[cfg(test)]
 mod scripted;
+pub mod split;
 pub mod volume;

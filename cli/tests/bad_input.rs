@@ -141,6 +141,13 @@ fn models_with_wrong_shapes_numbers_or_metadata() {
         all.extend(parts);
         refuses(at, &["predict", "--model", "m.safetensors", "--inputs", "rows.csv"], &all);
     }
+    // A group that this version does not know is the caller's to supply: here, as columns of the table.
+    let unknown = meta("entire.inputs", r#"[{"name":"camera","size":3},{"name":"mystery","size":2}]"#);
+    std::fs::write(at.join("m.safetensors"), safetensors(&unknown, &prednet())).unwrap();
+    let printed = succeeds(at, &["predict", "--model", "m.safetensors", "--inputs", "rows.csv"]);
+    assert_eq!(printed.lines().count(), 7);
+    std::fs::write(at.join("t.csv"), "1,2,3\n").unwrap();
+    refuses(at, &["predict", "--model", "m.safetensors", "--inputs", "t.csv"], &["camera 3, mystery 2"]);
     let log = meta("entire.target", "log_seconds");
     std::fs::write(at.join("m.safetensors"), safetensors(&log, &poke("prednet.1.bias", 100.0))).unwrap();
     let predict = ["predict", "--model", "m.safetensors", "--inputs", "rows.csv"];

@@ -27,7 +27,7 @@ import torch
 from torch import nn
 from tqdm import tqdm
 
-from volumenet import DEFAULT_CHANNELS, VolumeFile, VolumeNet, find_volumes, network_input, save_model
+from volumenet import DEFAULT_CHANNELS, VolumeFile, VolumeNet, card, find_volumes, network_input, save_model
 
 HERE = Path(__file__).resolve().parent
 
@@ -56,6 +56,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--val-members", type=lambda s: s.split(","), help="dataset/member,... for validation")
     parser.add_argument("--test-members", type=lambda s: s.split(","), help="dataset/member,... for testing")
     parser.add_argument("--dtype", choices=("f32", "f16", "bf16"), default="f16", help="how weights are stored")
+    parser.add_argument("--encoder-only", action="store_true", help="leave the decoder out of the model file")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--threads", type=int, help="CPU threads")
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint beside the model file")
@@ -242,7 +243,8 @@ def main() -> None:
         "date": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d"),
     }
     dtype = {"f32": torch.float32, "f16": torch.float16, "bf16": torch.bfloat16}[args.dtype]
-    save_model(model, args.out, dtype, provenance)
+    save_model(model, args.out, dtype, provenance, args.encoder_only)
+    args.out.with_suffix(".md").write_text(card(args.out.stem, model, provenance, args.dtype, args.encoder_only))
     args.out.with_suffix(".json").write_text(
         json.dumps({"provenance": provenance, "history": history, "seconds": round(seconds, 1)}, indent=1) + "\n"
     )

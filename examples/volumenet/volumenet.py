@@ -150,11 +150,13 @@ def network_input(path: Path, size: int, scalar_range: tuple[float, float] | Non
     return torch.from_numpy((resample(read_volume(path, scalar_range), size) * 2.0 - 1.0).astype(np.float32))[None]
 
 
-def save_model(model: VolumeNet, path: Path, dtype: torch.dtype, provenance: dict) -> None:
-    """Writes encoder, code layer and decoder as one model file."""
+def save_model(
+    model: VolumeNet, path: Path, dtype: torch.dtype, provenance: dict, encoder_only: bool = False
+) -> None:
+    """Writes encoder, code layer and (unless `encoder_only`) decoder as one model file."""
     tensors: dict[str, torch.Tensor] = {}
     for name, value in model.state_dict().items():
-        if name.endswith("num_batches_tracked"):
+        if name.endswith("num_batches_tracked") or (encoder_only and name.startswith("decoder.")):
             continue
         tensors["volumenet." + name] = value.detach().to("cpu", dtype).contiguous()
     for name, value in tensors.items():
@@ -216,3 +218,53 @@ def find_volumes(root: Path, datasets: list[str] | None = None) -> list[VolumeFi
         if datasets is None or dataset in datasets:
             found.append(VolumeFile(path, dataset, member))
     return found
+
+
+def card(name: str, model: VolumeNet, provenance: dict, dtype: str, encoder_only: bool) -> str:
+    """The model card, in Markdown."""
+    settings, members, psnr = provenance["settings"], provenance["members"], provenance["psnr_db"]
+    datasets = sorted({d for part in psnr.values() for d in part})
+    rows = "\n".join(
+        f"| {d} | " + " | ".join(f"{psnr[p][d]:.2f}" if d in psnr[p] else "-" for p in psnr) + " |" for d in datasets
+    )
+    split = "\n".join(
+        f"- {part}: {provenance['volumes'][part]} volumes of {', '.join(names) if names else 'no member'}"
+        for part, names in members.items()
+    )
+    return f"""# {name}
+
+VolumeNet: turns a volume into {model.features} features (PredNet's input group `volume_features`). Input {model.size}^3,
+channels 1-{"-".join(map(str, model.channels))}, weights stored as {dtype.upper()}{", encoder only" if encoder_only else ", decoder included"}.
+
+## Use
+
+```
+entire encode --model {name}.safetensors VOLUME
+entire train --data FRAMES.csv --out MODEL.safetensors --volumenet {name}.safetensors --inputs volume_features,camera,resolution,transfer_function
+```
+
+## Data and split
+
+By ensemble member. SHA-256 of all files in order: `{provenance["data_sha256"]}`.
+
+{split}
+
+## Training
+
+{provenance["what"]} (paper: {provenance["paper"]}), {settings["optimizer"]}, batch {settings["batch"]}, learning rate
+{settings["learning_rate"][0]:g} to {settings["learning_rate"][1]:g}, {settings["schedule"]}, gradients clipped at norm {settings["clip_norm"]:g}, seed {settings["seed"]}.
+Ran {provenance["epochs_run"]} epochs ({provenance["stopped"]}); the weights are those of epoch {provenance["best_epoch"]}, the lowest validation loss.
+Machine: {provenance["machine"]}; {provenance["date"]}.
+
+## Reconstruction, PSNR in dB (mean over volumes)
+
+| dataset | {" | ".join(psnr)} |
+|---|{"---|" * len(psnr)}
+{rows}
+
+## Limits
+
+{model.features} numbers describe a volume coarsely: they tell members and time steps of the training ensembles apart, and say
+little about volumes of another kind. Validation and test volumes reconstruct worse than training volumes where the
+ensemble has few members.
+"""

@@ -126,4 +126,10 @@ pub trait Renderer {
     /// # Errors
     /// When volume or transfer function were not set, or the device fails; after an error nothing is half done.
     fn render(&mut self, frame: &Frame) -> Result<Rendered>;
+
+    /// Asks for [`Rendered::counts`] in the frames that follow, which may make them a little slower; renderers that
+    /// always count, or never can, ignore it.
+    fn count_work(&mut self, on: bool) {
+        let _ = on;
+    }
 }

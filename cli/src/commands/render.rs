@@ -116,7 +116,12 @@ pub fn run(options: &Options) -> Result<()> {
         repeats.push(rendered.time);
         last = Some(rendered);
     }
-    let Rendered { image, counts, .. } = last.context("--repeat is 0; render at least once")?;
+    let Rendered { image, mut counts, .. } = last.context("--repeat is 0; render at least once")?;
+    if counts.is_none() {
+        // Once more, untimed, by a renderer that counts only when it is told to.
+        renderer.count_work(true);
+        counts = renderer.render(&frame)?.counts;
+    }
     write_png(&options.out, &image)?;
 
     let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();

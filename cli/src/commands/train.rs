@@ -1,12 +1,809 @@
 //! `entire train`: train or fine-tune a predictor on collected frames.
 
-use anyhow::Result;
+use crate::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor, read_tables};
+use crate::inputs::{Layout, measure};
+use crate::metrics::{Metrics, SHORTEST};
+use crate::split::{GroupBy, Part, Split};
+use crate::{interrupt, machine};
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use entire_core::features::SceneFeature;
+use entire_core::model::{Model, ModelFile, keys};
+use entire_core::nn::{Dtype, Target, VolumeNet};
+use entire_core::predict::{
+    AnalyticModel, CALIBRATION_KEY, Calibration, GroupKind, Measurement, TERM_QUANTITIES, UPPER_LEVEL,
+};
+use entire_core::train::{
+    EpochRecord, Loss, Network, Samples, Settings, Standardization, Stop, Trained, preset_widths, train,
+};
+use indicatif::{ProgressBar, ProgressStyle};
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 /// Train or fine-tune a predictor on collected frames.
 #[derive(Debug, clap::Args)]
-pub struct Options {}
+#[command(after_help = "\
+Examples:
+  entire train --data frames.csv --out model.safetensors
+        a small network on scene features, log seconds, split by ensemble member
+  entire train --data frames.csv --out paper.safetensors --preset 12C256 --target seconds \\
+        --inputs volume_features,camera,resolution,transfer_function --volumenet models/volumenet-128f2.safetensors
+        the paper's configuration
+  entire train --data new-machine.csv --out tuned.safetensors --fine-tune model.safetensors --learning-rate 1e-4
+  entire train --data frames.csv --out costs.safetensors --model-kind analytic
+        unit costs by non-negative least squares: fits from a few frames on")]
+pub struct Options {
+    /// Timing tables written by `entire collect`.
+    #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
+    pub data: Vec<PathBuf>,
+    /// Model file to write; its card goes beside it as Markdown.
+    #[arg(long, value_name = "SAFETENSORS")]
+    pub out: PathBuf,
+    /// What is fitted.
+    #[arg(long, value_enum, default_value_t = Kind::Prednet)]
+    pub model_kind: Kind,
+    /// Hidden layer widths.
+    #[arg(long, value_delimiter = ',', value_name = "WIDTHS", conflicts_with_all = ["preset", "fine_tune"], default_value = "64,64")]
+    pub layers: Vec<usize>,
+    /// Layers of the paper, such as 0C256, 12C256 or 4C64: inputs → 256, 12 × (256 → 256), halved down to 16, 1.
+    #[arg(long, conflicts_with = "fine_tune")]
+    pub preset: Option<String>,
+    /// Input groups, in order: volume_features, camera, resolution, transfer_function, step_size, scene_features.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "GROUPS",
+        default_value = "scene_features",
+        conflicts_with = "fine_tune"
+    )]
+    pub inputs: Vec<String>,
+    /// Scene features, in order, where `--inputs` names that group; the standard ones unless given.
+    #[arg(long, value_delimiter = ',', value_name = "NAMES", conflicts_with = "fine_tune")]
+    pub scene_features: Vec<String>,
+    /// What the network gives.
+    #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
+    pub target: TargetChoice,
+    /// mse, relative (with --target seconds), huber[:delta] or pinball:quantile; the last gives an upper bound.
+    #[arg(long, default_value = "mse", value_parser = parse_loss)]
+    pub loss: Loss,
+    /// Passes over the training frames at most.
+    #[arg(long, default_value_t = 200)]
+    pub epochs: usize,
+    /// Frames per step.
+    #[arg(long, default_value_t = 256)]
+    pub batch: usize,
+    /// First learning rate; it falls by a half cosine. Unless given, 1e-4 with --preset (as the paper), else 1e-3.
+    #[arg(long)]
+    pub learning_rate: Option<f64>,
+    /// Last learning rate. Unless given, a hundredth of the first.
+    #[arg(long)]
+    pub final_learning_rate: Option<f64>,
+    /// Largest norm of the gradient.
+    #[arg(long, default_value_t = 1.0)]
+    pub clip: f64,
+    /// Epochs without a better validation loss after which training stops.
+    #[arg(long, default_value_t = 50)]
+    pub patience: usize,
+    /// Seed of the split, the weights and the order of frames.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Start from this model: its layers, inputs, target and standardisation stay, its weights learn on.
+    #[arg(long, value_name = "SAFETENSORS")]
+    pub fine_tune: Option<PathBuf>,
+    /// Model file with the VolumeNet that encodes volumes; it is written into the new file too.
+    #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
+    pub volumenet: Option<PathBuf>,
+    /// What is kept together when frames are split 80/10/10 into training, validation and test.
+    #[arg(long, value_enum, default_value_t = GroupBy::Member)]
+    pub split: GroupBy,
+    /// Members or volumes (as --split says) for validation, instead of a random tenth.
+    #[arg(
+        long,
+        alias = "validation-members",
+        alias = "validation-volumes",
+        value_delimiter = ',',
+        value_name = "NAMES"
+    )]
+    pub validation_groups: Vec<String>,
+    /// Members or volumes for testing, instead of a random tenth.
+    #[arg(long, alias = "test-members", alias = "test-volumes", value_delimiter = ',', value_name = "NAMES")]
+    pub test_groups: Vec<String>,
+    /// Which clock's seconds are learned.
+    #[arg(long, value_enum, default_value_t = Clock::Auto)]
+    pub clock: Clock,
+    /// Only frames with this shading: none, local or scatter.
+    #[arg(long, value_parser = crate::dataset::parse_shading)]
+    pub shading: Option<entire_core::scene::Shading>,
+    /// Use only this many training frames, chosen by the seed.
+    #[arg(long, value_name = "FRAMES")]
+    pub limit: Option<usize>,
+    /// How weights are stored.
+    #[arg(long, value_enum, default_value_t = DtypeChoice::F32)]
+    pub dtype: DtypeChoice,
+    /// Threads; all logical processors unless given.
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// No progress bar.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// What is fitted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Kind {
+    /// A network, by gradient descent.
+    Prednet,
+    /// Unit costs of estimated work, by non-negative least squares; stored as one dense layer.
+    Analytic,
+}
+
+/// What the network gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[value(rename_all = "snake_case")]
+pub enum TargetChoice {
+    /// Seconds, as in the paper.
+    Seconds,
+    /// Natural logarithm of seconds.
+    LogSeconds,
+}
+
+/// How weights are stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum DtypeChoice {
+    /// Single precision.
+    F32,
+    /// Half precision.
+    F16,
+    /// bfloat16.
+    Bf16,
+}
+
+/// Reads a loss: `mse`, `relative`, `huber`, `huber:DELTA`, `pinball:QUANTILE`.
+///
+/// # Errors
+/// For anything else.
+pub fn parse_loss(text: &str) -> Result<Loss> {
+    let (name, value) = match text.split_once(':') {
+        Some((name, value)) => {
+            let value: f64 = value.parse().map_err(|_| anyhow!("{value:?} after {name} is no number"))?;
+            (name, Some(value))
+        }
+        None => (text, None),
+    };
+    match (name, value) {
+        ("mse", None) => Ok(Loss::SquaredError),
+        ("relative", None) => Ok(Loss::Relative),
+        ("huber", delta) => Ok(Loss::Huber { delta: delta.unwrap_or(1.0) }),
+        ("pinball", Some(quantile)) => Ok(Loss::Pinball { quantile }),
+        _ => bail!("loss {text:?}; mse, relative, huber, huber:DELTA or pinball:QUANTILE is expected"),
+    }
+}
+
+fn loss_name(loss: Loss) -> String {
+    match loss {
+        Loss::SquaredError => "mse".into(),
+        Loss::Relative => "relative".into(),
+        Loss::Huber { delta } => format!("huber:{delta}"),
+        Loss::Pinball { quantile } => format!("pinball:{quantile}"),
+        other => format!("{other:?}"),
+    }
+}
+
+fn read_model_file(path: &Path) -> Result<(ModelFile, Model)> {
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let name = || format!("{}", path.display());
+    Ok((ModelFile::from_bytes(&bytes).with_context(name)?, Model::from_bytes(&bytes).with_context(name)?))
+}
+
+/// A pool of so many threads, all logical processors without a number.
+pub(crate) fn thread_pool(threads: Option<usize>) -> Result<ThreadPool> {
+    ensure!(threads != Some(0), "0 threads; at least 1 is needed");
+    ThreadPoolBuilder::new()
+        .num_threads(threads.unwrap_or_else(machine::cores))
+        .build()
+        .context("cannot start the threads")
+}
+
+/// A bar that shows itself unless told to be quiet.
+pub(crate) fn progress_bar(quiet: bool, template: &str) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(0).with_style(style.progress_chars("=> "))
+}
+
+/// The template of the bar for computing inputs.
+pub(crate) const INPUTS_BAR: &str = "computing inputs [{bar:30}] {pos}/{len} frames, {eta} left";
+
+/// Frames that have seconds by the clock (and the shading asked for), with those seconds.
+pub(crate) fn timed(
+    tables: &[Table],
+    clock: Clock,
+    shading: Option<entire_core::scene::Shading>,
+) -> Result<Vec<(&TimedFrame, f64)>> {
+    let all = || tables.iter().flat_map(|t| &t.frames);
+    let frames: Vec<(&TimedFrame, f64)> = all()
+        .filter(|f| shading.is_none_or(|s| f.scene.shading == s))
+        .filter_map(|f| Some((f, f.seconds(clock)?)))
+        .collect();
+    ensure!(
+        !frames.is_empty(),
+        "none of {} frames has {} and a time by the clock {:?}; choose another --clock{}",
+        all().count(),
+        shading.map_or("any shading".to_owned(), |s| format!("shading {}", s.name())),
+        clock.name(),
+        if shading.is_some() { " or --shading" } else { "" },
+    );
+    Ok(frames)
+}
+
+struct Fitted {
+    file: ModelFile,
+    layout: Layout,
+    what: String,
+    settings: serde_json::Value,
+    history: Vec<EpochRecord>,
+    outcome: String,
+}
 
 /// Runs the command.
-pub fn run(_options: &Options) -> Result<()> {
-    anyhow::bail!("`entire train` is not there yet")
+///
+/// # Errors
+/// When the data cannot be read or do not fit, a setting is out of range, or the model cannot be written.
+pub fn run(options: &Options) -> Result<()> {
+    let started = Instant::now();
+    check_out(&options.out)?;
+    let pool = thread_pool(options.threads)?;
+    let tables = read_tables(&options.data)?;
+    let frames = timed(&tables, options.clock, options.shading)?;
+    let split = Split::new(
+        frames.iter().map(|f| f.0),
+        options.split,
+        &options.validation_groups,
+        &options.test_groups,
+        options.seed,
+    )?;
+    let seconds: BTreeMap<(usize, u64), f64> =
+        frames.iter().map(|(f, t)| ((f.table, f.number), *t)).collect();
+    let refs: Vec<&TimedFrame> = frames.iter().map(|f| f.0).collect();
+    let mut parts = split.divide(&refs);
+    if let Some(limit) = options.limit {
+        ensure!(limit > 0, "--limit is 0; at least 1 training frame is needed");
+        if let Some(training) = parts.get_mut(&Part::Training) {
+            training.shuffle(&mut ChaCha8Rng::seed_from_u64(options.seed));
+            training.truncate(limit);
+        }
+    }
+    let count = |p: Part| parts.get(&p).map_or(0, Vec::len);
+    eprintln!(
+        "{} frames by {}: {} training, {} validation, {} test",
+        refs.len(),
+        split.by.name(),
+        count(Part::Training),
+        count(Part::Validation),
+        count(Part::Test)
+    );
+    if split.validation.is_empty() {
+        eprintln!(
+            "note: fewer than three {}s, so every frame trains and nothing is held out; test on other data",
+            split.by.name()
+        );
+    }
+    let part_seconds = |p: Part| -> Vec<f64> {
+        parts.get(&p).map_or(vec![], |f| f.iter().map(|f| seconds[&(f.table, f.number)]).collect())
+    };
+    let none = Vec::new();
+    let part = |p: Part| parts.get(&p).unwrap_or(&none);
+
+    let mut fitted = match options.model_kind {
+        Kind::Analytic => {
+            fit_analytic(options, &tables, part(Part::Training), &part_seconds(Part::Training), &pool)?
+        }
+        Kind::Prednet => fit_network(options, &tables, &part, &part_seconds, &pool)?,
+    };
+
+    // Metrics come from what the file holds, stored format and all.
+    let model = fitted.file.to_model()?;
+    let mut results = Vec::new();
+    let mut upper = Calibration::unknown();
+    let mut covered = BTreeMap::new();
+    for p in [Part::Validation, Part::Training, Part::Test] {
+        let bar = progress_bar(options.quiet, INPUTS_BAR);
+        let rows = fitted.layout.rows(&tables, part(p), &pool, &bar)?;
+        bar.finish_and_clear();
+        let predicted = predict_rows(&model, &rows, fitted.layout.width())?;
+        let measured = part_seconds(p);
+        if let Some(metrics) = Metrics::new(&predicted, &measured) {
+            results.push((p, metrics));
+            // The bound comes from frames that the weights were not fitted to, where there are any.
+            if upper.log_factor().is_nan() {
+                let mut residuals: Vec<f64> =
+                    predicted.iter().zip(&measured).map(|(p, t)| (t / p.max(SHORTEST)).ln()).collect();
+                upper = Calibration::from_residuals(&mut residuals);
+            }
+            covered.insert(p.name(), coverage(&predicted, &measured, &upper));
+        }
+    }
+    results.sort_by_key(|r| r.0);
+    if model_has_bound(&upper) {
+        set_upper_bound(&mut fitted.file, &upper)?;
+    }
+    let noise = noise_floor(refs.iter().copied(), options.clock);
+    let provenance = json!({
+        "what": fitted.what,
+        "paper": "ENTIRE: Learning-based Volume Rendering Time Prediction",
+        "data": tables.iter().map(|t| json!({
+            "file": t.path.file_name().map(|n| n.to_string_lossy()),
+            "fnv1a": format!("{:016x}", t.hash),
+            "frames": t.frames.len(),
+            "measured_on": t.manifest.as_ref().map(|m| &m.machine),
+            "created": t.manifest.as_ref().map(|m| &m.created),
+            "seed": t.manifest.as_ref().map(|m| m.seed),
+        })).collect::<Vec<_>>(),
+        "clock": options.clock.name(),
+        "shading": options.shading.map(|s| s.name()),
+        "split": split,
+        "training_frames": count(Part::Training),
+        "settings": fitted.settings,
+        "outcome": fitted.outcome,
+        "metrics": results.iter().map(|(p, m)| (p.name(), m)).collect::<BTreeMap<_, _>>(),
+        "upper_bound": { "level": UPPER_LEVEL, "log_factor": f64::from(upper.log_factor()), "coverage": covered },
+        "noise_floor": noise,
+        "trained_on": machine::machine(),
+        "program": format!("entire {}", machine::version()),
+        "date": machine::now(),
+    });
+    fitted.file.set_metadata(keys::PROVENANCE, provenance.to_string());
+    if let Some(manifest) = tables.iter().find_map(|t| t.manifest.as_ref()) {
+        fitted.file.set_metadata(keys::RENDERER, manifest.renderer.clone());
+        fitted.file.set_metadata(keys::DEVICE, manifest.device.clone());
+        fitted.file.set_metadata(keys::STEP_REFERENCE, manifest.step_reference.clone());
+    }
+    write_whole(&options.out, &fitted.file.to_bytes()?)?;
+    let bound = covered.get(Part::Test.name()).or(covered.get(Part::Validation.name())).copied();
+    let card = card(options, &fitted, &split, &tables, &results, (upper, bound), noise.as_ref());
+    write_whole(&options.out.with_extension("md"), card.as_bytes())?;
+    for (p, m) in &results {
+        println!(
+            "{:<10} {:>6} frames  RMSE {:.3e} s ({:.3} SD)  MAE {:.3e} s  MdAPE {:.2} %  p95 {:.1} %  R2(log) {:.4}",
+            p.name(),
+            m.frames,
+            m.rmse,
+            m.rmse_over_sd,
+            m.mae,
+            100.0 * m.mdape,
+            100.0 * m.p95,
+            m.r2_log
+        );
+    }
+    if let Some(n) = noise {
+        println!(
+            "noise floor: log-SD of one repeat {:.4}, of a frame's median {:.4}",
+            n.log_sd, n.log_sd_of_median
+        );
+    }
+    println!(
+        "{}; wrote {} in {:.1} s",
+        fitted.outcome,
+        options.out.display(),
+        started.elapsed().as_secs_f64()
+    );
+    Ok(())
+}
+
+/// Share of frames that took no longer than the bound.
+pub(crate) fn coverage(predicted: &[f64], measured: &[f64], upper: &Calibration) -> f64 {
+    let within = predicted
+        .iter()
+        .zip(measured)
+        .filter(|(p, t)| **t <= f64::from(upper.upper(p.max(SHORTEST) as f32)))
+        .count();
+    within as f64 / measured.len().max(1) as f64
+}
+
+fn model_has_bound(upper: &Calibration) -> bool {
+    upper.log_factor().is_finite()
+}
+
+/// Puts the bound into the file, keeping what else its calibration holds.
+fn set_upper_bound(file: &mut ModelFile, upper: &Calibration) -> Result<()> {
+    let mut stored: serde_json::Value = match file.metadata().get(CALIBRATION_KEY) {
+        Some(text) => serde_json::from_str(text)?,
+        None => json!({}),
+    };
+    stored["level"] = json!(UPPER_LEVEL);
+    stored["log_factor"] = json!(upper.log_factor());
+    file.set_metadata(CALIBRATION_KEY, stored.to_string());
+    Ok(())
+}
+
+fn check_out(out: &Path) -> Result<()> {
+    ensure!(
+        out.extension().is_some_and(|e| e == "safetensors"),
+        "--out is {}; the model file's name must end in .safetensors",
+        out.display()
+    );
+    if let Some(folder) = out.parent().filter(|p| !p.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    }
+    Ok(())
+}
+
+fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
+    let mut part = path.as_os_str().to_owned();
+    part.push(".part");
+    let part = PathBuf::from(part);
+    std::fs::write(&part, bytes)
+        .and_then(|()| std::fs::rename(&part, path))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Seconds for rows of inputs, by the network as it will be used.
+pub(crate) fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64>> {
+    let parts = model.prednet().context("the model file holds no PredNet")?;
+    let net = entire_core::nn::PredNet::new(parts)?;
+    let mut scratch = net.scratch();
+    Ok(rows.chunks_exact(width).map(|row| f64::from(net.predict(row, &mut scratch))).collect())
+}
+
+fn fit_analytic(
+    options: &Options,
+    tables: &[Table],
+    training: &[&TimedFrame],
+    seconds: &[f64],
+    pool: &ThreadPool,
+) -> Result<Fitted> {
+    ensure!(options.fine_tune.is_none(), "an analytic model is fitted anew; leave --fine-tune away");
+    let bar = progress_bar(options.quiet, INPUTS_BAR);
+    let mut measurements = measure(tables, training, true, None, pool, &bar, |_, inputs| {
+        Ok(Measurement::new(inputs.features, &inputs.setting, 0.0))
+    })?;
+    bar.finish_and_clear();
+    for (m, t) in measurements.iter_mut().zip(seconds) {
+        m.seconds = *t;
+    }
+    let mut model = AnalyticModel::new();
+    let report = model.fit(&measurements)?;
+    let costs = model.costs();
+    let features: Vec<SceneFeature> = TERM_QUANTITIES.iter().map(|&q| SceneFeature::linear(q)).collect();
+    let layout = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?;
+    let file = model.to_model_file()?;
+    let mut costs_named = BTreeMap::from([("frame".to_owned(), costs[0])]);
+    costs_named.extend(TERM_QUANTITIES.iter().zip(&costs[1..]).map(|(q, c)| (q.name().to_owned(), *c)));
+    Ok(Fitted {
+        file,
+        layout,
+        what:
+            "analytic cost model: unit costs of estimated work, non-negative least squares on relative errors"
+                .into(),
+        settings: json!({ "unit_costs_seconds": costs_named }),
+        history: Vec::new(),
+        outcome: format!(
+            "fitted to {} frames, {} refused, median error {:.2} %",
+            report.used,
+            report.refused,
+            100.0 * report.median_error
+        ),
+    })
+}
+
+fn names(layout: &Layout) -> Vec<String> {
+    layout.scene_features().iter().map(ToString::to_string).collect()
+}
+
+fn fit_network<'a>(
+    options: &Options,
+    tables: &[Table],
+    part: &impl Fn(Part) -> &'a Vec<&'a TimedFrame>,
+    seconds: &impl Fn(Part) -> Vec<f64>,
+    pool: &ThreadPool,
+) -> Result<Fitted> {
+    let mut settings = Settings::default();
+    settings.epochs = options.epochs;
+    settings.batch = options.batch;
+    settings.learning_rate =
+        options.learning_rate.unwrap_or(if options.preset.is_some() { 1e-4 } else { 1e-3 });
+    settings.final_learning_rate = options.final_learning_rate.unwrap_or(settings.learning_rate / 100.0);
+    settings.clip_norm = options.clip;
+    settings.patience = options.patience;
+    settings.loss = options.loss;
+    settings.seed = options.seed;
+    settings.target = match options.target {
+        TargetChoice::Seconds => Target::Seconds,
+        TargetChoice::LogSeconds => Target::LogSeconds,
+    };
+
+    let (mut file, layout, network, standardization) = match &options.fine_tune {
+        Some(path) => {
+            let (file, model) = read_model_file(path)?;
+            let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
+            let parts = model.prednet().context("the model file holds no PredNet")?;
+            settings.target = parts.target;
+            (file, layout, Network::<f32>::from_parts(parts)?, Some(Standardization::of(parts)))
+        }
+        None => {
+            let groups: Vec<GroupKind> =
+                options.inputs.iter().map(|n| Ok(GroupKind::from_name(n.trim())?)).collect::<Result<_>>()?;
+            let features = if options.scene_features.is_empty() {
+                SceneFeature::STANDARD.to_vec()
+            } else {
+                options
+                    .scene_features
+                    .iter()
+                    .map(|n| Ok(SceneFeature::from_name(n.trim())?))
+                    .collect::<Result<_>>()?
+            };
+            let (file, encoder) = match &options.volumenet {
+                Some(path) => {
+                    let (file, model) = read_model_file(path)?;
+                    let parts = model
+                        .volumenet()
+                        .with_context(|| format!("{} holds no VolumeNet", path.display()))?;
+                    (file, Some(VolumeNet::new(parts)?))
+                }
+                None => (ModelFile::new(), None),
+            };
+            let lobes = part(Part::Training).first().map_or(0, |f| f.scene.lobes.len());
+            let features = if groups.contains(&GroupKind::SceneFeatures) { features } else { Vec::new() };
+            let layout = Layout::new(&groups, features, lobes, encoder)?;
+            let widths = match &options.preset {
+                Some(preset) => preset_widths(preset, layout.width())?,
+                None => {
+                    let mut widths = vec![layout.width()];
+                    widths.extend(&options.layers);
+                    widths.push(1);
+                    widths
+                }
+            };
+            (file, layout, Network::random(&widths, options.seed)?, None)
+        }
+    };
+
+    let rows = |p: Part| -> Result<Vec<f32>> {
+        let bar = progress_bar(options.quiet, INPUTS_BAR);
+        let rows = layout.rows(tables, part(p), pool, &bar)?;
+        bar.finish_and_clear();
+        Ok(rows)
+    };
+    let (x, y) = (rows(Part::Training)?, seconds(Part::Training));
+    let (vx, vy) = (rows(Part::Validation)?, seconds(Part::Validation));
+    let widths = network.widths().to_vec();
+    let stop = interrupt::flag()?;
+    let bar = progress_bar(options.quiet, "epoch {msg} [{bar:30}] {eta} left");
+    let started = Instant::now();
+    let mut last_shown = Instant::now();
+    let trained: Trained<f32> = train(
+        pool,
+        network,
+        standardization,
+        Samples { inputs: &x, seconds: &y },
+        Samples { inputs: &vx, seconds: &vy },
+        &settings,
+        |p| {
+            bar.set_length(p.total_steps);
+            if let Some(e) = p.ended
+                && (last_shown.elapsed() > Duration::from_millis(100) || e.epoch == 1)
+            {
+                last_shown = Instant::now();
+                bar.set_message(format!(
+                    "{}/{} training {:.3e} validation {:.3e} best {:.3e}",
+                    e.epoch, p.epochs, e.training_loss, e.validation_loss, p.best
+                ));
+                bar.set_position(p.steps);
+            }
+            if interrupt::requested(&stop) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        },
+    )?;
+    bar.finish_and_clear();
+    let seconds_taken = started.elapsed().as_secs_f64();
+    if trained.best_epoch == 0 {
+        match trained.stop {
+            Stop::Diverged => bail!(
+                "training diverged in its first epoch; lower --learning-rate (it was {})",
+                settings.learning_rate
+            ),
+            _ => bail!("stopped before anything was learned; nothing was written"),
+        }
+    }
+    let ran = trained.history.len();
+    let why = match trained.stop {
+        Stop::Finished => format!("all {ran} epochs done"),
+        Stop::Early => format!("stopped early after {ran} epochs"),
+        Stop::Interrupted => format!("interrupted after {ran} whole epochs"),
+        Stop::Diverged => format!("diverged after {ran} epochs (the weights before are kept)"),
+        _ => format!("ended after {ran} epochs"),
+    };
+    let mut parts = trained.to_parts();
+    for layer in &mut parts.layers {
+        layer.dtype = match options.dtype {
+            DtypeChoice::F32 => Dtype::F32,
+            DtypeChoice::F16 => Dtype::F16,
+            DtypeChoice::Bf16 => Dtype::Bf16,
+        };
+    }
+    file.set_prednet(&parts, &layout.to_model_groups())?;
+    if !layout.scene_features().is_empty() {
+        file.set_scene_features(&names(&layout))?;
+    }
+    let frames = y.len() as f64 * ran as f64;
+    Ok(Fitted {
+        file,
+        layout,
+        what: format!(
+            "PredNet{}, widths {}",
+            if options.fine_tune.is_some() { ", fine-tuned" } else { "" },
+            widths.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
+        ),
+        settings: json!({
+            "fine_tuned_from": options.fine_tune.as_ref().and_then(|p| p.file_name()).map(|n| n.to_string_lossy()),
+            "preset": options.preset,
+            "widths": widths,
+            "target": settings.target.name(),
+            "loss": loss_name(settings.loss),
+            "epochs": settings.epochs,
+            "batch": settings.batch,
+            "optimizer": "Adam(0.9, 0.999)",
+            "learning_rate": [settings.learning_rate, settings.final_learning_rate],
+            "schedule": "cosine, per step",
+            "clip_norm": settings.clip_norm,
+            "patience": settings.patience,
+            "seed": settings.seed,
+        }),
+        history: trained.history,
+        outcome: format!(
+            "{why}, best epoch {} with loss {:.4e}, {:.0} frames/s",
+            trained.best_epoch,
+            trained.best_loss,
+            frames / seconds_taken
+        ),
+    })
+}
+
+fn card(
+    options: &Options,
+    fitted: &Fitted,
+    split: &Split,
+    tables: &[Table],
+    results: &[(Part, Metrics)],
+    (upper, covered): (Calibration, Option<f64>),
+    noise: Option<&NoiseFloor>,
+) -> String {
+    let mut md = String::new();
+    let name = options.out.file_stem().map_or("model".into(), |n| n.to_string_lossy());
+    let _ = writeln!(md, "# {name}\n\n{}.\n", fitted.what);
+    let _ = writeln!(
+        md,
+        "## Use\n\nPredicts the seconds that one volume-rendered frame takes, before it is drawn, on the machine and with the \
+         renderer that it was measured on. On another machine, fine-tune it first:\n\n```\nentire train --data FRAMES.csv \
+         --fine-tune {name}.safetensors --out tuned.safetensors\n```\n\nEvaluate it: `entire evaluate --model {name}.safetensors \
+         --data FRAMES.csv`\n"
+    );
+    let _ = writeln!(md, "## Inputs\n");
+    for group in fitted.layout.to_model_groups() {
+        let _ = writeln!(
+            md,
+            "- `{}`, {} number{}",
+            group.name,
+            group.size,
+            if group.size == 1 { "" } else { "s" }
+        );
+    }
+    if !fitted.layout.scene_features().is_empty() {
+        let _ = writeln!(md, "\nScene features, in order: {}.", names(&fitted.layout).join(", "));
+    }
+    let _ = writeln!(md, "\n## Data\n");
+    for t in tables {
+        let file = t.path.file_name().map_or("?".into(), |n| n.to_string_lossy());
+        match &t.manifest {
+            Some(m) => {
+                let _ = writeln!(
+                    md,
+                    "- `{file}` ({} frames, FNV-1a {:016x}): {} on {}; {}; {}; seed {}, {} repeats each",
+                    t.frames.len(),
+                    t.hash,
+                    m.renderer,
+                    m.device,
+                    m.machine,
+                    m.created,
+                    m.seed,
+                    m.repeats
+                );
+            }
+            None => {
+                let _ = writeln!(
+                    md,
+                    "- `{file}` ({} frames, FNV-1a {:016x}); no manifest, so machine and renderer are not known",
+                    t.frames.len(),
+                    t.hash
+                );
+            }
+        }
+    }
+    let _ = writeln!(md, "\nClock: {}. A frame's time is the median of its repeats.", options.clock.name());
+    if let Some(s) = options.shading {
+        let _ = writeln!(md, "Only frames with shading {}.", s.name());
+    }
+    let _ = writeln!(md, "\n## Split\n\nBy {}, never by frame; seed {}.\n", split.by.name(), options.seed);
+    for (part, groups) in
+        [("training", &split.training), ("validation", &split.validation), ("test", &split.test)]
+    {
+        let list = groups.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+        let _ = writeln!(md, "- {part}: {}", if list.is_empty() { "none" } else { &list });
+    }
+    if let Some(limit) = options.limit {
+        let _ = writeln!(md, "\nOf the training frames, at most {limit} were used.");
+    }
+    let _ = writeln!(
+        md,
+        "\n## Training\n\n{}.\n\n```json\n{}\n```\n",
+        fitted.outcome,
+        serde_json::to_string_pretty(&fitted.settings).unwrap_or_default()
+    );
+    if let (Some(first), Some(last)) = (fitted.history.first(), fitted.history.last()) {
+        let _ = writeln!(
+            md,
+            "Loss (training, validation): {:.4e}, {:.4e} after epoch 1; {:.4e}, {:.4e} after epoch {}.\n",
+            first.training_loss, first.validation_loss, last.training_loss, last.validation_loss, last.epoch
+        );
+    }
+    let _ = writeln!(
+        md,
+        "## Metrics\n\n| frames of | number | RMSE, s | RMSE/SD | MAE, s | MdAPE | p95 error | R² in log |\n|---|---|---|---|---|---|---|---|"
+    );
+    for (p, m) in results {
+        let _ = writeln!(
+            md,
+            "| {} | {} | {:.3e} | {:.3} | {:.3e} | {:.2} % | {:.1} % | {:.4} |",
+            p.name(),
+            m.frames,
+            m.rmse,
+            m.rmse_over_sd,
+            m.mae,
+            100.0 * m.mdape,
+            100.0 * m.p95,
+            m.r2_log
+        );
+    }
+    if model_has_bound(&upper) {
+        let _ = writeln!(
+            md,
+            "\nUpper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames (training frames where \
+             there are none){}.",
+            upper.factor().max(1.0),
+            covered.map_or(String::new(), |c| format!("; it held for {:.1} % of held-out frames", 100.0 * c))
+        );
+    }
+    match noise {
+        Some(n) => {
+            let _ = writeln!(
+                md,
+                "\nNoise floor: repeats of one frame scatter with a log-SD of {:.4} (the median of a frame's repeats: about \
+                 {:.4}), over {} repeated frames. No predictor can do better than that.",
+                n.log_sd, n.log_sd_of_median, n.frames
+            );
+        }
+        None => {
+            let _ = writeln!(md, "\nNoise floor: not known, no frame was repeated.");
+        }
+    }
+    let _ = writeln!(
+        md,
+        "\n## Limits\n\nMeasured with one renderer on one machine: another machine, driver or renderer has other unit costs. \
+         Scenes unlike the training data (other modalities, sizes, shading modes, steps) may be far off; check the \
+         prediction's out-of-range score. {}",
+        if split.test.is_empty() {
+            "Nothing was held out for testing, so the numbers above are those of frames it has seen."
+        } else {
+            "Test groups were never looked at in training."
+        }
+    );
+    md
 }

@@ -20,6 +20,7 @@
 //! not used, voxel spacings are.
 
 mod element;
+pub mod hostile;
 mod metaimage;
 mod nifti;
 mod nrrd;
@@ -90,6 +91,8 @@ pub struct Volume {
     dims: [usize; 3],
     spacing: [f32; 3],
     range: Option<(f32, f32)>,
+    /// The default range.
+    found_range: (f32, f32),
     name: String,
     source: PathBuf,
 }
@@ -182,19 +185,19 @@ impl Volume {
         spacing: [f32; 3],
         name: impl Into<String>,
     ) -> Result<Self> {
-        let volume = Self { data, dims, spacing, range: None, name: name.into(), source: PathBuf::new() };
-        let view = volume.checked_view()?;
-        if view.voxels() != volume.data.len() as u64 {
+        let view = VolumeView::new(data.scalars(), dims)?.with_spacing(spacing)?;
+        if view.voxels() != data.len() as u64 {
             bail!(
                 "volume of {} x {} x {} has {} voxels, the data has {}; check the sizes",
                 dims[0],
                 dims[1],
                 dims[2],
                 view.voxels(),
-                volume.data.len()
+                data.len()
             );
         }
-        Ok(volume)
+        let found_range = view.range();
+        Ok(Self { data, dims, spacing, range: None, found_range, name: name.into(), source: PathBuf::new() })
     }
 
     /// Reads a volume file. The format follows from the name's ending, else from the first bytes.
@@ -249,17 +252,14 @@ impl Volume {
     }
 
     /// The voxels as the core takes them: with spacing, and the range where one was set (else the default of
-    /// [`VolumeView::new`], which scans all voxels unless they are bytes).
+    /// [`VolumeView::new`], found once when the volume was made).
     pub fn view(&self) -> VolumeView<'_> {
-        self.checked_view().expect("sizes, spacing and range were checked when they were set")
+        self.checked_view(self.range).expect("sizes, spacing and range were checked when they were set")
     }
 
-    fn checked_view(&self) -> Result<VolumeView<'_>, entire_core::Error> {
-        let view = VolumeView::new(self.data.scalars(), self.dims)?.with_spacing(self.spacing)?;
-        match self.range {
-            Some((low, high)) => view.with_range(low, high),
-            None => Ok(view),
-        }
+    fn checked_view(&self, range: Option<(f32, f32)>) -> Result<VolumeView<'_>, entire_core::Error> {
+        let range = range.unwrap_or(self.found_range);
+        VolumeView::with_known_range(self.data.scalars(), self.dims, range)?.with_spacing(self.spacing)
     }
 
     /// Sets the scalar range that maps to [0, 1]; `None` for the default.
@@ -267,11 +267,8 @@ impl Volume {
     /// # Errors
     /// Unless both ends are finite and the low end is not above the high one.
     pub fn set_range(&mut self, range: Option<(f32, f32)>) -> Result<()> {
-        let before = std::mem::replace(&mut self.range, range);
-        if let Err(error) = self.checked_view() {
-            self.range = before;
-            return Err(error.into());
-        }
+        self.checked_view(range)?;
+        self.range = range;
         Ok(())
     }
 

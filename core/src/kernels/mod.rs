@@ -6,6 +6,7 @@
 
 mod activation;
 pub(crate) mod conv;
+mod executor;
 mod level;
 #[cfg(feature = "train")]
 pub(crate) mod matmul;
@@ -17,5 +18,6 @@ mod simd;
 mod x86_64;
 
 pub use activation::{SELU_ALPHA, SELU_SCALE, SELU_TOLERANCE, selu};
+pub use executor::Executor;
 pub use level::{Isa, LEVEL_VARIABLE, Level};
 pub use mlp::Storage;

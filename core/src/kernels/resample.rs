@@ -3,7 +3,6 @@
 
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
-use crate::scene::VolumeView;
 use bytemuck::Pod;
 
 /// The input voxels that one output voxel averages along one axis: `first … first + count`, with one weight for the
@@ -144,17 +143,6 @@ impl<T: Scalar> Map<T> for Affine {
         // Comparisons, not max and min: NaN fails the first one and becomes 0.
         let t = if t > 0.0 { t } else { 0.0 };
         if t < 1.0 { t } else { 1.0 }
-    }
-}
-
-/// The view's own normalisation, for ranges without a usable reciprocal.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Exact<'a>(pub(crate) &'a VolumeView<'a>);
-
-impl<T: Scalar> Map<T> for Exact<'_> {
-    #[inline(always)]
-    fn map(&self, voxel: T) -> f32 {
-        self.0.normalize(voxel.to_f32())
     }
 }
 

@@ -5,13 +5,12 @@
 
 #[cfg(test)]
 mod conv3d;
-mod executor;
 mod parts;
 mod prednet;
 mod resample;
 mod volumenet;
 
-pub use executor::Executor;
+pub use crate::kernels::Executor;
 pub use parts::{ConvBlockParts, DenseParts, Dtype, Normalization, PredNetParts, Target, VolumeNetParts};
 pub use prednet::{
     PREDNET_BF16_TOLERANCE, PREDNET_F16_TOLERANCE, PREDNET_F32_TOLERANCE, PREDNET_INT8_TOLERANCE, PredNet,

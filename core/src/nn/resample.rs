@@ -126,6 +126,17 @@ impl Resampler {
 /// Fills planes from a first number on, with row scratch.
 type Fill<'a> = dyn Fn(usize, &mut [f32], &mut [f32]) + Sync + 'a;
 
+/// The view's own normalisation, for ranges without a usable reciprocal.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Exact<'a>(pub(super) &'a VolumeView<'a>);
+
+impl<T: kernel::Scalar> Map<T> for Exact<'_> {
+    #[inline(always)]
+    fn map(&self, voxel: T) -> f32 {
+        self.0.normalize(voxel.to_f32())
+    }
+}
+
 struct Job<'a> {
     geometry: &'a kernel::Geometry<'a>,
     executor: Executor<'a>,
@@ -142,7 +153,7 @@ impl Job<'_> {
     ) {
         match affine {
             Some(map) => self.typed(scalars, map, out, rows),
-            None => self.typed(scalars, kernel::Exact(view), out, rows),
+            None => self.typed(scalars, Exact(view), out, rows),
         }
     }
 

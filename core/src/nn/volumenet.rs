@@ -1,12 +1,13 @@
 //! VolumeNet's encoder: from a volume to a few numbers that stand for it.
 
 use super::parts::VolumeNetParts;
+use super::resample::Exact;
 use super::{Executor, Resampler};
 use crate::Result;
 use crate::error::bail;
 use crate::kernels::Level;
-use crate::kernels::conv::{Encoder, PreparedPlane, Scratch};
-use crate::kernels::resample::{Affine, Exact, Raw, Scalar};
+use crate::kernels::conv::{Block, Encoder, Head, PreparedPlane, Scratch};
+use crate::kernels::resample::{Affine, Raw, Scalar};
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
@@ -60,7 +61,24 @@ impl VolumeNet {
     /// As [`VolumeNet::new`].
     pub fn with(parts: &VolumeNetParts, level: Level) -> Result<Self> {
         check(parts)?;
-        let encoder = Encoder::new(&parts.blocks, &parts.fc, level);
+        let blocks: Vec<Block<'_>> = parts
+            .blocks
+            .iter()
+            .map(|b| Block {
+                inputs: b.inputs,
+                outputs: b.outputs,
+                kernel: b.kernel,
+                stride: b.stride,
+                padding: b.padding,
+                input_edge: b.input_edge,
+                output_edge: b.output_edge,
+                weight: &b.weight,
+                bias: &b.bias,
+            })
+            .collect();
+        let fc = &parts.fc;
+        let head = Head { inputs: fc.inputs, outputs: fc.outputs, weight: &fc.weight, bias: &fc.bias };
+        let encoder = Encoder::new(&blocks, &head, level);
         Ok(Self { input: parts.input, features: parts.fc.outputs, level, encoder })
     }
 
@@ -229,9 +247,9 @@ mod tests {
     }
 
     /// Channels, kernel, stride and padding per block.
-    type Block = (usize, usize, usize, usize);
+    type Layer = (usize, usize, usize, usize);
 
-    fn network(input: usize, blocks: &[Block], features: usize, seed: u64) -> VolumeNetParts {
+    fn network(input: usize, blocks: &[Layer], features: usize, seed: u64) -> VolumeNetParts {
         let mut next = noise(seed);
         let (mut edge, mut channels) = (input, 1);
         let blocks: Vec<ConvBlockParts> = blocks
@@ -295,7 +313,7 @@ mod tests {
         features
     }
 
-    const NETWORKS: [(usize, &[Block]); 14] = [
+    const NETWORKS: [(usize, &[Layer]); 14] = [
         (8, &[(4, 3, 2, 1)]),
         (9, &[(5, 3, 2, 1), (7, 3, 2, 1)]),
         (16, &[(8, 3, 2, 1), (16, 3, 2, 1), (32, 3, 2, 1), (64, 3, 2, 1)]),

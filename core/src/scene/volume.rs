@@ -121,6 +121,22 @@ impl<'a> VolumeView<'a> {
     /// # Errors
     /// As [`VolumeView::new`].
     pub fn with_strides(scalars: Scalars<'a>, dims: [usize; 3], strides: [usize; 3]) -> Result<Self> {
+        let mut view = Self::unranged(scalars, dims, strides)?;
+        view.range = view.default_range();
+        Ok(view)
+    }
+
+    /// As [`VolumeView::new`] with a scalar range that is known, so that no voxel is looked at.
+    ///
+    /// # Errors
+    /// As [`VolumeView::new`] and [`VolumeView::with_range`].
+    pub fn with_known_range(scalars: Scalars<'a>, dims: [usize; 3], range: (f32, f32)) -> Result<Self> {
+        let row = dims[0];
+        let slice = row.checked_mul(dims[1]).ok_or_else(|| overflow(dims))?;
+        Self::unranged(scalars, dims, [1, row, slice])?.with_range(range.0, range.1)
+    }
+
+    fn unranged(scalars: Scalars<'a>, dims: [usize; 3], strides: [usize; 3]) -> Result<Self> {
         for (axis, &n) in ["x", "y", "z"].iter().zip(&dims) {
             if n == 0 {
                 bail!(InvalidArgument, "volume size along {axis} is 0; every size must be at least 1");
@@ -149,9 +165,7 @@ impl<'a> VolumeView<'a> {
                 last + 1
             );
         }
-        let mut view = Self { scalars, dims, strides, spacing: Vec3::ONE, range: (0.0, 1.0) };
-        view.range = view.default_range();
-        Ok(view)
+        Ok(Self { scalars, dims, strides, spacing: Vec3::ONE, range: (0.0, 1.0) })
     }
 
     /// Sets the voxel spacing along x, y, z (any common unit of length).
@@ -342,6 +356,15 @@ mod tests {
         assert_eq!(v.normalized(0, 0, 0), 0.0);
         assert_eq!(v.normalized(0, 0, 1), 1.0);
         assert_eq!(v.normalized(0, 0, 2), 0.25);
+    }
+
+    #[test]
+    fn a_known_range_is_taken_without_a_scan() {
+        let floats = [f32::NAN, -2.0, 9.0, 6.0];
+        let v = VolumeView::with_known_range(Scalars::F32(&floats), [4, 1, 1], (0.0, 12.0)).unwrap();
+        assert_eq!((v.range(), v.normalized(3, 0, 0)), ((0.0, 12.0), 0.5));
+        assert!(VolumeView::with_known_range(Scalars::F32(&floats), [4, 1, 1], (1.0, 0.0)).is_err());
+        assert!(VolumeView::with_known_range(Scalars::F32(&floats), [4, 2, 1], (0.0, 1.0)).is_err());
     }
 
     #[test]

@@ -183,6 +183,10 @@ impl VulkanRaycaster {
 }
 
 impl Renderer for VulkanRaycaster {
+    fn count_work(&mut self, on: bool) {
+        self.set_count_work(on);
+    }
+
     fn device(&self) -> String {
         let gpu = self.engine.gpu();
         if gpu.driver.is_empty() { gpu.name.clone() } else { format!("{}, {}", gpu.name, gpu.driver) }

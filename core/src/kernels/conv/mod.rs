@@ -20,10 +20,9 @@
 
 mod tiles;
 
-use crate::kernels::Level;
 use crate::kernels::resample::{Map, Scalar};
 use crate::kernels::simd::{Kernel, Simd};
-use crate::nn::{ConvBlockParts, DenseParts, Executor};
+use crate::kernels::{Executor, Level};
 use alloc::vec;
 use alloc::vec::Vec;
 use core::ops::Range;
@@ -104,6 +103,29 @@ fn cut(level: Level) -> Cut {
     level.run(Of)
 }
 
+/// One block's sizes and weights (outputs × inputs × kernel³, one bias per output).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Block<'a> {
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    pub(crate) kernel: usize,
+    pub(crate) stride: usize,
+    pub(crate) padding: usize,
+    pub(crate) input_edge: usize,
+    pub(crate) output_edge: usize,
+    pub(crate) weight: &'a [f32],
+    pub(crate) bias: &'a [f32],
+}
+
+/// The dense layer's weights (outputs × inputs) and biases.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Head<'a> {
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    pub(crate) weight: &'a [f32],
+    pub(crate) bias: &'a [f32],
+}
+
 /// Cubic kernel, stride and padding, and edges in and out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Shape {
@@ -115,7 +137,7 @@ struct Shape {
 }
 
 impl Shape {
-    fn of(block: &ConvBlockParts) -> Self {
+    fn of(block: &Block<'_>) -> Self {
         Self {
             input: block.input_edge,
             output: block.output_edge,
@@ -274,8 +296,8 @@ impl PreparedPlane<'_> {
 
 impl Encoder {
     /// Packs checked blocks and the dense layer.
-    pub(crate) fn new(blocks: &[ConvBlockParts], fc: &DenseParts, level: Level) -> Self {
-        let padding_of = |i: usize| blocks.get(i).map_or(0, |b: &ConvBlockParts| b.padding);
+    pub(crate) fn new(blocks: &[Block<'_>], fc: &Head<'_>, level: Level) -> Self {
+        let padding_of = |i: usize| blocks.get(i).map_or(0, |b: &Block<'_>| b.padding);
         let first = First::new(&blocks[0], padding_of(1), level);
         let mut later: Vec<Later> = Vec::with_capacity(blocks.len() - 1);
         for (i, block) in blocks.iter().enumerate().skip(1) {
@@ -312,7 +334,7 @@ impl Encoder {
                 }
             }
         }
-        Self { level, first, later, dense, dense_len, dense_bias: fc.bias.clone() }
+        Self { level, first, later, dense, dense_len, dense_bias: fc.bias.to_vec() }
     }
 
     fn sizes(&self) -> impl Iterator<Item = usize> {
@@ -500,7 +522,7 @@ unsafe impl Send for Output {}
 unsafe impl Sync for Output {}
 
 impl First {
-    fn new(block: &ConvBlockParts, border: usize, level: Level) -> Self {
+    fn new(block: &Block<'_>, border: usize, level: Level) -> Self {
         let cut = cut(level);
         let shape = Shape::of(block);
         let (kernel, stride) = (shape.kernel, shape.stride);
@@ -514,7 +536,7 @@ impl First {
         let padded = block.outputs.next_multiple_of(cut.group);
         let mut weights = Buffer::zeroed(padded * kernel.pow(3));
         let mut bias = Buffer::zeroed(padded);
-        bias.as_mut_slice()[..block.outputs].copy_from_slice(&block.bias);
+        bias.as_mut_slice()[..block.outputs].copy_from_slice(block.bias);
         let taps = kernel.pow(3);
         for c in 0..block.outputs {
             for tap in 0..taps {
@@ -627,7 +649,7 @@ impl Kernel for Rows<'_> {
 
 impl Later {
     fn new(
-        block: &ConvBlockParts,
+        block: &Block<'_>,
         [channel_stride, column, row, plane]: [usize; 4],
         border: usize,
         level: Level,
@@ -665,7 +687,7 @@ impl Later {
             }
         }
         let mut bias = Buffer::zeroed(out_channels);
-        bias.as_mut_slice()[..block.outputs].copy_from_slice(&block.bias);
+        bias.as_mut_slice()[..block.outputs].copy_from_slice(block.bias);
         let out_len = (shape.output + 2 * border).pow(3) * out_channels;
         Self {
             level,

@@ -1,0 +1,258 @@
+//! Model inputs for measured frames: opens the volumes that a timing table names, one at a time, and computes what a
+//! model's input groups ask for.
+
+use crate::dataset::{Table, TimedFrame};
+use crate::enlarge::{MAX_FACTOR, enlarge};
+use crate::volume::Volume;
+use anyhow::{Context, Result, bail, ensure};
+use entire_core::features::{
+    Changes, FrameFeatures, SceneFeature, Setting, SummaryOptions, TransferSummary, VolumeSummary,
+};
+use entire_core::model::Model;
+use entire_core::nn::{Executor, VolumeNet};
+use entire_core::predict::{GroupKind, Inputs, write_group};
+use entire_core::scene::Skipping;
+use indicatif::ProgressBar;
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// What a model takes: its input groups in order with their sizes, and what is needed to compute them.
+#[derive(Debug)]
+pub struct Layout {
+    groups: Vec<(GroupKind, usize)>,
+    scene_features: Vec<SceneFeature>,
+    encoder: Option<VolumeNet>,
+}
+
+impl Layout {
+    /// A layout for a new model. `lobes` is the number of Gaussian lobes of the transfer functions.
+    ///
+    /// # Errors
+    /// When a group stands there twice or none does, volume features are asked for without an encoder, or there are no
+    /// lobes to take.
+    pub fn new(
+        groups: &[GroupKind],
+        scene_features: Vec<SceneFeature>,
+        lobes: usize,
+        encoder: Option<VolumeNet>,
+    ) -> Result<Self> {
+        ensure!(!groups.is_empty(), "a model needs at least one input group");
+        let mut sized = Vec::new();
+        for (i, &group) in groups.iter().enumerate() {
+            ensure!(!groups[..i].contains(&group), "input group {} is named twice", group.name());
+            let size = match group {
+                GroupKind::VolumeFeatures => match &encoder {
+                    Some(encoder) => encoder.feature_len(),
+                    None => bail!(
+                        "the input group volume_features needs an encoder; name a model file that holds a VolumeNet"
+                    ),
+                },
+                GroupKind::Camera => 3,
+                GroupKind::Resolution => 2,
+                GroupKind::TransferFunction => {
+                    ensure!(lobes > 0, "the input group transfer_function needs at least one Gaussian lobe");
+                    3 * lobes
+                }
+                GroupKind::StepSize => 1,
+                GroupKind::SceneFeatures => {
+                    ensure!(!scene_features.is_empty(), "the input group scene_features names no feature");
+                    scene_features.len()
+                }
+                other => bail!("the input group {} cannot be computed from a timing table", other.name()),
+            };
+            sized.push((group, size));
+        }
+        Ok(Self { groups: sized, scene_features, encoder })
+    }
+
+    /// The layout of a model file.
+    ///
+    /// # Errors
+    /// When it holds no PredNet, an input group is unknown, or volume features are needed and the file has no VolumeNet.
+    pub fn of_model(model: &Model) -> Result<Self> {
+        ensure!(model.prednet().is_some(), "the model file holds no PredNet");
+        let groups: Vec<(GroupKind, usize)> = model
+            .inputs()
+            .iter()
+            .map(|g| Ok((GroupKind::from_name(&g.name)?, g.size)))
+            .collect::<Result<_>>()?;
+        let scene_features = model
+            .scene_features()
+            .iter()
+            .map(|name| Ok(SceneFeature::from_name(name)?))
+            .collect::<Result<_>>()?;
+        let encoder = model.volumenet().map(VolumeNet::new).transpose()?;
+        ensure!(
+            encoder.is_some() || groups.iter().all(|(g, _)| *g != GroupKind::VolumeFeatures),
+            "the model takes volume_features and its file holds no VolumeNet; write both into one file"
+        );
+        Ok(Self { groups, scene_features, encoder })
+    }
+
+    /// Numbers per frame.
+    pub fn width(&self) -> usize {
+        self.groups.iter().map(|(_, size)| size).sum()
+    }
+
+    /// The groups as a model file states them.
+    pub fn to_model_groups(&self) -> Vec<entire_core::model::InputGroup> {
+        self.groups
+            .iter()
+            .map(|(g, size)| entire_core::model::InputGroup { name: g.name().into(), size: *size })
+            .collect()
+    }
+
+    /// The groups, in order.
+    pub fn groups(&self) -> impl Iterator<Item = GroupKind> {
+        self.groups.iter().map(|(g, _)| *g)
+    }
+
+    /// The scene features, in order.
+    pub fn scene_features(&self) -> &[SceneFeature] {
+        &self.scene_features
+    }
+
+    fn encoder(&self) -> Option<&VolumeNet> {
+        self.encoder.as_ref().filter(|_| self.groups().any(|g| g == GroupKind::VolumeFeatures))
+    }
+
+    fn needs_summary(&self) -> bool {
+        self.groups().any(|g| g == GroupKind::SceneFeatures)
+    }
+
+    /// Writes one frame's inputs.
+    ///
+    /// # Errors
+    /// When a group's size is not the model's (another number of lobes, for example).
+    pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
+        let mut rest = row;
+        for (group, size) in &self.groups {
+            let (here, after) = std::mem::take(&mut rest).split_at_mut(*size);
+            write_group(*group, &self.scene_features, inputs, here)?;
+            rest = after;
+        }
+        Ok(())
+    }
+
+    /// Inputs of frames, one row each, in their order.
+    ///
+    /// # Errors
+    /// As [`measure`]; also when a frame lacks what a group needs.
+    pub fn rows(
+        &self,
+        tables: &[Table],
+        frames: &[&TimedFrame],
+        pool: &ThreadPool,
+        bar: &ProgressBar,
+    ) -> Result<Vec<f32>> {
+        let rows =
+            measure(tables, frames, self.needs_summary(), self.encoder(), pool, bar, |frame, inputs| {
+                let mut row = vec![0.0; self.width()];
+                self.write(inputs, &mut row).with_context(|| format!("frame {}", frame.number))?;
+                Ok(row)
+            })?;
+        Ok(rows.concat())
+    }
+}
+
+/// Calls `f` with everything that is known about each frame before it is drawn, in parallel over the frames of a
+/// volume, one volume after another; returns what it gave in the frames' order. Without `summary` the scene features
+/// are those of nothing, and volumes are opened only where there is an encoder.
+///
+/// # Errors
+/// When a volume is not found or has another size than the table says, or `f` fails.
+pub fn measure<T: Send>(
+    tables: &[Table],
+    frames: &[&TimedFrame],
+    summary: bool,
+    encoder: Option<&VolumeNet>,
+    pool: &ThreadPool,
+    bar: &ProgressBar,
+    f: impl Fn(&TimedFrame, &Inputs<'_>) -> Result<T> + Sync,
+) -> Result<Vec<T>> {
+    let mut by_volume: BTreeMap<(usize, &str, [u32; 3]), Vec<usize>> = BTreeMap::new();
+    for (i, frame) in frames.iter().enumerate() {
+        by_volume.entry((frame.table, frame.scene.volume.as_str(), frame.scene.dims)).or_default().push(i);
+    }
+    let mut results: Vec<Option<T>> = frames.iter().map(|_| None).collect();
+    let mut scratch = encoder.map(VolumeNet::scratch);
+    bar.set_length(frames.len() as u64);
+    for ((table, name, dims), members) in by_volume {
+        let mut code = Vec::new();
+        let mut volume_summary = None;
+        if summary || encoder.is_some() {
+            let volume = open_volume(&tables[table], name, dims)?;
+            let view = volume.view();
+            if summary {
+                volume_summary = Some(
+                    VolumeSummary::new(&view, SummaryOptions::default())
+                        .with_context(|| format!("volume {name}"))?,
+                );
+            }
+            if let (Some(encoder), Some(scratch)) = (encoder, &mut scratch) {
+                code = vec![0.0; encoder.feature_len()];
+                encoder
+                    .encode(&view, scratch, Executor::rayon(pool), &mut code)
+                    .with_context(|| format!("volume {name}"))?;
+            }
+        }
+        let computed: Vec<Result<(usize, T)>> = pool.install(|| {
+            members
+                .par_iter()
+                .map(|&i| {
+                    let scene = &frames[i].scene;
+                    let frame = scene.to_frame()?;
+                    let mut features = FrameFeatures::new();
+                    if let Some(summary) = &volume_summary {
+                        let mut transfer = TransferSummary::new(summary, &scene.to_table()?);
+                        if scene.skipping == Skipping::Distance {
+                            transfer.prepare_distance();
+                        }
+                        features.measure(summary, &transfer, &frame);
+                    }
+                    let inputs = Inputs {
+                        features: &features,
+                        setting: Setting::of(&frame),
+                        changes: Changes::NONE,
+                        camera: scene.camera,
+                        volume_features: encoder.map(|_| &code[..]),
+                        lobes: Some(&scene.lobes),
+                    };
+                    let result = f(frames[i], &inputs)?;
+                    bar.inc(1);
+                    Ok((i, result))
+                })
+                .collect()
+        });
+        for one in computed {
+            let (i, result) = one?;
+            results[i] = Some(result);
+        }
+    }
+    results.into_iter().map(|r| r.context("a frame was left out")).collect()
+}
+
+/// Opens the volume that a frame names, enlarged where the table's size is a whole multiple of the file's.
+fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> {
+    let path = table.resolve_volume(name).with_context(|| {
+        format!(
+            "volume {name} of {} is not there, neither from the working folder nor beside the table; run where it was collected, or put it there",
+            table.path.display()
+        )
+    })?;
+    let volume = Volume::open(&path)?;
+    let want = dims.map(|n| n as usize);
+    let have = volume.dims();
+    if have == want {
+        return Ok(volume);
+    }
+    let factor = want[0] / have[0].max(1);
+    if (2..=MAX_FACTOR).contains(&factor) && have.map(|n| n * factor) == want {
+        return enlarge(&volume, factor);
+    }
+    bail!(
+        "volume {name} has {have:?} voxels and {} says {want:?}; is it another file of the same name?",
+        table.path.display()
+    );
+}

@@ -1,0 +1,128 @@
+//! How well predicted seconds fit measured ones.
+
+use crate::dataset::median;
+use serde::Serialize;
+
+/// The shortest prediction that counts as one; anything at or below it, and NaN, is taken as this many seconds.
+pub const SHORTEST: f64 = 1e-6;
+
+/// Errors of predictions over some frames.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Metrics {
+    /// Frames.
+    pub frames: usize,
+    /// Root of the mean squared error, seconds.
+    pub rmse: f64,
+    /// Standard deviation of the measured seconds.
+    pub sd: f64,
+    /// RMSE over SD: 1 is what the mean itself would do.
+    pub rmse_over_sd: f64,
+    /// Mean absolute error, seconds.
+    pub mae: f64,
+    /// Median of |predicted − measured| / measured.
+    pub mdape: f64,
+    /// 95th percentile of it.
+    pub p95: f64,
+    /// 99th percentile of it.
+    pub p99: f64,
+    /// 1 − Σ(ln predicted − ln measured)² / Σ(ln measured − their mean)².
+    pub r2_log: f64,
+    /// Median of predicted / measured − 1 in each tenth of the frames, fastest first.
+    pub bias_by_decile: Vec<f64>,
+    /// Predictions that were not positive.
+    pub not_positive: usize,
+}
+
+impl Metrics {
+    /// Compares. Both slices have one entry per frame; measured seconds are positive. `None` without frames.
+    pub fn new(predicted: &[f64], measured: &[f64]) -> Option<Self> {
+        let frames = measured.len().min(predicted.len());
+        if frames == 0 {
+            return None;
+        }
+        let n = frames as f64;
+        let usable = |p: f64| if p > SHORTEST { p } else { SHORTEST };
+        let pairs: Vec<(f64, f64)> = predicted.iter().zip(measured).map(|(&p, &t)| (usable(p), t)).collect();
+        let mean = measured.iter().sum::<f64>() / n;
+        let sd = (measured.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / n).sqrt();
+        let rmse = (pairs.iter().map(|(p, t)| (p - t).powi(2)).sum::<f64>() / n).sqrt();
+        let log_mean = measured.iter().map(|t| t.ln()).sum::<f64>() / n;
+        let log_total: f64 = measured.iter().map(|t| (t.ln() - log_mean).powi(2)).sum();
+        let log_rest: f64 = pairs.iter().map(|(p, t)| (p.ln() - t.ln()).powi(2)).sum();
+        let mut relative: Vec<f64> = pairs.iter().map(|(p, t)| (p - t).abs() / t).collect();
+        relative.sort_by(f64::total_cmp);
+        let mut by_time = pairs.clone();
+        by_time.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let bias_by_decile = (0..10)
+            .filter_map(|d| {
+                let tenth = &by_time[d * frames / 10..(d + 1) * frames / 10];
+                median(&mut tenth.iter().map(|(p, t)| p / t - 1.0).collect::<Vec<_>>())
+            })
+            .collect();
+        Some(Self {
+            frames,
+            rmse,
+            sd,
+            rmse_over_sd: rmse / sd,
+            mae: pairs.iter().map(|(p, t)| (p - t).abs()).sum::<f64>() / n,
+            mdape: percentile(&relative, 0.5),
+            p95: percentile(&relative, 0.95),
+            p99: percentile(&relative, 0.99),
+            r2_log: 1.0 - log_rest / log_total,
+            bias_by_decile,
+            not_positive: predicted.iter().filter(|p| !(**p > 0.0)).count(),
+        })
+    }
+}
+
+/// A percentile of ascending numbers, interpolated between neighbours; NaN without any.
+pub fn percentile(ascending: &[f64], share: f64) -> f64 {
+    let Some(last) = ascending.len().checked_sub(1) else { return f64::NAN };
+    let at = share.clamp(0.0, 1.0) * last as f64;
+    let low = at.floor() as usize;
+    let t = at - low as f64;
+    if t == 0.0 { ascending[low] } else { ascending[low] + t * (ascending[low + 1] - ascending[low]) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn perfect_predictions_have_no_error_and_the_mean_has_its_deviation() {
+        let t: Vec<f64> = (1..=40).map(|i| f64::from(i) * 0.01).collect();
+        let perfect = Metrics::new(&t, &t).unwrap();
+        assert_eq!((perfect.rmse, perfect.mdape, perfect.p99, perfect.r2_log), (0.0, 0.0, 0.0, 1.0));
+        assert_eq!(perfect.bias_by_decile, vec![0.0; 10]);
+        let mean = vec![t.iter().sum::<f64>() / 40.0; 40];
+        let constant = Metrics::new(&mean, &t).unwrap();
+        assert!((constant.rmse_over_sd - 1.0).abs() < 1e-12);
+        assert!(constant.bias_by_decile[0] > 5.0 && constant.bias_by_decile[9] < -0.4);
+    }
+
+    #[test]
+    fn a_factor_is_a_bias_everywhere() {
+        let t: Vec<f64> = (1..=30).map(f64::from).collect();
+        let p: Vec<f64> = t.iter().map(|t| t * 1.1).collect();
+        let m = Metrics::new(&p, &t).unwrap();
+        assert!((m.mdape - 0.1).abs() < 1e-12 && (m.p95 - 0.1).abs() < 1e-12);
+        assert!(m.bias_by_decile.iter().all(|b| (b - 0.1).abs() < 1e-12));
+    }
+
+    #[test]
+    fn useless_predictions_count_as_the_shortest_time() {
+        let m = Metrics::new(&[-1.0, f64::NAN, 0.0], &[1.0, 1.0, 2.0]).unwrap();
+        assert_eq!(m.not_positive, 3);
+        assert!(m.rmse.is_finite() && m.r2_log < -10.0);
+        assert_eq!(Metrics::new(&[], &[]), None);
+        assert!(Metrics::new(&[1.0; 3], &[1.0; 3]).unwrap().bias_by_decile.len() <= 3);
+    }
+
+    #[test]
+    fn percentiles_interpolate() {
+        assert_eq!(percentile(&[1.0, 2.0, 4.0], 0.5), 2.0);
+        assert_eq!(percentile(&[1.0, 2.0, 4.0], 0.75), 3.0);
+        assert_eq!(percentile(&[5.0], 0.95), 5.0);
+        assert!(percentile(&[], 0.5).is_nan());
+    }
+}

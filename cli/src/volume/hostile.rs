@@ -1,0 +1,39 @@
+//! Readers over arbitrary bytes: the one door of the fuzz targets and of the tests that replay what they found.
+
+use super::stream::{Companions, Stream};
+use super::{Format, Volume};
+use anyhow::Result;
+
+/// Parts a header from the file that it names, in one input.
+const SEPARATOR: &[u8] = b"\n--data--\n";
+
+/// The same bytes under whatever name a header asks for.
+struct AnyName<'a>(&'a [u8]);
+
+impl Companions for AnyName<'_> {
+    fn open(&self, _name: &str) -> Result<Stream<'_>> {
+        Ok(Stream::from_bytes(self.0))
+    }
+
+    fn exists(&self, _name: &str) -> bool {
+        true
+    }
+
+    fn ending_in(&self, _suffix: &str) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+/// Reads a volume from arbitrary bytes. What follows the first line `--data--`, if there is one, is the content of
+/// any other file that the format asks for.
+///
+/// # Errors
+/// As [`Volume::read`].
+pub fn read_any(format: Format, input: &[u8]) -> Result<Volume> {
+    let at = input.windows(SEPARATOR.len()).position(|window| window == SEPARATOR);
+    let (head, data) = match at {
+        Some(at) => (&input[..at], &input[at + SEPARATOR.len()..]),
+        None => (input, &[][..]),
+    };
+    Volume::read(format, Stream::from_bytes(head), "input", &AnyName(data))
+}

@@ -1,0 +1,199 @@
+//! Arbitrary bytes in place of volumes and models: the committed corpus as it is, and mutations of it. Never a panic,
+//! never more memory than the bytes at hand call for.
+
+// The fuzz targets' own checks.
+#[allow(unreachable_pub, reason = "a library of its own for the fuzz targets")]
+#[path = "../../fuzz/src/lib.rs"]
+mod checks;
+
+use entire_cli::volume::{Format, hostile::read_any};
+use entire_core::model::Model;
+use peak_alloc::PeakAlloc;
+use proptest::prelude::*;
+use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
+use std::path::{Path, PathBuf};
+
+#[global_allocator]
+static MEMORY: PeakAlloc = PeakAlloc;
+
+/// Mutations tried in one run.
+const CASES: u32 = 30_000;
+
+#[derive(Clone, Copy, Debug)]
+enum Target {
+    Volume(Format),
+    Model,
+}
+
+const TARGETS: [(&str, Target); 7] = [
+    ("nrrd", Target::Volume(Format::Nrrd)),
+    ("metaimage", Target::Volume(Format::MetaImage)),
+    ("vti", Target::Volume(Format::VtkImage)),
+    ("nifti", Target::Volume(Format::Nifti)),
+    ("json", Target::Volume(Format::Json)),
+    ("raw", Target::Volume(Format::Raw)),
+    ("model", Target::Model),
+];
+
+/// Every file of the corpus.
+fn corpus() -> Vec<(Target, PathBuf, Vec<u8>)> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/corpus");
+    let mut found = Vec::new();
+    for (name, target) in TARGETS {
+        let before = found.len();
+        let mut files: Vec<PathBuf> =
+            std::fs::read_dir(root.join(name)).unwrap().map(|entry| entry.unwrap().path()).collect();
+        files.sort();
+        for path in files {
+            let bytes = std::fs::read(&path).unwrap();
+            found.push((target, path, bytes));
+        }
+        assert!(found.len() > before, "no corpus for {name}");
+    }
+    found
+}
+
+/// Runs a target's check and says how many bytes were allocated at most beyond what was before.
+fn peak_of(target: Target, input: &[u8]) -> usize {
+    let before = MEMORY.current_usage();
+    MEMORY.reset_peak_usage();
+    match target {
+        Target::Volume(format) => checks::check_volume(read_any(format, input)),
+        Target::Model => checks::check_model(Model::from_bytes(input)),
+    }
+    MEMORY.peak_usage().saturating_sub(before)
+}
+
+/// Bytes that a reader may take for an input: buffers, the input's own text and numbers a few times over, and what a
+/// deflate stream of that length can unpack to at most.
+fn bound(input: &[u8]) -> usize {
+    let packed = input.windows(2).any(|w| w == [0x1f, 0x8b])
+        || [
+            b"zip".as_slice(),
+            b"ZLib",
+            b"CompressedData",
+            b"\x78\x9c",
+            b"\x78\x5e",
+            b"\x78\x01",
+            b"\x78\xda",
+        ]
+        .iter()
+        .any(|mark| input.windows(mark.len()).any(|w| w == *mark));
+    (1 << 19) + input.len() * if packed { 3 * 1032 } else { 64 }
+}
+
+/// One change to an input.
+#[derive(Clone, Debug)]
+enum Change {
+    Flip(prop::sample::Index, u8),
+    Cut(prop::sample::Index),
+    Remove(prop::sample::Index, usize),
+    Double(prop::sample::Index, usize),
+    /// Puts a word in the place of the n-th number.
+    Number(prop::sample::Index, &'static str),
+    /// Puts eight bytes somewhere.
+    Word(prop::sample::Index, u64),
+}
+
+const WORDS: [&str; 18] = [
+    "0",
+    "1",
+    "2",
+    "-1",
+    "7",
+    "65536",
+    "99999",
+    "4294967295",
+    "4294967296",
+    "9223372036854775807",
+    "18446744073709551615",
+    "18446744073709551616",
+    "1e309",
+    "nan",
+    "inf",
+    "-0",
+    "1e-40",
+    "%",
+];
+
+fn change() -> impl Strategy<Value = Change> {
+    use prop::sample::Index;
+    prop_oneof![
+        3 => (any::<Index>(), 1u8..).prop_map(|(at, mask)| Change::Flip(at, mask)),
+        1 => any::<Index>().prop_map(Change::Cut),
+        1 => (any::<Index>(), 1usize..64).prop_map(|(at, n)| Change::Remove(at, n)),
+        1 => (any::<Index>(), 1usize..64).prop_map(|(at, n)| Change::Double(at, n)),
+        4 => (any::<Index>(), prop::sample::select(WORDS.to_vec())).prop_map(|(at, w)| Change::Number(at, w)),
+        1 => (any::<Index>(), prop_oneof![Just(0), Just(u64::MAX), Just(1 << 40), any::<u64>()])
+            .prop_map(|(at, w)| Change::Word(at, w)),
+    ]
+}
+
+fn apply(input: &mut Vec<u8>, change: &Change) {
+    if input.is_empty() {
+        return;
+    }
+    match change {
+        Change::Flip(at, mask) => {
+            let at = at.index(input.len());
+            input[at] ^= mask;
+        }
+        Change::Cut(at) => input.truncate(at.index(input.len())),
+        Change::Remove(at, n) => {
+            let at = at.index(input.len());
+            input.drain(at..(at + n).min(input.len()));
+        }
+        Change::Double(at, n) => {
+            let at = at.index(input.len());
+            let part = input[at..(at + n).min(input.len())].to_vec();
+            input.splice(at..at, part);
+        }
+        Change::Number(at, word) => {
+            // Runs of digits in the first part, where headers are.
+            let head = &input[..input.len().min(1500)];
+            let starts: Vec<usize> = (0..head.len())
+                .filter(|&i| head[i].is_ascii_digit() && (i == 0 || !head[i - 1].is_ascii_digit()))
+                .collect();
+            if let Some(&start) = starts.get(at.index(starts.len().max(1))) {
+                let end = (start..input.len()).find(|&i| !input[i].is_ascii_digit()).unwrap_or(input.len());
+                input.splice(start..end, word.bytes());
+            }
+        }
+        Change::Word(at, word) => {
+            let at = at.index(input.len());
+            for (slot, byte) in input[at..].iter_mut().zip(word.to_le_bytes()) {
+                *slot = byte;
+            }
+        }
+    }
+}
+
+// One test, so that no other one allocates meanwhile.
+#[test]
+fn arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for() {
+    let corpus = corpus();
+    for (target, path, bytes) in &corpus {
+        let peak = peak_of(*target, bytes);
+        assert!(peak <= bound(bytes), "{}: {peak} bytes allocated for {}", path.display(), bytes.len());
+    }
+    let config = Config { cases: CASES, failure_persistence: None, ..Config::default() };
+    let rng = TestRng::from_seed(RngAlgorithm::ChaCha, &[7; 32]);
+    let mut runner = TestRunner::new_with_rng(config, rng);
+    let strategy = (0..corpus.len(), prop::collection::vec(change(), 1..5));
+    let result = runner.run(&strategy, |(seed, changes)| {
+        let (target, path, bytes) = &corpus[seed];
+        let mut input = bytes.clone();
+        changes.iter().for_each(|change| apply(&mut input, change));
+        let peak = peak_of(*target, &input);
+        prop_assert!(
+            peak <= bound(&input),
+            "{} changed by {changes:?}: {peak} bytes allocated for {}",
+            path.display(),
+            input.len()
+        );
+        Ok(())
+    });
+    if let Err(error) = result {
+        panic!("{error}");
+    }
+}

@@ -1,0 +1,355 @@
+//! `entire train` and `entire evaluate` as a user runs them, on tables whose times follow a known law.
+
+use entire_cli::dataset::{MANIFEST_FORMAT, Manifest, Measurement, Scene, Writer};
+use entire_core::model::{Model, ModelFile, keys};
+use entire_core::nn::Dtype;
+use entire_core::scene::{Arcball, GaussianLobe, Shading, Skipping};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn entire(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_entire")).args(arguments).output().unwrap()
+}
+
+#[track_caller]
+fn works(arguments: &[&str]) -> String {
+    let output = entire(arguments);
+    let (out, err) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success(), "{arguments:?}\n{out}{err}");
+    out.into_owned()
+}
+
+#[track_caller]
+fn fails(arguments: &[&str], code: i32, expected: &str) {
+    let output = entire(arguments);
+    let err = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}\n{err}");
+    assert!(err.contains(expected) && !err.contains("panicked"), "{arguments:?}\n{err}");
+}
+
+struct Data {
+    folder: tempfile::TempDir,
+    csv: PathBuf,
+}
+
+impl Data {
+    fn path(&self, name: &str) -> String {
+        self.folder.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    fn csv(&self) -> &str {
+        self.csv.to_str().unwrap()
+    }
+}
+
+/// Four members with two volumes each and `frames` frames per volume; seconds are a fixed cost, one per pixel and one
+/// that depends on the distance, each repeat 1 % above or below.
+fn data(frames: usize) -> Data {
+    let folder = tempfile::tempdir().unwrap();
+    let csv = folder.path().join("t.csv");
+    let mut writer = Writer::create(&csv).unwrap();
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut unit = move || (rng.next_u32() >> 8) as f32 / (1 << 24) as f32;
+    let mut number = 0;
+    for member in ["m01", "m02", "m03", "m04"] {
+        std::fs::create_dir_all(folder.path().join("blobs").join(member)).unwrap();
+        for step in 0..2u32 {
+            let name = format!("blobs/{member}/t{step:04}.nrrd");
+            write_volume(&folder.path().join(&name), number as f32);
+            for _ in 0..frames {
+                let side = 32 + (unit() * 400.0) as u32;
+                let dz = 1.2 + 2.0 * unit();
+                let scene = Scene {
+                    volume: name.clone(),
+                    member: member.into(),
+                    time_step: Some(step),
+                    dims: [12; 3],
+                    camera: Arcball { rx: 180.0 * unit() - 90.0, ry: 360.0 * unit(), dz },
+                    fov_y_degrees: 45.0,
+                    width: side,
+                    height: side,
+                    step: 1.0,
+                    shading: Shading::None,
+                    skipping: Skipping::Blocks,
+                    termination: 0.99,
+                    lobes: vec![GaussianLobe { center: unit(), width: 0.05, height: unit() }],
+                };
+                let seconds = 1e-3 + 2e-8 * f64::from(side * side) * f64::from(3.5 / dz);
+                let repeats =
+                    [0.99, 1.01].map(|f| Measurement { wall: Some(seconds * f), ..Measurement::default() });
+                writer.append(number, &scene, &repeats).unwrap();
+                number += 1;
+            }
+        }
+    }
+    Data { folder, csv }
+}
+
+fn write_volume(path: &Path, shift: f32) {
+    let mut bytes = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 12 12 12\nencoding: raw\n\n".to_vec();
+    for i in 0..12 * 12 * 12 {
+        let (x, y, z) = (i % 12, i / 12 % 12, i / 144);
+        let r = ((x - 6) as f32).hypot((y - 6) as f32).hypot((z - 6) as f32) + 0.01 * shift;
+        bytes.push((255.0 - 30.0 * r).clamp(0.0, 255.0) as u8);
+    }
+    std::fs::write(path, bytes).unwrap();
+}
+
+fn model(path: &str) -> Model {
+    Model::from_bytes(&std::fs::read(path).unwrap()).unwrap()
+}
+
+fn number_after(text: &str, line: &str, label: &str) -> f64 {
+    let line = text.lines().find(|l| l.starts_with(line)).unwrap();
+    let rest = &line[line.find(label).unwrap() + label.len()..];
+    rest.split_whitespace().next().unwrap().parse().unwrap()
+}
+
+#[test]
+fn a_small_network_learns_the_law_on_members_never_seen() {
+    let data = data(60);
+    let out = data.path("m.safetensors");
+    let text = works(&[
+        "train",
+        "--quiet",
+        "--data",
+        data.csv(),
+        "--out",
+        &out,
+        "--batch",
+        "32",
+        "--layers",
+        "32,32",
+        "--inputs",
+        "camera,resolution",
+        "--learning-rate",
+        "1e-2",
+        "--test-members",
+        "blobs/m04",
+        "--validation-members",
+        "blobs/m03",
+        "--epochs",
+        "150",
+    ]);
+    assert!(number_after(&text, "test", "MdAPE") < 3.0, "{text}");
+    let m = model(&out);
+    assert_eq!(m.inputs().iter().map(|g| g.size).collect::<Vec<_>>(), [3, 2]);
+    let provenance: serde_json::Value = serde_json::from_str(m.provenance().unwrap()).unwrap();
+    assert_eq!(provenance["split"]["test"], serde_json::json!(["blobs/m04"]));
+    assert_eq!(provenance["data"][0]["frames"], 480);
+    let noise = provenance["noise_floor"]["log_sd"].as_f64().unwrap();
+    assert!((noise - 0.01 * 2f64.sqrt()).abs() < 1e-4, "{noise}");
+    let card = std::fs::read_to_string(data.path("m.md")).unwrap();
+    for heading in [
+        "## Use",
+        "## Inputs",
+        "## Data",
+        "## Split",
+        "## Training",
+        "## Metrics",
+        "## Limits",
+        "Noise floor",
+    ] {
+        assert!(card.contains(heading), "{heading}\n{card}");
+    }
+
+    // Evaluated on what it never saw: the same numbers.
+    let folder = data.path("evaluation");
+    let shown =
+        works(&["evaluate", "--quiet", "--model", &out, "--data", data.csv(), "--unseen", "--out", &folder]);
+    assert!(shown.contains("blobs/m04") && !shown.contains("blobs/m01"), "{shown}");
+    let json: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(format!("{folder}/evaluation.json")).unwrap()).unwrap();
+    let own = &json["predictors"][0];
+    assert_eq!((own["metrics"]["frames"].as_u64(), own["frames_seen"].as_u64()), (Some(120), Some(0)));
+    let mdape = own["metrics"]["mdape"].as_f64().unwrap();
+    assert!((mdape - provenance["metrics"]["test"]["mdape"].as_f64().unwrap()).abs() < 1e-12);
+    let constant = &json["predictors"][1]["metrics"];
+    assert!(
+        constant["rmse_over_sd"].as_f64().unwrap() > 10.0 * own["metrics"]["rmse_over_sd"].as_f64().unwrap()
+    );
+    assert!(own["latency"]["seconds"].as_f64().unwrap() > 0.0);
+    let rows = std::fs::read_to_string(format!("{folder}/predictions.csv")).unwrap();
+    assert_eq!(rows.lines().count(), 121);
+    for name in ["report.html", "errors.svg", "bias.svg", "scatter-1.svg", "scatter-2.svg"] {
+        assert!(std::fs::metadata(format!("{folder}/{name}")).unwrap().len() > 500, "{name}");
+    }
+
+    // Fine-tuning keeps layers, inputs and standardisation; on times twice as long it learns the factor.
+    let tuned = data.path("tuned.safetensors");
+    works(&[
+        "train",
+        "--quiet",
+        "--data",
+        data.csv(),
+        "--out",
+        &tuned,
+        "--fine-tune",
+        &out,
+        "--epochs",
+        "2",
+        "--limit",
+        "40",
+    ]);
+    let (a, b) = (model(&out), model(&tuned));
+    assert_eq!(a.prednet().unwrap().input, b.prednet().unwrap().input);
+    assert_ne!(a.prednet().unwrap().layers, b.prednet().unwrap().layers);
+    fails(
+        &["train", "--data", data.csv(), "--out", &tuned, "--fine-tune", &out, "--preset", "0C64"],
+        2,
+        "--preset",
+    );
+
+    // Everything seen: nothing to compare.
+    works(&[
+        "train",
+        "--quiet",
+        "--data",
+        data.csv(),
+        "--out",
+        &tuned,
+        "--epochs",
+        "1",
+        "--validation-groups",
+        "blobs/m03",
+    ]);
+    fails(&["evaluate", "--model", &tuned, "--data", data.csv(), "--unseen"], 1, "a model learned from");
+}
+
+#[test]
+fn the_paper_configuration_writes_encoder_and_network_into_one_file() {
+    let data = data(12);
+    let mut file = ModelFile::new();
+    file.set_metadata(keys::VOLUMENET, r#"{"input":8,"blocks":[{"stride":2,"padding":1}]}"#);
+    let ramp = |n: usize| (0..n).map(|i| ((i * 7 % 11) as f32 - 5.0) * 0.05).collect::<Vec<f32>>();
+    for (name, shape) in [
+        ("encoder.0.conv.weight", &[2usize, 1, 3, 3, 3][..]),
+        ("encoder.0.conv.bias", &[2]),
+        ("encoder.0.bn.weight", &[2]),
+        ("encoder.0.bn.bias", &[2]),
+        ("encoder.0.bn.running_mean", &[2]),
+        ("fc.weight", &[2, 128]),
+        ("fc.bias", &[2]),
+        ("decoder.note", &[3]),
+    ] {
+        let n = shape.iter().product();
+        file.set_tensor(&format!("volumenet.{name}"), Dtype::F32, shape, &ramp(n)).unwrap();
+    }
+    file.set_tensor("volumenet.encoder.0.bn.running_var", Dtype::F32, &[2], &[1.0, 0.5]).unwrap();
+    let encoder = data.path("encoder.safetensors");
+    std::fs::write(&encoder, file.to_bytes().unwrap()).unwrap();
+
+    let out = data.path("paper.safetensors");
+    let arguments = [
+        "train",
+        "--quiet",
+        "--data",
+        data.csv(),
+        "--out",
+        &out,
+        "--preset",
+        "1C32",
+        "--target",
+        "seconds",
+        "--inputs",
+        "volume_features,camera,resolution,transfer_function",
+        "--volumenet",
+        &encoder,
+        "--epochs",
+        "3",
+        "--dtype",
+        "f16",
+    ];
+    works(&arguments);
+    let m = model(&out);
+    assert_eq!(m.inputs().iter().map(|g| g.size).collect::<Vec<_>>(), [2, 3, 2, 3]);
+    assert!(m.volumenet().is_some());
+    let widths: Vec<usize> = m.prednet().unwrap().layers.iter().map(|l| l.outputs).collect();
+    assert_eq!(widths, [32, 32, 16, 1]);
+    assert_eq!(m.prednet().unwrap().layers[0].dtype, Dtype::F16);
+    let kept = ModelFile::from_bytes(&std::fs::read(&out).unwrap()).unwrap();
+    assert!(kept.tensor_names().any(|n| n == "volumenet.decoder.note"));
+    // The same seed gives the same weights.
+    works(&arguments);
+    assert_eq!(model(&out).prednet(), m.prednet());
+    works(&["evaluate", "--quiet", "--model", &out, "--data", data.csv()]);
+    fails(
+        &["train", "--data", data.csv(), "--out", &out, "--inputs", "volume_features"],
+        1,
+        "name a model file that holds a VolumeNet",
+    );
+}
+
+#[test]
+fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
+    let data = data(20);
+    let out = data.path("costs.safetensors");
+    let text = works(&["train", "--quiet", "--data", data.csv(), "--out", &out, "--model-kind", "analytic"]);
+    assert!(text.contains("fitted to"), "{text}");
+    let m = model(&out);
+    let net = m.prednet().unwrap();
+    assert_eq!((net.layers.len(), net.layers[0].outputs), (1, 1));
+    assert!(net.layers[0].weight.iter().chain(&net.layers[0].bias).all(|c| *c >= 0.0));
+    assert_eq!(m.scene_features().len(), net.layers[0].inputs);
+    let shown = works(&["evaluate", "--quiet", "--model", &out, "--data", data.csv(), "--by", "volume"]);
+    assert!(shown.contains("blobs/m02/t0001.nrrd"), "{shown}");
+}
+
+#[test]
+fn what_cannot_be_done_is_said() {
+    let data = data(3);
+    let out = data.path("m.safetensors");
+    let train = |more: &[&str], code: i32, expected: &str| {
+        let mut arguments = vec!["train", "--quiet", "--data", data.csv(), "--out", &out];
+        arguments.extend(more);
+        fails(&arguments, code, expected);
+    };
+    train(&["--scene-features", "warp_speed"], 1, "warp_speed");
+    train(&["--inputs", "weather"], 1, "weather");
+    train(&["--inputs", "camera,camera"], 1, "named twice");
+    train(&["--test-members", "m09"], 1, "there are blobs/m01");
+    train(&["--clock", "device"], 1, "choose another --clock");
+    train(&["--shading", "local"], 1, "--shading");
+    train(&["--preset", "12C99"], 1, "12C256");
+    train(&["--loss", "cosine"], 2, "pinball:QUANTILE");
+    train(&["--loss", "relative"], 1, "needs the target seconds");
+    train(&["--epochs", "0"], 1, "epochs is 0");
+    train(&["--limit", "0"], 1, "--limit is 0");
+    train(&["--threads", "0"], 1, "0 threads");
+    train(&["--learning-rate=-1"], 1, "learning rate");
+    train(&["--fine-tune", data.csv()], 1, "t.csv");
+    fails(&["train", "--data", data.csv(), "--out", "m.bin"], 1, ".safetensors");
+    fails(&["train", "--data", "nowhere.csv", "--out", &out], 1, "cannot read nowhere.csv");
+    fails(&["train", "--out", &out], 2, "--data");
+    fails(
+        &["evaluate", "--model", "nowhere.safetensors", "--data", data.csv()],
+        1,
+        "cannot read nowhere.safetensors",
+    );
+    fails(&["evaluate", "--model", data.csv(), "--data", data.csv()], 1, "safetensors");
+
+    // A manifest of another format, and a volume that is gone.
+    let manifest = Manifest {
+        format: MANIFEST_FORMAT.replace('1', "9"),
+        created: String::new(),
+        machine: String::new(),
+        renderer: String::new(),
+        device: String::new(),
+        driver: String::new(),
+        commit: String::new(),
+        seed: 0,
+        repeats: 2,
+        step_reference: String::new(),
+        settings: serde_json::Value::Null,
+        other: Default::default(),
+    };
+    manifest.write(&data.csv).unwrap();
+    train(&[], 1, "entire-timings-1");
+    std::fs::remove_file(Manifest::path_for(&data.csv)).unwrap();
+    std::fs::remove_file(data.path("blobs/m01/t0000.nrrd")).unwrap();
+    train(&[], 1, "blobs/m01/t0000.nrrd");
+    write_volume(Path::new(&data.path("blobs/m01/t0000.nrrd")), 0.0);
+    assert!(!Path::new(&out).exists());
+}

@@ -1,1 +1,0 @@
-//! Rust examples of entire.

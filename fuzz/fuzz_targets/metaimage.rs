@@ -1,0 +1,5 @@
+#![no_main]
+
+use entire_cli::volume::{Format, hostile::read_any};
+
+libfuzzer_sys::fuzz_target!(|input: &[u8]| entire_fuzz::check_volume(read_any(Format::MetaImage, input)));

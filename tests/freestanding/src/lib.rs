@@ -1,0 +1,65 @@
+//! What the freestanding program computes and prints, shared with the test that compares it with a hosted build.
+#![no_std]
+
+extern crate alloc;
+
+use alloc::string::String;
+use alloc::vec;
+use alloc::vec::Vec;
+use core::fmt::Write;
+use entire_core::kernels::Level;
+use entire_core::model::Model;
+use entire_core::nn::{Executor, PredNet, Storage, VolumeNet};
+use entire_core::scene::{Scalars, VolumeView};
+
+/// Loads a model and prints the bits of its results, one line per network, level and input.
+///
+/// # Errors
+/// The core's message, or "the model has no …".
+pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
+    let text = |e: entire_core::Error| String::from(e.message());
+    let failed = |_| String::from("cannot write");
+    let model = Model::from_bytes(model).map_err(text)?;
+    let prednet = model.prednet().ok_or("the model has no PredNet")?;
+    let volumenet = model.volumenet().ok_or("the model has no VolumeNet")?;
+    for level in Level::available() {
+        for storage in [Storage::F32, Storage::F16, Storage::Bf16] {
+            let net = PredNet::with(prednet, level, storage).map_err(text)?;
+            let mut scratch = net.scratch();
+            let mut inputs = vec![0.0f32; net.inputs() * 3];
+            for (i, x) in inputs.iter_mut().enumerate() {
+                *x = (i * 37 % 101) as f32 / 50.0 - 1.0;
+            }
+            write!(out, "prednet {} {storage:?}", level.isa()).map_err(failed)?;
+            for row in inputs.chunks_exact(net.inputs()) {
+                write!(out, " {:08x}", net.predict(row, &mut scratch).to_bits()).map_err(failed)?;
+            }
+            let mut seconds = [0.0f32; 3];
+            net.predict_batch(&inputs, &mut seconds, &mut scratch).map_err(text)?;
+            for s in seconds {
+                write!(out, " {:08x}", s.to_bits()).map_err(failed)?;
+            }
+            writeln!(out).map_err(failed)?;
+        }
+        let net = VolumeNet::with(volumenet, level).map_err(text)?;
+        let mut scratch = net.scratch();
+        let mut features = vec![0.0f32; net.feature_len()];
+        let n = net.input_size();
+        // As it is, shrinking by integers and by fractions, and growing.
+        for dims in [[n; 3], [2 * n; 3], [n + 3, 2 * n - 1, n + 1], [1, n / 2, 3]] {
+            let voxels = dims.iter().product();
+            let bytes: Vec<u8> = (0..voxels).map(|i| (i * 193 % 251) as u8).collect();
+            let floats: Vec<f32> = bytes.iter().map(|&b| f32::from(b) * 0.37 - 11.0).collect();
+            for scalars in [Scalars::U8(&bytes), Scalars::F32(&floats)] {
+                let view = VolumeView::new(scalars, dims).map_err(text)?;
+                net.encode(&view, &mut scratch, Executor::serial(), &mut features).map_err(text)?;
+                write!(out, "volumenet {} {:?} {dims:?}", level.isa(), view.scalar_type()).map_err(failed)?;
+                for f in &features {
+                    write!(out, " {:08x}", f.to_bits()).map_err(failed)?;
+                }
+                writeln!(out).map_err(failed)?;
+            }
+        }
+    }
+    Ok(())
+}

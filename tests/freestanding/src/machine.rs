@@ -1,0 +1,185 @@
+//! All that the program has instead of an operating system's library: an entry point, two system calls, an arena, the
+//! memory functions that compilers call, and a panic handler.
+
+use core::alloc::{GlobalAlloc, Layout};
+use core::arch::{asm, global_asm};
+use core::cell::UnsafeCell;
+use core::fmt::{self, Write};
+use core::sync::atomic::{AtomicUsize, Ordering};
+
+/// The model, part of the program.
+static MODEL: &[u8] = include_bytes!(env!("ENTIRE_FREESTANDING_MODEL"));
+
+// The kernel enters with the stack aligned to 16 bytes and no return address on it.
+global_asm!(".globl _start", "_start:", "xor ebp, ebp", "and rsp, -16", "call {run}", "ud2", run = sym run);
+
+extern "C" fn run() -> ! {
+    let status = match entire_freestanding::report(MODEL, &mut Standard(1)) {
+        Ok(()) => 0,
+        Err(message) => {
+            let _ = writeln!(Standard(2), "{message}");
+            1
+        }
+    };
+    exit(status)
+}
+
+fn system_call(number: usize, a: usize, b: usize, c: usize) -> isize {
+    let result: isize;
+    // SAFETY: the two calls made here (write, exit) read at most the memory that their caller names.
+    unsafe {
+        asm!(
+            "syscall",
+            inlateout("rax") number as isize => result,
+            in("rdi") a,
+            in("rsi") b,
+            in("rdx") c,
+            out("rcx") _,
+            out("r11") _,
+            options(nostack)
+        );
+    }
+    result
+}
+
+fn exit(status: usize) -> ! {
+    loop {
+        system_call(60, status, 0, 0);
+    }
+}
+
+/// Standard output (1) or error (2).
+struct Standard(usize);
+
+impl Write for Standard {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        let mut bytes = text.as_bytes();
+        while !bytes.is_empty() {
+            match usize::try_from(system_call(1, self.0, bytes.as_ptr() as usize, bytes.len())) {
+                Ok(written) if written > 0 => bytes = &bytes[written..],
+                _ => return Err(fmt::Error),
+            }
+        }
+        Ok(())
+    }
+}
+
+#[panic_handler]
+fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
+    let _ = writeln!(Standard(2), "{info}");
+    exit(101)
+}
+
+const ARENA_BYTES: usize = 64 << 20;
+
+/// Memory handed out from one end to the other. Only the last piece can be given back or grown in place.
+#[repr(C, align(64))]
+struct Arena {
+    memory: UnsafeCell<[u8; ARENA_BYTES]>,
+    used: AtomicUsize,
+}
+
+// SAFETY: pieces are handed out through an atomic counter and never overlap.
+unsafe impl Sync for Arena {}
+
+#[global_allocator]
+static ARENA: Arena = Arena { memory: UnsafeCell::new([0; ARENA_BYTES]), used: AtomicUsize::new(0) };
+
+// SAFETY: pieces lie inside the arena, are aligned (the arena is, to 64 bytes) and disjoint.
+unsafe impl GlobalAlloc for Arena {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let used = self.used.load(Ordering::Relaxed);
+        let start = used.next_multiple_of(layout.align());
+        match start.checked_add(layout.size()) {
+            Some(end) if end <= ARENA_BYTES && layout.align() <= 64 => {
+                self.used.store(end, Ordering::Relaxed);
+                // SAFETY: the piece ends inside the arena.
+                unsafe { self.memory.get().cast::<u8>().add(start) }
+            }
+            _ => core::ptr::null_mut(),
+        }
+    }
+
+    unsafe fn dealloc(&self, piece: *mut u8, layout: Layout) {
+        let start = piece as usize - self.memory.get() as usize;
+        if start + layout.size() == self.used.load(Ordering::Relaxed) {
+            self.used.store(start, Ordering::Relaxed);
+        }
+    }
+}
+
+// The compiler turns copies and fills into calls of these. `rep` keeps it from turning their own loops into calls.
+
+/// # Safety
+/// As in C.
+#[unsafe(no_mangle)]
+unsafe extern "C" fn memcpy(to: *mut u8, from: *const u8, count: usize) -> *mut u8 {
+    // SAFETY: the caller vouches for both pieces.
+    unsafe {
+        asm!("rep movsb", inout("rcx") count => _, inout("rdi") to => _, inout("rsi") from => _,
+             options(nostack, preserves_flags));
+    }
+    to
+}
+
+/// # Safety
+/// As in C.
+#[unsafe(no_mangle)]
+unsafe extern "C" fn memmove(to: *mut u8, from: *const u8, count: usize) -> *mut u8 {
+    if (to as usize).wrapping_sub(from as usize) >= count {
+        // SAFETY: the caller vouches for both pieces; going up is safe when the target does not begin inside the source.
+        return unsafe { memcpy(to, from, count) };
+    }
+    // SAFETY: the caller vouches for both pieces; going down reads every byte before it is overwritten. The direction
+    // flag is put back.
+    unsafe {
+        asm!("std", "rep movsb", "cld", inout("rcx") count => _,
+             inout("rdi") to.wrapping_add(count).wrapping_sub(1) => _,
+             inout("rsi") from.wrapping_add(count).wrapping_sub(1) => _, options(nostack));
+    }
+    to
+}
+
+/// # Safety
+/// As in C.
+#[unsafe(no_mangle)]
+unsafe extern "C" fn memset(to: *mut u8, value: i32, count: usize) -> *mut u8 {
+    // SAFETY: the caller vouches for the piece.
+    unsafe {
+        asm!("rep stosb", inout("rcx") count => _, inout("rdi") to => _, in("al") value as u8,
+             options(nostack, preserves_flags));
+    }
+    to
+}
+
+/// # Safety
+/// As in C.
+#[unsafe(no_mangle)]
+unsafe extern "C" fn memcmp(a: *const u8, b: *const u8, count: usize) -> i32 {
+    for i in 0..count {
+        // SAFETY: the caller vouches for both pieces; volatile keeps the loop from becoming a call of itself.
+        let (x, y) = unsafe { (a.add(i).read_volatile(), b.add(i).read_volatile()) };
+        if x != y {
+            return i32::from(x) - i32::from(y);
+        }
+    }
+    0
+}
+
+/// # Safety
+/// As in C.
+#[unsafe(no_mangle)]
+unsafe extern "C" fn bcmp(a: *const u8, b: *const u8, count: usize) -> i32 {
+    // SAFETY: passed on to the caller.
+    unsafe { memcmp(a, b, count) }
+}
+
+/// Named by the precompiled library, never called: panics abort.
+#[unsafe(no_mangle)]
+extern "C" fn rust_eh_personality() {}
+
+/// Named by the precompiled library, never called: panics abort.
+#[unsafe(no_mangle)]
+extern "C" fn _Unwind_Resume() -> ! {
+    exit(102)
+}
