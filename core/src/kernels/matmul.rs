@@ -1,4 +1,38 @@
-//! Matrix products for training, over the crate `matrixmultiply`: the one place that hands it pointers.
+//! What training needs of the CPU: matrix products over the crate `matrixmultiply` (the one place that hands it
+//! pointers), and plain loops compiled for this CPU's best level.
+
+use super::simd::{Kernel, Simd};
+use super::{Level, selu};
+use std::sync::OnceLock;
+
+/// This CPU's best level, asked for once.
+fn level() -> Level {
+    static LEVEL: OnceLock<Level> = OnceLock::new();
+    *LEVEL.get_or_init(Level::detect)
+}
+
+struct Plain<F>(F);
+
+impl<R, F: FnOnce() -> R> Kernel for Plain<F> {
+    type Output = R;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, _: S) -> R {
+        (self.0)()
+    }
+}
+
+/// Runs a small closure of plain loops, compiled with the instructions of this CPU's best level. Additions and
+/// multiplications are never fused, so the results do not depend on the level.
+#[inline(always)]
+pub(crate) fn vectorized<R>(f: impl FnOnce() -> R) -> R {
+    level().run(Plain(f))
+}
+
+/// SELU in single precision, in place.
+pub(crate) fn selu_f32(values: &mut [f32]) {
+    selu(level(), values);
+}
 
 /// A matrix in a slice, by rows: `data[row * row_stride + column * column_stride]`.
 #[derive(Clone, Copy, Debug)]

@@ -3,7 +3,7 @@
 use super::Real;
 use crate::Result;
 use crate::error::bail;
-use crate::kernels::matmul::Matrix;
+use crate::kernels::matmul::{Matrix, vectorized};
 use crate::nn::{PredNetParts, SELU_ALPHA, SELU_SCALE};
 use alloc::vec;
 use alloc::vec::Vec;
@@ -225,11 +225,13 @@ impl<T: Real> Pass<T> {
                 y,
             );
             let bias = &network.parameters[span.bias()];
-            for row in y.chunks_exact_mut(span.outputs) {
-                for (v, b) in row.iter_mut().zip(bias) {
-                    *v += *b;
+            vectorized(|| {
+                for row in y.chunks_exact_mut(span.outputs) {
+                    for (v, b) in row.iter_mut().zip(bias) {
+                        *v += *b;
+                    }
                 }
-            }
+            });
             if i + 1 < network.layers() {
                 T::selu(y);
             }
@@ -251,11 +253,13 @@ impl<T: Real> Pass<T> {
             );
             let bias = &mut self.gradient[span.bias()];
             bias.fill(T::ZERO);
-            for row in delta.chunks_exact(span.outputs) {
-                for (b, d) in bias.iter_mut().zip(row) {
-                    *b += *d;
+            vectorized(|| {
+                for row in delta.chunks_exact(span.outputs) {
+                    for (b, d) in bias.iter_mut().zip(row) {
+                        *b += *d;
+                    }
                 }
-            }
+            });
             if i > 0 {
                 let next = &mut self.next_delta[..self.rows * span.inputs];
                 T::multiply(
@@ -265,9 +269,11 @@ impl<T: Real> Pass<T> {
                 );
                 // SELU's slope from its output y: λ where y > 0, else y + λα.
                 let (scale, floor) = (T::of(SELU_SCALE), T::of(SELU_SCALE * SELU_ALPHA));
-                for (d, y) in next.iter_mut().zip(x) {
-                    *d *= if *y > T::ZERO { scale } else { *y + floor };
-                }
+                vectorized(|| {
+                    for (d, y) in next.iter_mut().zip(x) {
+                        *d *= if *y > T::ZERO { scale } else { *y + floor };
+                    }
+                });
                 core::mem::swap(&mut self.delta, &mut self.next_delta);
             }
         }

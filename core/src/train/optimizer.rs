@@ -4,6 +4,7 @@ use super::network::{Network, Pass};
 use super::{Loss, Real};
 use crate::Result;
 use crate::error::bail;
+use crate::kernels::matmul::vectorized;
 use alloc::vec;
 use alloc::vec::Vec;
 use rayon::ThreadPool;
@@ -161,12 +162,14 @@ impl<T: Real> Trainer<T> {
                     let start = block * PARAMETERS_PER_TASK;
                     let end = start + out.len();
                     out.copy_from_slice(&tasks[0].0.gradient[start..end]);
-                    for (pass, _) in &tasks[1..] {
-                        for (sum, g) in out.iter_mut().zip(&pass.gradient[start..end]) {
-                            *sum += *g;
+                    vectorized(|| {
+                        for (pass, _) in &tasks[1..] {
+                            for (sum, g) in out.iter_mut().zip(&pass.gradient[start..end]) {
+                                *sum += *g;
+                            }
                         }
-                    }
-                    sum_of_squares(out)
+                        sum_of_squares(out)
+                    })
                 })
                 .collect();
             Ok(Step {
@@ -209,12 +212,14 @@ impl<T: Real> Trainer<T> {
                 .zip(self.second_moment.par_chunks_mut(PARAMETERS_PER_TASK))
                 .zip(gradient.par_chunks(PARAMETERS_PER_TASK))
                 .for_each(|(((p, m), v), g)| {
-                    for (((p, m), v), g) in p.iter_mut().zip(m).zip(v).zip(g) {
-                        let g = *g * clip;
-                        *m = b1 * *m + c1 * g;
-                        *v = b2 * *v + c2 * g * g;
-                        *p -= rate * *m / (v.sqrt() / correction2 + epsilon);
-                    }
+                    vectorized(|| {
+                        for (((p, m), v), g) in p.iter_mut().zip(m).zip(v).zip(g) {
+                            let g = *g * clip;
+                            *m = b1 * *m + c1 * g;
+                            *v = b2 * *v + c2 * g * g;
+                            *p -= rate * *m / (v.sqrt() / correction2 + epsilon);
+                        }
+                    });
                 });
         });
         Ok(step)
@@ -252,6 +257,7 @@ pub(crate) fn predict<T: Real>(pool: &ThreadPool, network: &Network<T>, inputs: 
 }
 
 /// Σ x² in eight running sums, so that it becomes vector code.
+#[inline(always)]
 fn sum_of_squares<T: Real>(values: &[T]) -> f64 {
     let mut sums = [0.0f64; 8];
     let chunks = values.chunks_exact(8);

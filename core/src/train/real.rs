@@ -58,7 +58,7 @@ impl Real for f64 {
         self
     }
     fn sqrt(self) -> Self {
-        libm::sqrt(self)
+        f64::sqrt(self)
     }
     fn is_finite(self) -> bool {
         self.is_finite()
@@ -80,42 +80,14 @@ impl Real for f32 {
         self.into()
     }
     fn sqrt(self) -> Self {
-        libm::sqrtf(self)
+        f32::sqrt(self)
     }
     fn is_finite(self) -> bool {
         self.is_finite()
     }
     fn selu(values: &mut [Self]) {
-        for x in values {
-            *x = selu_f32(*x);
-        }
+        crate::kernels::matmul::selu_f32(values);
     }
-}
-
-/// SELU without branches, so that a loop over it becomes vector code. Absolute error below 4e-7.
-#[inline(always)]
-fn selu_f32(x: f32) -> f32 {
-    const SCALE: f32 = SELU_SCALE as f32;
-    const SCALE_ALPHA: f32 = (SELU_SCALE * SELU_ALPHA) as f32;
-    // exp(x) = 2^n · exp(r), |r| ≤ ln2/2; below -87 the result is -λα whatever x is. Comparisons are written so that
-    // NaN stays NaN.
-    let low = if x < -87.0 { -87.0 } else { x };
-    let y = if low > 0.0 { 0.0 } else { low };
-    // Adding and taking away 1.5·2^23 rounds to the nearest integer.
-    const ROUND: f32 = 12_582_912.0;
-    let shifted = y * core::f32::consts::LOG2_E + ROUND;
-    let n = shifted - ROUND;
-    let r = y - n * 0.693_359_4 + n * 2.121_944_4e-4;
-    let p = 1.0 / 720.0;
-    let p = p * r + 1.0 / 120.0;
-    let p = p * r + 1.0 / 24.0;
-    let p = p * r + 1.0 / 6.0;
-    let p = p * r + 0.5;
-    let p = p * r + 1.0;
-    let p = p * r; // exp(r) − 1
-    let power = f32::from_bits((shifted.to_bits() << 23).wrapping_add(0x3f80_0000));
-    let negative = SCALE_ALPHA * (power * p + (power - 1.0));
-    if x > 0.0 { SCALE * x } else { negative }
 }
 
 #[cfg(test)]

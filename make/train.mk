@@ -1,0 +1,6 @@
+# A Python that has PyTorch.
+PYTHON ?= python3
+
+.PHONY: bars-train
+bars-train: ## Training speed and final loss against PyTorch on this machine
+	$(PYTHON) scripts/bars_train.py
