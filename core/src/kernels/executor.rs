@@ -1,6 +1,7 @@
 //! Who runs the parallel parts: the calling thread alone, or a pool that the caller owns.
 
-use core::marker::PhantomData;
+use crate::kernels::Helper;
+use crate::kernels::helper::Join;
 
 /// Where encoding and resampling run: on the calling thread alone ([`Executor::serial`], the default), or split over
 /// a rayon pool that the caller gives.
@@ -11,7 +12,7 @@ use core::marker::PhantomData;
 pub struct Executor<'a> {
     #[cfg(feature = "rayon")]
     pool: Option<&'a rayon::ThreadPool>,
-    lifetime: PhantomData<&'a ()>,
+    helper: Option<&'a Helper>,
 }
 
 impl<'a> Executor<'a> {
@@ -20,14 +21,23 @@ impl<'a> Executor<'a> {
         Self {
             #[cfg(feature = "rayon")]
             pool: None,
-            lifetime: PhantomData,
+            helper: None,
         }
     }
 
     /// The work is split over the threads of `pool`; the caller waits.
     #[cfg(feature = "rayon")]
     pub const fn rayon(pool: &'a rayon::ThreadPool) -> Self {
-        Self { pool: Some(pool), lifetime: PhantomData }
+        Self { pool: Some(pool), helper: None }
+    }
+
+    /// The work is split between the caller and the thread that serves `helper`: no lock and no system call.
+    pub const fn helper(helper: &'a Helper) -> Self {
+        Self {
+            #[cfg(feature = "rayon")]
+            pool: None,
+            helper: Some(helper),
+        }
     }
 
     /// Number of threads that work is split for.
@@ -36,7 +46,7 @@ impl<'a> Executor<'a> {
         if let Some(pool) = self.pool {
             return pool.current_num_threads().max(1);
         }
-        1
+        1 + usize::from(self.helper.is_some_and(Helper::is_served))
     }
 
     /// Runs both closures, at the same time where there are threads for it.
@@ -46,7 +56,17 @@ impl<'a> Executor<'a> {
             pool.join(a, b);
             return;
         }
+        if let Some(helper) = self.helper {
+            helper.join(a, b);
+            return;
+        }
         a();
         b();
+    }
+}
+
+impl Join for Executor<'_> {
+    fn join<A: FnOnce() + Send, B: FnOnce() + Send>(&self, a: A, b: B) {
+        Executor::join(self, a, b);
     }
 }

@@ -6,6 +6,7 @@
 //! last layer, which has one output, stays a plain row. Padding is zero, and SELU(0) = 0 keeps it so.
 
 use super::Level;
+use super::helper::Join;
 use super::simd::{Kernel, Simd};
 use alloc::vec;
 use alloc::vec::Vec;
@@ -44,6 +45,9 @@ impl Storage {
 
 /// Rows that a batch works on at once: two buffers of them and a layer's weights stay in a second-level cache.
 pub(crate) const BLOCK_ROWS: usize = 192;
+
+/// Lines of weights from which on a layer is worth splitting over two threads: 64 KiB.
+const SPLIT_LINES: usize = 1024;
 
 /// One cache line.
 #[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
@@ -232,6 +236,63 @@ impl Mlp {
             return None;
         }
         Some(self.level.run(Forward { net: self, inputs, scratch }))
+    }
+
+    /// As [`forward`](Self::forward), the outputs of each large layer split in two: same bits.
+    pub(crate) fn forward_split<J: Join>(
+        &self,
+        threads: &J,
+        inputs: &[f32],
+        scratch: &mut MlpScratch,
+    ) -> Option<f32> {
+        if inputs.len() != self.inputs || !self.fits(scratch) {
+            return None;
+        }
+        // Int8 is faster alone: what a core gains from its half is less than the two cores' talk.
+        if self.layers.iter().all(|layer| layer.storage == Storage::Int8 || layer.lines() < SPLIT_LINES) {
+            return Some(self.level.run(Forward { net: self, inputs, scratch }));
+        }
+        let MlpScratch { a, b, quantized, .. } = scratch;
+        let (mut x, mut y): (&mut [f32], &mut [f32]) =
+            (bytemuck::cast_slice_mut(a), bytemuck::cast_slice_mut(b));
+        self.level.run(LoadInputs { net: self, inputs, x });
+        for layer in &self.layers {
+            let whole = LayerPart { net: self, layer, from: 0, to: layer.width, x, q: quantized, y };
+            if layer.storage == Storage::Int8 || layer.lines() < SPLIT_LINES || layer.width < 128 {
+                self.level.run(whole);
+            } else {
+                let half = layer.width / 128 * 64;
+                let (low, high) = y.split_at_mut(half);
+                let x = &*x;
+                threads.join(
+                    || {
+                        self.level.run(LayerPart {
+                            net: self,
+                            layer,
+                            from: 0,
+                            to: half,
+                            x,
+                            q: &mut [],
+                            y: low,
+                        })
+                    },
+                    || {
+                        let to = layer.width;
+                        self.level.run(LayerPart {
+                            net: self,
+                            layer,
+                            from: half,
+                            to,
+                            x,
+                            q: &mut [],
+                            y: high,
+                        });
+                    },
+                );
+            }
+            core::mem::swap(&mut x, &mut y);
+        }
+        Some(self.level.run(LastRow { net: self, x }))
     }
 
     /// The last layer's output for as many rows as `outputs` has elements; `None` as in [`forward`](Self::forward).
@@ -579,6 +640,63 @@ impl Kernel for Forward<'_> {
     }
 }
 
+struct LoadInputs<'a> {
+    net: &'a Mlp,
+    inputs: &'a [f32],
+    x: &'a mut [f32],
+}
+
+impl Kernel for LoadInputs<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        // SAFETY: `fits` has checked the length of `x`, `forward_split` that of `inputs`.
+        unsafe { self.net.load_inputs(simd, self.inputs, self.x.as_mut_ptr()) };
+    }
+}
+
+/// Outputs `from` to `to` of one layer, written to the start of `y`.
+struct LayerPart<'a> {
+    net: &'a Mlp,
+    layer: &'a Layer,
+    from: usize,
+    to: usize,
+    x: &'a [f32],
+    q: &'a mut [Line],
+    y: &'a mut [f32],
+}
+
+impl Kernel for LayerPart<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self { net, layer, from, to, x, q, y } = self;
+        assert!(x.len() >= layer.inputs.min(net.width) && y.len() >= to - from && to <= layer.width);
+        // SAFETY: `x` and `y` are long enough; `q` is empty only where the layer is not int8, and else made by
+        // `scratch` and checked by `fits`.
+        unsafe {
+            net.layer_row(simd, layer, from, to, x.as_ptr(), q.as_mut_ptr().cast(), y.as_mut_ptr());
+        }
+    }
+}
+
+struct LastRow<'a> {
+    net: &'a Mlp,
+    x: &'a [f32],
+}
+
+impl Kernel for LastRow<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> f32 {
+        // SAFETY: `fits` has checked the length of `x`.
+        unsafe { self.net.last_row(simd, self.x.as_ptr()) }
+    }
+}
+
 impl Mlp {
     /// Copies one row of inputs, normalised, and clears the padding behind it.
     ///
@@ -603,7 +721,8 @@ impl Mlp {
         }
     }
 
-    /// Outputs `from` to `to` (multiples of 64, or the layer's width) of one layer for one row.
+    /// Outputs `from` to `to` (multiples of 64, or the layer's width) of one layer for one row, written to the start
+    /// of `y`.
     ///
     /// # Safety
     /// `x` must hold the layer's padded inputs, `y` have room for its width, `q` (int8 only) for its padded inputs in
@@ -627,17 +746,17 @@ impl Mlp {
                     let mut panel = self.data.as_ptr().add(layer.start + from / 64 * layer.panel_lines(64)).cast::<f32>();
                     let mut o = from;
                     while to - o >= 64 {
-                        walk!(@ $panel, 64, panel, y.add(o), $($arg)*);
+                        walk!(@ $panel, 64, panel, y.add(o - from), $($arg)*);
                         panel = panel.add(layer.panel_lines(64) * 16);
                         o += 64;
                     }
                     if to - o >= 32 {
-                        walk!(@ $panel, 32, panel, y.add(o), $($arg)*);
+                        walk!(@ $panel, 32, panel, y.add(o - from), $($arg)*);
                         panel = panel.add(layer.panel_lines(32) * 16);
                         o += 32;
                     }
                     if to - o >= 16 {
-                        walk!(@ $panel, 16, panel, y.add(o), $($arg)*);
+                        walk!(@ $panel, 16, panel, y.add(o - from), $($arg)*);
                     }
                 }
             }};

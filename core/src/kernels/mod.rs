@@ -7,6 +7,7 @@
 mod activation;
 pub(crate) mod conv;
 mod executor;
+pub(crate) mod helper;
 mod level;
 #[cfg(feature = "train")]
 pub(crate) mod matmul;
@@ -19,5 +20,6 @@ mod x86_64;
 
 pub use activation::{SELU_ALPHA, SELU_SCALE, SELU_TOLERANCE, selu};
 pub use executor::Executor;
+pub use helper::Helper;
 pub use level::{Isa, LEVEL_VARIABLE, Level};
 pub use mlp::Storage;

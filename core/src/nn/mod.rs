@@ -19,4 +19,4 @@ pub use prednet::{
 pub use resample::{RESAMPLE_MAX_RATIO, RESAMPLE_TOLERANCE, Resampler};
 pub use volumenet::{EncodeScratch, VOLUMENET_TOLERANCE, VolumeNet};
 
-pub use crate::kernels::{SELU_ALPHA, SELU_SCALE, SELU_TOLERANCE, Storage};
+pub use crate::kernels::{Helper, SELU_ALPHA, SELU_SCALE, SELU_TOLERANCE, Storage};

@@ -1,5 +1,6 @@
 //! PredNet: from a frame's inputs to seconds.
 
+use super::executor::Executor;
 use super::parts::{Dtype, PredNetParts, Target};
 use crate::Result;
 use crate::error::bail;
@@ -161,6 +162,51 @@ impl PredNet {
         match self.mlp.forward(inputs, &mut scratch.mlp) {
             Some(y) => self.seconds(y),
             None => f32::NAN,
+        }
+    }
+
+    /// As [`predict`](Self::predict), each large layer split between the caller and one more thread: same bits. Worth it
+    /// where the weights outgrow one core's cache and the executor is a [`Helper`](super::Helper); a pool's hand-over
+    /// takes longer than it saves. A helper adds no allocation, lock or system call.
+    pub fn predict_on(&self, executor: Executor<'_>, inputs: &[f32], scratch: &mut PredScratch) -> f32 {
+        match self.mlp.forward_split(&executor, inputs, &mut scratch.mlp) {
+            Some(y) => self.seconds(y),
+            None => f32::NAN,
+        }
+    }
+
+    /// As [`predict_batch`](Self::predict_batch), the rows split over as many parts as there are `scratches`: same bits.
+    ///
+    /// # Errors
+    ///
+    /// As [`predict_batch`](Self::predict_batch), and [`InvalidArgument`](crate::ErrorKind::InvalidArgument) without any
+    /// scratch.
+    pub fn predict_batch_on(
+        &self,
+        executor: Executor<'_>,
+        inputs: &[f32],
+        seconds: &mut [f32],
+        scratches: &mut [PredScratch],
+    ) -> Result<()> {
+        match scratches {
+            [] => bail!(InvalidArgument, "no scratch given: make one per thread with batch_scratch"),
+            [scratch] => self.predict_batch(inputs, seconds, scratch),
+            _ => {
+                let parts = scratches.len();
+                let (left, right) = scratches.split_at_mut(parts / 2);
+                // Whole tiles of six rows on the left.
+                let rows = (seconds.len() * left.len() / parts).next_multiple_of(6).min(seconds.len());
+                let Some((inputs_left, inputs_right)) = inputs.split_at_checked(rows * self.inputs()) else {
+                    return self.predict_batch(inputs, seconds, &mut right[0]);
+                };
+                let (seconds_left, seconds_right) = seconds.split_at_mut(rows);
+                let (mut first, mut second) = (Ok(()), Ok(()));
+                executor.join(
+                    || first = self.predict_batch_on(executor, inputs_left, seconds_left, left),
+                    || second = self.predict_batch_on(executor, inputs_right, seconds_right, right),
+                );
+                first.and(second)
+            }
         }
     }
 

@@ -1,0 +1,192 @@
+//! This crate's inference behind the protocol of the peer benchmark: a line `NAME BATCH SECONDS` in, a line `@@{json}`
+//! out, so that it is timed interleaved with other libraries.
+//!
+//! usage: peer_server [--storage f32|f16|bf16|int8] [--level scalar|avx2|avx512] MODELS
+//!
+//! `MODELS` is a folder of networks as the peers read them (`NAME.safetensors` with `l0.weight`, …, `inputs.safetensors`).
+//! Threads come from the environment variable `PEER_THREADS` (1 or 2). The name `accuracy/NAME` answers with the largest
+//! relative error against a float64 evaluation instead of times.
+
+use entire_core::kernels::{Isa, Level};
+use entire_core::nn::{
+    DenseParts, Dtype, Executor, Helper, PredNet, PredNetParts, SELU_ALPHA, SELU_SCALE, Storage, Target,
+};
+use safetensors::SafeTensors;
+use std::collections::HashMap;
+use std::io::{BufRead, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+type Problem = Box<dyn std::error::Error>;
+
+struct Options {
+    models: PathBuf,
+    storage: Storage,
+    level: Level,
+    threads: usize,
+}
+
+fn options() -> Result<Options, Problem> {
+    let (mut models, mut storage, mut level) = (None, Storage::F32, Level::detect());
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        let mut value = || arguments.next().ok_or(format!("{argument} needs a value"));
+        match argument.as_str() {
+            "--storage" => {
+                let name = value()?;
+                storage = Storage::ALL.into_iter().find(|s| s.name() == name).ok_or("no such storage")?;
+            }
+            "--level" => level = Level::exactly(Isa::parse(&value()?)?).ok_or("this CPU lacks the level")?,
+            _ => models = Some(PathBuf::from(argument)),
+        }
+    }
+    let threads = std::env::var("PEER_THREADS").ok().and_then(|t| t.parse().ok()).unwrap_or(1);
+    Ok(Options { models: models.ok_or("usage: peer_server [--storage S] [--level L] MODELS")?, storage, level, threads })
+}
+
+fn floats(file: &SafeTensors<'_>, name: &str) -> Result<(Vec<usize>, Vec<f32>), Problem> {
+    let tensor = file.tensor(name).map_err(|e| format!("{name}: {e}"))?;
+    let numbers = tensor.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+    Ok((tensor.shape().to_vec(), numbers))
+}
+
+fn prednet(path: &Path) -> Result<PredNetParts, Problem> {
+    let bytes = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
+    let file = SafeTensors::deserialize(&bytes)?;
+    let count = file.names().iter().filter(|name| name.ends_with(".weight")).count();
+    let mut layers = Vec::new();
+    for i in 0..count {
+        let (shape, weight) = floats(&file, &format!("l{i}.weight"))?;
+        let (_, bias) = floats(&file, &format!("l{i}.bias"))?;
+        layers.push(DenseParts { inputs: shape[1], outputs: shape[0], weight, bias, dtype: Dtype::F32 });
+    }
+    Ok(PredNetParts { layers, input: None, output: None, target: Target::Seconds })
+}
+
+fn inputs(models: &Path, rows: usize) -> Result<Vec<f32>, Problem> {
+    let bytes = std::fs::read(models.join("inputs.safetensors"))?;
+    let (shape, mut numbers) = floats(&SafeTensors::deserialize(&bytes)?, "pred")?;
+    numbers.truncate(rows * shape[1]);
+    Ok(numbers)
+}
+
+/// A prepared case: each call runs one inference; the result is the sum of the outputs.
+type Case<'a> = Box<dyn FnMut() -> f64 + 'a>;
+
+fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -> Result<Case<'a>, Problem> {
+    let parts = prednet(&options.models.join(format!("{name}.safetensors")))?;
+    let net = PredNet::with(&parts, options.level, options.storage)?;
+    let x = inputs(&options.models, rows)?;
+    let executor = if options.threads > 1 { Executor::helper(helper) } else { Executor::serial() };
+    if rows == 1 {
+        let mut scratch = net.scratch();
+        return Ok(match options.threads {
+            1 => Box::new(move || f64::from(net.predict(&x, &mut scratch))),
+            _ => Box::new(move || f64::from(net.predict_on(executor, &x, &mut scratch))),
+        });
+    }
+    let mut scratches: Vec<_> = (0..options.threads).map(|_| net.batch_scratch(rows.div_ceil(options.threads))).collect();
+    let mut y = vec![0.0; rows];
+    Ok(Box::new(move || {
+        net.predict_batch_on(executor, &x, &mut y, &mut scratches).expect("sizes that fit");
+        y.iter().copied().map(f64::from).sum()
+    }))
+}
+
+fn float64(parts: &PredNetParts, row: &[f32]) -> f64 {
+    let mut x: Vec<f64> = row.iter().copied().map(f64::from).collect();
+    for (i, layer) in parts.layers.iter().enumerate() {
+        let last = i + 1 == parts.layers.len();
+        let neuron = |(weights, bias): (&[f32], &f32)| {
+            let sum: f64 = weights.iter().zip(&x).map(|(&w, x)| f64::from(w) * x).sum::<f64>() + f64::from(*bias);
+            match sum {
+                y if last => y,
+                y if y > 0.0 => SELU_SCALE * y,
+                y => SELU_SCALE * SELU_ALPHA * y.exp_m1(),
+            }
+        };
+        x = layer.weight.chunks_exact(layer.inputs).zip(&layer.bias).map(neuron).collect();
+    }
+    x[0]
+}
+
+/// Largest error of single and batched predictions, relative to each value with weights kept as they are, else to the
+/// largest.
+fn accuracy(options: &Options, name: &str, rows: usize) -> Result<f64, Problem> {
+    let parts = prednet(&options.models.join(format!("{name}.safetensors")))?;
+    let net = PredNet::with(&parts, options.level, options.storage)?;
+    let x = inputs(&options.models, rows)?;
+    let exact: Vec<f64> = x.chunks_exact(net.inputs()).map(|row| float64(&parts, row)).collect();
+    let mut batch = vec![0.0; rows];
+    net.predict_batch(&x, &mut batch, &mut net.batch_scratch(rows))?;
+    let mut scratch = net.scratch();
+    let single: Vec<f32> = x.chunks_exact(net.inputs()).map(|row| net.predict(row, &mut scratch)).collect();
+    let largest = exact.iter().fold(0.0f64, |m, y| m.max(y.abs()));
+    let scale = |y: f64| if options.storage == Storage::F32 { y.abs() } else { largest };
+    let error = |found: &[f32]| {
+        let errors = exact.iter().zip(found).map(|(&y, &f)| (f64::from(f) - y).abs() / scale(y));
+        errors.fold(0.0f64, f64::max)
+    };
+    Ok(error(&single).max(error(&batch)))
+}
+
+fn measure(case: &mut Case<'_>, seconds: f64) -> String {
+    let check = case();
+    let start = Instant::now();
+    let mut warm = 0u32;
+    while warm < 2 || (start.elapsed().as_secs_f64() < seconds * 0.15 && warm < 2000) {
+        std::hint::black_box(case());
+        warm += 1;
+    }
+    let estimate = start.elapsed().as_secs_f64() / f64::from(warm);
+    // The clock takes tens of nanoseconds: short calls are timed in groups.
+    let group = if estimate < 3e-6 { (3e-6 / estimate).ceil() as u32 } else { 1 };
+    let end = Instant::now() + Duration::from_secs_f64(seconds);
+    let mut times = Vec::with_capacity(1 << 16);
+    loop {
+        let begin = Instant::now();
+        for _ in 0..group {
+            std::hint::black_box(case());
+        }
+        let now = Instant::now();
+        times.push((now - begin).as_nanos() as f64 / f64::from(group));
+        if now > end && times.len() >= 3 {
+            break;
+        }
+    }
+    times.sort_by(f64::total_cmp);
+    let (min, median) = (times[0], times[times.len() / 2]);
+    format!(r#"{{"min":{min},"med":{median},"n":{},"check":{check}}}"#, times.len() * group as usize)
+}
+
+fn main() -> Result<(), Problem> {
+    let options = options()?;
+    let helper = Helper::new();
+    std::thread::scope(|scope| {
+        if options.threads > 1 {
+            scope.spawn(|| helper.serve());
+        }
+        let mut cases: HashMap<(String, usize), Case<'_>> = HashMap::new();
+        let mut answer = |line: &str| -> Result<String, Problem> {
+            let mut words = line.split_whitespace();
+            let mut word = || words.next().ok_or("expected: NAME BATCH SECONDS");
+            let (name, rows, seconds) = (word()?.to_owned(), word()?.parse()?, word()?.parse()?);
+            if let Some(name) = name.strip_prefix("accuracy/") {
+                return Ok(format!(r#"{{"error":{}}}"#, accuracy(&options, name, rows)?));
+            }
+            let key = (name, rows);
+            if !cases.contains_key(&key) {
+                let case = case(&options, &helper, &key.0, rows)?;
+                cases.insert(key.clone(), case);
+            }
+            Ok(measure(cases.get_mut(&key).expect("it was put there"), seconds))
+        };
+        for line in std::io::stdin().lock().lines() {
+            let result = line.map_err(Problem::from).and_then(|line| answer(&line));
+            println!("@@{}", result.unwrap_or_else(|e| format!(r#"{{"err":{:?}}}"#, e.to_string())));
+            let _ = std::io::stdout().flush();
+        }
+        helper.stop();
+    });
+    Ok(())
+}
