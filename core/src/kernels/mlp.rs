@@ -44,7 +44,7 @@ impl Storage {
 }
 
 /// Rows that a batch works on at once: two buffers of them and a layer's weights stay in a second-level cache.
-pub(crate) const BLOCK_ROWS: usize = 192;
+pub(crate) const BLOCK_ROWS: usize = 384;
 
 /// Lines of weights from which on a layer is worth splitting over two threads: 64 KiB.
 const SPLIT_LINES: usize = 1024;
@@ -104,6 +104,8 @@ pub(crate) struct Dense<'a> {
 #[derive(Clone, Debug)]
 pub(crate) struct Mlp {
     level: Level,
+    /// Whether the layers between the first and the last are [`Storage::Int8`].
+    int8: bool,
     inputs: usize,
     layers: Vec<Layer>,
     /// Inputs of the last layer, and where its row starts.
@@ -170,6 +172,7 @@ impl Mlp {
         let panel = packed.iter().map(|l: &Layer| l.inputs * l.width.min(64)).max().unwrap_or(0);
         Self {
             level,
+            int8: storage == Storage::Int8,
             inputs,
             layers: packed,
             last: (last.inputs, last_start),
@@ -177,7 +180,7 @@ impl Mlp {
             norm: normal,
             data,
             width: widest.max(inputs).next_multiple_of(16),
-            panel: if storage == Storage::F32 { 0 } else { panel },
+            panel: if matches!(storage, Storage::F16 | Storage::Bf16) { panel } else { 0 },
         }
     }
 
@@ -204,7 +207,7 @@ impl Mlp {
         let lines = vec![Line::default(); rows * self.width / 16];
         // Bytes per row, padded to 32 for the int8 layers.
         let bytes = rows * self.width.next_multiple_of(32);
-        let int8 = self.layers.iter().any(|layer| layer.storage == Storage::Int8);
+        let int8 = self.int8;
         MlpScratch {
             rows,
             a: lines.clone(),
@@ -218,7 +221,7 @@ impl Mlp {
     /// Whether the scratch was made by a network of these sizes.
     fn fits(&self, scratch: &MlpScratch) -> bool {
         let numbers = scratch.rows * self.width;
-        let int8 = self.layers.iter().any(|layer| layer.storage == Storage::Int8);
+        let int8 = self.int8;
         scratch.rows > 0
             && scratch.a.len() * 16 >= numbers
             && scratch.b.len() * 16 >= numbers
@@ -235,7 +238,17 @@ impl Mlp {
         if inputs.len() != self.inputs || !self.fits(scratch) {
             return None;
         }
-        Some(self.level.run(Forward { net: self, inputs, scratch }))
+        Some(self.run_row(inputs, scratch))
+    }
+
+    /// One row whose sizes have been checked.
+    #[inline]
+    fn run_row(&self, inputs: &[f32], scratch: &mut MlpScratch) -> f32 {
+        if self.int8 {
+            self.level.run_dot4(Forward::<true> { net: self, inputs, scratch })
+        } else {
+            self.level.run(Forward::<false> { net: self, inputs, scratch })
+        }
     }
 
     /// As [`forward`](Self::forward), the outputs of each large layer split in two: same bits.
@@ -249,44 +262,26 @@ impl Mlp {
             return None;
         }
         // Int8 is faster alone: what a core gains from its half is less than the two cores' talk.
-        if self.layers.iter().all(|layer| layer.storage == Storage::Int8 || layer.lines() < SPLIT_LINES) {
-            return Some(self.level.run(Forward { net: self, inputs, scratch }));
+        if self.int8 || self.layers.iter().all(|layer| layer.lines() < SPLIT_LINES) {
+            return Some(self.run_row(inputs, scratch));
         }
-        let MlpScratch { a, b, quantized, .. } = scratch;
+        let MlpScratch { a, b, .. } = scratch;
         let (mut x, mut y): (&mut [f32], &mut [f32]) =
             (bytemuck::cast_slice_mut(a), bytemuck::cast_slice_mut(b));
         self.level.run(LoadInputs { net: self, inputs, x });
         for layer in &self.layers {
-            let whole = LayerPart { net: self, layer, from: 0, to: layer.width, x, q: quantized, y };
-            if layer.storage == Storage::Int8 || layer.lines() < SPLIT_LINES || layer.width < 128 {
+            let whole = LayerPart { net: self, layer, from: 0, to: layer.width, x, y };
+            if layer.lines() < SPLIT_LINES || layer.width < 128 {
                 self.level.run(whole);
             } else {
                 let half = layer.width / 128 * 64;
                 let (low, high) = y.split_at_mut(half);
                 let x = &*x;
                 threads.join(
-                    || {
-                        self.level.run(LayerPart {
-                            net: self,
-                            layer,
-                            from: 0,
-                            to: half,
-                            x,
-                            q: &mut [],
-                            y: low,
-                        })
-                    },
+                    || self.level.run(LayerPart { net: self, layer, from: 0, to: half, x, y: low }),
                     || {
                         let to = layer.width;
-                        self.level.run(LayerPart {
-                            net: self,
-                            layer,
-                            from: half,
-                            to,
-                            x,
-                            q: &mut [],
-                            y: high,
-                        });
+                        self.level.run(LayerPart { net: self, layer, from: half, to, x, y: high });
                     },
                 );
             }
@@ -307,7 +302,11 @@ impl Mlp {
         }
         let block = scratch.rows;
         for (inputs, outputs) in inputs.chunks(block * self.inputs).zip(outputs.chunks_mut(block)) {
-            self.level.run(ForwardRows { net: self, inputs, outputs, scratch });
+            if self.int8 {
+                self.level.run_dot4(ForwardRows::<true> { net: self, inputs, outputs, scratch });
+            } else {
+                self.level.run(ForwardRows::<false> { net: self, inputs, outputs, scratch });
+            }
         }
         Some(())
     }
@@ -505,11 +504,11 @@ unsafe fn quantize<S: Simd>(simd: S, x: *const f32, n: usize, q: *mut u8) -> Ran
         while i < n {
             let v = simd.load(x.add(i));
             high = simd.max(v, high);
-            low = simd.max(simd.sub(zero, v), low);
+            low = simd.min(v, low);
             check = simd.mul_add(v, zero, check);
             i += S::LANES;
         }
-        let (high, low) = (simd.largest(high), simd.largest(low));
+        let (high, low) = (simd.largest(high), -simd.smallest(low));
         let scale = (high + low) * (1.0 / 255.0);
         let inverse = if scale >= f32::MIN_POSITIVE { 1.0 / scale } else { 0.0 };
         let offset = simd.splat(libm::rintf(low * inverse));
@@ -574,17 +573,19 @@ unsafe fn panel_row_int8<S: Simd, const N: usize>(
             if vectors == 1 {
                 s0 = simd.add_i(simd.add_i(s0, s1), simd.add_i(s2, s3));
             }
-            let finish = |sum: S::I, j: usize| {
-                let o = from + j * S::LANES;
-                simd.store(y.add(o), simd.selu(dequantize::<S, N>(simd, panel, o, sum, range)));
-            };
-            finish(s0, 0);
+            macro_rules! finish {
+                ($sum:ident, $j:literal) => {
+                    let o = from + $j * S::LANES;
+                    simd.store(y.add(o), simd.selu(dequantize::<S>(simd, panel, N, o, $sum, range)));
+                };
+            }
+            finish!(s0, 0);
             if vectors > 1 {
-                finish(s1, 1);
+                finish!(s1, 1);
             }
             if vectors > 2 {
-                finish(s2, 2);
-                finish(s3, 3);
+                finish!(s2, 2);
+                finish!(s3, 3);
             }
         }
         from += vectors * S::LANES;
@@ -594,11 +595,12 @@ unsafe fn panel_row_int8<S: Simd, const N: usize>(
 /// From integer sums to W·x + b: scale·(weight scale·sum − zero·weight sum) + bias.
 ///
 /// # Safety
-/// `panel` must be a packed int8 panel of `N` outputs, `o` + LANES ≤ N.
+/// `panel` must be a packed int8 panel of `n` outputs, `o` + LANES ≤ `n`.
 #[inline(always)]
-unsafe fn dequantize<S: Simd, const N: usize>(
+unsafe fn dequantize<S: Simd>(
     simd: S,
     panel: *const f32,
+    n: usize,
     o: usize,
     sum: S::I,
     range: Range,
@@ -606,19 +608,19 @@ unsafe fn dequantize<S: Simd, const N: usize>(
     // SAFETY: the caller vouches for the panel.
     unsafe {
         let (bias, scales, sums) =
-            (simd.load(panel.add(o)), simd.load(panel.add(N + o)), simd.load(panel.add(2 * N + o)));
+            (simd.load(panel.add(o)), simd.load(panel.add(n + o)), simd.load(panel.add(2 * n + o)));
         let centered = simd.neg_mul_add(sums, simd.splat(range.zero), simd.mul(simd.to_f(sum), scales));
         simd.mul_add(centered, simd.splat(range.scale), bias)
     }
 }
 
-struct Forward<'a> {
+struct Forward<'a, const INT8: bool> {
     net: &'a Mlp,
     inputs: &'a [f32],
     scratch: &'a mut MlpScratch,
 }
 
-impl Kernel for Forward<'_> {
+impl<const INT8: bool> Kernel for Forward<'_, INT8> {
     type Output = f32;
 
     #[inline(always)]
@@ -632,7 +634,7 @@ impl Kernel for Forward<'_> {
         unsafe {
             net.load_inputs(simd, inputs, x);
             for layer in &net.layers {
-                net.layer_row(simd, layer, 0, layer.width, x, q, y);
+                net.layer_row::<S, INT8>(simd, layer, 0, layer.width, x, q, y);
                 core::mem::swap(&mut x, &mut y);
             }
             net.last_row(simd, x)
@@ -663,7 +665,6 @@ struct LayerPart<'a> {
     from: usize,
     to: usize,
     x: &'a [f32],
-    q: &'a mut [Line],
     y: &'a mut [f32],
 }
 
@@ -672,12 +673,19 @@ impl Kernel for LayerPart<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { net, layer, from, to, x, q, y } = self;
+        let Self { net, layer, from, to, x, y } = self;
         assert!(x.len() >= layer.inputs.min(net.width) && y.len() >= to - from && to <= layer.width);
-        // SAFETY: `x` and `y` are long enough; `q` is empty only where the layer is not int8, and else made by
-        // `scratch` and checked by `fits`.
+        // SAFETY: `x` and `y` are long enough; `q` is not used without int8 layers.
         unsafe {
-            net.layer_row(simd, layer, from, to, x.as_ptr(), q.as_mut_ptr().cast(), y.as_mut_ptr());
+            net.layer_row::<S, false>(
+                simd,
+                layer,
+                from,
+                to,
+                x.as_ptr(),
+                core::ptr::null_mut(),
+                y.as_mut_ptr(),
+            );
         }
     }
 }
@@ -729,7 +737,7 @@ impl Mlp {
     /// bytes.
     #[inline(always)]
     #[allow(clippy::too_many_arguments, reason = "one row's buffers")]
-    unsafe fn layer_row<S: Simd>(
+    unsafe fn layer_row<S: Simd, const INT8: bool>(
         &self,
         simd: S,
         layer: &Layer,
@@ -767,11 +775,13 @@ impl Mlp {
                 panel_row_int8::<S, $n>(simd, $p, layer.inputs, q, $range, $y)
             };
         }
+        // The first and the last layer of an int8 network are F32, the rest of it Int8.
         match layer.storage {
             Storage::F32 => walk!(panel_row, AsF32),
-            Storage::F16 => walk!(panel_row, AsF16),
-            Storage::Bf16 => walk!(panel_row, AsBf16),
-            Storage::Int8 => {
+            Storage::F16 if !INT8 => walk!(panel_row, AsF16),
+            Storage::Bf16 if !INT8 => walk!(panel_row, AsBf16),
+            _ if !INT8 => {}
+            _ => {
                 // SAFETY: the caller vouches for the buffers; what lies in `q` beyond `filled` meets zero weights.
                 let range = unsafe { quantize(simd, x, layer.filled, q) };
                 walk!(panel_row_int8, range);
@@ -801,14 +811,14 @@ impl Mlp {
     }
 }
 
-struct ForwardRows<'a> {
+struct ForwardRows<'a, const INT8: bool> {
     net: &'a Mlp,
     inputs: &'a [f32],
     outputs: &'a mut [f32],
     scratch: &'a mut MlpScratch,
 }
 
-impl Kernel for ForwardRows<'_> {
+impl<const INT8: bool> Kernel for ForwardRows<'_, INT8> {
     type Output = ();
 
     #[inline(always)]
@@ -826,7 +836,12 @@ impl Kernel for ForwardRows<'_> {
                 net.load_inputs(simd, row, x.add(r * stride));
             }
             for layer in &net.layers {
-                net.layer_rows(simd, layer, Rows { count: rows, stride, x, y, q, wide }, &mut scratch.ranges);
+                net.layer_rows::<S, INT8>(
+                    simd,
+                    layer,
+                    Rows { count: rows, stride, x, y, q, wide },
+                    &mut scratch.ranges,
+                );
                 core::mem::swap(&mut x, &mut y);
             }
             for (r, output) in outputs.iter_mut().enumerate() {
@@ -853,12 +868,19 @@ impl Mlp {
     /// # Safety
     /// The buffers must hold the rows' padded inputs and outputs, and `wide` the widened panel.
     #[inline(always)]
-    unsafe fn layer_rows<S: Simd>(&self, simd: S, layer: &Layer, rows: Rows, ranges: &mut [[f32; 2]]) {
+    unsafe fn layer_rows<S: Simd, const INT8: bool>(
+        &self,
+        simd: S,
+        layer: &Layer,
+        rows: Rows,
+        ranges: &mut [[f32; 2]],
+    ) {
         let bytes = rows.stride.next_multiple_of(32);
         let (mut line, mut first) = (layer.start, 0);
         // SAFETY: panels follow one another in `data`; the caller vouches for the buffers.
         unsafe {
-            if layer.storage == Storage::Int8 {
+            let dot4 = INT8 && layer.storage == Storage::Int8;
+            if dot4 {
                 for (r, range) in ranges.iter_mut().enumerate().take(rows.count) {
                     let x = rows.x.add(r * rows.stride);
                     let found = quantize(simd, x, layer.filled, rows.q.add(r * bytes));
@@ -869,44 +891,50 @@ impl Mlp {
                 let panel = self.data.as_ptr().add(line).cast::<f32>();
                 let mut weights = panel.add(n);
                 match layer.storage {
-                    Storage::F32 | Storage::Int8 => {}
-                    Storage::F16 => weights = widen::<S, AsF16>(simd, weights, layer.inputs, n, rows.wide),
-                    Storage::Bf16 => weights = widen::<S, AsBf16>(simd, weights, layer.inputs, n, rows.wide),
-                }
-                let mut r = 0;
-                while r < rows.count {
-                    let count = (rows.count - r).min(S::TILE_ROWS);
-                    let x = rows.x.add(r * rows.stride);
-                    let y = rows.y.add(r * rows.stride + first);
-                    if layer.storage == Storage::Int8 {
-                        let q = rows.q.add(r * bytes);
-                        macro_rules! tiles {
-                            ($($rows:literal)*) => {
-                                match count {
-                                    $($rows => tile_int8::<S, $rows>(
-                                        simd, panel, n, layer.inputs, q, bytes, &ranges[r..], y, rows.stride,
-                                    ),)*
-                                    _ => {}
-                                }
-                            };
-                        }
-                        tiles!(1 2 3 4 5 6);
-                    } else {
-                        macro_rules! tiles {
-                            ($($rows:literal)*) => {
-                                match count {
-                                    $($rows => tile::<S, $rows>(
-                                        simd, panel, weights, n, layer.inputs, x, y, rows.stride,
-                                    ),)*
-                                    _ => {}
-                                }
-                            };
-                        }
-                        tiles!(1 2 3 4 5 6);
+                    Storage::F16 if !INT8 => {
+                        weights = widen::<S, AsF16>(simd, weights, layer.inputs, n, rows.wide)
                     }
-                    r += count;
+                    Storage::Bf16 if !INT8 => {
+                        weights = widen::<S, AsBf16>(simd, weights, layer.inputs, n, rows.wide)
+                    }
+                    _ => {}
                 }
                 line += layer.panel_lines(n);
+                // The next panel arrives while this one is used: some of its lines with each tile.
+                let tiles = rows.count.div_ceil(S::TILE_ROWS);
+                let share = layer.panel_lines(n).div_ceil(tiles);
+                let mut ahead = line;
+                let mut r = 0;
+                while r < rows.count {
+                    for next in ahead..(ahead + share).min(self.data.len()) {
+                        simd.prefetch(self.data.as_ptr().add(next).cast());
+                    }
+                    ahead += share;
+                    let x = rows.x.add(r * rows.stride);
+                    let y = rows.y.add(r * rows.stride + first);
+                    let q = rows.q.wrapping_add(r * bytes);
+                    // Six rows, or what is left of them in four, two and one.
+                    let count = match rows.count - r {
+                        6.. => 6,
+                        4.. => 4,
+                        2.. => 2,
+                        _ => 1,
+                    };
+                    macro_rules! tiles {
+                        ($($rows:literal)*) => {
+                            match count {
+                                $($rows if dot4 => {
+                                    let ranges = &ranges[r..];
+                                    tile_int8::<S, $rows>(simd, panel, n, layer.inputs, q, bytes, ranges, y, rows.stride);
+                                }
+                                $rows => tile::<S, $rows>(simd, panel, weights, n, layer.inputs, x, y, rows.stride),)*
+                                _ => {}
+                            }
+                        };
+                    }
+                    tiles!(6 4 2 1);
+                    r += count;
+                }
                 first += n;
             }
         }
@@ -1121,14 +1149,7 @@ unsafe fn tile_int8_of<S: Simd, const ROWS: usize, const VECTORS: usize>(
                 if $r < ROWS && $v < VECTORS {
                     let o = from + $v * S::LANES;
                     let [scale, zero] = ranges[$r];
-                    let sum = simd.to_f(s[$r][$v]);
-                    let (bias, scales, sums) = (
-                        simd.load(panel.add(o)),
-                        simd.load(panel.add(n + o)),
-                        simd.load(panel.add(2 * n + o)),
-                    );
-                    let centered = simd.neg_mul_add(sums, simd.splat(zero), simd.mul(sum, scales));
-                    let value = simd.mul_add(centered, simd.splat(scale), bias);
+                    let value = dequantize::<S>(simd, panel, n, o, s[$r][$v], Range { scale, zero });
                     simd.store(y.add($r * stride + o), simd.selu(value));
                 }
             };

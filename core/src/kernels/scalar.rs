@@ -28,6 +28,8 @@ impl Simd for Scalar {
     const TILE_VECTORS: usize = 2;
 
     #[inline(always)]
+    fn prefetch(self, _: *const f32) {}
+    #[inline(always)]
     fn splat(self, x: f32) -> Self::F {
         Four([x; 4])
     }

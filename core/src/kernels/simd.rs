@@ -21,11 +21,6 @@ impl Level {
     pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
         match self.isa() {
             #[cfg(target_arch = "x86_64")]
-            Isa::Avx512 if self.has_vnni() => {
-                // SAFETY: the level proves AVX-512 F, BW, DQ, VL and VNNI.
-                unsafe { super::x86_64::avx512::enter_vnni(kernel) }
-            }
-            #[cfg(target_arch = "x86_64")]
             Isa::Avx512 => {
                 // SAFETY: the level proves AVX-512 F, BW, DQ and VL.
                 unsafe { super::x86_64::avx512::enter(kernel) }
@@ -33,6 +28,25 @@ impl Level {
             #[cfg(target_arch = "x86_64")]
             Isa::Avx2 => {
                 // SAFETY: the level proves AVX2, FMA and F16C.
+                unsafe { super::x86_64::avx2::enter(kernel) }
+            }
+            _ => kernel.run(super::scalar::Scalar),
+        }
+    }
+
+    /// Runs a kernel that lives on [`Simd::dot4`]: AVX-512 only together with VNNI, since without it twice the width
+    /// gains nothing.
+    #[inline]
+    pub(crate) fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
+        match self.isa() {
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx512 if self.has_vnni() => {
+                // SAFETY: the level proves AVX-512 F, BW, DQ, VL and VNNI.
+                unsafe { super::x86_64::avx512::enter_vnni(kernel) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx2 | Isa::Avx512 => {
+                // SAFETY: both levels prove AVX2, FMA and F16C.
                 unsafe { super::x86_64::avx2::enter(kernel) }
             }
             _ => kernel.run(super::scalar::Scalar),
@@ -57,6 +71,8 @@ pub(crate) trait Simd: Copy + 'static {
     /// See `TILE_ROWS`.
     const TILE_VECTORS: usize;
 
+    /// Asks for the cache line at `p` to be brought into the second-level cache; a hint that may do nothing.
+    fn prefetch(self, p: *const f32);
     fn splat(self, x: f32) -> Self::F;
     /// # Safety
     /// `p` must be valid for reading `LANES` numbers.
@@ -92,6 +108,11 @@ pub(crate) trait Simd: Copy + 'static {
     fn sum(self, v: Self::F) -> f32;
     /// Largest lane; lanes must not be NaN.
     fn largest(self, v: Self::F) -> f32;
+    /// Smallest lane; lanes must not be NaN.
+    #[inline(always)]
+    fn smallest(self, v: Self::F) -> f32 {
+        -self.largest(self.sub(self.splat(0.0), v))
+    }
 
     fn zero_i(self) -> Self::I;
     fn to_f(self, v: Self::I) -> Self::F;

@@ -147,7 +147,7 @@ impl PredNet {
         self.batch_scratch(1)
     }
 
-    /// Working memory for batches; `rows` is how many rows are worked on at once, at most 192 are used.
+    /// Working memory for batches; `rows` is how many rows are worked on at once, at most 384 are used.
     pub fn batch_scratch(&self, rows: usize) -> PredScratch {
         PredScratch { mlp: self.mlp.scratch(rows) }
     }

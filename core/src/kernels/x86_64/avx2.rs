@@ -21,6 +21,11 @@ impl Simd for Avx2 {
     const TILE_VECTORS: usize = 2;
 
     #[inline(always)]
+    fn prefetch(self, p: *const f32) {
+        // SAFETY: a prefetch reads nothing and faults nowhere.
+        unsafe { _mm_prefetch::<_MM_HINT_T1>(p.cast()) }
+    }
+    #[inline(always)]
     fn splat(self, x: f32) -> Self::F {
         // SAFETY: the token proves the instructions, here and below.
         unsafe { _mm256_set1_ps(x) }

@@ -1,0 +1,36 @@
+# Benchmarks and bars of the inference core. PEERS holds the peers' scripts (see CONTRIBUTING.md); PYTHON needs the
+# libraries that are to be compared: torch, onnx, onnxruntime, openvino, safetensors. What is missing is named and skipped.
+PEERS ?= ../shared/bench/peers
+PYTHON ?= python3
+BENCH_OUT ?= out/bench
+# Raises the priority while measuring (needs root); without it, other work on the machine shows in every long call.
+BENCH_NICE ?= 0
+
+.PHONY: bench
+bench: ## Time every network, level and storage against the machine's limits (RECORD=1 keeps the figures)
+	$(CARGO) bench --package entire-core --bench inference -- $(if $(RECORD),--record)
+
+.PHONY: peer-server
+peer-server:
+	$(CARGO) build --release --package entire-core --features rayon --example peer_server
+
+$(BENCH_OUT)/models/inputs.safetensors:
+	@test -e $(PEERS)/gen.py || { echo "no peer scripts at $(PEERS): say where with PEERS=folder" >&2; exit 1; }
+	mkdir -p $(BENCH_OUT)/models
+	$(PYTHON) $(PEERS)/gen.py $(BENCH_OUT)/models
+
+.PHONY: bench-peers
+bench-peers: peer-server $(BENCH_OUT)/models/inputs.safetensors ## Compare with other libraries, interleaved in one run
+	@test -x $(BENCH_OUT)/peers/release/rten-peer || echo "the Rust peers are not built: make bench-rust-peers"
+	$(PYTHON) $(PEERS)/run.py $(BENCH_OUT)/models $(BENCH_OUT)/peers/release $(BENCH_OUT)/peers.json --rounds 2 --secs 0.1 \
+		--nice $(BENCH_NICE) $(foreach s,f32 f16 bf16 int8,--extra "entire $(s)=target/release/examples/peer_server --storage $(s)")
+	$(PYTHON) $(PEERS)/show.py $(BENCH_OUT)/peers.json
+
+.PHONY: bench-rust-peers
+bench-rust-peers: ## Build the Rust libraries that bench-peers compares with (many minutes)
+	$(CARGO) build --release --manifest-path $(PEERS)/rs/Cargo.toml --target-dir $(BENCH_OUT)/peers
+
+.PHONY: bars-inference
+bars-inference: peer-server $(BENCH_OUT)/models/inputs.safetensors ## Measure the inference bars; fails when one is short
+	$(PYTHON) core/benches/bars.py --server target/release/examples/peer_server --peers $(PEERS) \
+		--models $(BENCH_OUT)/models --rust $(BENCH_OUT)/peers/release --nice $(BENCH_NICE) $(BARS_INFERENCE_ALSO)

@@ -1,0 +1,99 @@
+//! Hot calls allocate nothing once set-up is done: counted by the global allocator, on every level and storage.
+
+use entire_core::kernels::Level;
+use entire_core::nn::{
+    DenseParts, Dtype, Executor, Helper, Normalization, PredNet, PredNetParts, Storage, Target,
+};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+struct Counting;
+
+thread_local! {
+    static CALLS: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count() {
+    // A thread that is being torn down has no counter, and no test that looks at it.
+    let _ = CALLS.try_with(|calls| calls.set(calls.get() + 1));
+}
+
+// SAFETY: every call is passed to the system allocator unchanged.
+#[allow(unsafe_code, reason = "an allocator that counts has to be one")]
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller's contract is the system allocator's.
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn dealloc(&self, p: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: the caller's contract is the system allocator's.
+        unsafe { System.dealloc(p, layout) }
+    }
+    unsafe fn realloc(&self, p: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: the caller's contract is the system allocator's.
+        unsafe { System.realloc(p, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Calls of the allocator that this thread makes in `work`.
+fn allocations(mut work: impl FnMut()) -> usize {
+    let before = CALLS.with(Cell::get);
+    work();
+    CALLS.with(Cell::get) - before
+}
+
+fn network() -> PredNetParts {
+    let sizes = [16, 256, 256, 128, 40, 1];
+    let number = |i: usize| ((i * 2_654_435_761) % 1000) as f32 / 5000.0 - 0.1;
+    let layers = sizes.windows(2).map(|size| DenseParts {
+        inputs: size[0],
+        outputs: size[1],
+        weight: (0..size[0] * size[1]).map(number).collect(),
+        bias: (0..size[1]).map(number).collect(),
+        dtype: Dtype::F32,
+    });
+    PredNetParts {
+        layers: layers.collect(),
+        input: Some(Normalization { mean: vec![0.5; 16], std: vec![2.0; 16] }),
+        output: Some(Normalization { mean: vec![-4.0], std: vec![0.5] }),
+        target: Target::LogSeconds,
+    }
+}
+
+#[test]
+fn the_counter_counts() {
+    assert!(allocations(|| drop(std::hint::black_box(vec![1u8; 100]))) >= 2);
+}
+
+#[test]
+fn predictions_allocate_nothing() {
+    let helper = Helper::new();
+    for level in Level::available() {
+        for storage in Storage::ALL {
+            let net = PredNet::with(&network(), level, storage).expect("a network");
+            let inputs: Vec<f32> = (0..16 * 100).map(|i| (i % 37) as f32 * 0.1).collect();
+            let mut scratch = net.scratch();
+            let mut seconds = vec![0.0; 100];
+            let mut scratches = [net.batch_scratch(30), net.batch_scratch(30)];
+            let calls = allocations(|| {
+                let mut sum = 0.0;
+                for row in inputs.chunks_exact(16) {
+                    sum += net.predict(row, &mut scratch);
+                    sum += net.predict_on(Executor::helper(&helper), row, &mut scratch);
+                }
+                net.predict_batch(&inputs, &mut seconds, &mut scratches[0]).expect("a batch");
+                sum += seconds[99];
+                net.predict_batch_on(Executor::helper(&helper), &inputs, &mut seconds, &mut scratches)
+                    .expect("a batch in two parts");
+                assert!((sum + seconds[0]).is_finite());
+            });
+            assert_eq!(calls, 0, "{level}, {}", storage.name());
+        }
+    }
+}
