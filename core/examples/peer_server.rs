@@ -11,7 +11,8 @@
 
 use entire_core::kernels::{Isa, Level};
 use entire_core::nn::{
-    DenseParts, Dtype, Executor, Helper, Normalization, PredNet, PredNetParts, SELU_ALPHA, SELU_SCALE, Storage, Target,
+    DenseParts, Dtype, Executor, Helper, Normalization, PredNet, PredNetParts, SELU_ALPHA, SELU_SCALE,
+    Storage, Target,
 };
 use safetensors::SafeTensors;
 use std::collections::HashMap;

@@ -1,7 +1,7 @@
 //! Who runs the parallel parts: the calling thread alone, or a pool that the caller owns.
 
-use crate::kernels::Helper;
-use crate::kernels::helper::Join;
+use super::Helper;
+use super::helper::Join;
 
 /// Where encoding and resampling run: on the calling thread alone ([`Executor::serial`], the default), or split over
 /// a rayon pool that the caller gives.

@@ -1,9 +1,9 @@
 //! PredNet: from a frame's inputs to seconds.
 
-use super::executor::Executor;
 use super::parts::{Dtype, PredNetParts, Target};
 use crate::Result;
 use crate::error::bail;
+use crate::kernels::Executor;
 use crate::kernels::mlp::{Dense, Mlp, MlpScratch};
 use crate::kernels::{Level, Storage};
 use alloc::vec::Vec;
