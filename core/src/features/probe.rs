@@ -5,7 +5,7 @@ use crate::scene::{Frame, Shading};
 use glam::Vec3;
 
 /// The probe has this many rays along each side of the footprint's bounding rectangle.
-pub const PROBE_SIDE: usize = 12;
+pub const PROBE_SIDE: usize = 11;
 
 /// Direction towards the light of single scattering in scene space, not normalized.
 pub const SHADOW_DIRECTION: [f32; 3] = [0.4, 0.8, 0.45];
@@ -317,30 +317,11 @@ impl<'a> March<'a> {
         let rate = direction.length() * self.per_step;
         let mut out = Ray { chord: (t_exit - t_enter) * rate, ..Ray::MISS };
         let start = (origin + t_enter * safe + self.half_extent) * self.scale - self.shift;
-        let delta = (inverse / self.scale).abs();
-        let mut cell = [0i32; 3];
-        let mut next = [0.0f32; 3];
-        let mut stride = [0i32; 3];
-        let mut left = [0i32; 3];
-        let strides = [1, self.grid[0], self.grid[0] * self.grid[1]];
-        for k in 0..3 {
-            let last = self.grid[k] - 1;
-            cell[k] = (start[k] as i32).clamp(0, last);
-            let boundary = if safe[k] > 0.0 { cell[k] + 1 } else { cell[k] };
-            next[k] = t_enter + (boundary as f32 - start[k]) / (safe[k] * self.scale[k]);
-            next[k] = next[k].max(t_enter);
-            stride[k] = if safe[k] > 0.0 { strides[k] } else { -strides[k] };
-            left[k] = if safe[k] > 0.0 { last - cell[k] } else { cell[k] };
-            if left[k] == 0 {
-                // The outermost cells reach to the box.
-                next[k] = f32::INFINITY;
-            }
-        }
+        let mut walk = Walk::new(start, safe * self.scale, t_enter, self.grid);
         let mean_block_chord = self.block.map(|b| {
             let d = direction.abs();
             rate * (b.x * b.y * b.z) / (d.x * b.y * b.z + d.y * b.x * b.z + d.z * b.x * b.y)
         });
-        let mut index = cell[0] * strides[0] + cell[1] * strides[1] + cell[2] * strides[2];
         let mut t = t_enter;
         let mut depth = 0.0f32;
         // Current jump of the distance map: where it began, how far it reaches, its length so far.
@@ -348,16 +329,9 @@ impl<'a> March<'a> {
         // Where on the ray the shadow ray starts; negative for none.
         let mut lit = -1.0f32;
         loop {
-            let axis = if next[0] <= next[1] {
-                if next[0] <= next[2] { 0 } else { 2 }
-            } else if next[1] <= next[2] {
-                1
-            } else {
-                2
-            };
-            let t_next = next[axis].min(t_exit);
+            let t_next = walk.leaves().min(t_exit);
             let length = (t_next - t).max(0.0) * rate;
-            let here = self.cells[index as usize];
+            let Some(&here) = self.cells.get(walk.index as usize) else { break };
             if here.occupied == 0.0 {
                 out.empty += length;
                 match mean_block_chord {
@@ -365,10 +339,16 @@ impl<'a> March<'a> {
                     Some(chord) => self.block_skips.add(chord, length / chord),
                 }
                 if let Some(distance) = self.distance {
-                    let place = [left[0], left[1], left[2]];
+                    let index = walk.index;
+                    let (nx, ny) = (self.grid[0], self.grid[1]);
+                    let place = [index % nx, index / nx % ny, index / nx / ny];
                     if !jump.covers(place) {
                         jump.finish(&mut self.distance_skips);
-                        jump = Jump { from: place, reach: i32::from(distance[index as usize]), length: 0.0 };
+                        jump = Jump {
+                            from: place,
+                            reach: i32::from(distance[walk.index as usize]),
+                            length: 0.0,
+                        };
                     }
                     jump.length += length;
                 }
@@ -412,10 +392,8 @@ impl<'a> March<'a> {
             if t_next >= t_exit {
                 break;
             }
-            left[axis] -= 1;
-            index += stride[axis];
             t = t_next;
-            next[axis] = if left[axis] == 0 { f32::INFINITY } else { next[axis] + delta[axis] };
+            walk.advance();
         }
         jump.finish(&mut self.distance_skips);
         if lit >= 0.0 {
@@ -431,38 +409,19 @@ impl<'a> March<'a> {
     fn shadow(&self, from: Vec3) -> (f32, f32, f32) {
         let direction = Vec3::from_array(SHADOW_DIRECTION);
         let mut t_exit = f32::INFINITY;
-        let start = (from + self.half_extent) * self.scale - self.shift;
-        let strides = [1, self.grid[0], self.grid[0] * self.grid[1]];
-        let mut next = [0.0f32; 3];
-        let mut delta = [0.0f32; 3];
-        let mut left = [0i32; 3];
-        let mut index = 0;
         for k in 0..3 {
             // The direction's components are all positive.
             t_exit = t_exit.min((self.half_extent[k] - from[k]) / direction[k]);
-            let cell = (start[k] as i32).clamp(0, self.grid[k] - 1);
-            delta[k] = 1.0 / (direction[k] * self.scale[k]);
-            next[k] = (((cell + 1) as f32 - start[k]) * delta[k]).max(0.0);
-            left[k] = self.grid[k] - 1 - cell;
-            if left[k] == 0 {
-                next[k] = f32::INFINITY;
-            }
-            index += cell * strides[k];
         }
+        let start = (from + self.half_extent) * self.scale - self.shift;
+        let mut walk = Walk::new(start, direction * self.scale, 0.0, self.grid);
         let rate = direction.length() * self.per_step;
         let end = -libm::log1pf(-SHADOW_OPACITY);
         let (mut t, mut depth, mut occupied, mut skips) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
         while t < t_exit {
-            let axis = if next[0] <= next[1] {
-                if next[0] <= next[2] { 0 } else { 2 }
-            } else if next[1] <= next[2] {
-                1
-            } else {
-                2
-            };
-            let t_next = next[axis].min(t_exit);
+            let t_next = walk.leaves().min(t_exit);
             let length = (t_next - t).max(0.0) * rate;
-            let here = self.cells[index as usize];
+            let Some(&here) = self.cells.get(walk.index as usize) else { break };
             if here.occupied == 0.0 {
                 skips += 1.0;
             } else {
@@ -481,12 +440,68 @@ impl<'a> March<'a> {
             if t_next >= t_exit {
                 break;
             }
-            left[axis] -= 1;
-            index += strides[axis];
             t = t_next;
-            next[axis] = if left[axis] == 0 { f32::INFINITY } else { next[axis] + delta[axis] };
+            walk.advance();
         }
         (occupied, t_exit.max(0.0) * rate, skips)
+    }
+}
+
+/// The cells along a ray, one after another, without branches (Amanatides and Woo). Several faces met at once are
+/// crossed at once.
+struct Walk {
+    /// t at which the ray leaves the present cell along each axis; infinite in the outermost cell, which reaches to the
+    /// box.
+    next: [f32; 3],
+    /// Growth of t from face to face.
+    delta: [f32; 3],
+    /// Later faces than this are not crossed.
+    last: [f32; 3],
+    stride: [i32; 3],
+    index: i32,
+}
+
+impl Walk {
+    /// From `start` (in cells) at t = `t_enter` along `direction` (cells per t, no component zero).
+    fn new(start: Vec3, direction: Vec3, t_enter: f32, grid: [i32; 3]) -> Self {
+        let mut out = Self { next: [0.0; 3], delta: [0.0; 3], last: [0.0; 3], stride: [0; 3], index: 0 };
+        let mut stride = 1;
+        for k in 0..3 {
+            let cell = (start[k] as i32).clamp(0, grid[k] - 1);
+            let forward = direction[k] > 0.0;
+            let inverse = 1.0 / direction[k];
+            let face = if forward { cell + 1 } else { cell };
+            let left = if forward { grid[k] - 1 - cell } else { cell };
+            let first = (t_enter + (face as f32 - start[k]) * inverse).max(t_enter);
+            out.delta[k] = inverse.abs();
+            out.last[k] = first + (left as f32 - 0.5) * out.delta[k];
+            out.next[k] = if left == 0 { f32::INFINITY } else { first };
+            out.stride[k] = if forward { stride } else { -stride };
+            out.index += cell * stride;
+            stride *= grid[k];
+        }
+        out
+    }
+
+    /// t at which the ray leaves the present cell.
+    #[inline(always)]
+    fn leaves(&self) -> f32 {
+        let [x, y, z] = self.next;
+        let xy = if x < y { x } else { y };
+        if xy < z { xy } else { z }
+    }
+
+    /// Goes on to the next cell.
+    #[inline(always)]
+    fn advance(&mut self) {
+        let t = self.leaves();
+        for k in 0..3 {
+            let crosses = self.next[k] <= t;
+            let further = self.next[k] + self.delta[k];
+            let further = if further > self.last[k] { f32::INFINITY } else { further };
+            self.next[k] = if crosses { further } else { self.next[k] };
+            self.index += if crosses { self.stride[k] } else { 0 };
+        }
     }
 }
 

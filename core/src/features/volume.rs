@@ -88,10 +88,10 @@ impl VolumeSummary {
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
         let mut summary = Self::layout(volume.dims(), volume.spacing(), volume.scalar_type(), options)?;
         match volume.scalars() {
-            Scalars::U8(s) => summary.scan(volume, |i| f32::from(s[i])),
-            Scalars::U16(s) => summary.scan(volume, |i| f32::from(s[i])),
-            Scalars::I16(s) => summary.scan(volume, |i| f32::from(s[i])),
-            Scalars::F32(s) => summary.scan(volume, |i| s[i]),
+            Scalars::U8(s) => summary.scan(volume, |at, out| copy(s, at, out, |v| f32::from(v))),
+            Scalars::U16(s) => summary.scan(volume, |at, out| copy(s, at, out, |v| f32::from(v))),
+            Scalars::I16(s) => summary.scan(volume, |at, out| copy(s, at, out, |v| f32::from(v))),
+            Scalars::F32(s) => summary.scan(volume, |at, out| copy(s, at, out, |v| v)),
         }
         Ok(summary)
     }
@@ -275,107 +275,101 @@ impl VolumeSummary {
         })
     }
 
-    fn scan(&mut self, volume: &VolumeView<'_>, get: impl Fn(usize) -> f32) {
+    /// Reads every voxel once, row by row. `read((start, stride), out)` copies a row's values.
+    fn scan(&mut self, volume: &VolumeView<'_>, read: impl Fn((usize, usize), &mut [f32])) {
         let (dims, edge, cells, block) = (self.dims, self.edge, self.cells, self.block);
-        let split = block != edge;
-        if split {
-            self.first_block.reserve_exact(self.stats.len() + 1);
-            self.first_block.push(0);
-        }
-        let per_cell: [usize; 3] = core::array::from_fn(|a| edge[a] / block[a]);
+        let n: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(block[a]));
+        let mut bounds = vec![[255u8, 0u8]; n[0] * n[1] * n[2]];
+        let mut row_bounds = vec![[255u8, 0u8]; n[0]];
+        let mut row = vec![0.0f32; dims[0]];
+        // Histograms of one layer of cells.
+        let mut histograms = vec![[0u32; 256]; cells[0] * cells[1]];
         let mut total = [0u64; 256];
         let mut non_finite = 0u64;
-        let mut histogram = [0u32; 256];
-        // One row of voxels as exact table positions s·255.
-        let mut row = vec![0.0f32; edge[0] + 2];
-        let mut bounds = vec![[255u8, 0u8]; per_cell.iter().product()];
-        for cz in 0..cells[2] {
-            for cy in 0..cells[1] {
-                for cx in 0..cells[0] {
-                    let c = [cx, cy, cz];
-                    let from: [usize; 3] = core::array::from_fn(|a| c[a] * edge[a]);
-                    let to: [usize; 3] = core::array::from_fn(|a| (from[a] + edge[a]).min(dims[a]));
-                    // One voxel more at the far side: interpolation between the last voxel and the next is the cell's.
-                    let outer: [usize; 3] = core::array::from_fn(|a| (to[a] + 1).min(dims[a]));
-                    histogram.fill(0);
-                    bounds.fill([255, 0]);
-                    for z in from[2]..outer[2] {
-                        for y in from[1]..outer[1] {
-                            let core_row = z < to[2] && y < to[1];
-                            let width = outer[0] - from[0];
-                            let core_width = if core_row { to[0] - from[0] } else { 0 };
-                            let start = volume.index(from[0], y, z);
-                            let stride = volume.strides()[0];
-                            for (i, slot) in row[..width].iter_mut().enumerate() {
-                                let value = get(start + i * stride);
-                                *slot = volume.normalize(value) * 255.0;
-                                non_finite += u64::from(i < core_width && !value.is_finite());
-                            }
-                            for &p in &row[..core_width] {
-                                histogram[(p + 0.5) as usize & 255] += 1;
-                            }
-                            // Blocks that this row belongs to: its own and, as their far side, the ones before it.
-                            let (y0, y1) = block_span(y - from[1], block[1], per_cell[1]);
-                            let (z0, z1) = block_span(z - from[2], block[2], per_cell[2]);
-                            for bx in 0..per_cell[0] {
-                                let begin = bx * block[0];
-                                if begin >= to[0] - from[0] {
-                                    break;
-                                }
-                                let x0 = begin;
-                                let x1 = (begin + block[0] + 1).min(width);
-                                let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
-                                for &p in &row[x0..x1] {
-                                    lo = if p < lo { p } else { lo };
-                                    hi = if p > hi { p } else { hi };
-                                }
-                                let low = lo as u8;
-                                let high = ceil_entry(hi);
-                                for bz in z0..z1 {
-                                    for by in y0..y1 {
-                                        let b = &mut bounds[bx + per_cell[0] * (by + per_cell[1] * bz)];
-                                        b[0] = b[0].min(low);
-                                        b[1] = b[1].max(high);
-                                    }
-                                }
-                            }
+        for z in 0..dims[2] {
+            for y in 0..dims[1] {
+                read((volume.index(0, y, z), volume.strides()[0]), &mut row);
+                non_finite += row.iter().filter(|v| !v.is_finite()).count() as u64;
+                to_positions(volume, &mut row);
+                let line = &mut histograms[cells[0] * (y / edge[1])..][..cells[0]];
+                for (values, histogram) in row.chunks(edge[0]).zip(line) {
+                    for &p in values {
+                        histogram[(p + 0.5) as usize & 255] += 1;
+                    }
+                }
+                // A block's values are its own and the first ones of the next block.
+                for (bx, slot) in row_bounds.iter_mut().enumerate() {
+                    let from = bx * block[0];
+                    let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
+                    for &p in &row[from..(from + block[0] + 1).min(dims[0])] {
+                        lo = if p < lo { p } else { lo };
+                        hi = if p > hi { p } else { hi };
+                    }
+                    *slot = [lo as u8, ceil_entry(hi)];
+                }
+                let before =
+                    |v: usize, b: usize| if v.is_multiple_of(b) { (v / b).saturating_sub(1) } else { v / b };
+                for bz in before(z, block[2])..=z / block[2] {
+                    for by in before(y, block[1])..=y / block[1] {
+                        let line = &mut bounds[n[0] * (by + n[1] * bz)..][..n[0]];
+                        for (b, r) in line.iter_mut().zip(&row_bounds) {
+                            b[0] = b[0].min(r[0]);
+                            b[1] = b[1].max(r[1]);
                         }
                     }
-                    let voxels: u64 = (0..3).map(|a| (to[a] - from[a]) as u64).product();
-                    for (t, &h) in total.iter_mut().zip(&histogram) {
-                        *t += u64::from(h);
-                    }
-                    let stats = &mut self.stats[cx + cells[0] * (cy + cells[1] * cz)];
-                    stats.quantiles = quantiles(&histogram, voxels);
-                    for bz in 0..per_cell[2] {
-                        for by in 0..per_cell[1] {
-                            for bx in 0..per_cell[0] {
-                                let inside = from[0] + bx * block[0] < to[0]
-                                    && from[1] + by * block[1] < to[1]
-                                    && from[2] + bz * block[2] < to[2];
-                                if !inside {
-                                    continue;
-                                }
-                                let b = bounds[bx + per_cell[0] * (by + per_cell[1] * bz)];
-                                stats.low = stats.low.min(b[0]);
-                                stats.high = stats.high.max(b[1]);
-                                if split {
-                                    self.blocks.push(b);
-                                }
-                            }
-                        }
-                    }
-                    if split {
-                        self.first_block.push(self.blocks.len() as u32);
+                }
+            }
+            if (z + 1).is_multiple_of(edge[2]) || z + 1 == dims[2] {
+                let layer = z / edge[2] * cells[0] * cells[1];
+                for (stats, histogram) in self.stats[layer..].iter_mut().zip(&mut histograms) {
+                    stats.quantiles = quantiles(histogram);
+                    for (t, h) in total.iter_mut().zip(histogram) {
+                        *t += u64::from(*h);
+                        *h = 0;
                     }
                 }
             }
         }
+        self.gather_blocks(&bounds, n);
         let voxels = self.voxels();
         for (h, &t) in self.histogram.iter_mut().zip(&total) {
             *h = (t as f64 / voxels) as f32;
         }
         self.non_finite_share = (non_finite as f64 / voxels) as f32;
+    }
+
+    /// Bounds of cells from those of their blocks, which are kept where a cell holds several.
+    fn gather_blocks(&mut self, bounds: &[[u8; 2]], n: [usize; 3]) {
+        let per_cell: [usize; 3] = core::array::from_fn(|a| self.edge[a] / self.block[a]);
+        let split = self.block != self.edge;
+        if split {
+            self.first_block.reserve_exact(self.stats.len() + 1);
+            self.first_block.push(0);
+            self.blocks.reserve_exact(bounds.len());
+        }
+        for (index, stats) in self.stats.iter_mut().enumerate() {
+            let c = [
+                index % self.cells[0],
+                index / self.cells[0] % self.cells[1],
+                index / self.cells[0] / self.cells[1],
+            ];
+            let range = |a: usize| c[a] * per_cell[a]..((c[a] + 1) * per_cell[a]).min(n[a]);
+            for bz in range(2) {
+                for by in range(1) {
+                    for bx in range(0) {
+                        let b = bounds[bx + n[0] * (by + n[1] * bz)];
+                        stats.low = stats.low.min(b[0]);
+                        stats.high = stats.high.max(b[1]);
+                        if split {
+                            self.blocks.push(b);
+                        }
+                    }
+                }
+            }
+            if split {
+                self.first_block.push(self.blocks.len() as u32);
+            }
+        }
     }
 
     fn histogram_from_quantiles(&mut self) {
@@ -394,15 +388,38 @@ impl VolumeSummary {
     }
 }
 
-/// Blocks along an axis of a cell that a voxel at offset `v` belongs to, each with one voxel beyond its far side:
-/// `first..last`.
-fn block_span(v: usize, block: usize, blocks: usize) -> (usize, usize) {
-    let first = v.saturating_sub(1) / block;
-    let last = v / block;
-    (first.min(blocks - 1), (last + 1).min(blocks))
+fn copy<T: Copy>(from: &[T], (start, stride): (usize, usize), out: &mut [f32], to: impl Fn(T) -> f32) {
+    if stride == 1 {
+        let n = out.len();
+        for (slot, &v) in out.iter_mut().zip(&from[start..start + n]) {
+            *slot = to(v);
+        }
+    } else {
+        for (i, slot) in out.iter_mut().enumerate() {
+            *slot = to(from[start + i * stride]);
+        }
+    }
 }
 
-fn quantiles(histogram: &[u32; 256], voxels: u64) -> [u8; QUANTILES + 1] {
+/// Turns stored values into table positions, 0…255, as [`VolumeView::normalize`] does.
+fn to_positions(volume: &VolumeView<'_>, row: &mut [f32]) {
+    let (low, high) = volume.range();
+    let width = high - low;
+    let scale = 255.0 / width;
+    if width > 0.0 && scale > 0.0 && scale.is_finite() {
+        for p in row {
+            let t = (*p - low) * scale;
+            // In this order NaN becomes 0.
+            let t = if t > 0.0 { t } else { 0.0 };
+            *p = if t < 255.0 { t } else { 255.0 };
+        }
+    } else {
+        row.iter_mut().for_each(|p| *p = volume.normalize(*p) * 255.0);
+    }
+}
+
+fn quantiles(histogram: &[u32; 256]) -> [u8; QUANTILES + 1] {
+    let voxels: u64 = histogram.iter().map(|&h| u64::from(h)).sum();
     let mut out = [0u8; QUANTILES + 1];
     let mut below = 0u64;
     let mut next = 0usize;
