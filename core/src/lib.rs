@@ -20,6 +20,8 @@
 #![deny(unsafe_code)]
 
 extern crate alloc;
+#[cfg(all(test, not(feature = "std")))]
+extern crate std;
 
 pub mod adapt;
 pub mod control;

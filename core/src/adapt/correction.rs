@@ -20,7 +20,7 @@ pub enum Prior {
 ///
 /// Costs stay positive because only their logarithms move. A drift common to all parts (clock, load, throttling) is
 /// expected from frame to frame, a drift of single parts less so; a known change of scene widens what is expected.
-/// Errors beyond three standard deviations are clipped; three in a row on the same side mean that the machine has
+/// Errors beyond three standard deviations are clipped; two in a row on the same side mean that the machine has
 /// changed, and the filter opens up. The state is bounded for ever.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Correction {
@@ -135,7 +135,7 @@ impl Correction {
             }
         }
         self.widen(COMMON_DRIFT, SINGLE_DRIFT);
-        if self.run.abs() >= 3 {
+        if self.run.abs() >= 2 {
             // Not an outlier but another machine: be ready to move by what was just seen.
             let jump = (error * error).min(4.0);
             self.widen(jump, 0.1 * jump);
@@ -148,7 +148,8 @@ impl Correction {
             self.change = (self.change + 0.15 * (squared - self.change)).clamp(CHANGE.0, CHANGE.1);
         } else if trust >= 1.0 && self.observations > 2 {
             let pace = (1.0 / (self.observations as f64 - 1.0)).max(0.03);
-            self.noise = (self.noise + pace * (squared - self.noise)).clamp(NOISE.0, NOISE.1);
+            let bounded = squared.min(6.0 * self.noise);
+            self.noise = (self.noise + pace * (bounded - self.noise)).clamp(NOISE.0, NOISE.1);
         }
         self.observations = self.observations.saturating_add(1);
         normalized

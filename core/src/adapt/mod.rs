@@ -6,6 +6,8 @@ mod correction;
 mod gate;
 mod margin;
 pub(crate) mod state;
+#[cfg(test)]
+mod tests;
 
 pub use correction::{Correction, Prior};
 pub use gate::{LONGEST_FRAME, ObserveFlags, Verdict, check_seconds};

@@ -1,7 +1,7 @@
 //! Closed loops with a scripted clock: no renderer, a known cost law.
 
 use super::*;
-use crate::adapt::{ObserveFlags, Prior};
+use crate::adapt::{ObserveFlags, Prior, Verdict};
 use crate::features::{SummaryOptions, VolumeSummary};
 use crate::predict::{AnalyticModel, Source, TERMS};
 use crate::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
@@ -134,6 +134,450 @@ fn every_controller_survives_any_observation() {
                 terms,
                 unusual: i % 97 == 0,
             });
+        }
+    }
+}
+
+/// A machine and a path: what a frame costs at each step, and what the predictor says of it.
+struct Plant {
+    /// Seconds independent of the step, and seconds at the reference step beside them, per frame.
+    law: fn(usize) -> (f64, f64),
+    /// Frames at which the transfer function is switched.
+    switch_every: usize,
+    /// Factor of every prediction.
+    bias: f64,
+    /// Factor of the machine's speed per frame.
+    speed: fn(usize) -> f64,
+    target: fn(usize) -> f32,
+    limits: StepLimits,
+}
+
+impl Plant {
+    const STEADY: Self = Self {
+        law: |_| (2e-3, 60e-3),
+        switch_every: usize::MAX,
+        bias: 1.0,
+        speed: |_| 1.0,
+        target: |_| 25e-3,
+        limits: StepLimits { finest: 1.0, coarsest: 32.0 },
+    };
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Outcome {
+    /// Share of frames over 1.1 targets.
+    miss: f64,
+    /// Share of switch frames over their upper bound.
+    above_bound: f64,
+    /// Mean |t − target| / target where the target can be met exactly.
+    deviation: f64,
+    /// Mean of oracle step / step, at most 1.
+    quality: f64,
+    /// Share of calm frames whose step differs by over 20 % from the one before.
+    jumps: f64,
+    /// Longest run of misses.
+    longest: usize,
+}
+
+const EXPONENT: f64 = 0.9;
+
+fn play(controller: &mut dyn Controller, plant: &Plant, frames: usize, seed: u64) -> Outcome {
+    let mut noise = Noise(seed);
+    let (mut scene_bias, mut drift) = (1.0, 0.0f64);
+    let (mut out, mut feasible, mut calm, mut switches) = (Outcome::default(), 0.0, 0.0, 0.0);
+    let (mut last_step, mut run) = (f32::NAN, 0);
+    for i in 0..frames {
+        let (fixed, work) = (plant.law)(i);
+        let switched = i > 0 && i % plant.switch_every == 0;
+        if i == 0 || switched {
+            scene_bias = plant.bias * (0.12 * noise.normal()).exp();
+        }
+        // Errors of the prediction wander along a path.
+        drift = 0.95 * drift + 0.05 * (1.0f64 - 0.95 * 0.95).sqrt() * noise.normal();
+        let wrong = scene_bias * drift.exp();
+        let mut cost = |step: f32| {
+            let mut parts = [0.0; TERMS];
+            parts[0] = (wrong * fixed) as f32;
+            parts[4] = (wrong * work * f64::from(step).powf(-EXPONENT)) as f32;
+            CostTerms { parts, out_of_range: 0.0, source: Source::Analytic }
+        };
+        let changes = Changes { first: i == 0, transfer: switched, ..Changes::NONE };
+        let target = (plant.target)(i);
+        let decision =
+            controller.plan(&mut PlanRequest { target, limits: plant.limits, changes, cost: &mut cost });
+        let speed = (plant.speed)(i);
+        let clean = |step: f64| speed * (fixed + work * step.powf(-EXPONENT));
+        let spike = if noise.uniform() < 0.01 { 3.0 } else { 1.0 };
+        let seconds = clean(f64::from(decision.step)) * (0.03 * noise.normal()).exp() * spike;
+        let relative = seconds / f64::from(target);
+        out.miss += f64::from(u8::from(relative > 1.1));
+        run = if relative > 1.1 { run + 1 } else { 0 };
+        out.longest = out.longest.max(run);
+        // The oracle: the step whose clean time is the target.
+        let room = f64::from(target) / speed - fixed;
+        let oracle = if room > 0.0 { (work / room).powf(1.0 / EXPONENT) } else { f64::INFINITY };
+        let (finest, coarsest) = (f64::from(plant.limits.finest()), f64::from(plant.limits.coarsest()));
+        if oracle > finest && oracle < coarsest {
+            feasible += 1.0;
+            out.deviation += (relative - 1.0).abs();
+        }
+        out.quality += (oracle.clamp(finest, coarsest) / f64::from(decision.step)).min(1.0);
+        if switched {
+            switches += 1.0;
+            out.above_bound += f64::from(u8::from(seconds > f64::from(decision.upper)));
+        } else if i > 0 {
+            calm += 1.0;
+            out.jumps += f64::from(u8::from((decision.step / last_step).ln().abs() > 0.182));
+        }
+        last_step = decision.step;
+        let terms = cost(decision.step);
+        controller.observe(&Observed {
+            seconds: seconds as f32,
+            step: decision.step,
+            target,
+            changes,
+            terms,
+            unusual: false,
+        });
+    }
+    let n = frames as f64;
+    out.miss /= n;
+    out.quality /= n;
+    out.deviation /= f64::max(feasible, 1.0);
+    out.jumps /= f64::max(calm, 1.0);
+    out.above_bound /= f64::max(switches, 1.0);
+    out
+}
+
+fn mean_of(plant: &Plant, seeds: u64, frames: usize, make: &dyn Fn() -> Box<dyn Controller>) -> Outcome {
+    let mut sum = Outcome::default();
+    for seed in 0..seeds {
+        let o = play(&mut *make(), plant, frames, 1 + 77 * seed);
+        let n = seeds as f64;
+        sum.miss += o.miss / n;
+        sum.above_bound += o.above_bound / n;
+        sum.deviation += o.deviation / n;
+        sum.quality += o.quality / n;
+        sum.jumps += o.jumps / n;
+        sum.longest = sum.longest.max(o.longest);
+    }
+    sum
+}
+
+fn plants() -> Vec<(&'static str, Plant)> {
+    let s = Plant::STEADY;
+    std::vec![
+        (
+            "switch",
+            Plant { law: |i| (2e-3, if i / 40 % 2 == 0 { 20e-3 } else { 160e-3 }), switch_every: 40, ..s }
+        ),
+        ("orbit", Plant { law: |i| (2e-3, 60e-3 * (1.0 + 0.6 * (i as f64 / 60.0).sin())), ..s }),
+        (
+            "fixed cost",
+            Plant {
+                law: |i| (20e-3, if (50..80).contains(&i) { 400e-3 } else { 40e-3 }),
+                target: |_| 66e-3,
+                ..s
+            }
+        ),
+        ("half", Plant { law: |i| (2e-3, 60e-3 * (1.0 + 0.6 * (i as f64 / 60.0).sin())), bias: 0.5, ..s }),
+        ("throttle", Plant { speed: |i| if i / 100 % 2 == 0 { 1.0 } else { 1.6 }, ..s }),
+        ("ramp", Plant { speed: |i| 1.0 + (i as f64 / 600.0), ..s }),
+        ("targets", Plant { target: |i| [33e-3, 16e-3, 11e-3][i / 50 % 3], ..s }),
+        ("impossible", Plant { law: |_| (30e-3, 60e-3), ..s }),
+    ]
+}
+
+fn all(prior: Prior) -> Vec<Box<dyn Fn() -> Box<dyn Controller>>> {
+    let samples: Vec<(f32, f32)> =
+        (0..12).map(|i| 1.4f32.powi(i)).map(|s| (s, (2.0 + 60.0 * s.powf(-0.9)) / 62.0)).collect();
+    let g = StepResponse::from_samples(&samples).unwrap();
+    let (a, b) = (g.clone(), g);
+    std::vec![
+        Box::new(|| Box::new(Fixed::new(1.0))),
+        Box::new(move || Box::new(Olp::new(a.clone()))),
+        Box::new(|| Box::new(Pid::new(Pid::PAPER_GAINS))),
+        Box::new(move || Box::new(Algorithm1::new(b.clone()))),
+        Box::new(|| Box::new(VtkGpu::new())),
+        Box::new(|| Box::new(VtkFixedPoint::new())),
+        Box::new(|| Box::new(VtkJs::new())),
+        Box::new(|| Box::new(Unreal::new())),
+        Box::new(|| Box::new(Filament::new())),
+        Box::new(move || Box::new(Hybrid::new(HybridOptions { prior, ..HybridOptions::default() }))),
+    ]
+}
+
+#[test]
+fn prediction_with_feedback_beats_reaction_at_switches_and_in_calm() {
+    let controllers = all(Prior::Fitted { log_sd: 0.2 });
+    let (ours, others) = controllers.split_last().unwrap();
+    for (name, plant) in plants().into_iter().filter(|(name, _)| *name != "impossible") {
+        let o = mean_of(&plant, 4, 400, &**ours);
+        assert!(o.miss <= 0.035, "{name}: {o:?}");
+        assert!(o.deviation <= 0.08, "{name}: {o:?}");
+        assert!(o.quality >= 0.92, "{name}: {o:?}");
+        assert!(o.above_bound <= 0.1, "{name}: {o:?}");
+        for make in others {
+            let other = mean_of(&plant, 4, 400, &**make);
+            // No rule has both fewer misses and more quality.
+            assert!(
+                o.miss <= other.miss + 0.004 || o.quality >= other.quality - 0.02,
+                "{name}: {} {other:?} against {o:?}",
+                make().name()
+            );
+            if make().name() == "olp" && name != "targets" {
+                assert!(o.jumps <= 0.9 * other.jumps + 0.001, "{name}: {other:?} {o:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn an_impossible_target_is_said_and_leaves_nothing_behind() {
+    let mut hybrid =
+        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
+    let limits = StepLimits::new(1.0, 16.0).unwrap();
+    let mut cost = |step: f32| CostTerms::whole(0.016 / step, 0.0, Source::Analytic);
+    let mut drive = |hybrid: &mut Hybrid, target: f32| {
+        let decision =
+            hybrid.plan(&mut PlanRequest { target, limits, changes: Changes::NONE, cost: &mut cost });
+        let terms = cost(decision.step);
+        let seconds = terms.seconds();
+        hybrid.observe(&Observed {
+            seconds,
+            step: decision.step,
+            target,
+            changes: Changes::NONE,
+            terms,
+            unusual: false,
+        });
+        decision
+    };
+    for _ in 0..200 {
+        drive(&mut hybrid, 0.004);
+    }
+    for _ in 0..500 {
+        let d = drive(&mut hybrid, 1e-6);
+        assert_eq!((d.reason, d.step), (Reason::TargetUnreachable, 16.0));
+    }
+    // No windup: back on target within a few damped frames.
+    for _ in 0..8 {
+        drive(&mut hybrid, 0.004);
+    }
+    let d = drive(&mut hybrid, 0.004);
+    assert!((d.step / 4.0).ln().abs() < 0.1, "{d:?}");
+    for _ in 0..8 {
+        drive(&mut hybrid, 10.0);
+    }
+    let d = drive(&mut hybrid, 10.0);
+    assert!(d.step < 1.05, "{d:?}");
+}
+
+#[test]
+fn a_prediction_that_is_out_of_range_or_wrong_gives_way_to_recent_frames() {
+    let limits = StepLimits::new(1.0, 32.0).unwrap();
+    // Nonsense that changes from frame to frame, far out of range.
+    let mut hybrid =
+        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
+    let mut noise = Noise(11);
+    let (mut history, mut misses) = (0, 0);
+    for i in 0..300 {
+        let nonsense = (1.5 * noise.normal()).exp() as f32;
+        let mut cost = |step: f32| CostTerms::whole(0.06 * nonsense / step, 9.0, Source::Network);
+        let changes = Changes { first: i == 0, ..Changes::NONE };
+        let decision = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+        let seconds = (0.002 + 0.058 / decision.step) * (0.03 * noise.normal()).exp() as f32;
+        history += i32::from(decision.reason == Reason::History);
+        misses += i32::from(i > 5 && seconds > 0.022);
+        let terms = cost(decision.step);
+        hybrid.observe(&Observed {
+            seconds,
+            step: decision.step,
+            target: 0.02,
+            changes,
+            terms,
+            unusual: false,
+        });
+    }
+    assert!(history > 280 && misses < 15, "{history} {misses}");
+}
+
+#[test]
+fn state_survives_saving_and_damaged_state_is_refused() {
+    let make = || Hybrid::new(HybridOptions::default());
+    let mut hybrid = make();
+    let limits = StepLimits::default();
+    let mut cost = |step: f32| CostTerms::whole(0.1 / step, 0.0, Source::Analytic);
+    for i in 0..50 {
+        let changes = Changes { first: i == 0, ..Changes::NONE };
+        let d = hybrid.plan(&mut PlanRequest { target: 0.05, limits, changes, cost: &mut cost });
+        let terms = cost(d.step);
+        hybrid.observe(&Observed {
+            seconds: 0.3 / d.step,
+            step: d.step,
+            target: 0.05,
+            changes,
+            terms,
+            unusual: false,
+        });
+    }
+    let mut bytes = Vec::new();
+    hybrid.save(&mut bytes);
+    let mut back = make();
+    back.load(&bytes).unwrap();
+    let terms = cost(2.0);
+    assert_eq!(back.correct(&terms, Changes::NONE), hybrid.correct(&terms, Changes::NONE));
+    let before = back.correct(&terms, Changes::NONE);
+    for cut in [0, 3, 10, bytes.len() - 1] {
+        assert!(back.load(&bytes[..cut]).is_err());
+    }
+    for at in (4..bytes.len()).step_by(8) {
+        let mut damaged = bytes.clone();
+        damaged[at..(at + 8).min(bytes.len())].fill(0xff);
+        let _ = back.load(&damaged);
+        let p = back.correct(&terms, Changes::NONE);
+        assert!(p.seconds.is_finite() && p.seconds > 0.0);
+        back.load(&bytes).unwrap();
+    }
+    assert_eq!(back.correct(&terms, Changes::NONE), before);
+    let mut olp = Olp::new(StepResponse::inverse_step(0.0));
+    assert!(olp.load(&bytes).is_err());
+}
+
+#[test]
+fn the_state_stays_bounded_over_long_runs() {
+    // The full million takes seconds; a tenth of it in the default run finds the same faults.
+    let mut hybrid = Hybrid::new(HybridOptions::default());
+    let mut noise = Noise(5);
+    for i in 0..100_000u32 {
+        let scale = [1e-6f32, 1.0, 1e3][(i / 20_000) as usize % 3];
+        let mut cost = |step: f32| CostTerms::whole(0.02 * scale / step, 0.0, Source::Analytic);
+        let changes = Changes { transfer: i % 1000 == 0, ..Changes::NONE };
+        let d = hybrid.plan(&mut PlanRequest {
+            target: 0.01,
+            limits: StepLimits::default(),
+            changes,
+            cost: &mut cost,
+        });
+        let terms = cost(d.step);
+        let seconds = (terms.seconds() * (0.1 * noise.normal()).exp() as f32).max(1e-9);
+        hybrid.observe(&Observed { seconds, step: d.step, target: 0.01, changes, terms, unusual: false });
+    }
+    for f in hybrid.correction().factors() {
+        assert!(f.is_finite() && f > 1e-5 && f < 1e5, "{:?}", hybrid.correction().factors());
+    }
+    let cost = |step: f32| CostTerms::whole(20.0 / step, 0.0, Source::Analytic);
+    let terms = cost(1.0);
+    let p = hybrid.correct(&terms, Changes::NONE);
+    assert!((p.seconds / 20.0).ln().abs() < 0.5 && p.upper > p.seconds && p.upper < 4.0 * p.seconds, "{p:?}");
+}
+
+fn ready_session() -> Session {
+    let voxels = sphere(32);
+    let view = VolumeView::new(Scalars::U8(&voxels), [32; 3]).unwrap();
+    let mut session = Session::untrained();
+    session.set_volume(VolumeSummary::new(&view, SummaryOptions::default()).unwrap(), None);
+    let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
+    session.set_transfer(&table, None).unwrap();
+    session
+}
+
+#[test]
+fn broken_timings_are_refused_by_name_and_leave_no_trace() {
+    let flags = ObserveFlags::default();
+    let mut session = ready_session();
+    let f = frame(0.0, 0.0, 2.0);
+    for _ in 0..10 {
+        let plan = session.plan(&f, 0.02).unwrap();
+        session.observe(plan.id, 0.013, flags);
+    }
+    let plan = session.plan(&f, 0.02).unwrap();
+    let before = session.save_state();
+    for (seconds, verdict) in [
+        (f32::NAN, Verdict::NotFinite),
+        (f32::INFINITY, Verdict::NotFinite),
+        (0.0, Verdict::NotPositive),
+        (-1.0, Verdict::NotPositive),
+        (1e5, Verdict::TooLong),
+    ] {
+        assert_eq!(session.observe(plan.id, seconds, flags), verdict);
+        assert_eq!(session.save_state(), before);
+    }
+    assert_eq!(session.observe(plan.id + 1, 0.01, flags), Verdict::UnknownPlan);
+    assert_eq!(session.observe(0, 0.01, flags), Verdict::UnknownPlan);
+    assert_eq!(session.save_state(), before);
+    // Late by many frames is welcome, forgotten is not, twice is not.
+    let mut ids = Vec::new();
+    for _ in 0..PENDING_PLANS {
+        ids.push(session.plan(&f, 0.02).unwrap().id);
+    }
+    assert_eq!(session.observe(plan.id, 0.013, flags), Verdict::UnknownPlan);
+    assert!(!session.observe(ids[0], 0.013, flags).is_refused());
+    assert_eq!(session.observe(ids[0], 0.013, flags), Verdict::Duplicate);
+    assert_eq!(session.observe(ids[5], 0.013, ObserveFlags { unusual: true, ..flags }), Verdict::Ignored);
+}
+
+#[test]
+fn a_session_says_what_is_missing_and_refuses_bad_targets() {
+    use crate::ErrorKind;
+    let f = frame(0.0, 0.0, 2.0);
+    let mut empty = Session::untrained();
+    assert_eq!(empty.plan(&f, 0.02).unwrap_err().kind(), ErrorKind::NotReady);
+    let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
+    assert_eq!(empty.set_transfer(&table, None).unwrap_err().kind(), ErrorKind::NotReady);
+    let mut session = ready_session();
+    for target in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        assert_eq!(session.plan(&f, target).unwrap_err().kind(), ErrorKind::InvalidArgument);
+        assert_eq!(session.choose(&f, &[], target).unwrap_err().kind(), ErrorKind::InvalidArgument);
+    }
+    assert_eq!(session.choose(&f, &[], 0.02).unwrap_err().kind(), ErrorKind::InvalidArgument);
+    assert!(session.load_state(b"ENS1rubbish").is_err());
+    let state = session.save_state();
+    session.load_state(&state).unwrap();
+    session.set_enabled(false);
+    let plan = session.plan(&f.with_step(3.5).unwrap(), 1e-9).unwrap();
+    assert_eq!((plan.step, plan.reason), (3.5, Reason::Off));
+}
+
+#[test]
+fn choose_takes_the_first_setting_that_fits() {
+    let mut session = ready_session();
+    let f = frame(0.0, 0.0, 2.0);
+    let setting = crate::features::Setting::of(&f);
+    let settings = [0.25f32, 0.5, 1.0, 2.0, 4.0, 8.0].map(|s| setting.with_step(s));
+    // Teach it the machine.
+    for _ in 0..30 {
+        let choice = session.choose(&f, &settings, 0.02).unwrap();
+        let seconds = 0.001 + 0.04 / settings[choice.index].step;
+        session.observe(choice.plan.id, seconds, ObserveFlags::default());
+    }
+    let choice = session.choose(&f, &settings, 0.025).unwrap();
+    assert_eq!((choice.index, choice.plan.reason), (3, Reason::Fits), "{choice:?}");
+    let none = session.choose(&f, &settings, 1e-6).unwrap();
+    assert_eq!((none.index, none.plan.reason), (5, Reason::TargetUnreachable));
+    let all = session.choose(&f, &settings, 10.0).unwrap();
+    assert_eq!(all.index, 0);
+}
+
+/// Prints every controller on every plant:
+/// `cargo test -p entire-core --lib closed_loop_table -- --ignored --nocapture`.
+#[test]
+#[ignore = "prints a table, checks nothing"]
+fn closed_loop_table() {
+    for (name, plant) in plants() {
+        std::println!("{name}");
+        for make in all(Prior::Fitted { log_sd: 0.2 }) {
+            let o = mean_of(&plant, 10, 600, &*make);
+            std::println!(
+                "  {:16} miss {:5.1} %  longest {:3}  |t-T|/T {:6.3}  quality {:5.3}  jumps {:5.1} %  switch above bound {:5.1} %",
+                make().name(),
+                100.0 * o.miss,
+                o.longest,
+                o.deviation,
+                o.quality,
+                100.0 * o.jumps,
+                100.0 * o.above_bound
+            );
         }
     }
 }

@@ -88,9 +88,9 @@ impl VolumeSummary {
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
         let mut summary = Self::layout(volume.dims(), volume.spacing(), volume.scalar_type(), options)?;
         match volume.scalars() {
-            Scalars::U8(s) => summary.scan(volume, |at, out| copy(s, at, out, |v| f32::from(v))),
-            Scalars::U16(s) => summary.scan(volume, |at, out| copy(s, at, out, |v| f32::from(v))),
-            Scalars::I16(s) => summary.scan(volume, |at, out| copy(s, at, out, |v| f32::from(v))),
+            Scalars::U8(s) => summary.scan(volume, |at, out| copy(s, at, out, f32::from)),
+            Scalars::U16(s) => summary.scan(volume, |at, out| copy(s, at, out, f32::from)),
+            Scalars::I16(s) => summary.scan(volume, |at, out| copy(s, at, out, f32::from)),
             Scalars::F32(s) => summary.scan(volume, |at, out| copy(s, at, out, |v| v)),
         }
         Ok(summary)

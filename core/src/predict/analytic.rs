@@ -352,3 +352,109 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     values[values.len() / 2]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TRUTH: [f64; TERMS] = [1e-3, 3e-9, 2e-8, 0.0, 4e-8, 1e-8, 9e-8, 0.0, 0.0];
+
+    /// Work of frames as they come: counts over several decades, scattering never used.
+    fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
+        let mut state = 9u64;
+        let mut uniform = || {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            ((state >> 11) as f64 + 0.5) / (1u64 << 53) as f64
+        };
+        (0..n)
+            .map(|i| {
+                let pixels = libm::exp(7.0 + 7.0 * uniform());
+                let rays = pixels * (0.1 + 0.9 * uniform());
+                let samples = rays * libm::exp(4.0 * uniform());
+                let local = if i % 2 == 0 { samples * uniform() } else { 0.0 };
+                let work = [
+                    1.0,
+                    pixels,
+                    rays,
+                    rays * 20.0 * uniform(),
+                    samples,
+                    samples * (1.0 + uniform()),
+                    local,
+                    0.0,
+                    0.0,
+                ];
+                let mut seconds = dot(&TRUTH, &work) * libm::exp(noise * (uniform() + uniform() - 1.0));
+                if outliers && i % 20 == 0 {
+                    seconds *= 10.0;
+                }
+                Measurement { work, seconds }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn exact_times_give_back_their_costs() {
+        let mut model = AnalyticModel::new();
+        let report = model.fit(&measurements(200, 0.0, false)).unwrap();
+        assert!(report.median_error < 2e-3 && report.p95_error < 1e-2, "{report:?}");
+        for (i, (&c, &t)) in model.costs().iter().zip(&TRUTH).enumerate().take(7) {
+            assert!((c - t).abs() < 0.05 * t + 1e-9, "{i}: {c} {t}");
+        }
+        // Never seen: their default ratio to the rest, not zero.
+        assert!(model.costs()[7] > 0.0 && model.costs()[8] > 0.0);
+    }
+
+    #[test]
+    fn noise_and_outliers_do_not_carry_it_away() {
+        let mut model = AnalyticModel::new();
+        let report = model.fit(&measurements(200, 0.1, true)).unwrap();
+        assert!(report.median_error < 0.06, "{report:?}");
+        let clean = measurements(50, 0.0, false);
+        for m in &clean {
+            let error = model.seconds_of(&m.work) / m.seconds - 1.0;
+            assert!(error.abs() < 0.15, "{error}");
+        }
+        assert!(model.calibration().factor() > 1.0);
+    }
+
+    #[test]
+    fn a_handful_of_equal_frames_is_enough_to_set_the_scale() {
+        let one = measurements(1, 0.0, false)[0];
+        let mut model = AnalyticModel::new();
+        model.fit(&[one; 3]).unwrap();
+        assert!((model.seconds_of(&one.work) / one.seconds - 1.0).abs() < 0.02);
+        let mut double = one.work;
+        double.iter_mut().skip(1).for_each(|w| *w *= 2.0);
+        let ratio = model.seconds_of(&double) / one.seconds;
+        assert!(ratio > 1.1 && ratio < 2.05, "{ratio}");
+    }
+
+    #[test]
+    fn broken_measurements_are_left_out_and_all_broken_is_an_error() {
+        let mut rows = measurements(20, 0.0, false);
+        for seconds in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            rows.push(Measurement { seconds, ..rows[0] });
+        }
+        rows.push(Measurement { work: [f64::NAN; TERMS], seconds: 1.0 });
+        let mut model = AnalyticModel::new();
+        let report = model.fit(&rows).unwrap();
+        assert_eq!((report.used, report.refused), (20, 5));
+        let before = model.clone();
+        assert!(model.fit(&rows[20..]).is_err() && model.fit(&[]).is_err());
+        assert_eq!(model, before);
+        assert!(AnalyticModel::from_costs([0.0; TERMS]).is_err());
+        assert!(AnalyticModel::from_costs([-1.0; TERMS]).unwrap_err().message().contains("frame"));
+    }
+
+    #[test]
+    fn range_scores_rise_outside_what_was_seen() {
+        let mut model = AnalyticModel::new();
+        let rows = measurements(100, 0.0, false);
+        assert!(model.range.score(&range_point(&rows[0].work)).is_nan());
+        model.fit(&rows).unwrap();
+        assert_eq!(model.range.score(&range_point(&rows[0].work)), 0.0);
+        let mut far = rows[0].work;
+        far[4] *= 1e5;
+        assert!(model.range.score(&range_point(&far)) > 1.0);
+    }
+}

@@ -1,1 +1,128 @@
-//! Longest-processing-time-first and queue orders for render farms.
+//! Longest-processing-time-first and queue orders for render farms (paper, section "Load Balancing").
+//!
+//! Tasks are given by their times on a node of speed 1; a node of speed 2 takes half of them. An assignment is made from
+//! *predicted* times and judged by *measured* ones: [`Assignment::makespan`] takes any times.
+
+mod affinity;
+mod queue;
+
+pub use affinity::{AffinityTask, simulate_affinity};
+pub use queue::{Span, Timeline, simulate_queue};
+
+use crate::Result;
+use crate::error::bail;
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// Which node runs each task.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Assignment {
+    /// Node of each task, by task.
+    pub node_of: Vec<usize>,
+    /// Number of nodes.
+    pub nodes: usize,
+}
+
+impl Assignment {
+    /// Total time of each node for given task times and node speeds.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::SizeMismatch`] when `times` or `speeds` have another length than this assignment has tasks
+    /// or nodes; [`crate::ErrorKind::InvalidArgument`] for a time or speed that is not usable.
+    pub fn loads(&self, times: &[f64], speeds: &[f64]) -> Result<Vec<f64>> {
+        check(times, speeds)?;
+        if times.len() != self.node_of.len() || speeds.len() != self.nodes {
+            bail!(
+                SizeMismatch,
+                "{} times and {} speeds for an assignment of {} tasks to {} nodes",
+                times.len(),
+                speeds.len(),
+                self.node_of.len(),
+                self.nodes
+            );
+        }
+        let mut loads = vec![0.0; self.nodes];
+        for (&node, &time) in self.node_of.iter().zip(times) {
+            loads[node] += time / speeds[node];
+        }
+        Ok(loads)
+    }
+
+    /// Time until the last node is done.
+    ///
+    /// # Errors
+    /// As [`Assignment::loads`].
+    pub fn makespan(&self, times: &[f64], speeds: &[f64]) -> Result<f64> {
+        Ok(self.loads(times, speeds)?.into_iter().fold(0.0, f64::max))
+    }
+}
+
+/// Task numbers from longest to shortest; equal times in ascending number.
+///
+/// # Errors
+/// [`crate::ErrorKind::InvalidArgument`] for a time that is negative or not finite.
+pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
+    check(times, &[1.0])?;
+    let mut order: Vec<usize> = (0..times.len()).collect();
+    order.sort_by(|&a, &b| times[b].total_cmp(&times[a]));
+    Ok(order)
+}
+
+/// Longest processing time first (Graham 1969): tasks in descending time, each to the node that would finish it first.
+/// For uniform times pass equal numbers: tasks are then dealt out in turn.
+///
+/// # Errors
+/// [`crate::ErrorKind::InvalidArgument`] without nodes, for a speed that is not finite and positive, or a time that is
+/// negative or not finite.
+pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment> {
+    check(times, speeds)?;
+    let mut loads = vec![0.0f64; speeds.len()];
+    let mut node_of = vec![0; times.len()];
+    for task in longest_first(times)? {
+        let done = |n: usize| loads[n] + times[task] / speeds[n];
+        let node = (0..speeds.len()).min_by(|&a, &b| done(a).total_cmp(&done(b))).unwrap_or(0);
+        loads[node] = done(node);
+        node_of[task] = node;
+    }
+    Ok(Assignment { node_of, nodes: speeds.len() })
+}
+
+/// No schedule without preemption ends before this: all work over all speed, and for every k the k longest tasks over
+/// the k fastest nodes.
+///
+/// # Errors
+/// As [`assign_longest_first`].
+pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
+    check(times, speeds)?;
+    let mut fastest = speeds.to_vec();
+    fastest.sort_by(|a, b| b.total_cmp(a));
+    let order = longest_first(times)?;
+    let mut bound = times.iter().sum::<f64>() / speeds.iter().sum::<f64>();
+    let (mut work, mut speed) = (0.0, 0.0);
+    for (&task, &s) in order.iter().zip(&fastest) {
+        work += times[task];
+        speed += s;
+        bound = bound.max(work / speed);
+    }
+    Ok(bound)
+}
+
+fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
+    if speeds.is_empty() {
+        bail!(InvalidArgument, "there are no nodes; at least one is needed");
+    }
+    for (i, &s) in speeds.iter().enumerate() {
+        if !(s.is_finite() && s > 0.0) {
+            bail!(InvalidArgument, "the speed of node {i} is {s}; it must be finite and positive");
+        }
+    }
+    for (i, &t) in times.iter().enumerate() {
+        if !(t.is_finite() && t >= 0.0) {
+            bail!(InvalidArgument, "the time of task {i} is {t}; it must be finite and not negative");
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

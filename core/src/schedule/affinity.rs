@@ -1,0 +1,60 @@
+//! A dynamic queue whose tasks need a volume that takes time to load.
+
+use super::check;
+use super::queue::{Span, Timeline, check_order, first_free};
+use crate::Result;
+use crate::error::bail;
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// A task that needs a volume.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AffinityTask {
+    /// Which volume it needs.
+    pub volume: usize,
+    /// Its time on a node of speed 1, the volume being there.
+    pub seconds: f64,
+    /// Time to load its volume on a node that holds another, whatever the node's speed.
+    pub load: f64,
+}
+
+/// Plays a queue in which a node keeps the last volume it loaded and looks for work on it among the next `window` tasks
+/// of the order; where there is none it takes the first. A window of 1 is [`super::simulate_queue`] with loading times.
+///
+/// # Errors
+/// [`crate::ErrorKind::InvalidArgument`] for unusable times or speeds, a window of 0, or an order that is not a
+/// permutation of the tasks.
+pub fn simulate_affinity(
+    order: &[usize],
+    tasks: &[AffinityTask],
+    speeds: &[f64],
+    window: usize,
+) -> Result<Timeline> {
+    let times: Vec<f64> = tasks.iter().map(|t| t.seconds).collect();
+    check(&times, speeds)?;
+    let loads: Vec<f64> = tasks.iter().map(|t| t.load).collect();
+    check(&loads, speeds)?;
+    check_order(order, tasks.len())?;
+    if window == 0 {
+        bail!(InvalidArgument, "a window of 0 tasks was given; at least the next task must be looked at");
+    }
+    let mut free = vec![0.0f64; speeds.len()];
+    let mut holds: Vec<Option<usize>> = vec![None; speeds.len()];
+    let mut waiting: Vec<usize> = order.to_vec();
+    let mut spans = Vec::with_capacity(order.len());
+    while !waiting.is_empty() {
+        let node = first_free(&free, speeds);
+        let near = &waiting[..window.min(waiting.len())];
+        let pick = near.iter().position(|&t| holds[node] == Some(tasks[t].volume)).unwrap_or(0);
+        let task = waiting.remove(pick);
+        let AffinityTask { volume, seconds, load } = tasks[task];
+        let loading = if holds[node] == Some(volume) { 0.0 } else { load };
+        holds[node] = Some(volume);
+        let start = free[node];
+        let end = start + loading + seconds / speeds[node];
+        free[node] = end;
+        spans.push(Span { task, node, start, end });
+    }
+    let makespan = free.into_iter().fold(0.0, f64::max);
+    Ok(Timeline { spans, makespan })
+}
