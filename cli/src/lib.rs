@@ -10,6 +10,7 @@ pub mod inputs;
 pub mod interrupt;
 pub mod machine;
 pub mod metrics;
+pub mod path;
 pub mod report;
 pub mod scenes;
 #[cfg(test)]
