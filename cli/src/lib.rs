@@ -16,4 +16,5 @@ pub mod scenes;
 #[cfg(test)]
 mod scripted;
 pub mod split;
+pub mod steering;
 pub mod volume;

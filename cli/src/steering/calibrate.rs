@@ -1,0 +1,190 @@
+//! Fitting predictors to this machine: a few random frames of the volume, each at several ray steps.
+
+use super::play::DrawSettings;
+use crate::dataset::{Measurement as Timing, median};
+use crate::scenes::SceneDistribution;
+use anyhow::{Context, Result, ensure};
+use entire_core::control::StepResponse;
+use entire_core::features::{Changes, FrameFeatures, SceneFeature, Setting, TransferSummary, VolumeSummary};
+use entire_core::predict::{AnalyticModel, FitReport, Measurement};
+use entire_core::scene::{Camera, DEFAULT_FOV_Y_DEGREES, TransferFunction, VolumeView};
+use entire_vk_raycaster::Renderer;
+use indicatif::ProgressBar;
+
+/// Ray steps at which every calibration scene is rendered, reference steps. The first is the reference.
+pub const CALIBRATION_STEPS: [f32; 6] = [1.0, 1.5, 2.0, 4.0, 8.0, 16.0];
+
+/// Every this many scenes, one is held out: never fitted to, only judged by.
+pub const HOLD_OUT_EVERY: usize = 4;
+
+/// One rendering of a calibration scene.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// The scene's number.
+    pub scene: usize,
+    /// What the core knows of the frame.
+    pub features: FrameFeatures,
+    /// Step, size and modes.
+    pub setting: Setting,
+    /// Seconds by the clock that counts.
+    pub seconds: f64,
+}
+
+impl Sample {
+    /// Whether it is held out from fitting.
+    pub fn held_out(&self) -> bool {
+        self.scene % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
+    }
+
+    /// Its scene features.
+    pub fn inputs(&self, features: &[SceneFeature]) -> Vec<f32> {
+        let mut out = vec![0.0; features.len()];
+        self.features.write(features, &self.setting, Changes::NONE, &mut out);
+        out
+    }
+}
+
+/// Renders `scenes` random scenes at every step of [`CALIBRATION_STEPS`], each `repeats` times (the median counts).
+/// Scenes come from `distribution` (its sizes and steps are not used) under `seed` and `name`; the transfer functions
+/// are random, so that none of a path's is among them but by chance.
+///
+/// Answers `None` when `stop` said so.
+///
+/// # Errors
+/// When the renderer fails or has no clock of that name.
+#[expect(clippy::too_many_arguments, reason = "a calibration is told everything once, in one place")]
+pub fn measure(
+    volume: &VolumeView<'_>,
+    summary: &VolumeSummary,
+    draw: &DrawSettings,
+    distribution: &SceneDistribution,
+    (seed, name): (u64, &str),
+    (scenes, repeats): (usize, usize),
+    renderer: &mut dyn Renderer,
+    stop: &dyn Fn() -> bool,
+    progress: &ProgressBar,
+) -> Result<Option<Vec<Sample>>> {
+    ensure!(scenes > 0 && repeats > 0, "calibration needs at least one scene, rendered at least once");
+    renderer.set_volume(volume)?;
+    let mut samples = Vec::with_capacity(scenes * CALIBRATION_STEPS.len());
+    let mut features = FrameFeatures::new();
+    progress.set_length(scenes as u64);
+    progress.reset_eta();
+    for scene in 0..scenes {
+        let place = || format!("calibration scene {scene}");
+        let drawn = distribution.draw(seed, name, scene as u64);
+        let table = TransferFunction::Gaussian(drawn.lobes).to_table().with_context(place)?;
+        renderer.set_transfer(&table).with_context(place)?;
+        let mut transfer = TransferSummary::new(summary, &table);
+        transfer.prepare_distance();
+        let camera = Camera::from_arcball(drawn.camera)?.with_fov_y_degrees(DEFAULT_FOV_Y_DEGREES)?;
+        let frame = draw.frame(camera).with_context(place)?;
+        features.measure(summary, &transfer, &frame);
+        // First-use work of the device, and of caches after the change of scene.
+        for _ in 0..if scene == 0 { 2 } else { 1 } {
+            renderer.render(&frame).with_context(place)?;
+        }
+        for step in CALIBRATION_STEPS {
+            if stop() {
+                return Ok(None);
+            }
+            let frame = frame.with_step(step)?;
+            let mut seconds = Vec::with_capacity(repeats);
+            for _ in 0..repeats {
+                let rendered = renderer.render(&frame).with_context(place)?;
+                seconds.push(draw.seconds(&Timing::new(rendered.time, rendered.counts))?);
+            }
+            let seconds = median(&mut seconds).unwrap_or(f64::NAN);
+            samples.push(Sample { scene, features: features.clone(), setting: Setting::of(&frame), seconds });
+        }
+        progress.inc(1);
+    }
+    Ok(Some(samples))
+}
+
+/// G from the calibration: per scene, times at every step over the time at the reference step.
+///
+/// # Errors
+/// When no scene was timed at two steps.
+pub fn response(samples: &[Sample]) -> Result<StepResponse> {
+    Ok(StepResponse::from_samples(&response_pairs(samples))?)
+}
+
+/// The (step, time ratio) pairs behind [`response`], scene after scene.
+pub fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
+    samples
+        .iter()
+        .filter_map(|s| {
+            let reference = samples.iter().find(|r| r.scene == s.scene && r.setting.step == 1.0)?;
+            let ratio = s.seconds / reference.seconds;
+            (ratio.is_finite() && ratio > 0.0).then_some((s.setting.step, ratio as f32))
+        })
+        .collect()
+}
+
+/// The analytic cost model fitted to the samples that are not held out.
+///
+/// # Errors
+/// When none of them is usable.
+pub fn fit_analytic(samples: &[Sample]) -> Result<(AnalyticModel, FitReport)> {
+    let measurements: Vec<Measurement> = samples
+        .iter()
+        .filter(|s| !s.held_out())
+        .map(|s| Measurement::new(&s.features, &s.setting, s.seconds))
+        .collect();
+    let mut model = AnalyticModel::new();
+    let report = model.fit(&measurements)?;
+    Ok((model, report))
+}
+
+/// How well predictions do on samples.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Quality {
+    /// Frames judged.
+    pub frames: usize,
+    /// Median of |predicted / measured − 1|.
+    pub median_error: f64,
+    /// 95th percentile of it (nearest rank).
+    pub p95_error: f64,
+    /// Standard deviation of ln(measured / predicted) about 0, a tenth of the largest left out.
+    pub log_sd: f64,
+}
+
+impl Quality {
+    /// From (predicted, measured) pairs; `None` when there are none that are finite and positive.
+    pub fn of(pairs: &[(f64, f64)]) -> Option<Self> {
+        let mut logs: Vec<f64> =
+            pairs.iter().map(|(p, m)| (m / p).ln().abs()).filter(|l| l.is_finite()).collect();
+        let mut errors: Vec<f64> =
+            pairs.iter().map(|(p, m)| (p / m - 1.0).abs()).filter(|e| e.is_finite()).collect();
+        if errors.is_empty() || logs.is_empty() {
+            return None;
+        }
+        errors.sort_by(f64::total_cmp);
+        logs.sort_by(f64::total_cmp);
+        logs.truncate((logs.len() * 9).div_ceil(10));
+        let rank = ((0.95 * errors.len() as f64).ceil() as usize).clamp(1, errors.len());
+        Some(Self {
+            frames: errors.len(),
+            median_error: median(&mut errors.clone())?,
+            p95_error: errors[rank - 1],
+            log_sd: (logs.iter().map(|l| l * l).sum::<f64>() / logs.len() as f64).sqrt(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quality_is_relative_to_the_measured_time() {
+        let pairs: Vec<(f64, f64)> = (0..20).map(|i| (1.1, if i == 0 { 0.1 } else { 1.0 })).collect();
+        let q = Quality::of(&pairs).unwrap();
+        assert!((q.median_error - 0.1).abs() < 1e-12 && (q.p95_error - 0.1).abs() < 1e-9);
+        // The outlier is among the tenth that is left out.
+        assert!((q.log_sd - 1.1f64.ln()).abs() < 1e-12);
+        assert_eq!(Quality::of(&[]), None);
+        assert_eq!(Quality::of(&[(f64::NAN, 1.0)]), None);
+    }
+}

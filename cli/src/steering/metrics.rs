@@ -1,0 +1,222 @@
+//! How well a controller held its target.
+
+use serde::Serialize;
+
+/// Pictures that are equal, or closer than this, count as this many decibels.
+pub const BEST_PSNR: f64 = 100.0;
+
+/// Frames from a switch on (the switch's own frame first) over which the error at switches is taken.
+pub const SWITCH_FRAMES: usize = 3;
+
+/// One frame under one controller, as the metrics see it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Played {
+    /// Measured seconds.
+    pub seconds: f64,
+    /// Seconds that it should not have exceeded.
+    pub target: f64,
+    /// Ray step, reference steps.
+    pub step: f64,
+    /// Finest step that was allowed.
+    pub finest: f64,
+    /// Coarsest step that was allowed.
+    pub coarsest: f64,
+    /// Likeness to the picture at the reference step, decibels; `None` where no reference was drawn.
+    pub psnr: Option<f64>,
+    /// Whether something switched abruptly at this frame.
+    pub switched: bool,
+}
+
+impl Played {
+    /// (t − target) / target.
+    pub fn error(&self) -> f64 {
+        (self.seconds - self.target) / self.target
+    }
+
+    /// Whether the frame is where it should be: within a quarter of the target; or faster than that with the finest
+    /// step, or slower with the coarsest, where nothing more could be done.
+    pub fn on_target(&self) -> bool {
+        let (finest, coarsest) = (self.step <= self.finest * 1.001, self.step >= self.coarsest * 0.999);
+        (self.error() <= 0.25 || coarsest) && (self.error() >= -0.25 || finest)
+    }
+}
+
+/// A controller's figures over a path. Shares are 0 to 1, times seconds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Metrics {
+    /// Frames played.
+    pub frames: usize,
+    /// Share of frames that took over 1.1 times the target.
+    pub missed_by_10_percent: f64,
+    /// Share of frames that took over 1.25 times the target.
+    pub missed_by_25_percent: f64,
+    /// Mean of |t − target| / target.
+    pub mean_error: f64,
+    /// The same over the first [`SWITCH_FRAMES`] frames from each switch on; `None` without switches.
+    pub mean_error_at_switches: Option<f64>,
+    /// The same over all other frames but the path's first [`SWITCH_FRAMES`].
+    pub mean_error_in_calm: Option<f64>,
+    /// Frames from each switch on until two in a row are on target (see [`Played::on_target`]); 0 when the switch's own
+    /// frame is the first of them. Up to the next switch or the end, where that never happens.
+    pub recovery_frames: Vec<usize>,
+    /// 95th percentile of the frame time (nearest rank).
+    pub p95_seconds: f64,
+    /// Slowest frame.
+    pub worst_seconds: f64,
+    /// Mean likeness to the reference step's pictures, decibels, each at most [`BEST_PSNR`].
+    pub mean_psnr: Option<f64>,
+    /// Mean ray step, reference steps.
+    pub mean_step: f64,
+    /// Share of calm frames whose step differs from the frame before by over 20 %.
+    pub step_jumps_in_calm: f64,
+}
+
+impl Metrics {
+    /// Of the frames of a path, in order; `None` for no frames.
+    pub fn of(frames: &[Played]) -> Option<Self> {
+        if frames.is_empty() {
+            return None;
+        }
+        let n = frames.len() as f64;
+        let share = |limit: f64| frames.iter().filter(|f| f.seconds > limit * f.target).count() as f64 / n;
+        let switches: Vec<usize> = (0..frames.len()).filter(|i| frames[*i].switched).collect();
+        let near = |i: usize| switches.iter().any(|s| (*s..s + SWITCH_FRAMES).contains(&i));
+        let mean_error = |take: &dyn Fn(usize) -> bool| {
+            let taken: Vec<f64> =
+                (0..frames.len()).filter(|i| take(*i)).map(|i| frames[i].error().abs()).collect();
+            (!taken.is_empty()).then(|| taken.iter().sum::<f64>() / taken.len() as f64)
+        };
+        let mut sorted: Vec<f64> = frames.iter().map(|f| f.seconds).collect();
+        sorted.sort_by(f64::total_cmp);
+        let rank = ((0.95 * n).ceil() as usize).clamp(1, sorted.len());
+        let likeness: Vec<f64> = frames.iter().filter_map(|f| f.psnr).map(|p| p.min(BEST_PSNR)).collect();
+        let calm: Vec<usize> = (1..frames.len()).filter(|i| *i >= SWITCH_FRAMES && !near(*i)).collect();
+        let jumps = calm
+            .iter()
+            .filter(|i| (frames[**i].step / frames[**i - 1].step).ln().abs() > 1.2f64.ln())
+            .count();
+        Some(Self {
+            frames: frames.len(),
+            missed_by_10_percent: share(1.1),
+            missed_by_25_percent: share(1.25),
+            mean_error: mean_error(&|_| true).unwrap_or(0.0),
+            mean_error_at_switches: mean_error(&near),
+            mean_error_in_calm: mean_error(&|i| i >= SWITCH_FRAMES && !near(i)),
+            recovery_frames: switches
+                .iter()
+                .map(|&s| {
+                    let end = switches.iter().copied().find(|t| *t > s).unwrap_or(frames.len());
+                    let settled = |i: usize| {
+                        frames[i].on_target()
+                            && frames.get(i + 1).filter(|_| i + 1 < end).is_none_or(Played::on_target)
+                    };
+                    (s..end).find(|i| settled(*i)).unwrap_or(end) - s
+                })
+                .collect(),
+            p95_seconds: sorted[rank - 1],
+            worst_seconds: sorted[sorted.len() - 1],
+            mean_psnr: (!likeness.is_empty()).then(|| likeness.iter().sum::<f64>() / likeness.len() as f64),
+            mean_step: frames.iter().map(|f| f.step).sum::<f64>() / n,
+            step_jumps_in_calm: if calm.is_empty() { 0.0 } else { jumps as f64 / calm.len() as f64 },
+        })
+    }
+}
+
+/// Peak signal-to-noise ratio of two 8-bit RGBA pictures over red, green and blue, decibels; infinite when they are
+/// equal. `None` when they differ in size.
+pub fn psnr(a: &[u8], b: &[u8]) -> Option<f64> {
+    if a.len() != b.len() || a.is_empty() {
+        return None;
+    }
+    let sum: u64 = a
+        .chunks_exact(4)
+        .zip(b.chunks_exact(4))
+        .map(|(p, q)| (0..3).map(|i| u64::from(p[i].abs_diff(q[i])).pow(2)).sum::<u64>())
+        .sum();
+    let mean = sum as f64 / (a.len() / 4 * 3) as f64;
+    Some(if mean == 0.0 { f64::INFINITY } else { 10.0 * (255.0 * 255.0 / mean).log10() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(seconds: f64) -> Played {
+        Played {
+            seconds,
+            target: 0.1,
+            step: 2.0,
+            finest: 1.0,
+            coarsest: 16.0,
+            psnr: Some(40.0),
+            switched: false,
+        }
+    }
+
+    #[test]
+    fn figures_of_a_scripted_series() {
+        // Ten frames at the target, but: one 12 % over, one 30 % over.
+        let mut frames = vec![frame(0.1); 10];
+        frames[2].seconds = 0.112;
+        frames[7].seconds = 0.13;
+        frames[7].psnr = Some(f64::INFINITY);
+        frames[9].step = 4.0;
+        let m = Metrics::of(&frames).unwrap();
+        assert_eq!((m.missed_by_10_percent, m.missed_by_25_percent), (0.2, 0.1));
+        assert!((m.mean_error - 0.042).abs() < 1e-12);
+        assert_eq!((m.p95_seconds, m.worst_seconds), (0.13, 0.13));
+        assert!((m.mean_psnr.unwrap() - 46.0).abs() < 1e-9 && (m.mean_step - 2.2).abs() < 1e-12);
+        assert_eq!(m.mean_error_at_switches, None);
+        assert!(m.recovery_frames.is_empty());
+        // Calm frames are 3…9; one of them jumps.
+        assert!((m.step_jumps_in_calm - 1.0 / 7.0).abs() < 1e-12);
+        assert!((m.mean_error_in_calm.unwrap() - 0.3 / 7.0).abs() < 1e-12);
+        assert_eq!(Metrics::of(&[]), None);
+    }
+
+    #[test]
+    fn ninety_fifth_percentile_is_the_nearest_rank() {
+        let frames: Vec<Played> = (1..=20).map(|i| frame(f64::from(i))).collect();
+        assert_eq!(Metrics::of(&frames).unwrap().p95_seconds, 19.0);
+        let frames: Vec<Played> = (1..=21).map(|i| frame(f64::from(i))).collect();
+        assert_eq!(Metrics::of(&frames).unwrap().p95_seconds, 20.0);
+    }
+
+    #[test]
+    fn recovery_counts_until_two_frames_in_a_row_are_on_target() {
+        let mut frames = vec![frame(0.1); 16];
+        // A switch that is met at once.
+        frames[3].switched = true;
+        // One that takes four frames: a lucky frame in between does not count.
+        frames[7].switched = true;
+        for (i, t) in [(7, 0.3), (8, 0.11), (9, 0.2), (10, 0.04)] {
+            frames[i].seconds = t;
+        }
+        // One that never settles before the end.
+        frames[13].switched = true;
+        for f in &mut frames[13..] {
+            f.seconds = 0.5;
+        }
+        let m = Metrics::of(&frames).unwrap();
+        assert_eq!(m.recovery_frames, [0, 4, 3]);
+        let at_switches = (0.0 + 2.0 + 0.1 + 1.0 + 4.0 * 3.0) / 9.0;
+        assert!((m.mean_error_at_switches.unwrap() - at_switches).abs() < 1e-9);
+    }
+
+    #[test]
+    fn nothing_more_can_be_done_at_the_limits() {
+        let with = |seconds, step| Played { step, ..frame(seconds) }.on_target();
+        assert!(with(0.12, 2.0) && with(0.08, 2.0) && !with(0.05, 2.0) && !with(0.2, 2.0));
+        assert!(with(0.05, 1.0) && !with(0.2, 1.0));
+        assert!(with(0.2, 16.0) && !with(0.05, 16.0));
+    }
+
+    #[test]
+    fn likeness_is_the_textbooks() {
+        assert_eq!(psnr(&[1, 2, 3, 4], &[1, 2, 3, 99]), Some(f64::INFINITY));
+        // One of three channels off by 3: mean square 3, 10 log10(255² / 3).
+        assert!((psnr(&[1, 2, 3, 4], &[4, 2, 3, 4]).unwrap() - 43.3596).abs() < 1e-3);
+        assert_eq!(psnr(&[1, 2, 3, 4], &[1, 2, 3, 4, 5, 6, 7, 8]), None);
+        assert_eq!(psnr(&[], &[]), None);
+    }
+}

@@ -1,0 +1,378 @@
+//! Playing a path: every frame under every controller.
+
+use super::metrics::{Metrics, Played, psnr};
+use crate::dataset::{Clock, Measurement};
+use crate::path::FlightPath;
+use anyhow::{Context, Result, ensure};
+use entire_core::adapt::ObserveFlags;
+use entire_core::control::{Reason, Session, StepLimits};
+use entire_core::features::{Changes, VolumeSummary};
+use entire_core::scene::{Camera, Frame, Shading, Skipping, VolumeView};
+use entire_vk_raycaster::{Image, Renderer};
+use indicatif::ProgressBar;
+
+/// How frames are drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DrawSettings {
+    /// Image width, pixels.
+    pub width: u32,
+    /// Image height, pixels.
+    pub height: u32,
+    /// What each sample computes.
+    pub shading: Shading,
+    /// How empty space is skipped.
+    pub skipping: Skipping,
+    /// Accumulated opacity at which rays stop.
+    pub termination: f32,
+    /// The clock that counts.
+    pub clock: Clock,
+}
+
+impl DrawSettings {
+    /// A frame with these settings at the reference step.
+    ///
+    /// # Errors
+    /// When the core refuses a value.
+    pub fn frame(&self, camera: Camera) -> Result<Frame> {
+        Ok(Frame::new(camera, self.width, self.height)?
+            .with_termination(self.termination)?
+            .with_shading(self.shading)
+            .with_skipping(self.skipping))
+    }
+
+    /// Seconds of a measurement by the clock that counts.
+    ///
+    /// # Errors
+    /// When the renderer has no such clock.
+    pub fn seconds(&self, measurement: &Measurement) -> Result<f64> {
+        measurement.seconds(self.clock).with_context(|| {
+            format!("the renderer has no {} clock; choose another with --clock", self.clock.name())
+        })
+    }
+}
+
+/// A controller in the race, with its predictor and everything it has learned.
+pub struct Contender {
+    /// Its name for tables.
+    pub name: String,
+    /// Its render loop.
+    pub session: Session,
+}
+
+/// One frame under one controller.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Record {
+    /// Ray step, reference steps.
+    pub step: f32,
+    /// Predicted seconds; NaN from controllers that predict nothing.
+    pub predicted: f32,
+    /// Upper bound, seconds; NaN where there is none.
+    pub upper: f32,
+    /// 0 inside the predictor's range, beyond 1 not to be trusted; NaN where unknown.
+    pub out_of_range: f32,
+    /// Why this step.
+    pub reason: Reason,
+    /// All clocks.
+    pub measured: Measurement,
+    /// Seconds by the clock that counts.
+    pub seconds: f64,
+    /// Likeness to the reference picture, decibels.
+    pub psnr: f64,
+    /// The picture, at frames that were asked for.
+    pub image: Option<Image>,
+}
+
+/// The reference rendering of a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reference {
+    /// Seconds at the reference step by the clock that counts.
+    pub seconds: f64,
+    /// The picture, at frames that were asked for.
+    pub image: Option<Image>,
+}
+
+/// A path as it was played.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Playback {
+    /// The controllers' names.
+    pub names: Vec<String>,
+    /// Per controller and frame.
+    pub records: Vec<Vec<Record>>,
+    /// Per frame.
+    pub references: Vec<Reference>,
+    /// Frames where something switched.
+    pub switches: Vec<usize>,
+    /// Seconds that frames should not exceed.
+    pub target: f64,
+    /// The steps that were allowed.
+    pub limits: StepLimits,
+}
+
+impl Playback {
+    /// What the metrics see of a controller's frames.
+    pub fn played(&self, controller: usize) -> Vec<Played> {
+        self.records[controller]
+            .iter()
+            .enumerate()
+            .map(|(i, r)| Played {
+                seconds: r.seconds,
+                target: self.target,
+                step: f64::from(r.step),
+                finest: f64::from(self.limits.finest()),
+                coarsest: f64::from(self.limits.coarsest()),
+                psnr: Some(r.psnr),
+                switched: self.switches.contains(&i),
+            })
+            .collect()
+    }
+
+    /// Every controller's figures, in the order of the names.
+    pub fn metrics(&self) -> Vec<Metrics> {
+        (0..self.names.len()).filter_map(|c| Metrics::of(&self.played(c))).collect()
+    }
+}
+
+/// What of a path is played against.
+#[derive(Clone, Copy, Debug)]
+pub struct Task<'a> {
+    /// The volume.
+    pub volume: &'a VolumeView<'a>,
+    /// Its summary.
+    pub summary: &'a VolumeSummary,
+    /// VolumeNet's output for it, where a model takes one.
+    pub volume_features: Option<&'a [f32]>,
+    /// The path.
+    pub path: &'a FlightPath,
+    /// Seconds that frames should not exceed.
+    pub target: f64,
+    /// Steps that may be chosen.
+    pub limits: StepLimits,
+    /// Frames whose pictures are kept.
+    pub keep: &'a [usize],
+}
+
+/// Plays a path under all contenders. Per frame: the reference picture is drawn first, outside of the race; then the
+/// frame is drawn under every contender, each with its own step, so that the machine's noise hits all alike; who comes
+/// first moves on from frame to frame. Changes of the transfer function are not timed.
+///
+/// Answers `None` when `stop` said so.
+///
+/// # Errors
+/// When the renderer or a prediction fails; names the frame.
+pub fn play(
+    task: &Task<'_>,
+    draw: &DrawSettings,
+    renderer: &mut dyn Renderer,
+    contenders: &mut [Contender],
+    stop: &dyn Fn() -> bool,
+    progress: &ProgressBar,
+) -> Result<Option<Playback>> {
+    ensure!(!contenders.is_empty(), "there is no controller to play");
+    renderer.set_volume(task.volume)?;
+    for contender in contenders.iter_mut() {
+        contender.session.set_volume(task.summary.clone(), task.volume_features);
+        contender.session.set_limits(task.limits);
+    }
+    let mut playback = Playback {
+        names: contenders.iter().map(|c| c.name.clone()).collect(),
+        records: vec![Vec::with_capacity(task.path.frames.len()); contenders.len()],
+        references: Vec::with_capacity(task.path.frames.len()),
+        switches: task.path.switches(),
+        target: task.target,
+        limits: task.limits,
+    };
+    progress.set_length(task.path.frames.len() as u64);
+    progress.reset_eta();
+    for (index, at) in task.path.frames.iter().enumerate() {
+        let place = || format!("frame {index} of the path");
+        if at.transfer_changed {
+            let table = at.transfer.function().to_table().with_context(place)?;
+            renderer.set_transfer(&table).with_context(place)?;
+            let lobes = at.transfer.lobes();
+            for contender in contenders.iter_mut() {
+                contender.session.set_transfer(&table, lobes.as_deref()).with_context(place)?;
+            }
+        }
+        let camera = Camera::from_arcball(at.camera)?.with_fov_y_degrees(task.path.fov_y_degrees)?;
+        let frame = draw.frame(camera).with_context(place)?;
+        if index == 0 {
+            // First-use work of the device is nobody's fault.
+            for _ in 0..2 {
+                renderer.render(&frame).with_context(place)?;
+            }
+        }
+        if stop() {
+            return Ok(None);
+        }
+        let reference = renderer.render(&frame).with_context(place)?;
+        let keep = task.keep.contains(&index);
+        for turn in 0..contenders.len() {
+            let c = (index + turn) % contenders.len();
+            let session = &mut contenders[c].session;
+            if at.camera_switched {
+                session.mark(Changes { camera: true, ..Changes::NONE });
+            }
+            let plan = session.plan(&frame, task.target as f32).with_context(place)?;
+            let rendered = renderer.render(&frame.with_step(plan.step)?).with_context(place)?;
+            let measured = Measurement::new(rendered.time, rendered.counts);
+            let seconds = draw.seconds(&measured)?;
+            session.observe(plan.id, seconds as f32, ObserveFlags::default());
+            playback.records[c].push(Record {
+                step: plan.step,
+                predicted: plan.seconds,
+                upper: plan.upper,
+                out_of_range: plan.out_of_range,
+                reason: plan.reason,
+                measured,
+                seconds,
+                psnr: psnr(&rendered.image.rgba, &reference.image.rgba).unwrap_or(0.0),
+                image: keep.then_some(rendered.image),
+            });
+        }
+        let seconds = draw.seconds(&Measurement::new(reference.time, reference.counts))?;
+        playback.references.push(Reference { seconds, image: keep.then_some(reference.image) });
+        progress.inc(1);
+    }
+    Ok(Some(playback))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Transfer};
+    use crate::scripted::ScriptedRenderer;
+    use crate::steering::contenders::{ControllerKind, contender};
+    use entire_core::adapt::Prior;
+    use entire_core::control::StepResponse;
+    use entire_core::features::SummaryOptions;
+    use entire_core::predict::{Inputs, Prediction, Predictor, Source};
+    use entire_core::scene::{Scalars, TransferFunction};
+
+    /// Knows the script's law, but for a bias.
+    struct Insider {
+        bias: f64,
+    }
+
+    impl Predictor for Insider {
+        fn predict(&mut self, inputs: &Inputs<'_>) -> entire_core::Result<Prediction> {
+            let law = ScriptedRenderer::default();
+            let lobes = inputs.lobes.unwrap_or(&[]).to_vec();
+            let weight = ScriptedRenderer::weight(&TransferFunction::Gaussian(lobes).to_table()?);
+            let s = inputs.setting;
+            let pixels = f64::from(s.width) * f64::from(s.height);
+            let seconds = law.fixed + pixels * weight * law.per_sample / f64::from(s.step);
+            let seconds = (seconds * self.bias) as f32;
+            Ok(Prediction { seconds, upper: f32::NAN, out_of_range: 0.0, source: Source::Network })
+        }
+    }
+
+    fn path() -> FlightPath {
+        let lobes = |height| Some(Transfer::Lobes(vec![Lobe { center: 0.5, width: 0.05, height }]));
+        let key = |frame, transfer, switch| Keyframe { frame, camera: None, transfer, switch };
+        let camera = Some(CameraPose { rx_deg: 0.0, ry_deg: 0.0, dz_radii: 2.0 });
+        PathFile {
+            format: PATH_FORMAT.into(),
+            name: "scripted".into(),
+            frames: 80,
+            fov_y_deg: 45.0,
+            keyframes: vec![
+                Keyframe { camera, ..key(0, lobes(0.15), false) },
+                key(20, lobes(0.9), true),
+                key(40, lobes(0.1), true),
+                key(60, lobes(0.6), true),
+            ],
+        }
+        .resolve()
+        .unwrap()
+    }
+
+    const KINDS: [ControllerKind; 5] = [
+        ControllerKind::Fixed,
+        ControllerKind::Olp,
+        ControllerKind::Pid,
+        ControllerKind::Algorithm1,
+        ControllerKind::Hybrid,
+    ];
+
+    fn play_scripted(noise: f64, bias: f64, stop_at: Option<u64>) -> Option<Playback> {
+        let voxels = vec![128u8; 32 * 32 * 32];
+        let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32]).unwrap();
+        let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+        let law = ScriptedRenderer::default();
+        // G of the law at a middling weight: what sampling several scenes would give.
+        let at = |step: f64| law.fixed + 1e4 * 0.1 * law.per_sample * 100.0 / step;
+        let samples: Vec<(f32, f32)> =
+            [1.0, 2.0, 4.0, 8.0, 16.0].map(|s| (s as f32, (at(s) / at(1.0)) as f32)).to_vec();
+        let response = StepResponse::from_samples(&samples).unwrap();
+        let mut contenders: Vec<Contender> = KINDS
+            .into_iter()
+            .map(|k| contender(k, 1.0, Box::new(Insider { bias }), &response, Prior::Fitted { log_sd: 0.1 }))
+            .collect();
+        let draw = DrawSettings {
+            width: 100,
+            height: 100,
+            shading: Shading::None,
+            skipping: Skipping::Blocks,
+            termination: 0.99,
+            clock: Clock::Auto,
+        };
+        let path = path();
+        let task = Task {
+            volume: &view,
+            summary: &summary,
+            volume_features: None,
+            path: &path,
+            target: 1.4e-3,
+            limits: StepLimits::default(),
+            keep: &[20],
+        };
+        let asked = std::cell::Cell::new(0u64);
+        let stop = || {
+            asked.set(asked.get() + 1);
+            stop_at.is_some_and(|n| asked.get() > n)
+        };
+        let mut renderer = law;
+        renderer.noise = noise;
+        play(&task, &draw, &mut renderer, &mut contenders, &stop, &ProgressBar::hidden()).unwrap()
+    }
+
+    #[test]
+    fn prediction_beats_reaction_at_switches() {
+        let playback = play_scripted(0.02, 1.1, None).unwrap();
+        assert_eq!(playback.names, ["fixed", "olp", "pid", "algorithm1", "hybrid"]);
+        assert_eq!(playback.switches, [20, 40, 60]);
+        let metrics = playback.metrics();
+        let at_switches: Vec<f64> = metrics.iter().map(|m| m.mean_error_at_switches.unwrap()).collect();
+        let [_, olp, pid, algorithm1, hybrid] = at_switches[..] else { panic!() };
+        // One G for all scenes costs Algorithm 1 some of its lead.
+        assert!(algorithm1 < 0.7 * olp.min(pid), "{at_switches:?}");
+        assert!(hybrid < 0.3 * olp.min(pid), "{at_switches:?}");
+        // Ours learns the bias away; Algorithm 1 keeps it.
+        assert!(metrics[4].mean_error_in_calm.unwrap() < metrics[3].mean_error_in_calm.unwrap());
+        let worst = |m: &Metrics| m.recovery_frames.iter().copied().max().unwrap();
+        assert!(worst(&metrics[4]) == 0 && worst(&metrics[1]) > 0 && worst(&metrics[2]) > 0);
+    }
+
+    #[test]
+    fn every_controller_sees_every_frame_and_kept_pictures_are_there() {
+        let playback = play_scripted(0.0, 1.0, None).unwrap();
+        assert!(playback.records.iter().all(|r| r.len() == 80) && playback.references.len() == 80);
+        for records in &playback.records {
+            for (i, r) in records.iter().enumerate() {
+                assert_eq!(r.image.is_some(), i == 20);
+                assert!(r.seconds > 0.0 && r.step >= 1.0 && r.step <= 16.0);
+            }
+        }
+        // The fixed controller draws what the reference is.
+        assert!(playback.records[0].iter().all(|r| r.psnr == f64::INFINITY && r.step == 1.0));
+        let again = play_scripted(0.0, 1.0, None).unwrap();
+        for (a, b) in playback.records.iter().flatten().zip(again.records.iter().flatten()) {
+            assert_eq!((a.step.to_bits(), a.seconds.to_bits()), (b.step.to_bits(), b.seconds.to_bits()));
+        }
+    }
+
+    #[test]
+    fn stopping_gives_nothing() {
+        assert!(play_scripted(0.0, 1.0, Some(7)).is_none());
+    }
+}
