@@ -1,6 +1,8 @@
-//! Steering as a command plays it: calibration, a path under several controllers, what came of it, and the report.
+//! Steering as commands play it: calibration, a path under several controllers, what came of it, and the report.
 
 pub mod calibrate;
 pub mod contenders;
+pub mod fit;
 pub mod metrics;
 pub mod play;
+pub mod report;

@@ -1,0 +1,423 @@
+//! What is written of a playback: tables, CSV, JSON, and the page.
+
+use super::contenders::ControllerKind;
+use super::fit::Candidate;
+use super::metrics::{BEST_PSNR, Metrics, SWITCH_FRAMES};
+use super::play::{DrawSettings, Playback};
+use crate::machine::Provenance;
+use crate::report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
+use anyhow::{Context, Result};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Everything that a report tells beside the playback.
+#[derive(Clone, Debug)]
+pub struct Story {
+    /// The page's title.
+    pub title: String,
+    /// The sentence below it.
+    pub lead: String,
+    /// How the target was chosen.
+    pub target: String,
+    /// The volume, for people.
+    pub volume: String,
+    /// The path, for people.
+    pub path: String,
+    /// Predictors and how they do on held-out frames.
+    pub candidates: Vec<Candidate>,
+    /// G: (step, time ratio) as sampled, and the curve.
+    pub response: (Vec<(f32, f32)>, Vec<(f32, f32)>),
+    /// Further remarks, a paragraph each.
+    pub remarks: Vec<String>,
+    /// Where the numbers come from.
+    pub provenance: Provenance,
+}
+
+fn title(name: &str) -> String {
+    ControllerKind::from_name(name).map_or(name.to_owned(), |k| k.title().to_owned())
+}
+
+/// One colour per controller throughout, whichever of them play.
+fn color(name: &str) -> usize {
+    match name {
+        "fixed" => 5,
+        "olp" => 1,
+        "pid" => 3,
+        "algorithm1" => 2,
+        "hybrid" => 0,
+        "vtk-gpu" => 4,
+        "vtk-fixed-point" => 7,
+        "vtk-js" => 6,
+        "unreal" => 4,
+        _ => 7,
+    }
+}
+
+fn percent(v: f64) -> String {
+    format!("{:.1}", 100.0 * v)
+}
+
+/// The table of figures, best values marked.
+pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("controller"),
+        Column::number("> 1.1 x target / %"),
+        Column::number("> 1.25 x target / %"),
+        Column::number("mean |t-target|/target / %"),
+        Column::number("... at switches / %"),
+        Column::number("... calm / %"),
+        Column::number("p95 / ms"),
+        Column::number("worst / ms"),
+        Column::number("recovery / frames"),
+        Column::number("PSNR / dB"),
+        Column::number("step"),
+    ]);
+    let recovery = |m: &Metrics| match m.recovery_frames.len() {
+        0 => f64::NAN,
+        n => m.recovery_frames.iter().sum::<usize>() as f64 / n as f64,
+    };
+    let or_dash = |v: Option<String>| Cell::from(v.unwrap_or_else(|| "-".into()));
+    for (name, m) in names.iter().zip(metrics) {
+        table.row(vec![
+            title(name).into(),
+            percent(m.missed_by_10_percent).into(),
+            percent(m.missed_by_25_percent).into(),
+            percent(m.mean_error).into(),
+            or_dash(m.mean_error_at_switches.map(percent)),
+            or_dash(m.mean_error_in_calm.map(percent)),
+            format!("{:.1}", m.p95_seconds * 1e3).into(),
+            format!("{:.1}", m.worst_seconds * 1e3).into(),
+            or_dash(recovery(m).is_finite().then(|| format!("{:.1}", recovery(m)))),
+            or_dash(m.mean_psnr.map(|p| format!("{p:.1}"))),
+            format!("{:.2}", m.mean_step).into(),
+        ]);
+    }
+    let mut mark = |column: usize, lowest: bool, value: &dyn Fn(&Metrics) -> f64| {
+        table.mark_best(column, &metrics.iter().map(value).collect::<Vec<_>>(), lowest);
+    };
+    mark(1, true, &|m| m.missed_by_10_percent);
+    mark(2, true, &|m| m.missed_by_25_percent);
+    mark(3, true, &|m| m.mean_error);
+    mark(4, true, &|m| m.mean_error_at_switches.unwrap_or(f64::NAN));
+    mark(5, true, &|m| m.mean_error_in_calm.unwrap_or(f64::NAN));
+    mark(6, true, &|m| m.p95_seconds);
+    mark(7, true, &|m| m.worst_seconds);
+    mark(8, true, &recovery);
+    mark(9, false, &|m| m.mean_psnr.unwrap_or(f64::NAN));
+    table
+}
+
+/// What the table's columns mean.
+pub fn table_caption() -> String {
+    format!(
+        "Best of each column in bold. \"At switches\": the {SWITCH_FRAMES} frames from each abrupt switch on; \"calm\": all others but the first {SWITCH_FRAMES}. Recovery: frames from a switch on until two in a row are on target (within a quarter, or at the end of the allowed steps), mean over the switches; 0 means the switch's own frame was. PSNR against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB."
+    )
+}
+
+fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
+    let mut out = csv::Writer::from_path(path).with_context(|| format!("cannot write {}", path.display()))?;
+    out.write_record([
+        "frame",
+        "controller",
+        "switch",
+        "target_s",
+        "predicted_s",
+        "upper_s",
+        "seconds",
+        "seconds_device",
+        "seconds_wall",
+        "seconds_cpu",
+        "step_ref",
+        "psnr_db",
+        "reference_seconds",
+        "out_of_range",
+        "reason",
+    ])?;
+    let known = |v: f64| if v.is_nan() { String::new() } else { v.to_string() };
+    let clock = |v: Option<f64>| v.map_or(String::new(), |v| v.to_string());
+    for frame in 0..playback.references.len() {
+        for (name, records) in playback.names.iter().zip(&playback.records) {
+            let r = &records[frame];
+            out.write_record([
+                frame.to_string(),
+                name.clone(),
+                u8::from(playback.switches.contains(&frame)).to_string(),
+                playback.target.to_string(),
+                known(f64::from(r.predicted)),
+                known(f64::from(r.upper)),
+                r.seconds.to_string(),
+                clock(r.measured.device),
+                clock(r.measured.wall),
+                clock(r.measured.cpu),
+                r.step.to_string(),
+                r.psnr.min(BEST_PSNR).to_string(),
+                playback.references[frame].seconds.to_string(),
+                known(f64::from(r.out_of_range)),
+                r.reason.name().to_owned(),
+            ])?;
+        }
+    }
+    out.flush().with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Value {
+    let controllers: serde_json::Map<String, Value> =
+        playback.names.iter().cloned().zip(metrics.iter().map(|m| json!(m))).collect();
+    json!({
+        "target_s": playback.target,
+        "target": story.target,
+        "frames": playback.references.len(),
+        "switches": playback.switches,
+        "volume": story.volume,
+        "path": story.path,
+        "image": { "width_px": draw.width, "height_px": draw.height, "shading": draw.shading.name(),
+            "skipping": draw.skipping.name(), "termination": draw.termination, "clock": draw.clock.name() },
+        "steps_allowed": [playback.limits.finest(), playback.limits.coarsest()],
+        "predictors": story.candidates,
+        "step_response": story.response.1,
+        "controllers": controllers,
+        "provenance": story.provenance,
+    })
+}
+
+/// Frame times as multiples of the target around the switches: per controller, the mean of |t − target| / target at
+/// each distance from a switch.
+fn around_switches(playback: &Playback, controller: usize, before: usize, after: usize) -> Vec<(f64, f64)> {
+    let played = playback.played(controller);
+    (0..=before + after)
+        .filter_map(|offset| {
+            let errors: Vec<f64> = playback
+                .switches
+                .iter()
+                .filter_map(|s| (s + offset).checked_sub(before).and_then(|i| played.get(i)))
+                .map(|p| p.error().abs())
+                .collect();
+            let n = errors.len() as f64;
+            (!errors.is_empty())
+                .then(|| (offset as f64 - before as f64, 100.0 * errors.iter().sum::<f64>() / n))
+        })
+        .collect()
+}
+
+fn with_switches(mut chart: Chart, switches: &[usize]) -> Chart {
+    for (i, s) in switches.iter().enumerate() {
+        let text = if switches.len() <= 8 { format!("switch {}", i + 1) } else { String::new() };
+        chart = chart.rule(Rule::Vertical(*s as f64, text));
+    }
+    chart
+}
+
+fn per_controller(mut chart: Chart, playback: &Playback, mark: impl Fn(usize) -> Mark) -> Chart {
+    for (c, name) in playback.names.iter().enumerate() {
+        chart = chart.series(Series::new(title(name), mark(c)).color(color(name)));
+    }
+    chart
+}
+
+/// The page.
+///
+/// # Errors
+/// When a picture cannot be encoded.
+pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Result<Page> {
+    let frames = playback.references.len();
+    let numbered = |c: usize, f: &dyn Fn(usize) -> f64| -> Vec<(f64, f64)> {
+        (0..playback.records[c].len()).map(|i| (i as f64, f(i))).collect()
+    };
+    let mut page = Page::new(story.title.clone(), &story.lead);
+    page.table(&table(&playback.names, metrics), &table_caption());
+
+    let chart =
+        Chart::new("Frame time", Axis::linear("frame"), Axis::log("frame time / ms")).size(900.0, 380.0);
+    let chart = with_switches(chart, &playback.switches)
+        .rule(Rule::Horizontal(playback.target * 1e3, "target".into()))
+        .series(
+            Series::new(
+                "reference step (not raced)",
+                Mark::Band(
+                    playback
+                        .references
+                        .iter()
+                        .enumerate()
+                        .map(|(i, r)| (i as f64, playback.target.min(r.seconds) * 1e3, r.seconds * 1e3))
+                        .collect(),
+                ),
+            )
+            .color(6),
+        );
+    let chart = per_controller(chart, playback, |c| {
+        Mark::Line(numbered(c, &|i| playback.records[c][i].seconds * 1e3))
+    });
+    page.chart(
+        &chart,
+        "Measured time of every frame under every controller. The shaded area reaches from the target to what the frame costs at the reference step: what there is to save. All controllers draw the same frame before the next one begins, in rotating order.",
+    );
+
+    if !playback.switches.is_empty() {
+        let chart = Chart::new(
+            "Error around switches",
+            Axis::linear("frames since the switch"),
+            Axis::linear("mean |t - target| / target / %").from(0.0),
+        )
+        .size(900.0, 300.0)
+        .rule(Rule::Vertical(0.0, "switch".into()));
+        let chart = per_controller(chart, playback, |c| Mark::Line(around_switches(playback, c, 3, 10)));
+        page.chart(
+            &chart,
+            "Mean over the switches. What reacts sees a switch one frame late; what predicts plans its first frame already.",
+        );
+    }
+
+    let chart =
+        Chart::new("Ray step", Axis::linear("frame"), Axis::log("step / reference steps")).size(900.0, 300.0);
+    let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
+        Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].step)))
+    });
+    page.chart(&chart, "The step that each controller chose: coarser is faster and less exact.");
+
+    let chart =
+        Chart::new("Picture quality", Axis::linear("frame"), Axis::linear("PSNR / dB")).size(900.0, 300.0);
+    let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
+        Mark::Line(numbered(c, &|i| playback.records[c][i].psnr.min(60.0)))
+    });
+    page.chart(&chart, "Likeness to the picture at the reference step; over 60 dB drawn as 60.");
+
+    page.heading("Predictions");
+    let mut predictors = Table::new(vec![
+        Column::text("predictor"),
+        Column::number("held-out frames"),
+        Column::number("median error / %"),
+        Column::number("p95 error / %"),
+        Column::number("scatter of ln t"),
+        Column::text("steers"),
+    ]);
+    for c in &story.candidates {
+        predictors.row(vec![
+            c.title.clone().into(),
+            c.held_out.frames.to_string().into(),
+            percent(c.held_out.median_error).into(),
+            percent(c.held_out.p95_error).into(),
+            format!("{:.3}", c.held_out.log_sd).into(),
+            if c.chosen { "yes" } else { "" }.into(),
+        ]);
+    }
+    if !story.candidates.is_empty() {
+        page.table(
+            &predictors,
+            "Fitted to random frames of this volume on this machine, judged by others that were held out. None shows a transfer function of the path.",
+        );
+    }
+    let predicting: Vec<usize> = (0..playback.names.len())
+        .filter(|c| matches!(playback.names[*c].as_str(), "algorithm1" | "hybrid"))
+        .collect();
+    if !predicting.is_empty() {
+        let mut chart =
+            Chart::new("Predicted and measured", Axis::log("measured / ms"), Axis::log("predicted / ms"))
+                .size(900.0, 340.0)
+                .rule(Rule::Diagonal(String::new()));
+        for c in predicting {
+            let points = playback.records[c]
+                .iter()
+                .filter(|r| r.predicted.is_finite())
+                .map(|r| (r.seconds * 1e3, f64::from(r.predicted) * 1e3, String::new()))
+                .collect();
+            let name = &playback.names[c];
+            chart = chart.series(Series::new(title(name), Mark::Points(points)).color(color(name)));
+        }
+        page.chart(
+            &chart,
+            "Every frame that was predicted before it was drawn; the dashed line is equality.",
+        );
+    }
+    let (samples, curve) = &story.response;
+    if !curve.is_empty() {
+        let wide = |p: &(f32, f32)| (f64::from(p.0), f64::from(p.1));
+        let chart = Chart::new(
+            "G: what a coarser step saves",
+            Axis::log("step / reference steps"),
+            Axis::log("time / time at the reference step"),
+        )
+        .size(900.0, 300.0)
+        .series(
+            Series::new(
+                "calibration scenes",
+                Mark::Points(samples.iter().map(wide).map(|(x, y)| (x, y, String::new())).collect()),
+            )
+            .color(6),
+        )
+        .series(
+            Series::new("G (median, never rising)", Mark::Line(curve.iter().map(wide).collect())).color(0),
+        );
+        page.chart(
+            &chart,
+            "Algorithm 1 and OLP use this one curve for all scenes. How far the scenes scatter about it is what that costs them; the hybrid predicts each scene's own curve.",
+        );
+    }
+
+    if playback.references.iter().any(|r| r.image.is_some()) {
+        page.heading("Pictures");
+    }
+    for (frame, reference) in playback.references.iter().enumerate() {
+        let Some(image) = &reference.image else { continue };
+        let what = match playback.switches.iter().position(|s| *s == frame) {
+            Some(i) => format!("Frame {frame}, the first of switch {}:", i + 1),
+            None => format!("Frame {frame} of {frames}:"),
+        };
+        page.paragraph(&what);
+        let mut pictures =
+            vec![(encode_png(image)?, format!("reference step, {:.1} ms", reference.seconds * 1e3))];
+        for (name, records) in playback.names.iter().zip(&playback.records) {
+            let r = &records[frame];
+            if let Some(image) = &r.image {
+                let likeness = if r.psnr >= BEST_PSNR { "equal".into() } else { format!("{:.1} dB", r.psnr) };
+                pictures.push((
+                    encode_png(image)?,
+                    format!("{}: step {:.2}, {:.1} ms, {likeness}", title(name), r.step, r.seconds * 1e3),
+                ));
+            }
+        }
+        page.pictures(pictures.iter().map(|(png, caption)| (png.as_slice(), caption.clone())));
+    }
+
+    page.heading("Where this comes from");
+    for remark in &story.remarks {
+        page.paragraph(remark);
+    }
+    let mut facts = vec![
+        ("Volume", story.volume.clone()),
+        ("Path", story.path.clone()),
+        ("Target", story.target.clone()),
+        (
+            "Frames",
+            format!(
+                "{} x {} pixels, shading {}, skipping {}, rays end at opacity {}, steps {} to {}, clock: {}",
+                draw.width,
+                draw.height,
+                draw.shading.name(),
+                draw.skipping.name(),
+                draw.termination,
+                playback.limits.finest(),
+                playback.limits.coarsest(),
+                draw.clock.name()
+            ),
+        ),
+    ];
+    facts.extend(story.provenance.facts());
+    page.facts(facts);
+    Ok(page)
+}
+
+/// Writes `frames.csv`, `summary.json` and `report.html` into a folder, which is made where it does not exist.
+///
+/// # Errors
+/// When a file cannot be written; names it.
+pub fn write(folder: &Path, story: &Story, draw: &DrawSettings, playback: &Playback) -> Result<Vec<Metrics>> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    let metrics = playback.metrics();
+    write_csv(&folder.join("frames.csv"), playback)?;
+    let text = serde_json::to_string_pretty(&summary(story, draw, playback, &metrics))? + "\n";
+    let json = folder.join("summary.json");
+    std::fs::write(&json, text).with_context(|| format!("cannot write {}", json.display()))?;
+    page(story, draw, playback, &metrics)?.write(&folder.join("report.html"))?;
+    Ok(metrics)
+}
