@@ -1,8 +1,8 @@
 //! Which renderer a command uses.
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::ValueEnum;
-use entire_vk_raycaster::{CpuRaycaster, Renderer};
+use entire_vk_raycaster::{CpuRaycaster, Renderer, VulkanOptions, VulkanRaycaster};
 
 /// What renders.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -16,18 +16,21 @@ pub enum Device {
     Cpu,
 }
 
-/// Opens a renderer. Falling back to the CPU twin is said on standard error.
+/// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). Falling back to
+/// the CPU twin is said on standard error.
 ///
 /// # Errors
 /// When Vulkan was asked for and there is none; says how to get a driver.
 pub fn open(device: Device) -> Result<Box<dyn Renderer>> {
-    match device {
-        Device::Cpu => Ok(Box::new(CpuRaycaster::new())),
-        Device::Vulkan | Device::Auto => {
-            let missing = "the Vulkan raycaster is not part of this build";
-            anyhow::ensure!(device == Device::Auto, "{missing}; use --device cpu");
-            eprintln!("note: {missing}: the CPU twin renders");
+    if device == Device::Cpu {
+        return Ok(Box::new(CpuRaycaster::new()));
+    }
+    match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
+        Ok(renderer) => Ok(Box::new(renderer)),
+        Err(error) if device == Device::Auto => {
+            eprintln!("note: {error}; the CPU twin renders instead");
             Ok(Box::new(CpuRaycaster::new()))
         }
+        Err(error) => Err(error).context("cannot open a Vulkan device (--device cpu needs none)"),
     }
 }

@@ -1,12 +1,216 @@
 //! `entire steer`: play a path against a target frame time under several controllers.
 
-use anyhow::Result;
+use crate::commands::collect::{ShadeOption, SkipOption};
+use crate::dataset::Clock;
+use crate::device::{self, Device};
+use crate::enlarge::enlarge;
+use crate::interrupt;
+use crate::machine::Provenance;
+use crate::path::{FlightPath, Generated, parse_target};
+use crate::steering::contenders::ControllerKind;
+use crate::steering::play::DrawSettings;
+use crate::steering::race::{Race, prepare, run as play};
+use crate::steering::report::{Story, table, write};
+use crate::volume::Volume;
+use anyhow::{Context, Result, bail, ensure};
+use entire_core::control::StepLimits;
+use entire_core::scene::MAX_IMAGE_SIDE;
+use std::path::PathBuf;
 
 /// Play a path against a target frame time under several controllers.
+///
+/// First some random frames of the volume are rendered to fit the predictor to this machine and to measure G, the
+/// saving of a coarser step. Then the path is played: every frame is drawn under every controller before the next one
+/// begins, in rotating order, beside a reference picture outside of the race. DIR gets frames.csv (every frame under
+/// every controller), summary.json and report.html.
 #[derive(Debug, clap::Args)]
-pub struct Options {}
+#[command(after_help = "Examples:
+  entire steer data/nyx_cosmology/m01/t0010.nrrd --generate switches --target 30fps --out out/steer
+  entire steer skull.nrrd --path examples/paths/switches.json --target 33ms --controllers olp,hybrid --out out/skull")]
+pub struct Options {
+    /// The volume file.
+    #[arg(value_name = "VOLUME")]
+    pub volume: PathBuf,
+    /// The path file to play (JSON; the format is documented with the examples in examples/paths).
+    #[arg(long, value_name = "FILE.json", conflicts_with = "generate", required_unless_present = "generate")]
+    pub path: Option<PathBuf>,
+    /// Make a path that fits the volume instead.
+    #[arg(long, value_enum)]
+    pub generate: Option<Generated>,
+    /// Frames of a generated path.
+    #[arg(long, default_value_t = 120, value_name = "N", conflicts_with = "path")]
+    pub frames: u32,
+    /// Write the generated path to a file as well.
+    #[arg(long, value_name = "FILE.json", requires = "generate")]
+    pub save_path: Option<PathBuf>,
+    /// Time that frames should not exceed: 33ms, 0.033s or 30fps.
+    #[arg(long, value_name = "TIME")]
+    pub target: String,
+    /// Who plays.
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        default_values_t = [
+            ControllerKind::Fixed, ControllerKind::Olp, ControllerKind::Pid, ControllerKind::Algorithm1,
+            ControllerKind::Hybrid,
+        ],
+        value_name = "NAME,…"
+    )]
+    pub controllers: Vec<ControllerKind>,
+    /// Random scenes that are rendered first, at six steps each, to fit the predictor and measure G.
+    #[arg(long, default_value_t = 32, value_name = "N")]
+    pub calibrate: usize,
+    /// How often each calibration frame is rendered; the median counts.
+    #[arg(long, default_value_t = 1, value_name = "R")]
+    pub repeats: usize,
+    /// Folder for the results.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Image size, pixels.
+    #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
+    pub size: (u32, u32),
+    /// What each sample computes.
+    #[arg(long, value_enum, default_value_t)]
+    pub shade: ShadeOption,
+    /// How empty space is skipped.
+    #[arg(long, value_enum, default_value_t)]
+    pub skip: SkipOption,
+    /// Accumulated opacity at which a ray stops; 1 for never.
+    #[arg(long, default_value_t = 0.99, value_name = "OPACITY")]
+    pub termination: f32,
+    /// What renders.
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+    /// Which clock counts.
+    #[arg(long, value_enum, default_value_t)]
+    pub clock: Clock,
+    /// Finest and coarsest step that may be chosen, reference steps.
+    #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
+    pub limits: (f32, f32),
+    /// The fixed controller's step; else the one that G says the median calibration scene needs.
+    #[arg(long, value_name = "STEP")]
+    pub fixed_step: Option<f32>,
+    /// Enlarge the volume by this factor at load, trilinearly.
+    #[arg(long, default_value_t = 1, value_name = "FACTOR")]
+    pub enlarge: usize,
+    /// Seed of the calibration scenes.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Frames whose pictures go into the report, beside those of switches.
+    #[arg(long, value_delimiter = ',', value_name = "FRAME,…")]
+    pub pictures: Vec<usize>,
+}
+
+/// Reads `WxH`.
+pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
+    let wrong = || format!("{text:?} is not WIDTHxHEIGHT with sides of 1 to {MAX_IMAGE_SIDE} pixels");
+    let (w, h) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
+    match (w.trim().parse(), h.trim().parse()) {
+        (Ok(w), Ok(h)) if (1..=MAX_IMAGE_SIDE).contains(&w) && (1..=MAX_IMAGE_SIDE).contains(&h) => {
+            Ok((w, h))
+        }
+        _ => Err(wrong()),
+    }
+}
+
+fn parse_limits(text: &str) -> std::result::Result<(f32, f32), String> {
+    let pair = text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    pair.ok_or_else(|| format!("{text:?} is not two numbers like 1,16"))
+}
 
 /// Runs the command.
-pub fn run(_options: &Options) -> Result<()> {
-    anyhow::bail!("`entire steer` is not there yet")
+///
+/// # Errors
+/// Bad options or files, a device that fails, interruption.
+pub fn run(options: &Options) -> Result<()> {
+    let target = parse_target(&options.target)?;
+    let limits = StepLimits::new(options.limits.0, options.limits.1)?;
+    ensure!(!options.controllers.is_empty(), "--controllers names nobody");
+    for (i, kind) in options.controllers.iter().enumerate() {
+        ensure!(!options.controllers[..i].contains(kind), "--controllers names {} twice", kind.name());
+    }
+    ensure!(
+        options.calibrate >= 8 && options.repeats >= 1,
+        "--calibrate is {} and --repeats {}; at least 8 scenes, rendered at least once, are needed",
+        options.calibrate,
+        options.repeats
+    );
+    let draw = DrawSettings {
+        width: options.size.0,
+        height: options.size.1,
+        shading: options.shade.into(),
+        skipping: options.skip.into(),
+        termination: options.termination,
+        clock: options.clock,
+    };
+    let shown = options.volume.display().to_string();
+    let volume = Volume::open(&options.volume)?;
+    let volume = if options.enlarge == 1 { volume } else { enlarge(&volume, options.enlarge)? };
+    let view = volume.view();
+    let (path, path_name) = match (&options.path, options.generate) {
+        (Some(file), _) => {
+            let path = FlightPath::open(file)?;
+            let name = format!("{} ({})", path.name, file.display());
+            (path, name)
+        }
+        (None, Some(kind)) => {
+            let file = kind.path(&view, options.frames)?;
+            if let Some(to) = &options.save_path {
+                std::fs::write(to, serde_json::to_string_pretty(&file)? + "\n")
+                    .with_context(|| format!("cannot write {}", to.display()))?;
+            }
+            (file.resolve()?, format!("{} (generated, {} frames)", kind.name(), options.frames))
+        }
+        (None, None) => bail!("give --path or --generate"),
+    };
+    let stop = interrupt::flag()?;
+    let stop = || interrupt::requested(&stop);
+    let mut renderer = device::open(options.device)?;
+    let seed_name = volume.name().to_owned();
+    let race = Race {
+        volume: &view,
+        seed_name: &seed_name,
+        seed: options.seed,
+        draw,
+        calibration: (options.calibrate, options.repeats),
+        limits,
+        controllers: &options.controllers,
+        fixed_step: options.fixed_step,
+        target: Some(target),
+    };
+    const INTERRUPTED: &str = "interrupted; nothing was written";
+    let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
+    let mut keep = path.switches();
+    keep.extend(&options.pictures);
+    let playback = play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
+    let story = Story {
+        title: "Steering a frame time".into(),
+        lead: format!(
+            "{shown}, path {}: {} frames against {:.1} ms under {} controllers.",
+            path.name,
+            path.frames.len(),
+            target * 1e3,
+            options.controllers.len()
+        ),
+        target: format!("{:.2} ms, as asked for ({})", target * 1e3, options.target),
+        volume: describe(&shown, &volume, options.enlarge),
+        path: path_name,
+        candidates: prepared.candidates.clone(),
+        response: prepared.response_points(),
+        remarks: Vec::new(),
+        provenance: Provenance::of(renderer.device()),
+    };
+    let metrics = write(&options.out, &story, &draw, &playback)?;
+    println!("{}", table(&playback.names, &metrics).to_text());
+    println!("* best of the column. Report: {}", options.out.join("report.html").display());
+    Ok(())
+}
+
+/// A volume for people: file, sizes, enlargement.
+pub fn describe(shown: &str, volume: &Volume, factor: usize) -> String {
+    let [x, y, z] = volume.dims();
+    let enlarged =
+        if factor == 1 { String::new() } else { format!(", enlarged trilinearly x{factor} at load") };
+    format!("{shown}: {x} x {y} x {z} voxels{enlarged}")
 }

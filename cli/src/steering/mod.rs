@@ -5,4 +5,5 @@ pub mod contenders;
 pub mod fit;
 pub mod metrics;
 pub mod play;
+pub mod race;
 pub mod report;

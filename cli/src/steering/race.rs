@@ -1,0 +1,178 @@
+//! A whole race: calibrate, choose a target, play a path under every controller.
+
+use super::calibrate::{Sample, measure, response, response_pairs};
+use super::contenders::{ControllerKind, contender};
+use super::fit::{Calibrated, Candidate};
+use super::play::{Contender, DrawSettings, Playback, Task, play};
+use crate::commands::collect::progress_bar;
+use crate::dataset::median;
+use crate::path::FlightPath;
+use crate::scenes::SceneDistribution;
+use anyhow::{Context, Result};
+use entire_core::adapt::Prior;
+use entire_core::control::{StepLimits, StepResponse};
+use entire_core::features::{SummaryOptions, VolumeSummary};
+use entire_core::scene::VolumeView;
+use entire_vk_raycaster::Renderer;
+
+/// What is raced.
+#[derive(Clone, Debug)]
+pub struct Race<'a> {
+    /// The volume.
+    pub volume: &'a VolumeView<'a>,
+    /// The name under which random calibration scenes are drawn.
+    pub seed_name: &'a str,
+    /// Seed of calibration scenes and training.
+    pub seed: u64,
+    /// How frames are drawn.
+    pub draw: DrawSettings,
+    /// Calibration scenes, and how often each is rendered at each step.
+    pub calibration: (usize, usize),
+    /// Steps that may be chosen.
+    pub limits: StepLimits,
+    /// Who races.
+    pub controllers: &'a [ControllerKind],
+    /// The fixed controller's step; `None` for what G says of the median calibration scene.
+    pub fixed_step: Option<f32>,
+    /// Seconds that frames should not exceed; `None` to choose by [`sane_target`].
+    pub target: Option<f64>,
+}
+
+/// What calibration gave.
+#[derive(Clone, Debug)]
+pub struct Prepared {
+    /// The volume's summary.
+    pub summary: VolumeSummary,
+    /// Every rendering.
+    pub samples: Vec<Sample>,
+    /// G.
+    pub response: StepResponse,
+    /// Fitted predictors.
+    pub candidates: Vec<Candidate>,
+    /// What a controller may take as known of the chosen one.
+    pub prior: Prior,
+    /// Seconds that frames should not exceed.
+    pub target: f64,
+    /// How that was chosen; empty where it was given.
+    pub target_reason: String,
+    /// The fixed controller's step.
+    pub fixed_step: f32,
+}
+
+impl Prepared {
+    /// (step, time ratio) as sampled, and G's points.
+    pub fn response_points(&self) -> (Vec<(f32, f32)>, Vec<(f32, f32)>) {
+        (response_pairs(&self.samples), self.response.points().collect())
+    }
+
+    /// The predictor that steers.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn chosen(&self) -> Result<&Candidate> {
+        self.candidates.iter().find(|c| c.chosen).context("no predictor was fitted")
+    }
+}
+
+/// Times of the calibration scenes at a step, ascending.
+fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
+    let mut times: Vec<f64> = samples.iter().filter(|s| s.setting.step == step).map(|s| s.seconds).collect();
+    times.sort_by(f64::total_cmp);
+    times
+}
+
+/// A target under which the step matters: the lower quartile of the calibration scenes' times at the reference step,
+/// so that three scenes in four must be drawn coarser.
+pub fn sane_target(samples: &[Sample]) -> Option<f64> {
+    let times = times_at(samples, 1.0);
+    times.get(times.len() / 4).copied()
+}
+
+/// Renders calibration scenes, fits the predictors, and works out target and fixed step.
+///
+/// Answers `None` when `stop` said so.
+///
+/// # Errors
+/// When the renderer fails or there are too few scenes.
+pub fn prepare(
+    race: &Race<'_>,
+    renderer: &mut dyn Renderer,
+    stop: &dyn Fn() -> bool,
+) -> Result<Option<Prepared>> {
+    let summary = VolumeSummary::new(race.volume, SummaryOptions::default())?;
+    let bar = progress_bar("calibrate");
+    let samples = measure(
+        race.volume,
+        &summary,
+        &race.draw,
+        &SceneDistribution::default(),
+        (race.seed, race.seed_name),
+        race.calibration,
+        renderer,
+        stop,
+        &bar,
+    );
+    bar.finish_and_clear();
+    let Some(samples) = samples? else { return Ok(None) };
+    let response = response(&samples)?;
+    let calibrated = Calibrated::fit(&samples, race.seed)?;
+    let (target, target_reason) = match race.target {
+        Some(target) => (target, String::new()),
+        None => (
+            sane_target(&samples).context("no calibration scene was timed")?,
+            "the lower quartile of the calibration scenes' times at the reference step".to_owned(),
+        ),
+    };
+    let typical = median(&mut times_at(&samples, 1.0)).unwrap_or(target);
+    let fixed_step =
+        race.fixed_step.unwrap_or_else(|| race.limits.clamp(response.step_ratio((target / typical) as f32)));
+    let prior = calibrated.prior();
+    Ok(Some(Prepared {
+        summary,
+        samples,
+        response,
+        candidates: calibrated.candidates,
+        prior,
+        target,
+        target_reason,
+        fixed_step,
+    }))
+}
+
+/// Plays the path.
+///
+/// Answers `None` when `stop` said so.
+///
+/// # Errors
+/// When the renderer or a prediction fails.
+pub fn run(
+    race: &Race<'_>,
+    prepared: &Prepared,
+    path: &FlightPath,
+    keep: &[usize],
+    renderer: &mut dyn Renderer,
+    stop: &dyn Fn() -> bool,
+) -> Result<Option<Playback>> {
+    let chosen = prepared.chosen()?;
+    let mut contenders: Vec<Contender> = race
+        .controllers
+        .iter()
+        .map(|kind| {
+            let predictor = chosen.fitted.predictor()?;
+            Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, prepared.prior))
+        })
+        .collect::<Result<_>>()?;
+    let task = Task {
+        volume: race.volume,
+        summary: &prepared.summary,
+        volume_features: None,
+        path,
+        target: prepared.target,
+        limits: race.limits,
+        keep,
+    };
+    let bar = progress_bar("play");
+    let playback = play(&task, &race.draw, renderer, &mut contenders, stop, &bar);
+    bar.finish_and_clear();
+    playback
+}
