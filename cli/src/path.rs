@@ -490,19 +490,19 @@ impl Values {
         )
     }
 
-    /// An opaque surface: rays end early.
+    /// Surfaces of the denser half: rays end early.
     fn shell(&self) -> Transfer {
-        self.lobes([(0.7, 0.004, 0.5), (0.85, 0.004, 0.6), (0.97, 0.01, 0.8)])
+        self.lobes([(0.7, 0.004, 0.1), (0.85, 0.004, 0.15), (0.97, 0.01, 0.3)])
     }
 
     /// A thin haze over everything: rays go all the way.
     fn haze(&self) -> Transfer {
-        self.lobes([(0.2, 0.02, 0.004), (0.5, 0.02, 0.006), (0.9, 0.01, 0.02)])
+        self.lobes([(0.2, 0.01, 0.002), (0.5, 0.01, 0.003), (0.9, 0.005, 0.01)])
     }
 
     /// The highest values alone: much to skip.
     fn core(&self) -> Transfer {
-        self.lobes([(0.97, 0.0006, 0.3), (0.985, 0.0006, 0.6), (0.998, 0.001, 0.9)])
+        self.lobes([(0.99, 0.0003, 0.3), (0.995, 0.0003, 0.6), (0.999, 0.0005, 0.9)])
     }
 
     /// A translucent layer around a denser one.

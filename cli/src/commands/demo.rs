@@ -1,12 +1,320 @@
 //! `entire demo`: calibrate, explore and report: the main job, end to end.
 
-use anyhow::Result;
+use crate::commands::collect::{ShadeOption, SkipOption};
+use crate::commands::steer::{describe, parse_size};
+use crate::dataset::Clock;
+use crate::device::{self, Device};
+use crate::enlarge::enlarge;
+use crate::interrupt;
+use crate::machine::{self, Provenance};
+use crate::path::Generated;
+use crate::steering::contenders::ControllerKind;
+use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
+use crate::steering::play::DrawSettings;
+use crate::steering::race::{Race, prepare, run as play};
+use crate::steering::report::{Story, table, write};
+use crate::volume::Volume;
+use anyhow::{Context, Result, ensure};
+use entire_core::control::StepLimits;
+use entire_core::scene::{Arcball, Camera, VolumeView};
+use entire_vk_raycaster::Renderer;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// The volume that is taken where none is given, from the project's root.
+pub const DEFAULT_VOLUME: &str = "data/nyx_cosmology/m01/t0010.nrrd";
+
+/// Volumes with fewer voxels are enlarged by 2 along every axis, so that their frames cost something.
+const SMALL_VOLUME: u64 = 160 * 160 * 160;
+
+/// Seconds that all rendering may take; images are made smaller where they would take longer.
+const RENDERING_BUDGET: f64 = 150.0;
+
+/// Smallest image side that the budget may lead to, pixels.
+const SMALLEST_SIDE: u32 = 96;
+
+const CONTROLLERS: [ControllerKind; 5] = [
+    ControllerKind::Fixed,
+    ControllerKind::Olp,
+    ControllerKind::Pid,
+    ControllerKind::Algorithm1,
+    ControllerKind::Hybrid,
+];
 
 /// Calibrate, explore and report: the main job, end to end.
+///
+/// Renders calibration frames of the volume, fits a predictor to this machine, plays an exploration with three abrupt
+/// transfer-function switches under five controllers (fixed step, OLP, PID, Algorithm 1, ours), prints how well each
+/// held the target frame time, and writes a report. Takes a few minutes on two cores.
 #[derive(Debug, clap::Args)]
-pub struct Options {}
+#[command(after_help = "Examples:
+  entire demo
+  entire demo skull.nii.gz --out out/skull")]
+pub struct Options {
+    /// The volume file; a step of a cosmology simulation where none is given.
+    #[arg(value_name = "VOLUME")]
+    pub volume: Option<PathBuf>,
+    /// Folder for report.html, frames.csv, summary.json, path.json and model.safetensors.
+    #[arg(long, default_value = "out/demo", value_name = "DIR")]
+    pub out: PathBuf,
+    /// Image size, pixels; smaller where rendering would take too long.
+    #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
+    pub size: (u32, u32),
+    /// Frames of the exploration.
+    #[arg(long, default_value_t = 120, value_name = "N")]
+    pub frames: u32,
+    /// Random scenes rendered to calibrate, at six steps each.
+    #[arg(long, default_value_t = 48, value_name = "N")]
+    pub calibrate: usize,
+    /// What each sample computes.
+    #[arg(long, value_enum, default_value_t)]
+    pub shade: ShadeOption,
+    /// How empty space is skipped.
+    #[arg(long, value_enum, default_value_t)]
+    pub skip: SkipOption,
+    /// What renders.
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+    /// Which clock counts. `auto` is the device's, or the process's CPU time where software renders on a busy machine.
+    #[arg(long, value_enum, default_value_t)]
+    pub clock: Clock,
+    /// Enlarge the volume by this factor at load, trilinearly; else 2 for small volumes, 1 for others.
+    #[arg(long, value_name = "FACTOR")]
+    pub enlarge: Option<usize>,
+    /// Seed of the calibration scenes.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}
+
+/// The clock that `auto` stands for: on a machine with over twice as much to do as it has cores, a software renderer's
+/// elapsed time tells more of the others' work than of its own.
+fn choose_clock(clock: Clock, renderer: &dyn Renderer) -> (Clock, Option<String>) {
+    let device = renderer.device().to_ascii_lowercase();
+    let software = renderer.backend() == "cpu"
+        || ["llvmpipe", "lavapipe", "swiftshader"].iter().any(|s| device.contains(s));
+    match machine::load_average() {
+        Some([load, _, _]) if clock == Clock::Auto && software && load > 2.0 * machine::cores() as f64 => {
+            let why = format!(
+                "The machine is busy (load {load:.1} on {} cores): frame times are this process's CPU time, all threads, not elapsed time.",
+                machine::cores()
+            );
+            (Clock::Cpu, Some(why))
+        }
+        _ => (clock, None),
+    }
+}
+
+/// Shrinks the image until all rendering fits the budget, judged by one frame that stands for the mean.
+fn fit_size(
+    mut draw: DrawSettings,
+    view: &VolumeView<'_>,
+    renderings: f64,
+    renderer: &mut dyn Renderer,
+) -> Result<DrawSettings> {
+    let transfer = Generated::Switches.path(view, 8)?.resolve()?.frames[3].transfer.function().to_table()?;
+    renderer.set_volume(view)?;
+    renderer.set_transfer(&transfer)?;
+    let camera = Camera::from_arcball(Arcball { rx: 15.0, ry: 30.0, dz: 2.2 })?;
+    let frame = draw.frame(camera)?.with_step(2.0)?;
+    renderer.render(&frame)?;
+    let begin = Instant::now();
+    renderer.render(&frame)?;
+    let seconds = begin.elapsed().as_secs_f64() * renderings;
+    if seconds > RENDERING_BUDGET {
+        let scale = (RENDERING_BUDGET / seconds).sqrt();
+        let side = |n: u32| ((f64::from(n) * scale / 8.0).round() as u32 * 8).clamp(SMALLEST_SIDE.min(n), n);
+        (draw.width, draw.height) = (side(draw.width), side(draw.height));
+    }
+    Ok(draw)
+}
+
+/// What the run shows of prediction against reaction at switches, in a sentence.
+fn verdict(names: &[String], metrics: &[Metrics]) -> String {
+    let at = |name: &str| {
+        let i = names.iter().position(|n| n == name)?;
+        Some(100.0 * metrics[i].mean_error_at_switches?)
+    };
+    let (Some(hybrid), Some(algorithm1), Some(olp), Some(pid)) =
+        (at("hybrid"), at("algorithm1"), at("olp"), at("pid"))
+    else {
+        return String::new();
+    };
+    let (predicting, reacting) = (hybrid.min(algorithm1), olp.min(pid));
+    let outcome = if hybrid < reacting && algorithm1 < reacting {
+        "prediction beat reaction"
+    } else if predicting < reacting {
+        "one of the two predicting controllers beat reaction, the other did not"
+    } else {
+        "prediction did not beat reaction in this run"
+    };
+    format!(
+        "In the {SWITCH_FRAMES} frames from each abrupt switch on, frames were off the target by {hybrid:.0} % (hybrid) and {algorithm1:.0} % (Algorithm 1) on average, against {olp:.0} % (OLP) and {pid:.0} % (PID): {outcome}."
+    )
+}
 
 /// Runs the command.
-pub fn run(_options: &Options) -> Result<()> {
-    anyhow::bail!("`entire demo` is not there yet")
+///
+/// # Errors
+/// A volume that cannot be read, a device that fails, interruption.
+pub fn run(options: &Options) -> Result<()> {
+    let begin = Instant::now();
+    let file = match &options.volume {
+        Some(file) => file.clone(),
+        None => {
+            let file = PathBuf::from(DEFAULT_VOLUME);
+            ensure!(
+                file.is_file(),
+                "{DEFAULT_VOLUME} is not here; run this in the project's root, or give a volume file"
+            );
+            file
+        }
+    };
+    ensure!(options.calibrate >= 8, "--calibrate is {}; at least 8 scenes are needed", options.calibrate);
+    let shown = file.display().to_string();
+    let volume = Volume::open(&file)?;
+    let factor = options.enlarge.unwrap_or(if volume.view().voxels() < SMALL_VOLUME { 2 } else { 1 });
+    let volume = if factor == 1 { volume } else { enlarge(&volume, factor)? };
+    let view = volume.view();
+    let described = describe(&shown, &volume, factor);
+    println!("volume     {described}");
+    let path_file = Generated::Switches.path(&view, options.frames)?;
+    let path = path_file.resolve()?;
+
+    let stop = interrupt::flag()?;
+    let stop = || interrupt::requested(&stop);
+    let mut renderer = device::open(options.device)?;
+    println!("renderer   {} ({})", renderer.device(), renderer.backend());
+    let (clock, busy) = choose_clock(options.clock, renderer.as_ref());
+    if let Some(busy) = &busy {
+        println!("clock      {busy}");
+    }
+    let asked = DrawSettings {
+        width: options.size.0,
+        height: options.size.1,
+        shading: options.shade.into(),
+        skipping: options.skip.into(),
+        termination: 0.99,
+        clock,
+    };
+    let renderings = (7 * options.calibrate + (CONTROLLERS.len() + 1) * options.frames as usize) as f64;
+    let draw = fit_size(asked, &view, renderings, renderer.as_mut())?;
+    let shrunk = draw != asked;
+    println!(
+        "images     {} x {} pixels{}",
+        draw.width,
+        draw.height,
+        if shrunk { ", made smaller so that the demo ends in time" } else { "" }
+    );
+    let seed_name = volume.name().to_owned();
+    let race = Race {
+        volume: &view,
+        seed_name: &seed_name,
+        seed: options.seed,
+        draw,
+        calibration: (options.calibrate, 1),
+        limits: StepLimits::new(1.0, 16.0)?,
+        controllers: &CONTROLLERS,
+        fixed_step: None,
+        target: None,
+        model: None,
+    };
+    const INTERRUPTED: &str = "interrupted; nothing was written";
+    let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
+    println!("calibrated {} renderings of {} random scenes", prepared.samples.len(), options.calibrate);
+    for c in &prepared.candidates {
+        println!(
+            "           {}: median error {:.1} %, p95 {:.1} % on {} held-out frames{}",
+            c.title,
+            100.0 * c.held_out.median_error,
+            100.0 * c.held_out.p95_error,
+            c.held_out.frames,
+            if c.chosen { "; it steers" } else { "" }
+        );
+    }
+    let target = format!("{:.1} ms: {}", prepared.target * 1e3, prepared.target_reason);
+    println!("target     {target}");
+    println!("fixed step {:.2}, what the median calibration scene needs for the target", prepared.fixed_step);
+
+    let keep = path.switches();
+    let playback = play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
+    let verdict = verdict(&playback.names, &playback.metrics());
+    let mut remarks = vec![
+        "Every frame was drawn under every controller before the next one began, in rotating order, so that whatever else the machine did hit all of them alike. The picture at the reference step was drawn beside them, outside of the race. Changes of the transfer function are not part of frame times.".to_owned(),
+        format!(
+            "The fixed step ({:.2}) is the one that the median calibration scene needs for the target. OLP takes the mean of the last three frames, brought to the reference step by G; PID has the gains 0.3, 0.05, 0.1; Algorithm 1 sends the prediction at the reference step through G; the hybrid predicts every step, corrects the prediction by what it observed, and keeps a margin.",
+            prepared.fixed_step
+        ),
+    ];
+    if factor != 1 {
+        remarks.push(format!("The volume was enlarged trilinearly by {factor} along every axis at load, so that its frames cost what larger volumes' do."));
+    }
+    remarks.extend(busy);
+    let story = Story {
+        title: "Holding a frame time".into(),
+        lead: verdict.clone(),
+        target,
+        volume: described,
+        path: format!(
+            "{} frames on an orbit, abrupt transfer-function switches at frames {}",
+            path.frames.len(),
+            path.switches().iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+        ),
+        candidates: prepared.candidates.clone(),
+        response: prepared.response_points(),
+        remarks,
+        provenance: Provenance::of(renderer.device()),
+    };
+    let metrics = write(&options.out, &story, &draw, &playback)?;
+    let save = |name: &str, bytes: &[u8]| {
+        let to = options.out.join(name);
+        std::fs::write(&to, bytes).with_context(|| format!("cannot write {}", to.display()))
+    };
+    save("path.json", (serde_json::to_string_pretty(&path_file)? + "\n").as_bytes())?;
+    if let Some(bytes) = prepared.chosen()?.fitted.file() {
+        save("model.safetensors", bytes)?;
+    }
+    println!("\n{}", table(&playback.names, &metrics).to_text());
+    println!(
+        "* best of the column. At switches: the {SWITCH_FRAMES} frames from each switch on. Calm: all others."
+    );
+    println!("\n{verdict}");
+    println!(
+        "\nReport: {} ({:.0} s in all)",
+        options.out.join("report.html").display(),
+        begin.elapsed().as_secs_f64()
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn metrics(at_switches: f64) -> Metrics {
+        Metrics {
+            frames: 9,
+            missed_by_10_percent: 0.0,
+            missed_by_25_percent: 0.0,
+            mean_error: 0.0,
+            mean_error_at_switches: Some(at_switches),
+            mean_error_in_calm: None,
+            recovery_frames: vec![],
+            p95_seconds: 1.0,
+            worst_seconds: 1.0,
+            mean_psnr: None,
+            mean_step: 1.0,
+            step_jumps_in_calm: 0.0,
+        }
+    }
+
+    #[test]
+    fn the_verdict_says_who_won_whoever_did() {
+        let names: Vec<String> = CONTROLLERS.iter().map(|k| k.name().to_owned()).collect();
+        let say = |errors: [f64; 5]| verdict(&names, &errors.map(metrics));
+        assert!(say([0.9, 0.5, 0.6, 0.2, 0.1]).ends_with("prediction beat reaction."));
+        assert!(say([0.9, 0.5, 0.6, 0.55, 0.1]).contains("one of the two"));
+        assert!(say([0.9, 0.1, 0.6, 0.2, 0.2]).contains("did not beat"));
+        assert!(say([0.9, 0.5, 0.6, 0.2, 0.1]).contains("10 % (hybrid) and 20 % (Algorithm 1)"));
+        assert_eq!(verdict(&names[..1], &[metrics(0.1)]), "");
+    }
 }

@@ -4,6 +4,7 @@ use crate::commands::collect::{ShadeOption, SkipOption};
 use crate::dataset::Clock;
 use crate::device::{self, Device};
 use crate::enlarge::enlarge;
+use crate::files::open_model;
 use crate::interrupt;
 use crate::machine::Provenance;
 use crate::path::{FlightPath, Generated, parse_target};
@@ -64,6 +65,9 @@ pub struct Options {
     /// How often each calibration frame is rendered; the median counts.
     #[arg(long, default_value_t = 1, value_name = "R")]
     pub repeats: usize,
+    /// Steer by this model file instead of the predictor that is fitted first.
+    #[arg(long, value_name = "M.safetensors")]
+    pub model: Option<PathBuf>,
     /// Folder for the results.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -144,6 +148,7 @@ pub fn run(options: &Options) -> Result<()> {
         termination: options.termination,
         clock: options.clock,
     };
+    let model = options.model.as_deref().map(open_model).transpose()?;
     let shown = options.volume.display().to_string();
     let volume = Volume::open(&options.volume)?;
     let volume = if options.enlarge == 1 { volume } else { enlarge(&volume, options.enlarge)? };
@@ -178,6 +183,7 @@ pub fn run(options: &Options) -> Result<()> {
         controllers: &options.controllers,
         fixed_step: options.fixed_step,
         target: Some(target),
+        model: model.as_ref(),
     };
     const INTERRUPTED: &str = "interrupted; nothing was written";
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;

@@ -7,7 +7,9 @@ use anyhow::{Context, Result, ensure};
 use entire_core::control::StepResponse;
 use entire_core::features::{Changes, FrameFeatures, SceneFeature, Setting, TransferSummary, VolumeSummary};
 use entire_core::predict::{AnalyticModel, FitReport, Measurement};
-use entire_core::scene::{Camera, DEFAULT_FOV_Y_DEGREES, TransferFunction, VolumeView};
+use entire_core::scene::{
+    Arcball, Camera, DEFAULT_FOV_Y_DEGREES, GaussianLobe, TransferFunction, VolumeView,
+};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 
@@ -26,6 +28,10 @@ pub struct Sample {
     pub features: FrameFeatures,
     /// Step, size and modes.
     pub setting: Setting,
+    /// Where the eye stood.
+    pub camera: Arcball,
+    /// The transfer function's lobes.
+    pub lobes: Vec<GaussianLobe>,
     /// Seconds by the clock that counts.
     pub seconds: f64,
 }
@@ -73,7 +79,7 @@ pub fn measure(
     for scene in 0..scenes {
         let place = || format!("calibration scene {scene}");
         let drawn = distribution.draw(seed, name, scene as u64);
-        let table = TransferFunction::Gaussian(drawn.lobes).to_table().with_context(place)?;
+        let table = TransferFunction::Gaussian(drawn.lobes.clone()).to_table().with_context(place)?;
         renderer.set_transfer(&table).with_context(place)?;
         let mut transfer = TransferSummary::new(summary, &table);
         transfer.prepare_distance();
@@ -95,7 +101,14 @@ pub fn measure(
                 seconds.push(draw.seconds(&Timing::new(rendered.time, rendered.counts))?);
             }
             let seconds = median(&mut seconds).unwrap_or(f64::NAN);
-            samples.push(Sample { scene, features: features.clone(), setting: Setting::of(&frame), seconds });
+            samples.push(Sample {
+                scene,
+                features: features.clone(),
+                setting: Setting::of(&frame),
+                camera: drawn.camera,
+                lobes: drawn.lobes.clone(),
+                seconds,
+            });
         }
         progress.inc(1);
     }

@@ -1,111 +1,100 @@
 //! Predictors fitted to this machine, and the choice between them.
 
 use super::calibrate::{HOLD_OUT_EVERY, Quality, Sample, fit_analytic};
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use entire_core::adapt::Prior;
 use entire_core::features::{Changes, SceneFeature};
-use entire_core::nn::{PredNet, PredNetParts, PredScratch, Target};
-use entire_core::predict::{AnalyticModel, Inputs, Prediction, Predictor, Source};
+use entire_core::model::{InputGroup, Model, ModelFile};
+use entire_core::nn::{Executor, Target, VolumeNet};
+use entire_core::predict::{GroupKind, Inputs, Predictor, load};
+use entire_core::scene::VolumeView;
 use entire_core::train::{Network, Samples, Settings, train};
 use serde::Serialize;
 use std::ops::ControlFlow;
+use std::sync::Arc;
 
 /// Hidden widths of the small network.
 pub const HIDDEN: [usize; 2] = [24, 24];
 
-/// A network on scene features alone, as a predictor.
-pub struct SceneNetwork {
-    net: PredNet,
-    scratch: PredScratch,
-    features: Vec<SceneFeature>,
-    inputs: Vec<f32>,
-}
-
-impl SceneNetwork {
-    /// From weights and the names of their inputs.
-    ///
-    /// # Errors
-    /// When the weights do not fit each other or the number of features.
-    pub fn new(parts: &PredNetParts, features: &[SceneFeature]) -> Result<Self> {
-        let net = PredNet::new(parts)?;
-        ensure!(
-            net.inputs() == features.len(),
-            "the network takes {} inputs, {} features are named",
-            net.inputs(),
-            features.len()
-        );
-        let scratch = net.scratch();
-        Ok(Self { net, scratch, features: features.to_vec(), inputs: vec![0.0; features.len()] })
-    }
-}
-
-impl Predictor for SceneNetwork {
-    fn predict(&mut self, inputs: &Inputs<'_>) -> entire_core::Result<Prediction> {
-        inputs.features.write(&self.features, &inputs.setting, Changes::NONE, &mut self.inputs);
-        let seconds = self.net.predict(&self.inputs, &mut self.scratch);
-        let seconds = if seconds.is_finite() { seconds.clamp(1e-9, 1e9) } else { f32::NAN };
-        Ok(Prediction { seconds, upper: f32::NAN, out_of_range: f32::NAN, source: Source::Network })
-    }
-}
-
 /// A fitted predictor that any number of contenders can be given.
 #[derive(Clone, Debug)]
-pub enum Fitted {
-    /// The linear cost model on estimated work.
-    Analytic(AnalyticModel),
-    /// A small network on scene features, trained on ln(seconds).
-    Network(PredNetParts),
+pub struct Fitted {
+    title: String,
+    model: Arc<Model>,
+    volume_features: Option<Vec<f32>>,
+    file: Option<Vec<u8>>,
 }
 
 impl Fitted {
+    /// A model that was made or read. A VolumeNet in it encodes `volume` at once where its inputs call for that.
+    ///
+    /// # Errors
+    /// When the model holds no predictor, or the volume cannot be encoded.
+    pub fn new(title: String, model: Model, volume: &VolumeView<'_>) -> Result<Self> {
+        let mut volume_features = None;
+        if model.input_size(GroupKind::VolumeFeatures.name()).is_some()
+            && let Some(parts) = model.volumenet()
+        {
+            let net = VolumeNet::new(parts)?;
+            let mut out = vec![0.0; net.feature_len()];
+            net.encode(volume, &mut net.scratch(), Executor::serial(), &mut out)?;
+            volume_features = Some(out);
+        }
+        load(&model)?;
+        Ok(Self { title, model: Arc::new(model), volume_features, file: None })
+    }
+
+    /// A model that was made here; its bytes are kept.
+    ///
+    /// # Errors
+    /// As [`Fitted::new`].
+    pub fn made(title: String, file: &ModelFile, volume: &VolumeView<'_>) -> Result<Self> {
+        let bytes = file.to_bytes()?;
+        Ok(Self { file: Some(bytes), ..Self::new(title, file.to_model()?, volume)? })
+    }
+
+    /// The bytes of its model file, where it was made here.
+    pub fn file(&self) -> Option<&[u8]> {
+        self.file.as_deref()
+    }
+
     /// A predictor of its own.
     ///
     /// # Errors
-    /// When a network's parts do not fit.
+    /// When the model holds none.
     pub fn predictor(&self) -> Result<Box<dyn Predictor + Send>> {
-        Ok(match self {
-            Self::Analytic(model) => Box::new(model.clone()),
-            Self::Network(parts) => Box::new(SceneNetwork::new(parts, SceneFeature::STANDARD)?),
-        })
+        Ok(load(&self.model)?)
     }
 
     /// What it is, for people.
-    pub fn title(&self) -> String {
-        match self {
-            Self::Analytic(_) => "analytic cost model (non-negative least squares on estimated work)".into(),
-            Self::Network(parts) => {
-                let widths: Vec<String> = parts.layers.iter().map(|l| l.inputs.to_string()).collect();
-                format!("small network on scene features ({}-1, log time)", widths.join("-"))
-            }
-        }
+    pub fn title(&self) -> &str {
+        &self.title
     }
 
-    /// Predicted seconds of a sample.
-    fn seconds(&self, samples: &[Sample]) -> Result<Vec<f64>> {
-        match self {
-            Self::Analytic(model) => Ok(samples
-                .iter()
-                .map(|s| f64::from(model.parts(&s.features, &s.setting).seconds()))
-                .collect()),
-            Self::Network(parts) => {
-                let net = PredNet::new(parts)?;
-                let mut scratch = net.scratch();
-                Ok(samples
-                    .iter()
-                    .map(|s| f64::from(net.predict(&s.inputs(SceneFeature::STANDARD), &mut scratch)))
-                    .collect())
-            }
-        }
+    /// VolumeNet's output for the volume, where the model takes it.
+    pub fn volume_features(&self) -> Option<&[f32]> {
+        self.volume_features.as_deref()
     }
 
-    /// How well it does on the held-out samples.
+    /// How well it does on the held-out samples. Models that do not know the step are judged at the reference step.
     ///
     /// # Errors
-    /// When none is held out.
+    /// When none is held out, or the model needs an input that calibration frames do not have.
     pub fn quality(&self, samples: &[Sample]) -> Result<Quality> {
-        let held: Vec<Sample> = samples.iter().filter(|s| s.held_out()).cloned().collect();
-        let pairs: Vec<(f64, f64)> =
-            self.seconds(&held)?.into_iter().zip(&held).map(|(p, s)| (p, s.seconds)).collect();
+        let mut predictor = self.predictor()?;
+        let every_step = predictor.knows_step();
+        let mut pairs = Vec::new();
+        for s in samples.iter().filter(|s| s.held_out() && (every_step || s.setting.step == 1.0)) {
+            let inputs = Inputs {
+                features: &s.features,
+                setting: s.setting,
+                changes: Changes::NONE,
+                camera: s.camera,
+                volume_features: self.volume_features(),
+                lobes: Some(&s.lobes),
+            };
+            pairs.push((f64::from(predictor.predict(&inputs)?.seconds), s.seconds));
+        }
         Quality::of(&pairs).with_context(|| {
             format!("no calibration frame is held out; calibrate with at least {HOLD_OUT_EVERY} scenes")
         })
@@ -117,7 +106,7 @@ impl Fitted {
 ///
 /// # Errors
 /// When there are too few samples.
-pub fn fit_network(samples: &[Sample], seed: u64) -> Result<PredNetParts> {
+pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
     let features = SceneFeature::STANDARD;
     let collect = |judge: bool| {
         let mut inputs = Vec::new();
@@ -148,7 +137,11 @@ pub fn fit_network(samples: &[Sample], seed: u64) -> Result<PredNetParts> {
         &settings,
         |_| ControlFlow::Continue(()),
     )?;
-    Ok(trained.to_parts())
+    let names: Vec<String> = features.iter().map(ToString::to_string).collect();
+    let group = InputGroup { name: GroupKind::SceneFeatures.name().into(), size: features.len() };
+    let mut file = ModelFile::new();
+    file.set_prednet(&trained.to_parts(), &[group])?.set_scene_features(&names)?;
+    Ok(file)
 }
 
 /// A predictor with what is known of it, for reports.
@@ -165,6 +158,17 @@ pub struct Candidate {
     pub fitted: Fitted,
 }
 
+impl Candidate {
+    /// Judges a predictor; it is not chosen yet.
+    ///
+    /// # Errors
+    /// As [`Fitted::quality`].
+    pub fn of(fitted: Fitted, samples: &[Sample]) -> Result<Self> {
+        let held_out = fitted.quality(samples)?;
+        Ok(Self { title: fitted.title().to_owned(), held_out, chosen: false, fitted })
+    }
+}
+
 /// What calibration found.
 #[derive(Clone, Debug)]
 pub struct Calibrated {
@@ -178,13 +182,17 @@ impl Calibrated {
     ///
     /// # Errors
     /// When there are too few usable samples.
-    pub fn fit(samples: &[Sample], seed: u64) -> Result<Self> {
-        let fitted =
-            vec![Fitted::Analytic(fit_analytic(samples)?.0), Fitted::Network(fit_network(samples, seed)?)];
+    pub fn fit(samples: &[Sample], volume: &VolumeView<'_>, seed: u64) -> Result<Self> {
+        let analytic = fit_analytic(samples)?.0.to_model_file()?;
+        let network = fit_network(samples, seed)?;
+        let hidden = HIDDEN.map(|n| n.to_string()).join("-");
         let mut candidates = Vec::new();
-        for fitted in fitted {
-            let held_out = fitted.quality(samples)?;
-            candidates.push(Candidate { title: fitted.title(), held_out, chosen: false, fitted });
+        for (title, model) in [
+            ("analytic cost model (non-negative least squares on estimated work)".to_owned(), analytic),
+            (format!("small network on scene features ({hidden} neurons, log time)"), network),
+        ] {
+            let fitted = Fitted::made(title, &model, volume)?;
+            candidates.push(Candidate::of(fitted, samples)?);
         }
         let best = (0..candidates.len())
             .min_by(|a, b| candidates[*a].held_out.log_sd.total_cmp(&candidates[*b].held_out.log_sd))

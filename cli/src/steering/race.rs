@@ -2,7 +2,7 @@
 
 use super::calibrate::{Sample, measure, response, response_pairs};
 use super::contenders::{ControllerKind, contender};
-use super::fit::{Calibrated, Candidate};
+use super::fit::{Calibrated, Candidate, Fitted};
 use super::play::{Contender, DrawSettings, Playback, Task, play};
 use crate::commands::collect::progress_bar;
 use crate::dataset::median;
@@ -12,6 +12,7 @@ use anyhow::{Context, Result};
 use entire_core::adapt::Prior;
 use entire_core::control::{StepLimits, StepResponse};
 use entire_core::features::{SummaryOptions, VolumeSummary};
+use entire_core::model::Model;
 use entire_core::scene::VolumeView;
 use entire_vk_raycaster::Renderer;
 
@@ -36,6 +37,8 @@ pub struct Race<'a> {
     pub fixed_step: Option<f32>,
     /// Seconds that frames should not exceed; `None` to choose by [`sane_target`].
     pub target: Option<f64>,
+    /// A model that steers instead of what is fitted here; what is fitted is still reported.
+    pub model: Option<&'a Model>,
 }
 
 /// What calibration gave.
@@ -81,11 +84,14 @@ fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
     times
 }
 
-/// A target under which the step matters: the lower quartile of the calibration scenes' times at the reference step,
-/// so that three scenes in four must be drawn coarser.
+/// A target under which the step matters: this share of the median of the calibration scenes' times at the reference
+/// step. Most scenes must then be drawn coarser, few of them at the coarsest step.
+pub const TARGET_SHARE: f64 = 0.5;
+
+/// [`TARGET_SHARE`] of the median time at the reference step, rounded to a tenth of a millisecond where it is longer.
 pub fn sane_target(samples: &[Sample]) -> Option<f64> {
-    let times = times_at(samples, 1.0);
-    times.get(times.len() / 4).copied()
+    let target = TARGET_SHARE * median(&mut times_at(samples, 1.0))?;
+    Some(if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target })
 }
 
 /// Renders calibration scenes, fits the predictors, and works out target and fixed step.
@@ -115,12 +121,24 @@ pub fn prepare(
     bar.finish_and_clear();
     let Some(samples) = samples? else { return Ok(None) };
     let response = response(&samples)?;
-    let calibrated = Calibrated::fit(&samples, race.seed)?;
+    let mut calibrated = Calibrated::fit(&samples, race.volume, race.seed)?;
+    if let Some(model) = race.model {
+        let fitted = Fitted::new("the model file that was given".into(), model.clone(), race.volume)?;
+        let given =
+            Candidate::of(fitted, &samples).context("the model cannot predict the calibration frames")?;
+        for c in &mut calibrated.candidates {
+            c.chosen = false;
+        }
+        calibrated.candidates.push(Candidate { chosen: true, ..given });
+    }
     let (target, target_reason) = match race.target {
         Some(target) => (target, String::new()),
         None => (
             sane_target(&samples).context("no calibration scene was timed")?,
-            "the lower quartile of the calibration scenes' times at the reference step".to_owned(),
+            format!(
+                "{:.0} % of the median calibration scene's time at the reference step",
+                100.0 * TARGET_SHARE
+            ),
         ),
     };
     let typical = median(&mut times_at(&samples, 1.0)).unwrap_or(target);
@@ -165,7 +183,7 @@ pub fn run(
     let task = Task {
         volume: race.volume,
         summary: &prepared.summary,
-        volume_features: None,
+        volume_features: chosen.fitted.volume_features(),
         path,
         target: prepared.target,
         limits: race.limits,

@@ -1,0 +1,176 @@
+//! `entire steer` and `entire demo` as processes: what they write, print and refuse.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+/// A ball that is denser inside, as NRRD.
+fn write_volume(path: &Path) {
+    let n = 24i32;
+    let mut bytes =
+        format!("NRRD0004\ntype: uint8\ndimension: 3\nsizes: {n} {n} {n}\nencoding: raw\n\n").into_bytes();
+    for z in 0..n {
+        for y in 0..n {
+            for x in 0..n {
+                let r2 = [x, y, z].map(|v| (2 * v - n + 1).pow(2)).iter().sum::<i32>();
+                bytes.push((255 - (r2 * 255 / (n * n)).min(255)) as u8);
+            }
+        }
+    }
+    std::fs::write(path, bytes).unwrap();
+}
+
+fn entire(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_entire")).args(arguments).output().unwrap()
+}
+
+fn setting() -> (tempfile::TempDir, PathBuf, PathBuf) {
+    let dir = tempfile::tempdir().unwrap();
+    let volume = dir.path().join("ball.nrrd");
+    write_volume(&volume);
+    let out = dir.path().join("out");
+    (dir, volume, out)
+}
+
+fn check_report(out: &Path, controllers: usize, frames: usize) {
+    let html = std::fs::read_to_string(out.join("report.html")).unwrap();
+    for word in ["http:", "https:", "src=\"//", "url(", "@import", "<script", "<link", "NaN"] {
+        assert!(!html.contains(word), "the report holds {word}");
+    }
+    for word in
+        ["<svg", "data:image/png;base64,", "switch 1", "hybrid (ours)", "Load average", "logical processor"]
+    {
+        assert!(html.contains(word), "the report lacks {word}");
+    }
+    let csv = std::fs::read_to_string(out.join("frames.csv")).unwrap();
+    assert_eq!(csv.lines().count(), 1 + controllers * frames);
+    let summary: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
+    assert_eq!(summary["frames"], frames);
+    let figures = summary["controllers"].as_object().unwrap();
+    assert_eq!(figures.len(), controllers);
+    for (name, m) in figures {
+        assert_eq!(m["recovery_frames"].as_array().unwrap().len(), 3, "{name}");
+        assert!(m["p95_seconds"].as_f64().unwrap() > 0.0 && m["mean_psnr"].as_f64().unwrap() > 0.0);
+    }
+    assert_eq!(summary["switches"].as_array().unwrap().len(), 3);
+}
+
+#[test]
+fn steer_plays_a_path_and_writes_a_report_that_stands_alone() {
+    let (dir, volume, out) = setting();
+    let saved = dir.path().join("path.json");
+    let (volume, out_text, saved_text) =
+        (volume.to_str().unwrap(), out.to_str().unwrap(), saved.to_str().unwrap());
+    let common = ["--target", "1ms", "--device", "cpu", "--size", "40x32", "--calibrate", "8"];
+    let generated = ["steer", volume, "--generate", "switches", "--frames", "12", "--save-path", saved_text];
+    let output = entire(&[&generated[..], &common[..], &["--out", out_text]].concat());
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(text.contains("Algorithm 1") && text.contains("report.html"), "{text}");
+    check_report(&out, 5, 12);
+
+    // The saved path plays again, under other controllers.
+    let again = dir.path().join("again");
+    let other = ["steer", volume, "--path", saved_text, "--controllers", "vtk-gpu,unreal,hybrid"];
+    let output = entire(&[&other[..], &common[..], &["--out", again.to_str().unwrap()]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    check_report(&again, 3, 12);
+    let csv = std::fs::read_to_string(again.join("frames.csv")).unwrap();
+    let names: BTreeSet<&str> = csv.lines().skip(1).map(|l| l.split(',').nth(1).unwrap()).collect();
+    assert_eq!(names, BTreeSet::from(["hybrid", "unreal", "vtk-gpu"]));
+}
+
+#[test]
+fn demo_goes_from_a_volume_to_a_report_and_its_model_steers() {
+    let (dir, volume, out) = setting();
+    let (volume, out_text) = (volume.to_str().unwrap(), out.to_str().unwrap());
+    let small = ["--frames", "16", "--calibrate", "8", "--size", "40x40", "--device", "cpu"];
+    let output = entire(&[&["demo", volume, "--out", out_text][..], &small[..]].concat());
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    for word in ["enlarged trilinearly x2", "target", "it steers", "hybrid (ours)", "abrupt switch"] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+    check_report(&out, 5, 16);
+
+    let (model, path) = (out.join("model.safetensors"), out.join("path.json"));
+    let played = dir.path().join("played");
+    let output = entire(&[
+        "steer",
+        volume,
+        "--enlarge",
+        "2",
+        "--path",
+        path.to_str().unwrap(),
+        "--model",
+        model.to_str().unwrap(),
+        "--target",
+        "500fps",
+        "--device",
+        "cpu",
+        "--size",
+        "40x40",
+        "--calibrate",
+        "8",
+        "--out",
+        played.to_str().unwrap(),
+    ]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let summary = std::fs::read_to_string(played.join("summary.json")).unwrap();
+    assert!(summary.contains("the model file that was given"), "{summary}");
+}
+
+#[test]
+fn bad_input_is_one_line_and_status_1() {
+    let (dir, volume, out) = setting();
+    let (volume, out) = (volume.to_str().unwrap(), out.to_str().unwrap());
+    let bad_path = dir.path().join("bad.json");
+    std::fs::write(&bad_path, "{\"format\": \"entire-path-1\", \"frames\": 3, \"keyframes\": []}").unwrap();
+    let bad = bad_path.to_str().unwrap();
+    let generate = ["--generate", "orbit"];
+    let with = |more: &[&str], path: &[&str]| {
+        let base = ["steer", volume, "--device", "cpu", "--out", out];
+        let output = entire(&[&base[..], path, more].concat());
+        let text = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!text.contains("panicked"), "{text}");
+        (output.status.code(), text)
+    };
+    for (more, expected) in [
+        (&["--target", "33"][..], "no unit"),
+        (&["--target", "0ms"], "finite positive"),
+        (&["--target", "9ms", "--limits", "4,2"], "step limits"),
+        (&["--target", "9ms", "--calibrate", "3"], "at least 8 scenes"),
+        (&["--target", "9ms", "--controllers", "pid,pid"], "twice"),
+        (&["--target", "9ms", "--frames", "2"], "8 to 1000000 frames"),
+        (&["--target", "9ms", "--clock", "device"], "no device clock"),
+        (&["--target", "9ms", "--model", "/no/such/model"], "/no/such/model"),
+    ] {
+        let (code, text) = with(more, &generate);
+        assert_eq!(code, Some(1), "{more:?}: {text}");
+        assert!(text.contains(expected) && text.trim_end().lines().count() == 1, "{more:?}: {text}");
+    }
+    let (code, text) = with(&["--target", "9ms"], &["--path", bad]);
+    assert!(code == Some(1) && text.contains("bad.json is no path: there is no keyframe"), "{text}");
+    for usage in [&["--target", "9ms"][..], &["--target", "9ms", "--size", "9", "--generate", "orbit"]] {
+        assert_eq!(with(usage, &[]).0, Some(2), "{usage:?}");
+    }
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_entire")).arg("demo").current_dir(dir.path()).output().unwrap();
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(1) && text.contains("project's root"), "{text}");
+}
+
+#[test]
+fn example_paths_are_paths() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/paths");
+    let mut seen = 0;
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|e| e == "json") {
+            entire_cli::path::FlightPath::open(&path).unwrap();
+            seen += 1;
+        }
+    }
+    assert!(seen >= 2);
+}
