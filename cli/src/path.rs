@@ -462,7 +462,7 @@ impl Values {
         let [nx, ny, nz] = volume.dims();
         let stride = (volume.voxels() / 100_000).max(1);
         // A stride that shares no factor with the rows walks through all of them.
-        let stride = if stride % 2 == 0 { stride + 1 } else { stride };
+        let stride = if stride.is_multiple_of(2) { stride + 1 } else { stride };
         let mut all: Vec<f32> = (0..volume.voxels())
             .step_by(stride as usize)
             .map(|i| {

@@ -260,7 +260,7 @@ pub fn run(options: &Options) -> Result<()> {
             path.switches().iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
         ),
         candidates: prepared.candidates.clone(),
-        response: prepared.response_points(),
+        response: prepared.response_curve(),
         remarks,
         provenance: Provenance::of(renderer.device()),
     };

@@ -203,7 +203,7 @@ pub fn run(options: &Options) -> Result<()> {
         volume: describe(&shown, &volume, options.enlarge),
         path: path_name,
         candidates: prepared.candidates.clone(),
-        response: prepared.response_points(),
+        response: prepared.response_curve(),
         remarks: Vec::new(),
         provenance: Provenance::of(renderer.device()),
     };

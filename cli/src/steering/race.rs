@@ -3,6 +3,7 @@
 use super::calibrate::{Sample, measure, response, response_pairs};
 use super::contenders::{ControllerKind, contender};
 use super::fit::{Calibrated, Candidate, Fitted};
+use super::report::ResponseCurve;
 use super::play::{Contender, DrawSettings, Playback, Task, play};
 use crate::commands::collect::progress_bar;
 use crate::dataset::median;
@@ -63,9 +64,9 @@ pub struct Prepared {
 }
 
 impl Prepared {
-    /// (step, time ratio) as sampled, and G's points.
-    pub fn response_points(&self) -> (Vec<(f32, f32)>, Vec<(f32, f32)>) {
-        (response_pairs(&self.samples), self.response.points().collect())
+    /// G, and what it was made from.
+    pub fn response_curve(&self) -> ResponseCurve {
+        ResponseCurve { samples: response_pairs(&self.samples), points: self.response.points().collect() }
     }
 
     /// The predictor that steers.

@@ -10,6 +10,15 @@ use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use std::path::Path;
 
+/// G as (step ratio, time ratio): what was sampled, scene after scene, and the curve's points.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ResponseCurve {
+    /// Sampled.
+    pub samples: Vec<(f32, f32)>,
+    /// The curve.
+    pub points: Vec<(f32, f32)>,
+}
+
 /// Everything that a report tells beside the playback.
 #[derive(Clone, Debug)]
 pub struct Story {
@@ -25,8 +34,8 @@ pub struct Story {
     pub path: String,
     /// Predictors and how they do on held-out frames.
     pub candidates: Vec<Candidate>,
-    /// G: (step, time ratio) as sampled, and the curve.
-    pub response: (Vec<(f32, f32)>, Vec<(f32, f32)>),
+    /// G.
+    pub response: ResponseCurve,
     /// Further remarks, a paragraph each.
     pub remarks: Vec<String>,
     /// Where the numbers come from.
@@ -174,7 +183,7 @@ fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[M
             "skipping": draw.skipping.name(), "termination": draw.termination, "clock": draw.clock.name() },
         "steps_allowed": [playback.limits.finest(), playback.limits.coarsest()],
         "predictors": story.candidates,
-        "step_response": story.response.1,
+        "step_response": story.response.points,
         "controllers": controllers,
         "provenance": story.provenance,
     })
@@ -328,7 +337,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
             "Every frame that was predicted before it was drawn; the dashed line is equality.",
         );
     }
-    let (samples, curve) = &story.response;
+    let ResponseCurve { samples, points: curve } = &story.response;
     if !curve.is_empty() {
         let wide = |p: &(f32, f32)| (f64::from(p.0), f64::from(p.1));
         let chart = Chart::new(
