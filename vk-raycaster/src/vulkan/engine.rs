@@ -79,7 +79,9 @@ impl Engine {
                 .stage_flags(vk::ShaderStageFlags::COMPUTE)
         };
         let bindings = [
-            binding(0, vk::DescriptorType::UNIFORM_BUFFER),
+            // A storage buffer, not a uniform one: lavapipe compiles the shader anew for every set of uniform values that
+            // steer its control flow, some 60 ms for every camera.
+            binding(0, vk::DescriptorType::STORAGE_BUFFER),
             binding(1, vk::DescriptorType::SAMPLED_IMAGE),
             binding(2, vk::DescriptorType::SAMPLED_IMAGE),
             binding(3, vk::DescriptorType::SAMPLER),
@@ -107,10 +109,9 @@ impl Engine {
         });
         let size = |kind, count| vk::DescriptorPoolSize { ty: kind, descriptor_count: count };
         let sizes = [
-            size(vk::DescriptorType::UNIFORM_BUFFER, 1),
             size(vk::DescriptorType::SAMPLED_IMAGE, 3),
             size(vk::DescriptorType::SAMPLER, 1),
-            size(vk::DescriptorType::STORAGE_BUFFER, 2),
+            size(vk::DescriptorType::STORAGE_BUFFER, 3),
         ];
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(1).pool_sizes(&sizes);
         // SAFETY: as above.
@@ -173,7 +174,7 @@ impl Engine {
             &gpu,
             "frame setup",
             size_of::<FrameSetup>() as u64,
-            vk::BufferUsageFlags::UNIFORM_BUFFER | vk::BufferUsageFlags::TRANSFER_DST,
+            vk::BufferUsageFlags::STORAGE_BUFFER | vk::BufferUsageFlags::TRANSFER_DST,
             MemoryLocation::GpuOnly,
         )?;
         let table_staging = Buffer::new(
@@ -211,7 +212,7 @@ impl Engine {
             broken: false,
             gpu,
         };
-        engine.bind_buffer(0, vk::DescriptorType::UNIFORM_BUFFER, &engine.setup);
+        engine.bind_buffer(0, vk::DescriptorType::STORAGE_BUFFER, &engine.setup);
         engine.bind_image(1, &engine.table);
         let sampler = [vk::DescriptorImageInfo::default().sampler(engine.sampler.get())];
         engine.write_descriptor(
@@ -647,7 +648,7 @@ fn barrier_masks(hazard: Hazard) -> (Access, Access) {
     match hazard {
         Hazard::TransferToTransfer => (written, transfer),
         Hazard::TransferToShader => {
-            (written, (shader, vk::AccessFlags::UNIFORM_READ | vk::AccessFlags::SHADER_READ))
+            (written, (shader, vk::AccessFlags::SHADER_READ))
         }
         Hazard::ShaderToTransfer => ((shader, vk::AccessFlags::SHADER_WRITE), transfer),
         Hazard::TransferToHost => (written, (vk::PipelineStageFlags::HOST, vk::AccessFlags::HOST_READ)),

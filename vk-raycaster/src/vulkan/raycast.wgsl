@@ -41,7 +41,7 @@ struct FrameSetup {
     pad_end: u32,
 }
 
-@group(0) @binding(0) var<uniform> setup: FrameSetup;
+@group(0) @binding(0) var<storage, read> setup: FrameSetup;
 @group(0) @binding(1) var table: texture_2d<f32>;
 #if FETCH == 2
 @group(0) @binding(2) var volume: texture_3d<u32>;
