@@ -33,7 +33,14 @@ fn setting() -> (tempfile::TempDir, PathBuf, PathBuf) {
 }
 
 fn check_report(out: &Path, controllers: usize, frames: usize) {
-    let html = std::fs::read_to_string(out.join("report.html")).unwrap();
+    let page = std::fs::read_to_string(out.join("report.html")).unwrap();
+    // Without the pictures' own bytes, which may hold any letters.
+    let html: String = page
+        .split("base64,")
+        .enumerate()
+        .map(|(i, part)| if i == 0 { part } else { &part[part.find('"').unwrap()..] })
+        .collect::<Vec<_>>()
+        .join("base64,");
     for word in ["http:", "https:", "src=\"//", "url(", "@import", "<script", "<link", "NaN"] {
         assert!(!html.contains(word), "the report holds {word}");
     }

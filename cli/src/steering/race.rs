@@ -3,8 +3,8 @@
 use super::calibrate::{Sample, measure, response, response_pairs};
 use super::contenders::{ControllerKind, contender};
 use super::fit::{Calibrated, Candidate, Fitted};
-use super::report::ResponseCurve;
 use super::play::{Contender, DrawSettings, Playback, Task, play};
+use super::report::ResponseCurve;
 use crate::commands::collect::progress_bar;
 use crate::dataset::median;
 use crate::path::FlightPath;
