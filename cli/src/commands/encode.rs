@@ -25,8 +25,8 @@ pub struct Options {
     #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
     pub range: Option<(f32, f32)>,
     /// Threads to use; 0 for as many as the machine has.
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    pub threads: usize,
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=1024))]
+    pub threads: u16,
 }
 
 /// Runs the command.
@@ -41,7 +41,7 @@ pub fn run(options: &Options) -> Result<()> {
     let net = VolumeNet::new(parts).with_context(|| format!("{}", options.model.display()))?;
     let volume = open_volume(&options.volume, options.range)?;
     let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(options.threads)
+        .num_threads(options.threads.into())
         .build()
         .context("cannot start threads; try --threads 1")?;
     let mut features = vec![0.0; net.feature_len()];

@@ -70,7 +70,7 @@ pub struct Options {
     /// What the network gives.
     #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
     pub target: TargetChoice,
-    /// mse, relative (with --target seconds), huber[:delta] or pinball:quantile; the last gives an upper bound.
+    /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile; the last gives an upper bound.
     #[arg(long, default_value = "mse", value_parser = parse_loss)]
     pub loss: Loss,
     /// Passes over the training frames at most.

@@ -144,8 +144,8 @@ impl Format {
         if head.starts_with(b"NRRD") {
             Some(Self::Nrrd)
         } else if head.starts_with(&[0x1f, 0x8b])
-            || matches!(head.get(344..347), Some(b"n+1"))
-            || matches!(head.get(4..7), Some(b"n+2"))
+            || matches!(head.get(344..347), Some(b"n+1" | b"ni1"))
+            || matches!(head.get(4..7), Some(b"n+2" | b"ni2"))
         {
             Some(Self::Nifti)
         } else if text.starts_with(b"<?xml") || text.starts_with(b"<VTKFile") {
