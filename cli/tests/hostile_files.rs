@@ -3,9 +3,10 @@
 
 // The fuzz targets' own checks.
 #[allow(unreachable_pub, reason = "a library of its own for the fuzz targets")]
-#[path = "../../fuzz/src/lib.rs"]
+#[path = "../../fuzz/src/checks.rs"]
 mod checks;
 
+use entire_cli::volume;
 use entire_cli::volume::{Format, hostile::read_any};
 use entire_core::model::Model;
 use peak_alloc::PeakAlloc;

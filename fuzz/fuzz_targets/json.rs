@@ -1,5 +1,5 @@
 #![no_main]
 
-use entire_cli::volume::{Format, hostile::read_any};
+use entire_fuzz::volume::{Format, hostile::read_any};
 
-libfuzzer_sys::fuzz_target!(|input: &[u8]| entire_fuzz::check_volume(read_any(Format::Json, input)));
+libfuzzer_sys::fuzz_target!(|input: &[u8]| entire_fuzz::checks::check_volume(read_any(Format::Json, input)));

@@ -1,0 +1,40 @@
+//! What must hold for whatever a reader gives back.
+
+use crate::volume::Volume;
+use entire_core::model::Model;
+use entire_core::nn::{Executor, PredNet, VolumeNet};
+use entire_core::scene::{Scalars, VolumeView};
+
+/// An accepted volume is whole and its geometry is finite; an error is one line.
+pub fn check_volume<E: std::fmt::Display>(read: Result<Volume, E>) {
+    match read {
+        Ok(volume) => {
+            let view = volume.view();
+            assert_eq!(view.voxels(), volume.data().len() as u64);
+            assert!(view.half_extent().is_finite() && view.reference_step() > 0.0);
+            let [x, y, z] = view.dims();
+            assert!((0.0..=1.0).contains(&view.normalized(x - 1, y - 1, z - 1)));
+        }
+        Err(error) => assert!(!format!("{error:#}").is_empty()),
+    }
+}
+
+/// An accepted model can be built and run.
+pub fn check_model<E: std::fmt::Display>(read: Result<Model, E>) {
+    let model = match read {
+        Ok(model) => model,
+        Err(error) => return assert!(!error.to_string().is_empty()),
+    };
+    if let Some(parts) = model.prednet() {
+        let net = PredNet::new(parts).expect("a checked model can be built");
+        let _ = net.predict(&vec![0.5; net.inputs()], &mut net.scratch());
+    }
+    if let Some(parts) = model.volumenet().filter(|parts| parts.input <= 16) {
+        let net = VolumeNet::new(parts).expect("a checked model can be built");
+        let voxels = [0, 100, 255, 7, 9, 11, 13, 200];
+        let view = VolumeView::new(Scalars::U8(&voxels), [2, 2, 2]).expect("eight voxels");
+        let mut features = vec![0.0; net.feature_len()];
+        net.encode(&view, &mut net.scratch(), Executor::serial(), &mut features)
+            .expect("any volume can be encoded");
+    }
+}
