@@ -2,10 +2,9 @@
 
 use super::gpu::{Gpu, NamedCall};
 use super::recording::{Command, Hazard, IMAGE_BYTES, Target, Tile, WORK_BYTES, record_slices};
-use super::resources::{Buffer, COLOR_RANGE, Image, Owned};
+use super::resources::{Buffer, COLOR_RANGE, Image, Owned, Shape};
 use crate::renderer::{Error, Result};
 use crate::setup::FrameSetup;
-use crate::table::StepTable;
 use ash::vk;
 use gpu_allocator::MemoryLocation;
 use std::collections::HashMap;
@@ -17,6 +16,9 @@ static SHADERS: &[([u32; 4], &[u8])] = &include!(concat!(env!("OUT_DIR"), "/shad
 /// Bytes that a staging buffer holds, unless one slice needs more.
 const STAGING_BYTES: u64 = 64 << 20;
 
+/// Largest size of a table's texels; the most that a recording can hold inline.
+const TABLE_BYTES: u64 = 65536;
+
 /// Which variant of the shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct ShaderKey {
@@ -25,6 +27,9 @@ pub(crate) struct ShaderKey {
     pub(crate) fetch: u32,
     pub(crate) counting: u32,
 }
+
+/// What a dispatch runs, and on what.
+type Shader = (vk::Pipeline, vk::DescriptorSet);
 
 /// A finished tile.
 pub(crate) struct CastTile<'a> {
@@ -48,11 +53,10 @@ pub(crate) struct Engine {
     gpu: Arc<Gpu>,
     pipelines: HashMap<ShaderKey, Owned<vk::Pipeline>>,
     pipeline_layout: Owned<vk::PipelineLayout>,
-    /// Kept for `pipeline_layout`.
-    _set_layout: Owned<vk::DescriptorSetLayout>,
-    /// Keeps `set` alive.
-    _descriptors: Owned<vk::DescriptorPool>,
-    set: vk::DescriptorSet,
+    set_layout: Owned<vk::DescriptorSetLayout>,
+    descriptors: Owned<vk::DescriptorPool>,
+    /// Points at everything below; `None` when one of them has changed.
+    set: Option<vk::DescriptorSet>,
     sampler: Owned<vk::Sampler>,
     pool: Owned<vk::CommandPool>,
     commands: vk::CommandBuffer,
@@ -60,7 +64,7 @@ pub(crate) struct Engine {
     queries: Option<Owned<vk::QueryPool>>,
     setup: Buffer,
     table_staging: Buffer,
-    table: Image,
+    table: Option<Image>,
     volume: Option<Image>,
     skip_map: Option<Image>,
     staging: Option<Buffer>,
@@ -88,6 +92,9 @@ impl Engine {
             binding(4, vk::DescriptorType::SAMPLED_IMAGE),
             binding(5, vk::DescriptorType::STORAGE_BUFFER),
             binding(6, vk::DescriptorType::STORAGE_BUFFER),
+            binding(7, vk::DescriptorType::STORAGE_IMAGE),
+            binding(8, vk::DescriptorType::STORAGE_IMAGE),
+            binding(9, vk::DescriptorType::STORAGE_IMAGE),
         ];
         let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
         // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes into an
@@ -112,6 +119,7 @@ impl Engine {
             size(vk::DescriptorType::SAMPLED_IMAGE, 3),
             size(vk::DescriptorType::SAMPLER, 1),
             size(vk::DescriptorType::STORAGE_BUFFER, 3),
+            size(vk::DescriptorType::STORAGE_IMAGE, 3),
         ];
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(1).pool_sizes(&sizes);
         // SAFETY: as above.
@@ -121,9 +129,6 @@ impl Engine {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_descriptor_pool(h, None) }
         });
-        let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(handle).set_layouts(&layouts);
-        // SAFETY: the pool has room for this one set.
-        let set = unsafe { gpu.device.allocate_descriptor_sets(&info) }.named("vkAllocateDescriptorSets")?[0];
         let info = vk::SamplerCreateInfo::default()
             .mag_filter(vk::Filter::LINEAR)
             .min_filter(vk::Filter::LINEAR)
@@ -180,23 +185,16 @@ impl Engine {
         let table_staging = Buffer::new(
             &gpu,
             "transfer table staging",
-            size_of::<StepTable>() as u64,
+            TABLE_BYTES,
             vk::BufferUsageFlags::TRANSFER_SRC | vk::BufferUsageFlags::TRANSFER_DST,
             MemoryLocation::GpuOnly,
         )?;
-        let table = Image::new(
-            &gpu,
-            "transfer table",
-            vk::ImageType::TYPE_2D,
-            [entire_core::scene::TABLE_LEN as u32, 1, 1],
-            vk::Format::R32G32B32A32_SFLOAT,
-        )?;
-        let engine = Self {
+        Ok(Self {
             pipelines: HashMap::new(),
             pipeline_layout,
-            _set_layout: set_layout,
-            _descriptors: descriptors,
-            set,
+            set_layout,
+            descriptors,
+            set: None,
             sampler,
             pool,
             commands,
@@ -204,24 +202,14 @@ impl Engine {
             queries,
             setup,
             table_staging,
-            table,
+            table: None,
             volume: None,
             skip_map: None,
             staging: None,
             tile: None,
             broken: false,
             gpu,
-        };
-        engine.bind_buffer(0, vk::DescriptorType::STORAGE_BUFFER, &engine.setup);
-        engine.bind_image(1, &engine.table);
-        let sampler = [vk::DescriptorImageInfo::default().sampler(engine.sampler.get())];
-        engine.write_descriptor(
-            vk::WriteDescriptorSet::default()
-                .dst_binding(3)
-                .descriptor_type(vk::DescriptorType::SAMPLER)
-                .image_info(&sampler),
-        );
-        Ok(engine)
+        })
     }
 
     pub(crate) fn gpu(&self) -> &Gpu {
@@ -229,25 +217,30 @@ impl Engine {
     }
 
     /// Makes the image behind `target`, unless it has this shape already. Its contents are undefined.
-    pub(crate) fn reserve(&mut self, target: Target, extent: [u32; 3], format: vk::Format) -> Result<()> {
+    pub(crate) fn reserve(&mut self, target: Target, shape: Shape) -> Result<()> {
         self.recover()?;
-        let (slot, name, binding) = match target {
-            Target::Volume => (&mut self.volume, "volume texture", 2),
-            Target::SkipMap => (&mut self.skip_map, "skip map", 4),
-            Target::Table => return Err(Error::new("the transfer table is made once")),
+        let (slot, name) = match target {
+            Target::Volume => (&mut self.volume, "volume texture"),
+            Target::SkipMap => (&mut self.skip_map, "skip map"),
+            Target::Table => (&mut self.table, "transfer table"),
         };
-        if slot.as_ref().is_some_and(|i| i.extent == extent && i.format == format) {
+        if slot.as_ref().is_some_and(|i| i.shape == shape) {
             return Ok(());
         }
+        self.set = None;
         // The old one goes first: both may not fit.
         *slot = None;
-        let [x, y, z] = extent;
-        let image = Image::new(&self.gpu, name, vk::ImageType::TYPE_3D, extent, format)
+        let [x, y, z] = shape.extent;
+        let kind = match target {
+            Target::Table => vk::ImageType::TYPE_2D,
+            _ => vk::ImageType::TYPE_3D,
+        };
+        let image = Image::new(&self.gpu, name, kind, shape)
             .map_err(|e| Error::new(format!("the {name} of {x} x {y} x {z} texels does not fit: {e}")))?;
-        self.bind_image(binding, &image);
         match target {
             Target::Volume => self.volume = Some(image),
-            _ => self.skip_map = Some(image),
+            Target::SkipMap => self.skip_map = Some(image),
+            Target::Table => self.table = Some(image),
         }
         Ok(())
     }
@@ -261,8 +254,8 @@ impl Engine {
             Target::Table => None,
         };
         let Some(image) = image else { return Err(Error::new("the image to copy to was not reserved")) };
-        let [x, y, depth] = image.extent;
-        let slice = u64::from(x) * u64::from(y) * texel_bytes(image.format);
+        let [x, y, depth] = image.shape.extent;
+        let slice = u64::from(x) * u64::from(y) * texel_bytes(image.shape.format);
         let per_copy = (STAGING_BYTES / slice).clamp(1, u64::from(depth)) as u32;
         if self.staging.as_ref().is_none_or(|s| s.size() < slice * u64::from(per_copy)) {
             self.staging = None;
@@ -303,8 +296,9 @@ impl Engine {
         let counting = key.counting != 0;
         self.reserve_tile(pixels, counting)?;
         self.prepare_pipeline(key)?;
-        let pipeline = self.pipelines.get(&key).map(Owned::get);
-        self.submit(pass, pipeline, commands)?;
+        let set = self.prepare_set()?;
+        let shader = self.pipelines.get(&key).map(|p| (p.get(), set));
+        self.submit(pass, shader, commands)?;
         let seconds = self.read_seconds()?;
         let Some(buffers) = &self.tile else { return Err(Error::new("no tile buffers")) };
         let bytes = buffers.read_back.bytes()?;
@@ -318,6 +312,7 @@ impl Engine {
         if self.tile.as_ref().is_some_and(|t| t.pixels >= pixels && t.counting >= counting) {
             return Ok(());
         }
+        self.set = None;
         self.tile = None;
         let storage = vk::BufferUsageFlags::STORAGE_BUFFER | vk::BufferUsageFlags::TRANSFER_SRC;
         let make = |name, bytes| Buffer::new(&self.gpu, name, bytes, storage, MemoryLocation::GpuOnly);
@@ -330,10 +325,6 @@ impl Engine {
             vk::BufferUsageFlags::TRANSFER_DST,
             MemoryLocation::GpuToCpu,
         )?;
-        self.bind_buffer(5, vk::DescriptorType::STORAGE_BUFFER, &image);
-        if let Some(work) = &work {
-            self.bind_buffer(6, vk::DescriptorType::STORAGE_BUFFER, work);
-        }
         self.tile = Some(TileBuffers { pixels, counting, image, work, read_back });
         Ok(())
     }
@@ -373,28 +364,67 @@ impl Engine {
         Ok(())
     }
 
-    fn write_descriptor(&self, write: vk::WriteDescriptorSet<'_>) {
-        // SAFETY: nothing that uses the set is running (every submission is waited for), and the resource is alive.
-        unsafe { self.gpu.device.update_descriptor_sets(&[write.dst_set(self.set)], &[]) };
-    }
-
-    fn bind_image(&self, binding: u32, image: &Image) {
-        let info = [vk::DescriptorImageInfo::default()
-            .image_view(image.view())
-            .image_layout(vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL)];
-        self.write_descriptor(
+    /// Makes a new descriptor set of what there is now. Sets are never rewritten: some drivers look at every
+    /// descriptor of a set, also at those that the shader does not use and whose resources are gone.
+    fn prepare_set(&mut self) -> Result<vk::DescriptorSet> {
+        if let Some(set) = self.set {
+            return Ok(set);
+        }
+        let device = &self.gpu.device;
+        let pool = self.descriptors.get();
+        // SAFETY: nothing that uses the pool's set is running: every submission is waited for.
+        unsafe { device.reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty()) }
+            .named("vkResetDescriptorPool")?;
+        let layouts = [self.set_layout.get()];
+        let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
+        // SAFETY: the pool has room for this one set.
+        let set = unsafe { device.allocate_descriptor_sets(&info) }.named("vkAllocateDescriptorSets")?[0];
+        let write = |write: vk::WriteDescriptorSet<'_>| {
+            // SAFETY: the set is new, so nothing uses it, and the resource is alive.
+            unsafe { device.update_descriptor_sets(&[write.dst_set(set)], &[]) };
+        };
+        let write_buffer = |binding, kind, buffer: &Buffer| {
+            let info = [vk::DescriptorBufferInfo::default().buffer(buffer.get()).range(vk::WHOLE_SIZE)];
+            write(
+                vk::WriteDescriptorSet::default()
+                    .dst_binding(binding)
+                    .descriptor_type(kind)
+                    .buffer_info(&info),
+            );
+        };
+        write_buffer(0, vk::DescriptorType::STORAGE_BUFFER, &self.setup);
+        if let Some(tile) = &self.tile {
+            write_buffer(5, vk::DescriptorType::STORAGE_BUFFER, &tile.image);
+            if let Some(work) = &tile.work {
+                write_buffer(6, vk::DescriptorType::STORAGE_BUFFER, work);
+            }
+        }
+        let sampler = [vk::DescriptorImageInfo::default().sampler(self.sampler.get())];
+        write(
             vk::WriteDescriptorSet::default()
-                .dst_binding(binding)
-                .descriptor_type(vk::DescriptorType::SAMPLED_IMAGE)
-                .image_info(&info),
+                .dst_binding(3)
+                .descriptor_type(vk::DescriptorType::SAMPLER)
+                .image_info(&sampler),
         );
-    }
-
-    fn bind_buffer(&self, binding: u32, kind: vk::DescriptorType, buffer: &Buffer) {
-        let info = [vk::DescriptorBufferInfo::default().buffer(buffer.get()).range(vk::WHOLE_SIZE)];
-        self.write_descriptor(
-            vk::WriteDescriptorSet::default().dst_binding(binding).descriptor_type(kind).buffer_info(&info),
-        );
+        // Each image with its binding as a sampled and as a storage image.
+        for (image, sampled, storage) in [(&self.table, 1, 7), (&self.volume, 2, 8), (&self.skip_map, 4, 9)] {
+            let Some(image) = image else { continue };
+            let info =
+                [vk::DescriptorImageInfo::default().image_view(image.view()).image_layout(image.layout())];
+            let (binding, kind) = if image.shape.storage {
+                (storage, vk::DescriptorType::STORAGE_IMAGE)
+            } else {
+                (sampled, vk::DescriptorType::SAMPLED_IMAGE)
+            };
+            write(
+                vk::WriteDescriptorSet::default()
+                    .dst_binding(binding)
+                    .descriptor_type(kind)
+                    .image_info(&info),
+            );
+        }
+        self.set = Some(set);
+        Ok(set)
     }
 
     /// After a failed submission: waits until the device is idle, so that resources may be changed.
@@ -411,15 +441,15 @@ impl Engine {
     }
 
     /// Plays a recording and waits for its end.
-    fn submit(&mut self, pass: &str, pipeline: Option<vk::Pipeline>, commands: &[Command]) -> Result<()> {
+    fn submit(&mut self, pass: &str, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
         self.broken = true;
-        self.try_submit(pipeline, commands)
+        self.try_submit(shader, commands)
             .map_err(|e| Error::new(format!("{e} (last pass: {pass}, on {})", self.gpu.name)))?;
         self.broken = false;
         Ok(())
     }
 
-    fn try_submit(&self, pipeline: Option<vk::Pipeline>, commands: &[Command]) -> Result<()> {
+    fn try_submit(&self, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
         let device = &self.gpu.device;
         // SAFETY: the one command buffer of the pool is not pending: every submission is waited for below, or
         // `recover` has waited for the device.
@@ -429,7 +459,7 @@ impl Engine {
         // SAFETY: the command buffer is in its initial state.
         unsafe { device.begin_command_buffer(self.commands, &begin) }.named("vkBeginCommandBuffer")?;
         for command in commands {
-            self.play(pipeline, command)?;
+            self.play(shader, command)?;
         }
         // SAFETY: recording was begun above.
         unsafe { device.end_command_buffer(self.commands) }.named("vkEndCommandBuffer")?;
@@ -449,12 +479,12 @@ impl Engine {
         match target {
             Target::Volume => self.volume.as_ref(),
             Target::SkipMap => self.skip_map.as_ref(),
-            Target::Table => Some(&self.table),
+            Target::Table => self.table.as_ref(),
         }
         .ok_or_else(|| Error::new("an image that a command names was not reserved"))
     }
 
-    fn play(&self, pipeline: Option<vk::Pipeline>, command: &Command) -> Result<()> {
+    fn play(&self, shader: Option<Shader>, command: &Command) -> Result<()> {
         let device = &self.gpu.device;
         let commands = self.commands;
         // SAFETY: the command buffer is being recorded; every resource named by a command belongs to this engine and
@@ -466,8 +496,7 @@ impl Engine {
                     device.cmd_update_buffer(commands, self.setup.get(), 0, bytemuck::bytes_of(&**setup));
                 }
                 Command::WriteTable(table) => {
-                    let bytes: &[u8] = bytemuck::cast_slice(table.as_slice());
-                    device.cmd_update_buffer(commands, self.table_staging.get(), 0, bytes);
+                    device.cmd_update_buffer(commands, self.table_staging.get(), 0, table);
                 }
                 Command::PrepareCopy { target, keep } => self.image_barrier(
                     self.image(*target)?,
@@ -482,7 +511,7 @@ impl Engine {
                 Command::FinishCopy { target } => self.image_barrier(
                     self.image(*target)?,
                     vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                    vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
+                    self.image(*target)?.layout(),
                     (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
                     (vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_READ),
                 ),
@@ -491,7 +520,7 @@ impl Engine {
                     let Some(staging) = &self.staging else {
                         return Err(Error::new("a copy without staging buffer"));
                     };
-                    let [width, height, _] = image.extent;
+                    let [width, height, _] = image.shape.extent;
                     let region = copy_region(*first_slice, [width, height, *slices]);
                     device.cmd_copy_buffer_to_image(
                         commands,
@@ -501,13 +530,16 @@ impl Engine {
                         &[region],
                     );
                 }
-                Command::CopyTable => device.cmd_copy_buffer_to_image(
-                    commands,
-                    self.table_staging.get(),
-                    self.table.get(),
-                    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                    &[copy_region(0, self.table.extent)],
-                ),
+                Command::CopyTable => {
+                    let image = self.image(Target::Table)?;
+                    device.cmd_copy_buffer_to_image(
+                        commands,
+                        self.table_staging.get(),
+                        image.get(),
+                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                        &[copy_region(0, image.shape.extent)],
+                    );
+                }
                 Command::BufferBarrier(hazard) => {
                     let (source, target) = barrier_masks(*hazard);
                     let barrier =
@@ -535,7 +567,7 @@ impl Engine {
                     }
                 }
                 Command::Dispatch { groups } => {
-                    let Some(pipeline) = pipeline else {
+                    let Some((pipeline, set)) = shader else {
                         return Err(Error::new("a dispatch without pipeline"));
                     };
                     let point = vk::PipelineBindPoint::COMPUTE;
@@ -545,7 +577,7 @@ impl Engine {
                         point,
                         self.pipeline_layout.get(),
                         0,
-                        &[self.set],
+                        &[set],
                         &[],
                     );
                     device.cmd_dispatch(commands, groups[0], groups[1], 1);
@@ -647,9 +679,7 @@ fn barrier_masks(hazard: Hazard) -> (Access, Access) {
     let shader = vk::PipelineStageFlags::COMPUTE_SHADER;
     match hazard {
         Hazard::TransferToTransfer => (written, transfer),
-        Hazard::TransferToShader => {
-            (written, (shader, vk::AccessFlags::SHADER_READ))
-        }
+        Hazard::TransferToShader => (written, (shader, vk::AccessFlags::SHADER_READ)),
         Hazard::ShaderToTransfer => ((shader, vk::AccessFlags::SHADER_WRITE), transfer),
         Hazard::TransferToHost => (written, (vk::PipelineStageFlags::HOST, vk::AccessFlags::HOST_READ)),
     }

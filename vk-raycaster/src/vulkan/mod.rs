@@ -19,6 +19,7 @@ use engine::{Engine, ShaderKey};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
 use gpu::{Gpu, GpuOptions};
 use recording::{IMAGE_BYTES, Target, WORK_BYTES, record_tile, tiles};
+use resources::Shape;
 use std::sync::Arc;
 
 /// A dispatch that takes longer than this makes the tiles of its shading mode smaller.
@@ -169,11 +170,11 @@ impl VulkanRaycaster {
             map.add_distances();
             preparation.distance_map = Some(watch.wall());
             let watch = Stopwatch::start();
-            let dims = map.dims.map(|n| n as u32);
-            self.engine.reserve(Target::SkipMap, dims, ash::vk::Format::R8_UINT)?;
+            let fetch = volume.fetch;
+            self.engine.reserve(Target::SkipMap, upload::skip_map_shape(fetch, map.dims))?;
             let slice = map.dims[0] * map.dims[1];
             self.engine.copy_slices(Target::SkipMap, |first, out| {
-                out.copy_from_slice(&map.bytes[first * slice..][..out.len()]);
+                upload::fill_skip_map(fetch, &map.bytes[first * slice..], out);
             })?;
             preparation.upload = Some(preparation.upload.unwrap_or(0.0) + watch.wall());
             self.has_skip_map = true;
@@ -205,7 +206,16 @@ impl Renderer for VulkanRaycaster {
         self.volume = None;
         self.has_skip_map = false;
         let dims = prepared.geometry.dims;
-        self.engine.reserve(Target::Volume, dims.map(|n| n as u32), plan.format)?;
+        self.engine.reserve(
+            Target::Volume,
+            Shape {
+                extent: dims.map(|n| n as u32),
+                format: plan.format,
+                storage: plan.fetch == VoxelFetch::Packed,
+            },
+        )?;
+        self.engine.reserve(Target::Table, upload::table_shape(plan.fetch))?;
+        self.table_step = None;
         self.engine.copy_slices(Target::Volume, |first, out| {
             upload::fill_slices(&prepared, &plan, first, out);
         })?;
@@ -254,7 +264,8 @@ impl Renderer for VulkanRaycaster {
             fetch: volume.fetch as u32,
             counting: u32::from(self.options.count_work),
         };
-        let mut table = (self.table_step != Some(frame.step())).then(|| classifier.step_table(frame.step()));
+        let mut table = (self.table_step != Some(frame.step()))
+            .then(|| upload::table_texels(volume.fetch, &classifier.step_table(frame.step())));
         self.table_step = None;
         let (width, height) = (frame.width(), frame.height());
         let mut rgba = vec![0; width as usize * height as usize * IMAGE_BYTES as usize];
@@ -263,8 +274,7 @@ impl Renderer for VulkanRaycaster {
         let cut = tiles(width, height, self.tile[class]);
         for (i, &tile) in cut.iter().enumerate() {
             let timestamps = device.is_some();
-            let commands =
-                record_tile(&setup, tile, table.take().as_deref(), timestamps, self.options.count_work);
+            let commands = record_tile(&setup, tile, table.take(), timestamps, self.options.count_work);
             let pass = format!("ray casting, tile {} of {}", i + 1, cut.len());
             let tile_watch = Stopwatch::start();
             let done = self.engine.cast(&pass, key, tile, &commands)?;

@@ -11,6 +11,7 @@ const SMALLEST_ADVANCE: f32 = 1e-9;
 const FAR: f32 = 3.0e38;
 const BLOCK_EDGE: f32 = 8.0;
 const EMPTY_BIT: u32 = 128u;
+const COLORS_PER_ENTRY: f32 = 16.0;
 const SHADOW_STEP: u32 = 2u;
 const SHADOW_TERMINATION: f32 = 0.25;
 
@@ -42,27 +43,29 @@ struct FrameSetup {
 }
 
 @group(0) @binding(0) var<storage, read> setup: FrameSetup;
-@group(0) @binding(1) var table: texture_2d<f32>;
+// Software devices load from storage images without the arithmetic of mip levels.
 #if FETCH == 2
-@group(0) @binding(2) var volume: texture_3d<u32>;
+// Row 0: opacities of the 256 entries. Row 1: colors at every 1/COLORS_PER_ENTRY entry, 11, 11 and 10 bits.
+@group(0) @binding(7) var table: texture_storage_2d<r32uint, read>;
+// A word holds the voxels (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1) of one slice.
+@group(0) @binding(8) var volume: texture_storage_3d<r32uint, read>;
+#if SKIPPING != 0
+@group(0) @binding(9) var skip_map: texture_storage_3d<r32uint, read>;
+#endif
 #else
+@group(0) @binding(1) var table: texture_2d<f32>;
 @group(0) @binding(2) var volume: texture_3d<f32>;
+#if SKIPPING != 0
+@group(0) @binding(4) var skip_map: texture_3d<u32>;
+#endif
 #endif
 #if FETCH == 0
 @group(0) @binding(3) var volume_sampler: sampler;
-#endif
-#if SKIPPING != 0
-@group(0) @binding(4) var skip_map: texture_3d<u32>;
 #endif
 @group(0) @binding(5) var<storage, read_write> image: array<u32>;
 #if COUNTING == 1
 @group(0) @binding(6) var<storage, read_write> work: array<vec4<u32>>;
 #endif
-
-struct Segment {
-    empty: bool,
-    end: f32,
-}
 
 struct Counts {
     samples: u32,
@@ -71,6 +74,20 @@ struct Counts {
 }
 
 var<private> counts: Counts;
+// Copies of what every sample needs of the setup: software devices load it lane by lane.
+var<private> dims: vec3<f32>;
+var<private> last: vec3<f32>;
+var<private> scale: f32;
+var<private> bias: f32;
+
+// The integer of a whole number in 0…2²³ − 1, without the range checks of a conversion.
+fn whole(v: vec3<f32>) -> vec3<i32> {
+    return bitcast<vec3<i32>>(v + 8388608.0) & vec3<i32>(0x7fffff);
+}
+
+fn whole1(v: f32) -> i32 {
+    return bitcast<i32>(v + 8388608.0) & 0x7fffff;
+}
 
 fn jitter(x: u32, y: u32) -> f32 {
     var h = (x * 0x9e3779b1u) ^ (y * 0x85ebca77u);
@@ -80,14 +97,21 @@ fn jitter(x: u32, y: u32) -> f32 {
     return f32(h >> 8u) * (1.0 / 16777216.0);
 }
 
+#if SKIPPING != 0
+struct Segment {
+    empty: bool,
+    end: f32,
+}
+
 // The run of samples from k on that are treated alike.
 fn segment(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, count: f32) -> Segment {
-#if SKIPPING == 0
-    return Segment(false, count);
+    let cell = floor(min(max(first + k * advance - 0.5, vec3<f32>(0.0)), last));
+    let block = whole(cell) >> vec3<u32>(3u);
+#if FETCH == 2
+    let entry = textureLoad(skip_map, block).x;
 #else
-    let cell = floor(min(max(first + k * advance - 0.5, vec3<f32>(0.0)), setup.dims - 1.0));
-    let block = vec3<u32>(cell) >> vec3<u32>(3u);
-    let entry = textureLoad(skip_map, vec3<i32>(block), 0).x;
+    let entry = textureLoad(skip_map, block, 0).x;
+#endif
     let empty = (entry & EMPTY_BIT) != 0u;
     var distance = f32(entry & 127u);
 #if SKIPPING == 1
@@ -100,6 +124,33 @@ fn segment(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, cou
     let t = (face - first) * inverse;
     let exit = min(min(t.x, t.y), t.z);
     return Segment(empty, min(max(ceil(exit - 1e-3), k + 1.0), count));
+}
+#endif
+
+// The next samples that are taken, from k on: those of a run of blocks that are not empty.
+struct Samples {
+    begin: f32,
+    end: f32,
+}
+
+fn next_samples(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, start: f32, count: f32) -> Samples {
+#if SKIPPING == 0
+    return Samples(start, count);
+#else
+    var k = start;
+    var end = count;
+    loop {
+        let run = segment(first, advance, inverse, k, count);
+        end = run.end;
+        if run.empty {
+            counts.skips += 1u;
+            k = run.end;
+        }
+        continuing {
+            break if !(run.empty && k < count);
+        }
+    }
+    return Samples(k, end);
 #endif
 }
 
@@ -110,14 +161,13 @@ fn mix1(a: f32, b: f32, f: f32) -> f32 {
 // The table position (0…255) of the volume at p.
 fn position(p: vec3<f32>) -> f32 {
 #if FETCH == 0
-    let value = textureSampleLevel(volume, volume_sampler, p / setup.dims, 0.0).x;
+    let value = textureSampleLevel(volume, volume_sampler, p / dims, 0.0).x;
 #else
-    let last = setup.dims - 1.0;
     let q = min(max(p - 0.5, vec3<f32>(0.0)), last);
     let cell = floor(q);
     let f = q - cell;
-    let low = vec3<i32>(cell);
-    let high = min(low + 1, vec3<i32>(last));
+    let low = whole(cell);
+    let high = whole(min(cell + 1.0, last));
 #if FETCH == 1
     let v000 = textureLoad(volume, low, 0).x;
     let v100 = textureLoad(volume, vec3<i32>(high.x, low.y, low.z), 0).x;
@@ -128,9 +178,8 @@ fn position(p: vec3<f32>) -> f32 {
     let v011 = textureLoad(volume, vec3<i32>(low.x, high.y, high.z), 0).x;
     let v111 = textureLoad(volume, high, 0).x;
 #else
-    // A word holds the voxels (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1) of one slice.
-    let near = textureLoad(volume, low, 0).x;
-    let far = textureLoad(volume, vec3<i32>(low.x, low.y, high.z), 0).x;
+    let near = textureLoad(volume, low).x;
+    let far = textureLoad(volume, vec3<i32>(low.x, low.y, high.z)).x;
     let v000 = f32(near & 255u);
     let v100 = f32((near >> 8u) & 255u);
     let v010 = f32((near >> 16u) & 255u);
@@ -144,17 +193,38 @@ fn position(p: vec3<f32>) -> f32 {
     let far_slice = mix1(mix1(v001, v101, f.x), mix1(v011, v111, f.x), f.y);
     let value = mix1(near_slice, far_slice, f.z);
 #endif
-    return min(max(value * setup.scale + setup.bias, 0.0), 255.0);
+    return min(max(value * scale + bias, 0.0), 255.0);
+}
+
+// The opacity at a table position.
+fn opacity(position: f32) -> f32 {
+    let i = floor(min(position, 254.0));
+    let f = position - i;
+    let index = whole1(i);
+#if FETCH == 2
+    let a = bitcast<f32>(textureLoad(table, vec2<i32>(index, 0)).x);
+    let b = bitcast<f32>(textureLoad(table, vec2<i32>(index + 1, 0)).x);
+#else
+    let a = textureLoad(table, vec2<i32>(index, 0), 0).w;
+    let b = textureLoad(table, vec2<i32>(index + 1, 0), 0).w;
+#endif
+    return a + f * (b - a);
 }
 
 // Color and opacity at a table position.
 fn classify(position: f32) -> vec4<f32> {
+#if FETCH == 2
+    let word = textureLoad(table, vec2<i32>(whole1(position * COLORS_PER_ENTRY), 1)).x;
+    let color = vec3<f32>(f32(word & 2047u), f32((word >> 11u) & 2047u), f32(word >> 22u));
+    return vec4<f32>(color * vec3<f32>(1.0 / 2047.0, 1.0 / 2047.0, 1.0 / 1023.0), opacity(position));
+#else
     let i = floor(min(position, 254.0));
     let f = position - i;
-    let index = i32(i);
+    let index = whole1(i);
     let a = textureLoad(table, vec2<i32>(index, 0), 0);
     let b = textureLoad(table, vec2<i32>(index + 1, 0), 0);
     return a + f * (b - a);
+#endif
 }
 
 #if SHADING == 1
@@ -181,20 +251,20 @@ fn light(p: vec3<f32>, view: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
 #if SHADING == 2
 // Single scattering with a shadow ray towards the light.
 fn scatter(p: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
-    let face = select(vec3<f32>(0.0), setup.dims, setup.light > vec3<f32>(0.0));
+    let face = select(vec3<f32>(0.0), dims, setup.light > vec3<f32>(0.0));
     let t = (face - p) * setup.light_inverse;
     let count = ceil(min(min(t.x, t.y), t.z));
+    let step = setup.light;
+    let inverse = setup.light_inverse;
     var transmittance = 1.0;
     var k = 1.0;
     while k < count {
-        let run = segment(p, setup.light, setup.light_inverse, k, count);
-        if run.empty {
-            counts.skips += 1u;
-            k = run.end;
-        } else {
+        let run = next_samples(p, step, inverse, k, count);
+        k = run.begin;
+        if k < count {
             loop {
                 counts.samples += 1u;
-                let clear = 1.0 - classify(position(p + k * setup.light)).w;
+                let clear = 1.0 - opacity(position(p + k * step));
                 for (var i = 0u; i < SHADOW_STEP; i++) {
                     transmittance *= clear;
                 }
@@ -223,7 +293,7 @@ fn trace(pixel: vec2<u32>) -> vec4<f32> {
     let advance = select(product, vec3<f32>(SMALLEST_ADVANCE), abs(product) < vec3<f32>(SMALLEST_ADVANCE));
     let inverse = 1.0 / advance;
     let near = (vec3<f32>(0.0) - setup.eye) * inverse;
-    let far = (setup.dims - setup.eye) * inverse;
+    let far = (dims - setup.eye) * inverse;
     let closer = min(near, far);
     let farther = max(near, far);
     let enter = max(max(max(closer.x, closer.y), closer.z), 0.0);
@@ -239,35 +309,33 @@ fn trace(pixel: vec2<u32>) -> vec4<f32> {
     let start = enter + offset;
     let first = setup.eye + start * advance;
     let count = ceil(exit - start);
+    let termination = setup.termination;
     var k = 0.0;
     while k < count {
-        let run = segment(first, advance, inverse, k, count);
-        if run.empty {
-            counts.skips += 1u;
-            k = run.end;
-        } else {
+        let run = next_samples(first, advance, inverse, k, count);
+        k = run.begin;
+        if k < count {
             loop {
                 let p = first + k * advance;
                 counts.samples += 1u;
                 let found = classify(position(p));
                 k += 1.0;
+#if SHADING == 0
+                let weight = (1.0 - sum.w) * found.w;
+                sum += weight * vec4<f32>(found.xyz, 1.0);
+#else
                 if found.w > 0.0 {
-                    var color = found.xyz;
 #if SHADING == 1
-                    color = light(p, direction, color);
+                    let color = light(p, direction, found.xyz);
+#else
+                    let color = scatter(p, found.xyz);
 #endif
-#if SHADING == 2
-                    color = scatter(p, color);
-#endif
-#if SHADING != 0
                     counts.shaded += 1u;
-#endif
                     let weight = (1.0 - sum.w) * found.w;
                     sum += weight * vec4<f32>(color, 1.0);
-                    if sum.w >= setup.termination {
-                        k = count;
-                    }
                 }
+#endif
+                k = select(k, count, sum.w >= termination);
                 continuing {
                     break if !(k < run.end);
                 }
@@ -282,6 +350,10 @@ fn trace(pixel: vec2<u32>) -> vec4<f32> {
 fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let x = group.x * 8u + ((lane & 1u) | ((lane >> 1u) & 2u) | ((lane >> 2u) & 4u));
     let y = group.y * 8u + (((lane >> 1u) & 1u) | ((lane >> 2u) & 2u) | ((lane >> 3u) & 4u));
+    dims = setup.dims;
+    last = dims - 1.0;
+    scale = setup.scale;
+    bias = setup.bias;
     if x < setup.tile_width && y < setup.tile_height {
         let sum = trace(vec2<u32>(setup.tile_x + x, setup.tile_y + y));
         let hit = sum.w >= 0.0;

@@ -1,7 +1,6 @@
 //! What a submission does, as plain data that can be looked at without a device. The engine plays it.
 
 use crate::setup::FrameSetup;
-use crate::table::StepTable;
 
 /// Pixels along the edge of a workgroup.
 pub(crate) const GROUP_EDGE: u32 = 8;
@@ -23,8 +22,8 @@ pub(crate) enum Target {
 pub(crate) enum Command {
     /// Writes the uniform block.
     WriteSetup(Box<FrameSetup>),
-    /// Writes the step table into its staging buffer on the device.
-    WriteTable(Box<StepTable>),
+    /// Writes the texels of the step table into its staging buffer on the device.
+    WriteTable(Vec<u8>),
     /// Makes an image ready to be copied to; what it held is lost unless `keep`.
     PrepareCopy { target: Target, keep: bool },
     /// Copies slices `first_slice…` of the volume or skip map from the staging buffer.
@@ -86,7 +85,7 @@ pub(crate) fn tiles(width: u32, height: u32, edge: u32) -> Vec<Tile> {
 pub(crate) fn record_tile(
     setup: &FrameSetup,
     tile: Tile,
-    table: Option<&StepTable>,
+    table: Option<Vec<u8>>,
     timestamps: bool,
     counting: bool,
 ) -> Vec<Command> {
@@ -100,7 +99,7 @@ pub(crate) fn record_tile(
     commands.push(Command::WriteSetup(Box::new(setup)));
     if let Some(table) = table {
         commands.extend([
-            Command::WriteTable(Box::new(*table)),
+            Command::WriteTable(table),
             Command::BufferBarrier(Hazard::TransferToTransfer),
             Command::PrepareCopy { target: Target::Table, keep: false },
             Command::CopyTable,
@@ -167,8 +166,8 @@ mod tests {
     fn a_tile_writes_before_it_casts_and_reads_back_after() {
         let setup: FrameSetup = bytemuck::Zeroable::zeroed();
         let tile = Tile { x: 16, y: 32, width: 33, height: 9 };
-        let table = [[0.0; 4]; 256];
-        let c = record_tile(&setup, tile, Some(&table), true, true);
+        let table = vec![0; 64];
+        let c = record_tile(&setup, tile, Some(table), true, true);
         let write =
             position(&c, |c| matches!(c, Command::WriteSetup(s) if s.tile_x == 16 && s.tile_height == 9));
         let copied = position(&c, |c| *c == Command::FinishCopy { target: Target::Table });

@@ -136,25 +136,29 @@ impl Drop for Buffer {
     }
 }
 
-/// A sampled image with its memory and a view of all of it.
+/// Size and use of an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Shape {
+    pub(crate) extent: [u32; 3],
+    pub(crate) format: vk::Format,
+    /// Whether shaders load from it as a storage image, else as a sampled one.
+    pub(crate) storage: bool,
+}
+
+/// An image that shaders read, with its memory and a view of all of it.
 pub(crate) struct Image {
     gpu: Arc<Gpu>,
     image: vk::Image,
     view: vk::ImageView,
     allocation: Option<Allocation>,
-    pub(crate) extent: [u32; 3],
-    pub(crate) format: vk::Format,
+    pub(crate) shape: Shape,
 }
 
 impl Image {
-    /// A 2-D or 3-D image that is copied to and sampled from.
-    pub(crate) fn new(
-        gpu: &Arc<Gpu>,
-        name: &str,
-        kind: vk::ImageType,
-        extent: [u32; 3],
-        format: vk::Format,
-    ) -> Result<Self> {
+    /// A 2-D or 3-D image that is copied to and read by shaders.
+    pub(crate) fn new(gpu: &Arc<Gpu>, name: &str, kind: vk::ImageType, shape: Shape) -> Result<Self> {
+        let Shape { extent, format, storage } = shape;
+        let read = if storage { vk::ImageUsageFlags::STORAGE } else { vk::ImageUsageFlags::SAMPLED };
         let info = vk::ImageCreateInfo::default()
             .image_type(kind)
             .format(format)
@@ -163,19 +167,13 @@ impl Image {
             .array_layers(1)
             .samples(vk::SampleCountFlags::TYPE_1)
             .tiling(vk::ImageTiling::OPTIMAL)
-            .usage(vk::ImageUsageFlags::SAMPLED | vk::ImageUsageFlags::TRANSFER_DST)
+            .usage(read | vk::ImageUsageFlags::TRANSFER_DST)
             .sharing_mode(vk::SharingMode::EXCLUSIVE)
             .initial_layout(vk::ImageLayout::UNDEFINED);
         // SAFETY: the caller has checked extent and format against the device.
         let image = unsafe { gpu.device.create_image(&info, None) }.named("vkCreateImage")?;
-        let mut this = Self {
-            gpu: Arc::clone(gpu),
-            image,
-            view: vk::ImageView::null(),
-            allocation: None,
-            extent,
-            format,
-        };
+        let mut this =
+            Self { gpu: Arc::clone(gpu), image, view: vk::ImageView::null(), allocation: None, shape };
         // SAFETY: the image was made from this device.
         let requirements = unsafe { gpu.device.get_image_memory_requirements(image) };
         let allocation = allocate(gpu, name, requirements, MemoryLocation::GpuOnly, false)?;
@@ -200,6 +198,11 @@ impl Image {
 
     pub(crate) fn get(&self) -> vk::Image {
         self.image
+    }
+
+    /// The layout that shaders read it in.
+    pub(crate) fn layout(&self) -> vk::ImageLayout {
+        if self.shape.storage { vk::ImageLayout::GENERAL } else { vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL }
     }
 
     pub(crate) fn view(&self) -> vk::ImageView {

@@ -2,10 +2,19 @@
 
 use super::VoxelFetch;
 use super::gpu::Gpu;
+use super::resources::Shape;
 use crate::renderer::{Error, Result};
+use crate::table::StepTable;
 use crate::voxels::{PreparedVolume, Voxels};
 use ash::vk;
+use entire_core::scene::TABLE_LEN;
 use rayon::prelude::*;
+
+/// Colors per table entry in a packed table.
+const COLORS_PER_ENTRY: usize = 16;
+
+/// Texels per row of a packed table.
+const PACKED_ROW: usize = 4096;
 
 /// Format and meaning of the texels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -97,6 +106,61 @@ fn pack_slices(voxels: &[u8], [nx, ny]: [usize; 2], first: usize, out: &mut [u8]
             word.copy_from_slice(&[near[x], near[next], far[x], far[next]]);
         }
     });
+}
+
+/// The table's image.
+pub(crate) fn table_shape(fetch: VoxelFetch) -> Shape {
+    match fetch {
+        VoxelFetch::Packed => {
+            Shape { extent: [PACKED_ROW as u32, 2, 1], format: vk::Format::R32_UINT, storage: true }
+        }
+        _ => {
+            let format = vk::Format::R32G32B32A32_SFLOAT;
+            Shape { extent: [TABLE_LEN as u32, 1, 1], format, storage: false }
+        }
+    }
+}
+
+/// The skip map's image.
+pub(crate) fn skip_map_shape(fetch: VoxelFetch, dims: [usize; 3]) -> Shape {
+    let storage = fetch == VoxelFetch::Packed;
+    let format = if storage { vk::Format::R32_UINT } else { vk::Format::R8_UINT };
+    Shape { extent: dims.map(|n| n as u32), format, storage }
+}
+
+/// Writes whole slices of the skip map.
+pub(crate) fn fill_skip_map(fetch: VoxelFetch, bytes: &[u8], out: &mut [u8]) {
+    if fetch == VoxelFetch::Packed {
+        for (word, byte) in out.chunks_exact_mut(4).zip(bytes) {
+            word.copy_from_slice(&u32::from(*byte).to_ne_bytes());
+        }
+    } else {
+        out.copy_from_slice(&bytes[..out.len()]);
+    }
+}
+
+/// The table's texels: four floats per entry; or, packed, one row of opacities and one row of finely interpolated
+/// colors in 11, 11 and 10 bits.
+pub(crate) fn table_texels(fetch: VoxelFetch, table: &StepTable) -> Vec<u8> {
+    if fetch != VoxelFetch::Packed {
+        return bytemuck::cast_slice(table.as_slice()).to_vec();
+    }
+    let mut words = vec![0u32; 2 * PACKED_ROW];
+    for (word, entry) in words.iter_mut().zip(table) {
+        *word = entry[3].to_bits();
+    }
+    for (j, word) in words[PACKED_ROW..][..(TABLE_LEN - 1) * COLORS_PER_ENTRY + 1].iter_mut().enumerate() {
+        // The middle of the positions that round down to j.
+        let at = ((j as f32 + 0.5) / COLORS_PER_ENTRY as f32).min(255.0);
+        let low = (at as usize).min(TABLE_LEN - 2);
+        let f = at - low as f32;
+        let channel = |c: usize, top: f32| {
+            let v = table[low][c] + f * (table[low + 1][c] - table[low][c]);
+            (v * top + 0.5) as u32
+        };
+        *word = channel(0, 2047.0) | (channel(1, 2047.0) << 11) | (channel(2, 1023.0) << 22);
+    }
+    bytemuck::cast_slice(&words).to_vec()
 }
 
 #[cfg(test)]
