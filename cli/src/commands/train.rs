@@ -79,7 +79,7 @@ pub struct Options {
     /// Frames per step.
     #[arg(long, default_value_t = 256)]
     pub batch: usize,
-    /// First learning rate; it falls by a half cosine. Unless given, 1e-4 with --preset (as the paper), else 1e-3.
+    /// First learning rate; it falls by a half cosine. Unless given, 1e-4 with --preset (as the paper) and --fine-tune, else 1e-3.
     #[arg(long)]
     pub learning_rate: Option<f64>,
     /// Last learning rate. Unless given, a hundredth of the first.
@@ -245,6 +245,9 @@ pub(crate) fn timed(
     Ok(frames)
 }
 
+/// Log-SD of a frame's median from which on the data themselves are the problem.
+const NOISY: f64 = 0.2;
+
 struct Fitted {
     file: ModelFile,
     layout: Layout,
@@ -337,6 +340,12 @@ pub fn run(options: &Options) -> Result<()> {
         set_upper_bound(&mut fitted.file, &upper)?;
     }
     let noise = noise_floor(refs.iter().copied(), options.clock);
+    if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
+        eprintln!(
+            "note: repeats of one frame scatter by {:.0} %; collect on a quieter machine, with more --repeats, or try --clock cpu",
+            100.0 * (n.log_sd.exp() - 1.0)
+        );
+    }
     let provenance = json!({
         "what": fitted.what,
         "paper": "ENTIRE: Learning-based Volume Rendering Time Prediction",
@@ -509,8 +518,9 @@ fn fit_network<'a>(
     let mut settings = Settings::default();
     settings.epochs = options.epochs;
     settings.batch = options.batch;
-    settings.learning_rate =
-        options.learning_rate.unwrap_or(if options.preset.is_some() { 1e-4 } else { 1e-3 });
+    settings.learning_rate = options
+        .learning_rate
+        .unwrap_or(if options.preset.is_some() || options.fine_tune.is_some() { 1e-4 } else { 1e-3 });
     settings.final_learning_rate = options.final_learning_rate.unwrap_or(settings.learning_rate / 100.0);
     settings.clip_norm = options.clip;
     settings.patience = options.patience;
