@@ -399,7 +399,7 @@ impl Generated {
             "a generated path has 8 to {MAX_FRAMES} frames, not {frames}"
         );
         let values = Values::of(volume);
-        let share = |p: u32| (frames - 1) * p / 100;
+        let share = |p: u32| (u64::from(frames) * u64::from(p) / 100).min(u64::from(frames) - 1) as u32;
         let camera = |rx_deg, ry_deg, dz_radii| Some(CameraPose { rx_deg, ry_deg, dz_radii });
         let key = |p: u32, camera, transfer: Option<Transfer>, switch| Keyframe {
             frame: share(p),
@@ -502,7 +502,7 @@ impl Values {
 
     /// The highest values alone: much to skip.
     fn core(&self) -> Transfer {
-        self.lobes([(0.99, 0.0003, 0.3), (0.995, 0.0003, 0.6), (0.999, 0.0005, 0.9)])
+        self.lobes([(0.985, 0.0008, 0.3), (0.993, 0.0008, 0.6), (0.999, 0.0015, 0.9)])
     }
 
     /// A translucent layer around a denser one.

@@ -64,7 +64,7 @@ pub struct Options {
     #[arg(long, default_value_t = 120, value_name = "N")]
     pub frames: u32,
     /// Random scenes rendered to calibrate, at six steps each.
-    #[arg(long, default_value_t = 48, value_name = "N")]
+    #[arg(long, default_value_t = 80, value_name = "N")]
     pub calibrate: usize,
     /// What each sample computes.
     #[arg(long, value_enum, default_value_t)]

@@ -187,16 +187,21 @@ impl Span {
         if self.log {
             let (first, last) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
             let decades = f64::from(last - first);
-            let factors: &[f64] = if decades * 3.0 <= room + 2.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
             let stride = ((decades / room).ceil() as i32).max(1);
             let inside = |v: &f64| *v >= self.low * 0.9999 && *v <= self.high * 1.0001;
-            let ticks: Vec<f64> = (first..=last)
-                .filter(|e| e.rem_euclid(stride) == 0)
-                .flat_map(|e| factors.iter().map(move |f| f * 10f64.powi(e)))
-                .filter(inside)
-                .collect();
-            if ticks.len() >= 2 {
-                return ticks;
+            let with = |factors: &[f64]| -> Vec<f64> {
+                (first..=last)
+                    .filter(|e| e.rem_euclid(stride) == 0)
+                    .flat_map(|e| factors.iter().map(move |f| f * 10f64.powi(e)).collect::<Vec<_>>())
+                    .filter(inside)
+                    .collect()
+            };
+            // As many per decade as there is room for.
+            for factors in [&[1.0, 2.0, 3.0, 5.0, 7.0][..], &[1.0, 2.0, 5.0], &[1.0, 3.0], &[1.0]] {
+                let ticks = with(factors);
+                if ticks.len() >= 2 && (ticks.len() as f64 <= room + 2.0 || factors.len() == 1) {
+                    return ticks;
+                }
             }
         }
         let raw = (self.high - self.low) / room;

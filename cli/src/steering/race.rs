@@ -95,6 +95,12 @@ pub fn sane_target(samples: &[Sample]) -> Option<f64> {
     Some(if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target })
 }
 
+/// What calibration scenes are drawn from: as collections are, with one to three lobes, so that volumes that are nearly
+/// empty under the transfer function are among them.
+pub fn calibration_scenes() -> SceneDistribution {
+    SceneDistribution { lobes: (1, 3), ..SceneDistribution::default() }
+}
+
 /// Renders calibration scenes, fits the predictors, and works out target and fixed step.
 ///
 /// Answers `None` when `stop` said so.
@@ -112,7 +118,7 @@ pub fn prepare(
         race.volume,
         &summary,
         &race.draw,
-        &SceneDistribution::default(),
+        &calibration_scenes(),
         (race.seed, race.seed_name),
         race.calibration,
         renderer,

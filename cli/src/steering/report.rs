@@ -70,11 +70,11 @@ fn percent(v: f64) -> String {
 pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
     let mut table = Table::new(vec![
         Column::text("controller"),
-        Column::number("> 1.1 x target / %"),
-        Column::number("> 1.25 x target / %"),
-        Column::number("mean |t-target|/target / %"),
-        Column::number("... at switches / %"),
-        Column::number("... calm / %"),
+        Column::number("> 1.1 T / %"),
+        Column::number("> 1.25 T / %"),
+        Column::number("|t-T|/T / %"),
+        Column::number("at switches / %"),
+        Column::number("calm / %"),
         Column::number("p95 / ms"),
         Column::number("worst / ms"),
         Column::number("recovery / frames"),
@@ -119,7 +119,7 @@ pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
 /// What the table's columns mean.
 pub fn table_caption() -> String {
     format!(
-        "Best of each column in bold. \"At switches\": the {SWITCH_FRAMES} frames from each abrupt switch on; \"calm\": all others but the first {SWITCH_FRAMES}. Recovery: frames from a switch on until two in a row are on target (within a quarter, or at the end of the allowed steps), mean over the switches; 0 means the switch's own frame was. PSNR against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB."
+        "T is the target. The first two columns are shares of frames over 1.1 and 1.25 T, the third is the mean of |t - T| / T over all frames; \"at switches\" over the {SWITCH_FRAMES} frames from each abrupt switch on, \"calm\" over all others but the first {SWITCH_FRAMES}. Best of each column in bold. Recovery: frames from a switch on until two in a row are on target (within a quarter, or at the end of the allowed steps), mean over the switches; 0 means the switch's own frame was. PSNR against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB."
     )
 }
 
@@ -319,22 +319,20 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         .filter(|c| matches!(playback.names[*c].as_str(), "algorithm1" | "hybrid"))
         .collect();
     if !predicting.is_empty() {
-        let mut chart =
-            Chart::new("Predicted and measured", Axis::log("measured / ms"), Axis::log("predicted / ms"))
-                .size(900.0, 340.0)
-                .rule(Rule::Diagonal(String::new()));
+        let chart = Chart::new("Prediction", Axis::linear("frame"), Axis::log("predicted / measured"))
+            .size(900.0, 300.0)
+            .rule(Rule::Horizontal(1.0, "exact".into()));
+        let mut chart = with_switches(chart, &playback.switches);
         for c in predicting {
-            let points = playback.records[c]
-                .iter()
-                .filter(|r| r.predicted.is_finite())
-                .map(|r| (r.seconds * 1e3, f64::from(r.predicted) * 1e3, String::new()))
-                .collect();
             let name = &playback.names[c];
-            chart = chart.series(Series::new(title(name), Mark::Points(points)).color(color(name)));
+            let ratio =
+                |i: usize| f64::from(playback.records[c][i].predicted) / playback.records[c][i].seconds;
+            chart =
+                chart.series(Series::new(title(name), Mark::Line(numbered(c, &ratio))).color(color(name)));
         }
         page.chart(
             &chart,
-            "Every frame that was predicted before it was drawn; the dashed line is equality.",
+            "What was predicted for each frame before it was drawn, over what it took. Algorithm 1 takes the prediction as it is; the hybrid corrects it by what it observed, and aims below the target where its upper bound would not fit.",
         );
     }
     let ResponseCurve { samples, points: curve } = &story.response;
