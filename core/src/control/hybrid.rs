@@ -47,8 +47,8 @@ pub struct Hybrid {
     last_step: f32,
 }
 
-/// Bisections of the step search: 2⁻¹² of the limits' ratio in logarithms.
-const BISECTIONS: usize = 12;
+/// Most evaluations of the cost in a step search, beside those at the limits.
+const EVALUATIONS: usize = 12;
 /// Relative changes of the step below which it is kept.
 const DEAD_BAND: f64 = 0.02;
 
@@ -89,25 +89,45 @@ impl Hybrid {
         (seconds, seconds * libm::exp(z * sd))
     }
 
-    /// The finest step within the limits that `fits`, by bisection in the logarithm; `None` when none does. Costs are
-    /// taken to fall with the step; where a network says otherwise, the answer still fits.
-    fn finest(limits: StepLimits, mut fits: impl FnMut(f32) -> bool) -> Option<f32> {
-        if fits(limits.finest()) {
-            return Some(limits.finest());
-        }
-        if !fits(limits.coarsest()) {
+    /// The finest step within the limits whose `excess` is not positive, to about half a percent; `None` when there is
+    /// none. The excess (ln of time over target) is nearly linear in ln(step), so a bracketed secant search (Illinois)
+    /// needs four or five evaluations. It is taken to fall with the step; where a network says otherwise, the answer
+    /// still fits.
+    fn finest(limits: StepLimits, mut excess: impl FnMut(f32) -> f64) -> Option<f32> {
+        let mut f_high = excess(limits.coarsest());
+        if f_high > 0.0 {
             return None;
         }
-        let (mut low, mut high) = (libm::logf(limits.finest()), libm::logf(limits.coarsest()));
+        let mut f_low = excess(limits.finest());
+        if f_low <= 0.0 {
+            return Some(limits.finest());
+        }
+        let (mut low, mut high) =
+            (libm::log(f64::from(limits.finest())), libm::log(f64::from(limits.coarsest())));
         let mut best = limits.coarsest();
-        for _ in 0..BISECTIONS {
-            let middle = 0.5 * (low + high);
-            let step = limits.clamp(libm::expf(middle));
-            if fits(step) {
-                high = middle;
-                best = step;
+        let mut side = 0;
+        for _ in 0..EVALUATIONS {
+            let width = high - low;
+            if width < 1.0e-3 {
+                break;
+            }
+            // A little towards the fitting side, so that the search ends there.
+            let secant = (low * f_high - high * (f_low + 1.0e-3)) / (f_high - f_low - 1.0e-3);
+            let x = if secant.is_finite() { secant } else { 0.5 * (low + high) };
+            let x = x.clamp(low + 0.02 * width, high - 0.02 * width);
+            let step = limits.clamp(libm::exp(x) as f32);
+            let f = excess(step);
+            if f <= 0.0 {
+                (high, f_high, best) = (x, f, step);
+                if f > -5.0e-3 {
+                    break;
+                }
+                f_low *= if side == 1 { 0.5 } else { 1.0 };
+                side = 1;
             } else {
-                low = middle;
+                (low, f_low) = (x, f);
+                f_high *= if side == -1 { 0.5 } else { 1.0 };
+                side = -1;
             }
         }
         Some(best)
@@ -149,11 +169,12 @@ impl Controller for Hybrid {
                 this.judge(&request.cost.at(step), changes)
             }
         };
-        let mut fits = |step: f32| {
+        let excess = |step: f32| {
             let (seconds, upper) = judge(step);
-            seconds <= target && upper <= ceiling
+            let f = libm::log(f64::max(seconds / target, upper / ceiling));
+            if f.is_nan() { 1.0 } else { f.clamp(-50.0, 50.0) }
         };
-        let best = Self::finest(limits, &mut fits);
+        let best = Self::finest(limits, excess);
         let mut reason = if by_history { Reason::History } else { Reason::Fits };
         let mut step = match best {
             Some(step) => step,

@@ -5,11 +5,11 @@ use super::{
 };
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
-use crate::adapt::{ObserveFlags, Verdict, check_seconds};
+use crate::adapt::{ObserveFlags, Prior, Verdict, check_seconds};
 use crate::error::bail;
 use crate::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Source, TERMS};
-use crate::scene::{Frame, GaussianLobe, Skipping, TransferTable};
+use crate::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 
@@ -77,8 +77,12 @@ pub struct Session {
 }
 
 impl Session {
-    /// With the default controller: [`Hybrid`] around the given predictor.
-    pub fn new(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Self {
+    /// With the default controller: [`Hybrid`] around the given predictor. A prior of [`Prior::Unknown`] gives way to
+    /// what the predictor knows of its own errors.
+    pub fn new(predictor: Box<dyn Predictor + Send>, mut options: HybridOptions) -> Self {
+        if let (Prior::Unknown, Some(log_sd)) = (options.prior, predictor.log_sd()) {
+            options.prior = Prior::Fitted { log_sd };
+        }
         Self::with_controller(predictor, Box::new(Hybrid::new(options)))
     }
 
@@ -203,9 +207,8 @@ impl Session {
         self.measure(frame)?;
         let changes = self.changes_for(frame);
         let setting = Setting::of(frame);
-        // One checked prediction first: the search below then cannot fail for want of an input.
-        let own = self.terms_at(changes, &setting)?;
         if !self.enabled {
+            let own = self.terms_at(changes, &setting)?;
             let p = self.controller.correct(&own, changes);
             let decision = Decision {
                 step: frame.step(),
@@ -216,19 +219,18 @@ impl Session {
             };
             return Ok(self.note(frame, target, changes, own, decision));
         }
-        let mut cost = Cost {
-            predictor: &mut *self.predictor,
-            shape: &self.shape,
-            reference: None,
-            inputs: Inputs {
-                features: &self.features,
-                setting,
-                changes,
-                camera: self.features.pose(),
-                volume_features: self.volume_features.as_deref(),
-                lobes: self.lobes.as_deref(),
-            },
+        let inputs = Inputs {
+            features: &self.features,
+            setting,
+            changes,
+            camera: self.features.pose(),
+            volume_features: self.volume_features.as_deref(),
+            lobes: self.lobes.as_deref(),
         };
+        // Checked once, so that the search below cannot fail for want of an input.
+        self.predictor.check(&inputs)?;
+        let mut cost =
+            Cost { predictor: &mut *self.predictor, shape: &self.shape, reference: None, last: None, inputs };
         let mut request = PlanRequest { target, limits: self.limits, changes, cost: &mut cost };
         let decision = self.controller.plan(&mut request);
         let terms = cost.at(decision.step);
@@ -258,7 +260,17 @@ impl Session {
                 );
             }
         }
-        self.measure(frame)?;
+        // One probe serves all settings; shadow rays are part of it only where a setting scatters.
+        let scatters = settings.iter().any(|s| s.shading == Shading::Scatter);
+        let distance = settings.iter().any(|s| s.skipping == Skipping::Distance);
+        let mut widest = *frame;
+        if scatters {
+            widest = widest.with_shading(Shading::Scatter);
+        }
+        if distance {
+            widest = widest.with_skipping(Skipping::Distance);
+        }
+        self.measure(&widest)?;
         let changes = self.changes_for(frame);
         let mut fastest: Option<(usize, CostTerms, Prediction)> = None;
         let mut chosen = None;
@@ -425,11 +437,26 @@ struct Cost<'a> {
     shape: &'a AnalyticModel,
     /// The prediction at the reference step, for predictors that do not know the step.
     reference: Option<CostTerms>,
+    /// The step asked for last, and its cost.
+    last: Option<(f32, CostTerms)>,
     inputs: Inputs<'a>,
 }
 
 impl StepCost for Cost<'_> {
     fn at(&mut self, step: f32) -> CostTerms {
+        if let Some((known, terms)) = self.last
+            && known == step
+        {
+            return terms;
+        }
+        let terms = self.evaluate(step);
+        self.last = Some((step, terms));
+        terms
+    }
+}
+
+impl Cost<'_> {
+    fn evaluate(&mut self, step: f32) -> CostTerms {
         let unknown =
             CostTerms { parts: [f32::NAN; TERMS], out_of_range: f32::NAN, source: Source::Analytic };
         let setting = self.inputs.setting.with_step(step);

@@ -202,6 +202,30 @@ fn a_transparent_table_leaves_only_jumps_and_an_opaque_one_the_first_sample() {
 }
 
 #[test]
+fn distances_match_a_search_over_all_cells() {
+    let dims = [56, 40, 48];
+    let mut data = std::vec![0u8; 56 * 40 * 48];
+    for (i, v) in noise(6, 2).into_iter().enumerate() {
+        data[(usize::from(v) * 397 + i * 7919) % (56 * 40 * 48)] = 255;
+    }
+    let s = summary(&data, dims, 48);
+    let mut t = TransferSummary::new(&s, &table(|i| if i == 255 { 1.0 } else { 0.0 }));
+    t.prepare_distance();
+    let [nx, ny, nz] = s.cells();
+    let cells: Vec<[usize; 3]> = (0..nx * ny * nz).map(|i| [i % nx, i / nx % ny, i / nx / ny]).collect();
+    let found = t.distance().unwrap();
+    for (i, a) in cells.iter().enumerate() {
+        let nearest = cells
+            .iter()
+            .filter(|b| !t.is_empty(b[0], b[1], b[2]))
+            .map(|b| (0..3).map(|k| a[k].abs_diff(b[k])).max().unwrap())
+            .min()
+            .unwrap();
+        assert_eq!(usize::from(found[i]), nearest, "{a:?}");
+    }
+}
+
+#[test]
 fn thin_flat_and_tiny_volumes_give_finite_features() {
     for dims in [[1, 1, 1], [200, 1, 1], [1, 64, 64], [2, 300, 2]] {
         let data = noise(dims.iter().product(), 4);

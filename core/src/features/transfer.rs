@@ -32,6 +32,8 @@ pub struct TransferSummary {
     /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
     distance: Vec<u8>,
     distance_ready: bool,
+    /// Working memory for two lines of cells.
+    line: Vec<u8>,
     occupied_share: f32,
     mean_opacity: f32,
     mean_square_opacity: f32,
@@ -50,6 +52,7 @@ impl TransferSummary {
             grid: volume.cells(),
             distance: vec![0; n],
             distance_ready: false,
+            line: Vec::new(),
             occupied_share: 0.0,
             mean_opacity: 0.0,
             mean_square_opacity: 0.0,
@@ -67,6 +70,8 @@ impl TransferSummary {
         let n = volume.stats().len();
         self.cells.resize(n, Cell { extinction: 0.0, occupied: 0.0, visible: 0.0 });
         self.distance.resize(n, 0);
+        let longest = volume.cells().into_iter().max().unwrap_or(1);
+        self.line.resize(2 * longest.max(self.line.len() / 2), 0);
         self.grid = volume.cells();
         self.distance_ready = false;
 
@@ -187,43 +192,27 @@ impl TransferSummary {
         if self.distance_ready {
             return;
         }
-        let [nx, ny, nz] = self.grid;
+        let [nx, ny, _] = self.grid;
         for (d, c) in self.distance.iter_mut().zip(&self.cells) {
             *d = if c.occupied > 0.0 { 0 } else { u8::MAX };
         }
-        // Two raster passes with the 13 preceding (following) neighbors give Chebyshev distances exactly.
-        let at = |x: usize, y: usize, z: usize| x + nx * (y + ny * z);
-        let d = &mut self.distance;
-        for z in 0..nz {
-            for y in 0..ny {
-                for x in 0..nx {
-                    let mut best = d[at(x, y, z)];
-                    for (dx, dy, dz) in PRECEDING {
-                        let (px, py, pz) = (x as isize + dx, y as isize + dy, z as isize + dz);
-                        if px >= 0 && py >= 0 && pz >= 0 && (px as usize) < nx && (py as usize) < ny {
-                            best = best.min(d[at(px as usize, py as usize, pz as usize)].saturating_add(1));
-                        }
+        // One pass per axis, each exact because the Chebyshev ball is a product of intervals:
+        // d(x) becomes the least max(d(x'), |x − x'|) along the axis.
+        let strides = [1, nx, nx * ny];
+        for axis in 0..3 {
+            let (n, stride) = (self.grid[axis], strides[axis]);
+            let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+            for b in 0..self.grid[v] {
+                for a in 0..self.grid[u] {
+                    let start = a * strides[u] + b * strides[v];
+                    let (line, out) = self.line.split_at_mut(n);
+                    for (i, slot) in line.iter_mut().enumerate() {
+                        *slot = self.distance[start + i * stride];
                     }
-                    d[at(x, y, z)] = best;
-                }
-            }
-        }
-        for z in (0..nz).rev() {
-            for y in (0..ny).rev() {
-                for x in (0..nx).rev() {
-                    let mut best = d[at(x, y, z)];
-                    for (dx, dy, dz) in PRECEDING {
-                        let (px, py, pz) = (x as isize - dx, y as isize - dy, z as isize - dz);
-                        if px >= 0
-                            && py >= 0
-                            && (px as usize) < nx
-                            && (py as usize) < ny
-                            && (pz as usize) < nz
-                        {
-                            best = best.min(d[at(px as usize, py as usize, pz as usize)].saturating_add(1));
-                        }
+                    chebyshev_line(line, &mut out[..n]);
+                    for (i, &d) in out[..n].iter().enumerate() {
+                        self.distance[start + i * stride] = d;
                     }
-                    d[at(x, y, z)] = best;
                 }
             }
         }
@@ -236,21 +225,22 @@ impl TransferSummary {
     }
 }
 
-const PRECEDING: [(isize, isize, isize); 13] = [
-    (-1, -1, -1),
-    (0, -1, -1),
-    (1, -1, -1),
-    (-1, 0, -1),
-    (0, 0, -1),
-    (1, 0, -1),
-    (-1, 1, -1),
-    (0, 1, -1),
-    (1, 1, -1),
-    (-1, -1, 0),
-    (0, -1, 0),
-    (1, -1, 0),
-    (-1, 0, 0),
-];
+/// Writes the least max(d(j), |i − j|) over j for each i.
+fn chebyshev_line(line: &[u8], out: &mut [u8]) {
+    let n = line.len();
+    for i in 0..n {
+        let mut best = line[i];
+        let mut r = 1;
+        // Nothing farther away than the best so far can be better.
+        while r < usize::from(best) && (r <= i || i + r < n) {
+            let left = if r <= i { line[i - r] } else { u8::MAX };
+            let right = if i + r < n { line[i + r] } else { u8::MAX };
+            best = best.min(left.min(right).max(r as u8)); // r < 255
+            r += 1;
+        }
+        out[i] = best;
+    }
+}
 
 /// 1 / (n + 1) for the lengths of quantile intervals.
 static RECIPROCAL: [f32; TABLE_LEN] = {

@@ -315,6 +315,15 @@ impl Predictor for AnalyticModel {
     fn terms(&mut self, inputs: &Inputs<'_>) -> Result<CostTerms> {
         Ok(self.parts(inputs.features, &inputs.setting))
     }
+
+    fn check(&mut self, _: &Inputs<'_>) -> Result<()> {
+        Ok(())
+    }
+
+    fn log_sd(&self) -> Option<f32> {
+        // Costs that were given without residuals are trusted to within a third.
+        self.fitted.then(|| self.calibration.log_sd().unwrap_or(0.3))
+    }
 }
 
 /// Quantities by which the analytic model knows its range.

@@ -51,6 +51,12 @@ impl Calibration {
         libm::expf(self.log_factor)
     }
 
+    /// Standard deviation of ln(measured / predicted) that a normal distribution with this bound has, at least 0.02;
+    /// `None` when never calibrated.
+    pub fn log_sd(&self) -> Option<f32> {
+        (!self.log_factor.is_nan()).then_some((self.log_factor / 1.645).max(0.02))
+    }
+
     /// The bound for a prediction; never below the prediction itself.
     pub fn upper(&self, seconds: f32) -> f32 {
         if self.log_factor.is_nan() { f32::NAN } else { seconds * self.factor().max(1.0) }

@@ -93,6 +93,20 @@ pub trait Predictor {
         Ok(CostTerms::whole(p.seconds, p.out_of_range, p.source))
     }
 
+    /// Whether every input that the model needs was supplied; cheaper than a prediction.
+    ///
+    /// # Errors
+    /// As [`Predictor::predict`].
+    fn check(&mut self, inputs: &Inputs<'_>) -> Result<()> {
+        self.predict(inputs).map(drop)
+    }
+
+    /// Standard deviation of ln(measured / predicted) on the machine that the model was measured on; `None` for a
+    /// model that was never measured.
+    fn log_sd(&self) -> Option<f32> {
+        None
+    }
+
     /// Whether the ray step enters the prediction. Where it does not, callers scale by the analytic model.
     fn knows_step(&self) -> bool {
         true

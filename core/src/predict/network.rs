@@ -218,6 +218,15 @@ impl Predictor for ModelPredictor {
         })
     }
 
+    fn check(&mut self, inputs: &Inputs<'_>) -> Result<()> {
+        self.row(inputs).map(drop)
+    }
+
+    fn log_sd(&self) -> Option<f32> {
+        // A network without calibration was still trained on times of some machine.
+        Some(self.calibration.log_sd().unwrap_or(0.5))
+    }
+
     fn knows_step(&self) -> bool {
         self.knows_step
     }

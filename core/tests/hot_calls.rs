@@ -1,0 +1,75 @@
+//! The calls of a render loop never allocate: the allocator aborts the process when they do.
+
+use assert_no_alloc::{AllocDisabler, assert_no_alloc};
+use entire_core::adapt::ObserveFlags;
+use entire_core::control::Session;
+use entire_core::features::{Setting, SummaryOptions, VolumeSummary};
+use entire_core::model::{InputGroup, ModelFile};
+use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
+use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
+use entire_core::scene::{Arcball, Camera, Frame, Scalars, Shading, Skipping, TransferTable, VolumeView};
+
+#[global_allocator]
+static ALLOCATOR: AllocDisabler = AllocDisabler;
+
+fn network() -> ModelPredictor {
+    let dense = |inputs: usize, outputs: usize| DenseParts {
+        inputs,
+        outputs,
+        weight: (0..inputs * outputs).map(|i| 0.01 * (i % 7) as f32 - 0.03).collect(),
+        bias: vec![-0.1; outputs],
+        dtype: Dtype::F32,
+    };
+    let parts = PredNetParts {
+        layers: vec![dense(7, 32), dense(32, 32), dense(32, 1)],
+        input: None,
+        output: None,
+        target: Target::LogSeconds,
+    };
+    let group = |name: &str, size| InputGroup { name: name.into(), size };
+    let mut file = ModelFile::new();
+    file.set_prednet(&parts, &[group("camera", 3), group("step_size", 1), group("scene_features", 3)])
+        .expect("a network that fits");
+    file.set_scene_features(&["log_samples", "log_pixels", "occupied_share"]).expect("three names");
+    ModelPredictor::new(&file.to_model().expect("a model")).expect("known inputs")
+}
+
+#[test]
+fn plan_choose_predict_and_observe_never_allocate() {
+    let voxels: Vec<u8> = (0..64 * 64 * 64).map(|i| (i * i / 977) as u8).collect();
+    let view = VolumeView::new(Scalars::U8(&voxels), [64; 3]).expect("a volume");
+    let volume = VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary");
+    let tables = [0.0f32, 0.02, 0.9].map(|a| {
+        TransferTable::new(core::array::from_fn(|i| [0.5, 0.5, 0.5, a * i as f32 / 255.0])).expect("a table")
+    });
+    let predictors: [Box<dyn Predictor + Send>; 2] = [Box::new(AnalyticModel::new()), Box::new(network())];
+    for predictor in predictors {
+        let mut session = Session::new(predictor, Default::default());
+        session.set_volume(volume.clone(), None);
+        session.set_transfer(&tables[0], None).expect("a volume is set");
+        for i in 0..200usize {
+            let camera =
+                Camera::from_arcball(Arcball { rx: 10.0, ry: i as f32, dz: 1.5 }).expect("a camera");
+            let frame = Frame::new(camera, 64 + i as u32 % 3, 64)
+                .expect("a frame")
+                .with_shading([Shading::None, Shading::Local, Shading::Scatter][i / 20 % 3])
+                .with_skipping([Skipping::None, Skipping::Blocks, Skipping::Distance][i / 7 % 3]);
+            let settings = [1.0, 2.0, 4.0].map(|step| Setting::of(&frame).with_step(step));
+            assert_no_alloc(|| {
+                if i % 10 == 0 {
+                    session.set_transfer(&tables[i / 10 % 3], None).expect("a volume is set");
+                }
+                let prediction = session.predict(&frame).expect("a prediction");
+                assert!(prediction.seconds > 0.0);
+                let plan = if i % 2 == 0 {
+                    session.plan(&frame, 0.02).expect("a plan")
+                } else {
+                    session.choose(&frame, &settings, 0.02).expect("a choice").plan
+                };
+                for seconds in [f32::NAN, 0.01, 0.01] {
+                    session.observe(plan.id, seconds, ObserveFlags::default());
+                }
+            });
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! The coarse ray probe's estimates against the exact counts of the CPU twin, on a volume that is shipped.
+
+use entire_cli::scenes::SceneDistribution;
+use entire_cli::volume::Volume;
+use entire_core::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
+use entire_core::scene::{Camera, Frame, Shading, Skipping, TransferFunction};
+use entire_vk_raycaster::{CpuRaycaster, Renderer};
+use std::path::{Path, PathBuf};
+
+/// Largest median of |estimate / count − 1| over random scenes.
+const MEDIAN_TOLERANCE: f64 = 0.1;
+
+/// One volume of each folder under `data/`.
+fn shipped() -> Vec<PathBuf> {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data");
+    let volumes = |folder: &Path| {
+        let entries = std::fs::read_dir(folder).unwrap_or_else(|e| panic!("{}: {e}", folder.display()));
+        let mut found: Vec<PathBuf> = entries.map(|e| e.expect("a directory entry").path()).collect();
+        found.sort();
+        found
+    };
+    let mut found = Vec::new();
+    for path in volumes(&data) {
+        let is_volume = |p: &PathBuf| p.extension().is_some_and(|e| e == "nrrd");
+        if path.is_dir() {
+            found.extend(volumes(&path).into_iter().rfind(is_volume));
+        } else if is_volume(&path) {
+            found.push(path);
+        }
+    }
+    assert!(!found.is_empty(), "no volume under {}", data.display());
+    found
+}
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+#[test]
+fn estimated_work_is_the_counted_work() {
+    let distribution = SceneDistribution {
+        min_size: 32,
+        max_size: 72,
+        steps: vec![1.0, 2.0, 4.0],
+        ..SceneDistribution::default()
+    };
+    for (shading, skipping) in [
+        (Shading::None, Skipping::None),
+        (Shading::Local, Skipping::Blocks),
+        (Shading::None, Skipping::Distance),
+        (Shading::Scatter, Skipping::Blocks),
+    ] {
+        let mut errors: [Vec<f64>; 4] = Default::default();
+        for path in &shipped() {
+            let volume = Volume::open(path).expect("a shipped volume");
+            let view = volume.view();
+            let summary = VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary");
+            let mut renderer = CpuRaycaster::new();
+            renderer.set_volume(&view).expect("the volume");
+            for index in 0..6 {
+                let scene = distribution.draw(5, volume.name(), index);
+                let table = TransferFunction::Gaussian(scene.lobes.clone()).to_table().expect("a table");
+                renderer.set_transfer(&table).expect("the transfer function");
+                let camera = Camera::from_arcball(scene.camera).expect("a camera");
+                let frame = Frame::new(camera, scene.width, scene.height)
+                    .and_then(|f| f.with_step(scene.step))
+                    .expect("a frame")
+                    .with_shading(shading)
+                    .with_skipping(skipping);
+                let counts = renderer.render(&frame).expect("a picture").counts.expect("counts");
+                let mut transfer = TransferSummary::new(&summary, &table);
+                transfer.prepare_distance();
+                let mut features = FrameFeatures::new();
+                features.measure(&summary, &transfer, &frame);
+                let work = features.work(&Setting::of(&frame));
+                let pairs = [
+                    (work.rays, counts.rays),
+                    (work.samples + work.shadow_samples, counts.samples),
+                    (work.skips, counts.skips),
+                    (work.shaded, counts.shaded),
+                ];
+                for (errors, (estimate, count)) in errors.iter_mut().zip(pairs) {
+                    // Less than half an event per ray costs nothing.
+                    if count * 2 > counts.rays {
+                        errors.push((estimate / count as f64 - 1.0).abs());
+                    }
+                }
+            }
+        }
+        for (name, errors) in ["rays", "samples", "skips", "shaded"].iter().zip(&mut errors) {
+            // Jumps of shadow rays are estimated roughly; they cost little beside their samples.
+            let rough = *name == "skips" && shading == Shading::Scatter;
+            if errors.len() >= 6 && !rough {
+                let m = median(errors);
+                assert!(m < MEDIAN_TOLERANCE, "{shading:?} {skipping:?}: median error of {name} is {m}");
+            }
+        }
+        assert!(errors[1].len() >= 12, "too few scenes with work");
+    }
+}
