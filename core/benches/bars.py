@@ -22,6 +22,7 @@ import sys
 # name, limit, our storage (several: the fastest counts), network, batch, threads, peers (several: the fastest counts)
 ORT = ["ort"]
 F32 = ["ort", "torch", "rten"]
+VOLUME = ["ort", "torch", "ov"]
 RATIOS = [
     ("12c256_f32_1_thread", 0.80, ["f32"], "pred_12c256", 1, 1, ORT),
     ("12c256_half_1_thread", 0.22, ["f16", "bf16"], "pred_12c256", 1, 1, ORT),
@@ -32,12 +33,18 @@ RATIOS = [
     ("12c256_batch384_f32_1_thread", 0.87, ["f32"], "pred_12c256", 384, 1, F32),
     ("12c256_batch384_f32_2_threads", 0.72, ["f32"], "pred_12c256", 384, 2, F32),
     ("12c256_batch384_int8_1_thread", 0.35, ["int8"], "pred_12c256", 384, 1, F32),
+    ("volumenet_a_u8_1_thread", 0.35, ["f32"], "vol_a", 1, 1, VOLUME),
+    ("volumenet_a_u8_2_threads", 0.35, ["f32"], "vol_a", 1, 2, VOLUME),
+    ("volumenet_b_u8_1_thread", 0.53, ["f32"], "vol_b", 1, 1, VOLUME),
+    ("volumenet_b_u8_2_threads", 0.53, ["f32"], "vol_b", 1, 2, VOLUME),
 ]
 # name, limit, storage, networks: largest error against float64 (see the server's `accuracy/`)
 ERRORS = [("error_f32", 1e-5, "f32", ["pred_0c256", "pred_4c256", "pred_12c256", "pred_12c64"])]
+# name, limit as a multiple of the time in which as many threads read the bytes once, edge of the volume, threads
+READS = [("resample_512_u8_2_threads", 1.5, 512, 2)]
 # name, limit in microseconds, what the server measures
 CALLS = [("2x64_warm_us", 0.5, "small/warm"), ("2x64_cold_us", 2.5, "small/cold")]
-PEER_NAMES = {"ort": "bind/{}", "torch": "jitofi/{}", "rten": "{}"}
+PEER_NAMES = {"ort": "bind/{}", "torch": "jitofi/{}", "rten": "{}", "ov": "f32/{}"}
 
 
 class Server:
@@ -150,6 +157,14 @@ def main():
             value = min((a["med"] for a in answers), default=None)
             note = f"median of a window; smallest call {min(a['min'] for a in answers) / 1e3:.3f} us" if answers else ""
             bar(name, value and value / 1e3, limit, note)
+    for name, limit, edge, threads in READS:
+        if options.only in name:
+            # Windows long enough for the pages to settle: one call takes milliseconds.
+            answers = [ask("ours/f32", threads, f"resample/{edge}", 1, 5 * options.seconds) for _ in range(options.rounds)]
+            answers = [a for a in answers if a]
+            ours, read = min((a["min"] for a in answers), default=None), min((a["read"] for a in answers), default=None)
+            note = f"{ours / 1e6:.2f} ms, reading {read / 1e6:.2f} ms" if answers else "no answer"
+            bar(name, ours / read if answers else None, limit, note)
     for program in options.also:
         result = subprocess.run(program, shell=True, stdout=subprocess.PIPE, text=True)
         lines = [line for line in result.stdout.splitlines() if line.startswith("bar ")]

@@ -7,17 +7,20 @@
 //! Threads come from the environment variable `PEER_THREADS` (1 or 2). Some names answer something else:
 //! `accuracy/NAME` the largest relative error against a float64 evaluation, the output taken as the logarithm of
 //! seconds; `small/warm` and `small/cold` the times of a 2×64 network on 24 inputs, cold with its weights evicted from
-//! the first two cache levels before each call.
+//! the first two cache levels before each call. `vol_…` is a VolumeNet on a byte volume (`vol_…:f32` on the floats that
+//! the peers take), `resample/N` resampling N³ bytes to 128³, with the time of reading them once as `read`.
 
 use entire_core::kernels::{Isa, Level};
 use entire_core::nn::{
-    DenseParts, Dtype, Executor, Helper, Normalization, PredNet, PredNetParts, SELU_ALPHA, SELU_SCALE,
-    Storage, Target,
+    ConvBlockParts, DenseParts, Dtype, Executor, Helper, Normalization, PredNet, PredNetParts, Resampler,
+    SELU_ALPHA, SELU_SCALE, Storage, Target, VolumeNet, VolumeNetParts,
 };
+use entire_core::scene::{Scalars, VolumeView};
 use safetensors::SafeTensors;
 use std::collections::HashMap;
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 type Problem = Box<dyn std::error::Error>;
@@ -83,6 +86,9 @@ fn inputs(models: &Path, rows: usize) -> Result<Vec<f32>, Problem> {
 type Case<'a> = Box<dyn FnMut() -> f64 + 'a>;
 
 fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -> Result<Case<'a>, Problem> {
+    if name.starts_with("vol") {
+        return encoding(options, helper, name);
+    }
     let parts = prednet(&options.models.join(format!("{name}.safetensors")))?;
     let net = PredNet::with(&parts, options.level, options.storage)?;
     let x = inputs(&options.models, rows)?;
@@ -101,6 +107,123 @@ fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -
         net.predict_batch_on(executor, &x, &mut y, &mut scratches).expect("sizes that fit");
         y.iter().copied().map(f64::from).sum()
     }))
+}
+
+/// A VolumeNet as the peers read it, batch normalisation folded in.
+fn volumenet(path: &Path) -> Result<VolumeNetParts, Problem> {
+    let bytes = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
+    let file = SafeTensors::deserialize(&bytes)?;
+    let (mut blocks, mut edge) = (Vec::new(), 128);
+    while let Ok((shape, mut weight)) = floats(&file, &format!("c{}.weight", blocks.len())) {
+        let statistic = |name: &str| -> Result<Vec<f32>, Problem> {
+            Ok(floats(&file, &format!("c{}.{name}", blocks.len()))?.1)
+        };
+        let (mut bias, gain, shift) = (statistic("bias")?, statistic("bn.weight")?, statistic("bn.bias")?);
+        let (mean, variance) = (statistic("bn.mean")?, statistic("bn.var")?);
+        let taps = weight.len() / shape[0];
+        for (o, row) in weight.chunks_exact_mut(taps).enumerate() {
+            let factor = f64::from(gain[o]) / (f64::from(variance[o]) + 1e-5).sqrt();
+            row.iter_mut().for_each(|w| *w = (f64::from(*w) * factor) as f32);
+            bias[o] = ((f64::from(bias[o]) - f64::from(mean[o])) * factor + f64::from(shift[o])) as f32;
+        }
+        blocks.push(ConvBlockParts {
+            inputs: shape[1],
+            outputs: shape[0],
+            kernel: 3,
+            stride: 2,
+            padding: 1,
+            weight,
+            bias,
+            input_edge: edge,
+            output_edge: edge / 2,
+            dtype: Dtype::F32,
+        });
+        edge /= 2;
+    }
+    let (shape, weight) = floats(&file, "fc.weight")?;
+    let (_, bias) = floats(&file, "fc.bias")?;
+    let fc = DenseParts { inputs: shape[1], outputs: shape[0], weight, bias, dtype: Dtype::F32 };
+    Ok(VolumeNetParts { input: 128, blocks, fc })
+}
+
+fn encoding<'a>(options: &'a Options, helper: &'a Helper, name: &str) -> Result<Case<'a>, Problem> {
+    let (name, from_floats) = name.strip_suffix(":f32").map_or((name, false), |name| (name, true));
+    let parts = volumenet(&options.models.join(format!("{name}.safetensors")))?;
+    let net = VolumeNet::with(&parts, options.level)?;
+    let file = std::fs::read(options.models.join("inputs.safetensors"))?;
+    let (_, volume) = floats(&SafeTensors::deserialize(&file)?, "vol")?;
+    let bytes: Vec<u8> = volume.iter().map(|v| (v * 255.0).round() as u8).collect();
+    let executor = if options.threads > 1 { Executor::helper(helper) } else { Executor::serial() };
+    let (mut scratch, mut features) = (net.scratch(), vec![0.0; net.feature_len()]);
+    Ok(Box::new(move || {
+        let view = if from_floats {
+            // The range whose map to [-1, 1] changes nothing: the peers feed the floats as they are.
+            VolumeView::new(Scalars::F32(&volume), [128; 3]).and_then(|view| view.with_range(-1.0, 1.0))
+        } else {
+            VolumeView::new(Scalars::U8(&bytes), [128; 3])
+        };
+        let view = view.expect("a volume of the network's size");
+        net.encode(&view, &mut scratch, executor, &mut features).expect("sizes that fit");
+        features.iter().copied().map(f64::from).sum()
+    }))
+}
+
+/// Times of resampling `n`³ bytes to 128³, and the smallest time in which the same threads read them once.
+fn resampling(options: &Options, helper: &Helper, n: usize, seconds: f64) -> Result<String, Problem> {
+    let bytes: Vec<u8> = (0..n * n * n).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+    let view = VolumeView::new(Scalars::U8(&bytes), [n; 3])?;
+    let executor = if options.threads > 1 { Executor::helper(helper) } else { Executor::serial() };
+    let (mut resampler, mut out) = (Resampler::new(options.level), vec![0.0; 128 * 128 * 128]);
+    let (mut times, mut read) = (Vec::new(), f64::INFINITY);
+    let end = Instant::now() + Duration::from_secs_f64(seconds);
+    while Instant::now() < end || times.len() < 5 {
+        read = read.min(reading(&bytes, options.threads));
+        let begin = Instant::now();
+        resampler.resample(&view, 128, &mut out, executor)?;
+        times.push(begin.elapsed().as_nanos() as f64);
+    }
+    times.sort_by(f64::total_cmp);
+    let (min, median, check) = (times[0], times[times.len() / 2], f64::from(out[0]));
+    Ok(format!(r#"{{"min":{min},"med":{median},"n":{},"read":{read},"check":{check}}}"#, times.len()))
+}
+
+/// Nanoseconds in which threads read all bytes once, from the moment when the last one is ready.
+fn reading(bytes: &[u8], threads: usize) -> f64 {
+    let ready = AtomicUsize::new(0);
+    std::thread::scope(|scope| {
+        let part = |piece| {
+            let ready = &ready;
+            move || {
+                ready.fetch_add(1, Ordering::AcqRel);
+                while ready.load(Ordering::Acquire) < threads {
+                    std::hint::spin_loop();
+                }
+                let begin = Instant::now();
+                std::hint::black_box(mixed(piece));
+                (begin, Instant::now())
+            }
+        };
+        let mut pieces = bytes.chunks(bytes.len().div_ceil(threads));
+        let own = pieces.next().map(part);
+        let others: Vec<_> = pieces.map(|piece| scope.spawn(part(piece))).collect();
+        let mut spans: Vec<_> = own.into_iter().map(|read| read()).collect();
+        spans.extend(others.into_iter().map(|thread| thread.join().expect("a reader")));
+        let (begin, end) = (spans.iter().map(|s| s.0).min(), spans.iter().map(|s| s.1).max());
+        begin.zip(end).map_or(0.0, |(begin, end)| (end - begin).as_nanos() as f64)
+    })
+}
+
+#[inline(never)]
+fn mixed(bytes: &[u8]) -> u64 {
+    let mut lanes = [[0u8; 64]; 8];
+    for block in bytes.chunks_exact(512) {
+        for (lane, line) in lanes.iter_mut().zip(block.chunks_exact(64)) {
+            for (a, &b) in lane.iter_mut().zip(line) {
+                *a ^= b;
+            }
+        }
+    }
+    lanes.iter().flatten().map(|&b| u64::from(b)).sum()
 }
 
 fn float64(parts: &PredNetParts, row: &[f32]) -> f64 {
@@ -225,6 +348,9 @@ fn main() -> Result<(), Problem> {
             }
             if let Some(kind) = name.strip_prefix("small/") {
                 return small(&options, kind == "cold", seconds);
+            }
+            if let Some(edge) = name.strip_prefix("resample/") {
+                return resampling(&options, &helper, edge.parse()?, seconds);
             }
             let key = (name, rows);
             if !cases.contains_key(&key) {

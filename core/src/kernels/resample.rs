@@ -74,12 +74,25 @@ impl Span {
 pub(crate) trait Scalar: Pod + Send + Sync {
     /// The stored value.
     fn to_f32(self) -> f32;
+
+    /// The stored values of two neighbours.
+    #[inline(always)]
+    fn pair(pair: [Self; 2]) -> [f32; 2] {
+        [pair[0].to_f32(), pair[1].to_f32()]
+    }
 }
 
 impl Scalar for u8 {
     #[inline(always)]
     fn to_f32(self) -> f32 {
         f32::from(self)
+    }
+
+    /// Split by a mask and a shift of one word: compilers turn shuffles of single bytes into far more instructions.
+    #[inline(always)]
+    fn pair(pair: [Self; 2]) -> [f32; 2] {
+        let word = i32::from(u16::from_le_bytes(pair));
+        [(word & 0xff) as f32, (word >> 8) as f32]
     }
 }
 
@@ -106,8 +119,14 @@ impl Scalar for f32 {
 
 /// What is done to a voxel before it is averaged.
 pub(crate) trait Map<T: Scalar>: Copy + Send + Sync {
-    /// The value that enters the average.
-    fn map(&self, voxel: T) -> f32;
+    /// From a stored value to the one that enters the average.
+    fn value(&self, stored: f32) -> f32;
+
+    /// As [`Map::value`], from the voxel.
+    #[inline(always)]
+    fn map(&self, voxel: T) -> f32 {
+        self.value(voxel.to_f32())
+    }
 }
 
 /// The stored value itself.
@@ -116,8 +135,8 @@ pub(crate) struct Raw;
 
 impl<T: Scalar> Map<T> for Raw {
     #[inline(always)]
-    fn map(&self, voxel: T) -> f32 {
-        voxel.to_f32()
+    fn value(&self, stored: f32) -> f32 {
+        stored
     }
 }
 
@@ -138,8 +157,8 @@ impl Affine {
 
 impl<T: Scalar> Map<T> for Affine {
     #[inline(always)]
-    fn map(&self, voxel: T) -> f32 {
-        let t = (voxel.to_f32() - self.low) * self.scale;
+    fn value(&self, stored: f32) -> f32 {
+        let t = (stored - self.low) * self.scale;
         // Comparisons, not max and min: NaN fails the first one and becomes 0.
         let t = if t > 0.0 { t } else { 0.0 };
         if t < 1.0 { t } else { 1.0 }
@@ -246,6 +265,10 @@ fn bytes_body(
             for z in (z0 + dz) * rz..(z0 + dz + 1) * rz {
                 let mut row = y * ry;
                 let end = row + ry;
+                // Each plane is a stream of its own that stops after these rows: ask for its next ones early.
+                for next in end..end + ry {
+                    prefetch(src, z * g.strides[2] + next * g.strides[1], g.dims[0]);
+                }
                 let at = |row: usize| z * g.strides[2] + row * g.strides[1];
                 if g.strides[0] != 1 {
                     for row in row..end {
@@ -279,6 +302,21 @@ fn bytes_body(
                 }
             }
         }
+    }
+}
+
+/// Asks for a row's cache lines; a row beyond the end is ignored.
+#[inline(always)]
+fn prefetch(src: &[u8], at: usize, len: usize) {
+    let Some(row) = src.get(at..at.saturating_add(len)) else { return };
+    for line in row.chunks(64) {
+        #[cfg(target_arch = "x86_64")]
+        // SAFETY: SSE is part of x86-64; a prefetch reads nothing.
+        unsafe {
+            core::arch::x86_64::_mm_prefetch::<{ core::arch::x86_64::_MM_HINT_T0 }>(line.as_ptr().cast());
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        let _ = line;
     }
 }
 

@@ -132,8 +132,8 @@ pub(super) struct Exact<'a>(pub(super) &'a VolumeView<'a>);
 
 impl<T: kernel::Scalar> Map<T> for Exact<'_> {
     #[inline(always)]
-    fn map(&self, voxel: T) -> f32 {
-        self.0.normalize(voxel.to_f32())
+    fn value(&self, stored: f32) -> f32 {
+        self.0.normalize(stored)
     }
 }
 

@@ -260,7 +260,7 @@ impl PreparedPlane<'_> {
             fn run<S: Simd>(self, _: S) {
                 let Body(plane, src, base, stride, map) = self;
                 let Shape { input: n, stride: phases, padding, .. } = plane.shape;
-                let signed = |v: T| 2.0 * map.map(v) - 1.0;
+                let signed = |stored: f32| 2.0 * map.value(stored) - 1.0;
                 for y in 0..n {
                     let row = &src[base + y * stride..base + y * stride + n];
                     let out = &mut plane.data[(y + padding) * plane.row..(y + padding + 1) * plane.row];
@@ -275,16 +275,17 @@ impl PreparedPlane<'_> {
                         };
                         let (a, b) = (&mut a[..n.div_ceil(2)], &mut b[..n / 2]);
                         for ((a, b), pair) in a.iter_mut().zip(b.iter_mut()).zip(pairs) {
-                            *a = signed(pair[0]);
-                            *b = signed(pair[1]);
+                            let [first, second] = T::pair(*pair);
+                            *a = signed(first);
+                            *b = signed(second);
                         }
                         if let (Some(a), Some(&v)) = (a.last_mut(), rest.first()) {
-                            *a = signed(v);
+                            *a = signed(v.to_f32());
                         }
                     } else {
                         for (x, &v) in row.iter().enumerate() {
                             let at = x + padding;
-                            out[at % phases * plane.phase + at / phases] = signed(v);
+                            out[at % phases * plane.phase + at / phases] = signed(v.to_f32());
                         }
                     }
                 }
