@@ -134,15 +134,15 @@ pub fn run(options: &Options) -> Result<()> {
             "volume": options.volume.to_string_lossy(),
             "dims": view.dims(),
             "scalar_type": view.scalar_type().name(),
-            "range": [range.0, range.1],
-            "camera": { "rx_deg": options.camera.rx, "ry_deg": options.camera.ry, "dz_radii": options.camera.dz, "fov_y_deg": options.fov },
-            "tf": options.tf.0.iter().map(|l| [l.center, l.width, l.height]).collect::<Vec<_>>(),
+            "range": [short(range.0), short(range.1)],
+            "camera": { "rx_deg": short(options.camera.rx), "ry_deg": short(options.camera.ry), "dz_radii": short(options.camera.dz), "fov_y_deg": short(options.fov) },
+            "tf": options.tf.0.iter().map(|l| [l.center, l.width, l.height].map(short)).collect::<Vec<_>>(),
             "width": image.width,
             "height": image.height,
-            "step": frame.step(),
+            "step": short(frame.step()),
             "shade": Shading::from(options.shade).name(),
             "skip": Skipping::from(options.skip).name(),
-            "termination": frame.termination(),
+            "termination": short(frame.termination()),
             "backend": renderer.backend(),
             "device": renderer.device(),
             "clock": clock,
@@ -171,6 +171,11 @@ pub fn run(options: &Options) -> Result<()> {
         )?;
     }
     Ok(())
+}
+
+/// The shortest decimal that is this number, as JSON's double: 0.35, not 0.3499999940395355.
+fn short(value: f32) -> f64 {
+    value.to_string().parse().unwrap_or(f64::from(value))
 }
 
 fn median(values: &[f64]) -> f64 {

@@ -1,0 +1,56 @@
+//! `entire render` on Vulkan. Where no Vulkan device exists the test is reported as ignored.
+
+mod support;
+
+use entire_vk_raycaster::{VulkanOptions, VulkanRaycaster};
+use libtest_mimic::{Arguments, Failed, Trial};
+use support::*;
+
+/// The same frame on Vulkan and on the twin: pictures agree, and both say what they did.
+fn agrees_with_the_twin() -> Result<(), Failed> {
+    let folder = workshop();
+    let at = folder.path();
+    let mut seen = Vec::new();
+    for device in ["vulkan", "cpu"] {
+        let arguments = [
+            "render",
+            "ball.nrrd",
+            "--camera",
+            "20,35,2.5",
+            "--tf",
+            "0.3,0.02,0.4,0.9,0.01,0.8",
+            "--size",
+            "40x30",
+            "--shade",
+            "local",
+            "--repeat",
+            "2",
+            "--json",
+            "--device",
+            device,
+            "--out",
+            "out.png",
+        ];
+        let json: serde_json::Value = serde_json::from_str(&succeeds(at, &arguments))?;
+        assert_eq!(json["backend"], device);
+        assert_eq!(json["seconds"].as_array().map(Vec::len), Some(2));
+        seen.push((json["samples"].as_u64().ok_or("samples are not counted")?, picture(&at.join("out.png"))));
+    }
+    let [(vulkan_samples, vulkan), (twin_samples, twin)] = &seen[..] else { unreachable!() };
+    assert!(vulkan_samples.abs_diff(*twin_samples) * 100 <= *twin_samples, "{vulkan_samples} {twin_samples}");
+    let apart = vulkan.2.iter().zip(&twin.2).map(|(a, b)| u64::from(a.abs_diff(*b))).sum::<u64>();
+    assert!(apart <= vulkan.2.len() as u64, "{apart} over {} numbers", vulkan.2.len());
+    assert!(twin.2.iter().any(|&v| v > 50));
+    Ok(())
+}
+
+fn main() {
+    let arguments = Arguments::from_args();
+    let missing = VulkanRaycaster::new(VulkanOptions::default()).err();
+    if let Some(error) = &missing {
+        eprintln!("No Vulkan device, this test is ignored: {error}");
+    }
+    let trial =
+        Trial::test("agrees_with_the_twin", agrees_with_the_twin).with_ignored_flag(missing.is_some());
+    libtest_mimic::run(&arguments, vec![trial]).exit();
+}
