@@ -44,7 +44,7 @@ int main(int argc, char **argv) {
         frame.arcball[1] = (float)(i % 360);
         entire_result planned = entire_predictor_plan(predictor, &frame, 0.01f, &plan);
         entire_result observed = entire_predictor_observe(predictor, plan.id, 0.001f + 0.02f / plan.step, 0, NULL);
-        if (planned != ENTIRE_OK || observed != ENTIRE_OK) CHECK(!"plan and observe succeed");
+        CHECK(planned == ENTIRE_OK && observed == ENTIRE_OK);
         if (i == rounds / 10) {
             pages = resident_pages();
             heap = mallinfo2().uordblks;

@@ -1,0 +1,23 @@
+# The C and C++ SDK: libentire, its headers, pkg-config file and CMake package.
+
+PREFIX ?= /usr/local
+LIBDIR ?= lib
+DESTDIR ?=
+
+.PHONY: install
+install: ## Build and install the C library into PREFIX (default /usr/local); DESTDIR stages it
+	CARGO="$(CARGO)" ffi/package/install.sh --prefix "$(PREFIX)" --libdir "$(LIBDIR)" --destdir "$(DESTDIR)"
+
+.PHONY: header
+header: ## Generate include/entire/entire.h from ffi's source
+	UPDATE_HEADER=1 $(CARGO) test --quiet --package entire-ffi --test header
+
+.PHONY: test-ffi
+test-ffi: ## Test the installed C library: compilers, sanitizers, valgrind, parity with Rust
+	CARGO="$(CARGO)" tests/c/run.sh
+
+.PHONY: bars-ffi
+bars-ffi: ## Measure the C SDK's bars: call overhead, sizes, symbols, sanitizers
+	CARGO="$(CARGO)" tests/c/bars.sh
+
+EXTRA_TESTS += test-ffi
