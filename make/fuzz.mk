@@ -5,3 +5,6 @@ FUZZ_SECONDS ?= 60
 fuzz-smoke: ## Run every fuzz target, a minute in total (installs cargo-fuzz where it may)
 	bash scripts/fuzz-smoke.sh $(FUZZ_SECONDS)
 
+
+# Part of `make test`, and so of CI.
+EXTRA_TESTS += fuzz-smoke
