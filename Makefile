@@ -22,7 +22,8 @@ build: setup ## Build the command, the libraries and the examples (release)
 	$(CARGO) build --release --workspace
 
 .PHONY: test
-test: setup ## Build and pass every test (installs a software Vulkan driver where it may)
+test: ## Build and pass every test (installs a software Vulkan driver where it may)
+	@ENTIRE_SETUP_FOR=tests bash scripts/setup.sh
 	bash scripts/test.sh
 
 # Used by scripts/test.sh.

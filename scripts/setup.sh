@@ -103,4 +103,20 @@ else
     say "reported as ignored. To have one: apt-get install mesa-vulkan-drivers libvulkan1"
 fi
 
+# What some tests use. Where one is missing, those tests are reported as ignored or skipped, never as passed.
+if [[ "${ENTIRE_SETUP_FOR:-}" == tests ]]; then
+    packages=()
+    command -v cmake >/dev/null || packages+=(cmake make)
+    command -v clang >/dev/null || packages+=(clang)
+    command -v valgrind >/dev/null || packages+=(valgrind)
+    command -v strace >/dev/null || packages+=(strace)
+    command -v pkg-config >/dev/null || packages+=(pkg-config)
+    compgen -G '/usr/share/vulkan/explicit_layer.d/VkLayer_khronos_validation.json' >/dev/null ||
+        packages+=(vulkan-validationlayers)
+    if ((${#packages[@]})); then
+        { may_install && install_packages "used by some tests" "${packages[@]}"; } ||
+            say "some tests will be skipped. To have them all: apt-get install ${packages[*]}"
+    fi
+fi
+
 exit "$missing"
