@@ -36,7 +36,7 @@ fn network() -> ModelPredictor {
 
 #[test]
 fn plan_choose_predict_and_observe_never_allocate() {
-    let voxels: Vec<u8> = (0..64 * 64 * 64).map(|i| (i * i / 977) as u8).collect();
+    let voxels: Vec<u8> = (0..64 * 64 * 64u64).map(|i| (i * i / 977) as u8).collect();
     let view = VolumeView::new(Scalars::U8(&voxels), [64; 3]).expect("a volume");
     let volume = VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary");
     let tables = [0.0f32, 0.02, 0.9].map(|a| {
@@ -48,8 +48,7 @@ fn plan_choose_predict_and_observe_never_allocate() {
         session.set_volume(volume.clone(), None);
         session.set_transfer(&tables[0], None).expect("a volume is set");
         for i in 0..200usize {
-            let camera =
-                Camera::from_arcball(Arcball { rx: 10.0, ry: i as f32, dz: 1.5 }).expect("a camera");
+            let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: i as f32, dz: 1.5 }).expect("a camera");
             let frame = Frame::new(camera, 64 + i as u32 % 3, 64)
                 .expect("a frame")
                 .with_shading([Shading::None, Shading::Local, Shading::Scatter][i / 20 % 3])
