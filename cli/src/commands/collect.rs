@@ -352,6 +352,15 @@ fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
     out
 }
 
+/// The driver with its version: what a Vulkan device's description ends with. Empty for the CPU twin, which has none.
+fn driver_of(renderer: &dyn Renderer) -> String {
+    let device = renderer.device();
+    match device.rsplit_once(", ") {
+        Some((_, driver)) if renderer.backend() == "vulkan" => driver.to_owned(),
+        _ => String::new(),
+    }
+}
+
 fn jobs(options: &Options) -> Result<Vec<Job>> {
     let mut jobs: Vec<Job> = options.volumes.iter().map(|p| Job::from_path(p)).collect();
     match options.member.len() {
@@ -425,7 +434,7 @@ pub fn run(options: &Options) -> Result<()> {
         machine: machine::machine(),
         renderer: renderer.backend().into(),
         device: renderer.device(),
-        driver: String::new(),
+        driver: driver_of(renderer.as_ref()),
         commit: machine::version(),
         seed: protocol.seed,
         repeats: protocol.repeats,

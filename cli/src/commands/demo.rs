@@ -104,7 +104,7 @@ fn choose_clock(clock: Clock, renderer: &dyn Renderer) -> (Clock, Option<String>
     }
 }
 
-/// Shrinks the image until all rendering fits the budget, judged by one frame that stands for the mean.
+/// Shrinks the image until all rendering fits the budget, judged by a frame that stands for the mean, rendered a few times.
 fn fit_size(
     mut draw: DrawSettings,
     view: &VolumeView<'_>,
@@ -117,9 +117,12 @@ fn fit_size(
     let camera = Camera::from_arcball(Arcball { rx: 15.0, ry: 30.0, dz: 2.2 })?;
     let frame = draw.frame(camera)?.with_step(2.0)?;
     renderer.render(&frame)?;
+    const TRIALS: u32 = 4;
     let begin = Instant::now();
-    renderer.render(&frame)?;
-    let seconds = begin.elapsed().as_secs_f64() * renderings;
+    for _ in 0..TRIALS {
+        renderer.render(&frame)?;
+    }
+    let seconds = begin.elapsed().as_secs_f64() / f64::from(TRIALS) * renderings;
     if seconds > RENDERING_BUDGET {
         let scale = (RENDERING_BUDGET / seconds).sqrt();
         let side = |n: u32| ((f64::from(n) * scale / 8.0).round() as u32 * 8).clamp(SMALLEST_SIDE.min(n), n);

@@ -341,7 +341,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         let chart = Chart::new(
             "G: what a coarser step saves",
             Axis::log("step / reference steps"),
-            Axis::log("time / time at the reference step"),
+            Axis::log("relative frame time"),
         )
         .size(900.0, 300.0)
         .series(
