@@ -171,6 +171,7 @@ def save_model(
     }
     part = path.with_suffix(path.suffix + ".part")
     save_file(tensors, str(part), metadata=metadata)
+    part.chmod(0o644)
     part.replace(path)
 
 
