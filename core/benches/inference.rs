@@ -1,0 +1,489 @@
+//! Times PredNet per network, level and storage against the machine's limits, measured in the same run.
+//!
+//! ```text
+//! cargo bench -p entire-core --bench inference [-- --record] [--only TEXT] [--calls N]
+//! cargo bench -p entire-core --bench inference -- --accuracy MODEL.safetensors INPUTS.csv [SECONDS.csv]
+//! ```
+//!
+//! | column | meaning |
+//! |---|---|
+//! | setup | packing the weights |
+//! | warm | smallest, median, 99th percentile and worst of successive calls |
+//! | cold | median with the weights evicted from the first two cache levels before each call |
+//! | flushed | median with the weights flushed from every cache before each call |
+//! | bytes | weights read by one prediction |
+//! | floor | the larger of bytes / bandwidth at that size and FLOP / peak, by the same level's instructions |
+//!
+//! The second form judges storages on a trained model and real inputs (one row per frame, in the model's order, no
+//! header): their difference from f32, and with measured seconds (one number per line) their error beside that of f32.
+
+use entire_core::kernels::{Isa, Level};
+use entire_core::model::Model;
+use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Storage, Target};
+use std::fmt::Write;
+use std::hint::black_box;
+use std::time::{Duration, Instant, SystemTime};
+
+/// Hidden widths after the input; the halving tail is part of them.
+const NETWORKS: [(&str, usize, &[usize]); 5] = [
+    ("2x64", 24, &[64, 64]),
+    ("0C256", 16, &[256, 128, 64, 32, 16]),
+    ("4C256", 16, &[256, 256, 256, 256, 256, 128, 64, 32, 16]),
+    ("12C64", 16, &[64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 64, 32, 16]),
+    ("12C256", 16, &[256, 256, 256, 256, 256, 256, 256, 256, 256, 256, 256, 256, 256, 128, 64, 32, 16]),
+];
+
+/// Normal numbers from a fixed seed.
+struct Normal(u64);
+
+impl Normal {
+    fn uniform(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        (self.0 >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn next(&mut self) -> f32 {
+        let (u, v) = (1.0 - self.uniform(), self.uniform());
+        ((-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()) as f32
+    }
+}
+
+fn network(inputs: usize, hidden: &[usize]) -> PredNetParts {
+    let mut normal = Normal(0x9e37_79b9_7f4a_7c15);
+    let mut layers = Vec::new();
+    let mut width = inputs;
+    for &outputs in hidden.iter().chain(&[1]) {
+        let scale = 1.0 / (width as f32).sqrt();
+        layers.push(DenseParts {
+            inputs: width,
+            outputs,
+            weight: (0..width * outputs).map(|_| scale * normal.next()).collect(),
+            bias: (0..outputs).map(|_| 0.1 * normal.next()).collect(),
+            dtype: Dtype::F32,
+        });
+        width = outputs;
+    }
+    PredNetParts {
+        layers,
+        input: Some(Normalization { mean: vec![0.25; inputs], std: vec![1.5; inputs] }),
+        output: Some(Normalization { mean: vec![-4.0], std: vec![0.5] }),
+        target: Target::LogSeconds,
+    }
+}
+
+/// What the machine can do with one level's instructions.
+#[cfg(target_arch = "x86_64")]
+#[allow(unsafe_code, reason = "peak rates can only be measured with the instructions themselves")]
+mod limits {
+    use super::{Instant, Isa, black_box};
+    use std::arch::x86_64::*;
+
+    macro_rules! probes {
+        ($fma:ident, $sum:ident, $feature:literal, $zero:ident, $fmadd:ident, $load:ident, $add:ident, $lanes:literal) => {
+            #[target_feature(enable = $feature)]
+            fn $fma(rounds: usize) -> f64 {
+                let (x, y) = (black_box($zero()), black_box($zero()));
+                let mut s = [$zero(); 12];
+                let start = Instant::now();
+                for _ in 0..rounds {
+                    s[0] = $fmadd(x, y, s[0]);
+                    s[1] = $fmadd(x, y, s[1]);
+                    s[2] = $fmadd(x, y, s[2]);
+                    s[3] = $fmadd(x, y, s[3]);
+                    s[4] = $fmadd(x, y, s[4]);
+                    s[5] = $fmadd(x, y, s[5]);
+                    s[6] = $fmadd(x, y, s[6]);
+                    s[7] = $fmadd(x, y, s[7]);
+                    s[8] = $fmadd(x, y, s[8]);
+                    s[9] = $fmadd(x, y, s[9]);
+                    s[10] = $fmadd(x, y, s[10]);
+                    s[11] = $fmadd(x, y, s[11]);
+                }
+                let seconds = start.elapsed().as_secs_f64();
+                black_box(s);
+                (rounds * 24 * $lanes) as f64 / seconds
+            }
+
+            #[target_feature(enable = $feature)]
+            fn $sum(data: &[f32]) {
+                let (mut a, mut b, mut c, mut d) = ($zero(), $zero(), $zero(), $zero());
+                for chunk in data.chunks_exact(4 * $lanes) {
+                    let p = chunk.as_ptr();
+                    // SAFETY: the chunk holds four vectors.
+                    unsafe {
+                        a = $add(a, $load(p));
+                        b = $add(b, $load(p.add($lanes)));
+                        c = $add(c, $load(p.add(2 * $lanes)));
+                        d = $add(d, $load(p.add(3 * $lanes)));
+                    }
+                }
+                black_box((a, b, c, d));
+            }
+        };
+    }
+
+    probes!(
+        fma512,
+        sum512,
+        "avx512f",
+        _mm512_setzero_ps,
+        _mm512_fmadd_ps,
+        _mm512_loadu_ps,
+        _mm512_add_ps,
+        16
+    );
+    probes!(
+        fma256,
+        sum256,
+        "avx2,fma",
+        _mm256_setzero_ps,
+        _mm256_fmadd_ps,
+        _mm256_loadu_ps,
+        _mm256_add_ps,
+        8
+    );
+
+    #[target_feature(enable = "avx512f,avx512vnni")]
+    fn dot512(rounds: usize) -> f64 {
+        let (x, y) = (black_box(_mm512_setzero_si512()), black_box(_mm512_setzero_si512()));
+        let mut s = [_mm512_setzero_si512(); 12];
+        let start = Instant::now();
+        for _ in 0..rounds {
+            s[0] = _mm512_dpbusd_epi32(s[0], x, y);
+            s[1] = _mm512_dpbusd_epi32(s[1], x, y);
+            s[2] = _mm512_dpbusd_epi32(s[2], x, y);
+            s[3] = _mm512_dpbusd_epi32(s[3], x, y);
+            s[4] = _mm512_dpbusd_epi32(s[4], x, y);
+            s[5] = _mm512_dpbusd_epi32(s[5], x, y);
+            s[6] = _mm512_dpbusd_epi32(s[6], x, y);
+            s[7] = _mm512_dpbusd_epi32(s[7], x, y);
+            s[8] = _mm512_dpbusd_epi32(s[8], x, y);
+            s[9] = _mm512_dpbusd_epi32(s[9], x, y);
+            s[10] = _mm512_dpbusd_epi32(s[10], x, y);
+            s[11] = _mm512_dpbusd_epi32(s[11], x, y);
+        }
+        let seconds = start.elapsed().as_secs_f64();
+        black_box(s);
+        (rounds * 24 * 64) as f64 / seconds
+    }
+
+    /// FLOP per second (integer operations with `int8`), where the level has such instructions.
+    pub(super) fn peak(level: super::Level, int8: bool) -> Option<f64> {
+        let best = |f: &dyn Fn() -> f64| Some((0..20).map(|_| f()).fold(0.0, f64::max));
+        match level.isa() {
+            // SAFETY: the level proves the instructions, here and below.
+            Isa::Avx512 if int8 && level.has_vnni() => best(&|| unsafe { dot512(100_000) }),
+            _ if int8 => None,
+            // SAFETY: as above.
+            Isa::Avx512 => best(&|| unsafe { fma512(100_000) }),
+            // SAFETY: as above.
+            Isa::Avx2 => best(&|| unsafe { fma256(100_000) }),
+            _ => None,
+        }
+    }
+
+    /// Bytes per second when `bytes` are read over and over.
+    pub(super) fn bandwidth(level: super::Level, bytes: usize) -> Option<f64> {
+        // Whole cache lines, as packed weights lie.
+        let all = vec![0f32; bytes.next_multiple_of(256) / 4 + 16];
+        let data = &all[all.as_ptr().align_offset(64)..][..bytes.next_multiple_of(256) / 4];
+        let rounds = (1 << 22) / bytes + 1;
+        let read: &dyn Fn() = match level.isa() {
+            // SAFETY: the level proves the instructions, here and below.
+            Isa::Avx512 => &|| unsafe { sum512(black_box(data)) },
+            // SAFETY: as above.
+            Isa::Avx2 => &|| unsafe { sum256(black_box(data)) },
+            _ => return None,
+        };
+        let time = |_| {
+            let start = Instant::now();
+            for _ in 0..rounds {
+                read();
+            }
+            start.elapsed().as_secs_f64() / rounds as f64
+        };
+        Some(bytes as f64 / (0..60).map(time).fold(f64::INFINITY, f64::min))
+    }
+
+    /// Takes memory out of every cache.
+    pub(super) fn flush(bytes: &[u8]) {
+        for line in bytes.chunks(64) {
+            // SAFETY: CLFLUSH is part of SSE2, which x86-64 always has, and the line belongs to a live slice.
+            unsafe { _mm_clflush(line.as_ptr()) };
+        }
+        // SAFETY: as above.
+        unsafe { _mm_mfence() };
+    }
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+mod limits {
+    pub(super) fn peak(_: super::Level, _: bool) -> Option<f64> {
+        None
+    }
+    pub(super) fn bandwidth(_: super::Level, _: usize) -> Option<f64> {
+        None
+    }
+    pub(super) fn flush(_: &[u8]) {}
+}
+
+/// Sorted times of single calls in nanoseconds, less what the clock takes.
+fn times(
+    calls: usize,
+    limit: Duration,
+    clock: f64,
+    mut before: impl FnMut(),
+    mut call: impl FnMut(),
+) -> Vec<f64> {
+    let end = Instant::now() + limit;
+    let mut found = Vec::with_capacity(calls);
+    while found.len() < calls && (Instant::now() < end || found.len() < 20) {
+        before();
+        let start = Instant::now();
+        call();
+        found.push((start.elapsed().as_nanos() as f64 - clock).max(0.0));
+    }
+    found.sort_by(f64::total_cmp);
+    found
+}
+
+fn percentile(sorted: &[f64], p: usize) -> f64 {
+    sorted[(sorted.len() * p / 100).min(sorted.len() - 1)]
+}
+
+fn microseconds(nanoseconds: f64) -> String {
+    format!("{:.2}", nanoseconds / 1e3)
+}
+
+fn machine() -> String {
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let field = |name: &str| {
+        info.lines()
+            .find(|l| l.starts_with(name))
+            .and_then(|l| l.split(": ").nth(1))
+            .unwrap_or("unknown")
+            .to_owned()
+    };
+    format!("{} (family {}, model {})", field("model name"), field("cpu family"), field("model\t"))
+}
+
+/// Today as YYYY-MM-DD in UTC.
+fn today() -> String {
+    let days =
+        SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs() / 86_400) as i64;
+    // Days since 1 March of year 0, in eras of 400 years.
+    let z = days + 719_468;
+    let (era, day) = (z / 146_097, z % 146_097);
+    let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
+    let day = day - (365 * year + year / 4 - year / 100);
+    let month = (5 * day + 2) / 153;
+    let date = day - (153 * month + 2) / 5 + 1;
+    let month = if month < 10 { month + 3 } else { month - 9 };
+    format!("{:04}-{month:02}-{date:02}", year + era * 400 + i64::from(month <= 2))
+}
+
+struct Options {
+    record: bool,
+    only: String,
+    calls: usize,
+    accuracy: Vec<String>,
+}
+
+fn options() -> Options {
+    let mut found = Options { record: false, only: String::new(), calls: 1_000_000, accuracy: Vec::new() };
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--record" => found.record = true,
+            "--only" => found.only = arguments.next().unwrap_or_default(),
+            "--calls" => found.calls = arguments.next().and_then(|n| n.parse().ok()).unwrap_or(found.calls),
+            "--accuracy" => found.accuracy = arguments.by_ref().collect(),
+            _ => {}
+        }
+    }
+    found
+}
+
+fn main() {
+    let options = options();
+    if !options.accuracy.is_empty() {
+        return accuracy(&options.accuracy);
+    }
+    let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    let load = load.split(' ').next().unwrap_or("unknown").to_owned();
+    let clock = (0..2000).map(|_| Instant::now().elapsed().as_nanos()).min().unwrap_or(0) as f64;
+    println!("{}, load {load}, best level {}", machine(), Level::detect());
+    let mut eviction = vec![1u8; 8 << 20];
+    let mut csv = String::from(
+        "network,level,storage,rows,setup_us,warm_best_us,warm_p50_us,warm_p99_us,warm_worst_us,warm_calls,cold_p50_us,\
+         flushed_p50_us,bytes,floor_us,bound,ratio\n",
+    );
+    println!(
+        "{:7} {:7} {:4} {:>4} {:>9} | {:>9} {:>9} {:>9} {:>9} {:>8} | {:>9} {:>9} | {:>8} {:>8} {:>6}",
+        "network",
+        "level",
+        "",
+        "rows",
+        "setup us",
+        "warm best",
+        "p50",
+        "p99",
+        "worst",
+        "calls",
+        "cold p50",
+        "flushed",
+        "bytes",
+        "floor",
+        "ratio"
+    );
+    for level in Level::available() {
+        let (peak, peak_int8) = (limits::peak(level, false), limits::peak(level, true));
+        if let Some(peak) = peak {
+            let int8 = peak_int8.map_or(String::new(), |p| format!(", {:.0} GOP/s int8", p / 1e9));
+            println!("{level}: {:.0} GFLOP/s f32{int8}", peak / 1e9);
+        }
+        for (name, inputs, hidden) in NETWORKS {
+            let parts = network(inputs, hidden);
+            let macs: usize = parts.layers.iter().map(|l| l.inputs * l.outputs).sum();
+            for storage in Storage::ALL {
+                let label = format!("{name} {} {}", level.isa(), storage.name());
+                if !label.contains(&options.only) {
+                    continue;
+                }
+                let start = Instant::now();
+                let net = PredNet::with(&parts, level, storage).expect("a network");
+                let setup = start.elapsed().as_nanos() as f64;
+                let peak = if storage == Storage::Int8 { peak_int8 } else { peak };
+                let bandwidth = limits::bandwidth(level, net.bytes());
+                let floor = |rows: usize| {
+                    let bytes = bandwidth.map(|b| net.bytes() as f64 / b * 1e9);
+                    let flop = peak.map(|p| (2 * macs * rows) as f64 / p * 1e9);
+                    match (bytes, flop) {
+                        (Some(b), Some(f)) if f > b => Some((f, "FLOP")),
+                        (Some(b), _) => Some((b, "bytes")),
+                        (None, Some(f)) => Some((f, "FLOP")),
+                        (None, None) => None,
+                    }
+                };
+                let mut normal = Normal(7);
+                let rows = 384;
+                let x: Vec<f32> = (0..inputs * rows).map(|_| normal.next()).collect();
+                let (mut scratch, mut batch) = (net.scratch(), net.batch_scratch(rows));
+                let mut seconds = vec![0.0; rows];
+                let row = &x[..inputs];
+                for _ in 0..50 {
+                    black_box(net.predict(black_box(row), &mut scratch));
+                }
+                // A million calls where they take seconds; the count says how many there were.
+                let limit = Duration::from_millis(if level == Level::detect() { 2500 } else { 150 });
+                let mut call = || {
+                    black_box(net.predict(black_box(row), &mut scratch));
+                };
+                let warm = times(options.calls, limit, clock, || {}, &mut call);
+                let evict = || {
+                    eviction.iter_mut().step_by(64).for_each(|byte| *byte = byte.wrapping_add(1));
+                    black_box(&eviction);
+                };
+                let cold = times(400, Duration::from_millis(150), clock, evict, &mut call);
+                let flushed =
+                    times(400, Duration::from_millis(150), clock, || limits::flush(net.memory()), &mut call);
+                let many = times(
+                    400,
+                    Duration::from_millis(150),
+                    clock,
+                    || {},
+                    || {
+                        net.predict_batch(&x, &mut seconds, &mut batch).expect("sizes that fit");
+                    },
+                );
+                for (rows, warm, cold) in [(1, warm, Some((cold, flushed))), (rows, many, None)] {
+                    let floor = floor(rows);
+                    let median = percentile(&warm, 50);
+                    let cold = cold
+                        .map(|(c, f)| [microseconds(percentile(&c, 50)), microseconds(percentile(&f, 50))]);
+                    let [cold, flushed] = cold.unwrap_or_default();
+                    let (floor_us, ratio) = floor
+                        .map_or(Default::default(), |(f, _)| (microseconds(f), format!("{:.2}", median / f)));
+                    let bound = floor.map_or("", |(_, by)| by);
+                    let setup = if rows == 1 { microseconds(setup) } else { String::new() };
+                    let [best, p50, p99, worst] =
+                        [warm[0], median, percentile(&warm, 99), warm[warm.len() - 1]].map(microseconds);
+                    println!(
+                        "{name:7} {:7} {:4} {rows:>4} {setup:>9} | {best:>9} {p50:>9} {p99:>9} {worst:>9} {:>8} | {cold:>9} \
+                         {flushed:>9} | {:>8} {floor_us:>8} {ratio:>6}",
+                        level.isa().name(),
+                        storage.name(),
+                        warm.len(),
+                        net.bytes()
+                    );
+                    let _ = writeln!(
+                        csv,
+                        "{name},{},{},{rows},{setup},{best},{p50},{p99},{worst},{},{cold},{flushed},{},{floor_us},{bound},{ratio}",
+                        level.isa(),
+                        storage.name(),
+                        warm.len(),
+                        net.bytes()
+                    );
+                }
+            }
+        }
+    }
+    if options.record {
+        let words: String = machine()
+            .chars()
+            .map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' })
+            .collect();
+        let words: Vec<_> = words.split('-').filter(|w| !w.is_empty()).collect();
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/records");
+        let path = format!("{folder}/{}-{}.csv", words.join("-"), today());
+        let head = format!("# {}, load {load}, best level {}\n", machine(), Level::detect());
+        std::fs::create_dir_all(folder)
+            .and_then(|()| std::fs::write(&path, head + &csv))
+            .expect("a writable folder");
+        println!("recorded in {path}");
+    }
+}
+
+/// Judges storages on a trained model and real inputs.
+fn accuracy(arguments: &[String]) {
+    let read = |path: &str| std::fs::read(path).unwrap_or_else(|e| panic!("{path}: {e}"));
+    let numbers = |path: &str| -> Vec<f32> {
+        let text = String::from_utf8(read(path)).unwrap_or_else(|e| panic!("{path}: {e}"));
+        let number = |n: &str| n.trim().parse().unwrap_or_else(|e| panic!("{path}: {n:?}: {e}"));
+        text.split([',', '\n']).filter(|n| !n.trim().is_empty()).map(number).collect()
+    };
+    let [model, inputs, rest @ ..] = arguments else {
+        panic!("usage: --accuracy MODEL.safetensors INPUTS.csv [SECONDS.csv]")
+    };
+    let model = Model::from_bytes(&read(model)).unwrap_or_else(|e| panic!("{model}: {e}"));
+    let parts = model.prednet().expect("a model with a PredNet");
+    let x = numbers(inputs);
+    let measured = rest.first().map(|path| numbers(path));
+    let predict = |storage| {
+        let net = PredNet::with_storage(parts, storage).expect("a network");
+        let mut scratch = net.scratch();
+        x.chunks_exact(net.inputs()).map(|row| f64::from(net.predict(row, &mut scratch))).collect::<Vec<_>>()
+    };
+    let exact = predict(Storage::F32);
+    println!(
+        "{} frames; relative to f32: median, 95th percentile, largest; relative to measured seconds: mean",
+        exact.len()
+    );
+    let mut reference = None;
+    for storage in Storage::ALL {
+        let found = predict(storage);
+        let mut difference: Vec<_> = found.iter().zip(&exact).map(|(f, e)| ((f - e) / e).abs()).collect();
+        difference.sort_by(f64::total_cmp);
+        let [p50, p95, p100] = [50, 95, 100].map(|p| percentile(&difference, p));
+        print!("{:4}  {p50:9.2e} {p95:9.2e} {p100:9.2e}", storage.name());
+        if let Some(measured) = &measured {
+            let errors = found.iter().zip(measured).map(|(f, &m)| ((f - f64::from(m)) / f64::from(m)).abs());
+            let mean = errors.sum::<f64>() / found.len().min(measured.len()) as f64;
+            let reference = *reference.get_or_insert(mean);
+            print!("  {mean:9.5}, {:+.2} % of f32's", 100.0 * (mean / reference - 1.0));
+        }
+        println!();
+    }
+}
