@@ -15,6 +15,9 @@ pub const SHADOW_TERMINATION: f32 = 0.25;
 /// Smallest advance per step along an axis, in voxels; keeps its inverse finite.
 pub(crate) const SMALLEST_ADVANCE: f32 = 1e-9;
 
+/// Beyond every sample.
+pub(crate) const FAR: f32 = 3.0e38;
+
 /// Everything a ray needs to know of its frame. Laid out as a uniform block: eleven rows of 16 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -55,8 +58,12 @@ pub(crate) struct FrameSetup {
     pub(crate) tile_width: u32,
     /// Pixel rows of the dispatch's output.
     pub(crate) tile_height: u32,
+    /// The dispatch takes the samples `window_begin`…`window_end` − 1 of each ray; 0 starts the rays, [`FAR`] ends
+    /// them.
+    pub(crate) window_begin: f32,
+    pub(crate) window_end: f32,
     /// Unused.
-    pub(crate) pad: [u32; 3],
+    pub(crate) pad: u32,
     /// Blocks along each axis.
     pub(crate) blocks: [u32; 3],
     /// Unused.
@@ -94,7 +101,9 @@ impl FrameSetup {
             light_inverse: light.map(|l| 1.0 / (l as f32)),
             tile_width: frame.width(),
             tile_height: frame.height(),
-            pad: [0; 3],
+            window_begin: 0.0,
+            window_end: FAR,
+            pad: 0,
             blocks: blocks.map(|n| n as u32),
             pad_end: 0,
         }

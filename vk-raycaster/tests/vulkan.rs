@@ -221,6 +221,29 @@ fn skipping_changes_nothing() -> Outcome {
     expect_silence(&gpu)
 }
 
+/// Rays whose loops turn more often than a software device's loop limit.
+fn long_rays_are_cast_in_windows() -> Outcome {
+    let mut gpu = open_validated(None)?;
+    let mut twin = CpuRaycaster::new();
+    let data = field_bytes([64; 3]);
+    let view = VolumeView::new(Scalars::U8(&data), [64; 3]).unwrap();
+    gpu.set_volume(&view)?;
+    twin.set_volume(&view)?;
+    let thin = transparent().with_unit_distance(4.0).unwrap();
+    gpu.set_transfer(&thin)?;
+    twin.set_transfer(&thin)?;
+    for skipping in SKIPPINGS {
+        let f = frame(20.0, 30.0, 2.5, 5, 4).with_step(0.125).unwrap().with_shading(Shading::Scatter);
+        let (a, b) = (gpu.render(&f.with_skipping(skipping))?, twin.render(&f.with_skipping(skipping))?);
+        let (largest, _) = difference(&a.image.rgba, &b.image.rgba);
+        let exact = !gpu.is_software() || a.counts == b.counts;
+        if largest > LARGEST || !exact {
+            return Err(format!("{}: {largest}, {:?}, {:?}", skipping.name(), a.counts, b.counts).into());
+        }
+    }
+    expect_silence(&gpu)
+}
+
 fn tiles_join_without_seams() -> Outcome {
     let dims = [40; 3];
     let data = field_bytes(dims);
@@ -310,6 +333,7 @@ fn main() {
         ("odd_volumes_match_the_twin", odd_volumes),
         ("homogeneous_slab_absorbs_by_its_thickness", homogeneous_slab),
         ("skipping_changes_nothing_but_the_work", skipping_changes_nothing),
+        ("long_rays_are_cast_in_windows", long_rays_are_cast_in_windows),
         ("tiles_join_without_seams", tiles_join_without_seams),
         ("times_are_plausible", times_are_plausible),
         ("volume_and_table_may_change_between_frames", volume_and_table_may_change_between_frames),

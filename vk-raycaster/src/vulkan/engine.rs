@@ -19,6 +19,9 @@ const STAGING_BYTES: u64 = 64 << 20;
 /// Largest size of a table's texels; the most that a recording can hold inline.
 const TABLE_BYTES: u64 = 65536;
 
+/// Bytes per pixel of the state of a ray between its windows.
+const STATE_BYTES: u64 = 32;
+
 /// Which variant of the shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct ShaderKey {
@@ -44,8 +47,10 @@ pub(crate) struct CastTile<'a> {
 struct TileBuffers {
     pixels: u64,
     counting: bool,
+    windowed: bool,
     image: Buffer,
     work: Option<Buffer>,
+    state: Buffer,
     read_back: Buffer,
 }
 
@@ -95,6 +100,7 @@ impl Engine {
             binding(7, vk::DescriptorType::STORAGE_IMAGE),
             binding(8, vk::DescriptorType::STORAGE_IMAGE),
             binding(9, vk::DescriptorType::STORAGE_IMAGE),
+            binding(10, vk::DescriptorType::STORAGE_BUFFER),
         ];
         let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
         // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes into an
@@ -118,7 +124,7 @@ impl Engine {
         let sizes = [
             size(vk::DescriptorType::SAMPLED_IMAGE, 3),
             size(vk::DescriptorType::SAMPLER, 1),
-            size(vk::DescriptorType::STORAGE_BUFFER, 3),
+            size(vk::DescriptorType::STORAGE_BUFFER, 4),
             size(vk::DescriptorType::STORAGE_IMAGE, 3),
         ];
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(1).pool_sizes(&sizes);
@@ -289,12 +295,13 @@ impl Engine {
         pass: &str,
         key: ShaderKey,
         tile: Tile,
+        windowed: bool,
         commands: &[Command],
     ) -> Result<CastTile<'_>> {
         self.recover()?;
         let pixels = u64::from(tile.width) * u64::from(tile.height);
         let counting = key.counting != 0;
-        self.reserve_tile(pixels, counting)?;
+        self.reserve_tile(pixels, counting, windowed)?;
         self.prepare_pipeline(key)?;
         let set = self.prepare_set()?;
         let shader = self.pipelines.get(&key).map(|p| (p.get(), set));
@@ -308,8 +315,12 @@ impl Engine {
         Ok(CastTile { seconds, image, work: &rest[..work_bytes] })
     }
 
-    fn reserve_tile(&mut self, pixels: u64, counting: bool) -> Result<()> {
-        if self.tile.as_ref().is_some_and(|t| t.pixels >= pixels && t.counting >= counting) {
+    fn reserve_tile(&mut self, pixels: u64, counting: bool, windowed: bool) -> Result<()> {
+        if self
+            .tile
+            .as_ref()
+            .is_some_and(|t| t.pixels >= pixels && t.counting >= counting && t.windowed >= windowed)
+        {
             return Ok(());
         }
         self.set = None;
@@ -318,6 +329,7 @@ impl Engine {
         let make = |name, bytes| Buffer::new(&self.gpu, name, bytes, storage, MemoryLocation::GpuOnly);
         let image = make("image buffer", pixels * IMAGE_BYTES)?;
         let work = if counting { Some(make("work counts", pixels * WORK_BYTES)?) } else { None };
+        let state = make("ray states", if windowed { pixels * STATE_BYTES } else { STATE_BYTES })?;
         let read_back = Buffer::new(
             &self.gpu,
             "read-back buffer",
@@ -325,7 +337,7 @@ impl Engine {
             vk::BufferUsageFlags::TRANSFER_DST,
             MemoryLocation::GpuToCpu,
         )?;
-        self.tile = Some(TileBuffers { pixels, counting, image, work, read_back });
+        self.tile = Some(TileBuffers { pixels, counting, windowed, image, work, state, read_back });
         Ok(())
     }
 
@@ -395,6 +407,7 @@ impl Engine {
         write_buffer(0, vk::DescriptorType::STORAGE_BUFFER, &self.setup);
         if let Some(tile) = &self.tile {
             write_buffer(5, vk::DescriptorType::STORAGE_BUFFER, &tile.image);
+            write_buffer(10, vk::DescriptorType::STORAGE_BUFFER, &tile.state);
             if let Some(work) = &tile.work {
                 write_buffer(6, vk::DescriptorType::STORAGE_BUFFER, work);
             }

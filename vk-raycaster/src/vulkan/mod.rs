@@ -12,7 +12,7 @@ mod upload;
 use crate::blocks::{BlockMap, SkipMap};
 use crate::clock::Stopwatch;
 use crate::renderer::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts};
-use crate::setup::FrameSetup;
+use crate::setup::{FAR, FrameSetup};
 use crate::table::Classifier;
 use crate::voxels::{Geometry, PreparedVolume};
 use engine::{Engine, ShaderKey};
@@ -24,6 +24,9 @@ use std::sync::Arc;
 
 /// A dispatch that takes longer than this makes the tiles of its shading mode smaller.
 const LONG_DISPATCH_SECONDS: f64 = 0.5;
+
+/// llvmpipe leaves an invocation's loops after 65535 turns in all; longer rays are cast in several dispatches.
+const LOOP_LIMIT: f64 = 60_000.0;
 
 /// The smallest edge that tiles shrink to.
 const SMALLEST_TILE: u32 = 64;
@@ -271,13 +274,36 @@ impl Renderer for VulkanRaycaster {
         let mut rgba = vec![0; width as usize * height as usize * IMAGE_BYTES as usize];
         let mut counts = WorkCounts::default();
         let mut device = self.has_timestamps().then_some(0.0);
+        // Samples per dispatch, and where the last dispatch starts at the latest.
+        let window = if self.is_software() {
+            window(volume.geometry.reference_step() * f64::from(frame.step()), frame.shading())
+        } else {
+            FAR
+        };
+        let longest = longest_ray(volume.geometry.reference_step() * f64::from(frame.step())) as f32;
+        let last_window = (longest / window).ceil().max(1.0).mul_add(window, -window).max(0.0);
         let cut = tiles(width, height, self.tile[class]);
         for (i, &tile) in cut.iter().enumerate() {
             let timestamps = device.is_some();
-            let commands = record_tile(&setup, tile, table.take(), timestamps, self.options.count_work);
             let pass = format!("ray casting, tile {} of {}", i + 1, cut.len());
+            let mut begin = 0.0;
+            while begin < last_window {
+                let mut setup = setup;
+                (setup.window_begin, setup.window_end) = (begin, begin + window);
+                let commands = record_tile(&setup, tile, table.take(), timestamps, self.options.count_work);
+                let tile_watch = Stopwatch::start();
+                let seconds = self.engine.cast(&pass, key, tile, true, &commands)?.seconds;
+                device = device.zip(seconds).map(|(sum, s)| sum + s);
+                if seconds.unwrap_or_else(|| tile_watch.wall()) > LONG_DISPATCH_SECONDS {
+                    self.tile[class] = (self.tile[class] / 2).max(SMALLEST_TILE.min(self.tile[class]));
+                }
+                begin += window;
+            }
+            let mut setup = setup;
+            setup.window_begin = begin;
+            let commands = record_tile(&setup, tile, table.take(), timestamps, self.options.count_work);
             let tile_watch = Stopwatch::start();
-            let done = self.engine.cast(&pass, key, tile, &commands)?;
+            let done = self.engine.cast(&pass, key, tile, last_window > 0.0, &commands)?;
             device = device.zip(done.seconds).map(|(sum, s)| sum + s);
             if done.seconds.unwrap_or_else(|| tile_watch.wall()) > LONG_DISPATCH_SECONDS {
                 self.tile[class] = (self.tile[class] / 2).max(SMALLEST_TILE.min(self.tile[class]));
@@ -307,6 +333,20 @@ impl Renderer for VulkanRaycaster {
     }
 }
 
+/// Most samples that a ray can take: the diagonal of the box, 2 in scene space, in steps of `step`.
+fn longest_ray(step: f64) -> f64 {
+    (2.0 / step).ceil() + 1.0
+}
+
+/// How many samples of a ray one dispatch may take on a software device, so that all loops together stay below
+/// [`LOOP_LIMIT`].
+fn window(step: f64, shading: Shading) -> f32 {
+    let shadow = longest_ray(step * f64::from(crate::setup::SHADOW_STEP));
+    // A sample costs a turn of its loop and at most one of the loops around; so does each shadow sample.
+    let turns = if shading == Shading::Scatter { 2.0 + 2.0 * shadow } else { 2.0 };
+    (LOOP_LIMIT / turns).floor().max(1.0) as f32
+}
+
 fn shading_index(shading: Shading) -> usize {
     match shading {
         Shading::None => 0,
@@ -318,6 +358,17 @@ fn shading_index(shading: Shading) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn windows_keep_loops_below_the_limit() {
+        // 256³ voxels: the box's diagonal is 443 voxels.
+        let step = 2.0 / (256.0 * 3f64.sqrt());
+        assert!(f64::from(window(step, Shading::None)) >= longest_ray(step));
+        let w = f64::from(window(step, Shading::Scatter));
+        assert!(w * 2.0 * longest_ray(2.0 * step) <= LOOP_LIMIT && w > 50.0);
+        assert!(f64::from(window(step / 64.0, Shading::None)) < 65536.0);
+        assert_eq!(window(1e-9, Shading::Scatter), 1.0);
+    }
 
     #[test]
     fn environment_variables_are_read_and_checked() {

@@ -12,7 +12,6 @@ const FAR: f32 = 3.0e38;
 const BLOCK_EDGE: f32 = 8.0;
 const EMPTY_BIT: u32 = 128u;
 const COLORS_PER_ENTRY: f32 = 16.0;
-const SHADOW_STEP: u32 = 2u;
 const SHADOW_TERMINATION: f32 = 0.25;
 
 struct FrameSetup {
@@ -35,9 +34,9 @@ struct FrameSetup {
     light_inverse: vec3<f32>,
     tile_width: u32,
     tile_height: u32,
-    pad_a: u32,
-    pad_b: u32,
-    pad_c: u32,
+    window_begin: f32,
+    window_end: f32,
+    pad: u32,
     blocks: vec3<u32>,
     pad_end: u32,
 }
@@ -66,6 +65,9 @@ struct FrameSetup {
 #if COUNTING == 1
 @group(0) @binding(6) var<storage, read_write> work: array<vec4<u32>>;
 #endif
+
+// Of each pixel, between the windows of a long ray: color and opacity so far; the next sample.
+@group(0) @binding(10) var<storage, read_write> state: array<vec4<f32>>;
 
 struct Counts {
     samples: u32,
@@ -265,9 +267,9 @@ fn scatter(p: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
             loop {
                 counts.samples += 1u;
                 let clear = 1.0 - opacity(position(p + k * step));
-                for (var i = 0u; i < SHADOW_STEP; i++) {
-                    transmittance *= clear;
-                }
+                // Once for each of the SHADOW_STEP steps.
+                transmittance *= clear;
+                transmittance *= clear;
                 k += 1.0;
                 if transmittance < SHADOW_TERMINATION {
                     k = count;
@@ -283,7 +285,7 @@ fn scatter(p: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
 }
 #endif
 
-fn trace(pixel: vec2<u32>) -> vec4<f32> {
+fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
     let u = (f32(pixel.x) + 0.5) * setup.pixel_width - 1.0;
     let v = 1.0 - (f32(pixel.y) + 0.5) * setup.pixel_height;
     let d = setup.forward + u * setup.right + v * setup.up;
@@ -311,10 +313,16 @@ fn trace(pixel: vec2<u32>) -> vec4<f32> {
     let count = ceil(exit - start);
     let termination = setup.termination;
     var k = 0.0;
-    while k < count {
+    if setup.window_begin > 0.0 {
+        sum = state[2u * index];
+        k = state[2u * index + 1u].x;
+    }
+    let window = min(count, setup.window_end);
+    while k < window {
         let run = next_samples(first, advance, inverse, k, count);
         k = run.begin;
-        if k < count {
+        let end = min(run.end, window);
+        if k < end {
             loop {
                 let p = first + k * advance;
                 counts.samples += 1u;
@@ -337,10 +345,14 @@ fn trace(pixel: vec2<u32>) -> vec4<f32> {
 #endif
                 k = select(k, count, sum.w >= termination);
                 continuing {
-                    break if !(k < run.end);
+                    break if !(k < end);
                 }
             }
         }
+    }
+    if setup.window_end < FAR {
+        state[2u * index] = sum;
+        state[2u * index + 1u] = vec4<f32>(k, 0.0, 0.0, 0.0);
     }
     return sum;
 }
@@ -355,10 +367,16 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     scale = setup.scale;
     bias = setup.bias;
     if x < setup.tile_width && y < setup.tile_height {
-        let sum = trace(vec2<u32>(setup.tile_x + x, setup.tile_y + y));
+        let index = y * setup.tile_width + x;
+#if COUNTING == 1
+        if setup.window_begin > 0.0 {
+            let before = work[index];
+            counts = Counts(before.y, before.z, before.w);
+        }
+#endif
+        let sum = trace(vec2<u32>(setup.tile_x + x, setup.tile_y + y), index);
         let hit = sum.w >= 0.0;
         let bytes = vec4<u32>(min(max(sum, vec4<f32>(0.0)), vec4<f32>(1.0)) * 255.0 + 0.5);
-        let index = y * setup.tile_width + x;
         image[index] = bytes.x | (bytes.y << 8u) | (bytes.z << 16u) | (bytes.w << 24u);
 #if COUNTING == 1
         work[index] = vec4<u32>(u32(hit), counts.samples, counts.skips, counts.shaded);
