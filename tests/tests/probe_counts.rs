@@ -10,6 +10,9 @@ use std::path::{Path, PathBuf};
 /// Largest median of |estimate / count − 1| over random scenes.
 const MEDIAN_TOLERANCE: f64 = 0.1;
 
+/// The same with single scattering, where one shadow ray per probe ray stands for all.
+const SCATTER_TOLERANCE: f64 = 0.2;
+
 /// One volume of each folder under `data/`.
 fn shipped() -> Vec<PathBuf> {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data");
@@ -93,7 +96,9 @@ fn estimated_work_is_the_counted_work() {
             let rough = *name == "skips" && shading == Shading::Scatter;
             if errors.len() >= 6 && !rough {
                 let m = median(errors);
-                assert!(m < MEDIAN_TOLERANCE, "{shading:?} {skipping:?}: median error of {name} is {m}");
+                let tolerance =
+                    if shading == Shading::Scatter { SCATTER_TOLERANCE } else { MEDIAN_TOLERANCE };
+                assert!(m < tolerance, "{shading:?} {skipping:?}: median error of {name} is {m}");
             }
         }
         assert!(errors[1].len() >= 12, "too few scenes with work");
