@@ -1,4 +1,4 @@
-//! The coarse ray probe's estimates against the exact counts of the CPU twin, on a volume that is shipped.
+//! The coarse ray probe's estimates against the exact counts of the CPU twin, on the volumes that are shipped.
 
 use entire_cli::scenes::SceneDistribution;
 use entire_cli::volume::Volume;
@@ -23,15 +23,20 @@ fn shipped() -> Vec<PathBuf> {
         found
     };
     let mut found = Vec::new();
+    let is_volume = |p: &PathBuf| p.extension().is_some_and(|e| e == "nrrd");
     for path in volumes(&data) {
-        let is_volume = |p: &PathBuf| p.extension().is_some_and(|e| e == "nrrd");
         if path.is_dir() {
-            found.extend(volumes(&path).into_iter().rfind(is_volume));
+            // Of an ensemble: the last step of its first member.
+            let steps = volumes(&path).into_iter().filter(|p| p.is_dir()).flat_map(|p| volumes(&p));
+            let mut steps = steps.filter(is_volume).collect::<Vec<_>>();
+            let member = steps.first().and_then(|p| p.parent()).map(PathBuf::from);
+            steps.retain(|p| p.parent() == member.as_deref());
+            found.extend(steps.pop());
         } else if is_volume(&path) {
             found.push(path);
         }
     }
-    assert!(!found.is_empty(), "no volume under {}", data.display());
+    assert!(found.len() >= 4, "an ensemble each and the scan are expected under {}", data.display());
     found
 }
 
