@@ -40,3 +40,5 @@ mod transfer;
 mod frame;
 
 mod predictor;
+
+mod schedule;

@@ -1402,6 +1402,22 @@ entire_result entire_predictor_last_error(const struct entire_predictor *predict
  */
 void entire_predictor_free(struct entire_predictor *predictor);
 
+/**
+ * Assigns tasks to nodes, the longest first, each to the node that would finish it earliest. `seconds` holds each task's
+ * time on a node of speed 1 and `speeds` each node's speed (2: half the time); `speeds` may be NULL for nodes of speed 1.
+ * `node_of_task` receives a node number, from 0, per task, and `makespan`, which may be NULL, the seconds until the last
+ * node is done.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range), ENTIRE_SIZE_MISMATCH,
+ * ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_schedule(const double *seconds,
+                              size_t task_count,
+                              const double *speeds,
+                              size_t node_count,
+                              size_t *node_of_task,
+                              double *makespan);
+
 #ifdef __cplusplus
 }  // extern "C"
 #endif  // __cplusplus

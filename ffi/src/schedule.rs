@@ -1,0 +1,59 @@
+//! Tasks on the nodes of a render farm.
+
+use crate::abi::{check_pointer, slice, slice_mut, write};
+use crate::guard::guard;
+use crate::result::Failure;
+use crate::result::entire_result::{self, *};
+use entire_core::schedule::assign_longest_first;
+
+/// Assigns tasks to nodes, the longest first, each to the node that would finish it earliest. `seconds` holds each task's
+/// time on a node of speed 1 and `speeds` each node's speed (2: half the time); `speeds` may be NULL for nodes of speed 1.
+/// `node_of_task` receives a node number, from 0, per task, and `makespan`, which may be NULL, the seconds until the last
+/// node is done.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range), ENTIRE_SIZE_MISMATCH,
+/// ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_schedule(
+    seconds: *const f64,
+    task_count: usize,
+    speeds: *const f64,
+    node_count: usize,
+    node_of_task: *mut usize,
+    makespan: *mut f64,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    guard(|| unsafe {
+        let times = slice(seconds, task_count, "seconds")?;
+        let equal;
+        let speeds = if speeds.is_null() {
+            equal = equal_speeds(node_count)?;
+            equal.as_slice()
+        } else {
+            slice(speeds, node_count, "speeds")?
+        };
+        let out = slice_mut(node_of_task, task_count, "node_of_task (output)")?;
+        if !makespan.is_null() {
+            check_pointer(makespan, "makespan (output)")?;
+        }
+        let assignment = assign_longest_first(times, speeds)?;
+        let longest = assignment.makespan(times, speeds)?;
+        out.copy_from_slice(&assignment.node_of);
+        if !makespan.is_null() {
+            write(makespan, longest, "makespan (output)")?;
+        }
+        Ok(())
+    })
+}
+
+fn equal_speeds(nodes: usize) -> Result<Vec<f64>, Failure> {
+    let mut speeds = Vec::new();
+    if speeds.try_reserve_exact(nodes).is_err() {
+        return Err(Failure::new(
+            ENTIRE_SIZE_MISMATCH,
+            format!("{nodes} nodes are more than memory can hold; check node_count"),
+        ));
+    }
+    speeds.resize(nodes, 1.0);
+    Ok(speeds)
+}
