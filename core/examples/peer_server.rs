@@ -20,7 +20,6 @@ use safetensors::SafeTensors;
 use std::collections::HashMap;
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 type Problem = Box<dyn std::error::Error>;
@@ -177,7 +176,7 @@ fn resampling(options: &Options, helper: &Helper, n: usize, seconds: f64) -> Res
     let (mut times, mut read) = (Vec::new(), f64::INFINITY);
     let end = Instant::now() + Duration::from_secs_f64(seconds);
     while Instant::now() < end || times.len() < 5 {
-        read = read.min(reading(&bytes, options.threads));
+        read = read.min(reading(&bytes, executor));
         let begin = Instant::now();
         resampler.resample(&view, 128, &mut out, executor)?;
         times.push(begin.elapsed().as_nanos() as f64);
@@ -187,30 +186,17 @@ fn resampling(options: &Options, helper: &Helper, n: usize, seconds: f64) -> Res
     Ok(format!(r#"{{"min":{min},"med":{median},"n":{},"read":{read},"check":{check}}}"#, times.len()))
 }
 
-/// Nanoseconds in which threads read all bytes once, from the moment when the last one is ready.
-fn reading(bytes: &[u8], threads: usize) -> f64 {
-    let ready = AtomicUsize::new(0);
-    std::thread::scope(|scope| {
-        let part = |piece| {
-            let ready = &ready;
-            move || {
-                ready.fetch_add(1, Ordering::AcqRel);
-                while ready.load(Ordering::Acquire) < threads {
-                    std::hint::spin_loop();
-                }
-                let begin = Instant::now();
-                std::hint::black_box(mixed(piece));
-                (begin, Instant::now())
-            }
-        };
-        let mut pieces = bytes.chunks(bytes.len().div_ceil(threads));
-        let own = pieces.next().map(part);
-        let others: Vec<_> = pieces.map(|piece| scope.spawn(part(piece))).collect();
-        let mut spans: Vec<_> = own.into_iter().map(|read| read()).collect();
-        spans.extend(others.into_iter().map(|thread| thread.join().expect("a reader")));
-        let (begin, end) = (spans.iter().map(|s| s.0).min(), spans.iter().map(|s| s.1).max());
-        begin.zip(end).map_or(0.0, |(begin, end)| (end - begin).as_nanos() as f64)
-    })
+/// Nanoseconds in which the executor's threads read all bytes once.
+fn reading(bytes: &[u8], executor: Executor<'_>) -> f64 {
+    let begin = Instant::now();
+    if executor.threads() > 1 {
+        let (left, right) = bytes.split_at(bytes.len() / 2);
+        let read = |piece| move || _ = std::hint::black_box(mixed(piece));
+        executor.join(read(left), read(right));
+    } else {
+        std::hint::black_box(mixed(bytes));
+    }
+    begin.elapsed().as_nanos() as f64
 }
 
 #[inline(never)]

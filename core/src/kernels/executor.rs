@@ -50,7 +50,7 @@ impl<'a> Executor<'a> {
     }
 
     /// Runs both closures, at the same time where there are threads for it.
-    pub(crate) fn join<A: FnOnce() + Send, B: FnOnce() + Send>(&self, a: A, b: B) {
+    pub fn join<A: FnOnce() + Send, B: FnOnce() + Send>(&self, a: A, b: B) {
         #[cfg(feature = "rayon")]
         if let Some(pool) = self.pool {
             pool.join(a, b);
