@@ -6,7 +6,8 @@
 //!
 //! Draws random scenes as `entire collect` does (seed 1), for every volume with steps 1, 2 and 4, and prints for each
 //! shading mode the median and 90th percentile of |estimate / count − 1| and the median of estimate / count, over the
-//! frames in which the counted work is not negligible.
+//! frames in which the counted work is not negligible. With `WORST` in the environment it also prints, for each volume,
+//! the frame whose samples were estimated worst.
 
 use entire_cli::scenes::SceneDistribution;
 use entire_cli::volume::Volume;
@@ -34,7 +35,7 @@ fn main() {
         steps: vec![1.0, 2.0, 4.0],
         ..SceneDistribution::default()
     };
-    let names = ["rays", "samples", "skips", "shaded", "shadow"];
+    let names = ["rays", "samples", "skips", "shaded"];
     for (shading, skipping) in [
         (Shading::None, Skipping::None),
         (Shading::None, Skipping::Blocks),
@@ -42,7 +43,7 @@ fn main() {
         (Shading::Local, Skipping::Blocks),
         (Shading::Scatter, Skipping::Blocks),
     ] {
-        let mut ratios: [Vec<f64>; 5] = Default::default();
+        let mut ratios: [Vec<f64>; 4] = Default::default();
         for path in &volumes {
             let volume = Volume::open(path).unwrap_or_else(|e| panic!("{e:#}"));
             let view = volume.view();
@@ -75,11 +76,10 @@ fn main() {
                     (work.samples + work.shadow_samples, counts.samples as f64),
                     (work.skips, counts.skips as f64),
                     (work.shaded, counts.shaded as f64),
-                    (work.samples, counts.samples as f64 - work.shadow_samples),
                 ];
                 for (k, (estimate, count)) in pairs.into_iter().enumerate() {
                     // Less than a tenth of an event per ray is no work.
-                    if count > 0.1 * counts.rays as f64 && (k < 4) {
+                    if count > 0.1 * counts.rays as f64 {
                         ratios[k].push(estimate / count);
                         let off = (estimate / count).ln().abs();
                         if k == 1 && off > worst.0 {

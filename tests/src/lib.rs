@@ -1,3 +1,3 @@
-//! tests (see ARCHITECTURE.md).
+//! What the tests that cross crates share.
 
 pub mod levels;
