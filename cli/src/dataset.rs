@@ -7,6 +7,7 @@
 //! stop; the transfer function's Gaussian lobes as `c w h` joined by `;`; seconds by each clock; and work counts. An
 //! empty field means "not measured".
 
+use crate::feature_table::{FeatureTable, read_bytes, stem};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, Shading, Skipping, TransferFunction, TransferTable,
@@ -314,9 +315,11 @@ pub struct Manifest {
 }
 
 impl Manifest {
-    /// The manifest's path beside a table: `NAME.csv` → `NAME.manifest.json`.
+    /// The manifest's path beside a table: `NAME.csv` or `NAME.csv.gz` → `NAME.manifest.json`.
     pub fn path_for(table: &Path) -> PathBuf {
-        table.with_extension("manifest.json")
+        let mut name = stem(table).into_os_string();
+        name.push(".manifest.json");
+        name.into()
     }
 
     /// Writes the manifest beside `table`, whole or not at all.
@@ -364,8 +367,12 @@ pub struct Table {
     pub manifest: Option<Manifest>,
     /// Its frames, in the order in which they first appear.
     pub frames: Vec<TimedFrame>,
-    /// FNV-1a hash of the CSV's bytes.
+    /// FNV-1a hash of the CSV's bytes, unfolded.
     pub hash: u64,
+    /// What was computed about its frames, where that is kept beside it.
+    pub features: Option<FeatureTable>,
+    /// Where its volume names start from, where it is neither the working folder nor the table's.
+    pub root: Option<PathBuf>,
 }
 
 /// 64-bit FNV-1a.
@@ -374,20 +381,46 @@ pub fn fnv1a(bytes: &[u8]) -> u64 {
 }
 
 impl Table {
-    /// Reads a table and its manifest. `index` is stored in each frame's `table`.
+    /// Reads a table, its manifest and its features. `index` is stored in each frame's `table`. Names that end in `.gz`
+    /// are unfolded.
     ///
     /// # Errors
-    /// When the file cannot be read, a column is missing, or a row holds something that it may not; the message names
+    /// When a file cannot be read, a column is missing, or a row holds something that it may not; the message names
     /// file, line and column.
     pub fn read(path: &Path, index: usize) -> Result<Self> {
-        let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-        let frames =
-            parse(&bytes, index).with_context(|| format!("{} is no timing table", path.display()))?;
-        Ok(Self { path: path.to_owned(), manifest: Manifest::read(path)?, frames, hash: fnv1a(&bytes) })
+        let mut table = Self::read_without_features(path, index)?;
+        table.features = FeatureTable::beside(path, &table.frames)?;
+        Ok(table)
     }
 
-    /// Finds a frame's volume file: the name as it stands, else relative to the table's folder.
+    /// As [`Table::read`], passing over features kept beside the table.
+    ///
+    /// # Errors
+    /// As [`Table::read`].
+    pub fn read_without_features(path: &Path, index: usize) -> Result<Self> {
+        let bytes = read_bytes(path).with_context(|| {
+            let remedy =
+                if path.exists() { "" } else { "; make a table with `entire collect VOLUME --out FILE.csv`" };
+            format!("cannot read {}{remedy}", path.display())
+        })?;
+        let frames =
+            parse(&bytes, index).with_context(|| format!("{} is no timing table", path.display()))?;
+        Ok(Self {
+            path: path.to_owned(),
+            manifest: Manifest::read(path)?,
+            frames,
+            hash: fnv1a(&bytes),
+            features: None,
+            root: None,
+        })
+    }
+
+    /// Finds a frame's volume file: the name below the root where one is set, the name as it stands, else relative to
+    /// the table's folder.
     pub fn resolve_volume(&self, name: &str) -> Option<PathBuf> {
+        if let Some(below) = self.root.as_ref().map(|r| r.join(name)).filter(|p| p.exists()) {
+            return Some(below);
+        }
         let as_is = PathBuf::from(name);
         if as_is.exists() {
             return Some(as_is);

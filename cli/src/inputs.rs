@@ -3,13 +3,14 @@
 
 use crate::dataset::{Table, TimedFrame};
 use crate::enlarge::{MAX_FACTOR, enlarge};
+use crate::feature_table::{code_column, encoder_id};
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::features::{
     Changes, FrameFeatures, SceneFeature, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
 use entire_core::model::Model;
-use entire_core::nn::{Executor, VolumeNet};
+use entire_core::nn::{Executor, VolumeNet, VolumeNetParts};
 use entire_core::predict::{GroupKind, Inputs, write_group};
 use entire_core::scene::Skipping;
 use indicatif::ProgressBar;
@@ -17,12 +18,29 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
+/// A VolumeNet and the name of its weights in feature tables.
+#[derive(Debug)]
+pub struct Encoder {
+    id: String,
+    net: VolumeNet,
+}
+
+impl Encoder {
+    /// From checked weights.
+    ///
+    /// # Errors
+    /// As [`VolumeNet::new`].
+    pub fn new(parts: &VolumeNetParts) -> Result<Self> {
+        Ok(Self { id: encoder_id(parts), net: VolumeNet::new(parts)? })
+    }
+}
+
 /// What a model takes: its input groups in order with their sizes, and what is needed to compute them.
 #[derive(Debug)]
 pub struct Layout {
     groups: Vec<(GroupKind, usize)>,
     scene_features: Vec<SceneFeature>,
-    encoder: Option<VolumeNet>,
+    encoder: Option<Encoder>,
 }
 
 impl Layout {
@@ -35,7 +53,7 @@ impl Layout {
         groups: &[GroupKind],
         scene_features: Vec<SceneFeature>,
         lobes: usize,
-        encoder: Option<VolumeNet>,
+        encoder: Option<Encoder>,
     ) -> Result<Self> {
         ensure!(!groups.is_empty(), "a model needs at least one input group");
         let mut sized = Vec::new();
@@ -43,7 +61,7 @@ impl Layout {
             ensure!(!groups[..i].contains(&group), "input group {} is named twice", group.name());
             let size = match group {
                 GroupKind::VolumeFeatures => match &encoder {
-                    Some(encoder) => encoder.feature_len(),
+                    Some(encoder) => encoder.net.feature_len(),
                     None => bail!(
                         "the input group volume_features needs an encoder; name a model file that holds a VolumeNet"
                     ),
@@ -82,7 +100,7 @@ impl Layout {
             .iter()
             .map(|name| Ok(SceneFeature::from_name(name)?))
             .collect::<Result<_>>()?;
-        let encoder = model.volumenet().map(VolumeNet::new).transpose()?;
+        let encoder = model.volumenet().map(Encoder::new).transpose()?;
         ensure!(
             encoder.is_some() || groups.iter().all(|(g, _)| *g != GroupKind::VolumeFeatures),
             "the model takes volume_features and its file holds no VolumeNet; write both into one file"
@@ -113,7 +131,7 @@ impl Layout {
         &self.scene_features
     }
 
-    fn encoder(&self) -> Option<&VolumeNet> {
+    fn encoder(&self) -> Option<&Encoder> {
         self.encoder.as_ref().filter(|_| self.groups().any(|g| g == GroupKind::VolumeFeatures))
     }
 
@@ -146,13 +164,85 @@ impl Layout {
         pool: &ThreadPool,
         bar: &ProgressBar,
     ) -> Result<Vec<f32>> {
-        let rows =
-            measure(tables, frames, self.needs_summary(), self.encoder(), pool, bar, |frame, inputs| {
+        if let Some(rows) = self.rows_beside(tables, frames) {
+            return Ok(rows);
+        }
+        let rows = measure(
+            tables,
+            frames,
+            self.needs_summary(),
+            self.encoder().map(|e| &e.net),
+            pool,
+            bar,
+            |frame, inputs| {
                 let mut row = vec![0.0; self.width()];
                 self.write(inputs, &mut row).with_context(|| format!("frame {}", frame.number))?;
                 Ok(row)
-            })?;
+            },
+        )?;
         Ok(rows.concat())
+    }
+}
+
+impl Layout {
+    /// Rows from the features that are kept beside the tables; `None` where any is missing.
+    fn rows_beside(&self, tables: &[Table], frames: &[&TimedFrame]) -> Option<Vec<f32>> {
+        let code_id = self.encoder().map(|e| &e.id);
+        let mut out = Vec::with_capacity(frames.len() * self.width());
+        let mut plan: Vec<usize> = Vec::new();
+        let mut planned = None;
+        for frame in frames {
+            let features = tables.get(frame.table)?.features.as_ref()?;
+            if planned != Some(frame.table) {
+                plan.clear();
+                for (group, size) in &self.groups {
+                    match group {
+                        GroupKind::SceneFeatures => {
+                            for f in &self.scene_features {
+                                plan.push(features.column(f.quantity.name())?);
+                            }
+                        }
+                        GroupKind::VolumeFeatures => {
+                            for i in 0..*size {
+                                plan.push(features.column(&code_column(code_id?, i))?);
+                            }
+                        }
+                        _ => {}
+                    }
+                }
+                planned = Some(frame.table);
+            }
+            let row = features.row(frame.number)?;
+            let mut columns = plan.iter();
+            let scene = &frame.scene;
+            for (group, size) in &self.groups {
+                let start = out.len();
+                match group {
+                    GroupKind::SceneFeatures => {
+                        for f in &self.scene_features {
+                            let value = row[*columns.next()?];
+                            out.push(if f.log { f.quantity.log(f64::from(value)) } else { value });
+                        }
+                    }
+                    GroupKind::VolumeFeatures => {
+                        for _ in 0..*size {
+                            out.push(row[*columns.next()?]);
+                        }
+                    }
+                    GroupKind::Camera => out.extend([scene.camera.rx, scene.camera.ry, scene.camera.dz]),
+                    GroupKind::Resolution => out.extend([scene.width as f32, scene.height as f32]),
+                    GroupKind::TransferFunction => {
+                        out.extend(scene.lobes.iter().flat_map(|l| [l.center, l.width, l.height]));
+                    }
+                    GroupKind::StepSize => out.push(scene.step),
+                    _ => return None,
+                }
+                if out.len() - start != *size {
+                    return None;
+                }
+            }
+        }
+        Some(out)
     }
 }
 
@@ -237,7 +327,7 @@ pub fn measure<T: Send>(
 fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> {
     let path = table.resolve_volume(name).with_context(|| {
         format!(
-            "volume {name} of {} is not there, neither from the working folder nor beside the table; run where it was collected, or put it there",
+            "volume {name} of {} is not there, neither from the working folder nor beside the table; run where it was collected, put it there, or keep the features beside the table with `entire features`",
             table.path.display()
         )
     })?;

@@ -5,6 +5,7 @@ pub mod commands;
 pub mod dataset;
 pub mod device;
 pub mod enlarge;
+pub mod feature_table;
 pub mod files;
 pub mod inputs;
 pub mod interrupt;

@@ -20,6 +20,8 @@ struct Cli {
 enum Command {
     /// Render many random frames of volumes and write down how long each took.
     Collect(commands::collect::Options),
+    /// Compute the scene features of collected frames and keep them beside the tables.
+    Features(commands::features::Options),
     /// Train or fine-tune a predictor on collected frames.
     Train(commands::train::Options),
     /// Measure how well predictors do on collected frames.
@@ -73,6 +75,7 @@ impl Cli {
     fn run(&self) -> anyhow::Result<()> {
         match &self.command {
             Command::Collect(options) => commands::collect::run(options),
+            Command::Features(options) => commands::features::run(options),
             Command::Train(options) => commands::train::run(options),
             Command::Evaluate(options) => commands::evaluate::run(options),
             Command::Predict(options) => commands::predict::run(options),

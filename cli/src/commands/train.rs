@@ -1,14 +1,14 @@
 //! `entire train`: train or fine-tune a predictor on collected frames.
 
 use crate::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor, read_tables};
-use crate::inputs::{Layout, measure};
+use crate::inputs::{Encoder, Layout};
 use crate::metrics::{Metrics, SHORTEST};
 use crate::split::{GroupBy, Part, Split};
 use crate::{interrupt, machine};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::features::SceneFeature;
 use entire_core::model::{Model, ModelFile, keys};
-use entire_core::nn::{Dtype, Target, VolumeNet};
+use entire_core::nn::{Dtype, Target};
 use entire_core::predict::{
     AnalyticModel, CALIBRATION_KEY, Calibration, GroupKind, Measurement, TERM_QUANTITIES, UPPER_LEVEL,
 };
@@ -471,19 +471,19 @@ fn fit_analytic(
     pool: &ThreadPool,
 ) -> Result<Fitted> {
     ensure!(options.fine_tune.is_none(), "an analytic model is fitted anew; leave --fine-tune away");
+    let features: Vec<SceneFeature> = TERM_QUANTITIES.iter().map(|&q| SceneFeature::linear(q)).collect();
+    let layout = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?;
     let bar = progress_bar(options.quiet, INPUTS_BAR);
-    let mut measurements = measure(tables, training, true, None, pool, &bar, |_, inputs| {
-        Ok(Measurement::new(inputs.features, &inputs.setting, 0.0))
-    })?;
+    let rows = layout.rows(tables, training, pool, &bar)?;
     bar.finish_and_clear();
-    for (m, t) in measurements.iter_mut().zip(seconds) {
-        m.seconds = *t;
-    }
+    let measurements: Vec<Measurement> = rows
+        .chunks_exact(TERM_QUANTITIES.len())
+        .zip(seconds)
+        .map(|(row, &seconds)| Measurement::from_work(row, seconds))
+        .collect();
     let mut model = AnalyticModel::new();
     let report = model.fit(&measurements)?;
     let costs = model.costs();
-    let features: Vec<SceneFeature> = TERM_QUANTITIES.iter().map(|&q| SceneFeature::linear(q)).collect();
-    let layout = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?;
     let file = model.to_model_file()?;
     let mut costs_named = BTreeMap::from([("frame".to_owned(), costs[0])]);
     costs_named.extend(TERM_QUANTITIES.iter().zip(&costs[1..]).map(|(q, c)| (q.name().to_owned(), *c)));
@@ -557,7 +557,7 @@ fn fit_network<'a>(
                     let parts = model
                         .volumenet()
                         .with_context(|| format!("{} holds no VolumeNet", path.display()))?;
-                    (file, Some(VolumeNet::new(parts)?))
+                    (file, Some(Encoder::new(parts)?))
                 }
                 None => (ModelFile::new(), None),
             };

@@ -51,6 +51,16 @@ impl Measurement {
     pub fn new(features: &FrameFeatures, setting: &Setting, seconds: f64) -> Self {
         Self { work: work_of(features, setting), seconds }
     }
+
+    /// From values of [`TERM_QUANTITIES`], in their order; those that are missing count as 0.
+    pub fn from_work(quantities: &[f32], seconds: f64) -> Self {
+        let mut work = [0.0; TERMS];
+        work[0] = 1.0;
+        for (slot, &value) in work[1..].iter_mut().zip(quantities) {
+            *slot = f64::from(value);
+        }
+        Self { work, seconds }
+    }
 }
 
 /// How well a fit describes what it was fitted to.

@@ -1,0 +1,84 @@
+//! `entire features`: what the core computes about the frames of timing tables, kept beside them.
+
+use super::train::{INPUTS_BAR, progress_bar, thread_pool};
+use crate::dataset::{Table, TimedFrame};
+use crate::feature_table::{FeatureTable, code_column, encoder_id};
+use crate::files::open_model;
+use crate::inputs::measure;
+use anyhow::{Context, Result, ensure};
+use entire_core::features::SceneQuantity;
+use entire_core::nn::VolumeNet;
+use std::path::PathBuf;
+
+/// Compute the scene features of collected frames and keep them beside the tables.
+///
+/// `NAME.csv` gets `NAME.features.csv.gz`; training and evaluation then need the volumes no more. Made anew for every
+/// version that changes the features.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire features --data frames.csv
+  entire features --data frames.csv --volumenet models/volumenet-128f2.safetensors --root ../volumes")]
+pub struct Options {
+    /// Timing tables written by `entire collect`.
+    #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
+    pub data: Vec<PathBuf>,
+    /// Model files whose VolumeNet encodes the volumes, for models on volume features.
+    #[arg(long, num_args = 1.., value_name = "SAFETENSORS")]
+    pub volumenet: Vec<PathBuf>,
+    /// Folder that the tables' volume names start from, where it is neither the working folder nor the table's.
+    #[arg(long, value_name = "FOLDER")]
+    pub root: Option<PathBuf>,
+    /// Threads; all logical processors unless given.
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// No progress bar.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When a table, volume or encoder cannot be read, or a file cannot be written.
+pub fn run(options: &Options) -> Result<()> {
+    let pool = thread_pool(options.threads)?;
+    let mut encoders = Vec::new();
+    for path in &options.volumenet {
+        let model = open_model(path)?;
+        let parts = model.volumenet().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
+        encoders.push((encoder_id(parts), VolumeNet::new(parts)?));
+    }
+    for path in &options.data {
+        let mut table = Table::read_without_features(path, 0)?;
+        table.root.clone_from(&options.root);
+        let tables = [table];
+        let frames: Vec<&TimedFrame> = tables[0].frames.iter().collect();
+        ensure!(!frames.is_empty(), "{} has no frames; collect some with `entire collect`", path.display());
+        let mut columns: Vec<String> = SceneQuantity::ALL.iter().map(|q| q.name().to_owned()).collect();
+        let bar = progress_bar(options.quiet, INPUTS_BAR);
+        let mut rows = measure(&tables, &frames, true, None, &pool, &bar, |_, inputs| {
+            let work = inputs.features.work(&inputs.setting);
+            Ok(SceneQuantity::ALL
+                .iter()
+                .map(|&q| inputs.features.quantity(q, &inputs.setting, &work, inputs.changes) as f32)
+                .collect::<Vec<f32>>())
+        })?;
+        for (id, encoder) in &encoders {
+            bar.reset();
+            let codes = measure(&tables, &frames, false, Some(encoder), &pool, &bar, |_, inputs| {
+                Ok(inputs.volume_features.unwrap_or_default().to_vec())
+            })?;
+            columns.extend((0..encoder.feature_len()).map(|i| code_column(id, i)));
+            for (row, code) in rows.iter_mut().zip(codes) {
+                row.extend(code);
+            }
+        }
+        bar.finish_and_clear();
+        let numbers: Vec<u64> = frames.iter().map(|f| f.number).collect();
+        let out = FeatureTable::path_for(path);
+        let columns_count = columns.len();
+        FeatureTable::new(columns, &numbers, rows.concat())?.write(&out)?;
+        println!("{} frames, {columns_count} columns in {}", numbers.len(), out.display());
+    }
+    Ok(())
+}
