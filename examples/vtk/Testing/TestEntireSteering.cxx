@@ -1,0 +1,646 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+// The behaviours of vtkEntireSteering, one per name: TestEntireSteering NAME MAPPER. No test depends on how fast anything
+// is: targets are so long that every frame fits, or so short that none does.
+#include "vtkCallbackCommand.h"
+#include "vtkCamera.h"
+#include "vtkColorTransferFunction.h"
+#include "vtkDataArray.h"
+#include "vtkEntireSteering.h"
+#include "vtkFixedPointVolumeRayCastMapper.h"
+#include "vtkImageData.h"
+#include "vtkMatrix4x4.h"
+#include "vtkMultiBlockDataSet.h"
+#include "vtkMultiBlockVolumeMapper.h"
+#include "vtkNew.h"
+#include "vtkOpenGLGPUVolumeRayCastMapper.h"
+#include "vtkPiecewiseFunction.h"
+#include "vtkPointData.h"
+#include "vtkRenderWindow.h"
+#include "vtkRenderer.h"
+#include "vtkSmartPointer.h"
+#include "vtkSmartVolumeMapper.h"
+#include "vtkTestErrorObserver.h"
+#include "vtkVolume.h"
+#include "vtkVolumeProperty.h"
+#include "vtkWindowToImageFilter.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <functional>
+#include <iostream>
+#include <map>
+#include <sstream>
+#include <string>
+#include <vector>
+
+namespace
+{
+#define CHECK(condition)                                                                                               \
+  do                                                                                                                   \
+  {                                                                                                                    \
+    if (!(condition))                                                                                                  \
+    {                                                                                                                  \
+      std::cerr << __FILE__ << ":" << __LINE__ << ": " << #condition << "\n";                                          \
+      std::exit(EXIT_FAILURE);                                                                                         \
+    }                                                                                                                  \
+  } while (false)
+
+constexpr int EDGE = 48;
+
+vtkSmartPointer<vtkImageData> Image(int edge = EDGE)
+{
+  auto image = vtkSmartPointer<vtkImageData>::New();
+  image->SetDimensions(edge, edge, edge);
+  image->SetOrigin(-0.5 * edge, -0.5 * edge, -0.5 * edge);
+  image->AllocateScalars(VTK_UNSIGNED_CHAR, 1);
+  auto* voxels = static_cast<unsigned char*>(image->GetScalarPointer());
+  for (int z = 0; z < edge; ++z)
+  {
+    for (int y = 0; y < edge; ++y)
+    {
+      for (int x = 0; x < edge; ++x)
+      {
+        const double r = std::hypot(x - 0.5 * edge, y - 0.5 * edge, z - 0.5 * edge) / (0.5 * edge);
+        const double wave = std::sin(0.9 * x) * std::sin(0.7 * y) * std::sin(0.8 * z);
+        *voxels++ = static_cast<unsigned char>(255 * std::max(0.0, std::min(1.0, 1.1 - r + 0.3 * wave)));
+      }
+    }
+  }
+  return image;
+}
+
+enum Kind
+{
+  FIXED,
+  GPU,
+  SMART,
+  SMART_FIXED,
+  BLOCKS
+};
+const std::map<std::string, Kind> KINDS = { { "fixed", FIXED }, { "gpu", GPU }, { "smart", SMART },
+  { "smart-fixed", SMART_FIXED }, { "blocks", BLOCKS } };
+
+struct Scene
+{
+  vtkSmartPointer<vtkVolumeMapper> Mapper;
+  vtkSmartPointer<vtkImageData> Data = Image();
+  vtkNew<vtkVolume> Volume;
+  vtkNew<vtkVolumeProperty> Property;
+  vtkNew<vtkPiecewiseFunction> Opacity;
+  vtkNew<vtkColorTransferFunction> Color;
+  vtkNew<vtkRenderer> Renderer;
+  vtkNew<vtkRenderWindow> Window;
+
+  explicit Scene(Kind kind)
+  {
+    if (kind == FIXED)
+    {
+      this->Mapper = vtkSmartPointer<vtkFixedPointVolumeRayCastMapper>::New();
+    }
+    else if (kind == GPU)
+    {
+      this->Mapper = vtkSmartPointer<vtkOpenGLGPUVolumeRayCastMapper>::New();
+    }
+    else if (kind == BLOCKS)
+    {
+      this->Mapper = vtkSmartPointer<vtkMultiBlockVolumeMapper>::New();
+    }
+    else
+    {
+      auto smart = vtkSmartPointer<vtkSmartVolumeMapper>::New();
+      if (kind == SMART_FIXED)
+      {
+        smart->SetRequestedRenderModeToRayCast();
+      }
+      else
+      {
+        smart->SetRequestedRenderModeToGPU();
+      }
+      this->Mapper = smart;
+    }
+    if (kind == BLOCKS)
+    {
+      vtkNew<vtkMultiBlockDataSet> blocks;
+      blocks->SetBlock(0, this->Data);
+      this->Mapper->SetInputDataObject(blocks);
+    }
+    else
+    {
+      this->Mapper->SetInputDataObject(this->Data);
+    }
+    this->Opacity->AddPoint(0, 0.0);
+    this->Opacity->AddPoint(60, 0.0);
+    this->Opacity->AddPoint(255, 0.2, 0.4, 0.2);
+    this->Color->AddRGBPoint(0, 0.1, 0.2, 0.6);
+    this->Color->AddRGBPoint(255, 1.0, 0.9, 0.3);
+    this->Property->SetInterpolationTypeToLinear();
+    this->Property->SetScalarOpacity(this->Opacity);
+    this->Property->SetColor(this->Color);
+    this->Volume->SetMapper(this->Mapper);
+    this->Volume->SetProperty(this->Property);
+    this->Renderer->AddVolume(this->Volume);
+    this->Window->SetOffScreenRendering(1);
+    this->Window->SetMultiSamples(0);
+    this->Window->SetSize(160, 120);
+    this->Window->AddRenderer(this->Renderer);
+    this->Pose(30);
+  }
+
+  void Pose(double azimuth)
+  {
+    const double a = azimuth * 3.14159265358979 / 180;
+    vtkCamera* camera = this->Renderer->GetActiveCamera();
+    camera->SetFocalPoint(0, 0, 0);
+    camera->SetPosition(2.2 * EDGE * std::sin(a), 20, 2.2 * EDGE * std::cos(a));
+    this->Renderer->ResetCameraClippingRange();
+  }
+
+  // As while the mouse is down.
+  void Interactive() { this->Window->SetDesiredUpdateRate(15); }
+
+  std::vector<unsigned char> Draw()
+  {
+    this->Window->Render();
+    vtkNew<vtkWindowToImageFilter> grab;
+    grab->SetInput(this->Window);
+    grab->ShouldRerenderOff();
+    grab->ReadFrontBufferOff();
+    grab->Update();
+    vtkImageData* out = grab->GetOutput();
+    const auto* bytes = static_cast<unsigned char*>(out->GetScalarPointer());
+    return { bytes, bytes + out->GetNumberOfPoints() * out->GetNumberOfScalarComponents() };
+  }
+};
+
+struct Settings
+{
+  float Distance, ImageDistance;
+  int Auto, Lock;
+  bool operator==(const Settings& o) const
+  {
+    return this->Distance == o.Distance && this->ImageDistance == o.ImageDistance && this->Auto == o.Auto &&
+      this->Lock == o.Lock;
+  }
+};
+
+template <class Mapper>
+Settings Of(Mapper* mapper)
+{
+  return { mapper->GetSampleDistance(), mapper->GetImageSampleDistance(), mapper->GetAutoAdjustSampleDistances(),
+    mapper->GetLockSampleDistanceToInputSpacing() };
+}
+
+Settings Read(vtkVolumeMapper* mapper)
+{
+  if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
+  {
+    return Of(gpu);
+  }
+  if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper))
+  {
+    return Of(cpu);
+  }
+  if (auto* smart = vtkSmartVolumeMapper::SafeDownCast(mapper))
+  {
+    return { smart->GetSampleDistance(), 1, smart->GetAutoAdjustSampleDistances(),
+      smart->GetInteractiveAdjustSampleDistances() };
+  }
+  return { 0, 0, 0, 0 };
+}
+
+bool Empty(const char* text)
+{
+  return !text || !*text;
+}
+
+bool Is(const char* text, const char* what)
+{
+  return text && !std::strcmp(text, what);
+}
+
+bool Says(const char* text, const char* what)
+{
+  return text && std::strstr(text, what);
+}
+
+// Draws frames that cannot be fast enough until the first of them was steered, and one more.
+void Warm(Scene& scene, vtkEntireSteering* steering)
+{
+  for (int i = 0; i < 3 && steering->GetNumberOfSteeredFrames() < 2; ++i)
+  {
+    scene.Draw();
+  }
+  CHECK(steering->GetNumberOfSteeredFrames() > 0);
+}
+
+//------------------------------------------------------------------------------
+void Attaches(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  CHECK(!steering->GetVolume() && Says(steering->GetStatus(), "nothing"));
+  vtkNew<vtkTest::ErrorObserver> errors;
+  steering->AddObserver(vtkCommand::ErrorEvent, errors);
+  CHECK(!steering->Attach(nullptr, scene.Volume) && errors->GetError());
+  errors->Clear();
+  CHECK(!steering->Attach(scene.Renderer, nullptr) && errors->GetError());
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  CHECK(steering->GetVolume() == scene.Volume && steering->GetRenderer() == scene.Renderer);
+  steering->SetTargetFrameTime(1000);
+  scene.Interactive();
+  Warm(scene, steering);
+  CHECK(steering->GetNumberOfFallbackFrames() == 0);
+  CHECK(Empty(steering->GetStatus()) && !Empty(steering->GetReason()));
+  CHECK(steering->GetMeasuredTime() > 0 && steering->GetFrameTime() >= steering->GetMeasuredTime());
+  CHECK(steering->GetPredictedTime() > 0 && steering->GetObserverTime() > 0 && steering->GetVolumeTime() > 0);
+  std::ostringstream text;
+  steering->Print(text);
+  for (const char* name : { "TargetFrameTime", "CoarsestSampleDistance", "Clock: wall", "Reason", "Status" })
+  {
+    CHECK(text.str().find(name) != std::string::npos);
+  }
+  const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+  steering->Detach();
+  CHECK(steered > 0 && steering->GetNumberOfSteeredFrames() == 0 && !steering->GetVolume());
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == 0 && std::isnan(steering->GetMeasuredTime()));
+}
+
+// Still frames show, to the last bit, what they show without steering, before and after steered ones.
+void LeavesStillFramesAlone(Kind kind)
+{
+  Scene plain(kind), steered(kind);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(steered.Renderer, steered.Volume));
+  if (kind == BLOCKS || kind == SMART_FIXED)
+  {
+    // Makes or connects its mappers in its first frame.
+    CHECK(plain.Draw() == steered.Draw());
+  }
+  for (int round = 0; round < 2; ++round)
+  {
+    plain.Pose(30 + 20 * round);
+    steered.Pose(30 + 20 * round);
+    plain.Window->SetDesiredUpdateRate(0.0001);
+    steered.Window->SetDesiredUpdateRate(0.0001);
+    CHECK(plain.Draw() == steered.Draw());
+    CHECK(Is(steering->GetReason(), "still"));
+    steered.Interactive();
+    Warm(steered, steering);
+  }
+  steering->EnabledOff();
+  steered.Pose(70);
+  plain.Pose(70);
+  steered.Window->SetDesiredUpdateRate(0.0001);
+  CHECK(plain.Draw() == steered.Draw());
+}
+
+// A steered frame is the frame that VTK draws when the application sets the same sample distances.
+void DrawsWhatVtkDraws(Kind kind)
+{
+  Scene steered(kind);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1e-6);
+  steering->SetCoarsestSampleDistance(3);
+  steering->SetCoarsestImageSampleDistance(kind == SMART || kind == SMART_FIXED ? 1 : 2);
+  CHECK(steering->Attach(steered.Renderer, steered.Volume));
+  steered.Interactive();
+  Warm(steered, steering);
+  const auto shown = steered.Draw();
+  CHECK(steering->GetSampleDistance() > 2.9);
+  // A smart mapper takes no distance by hand (it locks its mappers to the spacing): it is held against the mapper inside.
+  Scene plain(kind == SMART ? GPU : kind == SMART_FIXED ? FIXED : kind);
+  if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(plain.Mapper))
+  {
+    gpu->SetAutoAdjustSampleDistances(0);
+    gpu->SetLockSampleDistanceToInputSpacing(0);
+    gpu->SetSampleDistance(static_cast<float>(steering->GetSampleDistance()));
+    gpu->SetImageSampleDistance(static_cast<float>(steering->GetImageSampleDistance()));
+  }
+  else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(plain.Mapper))
+  {
+    cpu->SetAutoAdjustSampleDistances(0);
+    cpu->SetLockSampleDistanceToInputSpacing(0);
+    cpu->SetSampleDistance(static_cast<float>(steering->GetSampleDistance()));
+    cpu->SetImageSampleDistance(static_cast<float>(steering->GetImageSampleDistance()));
+  }
+  plain.Interactive();
+  plain.Draw();
+  CHECK(plain.Draw() == shown);
+  // And it is coarser than what is drawn without steering.
+  Scene full(kind);
+  full.Window->SetDesiredUpdateRate(0.0001);
+  CHECK(full.Draw() != shown);
+}
+
+// Between frames the mapper has the application's settings; so it has after Detach().
+void PutsSettingsBack(Kind kind)
+{
+  Scene scene(kind);
+  // The first frame of a smart mapper sets a sample distance of its own.
+  scene.Draw();
+  const Settings before = Read(scene.Mapper);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  for (int i = 0; i < 4; ++i)
+  {
+    scene.Draw();
+    CHECK(Read(scene.Mapper) == before);
+  }
+  CHECK(steering->GetNumberOfSteeredFrames() > 0);
+  steering->Detach();
+  CHECK(Read(scene.Mapper) == before);
+  scene.Draw();
+}
+
+// The finest and the coarsest settings allowed are met and not passed.
+void KeepsToItsLimits(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  steering->SetTargetFrameTime(1000);
+  Warm(scene, steering);
+  scene.Draw();
+  const double own = steering->GetSampleDistance();
+  CHECK(own > 0 && own <= 1.01 && steering->GetImageSampleDistance() == 1);
+  CHECK(Is(steering->GetReason(), "finest allowed"));
+  steering->SetFinestSampleDistance(1.5);
+  scene.Draw();
+  CHECK(std::fabs(steering->GetSampleDistance() - 1.5) < 1e-4);
+  steering->SetTargetFrameTime(1e-6);
+  steering->SetCoarsestSampleDistance(2.5);
+  steering->SetCoarsestImageSampleDistance(1);
+  scene.Draw();
+  CHECK(std::fabs(steering->GetSampleDistance() - 2.5) < 1e-4 && steering->GetImageSampleDistance() == 1);
+  CHECK(Is(steering->GetReason(), "target unreachable"));
+  steering->SetCoarsestImageSampleDistance(3);
+  scene.Draw();
+  CHECK(steering->GetSampleDistance() < 2.51);
+  CHECK(steering->GetImageSampleDistance() > 2 && steering->GetImageSampleDistance() <= 3.0001);
+}
+
+// Switched off, VTK draws; the read-outs say so.
+void SwitchesOff(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  Warm(scene, steering);
+  const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+  steering->EnabledOff();
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == steered && Is(steering->GetReason(), "off"));
+  steering->EnabledOn();
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
+  // No target: that of the window.
+  steering->SetTargetFrameTime(0);
+  scene.Window->SetDesiredUpdateRate(1.0e9);
+  scene.Draw();
+  CHECK(Is(steering->GetReason(), "target unreachable"));
+  steering->SetStillUpdateRate(0);
+  scene.Window->SetDesiredUpdateRate(0.0001);
+  scene.Draw();
+  scene.Draw();
+  CHECK(!Is(steering->GetReason(), "still") && !Is(steering->GetReason(), "target unreachable"));
+}
+
+// What cannot be predicted is drawn by VTK, and the status says why.
+void FallsBack(Kind kind)
+{
+  Scene plain(kind), scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  vtkNew<vtkTest::ErrorObserver> warnings;
+  steering->AddObserver(vtkCommand::WarningEvent, warnings);
+  steering->SetTargetFrameTime(1e-6);
+  steering->SetModelFileName("/nowhere/model.safetensors");
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Window->SetDesiredUpdateRate(0.0001);
+  plain.Window->SetDesiredUpdateRate(0.0001);
+  CHECK(plain.Draw() == scene.Draw());
+  scene.Interactive();
+  scene.Draw();
+  scene.Draw();
+  CHECK(Is(steering->GetReason(), "fallback") && Says(steering->GetStatus(), "/nowhere/model.safetensors"));
+  CHECK(warnings->GetWarning() && steering->GetNumberOfFallbackFrames() > 0 && steering->GetNumberOfSteeredFrames() == 0);
+  // The name goes, and so does the failure.
+  steering->SetModelFileName(nullptr);
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == 1 && Empty(steering->GetStatus()));
+  // A matrix that shears.
+  vtkNew<vtkMatrix4x4> shear;
+  shear->SetElement(0, 1, 0.5);
+  scene.Volume->SetUserMatrix(shear);
+  scene.Draw();
+  CHECK(Is(steering->GetReason(), "fallback") && Says(steering->GetStatus(), "shears"));
+  scene.Volume->SetUserMatrix(nullptr);
+  scene.Draw();
+  CHECK(Empty(steering->GetStatus()));
+}
+
+// Cameras, matrices, cropping, shading and edits are followed.
+void FollowsTheScene(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1000);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  Warm(scene, steering);
+  auto fine = [&]() {
+    const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+    scene.Draw();
+    return steering->GetNumberOfSteeredFrames() > steered && steering->GetPredictedTime() > 0 &&
+      Empty(steering->GetStatus());
+  };
+  scene.Renderer->GetActiveCamera()->ParallelProjectionOn();
+  scene.Renderer->GetActiveCamera()->SetParallelScale(40);
+  CHECK(fine());
+  scene.Renderer->GetActiveCamera()->ParallelProjectionOff();
+  scene.Renderer->GetActiveCamera()->UseHorizontalViewAngleOn();
+  CHECK(fine());
+  scene.Volume->SetOrientation(20, 40, 10);
+  scene.Volume->SetScale(0.5, 0.5, 0.5);
+  scene.Volume->SetPosition(3, 2, 1);
+  CHECK(fine());
+  scene.Volume->SetScale(1.0, 2.0, 0.5);
+  CHECK(fine());
+  scene.Property->ShadeOn();
+  CHECK(fine());
+  scene.Opacity->AddPoint(120, 0.7, 0.9, 0.8);
+  CHECK(fine());
+  scene.Property->SetScalarOpacityUnitDistance(3.5);
+  CHECK(fine());
+  scene.Window->SetSize(90, 150);
+  CHECK(fine());
+  if (kind != BLOCKS)
+  {
+    scene.Mapper->SetCropping(1);
+    scene.Mapper->SetCroppingRegionPlanes(-10, 10, -8, 12, -6, 5);
+    CHECK(fine());
+    scene.Mapper->SetCropping(0);
+  }
+  // New voxels in place, and a new object.
+  const double before = steering->GetVolumeTime();
+  std::memset(scene.Data->GetScalarPointer(), 0, EDGE * EDGE * EDGE);
+  scene.Data->GetPointData()->GetScalars()->Modified();
+  scene.Data->Modified();
+  CHECK(fine() && steering->GetVolumeTime() != before);
+  if (kind == FIXED || kind == GPU)
+  {
+    vtkNew<vtkImageData> shorts;
+    shorts->SetDimensions(20, 30, 40);
+    shorts->SetSpacing(1.5, 0.7, 2.0);
+    shorts->AllocateScalars(VTK_FLOAT, 1);
+    auto* values = static_cast<float*>(shorts->GetScalarPointer());
+    for (int i = 0; i < 20 * 30 * 40; ++i)
+    {
+      values[i] = static_cast<float>(i % 200);
+    }
+    scene.Mapper->SetInputDataObject(shorts);
+    CHECK(fine());
+  }
+}
+
+// The distances of a mapper that two renderers share are those of the renderer that draws.
+void KnowsItsRenderer(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkRenderer> second;
+  scene.Renderer->SetViewport(0, 0, 0.5, 1);
+  second->SetViewport(0.5, 0, 1, 1);
+  second->AddVolume(scene.Volume);
+  second->SetActiveCamera(scene.Renderer->GetActiveCamera());
+  scene.Window->AddRenderer(second);
+  vtkNew<vtkEntireSteering> first, other;
+  first->SetTargetFrameTime(1e-6);
+  first->SetCoarsestImageSampleDistance(1);
+  other->SetTargetFrameTime(1000);
+  CHECK(first->Attach(scene.Renderer, scene.Volume) && other->Attach(second, scene.Volume));
+  scene.Interactive();
+  for (int i = 0; i < 4; ++i)
+  {
+    scene.Draw();
+  }
+  CHECK(first->GetSampleDistance() > 7.9 && other->GetSampleDistance() <= 1.01);
+}
+
+// What was learned outlives the object; what is no state is refused.
+void KeepsState(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  const char* file = std::getenv("ENTIRE_TEST_FILE");
+  CHECK(file);
+  CHECK(!steering->SaveState(file) && Says(steering->GetStatus(), "nothing was learned"));
+  CHECK(!steering->LoadState("/nowhere/state") && Says(steering->GetStatus(), "/nowhere/state"));
+  steering->SetTargetFrameTime(1000);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  for (int i = 0; i < 6; ++i)
+  {
+    scene.Draw();
+  }
+  CHECK(!steering->SaveState("/nowhere/state") && Says(steering->GetStatus(), "/nowhere/state"));
+  CHECK(steering->SaveState(file));
+  // The same frame, predicted from nothing, from the file, and from the file again.
+  steering->Reset();
+  scene.Draw();
+  const double untaught = steering->GetPredictedTime();
+  double learned[2];
+  for (double& prediction : learned)
+  {
+    CHECK(steering->LoadState(file));
+    scene.Draw();
+    prediction = steering->GetPredictedTime();
+  }
+  CHECK(learned[0] == learned[1] && learned[0] != untaught && learned[0] > 0);
+  std::FILE* broken = std::fopen(file, "wb");
+  CHECK(broken && std::fputs("no state", broken) >= 0 && std::fclose(broken) == 0);
+  CHECK(!steering->LoadState(file) && Says(steering->GetStatus(), file));
+}
+
+// Objects may go in any order, and the application hears of every frame.
+void OutlivesItsObjects(Kind kind)
+{
+  vtkNew<vtkEntireSteering> steering;
+  int heard = 0;
+  vtkNew<vtkCallbackCommand> command;
+  command->SetClientData(&heard);
+  command->SetCallback([](vtkObject*, unsigned long, void* data, void*) { ++*static_cast<int*>(data); });
+  steering->AddObserver(vtkEntireSteering::FrameEvent, command);
+  steering->SetTargetFrameTime(1e-6);
+  {
+    Scene scene(kind);
+    CHECK(steering->Attach(scene.Renderer, scene.Volume));
+    scene.Interactive();
+    Warm(scene, steering);
+    CHECK(heard >= 2);
+    scene.Volume->VisibilityOff();
+    const int so_far = heard;
+    scene.Draw();
+    CHECK(heard == so_far);
+    scene.Volume->VisibilityOn();
+    scene.Draw();
+  }
+  CHECK(!steering->GetVolume() && !steering->GetRenderer());
+  Scene next(kind);
+  CHECK(steering->Attach(next.Renderer, next.Volume));
+  next.Interactive();
+  Warm(next, steering);
+  // Another mapper in the same volume.
+  auto other = vtkSmartPointer<vtkFixedPointVolumeRayCastMapper>::New();
+  other->SetInputDataObject(next.Data);
+  next.Volume->SetMapper(other);
+  const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+  next.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
+}
+
+const std::map<std::string, std::function<void(Kind)>> TESTS = {
+  { "Attaches", Attaches },
+  { "LeavesStillFramesAlone", LeavesStillFramesAlone },
+  { "DrawsWhatVtkDraws", DrawsWhatVtkDraws },
+  { "PutsSettingsBack", PutsSettingsBack },
+  { "KeepsToItsLimits", KeepsToItsLimits },
+  { "SwitchesOff", SwitchesOff },
+  { "FallsBack", FallsBack },
+  { "FollowsTheScene", FollowsTheScene },
+  { "KnowsItsRenderer", KnowsItsRenderer },
+  { "KeepsState", KeepsState },
+  { "OutlivesItsObjects", OutlivesItsObjects },
+};
+}
+
+int main(int argc, char* argv[])
+{
+  const auto test = argc == 3 ? TESTS.find(argv[1]) : TESTS.end();
+  const auto kind = argc == 3 ? KINDS.find(argv[2]) : KINDS.end();
+  if (test == TESTS.end() || kind == KINDS.end())
+  {
+    std::cerr << "usage: TestEntireSteering NAME MAPPER, with NAME one of";
+    for (const auto& each : TESTS)
+    {
+      std::cerr << " " << each.first;
+    }
+    std::cerr << " and MAPPER one of";
+    for (const auto& each : KINDS)
+    {
+      std::cerr << " " << each.first;
+    }
+    std::cerr << "\n";
+    return 2;
+  }
+  test->second(kind->second);
+  return EXIT_SUCCESS;
+}

@@ -1,0 +1,14 @@
+# VTK, ParaView and yt: the adapters in examples/vtk and examples/paraview, their tests, bars and tables.
+# Each says in one line what it lacks and goes on where a package is missing.
+
+.PHONY: test-vtk
+test-vtk: ## Build vtkEntireSteering against the installed VTK and run its tests (skipped where VTK is not there)
+	CARGO="$(CARGO)" examples/vtk/run.sh test
+
+.PHONY: bars-vtk
+bars-vtk: ## Compare with VTK's AutoAdjustSampleDistances and collect, train, evaluate per renderer (about an hour)
+	CARGO="$(CARGO)" examples/vtk/run.sh bars
+
+.PHONY: test-paraview
+test-paraview: ## Build the ParaView plugin, load and check it (skipped where ParaView is not there)
+	CARGO="$(CARGO)" examples/paraview/run.sh test
