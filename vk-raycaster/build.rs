@@ -17,21 +17,27 @@ fn main() {
     for shading in 0..3u32 {
         for skipping in 0..3u32 {
             for fetch in 0..3u32 {
-                for counting in 0..2u32 {
+                // Counting, packets.
+                for [counting, packets] in [[0, 0], [1, 0], [0, 1]] {
+                    // Only what software devices use goes in packets, and only skipping differs.
+                    if packets == 1 && (fetch != 2 || skipping == 0) {
+                        continue;
+                    }
                     let constants = [
                         ("SHADING", shading),
                         ("SKIPPING", skipping),
                         ("FETCH", fetch),
                         ("COUNTING", counting),
+                        ("PACKETS", packets),
                     ];
                     let words = compile(&specialize(&source, &constants));
-                    let name = format!("raycast_{shading}{skipping}{fetch}{counting}.spv");
+                    let name = format!("raycast_{shading}{skipping}{fetch}{counting}{packets}.spv");
                     let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).collect();
                     let path = Path::new(&out).join(&name);
                     fs::write(&path, bytes).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
                     writeln!(
                         table,
-                        "([{shading}, {skipping}, {fetch}, {counting}], include_bytes!(concat!(env!(\"OUT_DIR\"), \"/{name}\")).as_slice()),"
+                        "([{shading}, {skipping}, {fetch}, {counting}, {packets}], include_bytes!(concat!(env!(\"OUT_DIR\"), \"/{name}\")).as_slice()),"
                     )
                     .expect("writing to a string");
                 }
@@ -87,7 +93,7 @@ fn specialize(source: &str, constants: &[(&str, u32)]) -> String {
 fn compile(source: &str) -> Vec<u32> {
     let module = naga::front::wgsl::parse_str(source)
         .unwrap_or_else(|e| panic!("{}", e.emit_to_string_with_path(source, SOURCE)));
-    let info = Validator::new(ValidationFlags::all(), Capabilities::empty())
+    let info = Validator::new(ValidationFlags::all(), Capabilities::SUBGROUP)
         .validate(&module)
         .unwrap_or_else(|e| panic!("{}", e.emit_to_string_with_path(source, SOURCE)));
     let options = spv::Options {

@@ -88,7 +88,6 @@ impl SkipMap {
     }
 
     /// Number of empty blocks.
-    #[cfg(test)]
     pub(crate) fn empty_blocks(&self) -> usize {
         self.bytes.iter().filter(|&&b| b & EMPTY_BIT != 0).count()
     }

@@ -81,7 +81,8 @@ pub(crate) fn vessels(n: usize) -> Vec<u8> {
     out
 }
 
-/// The transfer functions by name: `transparent` (no ray terminates), `medium` and `opaque`.
+/// The transfer functions by name: `transparent` (no ray terminates), `medium`, `opaque`, and `scan` (contrast-filled
+/// vessels).
 pub(crate) fn transfer(name: &str) -> Option<TransferTable> {
     let list: &[(f32, [f32; 3], f32)] = match name {
         "transparent" => {
@@ -95,6 +96,13 @@ pub(crate) fn transfer(name: &str) -> Option<TransferTable> {
             (0.15, [0.1, 0.5, 0.7], 0.0),
             (0.3, [0.8, 0.5, 0.3], 0.5),
             (1.0, [1.0, 0.9, 0.6], 0.9),
+        ],
+        // Bright vessels alone.
+        "scan" => &[
+            (0.0, [0.5, 0.1, 0.1], 0.0),
+            (0.3, [0.7, 0.2, 0.1], 0.0),
+            (0.6, [0.9, 0.5, 0.3], 0.3),
+            (1.0, [1.0, 0.9, 0.8], 0.8),
         ],
         _ => return None,
     };

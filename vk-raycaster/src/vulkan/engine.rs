@@ -10,8 +10,8 @@ use gpu_allocator::MemoryLocation;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// Every compiled variant of the shader: shading, skipping, fetch, counting; SPIR-V.
-static SHADERS: &[([u32; 4], &[u8])] = &include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
+/// Every compiled variant of the shader: shading, skipping, fetch, counting, packets; SPIR-V.
+static SHADERS: &[([u32; 5], &[u8])] = &include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
 
 /// Bytes that a staging buffer holds, unless one slice needs more.
 const STAGING_BYTES: u64 = 64 << 20;
@@ -29,6 +29,7 @@ pub(crate) struct ShaderKey {
     pub(crate) skipping: u32,
     pub(crate) fetch: u32,
     pub(crate) counting: u32,
+    pub(crate) packets: u32,
 }
 
 /// What a dispatch runs, and on what.
@@ -237,11 +238,7 @@ impl Engine {
         // The old one goes first: both may not fit.
         *slot = None;
         let [x, y, z] = shape.extent;
-        let kind = match target {
-            Target::Table => vk::ImageType::TYPE_2D,
-            _ => vk::ImageType::TYPE_3D,
-        };
-        let image = Image::new(&self.gpu, name, kind, shape)
+        let image = Image::new(&self.gpu, name, shape)
             .map_err(|e| Error::new(format!("the {name} of {x} x {y} x {z} texels does not fit: {e}")))?;
         match target {
             Target::Volume => self.volume = Some(image),
@@ -260,8 +257,8 @@ impl Engine {
             Target::Table => None,
         };
         let Some(image) = image else { return Err(Error::new("the image to copy to was not reserved")) };
-        let [x, y, depth] = image.shape.extent;
-        let slice = u64::from(x) * u64::from(y) * texel_bytes(image.shape.format);
+        let (depth, texels) = image.shape.slices();
+        let slice = texels * texel_bytes(image.shape.format);
         let per_copy = (STAGING_BYTES / slice).clamp(1, u64::from(depth)) as u32;
         if self.staging.as_ref().is_none_or(|s| s.size() < slice * u64::from(per_copy)) {
             self.staging = None;
@@ -345,7 +342,7 @@ impl Engine {
         if self.pipelines.contains_key(&key) {
             return Ok(());
         }
-        let wanted = [key.shading, key.skipping, key.fetch, key.counting];
+        let wanted = [key.shading, key.skipping, key.fetch, key.counting, key.packets];
         let Some((_, bytes)) = SHADERS.iter().find(|(k, _)| *k == wanted) else {
             return Err(Error::new(format!("there is no shader for {key:?}")));
         };
@@ -533,8 +530,7 @@ impl Engine {
                     let Some(staging) = &self.staging else {
                         return Err(Error::new("a copy without staging buffer"));
                     };
-                    let [width, height, _] = image.shape.extent;
-                    let region = copy_region(*first_slice, [width, height, *slices]);
+                    let region = copy_region(&image.shape, *first_slice, *slices);
                     device.cmd_copy_buffer_to_image(
                         commands,
                         staging.get(),
@@ -550,7 +546,7 @@ impl Engine {
                         self.table_staging.get(),
                         image.get(),
                         vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                        &[copy_region(0, image.shape.extent)],
+                        &[copy_region(&image.shape, 0, image.shape.slices().0)],
                     );
                 }
                 Command::BufferBarrier(hazard) => {
@@ -672,7 +668,11 @@ impl Drop for Engine {
     }
 }
 
-fn copy_region(first_slice: u32, extent: [u32; 3]) -> vk::BufferImageCopy {
+/// Slices, or rows of a 2-D image, from `first` on.
+fn copy_region(shape: &Shape, first: u32, count: u32) -> vk::BufferImageCopy {
+    let [width, height, _] = shape.extent;
+    let (y, z, height, depth) =
+        if shape.is_flat() { (first, 0, count, 1) } else { (0, first, height, count) };
     vk::BufferImageCopy::default()
         .image_subresource(vk::ImageSubresourceLayers {
             aspect_mask: vk::ImageAspectFlags::COLOR,
@@ -680,8 +680,8 @@ fn copy_region(first_slice: u32, extent: [u32; 3]) -> vk::BufferImageCopy {
             base_array_layer: 0,
             layer_count: 1,
         })
-        .image_offset(vk::Offset3D { x: 0, y: 0, z: first_slice as i32 })
-        .image_extent(vk::Extent3D { width: extent[0], height: extent[1], depth: extent[2] })
+        .image_offset(vk::Offset3D { x: 0, y: y as i32, z: z as i32 })
+        .image_extent(vk::Extent3D { width, height, depth })
 }
 
 type Access = (vk::PipelineStageFlags, vk::AccessFlags);
@@ -702,7 +702,7 @@ fn texel_bytes(format: vk::Format) -> u64 {
     match format {
         vk::Format::R8_UNORM | vk::Format::R8_UINT => 1,
         vk::Format::R16_UNORM => 2,
-        vk::Format::R32G32B32A32_SFLOAT => 16,
+        vk::Format::R32G32B32A32_SFLOAT | vk::Format::R32G32B32A32_UINT => 16,
         _ => 4,
     }
 }

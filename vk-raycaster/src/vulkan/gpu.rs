@@ -50,6 +50,8 @@ pub(crate) struct Gpu {
     /// Largest single allocation, bytes.
     pub(crate) max_allocation: u64,
     pub(crate) is_cpu: bool,
+    /// Whether compute shaders may compute minima and maxima over a subgroup.
+    pub(crate) subgroup_arithmetic: bool,
     pub(crate) name: String,
     pub(crate) driver: String,
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
@@ -159,6 +161,7 @@ impl Gpu {
             limits: chosen.limits,
             max_allocation: chosen.max_allocation,
             is_cpu: chosen.kind == vk::PhysicalDeviceType::CPU,
+            subgroup_arithmetic: chosen.subgroup_arithmetic,
             name: chosen.name,
             driver: chosen.driver,
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
@@ -303,6 +306,7 @@ struct ChosenDevice {
     timestamps: Option<TimestampClock>,
     limits: vk::PhysicalDeviceLimits,
     max_allocation: u64,
+    subgroup_arithmetic: bool,
     name: String,
     driver: String,
 }
@@ -371,7 +375,9 @@ fn describe_device(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Op
     let family = families.iter().position(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE))?;
     let mut maintenance = vk::PhysicalDeviceMaintenance3Properties::default();
     let mut driver = vk::PhysicalDeviceDriverProperties::default();
-    let mut properties = vk::PhysicalDeviceProperties2::default().push_next(&mut maintenance);
+    let mut subgroup = vk::PhysicalDeviceSubgroupProperties::default();
+    let mut properties =
+        vk::PhysicalDeviceProperties2::default().push_next(&mut maintenance).push_next(&mut subgroup);
     let has_driver_properties = core.api_version >= vk::API_VERSION_1_2;
     if has_driver_properties {
         properties = properties.push_next(&mut driver);
@@ -397,6 +403,8 @@ fn describe_device(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Op
         timestamps,
         limits,
         max_allocation: maintenance.max_memory_allocation_size,
+        subgroup_arithmetic: subgroup.supported_stages.contains(vk::ShaderStageFlags::COMPUTE)
+            && subgroup.supported_operations.contains(vk::SubgroupFeatureFlags::ARITHMETIC),
         name: text(core.device_name_as_c_str().ok()),
         driver,
     })

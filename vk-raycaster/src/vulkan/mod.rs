@@ -102,6 +102,8 @@ pub struct VulkanRaycaster {
     /// The step whose table is on the device; `None` when there is none of the present transfer function.
     table_step: Option<f32>,
     has_skip_map: bool,
+    /// Blocks that are not empty under the present transfer function, and all blocks.
+    occupied: Option<(usize, usize)>,
     /// Edge of the tiles for each shading mode.
     tile: [u32; 3],
 }
@@ -133,6 +135,7 @@ impl VulkanRaycaster {
             classifier: None,
             table_step: None,
             has_skip_map: false,
+            occupied: None,
             tile: [edge; 3],
         })
     }
@@ -157,6 +160,12 @@ impl VulkanRaycaster {
         self.volume.as_ref().map(|v| v.fetch)
     }
 
+    /// Blocks that are not empty under the present transfer function, and all blocks; `None` before both volume and
+    /// transfer function were set.
+    pub fn occupied_blocks(&self) -> Option<(usize, usize)> {
+        self.occupied
+    }
+
     /// Switches the counting of work on or off.
     pub fn set_count_work(&mut self, on: bool) {
         self.options.count_work = on;
@@ -172,6 +181,7 @@ impl VulkanRaycaster {
             let watch = Stopwatch::start();
             map.add_distances();
             preparation.distance_map = Some(watch.wall());
+            self.occupied = Some((map.bytes.len() - map.empty_blocks(), map.bytes.len()));
             let watch = Stopwatch::start();
             let fetch = volume.fetch;
             self.engine.reserve(Target::SkipMap, upload::skip_map_shape(fetch, map.dims))?;
@@ -211,10 +221,9 @@ impl Renderer for VulkanRaycaster {
         let dims = prepared.geometry.dims;
         self.engine.reserve(
             Target::Volume,
-            Shape {
-                extent: dims.map(|n| n as u32),
-                format: plan.format,
-                storage: plan.fetch == VoxelFetch::Packed,
+            match plan.fetch {
+                VoxelFetch::Packed => upload::packed_shape(dims),
+                _ => Shape { extent: dims.map(|n| n as u32), format: plan.format, storage: false },
             },
         )?;
         self.engine.reserve(Target::Table, upload::table_shape(plan.fetch))?;
@@ -266,6 +275,12 @@ impl Renderer for VulkanRaycaster {
             },
             fetch: volume.fetch as u32,
             counting: u32::from(self.options.count_work),
+            packets: u32::from(
+                volume.fetch == VoxelFetch::Packed
+                    && frame.skipping() != Skipping::None
+                    && !self.options.count_work
+                    && self.engine.gpu().subgroup_arithmetic,
+            ),
         };
         let mut table = (self.table_step != Some(frame.step()))
             .then(|| upload::table_texels(volume.fetch, &classifier.step_table(frame.step())));

@@ -6,6 +6,7 @@
 // SKIPPING  0 none, 1 blocks, 2 distance
 // FETCH     where voxels come from: 0 sampler, 1 eight texels, 2 two texels of four packed bytes
 // COUNTING  1 to count the work of each pixel
+// PACKETS   1: the rays of a subgroup skip together (same picture; cannot count)
 
 const SMALLEST_ADVANCE: f32 = 1e-9;
 const FAR: f32 = 3.0e38;
@@ -13,6 +14,9 @@ const BLOCK_EDGE: f32 = 8.0;
 const EMPTY_BIT: u32 = 128u;
 const COLORS_PER_ENTRY: f32 = 16.0;
 const SHADOW_TERMINATION: f32 = 0.25;
+const ROW_SHIFT: u32 = 14u;
+// How many samples apart the runs of a packet's rays may begin to be taken together.
+const PACKET_SLACK: f32 = 4.0;
 
 struct FrameSetup {
     eye: vec3<f32>,
@@ -44,10 +48,11 @@ struct FrameSetup {
 @group(0) @binding(0) var<storage, read> setup: FrameSetup;
 // Software devices load from storage images without the arithmetic of mip levels.
 #if FETCH == 2
-// Row 0: opacities of the 256 entries. Row 1: colors at every 1/COLORS_PER_ENTRY entry, 11, 11 and 10 bits.
-@group(0) @binding(7) var table: texture_storage_2d<r32uint, read>;
-// A word holds the voxels (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1) of one slice.
-@group(0) @binding(8) var volume: texture_storage_3d<r32uint, read>;
+// At every 1/COLORS_PER_ENTRY entry: the opacities of the entry and of the next, as bits; the color, 11, 11 and 10 bits.
+@group(0) @binding(7) var table: texture_storage_2d<rgba32uint, read>;
+// A word holds the voxels (x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1) of one slice. The words lie block by block, 8 × 8 × 8
+// each, in rows of 2^ROW_SHIFT: samples that follow each other are close in memory.
+@group(0) @binding(8) var volume: texture_storage_2d<r32uint, read>;
 #if SKIPPING != 0
 @group(0) @binding(9) var skip_map: texture_storage_3d<r32uint, read>;
 #endif
@@ -81,6 +86,11 @@ var<private> dims: vec3<f32>;
 var<private> last: vec3<f32>;
 var<private> scale: f32;
 var<private> bias: f32;
+#if FETCH == 2
+// Words from a block to the next along y and z.
+var<private> block_row: i32;
+var<private> block_slice: i32;
+#endif
 
 // The integer of a whole number in 0…2²³ − 1, without the range checks of a conversion.
 fn whole(v: vec3<f32>) -> vec3<i32> {
@@ -129,16 +139,15 @@ fn segment(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, cou
 }
 #endif
 
-// The next samples that are taken, from k on: those of a run of blocks that are not empty.
+// A run of samples: those of a run of blocks that are not empty.
 struct Samples {
     begin: f32,
     end: f32,
 }
 
-fn next_samples(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, start: f32, count: f32) -> Samples {
-#if SKIPPING == 0
-    return Samples(start, count);
-#else
+#if SKIPPING != 0
+// The next run of samples of this ray, from k on.
+fn next_run(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, start: f32, count: f32) -> Samples {
     var k = start;
     var end = count;
     loop {
@@ -153,8 +162,38 @@ fn next_samples(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, start:
         }
     }
     return Samples(k, end);
+}
+#endif
+
+// The next samples to take, from k on. `own` is the ray's present run, kept between the calls.
+fn next_samples(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, count: f32, own: ptr<function, Samples>) -> Samples {
+#if SKIPPING == 0
+    return Samples(k, count);
+#else
+#if PACKETS == 0
+    return next_run(first, advance, inverse, k, count);
+#else
+    // A subgroup runs in lockstep: nothing is gained where one ray skips and its neighbor samples. All go on to the first
+    // sample that one of them needs, and take the samples of the runs that begin there; what lies in blocks that are
+    // empty to a ray is transparent to it.
+    var run = *own;
+    if k >= run.end {
+        run = next_run(first, advance, inverse, k, count);
+        *own = run;
+    }
+    let begin = subgroupMin(max(run.begin, k));
+    let end = subgroupMax(select(0.0, run.end, run.begin <= begin + PACKET_SLACK));
+    return Samples(max(begin, k), min(end, count));
+#endif
 #endif
 }
+
+#if FETCH == 2
+// The word at an index of the packed volume.
+fn word_at(index: i32) -> u32 {
+    return textureLoad(volume, vec2<i32>(index & ((1 << ROW_SHIFT) - 1), index >> ROW_SHIFT)).x;
+}
+#endif
 
 fn mix1(a: f32, b: f32, f: f32) -> f32 {
     return a + f * (b - a);
@@ -169,8 +208,8 @@ fn position(p: vec3<f32>) -> f32 {
     let cell = floor(q);
     let f = q - cell;
     let low = whole(cell);
-    let high = whole(min(cell + 1.0, last));
 #if FETCH == 1
+    let high = whole(min(cell + 1.0, last));
     let v000 = textureLoad(volume, low, 0).x;
     let v100 = textureLoad(volume, vec3<i32>(high.x, low.y, low.z), 0).x;
     let v010 = textureLoad(volume, vec3<i32>(low.x, high.y, low.z), 0).x;
@@ -180,8 +219,11 @@ fn position(p: vec3<f32>) -> f32 {
     let v011 = textureLoad(volume, vec3<i32>(low.x, high.y, high.z), 0).x;
     let v111 = textureLoad(volume, high, 0).x;
 #else
-    let near = textureLoad(volume, low).x;
-    let far = textureLoad(volume, vec3<i32>(low.x, low.y, high.z)).x;
+    let next = whole1(min(cell.z + 1.0, last.z));
+    let inside = low.xy & vec2<i32>(7);
+    let row = ((low.x - inside.x) << 6u) + inside.x + (low.y >> 3u) * block_row + (inside.y << 3u);
+    let near = word_at(row + (low.z >> 3u) * block_slice + ((low.z & 7) << 6u));
+    let far = word_at(row + (next >> 3u) * block_slice + ((next & 7) << 6u));
     let v000 = f32(near & 255u);
     let v100 = f32((near >> 8u) & 255u);
     let v010 = f32((near >> 16u) & 255u);
@@ -198,27 +240,33 @@ fn position(p: vec3<f32>) -> f32 {
     return min(max(value * scale + bias, 0.0), 255.0);
 }
 
+#if FETCH == 2
+fn classify_texel(position: f32, texel: vec4<u32>) -> f32 {
+    let f = position - floor(min(position, 254.0));
+    return mix1(bitcast<f32>(texel.x), bitcast<f32>(texel.y), f);
+}
+#endif
+
 // The opacity at a table position.
 fn opacity(position: f32) -> f32 {
-    let i = floor(min(position, 254.0));
-    let f = position - i;
-    let index = whole1(i);
 #if FETCH == 2
-    let a = bitcast<f32>(textureLoad(table, vec2<i32>(index, 0)).x);
-    let b = bitcast<f32>(textureLoad(table, vec2<i32>(index + 1, 0)).x);
+    return classify_texel(position, textureLoad(table, vec2<i32>(whole1(floor(position * COLORS_PER_ENTRY)), 0)));
 #else
+    let i = floor(min(position, 254.0));
+    let index = whole1(i);
     let a = textureLoad(table, vec2<i32>(index, 0), 0).w;
     let b = textureLoad(table, vec2<i32>(index + 1, 0), 0).w;
+    return mix1(a, b, position - i);
 #endif
-    return a + f * (b - a);
 }
 
 // Color and opacity at a table position.
 fn classify(position: f32) -> vec4<f32> {
 #if FETCH == 2
-    let word = textureLoad(table, vec2<i32>(whole1(position * COLORS_PER_ENTRY), 1)).x;
+    let texel = textureLoad(table, vec2<i32>(whole1(floor(position * COLORS_PER_ENTRY)), 0));
+    let word = texel.z;
     let color = vec3<f32>(f32(word & 2047u), f32((word >> 11u) & 2047u), f32(word >> 22u));
-    return vec4<f32>(color * vec3<f32>(1.0 / 2047.0, 1.0 / 2047.0, 1.0 / 1023.0), opacity(position));
+    return vec4<f32>(color * vec3<f32>(1.0 / 2047.0, 1.0 / 2047.0, 1.0 / 1023.0), classify_texel(position, texel));
 #else
     let i = floor(min(position, 254.0));
     let f = position - i;
@@ -260,8 +308,9 @@ fn scatter(p: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
     let inverse = setup.light_inverse;
     var transmittance = 1.0;
     var k = 1.0;
+    var own = Samples(0.0, 0.0);
     while k < count {
-        let run = next_samples(p, step, inverse, k, count);
+        let run = next_samples(p, step, inverse, k, count, &own);
         k = run.begin;
         if k < count {
             loop {
@@ -318,8 +367,9 @@ fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
         k = state[2u * index + 1u].x;
     }
     let window = min(count, setup.window_end);
+    var own = Samples(0.0, 0.0);
     while k < window {
-        let run = next_samples(first, advance, inverse, k, count);
+        let run = next_samples(first, advance, inverse, k, count, &own);
         k = run.begin;
         let end = min(run.end, window);
         if k < end {
@@ -366,6 +416,11 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     last = dims - 1.0;
     scale = setup.scale;
     bias = setup.bias;
+#if FETCH == 2
+    let blocks = (vec3<i32>(dims) + 7) >> vec3<u32>(3u);
+    block_row = blocks.x * 512;
+    block_slice = block_row * blocks.y;
+#endif
     if x < setup.tile_width && y < setup.tile_height {
         let index = y * setup.tile_width + x;
 #if COUNTING == 1

@@ -139,10 +139,24 @@ impl Drop for Buffer {
 /// Size and use of an image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Shape {
+    /// Texels along each axis; a depth of 0 makes the image 2-D.
     pub(crate) extent: [u32; 3],
     pub(crate) format: vk::Format,
     /// Whether shaders load from it as a storage image, else as a sampled one.
     pub(crate) storage: bool,
+}
+
+impl Shape {
+    /// Whether the image is 2-D.
+    pub(crate) fn is_flat(&self) -> bool {
+        self.extent[2] == 0
+    }
+
+    /// What copies go by: slices of a 3-D image, rows of a 2-D one. Their number and the texels in each.
+    pub(crate) fn slices(&self) -> (u32, u64) {
+        let [x, y, z] = self.extent;
+        if self.is_flat() { (y, u64::from(x)) } else { (z, u64::from(x) * u64::from(y)) }
+    }
 }
 
 /// An image that shaders read, with its memory and a view of all of it.
@@ -156,13 +170,14 @@ pub(crate) struct Image {
 
 impl Image {
     /// A 2-D or 3-D image that is copied to and read by shaders.
-    pub(crate) fn new(gpu: &Arc<Gpu>, name: &str, kind: vk::ImageType, shape: Shape) -> Result<Self> {
+    pub(crate) fn new(gpu: &Arc<Gpu>, name: &str, shape: Shape) -> Result<Self> {
         let Shape { extent, format, storage } = shape;
+        let kind = if shape.is_flat() { vk::ImageType::TYPE_2D } else { vk::ImageType::TYPE_3D };
         let read = if storage { vk::ImageUsageFlags::STORAGE } else { vk::ImageUsageFlags::SAMPLED };
         let info = vk::ImageCreateInfo::default()
             .image_type(kind)
             .format(format)
-            .extent(vk::Extent3D { width: extent[0], height: extent[1], depth: extent[2] })
+            .extent(vk::Extent3D { width: extent[0], height: extent[1], depth: extent[2].max(1) })
             .mip_levels(1)
             .array_layers(1)
             .samples(vk::SampleCountFlags::TYPE_1)

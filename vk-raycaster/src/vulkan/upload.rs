@@ -13,8 +13,15 @@ use rayon::prelude::*;
 /// Colors per table entry in a packed table.
 const COLORS_PER_ENTRY: usize = 16;
 
-/// Texels per row of a packed table.
-const PACKED_ROW: usize = 4096;
+/// Texels of a packed table.
+const PACKED_TEXELS: usize = 4096;
+
+/// Words along a row of a packed volume's image.
+const PACKED_ROW: usize = 16384;
+
+/// Words in a block of a packed volume, and voxels along its edge.
+const PACKED_BLOCK: usize = PACKED_EDGE * PACKED_EDGE * PACKED_EDGE;
+const PACKED_EDGE: usize = 8;
 
 /// Format and meaning of the texels.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,17 +53,24 @@ pub(crate) fn plan(gpu: &Gpu, volume: &PreparedVolume, wish: Option<VoxelFetch>)
     };
     let (can_sample, can_filter) = gpu.sampling(plain);
     let is_bytes = matches!(volume.voxels, Voxels::U8(_));
-    let packed_bytes = volume.geometry.dims.iter().map(|&n| n as u64).product::<u64>() * 4;
-    let fetch = wish.unwrap_or(match (gpu.is_cpu, is_bytes, can_filter) {
-        (true, true, _) if packed_bytes <= gpu.max_allocation => VoxelFetch::Packed,
-        (true, ..) => VoxelFetch::Texels,
-        (_, _, true) => VoxelFetch::Sampler,
+    let packed = packed_shape(volume.geometry.dims);
+    let can_pack = is_bytes
+        && packed.extent[..2].iter().all(|&n| n <= gpu.limits.max_image_dimension2_d)
+        && u64::from(packed.extent[0]) * u64::from(packed.extent[1]) * 4 <= gpu.max_allocation;
+    let fetch = wish.unwrap_or(match (gpu.is_cpu, can_filter) {
+        (true, _) if can_pack => VoxelFetch::Packed,
+        (true, _) => VoxelFetch::Texels,
+        (_, true) => VoxelFetch::Sampler,
         _ => VoxelFetch::Texels,
     });
     match fetch {
         VoxelFetch::Packed if !is_bytes => Err(Error::new(
             "packed voxel fetch takes bytes only; choose the sampler or texels, or leave the choice open",
         )),
+        VoxelFetch::Packed if !can_pack => Err(Error::new(format!(
+            "the volume has {:?} voxels, more than packed voxel fetch holds on {}; choose texels, or leave the choice open",
+            volume.geometry.dims, gpu.name
+        ))),
         // Software samplers interpolate 8-bit textures in 8 bits; in 16 they keep the fractions.
         VoxelFetch::Sampler if is_bytes && gpu.is_cpu && gpu.sampling(vk::Format::R16_UNORM).1 => {
             Ok(Plan { fetch, format: vk::Format::R16_UNORM, unit: 255.0 })
@@ -74,11 +88,11 @@ pub(crate) fn plan(gpu: &Gpu, volume: &PreparedVolume, wish: Option<VoxelFetch>)
     }
 }
 
-/// Writes the texels of whole slices from `first` on.
+/// Writes the texels of whole slices (rows, if packed) from `first` on.
 pub(crate) fn fill_slices(volume: &PreparedVolume, plan: &Plan, first: usize, out: &mut [u8]) {
     let [nx, ny, _] = volume.geometry.dims;
     match &volume.voxels {
-        Voxels::U8(v) if plan.fetch == VoxelFetch::Packed => pack_slices(v, [nx, ny], first, out),
+        Voxels::U8(v) if plan.fetch == VoxelFetch::Packed => pack_rows(v, volume.geometry.dims, first, out),
         Voxels::U8(v) if plan.format == vk::Format::R16_UNORM => {
             for (o, v) in out.chunks_exact_mut(2).zip(&v[first * nx * ny..]) {
                 o.copy_from_slice(&(u16::from(*v) * 257).to_ne_bytes());
@@ -95,15 +109,36 @@ fn copy<T: bytemuck::NoUninit>(voxels: &[T], start: usize, out: &mut [u8]) {
     out.copy_from_slice(bytemuck::cast_slice(&voxels[start..start + count]));
 }
 
-/// Each word holds a voxel and its neighbors at x + 1, y + 1 and both, clamped to the edge, lowest byte first.
-fn pack_slices(voxels: &[u8], [nx, ny]: [usize; 2], first: usize, out: &mut [u8]) {
-    out.par_chunks_mut(nx * 4).enumerate().for_each(|(row, out)| {
-        let (y, z) = (row % ny, first + row / ny);
-        let line = |y: usize| &voxels[(z * ny + y) * nx..][..nx];
-        let (near, far) = (line(y), line((y + 1).min(ny - 1)));
-        for (x, word) in out.chunks_exact_mut(4).enumerate() {
-            let next = (x + 1).min(nx - 1);
-            word.copy_from_slice(&[near[x], near[next], far[x], far[next]]);
+/// The image of a packed volume.
+pub(crate) fn packed_shape(dims: [usize; 3]) -> Shape {
+    let blocks: usize = dims.iter().map(|n| n.div_ceil(PACKED_EDGE)).product();
+    let rows = (blocks * PACKED_BLOCK).div_ceil(PACKED_ROW);
+    let rows = u32::try_from(rows).unwrap_or(u32::MAX);
+    Shape { extent: [PACKED_ROW as u32, rows, 0], format: vk::Format::R32_UINT, storage: true }
+}
+
+/// Whole rows of a packed volume's image. Each word holds a voxel and its neighbors at x + 1, y + 1 and both, clamped to
+/// the edge, lowest byte first; words lie block by block, x fastest in a block and among blocks.
+fn pack_rows(voxels: &[u8], [nx, ny, nz]: [usize; 3], first_row: usize, out: &mut [u8]) {
+    let [bx, by, bz] = [nx, ny, nz].map(|n| n.div_ceil(PACKED_EDGE));
+    let first = first_row * (PACKED_ROW / PACKED_BLOCK);
+    out.par_chunks_mut(4 * PACKED_BLOCK).enumerate().for_each(|(i, out)| {
+        let block = first + i;
+        if block >= bx * by * bz {
+            out.fill(0);
+            return;
+        }
+        let corner = [block % bx, block / bx % by, block / (bx * by)].map(|b| b * PACKED_EDGE);
+        for (row, out) in out.as_chunks_mut::<{ 4 * PACKED_EDGE }>().0.iter_mut().enumerate() {
+            let y = (corner[1] + row % PACKED_EDGE).min(ny - 1);
+            let z = (corner[2] + row / PACKED_EDGE).min(nz - 1);
+            let line = |y: usize| &voxels[(z * ny + y) * nx..][..nx];
+            let (near, far) = (line(y), line((y + 1).min(ny - 1)));
+            for (x, word) in out.as_chunks_mut::<4>().0.iter_mut().enumerate() {
+                let x = (corner[0] + x).min(nx - 1);
+                let next = (x + 1).min(nx - 1);
+                *word = [near[x], near[next], far[x], far[next]];
+            }
         }
     });
 }
@@ -112,11 +147,12 @@ fn pack_slices(voxels: &[u8], [nx, ny]: [usize; 2], first: usize, out: &mut [u8]
 pub(crate) fn table_shape(fetch: VoxelFetch) -> Shape {
     match fetch {
         VoxelFetch::Packed => {
-            Shape { extent: [PACKED_ROW as u32, 2, 1], format: vk::Format::R32_UINT, storage: true }
+            let format = vk::Format::R32G32B32A32_UINT;
+            Shape { extent: [PACKED_TEXELS as u32, 1, 0], format, storage: true }
         }
         _ => {
             let format = vk::Format::R32G32B32A32_SFLOAT;
-            Shape { extent: [TABLE_LEN as u32, 1, 1], format, storage: false }
+            Shape { extent: [TABLE_LEN as u32, 1, 0], format, storage: false }
         }
     }
 }
@@ -139,17 +175,14 @@ pub(crate) fn fill_skip_map(fetch: VoxelFetch, bytes: &[u8], out: &mut [u8]) {
     }
 }
 
-/// The table's texels: four floats per entry; or, packed, one row of opacities and one row of finely interpolated
-/// colors in 11, 11 and 10 bits.
+/// The table's texels: four floats per entry; or, packed, at every 1/[`COLORS_PER_ENTRY`] entry the opacities of the
+/// entry and the next, and the color in 11, 11 and 10 bits.
 pub(crate) fn table_texels(fetch: VoxelFetch, table: &StepTable) -> Vec<u8> {
     if fetch != VoxelFetch::Packed {
         return bytemuck::cast_slice(table.as_slice()).to_vec();
     }
-    let mut words = vec![0u32; 2 * PACKED_ROW];
-    for (word, entry) in words.iter_mut().zip(table) {
-        *word = entry[3].to_bits();
-    }
-    for (j, word) in words[PACKED_ROW..][..(TABLE_LEN - 1) * COLORS_PER_ENTRY + 1].iter_mut().enumerate() {
+    let mut texels = vec![[0u32; 4]; PACKED_TEXELS];
+    for (j, texel) in texels[..(TABLE_LEN - 1) * COLORS_PER_ENTRY + 1].iter_mut().enumerate() {
         // The middle of the positions that round down to j.
         let at = ((j as f32 + 0.5) / COLORS_PER_ENTRY as f32).min(255.0);
         let low = (at as usize).min(TABLE_LEN - 2);
@@ -158,9 +191,10 @@ pub(crate) fn table_texels(fetch: VoxelFetch, table: &StepTable) -> Vec<u8> {
             let v = table[low][c] + f * (table[low + 1][c] - table[low][c]);
             (v * top + 0.5) as u32
         };
-        *word = channel(0, 2047.0) | (channel(1, 2047.0) << 11) | (channel(2, 1023.0) << 22);
+        let color = channel(0, 2047.0) | (channel(1, 2047.0) << 11) | (channel(2, 1023.0) << 22);
+        *texel = [table[low][3].to_bits(), table[low + 1][3].to_bits(), color, 0];
     }
-    bytemuck::cast_slice(&words).to_vec()
+    bytemuck::cast_slice(&texels).to_vec()
 }
 
 #[cfg(test)]
@@ -168,15 +202,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn packed_words_hold_the_square_of_neighbors() {
-        let voxels: Vec<u8> = (0..24).collect();
-        let mut out = [0u8; 12 * 4];
-        pack_slices(&voxels, [4, 3], 1, &mut out);
-        assert_eq!(out[..4], [12, 13, 16, 17]);
-        assert_eq!(out[3 * 4..4 * 4], [15, 15, 19, 19], "clamped at the end of a row");
-        assert_eq!(out[11 * 4..], [23, 23, 23, 23], "clamped at the corner");
-        let mut one = [0u8; 4];
-        pack_slices(&[9], [1, 1], 0, &mut one);
-        assert_eq!(one, [9; 4]);
+    fn packed_words_hold_the_square_of_neighbors_block_by_block() {
+        let dims = [9, 3, 2];
+        let voxels: Vec<u8> = (0..54).collect();
+        let shape = packed_shape(dims);
+        assert_eq!(shape.extent, [PACKED_ROW as u32, 1, 0]);
+        let mut out = vec![7u8; 4 * PACKED_ROW];
+        pack_rows(&voxels, dims, 0, &mut out);
+        let word = |x: usize, y: usize, z: usize| {
+            let i = x / 8 * PACKED_BLOCK + (z * 8 + y) * 8 + x % 8;
+            [out[4 * i], out[4 * i + 1], out[4 * i + 2], out[4 * i + 3]]
+        };
+        assert_eq!(word(0, 0, 0), [0, 1, 9, 10]);
+        assert_eq!(word(7, 1, 1), [43, 44, 52, 53], "the neighbor is of the next block");
+        assert_eq!(word(8, 0, 0), [8, 8, 17, 17], "clamped at the end of a row");
+        assert_eq!(word(8, 2, 1), [53; 4], "clamped at the corner");
+        assert!(out[8 * PACKED_BLOCK..].iter().all(|&b| b == 0), "rows are filled up");
+        // 17 blocks along each axis: more than one row.
+        let shape = packed_shape([129, 130, 136]);
+        assert_eq!(shape.extent, [PACKED_ROW as u32, (17u32 * 17 * 17).div_ceil(32), 0]);
     }
 }

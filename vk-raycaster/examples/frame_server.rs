@@ -1,0 +1,147 @@
+//! Renders frames on request, so that a script can time them beside those of other renderers in one run. Reads one
+//! command per line and answers each with one line, `@@` and a JSON object (`{"err": …}` where it failed):
+//!
+//! ```text
+//! make noise|vessels N FILE             writes a generated volume of N³ raw bytes
+//! volume FILE NX NY NZ SX SY SZ         loads raw bytes with their spacing; seconds of each part
+//! transfer NAME FILE                    sets transparent|medium|opaque|scan, writes its table (256 RGBA, f32)
+//! camera RX RY DZ WIDTH HEIGHT          eye, forward and up in world units (corner of the box at the origin)
+//! frame none|blocks|distance            renders; seconds by each clock
+//! counts none|blocks|distance           renders and counts
+//! image none|blocks|distance FILE       renders and writes RGB bytes, over black, rows from the top
+//! ```
+
+mod common;
+
+use entire_core::scene::{Arcball, Camera, Frame, Scalars, Skipping, VolumeView};
+use entire_vk_raycaster::{Preparation, Renderer, VulkanOptions, VulkanRaycaster};
+use std::error::Error;
+use std::io::{BufRead, Write};
+
+struct Server {
+    renderer: VulkanRaycaster,
+    /// Dims and spacing of the present volume.
+    volume: Option<([usize; 3], [f32; 3])>,
+    frame: Option<Frame>,
+}
+
+fn numbers<T: std::str::FromStr, const N: usize>(words: &[&str]) -> Result<[T; N], Box<dyn Error>> {
+    let all: Vec<T> = words.iter().map_while(|w| w.parse().ok()).collect();
+    all.try_into().map_err(|_| format!("{N} numbers are expected: {words:?}").into())
+}
+
+fn preparation(p: &Preparation) -> String {
+    let part = |v: Option<f64>| v.map_or("null".to_owned(), |v| format!("{v:e}"));
+    format!(
+        r#""wall": {:e}, "upload": {}, "block_map": {}, "occupancy": {}, "distance_map": {}"#,
+        p.wall,
+        part(p.upload),
+        part(p.block_map),
+        part(p.occupancy),
+        part(p.distance_map)
+    )
+}
+
+impl Server {
+    fn framed(&self, mode: &str) -> Result<Frame, Box<dyn Error>> {
+        let skipping = match mode {
+            "none" => Skipping::None,
+            "blocks" => Skipping::Blocks,
+            "distance" => Skipping::Distance,
+            _ => return Err(format!("no skipping mode {mode:?}").into()),
+        };
+        Ok(self.frame.ok_or("no camera was set")?.with_skipping(skipping))
+    }
+
+    fn answer(&mut self, line: &str) -> Result<String, Box<dyn Error>> {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        match words.as_slice() {
+            ["make", kind, n, file] => {
+                let n: usize = n.parse()?;
+                let data = match *kind {
+                    "noise" => common::noise(n),
+                    "vessels" => common::vessels(n),
+                    _ => return Err(format!("no volume {kind:?}").into()),
+                };
+                std::fs::write(file, data)?;
+                Ok("{}".to_owned())
+            }
+            ["volume", file, rest @ ..] if rest.len() == 6 => {
+                let dims = numbers(&rest[..3])?;
+                let spacing = numbers(&rest[3..])?;
+                let data = std::fs::read(file)?;
+                let view = VolumeView::new(Scalars::U8(&data), dims)?.with_spacing(spacing)?;
+                let p = self.renderer.set_volume(&view)?;
+                self.volume = Some((dims, spacing));
+                Ok(format!("{{{}}}", preparation(&p)))
+            }
+            ["transfer", name, file] => {
+                let table = common::transfer(name).ok_or_else(|| format!("no transfer function {name:?}"))?;
+                let p = self.renderer.set_transfer(&table)?;
+                let bytes: Vec<u8> = table.rgba().iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+                std::fs::write(file, bytes)?;
+                let (occupied, all) = self.renderer.occupied_blocks().ok_or("no volume was set")?;
+                let share = occupied as f64 / all as f64;
+                Ok(format!(r#"{{{}, "occupied": {share:e}}}"#, preparation(&p)))
+            }
+            ["camera", rest @ ..] if rest.len() == 5 => {
+                let [rx, ry, dz] = numbers(&rest[..3])?;
+                let [width, height]: [u32; 2] = numbers(&rest[3..])?;
+                let (dims, spacing) = self.volume.ok_or("no volume was set")?;
+                let camera = Camera::from_arcball(Arcball { rx, ry, dz })?.with_fov_y_degrees(30.0)?;
+                self.frame = Some(Frame::new(camera, width, height)?);
+                let (eye, _, up, forward) = camera.ray_basis(width, height);
+                let extent = [0, 1, 2].map(|a| dims[a] as f32 * spacing[a]);
+                let radius = 0.5 * extent.iter().map(|e| e * e).sum::<f32>().sqrt();
+                let eye = eye.to_array();
+                let eye = [0, 1, 2].map(|a| eye[a] * radius + 0.5 * extent[a]);
+                Ok(format!(
+                    r#"{{"eye": {eye:?}, "forward": {:?}, "up": {:?}, "fov_y": 30.0}}"#,
+                    forward.to_array(),
+                    up.to_array()
+                ))
+            }
+            ["frame", mode] => {
+                let r = self.renderer.render(&self.framed(mode)?)?;
+                let part = |v: Option<f64>| v.map_or("null".to_owned(), |v| format!("{v:e}"));
+                Ok(format!(
+                    r#"{{"wall": {:e}, "cpu": {}, "device": {}}}"#,
+                    r.time.wall,
+                    part(r.time.cpu),
+                    part(r.time.device)
+                ))
+            }
+            ["counts", mode] => {
+                let frame = self.framed(mode)?;
+                self.renderer.set_count_work(true);
+                let r = self.renderer.render(&frame);
+                self.renderer.set_count_work(false);
+                let c = r?.counts.ok_or("no counts")?;
+                Ok(format!(r#"{{"rays": {}, "samples": {}, "skips": {}}}"#, c.rays, c.samples, c.skips))
+            }
+            ["image", mode, file] => {
+                let image = self.renderer.render(&self.framed(mode)?)?.image;
+                let rgb: Vec<u8> =
+                    image.rgba.as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
+                std::fs::write(file, rgb)?;
+                Ok(format!(r#"{{"width": {}, "height": {}}}"#, image.width, image.height))
+            }
+            _ => Err(format!("unknown command {line:?}").into()),
+        }
+    }
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let renderer = VulkanRaycaster::new(VulkanOptions::from_env()?)?;
+    println!(r#"@@{{"name": {:?}}}"#, renderer.device());
+    std::io::stdout().flush()?;
+    let mut server = Server { renderer, volume: None, frame: None };
+    for line in std::io::stdin().lock().lines() {
+        match server.answer(&line?) {
+            Ok(json) => println!("@@{json}"),
+            Err(e) => println!(r#"@@{{"err": {:?}}}"#, e.to_string()),
+        }
+        std::io::stdout().flush()?;
+    }
+    Ok(())
+}
