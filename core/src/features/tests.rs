@@ -152,6 +152,120 @@ fn bricks_give_the_same_bounds_as_voxels() {
     assert!(VolumeSummary::from_bricks([usize::MAX, usize::MAX, 9], [1.0; 3], t, [1; 3], &[]).is_err());
 }
 
+/// What a summary keeps, straight from the definitions, voxel by voxel.
+fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
+    let s = VolumeSummary::new(view, SummaryOptions { cells_per_axis }).unwrap();
+    let (low, high) = view.range();
+    let scale = 255.0 / (high - low);
+    let position = |x: usize, y: usize, z: usize| {
+        let v = view.value(x, y, z);
+        if high > low && scale > 0.0 && scale.is_finite() {
+            if v.is_nan() { 0.0 } else { ((v - low) * scale).clamp(0.0, 255.0) }
+        } else {
+            view.normalize(v) * 255.0
+        }
+    };
+    let dims = s.dims();
+    let [cells, edge, block] = [s.cells(), s.cell_edge(), s.block_edge()];
+    let what = std::format!("{:?} {dims:?} {cells_per_axis} {:?}", view.scalar_type(), view.range());
+    let bounds = |from: [usize; 3], size: [usize; 3]| {
+        let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
+        let range = |a: usize| from[a]..(from[a] + size[a] + 1).min(dims[a]);
+        for z in range(2) {
+            for y in range(1) {
+                for x in range(0) {
+                    lo = lo.min(position(x, y, z));
+                    hi = hi.max(position(x, y, z));
+                }
+            }
+        }
+        [lo.floor() as u8, hi.ceil() as u8]
+    };
+    let mut total = [0u64; 256];
+    for (i, stats) in s.stats().iter().enumerate() {
+        let c = [i % cells[0], i / cells[0] % cells[1], i / cells[0] / cells[1]];
+        let from: [usize; 3] = std::array::from_fn(|a| c[a] * edge[a]);
+        assert_eq!([stats.low, stats.high], bounds(from, edge), "{what} {c:?}");
+        let mut sorted = Vec::new();
+        for z in from[2]..(from[2] + edge[2]).min(dims[2]) {
+            for y in from[1]..(from[1] + edge[1]).min(dims[1]) {
+                for x in from[0]..(from[0] + edge[0]).min(dims[0]) {
+                    sorted.push((position(x, y, z) + 0.5) as u8);
+                }
+            }
+        }
+        sorted.sort();
+        sorted.iter().for_each(|&e| total[usize::from(e)] += 1);
+        for (k, &q) in stats.quantiles.iter().enumerate() {
+            // The smallest entry with more than k/QUANTILES of the voxels at or below it; the last bound is the largest.
+            let rank = (k * sorted.len() / QUANTILES).min(sorted.len() - 1);
+            assert_eq!(q, sorted[rank], "{what} {c:?} bound {k}");
+        }
+        if let Some(kept) = s.blocks_of(i) {
+            let mut kept = kept.iter();
+            let firsts = |a: usize| (from[a]..(from[a] + edge[a]).min(dims[a])).step_by(block[a]);
+            for z in firsts(2) {
+                for y in firsts(1) {
+                    for x in firsts(0) {
+                        assert_eq!(kept.next(), Some(&bounds([x, y, z], block)), "{what} {c:?}");
+                    }
+                }
+            }
+            assert_eq!(kept.next(), None);
+        } else {
+            assert_eq!(block, edge);
+        }
+    }
+    let voxels = s.voxels();
+    assert_eq!(s.histogram(), &total.map(|t| (t as f64 / voxels) as f32), "{what}");
+}
+
+#[test]
+fn every_type_range_and_layout_is_summarized_as_defined() {
+    for (dims, per_axis) in [
+        ([17, 9, 8], 48),
+        ([1, 1, 1], 48),
+        ([40, 3, 70], 2),
+        ([33, 40, 25], 2),
+        ([8, 16, 24], 48),
+        ([129, 5, 2], 1),
+    ] {
+        let n: usize = dims.iter().product();
+        let bytes = noise(n, 11);
+        let words: Vec<u16> = noise(2 * n, 12).chunks(2).map(|b| u16::from_le_bytes([b[0], b[1]])).collect();
+        let signed: Vec<i16> = words.iter().map(|&w| (w ^ 0x8000) as i16).collect();
+        let mut numbers: Vec<f32> = words.iter().map(|&w| f32::from(w) * 1e-3 - 20.0).collect();
+        for (i, wild) in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -0.0].into_iter().enumerate() {
+            numbers[i * 37 % n] = wild;
+        }
+        let views = [
+            (Scalars::U8(&bytes), [(0.0, 255.0), (13.0, 200.0), (-7.5, 999.0), (40.0, 40.0), (30.0, 31.0)]),
+            (
+                Scalars::U16(&words),
+                [(0.0, 65535.0), (1000.0, 1255.0), (5.0, 5.0), (-1e30, 1e38), (0.0, 1e-40)],
+            ),
+            (
+                Scalars::I16(&signed),
+                [(-32768.0, 32767.0), (-1.0, 1.0), (0.0, 255.0), (3.0, 3.0), (-9.0, 9e3)],
+            ),
+            (
+                Scalars::F32(&numbers),
+                [(-20.0, 45.0), (0.0, 1.0), (f32::MIN, f32::MAX), (1.0, 1.0), (0.0, 3e-41)],
+            ),
+        ];
+        for (scalars, ranges) in views {
+            for (low, high) in ranges {
+                let view = VolumeView::new(scalars, dims).unwrap().with_range(low, high).unwrap();
+                check_against_definitions(&view, per_axis);
+            }
+        }
+        // The same voxels with x slowest.
+        let [x, y, z] = dims;
+        let view = VolumeView::with_strides(Scalars::U8(&bytes), [z, y, x], [x * y, x, 1]).unwrap();
+        check_against_definitions(&view, per_axis);
+    }
+}
+
 #[test]
 fn options_out_of_range_are_refused() {
     let data = [0u8; 8];

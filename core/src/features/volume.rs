@@ -88,10 +88,22 @@ impl VolumeSummary {
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
         let mut summary = Self::layout(volume.dims(), volume.spacing(), volume.scalar_type(), options)?;
         match volume.scalars() {
-            Scalars::U8(s) => summary.scan(volume, |at, out| copy(s, at, out, f32::from)),
-            Scalars::U16(s) => summary.scan(volume, |at, out| copy(s, at, out, f32::from)),
-            Scalars::I16(s) => summary.scan(volume, |at, out| copy(s, at, out, f32::from)),
-            Scalars::F32(s) => summary.scan(volume, |at, out| copy(s, at, out, |v| v)),
+            Scalars::U8(s) => {
+                // Everything kept is monotone in the stored byte: bytes are counted, and mapped at the end.
+                let mut positions: [f32; 256] = core::array::from_fn(|v| v as f32);
+                to_positions(volume, &mut positions);
+                let mut map = Entries { low: [0; 256], high: [0; 256], near: [0; 256] };
+                entries(&positions, [&mut map.low, &mut map.high, &mut map.near]);
+                summary.scan(volume, &map, |at, [low, high, near]| {
+                    copy(s, at, near, |v| v);
+                    low.copy_from_slice(near);
+                    high.copy_from_slice(near);
+                    0
+                });
+            }
+            Scalars::U16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from)),
+            Scalars::I16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from)),
+            Scalars::F32(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, |v| v)),
         }
         Ok(summary)
     }
@@ -275,64 +287,94 @@ impl VolumeSummary {
         })
     }
 
-    /// Reads every voxel once, row by row. `read((start, stride), out)` copies a row's values.
-    fn scan(&mut self, volume: &VolumeView<'_>, read: impl Fn((usize, usize), &mut [f32])) {
+    /// As [`scan`](Self::scan) for numbers that are mapped first. `read((start, stride), out)` copies a row's values.
+    fn scan_numbers(&mut self, volume: &VolumeView<'_>, read: impl Fn((usize, usize), &mut [f32])) {
+        let mut row = vec![0.0f32; self.dims[0]];
+        let same: [u8; 256] = core::array::from_fn(|v| v as u8);
+        self.scan(volume, &Entries { low: same, high: same, near: same }, |at, out| {
+            read(at, &mut row);
+            let non_finite = row.iter().map(|v| u32::from(!v.is_finite())).sum();
+            to_positions(volume, &mut row);
+            entries(&row, out);
+            non_finite
+        });
+    }
+
+    /// Reads every voxel once. `fetch((start, stride), [low, high, near])` writes three bytes per voxel of a row, from
+    /// which `map` leads to table entries without changing their order, and says how many of them are not finite.
+    ///
+    /// A row enters the bounds of the blocks that it lies in and, where it is a block's first along y or z, those of the
+    /// blocks before. Rows are joined voxel by voxel and reduced along x once per block.
+    fn scan(
+        &mut self,
+        volume: &VolumeView<'_>,
+        map: &Entries,
+        mut fetch: impl FnMut((usize, usize), [&mut [u8]; 3]) -> u32,
+    ) {
         let (dims, edge, cells, block) = (self.dims, self.edge, self.cells, self.block);
         let n: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(block[a]));
         let mut bounds = vec![[255u8, 0u8]; n[0] * n[1] * n[2]];
-        let mut row_bounds = vec![[255u8, 0u8]; n[0]];
-        let mut row = vec![0.0f32; dims[0]];
-        // Histograms of one layer of cells.
-        let mut histograms = vec![[0u32; 256]; cells[0] * cells[1]];
+        let [mut low, mut high] = [vec![0u8; dims[0]], vec![0u8; dims[0]]];
+        // Own rows of one block row, and those that the blocks before it along y, z and both see of it.
+        let mut joined: [Joined; 4] = core::array::from_fn(|_| Joined::new(dims[0]));
+        // The rows of one row of cells.
+        let mut near = vec![0u8; edge[2].min(dims[2]) * edge[1].min(dims[1]) * dims[0]];
+        let mut counts = [[0u32; 256]; 4];
         let mut total = [0u64; 256];
         let mut non_finite = 0u64;
-        for z in 0..dims[2] {
-            for y in 0..dims[1] {
-                read((volume.index(0, y, z), volume.strides()[0]), &mut row);
-                non_finite += row.iter().filter(|v| !v.is_finite()).count() as u64;
-                to_positions(volume, &mut row);
-                let line = &mut histograms[cells[0] * (y / edge[1])..][..cells[0]];
-                for (values, histogram) in row.chunks(edge[0]).zip(line) {
-                    for &p in values {
-                        histogram[(p + 0.5) as usize & 255] += 1;
+        let span = |i: usize, size: usize, axis: usize| i * size..((i + 1) * size).min(dims[axis]);
+        for (cz, cy) in (0..cells[2]).flat_map(|z| (0..cells[1]).map(move |y| (z, y))) {
+            let (zs, ys) = (span(cz, edge[2], 2), span(cy, edge[1], 1));
+            for bz in zs.start / block[2]..zs.end.div_ceil(block[2]) {
+                for by in ys.start / block[1]..ys.end.div_ceil(block[1]) {
+                    joined.iter_mut().for_each(Joined::clear);
+                    for z in span(bz, block[2], 2) {
+                        for y in span(by, block[1], 1) {
+                            let row = ((z - zs.start) * ys.len() + y - ys.start) * dims[0];
+                            let near = &mut near[row..row + dims[0]];
+                            let at = (volume.index(0, y, z), volume.strides()[0]);
+                            non_finite += u64::from(fetch(at, [&mut low, &mut high, near]));
+                            let (first_y, first_z) = (y == by * block[1], z == bz * block[2]);
+                            for (j, takes) in
+                                joined.iter_mut().zip([true, first_y, first_z, first_y && first_z])
+                            {
+                                if takes {
+                                    j.add(&low, &high);
+                                }
+                            }
+                        }
                     }
-                }
-                // A block's values are its own and the first ones of the next block.
-                for (bx, slot) in row_bounds.iter_mut().enumerate() {
-                    let from = bx * block[0];
-                    let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
-                    for &p in &row[from..(from + block[0] + 1).min(dims[0])] {
-                        lo = if p < lo { p } else { lo };
-                        hi = if p > hi { p } else { hi };
-                    }
-                    *slot = [lo as u8, ceil_entry(hi)];
-                }
-                let before =
-                    |v: usize, b: usize| if v.is_multiple_of(b) { (v / b).saturating_sub(1) } else { v / b };
-                for bz in before(z, block[2])..=z / block[2] {
-                    for by in before(y, block[1])..=y / block[1] {
-                        let line = &mut bounds[n[0] * (by + n[1] * bz)..][..n[0]];
-                        for (b, r) in line.iter_mut().zip(&row_bounds) {
-                            b[0] = b[0].min(r[0]);
-                            b[1] = b[1].max(r[1]);
+                    for (j, back) in joined.iter().zip([[0, 0], [1, 0], [0, 1], [1, 1]]) {
+                        if by >= back[0] && bz >= back[1] {
+                            let line = n[0] * (by - back[0] + n[1] * (bz - back[1]));
+                            j.reduce(block[0], &mut bounds[line..][..n[0]]);
                         }
                     }
                 }
             }
-            if (z + 1).is_multiple_of(edge[2]) || z + 1 == dims[2] {
-                let layer = z / edge[2] * cells[0] * cells[1];
-                for (stats, histogram) in self.stats[layer..].iter_mut().zip(&mut histograms) {
-                    stats.quantiles = quantiles(histogram);
-                    for (t, h) in total.iter_mut().zip(histogram) {
-                        *t += u64::from(*h);
-                        *h = 0;
-                    }
+            let rows = &near[..zs.len() * ys.len() * dims[0]];
+            for cx in 0..cells[0] {
+                counts.iter_mut().for_each(|c| c.fill(0));
+                for row in rows.chunks_exact(dims[0]) {
+                    count_entries(&row[span(cx, edge[0], 0)], &mut counts);
                 }
+                let [a, b, c, d] = &counts;
+                let histogram: [u32; 256] = core::array::from_fn(|i| a[i] + b[i] + c[i] + d[i]);
+                total.iter_mut().zip(&histogram).for_each(|(t, &h)| *t += u64::from(h));
+                let stats = &mut self.stats[cx + cells[0] * (cy + cells[1] * cz)];
+                stats.quantiles = quantiles(&histogram).map(|q| map.near[usize::from(q)]);
             }
         }
+        for b in &mut bounds {
+            *b = [map.low[usize::from(b[0])], map.high[usize::from(b[1])]];
+        }
         self.gather_blocks(&bounds, n);
+        let mut mapped = [0u64; 256];
+        for (&entry, &t) in map.near.iter().zip(&total) {
+            mapped[usize::from(entry)] += t;
+        }
         let voxels = self.voxels();
-        for (h, &t) in self.histogram.iter_mut().zip(&total) {
+        for (h, &t) in self.histogram.iter_mut().zip(&mapped) {
             *h = (t as f64 / voxels) as f32;
         }
         self.non_finite_share = (non_finite as f64 / voxels) as f32;
@@ -388,7 +430,75 @@ impl VolumeSummary {
     }
 }
 
-fn copy<T: Copy>(from: &[T], (start, stride): (usize, usize), out: &mut [f32], to: impl Fn(T) -> f32) {
+/// Table entries: at or below a position, at or above it, and nearest.
+struct Entries {
+    low: [u8; 256],
+    high: [u8; 256],
+    near: [u8; 256],
+}
+
+/// Several rows, joined voxel by voxel.
+struct Joined {
+    low: Vec<u8>,
+    high: Vec<u8>,
+}
+
+impl Joined {
+    fn new(len: usize) -> Self {
+        Self { low: vec![255; len], high: vec![0; len] }
+    }
+
+    fn clear(&mut self) {
+        self.low.fill(255);
+        self.high.fill(0);
+    }
+
+    fn add(&mut self, low: &[u8], high: &[u8]) {
+        self.low.iter_mut().zip(low).for_each(|(a, &b)| *a = (*a).min(b));
+        self.high.iter_mut().zip(high).for_each(|(a, &b)| *a = (*a).max(b));
+    }
+
+    /// Widens the bounds of a row of blocks: a block's values are its own and the first one of the next block.
+    fn reduce(&self, block: usize, bounds: &mut [[u8; 2]]) {
+        for (bx, bound) in bounds.iter_mut().enumerate() {
+            let range = bx * block..(bx * block + block + 1).min(self.low.len());
+            bound[0] = self.low[range.clone()].iter().fold(bound[0], |a, &b| a.min(b));
+            bound[1] = self.high[range].iter().fold(bound[1], |a, &b| a.max(b));
+        }
+    }
+}
+
+/// The entries of positions in 0…255, in arithmetic that compilers vectorise.
+fn entries(positions: &[f32], [low, high, near]: [&mut [u8]; 3]) {
+    /// 2²³: adding it rounds to an integer, which then stands in the low bits.
+    const SHIFT: f32 = 8_388_608.0;
+    let below = |v: f32| {
+        let rounded = (v + SHIFT) - SHIFT;
+        if rounded > v { rounded - 1.0 } else { rounded }
+    };
+    let byte = |whole: f32| (whole + SHIFT).to_bits() as u8;
+    for (((&p, low), high), near) in positions.iter().zip(low).zip(high).zip(near) {
+        let floor = below(p);
+        *low = byte(floor);
+        *high = byte(if floor < p { floor + 1.0 } else { floor });
+        *near = byte(below(p + 0.5));
+    }
+}
+
+/// Counts bytes in four tables in turn: in one, equal neighbours would wait for each other.
+fn count_entries(bytes: &[u8], counts: &mut [[u32; 256]; 4]) {
+    let (fours, rest) = bytes.as_chunks::<4>();
+    for four in fours {
+        for (table, &b) in counts.iter_mut().zip(four) {
+            table[usize::from(b)] += 1;
+        }
+    }
+    for &b in rest {
+        counts[0][usize::from(b)] += 1;
+    }
+}
+
+fn copy<T: Copy, U>(from: &[T], (start, stride): (usize, usize), out: &mut [U], to: impl Fn(T) -> U) {
     if stride == 1 {
         let n = out.len();
         for (slot, &v) in out.iter_mut().zip(&from[start..start + n]) {
@@ -421,22 +531,19 @@ fn to_positions(volume: &VolumeView<'_>, row: &mut [f32]) {
 fn quantiles(histogram: &[u32; 256]) -> [u8; QUANTILES + 1] {
     let voxels: u64 = histogram.iter().map(|&h| u64::from(h)).sum();
     let mut out = [0u8; QUANTILES + 1];
-    let mut below = 0u64;
-    let mut next = 0usize;
-    let mut last = 0u8;
+    let (mut below, mut next) = (0u64, 0usize);
     for (entry, &n) in histogram.iter().enumerate() {
-        if n == 0 {
-            continue;
-        }
         below += u64::from(n);
-        last = entry as u8;
         // Bound k is the smallest entry with more than k/QUANTILES of the voxels at or below it.
         while next < QUANTILES && below * QUANTILES as u64 > next as u64 * voxels {
-            out[next] = last;
+            out[next] = entry as u8;
             next += 1;
         }
+        if next == QUANTILES {
+            break;
+        }
     }
-    out[next.min(QUANTILES)..].fill(last);
+    out[QUANTILES] = histogram.iter().rposition(|&n| n > 0).unwrap_or(0) as u8;
     out
 }
 
