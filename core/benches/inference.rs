@@ -1,4 +1,5 @@
-//! Times PredNet per network, level and storage against the machine's limits, measured in the same run.
+//! Times PredNet per network, level and storage, VolumeNet and resampling per level, on one thread, against the machine's
+//! limits, measured in the same run.
 //!
 //! ```text
 //! cargo bench -p entire-core --bench inference [-- --record] [--only TEXT] [--calls N]
@@ -10,16 +11,23 @@
 //! | setup | packing the weights |
 //! | warm | smallest, median, 99th percentile and worst of successive calls |
 //! | cold | median with the weights evicted from the first two cache levels before each call |
-//! | flushed | median with the weights flushed from every cache before each call |
-//! | bytes | weights read by one prediction |
+//! | flushed | median with the weights (resampling: the voxels) flushed from every cache before each call; not for VolumeNet |
+//! | bytes | weights (VolumeNet: and voxels; resampling: voxels) read by one call |
 //! | floor | the larger of bytes / bandwidth at that size and FLOP / peak, by the same level's instructions |
+//!
+//! VolumeNet `vol A` has the channels 1-8-16-32-64-128-256, `vol B` 1-16-32-64-128-256-256 (kernel 3, stride 2, two
+//! features), both on a volume of 128³ bytes; `512 u8` resamples 512³ bytes to 128³.
 //!
 //! The second form judges storages on a trained model and real inputs (one row per frame, in the model's order, no
 //! header): their difference from f32, and with measured seconds (one number per line) their error beside that of f32.
 
 use entire_core::kernels::{Isa, Level};
 use entire_core::model::Model;
-use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Storage, Target};
+use entire_core::nn::{
+    ConvBlockParts, DenseParts, Dtype, Executor, Normalization, PredNet, PredNetParts, Resampler, Storage,
+    Target, VolumeNet, VolumeNetParts,
+};
+use entire_core::scene::{Scalars, VolumeView};
 use std::fmt::Write;
 use std::hint::black_box;
 use std::time::{Duration, Instant, SystemTime};
@@ -70,6 +78,119 @@ fn network(inputs: usize, hidden: &[usize]) -> PredNetParts {
         input: Some(Normalization { mean: vec![0.25; inputs], std: vec![1.5; inputs] }),
         output: Some(Normalization { mean: vec![-4.0], std: vec![0.5] }),
         target: Target::LogSeconds,
+    }
+}
+
+/// Output channels of the blocks.
+const VOLUME_NETWORKS: [(&str, [usize; 6]); 2] =
+    [("vol A", [8, 16, 32, 64, 128, 256]), ("vol B", [16, 32, 64, 128, 256, 256])];
+
+/// Edge of VolumeNet's input.
+const INPUT_EDGE: usize = 128;
+
+/// Edge of the volume that is resampled to it.
+const LARGE_EDGE: usize = 512;
+
+fn volume_network(channels: &[usize]) -> VolumeNetParts {
+    let mut normal = Normal(0x1234_5678_9abc_def1);
+    let (mut inputs, mut edge) = (1, INPUT_EDGE);
+    let mut blocks = Vec::new();
+    for &outputs in channels {
+        let weights = outputs * inputs * 27;
+        let scale = 1.0 / (inputs as f32 * 27.0).sqrt();
+        blocks.push(ConvBlockParts {
+            inputs,
+            outputs,
+            kernel: 3,
+            stride: 2,
+            padding: 1,
+            weight: (0..weights).map(|_| scale * normal.next()).collect(),
+            bias: (0..outputs).map(|_| 0.1 * normal.next()).collect(),
+            input_edge: edge,
+            output_edge: edge / 2,
+            dtype: Dtype::F32,
+        });
+        (inputs, edge) = (outputs, edge / 2);
+    }
+    let inputs = inputs * edge * edge * edge;
+    let scale = 1.0 / (inputs as f32).sqrt();
+    let fc = DenseParts {
+        inputs,
+        outputs: 2,
+        weight: (0..2 * inputs).map(|_| scale * normal.next()).collect(),
+        bias: vec![0.0; 2],
+        dtype: Dtype::F32,
+    };
+    VolumeNetParts { input: INPUT_EDGE, blocks, fc }
+}
+
+/// Smooth bytes with some noise.
+fn volume(edge: usize) -> Vec<u8> {
+    let mut noise = Normal(99);
+    (0..edge * edge * edge)
+        .map(|i| {
+            let [x, y, z] = [i % edge, i / edge % edge, i / edge / edge].map(|c| c as f32 / edge as f32);
+            (100.0 + 80.0 * (9.0 * x).sin() * (7.0 * y + 5.0 * z).cos() + 50.0 * noise.uniform() as f32) as u8
+        })
+        .collect()
+}
+
+/// What one line says; times in nanoseconds, `warm` sorted.
+struct Row<'a> {
+    network: &'a str,
+    level: Level,
+    storage: &'a str,
+    rows: usize,
+    setup: Option<f64>,
+    warm: Vec<f64>,
+    cold: Option<f64>,
+    flushed: Option<f64>,
+    bytes: usize,
+    floor: Option<(f64, &'a str)>,
+}
+
+const CSV_HEAD: &str = "network,level,storage,rows,setup_us,warm_best_us,warm_p50_us,warm_p99_us,warm_worst_us,warm_calls,\
+                        cold_p50_us,flushed_p50_us,bytes,floor_us,bound,ratio\n";
+
+impl Row<'_> {
+    /// Prints the line and appends it to the record.
+    fn report(&self, csv: &mut String) {
+        let Row { network, storage, rows, warm, bytes, .. } = self;
+        let [setup, cold, flushed] =
+            [self.setup, self.cold, self.flushed].map(|t| t.map_or(String::new(), microseconds));
+        let median = percentile(warm, 50);
+        let [best, p50, p99, worst] =
+            [warm[0], median, percentile(warm, 99), warm[warm.len() - 1]].map(microseconds);
+        let (floor, ratio) = self
+            .floor
+            .map_or_else(Default::default, |(f, _)| (microseconds(f), format!("{:.2}", median / f)));
+        let bound = self.floor.map_or("", |(_, by)| by);
+        let (level, calls) = (self.level.isa(), warm.len());
+        println!(
+            "{network:7} {:7} {storage:4} {rows:>4} {setup:>9} | {best:>9} {p50:>9} {p99:>9} {worst:>9} {calls:>8} | \
+             {cold:>9} {flushed:>9} | {bytes:>9} {floor:>8} {ratio:>6}",
+            level.name()
+        );
+        let _ = writeln!(
+            csv,
+            "{network},{level},{storage},{rows},{setup},{best},{p50},{p99},{worst},{calls},{cold},{flushed},{bytes},{floor},\
+             {bound},{ratio}"
+        );
+    }
+}
+
+/// The larger of two floors in nanoseconds.
+fn floor(
+    bytes: usize,
+    macs: usize,
+    bandwidth: Option<f64>,
+    peak: Option<f64>,
+) -> Option<(f64, &'static str)> {
+    let bytes = bandwidth.map(|b| (bytes as f64 / b * 1e9, "bytes"));
+    let flop = peak.map(|p| ((2 * macs) as f64 / p * 1e9, "FLOP"));
+    match (bytes, flop) {
+        (Some(b), Some(f)) => Some(if f.0 > b.0 { f } else { b }),
+        (b, f) => b.or(f),
     }
 }
 
@@ -186,8 +307,8 @@ mod limits {
 
     /// Bytes per second when `bytes` are read over and over.
     pub(super) fn bandwidth(level: super::Level, bytes: usize) -> Option<f64> {
-        // Whole cache lines, as packed weights lie.
-        let all = vec![0f32; bytes.next_multiple_of(256) / 4 + 16];
+        // Whole cache lines, as packed weights lie; written, since memory that never was is one page of zeros.
+        let all = vec![1f32; bytes.next_multiple_of(256) / 4 + 16];
         let data = &all[all.as_ptr().align_offset(64)..][..bytes.next_multiple_of(256) / 4];
         let rounds = (1 << 22) / bytes + 1;
         let read: &dyn Fn() = match level.isa() {
@@ -316,12 +437,15 @@ fn main() {
     let clock = (0..2000).map(|_| Instant::now().elapsed().as_nanos()).min().unwrap_or(0) as f64;
     println!("{}, load {load}, best level {}", machine(), Level::detect());
     let mut eviction = vec![1u8; 8 << 20];
-    let mut csv = String::from(
-        "network,level,storage,rows,setup_us,warm_best_us,warm_p50_us,warm_p99_us,warm_worst_us,warm_calls,cold_p50_us,\
-         flushed_p50_us,bytes,floor_us,bound,ratio\n",
-    );
+    let mut evict = || {
+        eviction.iter_mut().step_by(64).for_each(|byte| *byte = byte.wrapping_add(1));
+        black_box(&eviction);
+    };
+    let small = volume(INPUT_EDGE);
+    let large = volume(LARGE_EDGE);
+    let mut csv = String::from(CSV_HEAD);
     println!(
-        "{:7} {:7} {:4} {:>4} {:>9} | {:>9} {:>9} {:>9} {:>9} {:>8} | {:>9} {:>9} | {:>8} {:>8} {:>6}",
+        "{:7} {:7} {:4} {:>4} {:>9} | {:>9} {:>9} {:>9} {:>9} {:>8} | {:>9} {:>9} | {:>9} {:>8} {:>6}",
         "network",
         "level",
         "",
@@ -344,29 +468,24 @@ fn main() {
             let int8 = peak_int8.map_or(String::new(), |p| format!(", {:.0} GOP/s int8", p / 1e9));
             println!("{level}: {:.0} GFLOP/s f32{int8}", peak / 1e9);
         }
-        for (name, inputs, hidden) in NETWORKS {
-            let parts = network(inputs, hidden);
+        let wanted =
+            |name: &str, storage: &str| format!("{name} {} {storage}", level.isa()).contains(&options.only);
+        let short = Duration::from_millis(150);
+        // A million calls where they take seconds; the count says how many there were.
+        let long = if level == Level::detect() { Duration::from_millis(2500) } else { short };
+        for (network, inputs, hidden) in NETWORKS {
+            let parts = self::network(inputs, hidden);
             let macs: usize = parts.layers.iter().map(|l| l.inputs * l.outputs).sum();
             for storage in Storage::ALL {
-                let label = format!("{name} {} {}", level.isa(), storage.name());
-                if !label.contains(&options.only) {
+                if !wanted(network, storage.name()) {
                     continue;
                 }
                 let start = Instant::now();
                 let net = PredNet::with(&parts, level, storage).expect("a network");
                 let setup = start.elapsed().as_nanos() as f64;
                 let peak = if storage == Storage::Int8 { peak_int8 } else { peak };
-                let bandwidth = limits::bandwidth(level, net.bytes());
-                let floor = |rows: usize| {
-                    let bytes = bandwidth.map(|b| net.bytes() as f64 / b * 1e9);
-                    let flop = peak.map(|p| (2 * macs * rows) as f64 / p * 1e9);
-                    match (bytes, flop) {
-                        (Some(b), Some(f)) if f > b => Some((f, "FLOP")),
-                        (Some(b), _) => Some((b, "bytes")),
-                        (None, Some(f)) => Some((f, "FLOP")),
-                        (None, None) => None,
-                    }
-                };
+                let bytes = net.bytes();
+                let bandwidth = limits::bandwidth(level, bytes);
                 let mut normal = Normal(7);
                 let rows = 384;
                 let x: Vec<f32> = (0..inputs * rows).map(|_| normal.next()).collect();
@@ -376,58 +495,101 @@ fn main() {
                 for _ in 0..50 {
                     black_box(net.predict(black_box(row), &mut scratch));
                 }
-                // A million calls where they take seconds; the count says how many there were.
-                let limit = Duration::from_millis(if level == Level::detect() { 2500 } else { 150 });
                 let mut call = || {
                     black_box(net.predict(black_box(row), &mut scratch));
                 };
-                let warm = times(options.calls, limit, clock, || {}, &mut call);
-                let evict = || {
-                    eviction.iter_mut().step_by(64).for_each(|byte| *byte = byte.wrapping_add(1));
-                    black_box(&eviction);
-                };
-                let cold = times(400, Duration::from_millis(150), clock, evict, &mut call);
-                let flushed =
-                    times(400, Duration::from_millis(150), clock, || limits::flush(net.memory()), &mut call);
+                let warm = times(options.calls, long, clock, || {}, &mut call);
+                let cold = times(400, short, clock, &mut evict, &mut call);
+                let flushed = times(400, short, clock, || limits::flush(net.memory()), &mut call);
                 let many = times(
                     400,
-                    Duration::from_millis(150),
+                    short,
                     clock,
                     || {},
                     || {
                         net.predict_batch(&x, &mut seconds, &mut batch).expect("sizes that fit");
                     },
                 );
-                for (rows, warm, cold) in [(1, warm, Some((cold, flushed))), (rows, many, None)] {
-                    let floor = floor(rows);
-                    let median = percentile(&warm, 50);
-                    let cold = cold
-                        .map(|(c, f)| [microseconds(percentile(&c, 50)), microseconds(percentile(&f, 50))]);
-                    let [cold, flushed] = cold.unwrap_or_default();
-                    let (floor_us, ratio) = floor
-                        .map_or(Default::default(), |(f, _)| (microseconds(f), format!("{:.2}", median / f)));
-                    let bound = floor.map_or("", |(_, by)| by);
-                    let setup = if rows == 1 { microseconds(setup) } else { String::new() };
-                    let [best, p50, p99, worst] =
-                        [warm[0], median, percentile(&warm, 99), warm[warm.len() - 1]].map(microseconds);
-                    println!(
-                        "{name:7} {:7} {:4} {rows:>4} {setup:>9} | {best:>9} {p50:>9} {p99:>9} {worst:>9} {:>8} | {cold:>9} \
-                         {flushed:>9} | {:>8} {floor_us:>8} {ratio:>6}",
-                        level.isa().name(),
-                        storage.name(),
-                        warm.len(),
-                        net.bytes()
-                    );
-                    let _ = writeln!(
-                        csv,
-                        "{name},{},{},{rows},{setup},{best},{p50},{p99},{worst},{},{cold},{flushed},{},{floor_us},{bound},{ratio}",
-                        level.isa(),
-                        storage.name(),
-                        warm.len(),
-                        net.bytes()
-                    );
-                }
+                let line = Row {
+                    network,
+                    level,
+                    storage: storage.name(),
+                    rows: 1,
+                    setup: Some(setup),
+                    warm,
+                    cold: Some(percentile(&cold, 50)),
+                    flushed: Some(percentile(&flushed, 50)),
+                    bytes,
+                    floor: floor(bytes, macs, bandwidth, peak),
+                };
+                line.report(&mut csv);
+                let floor = floor(bytes, macs * rows, bandwidth, peak);
+                Row { rows, setup: None, warm: many, cold: None, flushed: None, floor, ..line }
+                    .report(&mut csv);
             }
+        }
+        let storage = Storage::F32.name();
+        let cube = VolumeView::new(Scalars::U8(&small), [INPUT_EDGE; 3]).expect("a volume");
+        for (network, channels) in VOLUME_NETWORKS {
+            if !wanted(network, storage) {
+                continue;
+            }
+            let parts = volume_network(&channels);
+            let macs: usize = parts.blocks.iter().map(|b| b.weight.len() * b.output_edge.pow(3)).sum();
+            let weights: usize = parts.blocks.iter().map(|b| b.weight.len() + b.bias.len()).sum();
+            let bytes = 4 * (weights + parts.fc.weight.len() + parts.fc.bias.len()) + small.len();
+            let start = Instant::now();
+            let net = VolumeNet::with(&parts, level).expect("a network");
+            let setup = start.elapsed().as_nanos() as f64;
+            let mut scratch = net.scratch();
+            let mut features = vec![0.0; net.feature_len()];
+            let mut call = || {
+                net.encode(black_box(&cube), &mut scratch, Executor::serial(), &mut features)
+                    .expect("sizes that fit");
+            };
+            call();
+            let warm = times(options.calls, long, clock, || {}, &mut call);
+            let cold = times(100, long, clock, &mut evict, &mut call);
+            Row {
+                network,
+                level,
+                storage,
+                rows: 1,
+                setup: Some(setup),
+                warm,
+                cold: Some(percentile(&cold, 50)),
+                flushed: None,
+                bytes,
+                floor: floor(bytes, macs, limits::bandwidth(level, bytes), peak),
+            }
+            .report(&mut csv);
+        }
+        if wanted("512 u8", "") {
+            let view = VolumeView::new(Scalars::U8(&large), [LARGE_EDGE; 3]).expect("a volume");
+            let mut resampler = Resampler::new(level);
+            let mut out = vec![0.0; INPUT_EDGE.pow(3)];
+            let mut call = || {
+                resampler
+                    .resample(black_box(&view), INPUT_EDGE, &mut out, Executor::serial())
+                    .expect("sizes that fit");
+            };
+            call();
+            let warm = times(options.calls, long, clock, || {}, &mut call);
+            let cold = times(100, short, clock, &mut evict, &mut call);
+            let flushed = times(100, short, clock, || limits::flush(&large), &mut call);
+            Row {
+                network: "512 u8",
+                level,
+                storage: "",
+                rows: 1,
+                setup: None,
+                warm,
+                cold: Some(percentile(&cold, 50)),
+                flushed: Some(percentile(&flushed, 50)),
+                bytes: large.len(),
+                floor: floor(large.len(), 0, limits::bandwidth(level, large.len()), None),
+            }
+            .report(&mut csv);
         }
     }
     if options.record {
