@@ -915,6 +915,8 @@ impl Mlp {
                     let q = rows.q.wrapping_add(r * bytes);
                     // Six rows, or what is left of them in four, two and one.
                     let count = match rows.count - r {
+                        // Without vectors, bytes are multiplied one by one: a tile would gain nothing.
+                        _ if dot4 && S::LANES == 4 => 1,
                         6.. => 6,
                         4.. => 4,
                         2.. => 2,
@@ -923,7 +925,7 @@ impl Mlp {
                     macro_rules! tiles {
                         ($($rows:literal)*) => {
                             match count {
-                                $($rows if dot4 => {
+                                $($rows if dot4 && (S::LANES > 4 || $rows == 1) => {
                                     let ranges = &ranges[r..];
                                     tile_int8::<S, $rows>(simd, panel, n, layer.inputs, q, bytes, ranges, y, rows.stride);
                                 }
@@ -933,6 +935,7 @@ impl Mlp {
                         };
                     }
                     tiles!(6 4 2 1);
+                    selu_rows(simd, y, count, n, rows.stride);
                     r += count;
                 }
                 first += n;
@@ -980,7 +983,25 @@ macro_rules! unrolled {
     };
 }
 
-/// `ROWS` rows through one panel: y = SELU(W·x + b). Every row's sums run over the inputs in order, whatever `ROWS` is.
+/// SELU over `count` rows of `n` numbers, `stride` apart: a loop of its own, since one copy per sum of every tile would be
+/// most of the library's code.
+///
+/// # Safety
+/// `y` must hold the rows; `n` is a multiple of LANES.
+#[inline(always)]
+unsafe fn selu_rows<S: Simd>(simd: S, y: *mut f32, count: usize, n: usize, stride: usize) {
+    for r in 0..count {
+        for o in (0..n).step_by(S::LANES) {
+            // SAFETY: the caller vouches for the rows.
+            unsafe {
+                let p = y.add(r * stride + o);
+                simd.store(p, simd.selu(simd.load(p)));
+            }
+        }
+    }
+}
+
+/// `ROWS` rows through one panel: y = W·x + b. Every row's sums run over the inputs in order, whatever `ROWS` is.
 ///
 /// # Safety
 /// `panel` must start with `n` biases, `weights` hold `inputs` × `n` numbers; `x` and `y` hold `ROWS` rows, `stride`
@@ -1056,7 +1077,7 @@ unsafe fn tile_of<S: Simd, const ROWS: usize, const VECTORS: usize>(
         macro_rules! finish {
             ($r:literal, $v:literal) => {
                 if $r < ROWS && $v < VECTORS {
-                    simd.store(y.add($r * stride + $v * S::LANES), simd.selu(s[$r][$v]));
+                    simd.store(y.add($r * stride + $v * S::LANES), s[$r][$v]);
                 }
             };
         }
@@ -1150,7 +1171,7 @@ unsafe fn tile_int8_of<S: Simd, const ROWS: usize, const VECTORS: usize>(
                     let o = from + $v * S::LANES;
                     let [scale, zero] = ranges[$r];
                     let value = dequantize::<S>(simd, panel, n, o, s[$r][$v], Range { scale, zero });
-                    simd.store(y.add($r * stride + o), simd.selu(value));
+                    simd.store(y.add($r * stride + o), value);
                 }
             };
         }

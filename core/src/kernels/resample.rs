@@ -196,10 +196,14 @@ pub(crate) struct Geometry<'a> {
     pub(crate) level: Level,
 }
 
-/// Floats of scratch that one thread needs: a row sum, a second one for long sums, and two rows for the spread.
+/// Floats of scratch that one thread needs: a row sum, a second one for long sums, rows of voxels, and two rows for the
+/// spread.
 pub(crate) fn scratch_len(row: usize, n: usize) -> usize {
-    2 * row + 2 * n
+    (2 + ROWS) * row + 2 * n
 }
+
+/// Rows that are added to a sum at once.
+const ROWS: usize = 4;
 
 /// Rows summed straight into one row of floats; longer sums go through a second one, which keeps rounding errors
 /// from piling up.
@@ -363,33 +367,66 @@ fn fold_sums<const R: usize>(sums: &[u16], out: &mut [f32], after: After) {
     }
 }
 
-/// Fills reduced planes `z0 …` of any volume: rows are mapped and summed with their weights, then along x.
-pub(crate) fn planes<T: Scalar, M: Map<T>>(
-    g: &Geometry<'_>,
+/// Writes a row's voxels, as they enter the average: of the row that starts at a given element.
+pub(crate) type Fetch<'a> = dyn Fn(usize, &mut [f32]) + Sync + 'a;
+
+/// Copies a row of mapped voxels that start at `src[at]` and follow at `stride`.
+pub(crate) fn fetch<T: Scalar, M: Map<T>>(
+    level: Level,
     src: &[T],
     map: M,
-    after: After,
-    z0: usize,
-    planes: &mut [f32],
-    scratch: &mut [f32],
+    at: usize,
+    stride: usize,
+    out: &mut [f32],
 ) {
-    struct Body<'a, T, M>(&'a Geometry<'a>, &'a [T], M, After, usize, &'a mut [f32], &'a mut [f32]);
+    struct Body<'a, T, M>(&'a [T], M, usize, &'a mut [f32]);
     impl<T: Scalar, M: Map<T>> Kernel for Body<'_, T, M> {
         type Output = ();
 
         #[inline(always)]
         fn run<S: Simd>(self, _: S) {
-            planes_body(self.0, self.1, self.2, self.3, self.4, self.5, self.6);
+            let Body(src, map, stride, out) = self;
+            if stride == 1 {
+                for (o, &v) in out.iter_mut().zip(src) {
+                    *o = map.map(v);
+                }
+            } else {
+                for (x, o) in out.iter_mut().enumerate() {
+                    *o = map.map(src[x * stride]);
+                }
+            }
         }
     }
-    g.level.run(Body(g, src, map, after, z0, planes, scratch));
+    level.run(Body(&src[at..], map, stride, out));
+}
+
+/// Fills reduced planes `z0 …` of any volume: rows are fetched and summed with their weights, then along x.
+///
+/// One body for all voxel types and maps: only fetching knows them.
+pub(crate) fn planes(
+    g: &Geometry<'_>,
+    fetch: &Fetch<'_>,
+    after: After,
+    z0: usize,
+    planes: &mut [f32],
+    scratch: &mut [f32],
+) {
+    struct Body<'a>(&'a Geometry<'a>, &'a Fetch<'a>, After, usize, &'a mut [f32], &'a mut [f32]);
+    impl Kernel for Body<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn run<S: Simd>(self, _: S) {
+            planes_body(self.0, self.1, self.2, self.3, self.4, self.5);
+        }
+    }
+    g.level.run(Body(g, fetch, after, z0, planes, scratch));
 }
 
 #[inline(always)]
-fn planes_body<T: Scalar, M: Map<T>>(
+fn planes_body(
     g: &Geometry<'_>,
-    src: &[T],
-    map: M,
+    fetch: &Fetch<'_>,
     after: After,
     z0: usize,
     planes: &mut [f32],
@@ -397,7 +434,8 @@ fn planes_body<T: Scalar, M: Map<T>>(
 ) {
     let n = g.n;
     let (sum, rest) = scratch.split_at_mut(g.dims[0]);
-    let (long, spare) = rest.split_at_mut(g.dims[0]);
+    let (long, rest) = rest.split_at_mut(g.dims[0]);
+    let (rows, spare) = rest.split_at_mut(ROWS * g.dims[0]);
     let height = g.dims[1].min(n);
     for (dz, plane) in planes.chunks_exact_mut(n * n).enumerate() {
         let zs = reduced_span(z0 + dz, g.dims[2], n);
@@ -406,12 +444,12 @@ fn planes_body<T: Scalar, M: Map<T>>(
             let ys = reduced_span(y, g.dims[1], n);
             if ys.count.saturating_mul(zs.count) <= DIRECT_ROWS {
                 for z in 0..zs.count {
-                    sum_rows(g, src, map, (zs.first + z, zs.weight(z)), &ys, sum, z == 0);
+                    sum_rows(g, fetch, (zs.first + z, zs.weight(z)), &ys, rows, sum, z == 0);
                 }
                 fold(sum, g.columns, after, out);
             } else {
                 for z in 0..zs.count {
-                    sum_rows(g, src, map, (zs.first + z, 1.0), &ys, sum, true);
+                    sum_rows(g, fetch, (zs.first + z, 1.0), &ys, rows, sum, true);
                     let w = zs.weight(z);
                     if z == 0 {
                         for (l, &s) in long.iter_mut().zip(&*sum) {
@@ -432,61 +470,46 @@ fn planes_body<T: Scalar, M: Map<T>>(
     }
 }
 
-/// Adds the rows of one plane to `sum`, weighted by the plane's weight times the row's.
+/// Adds the rows of one plane to `sum`, weighted by the plane's weight times the row's. `rows` has room for [`ROWS`].
 #[inline(always)]
-fn sum_rows<T: Scalar, M: Map<T>>(
+fn sum_rows(
     g: &Geometry<'_>,
-    src: &[T],
-    map: M,
+    fetch: &Fetch<'_>,
     (z, wz): (usize, f32),
     ys: &Span,
+    rows: &mut [f32],
     sum: &mut [f32],
     mut first: bool,
 ) {
-    let at = |row: usize| z * g.strides[2] + (ys.first + row) * g.strides[1];
+    let len = sum.len();
     let mut row = 0;
-    if g.strides[0] != 1 {
-        while row < ys.count {
-            let (src, w) = (&src[at(row)..], wz * ys.weight(row));
-            for (x, s) in sum.iter_mut().enumerate() {
-                let v = w * map.map(src[x * g.strides[0]]);
-                *s = if first { v } else { *s + v };
-            }
-            first = false;
-            row += 1;
-        }
-        return;
-    }
-    let slice = |row: usize| &src[at(row)..at(row) + g.dims[0]];
-    let weight = |row: usize| wz * ys.weight(row);
-    while ys.count - row >= 4 {
-        let rows = [slice(row), slice(row + 1), slice(row + 2), slice(row + 3)];
-        let weights = [weight(row), weight(row + 1), weight(row + 2), weight(row + 3)];
-        add_rows(sum, rows, weights, map, first);
-        first = false;
-        row += 4;
-    }
     while row < ys.count {
-        add_rows(sum, [slice(row)], [weight(row)], map, first);
+        let count = if ys.count - row >= ROWS { ROWS } else { 1 };
+        for r in 0..count {
+            let at = z * g.strides[2] + (ys.first + row + r) * g.strides[1];
+            fetch(at, &mut rows[r * len..(r + 1) * len]);
+        }
+        let weight = |r: usize| wz * ys.weight(row + r);
+        if count == ROWS {
+            let weights = [weight(0), weight(1), weight(2), weight(3)];
+            let slice = |r: usize| &rows[r * len..(r + 1) * len];
+            add_rows(sum, [slice(0), slice(1), slice(2), slice(3)], weights, first);
+        } else {
+            add_rows(sum, [&rows[..len]], [weight(0)], first);
+        }
         first = false;
-        row += 1;
+        row += count;
     }
 }
 
 #[inline(always)]
-fn add_rows<T: Scalar, M: Map<T>, const R: usize>(
-    sum: &mut [f32],
-    rows: [&[T]; R],
-    weights: [f32; R],
-    map: M,
-    first: bool,
-) {
+fn add_rows<const R: usize>(sum: &mut [f32], rows: [&[f32]; R], weights: [f32; R], first: bool) {
     let n = sum.len();
     let rows = rows.map(|r| &r[..n]);
     let at = |x: usize| {
-        let mut t = weights[0] * map.map(rows[0][x]);
+        let mut t = weights[0] * rows[0][x];
         for r in 1..R {
-            t += weights[r] * map.map(rows[r][x]);
+            t += weights[r] * rows[r][x];
         }
         t
     };

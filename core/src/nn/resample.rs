@@ -109,9 +109,7 @@ impl Resampler {
                     });
                 } else {
                     let after = kernel::After { scale: scale as f32, offset: offset as f32 };
-                    job.run(out, rows, &|z0, planes, rows| {
-                        kernel::planes(&geometry, s, kernel::Raw, after, z0, planes, rows);
-                    });
+                    job.typed(s, kernel::Raw, after, out, rows);
                 }
             }
             Scalars::U8(s) => job.mapped(s, view, affine, out, rows),
@@ -151,16 +149,28 @@ impl Job<'_> {
         out: &mut [f32],
         rows: &mut [f32],
     ) {
+        let after = kernel::After { scale: 1.0, offset: 0.0 };
         match affine {
-            Some(map) => self.typed(scalars, map, out, rows),
-            None => self.typed(scalars, Exact(view), out, rows),
+            Some(map) => self.typed(scalars, map, after, out, rows),
+            None => self.typed(scalars, Exact(view), after, out, rows),
         }
     }
 
-    fn typed<T: kernel::Scalar, M: Map<T>>(&self, scalars: &[T], map: M, out: &mut [f32], rows: &mut [f32]) {
-        let after = kernel::After { scale: 1.0, offset: 0.0 };
+    fn typed<T: kernel::Scalar, M: Map<T>>(
+        &self,
+        scalars: &[T],
+        map: M,
+        after: kernel::After,
+        out: &mut [f32],
+        rows: &mut [f32],
+    ) {
+        let (level, stride) = (self.geometry.level, self.geometry.strides[0]);
+        self.planes(&|at, row| kernel::fetch(level, scalars, map, at, stride, row), after, out, rows);
+    }
+
+    fn planes(&self, fetch: &kernel::Fetch<'_>, after: kernel::After, out: &mut [f32], rows: &mut [f32]) {
         self.run(out, rows, &|z0, planes, rows| {
-            kernel::planes(self.geometry, scalars, map, after, z0, planes, rows);
+            kernel::planes(self.geometry, fetch, after, z0, planes, rows);
         });
     }
 

@@ -63,6 +63,8 @@ struct Tile {
     input: [*const f32; MAX_POSITIONS],
     /// Per position: the first channel of the block.
     output: [*mut f32; MAX_POSITIONS],
+    /// How many positions from the first on are not repetitions of the one before.
+    distinct: usize,
     /// Offset of each tap from `input`, in floats.
     taps: *const usize,
     tap_count: usize,
@@ -87,6 +89,8 @@ struct Row {
     output: *mut f32,
     /// Floats from one output channel to the next.
     channel_stride: usize,
+    /// Channels of the group.
+    channels: usize,
     width: usize,
 }
 
@@ -496,12 +500,8 @@ impl Encoder {
             let taps = Taps { offsets: &worker.taps[..count], first: skipped * kernel * kernel };
             let input = &worker.ring.as_slice()[first.lead - first.border..];
             for block in 0..second.blocks.len() {
-                second.tiles(input, &taps, target, block, 0..output * output, |p| {
-                    let (y, x) = (p / output, p % output);
-                    let input =
-                        y * second.shape.stride * second.row + x * second.shape.stride * second.column;
-                    (input, second.place(z, y, x))
-                });
+                let positions = z * output * output..(z + 1) * output * output;
+                second.tiles(input, &taps, target, block, positions, 0);
             }
         }
     }
@@ -638,6 +638,7 @@ impl Kernel for Rows<'_> {
                     // SAFETY: the row lies inside the plane that `output` points to.
                     output: unsafe { output.add(place) },
                     channel_stride: first.out_row,
+                    channels: group,
                     width: first.shape.output,
                 };
                 // SAFETY: every tap plus the width in whole steps stays inside the prepared planes (phases are long
@@ -723,7 +724,6 @@ impl Later {
     fn whole(&self, input: &[f32], target: Output, tasks: Range<usize>) {
         let tiles = CHUNK.div_ceil(self.cut.positions);
         let taps = Taps { offsets: &self.taps, first: 0 };
-        let Shape { output, stride, .. } = self.shape;
         let mut task = tasks.start;
         while task < tasks.end {
             // A run of tiles in one block of channels and one chunk.
@@ -733,16 +733,13 @@ impl Later {
             let low = chunk * CHUNK;
             let high = (low + CHUNK).min(self.positions());
             let at = |tile: usize| (low + tile * self.cut.positions).min(high);
-            self.tiles(input, &taps, target, block, at(tile)..at(tile + run), |p| {
-                let (z, y, x) = (p / (output * output), p / output % output, p % output);
-                (stride * (z * self.plane + y * self.row + x * self.column), self.place(z, y, x))
-            });
+            self.tiles(input, &taps, target, block, at(tile)..at(tile + run), self.shape.stride * self.plane);
             task += run;
         }
     }
 
-    /// Computes one block of channels at a range of positions; `places` gives a position's places in the input (of
-    /// tap 0) and in the output.
+    /// Computes one block of channels at a range of positions, whose inputs lie `plane` floats apart from one output
+    /// plane to the next (0 where the taps say where the planes lie).
     fn tiles(
         &self,
         input: &[f32],
@@ -750,34 +747,35 @@ impl Later {
         target: Output,
         block: usize,
         positions: Range<usize>,
-        places: impl Fn(usize) -> (usize, usize),
+        plane: usize,
     ) {
-        self.level.run(Tiles { layer: self, input, taps, target, block, positions, places });
+        self.level.run(Tiles { layer: self, input, taps, target, block, positions, plane });
     }
 }
 
 /// One block of channels at a range of positions.
-struct Tiles<'a, P> {
+struct Tiles<'a> {
     layer: &'a Later,
     input: &'a [f32],
     taps: &'a Taps<'a>,
     target: Output,
     block: usize,
     positions: Range<usize>,
-    places: P,
+    plane: usize,
 }
 
-impl<P: Fn(usize) -> (usize, usize)> Kernel for Tiles<'_, P> {
+impl Kernel for Tiles<'_> {
     type Output = ();
 
     #[inline(always)]
     fn run<S: Simd>(self, s: S) {
-        let Self { layer, input, taps, target, block, positions, places } = self;
+        let Self { layer, input, taps, target, block, positions, plane } = self;
         let (channel, vectors, place) = layer.blocks[block];
         let skipped = taps.first * layer.inputs * vectors * layer.cut.lanes;
         let mut tile = Tile {
             input: [core::ptr::null(); MAX_POSITIONS],
             output: [core::ptr::null_mut(); MAX_POSITIONS],
+            distinct: 0,
             taps: taps.offsets.as_ptr(),
             tap_count: taps.offsets.len(),
             channels: layer.inputs,
@@ -785,17 +783,30 @@ impl<P: Fn(usize) -> (usize, usize)> Kernel for Tiles<'_, P> {
             weights: layer.weights.as_slice()[place + skipped..].as_ptr(),
             bias: layer.bias.as_slice()[channel..].as_ptr(),
         };
+        let Shape { output: edge, stride, .. } = layer.shape;
         // Sixteen positions of one row lie at equal distances.
-        let rows_of_16 = layer.shape.output.is_multiple_of(16) && positions.start.is_multiple_of(16);
+        let rows_of_16 = edge.is_multiple_of(16) && positions.start.is_multiple_of(16);
         let step = if layer.cut.wide && vectors == 1 && rows_of_16 { 16 } else { layer.cut.positions };
+        let (mut z, mut y, mut x) =
+            (positions.start / (edge * edge), positions.start / edge % edge, positions.start % edge);
         let mut p = positions.start;
         while p < positions.end {
+            tile.distinct = step.min(positions.end - p);
             for i in 0..step {
-                // The last tile repeats its last position: the same numbers go to the same places.
-                let (from, to) = places((p + i).min(positions.end - 1));
+                let from = z * plane + stride * (y * layer.row + x * layer.column);
                 tile.input[i] = input[from..].as_ptr();
                 // SAFETY: the place lies inside the layer's output, and so does the block of channels after it.
-                tile.output[i] = unsafe { target.0.add(to + channel) };
+                tile.output[i] = unsafe { target.0.add(layer.place(z, y, x) + channel) };
+                // The last tile repeats its last position: the same numbers go to the same places.
+                if p + i + 1 < positions.end {
+                    x += 1;
+                    if x == edge {
+                        (x, y) = (0, y + 1);
+                    }
+                    if y == edge {
+                        (y, z) = (0, z + 1);
+                    }
+                }
             }
             // SAFETY: a position's place plus any tap and channel lies inside the bordered input; weights and biases
             // are packed for whole blocks; no other thread has these positions and channels.

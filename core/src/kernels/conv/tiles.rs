@@ -61,8 +61,8 @@ macro_rules! two_vectors {
                     tap = tap.add(1);
                 }
                 $(
-                    s.store(tile.output[$p], s.selu($a));
-                    s.store(tile.output[$p].add(S::LANES), s.selu($b));
+                    s.store(tile.output[$p], $a);
+                    s.store(tile.output[$p].add(S::LANES), $b);
                 )*
             }
         }
@@ -93,7 +93,7 @@ macro_rules! one_vector {
                     }
                     tap = tap.add(1);
                 }
-                $(s.store(tile.output[$p], s.selu($a));)*
+                $(s.store(tile.output[$p], $a);)*
             }
         }
     };
@@ -130,8 +130,8 @@ macro_rules! wide {
                     tap = tap.add(1);
                 }
                 $(
-                    s.store(tile.output[$p], s.selu($a));
-                    s.store(tile.output[$p + 8], s.selu($b));
+                    s.store(tile.output[$p], $a);
+                    s.store(tile.output[$p + 8], $b);
                 )*
             }
         }
@@ -161,6 +161,13 @@ pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vect
             (_, true) if positions == 16 => one_by_sixteen(s, tile),
             (_, true) => one_by_eight(s, tile),
             (_, false) => one_by_six(s, tile),
+        }
+        // A loop of its own: a copy per sum would be most of the code. Repeated positions get it once.
+        for output in &tile.output[..tile.distinct] {
+            for v in 0..vectors {
+                let p = output.add(v * S::LANES);
+                s.store(p, s.selu(s.load(p)));
+            }
         }
     }
 }
@@ -196,14 +203,14 @@ macro_rules! row_step {
                 if row.width - x >= 2 * S::LANES {
                     $(
                         let out = output.add($c * row.channel_stride);
-                        s.store(out, s.selu($a));
-                        s.store(out.add(S::LANES), s.selu($b));
+                        s.store(out, $a);
+                        s.store(out.add(S::LANES), $b);
                     )*
                 } else {
                     let mut spare = [0.0f32; 32];
                     $(
-                        s.store(spare.as_mut_ptr(), s.selu($a));
-                        s.store(spare.as_mut_ptr().add(S::LANES), s.selu($b));
+                        s.store(spare.as_mut_ptr(), $a);
+                        s.store(spare.as_mut_ptr().add(S::LANES), $b);
                         let out = output.add($c * row.channel_stride);
                         core::ptr::copy_nonoverlapping(spare.as_ptr(), out, row.width - x);
                     )*
@@ -220,7 +227,8 @@ row_step!(four_channels: 0 a0 b0, 1 a1 b1, 2 a2 b2, 3 a3 b3);
 ///
 /// # Safety
 /// The input pointer plus any tap plus the width, rounded up to whole steps, is readable; weights and biases are packed
-/// for the group; the output has room for `width` floats per channel, which no other thread touches.
+/// for the group; the output has room for `width` floats per channel, rounded up to whole vectors with zeros (which SELU
+/// leaves zero), which no other thread touches.
 #[inline(always)]
 pub(super) unsafe fn run_row<S: Simd>(s: S, row: &Row) {
     let mut x = 0;
@@ -234,5 +242,14 @@ pub(super) unsafe fn run_row<S: Simd>(s: S, row: &Row) {
             }
         }
         x += 2 * S::LANES;
+    }
+    for c in 0..row.channels {
+        for x in (0..row.width).step_by(S::LANES) {
+            // SAFETY: the caller vouches for whole vectors of every channel's row.
+            unsafe {
+                let p = row.output.add(c * row.channel_stride + x);
+                s.store(p, s.selu(s.load(p)));
+            }
+        }
     }
 }
