@@ -1,8 +1,8 @@
 //! Inner loops of resampling: weighted sums of rows, then along the row. One source for every level; the order of
 //! operations is the same in each and products are never fused into sums, so every level gives the same bits.
 
-use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
+use crate::kernels::{Isa, Level};
 use bytemuck::Pod;
 
 /// The input voxels that one output voxel averages along one axis: `first … first + count`, with one weight for the
@@ -248,7 +248,122 @@ pub(crate) fn bytes(
             bytes_body(self.0, self.1, self.2, self.3, self.4, self.5);
         }
     }
-    g.level.run(Body(g, src, after, z0, planes, scratch));
+    if g.dims[0] == 4 * g.n && g.strides[0] == 1 && g.level.isa() != Isa::Scalar {
+        g.level.run_dot4(Quads { g, src, after, z0, planes });
+    } else {
+        g.level.run(Body(g, src, after, z0, planes, scratch));
+    }
+}
+
+/// As [`bytes`] for contiguous rows that shrink to a quarter: sums of four neighbours are dot products with ones, and no
+/// sum leaves its register before all rows are in.
+struct Quads<'a> {
+    g: &'a Geometry<'a>,
+    src: &'a [u8],
+    after: After,
+    z0: usize,
+    planes: &'a mut [f32],
+}
+
+impl Kernel for Quads<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self { g, src, after, z0, planes } = self;
+        let n = g.n;
+        let [_, ry, rz] = g.dims.map(|d| d / n);
+        for (dz, plane) in planes.chunks_exact_mut(n * n).enumerate() {
+            for (y, out) in plane.chunks_exact_mut(n).enumerate() {
+                let rows = QuadRows { src, g, z: (z0 + dz) * rz, rz, y: y * ry, ry };
+                let mut x = 0;
+                while n - x >= 8 * S::LANES {
+                    rows.eight(simd, x, &mut out[x..x + 8 * S::LANES]);
+                    x += 8 * S::LANES;
+                }
+                while n - x >= S::LANES {
+                    rows.one(simd, x, &mut out[x..x + S::LANES]);
+                    x += S::LANES;
+                }
+                for (x, o) in out.iter_mut().enumerate().skip(x) {
+                    let sum: u32 = rows
+                        .each()
+                        .map(|row| row[4 * x..4 * x + 4].iter().map(|&v| u32::from(v)).sum::<u32>())
+                        .sum();
+                    *o = sum as f32;
+                }
+                for o in out {
+                    *o = after.apply(*o);
+                }
+            }
+        }
+    }
+}
+
+/// The rows that one output row averages.
+struct QuadRows<'a> {
+    src: &'a [u8],
+    g: &'a Geometry<'a>,
+    z: usize,
+    rz: usize,
+    y: usize,
+    ry: usize,
+}
+
+impl QuadRows<'_> {
+    #[inline(always)]
+    fn each(&self) -> impl Iterator<Item = &[u8]> {
+        (self.z..self.z + self.rz).flat_map(move |z| {
+            (self.y..self.y + self.ry).map(move |y| {
+                let at = z * self.g.strides[2] + y * self.g.strides[1];
+                &self.src[at..at + self.g.dims[0]]
+            })
+        })
+    }
+
+    /// Sums of eight vectors of outputs.
+    #[inline(always)]
+    fn eight<S: Simd>(&self, simd: S, x: usize, out: &mut [f32]) {
+        let ones = simd.splat_bytes(0x0101_0101);
+        let zero = simd.zero_i();
+        let (mut s0, mut s1, mut s2, mut s3) = (zero, zero, zero, zero);
+        let (mut s4, mut s5, mut s6, mut s7) = (zero, zero, zero, zero);
+        for z in self.z..self.z + self.rz {
+            for y in self.y..self.y + self.ry {
+                let at = z * self.g.strides[2] + y * self.g.strides[1] + 4 * x;
+                let row = &self.src[at..at + 32 * S::LANES];
+                // Each plane is a stream of its own that stops after these rows: ask for its next ones early.
+                prefetch(self.src, at + self.ry * self.g.strides[1], 32 * S::LANES);
+                macro_rules! add {
+                    ($($sum:ident $i:literal),*) => {$(
+                        // SAFETY: the row's slice has eight vectors of bytes.
+                        let bytes = unsafe { simd.load_bytes(row.as_ptr().add($i * 4 * S::LANES).cast()) };
+                        $sum = simd.dot4($sum, bytes, ones);
+                    )*};
+                }
+                add!(s0 0, s1 1, s2 2, s3 3, s4 4, s5 5, s6 6, s7 7);
+            }
+        }
+        for (sum, out) in [s0, s1, s2, s3, s4, s5, s6, s7].into_iter().zip(out.chunks_exact_mut(S::LANES)) {
+            // SAFETY: the chunk has a vector's length.
+            unsafe { simd.store(out.as_mut_ptr(), simd.to_f(sum)) };
+        }
+    }
+
+    /// Sums of one vector of outputs.
+    #[inline(always)]
+    fn one<S: Simd>(&self, simd: S, x: usize, out: &mut [f32]) {
+        let ones = simd.splat_bytes(0x0101_0101);
+        let mut sum = simd.zero_i();
+        for row in self.each() {
+            let bytes = &row[4 * x..4 * (x + S::LANES)];
+            // SAFETY: the slice has a vector of bytes.
+            sum = simd.dot4(sum, unsafe { simd.load_bytes(bytes.as_ptr().cast()) }, ones);
+        }
+        let out = &mut out[..S::LANES];
+        // SAFETY: the slice has a vector's length.
+        unsafe { simd.store(out.as_mut_ptr(), simd.to_f(sum)) };
+    }
 }
 
 #[inline(always)]

@@ -30,6 +30,8 @@ impl Simd for Scalar {
     #[inline(always)]
     fn prefetch(self, _: *const f32) {}
     #[inline(always)]
+    fn prefetch_near(self, _: *const f32) {}
+    #[inline(always)]
     fn splat(self, x: f32) -> Self::F {
         Four([x; 4])
     }

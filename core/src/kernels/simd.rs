@@ -73,6 +73,8 @@ pub(crate) trait Simd: Copy + 'static {
 
     /// Asks for the cache line at `p` to be brought into the second-level cache; a hint that may do nothing.
     fn prefetch(self, p: *const f32);
+    /// As [`prefetch`](Self::prefetch), into the first-level cache.
+    fn prefetch_near(self, p: *const f32);
     fn splat(self, x: f32) -> Self::F;
     /// # Safety
     /// `p` must be valid for reading `LANES` numbers.

@@ -318,6 +318,27 @@ mod tests {
         ([23, 130, 140], 2),
     ];
 
+    /// Long rows, so that every width of the inner loops has its turn.
+    #[test]
+    fn bytes_give_the_same_bits_on_every_level() {
+        for (dims, n) in
+            [([556, 139, 139], 139), ([360, 90, 180], 90), ([300, 100, 100], 100), ([64, 32, 16], 16)]
+        {
+            let mut next = noise(77);
+            let bytes: Vec<u8> = (0..dims.iter().product()).map(|_| next() as u8).collect();
+            let view = VolumeView::new(Scalars::U8(&bytes), dims).unwrap();
+            let resampled = |level| {
+                let mut out = vec![f32::NAN; n * n * n];
+                Resampler::new(level).resample(&view, n, &mut out, Executor::serial()).unwrap();
+                out.iter().map(|v| v.to_bits()).collect::<Vec<u32>>()
+            };
+            let standard = resampled(Level::SCALAR);
+            for level in Level::available() {
+                assert!(resampled(level) == standard, "{dims:?} to {n} at {level}");
+            }
+        }
+    }
+
     #[test]
     fn every_type_and_shape_meets_the_definition() {
         for (seed, (dims, n)) in SHAPES.into_iter().enumerate() {

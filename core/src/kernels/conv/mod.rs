@@ -65,6 +65,8 @@ struct Tile {
     output: [*mut f32; MAX_POSITIONS],
     /// How many positions from the first on are not repetitions of the one before.
     distinct: usize,
+    /// As `input[0]`, of the tile after this one.
+    next: *const f32,
     /// Offset of each tap from `input`, in floats.
     taps: *const usize,
     tap_count: usize,
@@ -776,6 +778,7 @@ impl Kernel for Tiles<'_> {
             input: [core::ptr::null(); MAX_POSITIONS],
             output: [core::ptr::null_mut(); MAX_POSITIONS],
             distinct: 0,
+            next: core::ptr::null(),
             taps: taps.offsets.as_ptr(),
             tap_count: taps.offsets.len(),
             channels: layer.inputs,
@@ -808,6 +811,7 @@ impl Kernel for Tiles<'_> {
                     }
                 }
             }
+            tile.next = input.as_ptr().wrapping_add(z * plane + stride * (y * layer.row + x * layer.column));
             // SAFETY: a position's place plus any tap and channel lies inside the bordered input; weights and biases
             // are packed for whole blocks; no other thread has these positions and channels.
             unsafe { tiles::run_tile(s, &tile, step, vectors) };

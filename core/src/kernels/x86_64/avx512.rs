@@ -32,6 +32,11 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         unsafe { _mm_prefetch::<_MM_HINT_T1>(p.cast()) }
     }
     #[inline(always)]
+    fn prefetch_near(self, p: *const f32) {
+        // SAFETY: as above.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
+    #[inline(always)]
     fn splat(self, x: f32) -> Self::F {
         // SAFETY: the token proves the instructions, here and below.
         unsafe { _mm512_set1_ps(x) }
