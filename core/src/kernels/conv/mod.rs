@@ -15,8 +15,9 @@
 //!
 //! # Order
 //!
-//! Every output starts at its bias and adds its taps in the order (kernel z, y, x, input channel) in one accumulator, so
-//! neither the tile an output falls into nor the number of threads changes a bit.
+//! Every output starts at its bias and adds its taps in one accumulator, in the order (kernel z, y, x, input channel), or
+//! (kernel z, y, input channel, x) at all positions of a channel. So neither the tile an output falls into nor the number of
+//! threads changes a bit.
 
 mod tiles;
 
@@ -65,6 +66,10 @@ struct Tile {
     output: [*mut f32; MAX_POSITIONS],
     /// How many positions from the first on are not repetitions of the one before.
     distinct: usize,
+    /// Whether the positions lie two floats apart.
+    near: bool,
+    /// Whether the taps come in threes that lie one float apart.
+    threes: bool,
     /// As `input[0]`, of the tile after this one.
     next: *const f32,
     /// Offset of each tap from `input`, in floats.
@@ -778,6 +783,8 @@ impl Kernel for Tiles<'_> {
             input: [core::ptr::null(); MAX_POSITIONS],
             output: [core::ptr::null_mut(); MAX_POSITIONS],
             distinct: 0,
+            near: false,
+            threes: layer.shape.kernel == 3 && layer.column == 1,
             next: core::ptr::null(),
             taps: taps.offsets.as_ptr(),
             tap_count: taps.offsets.len(),
@@ -795,6 +802,7 @@ impl Kernel for Tiles<'_> {
         let mut p = positions.start;
         while p < positions.end {
             tile.distinct = step.min(positions.end - p);
+            tile.near = stride * layer.column == 2 && x + step <= edge && tile.distinct == step;
             for i in 0..step {
                 let from = z * plane + stride * (y * layer.row + x * layer.column);
                 tile.input[i] = input[from..].as_ptr();

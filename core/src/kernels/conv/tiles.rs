@@ -37,11 +37,14 @@ impl Cut {
 
 macro_rules! two_vectors {
     ($name:ident: $($p:literal $x:ident $a:ident $b:ident),*) => {
-        /// A tile of two vectors of channels.
+        /// A tile of two vectors of channels. Integer instructions compete with the sums for their ports, so there are
+        /// few: with `NEAR`, positions lie two floats apart and share a pointer; with `RUNS`, channels lie side by side
+        /// and are taken four at a time.
         #[inline(always)]
-        unsafe fn $name<S: Simd>(s: S, tile: &Tile) {
+        unsafe fn $name<S: Simd, const NEAR: bool, const RUNS: bool>(s: S, tile: &Tile) {
             // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
             unsafe {
+                let origin = tile.input[0];
                 $(let $x = tile.input[$p];)*
                 let (b0, b1) = (s.load(tile.bias), s.load(tile.bias.add(S::LANES)));
                 $(let (mut $a, mut $b) = (b0, b1);)*
@@ -51,19 +54,24 @@ macro_rules! two_vectors {
                 let stride = tile.channel_stride;
                 while tap != taps_end {
                     let mut at = *tap;
-                    for _ in 0..tile.channels {
+                    let mut left = tile.channels;
+                    while left > 0 {
+                        let run = if RUNS { 4 } else { 1 };
+                        for _ in 0..run {
                         let (w0, w1) = (s.load(w), s.load(w.add(S::LANES)));
                         s.prefetch_near(w.wrapping_add(WEIGHTS_AHEAD));
                         if S::LANES == 16 {
                             s.prefetch_near(w.wrapping_add(WEIGHTS_AHEAD + 16));
                         }
                         $(
-                            let x = s.splat(*$x.add(at));
+                            let x = s.splat(if NEAR { *origin.add(at + 2 * $p) } else { *$x.add(at) });
                             $a = s.mul_add(x, w0, $a);
                             $b = s.mul_add(x, w1, $b);
                         )*
                         w = w.add(2 * S::LANES);
-                        at += stride;
+                        at += if RUNS { 1 } else { stride };
+                        }
+                        left -= run;
                     }
                     tap = tap.add(1);
                 }
@@ -121,14 +129,11 @@ macro_rules! wide {
                 let mut tap = tile.taps;
                 let taps_end = tap.add(tile.tap_count);
                 let stride = tile.channel_stride;
-                // The next tile's inputs: the lines of 16 positions at steps of two, taken up in turn.
-                let mut ahead = 0;
                 while tap != taps_end {
                     let mut at = *tap;
                     let mut far = at + distance;
                     for _ in 0..tile.channels {
                         let w0 = s.load(w);
-                        s.prefetch_near(tile.next.wrapping_add(at + ahead));
                         $(
                             $a = s.mul_add(s.splat(*$x.add(at)), w0, $a);
                             $b = s.mul_add(s.splat(*$x.add(far)), w0, $b);
@@ -138,7 +143,6 @@ macro_rules! wide {
                         far += stride;
                     }
                     tap = tap.add(1);
-                    ahead = if ahead == 32 { 0 } else { ahead + 16 };
                 }
                 $(
                     s.store(tile.output[$p], $a);
@@ -147,6 +151,52 @@ macro_rules! wide {
             }
         }
     };
+}
+
+/// A tile of 16 positions, two floats apart, and one vector, for rows of three taps: each channel's three are added
+/// together, so that an input that two neighbours share is read once.
+#[inline(always)]
+unsafe fn sixteen_by_threes<S: Simd>(s: S, tile: &Tile) {
+    macro_rules! body {
+        ($first:ident, $($p:literal $a:ident $before:ident),*; $last:ident) => {{
+            // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
+            unsafe {
+                let b0 = s.load(tile.bias);
+                let mut $first = b0;
+                $(let mut $a = b0;)*
+                let stride = tile.channel_stride;
+                let to_next_tap = tile.channels * S::LANES;
+                let mut w = tile.weights;
+                for row in 0..tile.tap_count / 3 {
+                    let mut x = tile.input[0].add(*tile.taps.add(3 * row));
+                    let mut next = tile.next.wrapping_add(*tile.taps.add(3 * row));
+                    for _ in 0..tile.channels {
+                        let (w0, w1, w2) =
+                            (s.load(w), s.load(w.add(to_next_tap)), s.load(w.add(2 * to_next_tap)));
+                        s.prefetch_near(next);
+                        s.prefetch_near(next.wrapping_add(16));
+                        s.prefetch_near(next.wrapping_add(32));
+                        $first = s.mul_add(s.splat(*x), w0, $first);
+                        $first = s.mul_add(s.splat(*x.add(1)), w1, $first);
+                        $(
+                            let shared = s.splat(*x.add(2 * $p));
+                            $before = s.mul_add(shared, w2, $before);
+                            $a = s.mul_add(shared, w0, $a);
+                            $a = s.mul_add(s.splat(*x.add(2 * $p + 1)), w1, $a);
+                        )*
+                        $last = s.mul_add(s.splat(*x.add(32)), w2, $last);
+                        w = w.add(S::LANES);
+                        x = x.add(stride);
+                        next = next.wrapping_add(stride);
+                    }
+                    w = w.add(2 * to_next_tap);
+                }
+                s.store(tile.output[0], $first);
+                $(s.store(tile.output[$p], $a);)*
+            }
+        }};
+    }
+    body!(a0, 1 a1 a0, 2 a2 a1, 3 a3 a2, 4 a4 a3, 5 a5 a4, 6 a6 a5, 7 a7 a6, 8 a8 a7, 9 a9 a8, 10 a10 a9, 11 a11 a10, 12 a12 a11, 13 a13 a12, 14 a14 a13, 15 a15 a14; a15);
 }
 
 two_vectors!(two_by_eight: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4, 5 x5 a5 b5, 6 x6 a6 b6, 7 x7 a7 b7);
@@ -159,16 +209,23 @@ wide!(one_by_sixteen: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4
 ///
 /// # Safety
 /// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] says so, `vectors` is 1 and positions p and p + 8 lie at one
-/// distance. Every input pointer plus any tap plus any channel is readable, weights and biases are packed for the tile,
+/// distance; where [`Tile::near`] says so, position p lies 2·p floats from position 0, and where
+/// [`Tile::threes`] does, taps come in threes of neighbours. Every input pointer plus any tap plus any channel is readable, weights and biases are packed for the tile,
 /// and every output pointer has room for its vectors, which no other thread touches.
 #[inline(always)]
 pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vectors: usize) {
     const { assert!(MAX_POSITIONS >= 16) };
     // SAFETY: passed on to the caller.
     unsafe {
+        let runs = tile.channel_stride == 1 && tile.channels.is_multiple_of(4);
         match (vectors, S::LANES == 16) {
-            (2, true) => two_by_eight(s, tile),
-            (2, false) => two_by_six(s, tile),
+            (2, true) if tile.near => two_by_eight::<S, true, false>(s, tile),
+            (2, true) if runs => two_by_eight::<S, false, true>(s, tile),
+            (2, true) => two_by_eight::<S, false, false>(s, tile),
+            (2, false) if tile.near => two_by_six::<S, true, false>(s, tile),
+            (2, false) if runs => two_by_six::<S, false, true>(s, tile),
+            (2, false) => two_by_six::<S, false, false>(s, tile),
+            (_, true) if positions == 16 && tile.near && tile.threes => sixteen_by_threes(s, tile),
             (_, true) if positions == 16 => one_by_sixteen(s, tile),
             (_, true) => one_by_eight(s, tile),
             (_, false) => one_by_six(s, tile),
