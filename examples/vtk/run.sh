@@ -28,7 +28,7 @@ command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get inst
 display() { xvfb-run -a -s "-screen 0 1280x1024x24 -noreset" "$@"; }
 
 build() {
-    ffi/package/install.sh --prefix "$sdk" >/dev/null
+    [[ ${ENTIRE_SDK_READY:-} ]] || ffi/package/install.sh --prefix "$sdk" >/dev/null
     local generator=()
     if command -v ninja >/dev/null; then generator=(-G Ninja); fi
     cmake -S examples/vtk -B "$out/build" "${generator[@]}" -DCMAKE_PREFIX_PATH="$sdk" >"$out/configure.log" 2>&1 ||

@@ -3,7 +3,8 @@
 
 The same seed draws the same frames of a volume as `entire collect` does (camera, image size, ray step, transfer
 function), so that tables of several renderers can be compared frame by frame. `entire train` and `entire evaluate` read
-them. A renderer is a class with `load(volume)`, `draw(scene)` and a few names; see collect_vtk.py.
+them. A renderer is a class with `load(volume)`, with `prepare(scene)` that returns a function which draws the scene and
+returns its wall and processor seconds, and with a few names; see collect_vtk.py.
 """
 import argparse
 import csv
@@ -14,8 +15,6 @@ import math
 import os
 import platform
 import re
-import resource
-import struct
 import sys
 import time
 import zlib
@@ -198,12 +197,6 @@ def write_nrrd(path, voxels, spacing=(1.0, 1.0, 1.0)):
         file.write(header.encode() + gzip.compress(np.ascontiguousarray(voxels, np.uint8).tobytes(), 3))
 
 
-def cpu_seconds():
-    """Processor seconds of this process, all threads."""
-    use = resource.getrusage(resource.RUSAGE_SELF)
-    return use.ru_utime + use.ru_stime
-
-
 def timed(work):
     """Wall and processor seconds of a call."""
     cpu, wall = time.process_time(), time.perf_counter()
@@ -248,10 +241,11 @@ def collect(options, renderer):
             for index in range(options.frames):
                 scene = draw_scene(options.seed, path, index, options.min_size, options.max_size, steps)
                 draw = renderer.prepare(scene)
+                # The first frame of another size or transfer function holds work that is done once.
                 for _ in range(options.warm_up if index == 0 else renderer.warm_up):
                     draw()
                 for repeat in range(options.repeats):
-                    wall, cpu = timed(draw)
+                    wall, cpu = draw()
                     writer.writerow(
                         [number, repeat, path, member, time_step, *volume.dims]
                         + [single_text(v) for v in (scene.rx, scene.ry, scene.dz, scene.fov_y)]

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Loads the plugin and checks that it steers: pvbatch, pvpython, several ranks, or a client of a pvserver.
+
+    xvfb-run -a pvbatch check.py PLUGIN.so FOLDER [--server HOST:PORT] [--name NAME]
+"""
+import argparse
+import os
+import sys
+
+from paraview import servermanager
+from paraview.simple import *  # noqa: F401,F403
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+from entire_paraview import FrameTime  # noqa: E402
+
+parser = argparse.ArgumentParser()
+parser.add_argument("plugin")
+parser.add_argument("folder")
+parser.add_argument("--server")
+parser.add_argument("--name", default="check")
+options = parser.parse_args()
+
+
+def check(condition, text):
+    if not condition:
+        print(f"FAILED: {options.name}: {text}", flush=True)
+        os._exit(1)
+    print(f"ok: {options.name}: {text}", flush=True)
+
+
+if options.server:
+    host, port = options.server.split(":")
+    Connect(host, int(port))
+    LoadPlugin(options.plugin, remote=True)
+LoadPlugin(options.plugin, remote=False)
+
+paraview.simple._DisableFirstRenderCameraReset()
+source = Wavelet(WholeExtent=[-40, 40, -40, 40, -40, 40])
+view = CreateView("RenderView")
+view.ViewSize = [320, 240]
+view.OrientationAxesVisibility = 0
+view.RemoteRenderThreshold = 0
+display = Show(source, view)
+display.SetRepresentationType("Volume")
+ColorBy(display, ("POINTS", "RTData"))
+display.SetScalarBarVisibility(view, False)
+ResetCamera(view)
+
+
+def shot(name):
+    path = os.path.join(options.folder, f"{options.name}-{name}.png")
+    if os.path.exists(path):
+        os.remove(path)
+    SaveScreenshot(path, view, ImageResolution=[320, 240])
+    with open(path, "rb") as file:
+        return file.read()
+
+
+def interact(azimuth=5):
+    view.GetActiveCamera().Azimuth(azimuth)
+    view.SMProxy.InteractiveRender()
+
+
+plain = shot("plain")
+steering = FrameTime(view, target=1e-4)
+attached = shot("attached")
+check(attached == plain, "a screenshot with the plugin attached is the screenshot without it, byte for byte")
+for _ in range(6):
+    interact()
+read = steering.read()
+print(read, flush=True)
+check(read["NumberOfSteeredFrames"] > 0, f"{read['NumberOfSteeredFrames']} interactive frames were steered")
+check(read["NumberOfFallbackFrames"] == 0, "no frame was left unsteered for want of a prediction")
+check(read["Reason"] == "target unreachable", "a target out of reach is met with the coarsest settings allowed")
+check(read["ImageSampleDistance"] > 2 and read["MeasuredTime"] > 0, "the read-outs hold steps and times")
+coarse = read["SampleDistance"]
+view.GetActiveCamera().Azimuth(-30)
+again = shot("after")
+check(again == plain, "a screenshot after steered frames is still the same, byte for byte")
+steering.proxy.TargetFrameTime = 1000.0
+for _ in range(3):
+    interact()
+read = steering.read()
+check(read["SampleDistance"] < 0.5 * coarse, "with time to spare frames are drawn as finely as ParaView would")
+before = read["NumberOfSteeredFrames"]
+steering.proxy.Enabled = 0
+interact()
+read = steering.read()
+check(read["NumberOfSteeredFrames"] == before and read["Reason"] == "off", "switched off, ParaView draws alone")
+steering.proxy.Enabled = 1
+state = os.path.join(options.folder, f"{options.name}.state")
+if os.path.exists(state):
+    os.remove(state)
+steering.save(state)
+check(options.server or os.path.getsize(state) > 16, "what was learned is saved")
+steering.proxy.ModelFileName = "/nowhere/model.safetensors"
+interact()
+read = steering.read()
+check(read["Reason"] == "fallback" and "/nowhere/model" in read["Status"], "a missing model is named and ParaView draws")
+steering.proxy.ModelFileName = ""
+interact()
+check(steering.read()["Reason"] != "fallback", "and steering goes on when the name is gone")
+# Another array, another data set, a second volume.
+source.WholeExtent = [-30, 30, -30, 30, -30, 30]
+interact()
+interact()
+check(steering.read()["Reason"] not in ("fallback", ""), "other data are followed")
+Hide(source, view)
+interact()
+Show(source, view)
+interact()
+steering.release()
+view.GetActiveCamera().Azimuth(1)
+view.SMProxy.InteractiveRender()
+Delete(view)
+Delete(source)
+print(f"passed: {options.name}", flush=True)

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Steers a ParaView render view from Python, once the plugin is loaded.
+
+    LoadPlugin(".../EntireSteering.so", remote=False)      # and remote=True with a server
+    steering = FrameTime(GetActiveView(), target=0.1)
+    ...
+    print(steering.read())
+"""
+from paraview import servermanager
+
+READ_OUTS = (
+    "PredictedTime",
+    "MeasuredTime",
+    "FrameTime",
+    "SampleDistance",
+    "ImageSampleDistance",
+    "ObserverTime",
+    "NumberOfSteeredFrames",
+    "NumberOfFallbackFrames",
+    "Reason",
+    "Status",
+)
+
+
+class FrameTime:
+    """Holds the interactive frames of `view` to `target` seconds. Settings are the properties of `proxy`."""
+
+    def __init__(self, view, target=0.1, model=""):
+        manager = servermanager.ProxyManager()
+        proxy = manager.SMProxyManager.NewProxy("entire", "EntireSteering")
+        if not proxy:
+            raise RuntimeError("the plugin EntireSteering is not loaded: LoadPlugin('.../EntireSteering.so')")
+        self.proxy = servermanager._getPyProxy(proxy)
+        self.proxy.SMProxy.GetProperty("View").SetProxy(0, view.SMProxy)
+        self.proxy.TargetFrameTime = target
+        self.proxy.ModelFileName = model
+        self.proxy.UpdateVTKObjects()
+
+    def read(self):
+        """The read-outs of the last frame."""
+        proxy = self.proxy.SMProxy
+        proxy.UpdatePropertyInformation()
+        return {name: proxy.GetProperty(name).GetElement(0) for name in READ_OUTS}
+
+    def save(self, path):
+        """Writes what was learned, where rendering happens."""
+        self.proxy.SMProxy.GetProperty("Save").SetElement(0, path)
+        self.proxy.SMProxy.UpdateProperty("Save", 1)
+
+    def release(self):
+        """Lets go of the view."""
+        self.proxy.SMProxy.GetProperty("View").SetNumberOfProxies(0)
+        self.proxy.UpdateVTKObjects()
