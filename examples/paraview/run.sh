@@ -57,7 +57,8 @@ else
         cp -r "$cmake_dir" "$prefix/lib/$arch/cmake/"
     fi
     cmake_dir=$prefix/lib/$arch/cmake/paraview-5.11
-    export PYTHONPATH=$modules/usr/lib/python3/dist-packages
+    export PYTHONPATH=$modules/usr/lib/python3/dist-packages PARAVIEW_MODULES=$modules/usr/lib/python3/dist-packages
+    export PARAVIEW_ROOT=$modules
 fi
 
 build() {

@@ -7,10 +7,13 @@ import argparse
 import os
 import sys
 
-from paraview import servermanager
+# ParaView's modules before those of another VTK, where they are not installed but unpacked somewhere.
+if os.environ.get("PARAVIEW_MODULES"):
+    sys.path.insert(0, os.environ["PARAVIEW_MODULES"])
+
 from paraview.simple import *  # noqa: F401,F403
 
-sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+sys.path.insert(0, os.environ.get("ENTIRE_SCRIPTS") or os.path.dirname(os.path.abspath(__file__)))
 from entire_paraview import FrameTime  # noqa: E402
 
 parser = argparse.ArgumentParser()
@@ -18,25 +21,34 @@ parser.add_argument("plugin")
 parser.add_argument("folder")
 parser.add_argument("--server")
 parser.add_argument("--name", default="check")
-options = parser.parse_args()
+# The graphical client runs scripts without arguments.
+given = os.environ.get("ENTIRE_CHECK")
+options = parser.parse_args(given.split() if given else None)
+
+
+def say(text):
+    # The graphical client keeps what scripts print to itself.
+    with open(os.path.join(options.folder, f"{options.name}.txt"), "a") as file:
+        file.write(text + "\n")
+    print(text, flush=True)
 
 
 def check(condition, text):
+    say(f"{'ok' if condition else 'FAILED'}: {options.name}: {text}")
     if not condition:
-        print(f"FAILED: {options.name}: {text}", flush=True)
         os._exit(1)
-    print(f"ok: {options.name}: {text}", flush=True)
 
 
 if options.server:
     host, port = options.server.split(":")
     Connect(host, int(port))
     LoadPlugin(options.plugin, remote=True)
-LoadPlugin(options.plugin, remote=False)
+if not given:
+    LoadPlugin(options.plugin, remote=False)
 
 paraview.simple._DisableFirstRenderCameraReset()
 source = Wavelet(WholeExtent=[-40, 40, -40, 40, -40, 40])
-view = CreateView("RenderView")
+view = GetActiveViewOrCreate("RenderView") if given else CreateView("RenderView")
 view.ViewSize = [320, 240]
 view.OrientationAxesVisibility = 0
 view.RemoteRenderThreshold = 0
@@ -61,6 +73,10 @@ def interact(azimuth=5):
     view.SMProxy.InteractiveRender()
 
 
+if given:
+    # The client's window is still being shown.
+    for _ in range(3):
+        shot("plain")
 plain = shot("plain")
 steering = FrameTime(view, target=1e-4)
 attached = shot("attached")
@@ -68,7 +84,7 @@ check(attached == plain, "a screenshot with the plugin attached is the screensho
 for _ in range(6):
     interact()
 read = steering.read()
-print(read, flush=True)
+say(str(read))
 check(read["NumberOfSteeredFrames"] > 0, f"{read['NumberOfSteeredFrames']} interactive frames were steered")
 check(read["NumberOfFallbackFrames"] == 0, "no frame was left unsteered for want of a prediction")
 check(read["Reason"] == "target unreachable", "a target out of reach is met with the coarsest settings allowed")
@@ -114,4 +130,4 @@ view.GetActiveCamera().Azimuth(1)
 view.SMProxy.InteractiveRender()
 Delete(view)
 Delete(source)
-print(f"passed: {options.name}", flush=True)
+say(f"passed: {options.name}")

@@ -1090,7 +1090,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
       }
     }
     else if (rung > 0 && tried == 0 &&
-      (this->Planned.step <= 1.1 * steps[0] || this->Planned.seconds < RUNG_SLACK * target))
+      this->Planned.step <= 1.1 * steps[0] && this->Planned.seconds < RUNG_SLACK * target)
     {
       while (next > 0 && fits(next - 1, RUNG_SLACK * target))
       {

@@ -40,7 +40,7 @@ def camera(frame, frames, n):
     t = frame / frames
     azimuth = 2 * math.pi * t
     elevation = math.radians(25) * math.sin(4 * math.pi * t)
-    distance = n * (1.9 + 0.45 * math.cos(6 * math.pi * t))
+    distance = n * (2.1 + 0.3 * math.cos(6 * math.pi * t))
     return (
         distance * math.cos(elevation) * math.sin(azimuth),
         distance * math.sin(elevation),
