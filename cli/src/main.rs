@@ -32,6 +32,8 @@ enum Command {
     Encode(commands::encode::Options),
     /// Render one frame and time it.
     Render(commands::render::Options),
+    /// Measure what this machine needs for each part of a frame.
+    Probe(commands::probe::Options),
     /// Play a path against a target frame time under several controllers.
     Steer(commands::steer::Options),
     /// Calibrate, explore and report: the main job, end to end.
@@ -81,6 +83,7 @@ impl Cli {
             Command::Predict(options) => commands::predict::run(options),
             Command::Encode(options) => commands::encode::run(options),
             Command::Render(options) => commands::render::run(options),
+            Command::Probe(options) => commands::probe::run(options),
             Command::Steer(options) => commands::steer::run(options),
             Command::Demo(options) => commands::demo::run(options),
         }

@@ -173,6 +173,54 @@ fn render_skips_without_changing_the_picture_and_range_changes_it() {
 }
 
 #[test]
+fn blocks_of_any_edge_draw_the_same_picture_with_other_work() {
+    let folder = workshop();
+    let mut seen = Vec::new();
+    for edge in ["4", "8", "16"] {
+        let more = ["--skip", "blocks", "--block-edge", edge, "--json"];
+        let printed =
+            succeeds(folder.path(), &render("ball.nrrd", "10,20,2", "0.8,0.005,0.5", "32x32", &more));
+        let json: serde_json::Value = serde_json::from_str(&printed).unwrap();
+        assert_eq!(json["block_edge"].to_string(), edge);
+        assert!(json["seconds_upload"].as_f64().unwrap() > 0.0);
+        assert!(json["seconds_distance_map"].as_f64().unwrap() > 0.0);
+        seen.push((json["samples"].as_u64().unwrap(), picture(&folder.path().join("out.png"))));
+    }
+    assert!(seen[0].0 < seen[2].0, "{} {}", seen[0].0, seen[2].0);
+    assert!(seen.iter().all(|s| s.1 == seen[0].1));
+    refuses(
+        folder.path(),
+        &render("ball.nrrd", "10,20,2", "0.8,0.005,0.5", "32x32", &["--block-edge", "5"]),
+        &["--block-edge", "5 cells", "4, 8 or 16"],
+    );
+}
+
+#[test]
+fn probe_prints_the_machine_in_five_numbers() {
+    let folder = workshop();
+    let printed = succeeds(
+        folder.path(),
+        &["probe", "--device", "cpu", "--json", "--frame-ms", "0.1", "--repeat", "1"],
+    );
+    let json: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    let numbers = json["numbers"].as_object().unwrap();
+    assert_eq!(numbers.len(), 5);
+    assert!(numbers.values().all(|v| v.as_f64().unwrap() > 0.0), "{printed}");
+    assert_eq!(json["agreement"]["largest_of_255"], 0);
+    assert_eq!(json["agreement"]["counts"], json["agreement"]["counts_of_twin"]);
+    assert_eq!((json["backend"].as_str(), json["clock"].as_str()), (Some("cpu"), Some("wall")));
+    let text = succeeds(folder.path(), &["probe", "--device", "cpu", "--frame-ms", "0.1", "--repeat", "1"]);
+    for part in ["counts equal", "coherent samples", "divergent samples", "skips", "rays", "frame by itself"]
+    {
+        assert!(text.contains(part), "{text}");
+    }
+    for bad in ["0", "-1", "fast", "1e9"] {
+        let output = entire(folder.path(), &["probe", "--frame-ms", bad]);
+        assert_eq!(output.status.code(), Some(2), "{bad}");
+    }
+}
+
+#[test]
 fn every_volume_format_renders_the_same_picture() {
     let folder = workshop();
     let mut pictures = Vec::new();

@@ -44,13 +44,31 @@ fn agrees_with_the_twin() -> Result<(), Failed> {
     Ok(())
 }
 
+/// The probe's own comparison with the twin, and what only a device has.
+fn probe_describes_the_device() -> Result<(), Failed> {
+    let folder = workshop();
+    let arguments = ["probe", "--device", "vulkan", "--json", "--frame-ms", "1", "--repeat", "2"];
+    let json: serde_json::Value = serde_json::from_str(&succeeds(folder.path(), &arguments))?;
+    assert_eq!(json["backend"], "vulkan");
+    assert!(json["limits"]["max_image_3d"].as_u64() >= Some(256));
+    assert!(json["agreement"]["counts"]["samples"].as_u64() > Some(1000));
+    let timed = json["limits"]["timestamp_period_ns"].as_f64().is_some();
+    assert_eq!(json["clock"], if timed { "device" } else { "wall" });
+    assert_eq!(json["timestamps"].is_object(), timed);
+    assert!(json["numbers"].as_object().is_some_and(|n| n.values().all(|v| v.as_f64() > Some(0.0))));
+    Ok(())
+}
+
 fn main() {
     let arguments = Arguments::from_args();
     let missing = VulkanRaycaster::new(VulkanOptions::default()).err();
     if let Some(error) = &missing {
         eprintln!("No Vulkan device, this test is ignored: {error}");
     }
-    let trial =
-        Trial::test("agrees_with_the_twin", agrees_with_the_twin).with_ignored_flag(missing.is_some());
-    libtest_mimic::run(&arguments, vec![trial]).exit();
+    let tests: [(&str, fn() -> Result<(), Failed>); 2] = [
+        ("agrees_with_the_twin", agrees_with_the_twin),
+        ("probe_describes_the_device", probe_describes_the_device),
+    ];
+    let trials = tests.map(|(name, run)| Trial::test(name, run).with_ignored_flag(missing.is_some())).into();
+    libtest_mimic::run(&arguments, trials).exit();
 }

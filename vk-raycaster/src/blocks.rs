@@ -1,11 +1,23 @@
 //! Min–max blocks, which of them are empty under a transfer function, and how far each is from the other kind.
 
+use crate::renderer::{Error, Result};
 use crate::table::Classifier;
 use crate::voxels::{PreparedVolume, Voxel, with_voxels};
 use rayon::prelude::*;
 
-/// Cells along a block's edge.
+/// Cells along a block's edge, unless another of [`BLOCK_EDGES`] was chosen.
 pub const BLOCK_EDGE: usize = 8;
+
+/// The edges that blocks may have, in cells. Small ones leave less that is sampled in vain, large ones make a smaller map.
+pub const BLOCK_EDGES: [usize; 3] = [4, 8, 16];
+
+/// Checks an edge that somebody chose.
+pub(crate) fn check_edge(edge: usize) -> Result<()> {
+    if BLOCK_EDGES.contains(&edge) {
+        return Ok(());
+    }
+    Err(Error::new(format!("the blocks' edge is {edge} cells; it must be 4, 8 or 16")))
+}
 
 /// Largest distance that a [`SkipMap`] entry holds.
 const MAX_DISTANCE: u8 = 127;
@@ -16,19 +28,21 @@ pub(crate) const EMPTY_BIT: u8 = 128;
 /// Smallest and largest table position (0…255) among the voxels that samples in a block touch: the block's voxels
 /// and one more along each axis.
 pub(crate) struct BlockMap {
+    /// Cells along a block's edge.
+    pub(crate) edge: usize,
     pub(crate) dims: [usize; 3],
     pub(crate) ranges: Vec<[f32; 2]>,
 }
 
 impl BlockMap {
-    pub(crate) fn new(volume: &PreparedVolume) -> Self {
-        let dims = volume.geometry.dims.map(|n| n.div_ceil(BLOCK_EDGE));
-        let ranges = with_voxels!(&volume.voxels, v => ranges(v, volume, dims));
-        Self { dims, ranges }
+    pub(crate) fn new(volume: &PreparedVolume, edge: usize) -> Self {
+        let dims = volume.geometry.dims.map(|n| n.div_ceil(edge));
+        let ranges = with_voxels!(&volume.voxels, v => ranges(v, volume, dims, edge));
+        Self { edge, dims, ranges }
     }
 }
 
-fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3]) -> Vec<[f32; 2]> {
+fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3], edge: usize) -> Vec<[f32; 2]> {
     let [nx, ny, nz] = volume.geometry.dims;
     let position = |v: V| (v.to_f32() * volume.geometry.scale + volume.geometry.bias).clamp(0.0, 255.0);
     let mut out = vec![[0.0; 2]; dims[0] * dims[1] * dims[2]];
@@ -36,11 +50,11 @@ fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3]) -> 
         let (by, bz) = (row % dims[1], row / dims[1]);
         // Per block of the row: the extremes over its rows of voxels so far.
         let mut ends: Vec<Option<(V, V)>> = vec![None; dims[0]];
-        for z in bz * BLOCK_EDGE..=((bz + 1) * BLOCK_EDGE).min(nz - 1) {
-            for y in by * BLOCK_EDGE..=((by + 1) * BLOCK_EDGE).min(ny - 1) {
+        for z in bz * edge..=((bz + 1) * edge).min(nz - 1) {
+            for y in by * edge..=((by + 1) * edge).min(ny - 1) {
                 let line = &voxels[(z * ny + y) * nx..][..nx];
                 for (bx, ends) in ends.iter_mut().enumerate() {
-                    let run = &line[bx * BLOCK_EDGE..=((bx + 1) * BLOCK_EDGE).min(nx - 1)];
+                    let run = &line[bx * edge..=((bx + 1) * edge).min(nx - 1)];
                     let (mut low, mut high) = ends.unwrap_or((run[0], run[0]));
                     for &v in run {
                         low = if v < low { v } else { low };
@@ -62,6 +76,8 @@ fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3]) -> 
 /// One byte per block: bit 7 set for an empty block; below it the Chebyshev distance in blocks to the nearest block
 /// of the other kind, 1…127. Everything closer than that distance is of the block's own kind.
 pub(crate) struct SkipMap {
+    /// Cells along a block's edge.
+    pub(crate) edge: usize,
     pub(crate) dims: [usize; 3],
     pub(crate) bytes: Vec<u8>,
 }
@@ -74,7 +90,7 @@ impl SkipMap {
             .par_iter()
             .map(|&[low, high]| if classifier.is_empty(low, high) { EMPTY_BIT | 1 } else { 1 })
             .collect();
-        Self { dims: blocks.dims, bytes }
+        Self { edge: blocks.edge, dims: blocks.dims, bytes }
     }
 
     /// Fills in the distances: three passes, one per axis, each exact (the Chebyshev ball is a product of intervals).
@@ -132,7 +148,7 @@ mod tests {
     use entire_core::scene::{Scalars, TABLE_LEN, TransferTable, VolumeView};
 
     fn block_map(data: &[u8], dims: [usize; 3]) -> BlockMap {
-        BlockMap::new(&PreparedVolume::new(&VolumeView::new(Scalars::U8(data), dims).unwrap()))
+        BlockMap::new(&PreparedVolume::new(&VolumeView::new(Scalars::U8(data), dims).unwrap()), BLOCK_EDGE)
     }
 
     #[test]
@@ -157,6 +173,22 @@ mod tests {
     }
 
     #[test]
+    fn edges_are_checked_and_followed() {
+        assert!(BLOCK_EDGES.iter().all(|&e| check_edge(e).is_ok()));
+        for bad in [0, 1, 2, 7, 32, usize::MAX] {
+            assert!(check_edge(bad).unwrap_err().to_string().contains("4, 8 or 16"));
+        }
+        let data: Vec<u8> = (0..20).collect();
+        let volume = PreparedVolume::new(&VolumeView::new(Scalars::U8(&data), [20, 1, 1]).unwrap());
+        for (edge, want) in
+            [(4, vec![4.0, 8.0, 12.0, 16.0, 19.0]), (8, vec![8.0, 16.0, 19.0]), (16, vec![16.0, 19.0])]
+        {
+            let map = BlockMap::new(&volume, edge);
+            assert_eq!(map.ranges.iter().map(|r| r[1]).collect::<Vec<_>>(), want);
+        }
+    }
+
+    #[test]
     fn distances_match_a_search_over_all_blocks() {
         let dims = [7, 5, 6];
         let mut state = 12345u32;
@@ -167,7 +199,7 @@ mod tests {
                     if (state >> 16).is_multiple_of(density) { 1 } else { EMPTY_BIT | 1 }
                 })
                 .collect();
-            let mut map = SkipMap { dims, bytes: bytes.clone() };
+            let mut map = SkipMap { edge: 8, dims, bytes: bytes.clone() };
             map.add_distances();
             let at = |x: usize, y: usize, z: usize| (z * dims[1] + y) * dims[0] + x;
             for z in 0..dims[2] {

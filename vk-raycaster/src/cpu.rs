@@ -5,7 +5,7 @@
     reason = "loops over the three axes read several arrays at once, as in the shader"
 )]
 
-use crate::blocks::{BLOCK_EDGE, BlockMap, EMPTY_BIT, SkipMap};
+use crate::blocks::{BLOCK_EDGE, BlockMap, EMPTY_BIT, SkipMap, check_edge};
 use crate::clock::Stopwatch;
 use crate::renderer::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts};
 use crate::setup::{FrameSetup, SHADOW_STEP, SHADOW_TERMINATION, SMALLEST_ADVANCE, is_shaded};
@@ -16,12 +16,18 @@ use rayon::prelude::*;
 
 /// The CPU twin: renders the picture that the crate documentation defines, with exact counts, on all threads of the
 /// current rayon pool.
-#[derive(Default)]
 pub struct CpuRaycaster {
+    block_edge: usize,
     volume: Option<(PreparedVolume, BlockMap)>,
     classifier: Option<Classifier>,
     /// Made when volume and transfer function are both there.
     skip: Option<SkipMap>,
+}
+
+impl Default for CpuRaycaster {
+    fn default() -> Self {
+        Self { block_edge: BLOCK_EDGE, volume: None, classifier: None, skip: None }
+    }
 }
 
 impl CpuRaycaster {
@@ -41,7 +47,7 @@ impl CpuRaycaster {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             return Err(Error::new(format!("nothing to render: no {missing} was set")));
         };
-        let setup = FrameSetup::new(&volume.geometry, skip.dims, frame);
+        let setup = FrameSetup::new(&volume.geometry, skip.edge, skip.dims, frame);
         let table = classifier.step_table(frame.step());
         let mut pixels = vec![[0.0; 4]; frame.width() as usize * frame.height() as usize];
         let counts = with_voxels!(&volume.voxels, voxels => {
@@ -75,13 +81,19 @@ impl Renderer for CpuRaycaster {
         "cpu"
     }
 
+    fn set_block_edge(&mut self, edge: usize) -> Result<()> {
+        check_edge(edge)?;
+        self.block_edge = edge;
+        Ok(())
+    }
+
     fn set_volume(&mut self, volume: &VolumeView<'_>) -> Result<Preparation> {
         let all = Stopwatch::start();
         let mut preparation = Preparation::default();
         let volume = PreparedVolume::new(volume);
         preparation.upload = Some(all.wall());
         let watch = Stopwatch::start();
-        let blocks = BlockMap::new(&volume);
+        let blocks = BlockMap::new(&volume, self.block_edge);
         preparation.block_map = Some(watch.wall());
         self.volume = Some((volume, blocks));
         self.update_skip_map(&mut preparation);
@@ -232,11 +244,11 @@ impl<V: Voxel> Caster<'_, V> {
         if self.frame.skipping() == Skipping::None {
             return (false, count);
         }
-        let edge = BLOCK_EDGE as f32;
+        let edge = self.setup.block_edge;
         let mut block = [0usize; 3];
         for a in 0..3 {
             let cell = (first[a] + k * advance[a] - 0.5).clamp(0.0, self.setup.dims[a] - 1.0).floor();
-            block[a] = cell as usize / BLOCK_EDGE;
+            block[a] = cell as usize / self.skip.edge;
         }
         let entry = self.skip.bytes[(block[2] * self.skip.dims[1] + block[1]) * self.skip.dims[0] + block[0]];
         let empty = entry & EMPTY_BIT != 0;

@@ -35,7 +35,7 @@
 //! T ← T·(1 − α′)^[`SHADOW_STEP`], until the box is left or T falls below [`SHADOW_TERMINATION`].
 //! c ← c·(0.25 + 0.75·T).
 //!
-//! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells (a cell lies between eight voxel centers) know the smallest and
+//! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells, or of another of the [`BLOCK_EDGES`], (a cell lies between eight voxel centers) know the smallest and
 //! largest value that their samples can take; a block is empty when the table is transparent over that interval. A
 //! sample that would fall into an empty block is not taken: the ray goes on with the first sample beyond it
 //! (`blocks`), or beyond all blocks that the Chebyshev distance map shows to be empty as well (`distance`). Sample
@@ -48,14 +48,18 @@
 mod blocks;
 mod clock;
 mod cpu;
+mod probe;
 mod renderer;
 mod setup;
 mod table;
 mod voxels;
 mod vulkan;
 
-pub use blocks::BLOCK_EDGE;
+pub use blocks::{BLOCK_EDGE, BLOCK_EDGES};
 pub use cpu::CpuRaycaster;
-pub use renderer::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts};
+pub use probe::{Agreement, Probe, ProbeOptions, TimestampQuality, probe};
+pub use renderer::{
+    DeviceLimits, Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts,
+};
 pub use setup::{LIGHT_DIRECTION, SHADOW_STEP, SHADOW_TERMINATION};
 pub use vulkan::{VoxelFetch, VulkanOptions, VulkanRaycaster};

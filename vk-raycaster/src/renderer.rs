@@ -101,6 +101,31 @@ pub struct Preparation {
     pub distance_map: Option<f64>,
 }
 
+/// A Vulkan device and its limits, as its driver tells them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DeviceLimits {
+    /// The device's name.
+    pub name: String,
+    /// Driver name and version.
+    pub driver: String,
+    /// Vulkan version, `major.minor.patch`.
+    pub api_version: String,
+    /// Whether it is a CPU in truth.
+    pub is_software: bool,
+    /// Most texels along an axis of a 3-D texture.
+    pub max_image_3d: u32,
+    /// Most bytes of a storage buffer.
+    pub max_storage_buffer: u64,
+    /// Most bytes of one allocation.
+    pub max_allocation: u64,
+    /// Bytes of the largest memory heap on the device.
+    pub memory: u64,
+    /// Invocations that run together.
+    pub subgroup_size: u32,
+    /// Valid bits and nanoseconds per tick of device timestamps; `None` where there are none.
+    pub timestamps: Option<(u32, f64)>,
+}
+
 /// A volume renderer. Set a volume and a transfer function, then render frames.
 pub trait Renderer {
     /// What renders: device name and driver, for manifests.
@@ -108,6 +133,28 @@ pub trait Renderer {
 
     /// `vulkan` or `cpu`.
     fn backend(&self) -> &'static str;
+
+    /// Chooses the edge of the blocks that are skipped, in cells: one of [`BLOCK_EDGES`](crate::BLOCK_EDGES). It holds
+    /// for the volumes that are set from then on; until it is called it is [`BLOCK_EDGE`](crate::BLOCK_EDGE).
+    ///
+    /// # Errors
+    /// For another edge, and from renderers whose blocks have one size.
+    fn set_block_edge(&mut self, edge: usize) -> Result<()> {
+        crate::blocks::check_edge(edge)?;
+        if edge == crate::BLOCK_EDGE {
+            return Ok(());
+        }
+        Err(Error::new(format!(
+            "the {} renderer's blocks have {} cells along an edge",
+            self.backend(),
+            crate::BLOCK_EDGE
+        )))
+    }
+
+    /// What the device is and how much it takes; `None` where nothing is behind the renderer but the host.
+    fn limits(&self) -> Option<DeviceLimits> {
+        None
+    }
 
     /// Takes a volume; the view is only borrowed for the call.
     ///

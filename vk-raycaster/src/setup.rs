@@ -62,16 +62,16 @@ pub(crate) struct FrameSetup {
     /// them.
     pub(crate) window_begin: f32,
     pub(crate) window_end: f32,
-    /// Unused.
-    pub(crate) pad: u32,
+    /// Cells along a block's edge.
+    pub(crate) block_edge: f32,
     /// Blocks along each axis.
     pub(crate) blocks: [u32; 3],
-    /// Unused.
-    pub(crate) pad_end: u32,
+    /// log₂ of `block_edge`.
+    pub(crate) block_shift: u32,
 }
 
 impl FrameSetup {
-    pub(crate) fn new(volume: &Geometry, blocks: [usize; 3], frame: &Frame) -> Self {
+    pub(crate) fn new(volume: &Geometry, block_edge: usize, blocks: [usize; 3], frame: &Frame) -> Self {
         let (eye, right, up, forward) = frame.camera().ray_basis(frame.width(), frame.height());
         let dims = volume.dims.map(|n| n as f64);
         let eye = eye.to_array().map(f64::from);
@@ -103,9 +103,9 @@ impl FrameSetup {
             tile_height: frame.height(),
             window_begin: 0.0,
             window_end: FAR,
-            pad: 0,
+            block_edge: block_edge as f32,
             blocks: blocks.map(|n| n as u32),
-            pad_end: 0,
+            block_shift: block_edge.trailing_zeros(),
         }
     }
 }
@@ -138,7 +138,7 @@ mod tests {
         let volume = PreparedVolume::new(&view).geometry;
         let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 }).unwrap();
         let frame = Frame::new(camera, 4, 4).unwrap().with_step(0.5).unwrap();
-        let setup = FrameSetup::new(&volume, [1, 1, 1], &frame);
+        let setup = FrameSetup::new(&volume, 8, [1, 1, 1], &frame);
         // The box is a cube of edge 8: half its diagonal is 4√3; the eye stands two of those from the center.
         assert!((setup.eye[0] - 4.0).abs() < 1e-5 && (setup.eye[1] - 2.0).abs() < 1e-5);
         assert!((setup.eye[2] - (1.0 + 8.0 * 3f32.sqrt() / 4.0)).abs() < 1e-4);
@@ -146,7 +146,7 @@ mod tests {
             assert!((a - want).abs() < 1e-6);
         }
         assert_eq!(setup.termination, 0.99);
-        let off = FrameSetup::new(&volume, [1, 1, 1], &frame.with_termination(1.0).unwrap());
+        let off = FrameSetup::new(&volume, 8, [1, 1, 1], &frame.with_termination(1.0).unwrap());
         assert!(off.termination > 1.0);
     }
 }

@@ -5,7 +5,9 @@ mod common;
 
 use common::{constant, field_bytes, field_voxels, frame, medium, opaque, transparent};
 use entire_core::scene::{Frame, Scalars, Shading, Skipping, TransferTable, VolumeView};
-use entire_vk_raycaster::{CpuRaycaster, Renderer, VoxelFetch, VulkanOptions, VulkanRaycaster, WorkCounts};
+use entire_vk_raycaster::{
+    BLOCK_EDGES, CpuRaycaster, Renderer, VoxelFetch, VulkanOptions, VulkanRaycaster, WorkCounts,
+};
 use libtest_mimic::{Arguments, Failed, Trial};
 
 /// Largest difference of a channel between device and twin, of 255.
@@ -177,6 +179,49 @@ fn odd_volumes() -> Outcome {
                     }
                 }
             }
+        }
+    }
+    expect_silence(&gpu)
+}
+
+fn blocks_of_every_edge_match_the_twin() -> Outcome {
+    let mut gpu = open_validated(None)?;
+    let mut twin = CpuRaycaster::new();
+    let data = Data::new([37, 53, 29]);
+    let mut pictures = vec![];
+    for edge in BLOCK_EDGES {
+        gpu.set_block_edge(edge)?;
+        twin.set_block_edge(edge)?;
+        for (kind, view) in data.views().into_iter().take(2) {
+            gpu.set_volume(&view)?;
+            twin.set_volume(&view)?;
+            gpu.set_transfer(&opaque())?;
+            twin.set_transfer(&opaque())?;
+            for skipping in SKIPPINGS {
+                let f = frame(20.0, 35.0, 2.5, 61, 47).with_skipping(skipping).with_shading(Shading::Local);
+                let (a, b) = (gpu.render(&f)?, twin.render(&f)?);
+                let (largest, _) = difference(&a.image.rgba, &b.image.rgba);
+                if largest > LARGEST || gpu.is_software() && a.counts != b.counts {
+                    return Err(format!(
+                        "{edge}, {kind}, {}: {:?} {:?}",
+                        skipping.name(),
+                        a.counts,
+                        b.counts
+                    )
+                    .into());
+                }
+                if kind == "u8" {
+                    pictures.push(a.image);
+                }
+            }
+        }
+    }
+    if pictures.windows(2).any(|w| w[0] != w[1]) {
+        return Err("blocks of another edge draw another picture".into());
+    }
+    for renderer in [&mut gpu as &mut dyn Renderer, &mut twin] {
+        if !renderer.set_block_edge(5).is_err_and(|e| e.to_string().contains("4, 8 or 16")) {
+            return Err("blocks of five cells".into());
         }
     }
     expect_silence(&gpu)
@@ -373,6 +418,7 @@ fn main() {
         ("sampler_matches_the_twin", || compare(VoxelFetch::Sampler, false)),
         ("packed_fetch_matches_the_twin", || compare(VoxelFetch::Packed, true)),
         ("odd_volumes_match_the_twin", odd_volumes),
+        ("blocks_of_every_edge_match_the_twin", blocks_of_every_edge_match_the_twin),
         ("homogeneous_slab_absorbs_by_its_thickness", homogeneous_slab),
         ("skipping_changes_nothing_but_the_work", skipping_changes_nothing),
         ("counting_changes_no_picture", counting_changes_no_picture),

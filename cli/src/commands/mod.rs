@@ -6,6 +6,7 @@ pub mod encode;
 pub mod evaluate;
 pub mod features;
 pub mod predict;
+pub mod probe;
 pub mod render;
 pub mod steer;
 pub mod train;

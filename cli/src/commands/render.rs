@@ -42,6 +42,9 @@ pub struct Options {
     /// How empty space is skipped.
     #[arg(long, value_enum, default_value_t)]
     pub skip: SkipOption,
+    /// Edge of the blocks that are skipped, in cells: 4, 8 or 16.
+    #[arg(long, default_value_t = entire_vk_raycaster::BLOCK_EDGE, value_name = "CELLS")]
+    pub block_edge: usize,
     /// Accumulated opacity at which a ray stops; 1 for never.
     #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
     pub termination: f32,
@@ -106,6 +109,7 @@ pub fn run(options: &Options) -> Result<()> {
     let table = TransferFunction::Gaussian(options.tf.0.clone()).to_table()?;
     let volume = open_volume(&options.volume, options.range)?;
     let mut renderer = device::open(options.device)?;
+    renderer.set_block_edge(options.block_edge).context("--block-edge")?;
     let view = volume.view();
     let volume_time = renderer.set_volume(&view).with_context(|| format!("{}", options.volume.display()))?;
     let table_time = renderer.set_transfer(&table)?;
@@ -142,6 +146,7 @@ pub fn run(options: &Options) -> Result<()> {
             "step": short(frame.step()),
             "shade": Shading::from(options.shade).name(),
             "skip": Skipping::from(options.skip).name(),
+            "block_edge": options.block_edge,
             "termination": short(frame.termination()),
             "backend": renderer.backend(),
             "device": renderer.device(),
@@ -152,6 +157,10 @@ pub fn run(options: &Options) -> Result<()> {
             "seconds_cpu": repeats.iter().map(|time| time.cpu).collect::<Vec<_>>(),
             "seconds_prepare_volume": volume_time.wall,
             "seconds_prepare_transfer": table_time.wall,
+            "seconds_upload": volume_time.upload,
+            "seconds_block_map": volume_time.block_map,
+            "seconds_occupancy": table_time.occupancy,
+            "seconds_distance_map": table_time.distance_map,
             "samples": counts.map(|c| c.samples),
             "skips": counts.map(|c| c.skips),
             "rays": counts.map(|c| c.rays),

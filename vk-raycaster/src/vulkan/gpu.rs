@@ -52,6 +52,10 @@ pub(crate) struct Gpu {
     pub(crate) is_cpu: bool,
     /// Whether compute shaders may compute minima and maxima over a subgroup.
     pub(crate) subgroup_arithmetic: bool,
+    pub(crate) subgroup_size: u32,
+    pub(crate) api_version: u32,
+    /// Bytes of the largest heap that is the device's own.
+    pub(crate) memory: u64,
     pub(crate) name: String,
     pub(crate) driver: String,
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
@@ -162,6 +166,9 @@ impl Gpu {
             max_allocation: chosen.max_allocation,
             is_cpu: chosen.kind == vk::PhysicalDeviceType::CPU,
             subgroup_arithmetic: chosen.subgroup_arithmetic,
+            subgroup_size: chosen.subgroup_size,
+            api_version: chosen.api_version,
+            memory: chosen.memory,
             name: chosen.name,
             driver: chosen.driver,
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
@@ -307,6 +314,9 @@ struct ChosenDevice {
     limits: vk::PhysicalDeviceLimits,
     max_allocation: u64,
     subgroup_arithmetic: bool,
+    subgroup_size: u32,
+    api_version: u32,
+    memory: u64,
     name: String,
     driver: String,
 }
@@ -384,6 +394,11 @@ fn describe_device(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Op
     }
     // SAFETY: as above; the chained structures are known to the device's version.
     unsafe { instance.get_physical_device_properties2(physical, &mut properties) };
+    // SAFETY: as above.
+    let memory = unsafe { instance.get_physical_device_memory_properties(physical) };
+    let heaps = memory.memory_heaps_as_slice();
+    let heaps: Vec<_> =
+        heaps.iter().filter(|h| h.flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL)).collect();
     let limits = core.limits;
     let valid_bits = families[family].timestamp_valid_bits;
     let period = f64::from(limits.timestamp_period);
@@ -405,6 +420,9 @@ fn describe_device(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Op
         max_allocation: maintenance.max_memory_allocation_size,
         subgroup_arithmetic: subgroup.supported_stages.contains(vk::ShaderStageFlags::COMPUTE)
             && subgroup.supported_operations.contains(vk::SubgroupFeatureFlags::ARITHMETIC),
+        subgroup_size: subgroup.subgroup_size,
+        api_version: core.api_version,
+        memory: heaps.iter().map(|h| h.size).max().unwrap_or(0),
         name: text(core.device_name_as_c_str().ok()),
         driver,
     })

@@ -9,9 +9,11 @@ mod recording;
 mod resources;
 mod upload;
 
-use crate::blocks::{BlockMap, SkipMap};
+use crate::blocks::{BLOCK_EDGE, BlockMap, SkipMap, check_edge};
 use crate::clock::Stopwatch;
-use crate::renderer::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts};
+use crate::renderer::{
+    DeviceLimits, Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts,
+};
 use crate::setup::{FAR, FrameSetup};
 use crate::table::Classifier;
 use crate::voxels::{Geometry, PreparedVolume};
@@ -97,6 +99,7 @@ impl VulkanOptions {
 pub struct VulkanRaycaster {
     engine: Engine,
     options: VulkanOptions,
+    block_edge: usize,
     volume: Option<DeviceVolume>,
     classifier: Option<Classifier>,
     /// The step whose table is on the device; `None` when there is none of the present transfer function.
@@ -131,6 +134,7 @@ impl VulkanRaycaster {
         Ok(Self {
             engine: Engine::new(Arc::new(gpu))?,
             options,
+            block_edge: BLOCK_EDGE,
             volume: None,
             classifier: None,
             table_step: None,
@@ -210,6 +214,34 @@ impl Renderer for VulkanRaycaster {
         "vulkan"
     }
 
+    fn limits(&self) -> Option<DeviceLimits> {
+        let gpu = self.engine.gpu();
+        let version = gpu.api_version;
+        Some(DeviceLimits {
+            name: gpu.name.clone(),
+            driver: gpu.driver.clone(),
+            api_version: format!(
+                "{}.{}.{}",
+                (version >> 22) & 0x7f,
+                (version >> 12) & 0x3ff,
+                version & 0xfff
+            ),
+            is_software: gpu.is_cpu,
+            max_image_3d: gpu.limits.max_image_dimension3_d,
+            max_storage_buffer: u64::from(gpu.limits.max_storage_buffer_range),
+            max_allocation: gpu.max_allocation,
+            memory: gpu.memory,
+            subgroup_size: gpu.subgroup_size,
+            timestamps: gpu.timestamps.map(|t| (t.valid_bits, t.period)),
+        })
+    }
+
+    fn set_block_edge(&mut self, edge: usize) -> Result<()> {
+        check_edge(edge)?;
+        self.block_edge = edge;
+        Ok(())
+    }
+
     fn set_volume(&mut self, view: &VolumeView<'_>) -> Result<Preparation> {
         let all = Stopwatch::start();
         let mut preparation = Preparation::default();
@@ -233,7 +265,7 @@ impl Renderer for VulkanRaycaster {
         })?;
         preparation.upload = Some(all.wall());
         let watch = Stopwatch::start();
-        let blocks = BlockMap::new(&prepared);
+        let blocks = BlockMap::new(&prepared, self.block_edge);
         preparation.block_map = Some(watch.wall());
         let mut geometry = prepared.geometry;
         geometry.scale *= plan.unit;
@@ -264,7 +296,7 @@ impl Renderer for VulkanRaycaster {
             ));
         }
         let watch = Stopwatch::start();
-        let setup = FrameSetup::new(&volume.geometry, volume.blocks.dims, frame);
+        let setup = FrameSetup::new(&volume.geometry, volume.blocks.edge, volume.blocks.dims, frame);
         let class = shading_index(frame.shading());
         let key = ShaderKey {
             shading: class as u32,

@@ -10,7 +10,6 @@
 
 const SMALLEST_ADVANCE: f32 = 1e-9;
 const FAR: f32 = 3.0e38;
-const BLOCK_EDGE: f32 = 8.0;
 const EMPTY_BIT: u32 = 128u;
 const COLORS_PER_ENTRY: f32 = 16.0;
 const SHADOW_TERMINATION: f32 = 0.25;
@@ -40,9 +39,9 @@ struct FrameSetup {
     tile_height: u32,
     window_begin: f32,
     window_end: f32,
-    pad: u32,
+    block_edge: f32,
     blocks: vec3<u32>,
-    pad_end: u32,
+    block_shift: u32,
 }
 
 @group(0) @binding(0) var<storage, read> setup: FrameSetup;
@@ -86,6 +85,10 @@ var<private> dims: vec3<f32>;
 var<private> last: vec3<f32>;
 var<private> scale: f32;
 var<private> bias: f32;
+#if SKIPPING != 0
+var<private> block_edge: f32;
+var<private> block_shift: u32;
+#endif
 #if FETCH == 2
 // Words from a block to the next along y and z.
 var<private> block_row: i32;
@@ -118,7 +121,7 @@ struct Segment {
 // The run of samples from k on that are treated alike.
 fn segment(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, count: f32) -> Segment {
     let cell = floor(min(max(first + k * advance - 0.5, vec3<f32>(0.0)), last));
-    let block = whole(cell) >> vec3<u32>(3u);
+    let block = whole(cell) >> vec3<u32>(block_shift);
 #if FETCH == 2
     let entry = textureLoad(skip_map, block).x;
 #else
@@ -130,8 +133,8 @@ fn segment(first: vec3<f32>, advance: vec3<f32>, inverse: vec3<f32>, k: f32, cou
     distance = select(distance, 1.0, empty);
 #endif
     let corner = vec3<f32>(block);
-    let ahead = (corner + distance) * BLOCK_EDGE + 0.5;
-    let behind = (corner - distance + 1.0) * BLOCK_EDGE + 0.5;
+    let ahead = (corner + distance) * block_edge + 0.5;
+    let behind = (corner - distance + 1.0) * block_edge + 0.5;
     let face = select(behind, ahead, advance > vec3<f32>(0.0));
     let t = (face - first) * inverse;
     let exit = min(min(t.x, t.y), t.z);
@@ -416,6 +419,10 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     last = dims - 1.0;
     scale = setup.scale;
     bias = setup.bias;
+#if SKIPPING != 0
+    block_edge = setup.block_edge;
+    block_shift = setup.block_shift;
+#endif
 #if FETCH == 2
     let blocks = (vec3<i32>(dims) + 7) >> vec3<u32>(3u);
     block_row = blocks.x * 512;

@@ -1,0 +1,148 @@
+//! `entire probe`: what the machine at hand needs for each part of a frame.
+
+use crate::device::{self, Device};
+use anyhow::{Context, Result};
+use entire_vk_raycaster::{Probe, ProbeOptions, WorkCounts, probe};
+use serde_json::json;
+use std::fmt::Write as _;
+use std::io::Write;
+
+/// Measure what this machine needs for each part of a frame.
+///
+/// Renders known scenes, compares one with the CPU twin, and prints the device, its limits, how good its timestamps are, and
+/// five numbers that describe the machine to a predictor: what a frame costs by itself, rays, samples of rays that go
+/// together and of rays that do not, and jumps over empty blocks, per second. Exit status is 1 when the picture is wrong.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire probe
+  entire probe --device cpu --json
+  ENTIRE_DEVICE=llvmpipe entire probe --device vulkan --repeat 21")]
+pub struct Options {
+    /// What renders.
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+    /// Images grow until a frame takes this many milliseconds, so that its clock can tell.
+    #[arg(long, default_value_t = 20.0, value_name = "MS", value_parser = parse_milliseconds)]
+    pub frame_ms: f64,
+    /// Frames of which the median counts.
+    #[arg(long, default_value_t = 9, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub repeat: u32,
+    /// Print a JSON object.
+    #[arg(long)]
+    pub json: bool,
+}
+
+fn parse_milliseconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(ms) if (0.1..=1000.0).contains(&ms) => Ok(ms),
+        _ => Err("milliseconds of a frame are expected, 0.1 to 1000".to_owned()),
+    }
+}
+
+/// Largest and mean difference to the twin that a right picture may have, of 255.
+const LARGEST: u8 = 2;
+const MEAN: f64 = 0.1;
+
+/// Runs the command.
+pub fn run(options: &Options) -> Result<()> {
+    let mut renderer = device::open(options.device)?;
+    let options_of_probe =
+        ProbeOptions { frame_seconds: options.frame_ms * 1e-3, repeats: options.repeat as usize };
+    let found = probe(&mut *renderer, options_of_probe).context("the probe could not be rendered")?;
+    let text = if options.json { as_json(&found) } else { as_text(&found) };
+    writeln!(std::io::stdout().lock(), "{text}")?;
+    let (largest, mean) = (found.agreement.largest, found.agreement.mean);
+    anyhow::ensure!(
+        largest <= LARGEST && mean <= MEAN,
+        "{} draws another picture than the CPU twin: up to {largest}/255 apart, {mean:.3}/255 in the mean; update its driver, choose another device (ENTIRE_DEVICE), or render with --device cpu",
+        found.device
+    );
+    Ok(())
+}
+
+fn counts(c: &WorkCounts) -> serde_json::Value {
+    json!({ "rays": c.rays, "samples": c.samples, "skips": c.skips, "shaded": c.shaded })
+}
+
+fn as_json(found: &Probe) -> String {
+    let limits = found.limits.as_ref().map(|l| {
+        json!({
+            "name": l.name,
+            "driver": l.driver,
+            "api_version": l.api_version,
+            "is_software": l.is_software,
+            "max_image_3d": l.max_image_3d,
+            "max_storage_buffer_bytes": l.max_storage_buffer,
+            "max_allocation_bytes": l.max_allocation,
+            "memory_bytes": l.memory,
+            "subgroup_size": l.subgroup_size,
+            "timestamp_valid_bits": l.timestamps.map(|t| t.0),
+            "timestamp_period_ns": l.timestamps.map(|t| t.1),
+        })
+    });
+    let agreement = &found.agreement;
+    json!({
+        "device": found.device,
+        "backend": found.backend,
+        "clock": found.clock,
+        "limits": limits,
+        "timestamps": found.timestamps.map(|t| json!({ "device_to_wall": t.device_to_wall, "spread": t.spread })),
+        "agreement": {
+            "largest_of_255": agreement.largest,
+            "mean_of_255": agreement.mean,
+            "counts": agreement.counts.as_ref().map(counts),
+            "counts_of_twin": counts(&agreement.twin),
+        },
+        "numbers": serde_json::Map::from_iter(found.numbers().map(|(name, value)| (name.to_owned(), json!(value)))),
+    })
+    .to_string()
+}
+
+fn as_text(found: &Probe) -> String {
+    let mut out = String::new();
+    let mut line = |name: &str, value: String| {
+        let _ = writeln!(out, "{name:<22}{value}");
+    };
+    line("device", format!("{} ({})", found.device, found.backend));
+    if let Some(l) = &found.limits {
+        let mib = |bytes: u64| bytes >> 20;
+        line("Vulkan", format!("{}{}", l.api_version, if l.is_software { ", a CPU in truth" } else { "" }));
+        line(
+            "limits",
+            format!(
+                "3-D textures {}³, storage buffers {} MiB, allocations {} MiB of {} MiB, subgroups of {}",
+                l.max_image_3d,
+                mib(l.max_storage_buffer),
+                mib(l.max_allocation),
+                mib(l.memory),
+                l.subgroup_size
+            ),
+        );
+        match (l.timestamps, &found.timestamps) {
+            (Some((bits, period)), Some(t)) => line(
+                "timestamps",
+                format!(
+                    "{bits} bits of {period} ns; {:.3} of wall time, spread {:.1} % over the repeats",
+                    t.device_to_wall,
+                    100.0 * t.spread
+                ),
+            ),
+            _ => line("timestamps", "none; frames have wall time".to_owned()),
+        }
+    }
+    let a = &found.agreement;
+    let counted = match &a.counts {
+        Some(c) if *c == a.twin => "counts equal".to_owned(),
+        Some(c) => format!("{} samples, the twin {}", c.samples, a.twin.samples),
+        None => "does not count".to_owned(),
+    };
+    line("against the CPU twin", format!("up to {}/255, mean {:.4}/255, {counted}", a.largest, a.mean));
+    line("clock", format!("{} time", found.clock));
+    line("frame by itself", format!("{:.3} ms", found.frame_seconds * 1e3));
+    line("rays", format!("{:.2} M/s", found.rays_per_second * 1e-6));
+    line("coherent samples", format!("{:.1} M/s", found.coherent_samples_per_second * 1e-6));
+    line("divergent samples", format!("{:.1} M/s", found.divergent_samples_per_second * 1e-6));
+    line("skips", format!("{:.1} M/s", found.skips_per_second * 1e-6));
+    out.truncate(out.trim_end().len());
+    out
+}

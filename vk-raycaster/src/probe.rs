@@ -1,0 +1,350 @@
+//! Measures what a frame's parts cost on the machine at hand.
+
+use crate::cpu::CpuRaycaster;
+use crate::renderer::{DeviceLimits, Error, FrameTime, Renderer, Result, WorkCounts};
+use entire_core::scene::{
+    Arcball, Camera, ControlPoint, Frame, Scalars, Shading, Skipping, TransferFunction, TransferTable,
+    VolumeView,
+};
+use glam::{Mat4, Vec3};
+
+/// Voxels along each axis of the probe's volumes.
+const EDGE: usize = 64;
+
+/// Largest edge that images grow to.
+const LARGEST_IMAGE: u32 = 4096;
+
+/// How long a probe takes its time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProbeOptions {
+    /// Images grow until their frames take this long, in seconds, so that clocks can tell them apart.
+    pub frame_seconds: f64,
+    /// Frames of which the median counts.
+    pub repeats: usize,
+}
+
+impl Default for ProbeOptions {
+    fn default() -> Self {
+        Self { frame_seconds: 0.02, repeats: 9 }
+    }
+}
+
+/// What a probe found out.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Probe {
+    /// [`Renderer::device`].
+    pub device: String,
+    /// [`Renderer::backend`].
+    pub backend: &'static str,
+    /// The clock behind the five numbers, `device` or `wall`.
+    pub clock: &'static str,
+    /// The device's own limits.
+    pub limits: Option<DeviceLimits>,
+    /// How a frame of this renderer agrees with the CPU twin's.
+    pub agreement: Agreement,
+    /// How device timestamps behave; `None` where there are none.
+    pub timestamps: Option<TimestampQuality>,
+    /// A frame in which every ray misses, 64 × 64 pixels: seconds, of whatever a frame costs by itself.
+    pub frame_seconds: f64,
+    /// Rays per second that end at their first sample.
+    pub rays_per_second: f64,
+    /// Samples per second of parallel rays of equal length, none of which skips or stops.
+    pub coherent_samples_per_second: f64,
+    /// Samples per second of rays that leave in all directions, start at random offsets and stop at random depths.
+    pub divergent_samples_per_second: f64,
+    /// Jumps per second over empty blocks, block by block.
+    pub skips_per_second: f64,
+}
+
+impl Probe {
+    /// The five numbers that describe the machine, by name.
+    pub fn numbers(&self) -> [(&'static str, f64); 5] {
+        [
+            ("frame_seconds", self.frame_seconds),
+            ("rays_per_second", self.rays_per_second),
+            ("coherent_samples_per_second", self.coherent_samples_per_second),
+            ("divergent_samples_per_second", self.divergent_samples_per_second),
+            ("skips_per_second", self.skips_per_second),
+        ]
+    }
+}
+
+/// A frame against the CPU twin's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Agreement {
+    /// Largest difference of a color or opacity, of 255.
+    pub largest: u8,
+    /// Mean difference, of 255.
+    pub mean: f64,
+    /// What the renderer counted, where it counts.
+    pub counts: Option<WorkCounts>,
+    /// What the twin counted.
+    pub twin: WorkCounts,
+}
+
+/// Device timestamps beside the host's clock, over the frames of coherent rays.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimestampQuality {
+    /// Median of device seconds ÷ wall seconds.
+    pub device_to_wall: f64,
+    /// (Largest − smallest) ÷ median of the device's seconds for one frame.
+    pub spread: f64,
+}
+
+/// A hash in 0…255.
+fn hash(i: usize) -> u8 {
+    let h = (i as u32).wrapping_mul(0x9e37_79b1);
+    let h = (h ^ (h >> 15)).wrapping_mul(0x2c1b_3c6d);
+    ((h ^ (h >> 12)) >> 24) as u8
+}
+
+/// Smooth blobs, for the comparison with the twin.
+fn blobs() -> Vec<u8> {
+    let at = |i: usize| (i as f32 + 0.5) / EDGE as f32 * 2.0 - 1.0;
+    let mut out = Vec::with_capacity(EDGE * EDGE * EDGE);
+    for z in 0..EDGE {
+        for y in 0..EDGE {
+            for x in 0..EDGE {
+                let (x, y, z) = (at(x), at(y), at(z));
+                let near = |a: f32, b: f32, c: f32, w: f32| {
+                    (1.0 - ((x - a).powi(2) + (y - b).powi(2) + (z - c).powi(2)) / w).max(0.0)
+                };
+                let v =
+                    near(0.3, 0.2, 0.1, 0.4) + near(-0.4, -0.2, 0.3, 0.2) + 0.5 * near(0.0, 0.4, -0.5, 0.3);
+                out.push((v.min(1.0) * 255.0) as u8);
+            }
+        }
+    }
+    out
+}
+
+fn table(points: &[(f32, f32)]) -> Result<TransferTable> {
+    let points = points
+        .iter()
+        .map(|&(position, opacity)| ControlPoint { position, color: [1.0, 0.7, 0.4], opacity })
+        .collect();
+    TransferFunction::Points(points).to_table().map_err(from_core)
+}
+
+fn from_core(e: entire_core::Error) -> Error {
+    Error::new(e.to_string())
+}
+
+/// A frame of `edge` × `edge` pixels without early termination.
+fn frame(pose: (f32, f32, f32), fov: f32, edge: u32) -> Result<Frame> {
+    let (rx, ry, dz) = pose;
+    Camera::from_arcball(Arcball { rx, ry, dz })
+        .and_then(|c| c.with_fov_y_degrees(fov))
+        .and_then(|c| Frame::new(c, edge, edge))
+        .and_then(|f| f.with_termination(1.0))
+        .map_err(from_core)
+}
+
+/// A frame of a camera with its back to the volume.
+fn turned_away(edge: u32) -> Result<Frame> {
+    Camera::from_world_view(Mat4::from_translation(Vec3::new(0.0, 0.0, 3.0)), Vec3::ZERO, 1.0)
+        .and_then(|c| Frame::new(c, edge, edge))
+        .map_err(from_core)
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+/// Renders a shaded frame, counted, and compares it with the twin's.
+fn agree(renderer: &mut dyn Renderer, view: &VolumeView<'_>) -> Result<Agreement> {
+    let table = table(&[(0.0, 0.0), (0.1, 0.0), (1.0, 0.3)])?;
+    let frame = frame((25.0, 40.0, 2.5), 45.0, 96)?.with_shading(Shading::Local);
+    let mut twin = CpuRaycaster::new();
+    twin.set_volume(view)?;
+    twin.set_transfer(&table)?;
+    renderer.set_volume(view)?;
+    renderer.set_transfer(&table)?;
+    renderer.count_work(true);
+    let found = renderer.render(&frame);
+    renderer.count_work(false);
+    let (found, wanted) = (found?, twin.render(&frame)?);
+    let apart = || found.image.rgba.iter().zip(&wanted.image.rgba).map(|(a, b)| a.abs_diff(*b));
+    let sum: u64 = apart().map(u64::from).sum();
+    Ok(Agreement {
+        largest: apart().max().unwrap_or(0),
+        mean: sum as f64 / found.image.rgba.len() as f64,
+        counts: found.counts,
+        twin: wanted.counts.unwrap_or_default(),
+    })
+}
+
+/// How the device's clock goes with the host's.
+fn quality(times: &[FrameTime]) -> Option<TimestampQuality> {
+    let device: Vec<f64> = times.iter().filter_map(|t| t.device).collect();
+    let (low, high) = device.iter().fold((f64::INFINITY, 0.0f64), |(l, h), &t| (l.min(t), h.max(t)));
+    (!device.is_empty()).then(|| TimestampQuality {
+        device_to_wall: median(times.iter().filter_map(|t| Some(t.device? / t.wall)).collect()),
+        spread: (high - low) / median(device),
+    })
+}
+
+struct Prober<'a> {
+    renderer: &'a mut dyn Renderer,
+    options: ProbeOptions,
+}
+
+impl Prober<'_> {
+    /// Median seconds of a frame that is large enough to be timed, all its times, and its counts by the twin.
+    fn time(&mut self, scene: &Scene<'_>) -> Result<(f64, Vec<FrameTime>, WorkCounts)> {
+        self.renderer.set_volume(&scene.view)?;
+        self.renderer.set_transfer(&scene.table)?;
+        self.renderer.count_work(false);
+        let mut edge = 64;
+        loop {
+            let frame = (scene.frame)(edge)?;
+            // The first frames compile and fill caches.
+            for _ in 0..2 {
+                self.renderer.render(&frame)?;
+            }
+            let mut times = vec![self.renderer.render(&frame)?.time];
+            let long = times[0].seconds() >= self.options.frame_seconds;
+            if scene.grows && !long && edge < LARGEST_IMAGE {
+                edge *= 2;
+                continue;
+            }
+            for _ in 1..self.options.repeats.max(1) {
+                times.push(self.renderer.render(&frame)?.time);
+            }
+            let mut twin = CpuRaycaster::new();
+            twin.set_volume(&scene.view)?;
+            twin.set_transfer(&scene.table)?;
+            // Counts grow with the pixels: a smaller image of the same view tells them.
+            let counted = edge.min(256);
+            let (_, counts) = twin.render_linear(&(scene.frame)(counted)?)?;
+            let ratio = u64::from(edge / counted).pow(2);
+            let counts = WorkCounts {
+                rays: counts.rays * ratio,
+                samples: counts.samples * ratio,
+                skips: counts.skips * ratio,
+                shaded: counts.shaded * ratio,
+            };
+            return Ok((median(times.iter().map(FrameTime::seconds).collect()), times, counts));
+        }
+    }
+}
+
+struct Scene<'a> {
+    view: VolumeView<'a>,
+    table: TransferTable,
+    frame: fn(u32) -> Result<Frame>,
+    grows: bool,
+}
+
+/// Renders known scenes and tells what this machine needs for each part of a frame. Takes a second or so; the
+/// renderer's volume and transfer function are others afterwards, and work is not counted.
+///
+/// # Errors
+/// When the renderer fails.
+pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe> {
+    let dims = [EDGE; 3];
+    let blobs = blobs();
+    let empty = vec![0u8; EDGE * EDGE * EDGE];
+    // A voxel in 64 stops a ray.
+    let specks: Vec<u8> = (0..EDGE * EDGE * EDGE).map(|i| if hash(i) < 4 { 255 } else { 20 }).collect();
+    let view = |data| VolumeView::new(Scalars::U8(data), dims).map_err(from_core);
+    let agreement = agree(renderer, &view(&blobs)?)?;
+
+    let mut prober = Prober { renderer, options };
+    let faint = table(&[(0.0, 0.001), (1.0, 0.002)])?;
+    let (frame_seconds, ..) = prober.time(&Scene {
+        view: view(&blobs)?,
+        table: faint.clone(),
+        frame: turned_away,
+        grows: false,
+    })?;
+    let net = |seconds: f64| (seconds - frame_seconds).max(1e-9);
+    let (seconds, _, counts) = prober.time(&Scene {
+        view: view(&blobs)?,
+        table: table(&[(0.0, 1.0)])?,
+        frame: |edge| {
+            let f = frame((0.0, 0.0, 50.0), 1.0, edge)?.with_skipping(Skipping::None);
+            f.with_termination(0.99).map_err(from_core)
+        },
+        grows: true,
+    })?;
+    let ray = net(seconds) / counts.rays.max(1) as f64;
+    let (seconds, times, counts) = prober.time(&Scene {
+        view: view(&blobs)?,
+        table: faint,
+        frame: |edge| Ok(frame((0.0, 0.0, 50.0), 1.0, edge)?.with_skipping(Skipping::None)),
+        grows: true,
+    })?;
+    let rest = |seconds: f64, counts: &WorkCounts| (net(seconds) - ray * counts.rays as f64).max(1e-9);
+    let coherent = counts.samples.saturating_sub(counts.rays) as f64 / rest(seconds, &counts);
+    let timestamps = quality(&times);
+    let (seconds, _, counts) = prober.time(&Scene {
+        view: view(&specks)?,
+        table: table(&[(0.0, 0.001), (0.2, 0.002), (0.5, 1.0)])?,
+        frame: |edge| {
+            let f = frame((20.0, 30.0, 0.05), 120.0, edge)?.with_skipping(Skipping::None).with_jitter(true);
+            f.with_termination(0.95).map_err(from_core)
+        },
+        grows: true,
+    })?;
+    let divergent = counts.samples.saturating_sub(counts.rays) as f64 / rest(seconds, &counts);
+    let (seconds, _, counts) = prober.time(&Scene {
+        view: view(&empty)?,
+        table: table(&[(0.0, 0.0), (0.5, 0.0), (1.0, 1.0)])?,
+        frame: |edge| Ok(frame((20.0, 30.0, 50.0), 2.0, edge)?.with_skipping(Skipping::Blocks)),
+        grows: true,
+    })?;
+    // The jump that a ray in place of its one sample makes is in both.
+    let skips = counts.skips.saturating_sub(counts.rays) as f64 / rest(seconds, &counts);
+    Ok(Probe {
+        device: renderer.device(),
+        backend: renderer.backend(),
+        clock: times.first().map_or("wall", FrameTime::source),
+        limits: renderer.limits(),
+        agreement,
+        timestamps,
+        frame_seconds,
+        rays_per_second: 1.0 / ray,
+        coherent_samples_per_second: coherent,
+        divergent_samples_per_second: divergent,
+        skips_per_second: skips,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_twin_agrees_with_itself_and_its_numbers_are_positive() {
+        let options = ProbeOptions { frame_seconds: 1e-4, repeats: 2 };
+        let p = probe(&mut CpuRaycaster::new(), options).unwrap();
+        assert_eq!((p.agreement.largest, p.agreement.mean), (0, 0.0));
+        assert_eq!(p.agreement.counts, Some(p.agreement.twin));
+        assert!(p.agreement.twin.samples > 10_000 && p.agreement.twin.shaded > 1000);
+        assert_eq!((p.backend, p.clock), ("cpu", "wall"));
+        assert!(p.limits.is_none() && p.timestamps.is_none());
+        for (name, value) in p.numbers() {
+            assert!(value.is_finite() && value > 0.0, "{name} is {value}");
+        }
+    }
+
+    #[test]
+    fn a_camera_that_is_turned_away_sees_nothing() {
+        let data = blobs();
+        let mut twin = CpuRaycaster::new();
+        twin.set_volume(&VolumeView::new(Scalars::U8(&data), [EDGE; 3]).unwrap()).unwrap();
+        twin.set_transfer(&table(&[(0.0, 1.0)]).unwrap()).unwrap();
+        let (_, counts) = twin.render_linear(&turned_away(16).unwrap()).unwrap();
+        assert_eq!(counts, WorkCounts::default());
+    }
+
+    #[test]
+    fn device_times_are_judged_only_where_there_are_some() {
+        let time = |device, wall| FrameTime { device, wall, cpu: None };
+        assert_eq!(quality(&[time(None, 1.0)]), None);
+        let q = quality(&[time(Some(0.5), 1.0), time(Some(0.6), 1.0), time(Some(0.4), 1.0)]).unwrap();
+        assert!((q.device_to_wall - 0.5).abs() < 1e-12 && (q.spread - 0.4).abs() < 1e-12);
+    }
+}
