@@ -17,10 +17,13 @@ fn main() {
     for shading in 0..3u32 {
         for skipping in 0..3u32 {
             for fetch in 0..3u32 {
-                // Counting, packets.
-                for [counting, packets] in [[0, 0], [1, 0], [0, 1]] {
+                for [counting, packets, bricks] in [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1]] {
                     // Only what software devices use goes in packets, and only skipping differs.
                     if packets == 1 && (fetch != 2 || skipping == 0) {
+                        continue;
+                    }
+                    // Shadow rays would leave the brick, and packed volumes are not cut.
+                    if bricks == 1 && (fetch == 2 || shading == 2) {
                         continue;
                     }
                     let constants = [
@@ -29,15 +32,16 @@ fn main() {
                         ("FETCH", fetch),
                         ("COUNTING", counting),
                         ("PACKETS", packets),
+                        ("BRICKS", bricks),
                     ];
                     let words = compile(&specialize(&source, &constants));
-                    let name = format!("raycast_{shading}{skipping}{fetch}{counting}{packets}.spv");
+                    let name = format!("raycast_{shading}{skipping}{fetch}{counting}{packets}{bricks}.spv");
                     let bytes: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).collect();
                     let path = Path::new(&out).join(&name);
                     fs::write(&path, bytes).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
                     writeln!(
                         table,
-                        "([{shading}, {skipping}, {fetch}, {counting}, {packets}], include_bytes!(concat!(env!(\"OUT_DIR\"), \"/{name}\")).as_slice()),"
+                        "([{shading}, {skipping}, {fetch}, {counting}, {packets}, {bricks}], include_bytes!(concat!(env!(\"OUT_DIR\"), \"/{name}\")).as_slice()),"
                     )
                     .expect("writing to a string");
                 }

@@ -7,6 +7,7 @@
 //! transfer NAME FILE                    sets transparent|medium|opaque|scan, writes its table (256 RGBA, f32)
 //! camera RX RY DZ WIDTH HEIGHT          eye, forward and up in world units (corner of the box at the origin)
 //! frame none|blocks|distance            renders; seconds by each clock
+//! flight none|blocks|distance N         renders N frames one by one, then with two in flight; seconds of all
 //! counts none|blocks|distance           renders and counts
 //! image none|blocks|distance FILE       renders and writes RGB bytes, over black, rows from the top
 //! ```
@@ -109,6 +110,26 @@ impl Server {
                     r.time.wall,
                     part(r.time.cpu),
                     part(r.time.device)
+                ))
+            }
+            ["flight", mode, n] => {
+                let (frame, n) = (self.framed(mode)?, n.parse::<usize>()?);
+                let start = std::time::Instant::now();
+                for _ in 0..n {
+                    self.renderer.render(&frame)?;
+                }
+                let alone = start.elapsed().as_secs_f64();
+                let start = std::time::Instant::now();
+                for i in 0..n {
+                    if i >= VulkanRaycaster::FRAMES_IN_FLIGHT {
+                        self.renderer.collect()?;
+                    }
+                    self.renderer.enqueue(&frame)?;
+                }
+                while self.renderer.collect()?.is_some() {}
+                Ok(format!(
+                    r#"{{"one_by_one": {alone:e}, "in_flight": {:e}}}"#,
+                    start.elapsed().as_secs_f64()
                 ))
             }
             ["counts", mode] => {

@@ -18,7 +18,7 @@ pub(crate) const SMALLEST_ADVANCE: f32 = 1e-9;
 /// Beyond every sample.
 pub(crate) const FAR: f32 = 3.0e38;
 
-/// Everything a ray needs to know of its frame. Laid out as a uniform block: eleven rows of 16 bytes.
+/// Everything a ray needs to know of its frame. Laid out as a uniform block: fifteen rows of 16 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub(crate) struct FrameSetup {
@@ -58,9 +58,9 @@ pub(crate) struct FrameSetup {
     pub(crate) tile_width: u32,
     /// Pixel rows of the dispatch's output.
     pub(crate) tile_height: u32,
-    /// The dispatch takes the samples `window_begin`…`window_end` − 1 of each ray; 0 starts the rays, [`FAR`] ends
-    /// them.
-    pub(crate) window_begin: f32,
+    /// 0 starts the rays, 1 goes on where the dispatch before left them.
+    pub(crate) resume: u32,
+    /// The dispatch takes samples before this one; [`FAR`] ends the rays.
     pub(crate) window_end: f32,
     /// Cells along a block's edge.
     pub(crate) block_edge: f32,
@@ -68,6 +68,16 @@ pub(crate) struct FrameSetup {
     pub(crate) blocks: [u32; 3],
     /// log₂ of `block_edge`.
     pub(crate) block_shift: u32,
+    /// First and last cell of the brick whose samples the dispatch takes.
+    pub(crate) brick_low: [f32; 3],
+    pub(crate) pad_low: f32,
+    pub(crate) brick_high: [f32; 3],
+    pub(crate) pad_high: f32,
+    /// First voxel of the brick's texture, and voxels along each of its axes.
+    pub(crate) brick_origin: [f32; 3],
+    pub(crate) pad_origin: f32,
+    pub(crate) brick_dims: [f32; 3],
+    pub(crate) pad_dims: f32,
 }
 
 impl FrameSetup {
@@ -101,12 +111,34 @@ impl FrameSetup {
             light_inverse: light.map(|l| 1.0 / (l as f32)),
             tile_width: frame.width(),
             tile_height: frame.height(),
-            window_begin: 0.0,
+            resume: 0,
             window_end: FAR,
             block_edge: block_edge as f32,
             blocks: blocks.map(|n| n as u32),
             block_shift: block_edge.trailing_zeros(),
+            brick_low: [0.0; 3],
+            pad_low: 0.0,
+            brick_high: dims.map(|n| n as f32 - 1.0),
+            pad_high: 0.0,
+            brick_origin: [0.0; 3],
+            pad_origin: 0.0,
+            brick_dims: dims.map(|n| n as f32),
+            pad_dims: 0.0,
         }
+    }
+
+    /// Confines the dispatch to a brick: its first and last cell, the first voxel of its texture and the texture's size.
+    pub(crate) fn set_brick(
+        &mut self,
+        low: [usize; 3],
+        high: [usize; 3],
+        origin: [usize; 3],
+        dims: [usize; 3],
+    ) {
+        self.brick_low = low.map(|v| v as f32);
+        self.brick_high = high.map(|v| v as f32);
+        self.brick_origin = origin.map(|v| v as f32);
+        self.brick_dims = dims.map(|v| v as f32);
     }
 }
 
@@ -123,11 +155,12 @@ mod tests {
 
     #[test]
     fn the_uniform_block_has_the_layout_of_the_shader() {
-        assert_eq!(size_of::<FrameSetup>(), 11 * 16);
+        assert_eq!(size_of::<FrameSetup>(), 15 * 16);
         assert_eq!(core::mem::offset_of!(FrameSetup, advance), 64);
         assert_eq!(core::mem::offset_of!(FrameSetup, light), 112);
         assert_eq!(core::mem::offset_of!(FrameSetup, tile_height), 144);
         assert_eq!(core::mem::offset_of!(FrameSetup, blocks), 160);
+        assert_eq!(core::mem::offset_of!(FrameSetup, brick_dims), 224);
     }
 
     #[test]

@@ -266,6 +266,123 @@ fn skipping_changes_nothing() -> Outcome {
     expect_silence(&gpu)
 }
 
+/// Volumes that no texture holds: the limit is lowered until this one is cut into bricks.
+fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
+    let validated = |validation| {
+        let largest_texture = Some(21);
+        open(VulkanOptions {
+            validation,
+            fetch: Some(fetch),
+            count_work: true,
+            largest_texture,
+            ..Default::default()
+        })
+    };
+    let mut gpu = validated(true).or_else(|_| validated(false))?;
+    let mut twin = CpuRaycaster::new();
+    let exact = fetch != VoxelFetch::Sampler && gpu.is_software();
+    let data = Data::new([37, 53, 29]);
+    for (kind, view) in data.views().into_iter().take(2) {
+        gpu.set_volume(&view)?;
+        twin.set_volume(&view)?;
+        for scene in scenes() {
+            gpu.set_transfer(&scene.table)?;
+            twin.set_transfer(&scene.table)?;
+            for shading in [Shading::None, Shading::Local] {
+                for skipping in SKIPPINGS {
+                    let frame = scene.frame.with_shading(shading).with_skipping(skipping);
+                    let name = format!("{kind}, {}, {}, {}", scene.name, shading.name(), skipping.name());
+                    let (a, b) = (gpu.render(&frame)?, twin.render(&frame)?);
+                    let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
+                    if largest > LARGEST || mean > MEAN {
+                        return Err(format!("{name}: up to {largest}/255, mean {mean:.3}/255").into());
+                    }
+                    if exact && a.counts != b.counts {
+                        return Err(format!("{name}: device {:?}, twin {:?}", a.counts, b.counts).into());
+                    }
+                }
+            }
+        }
+    }
+    let scatter = gpu.render(&frame(0.0, 0.0, 3.0, 8, 8).with_shading(Shading::Scatter));
+    if !scatter.is_err_and(|e| e.to_string().contains("one texture")) {
+        return Err("single scattering in bricks".into());
+    }
+    // A volume that fits again takes one texture, and scatters.
+    let small = Data::new([20, 21, 8]);
+    let (_, view) = small.views()[0];
+    gpu.set_volume(&view)?;
+    twin.set_volume(&view)?;
+    gpu.set_transfer(&medium())?;
+    twin.set_transfer(&medium())?;
+    let f = frame(10.0, 30.0, 2.5, 30, 20).with_shading(Shading::Scatter);
+    let (largest, _) = difference(&gpu.render(&f)?.image.rgba, &twin.render(&f)?.image.rgba);
+    if largest > LARGEST {
+        return Err(format!("after bricks: {largest}").into());
+    }
+    expect_silence(&gpu)
+}
+
+/// Frames in flight are the frames that `render` draws, in order, whatever changes meanwhile.
+fn frames_in_flight_are_the_rendered_ones() -> Outcome {
+    let mut gpu = open_validated(None)?;
+    let mut alone = open(VulkanOptions { count_work: true, ..Default::default() })?;
+    let data = field_bytes([40; 3]);
+    let view = VolumeView::new(Scalars::U8(&data), [40; 3]).unwrap();
+    for r in [&mut gpu, &mut alone] {
+        r.set_volume(&view)?;
+        r.set_transfer(&medium())?;
+    }
+    if gpu.collect()?.is_some() {
+        return Err("a frame out of nothing".into());
+    }
+    let frames: Vec<Frame> = (0..7u16)
+        .map(|i| {
+            let size = 40 + 9 * u32::from(i);
+            frame(10.0, 20.0 * f32::from(i), 2.5, size, 50)
+                .with_step([1.0, 0.5, 2.0][usize::from(i) % 3])
+                .unwrap()
+        })
+        .collect();
+    let mut wanted = std::collections::VecDeque::new();
+    let check = |gpu: &mut VulkanRaycaster, wanted: &mut std::collections::VecDeque<_>| -> Outcome {
+        let (found, want): (_, entire_vk_raycaster::Rendered) =
+            (gpu.collect()?.ok_or("no frame")?, wanted.pop_front().ok_or("a frame too many")?);
+        let timed = found.time.device.is_some() == gpu.has_timestamps() && found.time.wall > 0.0;
+        if found.image != want.image || found.counts != want.counts || !timed {
+            return Err(format!("{:?} {:?}", found.counts, want.counts).into());
+        }
+        Ok(())
+    };
+    for (i, f) in frames.iter().enumerate() {
+        if wanted.len() == VulkanRaycaster::FRAMES_IN_FLIGHT {
+            match gpu.enqueue(f) {
+                Err(e) if e.to_string().contains("in flight") => {}
+                _ => return Err("more frames in flight than said".into()),
+            }
+            check(&mut gpu, &mut wanted)?;
+        }
+        if i == 4 {
+            // While a frame is in flight, which keeps its own.
+            gpu.set_transfer(&opaque())?;
+            alone.set_transfer(&opaque())?;
+        }
+        gpu.enqueue(f)?;
+        wanted.push_back(alone.render(f)?);
+    }
+    // One slot is free for a frame that is rendered in between.
+    check(&mut gpu, &mut wanted)?;
+    if gpu.render(&frames[0])?.image != alone.render(&frames[0])?.image {
+        return Err("rendered beside a frame in flight".into());
+    }
+    check(&mut gpu, &mut wanted)?;
+    let large = frame(0.0, 0.0, 3.0, 4096, 8);
+    if !gpu.enqueue(&large).is_err_and(|e| e.to_string().contains("several dispatches")) {
+        return Err("a frame of several tiles".into());
+    }
+    expect_silence(&gpu)
+}
+
 /// Frames that are timed may take another way than frames that are counted: rays of a subgroup skip together. The
 /// pictures are the same bits.
 fn counting_changes_no_picture() -> Outcome {
@@ -421,6 +538,9 @@ fn main() {
         ("blocks_of_every_edge_match_the_twin", blocks_of_every_edge_match_the_twin),
         ("homogeneous_slab_absorbs_by_its_thickness", homogeneous_slab),
         ("skipping_changes_nothing_but_the_work", skipping_changes_nothing),
+        ("bricks_of_texels_match_the_twin", || bricks_match_the_twin(VoxelFetch::Texels)),
+        ("bricks_of_a_sampler_match_the_twin", || bricks_match_the_twin(VoxelFetch::Sampler)),
+        ("frames_in_flight_are_the_rendered_ones", frames_in_flight_are_the_rendered_ones),
         ("counting_changes_no_picture", counting_changes_no_picture),
         ("long_rays_are_cast_in_windows", long_rays_are_cast_in_windows),
         ("tiles_join_without_seams", tiles_join_without_seams),

@@ -10,8 +10,8 @@ use gpu_allocator::MemoryLocation;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// Every compiled variant of the shader: shading, skipping, fetch, counting, packets; SPIR-V.
-static SHADERS: &[([u32; 5], &[u8])] = &include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
+/// Every compiled variant of the shader: shading, skipping, fetch, counting, packets, bricks; SPIR-V.
+static SHADERS: &[([u32; 6], &[u8])] = &include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
 
 /// Bytes that a staging buffer holds, unless one slice needs more.
 const STAGING_BYTES: u64 = 64 << 20;
@@ -30,6 +30,25 @@ pub(crate) struct ShaderKey {
     pub(crate) fetch: u32,
     pub(crate) counting: u32,
     pub(crate) packets: u32,
+    pub(crate) bricks: u32,
+}
+
+/// Frames that may be in flight.
+pub(crate) const FRAMES_IN_FLIGHT: usize = 2;
+
+/// Most textures that a volume may be cut into.
+pub(crate) const MAX_BRICKS: usize = 64;
+
+/// A tile to cast.
+pub(crate) struct Cast<'a> {
+    /// What errors call it.
+    pub(crate) pass: &'a str,
+    pub(crate) key: ShaderKey,
+    pub(crate) tile: Tile,
+    /// Whether rays go on where an earlier dispatch left them.
+    pub(crate) windowed: bool,
+    /// The brick of the volume.
+    pub(crate) brick: usize,
 }
 
 /// What a dispatch runs, and on what.
@@ -42,6 +61,28 @@ pub(crate) struct CastTile<'a> {
     pub(crate) image: &'a [u8],
     /// Empty unless the work was counted.
     pub(crate) work: &'a [u8],
+}
+
+/// What one submission uses for itself, so that another may run meanwhile.
+struct Slot {
+    descriptors: Owned<vk::DescriptorPool>,
+    /// For each brick of the volume, where made: the set that points at everything that a dispatch uses.
+    sets: HashMap<usize, vk::DescriptorSet>,
+    pool: Owned<vk::CommandPool>,
+    commands: vk::CommandBuffer,
+    fence: Owned<vk::Fence>,
+    queries: Option<Owned<vk::QueryPool>>,
+    setup: Buffer,
+    table_staging: Buffer,
+    tile: Option<TileBuffers>,
+    running: Option<Running>,
+}
+
+/// A submitted cast.
+struct Running {
+    pass: String,
+    pixels: u64,
+    counting: bool,
 }
 
 /// Buffers whose size follows the tile.
@@ -60,23 +101,97 @@ pub(crate) struct Engine {
     pipelines: HashMap<ShaderKey, Owned<vk::Pipeline>>,
     pipeline_layout: Owned<vk::PipelineLayout>,
     set_layout: Owned<vk::DescriptorSetLayout>,
-    descriptors: Owned<vk::DescriptorPool>,
-    /// Points at everything below; `None` when one of them has changed.
-    set: Option<vk::DescriptorSet>,
     sampler: Owned<vk::Sampler>,
-    pool: Owned<vk::CommandPool>,
-    commands: vk::CommandBuffer,
-    fence: Owned<vk::Fence>,
-    queries: Option<Owned<vk::QueryPool>>,
-    setup: Buffer,
-    table_staging: Buffer,
+    slots: Vec<Slot>,
     table: Option<Image>,
-    volume: Option<Image>,
+    /// The volume, in bricks where it is too large for one texture.
+    volume: Vec<Image>,
     skip_map: Option<Image>,
     staging: Option<Buffer>,
-    tile: Option<TileBuffers>,
     /// A failed submission may still be running: nothing is freed or submitted before the device is idle again.
     broken: bool,
+}
+
+impl Slot {
+    fn new(gpu: &Arc<Gpu>) -> Result<Self> {
+        let size =
+            |kind, count| vk::DescriptorPoolSize { ty: kind, descriptor_count: MAX_BRICKS as u32 * count };
+        let sizes = [
+            size(vk::DescriptorType::SAMPLED_IMAGE, 3),
+            size(vk::DescriptorType::SAMPLER, 1),
+            size(vk::DescriptorType::STORAGE_BUFFER, 4),
+            size(vk::DescriptorType::STORAGE_IMAGE, 3),
+        ];
+        let info = vk::DescriptorPoolCreateInfo::default().max_sets(MAX_BRICKS as u32).pool_sizes(&sizes);
+        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes into an
+        // `Owned` that destroys it once.
+        let handle =
+            unsafe { gpu.device.create_descriptor_pool(&info, None) }.named("vkCreateDescriptorPool")?;
+        let descriptors = Owned::new(gpu, handle, |d, h| {
+            // SAFETY: see `Owned`.
+            unsafe { d.destroy_descriptor_pool(h, None) }
+        });
+        let info = vk::CommandPoolCreateInfo::default()
+            .queue_family_index(gpu.family)
+            .flags(vk::CommandPoolCreateFlags::TRANSIENT);
+        // SAFETY: as above.
+        let handle = unsafe { gpu.device.create_command_pool(&info, None) }.named("vkCreateCommandPool")?;
+        let pool = Owned::new(gpu, handle, |d, h| {
+            // SAFETY: see `Owned`.
+            unsafe { d.destroy_command_pool(h, None) }
+        });
+        let info = vk::CommandBufferAllocateInfo::default()
+            .command_pool(handle)
+            .level(vk::CommandBufferLevel::PRIMARY)
+            .command_buffer_count(1);
+        // SAFETY: the pool is alive.
+        let commands =
+            unsafe { gpu.device.allocate_command_buffers(&info) }.named("vkAllocateCommandBuffers")?[0];
+        // SAFETY: as above.
+        let handle = unsafe { gpu.device.create_fence(&vk::FenceCreateInfo::default(), None) }
+            .named("vkCreateFence")?;
+        let fence = Owned::new(gpu, handle, |d, h| {
+            // SAFETY: see `Owned`.
+            unsafe { d.destroy_fence(h, None) }
+        });
+        let queries = if gpu.timestamps.is_some() {
+            let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(2);
+            // SAFETY: as above.
+            let handle = unsafe { gpu.device.create_query_pool(&info, None) }.named("vkCreateQueryPool")?;
+            Some(Owned::new(gpu, handle, |d, h| {
+                // SAFETY: see `Owned`.
+                unsafe { d.destroy_query_pool(h, None) }
+            }))
+        } else {
+            None
+        };
+        let setup = Buffer::new(
+            gpu,
+            "frame setup",
+            size_of::<FrameSetup>() as u64,
+            vk::BufferUsageFlags::STORAGE_BUFFER | vk::BufferUsageFlags::TRANSFER_DST,
+            MemoryLocation::GpuOnly,
+        )?;
+        let table_staging = Buffer::new(
+            gpu,
+            "transfer table staging",
+            TABLE_BYTES,
+            vk::BufferUsageFlags::TRANSFER_SRC | vk::BufferUsageFlags::TRANSFER_DST,
+            MemoryLocation::GpuOnly,
+        )?;
+        Ok(Self {
+            descriptors,
+            sets: HashMap::new(),
+            pool,
+            commands,
+            fence,
+            queries,
+            setup,
+            table_staging,
+            tile: None,
+            running: None,
+        })
+    }
 }
 
 impl Engine {
@@ -121,21 +236,6 @@ impl Engine {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_pipeline_layout(h, None) }
         });
-        let size = |kind, count| vk::DescriptorPoolSize { ty: kind, descriptor_count: count };
-        let sizes = [
-            size(vk::DescriptorType::SAMPLED_IMAGE, 3),
-            size(vk::DescriptorType::SAMPLER, 1),
-            size(vk::DescriptorType::STORAGE_BUFFER, 4),
-            size(vk::DescriptorType::STORAGE_IMAGE, 3),
-        ];
-        let info = vk::DescriptorPoolCreateInfo::default().max_sets(1).pool_sizes(&sizes);
-        // SAFETY: as above.
-        let handle =
-            unsafe { gpu.device.create_descriptor_pool(&info, None) }.named("vkCreateDescriptorPool")?;
-        let descriptors = Owned::new(&gpu, handle, |d, h| {
-            // SAFETY: see `Owned`.
-            unsafe { d.destroy_descriptor_pool(h, None) }
-        });
         let info = vk::SamplerCreateInfo::default()
             .mag_filter(vk::Filter::LINEAR)
             .min_filter(vk::Filter::LINEAR)
@@ -148,72 +248,17 @@ impl Engine {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_sampler(h, None) }
         });
-        let info = vk::CommandPoolCreateInfo::default()
-            .queue_family_index(gpu.family)
-            .flags(vk::CommandPoolCreateFlags::TRANSIENT);
-        // SAFETY: as above.
-        let handle = unsafe { gpu.device.create_command_pool(&info, None) }.named("vkCreateCommandPool")?;
-        let pool = Owned::new(&gpu, handle, |d, h| {
-            // SAFETY: see `Owned`.
-            unsafe { d.destroy_command_pool(h, None) }
-        });
-        let info = vk::CommandBufferAllocateInfo::default()
-            .command_pool(handle)
-            .level(vk::CommandBufferLevel::PRIMARY)
-            .command_buffer_count(1);
-        // SAFETY: the pool is alive.
-        let commands =
-            unsafe { gpu.device.allocate_command_buffers(&info) }.named("vkAllocateCommandBuffers")?[0];
-        // SAFETY: as above.
-        let handle = unsafe { gpu.device.create_fence(&vk::FenceCreateInfo::default(), None) }
-            .named("vkCreateFence")?;
-        let fence = Owned::new(&gpu, handle, |d, h| {
-            // SAFETY: see `Owned`.
-            unsafe { d.destroy_fence(h, None) }
-        });
-        let queries = if gpu.timestamps.is_some() {
-            let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(2);
-            // SAFETY: as above.
-            let handle = unsafe { gpu.device.create_query_pool(&info, None) }.named("vkCreateQueryPool")?;
-            Some(Owned::new(&gpu, handle, |d, h| {
-                // SAFETY: see `Owned`.
-                unsafe { d.destroy_query_pool(h, None) }
-            }))
-        } else {
-            None
-        };
-        let setup = Buffer::new(
-            &gpu,
-            "frame setup",
-            size_of::<FrameSetup>() as u64,
-            vk::BufferUsageFlags::STORAGE_BUFFER | vk::BufferUsageFlags::TRANSFER_DST,
-            MemoryLocation::GpuOnly,
-        )?;
-        let table_staging = Buffer::new(
-            &gpu,
-            "transfer table staging",
-            TABLE_BYTES,
-            vk::BufferUsageFlags::TRANSFER_SRC | vk::BufferUsageFlags::TRANSFER_DST,
-            MemoryLocation::GpuOnly,
-        )?;
+        let slots = (0..FRAMES_IN_FLIGHT).map(|_| Slot::new(&gpu)).collect::<Result<_>>()?;
         Ok(Self {
             pipelines: HashMap::new(),
             pipeline_layout,
             set_layout,
-            descriptors,
-            set: None,
             sampler,
-            pool,
-            commands,
-            fence,
-            queries,
-            setup,
-            table_staging,
+            slots,
             table: None,
-            volume: None,
+            volume: Vec::new(),
             skip_map: None,
             staging: None,
-            tile: None,
             broken: false,
             gpu,
         })
@@ -223,40 +268,69 @@ impl Engine {
         &self.gpu
     }
 
-    /// Makes the image behind `target`, unless it has this shape already. Its contents are undefined.
+    /// Makes the image behind `target`, unless it has this shape already. Its contents are undefined. Nothing may be
+    /// running.
     pub(crate) fn reserve(&mut self, target: Target, shape: Shape) -> Result<()> {
-        self.recover()?;
-        let (slot, name) = match target {
-            Target::Volume => (&mut self.volume, "volume texture"),
-            Target::SkipMap => (&mut self.skip_map, "skip map"),
-            Target::Table => (&mut self.table, "transfer table"),
-        };
-        if slot.as_ref().is_some_and(|i| i.shape == shape) {
+        if self.image(target).is_ok_and(|i| i.shape == shape) {
             return Ok(());
         }
-        self.set = None;
+        self.forget_sets();
+        let name = match target {
+            Target::Volume(_) => "volume texture",
+            Target::SkipMap => "skip map",
+            Target::Table => "transfer table",
+        };
         // The old one goes first: both may not fit.
-        *slot = None;
+        match target {
+            Target::Volume(brick) => self.volume.truncate(brick),
+            Target::SkipMap => self.skip_map = None,
+            Target::Table => self.table = None,
+        }
         let [x, y, z] = shape.extent;
         let image = Image::new(&self.gpu, name, shape)
             .map_err(|e| Error::new(format!("the {name} of {x} x {y} x {z} texels does not fit: {e}")))?;
         match target {
-            Target::Volume => self.volume = Some(image),
+            Target::Volume(_) => self.volume.push(image),
             Target::SkipMap => self.skip_map = Some(image),
             Target::Table => self.table = Some(image),
         }
         Ok(())
     }
 
+    /// Leaves the first `bricks` textures of the volume. Nothing may be running.
+    pub(crate) fn keep_bricks(&mut self, bricks: usize) {
+        if self.volume.len() > bricks {
+            self.forget_sets();
+            self.volume.truncate(bricks);
+        }
+    }
+
+    fn forget_sets(&mut self) {
+        self.slots.iter_mut().for_each(|s| s.sets.clear());
+    }
+
+    /// Waits until nothing is running; what was cast can still be finished.
+    pub(crate) fn drain(&mut self) -> Result<()> {
+        if self.broken || self.slots.iter().any(|s| s.running.is_some()) {
+            // SAFETY: the device is alive; the queue is used by this thread alone (`&mut self`).
+            unsafe { self.gpu.device.device_wait_idle() }.named("vkDeviceWaitIdle")?;
+        }
+        if self.broken {
+            for slot in &mut self.slots {
+                let fences = [slot.fence.get()];
+                // SAFETY: the device is idle, so the fence is in no pending submission.
+                unsafe { self.gpu.device.reset_fences(&fences) }.named("vkResetFences")?;
+                slot.running = None;
+            }
+            self.broken = false;
+        }
+        Ok(())
+    }
+
     /// Fills a reserved image slice by slice: `fill` gets the first slice of a run and the bytes to write.
     pub(crate) fn copy_slices(&mut self, target: Target, fill: impl Fn(usize, &mut [u8])) -> Result<()> {
-        self.recover()?;
-        let image = match target {
-            Target::Volume => self.volume.as_ref(),
-            Target::SkipMap => self.skip_map.as_ref(),
-            Target::Table => None,
-        };
-        let Some(image) = image else { return Err(Error::new("the image to copy to was not reserved")) };
+        self.drain()?;
+        let image = self.image(target)?;
         let (depth, texels) = image.shape.slices();
         let slice = texels * texel_bytes(image.shape.format);
         let per_copy = (STAGING_BYTES / slice).clamp(1, u64::from(depth)) as u32;
@@ -276,7 +350,9 @@ impl Engine {
             if let Some(staging) = &mut self.staging {
                 fill(first as usize, &mut staging.bytes_mut()?[..(slice * u64::from(slices)) as usize]);
             }
-            self.submit("copy to the device", None, &record_slices(target, depth, first, slices))?;
+            let slot = self.free_slot()?;
+            self.submit(slot, "copy to the device", None, &record_slices(target, depth, first, slices))?;
+            self.wait(slot, "copy to the device")?;
             first += slices;
         }
         // A large staging buffer is not kept for small later uses.
@@ -286,25 +362,39 @@ impl Engine {
         Ok(())
     }
 
-    /// Casts the rays of a tile and waits for it.
-    pub(crate) fn cast(
-        &mut self,
-        pass: &str,
-        key: ShaderKey,
-        tile: Tile,
-        windowed: bool,
-        commands: &[Command],
-    ) -> Result<CastTile<'_>> {
-        self.recover()?;
-        let pixels = u64::from(tile.width) * u64::from(tile.height);
-        let counting = key.counting != 0;
-        self.reserve_tile(pixels, counting, windowed)?;
-        self.prepare_pipeline(key)?;
-        let set = self.prepare_set()?;
-        let shader = self.pipelines.get(&key).map(|p| (p.get(), set));
-        self.submit(pass, shader, commands)?;
-        let seconds = self.read_seconds()?;
-        let Some(buffers) = &self.tile else { return Err(Error::new("no tile buffers")) };
+    /// A slot in which nothing is running.
+    pub(crate) fn free_slot(&self) -> Result<usize> {
+        self.slots.iter().position(|s| s.running.is_none()).ok_or_else(|| {
+            Error::new(format!(
+                "{FRAMES_IN_FLIGHT} frames are in flight, no more are taken: collect one first"
+            ))
+        })
+    }
+
+    /// Starts to cast the rays of a tile.
+    pub(crate) fn start(&mut self, slot: usize, cast: &Cast<'_>, commands: &[Command]) -> Result<()> {
+        if self.broken {
+            self.drain()?;
+        }
+        let pixels = u64::from(cast.tile.width) * u64::from(cast.tile.height);
+        let counting = cast.key.counting != 0;
+        self.reserve_tile(slot, pixels, counting, cast.windowed)?;
+        self.prepare_pipeline(cast.key)?;
+        let set = self.prepare_set(slot, cast.brick)?;
+        let shader = self.pipelines.get(&cast.key).map(|p| (p.get(), set));
+        self.submit(slot, cast.pass, shader, commands)?;
+        self.slots[slot].running = Some(Running { pass: cast.pass.to_owned(), pixels, counting });
+        Ok(())
+    }
+
+    /// Waits for what was started.
+    pub(crate) fn finish(&mut self, slot: usize) -> Result<CastTile<'_>> {
+        let Some(Running { pass, pixels, counting }) = self.slots[slot].running.take() else {
+            return Err(Error::new("nothing was cast, or the device failed meanwhile: render again"));
+        };
+        self.wait(slot, &pass)?;
+        let seconds = self.read_seconds(slot)?;
+        let Some(buffers) = &self.slots[slot].tile else { return Err(Error::new("no tile buffers")) };
         let bytes = buffers.read_back.bytes()?;
         let image_bytes = (pixels * IMAGE_BYTES) as usize;
         let work_bytes = if counting { (pixels * WORK_BYTES) as usize } else { 0 };
@@ -312,16 +402,17 @@ impl Engine {
         Ok(CastTile { seconds, image, work: &rest[..work_bytes] })
     }
 
-    fn reserve_tile(&mut self, pixels: u64, counting: bool, windowed: bool) -> Result<()> {
-        if self
+    fn reserve_tile(&mut self, slot: usize, pixels: u64, counting: bool, windowed: bool) -> Result<()> {
+        let slot = &mut self.slots[slot];
+        if slot
             .tile
             .as_ref()
             .is_some_and(|t| t.pixels >= pixels && t.counting >= counting && t.windowed >= windowed)
         {
             return Ok(());
         }
-        self.set = None;
-        self.tile = None;
+        slot.sets.clear();
+        slot.tile = None;
         let storage = vk::BufferUsageFlags::STORAGE_BUFFER | vk::BufferUsageFlags::TRANSFER_SRC;
         let make = |name, bytes| Buffer::new(&self.gpu, name, bytes, storage, MemoryLocation::GpuOnly);
         let image = make("image buffer", pixels * IMAGE_BYTES)?;
@@ -334,7 +425,7 @@ impl Engine {
             vk::BufferUsageFlags::TRANSFER_DST,
             MemoryLocation::GpuToCpu,
         )?;
-        self.tile = Some(TileBuffers { pixels, counting, windowed, image, work, state, read_back });
+        slot.tile = Some(TileBuffers { pixels, counting, windowed, image, work, state, read_back });
         Ok(())
     }
 
@@ -342,7 +433,7 @@ impl Engine {
         if self.pipelines.contains_key(&key) {
             return Ok(());
         }
-        let wanted = [key.shading, key.skipping, key.fetch, key.counting, key.packets];
+        let wanted = [key.shading, key.skipping, key.fetch, key.counting, key.packets, key.bricks];
         let Some((_, bytes)) = SHADERS.iter().find(|(k, _)| *k == wanted) else {
             return Err(Error::new(format!("there is no shader for {key:?}")));
         };
@@ -375,18 +466,22 @@ impl Engine {
 
     /// Makes a new descriptor set of what there is now. Sets are never rewritten: some drivers look at every
     /// descriptor of a set, also at those that the shader does not use and whose resources are gone.
-    fn prepare_set(&mut self) -> Result<vk::DescriptorSet> {
-        if let Some(set) = self.set {
-            return Ok(set);
+    fn prepare_set(&mut self, index: usize, brick: usize) -> Result<vk::DescriptorSet> {
+        let slot = &mut self.slots[index];
+        if let Some(set) = slot.sets.get(&brick) {
+            return Ok(*set);
         }
         let device = &self.gpu.device;
-        let pool = self.descriptors.get();
-        // SAFETY: nothing that uses the pool's set is running: every submission is waited for.
-        unsafe { device.reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty()) }
-            .named("vkResetDescriptorPool")?;
+        let pool = slot.descriptors.get();
+        if slot.sets.is_empty() {
+            // SAFETY: nothing that uses the pool's sets is running: sets are made for slots whose submission was waited
+            // for.
+            unsafe { device.reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty()) }
+                .named("vkResetDescriptorPool")?;
+        }
         let layouts = [self.set_layout.get()];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
-        // SAFETY: the pool has room for this one set.
+        // SAFETY: the pool has room for a set of each brick.
         let set = unsafe { device.allocate_descriptor_sets(&info) }.named("vkAllocateDescriptorSets")?[0];
         let write = |write: vk::WriteDescriptorSet<'_>| {
             // SAFETY: the set is new, so nothing uses it, and the resource is alive.
@@ -401,8 +496,8 @@ impl Engine {
                     .buffer_info(&info),
             );
         };
-        write_buffer(0, vk::DescriptorType::STORAGE_BUFFER, &self.setup);
-        if let Some(tile) = &self.tile {
+        write_buffer(0, vk::DescriptorType::STORAGE_BUFFER, &slot.setup);
+        if let Some(tile) = &slot.tile {
             write_buffer(5, vk::DescriptorType::STORAGE_BUFFER, &tile.image);
             write_buffer(10, vk::DescriptorType::STORAGE_BUFFER, &tile.state);
             if let Some(work) = &tile.work {
@@ -417,7 +512,9 @@ impl Engine {
                 .image_info(&sampler),
         );
         // Each image with its binding as a sampled and as a storage image.
-        for (image, sampled, storage) in [(&self.table, 1, 7), (&self.volume, 2, 8), (&self.skip_map, 4, 9)] {
+        let images =
+            [(self.table.as_ref(), 1, 7), (self.volume.get(brick), 2, 8), (self.skip_map.as_ref(), 4, 9)];
+        for (image, sampled, storage) in images {
             let Some(image) = image else { continue };
             let info =
                 [vk::DescriptorImageInfo::default().image_view(image.view()).image_layout(image.layout())];
@@ -433,82 +530,88 @@ impl Engine {
                     .image_info(&info),
             );
         }
-        self.set = Some(set);
+        slot.sets.insert(brick, set);
         Ok(set)
     }
 
-    /// After a failed submission: waits until the device is idle, so that resources may be changed.
-    fn recover(&mut self) -> Result<()> {
-        if self.broken {
-            // SAFETY: the device is alive; the queue is used by this thread alone (`&mut self`).
-            unsafe { self.gpu.device.device_wait_idle() }.named("vkDeviceWaitIdle")?;
-            let fences = [self.fence.get()];
-            // SAFETY: the device is idle, so the fence is in no pending submission.
-            unsafe { self.gpu.device.reset_fences(&fences) }.named("vkResetFences")?;
-            self.broken = false;
-        }
-        Ok(())
-    }
-
-    /// Plays a recording and waits for its end.
-    fn submit(&mut self, pass: &str, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
+    /// Submits a recording.
+    fn submit(
+        &mut self,
+        slot: usize,
+        pass: &str,
+        shader: Option<Shader>,
+        commands: &[Command],
+    ) -> Result<()> {
         self.broken = true;
-        self.try_submit(shader, commands)
-            .map_err(|e| Error::new(format!("{e} (last pass: {pass}, on {})", self.gpu.name)))?;
+        self.try_submit(&self.slots[slot], shader, commands).map_err(|e| self.with_pass(&e, pass))?;
         self.broken = false;
         Ok(())
     }
 
-    fn try_submit(&self, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
+    /// Waits for the end of a submission.
+    fn wait(&mut self, slot: usize, pass: &str) -> Result<()> {
+        self.broken = true;
+        let fences = [self.slots[slot].fence.get()];
+        // SAFETY: the fence was submitted, and nothing else waits for it.
+        unsafe { self.gpu.device.wait_for_fences(&fences, true, u64::MAX) }
+            .named("vkWaitForFences")
+            .map_err(|e| self.with_pass(&e, pass))?;
+        // SAFETY: the fence has signaled and is in no pending submission.
+        unsafe { self.gpu.device.reset_fences(&fences) }.named("vkResetFences")?;
+        self.broken = false;
+        Ok(())
+    }
+
+    fn with_pass(&self, e: &Error, pass: &str) -> Error {
+        Error::new(format!("{e} (last pass: {pass}, on {})", self.gpu.name))
+    }
+
+    fn try_submit(&self, slot: &Slot, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
         let device = &self.gpu.device;
-        // SAFETY: the one command buffer of the pool is not pending: every submission is waited for below, or
-        // `recover` has waited for the device.
-        unsafe { device.reset_command_pool(self.pool.get(), vk::CommandPoolResetFlags::empty()) }
+        // SAFETY: the one command buffer of the pool is not pending: the slot's submission was waited for, or `drain`
+        // has waited for the device.
+        unsafe { device.reset_command_pool(slot.pool.get(), vk::CommandPoolResetFlags::empty()) }
             .named("vkResetCommandPool")?;
         let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
         // SAFETY: the command buffer is in its initial state.
-        unsafe { device.begin_command_buffer(self.commands, &begin) }.named("vkBeginCommandBuffer")?;
+        unsafe { device.begin_command_buffer(slot.commands, &begin) }.named("vkBeginCommandBuffer")?;
         for command in commands {
-            self.play(shader, command)?;
+            self.play(slot, shader, command)?;
         }
         // SAFETY: recording was begun above.
-        unsafe { device.end_command_buffer(self.commands) }.named("vkEndCommandBuffer")?;
-        let buffers = [self.commands];
+        unsafe { device.end_command_buffer(slot.commands) }.named("vkEndCommandBuffer")?;
+        let buffers = [slot.commands];
         let submit = [vk::SubmitInfo::default().command_buffers(&buffers)];
-        let fences = [self.fence.get()];
         // SAFETY: the command buffer is complete, everything it uses is kept until the fence has signaled, the fence
         // is unsignaled, and `&mut self` of the callers keeps other threads from the queue.
-        unsafe { device.queue_submit(self.gpu.queue, &submit, fences[0]) }.named("vkQueueSubmit")?;
-        // SAFETY: the fence was submitted above.
-        unsafe { device.wait_for_fences(&fences, true, u64::MAX) }.named("vkWaitForFences")?;
-        // SAFETY: the fence has signaled and is in no pending submission.
-        unsafe { device.reset_fences(&fences) }.named("vkResetFences")
+        unsafe { device.queue_submit(self.gpu.queue, &submit, slot.fence.get()) }.named("vkQueueSubmit")
     }
 
     fn image(&self, target: Target) -> Result<&Image> {
         match target {
-            Target::Volume => self.volume.as_ref(),
+            Target::Volume(brick) => self.volume.get(brick),
             Target::SkipMap => self.skip_map.as_ref(),
             Target::Table => self.table.as_ref(),
         }
         .ok_or_else(|| Error::new("an image that a command names was not reserved"))
     }
 
-    fn play(&self, shader: Option<Shader>, command: &Command) -> Result<()> {
+    fn play(&self, slot: &Slot, shader: Option<Shader>, command: &Command) -> Result<()> {
         let device = &self.gpu.device;
-        let commands = self.commands;
+        let commands = slot.commands;
         // SAFETY: the command buffer is being recorded; every resource named by a command belongs to this engine and
         // lives until the submission was waited for; ranges lie inside their buffers and images, because recordings
         // are made from the same tile and image sizes that these were reserved with.
         unsafe {
             match command {
                 Command::WriteSetup(setup) => {
-                    device.cmd_update_buffer(commands, self.setup.get(), 0, bytemuck::bytes_of(&**setup));
+                    device.cmd_update_buffer(commands, slot.setup.get(), 0, bytemuck::bytes_of(&**setup));
                 }
                 Command::WriteTable(table) => {
-                    device.cmd_update_buffer(commands, self.table_staging.get(), 0, table);
+                    device.cmd_update_buffer(commands, slot.table_staging.get(), 0, table);
                 }
                 Command::PrepareCopy { target, keep } => self.image_barrier(
+                    commands,
                     self.image(*target)?,
                     if *keep { vk::ImageLayout::TRANSFER_DST_OPTIMAL } else { vk::ImageLayout::UNDEFINED },
                     vk::ImageLayout::TRANSFER_DST_OPTIMAL,
@@ -519,6 +622,7 @@ impl Engine {
                     (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
                 ),
                 Command::FinishCopy { target } => self.image_barrier(
+                    commands,
                     self.image(*target)?,
                     vk::ImageLayout::TRANSFER_DST_OPTIMAL,
                     self.image(*target)?.layout(),
@@ -543,7 +647,7 @@ impl Engine {
                     let image = self.image(Target::Table)?;
                     device.cmd_copy_buffer_to_image(
                         commands,
-                        self.table_staging.get(),
+                        slot.table_staging.get(),
                         image.get(),
                         vk::ImageLayout::TRANSFER_DST_OPTIMAL,
                         &[copy_region(&image.shape, 0, image.shape.slices().0)],
@@ -564,12 +668,12 @@ impl Engine {
                     );
                 }
                 Command::ResetTimestamps => {
-                    if let Some(queries) = &self.queries {
+                    if let Some(queries) = &slot.queries {
                         device.cmd_reset_query_pool(commands, queries.get(), 0, 2);
                     }
                 }
                 Command::Timestamp(index) => {
-                    if let Some(queries) = &self.queries {
+                    if let Some(queries) = &slot.queries {
                         // At the bottom of the pipe: once all work recorded before is done.
                         let stage = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
                         device.cmd_write_timestamp(commands, stage, queries.get(), *index);
@@ -592,7 +696,7 @@ impl Engine {
                     device.cmd_dispatch(commands, groups[0], groups[1], 1);
                 }
                 Command::ReadBack { image_bytes, work_bytes } => {
-                    let Some(tile) = &self.tile else {
+                    let Some(tile) = &slot.tile else {
                         return Err(Error::new("a read-back without tile buffers"));
                     };
                     let region = [vk::BufferCopy { src_offset: 0, dst_offset: 0, size: *image_bytes }];
@@ -614,6 +718,7 @@ impl Engine {
     /// The command buffer is being recorded, and `old` is the image's layout by then (or undefined).
     unsafe fn image_barrier(
         &self,
+        commands: vk::CommandBuffer,
         image: &Image,
         old: vk::ImageLayout,
         new: vk::ImageLayout,
@@ -632,7 +737,7 @@ impl Engine {
         // SAFETY: the caller's contract.
         unsafe {
             self.gpu.device.cmd_pipeline_barrier(
-                self.commands,
+                commands,
                 source.0,
                 target.0,
                 vk::DependencyFlags::empty(),
@@ -644,8 +749,10 @@ impl Engine {
     }
 
     /// Seconds between the two timestamps of the last submission.
-    fn read_seconds(&self) -> Result<Option<f64>> {
-        let (Some(queries), Some(clock)) = (&self.queries, &self.gpu.timestamps) else { return Ok(None) };
+    fn read_seconds(&self, slot: usize) -> Result<Option<f64>> {
+        let (Some(queries), Some(clock)) = (&self.slots[slot].queries, &self.gpu.timestamps) else {
+            return Ok(None);
+        };
         let mut ticks = [0u64; 2];
         // SAFETY: the submission that wrote both queries was waited for.
         unsafe {
@@ -698,7 +805,8 @@ fn barrier_masks(hazard: Hazard) -> (Access, Access) {
     }
 }
 
-fn texel_bytes(format: vk::Format) -> u64 {
+/// Bytes of a texel.
+pub(crate) fn texel_bytes(format: vk::Format) -> u64 {
     match format {
         vk::Format::R8_UNORM | vk::Format::R8_UINT => 1,
         vk::Format::R16_UNORM => 2,

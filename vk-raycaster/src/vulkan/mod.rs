@@ -17,12 +17,14 @@ use crate::renderer::{
 use crate::setup::{FAR, FrameSetup};
 use crate::table::Classifier;
 use crate::voxels::{Geometry, PreparedVolume};
-use engine::{Engine, ShaderKey};
+use engine::{Cast, Engine, ShaderKey};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
 use gpu::{Gpu, GpuOptions};
-use recording::{IMAGE_BYTES, Target, WORK_BYTES, record_tile, tiles};
+use recording::{IMAGE_BYTES, Target, Tile, WORK_BYTES, record_tile, tiles};
 use resources::Shape;
+use std::collections::VecDeque;
 use std::sync::Arc;
+use upload::Brick;
 
 /// A dispatch that takes longer than this makes the tiles of its shading mode smaller.
 const LONG_DISPATCH_SECONDS: f64 = 0.5;
@@ -59,6 +61,8 @@ pub struct VulkanOptions {
     pub count_work: bool,
     /// Edge of the tiles that large images are cut into, in pixels. `None` is 1024.
     pub tile: Option<u32>,
+    /// Most voxels along an axis of one texture; larger volumes are cut into bricks. `None` is the device's limit.
+    pub largest_texture: Option<u32>,
 }
 
 impl VulkanOptions {
@@ -109,6 +113,29 @@ pub struct VulkanRaycaster {
     occupied: Option<(usize, usize)>,
     /// Edge of the tiles for each shading mode.
     tile: [u32; 3],
+    /// Frames that were enqueued and not yet collected.
+    in_flight: VecDeque<Enqueued>,
+}
+
+/// A frame in flight.
+struct Enqueued {
+    slot: usize,
+    width: u32,
+    height: u32,
+    watch: Stopwatch,
+    counting: bool,
+}
+
+/// What all dispatches of a frame share.
+struct Plan {
+    setup: FrameSetup,
+    class: usize,
+    key: ShaderKey,
+    /// Samples per dispatch.
+    window: f32,
+    /// Where the last window starts.
+    last_window: f32,
+    table: Option<Vec<u8>>,
 }
 
 /// What the host keeps of a volume that is on the device.
@@ -116,6 +143,10 @@ struct DeviceVolume {
     geometry: Geometry,
     blocks: BlockMap,
     fetch: VoxelFetch,
+    /// What each texture holds; one where all of it fits.
+    bricks: Vec<Brick>,
+    /// Bricks along each axis.
+    grid: [usize; 3],
 }
 
 impl VulkanRaycaster {
@@ -141,6 +172,7 @@ impl VulkanRaycaster {
             has_skip_map: false,
             occupied: None,
             tile: [edge; 3],
+            in_flight: VecDeque::new(),
         })
     }
 
@@ -173,6 +205,109 @@ impl VulkanRaycaster {
     /// Switches the counting of work on or off.
     pub fn set_count_work(&mut self, on: bool) {
         self.options.count_work = on;
+    }
+
+    /// Frames that may be in flight: enqueued and not yet collected.
+    pub const FRAMES_IN_FLIGHT: usize = engine::FRAMES_IN_FLIGHT;
+
+    /// Starts a frame and returns while the device renders it, so that the host can prepare the next one meanwhile or
+    /// use the one before. [`VulkanRaycaster::collect`] returns the frames in order. A change of volume or transfer
+    /// function holds for the frames that are enqueued after it.
+    ///
+    /// # Errors
+    /// When [`VulkanRaycaster::FRAMES_IN_FLIGHT`] frames are in flight, when the frame needs more than one dispatch
+    /// (an image larger than a tile, a volume in bricks, very long rays; [`Renderer::render`] takes those), or as
+    /// [`Renderer::render`] fails.
+    pub fn enqueue(&mut self, frame: &Frame) -> Result<()> {
+        let watch = Stopwatch::start();
+        let plan = self.plan(frame)?;
+        let (width, height) = (frame.width(), frame.height());
+        let bricks = self.volume.as_ref().map_or(0, |v| v.bricks.len());
+        let tile = Tile { x: 0, y: 0, width, height };
+        if width.max(height) > self.tile[plan.class] || plan.last_window > 0.0 || bricks != 1 {
+            return Err(Error::new(format!(
+                "a frame of {width} x {height} pixels needs several dispatches here (tiles of {}, {bricks} bricks) and cannot be enqueued; render it",
+                self.tile[plan.class]
+            )));
+        }
+        let slot = self.engine.free_slot()?;
+        self.table_step = None;
+        let commands =
+            record_tile(&plan.setup, tile, plan.table, self.has_timestamps(), self.options.count_work);
+        let cast =
+            Cast { pass: "ray casting, a frame in flight", key: plan.key, tile, windowed: false, brick: 0 };
+        self.engine.start(slot, &cast, &commands)?;
+        self.table_step = Some(frame.step());
+        self.in_flight.push_back(Enqueued { slot, width, height, watch, counting: self.options.count_work });
+        Ok(())
+    }
+
+    /// Waits for the oldest frame in flight; `None` when there is none. Its wall time is from the call of
+    /// [`VulkanRaycaster::enqueue`] on and overlaps with that of its neighbors.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub fn collect(&mut self) -> Result<Option<Rendered>> {
+        let Some(Enqueued { slot, width, height, watch, counting }) = self.in_flight.pop_front() else {
+            return Ok(None);
+        };
+        let done = self.engine.finish(slot)?;
+        let mut counts = WorkCounts::default();
+        add_counts(&mut counts, done.work);
+        let image = Image { width, height, rgba: done.image.to_vec() };
+        let time = FrameTime { device: done.seconds, wall: watch.wall(), cpu: watch.cpu() };
+        Ok(Some(Rendered { image, time, counts: counting.then_some(counts) }))
+    }
+
+    /// What the dispatches of a frame have in common.
+    fn plan(&self, frame: &Frame) -> Result<Plan> {
+        let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) else {
+            let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
+            return Err(Error::new(format!("nothing to render: no {missing} was set")));
+        };
+        if !self.has_skip_map {
+            return Err(Error::new(
+                "nothing to render: the last change of volume or transfer function failed; set it again",
+            ));
+        }
+        let bricked = volume.bricks.len() > 1;
+        if bricked && frame.shading() == Shading::Scatter {
+            return Err(Error::new(format!(
+                "single scattering needs the volume in one texture, on {} it takes {} bricks; crop or downsample it, or render on the CPU",
+                self.engine.gpu().name,
+                volume.bricks.len()
+            )));
+        }
+        let class = shading_index(frame.shading());
+        let key = ShaderKey {
+            shading: class as u32,
+            skipping: match frame.skipping() {
+                Skipping::None => 0,
+                Skipping::Blocks => 1,
+                _ => 2,
+            },
+            fetch: volume.fetch as u32,
+            counting: u32::from(self.options.count_work),
+            packets: u32::from(
+                volume.fetch == VoxelFetch::Packed
+                    && frame.skipping() != Skipping::None
+                    && !self.options.count_work
+                    && self.engine.gpu().subgroup_arithmetic,
+            ),
+            bricks: u32::from(bricked),
+        };
+        let step = volume.geometry.reference_step() * f64::from(frame.step());
+        let window = if self.is_software() { window(step, frame.shading()) } else { FAR };
+        let longest = longest_ray(step) as f32;
+        Ok(Plan {
+            setup: FrameSetup::new(&volume.geometry, volume.blocks.edge, volume.blocks.dims, frame),
+            class,
+            key,
+            window,
+            last_window: (longest / window).ceil().max(1.0).mul_add(window, -window).max(0.0),
+            table: (self.table_step != Some(frame.step()))
+                .then(|| upload::table_texels(volume.fetch, &classifier.step_table(frame.step()))),
+        })
     }
 
     /// Brings the empty blocks of the present volume and transfer function onto the device.
@@ -245,31 +380,37 @@ impl Renderer for VulkanRaycaster {
     fn set_volume(&mut self, view: &VolumeView<'_>) -> Result<Preparation> {
         let all = Stopwatch::start();
         let mut preparation = Preparation::default();
-        upload::check_size(self.engine.gpu(), view.dims())?;
+        upload::check_size(self.engine.gpu(), view.dims(), self.options.largest_texture)?;
+        self.engine.drain()?;
         let prepared = PreparedVolume::new(view);
-        let plan = upload::plan(self.engine.gpu(), &prepared, self.options.fetch)?;
+        let plan =
+            upload::plan(self.engine.gpu(), &prepared, self.options.fetch, self.options.largest_texture)?;
         self.volume = None;
         self.has_skip_map = false;
         let dims = prepared.geometry.dims;
-        self.engine.reserve(
-            Target::Volume,
-            match plan.fetch {
+        self.engine.keep_bricks(plan.bricks.len());
+        for (i, brick) in plan.bricks.iter().enumerate() {
+            let shape = match plan.fetch {
                 VoxelFetch::Packed => upload::packed_shape(dims),
-                _ => Shape { extent: dims.map(|n| n as u32), format: plan.format, storage: false },
-            },
-        )?;
+                _ => Shape { extent: brick.dims.map(|n| n as u32), format: plan.format, storage: false },
+            };
+            self.engine.reserve(Target::Volume(i), shape)?;
+        }
         self.engine.reserve(Target::Table, upload::table_shape(plan.fetch))?;
         self.table_step = None;
-        self.engine.copy_slices(Target::Volume, |first, out| {
-            upload::fill_slices(&prepared, &plan, first, out);
-        })?;
+        for (i, brick) in plan.bricks.iter().enumerate() {
+            self.engine.copy_slices(Target::Volume(i), |first, out| {
+                upload::fill_slices(&prepared, &plan, brick, first, out);
+            })?;
+        }
         preparation.upload = Some(all.wall());
         let watch = Stopwatch::start();
         let blocks = BlockMap::new(&prepared, self.block_edge);
         preparation.block_map = Some(watch.wall());
         let mut geometry = prepared.geometry;
         geometry.scale *= plan.unit;
-        self.volume = Some(DeviceVolume { geometry, blocks, fetch: plan.fetch });
+        self.volume =
+            Some(DeviceVolume { geometry, blocks, fetch: plan.fetch, bricks: plan.bricks, grid: plan.grid });
         self.update_skip_map(&mut preparation)?;
         preparation.wall = all.wall();
         Ok(preparation)
@@ -278,6 +419,7 @@ impl Renderer for VulkanRaycaster {
     fn set_transfer(&mut self, table: &TransferTable) -> Result<Preparation> {
         let all = Stopwatch::start();
         let mut preparation = Preparation::default();
+        self.engine.drain()?;
         self.classifier = Some(Classifier::new(table));
         self.table_step = None;
         self.update_skip_map(&mut preparation)?;
@@ -286,88 +428,54 @@ impl Renderer for VulkanRaycaster {
     }
 
     fn render(&mut self, frame: &Frame) -> Result<Rendered> {
-        let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) else {
-            let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
-            return Err(Error::new(format!("nothing to render: no {missing} was set")));
-        };
-        if !self.has_skip_map {
-            return Err(Error::new(
-                "nothing to render: the last change of volume or transfer function failed; set it again",
-            ));
-        }
         let watch = Stopwatch::start();
-        let setup = FrameSetup::new(&volume.geometry, volume.blocks.edge, volume.blocks.dims, frame);
-        let class = shading_index(frame.shading());
-        let key = ShaderKey {
-            shading: class as u32,
-            skipping: match frame.skipping() {
-                Skipping::None => 0,
-                Skipping::Blocks => 1,
-                _ => 2,
-            },
-            fetch: volume.fetch as u32,
-            counting: u32::from(self.options.count_work),
-            packets: u32::from(
-                volume.fetch == VoxelFetch::Packed
-                    && frame.skipping() != Skipping::None
-                    && !self.options.count_work
-                    && self.engine.gpu().subgroup_arithmetic,
-            ),
-        };
-        let mut table = (self.table_step != Some(frame.step()))
-            .then(|| upload::table_texels(volume.fetch, &classifier.step_table(frame.step())));
+        let mut plan = self.plan(frame)?;
+        let order = self.volume.as_ref().map(|v| brick_order(v, &plan.setup)).unwrap_or_default();
+        let bricks = self.volume.as_ref().map(|v| v.bricks.clone()).unwrap_or_default();
         self.table_step = None;
+        let slot = self.engine.free_slot()?;
         let (width, height) = (frame.width(), frame.height());
         let mut rgba = vec![0; width as usize * height as usize * IMAGE_BYTES as usize];
         let mut counts = WorkCounts::default();
         let mut device = self.has_timestamps().then_some(0.0);
-        // Samples per dispatch, and where the last dispatch starts at the latest.
-        let window = if self.is_software() {
-            window(volume.geometry.reference_step() * f64::from(frame.step()), frame.shading())
-        } else {
-            FAR
-        };
-        let longest = longest_ray(volume.geometry.reference_step() * f64::from(frame.step())) as f32;
-        let last_window = (longest / window).ceil().max(1.0).mul_add(window, -window).max(0.0);
+        let timestamps = device.is_some();
+        let class = plan.class;
+        let windowed = plan.last_window > 0.0 || bricks.len() > 1;
         let cut = tiles(width, height, self.tile[class]);
         for (i, &tile) in cut.iter().enumerate() {
-            let timestamps = device.is_some();
             let pass = format!("ray casting, tile {} of {}", i + 1, cut.len());
             let mut begin = 0.0;
-            while begin < last_window {
-                let mut setup = setup;
-                (setup.window_begin, setup.window_end) = (begin, begin + window);
-                let commands = record_tile(&setup, tile, table.take(), timestamps, self.options.count_work);
-                let tile_watch = Stopwatch::start();
-                let seconds = self.engine.cast(&pass, key, tile, true, &commands)?.seconds;
-                device = device.zip(seconds).map(|(sum, s)| sum + s);
-                if seconds.unwrap_or_else(|| tile_watch.wall()) > LONG_DISPATCH_SECONDS {
-                    self.tile[class] = (self.tile[class] / 2).max(SMALLEST_TILE.min(self.tile[class]));
+            loop {
+                let last = begin >= plan.last_window;
+                for (visit, &brick) in order.iter().enumerate() {
+                    let mut setup = plan.setup;
+                    setup.resume = u32::from(begin > 0.0 || visit > 0);
+                    setup.window_end = if last { FAR } else { begin + plan.window };
+                    setup.set_brick(
+                        bricks[brick].low,
+                        bricks[brick].high,
+                        bricks[brick].origin,
+                        bricks[brick].dims,
+                    );
+                    let commands =
+                        record_tile(&setup, tile, plan.table.take(), timestamps, self.options.count_work);
+                    let cast = Cast { pass: &pass, key: plan.key, tile, windowed, brick };
+                    let tile_watch = Stopwatch::start();
+                    self.engine.start(slot, &cast, &commands)?;
+                    let done = self.engine.finish(slot)?;
+                    device = device.zip(done.seconds).map(|(sum, s)| sum + s);
+                    if done.seconds.unwrap_or_else(|| tile_watch.wall()) > LONG_DISPATCH_SECONDS {
+                        self.tile[class] = (self.tile[class] / 2).max(SMALLEST_TILE.min(self.tile[class]));
+                    }
+                    if last && visit + 1 == order.len() {
+                        join(&mut rgba, width, tile, done.image);
+                        add_counts(&mut counts, done.work);
+                    }
                 }
-                begin += window;
-            }
-            let mut setup = setup;
-            setup.window_begin = begin;
-            let commands = record_tile(&setup, tile, table.take(), timestamps, self.options.count_work);
-            let tile_watch = Stopwatch::start();
-            let done = self.engine.cast(&pass, key, tile, last_window > 0.0, &commands)?;
-            device = device.zip(done.seconds).map(|(sum, s)| sum + s);
-            if done.seconds.unwrap_or_else(|| tile_watch.wall()) > LONG_DISPATCH_SECONDS {
-                self.tile[class] = (self.tile[class] / 2).max(SMALLEST_TILE.min(self.tile[class]));
-            }
-            let row_bytes = tile.width as usize * 4;
-            for (y, row) in done.image.chunks_exact(row_bytes).enumerate() {
-                let start = ((tile.y as usize + y) * width as usize + tile.x as usize) * 4;
-                rgba[start..start + row_bytes].copy_from_slice(row);
-            }
-            for pixel in done.work.chunks_exact(WORK_BYTES as usize) {
-                let number = |i: usize| {
-                    u64::from(u32::from_le_bytes([pixel[i], pixel[i + 1], pixel[i + 2], pixel[i + 3]]))
-                };
-                counts.rays += number(0);
-                counts.samples += number(4);
-                counts.skips += number(8);
-                counts.shaded += number(12);
+                if last {
+                    break;
+                }
+                begin += plan.window;
             }
         }
         self.table_step = Some(frame.step());
@@ -378,6 +486,43 @@ impl Renderer for VulkanRaycaster {
             counts: self.options.count_work.then_some(counts),
         })
     }
+}
+
+/// Copies a finished tile into the image.
+fn join(rgba: &mut [u8], width: u32, tile: Tile, found: &[u8]) {
+    let row_bytes = tile.width as usize * 4;
+    for (y, row) in found.chunks_exact(row_bytes).enumerate() {
+        let start = ((tile.y as usize + y) * width as usize + tile.x as usize) * 4;
+        rgba[start..start + row_bytes].copy_from_slice(row);
+    }
+}
+
+fn add_counts(counts: &mut WorkCounts, work: &[u8]) {
+    for pixel in work.chunks_exact(WORK_BYTES as usize) {
+        let number =
+            |i: usize| u64::from(u32::from_le_bytes([pixel[i], pixel[i + 1], pixel[i + 2], pixel[i + 3]]));
+        counts.rays += number(0);
+        counts.samples += number(4);
+        counts.skips += number(8);
+        counts.shaded += number(12);
+    }
+}
+
+/// The bricks from front to back: along each axis every ray goes away from the eye, so the number of bricks between
+/// orders them.
+fn brick_order(volume: &DeviceVolume, setup: &FrameSetup) -> Vec<usize> {
+    let inside = |brick: &Brick, a: usize| {
+        let cell = (setup.eye[a] - 0.5).clamp(0.0, setup.dims[a] - 1.0).floor();
+        brick.low[a] as f32 <= cell && cell <= brick.high[a] as f32
+    };
+    let at = |i: usize| {
+        [i % volume.grid[0], i / volume.grid[0] % volume.grid[1], i / (volume.grid[0] * volume.grid[1])]
+    };
+    let eye = [0, 1, 2]
+        .map(|a| (0..volume.bricks.len()).find(|&i| inside(&volume.bricks[i], a)).map_or(0, |i| at(i)[a]));
+    let mut order: Vec<usize> = (0..volume.bricks.len()).collect();
+    order.sort_by_key(|&i| (0..3).map(|a| at(i)[a].abs_diff(eye[a])).sum::<usize>());
+    order
 }
 
 /// Most samples that a ray can take: the diagonal of the box, 2 in scene space, in steps of `step`.

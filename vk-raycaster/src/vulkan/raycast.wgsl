@@ -6,6 +6,7 @@
 // SKIPPING  0 none, 1 blocks, 2 distance
 // FETCH     where voxels come from: 0 sampler, 1 eight texels, 2 two texels of four packed bytes
 // COUNTING  1 to count the work of each pixel
+// BRICKS    1: the texture holds a part of the volume, and the dispatch takes the samples in that part
 // PACKETS   1: the rays of a subgroup skip together (same picture; cannot count)
 
 const SMALLEST_ADVANCE: f32 = 1e-9;
@@ -37,11 +38,19 @@ struct FrameSetup {
     light_inverse: vec3<f32>,
     tile_width: u32,
     tile_height: u32,
-    window_begin: f32,
+    resume: u32,
     window_end: f32,
     block_edge: f32,
     blocks: vec3<u32>,
     block_shift: u32,
+    brick_low: vec3<f32>,
+    pad_low: f32,
+    brick_high: vec3<f32>,
+    pad_high: f32,
+    brick_origin: vec3<f32>,
+    pad_origin: f32,
+    brick_dims: vec3<f32>,
+    pad_dims: f32,
 }
 
 @group(0) @binding(0) var<storage, read> setup: FrameSetup;
@@ -205,14 +214,24 @@ fn mix1(a: f32, b: f32, f: f32) -> f32 {
 // The table position (0…255) of the volume at p.
 fn position(p: vec3<f32>) -> f32 {
 #if FETCH == 0
+#if BRICKS == 1
+    let inside = min(max(p, vec3<f32>(0.0)), dims) - setup.brick_origin;
+    let value = textureSampleLevel(volume, volume_sampler, inside / setup.brick_dims, 0.0).x;
+#else
     let value = textureSampleLevel(volume, volume_sampler, p / dims, 0.0).x;
+#endif
 #else
     let q = min(max(p - 0.5, vec3<f32>(0.0)), last);
     let cell = floor(q);
     let f = q - cell;
-    let low = whole(cell);
 #if FETCH == 1
+#if BRICKS == 1
+    let low = whole(cell - setup.brick_origin);
+    let high = whole(min(cell + 1.0, last) - setup.brick_origin);
+#else
+    let low = whole(cell);
     let high = whole(min(cell + 1.0, last));
+#endif
     let v000 = textureLoad(volume, low, 0).x;
     let v100 = textureLoad(volume, vec3<i32>(high.x, low.y, low.z), 0).x;
     let v010 = textureLoad(volume, vec3<i32>(low.x, high.y, low.z), 0).x;
@@ -222,6 +241,7 @@ fn position(p: vec3<f32>) -> f32 {
     let v011 = textureLoad(volume, vec3<i32>(low.x, high.y, high.z), 0).x;
     let v111 = textureLoad(volume, high, 0).x;
 #else
+    let low = whole(cell);
     let next = whole1(min(cell.z + 1.0, last.z));
     let inside = low.xy & vec2<i32>(7);
     let row = ((low.x - inside.x) << 6u) + inside.x + (low.y >> 3u) * block_row + (inside.y << 3u);
@@ -365,12 +385,15 @@ fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
     let count = ceil(exit - start);
     let termination = setup.termination;
     var k = 0.0;
-    if setup.window_begin > 0.0 {
+    if setup.resume != 0u {
         sum = state[2u * index];
         k = state[2u * index + 1u].x;
     }
     let window = min(count, setup.window_end);
     var own = Samples(0.0, 0.0);
+#if BRICKS == 1
+    var outside = false;
+#endif
     while k < window {
         let run = next_samples(first, advance, inverse, k, count, &own);
         k = run.begin;
@@ -378,6 +401,13 @@ fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
         if k < end {
             loop {
                 let p = first + k * advance;
+#if BRICKS == 1
+                let cell = floor(min(max(p - 0.5, vec3<f32>(0.0)), last));
+                if any(cell < setup.brick_low) || any(cell > setup.brick_high) {
+                    outside = true;
+                    break;
+                }
+#endif
                 counts.samples += 1u;
                 let found = classify(position(p));
                 k += 1.0;
@@ -402,8 +432,18 @@ fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
                 }
             }
         }
+#if BRICKS == 1
+        if outside {
+            break;
+        }
+#endif
     }
-    if setup.window_end < FAR {
+#if BRICKS == 1
+    let kept = true;
+#else
+    let kept = setup.window_end < FAR;
+#endif
+    if kept {
         state[2u * index] = sum;
         state[2u * index + 1u] = vec4<f32>(k, 0.0, 0.0, 0.0);
     }
@@ -431,7 +471,7 @@ fn main(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     if x < setup.tile_width && y < setup.tile_height {
         let index = y * setup.tile_width + x;
 #if COUNTING == 1
-        if setup.window_begin > 0.0 {
+        if setup.resume != 0u {
             let before = work[index];
             counts = Counts(before.y, before.z, before.w);
         }

@@ -12,7 +12,8 @@ pub(crate) const WORK_BYTES: u64 = 16;
 /// The resources that commands name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Target {
-    Volume,
+    /// A brick of the volume.
+    Volume(usize),
     SkipMap,
     Table,
 }
@@ -197,11 +198,11 @@ mod tests {
 
     #[test]
     fn only_a_whole_image_becomes_readable() {
-        let finishes = |c: &[Command]| c.contains(&Command::FinishCopy { target: Target::Volume });
-        let first = record_slices(Target::Volume, 10, 0, 6);
-        let last = record_slices(Target::Volume, 10, 6, 4);
+        let finishes = |c: &[Command]| c.contains(&Command::FinishCopy { target: Target::Volume(0) });
+        let first = record_slices(Target::Volume(0), 10, 0, 6);
+        let last = record_slices(Target::Volume(0), 10, 6, 4);
         assert!(!finishes(&first) && finishes(&last));
-        assert!(first.contains(&Command::PrepareCopy { target: Target::Volume, keep: false }));
-        assert!(last.contains(&Command::PrepareCopy { target: Target::Volume, keep: true }));
+        assert!(first.contains(&Command::PrepareCopy { target: Target::Volume(0), keep: false }));
+        assert!(last.contains(&Command::PrepareCopy { target: Target::Volume(0), keep: true }));
     }
 }

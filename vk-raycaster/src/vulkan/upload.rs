@@ -1,6 +1,7 @@
 //! How a volume's voxels become texels.
 
 use super::VoxelFetch;
+use super::engine::{MAX_BRICKS, texel_bytes};
 use super::gpu::Gpu;
 use super::resources::Shape;
 use crate::renderer::{Error, Result};
@@ -24,20 +25,69 @@ const PACKED_BLOCK: usize = PACKED_EDGE * PACKED_EDGE * PACKED_EDGE;
 const PACKED_EDGE: usize = 8;
 
 /// Format and meaning of the texels.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Plan {
     pub(crate) fetch: VoxelFetch,
     pub(crate) format: vk::Format,
     /// Voxel value that the shader reads as 1.
     pub(crate) unit: f32,
+    /// What each texture holds, x fastest.
+    pub(crate) bricks: Vec<Brick>,
+    /// Bricks along each axis.
+    pub(crate) grid: [usize; 3],
 }
 
-/// Refuses volumes that no 3-D texture of the device holds, before any work.
-pub(crate) fn check_size(gpu: &Gpu, dims: [usize; 3]) -> Result<()> {
-    let limit = gpu.limits.max_image_dimension3_d as usize;
-    if dims.iter().any(|&n| n > limit) {
+/// A part of the volume in a texture of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Brick {
+    /// First and last cell whose samples are taken from it.
+    pub(crate) low: [usize; 3],
+    pub(crate) high: [usize; 3],
+    /// First voxel that it holds, and voxels along each axis: what those samples and their gradients touch.
+    pub(crate) origin: [usize; 3],
+    pub(crate) dims: [usize; 3],
+}
+
+/// Voxels that a brick holds beyond its cells along an axis: one before and two behind.
+const APRON: usize = 3;
+
+/// Cuts a volume so that no brick has more than `limit` voxels along an axis or `most` voxels in all. Returns the bricks
+/// and their number along each axis; `None` when there were more than [`MAX_BRICKS`].
+pub(crate) fn cut(dims: [usize; 3], limit: usize, most: u64) -> Option<(Vec<Brick>, [usize; 3])> {
+    let mut grid = dims.map(|n| if n <= limit { 1 } else { n.div_ceil(limit.saturating_sub(APRON).max(1)) });
+    let held = |grid: [usize; 3]| {
+        let edge = [0, 1, 2].map(|a| if grid[a] == 1 { dims[a] } else { dims[a].div_ceil(grid[a]) + APRON });
+        edge.iter().map(|&n| n as u64).product::<u64>()
+    };
+    while grid.iter().product::<usize>() <= MAX_BRICKS && held(grid) > most {
+        // The axis along which bricks are longest.
+        let axis = (0..3).max_by_key(|&a| dims[a].div_ceil(grid[a])).unwrap_or(2);
+        grid[axis] += 1;
+    }
+    let count = grid.iter().try_fold(1usize, |n, &g| n.checked_mul(g)).filter(|&n| n <= MAX_BRICKS)?;
+    let bricks = (0..count).map(|i| {
+        let at = [i % grid[0], i / grid[0] % grid[1], i / (grid[0] * grid[1])];
+        let low = [0, 1, 2].map(|a| at[a] * dims[a] / grid[a]);
+        let high = [0, 1, 2].map(|a| (at[a] + 1) * dims[a] / grid[a] - 1);
+        let origin = low.map(|l| l.saturating_sub(1));
+        let dims = [0, 1, 2].map(|a| (high[a] + APRON).min(dims[a]) - origin[a]);
+        Brick { low, high, origin, dims }
+    });
+    Some((bricks.collect(), grid))
+}
+
+/// Voxels along an axis that a texture takes.
+fn texture_limit(gpu: &Gpu, wish: Option<u32>) -> usize {
+    let limit = gpu.limits.max_image_dimension3_d;
+    wish.map_or(limit, |w| w.clamp(8, limit)) as usize
+}
+
+/// Refuses volumes that the device's textures do not hold, before any work.
+pub(crate) fn check_size(gpu: &Gpu, dims: [usize; 3], wish: Option<u32>) -> Result<()> {
+    let limit = texture_limit(gpu, wish);
+    if cut(dims, limit, u64::MAX).is_none() {
         return Err(Error::new(format!(
-            "the volume has {} x {} x {} voxels, {} takes at most {limit} along each axis; crop or downsample it, or render on the CPU",
+            "the volume has {} x {} x {} voxels, {} takes at most {limit} along each axis of a texture and {MAX_BRICKS} textures; crop or downsample it, or render on the CPU",
             dims[0], dims[1], dims[2], gpu.name
         )));
     }
@@ -45,7 +95,12 @@ pub(crate) fn check_size(gpu: &Gpu, dims: [usize; 3]) -> Result<()> {
 }
 
 /// Chooses how the shader fetches voxels: as wished, else what is fastest on the device.
-pub(crate) fn plan(gpu: &Gpu, volume: &PreparedVolume, wish: Option<VoxelFetch>) -> Result<Plan> {
+pub(crate) fn plan(
+    gpu: &Gpu,
+    volume: &PreparedVolume,
+    wish: Option<VoxelFetch>,
+    largest: Option<u32>,
+) -> Result<Plan> {
     let (plain, unit) = match &volume.voxels {
         Voxels::U8(_) => (vk::Format::R8_UNORM, 255.0),
         Voxels::U16(_) => (vk::Format::R16_UNORM, 65535.0),
@@ -54,7 +109,10 @@ pub(crate) fn plan(gpu: &Gpu, volume: &PreparedVolume, wish: Option<VoxelFetch>)
     let (can_sample, can_filter) = gpu.sampling(plain);
     let is_bytes = matches!(volume.voxels, Voxels::U8(_));
     let packed = packed_shape(volume.geometry.dims);
+    let dims = volume.geometry.dims;
+    let limit = texture_limit(gpu, largest);
     let can_pack = is_bytes
+        && dims.iter().all(|&n| n <= limit)
         && packed.extent[..2].iter().all(|&n| n <= gpu.limits.max_image_dimension2_d)
         && u64::from(packed.extent[0]) * u64::from(packed.extent[1]) * 4 <= gpu.max_allocation;
     let fetch = wish.unwrap_or(match (gpu.is_cpu, can_filter) {
@@ -63,7 +121,7 @@ pub(crate) fn plan(gpu: &Gpu, volume: &PreparedVolume, wish: Option<VoxelFetch>)
         (_, true) => VoxelFetch::Sampler,
         _ => VoxelFetch::Texels,
     });
-    match fetch {
+    let format = match fetch {
         VoxelFetch::Packed if !is_bytes => Err(Error::new(
             "packed voxel fetch takes bytes only; choose the sampler or texels, or leave the choice open",
         )),
@@ -73,9 +131,9 @@ pub(crate) fn plan(gpu: &Gpu, volume: &PreparedVolume, wish: Option<VoxelFetch>)
         ))),
         // Software samplers interpolate 8-bit textures in 8 bits; in 16 they keep the fractions.
         VoxelFetch::Sampler if is_bytes && gpu.is_cpu && gpu.sampling(vk::Format::R16_UNORM).1 => {
-            Ok(Plan { fetch, format: vk::Format::R16_UNORM, unit: 255.0 })
+            Ok((vk::Format::R16_UNORM, 255.0))
         }
-        VoxelFetch::Packed => Ok(Plan { fetch, format: vk::Format::R32_UINT, unit: 1.0 }),
+        VoxelFetch::Packed => Ok((vk::Format::R32_UINT, 1.0)),
         VoxelFetch::Sampler if !can_filter => Err(Error::new(format!(
             "{} has no linear filter for {plain:?}; choose texels, or leave the choice open",
             gpu.name
@@ -84,29 +142,59 @@ pub(crate) fn plan(gpu: &Gpu, volume: &PreparedVolume, wish: Option<VoxelFetch>)
             "{} cannot sample {plain:?} textures; convert the volume to bytes, or render on the CPU",
             gpu.name
         ))),
-        _ => Ok(Plan { fetch, format: plain, unit }),
-    }
+        _ => Ok((plain, unit)),
+    };
+    let (format, unit) = format?;
+    let whole = Brick { low: [0; 3], high: dims.map(|n| n - 1), origin: [0; 3], dims };
+    let most = gpu.max_allocation / texel_bytes(format);
+    let (bricks, grid) = match fetch {
+        VoxelFetch::Packed => (vec![whole], [1; 3]),
+        _ => cut(dims, limit, most).ok_or_else(|| {
+            Error::new(format!(
+                "the volume has {dims:?} voxels, {} takes at most {most} in a texture and {MAX_BRICKS} textures; crop or downsample it, or render on the CPU",
+                gpu.name
+            ))
+        })?,
+    };
+    Ok(Plan { fetch, format, unit, bricks, grid })
 }
 
-/// Writes the texels of whole slices (rows, if packed) from `first` on.
-pub(crate) fn fill_slices(volume: &PreparedVolume, plan: &Plan, first: usize, out: &mut [u8]) {
-    let [nx, ny, _] = volume.geometry.dims;
+/// Writes the texels of whole slices (rows, if packed) of a brick from `first` on.
+pub(crate) fn fill_slices(volume: &PreparedVolume, plan: &Plan, brick: &Brick, first: usize, out: &mut [u8]) {
+    let texel = texel_bytes(plan.format);
     match &volume.voxels {
         Voxels::U8(v) if plan.fetch == VoxelFetch::Packed => pack_rows(v, volume.geometry.dims, first, out),
         Voxels::U8(v) if plan.format == vk::Format::R16_UNORM => {
-            for (o, v) in out.chunks_exact_mut(2).zip(&v[first * nx * ny..]) {
-                o.copy_from_slice(&(u16::from(*v) * 257).to_ne_bytes());
-            }
+            for_rows(v, volume.geometry.dims, brick, first, (out, texel), |out, row| {
+                for (o, v) in out.as_chunks_mut::<2>().0.iter_mut().zip(row) {
+                    *o = (u16::from(*v) * 257).to_ne_bytes();
+                }
+            });
         }
-        Voxels::U8(v) => copy(v, first * nx * ny, out),
-        Voxels::U16(v) => copy(v, first * nx * ny, out),
-        Voxels::F32(v) => copy(v, first * nx * ny, out),
+        Voxels::U8(v) => for_rows(v, volume.geometry.dims, brick, first, (out, texel), copy),
+        Voxels::U16(v) => for_rows(v, volume.geometry.dims, brick, first, (out, texel), copy),
+        Voxels::F32(v) => for_rows(v, volume.geometry.dims, brick, first, (out, texel), copy),
     }
 }
 
-fn copy<T: bytemuck::NoUninit>(voxels: &[T], start: usize, out: &mut [u8]) {
-    let count = out.len() / size_of::<T>();
-    out.copy_from_slice(bytemuck::cast_slice(&voxels[start..start + count]));
+fn copy<T: bytemuck::NoUninit>(out: &mut [u8], row: &[T]) {
+    out.copy_from_slice(bytemuck::cast_slice(row));
+}
+
+/// Hands every row of a brick's slices from `first` on to `write`, with the bytes that it fills.
+fn for_rows<T: Sync>(
+    voxels: &[T],
+    [nx, ny, _]: [usize; 3],
+    brick: &Brick,
+    first: usize,
+    (out, texel): (&mut [u8], u64),
+    write: impl Fn(&mut [u8], &[T]) + Sync,
+) {
+    let [width, height, _] = brick.dims;
+    out.par_chunks_mut(width * texel as usize).enumerate().for_each(|(i, out)| {
+        let (y, z) = (brick.origin[1] + i % height, brick.origin[2] + first + i / height);
+        write(out, &voxels[(z * ny + y) * nx + brick.origin[0]..][..width]);
+    });
 }
 
 /// The image of a packed volume.
@@ -200,6 +288,41 @@ pub(crate) fn table_texels(fetch: VoxelFetch, table: &StepTable) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn bricks_take_every_cell_once_and_hold_what_its_samples_touch() {
+        for (dims, limit, most) in [
+            ([10, 10, 10], 16, u64::MAX),
+            ([100, 33, 7], 16, u64::MAX),
+            ([40, 50, 60], 64, 20_000),
+            ([17, 1, 9], 8, 200),
+            ([16, 16, 16], 16, 4096),
+        ] {
+            let (bricks, grid) = cut(dims, limit, most).unwrap();
+            assert_eq!(bricks.len(), grid.iter().product::<usize>());
+            let mut taken = vec![0u8; dims.iter().product()];
+            for b in &bricks {
+                assert!(b.dims.iter().all(|&n| n <= limit), "{b:?}");
+                assert!(b.dims.iter().map(|&n| n as u64).product::<u64>() <= most, "{b:?}");
+                for a in 0..3 {
+                    assert!(b.origin[a] <= b.low[a].saturating_sub(1));
+                    assert!(b.origin[a] + b.dims[a] >= (b.high[a] + 3).min(dims[a]));
+                    assert!(b.origin[a] + b.dims[a] <= dims[a]);
+                }
+                for z in b.low[2]..=b.high[2] {
+                    for y in b.low[1]..=b.high[1] {
+                        for x in b.low[0]..=b.high[0] {
+                            taken[(z * dims[1] + y) * dims[0] + x] += 1;
+                        }
+                    }
+                }
+            }
+            assert!(taken.iter().all(|&n| n == 1), "{dims:?}");
+        }
+        assert_eq!(cut([16, 16, 16], 16, u64::MAX).unwrap().1, [1, 1, 1]);
+        assert!(cut([1 << 20, 1, 1], 4096, u64::MAX).is_none());
+        assert!(cut([64, 64, 64], 64, 100).is_none());
+    }
 
     #[test]
     fn packed_words_hold_the_square_of_neighbors_block_by_block() {
