@@ -65,7 +65,8 @@ fn main() {
     if let Some(error) = &missing {
         eprintln!("No Vulkan device, this test is ignored: {error}");
     }
-    let tests: [(&str, fn() -> Result<(), Failed>); 2] = [
+    type Test = fn() -> Result<(), Failed>;
+    let tests: [(&str, Test); 2] = [
         ("agrees_with_the_twin", agrees_with_the_twin),
         ("probe_describes_the_device", probe_describes_the_device),
     ];

@@ -304,10 +304,10 @@ mod tests {
             for b in &bricks {
                 assert!(b.dims.iter().all(|&n| n <= limit), "{b:?}");
                 assert!(b.dims.iter().map(|&n| n as u64).product::<u64>() <= most, "{b:?}");
-                for a in 0..3 {
+                for (a, &n) in dims.iter().enumerate() {
                     assert!(b.origin[a] <= b.low[a].saturating_sub(1));
-                    assert!(b.origin[a] + b.dims[a] >= (b.high[a] + 3).min(dims[a]));
-                    assert!(b.origin[a] + b.dims[a] <= dims[a]);
+                    assert!(b.origin[a] + b.dims[a] >= (b.high[a] + 3).min(n));
+                    assert!(b.origin[a] + b.dims[a] <= n);
                 }
                 for z in b.low[2]..=b.high[2] {
                     for y in b.low[1]..=b.high[1] {
