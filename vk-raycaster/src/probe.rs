@@ -126,7 +126,7 @@ fn table(points: &[(f32, f32)]) -> Result<TransferTable> {
     TransferFunction::Points(points).to_table().map_err(from_core)
 }
 
-fn from_core(e: entire_core::Error) -> Error {
+fn from_core(e: impl std::fmt::Display) -> Error {
     Error::new(e.to_string())
 }
 
