@@ -36,6 +36,8 @@ enum Command {
     Probe(commands::probe::Options),
     /// Play a path against a target frame time under several controllers.
     Steer(commands::steer::Options),
+    /// Record what every frame of a path costs at a grid of ray steps.
+    Record(commands::record::Options),
     /// Calibrate, explore and report: the main job, end to end.
     Demo(commands::demo::Options),
 }
@@ -85,6 +87,7 @@ impl Cli {
             Command::Render(options) => commands::render::run(options),
             Command::Probe(options) => commands::probe::run(options),
             Command::Steer(options) => commands::steer::run(options),
+            Command::Record(options) => commands::record::run(options),
             Command::Demo(options) => commands::demo::run(options),
         }
     }

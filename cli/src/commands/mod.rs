@@ -7,6 +7,7 @@ pub mod evaluate;
 pub mod features;
 pub mod predict;
 pub mod probe;
+pub mod record;
 pub mod render;
 pub mod steer;
 pub mod train;

@@ -7,3 +7,4 @@ pub mod metrics;
 pub mod play;
 pub mod race;
 pub mod report;
+pub mod trace;

@@ -16,44 +16,73 @@ pub enum Prior {
     },
 }
 
-/// t = Σ exp(θ_i) · part_i, with θ learned from observed times by a Kalman filter on ln t.
+/// How an observed frame stands to the scene at hand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// The first frame of this scene.
+    First,
+    /// A later frame of this scene.
+    Same,
+    /// A frame of an earlier scene, heard of late: it teaches nothing about this one.
+    Past,
+}
+
+/// t = exp(b) · Σ exp(θ_i) · part_i, with θ and b learned together from observed times by a Kalman filter on ln t.
 ///
-/// Costs stay positive because only their logarithms move. A drift common to all parts (clock, load, throttling) is
-/// expected from frame to frame, a drift of single parts less so; a known change of scene widens what is expected.
-/// Errors beyond three standard deviations are clipped; two in a row on the same side mean that the machine has
-/// changed, and the filter opens up. The state is bounded for ever.
+/// θ belongs to the machine: it drifts slowly and outlives a change of scene. b belongs to the scene at hand: what the
+/// prediction gets wrong about just this one. It follows the last few frames as closely as their noise allows, and a
+/// new scene begins with b = 0 and the spread that scenes have been found to have among each other. So what an
+/// expensive scene taught does not weigh on the cheap one after it.
+///
+/// Costs stay positive because only their logarithms move. How fast b follows is found from the errors themselves: when
+/// successive errors have the same sign it follows faster, when they alternate slower. Errors beyond three standard
+/// deviations are clipped; two in a row on the same side mean that the machine has changed, and the filter opens up and
+/// takes the second one whole. The state is bounded for ever.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Correction {
-    theta: [f64; TERMS],
-    covariance: [[f64; TERMS]; TERMS],
-    /// Variance of ln t between equal frames.
-    noise: f64,
-    /// Variance that a known change of scene adds.
+    /// θ, then b.
+    state: [f64; STATES],
+    covariance: [[f64; STATES]; STATES],
+    /// Variance of the errors in calm frames, in ln t.
+    spread: f64,
+    /// Share of a calm frame's error that b takes up.
+    gain: f64,
+    /// Variance of b among scenes.
     change: f64,
+    /// The calm error before, in standard deviations; 0 where there is none.
+    before: f64,
     run: i32,
     observations: u64,
+    /// Frames since the scene was new.
+    age: u64,
     prior: Prior,
 }
 
-/// θ stays within these bounds: factors of e⁻¹⁰…e¹⁰.
-const THETA_LIMIT: f64 = 10.0;
-const NOISE: (f64, f64) = (2.0e-5, 0.1);
+const STATES: usize = TERMS + 1;
+const LOCAL: usize = TERMS;
+/// θ and b stay within these bounds: factors of e⁻¹⁰…e¹⁰.
+const STATE_LIMIT: f64 = 10.0;
+const SPREAD: (f64, f64) = (1.0e-5, 0.25);
+const GAIN: (f64, f64) = (0.1, 0.8);
 const CHANGE: (f64, f64) = (1.0e-3, 0.5);
 const MAX_VARIANCE: f64 = 12.0;
-const COMMON_DRIFT: f64 = 1.0e-4;
-const SINGLE_DRIFT: f64 = 2.0e-5;
+const COMMON_DRIFT: f64 = 1.0e-5;
+const SINGLE_DRIFT: f64 = 2.0e-6;
 const CLIP: f64 = 3.0;
 
 impl Correction {
     /// A correction that has seen nothing.
     pub fn new(prior: Prior) -> Self {
         let mut out = Self {
-            theta: [0.0; TERMS],
-            covariance: [[0.0; TERMS]; TERMS],
-            noise: 2.5e-3,
-            change: 0.02,
+            state: [0.0; STATES],
+            covariance: [[0.0; STATES]; STATES],
+            spread: 0.0,
+            gain: 0.0,
+            change: 0.0,
+            before: 0.0,
             run: 0,
             observations: 0,
+            age: 0,
             prior,
         };
         out.reset();
@@ -62,23 +91,29 @@ impl Correction {
 
     /// Forgets everything.
     pub fn reset(&mut self) {
-        let (common, single) = match self.prior {
-            Prior::Unknown => (9.0, 1.0),
+        let (common, single, change) = match self.prior {
+            Prior::Unknown => (9.0, 1.0, 0.04),
             Prior::Fitted { log_sd } => {
                 let sd = if log_sd.is_finite() { f64::from(log_sd).clamp(0.01, 1.0) } else { 0.3 };
-                (sd * sd, 0.25 * sd * sd)
+                // A model that was fitted here is right on the whole; it is wrong about single scenes.
+                (0.1 * sd * sd, 0.1 * sd * sd, sd * sd)
             }
         };
-        self.theta = [0.0; TERMS];
+        self.state = [0.0; STATES];
+        self.covariance = [[0.0; STATES]; STATES];
         for i in 0..TERMS {
             for j in 0..TERMS {
                 self.covariance[i][j] = common + if i == j { single } else { 0.0 };
             }
         }
-        self.noise = 2.5e-3;
-        self.change = 0.02;
+        self.spread = 2.5e-3;
+        self.gain = 0.45;
+        self.change = change.clamp(CHANGE.0, CHANGE.1);
+        self.covariance[LOCAL][LOCAL] = self.change;
+        self.before = 0.0;
         self.run = 0;
         self.observations = 0;
+        self.age = 0;
     }
 
     /// Observations learned from since the last reset.
@@ -86,96 +121,144 @@ impl Correction {
         self.observations
     }
 
-    /// The factor that each part is corrected by.
+    /// The factor that each part is corrected by in every scene.
     pub fn factors(&self) -> [f64; TERMS] {
-        self.theta.map(libm::exp)
+        core::array::from_fn(|i| libm::exp(self.state[i]))
     }
 
-    /// The corrected time of a prediction in parts: seconds, and the standard deviation of ln(time). `changed` says
-    /// that frames before this one are a bad guide.
-    pub fn apply(&self, terms: &CostTerms, changed: bool) -> (f64, f64) {
-        let (seconds, shares) = self.shares(terms);
-        let variance = self.model_variance(&shares) + self.noise + if changed { self.change } else { 0.0 };
+    /// The factor of the scene at hand.
+    pub fn scene_factor(&self) -> f64 {
+        libm::exp(self.state[LOCAL])
+    }
+
+    /// Whether the scene at hand has been seen for some frames.
+    pub fn settled(&self) -> bool {
+        self.age > 4
+    }
+
+    /// Variance of ln t between equal frames.
+    pub fn noise(&self) -> f64 {
+        self.spread * (1.0 - self.gain)
+    }
+
+    /// Moves on by a frame. `novelty` is 0 where the frame continues the one before, 1 where that says nothing about it.
+    pub fn advance(&mut self, novelty: f64) {
+        let novelty = if novelty.is_finite() { novelty.clamp(0.0, 1.0) } else { 1.0 };
+        let keep = 1.0 - novelty;
+        self.state[LOCAL] *= keep;
+        for i in 0..STATES {
+            self.covariance[i][LOCAL] *= keep;
+            self.covariance[LOCAL][i] *= keep;
+        }
+        self.covariance[LOCAL][LOCAL] += (1.0 - keep * keep) * self.change
+            + keep * self.noise() * self.gain * self.gain / (1.0 - self.gain);
+        self.widen(COMMON_DRIFT, SINGLE_DRIFT);
+        self.tidy();
+        if novelty >= 0.5 {
+            self.age = 0;
+            self.before = 0.0;
+        }
+        self.age = self.age.saturating_add(1);
+    }
+
+    /// The corrected time of a prediction in parts: seconds, and the standard deviation of ln(time).
+    pub fn apply(&self, terms: &CostTerms) -> (f64, f64) {
+        let (seconds, shares) = self.shares(terms, true);
+        let variance = self.model_variance(&shares) + self.noise();
         (seconds, libm::sqrt(variance.clamp(1.0e-8, 4.0 * MAX_VARIANCE)))
     }
 
-    /// Learns from an observed time (finite and positive). `trust` in (0, 1] weakens an observation that may hold
-    /// other work. Returns the error ln(observed / corrected prediction) in standard deviations, before learning.
-    pub fn observe(&mut self, terms: &CostTerms, seconds: f64, changed: bool, trust: f64) -> f64 {
-        let (predicted, shares) = self.shares(terms);
+    /// Learns from an observed time (finite and positive) of a frame that [`Correction::advance`] was called for.
+    /// `trust` in (0, 1] weakens an observation that may hold other work. Returns the error
+    /// ln(observed / corrected prediction) in standard deviations, before learning.
+    pub fn observe(&mut self, terms: &CostTerms, seconds: f64, standing: Standing, trust: f64) -> f64 {
+        let this_scene = standing != Standing::Past;
+        let (predicted, shares) = self.shares(terms, this_scene);
         if !(seconds.is_finite() && seconds > 0.0 && predicted.is_finite() && predicted > 0.0) {
             return f64::NAN;
         }
         let error = libm::log(seconds / predicted);
-        if changed {
-            self.widen(self.change, self.change);
-        }
-        let model = self.model_variance(&shares);
-        let noise = self.noise / trust.clamp(1.0e-3, 1.0);
-        let variance = model + noise;
-        let sd = libm::sqrt(variance);
+        let noise = self.noise() / trust.clamp(1.0e-3, 1.0) + if this_scene { 0.0 } else { self.change };
+        let mut model = self.model_variance(&shares);
+        let sd = libm::sqrt(model + noise);
         let normalized = error / sd;
-        let clipped = error.clamp(-CLIP * sd, CLIP * sd);
-        if libm::fabs(normalized) > CLIP {
+        let mut taken = error.clamp(-CLIP * sd, CLIP * sd);
+        if libm::fabs(normalized) > CLIP && trust >= 1.0 {
             self.run = if (normalized > 0.0) == (self.run > 0) { self.run } else { 0 };
             self.run += if normalized > 0.0 { 1 } else { -1 };
         } else {
             self.run = 0;
         }
-        // Kalman step on θ.
-        let mut ps = [0.0f64; TERMS];
-        for i in 0..TERMS {
-            ps[i] = (0..TERMS).map(|j| self.covariance[i][j] * shares[j]).sum();
+        let machine_changed = self.run.abs() >= 2;
+        if machine_changed {
+            // Not an outlier but another machine: move by what is seen.
+            let jump = (error * error).min(4.0);
+            self.covariance[LOCAL][LOCAL] += jump;
+            self.widen(jump, 0.1 * jump);
+            self.tidy();
+            model = self.model_variance(&shares);
+            taken = error;
+            self.run = 0;
         }
-        for i in 0..TERMS {
+        // What is left after the model's own uncertainty is noise (calm) or the effect of a change.
+        let squared = (error * error).min(CLIP * CLIP * sd * sd);
+        if standing == Standing::First {
+            if self.observations > 0 {
+                let local = self.covariance[LOCAL][LOCAL].min(model);
+                let others = (model - local).max(0.0) + noise;
+                let seen = (squared - others).clamp(0.0, 6.0 * self.change);
+                self.change = (self.change + 0.15 * (seen - self.change)).clamp(CHANGE.0, CHANGE.1);
+            }
+        } else if standing == Standing::Same && trust >= 1.0 && self.age > 3 && !machine_changed {
+            let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).clamp(0.04, 0.25);
+            let seen = squared.min(6.0 * self.spread);
+            self.spread = (self.spread + pace * (seen - self.spread)).clamp(SPREAD.0, SPREAD.1);
+            let bounded = normalized.clamp(-2.0, 2.0);
+            self.gain = (self.gain + 0.02 * self.before * bounded).clamp(GAIN.0, GAIN.1);
+            self.before = if libm::fabs(normalized) > CLIP { 0.0 } else { bounded };
+        }
+        // Kalman step.
+        let variance = model + noise;
+        let mut ps = [0.0f64; STATES];
+        for i in 0..STATES {
+            ps[i] = (0..STATES).map(|j| self.covariance[i][j] * shares[j]).sum();
+        }
+        for i in 0..STATES {
             let gain = ps[i] / variance;
-            self.theta[i] = (self.theta[i] + gain * clipped).clamp(-THETA_LIMIT, THETA_LIMIT);
-            for j in 0..TERMS {
+            self.state[i] = (self.state[i] + gain * taken).clamp(-STATE_LIMIT, STATE_LIMIT);
+            for j in 0..STATES {
                 self.covariance[i][j] -= gain * ps[j];
             }
         }
-        self.widen(COMMON_DRIFT, SINGLE_DRIFT);
-        if self.run.abs() >= 2 {
-            // Not an outlier but another machine: be ready to move by what was just seen.
-            let jump = (error * error).min(4.0);
-            self.widen(jump, 0.1 * jump);
-            self.run = 0;
-        }
         self.tidy();
-        // What is left after the model's own uncertainty is noise (calm) or the effect of a change.
-        let squared = (clipped * clipped - if changed { self.noise } else { model }).max(0.0);
-        if changed {
-            self.change = (self.change + 0.15 * (squared - self.change)).clamp(CHANGE.0, CHANGE.1);
-        } else if trust >= 1.0 && self.observations > 2 {
-            let pace = (1.0 / (self.observations as f64 - 1.0)).max(0.03);
-            let bounded = squared.min(6.0 * self.noise);
-            self.noise = (self.noise + pace * (bounded - self.noise)).clamp(NOISE.0, NOISE.1);
-        }
         self.observations = self.observations.saturating_add(1);
         normalized
     }
 
-    fn shares(&self, terms: &CostTerms) -> (f64, [f64; TERMS]) {
-        let mut parts = [0.0f64; TERMS];
+    /// The corrected time, and its derivative in ln t by each state.
+    fn shares(&self, terms: &CostTerms, this_scene: bool) -> (f64, [f64; STATES]) {
+        let mut parts = [0.0f64; STATES];
         let mut sum = 0.0;
         for i in 0..TERMS {
             let p = f64::from(terms.parts[i]);
             if p > 0.0 {
-                parts[i] = p * libm::exp(self.theta[i]);
+                parts[i] = p * libm::exp(self.state[i]);
                 sum += parts[i];
             } else if p.is_nan() {
                 return (f64::NAN, parts);
             }
         }
         let inv = if sum > 0.0 { 1.0 / sum } else { 0.0 };
-        (sum, parts.map(|p| p * inv))
+        let mut shares = parts.map(|p| p * inv);
+        shares[LOCAL] = if this_scene { 1.0 } else { 0.0 };
+        (sum * libm::exp(shares[LOCAL] * self.state[LOCAL]), shares)
     }
 
-    fn model_variance(&self, shares: &[f64; TERMS]) -> f64 {
+    fn model_variance(&self, shares: &[f64; STATES]) -> f64 {
         let mut v = 0.0;
-        for i in 0..TERMS {
+        for i in 0..STATES {
             if shares[i] > 0.0 {
-                for j in 0..TERMS {
+                for j in 0..STATES {
                     v += shares[i] * self.covariance[i][j] * shares[j];
                 }
             }
@@ -183,6 +266,7 @@ impl Correction {
         v.max(0.0)
     }
 
+    /// Less certainty about θ.
     fn widen(&mut self, common: f64, single: f64) {
         for i in 0..TERMS {
             for j in 0..TERMS {
@@ -193,19 +277,19 @@ impl Correction {
 
     /// Keeps the covariance symmetric, positive on its diagonal, and bounded.
     fn tidy(&mut self) {
-        for i in 0..TERMS {
+        for i in 0..STATES {
             for j in 0..i {
                 let mean = 0.5 * (self.covariance[i][j] + self.covariance[j][i]);
                 self.covariance[i][j] = mean;
                 self.covariance[j][i] = mean;
             }
         }
-        for i in 0..TERMS {
+        for i in 0..STATES {
             let d = self.covariance[i][i];
             if d > MAX_VARIANCE {
                 // Scaling row and column keeps correlations as they are.
                 let s = libm::sqrt(MAX_VARIANCE / d);
-                for j in 0..TERMS {
+                for j in 0..STATES {
                     self.covariance[i][j] *= s;
                     self.covariance[j][i] *= s;
                 }
@@ -216,24 +300,35 @@ impl Correction {
     }
 
     pub(crate) fn save(&self, w: &mut Writer<'_>) {
-        w.f64s(&self.theta);
+        w.f64s(&self.state);
         for row in &self.covariance {
             w.f64s(row);
         }
-        w.f64(self.noise);
+        w.f64(self.spread);
+        w.f64(self.gain);
         w.f64(self.change);
+        w.f64(self.before);
+        w.u64(self.run.rem_euclid(4) as u64);
         w.u64(self.observations);
+        w.u64(self.age);
     }
 
     pub(crate) fn load(&mut self, r: &mut Reader<'_>) -> Result<()> {
-        r.f64s(&mut self.theta, -THETA_LIMIT, THETA_LIMIT)?;
+        r.f64s(&mut self.state, -STATE_LIMIT, STATE_LIMIT)?;
         for row in &mut self.covariance {
             r.f64s(row, -2.0 * MAX_VARIANCE, 2.0 * MAX_VARIANCE)?;
         }
-        self.noise = r.f64(NOISE.0, NOISE.1)?;
+        self.spread = r.f64(SPREAD.0, SPREAD.1)?;
+        self.gain = r.f64(GAIN.0, GAIN.1)?;
         self.change = r.f64(CHANGE.0, CHANGE.1)?;
+        self.before = r.f64(-2.0, 2.0)?;
+        self.run = match r.u64()? {
+            1 => 1,
+            3 => -1,
+            _ => 0,
+        };
         self.observations = r.u64()?;
-        self.run = 0;
+        self.age = r.u64()?;
         self.tidy();
         Ok(())
     }

@@ -9,6 +9,6 @@ pub(crate) mod state;
 #[cfg(test)]
 mod tests;
 
-pub use correction::{Correction, Prior};
+pub use correction::{Correction, Prior, Standing};
 pub use gate::{LONGEST_FRAME, ObserveFlags, Verdict, check_seconds};
 pub use margin::Margin;

@@ -36,12 +36,13 @@ fn sixty_frames_bring_an_unknown_machine_within_ten_percent() {
         for i in 0..200 {
             let parts = scene(&mut noise);
             let clean: f64 = parts.iter().zip(factors).map(|(p, f)| p * f).sum();
-            let predicted = correction.apply(&terms(&parts), false).0;
+            correction.advance(1.0);
+            let predicted = correction.apply(&terms(&parts)).0;
             if i >= 60 {
                 errors.push((predicted / clean - 1.0).abs());
             }
             let seconds = clean * (0.05 * (noise.uniform() + noise.uniform() - 1.0)).exp();
-            correction.observe(&terms(&parts), seconds, false, 1.0);
+            correction.observe(&terms(&parts), seconds, Standing::First, 1.0);
         }
         errors.sort_by(f64::total_cmp);
         assert!(errors[errors.len() / 2] < 0.1, "seed {seed}: {}", errors[errors.len() / 2]);
@@ -57,11 +58,12 @@ fn a_jump_of_the_machine_is_followed_within_twenty_frames_both_ways() {
         for i in 0..100 {
             let parts = scene(&mut noise);
             let clean = speed * parts.iter().sum::<f64>();
-            let error = (correction.apply(&terms(&parts), false).0 / clean).ln();
+            correction.advance(0.0);
+            let error = (correction.apply(&terms(&parts)).0 / clean).ln();
             if i >= 20 {
                 assert!(error.abs() < 0.15, "block {block} frame {i}: {error}");
             }
-            correction.observe(&terms(&parts), clean * (1.0 + 0.05 * (noise.uniform() - 0.5)), false, 1.0);
+            correction.observe(&terms(&parts), clean * (1.0 + 0.05 * (noise.uniform() - 0.5)), Standing::Same, 1.0);
         }
     }
 }
@@ -73,13 +75,14 @@ fn single_spikes_barely_move_it() {
     for i in 0..300 {
         let parts = scene(&mut noise);
         let clean: f64 = parts.iter().sum();
-        let error = (correction.apply(&terms(&parts), false).0 / clean).ln();
+        correction.advance(0.0);
+        let error = (correction.apply(&terms(&parts)).0 / clean).ln();
         assert!(i < 20 || error.abs() < 0.12, "frame {i}: {error}");
         let spike = if i % 25 == 24 { 50.0 } else { 1.0 };
         correction.observe(
             &terms(&parts),
             clean * spike * (1.0 + 0.04 * (noise.uniform() - 0.5)),
-            false,
+            Standing::Same,
             1.0,
         );
     }
@@ -91,12 +94,12 @@ fn values_that_are_no_times_change_nothing() {
     let before = correction.clone();
     let good = CostTerms::whole(0.01, 0.0, Source::Analytic);
     for seconds in [f64::NAN, f64::INFINITY, 0.0, -1.0] {
-        assert!(correction.observe(&good, seconds, false, 1.0).is_nan());
+        assert!(correction.observe(&good, seconds, Standing::Same, 1.0).is_nan());
     }
     let nan = CostTerms { parts: [f32::NAN; TERMS], ..good };
     let none = CostTerms { parts: [0.0; TERMS], ..good };
     for terms in [nan, none] {
-        assert!(correction.observe(&terms, 0.01, false, 1.0).is_nan());
+        assert!(correction.observe(&terms, 0.01, Standing::Same, 1.0).is_nan());
     }
     assert_eq!(correction, before);
     assert_eq!(check_seconds(f32::MIN_POSITIVE), None);
@@ -110,8 +113,9 @@ fn extreme_times_keep_the_state_in_bounds() {
     for i in 0..20_000 {
         let parts = scene(&mut noise);
         let seconds = if i / 50 % 2 == 0 { 1e-30 } else { 1e4 };
-        correction.observe(&terms(&parts), seconds, i % 3 == 0, if i % 5 == 0 { 0.01 } else { 1.0 });
-        let (t, sd) = correction.apply(&terms(&parts), true);
+        correction.advance((i % 3) as f64 / 2.0);
+        correction.observe(&terms(&parts), seconds, [Standing::First, Standing::Same, Standing::Past][i % 3], if i % 5 == 0 { 0.01 } else { 1.0 });
+        let (t, sd) = correction.apply(&terms(&parts));
         assert!(t.is_finite() && t > 0.0 && sd.is_finite() && sd > 0.0, "{i}: {t} {sd}");
     }
 }

@@ -1,11 +1,11 @@
 //! Ours: feed-forward prediction, corrected online, with a margin that keeps its promise.
 
-use super::{Controller, Decision, Observed, PlanRequest, Reason, StepLimits};
+use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepCost, StepLimits};
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
-use crate::adapt::{Correction, Margin, Prior, Verdict};
+use crate::adapt::{Correction, Margin, Prior, Standing, Verdict};
 use crate::features::Changes;
-use crate::predict::{CostTerms, Prediction};
+use crate::predict::{CostTerms, Prediction, TERMS};
 use alloc::vec::Vec;
 
 /// Settings of [`Hybrid`].
@@ -29,14 +29,21 @@ impl Default for HybridOptions {
     }
 }
 
-/// Feed-forward prediction × online correction of each cost part × adaptive-conformal margin → the finest step whose
-/// upper bound fits.
+/// Feed-forward prediction × online correction × adaptive-conformal margin → the finest step that is expected to meet
+/// the target and whose upper bound stays within the tolerance.
 ///
-/// * Calm phases: the step is kept while it is close to the best one and still fits; finer moves are made by halves,
-///   coarser ones at once. At a known change of scene nothing is damped.
+/// * Novelty: how much of the predicted cost of the step drawn last changed since that frame, in amount and make-up, says
+///   how little the frames before are worth for this one ([`Correction::advance`]). A change that the caller announces
+///   after calm frames counts as half new at least; one in a row of announced changes (a drag) counts by what it does.
+/// * Calm phases: the correction follows this very scene, so the margin shrinks to the noise from frame to frame and the
+///   target is met on average. The step is kept while it is close to the best; finer moves that no prediction calls for
+///   are bounded per frame.
+/// * A new scene: nothing is damped, what was learned about the scene before is put away, and the margin is the one
+///   that new scenes have been found to need.
 /// * Limits: there is no integral, so nothing winds up; the plan says which limit was met.
-/// * Fallback: a second forecast from the last three frames alone (brought to a common step by a plain rule) runs in its shadow and takes over when the prediction is out of range or has lately been clearly worse.
-///   Without either, the coarsest step is chosen.
+/// * Fallback: a second forecast from the last three frames alone (brought to a common step by a plain rule) runs in
+///   its shadow and takes over when the prediction is out of range or has lately been clearly worse. Without either, the
+///   coarsest step is chosen.
 #[derive(Clone, Debug)]
 pub struct Hybrid {
     options: HybridOptions,
@@ -44,13 +51,34 @@ pub struct Hybrid {
     calm: Margin,
     changed: Margin,
     history: History,
-    last_step: f32,
+    last: Option<Last>,
+    /// Whether the frame before was announced as changed.
+    announced: bool,
+    scene: SceneMark,
+}
+
+/// The frame planned last.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    step: f32,
+    target: f32,
+    terms: CostTerms,
 }
 
 /// Most evaluations of the cost in a step search, beside those at the limits.
 const EVALUATIONS: usize = 12;
 /// Relative changes of the step below which it is kept.
 const DEAD_BAND: f64 = 0.02;
+/// Largest move to a finer step in a calm frame, in ln(step), beside what the prediction calls for.
+const FINER: f64 = 0.16;
+/// Distance of two predictions at one step (see [`distance`]) from which the frame before says nothing.
+const FAR: f64 = 0.35;
+/// Distance that frames of one scene may have without being announced as changed.
+const NEAR: f64 = 0.12;
+/// Novelty from which a frame is the first of a new scene.
+const NEW: f64 = 0.3;
+/// Share of new scenes whose first frame may exceed its bound.
+const CHANGED_RATE: f32 = 0.07;
 
 impl Hybrid {
     /// A controller that has seen nothing.
@@ -59,9 +87,11 @@ impl Hybrid {
             options,
             correction: Correction::new(options.prior),
             calm: Margin::new(options.miss_rate, 0.15),
-            changed: Margin::new(options.miss_rate.max(0.05), 0.3),
+            changed: Margin::new(options.miss_rate.max(CHANGED_RATE), 0.3),
             history: History::new(),
-            last_step: f32::NAN,
+            last: None,
+            announced: false,
+            scene: SceneMark::default(),
         }
     }
 
@@ -82,11 +112,24 @@ impl Hybrid {
         self.reset();
     }
 
-    fn judge(&self, terms: &CostTerms, changes: Changes) -> (f64, f64) {
-        let changed = changes.any();
-        let (seconds, sd) = self.correction.apply(terms, changed);
-        let z = if changed { self.changed.multiple() } else { self.calm.multiple() };
+    fn judge(&self, terms: &CostTerms) -> (f64, f64) {
+        let (seconds, sd) = self.correction.apply(terms);
+        let z = if self.scene.first { self.changed.multiple() } else { self.calm.multiple() };
         (seconds, seconds * libm::exp(z * sd))
+    }
+
+    /// How little the frame before says about this one, 0 to 1.
+    fn novelty(&self, changes: Changes, cost: &mut dyn StepCost) -> f64 {
+        let Some(last) = self.last.filter(|_| !changes.first) else { return 1.0 };
+        let d = distance(&last.terms, &cost.at(last.step));
+        if d.is_nan() {
+            return if changes.any() { 1.0 } else { 0.0 };
+        }
+        if changes.any() {
+            (d / FAR).max(if self.announced { 0.0 } else { 0.5 }).min(1.0)
+        } else {
+            ((d - NEAR) / FAR).clamp(0.0, 1.0)
+        }
     }
 
     /// The finest step within the limits whose `excess` is not positive, to about half a percent; `None` when there is
@@ -141,6 +184,7 @@ impl Controller for Hybrid {
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         let limits = request.limits;
+        self.begin(request.changes, request.cost);
         let target = f64::from(request.target);
         let ceiling = target * (1.0 + f64::from(self.options.tolerance.max(0.0)));
         let changes = request.changes;
@@ -149,8 +193,9 @@ impl Controller for Hybrid {
         let out_of_range = first.out_of_range;
         let distrusted = !known || out_of_range > self.options.trust_limit || self.history.leads();
         // Frames before a change of scene say nothing about the frame after it.
-        let by_history = distrusted && !self.history.is_empty() && !changes.any();
+        let by_history = distrusted && !self.history.is_empty() && !(changes.any() && self.scene.first);
         if !known && !by_history {
+            self.last = Some(Last { step: limits.coarsest(), target: request.target, terms: first });
             return Decision {
                 step: limits.coarsest(),
                 seconds: f32::NAN,
@@ -166,7 +211,7 @@ impl Controller for Hybrid {
             if by_history {
                 history.forecast(step, margin)
             } else {
-                this.judge(&request.cost.at(step), changes)
+                this.judge(&request.cost.at(step))
             }
         };
         let excess = |step: f32| {
@@ -186,23 +231,28 @@ impl Controller for Hybrid {
         if reason == Reason::Fits && step <= limits.finest() {
             reason = Reason::FinestAllowed;
         }
-        let last = limits.clamp(self.last_step);
-        if self.options.damping && !changes.any() && self.last_step.is_finite() && last == self.last_step {
-            let delta = libm::log(f64::from(step) / f64::from(last));
-            if libm::fabs(delta) < DEAD_BAND && judge(last).0 <= target * 1.02 {
-                step = last;
+        let steady = |last: &Last| {
+            self.options.damping
+                && !self.scene.first
+                && limits.clamp(last.step) == last.step
+                && libm::fabs(libm::log(target / f64::from(last.target))) < 0.02
+        };
+        if let Some(last) = self.last.filter(steady) {
+            let delta = libm::log(f64::from(step) / f64::from(last.step));
+            if libm::fabs(delta) < DEAD_BAND && judge(last.step).0 <= target * 1.02 {
+                step = last.step;
                 if reason == Reason::Fits {
                     reason = Reason::Held;
                 }
-            } else if delta < 0.0 {
-                step = limits.clamp(last * libm::exp(0.5 * delta) as f32);
+            } else if delta < -FINER && this.correction.settled() {
+                step = limits.clamp(last.step * libm::exp(-FINER) as f32);
                 if matches!(reason, Reason::Fits | Reason::FinestAllowed) {
                     reason = Reason::Damped;
                 }
             }
         }
         let (seconds, upper) = judge(step);
-        self.last_step = step;
+        self.last = Some(Last { step, target: request.target, terms: request.cost.at(step) });
         Decision { step, seconds: seconds as f32, upper: upper as f32, out_of_range, reason }
     }
 
@@ -211,34 +261,66 @@ impl Controller for Hybrid {
             return Verdict::Ignored;
         }
         let seconds = f64::from(observed.seconds);
-        let changed = observed.changes.any();
+        let standing = match observed.scene {
+            SceneMark { number, .. } if number != self.scene.number => Standing::Past,
+            SceneMark { first: true, .. } => Standing::First,
+            _ => Standing::Same,
+        };
         // The first frame may hold a compile or an upload: it sets the order of magnitude where nothing else does.
         let trust = if observed.changes.first { 0.01 } else { 1.0 };
-        let corrected = self.correction.apply(&observed.terms, changed).0;
-        let error = self.correction.observe(&observed.terms, seconds, changed, trust);
+        let corrected = self.correction.apply(&observed.terms).0;
+        let error = self.correction.observe(&observed.terms, seconds, standing, trust);
+        let changed = observed.changes.any() && observed.scene.first;
         if !observed.changes.first {
             let own = libm::fabs(libm::log(seconds / corrected));
             self.history.compare(observed.step, seconds, own, changed);
-            if changed {
-                self.changed.observe(error);
-            } else {
-                self.calm.observe(error);
+            match standing {
+                Standing::First => self.changed.observe(error),
+                Standing::Same => self.calm.observe(error),
+                Standing::Past => {}
             }
         }
-        self.history.push(observed.step, seconds, changed);
+        if standing != Standing::Past {
+            self.history.push(observed.step, seconds, changed);
+        }
         if libm::fabs(error) > 3.0 { Verdict::Clipped } else { Verdict::Learned }
     }
 
     fn reset(&mut self) {
         self.correction.reset();
         self.calm = Margin::new(self.options.miss_rate, 0.15);
-        self.changed = Margin::new(self.options.miss_rate.max(0.05), 0.3);
+        self.changed = Margin::new(self.options.miss_rate.max(CHANGED_RATE), 0.3);
         self.history = History::new();
-        self.last_step = f32::NAN;
+        self.last = None;
+        self.announced = false;
+    }
+
+    fn begin(&mut self, changes: Changes, cost: &mut dyn StepCost) {
+        let novelty = self.novelty(changes, cost);
+        let first = novelty >= NEW;
+        self.correction.advance(novelty);
+        self.scene = SceneMark { number: self.scene.number + u64::from(first), first };
+        self.announced = changes.any();
+    }
+
+    fn scene(&self) -> SceneMark {
+        self.scene
+    }
+
+    fn fits(&self, prediction: &Prediction, target: f32) -> bool {
+        let ceiling = target * (1.0 + self.options.tolerance.max(0.0));
+        prediction.seconds <= target && prediction.upper <= ceiling
     }
 
     fn correct(&self, terms: &CostTerms, changes: Changes) -> Prediction {
-        let (seconds, upper) = self.judge(terms, changes);
+        let (seconds, upper) = if changes.any() {
+            let mut next = self.clone();
+            next.correction.advance(1.0);
+            next.scene.first = true;
+            next.judge(terms)
+        } else {
+            self.judge(terms)
+        };
         Prediction {
             seconds: (seconds as f32).clamp(1.0e-9, 1.0e9),
             upper: upper as f32,
@@ -249,7 +331,7 @@ impl Controller for Hybrid {
 
     fn save(&self, out: &mut Vec<u8>) {
         let mut w = Writer(out);
-        w.tag(*b"ENH1");
+        w.tag(*b"ENH2");
         self.correction.save(&mut w);
         self.calm.save(&mut w);
         self.changed.save(&mut w);
@@ -259,7 +341,7 @@ impl Controller for Hybrid {
     fn load(&mut self, bytes: &[u8]) -> Result<()> {
         let mut r = Reader(bytes);
         let mut next = Self::new(self.options);
-        r.tag(*b"ENH1")?;
+        r.tag(*b"ENH2")?;
         next.correction.load(&mut r)?;
         next.calm.load(&mut r)?;
         next.changed.load(&mut r)?;
@@ -268,6 +350,18 @@ impl Controller for Hybrid {
         *self = next;
         Ok(())
     }
+}
+
+/// How far two predictions for one step lie apart: the difference of their logarithms, and half of what changed place
+/// among their parts. NaN where one is not known.
+fn distance(a: &CostTerms, b: &CostTerms) -> f64 {
+    let (sum_a, sum_b) = (f64::from(a.seconds()), f64::from(b.seconds()));
+    if !(sum_a > 0.0 && sum_b > 0.0 && sum_a.is_finite() && sum_b.is_finite()) {
+        return f64::NAN;
+    }
+    let moved: f64 =
+        (0..TERMS).map(|i| libm::fabs(f64::from(a.parts[i]) / sum_a - f64::from(b.parts[i]) / sum_b)).sum();
+    libm::fabs(libm::log(sum_b / sum_a)) + 0.5 * moved
 }
 
 /// The last three frames, and how well they foretell the next one compared with the prediction.

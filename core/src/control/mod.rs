@@ -165,8 +165,19 @@ pub struct Observed {
     pub changes: Changes,
     /// The uncorrected prediction for it.
     pub terms: CostTerms,
+    /// The scene that it belongs to, as [`Controller::scene`] said when it was planned.
+    pub scene: SceneMark,
     /// The time holds other work too (see [`crate::adapt::ObserveFlags`]).
     pub unusual: bool,
+}
+
+/// A run of frames that continue each other, as a controller counts them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct SceneMark {
+    /// Counts scenes.
+    pub number: u64,
+    /// Whether the frame is the scene's first.
+    pub first: bool,
 }
 
 /// Chooses ray steps frame by frame.
@@ -183,7 +194,24 @@ pub trait Controller {
     /// Forgets every frame.
     fn reset(&mut self);
 
-    /// A prediction as this controller corrects it; as it is, where the controller corrects nothing.
+    /// Tells that a frame begins whose setting is chosen elsewhere; [`Controller::plan`] needs no such call.
+    fn begin(&mut self, changes: Changes, cost: &mut dyn StepCost) {
+        let _ = (changes, cost);
+    }
+
+    /// The scene that the frame that began last belongs to.
+    fn scene(&self) -> SceneMark {
+        SceneMark::default()
+    }
+
+    /// Whether a frame with this corrected prediction is expected to meet a target.
+    fn fits(&self, prediction: &Prediction, target: f32) -> bool {
+        let bound = if prediction.upper.is_nan() { prediction.seconds } else { prediction.upper };
+        bound <= target
+    }
+
+    /// A prediction as this controller corrects it; as it is, where the controller corrects nothing. `changes` are those
+    /// of a frame that has not begun yet; none for the frame at hand.
     fn correct(&self, terms: &CostTerms, changes: Changes) -> Prediction {
         let _ = changes;
         Prediction {

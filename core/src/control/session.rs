@@ -1,7 +1,7 @@
 //! One render loop: a volume, a transfer function, a predictor and a controller.
 
 use super::{
-    Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, StepCost, StepLimits,
+    Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, SceneMark, StepCost, StepLimits,
 };
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
@@ -49,6 +49,7 @@ struct Pending {
     target: f32,
     changes: Changes,
     terms: CostTerms,
+    scene: SceneMark,
     observed: bool,
 }
 
@@ -208,8 +209,9 @@ impl Session {
         let changes = self.changes_for(frame);
         let setting = Setting::of(frame);
         if !self.enabled {
+            self.begin(changes, setting)?;
             let own = self.terms_at(changes, &setting)?;
-            let p = self.controller.correct(&own, changes);
+            let p = self.controller.correct(&own, Changes::NONE);
             let decision = Decision {
                 step: frame.step(),
                 seconds: p.seconds,
@@ -237,8 +239,8 @@ impl Session {
         Ok(self.note(frame, target, changes, terms, decision))
     }
 
-    /// Chooses among settings, best quality first: the first whose upper bound (or expectation, where there is no
-    /// bound) meets the target, else the one expected to be fastest. The image shape must be the frame's for its
+    /// Chooses among settings, best quality first : the first that is expected
+    /// to meet the target ([`Controller::fits`]), else the one expected to be fastest. The image shape must be the frame's for its
     /// features to hold; other sizes of that shape are free.
     ///
     /// # Errors
@@ -272,13 +274,13 @@ impl Session {
         }
         self.measure(&widest)?;
         let changes = self.changes_for(frame);
+        self.begin(changes, Setting::of(&widest))?;
         let mut fastest: Option<(usize, CostTerms, Prediction)> = None;
         let mut chosen = None;
         for (i, setting) in settings.iter().enumerate() {
             let terms = self.terms_at(changes, setting)?;
-            let p = self.controller.correct(&terms, changes);
-            let bound = if p.upper.is_nan() { p.seconds } else { p.upper };
-            if bound <= target {
+            let p = self.controller.correct(&terms, Changes::NONE);
+            if self.controller.fits(&p, target) {
                 chosen = Some((i, terms, p));
                 break;
             }
@@ -321,6 +323,7 @@ impl Session {
             target: pending.target,
             changes: pending.changes,
             terms: pending.terms,
+            scene: pending.scene,
             unusual: flags.unusual,
         };
         self.controller.observe(&observed)
@@ -366,6 +369,23 @@ impl Session {
         Ok(())
     }
 
+    /// Lets the controller know of a frame whose setting it does not choose.
+    fn begin(&mut self, changes: Changes, setting: Setting) -> Result<()> {
+        let inputs = Inputs {
+            features: &self.features,
+            setting,
+            changes,
+            camera: self.features.pose(),
+            volume_features: self.volume_features.as_deref(),
+            lobes: self.lobes.as_deref(),
+        };
+        self.predictor.check(&inputs)?;
+        let mut cost =
+            Cost { predictor: &mut *self.predictor, shape: &self.shape, reference: None, last: None, inputs };
+        self.controller.begin(changes, &mut cost);
+        Ok(())
+    }
+
     fn changes_for(&self, frame: &Frame) -> Changes {
         let mut changes = self.changes;
         if let Some(last) = &self.last {
@@ -405,7 +425,7 @@ impl Session {
         let id = self.next_id;
         self.next_id += 1;
         self.pending[(id % PENDING_PLANS as u64) as usize] =
-            Some(Pending { id, step: decision.step, target, changes, terms, observed: false });
+            Some(Pending { id, step: decision.step, target, changes, terms, scene: self.controller.scene(), observed: false });
         self.changes = Changes::NONE;
         self.last = Some(Setting::of(frame));
         self.last_termination = frame.termination();

@@ -132,6 +132,7 @@ fn every_controller_survives_any_observation() {
                 target,
                 changes,
                 terms,
+                scene: controller.scene(),
                 unusual: i % 97 == 0,
             });
         }
@@ -237,6 +238,7 @@ fn play(controller: &mut dyn Controller, plant: &Plant, frames: usize, seed: u64
             target,
             changes,
             terms,
+            scene: controller.scene(),
             unusual: false,
         });
     }
@@ -311,25 +313,43 @@ fn all(prior: Prior) -> Vec<Box<dyn Fn() -> Box<dyn Controller>>> {
 fn prediction_with_feedback_beats_reaction_at_switches_and_in_calm() {
     let controllers = all(Prior::Fitted { log_sd: 0.2 });
     let (ours, others) = controllers.split_last().unwrap();
+    let mut wrong = Vec::new();
+    let mut sum = (0.0, 0.0);
     for (name, plant) in plants().into_iter().filter(|(name, _)| *name != "impossible") {
         let o = mean_of(&plant, 4, 400, &**ours);
-        assert!(o.miss <= 0.035, "{name}: {o:?}");
-        assert!(o.deviation <= 0.08, "{name}: {o:?}");
-        assert!(o.quality >= 0.92, "{name}: {o:?}");
-        assert!(o.above_bound <= 0.1, "{name}: {o:?}");
+        std::eprintln!("{name:12} ours {o:.3?}");
+        let mut expect = |holds: bool, what: alloc::string::String| {
+            if !holds {
+                wrong.push(std::format!("{name}: {what} {o:?}"));
+            }
+        };
+        expect(o.miss <= 0.03, "misses".into());
+        expect(o.deviation <= 0.08, "deviation".into());
+        expect(o.quality >= 0.92, "quality".into());
+        expect(o.above_bound <= 0.1, "bound at switches".into());
         for make in others {
             let other = mean_of(&plant, 4, 400, &**make);
+            let rival = make().name();
+            std::eprintln!("{:12} {rival:16} {other:.3?}", "");
             // No rule has both fewer misses and more quality.
-            assert!(
+            expect(
                 o.miss <= other.miss + 0.004 || o.quality >= other.quality - 0.02,
-                "{name}: {} {other:?} against {o:?}",
-                make().name()
+                std::format!("{rival} has fewer misses and more quality: {other:?}"),
             );
-            if make().name() == "olp" && name != "targets" {
-                assert!(o.jumps <= 0.9 * other.jumps + 0.001, "{name}: {other:?} {o:?}");
+            if rival == "olp" {
+                sum.0 += o.jumps;
+                sum.1 += other.jumps;
+                expect(o.deviation <= other.deviation + 0.004, std::format!("deviation of OLP: {other:?}"));
+                expect(o.miss <= other.miss + 0.003, std::format!("misses of OLP: {other:?}"));
+                expect(o.quality >= other.quality - 0.015, std::format!("quality of OLP: {other:?}"));
             }
         }
     }
+    std::eprintln!("jumps in all {sum:?}");
+    if sum.0 > 0.5 * sum.1 {
+        wrong.push(std::format!("step jumps: {sum:?}"));
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
 }
 
 #[test]
@@ -349,6 +369,7 @@ fn an_impossible_target_is_said_and_leaves_nothing_behind() {
             target,
             changes: Changes::NONE,
             terms,
+            scene: hybrid.scene(),
             unusual: false,
         });
         decision
@@ -396,6 +417,7 @@ fn a_prediction_that_is_out_of_range_or_wrong_gives_way_to_recent_frames() {
             target: 0.02,
             changes,
             terms,
+            scene: hybrid.scene(),
             unusual: false,
         });
     }
@@ -418,6 +440,7 @@ fn state_survives_saving_and_damaged_state_is_refused() {
             target: 0.05,
             changes,
             terms,
+            scene: hybrid.scene(),
             unusual: false,
         });
     }
@@ -461,7 +484,7 @@ fn the_state_stays_bounded_over_long_runs() {
         });
         let terms = cost(d.step);
         let seconds = (terms.seconds() * (0.1 * noise.normal()).exp() as f32).max(1e-9);
-        hybrid.observe(&Observed { seconds, step: d.step, target: 0.01, changes, terms, unusual: false });
+        hybrid.observe(&Observed { seconds, step: d.step, target: 0.01, changes, terms, scene: hybrid.scene(), unusual: false });
     }
     for f in hybrid.correction().factors() {
         assert!(f.is_finite() && f > 1e-5 && f < 1e5, "{:?}", hybrid.correction().factors());
