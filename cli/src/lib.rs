@@ -18,4 +18,5 @@ pub mod scenes;
 mod scripted;
 pub mod split;
 pub mod steering;
+pub mod stress;
 pub mod volume;

@@ -38,6 +38,12 @@ enum Command {
     Steer(commands::steer::Options),
     /// Record what every frame of a path costs at a grid of ray steps.
     Record(commands::record::Options),
+    /// Replay recorded cost curves under every controller and target, beside an oracle.
+    Replay(commands::replay::Options),
+    /// Decide which node of a farm renders what, in which order.
+    Schedule(commands::schedule::Options),
+    /// Play the scenes in which methods of holding a frame time break.
+    Stress(commands::stress::Options),
     /// Calibrate, explore and report: the main job, end to end.
     Demo(commands::demo::Options),
 }
@@ -88,6 +94,9 @@ impl Cli {
             Command::Probe(options) => commands::probe::run(options),
             Command::Steer(options) => commands::steer::run(options),
             Command::Record(options) => commands::record::run(options),
+            Command::Replay(options) => commands::replay::run(options),
+            Command::Schedule(options) => commands::schedule::run(options),
+            Command::Stress(options) => commands::stress::run(options),
             Command::Demo(options) => commands::demo::run(options),
         }
     }

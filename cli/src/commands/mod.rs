@@ -9,5 +9,8 @@ pub mod predict;
 pub mod probe;
 pub mod record;
 pub mod render;
+pub mod replay;
+pub mod schedule;
 pub mod steer;
+pub mod stress;
 pub mod train;

@@ -10,7 +10,7 @@ use crate::path::{Generated, PathFile};
 use crate::steering::calibrate::measure;
 use crate::steering::play::DrawSettings;
 use crate::steering::race::calibration_scenes;
-use crate::steering::trace::{Recording, TraceVolume, record};
+use crate::steering::trace::{Recording, TRACE_STEPS, TraceVolume, record};
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::features::{SummaryOptions, VolumeSummary};
@@ -64,6 +64,9 @@ pub struct Options {
     /// The trace to write; with --calibration the timing table (CSV).
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
+    /// Ray steps of the grid at full image size, reference steps, ascending; at least two.
+    #[arg(long, value_delimiter = ',', value_name = "STEP,…", default_values_t = TRACE_STEPS)]
+    pub steps: Vec<f32>,
     /// How often every point of the grid is drawn.
     #[arg(long, default_value_t = 2, value_name = "R")]
     pub repeats: usize,
@@ -105,6 +108,13 @@ pub fn run(options: &Options) -> Result<()> {
     if let Some(scenes) = options.calibration {
         return calibrate(options, scenes);
     }
+    ensure!(
+        options.steps.len() >= 2
+            && options.steps.windows(2).all(|w| w[0] < w[1])
+            && options.steps.iter().all(|s| (1.0 / 64.0..=4096.0).contains(s)),
+        "--steps are {:?}; give at least two, ascending, each in [0.015625, 4096] reference steps",
+        options.steps
+    );
     let hold = match (options.volumes.len(), options.hold) {
         (1, None) => 0,
         (1, Some(_)) => bail!("--hold is for several volumes; one was given"),
@@ -142,6 +152,7 @@ pub fn run(options: &Options) -> Result<()> {
         hold,
         scales: &options.scales,
         draw,
+        steps: &options.steps,
         repeats: options.repeats,
     };
     let stop = interrupt::flag()?;

@@ -118,7 +118,7 @@ pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
     }
 }
 
-fn parse_limits(text: &str) -> std::result::Result<(f32, f32), String> {
+pub(crate) fn parse_limits(text: &str) -> std::result::Result<(f32, f32), String> {
     let pair = text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
     pair.ok_or_else(|| format!("{text:?} is not two numbers like 1,16"))
 }

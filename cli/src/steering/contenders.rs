@@ -73,16 +73,15 @@ impl ControllerKind {
     }
 }
 
-/// A contender: a controller with a predictor of its own and nothing learned. `fixed_step` is the step of
-/// [`ControllerKind::Fixed`]; `response` is G; `prior` says how well the predictor is known on this machine.
-pub fn contender(
+/// A controller that has seen nothing. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is G; `prior`
+/// says how well the predictor is known on this machine.
+pub fn controller(
     kind: ControllerKind,
     fixed_step: f32,
-    predictor: Box<dyn Predictor + Send>,
     response: &StepResponse,
     prior: Prior,
-) -> Contender {
-    let controller: Box<dyn Controller + Send> = match kind {
+) -> Box<dyn Controller + Send> {
+    match kind {
         ControllerKind::Fixed => Box::new(Fixed::new(fixed_step)),
         ControllerKind::Olp => Box::new(Olp::new(response.clone())),
         ControllerKind::Pid => Box::new(Pid::new(Pid::PAPER_GAINS)),
@@ -93,7 +92,18 @@ pub fn contender(
         ControllerKind::VtkJs => Box::new(VtkJs::new()),
         ControllerKind::Unreal => Box::new(Unreal::new()),
         ControllerKind::Filament => Box::new(Filament::new()),
-    };
+    }
+}
+
+/// A contender: a controller (see [`controller`]) with a predictor of its own and nothing learned.
+pub fn contender(
+    kind: ControllerKind,
+    fixed_step: f32,
+    predictor: Box<dyn Predictor + Send>,
+    response: &StepResponse,
+    prior: Prior,
+) -> Contender {
+    let controller = controller(kind, fixed_step, response, prior);
     Contender { name: kind.name().into(), session: Session::with_controller(predictor, controller) }
 }
 

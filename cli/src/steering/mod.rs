@@ -6,5 +6,6 @@ pub mod fit;
 pub mod metrics;
 pub mod play;
 pub mod race;
+pub mod replay;
 pub mod report;
 pub mod trace;

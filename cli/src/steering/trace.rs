@@ -31,7 +31,7 @@ use std::path::{Path, PathBuf};
 /// The `format` value.
 pub const TRACE_FORMAT: &str = "entire-trace-1";
 
-/// Ray steps of the grid, reference steps: half octaves over the default limits.
+/// Ray steps of the grid where none are given, reference steps: half octaves over the default limits.
 pub const TRACE_STEPS: [f32; 9] = [1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0];
 
 /// Image scales of the grid beside 1, at the steps of [`SCALED_STEPS`].
@@ -123,6 +123,8 @@ pub struct Recording<'a> {
     pub scales: &'a [(u32, f32)],
     /// How frames are drawn.
     pub draw: DrawSettings,
+    /// Ray steps of the grid at scale 1, ascending.
+    pub steps: &'a [f32],
     /// How often every point is drawn.
     pub repeats: usize,
 }
@@ -230,8 +232,9 @@ impl Trace {
         let clock = Clock::from_str(&self.draw.clock, true).map_err(anyhow::Error::msg).context("clock")?;
         let shading =
             ShadeOption::from_str(&self.draw.shading, true).map_err(anyhow::Error::msg).context("shading")?;
-        let skipping =
-            SkipOption::from_str(&self.draw.skipping, true).map_err(anyhow::Error::msg).context("skipping")?;
+        let skipping = SkipOption::from_str(&self.draw.skipping, true)
+            .map_err(anyhow::Error::msg)
+            .context("skipping")?;
         Ok(DrawSettings {
             width: self.draw.width_px,
             height: self.draw.height_px,
@@ -319,11 +322,12 @@ pub fn record(
             let table = at.transfer.function().to_table().with_context(place)?;
             renderer.set_transfer(&table).with_context(place)?;
         }
-        let frame = drawn_frame(&path, &draw, scale_at(recording.scales, index), index).with_context(place)?;
+        let frame =
+            drawn_frame(&path, &draw, scale_at(recording.scales, index), index).with_context(place)?;
         let full = (frame.width(), frame.height());
-        let mut grid: Vec<(f32, f32)> = TRACE_STEPS.iter().map(|s| (*s, 1.0)).collect();
+        let mut grid: Vec<(f32, f32)> = recording.steps.iter().map(|s| (*s, 1.0)).collect();
         // Smaller images at some frames only: they serve the quality model.
-        if index % 4 == 0 {
+        if index % 4 == 0 && recording.steps.len() == TRACE_STEPS.len() {
             for scale in TRACE_SCALES {
                 grid.extend(SCALED_STEPS.iter().map(|s| (*s, scale)));
             }
@@ -357,7 +361,13 @@ pub fn record(
             grid.iter()
                 .zip(seconds)
                 .zip(looks)
-                .map(|((&(step, scale), seconds), (psnr, ssim))| TracePoint { step, scale, seconds, psnr, ssim })
+                .map(|((&(step, scale), seconds), (psnr, ssim))| TracePoint {
+                    step,
+                    scale,
+                    seconds,
+                    psnr,
+                    ssim,
+                })
                 .collect(),
         );
         progress.inc(1);
@@ -417,11 +427,8 @@ impl Curve {
             .zip(&smooth)
             .flat_map(|(p, y)| p.seconds.iter().map(|t| t.ln() - y).collect::<Vec<_>>())
             .collect();
-        let points = full
-            .iter()
-            .zip(&smooth)
-            .map(|(p, y)| [f64::from(p.step).ln(), *y, p.psnr, p.ssim])
-            .collect();
+        let points =
+            full.iter().zip(&smooth).map(|(p, y)| [f64::from(p.step).ln(), *y, p.psnr, p.ssim]).collect();
         Self { points, residuals }
     }
 

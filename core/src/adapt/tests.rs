@@ -63,7 +63,12 @@ fn a_jump_of_the_machine_is_followed_within_twenty_frames_both_ways() {
             if i >= 20 {
                 assert!(error.abs() < 0.15, "block {block} frame {i}: {error}");
             }
-            correction.observe(&terms(&parts), clean * (1.0 + 0.05 * (noise.uniform() - 0.5)), Standing::Same, 1.0);
+            correction.observe(
+                &terms(&parts),
+                clean * (1.0 + 0.05 * (noise.uniform() - 0.5)),
+                Standing::Same,
+                1.0,
+            );
         }
     }
 }
@@ -114,7 +119,12 @@ fn extreme_times_keep_the_state_in_bounds() {
         let parts = scene(&mut noise);
         let seconds = if i / 50 % 2 == 0 { 1e-30 } else { 1e4 };
         correction.advance((i % 3) as f64 / 2.0);
-        correction.observe(&terms(&parts), seconds, [Standing::First, Standing::Same, Standing::Past][i % 3], if i % 5 == 0 { 0.01 } else { 1.0 });
+        correction.observe(
+            &terms(&parts),
+            seconds,
+            [Standing::First, Standing::Same, Standing::Past][i % 3],
+            if i % 5 == 0 { 0.01 } else { 1.0 },
+        );
         let (t, sd) = correction.apply(&terms(&parts));
         assert!(t.is_finite() && t > 0.0 && sd.is_finite() && sd > 0.0, "{i}: {t} {sd}");
     }

@@ -208,11 +208,7 @@ impl Controller for Hybrid {
         let margin = self.calm.multiple();
         let this = &*self;
         let mut judge = |step: f32| -> (f64, f64) {
-            if by_history {
-                history.forecast(step, margin)
-            } else {
-                this.judge(&request.cost.at(step))
-            }
+            if by_history { history.forecast(step, margin) } else { this.judge(&request.cost.at(step)) }
         };
         let excess = |step: f32| {
             let (seconds, upper) = judge(step);

@@ -7,6 +7,7 @@
 
 mod algorithm1;
 mod hybrid;
+mod quality;
 mod reactive;
 mod response;
 mod session;
@@ -15,6 +16,7 @@ mod tests;
 
 pub use algorithm1::{Algorithm1, Fixed, Olp, Pid};
 pub use hybrid::{Hybrid, HybridOptions};
+pub use quality::{QualityModel, QualitySample};
 pub use reactive::{Filament, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
 pub use response::StepResponse;
 pub use session::{Choice, PENDING_PLANS, Plan, Session};

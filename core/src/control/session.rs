@@ -1,7 +1,8 @@
 //! One render loop: a volume, a transfer function, a predictor and a controller.
 
 use super::{
-    Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, SceneMark, StepCost, StepLimits,
+    Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, SceneMark, StepCost,
+    StepLimits,
 };
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
@@ -239,7 +240,7 @@ impl Session {
         Ok(self.note(frame, target, changes, terms, decision))
     }
 
-    /// Chooses among settings, best quality first : the first that is expected
+    /// Chooses among settings, best quality first ([`super::QualityModel::sort`] puts them so): the first that is expected
     /// to meet the target ([`Controller::fits`]), else the one expected to be fastest. The image shape must be the frame's for its
     /// features to hold; other sizes of that shape are free.
     ///
@@ -424,8 +425,15 @@ impl Session {
     ) -> Plan {
         let id = self.next_id;
         self.next_id += 1;
-        self.pending[(id % PENDING_PLANS as u64) as usize] =
-            Some(Pending { id, step: decision.step, target, changes, terms, scene: self.controller.scene(), observed: false });
+        self.pending[(id % PENDING_PLANS as u64) as usize] = Some(Pending {
+            id,
+            step: decision.step,
+            target,
+            changes,
+            terms,
+            scene: self.controller.scene(),
+            observed: false,
+        });
         self.changes = Changes::NONE;
         self.last = Some(Setting::of(frame));
         self.last_termination = frame.termination();

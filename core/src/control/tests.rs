@@ -318,7 +318,7 @@ fn prediction_with_feedback_beats_reaction_at_switches_and_in_calm() {
     for (name, plant) in plants().into_iter().filter(|(name, _)| *name != "impossible") {
         let o = mean_of(&plant, 4, 400, &**ours);
         std::eprintln!("{name:12} ours {o:.3?}");
-        let mut expect = |holds: bool, what: alloc::string::String| {
+        let mut expect = |holds: bool, what: String| {
             if !holds {
                 wrong.push(std::format!("{name}: {what} {o:?}"));
             }
@@ -484,7 +484,15 @@ fn the_state_stays_bounded_over_long_runs() {
         });
         let terms = cost(d.step);
         let seconds = (terms.seconds() * (0.1 * noise.normal()).exp() as f32).max(1e-9);
-        hybrid.observe(&Observed { seconds, step: d.step, target: 0.01, changes, terms, scene: hybrid.scene(), unusual: false });
+        hybrid.observe(&Observed {
+            seconds,
+            step: d.step,
+            target: 0.01,
+            changes,
+            terms,
+            scene: hybrid.scene(),
+            unusual: false,
+        });
     }
     for f in hybrid.correction().factors() {
         assert!(f.is_finite() && f > 1e-5 && f < 1e5, "{:?}", hybrid.correction().factors());
@@ -580,6 +588,119 @@ fn choose_takes_the_first_setting_that_fits() {
     assert_eq!((none.index, none.plan.reason), (5, Reason::TargetUnreachable));
     let all = session.choose(&f, &settings, 10.0).unwrap();
     assert_eq!(all.index, 0);
+}
+
+/// A loop with noise, late and missing observations, a switch, and steering off for a while. Where `log` holds entries
+/// they are played again; else they are written.
+fn logged(log: &mut Vec<(u32, Option<u32>)>) -> Vec<(u32, u32, u32, Reason)> {
+    let replaying = !log.is_empty();
+    let mut session = ready_session();
+    let mut noise = Noise(21);
+    let mut plans = Vec::new();
+    let mut late: Option<(u64, f32)> = None;
+    for i in 0..150 {
+        if i == 60 {
+            let table = TransferFunction::Gaussian(lobes(0.8, 0.05)).to_table().unwrap();
+            session.set_transfer(&table, None).unwrap();
+        }
+        session.set_enabled(!(100..110).contains(&i));
+        let target = if replaying {
+            f32::from_bits(log[i].0)
+        } else {
+            [0.02, 0.015][i / 40 % 2] * (0.001 * noise.normal()).exp() as f32
+        };
+        let plan = session.plan(&frame(10.0, i as f32, 2.0), target).unwrap();
+        plans.push((plan.step.to_bits(), plan.seconds.to_bits(), plan.upper.to_bits(), plan.reason));
+        let seconds = if replaying {
+            log[i].1.map(f32::from_bits)
+        } else {
+            let t = (0.001 + 0.03 / plan.step) * (0.05 * noise.normal()).exp() as f32;
+            (i % 17 != 5).then_some(t)
+        };
+        if !replaying {
+            log.push((target.to_bits(), seconds.map(f32::to_bits)));
+        }
+        if let Some((id, t)) = late.take() {
+            session.observe(id, t, ObserveFlags::default());
+        }
+        match seconds {
+            Some(t) if i % 10 == 3 => late = Some((plan.id, t)),
+            Some(t) => drop(session.observe(plan.id, t, ObserveFlags::default())),
+            None => {}
+        }
+    }
+    plans
+}
+
+#[test]
+fn a_log_of_targets_and_times_replays_to_the_same_bits() {
+    let mut log = Vec::new();
+    let first = logged(&mut log);
+    assert_eq!(log.len(), 150);
+    assert_eq!(logged(&mut log), first);
+    // One time that is other by a bit shows.
+    log[20].1 = log[20].1.map(|t| t + 1000);
+    assert_ne!(logged(&mut log), first);
+}
+
+#[test]
+fn every_plan_gives_a_reason_and_the_off_switch_keeps_learning() {
+    let mut log = Vec::new();
+    let plans = logged(&mut log);
+    let reasons: std::collections::HashSet<Reason> = plans.iter().map(|p| p.3).collect();
+    assert!(
+        reasons.contains(&Reason::Fits) && reasons.contains(&Reason::Held) && reasons.contains(&Reason::Off)
+    );
+    assert!(plans.iter().all(|p| (p.3 == Reason::Off) == (p.3 as u32 == 8)));
+    assert!(plans[100..110].iter().all(|p| p.3 == Reason::Off && f32::from_bits(p.0) == 1.0));
+    // Off, the session hears that the machine has become three times slower; on again, it knows.
+    let mut session = ready_session();
+    let f = frame(10.0, 0.0, 2.0);
+    for i in 0..60 {
+        session.set_enabled(i < 30);
+        let plan = session.plan(&f, 0.02).unwrap();
+        let speed = if i < 30 { 1.0 } else { 3.0 };
+        session.observe(plan.id, speed * (0.0005 + 0.03 / plan.step), ObserveFlags::default());
+    }
+    session.set_enabled(true);
+    let plan = session.plan(&f, 0.02).unwrap();
+    let seconds = 3.0 * (0.0005 + 0.03 / plan.step);
+    assert!((0.015..0.022).contains(&seconds), "{seconds} {plan:?}");
+}
+
+#[test]
+fn a_late_observation_of_an_earlier_scene_does_not_move_this_one() {
+    let mut hybrid =
+        Hybrid::new(HybridOptions { prior: Prior::Fitted { log_sd: 0.2 }, ..HybridOptions::default() });
+    let limits = StepLimits::default();
+    let mut cost = |step: f32| CostTerms::whole(0.05 / step, 0.0, Source::Analytic);
+    let mut drive = |hybrid: &mut Hybrid, transfer: bool| {
+        let changes = Changes { transfer, ..Changes::NONE };
+        let d = hybrid.plan(&mut PlanRequest { target: 0.02, limits, changes, cost: &mut cost });
+        let terms = cost(d.step);
+        Observed {
+            seconds: terms.seconds(),
+            step: d.step,
+            target: 0.02,
+            changes,
+            terms,
+            scene: hybrid.scene(),
+            unusual: false,
+        }
+    };
+    for _ in 0..20 {
+        let o = drive(&mut hybrid, false);
+        hybrid.observe(&o);
+    }
+    let old = drive(&mut hybrid, false);
+    for transfer in [true, false, false] {
+        let o = drive(&mut hybrid, transfer);
+        hybrid.observe(&o);
+    }
+    let before = hybrid.correction().scene_factor();
+    hybrid.observe(&Observed { seconds: 2.0 * old.seconds, ..old });
+    let after = hybrid.correction().scene_factor();
+    assert!((after / before).ln().abs() < 0.02, "{before} {after}");
 }
 
 /// Prints every controller on every plant:

@@ -1,0 +1,28 @@
+# Steering: recorded cost curves, their replay under every controller beside an oracle, the stress scenes, farm balancing.
+# STEER_DATA: more volumes that no predictor saw. STEER_CLOCK: cpu where the machine is shared. STEER_FRAMES: frames per path.
+STEER_OUT ?= out/steer
+STEER_CLOCK ?= cpu
+STEER_FRAMES ?= 96
+STEER_DATA ?= ../shared/data
+STRESS_OUT ?= out/stress
+
+.PHONY: steer-build
+steer-build:
+	@$(CARGO) build --release --quiet --package entire-cli --bin entire
+
+.PHONY: steer-traces
+steer-traces: setup steer-build ## Record the cost curves that the steering bars are taken from (what is there stays)
+	@CARGO="$(CARGO)" bash scripts/steer-traces.sh "$(STEER_OUT)" "$(STEER_CLOCK)" "$(STEER_FRAMES)" "$(STEER_DATA)"
+
+.PHONY: bars-steer
+bars-steer: steer-traces ## Hold every controller against an oracle and the farm against its lower bound; fails when short
+	@status=0; \
+	target/release/entire replay "$(STEER_OUT)"/traces/*.json --calibration "$(STEER_OUT)/calibration.csv" \
+		--out "$(STEER_OUT)" --bars || status=1; \
+	target/release/entire schedule --trace "$(STEER_OUT)/farm.json" --calibration "$(STEER_OUT)/calibration.csv" \
+		--save-tasks "$(STEER_OUT)/farm-tasks.csv" --report "$(STEER_OUT)/farm" --bars || status=1; \
+	exit $$status
+
+.PHONY: stress
+stress: steer-build ## Play the 28 scenes in which methods break, with a run of a million frames: out/stress/report.html
+	@target/release/entire stress --out "$(STRESS_OUT)"
