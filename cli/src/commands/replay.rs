@@ -437,7 +437,7 @@ impl Results<'_> {
         );
         page.table(
             &self.table(),
-            &format!("T is the target. > 1.1 T: share of the frames in which the coarsest allowed step meets the target. |t-T|/T: mean over the frames in which some allowed step takes exactly the target. Quality: mean of the oracle's step over the step, at most 1; the oracle knows every frame's cost curve, not its noise. Calm: frames from the {SETTLING}rd after an abrupt change on. Jumps: calm frames whose step differs from the frame before by over 20 %. In bound: abrupt changes whose first frame stayed inside its upper bound. SSIM: mean structural similarity to the picture at the reference step, over the oracle's. Best of each column in bold."),
+            &format!("T is the target. > 1.1 T: share of the frames in which the coarsest allowed step meets the target. |t-T|/T: mean over the frames in which some allowed step takes exactly the target. Quality: mean of the oracle's step over the step, at most 1; the oracle knows every frame's cost curve, not its noise. Calm: nothing but the camera has changed, without a cut, in the frame and the {SETTLING} before. Jumps: calm frames whose step differs from the frame before by over 20 %. In bound: abrupt changes whose first frame stayed inside its upper bound. SSIM: mean structural similarity to the picture at the reference step, over the oracle's. Best of each column in bold."),
         );
         let mut chart = Chart::new(
             "Misses and quality",

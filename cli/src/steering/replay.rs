@@ -9,7 +9,7 @@ use entire_core::control::{Reason, StepLimits};
 use entire_core::features::{Changes, VolumeSummary};
 use serde::Serialize;
 
-/// Frames from an abrupt change on that are not calm, and frames at the start of a path.
+/// Frames from a change of anything but the camera on that are not calm, and frames at the start of a path.
 pub const SETTLING: usize = 3;
 
 /// A trace that is ready to be replayed.
@@ -76,7 +76,7 @@ pub struct Replayed {
     pub reachable: bool,
     /// Whether something, or the target, changed abruptly here.
     pub switched: bool,
-    /// Whether no such change was among this and the [`SETTLING`] frames before, nor the path's beginning.
+    /// Whether nothing but the camera has changed in this frame and the [`SETTLING`] before, nor the path begun.
     pub calm: bool,
     /// Why the step.
     #[serde(serialize_with = "reason_name")]
@@ -142,7 +142,8 @@ pub fn replay(
         let oracle_step = curve.oracle(target, finest, coarsest);
         let retargeted = index > 0 && (targets[index - 1] / target).ln().abs() > 0.05;
         let switched = recorded.switches[index] || retargeted;
-        since_switch = if switched || index == 0 { 0 } else { since_switch + 1 };
+        let announced = at.transfer_changed || swapped;
+        since_switch = if switched || announced || index == 0 { 0 } else { since_switch + 1 };
         out.push(Replayed {
             target,
             seconds,

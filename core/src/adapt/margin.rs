@@ -18,9 +18,15 @@ const HIGH: f64 = 8.0;
 impl Margin {
     /// A margin that aims at a miss rate in (0, 0.5]; out-of-range rates are clamped.
     pub fn new(rate: f32, pace: f32) -> Self {
+        Self::starting_at(2.0, rate, pace)
+    }
+
+    /// As [`Margin::new`], with a multiple to start from, clamped to 0.5…8.
+    pub fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
         let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
         let pace = if pace.is_finite() { f64::from(pace).clamp(1.0e-3, 1.0) } else { 0.1 };
-        Self { z: 2.0, rate, pace }
+        let z = if multiple.is_finite() { multiple.clamp(LOW, HIGH) } else { 2.0 };
+        Self { z, rate, pace }
     }
 
     /// The multiple.

@@ -67,8 +67,8 @@ struct Last {
 
 /// Most evaluations of the cost in a step search, beside those at the limits.
 const EVALUATIONS: usize = 12;
-/// Relative changes of the step below which it is kept.
-const DEAD_BAND: f64 = 0.02;
+/// Relative changes of the step, or distances of the expected time from the target, below which the step is kept.
+const DEAD_BAND: f64 = 0.01;
 /// Largest move to a finer step in a calm frame, in ln(step), beside what the prediction calls for.
 const FINER: f64 = 0.16;
 /// Distance of two predictions at one step (see [`distance`]) from which the frame before says nothing.
@@ -79,6 +79,8 @@ const NEAR: f64 = 0.12;
 const NEW: f64 = 0.3;
 /// Share of new scenes whose first frame may exceed its bound.
 const CHANGED_RATE: f32 = 0.07;
+/// Margin of new scenes before any was seen: errors among scenes have heavy tails.
+const CHANGED_START: f64 = 2.5;
 
 impl Hybrid {
     /// A controller that has seen nothing.
@@ -86,8 +88,8 @@ impl Hybrid {
         Self {
             options,
             correction: Correction::new(options.prior),
-            calm: Margin::new(options.miss_rate, 0.15),
-            changed: Margin::new(options.miss_rate.max(CHANGED_RATE), 0.3),
+            calm: Margin::new(options.miss_rate, 0.1),
+            changed: Margin::starting_at(CHANGED_START, options.miss_rate.max(CHANGED_RATE), 0.3),
             history: History::new(),
             last: None,
             announced: false,
@@ -125,10 +127,13 @@ impl Hybrid {
         if d.is_nan() {
             return if changes.any() { 1.0 } else { 0.0 };
         }
+        // Small differences are of one scene: they count by their square.
+        let share = |d: f64| (d / FAR).clamp(0.0, 1.0);
         if changes.any() {
-            (d / FAR).max(if self.announced { 0.0 } else { 0.5 }).min(1.0)
+            let novelty = share(d) * share(d);
+            if self.announced { novelty } else { novelty.max(0.5) }
         } else {
-            ((d - NEAR) / FAR).clamp(0.0, 1.0)
+            share(d - NEAR) * share(d - NEAR)
         }
     }
 
@@ -235,7 +240,11 @@ impl Controller for Hybrid {
         };
         if let Some(last) = self.last.filter(steady) {
             let delta = libm::log(f64::from(step) / f64::from(last.step));
-            if libm::fabs(delta) < DEAD_BAND && judge(last.step).0 <= target * 1.02 {
+            let (seconds, upper) = judge(last.step);
+            let off = libm::log(seconds / target);
+            let near =
+                libm::fabs(delta) < DEAD_BAND || (off > -DEAD_BAND && upper <= ceiling * (1.0 + DEAD_BAND));
+            if near && off <= DEAD_BAND {
                 step = last.step;
                 if reason == Reason::Fits {
                     reason = Reason::Held;
@@ -284,8 +293,8 @@ impl Controller for Hybrid {
 
     fn reset(&mut self) {
         self.correction.reset();
-        self.calm = Margin::new(self.options.miss_rate, 0.15);
-        self.changed = Margin::new(self.options.miss_rate.max(CHANGED_RATE), 0.3);
+        self.calm = Margin::new(self.options.miss_rate, 0.1);
+        self.changed = Margin::starting_at(CHANGED_START, self.options.miss_rate.max(CHANGED_RATE), 0.3);
         self.history = History::new();
         self.last = None;
         self.announced = false;
