@@ -478,7 +478,7 @@ fn compare(tasks: &[Task], options: &Options, folder: &Path) -> Result<()> {
                 let unit = makespans[0][at(n)];
                 let load = &loads[&(k, n)];
                 let q = |p: f64| load[((p * (n - 1) as f64).round() as usize).min(n - 1)] / unit;
-                let place = slot as f64 + (k as f64 - 2.0) * 0.17;
+                let place = slot as f64;
                 (place, [q(0.05), q(0.25), q(0.5), q(0.75), q(0.95)])
             })
             .collect();

@@ -26,7 +26,7 @@ const SIGMA: f64 = 0.02;
 /// The machine: seconds of a frame's work. Other ratios than the predictor's defaults.
 fn law(pixels: f64, counts: &WorkCounts) -> f64 {
     let n = |v: u64| v as f64;
-    4e-4 + 3e-9 * pixels + 4e-8 * n(counts.rays) + 1.5e-8 * n(counts.skips) + 3e-8 * n(counts.samples)
+    5e-5 + 3e-9 * pixels + 4e-8 * n(counts.rays) + 1.5e-8 * n(counts.skips) + 3e-8 * n(counts.samples)
 }
 
 /// A volume of a scene.
@@ -153,7 +153,8 @@ fn fitted(renderer: &mut CpuRaycaster) -> Result<AnalyticModel> {
 }
 
 fn scene(number: usize) -> Option<World> {
-    let strict = |missed, run| Limits { missed, run, quality: 0.0, inside: 0.9 };
+    let strict = |missed, run| Limits { missed, run, quality: 0.6, inside: 0.9 };
+    let loose = |missed| Limits { quality: 0.5, ..Limits::missed(missed) };
     let world = |blocks: Vec<Block>, limits: Limits, shot: Box<dyn Fn(usize) -> Shot>| World {
         blocks,
         shot,
@@ -186,7 +187,7 @@ fn scene(number: usize) -> Option<World> {
         ),
         5 => world(
             ball(),
-            Limits::missed(0.10),
+            loose(0.10),
             Box::new(|i| Shot {
                 lobes: if i / 15 % 2 == 1 { lobes(0.5, 0.01, 0.0) } else { shell() },
                 ..Shot::plain(i)
@@ -220,7 +221,7 @@ fn scene(number: usize) -> Option<World> {
             single.voxels[24 * 24 * 12 + 24 * 12 + 12] = 1.0;
             world(
                 vec![constant, two, single],
-                Limits::missed(0.10),
+                loose(0.10),
                 Box::new(|i| Shot {
                     volume: i / 20,
                     lobes: [haze(), lobes(0.9, 0.05, 0.3), lobes(1.0, 0.1, 0.5)][i / 7 % 3].clone(),
@@ -241,7 +242,7 @@ fn scene(number: usize) -> Option<World> {
             squeezed.voxels[0] = 65_535.0;
             world(
                 vec![holes, none, signed, squeezed],
-                Limits::missed(0.10),
+                loose(0.10),
                 Box::new(|i| Shot {
                     volume: i / 15,
                     lobes: [haze(), shell()][i / 5 % 2].clone(),
@@ -255,20 +256,22 @@ fn scene(number: usize) -> Option<World> {
             flat.spacing = [1.0, 1.0, 10.0];
             let slice = Block::new([40, 40, 1], wave);
             let needle = Block::new([256, 4, 4], wave);
-            world(
+            let flat = world(
                 vec![flat, slice, needle],
-                Limits::missed(0.10),
+                loose(0.10),
                 Box::new(|i| Shot {
                     volume: i / 20,
                     camera: Arcball { rx: 30.0, ry: 3.0 * i as f32, dz: 1.8 },
                     lobes: lobes(0.6, 0.05, 0.1),
                     ..Shot::plain(i)
                 }),
-            )
+            );
+            // Few samples are all there are: little can be saved.
+            World { share: 1.1, ..flat }
         }
         12 => world(
             ball(),
-            Limits::missed(0.15),
+            loose(0.15),
             Box::new(|i| {
                 let size = [(32, 32), (8192, 8192), (3, 900), (1920, 80), (64, 64), (4096, 2160)][i / 10];
                 let shrink = (f64::from(size.0.max(size.1)) / 64.0).max(1.0);
@@ -418,6 +421,10 @@ pub fn play(number: usize, method: ControllerKind) -> Result<Verdict> {
             excused: i == 0,
             part: shot.volume,
         });
+    }
+    let feasible = seen.iter().filter(|s| s.feasible).count();
+    if 2 * feasible < seen.len() {
+        broken.push(format!("the script asks for what cannot be in {} frames", seen.len() - feasible));
     }
     if number == 12 {
         // The first frame of a size is where its target is set too.
