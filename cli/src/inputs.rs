@@ -7,11 +7,12 @@ use crate::feature_table::{code_column, encoder_id};
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::features::{
-    Changes, FrameFeatures, SceneFeature, Setting, SummaryOptions, TransferSummary, VolumeSummary,
+    Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting, SummaryOptions, TransferSummary,
+    VolumeSummary,
 };
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VolumeNet, VolumeNetParts};
-use entire_core::predict::{GroupKind, Inputs, write_group};
+use entire_core::predict::{COST_QUANTITIES, GroupKind, Inputs, UnitCosts, write_estimate, write_group};
 use entire_core::scene::Skipping;
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
@@ -41,6 +42,7 @@ pub struct Layout {
     groups: Vec<(GroupKind, usize)>,
     scene_features: Vec<SceneFeature>,
     encoder: Option<Encoder>,
+    unit_costs: Option<UnitCosts>,
 }
 
 impl Layout {
@@ -81,7 +83,7 @@ impl Layout {
             };
             sized.push((group, size));
         }
-        Ok(Self { groups: sized, scene_features, encoder })
+        Ok(Self { groups: sized, scene_features, encoder, unit_costs: None })
     }
 
     /// The layout of a model file.
@@ -105,7 +107,7 @@ impl Layout {
             encoder.is_some() || groups.iter().all(|(g, _)| *g != GroupKind::VolumeFeatures),
             "the model takes volume_features and its file holds no VolumeNet; write both into one file"
         );
-        Ok(Self { groups, scene_features, encoder })
+        Ok(Self { groups, scene_features, encoder, unit_costs: UnitCosts::of(model)? })
     }
 
     /// Numbers per frame.
@@ -148,6 +150,11 @@ impl Layout {
         for (group, size) in &self.groups {
             let (here, after) = std::mem::take(&mut rest).split_at_mut(*size);
             write_group(*group, &self.scene_features, inputs, here)?;
+            if *group == GroupKind::SceneFeatures
+                && let Some(costs) = &self.unit_costs
+            {
+                write_estimate(costs, &self.scene_features, inputs, here);
+            }
             rest = after;
         }
         Ok(())
@@ -220,7 +227,17 @@ impl Layout {
                 match group {
                     GroupKind::SceneFeatures => {
                         for f in &self.scene_features {
-                            let value = row[*columns.next()?];
+                            let column = *columns.next()?;
+                            let value = match &self.unit_costs {
+                                Some(costs) if f.quantity == SceneQuantity::EstimatedSeconds => {
+                                    let work: Option<Vec<f32>> = COST_QUANTITIES
+                                        .iter()
+                                        .map(|q| Some(row[features.column(q.name())?]))
+                                        .collect();
+                                    costs.seconds_of_quantities(&work?) as f32
+                                }
+                                _ => row[column],
+                            };
                             out.push(if f.log { f.quantity.log(f64::from(value)) } else { value });
                         }
                     }

@@ -12,6 +12,7 @@ pub mod interrupt;
 pub mod machine;
 pub mod metrics;
 pub mod path;
+pub mod recipe;
 pub mod report;
 pub mod scenes;
 #[cfg(test)]

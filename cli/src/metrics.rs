@@ -1,7 +1,10 @@
 //! How well predicted seconds fit measured ones.
 
 use crate::dataset::median;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// The shortest prediction that counts as one; anything at or below it, and NaN, is taken as this many seconds.
 pub const SHORTEST: f64 = 1e-6;
@@ -75,6 +78,76 @@ impl Metrics {
     }
 }
 
+/// How well an upper bound holds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct BoundMetrics {
+    /// Share of frames that took no longer than the bound.
+    pub coverage: f64,
+    /// The same among the slowest tenth of the frames.
+    pub slowest_coverage: f64,
+    /// Mean quantile loss, seconds, over the mean of the measured seconds: small for bounds that are tight and hold.
+    pub pinball: f64,
+}
+
+impl BoundMetrics {
+    /// Compares bounds for `level` (0.95, say) with measured seconds. `None` without frames.
+    pub fn new(bounds: &[f64], measured: &[f64], level: f64) -> Option<Self> {
+        let n = measured.len().min(bounds.len());
+        if n == 0 {
+            return None;
+        }
+        let mut pairs: Vec<(f64, f64)> = bounds.iter().copied().zip(measured.iter().copied()).collect();
+        pairs.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let held = |part: &[(f64, f64)]| {
+            part.iter().filter(|(bound, t)| t <= bound).count() as f64 / part.len() as f64
+        };
+        let loss: f64 = pairs
+            .iter()
+            .map(|(bound, t)| if t > bound { level * (t - bound) } else { (1.0 - level) * (bound - t) })
+            .sum();
+        let total: f64 = pairs.iter().map(|p| p.1).sum();
+        Some(Self {
+            coverage: held(&pairs),
+            slowest_coverage: held(&pairs[(9 * n / 10).min(n - 1)..]),
+            pinball: loss / total,
+        })
+    }
+}
+
+/// The 95 % interval of a metric when whole groups (volumes, say) are drawn anew with replacement: how much it owes to
+/// which groups happened to be tested. `None` with fewer than two groups.
+pub fn bootstrap_by_group(
+    predicted: &[f64],
+    measured: &[f64],
+    groups: &[String],
+    rounds: usize,
+    metric: impl Fn(&Metrics) -> f64,
+) -> Option<(f64, f64)> {
+    let mut members: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    for (i, g) in groups.iter().enumerate() {
+        members.entry(g).or_default().push(i);
+    }
+    let members: Vec<Vec<usize>> = members.into_values().collect();
+    if members.len() < 2 {
+        return None;
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut values = Vec::with_capacity(rounds);
+    for _ in 0..rounds {
+        let (mut p, mut t) = (Vec::with_capacity(measured.len()), Vec::with_capacity(measured.len()));
+        for _ in 0..members.len() {
+            let unit = (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
+            for &i in &members[(unit * members.len() as f64) as usize] {
+                p.push(predicted[i]);
+                t.push(measured[i]);
+            }
+        }
+        values.extend(Metrics::new(&p, &t).map(|m| metric(&m)));
+    }
+    values.sort_by(f64::total_cmp);
+    Some((percentile(&values, 0.025), percentile(&values, 0.975)))
+}
+
 /// A percentile of ascending numbers, interpolated between neighbours; NaN without any.
 pub fn percentile(ascending: &[f64], share: f64) -> f64 {
     let Some(last) = ascending.len().checked_sub(1) else { return f64::NAN };
@@ -116,6 +189,32 @@ mod tests {
         assert!(m.rmse.is_finite() && m.r2_log < -10.0);
         assert_eq!(Metrics::new(&[], &[]), None);
         assert!(Metrics::new(&[1.0; 3], &[1.0; 3]).unwrap().bias_by_decile.len() <= 3);
+    }
+
+    #[test]
+    fn bounds_are_judged_overall_and_among_the_slowest() {
+        let t: Vec<f64> = (1..=100).map(f64::from).collect();
+        // Holds for all but the ten slowest frames.
+        let bound: Vec<f64> = t.iter().map(|t| if *t > 90.0 { 0.5 * t } else { 2.0 * t }).collect();
+        let b = BoundMetrics::new(&bound, &t, 0.95).unwrap();
+        assert_eq!((b.coverage, b.slowest_coverage), (0.9, 0.0));
+        let tight = BoundMetrics::new(&t, &t, 0.95).unwrap();
+        assert_eq!((tight.coverage, tight.slowest_coverage, tight.pinball), (1.0, 1.0, 0.0));
+        // Half of the time missing on half the sum: 0.95 / 2 of it, by the definition.
+        let low = BoundMetrics::new(&[0.5, 0.5], &[1.0, 1.0], 0.95).unwrap();
+        assert!((low.pinball - 0.475).abs() < 1e-12);
+        assert_eq!(BoundMetrics::new(&[], &[], 0.95), None);
+    }
+
+    #[test]
+    fn intervals_are_as_wide_as_groups_differ() {
+        let t: Vec<f64> = (0..60).map(|i| 1.0 + f64::from(i % 7)).collect();
+        let groups: Vec<String> = (0..60).map(|i| format!("v{}", i / 10)).collect();
+        let p: Vec<f64> = t.iter().enumerate().map(|(i, t)| t * (1.0 + 0.1 * (i / 10) as f64)).collect();
+        let (low, high) = bootstrap_by_group(&p, &t, &groups, 300, |m| m.mdape).unwrap();
+        let all = Metrics::new(&p, &t).unwrap().mdape;
+        assert!(low < all && all < high && low >= 0.0 && high <= 0.5 + 1e-9, "{low} {all} {high}");
+        assert_eq!(bootstrap_by_group(&p, &t, &vec!["one".into(); 60], 10, |m| m.mdape), None);
     }
 
     #[test]

@@ -1,20 +1,15 @@
 //! `entire train`: train or fine-tune a predictor on collected frames.
 
 use crate::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor, read_tables};
-use crate::inputs::{Encoder, Layout};
+use crate::inputs::Layout;
 use crate::metrics::{Metrics, SHORTEST};
+pub use crate::recipe::{DtypeChoice, Kind, TargetChoice};
+use crate::recipe::{Fitted, Kitchen, Recipe, Timed, calibrate, parse_loss, read_model_file};
 use crate::split::{GroupBy, Part, Split};
 use crate::{interrupt, machine};
-use anyhow::{Context, Result, anyhow, bail, ensure};
-use entire_core::features::SceneFeature;
+use anyhow::{Context, Result, ensure};
 use entire_core::model::{Model, ModelFile, keys};
-use entire_core::nn::{Dtype, Target};
-use entire_core::predict::{
-    AnalyticModel, CALIBRATION_KEY, Calibration, GroupKind, Measurement, TERM_QUANTITIES, UPPER_LEVEL,
-};
-use entire_core::train::{
-    EpochRecord, Loss, Network, Samples, Settings, Standardization, Stop, Trained, preset_widths, train,
-};
+use entire_core::predict::{CALIBRATION_KEY, Calibration, UPPER_LEVEL};
 use indicatif::{ProgressBar, ProgressStyle};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -23,9 +18,8 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 /// Train or fine-tune a predictor on collected frames.
 #[derive(Debug, clap::Args)]
@@ -38,7 +32,10 @@ Examples:
         the paper's configuration
   entire train --data new-machine.csv --out tuned.safetensors --fine-tune model.safetensors --learning-rate 1e-4
   entire train --data frames.csv --out costs.safetensors --model-kind analytic
-        unit costs by non-negative least squares: fits from a few frames on")]
+        unit costs by non-negative least squares: fits from a few frames on
+  entire train --data frames.csv --out residual.safetensors --model-kind residual --layers 32
+        the analytic model times a learned factor
+  entire train --data new-machine.csv --out here.safetensors --calibrate model.safetensors --limit 100")]
 pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
@@ -71,8 +68,8 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
     pub target: TargetChoice,
     /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile; the last gives an upper bound.
-    #[arg(long, default_value = "mse", value_parser = parse_loss)]
-    pub loss: Loss,
+    #[arg(long, default_value = "mse", value_parser = check_loss)]
+    pub loss: String,
     /// Passes over the training frames at most.
     #[arg(long, default_value_t = 200)]
     pub epochs: usize,
@@ -97,6 +94,9 @@ pub struct Options {
     /// Start from this model: its layers, inputs, target and standardisation stay, its weights learn on.
     #[arg(long, value_name = "SAFETENSORS")]
     pub fine_tune: Option<PathBuf>,
+    /// Adapt this model to the frames in closed form, its last layer drawn towards its weights: some ten frames will do.
+    #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["fine_tune", "model_kind"])]
+    pub calibrate: Option<PathBuf>,
     /// Model file with the VolumeNet that encodes volumes; it is written into the new file too.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
     pub volumenet: Option<PathBuf>,
@@ -135,71 +135,8 @@ pub struct Options {
     pub quiet: bool,
 }
 
-/// What is fitted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Kind {
-    /// A network, by gradient descent.
-    Prednet,
-    /// Unit costs of estimated work, by non-negative least squares; stored as one dense layer.
-    Analytic,
-}
-
-/// What the network gives.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-#[value(rename_all = "snake_case")]
-pub enum TargetChoice {
-    /// Seconds, as in the paper.
-    Seconds,
-    /// Natural logarithm of seconds.
-    LogSeconds,
-}
-
-/// How weights are stored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum DtypeChoice {
-    /// Single precision.
-    F32,
-    /// Half precision.
-    F16,
-    /// bfloat16.
-    Bf16,
-}
-
-/// Reads a loss: `mse`, `relative`, `huber`, `huber:DELTA`, `pinball:QUANTILE`.
-///
-/// # Errors
-/// For anything else.
-pub fn parse_loss(text: &str) -> Result<Loss> {
-    let (name, value) = match text.split_once(':') {
-        Some((name, value)) => {
-            let value: f64 = value.parse().map_err(|_| anyhow!("{value:?} after {name} is no number"))?;
-            (name, Some(value))
-        }
-        None => (text, None),
-    };
-    match (name, value) {
-        ("mse", None) => Ok(Loss::SquaredError),
-        ("relative", None) => Ok(Loss::Relative),
-        ("huber", delta) => Ok(Loss::Huber { delta: delta.unwrap_or(1.0) }),
-        ("pinball", Some(quantile)) => Ok(Loss::Pinball { quantile }),
-        _ => bail!("loss {text:?}; mse, relative, huber, huber:DELTA or pinball:QUANTILE is expected"),
-    }
-}
-
-fn loss_name(loss: Loss) -> String {
-    match loss {
-        Loss::SquaredError => "mse".into(),
-        Loss::Relative => "relative".into(),
-        Loss::Huber { delta } => format!("huber:{delta}"),
-        Loss::Pinball { quantile } => format!("pinball:{quantile}"),
-        other => format!("{other:?}"),
-    }
-}
-
-fn read_model_file(path: &Path) -> Result<(ModelFile, Model)> {
-    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let name = || format!("{}", path.display());
-    Ok((ModelFile::from_bytes(&bytes).with_context(name)?, Model::from_bytes(&bytes).with_context(name)?))
+fn check_loss(text: &str) -> Result<String> {
+    parse_loss(text).map(|_| text.to_owned())
 }
 
 /// A pool of so many threads, all logical processors without a number.
@@ -247,15 +184,6 @@ pub(crate) fn timed(
 
 /// Log-SD of a frame's median from which on the data themselves are the problem.
 const NOISY: f64 = 0.2;
-
-struct Fitted {
-    file: ModelFile,
-    layout: Layout,
-    what: String,
-    settings: serde_json::Value,
-    history: Vec<EpochRecord>,
-    outcome: String,
-}
 
 /// Runs the command.
 ///
@@ -306,15 +234,30 @@ pub fn run(options: &Options) -> Result<()> {
     let none = Vec::new();
     let part = |p: Part| parts.get(&p).unwrap_or(&none);
 
-    let mut fitted = match options.model_kind {
-        Kind::Analytic => {
-            fit_analytic(options, &tables, part(Part::Training), &part_seconds(Part::Training), &pool)?
+    let stop = interrupt::flag()?;
+    let bar = progress_bar(options.quiet, "epoch {msg} [{bar:30}] {eta} left");
+    let kitchen = Kitchen { tables: &tables, pool: &pool, bar: &bar, stop: &|| interrupt::requested(&stop) };
+    let (training, validation) = (part_seconds(Part::Training), part_seconds(Part::Validation));
+    let training = Timed { frames: part(Part::Training), seconds: &training };
+    let validation = Timed { frames: part(Part::Validation), seconds: &validation };
+    let fitted = match &options.calibrate {
+        Some(path) => {
+            let (file, _) = read_model_file(path)?;
+            Fitted {
+                file: calibrate(&file, &kitchen, training)?,
+                what: "PredNet, its last layer calibrated".into(),
+                settings: json!({ "calibrated_from": path.file_name().map(|n| n.to_string_lossy()) }),
+                history: Vec::new(),
+                outcome: format!("calibrated on {} frames", training.frames.len()),
+            }
         }
-        Kind::Prednet => fit_network(options, &tables, &part, &part_seconds, &pool)?,
+        None => options.recipe().make(&kitchen, training, validation)?,
     };
+    bar.finish_and_clear();
+    let mut fitted = Made { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted };
 
     // Metrics come from what the file holds, stored format and all.
-    let model = fitted.file.to_model()?;
+    let model = fitted.fitted.file.to_model()?;
     let mut results = Vec::new();
     let mut upper = Calibration::unknown();
     let mut covered = BTreeMap::new();
@@ -337,7 +280,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     results.sort_by_key(|r| r.0);
     if model_has_bound(&upper) {
-        set_upper_bound(&mut fitted.file, &upper)?;
+        set_upper_bound(&mut fitted.fitted.file, &upper)?;
     }
     let noise = noise_floor(refs.iter().copied(), options.clock);
     if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
@@ -347,7 +290,7 @@ pub fn run(options: &Options) -> Result<()> {
         );
     }
     let provenance = json!({
-        "what": fitted.what,
+        "what": fitted.fitted.what,
         "paper": "ENTIRE: Learning-based Volume Rendering Time Prediction",
         "data": tables.iter().map(|t| json!({
             "file": t.path.file_name().map(|n| n.to_string_lossy()),
@@ -361,8 +304,8 @@ pub fn run(options: &Options) -> Result<()> {
         "shading": options.shading.map(|s| s.name()),
         "split": split,
         "training_frames": count(Part::Training),
-        "settings": fitted.settings,
-        "outcome": fitted.outcome,
+        "settings": fitted.fitted.settings,
+        "outcome": fitted.fitted.outcome,
         "metrics": results.iter().map(|(p, m)| (p.name(), m)).collect::<BTreeMap<_, _>>(),
         "upper_bound": { "level": UPPER_LEVEL, "log_factor": f64::from(upper.log_factor()), "coverage": covered },
         "noise_floor": noise,
@@ -370,13 +313,13 @@ pub fn run(options: &Options) -> Result<()> {
         "program": format!("entire {}", machine::version()),
         "date": machine::now(),
     });
-    fitted.file.set_metadata(keys::PROVENANCE, provenance.to_string());
+    fitted.fitted.file.set_metadata(keys::PROVENANCE, provenance.to_string());
     if let Some(manifest) = tables.iter().find_map(|t| t.manifest.as_ref()) {
-        fitted.file.set_metadata(keys::RENDERER, manifest.renderer.clone());
-        fitted.file.set_metadata(keys::DEVICE, manifest.device.clone());
-        fitted.file.set_metadata(keys::STEP_REFERENCE, manifest.step_reference.clone());
+        fitted.fitted.file.set_metadata(keys::RENDERER, manifest.renderer.clone());
+        fitted.fitted.file.set_metadata(keys::DEVICE, manifest.device.clone());
+        fitted.fitted.file.set_metadata(keys::STEP_REFERENCE, manifest.step_reference.clone());
     }
-    write_whole(&options.out, &fitted.file.to_bytes()?)?;
+    write_whole(&options.out, &fitted.fitted.file.to_bytes()?)?;
     let bound = covered.get(Part::Test.name()).or(covered.get(Part::Validation.name())).copied();
     let card = card(options, &fitted, &split, &tables, &results, (upper, bound), noise.as_ref());
     write_whole(&options.out.with_extension("md"), card.as_bytes())?;
@@ -401,11 +344,41 @@ pub fn run(options: &Options) -> Result<()> {
     }
     println!(
         "{}; wrote {} in {:.1} s",
-        fitted.outcome,
+        fitted.fitted.outcome,
         options.out.display(),
         started.elapsed().as_secs_f64()
     );
     Ok(())
+}
+
+/// A predictor with the layout of its inputs.
+struct Made {
+    layout: Layout,
+    fitted: Fitted,
+}
+
+impl Options {
+    fn recipe(&self) -> Recipe {
+        Recipe {
+            kind: self.model_kind,
+            layers: self.layers.clone(),
+            preset: self.preset.clone(),
+            inputs: self.inputs.clone(),
+            scene_features: self.scene_features.clone(),
+            target: self.target,
+            loss: self.loss.clone(),
+            epochs: self.epochs,
+            batch: self.batch,
+            learning_rate: self.learning_rate,
+            final_learning_rate: self.final_learning_rate,
+            clip: self.clip,
+            patience: self.patience,
+            seed: self.seed,
+            volumenet: self.volumenet.clone(),
+            fine_tune: self.fine_tune.clone(),
+            dtype: self.dtype,
+        }
+    }
 }
 
 /// Share of frames that took no longer than the bound.
@@ -463,223 +436,13 @@ pub(crate) fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<
     Ok(rows.chunks_exact(width).map(|row| f64::from(net.predict(row, &mut scratch))).collect())
 }
 
-fn fit_analytic(
-    options: &Options,
-    tables: &[Table],
-    training: &[&TimedFrame],
-    seconds: &[f64],
-    pool: &ThreadPool,
-) -> Result<Fitted> {
-    ensure!(options.fine_tune.is_none(), "an analytic model is fitted anew; leave --fine-tune away");
-    let features: Vec<SceneFeature> = TERM_QUANTITIES.iter().map(|&q| SceneFeature::linear(q)).collect();
-    let layout = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?;
-    let bar = progress_bar(options.quiet, INPUTS_BAR);
-    let rows = layout.rows(tables, training, pool, &bar)?;
-    bar.finish_and_clear();
-    let measurements: Vec<Measurement> = rows
-        .chunks_exact(TERM_QUANTITIES.len())
-        .zip(seconds)
-        .map(|(row, &seconds)| Measurement::from_work(row, seconds))
-        .collect();
-    let mut model = AnalyticModel::new();
-    let report = model.fit(&measurements)?;
-    let costs = model.costs();
-    let file = model.to_model_file()?;
-    let mut costs_named = BTreeMap::from([("frame".to_owned(), costs[0])]);
-    costs_named.extend(TERM_QUANTITIES.iter().zip(&costs[1..]).map(|(q, c)| (q.name().to_owned(), *c)));
-    Ok(Fitted {
-        file,
-        layout,
-        what:
-            "analytic cost model: unit costs of estimated work, non-negative least squares on relative errors"
-                .into(),
-        settings: json!({ "unit_costs_seconds": costs_named }),
-        history: Vec::new(),
-        outcome: format!(
-            "fitted to {} frames, {} refused, median error {:.2} %",
-            report.used,
-            report.refused,
-            100.0 * report.median_error
-        ),
-    })
-}
-
 fn names(layout: &Layout) -> Vec<String> {
     layout.scene_features().iter().map(ToString::to_string).collect()
 }
 
-fn fit_network<'a>(
-    options: &Options,
-    tables: &[Table],
-    part: &impl Fn(Part) -> &'a Vec<&'a TimedFrame>,
-    seconds: &impl Fn(Part) -> Vec<f64>,
-    pool: &ThreadPool,
-) -> Result<Fitted> {
-    let mut settings = Settings::default();
-    settings.epochs = options.epochs;
-    settings.batch = options.batch;
-    settings.learning_rate = options
-        .learning_rate
-        .unwrap_or(if options.preset.is_some() || options.fine_tune.is_some() { 1e-4 } else { 1e-3 });
-    settings.final_learning_rate = options.final_learning_rate.unwrap_or(settings.learning_rate / 100.0);
-    settings.clip_norm = options.clip;
-    settings.patience = options.patience;
-    settings.loss = options.loss;
-    settings.seed = options.seed;
-    settings.target = match options.target {
-        TargetChoice::Seconds => Target::Seconds,
-        TargetChoice::LogSeconds => Target::LogSeconds,
-    };
-
-    let (mut file, layout, network, standardization) = match &options.fine_tune {
-        Some(path) => {
-            let (file, model) = read_model_file(path)?;
-            let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
-            let parts = model.prednet().context("the model file holds no PredNet")?;
-            settings.target = parts.target;
-            (file, layout, Network::<f32>::from_parts(parts)?, Some(Standardization::of(parts)))
-        }
-        None => {
-            let groups: Vec<GroupKind> =
-                options.inputs.iter().map(|n| Ok(GroupKind::from_name(n.trim())?)).collect::<Result<_>>()?;
-            let features = if options.scene_features.is_empty() {
-                SceneFeature::STANDARD.to_vec()
-            } else {
-                options
-                    .scene_features
-                    .iter()
-                    .map(|n| Ok(SceneFeature::from_name(n.trim())?))
-                    .collect::<Result<_>>()?
-            };
-            let (file, encoder) = match &options.volumenet {
-                Some(path) => {
-                    let (file, model) = read_model_file(path)?;
-                    let parts = model
-                        .volumenet()
-                        .with_context(|| format!("{} holds no VolumeNet", path.display()))?;
-                    (file, Some(Encoder::new(parts)?))
-                }
-                None => (ModelFile::new(), None),
-            };
-            let lobes = part(Part::Training).first().map_or(0, |f| f.scene.lobes.len());
-            let features = if groups.contains(&GroupKind::SceneFeatures) { features } else { Vec::new() };
-            let layout = Layout::new(&groups, features, lobes, encoder)?;
-            let widths = match &options.preset {
-                Some(preset) => preset_widths(preset, layout.width())?,
-                None => {
-                    let mut widths = vec![layout.width()];
-                    widths.extend(&options.layers);
-                    widths.push(1);
-                    widths
-                }
-            };
-            (file, layout, Network::random(&widths, options.seed)?, None)
-        }
-    };
-
-    let rows = |p: Part| -> Result<Vec<f32>> {
-        let bar = progress_bar(options.quiet, INPUTS_BAR);
-        let rows = layout.rows(tables, part(p), pool, &bar)?;
-        bar.finish_and_clear();
-        Ok(rows)
-    };
-    let (x, y) = (rows(Part::Training)?, seconds(Part::Training));
-    let (vx, vy) = (rows(Part::Validation)?, seconds(Part::Validation));
-    let widths = network.widths().to_vec();
-    let stop = interrupt::flag()?;
-    let bar = progress_bar(options.quiet, "epoch {msg} [{bar:30}] {eta} left");
-    let started = Instant::now();
-    let mut last_shown = Instant::now();
-    let trained: Trained<f32> = train(
-        pool,
-        network,
-        standardization,
-        Samples { inputs: &x, seconds: &y },
-        Samples { inputs: &vx, seconds: &vy },
-        &settings,
-        |p| {
-            bar.set_length(p.total_steps);
-            if let Some(e) = p.ended
-                && (last_shown.elapsed() > Duration::from_millis(100) || e.epoch == 1)
-            {
-                last_shown = Instant::now();
-                bar.set_message(format!(
-                    "{}/{} training {:.3e} validation {:.3e} best {:.3e}",
-                    e.epoch, p.epochs, e.training_loss, e.validation_loss, p.best
-                ));
-                bar.set_position(p.steps);
-            }
-            if interrupt::requested(&stop) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        },
-    )?;
-    bar.finish_and_clear();
-    let seconds_taken = started.elapsed().as_secs_f64();
-    if trained.best_epoch == 0 {
-        match trained.stop {
-            Stop::Diverged => bail!(
-                "training diverged in its first epoch; lower --learning-rate (it was {})",
-                settings.learning_rate
-            ),
-            _ => bail!("stopped before anything was learned; nothing was written"),
-        }
-    }
-    let ran = trained.history.len();
-    let why = match trained.stop {
-        Stop::Finished => format!("all {ran} epochs done"),
-        Stop::Early => format!("stopped early after {ran} epochs"),
-        Stop::Interrupted => format!("interrupted after {ran} whole epochs"),
-        Stop::Diverged => format!("diverged after {ran} epochs (the weights before are kept)"),
-        _ => format!("ended after {ran} epochs"),
-    };
-    let mut parts = trained.to_parts();
-    for layer in &mut parts.layers {
-        layer.dtype = match options.dtype {
-            DtypeChoice::F32 => Dtype::F32,
-            DtypeChoice::F16 => Dtype::F16,
-            DtypeChoice::Bf16 => Dtype::Bf16,
-        };
-    }
-    file.set_prednet(&parts, &layout.to_model_groups())?;
-    if !layout.scene_features().is_empty() {
-        file.set_scene_features(&names(&layout))?;
-    }
-    let frames = y.len() as f64 * ran as f64;
-    Ok(Fitted {
-        file,
-        layout,
-        what: format!(
-            "PredNet{}, widths {}",
-            if options.fine_tune.is_some() { ", fine-tuned" } else { "" },
-            widths.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
-        ),
-        settings: json!({
-            "fine_tuned_from": options.fine_tune.as_ref().and_then(|p| p.file_name()).map(|n| n.to_string_lossy()),
-            "preset": options.preset,
-            "widths": widths,
-            "target": settings.target.name(),
-            "loss": loss_name(settings.loss),
-            "epochs": settings.epochs,
-            "batch": settings.batch,
-            "optimizer": "Adam(0.9, 0.999)",
-            "learning_rate": [settings.learning_rate, settings.final_learning_rate],
-            "schedule": "cosine, per step",
-            "clip_norm": settings.clip_norm,
-            "patience": settings.patience,
-            "seed": settings.seed,
-        }),
-        history: trained.history,
-        outcome: format!(
-            "{why}, best epoch {} with loss {:.4e}, {:.0} frames/s",
-            trained.best_epoch,
-            trained.best_loss,
-            frames / seconds_taken
-        ),
-    })
-}
-
 fn card(
     options: &Options,
-    fitted: &Fitted,
+    fitted: &Made,
     split: &Split,
     tables: &[Table],
     results: &[(Part, Metrics)],
@@ -688,7 +451,7 @@ fn card(
 ) -> String {
     let mut md = String::new();
     let name = options.out.file_stem().map_or("model".into(), |n| n.to_string_lossy());
-    let _ = writeln!(md, "# {name}\n\n{}.\n", fitted.what);
+    let _ = writeln!(md, "# {name}\n\n{}.\n", fitted.fitted.what);
     let _ = writeln!(
         md,
         "## Use\n\nPredicts the seconds that one volume-rendered frame takes, before it is drawn, on the machine and with the \
@@ -754,10 +517,10 @@ fn card(
     let _ = writeln!(
         md,
         "\n## Training\n\n{}.\n\n```json\n{}\n```\n",
-        fitted.outcome,
-        serde_json::to_string_pretty(&fitted.settings).unwrap_or_default()
+        fitted.fitted.outcome,
+        serde_json::to_string_pretty(&fitted.fitted.settings).unwrap_or_default()
     );
-    if let (Some(first), Some(last)) = (fitted.history.first(), fitted.history.last()) {
+    if let (Some(first), Some(last)) = (fitted.fitted.history.first(), fitted.fitted.history.last()) {
         let _ = writeln!(
             md,
             "Loss (training, validation): {:.4e}, {:.4e} after epoch 1; {:.4e}, {:.4e} after epoch {}.\n",

@@ -1,6 +1,6 @@
 //! What one frame will do, for any ray step and image size of the same shape.
 
-use super::{Probe, SHADOW_STEP, SceneFeature, SceneQuantity, TransferSummary, VolumeSummary};
+use super::{Probe, SHADOW_STEP, SceneFeature, SceneQuantity, TransferSummary, UnitCosts, VolumeSummary};
 use crate::scene::{Arcball, Frame, Shading, Skipping};
 
 /// Side of the pixel tiles that a renderer runs in lockstep.
@@ -84,7 +84,23 @@ pub struct Work {
     pub shaded: f64,
     /// Samples along shadow rays, with single scattering; else 0.
     pub shadow_samples: f64,
+    /// Runs of samples between jumps; 0 without skipping.
+    pub runs: f64,
+    /// Distance of neighboring rays at the mean depth of the samples, reference steps.
+    pub ray_spacing: f64,
 }
+
+impl Work {
+    /// How little neighboring rays share of what they read, 0…1: s²/(s² + [`UNSHARED_SPACING`]²) at ray spacing s.
+    /// Rays closer than a voxel read the same memory, rays far apart read each their own.
+    pub fn unshared(&self) -> f64 {
+        let square = self.ray_spacing * self.ray_spacing;
+        square / (square + UNSHARED_SPACING * UNSHARED_SPACING)
+    }
+}
+
+/// Ray spacing in reference steps at which half of what a sample reads is shared with no other ray.
+pub const UNSHARED_SPACING: f64 = 2.0;
 
 /// What a camera sees of a volume under a transfer function, measured once per frame.
 ///
@@ -195,6 +211,8 @@ impl FrameFeatures {
             lane_samples: rays * f64::from(per_lane),
             shaded: rays * f64::from(shaded),
             shadow_samples: rays * f64::from(shadow),
+            runs: if skipping { rays * f64::from(p.runs) } else { 0.0 },
+            ray_spacing: f64::from(p.spread / setting.height as f32),
         }
     }
 
@@ -214,6 +232,14 @@ impl FrameFeatures {
             Q::LocalSamples => only(Shading::Local, work.shaded),
             Q::ScatterSamples => only(Shading::Scatter, work.shaded),
             Q::ShadowSamples => work.shadow_samples,
+            Q::Runs => work.runs,
+            Q::SpreadSamples => work.lane_samples * work.unshared(),
+            Q::SpreadRuns => work.runs * work.unshared(),
+            Q::ShadedPerPixel => per_pixel(work.shaded),
+            Q::ShadowPerPixel => per_pixel(work.shadow_samples),
+            Q::RunsPerRay => work.runs / work.rays.max(1.0),
+            Q::EstimatedSeconds => UnitCosts::SOFTWARE.seconds(&self.cost_work(setting)),
+            Q::RaySpacing => work.ray_spacing,
             Q::SamplesPerPixel => per_pixel(work.samples),
             Q::SkipsPerPixel => per_pixel(work.skips),
             Q::FootprintShare => f64::from(p.footprint.share),

@@ -6,6 +6,7 @@
 //!   frame and then evaluated for any ray step and image size.
 //! * [`SceneFeature`]: the names under which a model file asks for these numbers.
 
+mod cost;
 mod footprint;
 mod frame;
 mod probe;
@@ -15,8 +16,9 @@ mod tests;
 mod transfer;
 mod volume;
 
+pub use cost::{COST_QUANTITIES, COSTS, UnitCosts};
 pub use footprint::Footprint;
-pub use frame::{Changes, FrameFeatures, Setting, Work};
+pub use frame::{Changes, FrameFeatures, Setting, UNSHARED_SPACING, Work};
 pub use probe::{PROBE_SIDE, Probe, SHADOW_DIRECTION, SHADOW_OPACITY, SHADOW_STEP};
 pub use schema::{SceneFeature, SceneQuantity};
 pub use transfer::{CORRELATION_LENGTH, TransferSummary};

@@ -37,6 +37,10 @@ pub struct Probe {
     pub(super) empty: f32,
     /// Length in which samples have opacity.
     pub(super) visible: f32,
+    /// Runs of samples between jumps: how often a ray comes from an empty block (or from outside) into an occupied one.
+    pub(super) runs: f32,
+    /// Distance of rays that are the image's height apart, reference steps, at the mean depth of the samples.
+    pub(super) spread: f32,
     /// Share of rays that terminate early.
     pub(super) terminated: f32,
     /// As `occupied` and `occupied + empty`, the largest of a ray and its neighbors in the probe.
@@ -64,6 +68,8 @@ impl Probe {
         occupied: 0.0,
         empty: 0.0,
         visible: 0.0,
+        runs: 0.0,
+        spread: 0.0,
         terminated: 0.0,
         occupied_max: 0.0,
         all_max: 0.0,
@@ -114,6 +120,8 @@ impl Probe {
             out.occupied += ray.occupied;
             out.empty += ray.empty;
             out.visible += ray.visible;
+            out.runs += ray.runs;
+            out.spread += ray.depth;
             out.shadow += ray.shadow;
             out.shadow_skips += ray.shadow_skips;
             out.shadow_all += ray.shadow_all;
@@ -140,11 +148,16 @@ impl Probe {
             out.occupied_max += o;
             out.all_max += a;
         }
+        // Depth along the view, weighted by the samples' length; where nothing is sampled, that of the volume's center.
+        let depth =
+            if out.occupied > 0.0 { out.spread / out.occupied } else { frame.camera().to_arcball().dz };
+        out.spread = 2.0 * libm::tanf(0.5 * frame.camera().fov_y()) * depth / geometry.reference_step;
         for total in [
             &mut out.mean_chord,
             &mut out.occupied,
             &mut out.empty,
             &mut out.visible,
+            &mut out.runs,
             &mut out.shadow,
             &mut out.shadow_skips,
             &mut out.shadow_all,
@@ -236,6 +249,9 @@ struct Ray {
     occupied: f32,
     empty: f32,
     visible: f32,
+    runs: f32,
+    /// ∫ depth over the length in occupied blocks.
+    depth: f32,
     shadow: f32,
     shadow_skips: f32,
     shadow_all: f32,
@@ -248,6 +264,8 @@ impl Ray {
         occupied: 0.0,
         empty: 0.0,
         visible: 0.0,
+        runs: 0.0,
+        depth: 0.0,
         shadow: 0.0,
         shadow_skips: 0.0,
         shadow_all: 0.0,
@@ -326,6 +344,7 @@ impl<'a> March<'a> {
         let mut depth = 0.0f32;
         // Current jump of the distance map: where it began, how far it reaches, its length so far.
         let mut jump = Jump::NONE;
+        let mut was_occupied = false;
         // Where on the ray the shadow ray starts; negative for none.
         let mut lit = -1.0f32;
         loop {
@@ -333,6 +352,7 @@ impl<'a> March<'a> {
             let length = (t_next - t).max(0.0) * rate;
             let Some(&here) = self.cells.get(walk.index as usize) else { break };
             if here.occupied == 0.0 {
+                was_occupied = false;
                 out.empty += length;
                 match mean_block_chord {
                     None => self.block_skips.add(length, 1.0),
@@ -363,6 +383,10 @@ impl<'a> March<'a> {
                 };
                 let inside = used * here.occupied;
                 out.occupied += inside;
+                // A view's rays have unit length along its axis: t is depth.
+                out.depth += inside * 0.5 * (t + t_next);
+                out.runs += if was_occupied { 0.0 } else { 1.0 };
+                was_occupied = true;
                 let shown = used * here.visible;
                 out.visible += shown;
                 if self.scatters && shown > 0.0 {
@@ -379,6 +403,7 @@ impl<'a> March<'a> {
                     let empty = used - inside;
                     out.empty += empty;
                     if let Some(chord) = mean_block_chord {
+                        out.runs += empty / chord * here.occupied;
                         self.block_skips.add(chord, empty / chord);
                         self.distance_skips.add(chord, empty / chord);
                     }

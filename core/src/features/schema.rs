@@ -49,6 +49,14 @@ quantities! {
     LocalSamples, "local_samples", "samples", 1.0, "visible samples, with local shading; else 0";
     ScatterSamples, "scatter_samples", "samples", 1.0, "visible samples, with single scattering; else 0";
     ShadowSamples, "shadow_samples", "samples", 1.0, "samples along shadow rays, with single scattering; else 0";
+    Runs, "runs", "runs", 1.0, "expected runs of samples between jumps over empty blocks";
+    SpreadSamples, "spread_samples", "samples", 1.0, "lane samples, each weighted by how little neighboring rays share";
+    SpreadRuns, "spread_runs", "runs", 1.0, "runs, each weighted by how little neighboring rays share";
+    ShadedPerPixel, "shaded_per_pixel", "samples/pixel", 0.01, "visible samples over pixels of the image, with shading; else 0";
+    ShadowPerPixel, "shadow_per_pixel", "samples/pixel", 0.01, "samples along shadow rays over pixels of the image";
+    RunsPerRay, "runs_per_ray", "runs/ray", 0.1, "runs over rays that meet the volume's box";
+    EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, "work times the unit costs that the model file holds, or those of a software renderer";
+    RaySpacing, "ray_spacing", "reference steps", 0.01, "distance of neighboring rays at the mean depth of the samples";
     SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, "samples over pixels of the image";
     SkipsPerPixel, "skips_per_pixel", "jumps/pixel", 0.01, "jumps over pixels of the image";
     FootprintShare, "footprint_share", "1", 1.0e-6, "share of the image that the volume's box covers";
@@ -57,10 +65,10 @@ quantities! {
     TerminatedShare, "terminated_share", "1", 0.01, "share of rays that end early";
     Divergence, "divergence", "1", 0.01, "lane samples over samples, less one";
     OccupiedShare, "occupied_share", "1", 0.0001, "share of blocks that are not empty under the transfer function";
-    VisibleShare, "visible_share", "1", 0.0001, "share of voxels with any opacity";
+    VisibleShare, "visible_share", "1", 0.001, "share of voxels with any opacity";
     MeanOpacity, "mean_opacity", "1", 1.0e-6, "opacity averaged over voxels";
     MeanSquareOpacity, "mean_square_opacity", "1", 1.0e-9, "squared opacity averaged over voxels";
-    MeanExtinction, "mean_extinction", "1/reference step", 1.0e-6, "extinction averaged over voxels";
+    MeanExtinction, "mean_extinction", "1/reference step", 1.0e-4, "extinction averaged over voxels";
     MaxOpacity, "max_opacity", "1", 1.0e-6, "largest opacity of the transfer function";
     Step, "step", "reference steps", 0.0, "ray step";
     Distance, "distance", "bounding-sphere radii", 0.001, "distance of the eye from the volume's center";
@@ -111,25 +119,23 @@ impl SceneFeature {
     /// The features that a small model takes unless told otherwise: logarithms of counts and lengths, shares, modes.
     pub const STANDARD: &'static [Self] = &[
         Self::log(SceneQuantity::Pixels),
-        Self::log(SceneQuantity::Rays),
-        Self::log(SceneQuantity::Samples),
-        Self::log(SceneQuantity::Skips),
-        Self::log(SceneQuantity::LaneSamples),
-        Self::log(SceneQuantity::LocalSamples),
-        Self::log(SceneQuantity::ScatterSamples),
-        Self::log(SceneQuantity::ShadowSamples),
         Self::log(SceneQuantity::SamplesPerPixel),
         Self::log(SceneQuantity::SkipsPerPixel),
-        Self::log(SceneQuantity::MeanChord),
+        Self::log(SceneQuantity::ShadedPerPixel),
+        Self::log(SceneQuantity::ShadowPerPixel),
+        Self::log(SceneQuantity::RunsPerRay),
+        Self::log(SceneQuantity::RaySpacing),
+        Self::linear(SceneQuantity::FootprintShare),
         Self::linear(SceneQuantity::TerminatedShare),
-        Self::linear(SceneQuantity::Divergence),
+        Self::log(SceneQuantity::Divergence),
         Self::linear(SceneQuantity::OccupiedShare),
-        Self::log(SceneQuantity::MeanOpacity),
-        Self::log(SceneQuantity::Step),
-        Self::log(SceneQuantity::Distance),
+        Self::log(SceneQuantity::VisibleShare),
+        Self::log(SceneQuantity::MeanExtinction),
+        Self::log(SceneQuantity::MeanChord),
         Self::linear(SceneQuantity::Tilt),
         Self::linear(SceneQuantity::Turn),
-        Self::linear(SceneQuantity::Inside),
+        Self::log(SceneQuantity::Step),
+        Self::log(SceneQuantity::Voxels),
     ];
 
     /// Reads a name as [`SceneFeature`]'s `Display` writes it.

@@ -7,29 +7,66 @@ use super::{
 };
 use crate::Result;
 use crate::error::bail;
-use crate::features::{Changes, FrameFeatures, SceneQuantity, Setting};
+use crate::features::{COST_QUANTITIES, COSTS, FrameFeatures, SceneQuantity, Setting, UnitCosts};
 use crate::model::{InputGroup, Model, ModelFile};
 use crate::nn::{DenseParts, Dtype, PredNetParts, Target};
+use alloc::collections::BTreeMap;
+use alloc::string::String;
 use alloc::vec::Vec;
 
-/// Parts of a cost: the fixed one, then one per quantity of [`TERM_QUANTITIES`].
+/// Parts of a cost that are corrected apart from each other; each holds one or more unit costs.
 pub const TERMS: usize = 9;
 
-/// The quantities that cost time, in the order of the parts after the fixed one.
-pub const TERM_QUANTITIES: [SceneQuantity; TERMS - 1] = [
-    SceneQuantity::Pixels,
-    SceneQuantity::Rays,
-    SceneQuantity::Skips,
-    SceneQuantity::Samples,
-    SceneQuantity::LaneSamples,
-    SceneQuantity::LocalSamples,
-    SceneQuantity::ScatterSamples,
-    SceneQuantity::ShadowSamples,
-];
+/// The part that each unit cost belongs to: work that goes together on every machine is corrected together.
+const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 3, 3, 5];
 
-/// Unit costs of a machine never measured, seconds: a frame, then each of [`TERM_QUANTITIES`]. Of the order of a
-/// software renderer on a few cores; what matters are their ratios, since the first observations set the scale.
-const DEFAULT_COSTS: [f64; TERMS] = [2.0e-4, 2.0e-9, 1.0e-8, 6.0e-9, 1.2e-8, 1.2e-8, 8.0e-8, 4.0e-8, 1.5e-8];
+/// Metadata key under which a model file that takes `estimated_seconds` holds the unit costs behind it: a JSON object of
+/// seconds by name, `frame` and those of [`COST_QUANTITIES`]; names that are missing cost nothing.
+pub const UNIT_COSTS_KEY: &str = "entire.unit_costs";
+
+impl UnitCosts {
+    /// What [`UNIT_COSTS_KEY`] holds.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for costs that JSON cannot hold.
+    pub fn to_json(&self) -> Result<String> {
+        let costs: BTreeMap<&str, f64> = self.named().collect();
+        match serde_json::to_string(&costs) {
+            Ok(text) => Ok(text),
+            Err(e) => bail!(InvalidArgument, "the unit costs cannot be written as JSON: {e}"),
+        }
+    }
+
+    /// The unit costs of a model file; `None` where it holds none.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is negative or not
+    /// finite, or when all are zero.
+    pub fn of(model: &Model) -> Result<Option<Self>> {
+        let Some(text) = model.metadata().get(UNIT_COSTS_KEY) else { return Ok(None) };
+        let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
+            Ok(named) => named,
+            Err(e) => bail!(InvalidModel, "{UNIT_COSTS_KEY} is not an object of seconds by name: {e}"),
+        };
+        let mut out = Self([0.0; COSTS]);
+        for (name, &cost) in &named {
+            let Some(at) = out.named().position(|(n, _)| n == name) else {
+                bail!(InvalidModel, "{UNIT_COSTS_KEY} names {name:?}, which this version does not count");
+            };
+            if !(cost.is_finite() && cost >= 0.0) {
+                bail!(InvalidModel, "{UNIT_COSTS_KEY}: {name} is {cost}; it must be finite and not negative");
+            }
+            out.0[at] = cost;
+        }
+        if out.0.iter().all(|&c| c == 0.0) {
+            bail!(InvalidModel, "{UNIT_COSTS_KEY} holds no positive cost");
+        }
+        Ok(Some(out))
+    }
+}
+
+/// Rounds of reweighting in [`AnalyticModel::fit`].
+const ROUNDS: usize = 10;
 
 /// Shortest time that is ever predicted.
 const SHORTEST: f32 = 1.0e-9;
@@ -40,8 +77,8 @@ const LONGEST: f32 = 1.0e9;
 /// One measured frame, for [`AnalyticModel::fit`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Measurement {
-    /// Work of each of [`TERM_QUANTITIES`], after a leading 1 for the frame itself.
-    pub work: [f64; TERMS],
+    /// Work of each of [`COST_QUANTITIES`], after a leading 1 for the frame itself.
+    pub work: [f64; COSTS],
     /// Measured seconds.
     pub seconds: f64,
 }
@@ -49,12 +86,12 @@ pub struct Measurement {
 impl Measurement {
     /// The estimated work of a frame at a setting, with its measured time.
     pub fn new(features: &FrameFeatures, setting: &Setting, seconds: f64) -> Self {
-        Self { work: work_of(features, setting), seconds }
+        Self { work: features.cost_work(setting), seconds }
     }
 
-    /// From values of [`TERM_QUANTITIES`], in their order; those that are missing count as 0.
+    /// From values of [`COST_QUANTITIES`], in their order; those that are missing count as 0.
     pub fn from_work(quantities: &[f32], seconds: f64) -> Self {
-        let mut work = [0.0; TERMS];
+        let mut work = [0.0; COSTS];
         work[0] = 1.0;
         for (slot, &value) in work[1..].iter_mut().zip(quantities) {
             *slot = f64::from(value);
@@ -79,7 +116,7 @@ pub struct FitReport {
 /// t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer step or more pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnalyticModel {
-    costs: [f64; TERMS],
+    costs: [f64; COSTS],
     fitted: bool,
     calibration: Calibration,
     range: FeatureRange,
@@ -95,18 +132,18 @@ impl AnalyticModel {
     /// The model of a machine never measured: unit costs of a software renderer on a few cores.
     pub fn new() -> Self {
         Self {
-            costs: DEFAULT_COSTS,
+            costs: UnitCosts::SOFTWARE.0,
             fitted: false,
             calibration: Calibration::unknown(),
             range: FeatureRange::unknown(),
         }
     }
 
-    /// A model with given unit costs in seconds: of a frame, then of each of [`TERM_QUANTITIES`].
+    /// A model with given unit costs in seconds: of a frame, then of each of [`COST_QUANTITIES`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a cost that is negative or not finite, or when all are zero.
-    pub fn from_costs(costs: [f64; TERMS]) -> Result<Self> {
+    pub fn from_costs(costs: [f64; COSTS]) -> Result<Self> {
         for (i, &c) in costs.iter().enumerate() {
             if !(c.is_finite() && c >= 0.0) {
                 bail!(
@@ -123,7 +160,7 @@ impl AnalyticModel {
     }
 
     /// Unit costs in seconds.
-    pub fn costs(&self) -> &[f64; TERMS] {
+    pub fn costs(&self) -> &[f64; COSTS] {
         &self.costs
     }
 
@@ -142,8 +179,8 @@ impl AnalyticModel {
         self.calibration = calibration;
     }
 
-    /// Fits the unit costs to measured frames by non-negative least squares on relative errors, outliers
-    /// down-weighted (Huber, in four rounds), and calibrates the upper bound on the same frames. Costs of work that no
+    /// Fits the unit costs to measured frames by non-negative least squares, reweighted in rounds until it minimizes
+    /// errors of ln(seconds), outliers down-weighted (Huber), and calibrates the upper bound on the same frames. Costs of work that no
     /// measurement holds keep their default ratio to the others.
     ///
     /// # Errors
@@ -167,41 +204,47 @@ impl AnalyticModel {
         }
         let mut weights = alloc::vec![1.0f64; usable.len()];
         let mut residuals = alloc::vec![0.0f64; usable.len()];
-        let mut costs = [0.0f64; TERMS];
+        let mut costs = [0.0f64; COSTS];
         // Prior: the default ratios at the machine's speed, worth one measurement in a thousand.
-        let mut ratios: Vec<f64> = usable.iter().map(|m| m.seconds / dot(&DEFAULT_COSTS, &m.work)).collect();
+        let mut ratios: Vec<f64> =
+            usable.iter().map(|m| m.seconds / dot(&UnitCosts::SOFTWARE.0, &m.work)).collect();
         let speed = median(&mut ratios);
-        for _ in 0..4 {
-            let mut gram = [0.0f64; TERMS * TERMS];
-            let mut rhs = [0.0f64; TERMS];
+        for _ in 0..ROUNDS {
+            let mut gram = [0.0f64; COSTS * COSTS];
+            let mut rhs = [0.0f64; COSTS];
             for (m, &weight) in usable.iter().zip(&weights) {
                 let inv = 1.0 / m.seconds;
-                for i in 0..TERMS {
+                for i in 0..COSTS {
                     let a = m.work[i] * inv;
                     rhs[i] += weight * a;
-                    for j in 0..TERMS {
-                        gram[i * TERMS + j] += weight * a * m.work[j] * inv;
+                    for j in 0..COSTS {
+                        gram[i * COSTS + j] += weight * a * m.work[j] * inv;
                     }
                 }
             }
             let ridge = 1.0e-3;
-            for i in 0..TERMS {
-                let unit = 1.0 / (DEFAULT_COSTS[i] * speed);
+            for i in 0..COSTS {
+                let unit = 1.0 / (UnitCosts::SOFTWARE.0[i] * speed);
                 // (x / prior − 1)²: nothing is drawn harder than one frame in a thousand would.
                 let pull = ridge * unit;
-                gram[i * TERMS + i] += pull * unit * 1.0e-1;
+                gram[i * COSTS + i] += pull * unit * 1.0e-1;
                 rhs[i] += pull * 1.0e-1;
             }
             nnls(&gram, &rhs, &mut costs);
-            for ((m, weight), residual) in usable.iter().zip(&mut weights).zip(&mut residuals) {
-                *residual = dot(&costs, &m.work) / m.seconds - 1.0;
-                *weight = libm::fabs(*residual);
+            for (m, residual) in usable.iter().zip(&mut residuals) {
+                *residual = libm::log(dot(&costs, &m.work).max(1.0e-30) / m.seconds);
             }
-            let mut sizes = weights.clone();
+            let mut sizes: Vec<f64> = residuals.iter().map(|r| libm::fabs(*r)).collect();
             let limit = (1.5 * 1.4826 * median(&mut sizes)).max(1.0e-6);
-            for weight in &mut weights {
-                *weight = if *weight <= limit { 1.0 } else { limit / *weight };
+            for (weight, &log) in weights.iter_mut().zip(&residuals) {
+                // What turns the square of p / t − 1 into that of ln(p / t), at this round's p.
+                let relative = libm::expm1(log);
+                let square = if libm::fabs(relative) > 1.0e-6 { log / relative } else { 1.0 };
+                *weight = square * square * (limit / libm::fabs(log).max(limit));
             }
+        }
+        for residual in &mut residuals {
+            *residual = libm::expm1(*residual);
         }
         if costs.iter().all(|&c| c <= 0.0) {
             bail!(InvalidArgument, "the measurements give no positive cost; check that times are in seconds");
@@ -224,7 +267,7 @@ impl AnalyticModel {
         })
     }
 
-    /// The model as a file: one dense layer on [`TERM_QUANTITIES`] as scene features, target seconds, calibration and
+    /// The model as a file: one dense layer on [`COST_QUANTITIES`] as scene features, target seconds, calibration and
     /// range beside it under [`CALIBRATION_KEY`].
     ///
     /// # Errors
@@ -233,7 +276,7 @@ impl AnalyticModel {
         let mut file = ModelFile::new();
         let parts = PredNetParts {
             layers: alloc::vec![DenseParts {
-                inputs: TERMS - 1,
+                inputs: COSTS - 1,
                 outputs: 1,
                 weight: self.costs[1..].iter().map(|&c| c as f32).collect(),
                 bias: alloc::vec![self.costs[0] as f32],
@@ -243,9 +286,9 @@ impl AnalyticModel {
             output: None,
             target: Target::Seconds,
         };
-        let group = InputGroup { name: GroupKind::SceneFeatures.name().into(), size: TERMS - 1 };
+        let group = InputGroup { name: GroupKind::SceneFeatures.name().into(), size: COSTS - 1 };
         file.set_prednet(&parts, &[group])?;
-        file.set_scene_features(&TERM_QUANTITIES.map(SceneQuantity::name))?;
+        file.set_scene_features(&COST_QUANTITIES.map(SceneQuantity::name))?;
         let stored = Stored {
             level: UPPER_LEVEL,
             log_factor: Some(self.calibration.log_factor()).filter(|f| f.is_finite()),
@@ -265,8 +308,8 @@ impl AnalyticModel {
         let Some(net) = model.prednet() else { return Ok(None) };
         let [layer] = &net.layers[..] else { return Ok(None) };
         let fits = model.inputs().len() == 1
-            && names.len() == TERMS - 1
-            && names.iter().zip(&TERM_QUANTITIES).all(|(n, q)| n == q.name())
+            && names.len() == COSTS - 1
+            && names.iter().zip(&COST_QUANTITIES).all(|(n, q)| n == q.name())
             && net.input.is_none()
             && net.output.is_none()
             && net.target == Target::Seconds
@@ -274,7 +317,7 @@ impl AnalyticModel {
         if !fits {
             return Ok(None);
         }
-        let mut costs = [0.0; TERMS];
+        let mut costs = [0.0; COSTS];
         costs[0] = f64::from(layer.bias[0]);
         for (cost, &w) in costs[1..].iter_mut().zip(&layer.weight) {
             *cost = f64::from(w);
@@ -294,15 +337,24 @@ impl AnalyticModel {
         Ok(Some(out))
     }
 
-    /// Predicts from work that is already counted: a leading 1, then [`TERM_QUANTITIES`].
-    pub fn seconds_of(&self, work: &[f64; TERMS]) -> f64 {
+    /// Predicts from work that is already counted: a leading 1, then [`COST_QUANTITIES`].
+    pub fn seconds_of(&self, work: &[f64; COSTS]) -> f64 {
         dot(&self.costs, work)
+    }
+
+    /// The unit costs.
+    pub fn unit_costs(&self) -> UnitCosts {
+        UnitCosts(self.costs)
     }
 
     /// The cost in parts for a frame at a setting.
     pub fn parts(&self, features: &FrameFeatures, setting: &Setting) -> CostTerms {
-        let work = work_of(features, setting);
-        let mut parts: [f32; TERMS] = core::array::from_fn(|i| finite(self.costs[i] * work[i]));
+        let work = features.cost_work(setting);
+        let mut sums = [0.0f64; TERMS];
+        for ((cost, amount), part) in self.costs.iter().zip(&work).zip(PART_OF) {
+            sums[part] += cost * amount;
+        }
+        let mut parts: [f32; TERMS] = sums.map(finite);
         if !(parts.iter().sum::<f32>() >= SHORTEST) {
             parts[0] = SHORTEST;
         }
@@ -339,26 +391,17 @@ impl Predictor for AnalyticModel {
 /// Quantities by which the analytic model knows its range.
 const RANGE_TERMS: usize = 5;
 
-fn range_point(work: &[f64; TERMS]) -> [f32; RANGE_TERMS] {
+fn range_point(work: &[f64; COSTS]) -> [f32; RANGE_TERMS] {
     let log = |v: f64| libm::log(v + 1.0) as f32;
     let per_pixel = |v: f64| libm::log(v / work[1].max(1.0) + 0.01) as f32;
     [log(work[1]), per_pixel(work[2]), per_pixel(work[3]), per_pixel(work[4]), per_pixel(work[5])]
 }
 
-fn work_of(features: &FrameFeatures, setting: &Setting) -> [f64; TERMS] {
-    let work = features.work(setting);
-    let mut out = [1.0; TERMS];
-    for (slot, &quantity) in out[1..].iter_mut().zip(&TERM_QUANTITIES) {
-        *slot = features.quantity(quantity, setting, &work, Changes::NONE);
-    }
-    out
-}
-
 fn term_name(i: usize) -> &'static str {
-    if i == 0 { "frame" } else { TERM_QUANTITIES[i - 1].name() }
+    if i == 0 { "frame" } else { COST_QUANTITIES[i - 1].name() }
 }
 
-fn dot(costs: &[f64; TERMS], work: &[f64; TERMS]) -> f64 {
+fn dot(costs: &[f64; COSTS], work: &[f64; COSTS]) -> f64 {
     costs.iter().zip(work).map(|(c, w)| c * w).sum()
 }
 
@@ -376,7 +419,7 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
 mod tests {
     use super::*;
 
-    const TRUTH: [f64; TERMS] = [1e-3, 3e-9, 2e-8, 0.0, 4e-8, 1e-8, 9e-8, 0.0, 0.0];
+    const TRUTH: [f64; COSTS] = [1e-3, 3e-9, 2e-8, 0.0, 4e-8, 1e-8, 9e-8, 0.0, 0.0, 2e-7, 0.0, 0.0];
 
     /// Work of frames as they come: counts over several decades, scattering never used.
     fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
@@ -399,6 +442,9 @@ mod tests {
                     samples,
                     samples * (1.0 + uniform()),
                     local,
+                    0.0,
+                    0.0,
+                    rays * 3.0 * uniform(),
                     0.0,
                     0.0,
                 ];
@@ -454,15 +500,15 @@ mod tests {
         for seconds in [0.0, -1.0, f64::NAN, f64::INFINITY] {
             rows.push(Measurement { seconds, ..rows[0] });
         }
-        rows.push(Measurement { work: [f64::NAN; TERMS], seconds: 1.0 });
+        rows.push(Measurement { work: [f64::NAN; COSTS], seconds: 1.0 });
         let mut model = AnalyticModel::new();
         let report = model.fit(&rows).unwrap();
         assert_eq!((report.used, report.refused), (20, 5));
         let before = model.clone();
         assert!(model.fit(&rows[20..]).is_err() && model.fit(&[]).is_err());
         assert_eq!(model, before);
-        assert!(AnalyticModel::from_costs([0.0; TERMS]).is_err());
-        assert!(AnalyticModel::from_costs([-1.0; TERMS]).unwrap_err().message().contains("frame"));
+        assert!(AnalyticModel::from_costs([0.0; COSTS]).is_err());
+        assert!(AnalyticModel::from_costs([-1.0; COSTS]).unwrap_err().message().contains("frame"));
     }
 
     #[test]

@@ -10,8 +10,9 @@ mod network;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod nnls;
 
-pub use analytic::{AnalyticModel, FitReport, Measurement, TERM_QUANTITIES, TERMS};
+pub use crate::features::{COST_QUANTITIES, COSTS, UnitCosts};
+pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS, UNIT_COSTS_KEY};
 pub use calibration::{Calibration, FeatureRange, UPPER_LEVEL};
 pub use inputs::{CostTerms, GroupKind, Inputs, Prediction, Predictor, Source, write_group};
-pub use network::{CALIBRATION_KEY, ModelPredictor, load};
+pub use network::{CALIBRATION_KEY, ModelPredictor, load, write_estimate};
 pub use nnls::nnls;

@@ -1,6 +1,8 @@
 //! A network from a model file as a predictor.
 
-use super::{AnalyticModel, Calibration, GroupKind, Inputs, Prediction, Predictor, Source, write_group};
+use super::{
+    AnalyticModel, Calibration, GroupKind, Inputs, Prediction, Predictor, Source, UnitCosts, write_group,
+};
 use crate::Result;
 use crate::error::bail;
 use crate::features::{SceneFeature, SceneQuantity};
@@ -80,6 +82,8 @@ pub struct ModelPredictor {
     spread: Vec<(f32, f32)>,
     scratch: PredScratch,
     row: Vec<f32>,
+    /// Behind `estimated_seconds`, where the file holds them.
+    unit_costs: Option<UnitCosts>,
     knows_step: bool,
     calibration: Calibration,
 }
@@ -139,6 +143,10 @@ impl ModelPredictor {
                 matches!(
                     f.quantity,
                     SceneQuantity::Step
+                        | SceneQuantity::EstimatedSeconds
+                        | SceneQuantity::SpreadSamples
+                        | SceneQuantity::ShadedPerPixel
+                        | SceneQuantity::ShadowPerPixel
                         | SceneQuantity::Samples
                         | SceneQuantity::LaneSamples
                         | SceneQuantity::LocalSamples
@@ -158,6 +166,7 @@ impl ModelPredictor {
             spread,
             scratch,
             row: vec![0.0; width],
+            unit_costs: UnitCosts::of(model)?,
             knows_step,
             calibration,
         })
@@ -182,6 +191,11 @@ impl ModelPredictor {
         for &(kind, size) in &self.groups {
             let (head, tail) = rest.split_at_mut(size);
             write_group(kind, &self.scene_features, inputs, head)?;
+            if kind == GroupKind::SceneFeatures
+                && let Some(costs) = &self.unit_costs
+            {
+                write_estimate(costs, &self.scene_features, inputs, head);
+            }
             rest = tail;
         }
         Ok(&self.row)
@@ -198,6 +212,18 @@ impl ModelPredictor {
             worst = worst.max(if z.is_nan() { f32::INFINITY } else { z });
         }
         if known { (worst / INSIDE - 1.0).max(0.0) } else { f32::NAN }
+    }
+}
+
+/// Writes the feature `estimated_seconds` by a model's own unit costs over what the group holds in its place.
+pub fn write_estimate(costs: &UnitCosts, features: &[SceneFeature], inputs: &Inputs<'_>, group: &mut [f32]) {
+    let mut seconds = None;
+    for (slot, feature) in group.iter_mut().zip(features) {
+        if feature.quantity == SceneQuantity::EstimatedSeconds {
+            let value =
+                *seconds.get_or_insert_with(|| costs.seconds(&inputs.features.cost_work(&inputs.setting)));
+            *slot = if feature.log { feature.quantity.log(value) } else { value as f32 };
+        }
     }
 }
 
@@ -372,7 +398,8 @@ mod tests {
     #[test]
     fn analytic_models_survive_their_file() {
         let mut analytic =
-            AnalyticModel::from_costs([1e-3, 2e-9, 0.0, 4e-9, 5e-8, 0.0, 7e-8, 0.0, 9e-8]).unwrap();
+            AnalyticModel::from_costs([1e-3, 2e-9, 0.0, 4e-9, 5e-8, 0.0, 7e-8, 0.0, 9e-8, 1e-8, 0.0, 2e-8])
+                .unwrap();
         analytic.set_calibration(Calibration::from_log_factor(0.25));
         let model = analytic.to_model_file().unwrap().to_model().unwrap();
         let back = AnalyticModel::from_model(&model).unwrap().unwrap();

@@ -1,0 +1,751 @@
+//! How predictors are made from measured frames: one description for `train`, `chart` and `select`.
+//!
+//! | kind | what is fitted | stored as |
+//! |---|---|---|
+//! | `analytic` | unit costs of estimated work, non-negative least squares on relative errors | one dense layer on counts, seconds |
+//! | `linear` | ln seconds as a linear function of scene features, robust least squares | one dense layer, log seconds |
+//! | `network` | PredNet by gradient descent | dense layers |
+//! | `residual` | analytic × exp(network): unit costs first, then a network on ln(measured / analytic) | dense layers that carry `log_estimated_seconds` past the network |
+
+use crate::dataset::{Table, TimedFrame};
+use crate::inputs::{Encoder, Layout};
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use entire_core::features::{SceneFeature, SceneQuantity};
+use entire_core::model::{Model, ModelFile};
+use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, SELU_SCALE, Target};
+use entire_core::predict::{
+    AnalyticModel, COST_QUANTITIES, GroupKind, Measurement, UNIT_COSTS_KEY, UnitCosts,
+};
+use entire_core::train::{
+    EpochRecord, Loss, Network, Progress, Samples, Settings, Standardization, Stop, preset_widths, train,
+};
+use indicatif::ProgressBar;
+use rayon::ThreadPool;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// What is fitted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// A network, by gradient descent.
+    #[default]
+    #[value(alias = "network")]
+    #[serde(alias = "network")]
+    Prednet,
+    /// Unit costs of estimated work, by non-negative least squares; stored as one dense layer.
+    Analytic,
+    /// ln seconds as a linear function of scene features, by robust least squares.
+    Linear,
+    /// The analytic model times a learned factor: a small network on ln(measured / analytic).
+    Residual,
+}
+
+/// What the network gives.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[value(rename_all = "snake_case")]
+#[serde(rename_all = "snake_case")]
+pub enum TargetChoice {
+    /// Seconds, as in the paper.
+    Seconds,
+    /// Natural logarithm of seconds.
+    #[default]
+    LogSeconds,
+}
+
+/// How weights are stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DtypeChoice {
+    /// Single precision.
+    #[default]
+    F32,
+    /// Half precision.
+    F16,
+    /// bfloat16.
+    Bf16,
+}
+
+/// How a predictor is made. What is left away has the value of [`Recipe::default`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Recipe {
+    /// What is fitted.
+    pub kind: Kind,
+    /// Hidden layer widths of networks.
+    pub layers: Vec<usize>,
+    /// Layers of the paper, such as 12C256, instead of `layers`.
+    pub preset: Option<String>,
+    /// Input groups, in order.
+    pub inputs: Vec<String>,
+    /// Scene features, in order; the standard ones where there are none.
+    pub scene_features: Vec<String>,
+    /// What a network gives.
+    pub target: TargetChoice,
+    /// `mse`, `relative`, `huber:DELTA` or `pinball:QUANTILE`.
+    pub loss: String,
+    /// Passes over the training frames at most.
+    pub epochs: usize,
+    /// Frames per step.
+    pub batch: usize,
+    /// First learning rate; 1e-4 with a preset or when fine-tuning, else 1e-3.
+    pub learning_rate: Option<f64>,
+    /// Last learning rate; a hundredth of the first unless given.
+    pub final_learning_rate: Option<f64>,
+    /// Largest norm of the gradient.
+    pub clip: f64,
+    /// Epochs without a better validation loss after which training stops.
+    pub patience: usize,
+    /// Seed of weights and of the frames' order.
+    pub seed: u64,
+    /// Model file with the VolumeNet that encodes volumes.
+    pub volumenet: Option<PathBuf>,
+    /// Start from this model instead of random weights.
+    pub fine_tune: Option<PathBuf>,
+    /// How weights are stored.
+    pub dtype: DtypeChoice,
+}
+
+impl Default for Recipe {
+    fn default() -> Self {
+        Self {
+            kind: Kind::Prednet,
+            layers: vec![64, 64],
+            preset: None,
+            inputs: vec![GroupKind::SceneFeatures.name().into()],
+            scene_features: Vec::new(),
+            target: TargetChoice::LogSeconds,
+            loss: "mse".into(),
+            epochs: 200,
+            batch: 256,
+            learning_rate: None,
+            final_learning_rate: None,
+            clip: 1.0,
+            patience: 50,
+            seed: 1,
+            volumenet: None,
+            fine_tune: None,
+            dtype: DtypeChoice::F32,
+        }
+    }
+}
+
+/// Frames with their seconds.
+#[derive(Clone, Copy, Debug)]
+pub struct Timed<'a> {
+    /// The frames.
+    pub frames: &'a [&'a TimedFrame],
+    /// Seconds of each.
+    pub seconds: &'a [f64],
+}
+
+/// What a recipe works with.
+pub struct Kitchen<'a> {
+    /// The tables that the frames are of.
+    pub tables: &'a [Table],
+    /// Threads.
+    pub pool: &'a ThreadPool,
+    /// Shows how far training is; its message and position are set.
+    pub bar: &'a ProgressBar,
+    /// Asked after every step.
+    pub stop: &'a dyn Fn() -> bool,
+}
+
+/// A predictor that was made.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    /// The model file.
+    pub file: ModelFile,
+    /// One line on what it is.
+    pub what: String,
+    /// What it was made with.
+    pub settings: serde_json::Value,
+    /// Every epoch of a network.
+    pub history: Vec<EpochRecord>,
+    /// One line on how it went.
+    pub outcome: String,
+}
+
+/// Reads a loss: `mse`, `relative`, `huber`, `huber:DELTA`, `pinball:QUANTILE`.
+///
+/// # Errors
+/// For anything else.
+pub fn parse_loss(text: &str) -> Result<Loss> {
+    let (name, value) = match text.split_once(':') {
+        Some((name, value)) => {
+            let value: f64 = value.parse().map_err(|_| anyhow!("{value:?} after {name} is no number"))?;
+            (name, Some(value))
+        }
+        None => (text, None),
+    };
+    match (name, value) {
+        ("mse", None) => Ok(Loss::SquaredError),
+        ("relative", None) => Ok(Loss::Relative),
+        ("huber", delta) => Ok(Loss::Huber { delta: delta.unwrap_or(1.0) }),
+        ("pinball", Some(quantile)) => Ok(Loss::Pinball { quantile }),
+        _ => bail!("loss {text:?}; mse, relative, huber, huber:DELTA or pinball:QUANTILE is expected"),
+    }
+}
+
+/// Reads a model file twice over: as bytes to keep, and checked.
+///
+/// # Errors
+/// When it cannot be read or is no model.
+pub fn read_model_file(path: &Path) -> Result<(ModelFile, Model)> {
+    let bytes = std::fs::read(path).with_context(|| {
+        let remedy = if path.exists() { "" } else { "; make one with `entire train`" };
+        format!("cannot read {}{remedy}", path.display())
+    })?;
+    let name = || format!("{}", path.display());
+    Ok((ModelFile::from_bytes(&bytes).with_context(name)?, Model::from_bytes(&bytes).with_context(name)?))
+}
+
+fn names(features: &[SceneFeature]) -> Vec<String> {
+    features.iter().map(ToString::to_string).collect()
+}
+
+impl Recipe {
+    /// The scene features that are asked for.
+    ///
+    /// # Errors
+    /// For a name that is not known.
+    pub fn features(&self) -> Result<Vec<SceneFeature>> {
+        if self.scene_features.is_empty() {
+            return Ok(SceneFeature::STANDARD.to_vec());
+        }
+        self.scene_features.iter().map(|n| Ok(SceneFeature::from_name(n.trim())?)).collect()
+    }
+
+    /// Makes the predictor. Validation frames decide when a network stops; the other kinds do not look at them.
+    ///
+    /// # Errors
+    /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or training fails.
+    pub fn make(&self, kitchen: &Kitchen<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<Fitted> {
+        ensure!(!training.frames.is_empty(), "there are no training frames");
+        if let Some(path) = &self.fine_tune {
+            return self.fine_tune(path, kitchen, training, validation);
+        }
+        match self.kind {
+            Kind::Analytic => self.analytic(kitchen, training),
+            Kind::Linear => self.linear(kitchen, training),
+            Kind::Residual => self.residual(kitchen, training, validation),
+            Kind::Prednet => self.network(kitchen, training, validation),
+        }
+    }
+
+    fn layout(&self, training: Timed<'_>) -> Result<(ModelFile, Layout)> {
+        let groups: Vec<GroupKind> =
+            self.inputs.iter().map(|n| Ok(GroupKind::from_name(n.trim())?)).collect::<Result<_>>()?;
+        let (file, encoder) = match &self.volumenet {
+            Some(path) => {
+                let (file, model) = read_model_file(path)?;
+                let parts =
+                    model.volumenet().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
+                (file, Some(Encoder::new(parts)?))
+            }
+            None => (ModelFile::new(), None),
+        };
+        let lobes = training.frames.first().map_or(0, |f| f.scene.lobes.len());
+        let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
+        Ok((file, Layout::new(&groups, features, lobes, encoder)?))
+    }
+
+    fn settings(&self) -> Result<Settings> {
+        let mut settings = Settings::default();
+        settings.epochs = self.epochs;
+        settings.batch = self.batch;
+        settings.learning_rate = self
+            .learning_rate
+            .unwrap_or(if self.preset.is_some() || self.fine_tune.is_some() { 1e-4 } else { 1e-3 });
+        settings.final_learning_rate = self.final_learning_rate.unwrap_or(settings.learning_rate / 100.0);
+        settings.clip_norm = self.clip;
+        settings.patience = self.patience;
+        settings.loss = parse_loss(&self.loss)?;
+        settings.seed = self.seed;
+        settings.target = match self.target {
+            TargetChoice::Seconds => Target::Seconds,
+            TargetChoice::LogSeconds => Target::LogSeconds,
+        };
+        Ok(settings)
+    }
+
+    fn analytic(&self, kitchen: &Kitchen<'_>, training: Timed<'_>) -> Result<Fitted> {
+        let (model, report) = fit_analytic(kitchen, training)?;
+        let costs: BTreeMap<String, f64> = model.unit_costs().named().map(|(n, c)| (n.into(), c)).collect();
+        Ok(Fitted {
+            file: model.to_model_file()?,
+            what: "Analytic cost model: unit costs of estimated work, non-negative least squares on relative errors"
+                .into(),
+            settings: json!({ "kind": self.kind, "unit_costs_seconds": costs }),
+            history: Vec::new(),
+            outcome: report,
+        })
+    }
+
+    fn linear(&self, kitchen: &Kitchen<'_>, training: Timed<'_>) -> Result<Fitted> {
+        let (mut file, layout) = self.layout(training)?;
+        let rows = layout.rows(kitchen.tables, training.frames, kitchen.pool, &ProgressBar::hidden())?;
+        let logs: Vec<f64> = training.seconds.iter().map(|t| t.ln()).collect();
+        let samples = Samples { inputs: &rows, seconds: training.seconds };
+        let scale = Standardization::fit(samples, layout.width(), Target::LogSeconds);
+        let y: Vec<f64> =
+            logs.iter().map(|l| (l - f64::from(scale.output_mean)) / f64::from(scale.output_std)).collect();
+        let x = standardized(&rows, &scale);
+        let solution = robust_least_squares(&x, layout.width(), &y, &vec![0.0; layout.width() + 1], RIDGE);
+        let parts = PredNetParts {
+            layers: vec![last_layer(&solution)],
+            input: Some(Normalization { mean: scale.input_mean, std: scale.input_std }),
+            output: Some(Normalization { mean: vec![scale.output_mean], std: vec![scale.output_std] }),
+            target: Target::LogSeconds,
+        };
+        self.store(&mut file, parts, &layout)?;
+        Ok(Fitted {
+            file,
+            what: "Log-linear model on scene features, robust least squares".into(),
+            settings: json!({ "kind": self.kind, "inputs": self.inputs, "ridge": RIDGE }),
+            history: Vec::new(),
+            outcome: format!("fitted to {} frames", training.frames.len()),
+        })
+    }
+
+    fn residual(&self, kitchen: &Kitchen<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<Fitted> {
+        let (model, report) = fit_analytic(kitchen, training)?;
+        let costs = model.unit_costs();
+        let (mut file, layout) = self.layout(training)?;
+        let seconds = |part: Timed<'_>| -> Result<Vec<f64>> {
+            let estimates = estimates(kitchen, part, &costs)?;
+            Ok(part.seconds.iter().zip(&estimates).map(|(t, e)| t / e).collect())
+        };
+        let (ratios, judged) = (seconds(training)?, seconds(validation)?);
+        let mut settings = self.settings()?;
+        settings.target = Target::LogSeconds;
+        let mut widths = vec![layout.width()];
+        widths.extend(&self.layers);
+        widths.push(1);
+        let hidden = ProgressBar::hidden();
+        let x = layout.rows(kitchen.tables, training.frames, kitchen.pool, &hidden)?;
+        let vx = layout.rows(kitchen.tables, validation.frames, kitchen.pool, &hidden)?;
+        let (parts, history, outcome) = run_training(
+            kitchen,
+            Network::random(&widths, self.seed)?,
+            None,
+            (Samples { inputs: &x, seconds: &ratios }, Samples { inputs: &vx, seconds: &judged }),
+            &settings,
+        )?;
+        let mut features = layout.scene_features().to_vec();
+        ensure!(
+            self.inputs == [GroupKind::SceneFeatures.name()],
+            "a residual model takes scene_features alone; leave other --inputs away"
+        );
+        features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
+        let estimates: Vec<f64> = estimates(kitchen, training, &costs)?.iter().map(|e| e.ln()).collect();
+        let n = estimates.len() as f64;
+        let mean = estimates.iter().sum::<f64>() / n;
+        let sd = (estimates.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n).sqrt().max(0.1);
+        let parts = carry_past(parts, mean as f32, sd as f32);
+        file.set_metadata(UNIT_COSTS_KEY, costs.to_json()?);
+        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?;
+        self.store(&mut file, parts, &wide)?;
+        let costs: BTreeMap<String, f64> = costs.named().map(|(n, c)| (n.into(), c)).collect();
+        Ok(Fitted {
+            file,
+            what: format!(
+                "Analytic cost model times a learned factor, {} hidden units",
+                self.layers.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
+            ),
+            settings: json!({ "recipe": self, "unit_costs_seconds": costs }),
+            history,
+            outcome: format!("analytic part {report}; factor: {outcome}"),
+        })
+    }
+
+    fn network(&self, kitchen: &Kitchen<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<Fitted> {
+        let (mut file, layout) = self.layout(training)?;
+        let widths = match &self.preset {
+            Some(preset) => preset_widths(preset, layout.width())?,
+            None => {
+                let mut widths = vec![layout.width()];
+                widths.extend(&self.layers);
+                widths.push(1);
+                widths
+            }
+        };
+        let bar = ProgressBar::hidden();
+        let x = layout.rows(kitchen.tables, training.frames, kitchen.pool, &bar)?;
+        let vx = layout.rows(kitchen.tables, validation.frames, kitchen.pool, &bar)?;
+        let (parts, history, outcome) = run_training(
+            kitchen,
+            Network::random(&widths, self.seed)?,
+            None,
+            (
+                Samples { inputs: &x, seconds: training.seconds },
+                Samples { inputs: &vx, seconds: validation.seconds },
+            ),
+            &self.settings()?,
+        )?;
+        self.store(&mut file, parts, &layout)?;
+        Ok(Fitted {
+            file,
+            what: format!(
+                "PredNet, widths {}",
+                widths.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
+            ),
+            settings: json!({ "recipe": self, "widths": widths, "optimizer": "Adam(0.9, 0.999)", "schedule": "cosine, per step" }),
+            history,
+            outcome,
+        })
+    }
+
+    fn fine_tune(
+        &self,
+        path: &Path,
+        kitchen: &Kitchen<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<Fitted> {
+        ensure!(self.kind != Kind::Analytic, "an analytic model is fitted anew; leave --fine-tune away");
+        let (mut file, model) = read_model_file(path)?;
+        let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
+        let parts = model.prednet().context("the model file holds no PredNet")?;
+        let mut settings = self.settings()?;
+        settings.target = parts.target;
+        let bar = ProgressBar::hidden();
+        let x = layout.rows(kitchen.tables, training.frames, kitchen.pool, &bar)?;
+        let vx = layout.rows(kitchen.tables, validation.frames, kitchen.pool, &bar)?;
+        let (parts, history, outcome) = run_training(
+            kitchen,
+            Network::from_parts(parts)?,
+            Some(Standardization::of(parts)),
+            (
+                Samples { inputs: &x, seconds: training.seconds },
+                Samples { inputs: &vx, seconds: validation.seconds },
+            ),
+            &settings,
+        )?;
+        self.store(&mut file, parts, &layout)?;
+        Ok(Fitted {
+            file,
+            what: "PredNet, fine-tuned".into(),
+            settings: json!({
+                "fine_tuned_from": path.file_name().map(|n| n.to_string_lossy()), "recipe": self,
+            }),
+            history,
+            outcome,
+        })
+    }
+
+    fn store(&self, file: &mut ModelFile, mut parts: PredNetParts, layout: &Layout) -> Result<()> {
+        for layer in &mut parts.layers {
+            layer.dtype = match self.dtype {
+                DtypeChoice::F32 => Dtype::F32,
+                DtypeChoice::F16 => Dtype::F16,
+                DtypeChoice::Bf16 => Dtype::Bf16,
+            };
+        }
+        file.set_prednet(&parts, &layout.to_model_groups())?;
+        if !layout.scene_features().is_empty() {
+            file.set_scene_features(&names(layout.scene_features()))?;
+        }
+        Ok(())
+    }
+}
+
+/// Adapts a model to a few frames of another machine, renderer or kind of volume in closed form: the last layer is fitted
+/// anew by least squares drawn towards its present weights. Works from a handful of frames on.
+///
+/// # Errors
+/// When the file holds no PredNet, or inputs cannot be computed.
+pub fn calibrate(file: &ModelFile, kitchen: &Kitchen<'_>, frames: Timed<'_>) -> Result<ModelFile> {
+    let model = file.to_model()?;
+    let layout = Layout::of_model(&model)?;
+    let parts = model.prednet().context("the model file holds no PredNet")?;
+    let rows = layout.rows(kitchen.tables, frames.frames, kitchen.pool, &ProgressBar::hidden())?;
+    let scale = Standardization::of(parts);
+    let mut parts = parts.clone();
+    let last = parts.layers.last().context("the PredNet has no layer")?.clone();
+    if parts.target == Target::Seconds {
+        // Costs in seconds stay what they are, but for a common factor.
+        let predicted = super::commands::train::predict_rows(&model, &rows, layout.width())?;
+        let mut logs: Vec<f64> =
+            predicted.iter().zip(frames.seconds).map(|(p, t)| (t / p.max(1e-6)).ln()).collect();
+        let factor = crate::dataset::median(&mut logs).unwrap_or(0.0).exp() as f32;
+        let layer = parts.layers.last_mut().context("the PredNet has no layer")?;
+        if parts.output.is_some() {
+            if let Some(norm) = &mut parts.output {
+                norm.mean.iter_mut().chain(&mut norm.std).for_each(|v| *v *= factor);
+            }
+        } else {
+            layer.weight.iter_mut().chain(&mut layer.bias).for_each(|v| *v *= factor);
+        }
+    } else {
+        let hidden = hidden_activations(&parts, &standardized(&rows, &scale));
+        let y: Vec<f64> = frames
+            .seconds
+            .iter()
+            .map(|t| (t.ln() - f64::from(scale.output_mean)) / f64::from(scale.output_std))
+            .collect();
+        let prior: Vec<f64> = last.weight.iter().chain(&last.bias).map(|&w| f64::from(w)).collect();
+        let solution = robust_least_squares(&hidden, last.inputs, &y, &prior, PRIOR_FRAMES);
+        if let Some(layer) = parts.layers.last_mut() {
+            let fitted = last_layer(&solution);
+            layer.weight = fitted.weight;
+            layer.bias = fitted.bias;
+        }
+    }
+    let mut out = file.clone();
+    out.set_prednet(&parts, &layout.to_model_groups())?;
+    Ok(out)
+}
+
+/// Ridge of the log-linear fit, relative to the number of frames, on standardized inputs.
+const RIDGE: f64 = 1e-4;
+
+/// What a model's weights weigh against new frames, per frame.
+const PRIOR_FRAMES: f64 = 3e-2;
+
+fn standardized(rows: &[f32], scale: &Standardization) -> Vec<f64> {
+    let width = scale.input_mean.len();
+    rows.iter()
+        .enumerate()
+        .map(|(i, &x)| {
+            let k = i % width;
+            (f64::from(x) - f64::from(scale.input_mean[k])) / f64::from(scale.input_std[k])
+        })
+        .collect()
+}
+
+/// What enters the last layer.
+fn hidden_activations(parts: &PredNetParts, x: &[f64]) -> Vec<f64> {
+    let mut rows = x.to_vec();
+    for layer in &parts.layers[..parts.layers.len() - 1] {
+        let mut next = Vec::with_capacity(rows.len() / layer.inputs * layer.outputs);
+        for row in rows.chunks_exact(layer.inputs) {
+            for (weights, &bias) in layer.weight.chunks_exact(layer.inputs).zip(&layer.bias) {
+                let sum: f64 =
+                    weights.iter().zip(row).map(|(w, x)| f64::from(*w) * x).sum::<f64>() + f64::from(bias);
+                let alpha = f64::from(entire_core::nn::SELU_ALPHA);
+                next.push(f64::from(SELU_SCALE) * if sum > 0.0 { sum } else { alpha * sum.exp_m1() });
+            }
+        }
+        rows = next;
+    }
+    rows
+}
+
+fn last_layer(solution: &[f64]) -> DenseParts {
+    let n = solution.len() - 1;
+    DenseParts {
+        inputs: n,
+        outputs: 1,
+        weight: solution[..n].iter().map(|&w| w as f32).collect(),
+        bias: vec![solution[n] as f32],
+        dtype: Dtype::F32,
+    }
+}
+
+/// Minimizes Σ huber(y − w·x − b) + n·ridge·‖(w, b) − prior‖², the bias free of the ridge; returns w then b. Errors beyond
+/// two robust standard deviations count linearly.
+fn robust_least_squares(x: &[f64], width: usize, y: &[f64], prior: &[f64], ridge: f64) -> Vec<f64> {
+    let m = width + 1;
+    let mut solution = prior.to_vec();
+    let mut weights = vec![1.0; y.len()];
+    for _ in 0..6 {
+        let mut gram = vec![0.0; m * m];
+        let mut rhs = vec![0.0; m];
+        for ((row, &t), &weight) in x.chunks_exact(width).zip(y).zip(&weights) {
+            let at = |i: usize| if i < width { row[i] } else { 1.0 };
+            for i in 0..m {
+                let wi = weight * at(i);
+                rhs[i] += wi * t;
+                for j in 0..=i {
+                    gram[i * m + j] += wi * at(j);
+                }
+            }
+        }
+        let pull = ridge * y.len() as f64;
+        for i in 0..m {
+            let pull = if i < width { pull } else { 1e-9 * pull };
+            gram[i * m + i] += pull;
+            rhs[i] += pull * prior[i];
+        }
+        let Some(next) = solve(&mut gram, rhs) else { break };
+        solution = next;
+        let residuals: Vec<f64> = x
+            .chunks_exact(width)
+            .zip(y)
+            .map(|(row, t)| {
+                (t - row.iter().zip(&solution).map(|(a, b)| a * b).sum::<f64>() - solution[width]).abs()
+            })
+            .collect();
+        let limit = 2.0 * 1.4826 * crate::dataset::median(&mut residuals.clone()).unwrap_or(0.0);
+        for (w, r) in weights.iter_mut().zip(&residuals) {
+            *w = if *r <= limit { 1.0 } else { limit / r };
+        }
+    }
+    solution
+}
+
+/// Cholesky of a symmetric positive matrix given by its lower half; `None` where it is not.
+fn solve(a: &mut [f64], mut b: Vec<f64>) -> Option<Vec<f64>> {
+    let n = b.len();
+    for j in 0..n {
+        for k in 0..j {
+            let f = a[j * n + k];
+            for i in j..n {
+                a[i * n + j] -= a[i * n + k] * f;
+            }
+        }
+        let d = a[j * n + j];
+        if !(d.is_finite() && d > 0.0) {
+            return None;
+        }
+        let root = d.sqrt();
+        for i in j..n {
+            a[i * n + j] /= root;
+        }
+    }
+    for i in 0..n {
+        let sum: f64 = (0..i).map(|k| a[i * n + k] * b[k]).sum();
+        b[i] = (b[i] - sum) / a[i * n + i];
+    }
+    for i in (0..n).rev() {
+        let sum: f64 = (i + 1..n).map(|k| a[k * n + i] * b[k]).sum();
+        b[i] = (b[i] - sum) / a[i * n + i];
+    }
+    Some(b)
+}
+
+fn fit_analytic(kitchen: &Kitchen<'_>, training: Timed<'_>) -> Result<(AnalyticModel, String)> {
+    let measurements: Vec<Measurement> = counts(kitchen, training)?
+        .chunks_exact(COST_QUANTITIES.len())
+        .zip(training.seconds)
+        .map(|(row, &seconds)| Measurement::from_work(row, seconds))
+        .collect();
+    let mut model = AnalyticModel::new();
+    let report = model.fit(&measurements)?;
+    let text = format!(
+        "fitted to {} frames, {} refused, median error {:.2} %",
+        report.used,
+        report.refused,
+        100.0 * report.median_error
+    );
+    Ok((model, text))
+}
+
+/// The counts that unit costs stand for, one row per frame.
+fn counts(kitchen: &Kitchen<'_>, part: Timed<'_>) -> Result<Vec<f32>> {
+    let features: Vec<SceneFeature> = COST_QUANTITIES.iter().map(|&q| SceneFeature::linear(q)).collect();
+    let layout = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?;
+    layout.rows(kitchen.tables, part.frames, kitchen.pool, &ProgressBar::hidden())
+}
+
+fn estimates(kitchen: &Kitchen<'_>, part: Timed<'_>, costs: &UnitCosts) -> Result<Vec<f64>> {
+    Ok(counts(kitchen, part)?
+        .chunks_exact(COST_QUANTITIES.len())
+        .map(|row| costs.seconds_of_quantities(row))
+        .collect())
+}
+
+/// How many standard deviations below its mean the carried estimate stays exact.
+const CARRY_RANGE: f32 = 12.0;
+
+/// Adds the logarithm of an estimate, as a last input with the given mean and deviation, to what a network on log ratios
+/// gives. In every hidden layer one unit of its own holds the estimate, kept so far above zero that SELU is a plain
+/// factor there; the last layer takes factor and offset out again.
+fn carry_past(parts: PredNetParts, mean: f32, sd: f32) -> PredNetParts {
+    let (out_mean, out_std) = match &parts.output {
+        Some(n) => (n.mean[0], n.std[0]),
+        None => (0.0, 1.0),
+    };
+    let depth = parts.layers.len();
+    let mut layers = Vec::with_capacity(depth);
+    for (i, layer) in parts.layers.iter().enumerate() {
+        let (first, last) = (i == 0, i + 1 == depth);
+        let (inputs, outputs) = (layer.inputs + 1, layer.outputs + usize::from(!last));
+        let mut weight = Vec::with_capacity(inputs * outputs);
+        let mut bias = layer.bias.clone();
+        for row in layer.weight.chunks_exact(layer.inputs) {
+            weight.extend_from_slice(row);
+            weight.push(0.0);
+        }
+        // The unit's value is gain · (z + shift) with z the standardized estimate.
+        let gain = f64::from(SELU_SCALE).powi(i as i32);
+        let shift = if first { 0.0 } else { f64::from(CARRY_RANGE) };
+        if last {
+            let scale = f64::from(sd) / f64::from(out_std);
+            if let Some(w) = weight.last_mut() {
+                *w = (scale / gain) as f32;
+            }
+            bias[0] = (f64::from(bias[0]) - shift * scale + f64::from(mean) / f64::from(out_std)) as f32;
+        } else {
+            weight.extend(std::iter::repeat_n(0.0, layer.inputs));
+            weight.push(1.0);
+            bias.push(if first { CARRY_RANGE } else { 0.0 });
+        }
+        layers.push(DenseParts { inputs, outputs, weight, bias, dtype: layer.dtype });
+    }
+    let width = layers[0].inputs - 1;
+    let mut input = parts.input.unwrap_or(Normalization { mean: vec![0.0; width], std: vec![1.0; width] });
+    input.mean.push(mean);
+    input.std.push(sd);
+    PredNetParts {
+        layers,
+        input: Some(input),
+        output: Some(Normalization { mean: vec![out_mean], std: vec![out_std] }),
+        target: Target::LogSeconds,
+    }
+}
+
+fn run_training(
+    kitchen: &Kitchen<'_>,
+    network: Network<f32>,
+    standardization: Option<Standardization>,
+    (training, validation): (Samples<'_>, Samples<'_>),
+    settings: &Settings,
+) -> Result<(PredNetParts, Vec<EpochRecord>, String)> {
+    let started = Instant::now();
+    let show = |p: &Progress| {
+        kitchen.bar.set_length(p.total_steps);
+        if let Some(e) = p.ended
+            && (e.epoch == 1 || e.epoch % 5 == 0)
+        {
+            kitchen.bar.set_message(format!(
+                "{}/{} training {:.3e} validation {:.3e} best {:.3e}",
+                e.epoch, p.epochs, e.training_loss, e.validation_loss, p.best
+            ));
+            kitchen.bar.set_position(p.steps);
+        }
+        if (kitchen.stop)() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    };
+    let trained = train(kitchen.pool, network, standardization, training, validation, settings, show)?;
+    let taken = started.elapsed().as_secs_f64();
+    if trained.best_epoch == 0 {
+        match trained.stop {
+            Stop::Diverged => bail!(
+                "training diverged in its first epoch; lower --learning-rate (it was {})",
+                settings.learning_rate
+            ),
+            _ => bail!("stopped before anything was learned; nothing was written"),
+        }
+    }
+    let ran = trained.history.len();
+    let why = match trained.stop {
+        Stop::Finished => format!("all {ran} epochs done"),
+        Stop::Early => format!("stopped early after {ran} epochs"),
+        Stop::Interrupted => format!("interrupted after {ran} whole epochs"),
+        Stop::Diverged => format!("diverged after {ran} epochs (the weights before are kept)"),
+        _ => format!("ended after {ran} epochs"),
+    };
+    let frames = training.seconds.len() as f64 * ran as f64;
+    let outcome = format!(
+        "{why}, best epoch {} with loss {:.4e}, {:.0} frames/s",
+        trained.best_epoch,
+        trained.best_loss,
+        frames / taken
+    );
+    Ok((trained.to_parts(), trained.history, outcome))
+}

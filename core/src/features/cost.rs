@@ -1,0 +1,60 @@
+//! Unit costs: seconds per count of estimated work.
+
+use super::{Changes, FrameFeatures, SceneQuantity, Setting};
+
+/// Unit costs of the linear model: one for the frame itself, then one per quantity of [`COST_QUANTITIES`].
+pub const COSTS: usize = 12;
+
+/// The quantities that cost time, in the order of the unit costs after the first.
+pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
+    SceneQuantity::Pixels,
+    SceneQuantity::Rays,
+    SceneQuantity::Skips,
+    SceneQuantity::Samples,
+    SceneQuantity::LaneSamples,
+    SceneQuantity::LocalSamples,
+    SceneQuantity::ScatterSamples,
+    SceneQuantity::ShadowSamples,
+    SceneQuantity::Runs,
+    SceneQuantity::SpreadRuns,
+    SceneQuantity::SpreadSamples,
+];
+
+/// Seconds of a frame and of each of [`COST_QUANTITIES`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UnitCosts(pub [f64; COSTS]);
+
+impl UnitCosts {
+    /// Of the order of a software renderer on a few cores; what matters are their ratios, since the first observations
+    /// set the scale.
+    pub const SOFTWARE: Self = Self([
+        2.0e-4, 3.5e-8, 1.0e-8, 1.1e-8, 2.0e-9, 7.0e-9, 1.2e-8, 8.0e-8, 4.0e-8, 3.5e-8, 1.6e-7, 1.2e-8,
+    ]);
+
+    /// Each cost with its name: `frame`, then those of the quantities.
+    pub fn named(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
+        core::iter::once("frame").chain(COST_QUANTITIES.iter().map(|q| q.name())).zip(self.0)
+    }
+
+    /// Seconds for work: a leading 1 for the frame, then the quantities' values.
+    pub fn seconds(&self, work: &[f64; COSTS]) -> f64 {
+        self.0.iter().zip(work).map(|(c, w)| c * w).sum()
+    }
+
+    /// Seconds for values of [`COST_QUANTITIES`], in their order; those that are missing count as 0.
+    pub fn seconds_of_quantities(&self, values: &[f32]) -> f64 {
+        self.0[0] + self.0[1..].iter().zip(values).map(|(c, &v)| c * f64::from(v)).sum::<f64>()
+    }
+}
+
+impl FrameFeatures {
+    /// Work as unit costs count it: a leading 1 for the frame, then the quantities.
+    pub fn cost_work(&self, setting: &Setting) -> [f64; COSTS] {
+        let work = self.work(setting);
+        let mut out = [1.0; COSTS];
+        for (slot, &quantity) in out[1..].iter_mut().zip(&COST_QUANTITIES) {
+            *slot = self.quantity(quantity, setting, &work, Changes::NONE);
+        }
+        out
+    }
+}
