@@ -26,6 +26,10 @@ enum Command {
     Train(commands::train::Options),
     /// Measure how well predictors do on collected frames.
     Evaluate(commands::evaluate::Options),
+    /// Make and judge every predictor of a study; accuracy against latency in one report.
+    Chart(commands::chart::Options),
+    /// Find the cheapest predictor that is good enough, and the inputs that it can do without.
+    Select(commands::select::Options),
     /// Predict seconds for rows of model inputs.
     Predict(commands::predict::Options),
     /// Turn a volume into its feature vector.
@@ -88,6 +92,8 @@ impl Cli {
             Command::Features(options) => commands::features::run(options),
             Command::Train(options) => commands::train::run(options),
             Command::Evaluate(options) => commands::evaluate::run(options),
+            Command::Chart(options) => commands::chart::run(options),
+            Command::Select(options) => commands::select::run(options),
             Command::Predict(options) => commands::predict::run(options),
             Command::Encode(options) => commands::encode::run(options),
             Command::Render(options) => commands::render::run(options),

@@ -247,7 +247,7 @@ fn upper_bound(model: &Model) -> Option<Calibration> {
 }
 
 /// For each frame the mean time of a random share of its volume's frames, those probes included.
-fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -> Vec<f64> {
+pub(crate) fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -> Vec<f64> {
     let mut by_volume: BTreeMap<(usize, &str), Vec<usize>> = BTreeMap::new();
     for (i, f) in frames.iter().enumerate() {
         by_volume.entry((f.table, &f.scene.volume)).or_default().push(i);

@@ -1,0 +1,508 @@
+//! `entire chart`: a whole study in one report, accuracy against latency first.
+
+use super::train::{progress_bar, thread_pool};
+use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
+use crate::study::{CONSTANT, Findings, PROXY, Point, Result1, Runner, Study, read};
+use crate::{interrupt, machine};
+use anyhow::{Context, Result, ensure};
+use std::path::{Path, PathBuf};
+
+/// Make and judge every predictor of a study; write one report: accuracy against latency, tables, curves.
+///
+/// Predictors that were made before of the same data are taken from OUT/models, so that a study that was stopped goes
+/// on where it was.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  entire chart --study data/timings/study.json --out out/study
+  entire chart --study study.json --only selected,paper --bars")]
+pub struct Options {
+    /// The study: data sets, splits and predictors as JSON.
+    #[arg(long, value_name = "JSON")]
+    pub study: PathBuf,
+    /// Folder for report.html, study.json, the charts as SVG and the models.
+    #[arg(long, value_name = "FOLDER", default_value = "out/study")]
+    pub out: PathBuf,
+    /// Only these predictors.
+    #[arg(long, value_delimiter = ',', value_name = "NAMES")]
+    pub only: Vec<String>,
+    /// Only these data sets.
+    #[arg(long, value_delimiter = ',', value_name = "NAMES")]
+    pub sets: Vec<String>,
+    /// Print one line per bar: `bar NAME VALUE LIMIT ok|short`.
+    #[arg(long)]
+    pub bars: bool,
+    /// Threads; all logical processors unless given.
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// No progress bar.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When the study or its tables cannot be read, or a file cannot be written.
+pub fn run(options: &Options) -> Result<()> {
+    let mut study = read(&options.study)?;
+    if !options.only.is_empty() {
+        study.predictors.retain(|p| options.only.contains(&p.name));
+        let kept: Vec<String> = study.predictors.iter().map(|p| p.name.clone()).collect();
+        study.curves.retain(|c| kept.contains(c));
+        ensure!(!kept.is_empty(), "--only names no predictor of {}", options.study.display());
+    }
+    if !options.sets.is_empty() {
+        study.sets.retain(|s| options.sets.contains(&s.name));
+        ensure!(!study.sets.is_empty(), "--sets names no data set of {}", options.study.display());
+    }
+    let pool = thread_pool(options.threads)?;
+    let stop = interrupt::flag()?;
+    let bar = progress_bar(options.quiet, "study [{bar:30}] {pos}/{len} {msg}");
+    let stopped = || interrupt::requested(&stop);
+    let runner = Runner { pool: &pool, models: options.out.join("models"), bar: &bar, stop: &stopped };
+    let found = runner.run(&study)?;
+    bar.finish_and_clear();
+    for (set, what, why) in &found.left_out {
+        eprintln!("note: {set}, {what}: left out ({why})");
+    }
+    write(&options.out, &study, &found)?;
+    for set in &study.sets {
+        for split in &set.splits {
+            println!("{}, split by {}", set.name, split.name);
+            println!("{}", main_table(&found, &set.name, &split.name, None).to_text());
+        }
+    }
+    if options.bars {
+        for b in bars(&study, &found) {
+            println!("bar {} {:.4} {:.4} {}", b.name, b.value, b.limit, if b.ok { "ok" } else { "short" });
+        }
+    }
+    println!("wrote {}", options.out.join("report.html").display());
+    Ok(())
+}
+
+/// A bar: what was asked for and what was found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bar {
+    /// What it is about, without blanks.
+    pub name: String,
+    /// What was found.
+    pub value: f64,
+    /// What was asked for.
+    pub limit: f64,
+    /// Whether it holds.
+    pub ok: bool,
+}
+
+/// The predictors with a model file, main panel.
+fn models<'a>(found: &'a Findings, set: &'a str, split: &'a str) -> impl Iterator<Item = &'a Result1> {
+    found.results.iter().filter(move |r| r.set == set && r.split == split && r.panel == "main")
+}
+
+fn best<'a>(found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a Result1> {
+    models(found, set, split).min_by(|a, b| a.metrics.rmse.total_cmp(&b.metrics.rmse))
+}
+
+/// What a study says about its bars. The predictor that most bars are about is `selected` where there is one, the best
+/// otherwise.
+pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
+    let mut out = Vec::new();
+    let mut at_most =
+        |name: String, value: f64, limit: f64| out.push(Bar { name, value, limit, ok: value <= limit });
+    let word = |s: &str| s.replace(' ', "-");
+    for set in &study.sets {
+        let limits = &set.limits;
+        if let Some(split) = set.splits.iter().find(|s| s.main) {
+            let (s, p) = (set.name.as_str(), split.name.as_str());
+            let name = |what: &str| format!("{}/{}/{what}", word(s), word(p));
+            let noise = found.noise_mdape(s, p);
+            if let Some(b) = best(found, s, p) {
+                if let Some(limit) = limits.rmse_over_sd {
+                    at_most(name("best-rmse-over-sd"), b.metrics.rmse_over_sd, limit);
+                    at_most(name("best-mdape"), b.metrics.mdape, (2.0 * noise).max(0.05));
+                }
+                if let Some(bound) = &b.bound {
+                    at_most(name("q95-coverage-off-by"), (bound.coverage - 0.95).abs(), 0.015);
+                    at_most(name("q95-missed-in-slowest-tenth"), 1.0 - bound.slowest_coverage, 0.1);
+                }
+            }
+            if let Some(paper) = found.of(s, p, "paper") {
+                for (baseline, wanted, what) in [
+                    (CONSTANT, limits.constant_over_paper, "paper-rmse-over-constant"),
+                    (PROXY, limits.proxy_over_paper, "paper-rmse-over-lvrp"),
+                ] {
+                    if let (Some(b), Some(wanted)) = (found.of(s, p, baseline), wanted) {
+                        at_most(name(what), paper.metrics.rmse / b.metrics.rmse, 1.0 / wanted);
+                    }
+                }
+                if limits.latency
+                    && let (Some(selected), Some(b)) = (found.of(s, p, "selected"), best(found, s, p))
+                    && let (Some(ours), Some(theirs)) =
+                        (found.latency(s, "selected"), found.latency(s, "paper"))
+                {
+                    at_most(name("selected-rmse-over-best"), selected.metrics.rmse / b.metrics.rmse, 1.1);
+                    at_most(name("selected-latency-over-paper"), ours.cold / theirs.cold, 0.2);
+                    let quick = models(found, s, p)
+                        .filter(|r| {
+                            found.latency(s, &r.predictor).is_some_and(|l| l.cold <= theirs.cold / 40.0)
+                        })
+                        .map(|r| r.metrics.rmse / paper.metrics.rmse)
+                        .fold(f64::INFINITY, f64::min);
+                    at_most(name("rmse-at-a-fortieth-of-paper-latency-over-paper"), quick, 0.5);
+                }
+            }
+        }
+        if let (true, Some(split)) = (limits.modality, &set.calibration_split) {
+            let (s, p) = (set.name.as_str(), split.as_str());
+            let name = |what: &str| format!("{}/{}/{what}", word(s), word(p));
+            let chosen = found.of(s, p, "selected").or_else(|| best(found, s, p));
+            if let Some(r) = chosen {
+                at_most(name("mdape"), r.metrics.mdape, 0.15);
+                at_most(name("one-less-r2-log"), 1.0 - r.metrics.r2_log, 0.03);
+                let curve = format!("{}, calibrated", r.predictor);
+                let tuned = found.tuning.iter().find(|t| t.set == s && t.curve == curve && t.frames == 100);
+                if let Some(t) = tuned {
+                    at_most(
+                        name("mdape-after-100-frames"),
+                        t.metrics.mdape,
+                        (2.0 * found.noise_mdape(s, p)).max(0.07),
+                    );
+                    at_most(name("one-less-r2-log-after-100-frames"), 1.0 - t.metrics.r2_log, 0.015);
+                }
+            }
+        }
+    }
+    out
+}
+
+fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("predictor"),
+        Column::number("RMSE, ms"),
+        Column::number("RMSE/SD"),
+        Column::number("95 % interval"),
+        Column::number("MdAPE, %"),
+        Column::number("95 % interval"),
+        Column::number("p95, %"),
+        Column::number("p99, %"),
+        Column::number("R² in log"),
+        Column::number("q95 held, %"),
+        Column::number("slowest tenth"),
+        Column::number("pinball"),
+        Column::number("cold µs"),
+        Column::number("per transfer function"),
+    ]);
+    let rows: Vec<&Result1> = found
+        .results
+        .iter()
+        .filter(|r| {
+            r.set == set && r.split == split && panel.is_none_or(|p| r.panel == p || r.panel == "baseline")
+        })
+        .collect();
+    let interval = |i: Option<(f64, f64)>, f: &dyn Fn(f64) -> String| {
+        i.map_or("-".into(), |(a, b)| format!("{}–{}", f(a), f(b)))
+    };
+    let percent = |v: f64| format!("{:.1}", 100.0 * v);
+    for r in &rows {
+        let m = &r.metrics;
+        let bound =
+            |f: &dyn Fn(&crate::metrics::BoundMetrics) -> String| r.bound.as_ref().map_or("-".into(), f);
+        let latency = found.latency(set, &r.predictor);
+        table.row(vec![
+            r.predictor.clone().into(),
+            format!("{:.2}", 1e3 * m.rmse).into(),
+            format!("{:.3}", m.rmse_over_sd).into(),
+            interval(r.rmse_interval, &|v| format!("{v:.3}")).into(),
+            percent(m.mdape).into(),
+            interval(r.mdape_interval, &percent).into(),
+            percent(m.p95).into(),
+            percent(m.p99).into(),
+            format!("{:.4}", m.r2_log).into(),
+            bound(&|b| percent(b.coverage)).into(),
+            bound(&|b| percent(b.slowest_coverage)).into(),
+            bound(&|b| format!("{:.4}", b.pinball)).into(),
+            latency.map_or("-".into(), |l| format!("{:.2}", 1e6 * l.cold)).into(),
+            latency.map_or("-".into(), |l| format!("{:.1}", 1e6 * l.transfer)).into(),
+        ]);
+    }
+    let values = |f: fn(&Result1) -> f64| rows.iter().map(|r| f(r)).collect::<Vec<f64>>();
+    table.mark_best(2, &values(|r| r.metrics.rmse_over_sd), true);
+    table.mark_best(4, &values(|r| r.metrics.mdape), true);
+    table.mark_best(8, &values(|r| r.metrics.r2_log), false);
+    table
+}
+
+/// Accuracy against latency with its frontier, and what each predictor on it gains per microsecond.
+fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
+    let mut points: Vec<(f64, f64, f64, String)> = models(found, set, split)
+        .filter_map(|r| {
+            Some((
+                1e6 * found.latency(set, &r.predictor)?.cold,
+                100.0 * r.metrics.mdape,
+                r.metrics.rmse_over_sd,
+                r.predictor.clone(),
+            ))
+        })
+        .collect();
+    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut front: Vec<&(f64, f64, f64, String)> = Vec::new();
+    for p in &points {
+        if front.last().is_none_or(|l| p.2 < l.2) {
+            front.push(p);
+        }
+    }
+    let mut chart = Chart::new(
+        format!("{set}, split by {split}"),
+        Axis::log("cold latency, features included, µs"),
+        Axis::log("RMSE / SD"),
+    )
+    .size(860.0, 380.0)
+    .series(Series::new("frontier", Mark::Steps(front.iter().map(|p| (p.0, p.2)).collect())).color(0))
+    .series(
+        Series::new("predictors", Mark::Points(points.iter().map(|p| (p.0, p.2, p.3.clone())).collect()))
+            .color(1),
+    );
+    for (i, name) in [CONSTANT, PROXY].into_iter().enumerate() {
+        if let Some(r) = found.of(set, split, name) {
+            let short = if i == 0 { "constant" } else { "LVRP" };
+            chart = chart.rule(Rule::Horizontal(r.metrics.rmse_over_sd, short.into()));
+        }
+    }
+    let mut knee = Table::new(vec![
+        Column::text("on the frontier"),
+        Column::number("cold µs"),
+        Column::number("RMSE/SD"),
+        Column::number("MdAPE, %"),
+        Column::number("RMSE/SD gained per µs more"),
+    ]);
+    let mut before: Option<&(f64, f64, f64, String)> = None;
+    for p in front {
+        let gain = before.map_or("-".into(), |b| format!("{:.4}", (b.2 - p.2) / (p.0 - b.0).max(1e-9)));
+        knee.row(vec![
+            p.3.clone().into(),
+            format!("{:.2}", p.0).into(),
+            format!("{:.3}", p.2).into(),
+            format!("{:.1}", p.1).into(),
+            gain.into(),
+        ]);
+        before = Some(p);
+    }
+    (chart, knee)
+}
+
+fn curve_chart(title: &str, points: &[&Point]) -> Chart {
+    let mut chart = Chart::new(title, Axis::log("frames learned from"), Axis::log("MdAPE, %"));
+    let mut names: Vec<&str> = points.iter().map(|p| p.curve.as_str()).collect();
+    names.dedup();
+    names.sort_unstable();
+    names.dedup();
+    for (i, name) in names.into_iter().enumerate() {
+        let mut line: Vec<(f64, f64)> = points
+            .iter()
+            .filter(|p| p.curve == name)
+            // Before any frame was seen: drawn at one.
+            .map(|p| (p.frames.max(1) as f64, 100.0 * p.metrics.mdape))
+            .collect();
+        line.sort_by(|a, b| a.0.total_cmp(&b.0));
+        chart = chart.series(Series::new(name, Mark::Line(line)).color(i));
+    }
+    chart
+}
+
+fn curve_table(points: &[&Point]) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("curve"),
+        Column::number("frames"),
+        Column::number("RMSE/SD"),
+        Column::number("MdAPE, %"),
+        Column::number("R² in log"),
+    ]);
+    for p in points {
+        table.row(vec![
+            p.curve.clone().into(),
+            p.frames.to_string().into(),
+            format!("{:.3}", p.metrics.rmse_over_sd).into(),
+            format!("{:.1}", 100.0 * p.metrics.mdape).into(),
+            format!("{:.4}", p.metrics.r2_log).into(),
+        ]);
+    }
+    table
+}
+
+fn bias_table(found: &Findings, set: &str, split: &str) -> Table {
+    let rows: Vec<&Result1> = models(found, set, split).collect();
+    let deciles = rows.iter().map(|r| r.metrics.bias_by_decile.len()).max().unwrap_or(0);
+    let mut columns = vec![Column::text("predictor")];
+    columns.extend((1..=deciles).map(|d| Column::number(format!("tenth {d}"))));
+    let mut table = Table::new(columns);
+    for r in rows {
+        let mut row = vec![r.predictor.clone().into()];
+        row.extend(r.metrics.bias_by_decile.iter().map(|b| format!("{:+.1}", 100.0 * b).into()));
+        table.row(row);
+    }
+    table
+}
+
+fn parts_table(found: &Findings, set: &str, split: &str) -> Table {
+    let rows: Vec<&Result1> = models(found, set, split).collect();
+    let mut names: Vec<&str> = Vec::new();
+    for (name, _) in rows.iter().flat_map(|r| &r.parts) {
+        if !names.contains(&name.as_str()) {
+            names.push(name);
+        }
+    }
+    let mut columns = vec![Column::text("predictor")];
+    columns.extend(names.iter().map(|n| Column::number(format!("MdAPE %, {n}"))));
+    let mut table = Table::new(columns);
+    for r in rows {
+        let mut row = vec![r.predictor.clone().into()];
+        for name in &names {
+            let m = r.parts.iter().find(|(n, _)| n == name).map(|(_, m)| m);
+            row.push(
+                m.map_or("-".into(), |m| format!("{:.1} ({} frames)", 100.0 * m.mdape, m.frames)).into(),
+            );
+        }
+        table.row(row);
+    }
+    table
+}
+
+fn spread(found: &Findings, set: &str, split: &str) -> Chart {
+    let rows: Vec<&Result1> = models(found, set, split).collect();
+    let names = rows.iter().map(|r| r.predictor.clone()).collect();
+    // The boxes' axis is the ratio predicted / measured.
+    let boxes = rows
+        .iter()
+        .enumerate()
+        .map(|(i, r)| {
+            let [_, a, b, c, d, e, _] = r.log_errors.map(f64::exp);
+            (i as f64, [a, b, c, d, e])
+        })
+        .collect();
+    Chart::new(
+        format!("Predicted over measured: {set}, split by {split}"),
+        Axis::categories("predictor", names),
+        Axis::log("predicted / measured"),
+    )
+    .rule(Rule::Horizontal(1.0, "exact".into()))
+    .series(Series::new("5th, 25th, 50th, 75th, 95th percentile", Mark::Boxes(boxes)).color(0))
+}
+
+fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
+    std::fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
+    let put = |name: &str, text: &str| {
+        let path = out.join(name);
+        std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))
+    };
+    put(
+        "study.json",
+        &(serde_json::to_string_pretty(&serde_json::json!({ "study": study, "findings": found }))? + "\n"),
+    )?;
+    let mut page = Page::new(
+        study.title.as_str(),
+        &format!(
+            "Every predictor is made from the training tables of a data set alone and judged on splits that it never saw. A frame's \
+             time is the median of its repeats by the clock {:?}. Latency: one thread, caches evicted before every call, scene \
+             features included; what is done once per volume or transfer function is not.",
+            study.clock
+        ),
+    );
+    page.heading("Bars");
+    let mut table = Table::new(vec![
+        Column::text("bar"),
+        Column::number("found"),
+        Column::number("at most"),
+        Column::text("holds"),
+    ]);
+    for b in bars(study, found) {
+        table.row(vec![
+            b.name.into(),
+            format!("{:.4}", b.value).into(),
+            format!("{:.4}", b.limit).into(),
+            if b.ok { "yes" } else { "short" }.into(),
+        ]);
+    }
+    page.table(&table, "");
+    for set in &study.sets {
+        for (i, split) in set.splits.iter().enumerate() {
+            let (s, p) = (set.name.as_str(), split.name.as_str());
+            page.heading(&format!("{s}: split by {p}"));
+            if let Some((_, _, n, frames)) = found.noise.iter().find(|n| n.0 == s && n.1 == p) {
+                page.paragraph(&format!(
+                    "{frames} frames. Noise floor: repeats of one frame scatter with a log-SD of {:.3} (its median about {:.3}), so \
+                     that knowing the truth would leave an MdAPE of about {:.1} %.",
+                    n.log_sd,
+                    n.log_sd_of_median,
+                    100.0 * found.noise_mdape(s, p)
+                ));
+            }
+            let (chart, knee) = frontier(found, s, p);
+            put(
+                &format!("frontier-{}-{}.svg", s.replace(' ', "-"), p.replace(' ', "-")),
+                &chart.to_svg_file(),
+            )?;
+            page.chart(
+                &chart,
+                "Lower left is better. The frontier joins predictors that no quicker one beats.",
+            );
+            page.table(&knee, "");
+            page.table(
+                &main_table(found, s, p, Some("main")),
+                "Intervals: volumes drawn anew with replacement.",
+            );
+            for panel in ["ablation", "architecture"] {
+                if found.results.iter().any(|r| r.set == s && r.split == p && r.panel == panel) {
+                    page.table(&main_table(found, s, p, Some(panel)), panel);
+                }
+            }
+            let boxes = spread(found, s, p);
+            put(&format!("errors-{}-{}.svg", s.replace(' ', "-"), i + 1), &boxes.to_svg_file())?;
+            page.chart(&boxes, "");
+            page.table(
+                &bias_table(found, s, p),
+                "Median of predicted / measured - 1 by tenth of the frames, fastest first, %.",
+            );
+            page.table(
+                &parts_table(found, s, p),
+                "By image size, and with the eye near or inside the volume.",
+            );
+        }
+        for (points, title, caption) in [
+            (&found.samples, "frames to learn from", "Error on the main split by number of training frames."),
+            (
+                &found.tuning,
+                "adapting to other data",
+                "Error on frames not learned from. Calibrated: the model of the training tables, its last layer fitted anew; from nothing: trained on those frames alone.",
+            ),
+        ] {
+            let of_set: Vec<&Point> = points.iter().filter(|p| p.set == set.name).collect();
+            if !of_set.is_empty() {
+                page.heading(&format!("{}: {title}", set.name));
+                let chart = curve_chart(&format!("{}: {title}", set.name), &of_set);
+                put(
+                    &format!("{}-{}.svg", title.replace(' ', "-"), set.name.replace(' ', "-")),
+                    &chart.to_svg_file(),
+                )?;
+                page.chart(&chart, caption);
+                page.table(&curve_table(&of_set), "");
+            }
+        }
+    }
+    if !found.left_out.is_empty() {
+        page.heading("Left out");
+        for (set, what, why) in &found.left_out {
+            page.paragraph(&format!("{set}, {what}: {why}"));
+        }
+    }
+    page.heading("Where the numbers come from");
+    let load = machine::load_average()
+        .map_or("not known".into(), |l| format!("{:.2} {:.2} {:.2}", l[0], l[1], l[2]));
+    page.facts([
+        ("Program", format!("entire {}", machine::version())),
+        ("Machine (latencies)", machine::machine()),
+        ("Date", machine::now()),
+        ("Load average", load),
+    ]);
+    page.write(&out.join("report.html"))
+}

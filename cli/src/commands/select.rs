@@ -1,0 +1,240 @@
+//! `entire select`: no more than a scene needs: the cheapest predictor that is good enough, with the inputs that it can do
+//! without left away.
+
+use super::train::{progress_bar, thread_pool};
+use crate::dataset::{Clock, noise_floor, read_tables};
+use crate::latency::Bench;
+use crate::metrics::Metrics;
+use crate::recipe::{Fitted, Kind, Kitchen, Recipe};
+use crate::report::{Column, Table};
+use crate::study::{Part, predict, set_bound};
+use crate::{interrupt, machine};
+use anyhow::{Context, Result, ensure};
+use entire_core::features::SceneFeature;
+use entire_core::model::keys;
+use entire_core::predict::Calibration;
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Find the cheapest predictor that is good enough for a data set, and the scene features that it can do without.
+///
+/// A fifth of the volumes is held out. Candidates: the analytic model, a log-linear one, networks on scene features and
+/// learned factors on the analytic model, of growing size. The cheapest (cold latency) within the tolerance of the best
+/// is taken; then features are dropped one after another, each time the one that costs least, as long as the error stays
+/// within the tolerance.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  entire select --data frames.csv --volume data/mr_banana.nrrd --out small.safetensors
+  entire select --data frames.csv --volume data/mr_banana.nrrd --budget-us 5 --out quick.safetensors")]
+pub struct Options {
+    /// Timing tables written by `entire collect`.
+    #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
+    pub data: Vec<PathBuf>,
+    /// A volume on which latencies are measured.
+    #[arg(long, value_name = "VOLUME")]
+    pub volume: PathBuf,
+    /// Enlarge that volume by this factor.
+    #[arg(long, default_value_t = 1, value_name = "FACTOR")]
+    pub enlarge: usize,
+    /// Model file to write.
+    #[arg(long, value_name = "SAFETENSORS")]
+    pub out: PathBuf,
+    /// How much worse than the best is good enough, as a share of its error.
+    #[arg(long, default_value_t = 0.05)]
+    pub tolerance: f64,
+    /// Instead: the most accurate predictor that takes at most so many microseconds, cold.
+    #[arg(long, value_name = "US", conflicts_with = "tolerance")]
+    pub budget_us: Option<f64>,
+    /// Which clock's seconds are learned.
+    #[arg(long, value_enum, default_value_t = Clock::Cpu)]
+    pub clock: Clock,
+    /// Passes over the training frames at most.
+    #[arg(long, default_value_t = 150)]
+    pub epochs: usize,
+    /// Threads; all logical processors unless given.
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// No progress bar.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+struct Candidate {
+    name: String,
+    recipe: Recipe,
+    fitted: Fitted,
+    metrics: Metrics,
+    cold: f64,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When tables or the volume cannot be read, there are too few volumes to hold some out, or nothing fits the budget.
+pub fn run(options: &Options) -> Result<()> {
+    ensure!(
+        options.out.extension().is_some_and(|e| e == "safetensors"),
+        "--out is {}; the model file's name must end in .safetensors",
+        options.out.display()
+    );
+    ensure!(
+        options.tolerance.is_finite() && options.tolerance >= 0.0,
+        "--tolerance is {}; it must be 0 or more",
+        options.tolerance
+    );
+    let pool = thread_pool(options.threads)?;
+    let tables = read_tables(&options.data)?;
+    let all = Part::of(tables.iter().flat_map(|t| &t.frames), options.clock);
+    ensure!(
+        !all.frames.is_empty(),
+        "no frame has a time by the clock {:?}; choose another --clock",
+        options.clock.name()
+    );
+    let (validation, rest) = all.hold_out(1);
+    let (judged, training) = rest.hold_out(2);
+    ensure!(
+        !validation.frames.is_empty() && !judged.frames.is_empty(),
+        "there are frames of too few volumes to hold some out; collect at least five"
+    );
+    let stop = interrupt::flag()?;
+    let stopped = || interrupt::requested(&stop);
+    let bar = progress_bar(options.quiet, "select [{bar:30}] {pos}/{len} {msg}");
+    let hidden = indicatif::ProgressBar::hidden();
+    let kitchen = Kitchen { tables: &tables, pool: &pool, bar: &hidden, stop: &stopped };
+    let volume = crate::volume::Volume::open(&options.volume)?;
+    let volume = crate::enlarge::enlarge(&volume, options.enlarge)?;
+    let mut bench = Bench::new(&volume, all.frames[0].scene.shading)?;
+    let mut make = |name: &str, recipe: Recipe| -> Result<Candidate> {
+        let fitted = recipe.make(&kitchen, training.timed(), validation.timed())?;
+        ensure!(!stopped(), "stopped; nothing was written");
+        let model = fitted.file.to_model()?;
+        let predicted = predict(&model, &kitchen, &judged.frames)?;
+        let metrics = Metrics::new(&predicted, &judged.seconds).context("there are no frames to compare")?;
+        let cold = bench.latency(&model)?.cold;
+        Ok(Candidate { name: name.into(), recipe, fitted, metrics, cold })
+    };
+    let base = Recipe { epochs: options.epochs, ..Recipe::default() };
+    let mut recipes = vec![
+        ("analytic".to_owned(), Recipe { kind: Kind::Analytic, ..base.clone() }),
+        ("log-linear".to_owned(), Recipe { kind: Kind::Linear, ..base.clone() }),
+    ];
+    for width in [8, 16, 32] {
+        for (kind, what) in [(Kind::Prednet, "network"), (Kind::Residual, "analytic times factor")] {
+            for layers in [vec![width], vec![width, width]] {
+                let name = format!(
+                    "{what} {}",
+                    layers.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
+                );
+                recipes.push((name, Recipe { kind, layers, ..base.clone() }));
+            }
+        }
+    }
+    bar.set_length(recipes.len() as u64);
+    let mut candidates = Vec::new();
+    for (name, recipe) in recipes {
+        bar.set_message(name.clone());
+        candidates.push(make(&name, recipe)?);
+        bar.inc(1);
+    }
+    let mut table = Table::new(vec![
+        Column::text("candidate"),
+        Column::number("RMSE/SD"),
+        Column::number("MdAPE, %"),
+        Column::number("R² in log"),
+        Column::number("cold µs"),
+    ]);
+    for c in &candidates {
+        table.row(vec![
+            c.name.clone().into(),
+            format!("{:.3}", c.metrics.rmse_over_sd).into(),
+            format!("{:.2}", 100.0 * c.metrics.mdape).into(),
+            format!("{:.4}", c.metrics.r2_log).into(),
+            format!("{:.2}", 1e6 * c.cold).into(),
+        ]);
+    }
+    println!("{}", table.to_text());
+    let floor = noise_floor(judged.frames.iter().copied(), options.clock)
+        .map_or(0.0, |n| 0.6745 * n.log_sd_of_median);
+    let best = candidates.iter().map(|c| c.metrics.rmse).fold(f64::INFINITY, f64::min);
+    let chosen = match options.budget_us {
+        Some(budget) => candidates
+            .into_iter()
+            .filter(|c| 1e6 * c.cold <= budget)
+            .min_by(|a, b| a.metrics.rmse.total_cmp(&b.metrics.rmse))
+            .with_context(|| {
+                format!("nothing takes {budget} µs or less here; the cheapest is the first line above")
+            })?,
+        None => candidates
+            .into_iter()
+            .filter(|c| c.metrics.rmse <= best * (1.0 + options.tolerance) || c.metrics.mdape <= floor)
+            .min_by(|a, b| a.cold.total_cmp(&b.cold))
+            .context("there is no candidate")?,
+    };
+    println!("chosen: {}", chosen.name);
+    let limit = if options.budget_us.is_some() {
+        chosen.metrics.rmse * 1.02
+    } else {
+        best * (1.0 + options.tolerance)
+    }
+    .max(chosen.metrics.rmse);
+    let name = chosen.name.clone();
+    let mut current = chosen;
+    let mut dropped = Vec::new();
+    // Backward elimination; the analytic model has no features to drop.
+    while current.recipe.kind != Kind::Analytic {
+        let features: Vec<String> = current.recipe.features()?.iter().map(SceneFeature::to_string).collect();
+        if features.len() < 2 {
+            break;
+        }
+        // Candidates by closed-form cost: how much a log-linear fit loses without the feature.
+        let mut losses = Vec::new();
+        for f in &features {
+            let rest: Vec<String> = features.iter().filter(|g| *g != f).cloned().collect();
+            let quick = Recipe { kind: Kind::Linear, scene_features: rest.clone(), ..base.clone() };
+            losses.push((make("", quick)?.metrics.rmse, f.clone(), rest));
+        }
+        losses.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut next = None;
+        for (_, feature, rest) in losses.into_iter().take(2) {
+            bar.set_message(format!("without {feature}"));
+            let tried = make(&name, Recipe { scene_features: rest, ..current.recipe.clone() })?;
+            if tried.metrics.rmse <= limit {
+                next = Some((feature, tried));
+                break;
+            }
+        }
+        let Some((feature, tried)) = next else { break };
+        println!("without {feature}: RMSE/SD {:.3}, {:.2} µs", tried.metrics.rmse_over_sd, 1e6 * tried.cold);
+        dropped.push(feature);
+        current = tried;
+    }
+    bar.finish_and_clear();
+    let mut file = current.fitted.file;
+    let predicted = predict(&file.to_model()?, &kitchen, &judged.frames)?;
+    let mut residuals: Vec<f64> =
+        predicted.iter().zip(&judged.seconds).map(|(p, t)| (t / p.max(1e-6)).ln()).collect();
+    set_bound(&mut file, &Calibration::from_residuals(&mut residuals))?;
+    file.set_metadata(
+        keys::PROVENANCE,
+        json!({ "what": current.fitted.what, "chosen": name, "dropped": dropped, "recipe": current.recipe,
+            "metrics_on_held_out_volumes": current.metrics, "cold_seconds": current.cold,
+            "tolerance": options.tolerance, "budget_us": options.budget_us, "clock": options.clock.name(),
+            "program": format!("entire {}", machine::version()), "machine": machine::machine(), "date": machine::now() })
+        .to_string(),
+    );
+    let bytes = file.to_bytes()?;
+    let part = options.out.with_extension("part");
+    std::fs::write(&part, bytes)
+        .and_then(|()| std::fs::rename(&part, &options.out))
+        .with_context(|| format!("cannot write {}", options.out.display()))?;
+    println!(
+        "{name} on {} inputs: RMSE/SD {:.3}, MdAPE {:.2} %, {:.2} µs cold; wrote {}",
+        file.to_model()?.inputs().iter().map(|g| g.size).sum::<usize>(),
+        current.metrics.rmse_over_sd,
+        100.0 * current.metrics.mdape,
+        1e6 * current.cold,
+        options.out.display()
+    );
+    Ok(())
+}

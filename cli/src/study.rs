@@ -1,0 +1,767 @@
+//! A study: data sets, splits and predictors by name in one JSON file; every predictor made on every set's training
+//! tables and judged on every split. What is made is kept, so that a study that was stopped goes on where it was.
+
+use crate::dataset::{Clock, NoiseFloor, Table, TimedFrame, fnv1a, noise_floor, read_tables};
+use crate::inputs::Layout;
+use crate::latency::{Bench, Latency};
+use crate::metrics::{BoundMetrics, Metrics, SHORTEST, bootstrap_by_group};
+use crate::recipe::{Kitchen, Recipe, Timed, calibrate};
+use crate::split::GroupBy;
+use anyhow::{Context, Result, bail, ensure};
+use entire_core::model::{Model, ModelFile, keys};
+use entire_core::predict::{CALIBRATION_KEY, Calibration, UPPER_LEVEL};
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The description, as its file holds it. Paths are relative to the file's folder.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Study {
+    /// Title of the report.
+    pub title: String,
+    /// Whose seconds count.
+    #[serde(default = "cpu")]
+    pub clock: String,
+    /// Data sets: a shading mode, or a renderer.
+    pub sets: Vec<Set>,
+    /// Predictors, each made for every set.
+    pub predictors: Vec<Named>,
+    /// Numbers of training frames to make predictors with again.
+    #[serde(default)]
+    pub sample_sizes: Vec<usize>,
+    /// Shares of the calibration split's frames, for fine-tuning curves.
+    #[serde(default)]
+    pub shares: Vec<f64>,
+    /// Names of the predictors that sample and fine-tuning curves are drawn for.
+    #[serde(default)]
+    pub curves: Vec<String>,
+    /// Volume on which latencies are measured, and its enlargement.
+    pub latency_volume: (PathBuf, usize),
+}
+
+fn cpu() -> String {
+    Clock::Cpu.name().into()
+}
+
+/// A data set.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Set {
+    /// Its name.
+    pub name: String,
+    /// Tables to learn from; a tenth of their volumes decides when training stops.
+    pub training: Vec<PathBuf>,
+    /// Tables whose frames set the upper bounds and are used for nothing else; the validation volumes where there are none.
+    #[serde(default)]
+    pub bounds: Vec<PathBuf>,
+    /// Tables to test on, by split.
+    pub splits: Vec<SplitTables>,
+    /// The same frames on volumes of 64³ voxels, by table: `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
+    #[serde(default)]
+    pub low_resolution: BTreeMap<String, PathBuf>,
+    /// The split that fine-tuning curves and the calibration bar are about.
+    #[serde(default)]
+    pub calibration_split: Option<String>,
+    /// Limits of the bars; none are printed for what is missing.
+    #[serde(default)]
+    pub limits: Limits,
+}
+
+/// Tables of a split.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SplitTables {
+    /// Its name: `member`, `time step`, `modality`.
+    pub name: String,
+    /// Its tables.
+    pub tables: Vec<PathBuf>,
+    /// Whether the main bars are about it.
+    #[serde(default)]
+    pub main: bool,
+}
+
+/// What the bars ask for.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Limits {
+    /// Largest RMSE/SD of the best predictor on the main split.
+    pub rmse_over_sd: Option<f64>,
+    /// Least ratio of the constant baseline's RMSE to that of the predictor `paper`.
+    pub constant_over_paper: Option<f64>,
+    /// Least ratio of the low-resolution proxy's RMSE to that of the predictor `paper`.
+    pub proxy_over_paper: Option<f64>,
+    /// Whether the bars of the calibration split apply.
+    pub modality: bool,
+    /// Whether the bars on latency apply.
+    pub latency: bool,
+}
+
+/// A predictor.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Named {
+    /// Its name in every table; `paper` and `selected` have bars of their own.
+    pub name: String,
+    /// How it is made.
+    #[serde(default)]
+    pub recipe: Recipe,
+    /// Which table it belongs to: `main`, `ablation`, `architecture`.
+    #[serde(default = "main_panel")]
+    pub panel: String,
+}
+
+fn main_panel() -> String {
+    "main".into()
+}
+
+/// How a predictor did on a split.
+#[derive(Clone, Debug, Serialize)]
+pub struct Result1 {
+    /// Set, split and predictor.
+    pub set: String,
+    /// See `set`.
+    pub split: String,
+    /// See `set`.
+    pub predictor: String,
+    /// See [`Named::panel`]; `baseline` for those that have no model file.
+    pub panel: String,
+    /// Errors.
+    pub metrics: Metrics,
+    /// 95 % interval of RMSE/SD over volumes drawn anew.
+    pub rmse_interval: Option<(f64, f64)>,
+    /// 95 % interval of MdAPE over volumes drawn anew.
+    pub mdape_interval: Option<(f64, f64)>,
+    /// The upper bound, where there is one.
+    pub bound: Option<BoundMetrics>,
+    /// By what a frame is like: image size, camera inside.
+    pub parts: Vec<(String, Metrics)>,
+    /// ln(predicted / measured) at the 1st, 5th, 25th, 50th, 75th, 95th and 99th percentile.
+    pub log_errors: [f64; 7],
+}
+
+/// A curve's point.
+#[derive(Clone, Debug, Serialize)]
+pub struct Point {
+    /// Set and split that it was judged on.
+    pub set: String,
+    /// See `set`.
+    pub split: String,
+    /// Which curve.
+    pub curve: String,
+    /// Frames learned from.
+    pub frames: usize,
+    /// Errors on the frames not learned from.
+    pub metrics: Metrics,
+}
+
+/// All that a study found.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Findings {
+    /// One per set, split and predictor.
+    pub results: Vec<Result1>,
+    /// By set and predictor.
+    pub latencies: Vec<(String, String, Latency)>,
+    /// Noise floor by set and split.
+    pub noise: Vec<(String, String, NoiseFloor, usize)>,
+    /// Training-sample and fine-tuning curves.
+    pub samples: Vec<Point>,
+    /// See `samples`.
+    pub tuning: Vec<Point>,
+    /// Predictors that could not be made, and why.
+    pub left_out: Vec<(String, String, String)>,
+}
+
+impl Findings {
+    /// A result.
+    pub fn of(&self, set: &str, split: &str, predictor: &str) -> Option<&Result1> {
+        self.results.iter().find(|r| r.set == set && r.split == split && r.predictor == predictor)
+    }
+
+    /// A latency.
+    pub fn latency(&self, set: &str, predictor: &str) -> Option<Latency> {
+        self.latencies.iter().find(|l| l.0 == set && l.1 == predictor).map(|l| l.2)
+    }
+
+    /// What repeats leave as median absolute relative error of a predictor that knows the truth: 0.6745 standard
+    /// deviations of a frame's median.
+    pub fn noise_mdape(&self, set: &str, split: &str) -> f64 {
+        self.noise.iter().find(|n| n.0 == set && n.1 == split).map_or(0.0, |n| 0.6745 * n.2.log_sd_of_median)
+    }
+}
+
+/// The name of the baseline of probes.
+pub const CONSTANT: &str = "constant (mean of 15 % probes)";
+/// The name of the low-resolution proxy.
+pub const PROXY: &str = "LVRP (64³ render, linear fit)";
+
+/// Reads a study.
+///
+/// # Errors
+/// When the file cannot be read or says something that it may not.
+pub fn read(path: &Path) -> Result<Study> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut study: Study =
+        serde_json::from_str(&text).with_context(|| format!("{} is no study", path.display()))?;
+    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+    let place = |p: &mut PathBuf| *p = folder.join(&*p);
+    place(&mut study.latency_volume.0);
+    for set in &mut study.sets {
+        set.training.iter_mut().chain(&mut set.bounds).for_each(place);
+        set.splits.iter_mut().flat_map(|s| &mut s.tables).for_each(place);
+        set.low_resolution.values_mut().for_each(place);
+    }
+    for p in &mut study.predictors {
+        p.recipe.volumenet.iter_mut().chain(&mut p.recipe.fine_tune).for_each(place);
+    }
+    let mut names: Vec<&str> = study.predictors.iter().map(|p| p.name.as_str()).collect();
+    names.sort_unstable();
+    if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {
+        bail!("{}: the predictor {:?} stands there twice", path.display(), twice[0]);
+    }
+    for name in &study.curves {
+        ensure!(
+            names.contains(&name.as_str()),
+            "{}: curves name {name:?}, which is no predictor",
+            path.display()
+        );
+    }
+    Ok(study)
+}
+
+/// The clock by its name.
+///
+/// # Errors
+/// For a name that is none.
+pub fn clock(name: &str) -> Result<Clock> {
+    [Clock::Auto, Clock::Device, Clock::Wall, Clock::Cpu]
+        .into_iter()
+        .find(|c| c.name() == name)
+        .with_context(|| format!("clock {name:?}; auto, device, wall or cpu is expected"))
+}
+
+/// Frames with their seconds, owned.
+pub struct Part<'a> {
+    /// The frames.
+    pub frames: Vec<&'a TimedFrame>,
+    /// Seconds of each.
+    pub seconds: Vec<f64>,
+}
+
+impl<'a> Part<'a> {
+    /// Frames that have seconds by the clock.
+    pub fn of(frames: impl IntoIterator<Item = &'a TimedFrame>, clock: Clock) -> Self {
+        let (frames, seconds) = frames.into_iter().filter_map(|f| Some((f, f.seconds(clock)?))).unzip();
+        Self { frames, seconds }
+    }
+
+    /// Borrowed.
+    pub fn timed(&self) -> Timed<'_> {
+        Timed { frames: &self.frames, seconds: &self.seconds }
+    }
+
+    fn divided(&self, first: impl Fn(usize) -> bool) -> (Self, Self) {
+        let pick = |want: bool| Self {
+            frames: self
+                .frames
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| first(*i) == want)
+                .map(|(_, f)| *f)
+                .collect(),
+            seconds: self
+                .seconds
+                .iter()
+                .enumerate()
+                .filter(|(i, _)| first(*i) == want)
+                .map(|(_, t)| *t)
+                .collect(),
+        };
+        (pick(true), pick(false))
+    }
+
+    /// A tenth of the volumes (at least one where there are three) and the rest: validation and training.
+    pub fn hold_out(&self, seed: u64) -> (Self, Self) {
+        let mut volumes: Vec<&str> = self.frames.iter().map(|f| f.scene.volume.as_str()).collect();
+        volumes.sort_unstable();
+        volumes.dedup();
+        if volumes.len() < 3 {
+            return (Self { frames: vec![], seconds: vec![] }, self.divided(|_| true).0);
+        }
+        volumes.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+        volumes.truncate((volumes.len() as f64 / 10.0).round().max(1.0) as usize);
+        self.divided(|i| volumes.contains(&self.frames[i].scene.volume.as_str()))
+    }
+
+    /// So many frames, chosen by the seed, and the rest.
+    pub fn sample(&self, count: usize, seed: u64) -> (Self, Self) {
+        let mut order: Vec<usize> = (0..self.frames.len()).collect();
+        order.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+        let mut chosen = vec![false; order.len()];
+        order.iter().take(count).for_each(|&i| chosen[i] = true);
+        self.divided(|i| chosen[i])
+    }
+}
+
+/// Seconds that a model file predicts for frames.
+///
+/// # Errors
+/// When its inputs cannot be computed.
+pub fn predict(model: &Model, kitchen: &Kitchen<'_>, frames: &[&TimedFrame]) -> Result<Vec<f64>> {
+    let layout = Layout::of_model(model)?;
+    let rows = layout.rows(kitchen.tables, frames, kitchen.pool, &indicatif::ProgressBar::hidden())?;
+    crate::commands::train::predict_rows(model, &rows, layout.width())
+}
+
+fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
+    predicted.iter().zip(measured).map(|(p, t)| (t / p.max(SHORTEST)).ln()).collect()
+}
+
+/// What a study works with besides its description.
+pub struct Runner<'a> {
+    /// Threads.
+    pub pool: &'a rayon::ThreadPool,
+    /// Where models are kept.
+    pub models: PathBuf,
+    /// Progress over all trainings.
+    pub bar: &'a indicatif::ProgressBar,
+    /// Asked all the time.
+    pub stop: &'a dyn Fn() -> bool,
+}
+
+impl Runner<'_> {
+    /// Makes a predictor, or takes the one that was made of the same data and recipe before.
+    fn made(
+        &self,
+        key: &str,
+        recipe: &Recipe,
+        kitchen: &Kitchen<'_>,
+        (training, validation): (&Part<'_>, &Part<'_>),
+        bounds: &Part<'_>,
+    ) -> Result<ModelFile> {
+        let mut identity = serde_json::to_string(recipe)?;
+        for t in kitchen.tables {
+            identity += &format!("{:016x}{:?}", t.hash, t.features.as_ref().map(|f| f.columns().len()));
+        }
+        for part in [training, validation, bounds] {
+            let numbers: Vec<u64> = part.frames.iter().flat_map(|f| [f.table as u64, f.number]).collect();
+            identity +=
+                &format!("{:016x}", fnv1a(&numbers.iter().flat_map(|n| n.to_le_bytes()).collect::<Vec<_>>()));
+        }
+        let mark = format!("{:016x}", fnv1a(identity.as_bytes()));
+        let name: String =
+            key.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }).collect();
+        let path = self.models.join(format!("{name}-{}.safetensors", &mark[..8]));
+        if path.exists() {
+            let (file, _) = crate::recipe::read_model_file(&path)?;
+            if file.metadata().get("entire.study_key") == Some(&mark) {
+                return Ok(file);
+            }
+        }
+        self.bar.set_message(key.to_owned());
+        let fitted = recipe.make(kitchen, training.timed(), validation.timed())?;
+        ensure!(!(self.stop)(), "stopped; what was made is kept in {}", self.models.display());
+        let mut file = fitted.file;
+        let judged = if bounds.frames.is_empty() { validation } else { bounds };
+        if !judged.frames.is_empty() {
+            let predicted = predict(&file.to_model()?, kitchen, &judged.frames)?;
+            let upper = Calibration::from_residuals(&mut log_residuals(&predicted, &judged.seconds));
+            set_bound(&mut file, &upper)?;
+        }
+        file.set_metadata("entire.study_key", mark);
+        file.set_metadata(
+            keys::PROVENANCE,
+            json!({ "what": fitted.what, "settings": fitted.settings, "outcome": fitted.outcome,
+                "training_frames": training.frames.len(), "program": crate::machine::version() })
+            .to_string(),
+        );
+        std::fs::create_dir_all(&self.models)?;
+        let part = path.with_extension("part");
+        std::fs::write(&part, file.to_bytes()?)
+            .and_then(|()| std::fs::rename(&part, &path))
+            .with_context(|| format!("cannot write {}", path.display()))?;
+        Ok(file)
+    }
+
+    /// Runs a whole study.
+    ///
+    /// # Errors
+    /// When tables cannot be read, a baseline's tables do not fit, or it was stopped.
+    pub fn run(&self, study: &Study) -> Result<Findings> {
+        let clock = clock(&study.clock)?;
+        let mut out = Findings::default();
+        let volume = crate::volume::Volume::open(&study.latency_volume.0)?;
+        let volume = crate::enlarge::enlarge(&volume, study.latency_volume.1)?;
+        self.bar.set_length((study.sets.len() * study.predictors.len()) as u64);
+        for set in &study.sets {
+            let mut paths = set.training.clone();
+            paths.extend(set.bounds.iter().cloned());
+            let bounds_at = set.training.len();
+            let mut split_at = Vec::new();
+            for split in &set.splits {
+                split_at.push(paths.len()..paths.len() + split.tables.len());
+                paths.extend(split.tables.iter().cloned());
+            }
+            let tables = read_tables(&paths)?;
+            let kitchen = Kitchen {
+                tables: &tables,
+                pool: self.pool,
+                bar: &indicatif::ProgressBar::hidden(),
+                stop: self.stop,
+            };
+            let of =
+                |range: std::ops::Range<usize>| Part::of(tables[range].iter().flat_map(|t| &t.frames), clock);
+            let all = of(0..bounds_at);
+            ensure!(
+                !all.frames.is_empty(),
+                "set {}: no training frame has a time by the clock {:?}",
+                set.name,
+                clock.name()
+            );
+            let bounds = of(bounds_at..bounds_at + set.bounds.len());
+            let (validation, training) = all.hold_out(1);
+            let splits: Vec<Part<'_>> = split_at.iter().map(|r| of(r.clone())).collect();
+            for (split, part) in set.splits.iter().zip(&splits) {
+                if let Some(noise) = noise_floor(part.frames.iter().copied(), clock) {
+                    out.noise.push((set.name.clone(), split.name.clone(), noise, part.frames.len()));
+                }
+            }
+            let shading = all.frames[0].scene.shading;
+            let mut bench = Bench::new(&volume, shading)?;
+            for named in &study.predictors {
+                let key = format!("{}-{}", set.name, named.name);
+                let made = self.made(&key, &named.recipe, &kitchen, (&training, &validation), &bounds);
+                self.bar.inc(1);
+                let file = match made {
+                    Ok(file) => file,
+                    Err(e) if (self.stop)() => return Err(e),
+                    Err(e) => {
+                        out.left_out.push((set.name.clone(), named.name.clone(), format!("{e:#}")));
+                        continue;
+                    }
+                };
+                let model = file.to_model()?;
+                out.latencies.push((set.name.clone(), named.name.clone(), bench.latency(&model)?));
+                let upper = bound_of(&model);
+                for (split, part) in set.splits.iter().zip(&splits) {
+                    let predicted = match predict(&model, &kitchen, &part.frames) {
+                        Ok(p) => p,
+                        Err(e) => {
+                            out.left_out.push((
+                                set.name.clone(),
+                                format!("{} on {}", named.name, split.name),
+                                format!("{e:#}"),
+                            ));
+                            continue;
+                        }
+                    };
+                    out.results.extend(judge(
+                        &set.name,
+                        &split.name,
+                        &named.name,
+                        &named.panel,
+                        part,
+                        &predicted,
+                        upper.as_ref(),
+                    ));
+                }
+                if study.curves.contains(&named.name) {
+                    self.curves(
+                        study,
+                        set,
+                        named,
+                        &kitchen,
+                        (&training, &validation),
+                        &splits,
+                        &file,
+                        &mut out,
+                    )?;
+                }
+            }
+            for (split, part) in set.splits.iter().zip(&splits) {
+                let constant = crate::commands::evaluate::probe_means(&part.frames, &part.seconds, 1);
+                out.results.extend(judge(
+                    &set.name,
+                    &split.name,
+                    CONSTANT,
+                    "baseline",
+                    part,
+                    &constant,
+                    None,
+                ));
+            }
+            self.proxy(set, &tables, clock, &all, &splits, &mut out)?;
+        }
+        Ok(out)
+    }
+
+    /// The low-resolution proxy: seconds as a linear function of those of the same frame on 64³ voxels.
+    fn proxy(
+        &self,
+        set: &Set,
+        tables: &[Table],
+        clock: Clock,
+        training: &Part<'_>,
+        splits: &[Part<'_>],
+        out: &mut Findings,
+    ) -> Result<()> {
+        if set.low_resolution.is_empty() {
+            return Ok(());
+        }
+        let mut low: BTreeMap<(usize, u64), f64> = BTreeMap::new();
+        for (index, table) in tables.iter().enumerate() {
+            let name = table.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+            let Some(path) = set.low_resolution.get(&name) else { continue };
+            let other = Table::read_without_features(path, 0)?;
+            let by_number: BTreeMap<u64, &TimedFrame> = other.frames.iter().map(|f| (f.number, f)).collect();
+            for f in &table.frames {
+                let Some(twin) = by_number.get(&f.number) else { continue };
+                let same = twin.scene.camera == f.scene.camera
+                    && twin.scene.width == f.scene.width
+                    && twin.scene.lobes == f.scene.lobes;
+                ensure!(
+                    same,
+                    "{}: frame {} shows another scene than in {}; collect it with the same seed and volumes",
+                    path.display(),
+                    f.number,
+                    name
+                );
+                if let Some(t) = twin.seconds(clock) {
+                    low.insert((index, f.number), t);
+                }
+            }
+        }
+        let paired = |part: &Part<'_>| -> Vec<(usize, f64)> {
+            part.frames
+                .iter()
+                .enumerate()
+                .filter_map(|(i, f)| Some((i, *low.get(&(f.table, f.number))?)))
+                .collect()
+        };
+        let pairs = paired(training);
+        ensure!(pairs.len() > 2, "set {}: low_resolution holds no frames of the training tables", set.name);
+        let n = pairs.len() as f64;
+        let (mx, my) =
+            pairs.iter().fold((0.0, 0.0), |(x, y), (i, l)| (x + l / n, y + training.seconds[*i] / n));
+        let (mut xx, mut xy) = (0.0, 0.0);
+        for (i, l) in &pairs {
+            xx += (l - mx) * (l - mx);
+            xy += (l - mx) * (training.seconds[*i] - my);
+        }
+        let slope = if xx > 0.0 { xy / xx } else { 0.0 };
+        for (split, part) in set.splits.iter().zip(splits) {
+            let pairs = paired(part);
+            if pairs.is_empty() {
+                continue;
+            }
+            let sub = Part {
+                frames: pairs.iter().map(|(i, _)| part.frames[*i]).collect(),
+                seconds: pairs.iter().map(|(i, _)| part.seconds[*i]).collect(),
+            };
+            let predicted: Vec<f64> = pairs.iter().map(|(_, l)| my + slope * (l - mx)).collect();
+            out.results.extend(judge(&set.name, &split.name, PROXY, "baseline", &sub, &predicted, None));
+        }
+        let mut times: Vec<f64> = low.values().copied().collect();
+        if let Some(t) = crate::dataset::median(&mut times) {
+            out.latencies.push((set.name.clone(), PROXY.into(), Latency { cold: t, warm: t, transfer: 0.0 }));
+        }
+        Ok(())
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "one call site")]
+    fn curves(
+        &self,
+        study: &Study,
+        set: &Set,
+        named: &Named,
+        kitchen: &Kitchen<'_>,
+        (training, validation): (&Part<'_>, &Part<'_>),
+        splits: &[Part<'_>],
+        file: &ModelFile,
+        out: &mut Findings,
+    ) -> Result<()> {
+        let none = Part { frames: vec![], seconds: vec![] };
+        if let Some(at) = set.splits.iter().position(|s| s.main) {
+            for &size in study.sample_sizes.iter().filter(|n| **n < training.frames.len()) {
+                let (part, _) = training.sample(size, 7);
+                let key = format!("{}-{}-{size}", set.name, named.name);
+                let model =
+                    self.made(&key, &named.recipe, kitchen, (&part, validation), &none)?.to_model()?;
+                let predicted = predict(&model, kitchen, &splits[at].frames)?;
+                push_point(
+                    &mut out.samples,
+                    set,
+                    &set.splits[at].name,
+                    &named.name,
+                    size,
+                    &predicted,
+                    &splits[at].seconds,
+                );
+            }
+            let predicted = predict(&file.to_model()?, kitchen, &splits[at].frames)?;
+            push_point(
+                &mut out.samples,
+                set,
+                &set.splits[at].name,
+                &named.name,
+                training.frames.len(),
+                &predicted,
+                &splits[at].seconds,
+            );
+        }
+        let Some(at) =
+            set.calibration_split.as_ref().and_then(|n| set.splits.iter().position(|s| s.name == *n))
+        else {
+            return Ok(());
+        };
+        let (split, all) = (&set.splits[at].name, &splits[at]);
+        // The last half is judged on, whatever the share learned from.
+        let (pool, judged) = all.sample(all.frames.len() / 2, 11);
+        let before = predict(&file.to_model()?, kitchen, &judged.frames)?;
+        push_point(
+            &mut out.tuning,
+            set,
+            split,
+            &format!("{}, calibrated", named.name),
+            0,
+            &before,
+            &judged.seconds,
+        );
+        let mut counts: Vec<usize> =
+            study.shares.iter().map(|s| ((s * all.frames.len() as f64).round() as usize).max(2)).collect();
+        counts.push(100);
+        counts.sort_unstable();
+        counts.dedup();
+        for count in counts.into_iter().filter(|n| *n <= pool.frames.len()) {
+            let (part, _) = pool.sample(count, 13);
+            let tuned = calibrate(file, kitchen, part.timed())?.to_model()?;
+            let predicted = predict(&tuned, kitchen, &judged.frames)?;
+            push_point(
+                &mut out.tuning,
+                set,
+                split,
+                &format!("{}, calibrated", named.name),
+                count,
+                &predicted,
+                &judged.seconds,
+            );
+            if count >= 10 {
+                let key = format!("{}-{}-{split}-alone-{count}", set.name, named.name);
+                match self.made(&key, &named.recipe, kitchen, (&part, &none), &none) {
+                    Ok(alone) => {
+                        let predicted = predict(&alone.to_model()?, kitchen, &judged.frames)?;
+                        push_point(
+                            &mut out.tuning,
+                            set,
+                            split,
+                            &format!("{}, from nothing", named.name),
+                            count,
+                            &predicted,
+                            &judged.seconds,
+                        );
+                    }
+                    Err(e) if (self.stop)() => return Err(e),
+                    Err(e) => out.left_out.push((set.name.clone(), key, format!("{e:#}"))),
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn push_point(
+    points: &mut Vec<Point>,
+    set: &Set,
+    split: &str,
+    curve: &str,
+    frames: usize,
+    predicted: &[f64],
+    measured: &[f64],
+) {
+    if let Some(metrics) = Metrics::new(predicted, measured) {
+        points.push(Point {
+            set: set.name.clone(),
+            split: split.to_owned(),
+            curve: curve.to_owned(),
+            frames,
+            metrics,
+        });
+    }
+}
+
+/// The upper bound that a model file holds.
+pub fn bound_of(model: &Model) -> Option<Calibration> {
+    let stored: serde_json::Value = serde_json::from_str(model.metadata().get(CALIBRATION_KEY)?).ok()?;
+    Some(Calibration::from_log_factor(stored.get("log_factor")?.as_f64()? as f32))
+}
+
+/// Puts an upper bound into a model file, keeping what else its calibration holds.
+///
+/// # Errors
+/// When what it holds is damaged.
+pub fn set_bound(file: &mut ModelFile, upper: &Calibration) -> Result<()> {
+    if !upper.log_factor().is_finite() {
+        return Ok(());
+    }
+    let mut stored: serde_json::Value = match file.metadata().get(CALIBRATION_KEY) {
+        Some(text) => serde_json::from_str(text)?,
+        None => json!({}),
+    };
+    stored["level"] = json!(UPPER_LEVEL);
+    stored["log_factor"] = json!(upper.log_factor());
+    file.set_metadata(CALIBRATION_KEY, stored.to_string());
+    Ok(())
+}
+
+fn judge(
+    set: &str,
+    split: &str,
+    predictor: &str,
+    panel: &str,
+    part: &Part<'_>,
+    predicted: &[f64],
+    upper: Option<&Calibration>,
+) -> Option<Result1> {
+    let metrics = Metrics::new(predicted, &part.seconds)?;
+    let groups: Vec<String> = part.frames.iter().map(|f| GroupBy::Volume.group(&f.scene)).collect();
+    let bound = upper.and_then(|u| {
+        let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(u.upper(p.max(SHORTEST) as f32))).collect();
+        BoundMetrics::new(&bounds, &part.seconds, UPPER_LEVEL)
+    });
+    let mut parts = Vec::new();
+    let mut part_of = |name: &str, test: &dyn Fn(&TimedFrame) -> bool| {
+        let (p, t): (Vec<f64>, Vec<f64>) = part
+            .frames
+            .iter()
+            .zip(predicted.iter().zip(&part.seconds))
+            .filter(|(f, _)| test(f))
+            .map(|(_, (p, t))| (*p, *t))
+            .unzip();
+        parts.extend(Metrics::new(&p, &t).map(|m| (name.to_owned(), m)));
+    };
+    let pixels = |f: &TimedFrame| u64::from(f.scene.width) * u64::from(f.scene.height);
+    part_of("under 128² pixels", &|f| pixels(f) < 128 * 128);
+    part_of("128² to 512² pixels", &|f| (128 * 128..512 * 512).contains(&pixels(f)));
+    part_of("512² pixels and more", &|f| pixels(f) >= 512 * 512);
+    part_of("eye within 1 radius", &|f| f.scene.camera.dz <= 1.0);
+    let mut errors: Vec<f64> = log_residuals(predicted, &part.seconds).iter().map(|e| -e).collect();
+    errors.sort_by(f64::total_cmp);
+    let log_errors =
+        [0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99].map(|q| crate::metrics::percentile(&errors, q));
+    Some(Result1 {
+        set: set.to_owned(),
+        split: split.to_owned(),
+        predictor: predictor.to_owned(),
+        panel: panel.to_owned(),
+        rmse_interval: bootstrap_by_group(predicted, &part.seconds, &groups, 200, |m| m.rmse_over_sd),
+        mdape_interval: bootstrap_by_group(predicted, &part.seconds, &groups, 200, |m| m.mdape),
+        metrics,
+        bound,
+        parts,
+        log_errors,
+    })
+}
