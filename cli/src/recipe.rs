@@ -527,8 +527,8 @@ fn hidden_activations(parts: &PredNetParts, x: &[f64]) -> Vec<f64> {
             for (weights, &bias) in layer.weight.chunks_exact(layer.inputs).zip(&layer.bias) {
                 let sum: f64 =
                     weights.iter().zip(row).map(|(w, x)| f64::from(*w) * x).sum::<f64>() + f64::from(bias);
-                let alpha = f64::from(entire_core::nn::SELU_ALPHA);
-                next.push(f64::from(SELU_SCALE) * if sum > 0.0 { sum } else { alpha * sum.exp_m1() });
+                let alpha = entire_core::nn::SELU_ALPHA;
+                next.push(SELU_SCALE * if sum > 0.0 { sum } else { alpha * sum.exp_m1() });
             }
         }
         rows = next;
@@ -673,7 +673,7 @@ fn carry_past(parts: PredNetParts, mean: f32, sd: f32) -> PredNetParts {
             weight.push(0.0);
         }
         // The unit's value is gain · (z + shift) with z the standardized estimate.
-        let gain = f64::from(SELU_SCALE).powi(i as i32);
+        let gain = SELU_SCALE.powi(i as i32);
         let shift = if first { 0.0 } else { f64::from(CARRY_RANGE) };
         if last {
             let scale = f64::from(sd) / f64::from(out_std);
