@@ -69,6 +69,8 @@ const MAX_VARIANCE: f64 = 12.0;
 const COMMON_DRIFT: f64 = 1.0e-5;
 const SINGLE_DRIFT: f64 = 2.0e-6;
 const CLIP: f64 = 3.0;
+/// Clip of errors that are too fast.
+const CLIP_BELOW: f64 = 2.0;
 
 impl Correction {
     /// A correction that has seen nothing.
@@ -182,7 +184,8 @@ impl Correction {
         let mut model = self.model_variance(&shares);
         let sd = libm::sqrt(model + noise);
         let normalized = error / sd;
-        let mut taken = error.clamp(-CLIP * sd, CLIP * sd);
+        // A frame that was faster than expected is more often luck than one that was slower is misfortune.
+        let mut taken = error.clamp(-CLIP_BELOW * sd, CLIP * sd);
         if libm::fabs(normalized) > CLIP && trust >= 1.0 {
             self.run = if (normalized > 0.0) == (self.run > 0) { self.run } else { 0 };
             self.run += if normalized > 0.0 { 1 } else { -1 };

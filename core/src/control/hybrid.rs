@@ -71,6 +71,10 @@ const EVALUATIONS: usize = 12;
 const DEAD_BAND: f64 = 0.01;
 /// Largest move to a finer step in a calm frame, in ln(step), beside what the prediction calls for.
 const FINER: f64 = 0.16;
+/// Largest move to a coarser step in a calm frame where the expected time stays bearable, in ln(step).
+const COARSER: f64 = 0.17;
+/// Expected time over the target that a frame may have for the sake of a small move.
+const BEARABLE: f64 = 1.0;
 /// Distance of two predictions at one step (see [`distance`]) from which the frame before says nothing.
 const FAR: f64 = 0.35;
 /// Distance that frames of one scene may have without being announced as changed.
@@ -248,6 +252,14 @@ impl Controller for Hybrid {
                 step = last.step;
                 if reason == Reason::Fits {
                     reason = Reason::Held;
+                }
+            } else if delta > COARSER
+                && this.correction.settled()
+                && judge(limits.clamp(last.step * libm::exp(COARSER) as f32)).0 <= target * BEARABLE
+            {
+                step = limits.clamp(last.step * libm::exp(COARSER) as f32);
+                if reason == Reason::Fits {
+                    reason = Reason::Damped;
                 }
             } else if delta < -FINER && this.correction.settled() {
                 step = limits.clamp(last.step * libm::exp(-FINER) as f32);
