@@ -1,6 +1,6 @@
 //! `entire replay`: recorded cost curves under every controller and target, beside an oracle; the steering bars.
 
-use crate::dataset::{Clock, TimedFrame, read_tables};
+use crate::dataset::{Clock, TimedFrame, median, read_tables};
 use crate::files::open_model;
 use crate::inputs;
 use crate::machine::Provenance;
@@ -15,7 +15,7 @@ use crate::steering::trace::Trace;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_core::adapt::Prior;
-use entire_core::control::{StepLimits, StepResponse};
+use entire_core::control::{QualityModel, QualitySample, StepLimits, StepResponse};
 use entire_core::scene::{Scalars, VolumeView};
 use indicatif::ProgressBar;
 use serde_json::json;
@@ -177,9 +177,14 @@ pub fn run(options: &Options) -> Result<()> {
         Results { kinds: &kinds, traces: &traces, trials: &trials, outcomes: &outcomes, scores: &scores };
     results.write_csv(&options.out.join("frames.csv"))?;
     results.write_json(&options.out.join("scores.json"), &calibrated)?;
-    results.page(&calibrated, &response, &samples).write(&options.out.join("report.html"))?;
+    results
+        .page(&calibrated, &response, &samples, frontier.as_ref())
+        .write(&options.out.join("report.html"))?;
     println!("{}", results.table().to_text());
     println!("* best of the column. Report: {}", options.out.join("report.html").display());
+    if let Some(f) = &frontier {
+        println!("{}", f.sentence());
+    }
     if options.bars {
         print_bars(&kinds, &scores)?;
     }
@@ -235,6 +240,69 @@ fn play(
         }
     }
     Ok(outcome)
+}
+
+/// What choosing among steps and image sizes by the quality model gives, on traces that it was not fitted to: mean
+/// structural similarity of what each way picks among settings that meet the target.
+struct Frontier {
+    model: QualityModel,
+    frames: usize,
+    by_model: f64,
+    by_step: f64,
+    best: f64,
+}
+
+impl Frontier {
+    fn sentence(&self) -> String {
+        format!(
+            "Quality model (step and image size) on {} choices of traces that it was not fitted to: mean SSIM {:.4} by its order, {:.4} by the step alone, {:.4} at best.",
+            self.frames, self.by_model, self.by_step, self.best
+        )
+    }
+}
+
+fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
+    let points = |odd: bool| {
+        traces
+            .iter()
+            .enumerate()
+            .filter(move |(i, _)| (i % 2 == 1) == odd)
+            .flat_map(|(_, t)| &t.trace.frames)
+            .filter(|f| f.iter().any(|p| p.scale < 1.0))
+    };
+    let samples: Vec<QualitySample> = points(false)
+        .flatten()
+        .map(|p| QualitySample { step: p.step, scale: p.scale, error: (1.0 - p.ssim) as f32 })
+        .collect();
+    let model = QualityModel::from_samples(&samples).ok()?;
+    let (mut frames, mut by_model, mut by_step, mut best) = (0, 0.0, 0.0, 0.0);
+    for frame in points(true) {
+        for (target, _) in targets {
+            let seconds = |p: &crate::steering::trace::TracePoint| {
+                median(&mut p.seconds.clone()).unwrap_or(f64::INFINITY)
+            };
+            let fitting: Vec<_> = frame.iter().filter(|p| seconds(p) <= *target).collect();
+            // Only where there is something to choose: the reference setting does not fit, some full-size one does.
+            let full = fitting.iter().filter(|p| p.scale == 1.0).min_by(|a, b| a.step.total_cmp(&b.step));
+            let (Some(full), false) = (full, fitting.iter().any(|p| p.scale == 1.0 && p.step <= 1.0)) else {
+                continue;
+            };
+            let error = |p: &crate::steering::trace::TracePoint| model.error(p.step, p.scale);
+            let picked = fitting.iter().min_by(|a, b| error(a).total_cmp(&error(b)));
+            frames += 1;
+            by_step += full.ssim;
+            by_model += picked.map_or(0.0, |p| p.ssim);
+            best += fitting.iter().map(|p| p.ssim).fold(0.0, f64::max);
+        }
+    }
+    let n = frames as f64;
+    (frames > 0).then(|| Frontier {
+        model,
+        frames,
+        by_model: by_model / n,
+        by_step: by_step / n,
+        best: best / n,
+    })
 }
 
 struct Results<'a> {
@@ -425,7 +493,13 @@ impl Results<'_> {
             .with_context(|| format!("cannot write {}", path.display()))
     }
 
-    fn page(&self, calibrated: &Calibrated, response: &StepResponse, samples: &[Sample]) -> Page {
+    fn page(
+        &self,
+        calibrated: &Calibrated,
+        response: &StepResponse,
+        samples: &[Sample],
+        frontier: Option<&Frontier>,
+    ) -> Page {
         let frames = self.scores.first().map_or(0, |s| s.frames);
         let mut page = Page::new(
             "Holding a frame time, beside an oracle",
@@ -468,6 +542,29 @@ impl Results<'_> {
             let trial = &self.trials[middle.trial];
             page.heading(&format!("{} at {}", trace.trace.name, trial.label));
             self.charts(&mut page, middle, trace);
+        }
+        if let Some(f) = frontier {
+            page.heading("Step and image size together");
+            page.paragraph(&f.sentence());
+            let curve = |error: &dyn Fn(f64) -> f64| -> Vec<(f64, f64)> {
+                (0..=40).map(|i| 1.0 + f64::from(i) * 0.2).map(|x| (x, error(x))).collect()
+            };
+            let model = f.model;
+            let chart = Chart::new(
+                "What a picture loses",
+                Axis::linear("step over the reference step, or full side over image side"),
+                Axis::linear("predicted 1 - SSIM").from(0.0),
+            )
+            .size(900.0, 260.0)
+            .series(Series::new(
+                "coarser step",
+                Mark::Line(curve(&|x| f64::from(model.error(x as f32, 1.0)))),
+            ))
+            .series(Series::new(
+                "smaller image",
+                Mark::Line(curve(&|x| f64::from(model.error(1.0, (1.0 / x) as f32)))),
+            ));
+            page.chart(&chart, "The quality model, fitted to every other trace. Settings are tried in the order of its error; the first that is expected to meet the target is drawn.");
         }
         page.heading("Every trial");
         page.table(&self.per_trial(), "Shares in percent, as in the first table.");
