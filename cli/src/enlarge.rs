@@ -35,6 +35,26 @@ pub fn enlarge(volume: &Volume, factor: usize) -> Result<Volume> {
     Ok(enlarged)
 }
 
+/// Resamples a volume to `edge` voxels along every axis, trilinearly at the new voxels' centers, as single-precision
+/// numbers; the box and the scalar range stay. The low-resolution proxy of a frame is drawn from it.
+///
+/// # Errors
+/// An edge of 0 or over 512.
+pub fn resample(volume: &Volume, edge: usize) -> Result<Volume> {
+    ensure!(
+        (1..=512).contains(&edge),
+        "volumes can be resampled to 1 to 512 voxels an edge; {edge} was asked for"
+    );
+    let view = volume.view();
+    let from = volume.dims();
+    let spacing = volume.spacing();
+    let values = trilinear(&view, [edge; 3]);
+    let spacing = std::array::from_fn(|a| spacing[a] * from[a] as f32 / edge as f32);
+    let mut out = Volume::new(VolumeData::F32(values), [edge; 3], spacing, volume.name())?;
+    out.set_range(Some(view.range()))?;
+    Ok(out)
+}
+
 fn trilinear(view: &VolumeView<'_>, dims: [usize; 3]) -> Vec<f32> {
     // Per axis and target index: the two source indices and the weight of the second.
     let axes: [Vec<(usize, usize, f32)>; 3] = std::array::from_fn(|a| {
@@ -79,6 +99,19 @@ mod tests {
         assert_eq!(e.view().extent(), v.view().extent());
         assert_eq!(e.view().range(), (0.0, 255.0));
         assert!(enlarge(&v, 0).is_err() && enlarge(&v, 9).is_err());
+    }
+
+    #[test]
+    fn resampling_keeps_box_and_range() {
+        let v = Volume::new(VolumeData::U8((0..64).collect()), [4, 4, 4], [1.0, 2.0, 3.0], "v").unwrap();
+        let r = resample(&v, 2).unwrap();
+        assert_eq!((r.dims(), r.spacing()), ([2; 3], [2.0, 4.0, 6.0]));
+        assert_eq!(r.view().extent(), v.view().extent());
+        assert_eq!(r.view().range(), (0.0, 255.0));
+        // The mean of the eight voxels around the new one's center.
+        let VolumeData::F32(d) = r.data() else { panic!("the type") };
+        assert_eq!(d[0], (0 + 1 + 4 + 5 + 16 + 17 + 20 + 21) as f32 / 8.0);
+        assert!(resample(&v, 0).is_err() && resample(&v, 513).is_err());
     }
 
     #[test]

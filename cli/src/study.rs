@@ -732,22 +732,10 @@ fn judge(
         let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(u.upper(p.max(SHORTEST) as f32))).collect();
         BoundMetrics::new(&bounds, &part.seconds, UPPER_LEVEL)
     });
-    let mut parts = Vec::new();
-    let mut part_of = |name: &str, test: &dyn Fn(&TimedFrame) -> bool| {
-        let (p, t): (Vec<f64>, Vec<f64>) = part
-            .frames
-            .iter()
-            .zip(predicted.iter().zip(&part.seconds))
-            .filter(|(f, _)| test(f))
-            .map(|(_, (p, t))| (*p, *t))
-            .unzip();
-        parts.extend(Metrics::new(&p, &t).map(|m| (name.to_owned(), m)));
-    };
-    let pixels = |f: &TimedFrame| u64::from(f.scene.width) * u64::from(f.scene.height);
-    part_of("under 128² pixels", &|f| pixels(f) < 128 * 128);
-    part_of("128² to 512² pixels", &|f| (128 * 128..512 * 512).contains(&pixels(f)));
-    part_of("512² pixels and more", &|f| pixels(f) >= 512 * 512);
-    part_of("eye within 1 radius", &|f| f.scene.camera.dz <= 1.0);
+    let parts = crate::commands::evaluate::by_kind(&part.frames, predicted, &part.seconds)
+        .into_iter()
+        .map(|(name, m)| (name.to_owned(), m))
+        .collect();
     let mut errors: Vec<f64> = log_residuals(predicted, &part.seconds).iter().map(|e| -e).collect();
     errors.sort_by(f64::total_cmp);
     let log_errors =

@@ -7,7 +7,7 @@
 
 use crate::dataset::{Clock, MANIFEST_FORMAT, Manifest, Measurement, Scene, Table, Writer, noise_floor};
 use crate::device::{self, Device};
-use crate::enlarge::enlarge;
+use crate::enlarge::{enlarge, resample};
 use crate::interrupt;
 use crate::machine;
 use crate::scenes::{DEFAULT_RADII, SceneDistribution};
@@ -84,6 +84,9 @@ pub struct Options {
     /// Enlarge every volume by this factor at load, trilinearly, so that small volumes cost what large ones do.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub enlarge: usize,
+    /// Render every volume resampled to so many voxels an edge instead: the low-resolution proxy of the same frames.
+    #[arg(long, value_name = "EDGE", conflicts_with = "enlarge")]
+    pub proxy: Option<usize>,
     /// Go on with a table that was interrupted. Settings and machine must be those of its manifest.
     #[arg(long)]
     pub resume: bool,
@@ -202,11 +205,13 @@ pub struct Protocol {
     pub termination: f32,
     /// Enlargement at load.
     pub enlarge: usize,
+    /// Edge in voxels that volumes are resampled to instead.
+    pub proxy: Option<usize>,
 }
 
 impl Protocol {
     fn settings(&self, jobs: &[Job]) -> serde_json::Value {
-        json!({
+        let mut settings = json!({
             "frames_per_volume": self.frames,
             "warm_up_frames_discarded_per_volume": self.warm_up,
             "shading": self.shading.name(),
@@ -219,7 +224,11 @@ impl Protocol {
                 "path": j.path.to_string_lossy(), "member": j.member, "time_step": j.time_step,
                 "seed_name": j.seed_name(),
             })).collect::<Vec<_>>(),
-        })
+        });
+        if let Some(edge) = self.proxy {
+            settings["resampled_to_edge"] = json!(edge);
+        }
+        settings
     }
 }
 
@@ -266,7 +275,9 @@ pub fn collect(
         let shown = job.path.display();
         progress.set_message(format!("{shown}"));
         let volume = open(&job.path).with_context(|| format!("{shown}"))?;
-        let volume = if protocol.enlarge == 1 {
+        let volume = if let Some(edge) = protocol.proxy {
+            resample(&volume, edge).with_context(|| format!("{shown}"))?
+        } else if protocol.enlarge == 1 {
             volume
         } else {
             enlarge(&volume, protocol.enlarge).with_context(|| format!("{shown}"))?
@@ -417,6 +428,7 @@ pub fn run(options: &Options) -> Result<()> {
         skipping: options.skip.into(),
         termination: options.termination,
         enlarge: options.enlarge,
+        proxy: options.proxy,
     };
     ensure!(protocol.frames > 0 && protocol.repeats > 0, "--frames and --repeats must be at least 1");
     ensure!(
@@ -546,6 +558,7 @@ mod tests {
             skipping: Skipping::Blocks,
             termination: 0.99,
             enlarge: 1,
+            proxy: None,
         }
     }
 

@@ -4,7 +4,7 @@ use super::train::{INPUTS_BAR, coverage, predict_rows, progress_bar, thread_pool
 use crate::dataset::{Clock, NoiseFloor, Table as TimingTable, TimedFrame, fnv1a, noise_floor, read_tables};
 use crate::inputs::{Layout, measure};
 use crate::machine;
-use crate::metrics::{Metrics, percentile};
+use crate::metrics::{BoundMetrics, Metrics, SHORTEST, bootstrap_by_group, percentile};
 use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use crate::split::{GroupBy, Part, Split};
 use anyhow::{Context, Result, ensure};
@@ -13,7 +13,7 @@ use entire_core::features::{
 };
 use entire_core::model::Model;
 use entire_core::nn::PredNet;
-use entire_core::predict::{CALIBRATION_KEY, Calibration, GroupKind, Inputs};
+use entire_core::predict::{CALIBRATION_KEY, Calibration, GroupKind, Inputs, UPPER_LEVEL};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -88,6 +88,14 @@ struct Predictor {
     frames_seen: usize,
     /// Share of frames that took no longer than the upper bound in its file.
     bound_coverage: Option<f64>,
+    /// How the upper bound does beyond that: among the slowest tenth, and its quantile loss.
+    bound: Option<BoundMetrics>,
+    /// 95 % interval of RMSE/SD when volumes are drawn anew with replacement.
+    rmse_over_sd_interval: Option<(f64, f64)>,
+    /// The same of MdAPE.
+    mdape_interval: Option<(f64, f64)>,
+    /// Errors by what frames are like.
+    by_kind: Vec<(&'static str, Metrics)>,
     #[serde(skip)]
     predicted: Vec<f64>,
 }
@@ -171,6 +179,7 @@ pub fn run(options: &Options) -> Result<()> {
             predicted,
             &measured,
             &groups,
+            &refs,
             Some(latency),
             seen,
             upper_bound(&m.model),
@@ -178,7 +187,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let constant = probe_means(&refs, &measured, options.seed);
     let name = format!("mean of {:.0} % probes per volume", 100.0 * PROBE_SHARE);
-    predictors.push(assess(name, None, constant, &measured, &groups, None, 0, None)?);
+    predictors.push(assess(name, None, constant, &measured, &groups, &refs, None, 0, None)?);
 
     let evaluation = Evaluation {
         program: format!("entire {}", machine::version()),
@@ -195,12 +204,14 @@ pub fn run(options: &Options) -> Result<()> {
     };
     let (overall, bias, by_group) = tables_of(&predictors, options.by);
     println!("{}", overall.to_text());
+    let more = detail_table(&predictors);
+    println!("{}", more.to_text());
     println!("median of predicted / measured - 1 by tenth of the frames, fastest first, %");
     println!("{}", bias.to_text());
     println!("{}", by_group.to_text());
     println!("{}", noise_text(noise));
     if let Some(out) = &options.out {
-        write_report(out, &evaluation, &refs, &measured, &groups, [&overall, &bias, &by_group])?;
+        write_report(out, &evaluation, &refs, &measured, &groups, [&overall, &bias, &by_group, &more])?;
         println!("wrote {}", out.join("report.html").display());
     }
     Ok(())
@@ -223,6 +234,7 @@ fn assess(
     predicted: Vec<f64>,
     measured: &[f64],
     groups: &[String],
+    frames: &[&TimedFrame],
     latency: Option<Latency>,
     frames_seen: usize,
     upper: Option<Calibration>,
@@ -237,7 +249,64 @@ fn assess(
     let by_group =
         pairs.into_iter().filter_map(|(g, (p, t))| Some((g.to_owned(), Metrics::new(&p, &t)?))).collect();
     let bound_coverage = upper.map(|u| coverage(&predicted, measured, &u));
-    Ok(Predictor { name, fnv1a, metrics, by_group, latency, frames_seen, bound_coverage, predicted })
+    let bound = upper.and_then(|u| {
+        let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(u.upper(p.max(SHORTEST) as f32))).collect();
+        BoundMetrics::new(&bounds, measured, UPPER_LEVEL)
+    });
+    let volumes: Vec<String> = frames.iter().map(|f| f.scene.volume.clone()).collect();
+    let interval =
+        |f: fn(&Metrics) -> f64| bootstrap_by_group(&predicted, measured, &volumes, BOOTSTRAP_ROUNDS, f);
+    let (rmse_over_sd_interval, mdape_interval) = (interval(|m| m.rmse_over_sd), interval(|m| m.mdape));
+    let by_kind = by_kind(frames, &predicted, measured);
+    Ok(Predictor {
+        name,
+        fnv1a,
+        metrics,
+        by_group,
+        latency,
+        frames_seen,
+        bound_coverage,
+        bound,
+        rmse_over_sd_interval,
+        mdape_interval,
+        by_kind,
+        predicted,
+    })
+}
+
+/// Rounds behind the intervals over volumes drawn anew.
+const BOOTSTRAP_ROUNDS: usize = 400;
+
+/// Errors by image size, by whether the eye is near or inside the volume, and by ray step; kinds without frames are left out.
+pub(crate) fn by_kind(
+    frames: &[&TimedFrame],
+    predicted: &[f64],
+    measured: &[f64],
+) -> Vec<(&'static str, Metrics)> {
+    type Test = fn(&TimedFrame) -> bool;
+    fn pixels(f: &TimedFrame) -> u64 {
+        u64::from(f.scene.width) * u64::from(f.scene.height)
+    }
+    let kinds: [(&'static str, Test); 6] = [
+        ("under 128² pixels", |f| pixels(f) < 128 * 128),
+        ("128² to 512² pixels", |f| (128 * 128..512 * 512).contains(&pixels(f))),
+        ("512² pixels and more", |f| pixels(f) >= 512 * 512),
+        ("eye within 1 radius", |f| f.scene.camera.dz <= 1.0),
+        ("finer than the reference step", |f| f.scene.step < 1.0),
+        ("coarser than the reference step", |f| f.scene.step > 1.0),
+    ];
+    kinds
+        .into_iter()
+        .filter_map(|(name, test)| {
+            let (p, t): (Vec<f64>, Vec<f64>) = frames
+                .iter()
+                .zip(predicted.iter().zip(measured))
+                .filter(|(f, _)| test(f))
+                .map(|(_, (p, t))| (*p, *t))
+                .unzip();
+            Some((name, Metrics::new(&p, &t)?))
+        })
+        .collect()
 }
 
 /// The upper bound that a model file holds.
@@ -429,6 +498,43 @@ fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table, Table) {
     (overall, bias, by_group)
 }
 
+/// Intervals, the upper bound and errors by kind of frame.
+fn detail_table(predictors: &[Predictor]) -> Table {
+    let mut kinds: Vec<&str> = Vec::new();
+    for (name, _) in predictors.iter().flat_map(|p| &p.by_kind) {
+        if !kinds.contains(name) {
+            kinds.push(name);
+        }
+    }
+    let mut columns = vec![
+        Column::text("predictor"),
+        Column::number("RMSE/SD, 95 % interval"),
+        Column::number("MdAPE %, 95 % interval"),
+        Column::number("bound held in slowest tenth, %"),
+        Column::number("pinball / mean time"),
+    ];
+    columns.extend(kinds.iter().map(|k| Column::number(format!("MdAPE %, {k}"))));
+    let mut table = Table::new(columns);
+    for p in predictors {
+        let range = |i: Option<(f64, f64)>, scale: f64, digits: usize| {
+            i.map_or("-".to_owned(), |(a, b)| format!("{:.digits$}–{:.digits$}", scale * a, scale * b))
+        };
+        let mut row = vec![
+            p.name.clone().into(),
+            range(p.rmse_over_sd_interval, 1.0, 3).into(),
+            range(p.mdape_interval, 100.0, 1).into(),
+            p.bound.map_or("-".into(), |b| format!("{:.1}", 100.0 * b.slowest_coverage)).into(),
+            p.bound.map_or("-".into(), |b| format!("{:.4}", b.pinball)).into(),
+        ];
+        for kind in &kinds {
+            let m = p.by_kind.iter().find(|(k, _)| k == kind);
+            row.push(m.map_or("-".into(), |(_, m)| format!("{:.2}", 100.0 * m.mdape)).into());
+        }
+        table.row(row);
+    }
+    table
+}
+
 fn scatter(p: &Predictor, measured: &[f64], color: usize) -> Chart {
     let points = measured.iter().zip(&p.predicted).map(|(t, y)| (*t, *y, String::new())).collect();
     Chart::new(
@@ -493,7 +599,7 @@ fn write_report(
     frames: &[&TimedFrame],
     measured: &[f64],
     groups: &[String],
-    [overall, bias, by_group]: [&Table; 3],
+    [overall, bias, by_group, more]: [&Table; 4],
 ) -> Result<()> {
     std::fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display()))?;
     let write = |name: &str, text: &str| {
@@ -532,6 +638,7 @@ fn write_report(
         "RMSE over SD is 1 for a predictor that always says the mean. MdAPE: median absolute percentage error. Latency: \
          median of warm calls in one thread, scene features included.",
     );
+    page.table(more, "Intervals: volumes drawn anew with replacement.");
     page.heading("Errors");
     let spread = histogram(predictors, measured);
     write("errors.svg", &spread.to_svg_file())?;

@@ -1,0 +1,12 @@
+# The accuracy study on the timing tables in data/timings. Needs no volumes and no renderer: scene features lie beside
+# the tables (`entire features` makes them anew from the volumes).
+STUDY ?= data/timings/study.json
+STUDY_OUT ?= out/study
+
+.PHONY: study
+study: ## Make and judge every predictor of STUDY: out/study/report.html
+	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study "$(STUDY)" --out "$(STUDY_OUT)"
+
+.PHONY: bars-accuracy
+bars-accuracy: ## As study, and print every accuracy bar: bar NAME VALUE LIMIT ok|short
+	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '
