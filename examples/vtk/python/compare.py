@@ -32,7 +32,7 @@ SWITCHES = (50, 100, 150)
 SCALED = {"fixed": 1.6, "gpu": 1.9}
 COLOR = ((0, 0.1, 0.1, 0.3), (90, 0.8, 0.3, 0.1), (255, 1.0, 1.0, 0.8))
 TRANSPARENT = ((0, 0.0), (20, 0.0), (255, 0.03))
-OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.35), (255, 0.9))
+OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.2), (255, 0.7))
 
 
 def camera(frame, frames, n):
@@ -71,6 +71,11 @@ class Contender:
             if name == "calibrated":
                 self.steering.SetModelFileName(options.model)
             self.steering.Attach(self.view.renderer, self.view.volume)
+
+        # The window is made before the first frame; what the mapper does once belongs to that frame.
+        self.view.volume.VisibilityOff()
+        self.view.window.Render()
+        self.view.volume.VisibilityOn()
 
     def aim(self, target_cpu, target_wall, clock):
         if self.name == "auto":

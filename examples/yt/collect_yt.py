@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Timing tables of yt's volume rendering on the CPU, as `entire collect` writes them of its own raycaster.
+
+    python3 -m venv venv && venv/bin/pip install yt
+    venv/bin/python collect_yt.py --out yt.csv --max-size 128 VOLUME.nrrd...
+    entire train --data yt.csv --clock cpu --out yt.safetensors
+
+The Gaussian lobes go into yt's ColorTransferFunction as they are (same formula). yt takes a whole number of samples per
+cell: the steps drawn from are 1 / that number. It neither skips empty space nor stops opaque rays.
+"""
+import math
+import os
+import platform
+import sys
+
+import numpy as np
+import yt
+
+sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "vtk", "python"))
+import timing_table  # noqa: E402
+
+
+class YtRenderer:
+    name, skipping, termination, warm_up = "yt", "none", 1.0, 0
+
+    def __init__(self, shade):
+        if shade != "none":
+            sys.exit("yt draws without shading: leave --shade none")
+        self.device = platform.processor() or "CPU"
+        self.driver = f"yt {yt.__version__}"
+
+    def load(self, volume):
+        self.volume = volume
+        x, y, z = volume.dims
+        half = [0.5 * n * s for n, s in zip(volume.dims, volume.spacing)]
+        values = np.ascontiguousarray(volume.voxels.transpose(2, 1, 0), np.float64) / 255.0
+        self.data = yt.load_uniform_grid(
+            {("stream", "scalar"): values}, (x, y, z), length_unit=1.0, bbox=np.array([[-h, h] for h in half]), nprocs=1
+        )
+
+    def prepare(self, scene):
+        volume = self.volume
+        drawn = yt.create_scene(self.data, ("stream", "scalar"))
+        source = drawn[0]
+        source.set_log(False)
+        source.set_use_ghost_zones(False)
+        source.num_samples = max(1, round(1.0 / scene.step))
+        if abs(source.num_samples * scene.step - 1.0) > 1e-6:
+            sys.exit(f"yt has no step of {scene.step}; use 1, 0.5, 0.25, ...")
+        functions = yt.ColorTransferFunction((0.0, 1.0))
+        for center, width, height in scene.lobes:
+            functions.add_gaussian(center, width, [1.0, 0.7, 0.4, height])
+        source.transfer_function = functions
+        camera = drawn.add_camera(self.data, lens_type="perspective")
+        camera.resolution = (scene.width, scene.height)
+        toward, up = scene.eye()
+        unit = self.data.arr(1.0, "code_length")
+        camera.focus = self.data.arr([0.0, 0.0, 0.0], "code_length")
+        camera.set_position(unit * np.array(toward) * scene.dz * volume.radius, north_vector=np.array(up))
+        height = 2.0 * math.tan(math.radians(0.5 * scene.fov_y))
+        camera.set_width(unit * np.array([height * scene.width / scene.height, height, 1.0]))
+        return lambda: timing_table.timed(drawn.render)
+
+
+if __name__ == "__main__":
+    yt.set_log_level(50)
+    options = timing_table.arguments(__doc__.splitlines()[0]).parse_args()
+    timing_table.collect(options, YtRenderer(options.shade))
