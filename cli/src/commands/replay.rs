@@ -175,6 +175,7 @@ pub fn run(options: &Options) -> Result<()> {
         .with_context(|| format!("cannot make the folder {}", options.out.display()))?;
     let results =
         Results { kinds: &kinds, traces: &traces, trials: &trials, outcomes: &outcomes, scores: &scores };
+    let frontier = frontier(&traces, &targets);
     results.write_csv(&options.out.join("frames.csv"))?;
     results.write_json(&options.out.join("scores.json"), &calibrated)?;
     results
