@@ -78,7 +78,7 @@ without_symbolizer() { # without_symbolizer ARCHIVE
         # `xor eax, eax; ret`, the Ok(()) of core::fmt::Result; traps behind it.
         { printf '\x31\xc0\xc3'; head -c $((bytes - 3)) /dev/zero | tr '\0' '\314'; } >stub
         objcopy --remove-relocations="$section" --update-section "$section=stub" --strip-debug "$object" "$object.new" 2>/dev/null \
-            && mv "$object.new" "$object" && ar r whole.a "$object" 2>/dev/null
+            && mv "$object.new" "$object" && ar r whole.a "$object" >/dev/null 2>&1
     ); then
         install -m 644 "$work/whole.a" "$archive"
     else
@@ -95,6 +95,8 @@ ln -sf "libentire.so.$version" "$lib/libentire.so.$soversion"
 ln -sf "libentire.so.$soversion" "$lib/libentire.so"
 install -m 644 "$built/libentire.a" "$lib/libentire.a"
 if [[ $profile != dev ]]; then without_symbolizer "$lib/libentire.a"; fi
+# The standard library's objects carry bitcode beside their code; linkers with a plugin of another LLVM warn of it.
+objcopy --remove-section=.llvmbc --remove-section=.llvmcmd "$lib/libentire.a" >/dev/null 2>&1 || true
 install -m 644 include/entire/entire.h include/entire/entire.hpp "$root/include/entire/"
 install -m 644 LICENSE-APACHE LICENSE-MIT "$root/share/licenses/entire/"
 
