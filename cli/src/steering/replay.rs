@@ -273,9 +273,11 @@ impl Tally {
             t.all.add(f);
             if f.calm {
                 t.calm.add(f);
-                t.calm_steps += 1.0;
-                let jump = (f.step / frames[i - 1].step).ln().abs() > 1.2f64.ln();
-                t.jumps += f64::from(u8::from(jump));
+                if let Some(before) = i.checked_sub(1).map(|i| &frames[i]) {
+                    t.calm_steps += 1.0;
+                    let jump = (f.step / before.step).ln().abs() > 1.2f64.ln();
+                    t.jumps += f64::from(u8::from(jump));
+                }
             }
             if f.switched {
                 t.switches += 1.0;
