@@ -35,12 +35,24 @@ class FrameTime:
         self.proxy.TargetFrameTime = target
         self.proxy.ModelFileName = model
         self.proxy.UpdateVTKObjects()
+        # The proxy is read in the client; this one where a server draws.
+        self._remote = servermanager._getPyProxy(manager.SMProxyManager.NewProxy("entire", "EntireSteeringReadOut"))
+        self._remote.SMProxy.GetProperty("Source").SetProxy(0, proxy)
+        self._remote.UpdateVTKObjects()
+        self._frames = {}
+        self._drawn_by = self.proxy
 
     def read(self):
-        """The read-outs of the last frame."""
-        proxy = self.proxy.SMProxy
-        proxy.UpdatePropertyInformation()
-        return {name: proxy.GetProperty(name).GetElement(0) for name in READ_OUTS}
+        """The read-outs of the last frame, of the process that drew it; with several servers, of the first."""
+        found = {}
+        for proxy in (self.proxy, self._remote):
+            proxy.SMProxy.UpdatePropertyInformation()
+            found[proxy] = {name: proxy.SMProxy.GetProperty(name).GetElement(0) for name in READ_OUTS}
+            frames = [found[proxy][name] for name in ("NumberOfSteeredFrames", "NumberOfFallbackFrames")]
+            if frames != self._frames.get(proxy, [0, 0]):
+                self._drawn_by = proxy
+            self._frames[proxy] = frames
+        return found[self._drawn_by]
 
     def save(self, path):
         """Writes what was learned, where rendering happens."""
@@ -49,5 +61,7 @@ class FrameTime:
 
     def release(self):
         """Lets go of the view."""
+        self._remote.SMProxy.GetProperty("Source").SetNumberOfProxies(0)
+        self._remote.UpdateVTKObjects()
         self.proxy.SMProxy.GetProperty("View").SetNumberOfProxies(0)
         self.proxy.UpdateVTKObjects()

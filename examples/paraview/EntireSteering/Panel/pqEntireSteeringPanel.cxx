@@ -34,6 +34,12 @@ struct pqEntireSteeringPanel::pqInternals
   QPointer<pqRenderView> View;
   // One steering per view, kept while the view lives.
   QMap<pqView*, vtkSmartPointer<vtkSMProxy>> Proxies;
+  // The proxies above are read in the client, these where a server draws.
+  QMap<pqView*, vtkSmartPointer<vtkSMProxy>> Remotes;
+  // Frames that each had seen at the last read-out, and the one that saw the last of them.
+  QMap<vtkSMProxy*, double> Seen;
+  QPointer<pqRenderView> ReadView;
+  vtkSMProxy* DrawnBy = nullptr;
   QMetaObject::Connection Rendered;
 
   QCheckBox* On = nullptr;
@@ -188,6 +194,15 @@ void pqEntireSteeringPanel::viewRemoved(pqView* view)
   {
     vtkSMPropertyHelper(proxy, "View").RemoveAllValues();
     proxy->UpdateVTKObjects();
+    if (vtkSMProxy* remote = in.Remotes.value(view))
+    {
+      vtkSMPropertyHelper(remote, "Source").RemoveAllValues();
+      remote->UpdateVTKObjects();
+      in.Seen.remove(remote);
+      in.Remotes.remove(view);
+    }
+    in.Seen.remove(proxy);
+    in.DrawnBy = nullptr;
     in.Proxies.remove(view);
   }
   if (in.View == view)
@@ -216,6 +231,15 @@ void pqEntireSteeringPanel::steer(bool on)
     }
     vtkSMPropertyHelper(made, "View").Set(in.View->getProxy());
     in.Proxies[in.View.data()] = made;
+    vtkSmartPointer<vtkSMProxy> remote;
+    remote.TakeReference(manager->NewProxy("entire", "EntireSteeringReadOut"));
+    if (remote)
+    {
+      made->UpdateVTKObjects();
+      vtkSMPropertyHelper(remote, "Source").Set(made);
+      remote->UpdateVTKObjects();
+      in.Remotes[in.View.data()] = remote;
+    }
   }
   this->apply();
 }
@@ -283,7 +307,27 @@ void pqEntireSteeringPanel::readOut()
     }
     return;
   }
-  proxy->UpdatePropertyInformation();
+  // Who drew the last frame: the client, or its server.
+  if (in.ReadView != in.View)
+  {
+    in.ReadView = in.View;
+    in.DrawnBy = nullptr;
+  }
+  for (vtkSMProxy* each : { proxy, in.Remotes.value(in.View.data()).GetPointer() })
+  {
+    if (each)
+    {
+      each->UpdatePropertyInformation();
+      const double frames = vtkSMPropertyHelper(each, "NumberOfSteeredFrames").GetAsDouble() +
+        vtkSMPropertyHelper(each, "NumberOfFallbackFrames").GetAsDouble();
+      if (!in.DrawnBy || frames != in.Seen.value(each))
+      {
+        in.DrawnBy = each;
+      }
+      in.Seen[each] = frames;
+    }
+  }
+  proxy = in.DrawnBy;
   const auto number = [&](const char* name) { return vtkSMPropertyHelper(proxy, name).GetAsDouble(); };
   const QString reason = vtkSMPropertyHelper(proxy, "Reason").GetAsString();
   const QString status = vtkSMPropertyHelper(proxy, "Status").GetAsString();

@@ -115,9 +115,16 @@ public:
     steering->SetModelFileName(model && *model ? model : nullptr);
   }
 
+  // Whose volumes are read out.
+  vtkInternals& Read() { return this->Source ? *this->Source->Internals : *this; }
+
   // The steering of the volume that took longest in its last frame.
   vtkEntireSteering* Last()
   {
+    if (this->Source)
+    {
+      return this->Source->Internals->Last();
+    }
     vtkEntireSteering* last = nullptr;
     for (auto& each : this->Volumes)
     {
@@ -130,6 +137,7 @@ public:
   }
 
   vtkEntireViewSteering* Owner;
+  vtkWeakPointer<vtkEntireViewSteering> Source;
   vtkWeakPointer<vtkRenderer> Renderer;
   unsigned long Tag = 0;
   std::vector<vtkSmartPointer<vtkEntireSteering>> Volumes;
@@ -158,6 +166,13 @@ void vtkEntireViewSteering::SetView(vtkPVRenderView* view)
     this->Internals->Take(renderer);
     this->Modified();
   }
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireViewSteering::SetSource(vtkEntireViewSteering* source)
+{
+  // One that reads another in turn would lead in a circle.
+  this->Internals->Source = source && source != this && !source->Internals->Source ? source : nullptr;
 }
 
 //------------------------------------------------------------------------------
@@ -263,7 +278,7 @@ const char* vtkEntireViewSteering::GetStatus()
 vtkIdType vtkEntireViewSteering::GetNumberOfSteeredFrames()
 {
   vtkIdType sum = 0;
-  for (auto& each : this->Internals->Volumes)
+  for (auto& each : this->Internals->Read().Volumes)
   {
     sum += each->GetNumberOfSteeredFrames();
   }
@@ -272,7 +287,7 @@ vtkIdType vtkEntireViewSteering::GetNumberOfSteeredFrames()
 vtkIdType vtkEntireViewSteering::GetNumberOfFallbackFrames()
 {
   vtkIdType sum = 0;
-  for (auto& each : this->Internals->Volumes)
+  for (auto& each : this->Internals->Read().Volumes)
   {
     sum += each->GetNumberOfFallbackFrames();
   }

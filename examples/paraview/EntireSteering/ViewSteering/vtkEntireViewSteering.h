@@ -29,6 +29,12 @@ public:
    */
   void SetView(vtkPVRenderView* view);
 
+  /**
+   * Another one in this process whose read-outs are given instead of this one's own; nullptr for none. It is not kept
+   * alive.
+   */
+  void SetSource(vtkEntireViewSteering* source);
+
   ///@{
   /**
    * As in vtkEntireSteering. They hold from the next frame on.
