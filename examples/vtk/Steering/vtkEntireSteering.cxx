@@ -357,6 +357,10 @@ public:
     void Start();
     void End();
 
+    // Reads the volume that the mapper has already, so that the first frame need not; what cannot be read yet, or not at
+    // all, is for the first frame to say.
+    void ReadAhead();
+
     // Forgets what was learned.
     void Forget()
     {
@@ -1126,6 +1130,20 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
 }
 
 //------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Leaf::ReadAhead()
+{
+  vtkVolume* volume = this->Internals->Volume;
+  vtkImageData* image = vtkImageData::SafeDownCast(this->Mapper->GetDataSetInput());
+  if (!image || !volume->GetProperty() || !this->Internals->MakePredictor(*this).empty())
+  {
+    return;
+  }
+  double center[3];
+  double reference = 1;
+  static_cast<void>(this->SetVolume(image, volume->GetProperty(), center, reference));
+}
+
+//------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
 {
   this->Ready = false;
@@ -1313,6 +1331,11 @@ bool vtkEntireSteering::Attach(vtkRenderer* renderer, vtkVolume* volume)
   this->Internals->Volume = volume;
   this->Internals->Observe(renderer);
   this->Internals->FindMappers();
+  this->Internals->LastClock = this->Clock;
+  for (auto& leaf : this->Internals->Leaves)
+  {
+    leaf->ReadAhead();
+  }
   this->SetStatus("no frame was drawn yet");
   this->Modified();
   return true;

@@ -70,7 +70,8 @@ public:
 
   /**
    * Steers this volume in this renderer from its next frame on; an earlier attachment ends. The mapper may be exchanged
-   * later. Neither object is kept alive. Returns false, and sets Status, where there is nothing to attach to.
+   * later. Neither object is kept alive. A volume that the mapper has already is read here, at once (see GetVolumeTime()):
+   * set Clock, ModelFileName, Tolerance and MissRate before, or it is read again. Returns false, and sets Status, where there is nothing to attach to.
    */
   bool Attach(vtkRenderer* renderer, vtkVolume* volume);
 

@@ -32,7 +32,7 @@ SWITCHES = (50, 100, 150)
 SCALED = {"fixed": 1.6, "gpu": 1.9}
 COLOR = ((0, 0.1, 0.1, 0.3), (90, 0.8, 0.3, 0.1), (255, 1.0, 1.0, 0.8))
 TRANSPARENT = ((0, 0.0), (20, 0.0), (255, 0.03))
-OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.2), (255, 0.7))
+OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.12), (255, 0.5))
 
 
 def camera(frame, frames, n):
@@ -40,7 +40,7 @@ def camera(frame, frames, n):
     t = frame / frames
     azimuth = 2 * math.pi * t
     elevation = math.radians(25) * math.sin(4 * math.pi * t)
-    distance = n * (2.1 + 0.3 * math.cos(6 * math.pi * t))
+    distance = n * (2.1 + 0.4 * math.cos(2 * math.pi * (t - 0.875)))
     return (
         distance * math.cos(elevation) * math.sin(azimuth),
         distance * math.sin(elevation),
