@@ -1,12 +1,12 @@
 //! What the core computes about the frames of a timing table, kept beside it, so that training and evaluation need no
 //! volumes: `NAME.csv` → `NAME.features.csv.gz`.
 //!
-//! One row per frame: its number, every quantity of the core's schema as it stands (never its logarithm), then the
-//! features of each VolumeNet that the file was made with, as columns `volumenet_ID_I` where ID tells the encoder's weights.
+//! One row per frame: its number, every quantity of the core's schema as it stands (never its logarithm), those that
+//! need the probe again as `NAME@SIDE` for probes of other than the standard number of rays, then the features of each VolumeNet that the file was made with, as columns `volumenet_ID_I` where ID tells the encoder's weights.
 
 use crate::dataset::TimedFrame;
 use anyhow::{Context, Result, anyhow, ensure};
-use entire_core::features::SceneQuantity;
+use entire_core::features::{PROBE_SIDE, SceneQuantity};
 use entire_core::nn::VolumeNetParts;
 use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};
 use std::collections::HashMap;
@@ -64,6 +64,15 @@ pub fn encoder_id(parts: &VolumeNetParts) -> String {
     let first = parts.blocks.first().map_or(&[][..], |b| &b.weight[..]);
     let bytes: Vec<u8> = first.iter().chain(&parts.fc.weight).flat_map(|w| w.to_le_bytes()).collect();
     format!("{:08x}", crate::dataset::fnv1a(&bytes) >> 32)
+}
+
+/// The column of a quantity, for a probe with so many rays along each side.
+pub fn quantity_column(quantity: SceneQuantity, probe_side: usize) -> String {
+    if probe_side == PROBE_SIDE || !quantity.needs_probe() {
+        quantity.name().to_owned()
+    } else {
+        format!("{}@{probe_side}", quantity.name())
+    }
 }
 
 /// The column of an encoder's feature.
@@ -218,6 +227,13 @@ mod tests {
         assert_eq!(back.row(7), Some(&[64.0f32, 1.5e-9][..]));
         assert_eq!(back.row(3), Some(&[32.0f32, -2.25][..]));
         assert_eq!((back.row(4), back.column("x"), back.column("y")), (None, Some(1), None));
+    }
+
+    #[test]
+    fn columns_of_other_probes_have_their_side() {
+        assert_eq!(quantity_column(SceneQuantity::Samples, PROBE_SIDE), "samples");
+        assert_eq!(quantity_column(SceneQuantity::Samples, 7), "samples@7");
+        assert_eq!(quantity_column(SceneQuantity::Pixels, 7), "pixels");
     }
 
     #[test]

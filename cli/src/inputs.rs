@@ -3,16 +3,18 @@
 
 use crate::dataset::{Table, TimedFrame};
 use crate::enlarge::{MAX_FACTOR, enlarge};
-use crate::feature_table::{code_column, encoder_id};
+use crate::feature_table::{code_column, encoder_id, quantity_column};
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::features::{
-    Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting, SummaryOptions, TransferSummary,
-    VolumeSummary,
+    Changes, FrameFeatures, PROBE_SIDE, SceneFeature, SceneQuantity, Setting, SummaryOptions,
+    TransferSummary, VolumeSummary,
 };
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VolumeNet, VolumeNetParts};
-use entire_core::predict::{COST_QUANTITIES, GroupKind, Inputs, UnitCosts, write_estimate, write_group};
+use entire_core::predict::{
+    COST_QUANTITIES, GroupKind, Inputs, UnitCosts, probe_side_of, write_estimate, write_group,
+};
 use entire_core::scene::Skipping;
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
@@ -43,6 +45,7 @@ pub struct Layout {
     scene_features: Vec<SceneFeature>,
     encoder: Option<Encoder>,
     unit_costs: Option<UnitCosts>,
+    probe_side: usize,
 }
 
 impl Layout {
@@ -83,7 +86,7 @@ impl Layout {
             };
             sized.push((group, size));
         }
-        Ok(Self { groups: sized, scene_features, encoder, unit_costs: None })
+        Ok(Self { groups: sized, scene_features, encoder, unit_costs: None, probe_side: PROBE_SIDE })
     }
 
     /// The layout of a model file.
@@ -107,7 +110,23 @@ impl Layout {
             encoder.is_some() || groups.iter().all(|(g, _)| *g != GroupKind::VolumeFeatures),
             "the model takes volume_features and its file holds no VolumeNet; write both into one file"
         );
-        Ok(Self { groups, scene_features, encoder, unit_costs: UnitCosts::of(model)? })
+        Ok(Self {
+            groups,
+            scene_features,
+            encoder,
+            unit_costs: UnitCosts::of(model)?,
+            probe_side: probe_side_of(model)?,
+        })
+    }
+
+    /// The same with another number of rays along each side of the probe.
+    pub fn with_probe_side(self, probe_side: usize) -> Self {
+        Self { probe_side, ..self }
+    }
+
+    /// Rays along each side of the probe.
+    pub fn probe_side(&self) -> usize {
+        self.probe_side
     }
 
     /// Numbers per frame.
@@ -177,7 +196,7 @@ impl Layout {
         let rows = measure(
             tables,
             frames,
-            self.needs_summary(),
+            self.needs_summary().then_some(self.probe_side),
             self.encoder().map(|e| &e.net),
             pool,
             bar,
@@ -206,7 +225,7 @@ impl Layout {
                     match group {
                         GroupKind::SceneFeatures => {
                             for f in &self.scene_features {
-                                plan.push(features.column(f.quantity.name())?);
+                                plan.push(features.column(&quantity_column(f.quantity, self.probe_side))?);
                             }
                         }
                         GroupKind::VolumeFeatures => {
@@ -232,7 +251,12 @@ impl Layout {
                                 Some(costs) if f.quantity == SceneQuantity::EstimatedSeconds => {
                                     let work: Option<Vec<f32>> = COST_QUANTITIES
                                         .iter()
-                                        .map(|q| Some(row[features.column(q.name())?]))
+                                        .map(|q| {
+                                            Some(
+                                                row[features
+                                                    .column(&quantity_column(*q, self.probe_side))?],
+                                            )
+                                        })
                                         .collect();
                                     costs.seconds_of_quantities(&work?) as f32
                                 }
@@ -264,15 +288,16 @@ impl Layout {
 }
 
 /// Calls `f` with everything that is known about each frame before it is drawn, in parallel over the frames of a
-/// volume, one volume after another; returns what it gave in the frames' order. Without `summary` the scene features
-/// are those of nothing, and volumes are opened only where there is an encoder.
+/// volume, one volume after another; returns what it gave in the frames' order. `probe_side` goes to
+/// [`FrameFeatures::with_probe_side`]; without it the scene features are those of nothing, and volumes are opened only
+/// where there is an encoder.
 ///
 /// # Errors
 /// When a volume is not found or has another size than the table says, or `f` fails.
 pub fn measure<T: Send>(
     tables: &[Table],
     frames: &[&TimedFrame],
-    summary: bool,
+    probe_side: Option<usize>,
     encoder: Option<&VolumeNet>,
     pool: &ThreadPool,
     bar: &ProgressBar,
@@ -288,10 +313,10 @@ pub fn measure<T: Send>(
     for ((table, name, dims), members) in by_volume {
         let mut code = Vec::new();
         let mut volume_summary = None;
-        if summary || encoder.is_some() {
+        if probe_side.is_some() || encoder.is_some() {
             let volume = open_volume(&tables[table], name, dims)?;
             let view = volume.view();
-            if summary {
+            if probe_side.is_some() {
                 volume_summary = Some(
                     VolumeSummary::new(&view, SummaryOptions::default())
                         .with_context(|| format!("volume {name}"))?,
@@ -310,7 +335,7 @@ pub fn measure<T: Send>(
                 .map(|&i| {
                     let scene = &frames[i].scene;
                     let frame = scene.to_frame()?;
-                    let mut features = FrameFeatures::new();
+                    let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
                     if let Some(summary) = &volume_summary {
                         let mut transfer = TransferSummary::new(summary, &scene.to_table()?);
                         if scene.skipping == Skipping::Distance {

@@ -67,7 +67,7 @@ impl Bench {
         let mut predictor = load(model)?;
         let looks = model.inputs().iter().any(|g| g.name == GroupKind::SceneFeatures.name());
         let code = vec![0.1f32; model.volumenet().map_or(0, |v| v.features())];
-        let mut features = FrameFeatures::new();
+        let mut features = FrameFeatures::with_probe_side(predictor.probe_side());
         let Some((_, first, _)) = self.scenes.first() else { return Err(anyhow::anyhow!("no scenes")) };
         let mut transfer = TransferSummary::new(&self.summary, first);
         let (mut cold, mut warm, mut transfers) = (Vec::new(), Vec::new(), Vec::new());

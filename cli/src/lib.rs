@@ -18,6 +18,7 @@ pub mod report;
 pub mod scenes;
 #[cfg(test)]
 mod scripted;
+pub mod ship;
 pub mod split;
 pub mod steering;
 pub mod stress;

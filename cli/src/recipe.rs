@@ -10,11 +10,11 @@
 use crate::dataset::{Table, TimedFrame};
 use crate::inputs::{Encoder, Layout};
 use anyhow::{Context, Result, anyhow, bail, ensure};
-use entire_core::features::{SceneFeature, SceneQuantity};
+use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, SELU_SCALE, Target};
 use entire_core::predict::{
-    AnalyticModel, COST_QUANTITIES, GroupKind, Measurement, UNIT_COSTS_KEY, UnitCosts,
+    AnalyticModel, COST_QUANTITIES, GroupKind, Measurement, PROBE_SIDE_KEY, UNIT_COSTS_KEY, UnitCosts,
 };
 use entire_core::train::{
     EpochRecord, Loss, Network, Progress, Samples, Settings, Standardization, Stop, preset_widths, train,
@@ -70,6 +70,17 @@ pub enum DtypeChoice {
     Bf16,
 }
 
+impl DtypeChoice {
+    /// The format.
+    pub fn storage(self) -> Dtype {
+        match self {
+            Self::F32 => Dtype::F32,
+            Self::F16 => Dtype::F16,
+            Self::Bf16 => Dtype::Bf16,
+        }
+    }
+}
+
 /// How a predictor is made. What is left away has the value of [`Recipe::default`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -84,6 +95,11 @@ pub struct Recipe {
     pub inputs: Vec<String>,
     /// Scene features, in order; the standard ones where there are none.
     pub scene_features: Vec<String>,
+    /// Rays along each side of the probe behind scene features; the standard number unless given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub probe_side: Option<usize>,
+    /// Networks of other seeds whose mean is taken; stored as one network, each beside the others.
+    pub ensemble: usize,
     /// What a network gives.
     pub target: TargetChoice,
     /// `mse`, `relative`, `huber:DELTA` or `pinball:QUANTILE`.
@@ -118,6 +134,8 @@ impl Default for Recipe {
             preset: None,
             inputs: vec![GroupKind::SceneFeatures.name().into()],
             scene_features: Vec::new(),
+            probe_side: None,
+            ensemble: 1,
             target: TargetChoice::LogSeconds,
             loss: "mse".into(),
             epochs: 200,
@@ -226,6 +244,21 @@ impl Recipe {
     /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or training fails.
     pub fn make(&self, kitchen: &Kitchen<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<Fitted> {
         ensure!(!training.frames.is_empty(), "there are no training frames");
+        ensure!(
+            (1..=MAX_ENSEMBLE).contains(&self.ensemble),
+            "an ensemble of {}; 1 to {MAX_ENSEMBLE} is accepted",
+            self.ensemble
+        );
+        if let Some(side) = self.probe_side {
+            ensure!(
+                (1..=MAX_PROBE_SIDE).contains(&side),
+                "a probe of {side} rays a side; 1 to {MAX_PROBE_SIDE} is accepted"
+            );
+            ensure!(
+                self.kind != Kind::Analytic || side == PROBE_SIDE,
+                "the analytic model stands on the standard probe of {PROBE_SIDE} rays a side; leave the probe's side away"
+            );
+        }
         if let Some(path) = &self.fine_tune {
             return self.fine_tune(path, kitchen, training, validation);
         }
@@ -235,6 +268,10 @@ impl Recipe {
             Kind::Residual => self.residual(kitchen, training, validation),
             Kind::Prednet => self.network(kitchen, training, validation),
         }
+    }
+
+    fn side(&self) -> usize {
+        self.probe_side.unwrap_or(PROBE_SIDE)
     }
 
     fn layout(&self, training: Timed<'_>) -> Result<(ModelFile, Layout)> {
@@ -251,7 +288,7 @@ impl Recipe {
         };
         let lobes = training.frames.first().map_or(0, |f| f.scene.lobes.len());
         let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
-        Ok((file, Layout::new(&groups, features, lobes, encoder)?))
+        Ok((file, Layout::new(&groups, features, lobes, encoder)?.with_probe_side(self.side())))
     }
 
     fn settings(&self) -> Result<Settings> {
@@ -274,7 +311,7 @@ impl Recipe {
     }
 
     fn analytic(&self, kitchen: &Kitchen<'_>, training: Timed<'_>) -> Result<Fitted> {
-        let (model, report) = fit_analytic(kitchen, training)?;
+        let (model, report) = fit_analytic(kitchen, training, self.side())?;
         let costs: BTreeMap<String, f64> = model.unit_costs().named().map(|(n, c)| (n.into(), c)).collect();
         Ok(Fitted {
             file: model.to_model_file()?,
@@ -313,11 +350,11 @@ impl Recipe {
     }
 
     fn residual(&self, kitchen: &Kitchen<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<Fitted> {
-        let (model, report) = fit_analytic(kitchen, training)?;
+        let (model, report) = fit_analytic(kitchen, training, self.side())?;
         let costs = model.unit_costs();
         let (mut file, layout) = self.layout(training)?;
         let seconds = |part: Timed<'_>| -> Result<Vec<f64>> {
-            let estimates = estimates(kitchen, part, &costs)?;
+            let estimates = estimates(kitchen, part, &costs, self.side())?;
             Ok(part.seconds.iter().zip(&estimates).map(|(t, e)| t / e).collect())
         };
         let (ratios, judged) = (seconds(training)?, seconds(validation)?);
@@ -329,10 +366,9 @@ impl Recipe {
         let hidden = ProgressBar::hidden();
         let x = layout.rows(kitchen.tables, training.frames, kitchen.pool, &hidden)?;
         let vx = layout.rows(kitchen.tables, validation.frames, kitchen.pool, &hidden)?;
-        let (parts, history, outcome) = run_training(
+        let (parts, history, outcome) = self.ensemble(
             kitchen,
-            Network::random(&widths, self.seed)?,
-            None,
+            &widths,
             (Samples { inputs: &x, seconds: &ratios }, Samples { inputs: &vx, seconds: &judged }),
             &settings,
         )?;
@@ -342,13 +378,14 @@ impl Recipe {
             "a residual model takes scene_features alone; leave other --inputs away"
         );
         features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
-        let estimates: Vec<f64> = estimates(kitchen, training, &costs)?.iter().map(|e| e.ln()).collect();
+        let estimates: Vec<f64> =
+            estimates(kitchen, training, &costs, self.side())?.iter().map(|e| e.ln()).collect();
         let n = estimates.len() as f64;
         let mean = estimates.iter().sum::<f64>() / n;
         let sd = (estimates.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n).sqrt().max(0.1);
         let parts = carry_past(parts, mean as f32, sd as f32);
         file.set_metadata(UNIT_COSTS_KEY, costs.to_json()?);
-        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?;
+        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?.with_probe_side(self.side());
         self.store(&mut file, parts, &wide)?;
         let costs: BTreeMap<String, f64> = costs.named().map(|(n, c)| (n.into(), c)).collect();
         Ok(Fitted {
@@ -377,10 +414,9 @@ impl Recipe {
         let bar = ProgressBar::hidden();
         let x = layout.rows(kitchen.tables, training.frames, kitchen.pool, &bar)?;
         let vx = layout.rows(kitchen.tables, validation.frames, kitchen.pool, &bar)?;
-        let (parts, history, outcome) = run_training(
+        let (parts, history, outcome) = self.ensemble(
             kitchen,
-            Network::random(&widths, self.seed)?,
-            None,
+            &widths,
             (
                 Samples { inputs: &x, seconds: training.seconds },
                 Samples { inputs: &vx, seconds: validation.seconds },
@@ -398,6 +434,28 @@ impl Recipe {
             history,
             outcome,
         })
+    }
+
+    /// Trains as many networks as the recipe asks for, from one seed after another, and puts them beside each other.
+    fn ensemble(
+        &self,
+        kitchen: &Kitchen<'_>,
+        widths: &[usize],
+        samples: (Samples<'_>, Samples<'_>),
+        settings: &Settings,
+    ) -> Result<(PredNetParts, Vec<EpochRecord>, String)> {
+        let mut members = Vec::with_capacity(self.ensemble);
+        let mut first = None;
+        for seed in (self.seed..).take(self.ensemble) {
+            let network = Network::random(widths, seed)?;
+            let mut settings = *settings;
+            settings.seed = seed;
+            let (parts, history, outcome) = run_training(kitchen, network, None, samples, &settings)?;
+            members.push(parts);
+            first.get_or_insert((history, outcome));
+        }
+        let (history, outcome) = first.context("an ensemble of no network")?;
+        Ok((side_by_side(members)?, history, outcome))
     }
 
     fn fine_tune(
@@ -440,15 +498,14 @@ impl Recipe {
 
     fn store(&self, file: &mut ModelFile, mut parts: PredNetParts, layout: &Layout) -> Result<()> {
         for layer in &mut parts.layers {
-            layer.dtype = match self.dtype {
-                DtypeChoice::F32 => Dtype::F32,
-                DtypeChoice::F16 => Dtype::F16,
-                DtypeChoice::Bf16 => Dtype::Bf16,
-            };
+            layer.dtype = self.dtype.storage();
         }
         file.set_prednet(&parts, &layout.to_model_groups())?;
         if !layout.scene_features().is_empty() {
             file.set_scene_features(&names(layout.scene_features()))?;
+            if layout.probe_side() != PROBE_SIDE {
+                file.set_metadata(PROBE_SIDE_KEY, layout.probe_side().to_string());
+            }
         }
         Ok(())
     }
@@ -619,8 +676,12 @@ fn solve(a: &mut [f64], mut b: Vec<f64>) -> Option<Vec<f64>> {
     Some(b)
 }
 
-fn fit_analytic(kitchen: &Kitchen<'_>, training: Timed<'_>) -> Result<(AnalyticModel, String)> {
-    let measurements: Vec<Measurement> = counts(kitchen, training)?
+fn fit_analytic(
+    kitchen: &Kitchen<'_>,
+    training: Timed<'_>,
+    probe_side: usize,
+) -> Result<(AnalyticModel, String)> {
+    let measurements: Vec<Measurement> = counts(kitchen, training, probe_side)?
         .chunks_exact(COST_QUANTITIES.len())
         .zip(training.seconds)
         .map(|(row, &seconds)| Measurement::from_work(row, seconds))
@@ -637,17 +698,62 @@ fn fit_analytic(kitchen: &Kitchen<'_>, training: Timed<'_>) -> Result<(AnalyticM
 }
 
 /// The counts that unit costs stand for, one row per frame.
-fn counts(kitchen: &Kitchen<'_>, part: Timed<'_>) -> Result<Vec<f32>> {
+fn counts(kitchen: &Kitchen<'_>, part: Timed<'_>, probe_side: usize) -> Result<Vec<f32>> {
     let features: Vec<SceneFeature> = COST_QUANTITIES.iter().map(|&q| SceneFeature::linear(q)).collect();
-    let layout = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?;
+    let layout = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?.with_probe_side(probe_side);
     layout.rows(kitchen.tables, part.frames, kitchen.pool, &ProgressBar::hidden())
 }
 
-fn estimates(kitchen: &Kitchen<'_>, part: Timed<'_>, costs: &UnitCosts) -> Result<Vec<f64>> {
-    Ok(counts(kitchen, part)?
+fn estimates(
+    kitchen: &Kitchen<'_>,
+    part: Timed<'_>,
+    costs: &UnitCosts,
+    probe_side: usize,
+) -> Result<Vec<f64>> {
+    Ok(counts(kitchen, part, probe_side)?
         .chunks_exact(COST_QUANTITIES.len())
         .map(|row| costs.seconds_of_quantities(row))
         .collect())
+}
+
+/// Most networks whose mean is taken.
+const MAX_ENSEMBLE: usize = 16;
+
+/// One network that gives the mean of what several give that are alike in widths and standardization: hidden layers
+/// beside each other, the last one over all of them.
+fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
+    let count = members.len();
+    let mut members = members.into_iter();
+    let mut out = members.next().context("an ensemble of no network")?;
+    let rest: Vec<PredNetParts> = members.collect();
+    let depth = out.layers.len();
+    for (i, layer) in out.layers.iter_mut().enumerate() {
+        let (first, last) = (i == 0, i + 1 == depth);
+        let parts: Vec<&DenseParts> = rest.iter().map(|m| &m.layers[i]).collect();
+        let (width, height) = (layer.inputs, layer.outputs);
+        ensure!(
+            parts.iter().all(|p| p.inputs == width && p.outputs == height),
+            "networks of different widths cannot stand beside each other"
+        );
+        let blocks: Vec<&DenseParts> = std::iter::once(&*layer).chain(parts).collect();
+        let (inputs, outputs) =
+            (if first { width } else { width * count }, if last { height } else { height * count });
+        let share = if last { 1.0 / count as f32 } else { 1.0 };
+        let mut weight = vec![0.0; inputs * outputs];
+        let mut bias = vec![0.0; outputs];
+        for (b, block) in blocks.iter().enumerate() {
+            for (r, row) in block.weight.chunks_exact(width).enumerate() {
+                let at = (if last { r } else { b * height + r }) * inputs + if first { 0 } else { b * width };
+                // Where first and last are one, members share their columns too.
+                for (w, v) in weight[at..at + width].iter_mut().zip(row) {
+                    *w += share * v;
+                }
+                bias[if last { r } else { b * height + r }] += share * block.bias[r];
+            }
+        }
+        *layer = DenseParts { inputs, outputs, weight, bias, dtype: layer.dtype };
+    }
+    Ok(out)
 }
 
 /// How many standard deviations below its mean the carried estimate stays exact.
@@ -748,4 +854,50 @@ fn run_training(
         frames / taken
     );
     Ok((trained.to_parts(), trained.history, outcome))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_core::nn::PredNet;
+
+    fn network(widths: &[usize], seed: u64) -> PredNetParts {
+        let net = Network::<f32>::random(widths, seed).unwrap();
+        let layers = (0..net.layers())
+            .map(|i| {
+                let (weight, bias) = net.layer(i);
+                let bias = bias.iter().enumerate().map(|(k, b)| b + 0.1 * (k as f32 + seed as f32)).collect();
+                DenseParts {
+                    inputs: widths[i],
+                    outputs: widths[i + 1],
+                    weight: weight.to_vec(),
+                    bias,
+                    dtype: Dtype::F32,
+                }
+            })
+            .collect();
+        PredNetParts {
+            layers,
+            input: Some(Normalization { mean: vec![0.5; widths[0]], std: vec![2.0; widths[0]] }),
+            output: Some(Normalization { mean: vec![-3.0], std: vec![0.7] }),
+            target: Target::LogSeconds,
+        }
+    }
+
+    #[test]
+    fn networks_side_by_side_give_the_mean_of_their_logarithms() {
+        for widths in [&[3, 1][..], &[3, 5, 1], &[3, 5, 4, 1]] {
+            let members: Vec<PredNetParts> = (1..=3).map(|seed| network(widths, seed)).collect();
+            let one = PredNet::new(&side_by_side(members.clone()).unwrap()).unwrap();
+            let each: Vec<PredNet> = members.iter().map(|m| PredNet::new(m).unwrap()).collect();
+            for x in [[0.0f32, 0.0, 0.0], [1.0, -2.0, 3.0], [9.0, 9.0, -9.0]] {
+                let mean: f64 =
+                    each.iter().map(|n| f64::from(n.predict(&x, &mut n.scratch())).ln()).sum::<f64>() / 3.0;
+                let found = f64::from(one.predict(&x, &mut one.scratch())).ln();
+                assert!((found - mean).abs() < 1e-5, "{widths:?} {x:?}: {found} {mean}");
+            }
+        }
+        let unlike = vec![network(&[3, 5, 1], 1), network(&[3, 4, 1], 2)];
+        assert!(side_by_side(unlike).unwrap_err().to_string().contains("different widths"));
+    }
 }

@@ -40,12 +40,26 @@ pub struct Study {
     /// Names of the predictors that sample and fine-tuning curves are drawn for.
     #[serde(default)]
     pub curves: Vec<String>,
+    /// What `entire chart --ship` writes for every set.
+    #[serde(default)]
+    pub ship: Vec<Ship>,
     /// Volume on which latencies are measured, and its enlargement.
     pub latency_volume: (PathBuf, usize),
 }
 
 fn cpu() -> String {
     Clock::Cpu.name().into()
+}
+
+/// A predictor to ship.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ship {
+    /// Its name.
+    pub predictor: String,
+    /// How its weights are stored.
+    #[serde(default)]
+    pub dtype: crate::recipe::DtypeChoice,
 }
 
 /// A data set.
@@ -174,6 +188,9 @@ pub struct Findings {
     pub tuning: Vec<Point>,
     /// Predictors that could not be made, and why.
     pub left_out: Vec<(String, String, String)>,
+    /// Model file by set and predictor.
+    #[serde(skip)]
+    pub files: Vec<(String, String, PathBuf)>,
 }
 
 impl Findings {
@@ -223,10 +240,12 @@ pub fn read(path: &Path) -> Result<Study> {
     if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {
         bail!("{}: the predictor {:?} stands there twice", path.display(), twice[0]);
     }
-    for name in &study.curves {
+    for (list, name) in
+        study.curves.iter().map(|n| ("curves", n)).chain(study.ship.iter().map(|s| ("ship", &s.predictor)))
+    {
         ensure!(
             names.contains(&name.as_str()),
-            "{}: curves name {name:?}, which is no predictor",
+            "{}: {list} names {name:?}, which is no predictor",
             path.display()
         );
     }
@@ -342,7 +361,7 @@ impl Runner<'_> {
         kitchen: &Kitchen<'_>,
         (training, validation): (&Part<'_>, &Part<'_>),
         bounds: &Part<'_>,
-    ) -> Result<ModelFile> {
+    ) -> Result<(ModelFile, PathBuf)> {
         let mut identity = serde_json::to_string(recipe)?;
         for t in kitchen.tables {
             identity += &format!("{:016x}{:?}", t.hash, t.features.as_ref().map(|f| f.columns().len()));
@@ -359,7 +378,7 @@ impl Runner<'_> {
         if path.exists() {
             let (file, _) = crate::recipe::read_model_file(&path)?;
             if file.metadata().get("entire.study_key") == Some(&mark) {
-                return Ok(file);
+                return Ok((file, path));
             }
         }
         self.bar.set_message(key.to_owned());
@@ -384,7 +403,7 @@ impl Runner<'_> {
         std::fs::write(&part, file.to_bytes()?)
             .and_then(|()| std::fs::rename(&part, &path))
             .with_context(|| format!("cannot write {}", path.display()))?;
-        Ok(file)
+        Ok((file, path))
     }
 
     /// Runs a whole study.
@@ -437,7 +456,10 @@ impl Runner<'_> {
                 let made = self.made(&key, &named.recipe, &kitchen, (&training, &validation), &bounds);
                 self.bar.inc(1);
                 let file = match made {
-                    Ok(file) => file,
+                    Ok((file, path)) => {
+                        out.files.push((set.name.clone(), named.name.clone(), path));
+                        file
+                    }
                     Err(e) if (self.stop)() => return Err(e),
                     Err(e) => {
                         out.left_out.push((set.name.clone(), named.name.clone(), format!("{e:#}")));
@@ -589,8 +611,8 @@ impl Runner<'_> {
             for &size in study.sample_sizes.iter().filter(|n| **n < training.frames.len()) {
                 let (part, _) = training.sample(size, 7);
                 let key = format!("{}-{}-{size}", set.name, named.name);
-                let model =
-                    self.made(&key, &named.recipe, kitchen, (&part, validation), &none)?.to_model()?;
+                let (made, _) = self.made(&key, &named.recipe, kitchen, (&part, validation), &none)?;
+                let model = made.to_model()?;
                 let predicted = predict(&model, kitchen, &splits[at].frames)?;
                 push_point(
                     &mut out.samples,
@@ -652,7 +674,7 @@ impl Runner<'_> {
             if count >= 10 {
                 let key = format!("{}-{}-{split}-alone-{count}", set.name, named.name);
                 match self.made(&key, &named.recipe, kitchen, (&part, &none), &none) {
-                    Ok(alone) => {
+                    Ok((alone, _)) => {
                         let predicted = predict(&alone.to_model()?, kitchen, &judged.frames)?;
                         push_point(
                             &mut out.tuning,

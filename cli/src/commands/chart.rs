@@ -32,6 +32,9 @@ pub struct Options {
     /// Print one line per bar: `bar NAME VALUE LIMIT ok|short`.
     #[arg(long)]
     pub bars: bool,
+    /// Write the predictors that the study ships, each with its card, into this folder.
+    #[arg(long, value_name = "FOLDER", conflicts_with = "only")]
+    pub ship: Option<PathBuf>,
     /// Threads; all logical processors unless given.
     #[arg(long)]
     pub threads: Option<usize>,
@@ -67,6 +70,12 @@ pub fn run(options: &Options) -> Result<()> {
         eprintln!("note: {set}, {what}: left out ({why})");
     }
     write(&options.out, &study, &found)?;
+    if let Some(folder) = &options.ship {
+        ensure!(!study.ship.is_empty(), "{} ships nothing", options.study.display());
+        for path in crate::ship::ship(folder, &study, &found, &runner)? {
+            println!("wrote {}", path.display());
+        }
+    }
     for set in &study.sets {
         for split in &set.splits {
             println!("{}, split by {}", set.name, split.name);

@@ -171,7 +171,13 @@ pub fn run(options: &Options) -> Result<()> {
         let rows = m.layout.rows(&tables, &refs, &pool, &bar).with_context(|| m.name.clone())?;
         bar.finish_and_clear();
         let predicted = predict_rows(&m.model, &rows, m.layout.width())?;
-        let latency = latency(m, &tables, &refs, &rows)?;
+        let latency = match latency(m, &tables, &refs, &rows) {
+            Ok(latency) => Some(latency),
+            Err(e) => {
+                eprintln!("note: {}: no latency ({e:#})", m.name);
+                None
+            }
+        };
         let seen = refs.iter().filter(|f| m.has_seen(f)).count();
         predictors.push(assess(
             m.name.clone(),
@@ -180,7 +186,7 @@ pub fn run(options: &Options) -> Result<()> {
             &measured,
             &groups,
             &refs,
-            Some(latency),
+            latency,
             seen,
             upper_bound(&m.model),
         )?);
@@ -369,7 +375,7 @@ fn latency(m: &Loaded, tables: &[TimingTable], frames: &[&TimedFrame], rows: &[f
     let hidden = indicatif::ProgressBar::hidden();
     let mut row = vec![0.0f32; width];
     if !looks {
-        let times = measure(tables, &of_volume, false, None, &serial, &hidden, |_, inputs| {
+        let times = measure(tables, &of_volume, None, None, &serial, &hidden, |_, inputs| {
             let mut row = vec![0.0f32; width];
             let inputs = Inputs { volume_features: Some(&code), ..*inputs };
             let start = Instant::now();
@@ -389,7 +395,8 @@ fn latency(m: &Loaded, tables: &[TimingTable], frames: &[&TimedFrame], rows: &[f
         tables[first.table].resolve_volume(&first.scene.volume).context("the first volume is not there")?;
     let volume = crate::volume::Volume::open(&path)?;
     let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
-    let mut features = FrameFeatures::new();
+    let probed = m.layout.scene_features().iter().any(|f| f.quantity.needs_probe());
+    let mut features = FrameFeatures::with_probe_side(if probed { m.layout.probe_side() } else { 0 });
     let (mut all, mut transfer_times) = (Vec::new(), Vec::new());
     for f in of_volume {
         let (frame, table) = (f.scene.to_frame()?, f.scene.to_table()?);

@@ -2,11 +2,11 @@
 
 use super::train::{INPUTS_BAR, progress_bar, thread_pool};
 use crate::dataset::{Table, TimedFrame};
-use crate::feature_table::{FeatureTable, code_column, encoder_id};
+use crate::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use crate::files::open_model;
 use crate::inputs::measure;
 use anyhow::{Context, Result, ensure};
-use entire_core::features::SceneQuantity;
+use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneQuantity};
 use entire_core::nn::VolumeNet;
 use std::path::PathBuf;
 
@@ -25,6 +25,9 @@ pub struct Options {
     /// Model files whose VolumeNet encodes the volumes, for models on volume features.
     #[arg(long, num_args = 1.., value_name = "SAFETENSORS")]
     pub volumenet: Vec<PathBuf>,
+    /// Rays along each side of further probes, for models on cheaper or finer ones than the standard 11.
+    #[arg(long, value_delimiter = ',', value_name = "SIDES")]
+    pub probe_sides: Vec<usize>,
     /// Folder that the tables' volume names start from, where it is neither the working folder nor the table's.
     #[arg(long, value_name = "FOLDER")]
     pub root: Option<PathBuf>,
@@ -41,6 +44,12 @@ pub struct Options {
 /// # Errors
 /// When a table, volume or encoder cannot be read, or a file cannot be written.
 pub fn run(options: &Options) -> Result<()> {
+    for &side in &options.probe_sides {
+        ensure!(
+            (1..=MAX_PROBE_SIDE).contains(&side) && side != PROBE_SIDE,
+            "--probe-sides names {side}; accepted are 1 to {MAX_PROBE_SIDE}, without {PROBE_SIDE}, which is always there"
+        );
+    }
     let pool = thread_pool(options.threads)?;
     let mut encoders = Vec::new();
     for path in &options.volumenet {
@@ -56,16 +65,32 @@ pub fn run(options: &Options) -> Result<()> {
         ensure!(!frames.is_empty(), "{} has no frames; collect some with `entire collect`", path.display());
         let mut columns: Vec<String> = SceneQuantity::ALL.iter().map(|q| q.name().to_owned()).collect();
         let bar = progress_bar(options.quiet, INPUTS_BAR);
-        let mut rows = measure(&tables, &frames, true, None, &pool, &bar, |_, inputs| {
+        let mut rows = measure(&tables, &frames, Some(PROBE_SIDE), None, &pool, &bar, |_, inputs| {
             let work = inputs.features.work(&inputs.setting);
             Ok(SceneQuantity::ALL
                 .iter()
                 .map(|&q| inputs.features.quantity(q, &inputs.setting, &work, inputs.changes) as f32)
                 .collect::<Vec<f32>>())
         })?;
+        for &side in &options.probe_sides {
+            let probed: Vec<SceneQuantity> =
+                SceneQuantity::ALL.iter().copied().filter(|q| q.needs_probe()).collect();
+            bar.reset();
+            let more = measure(&tables, &frames, Some(side), None, &pool, &bar, |_, inputs| {
+                let work = inputs.features.work(&inputs.setting);
+                Ok(probed
+                    .iter()
+                    .map(|&q| inputs.features.quantity(q, &inputs.setting, &work, inputs.changes) as f32)
+                    .collect::<Vec<f32>>())
+            })?;
+            columns.extend(probed.iter().map(|&q| quantity_column(q, side)));
+            for (row, more) in rows.iter_mut().zip(more) {
+                row.extend(more);
+            }
+        }
         for (id, encoder) in &encoders {
             bar.reset();
-            let codes = measure(&tables, &frames, false, Some(encoder), &pool, &bar, |_, inputs| {
+            let codes = measure(&tables, &frames, None, Some(encoder), &pool, &bar, |_, inputs| {
                 Ok(inputs.volume_features.unwrap_or_default().to_vec())
             })?;
             columns.extend((0..encoder.feature_len()).map(|i| code_column(id, i)));

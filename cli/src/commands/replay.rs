@@ -16,6 +16,7 @@ use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_core::adapt::Prior;
 use entire_core::control::{QualityModel, QualitySample, StepLimits, StepResponse};
+use entire_core::features::PROBE_SIDE;
 use entire_core::scene::{Scalars, VolumeView};
 use indicatif::ProgressBar;
 use serde_json::json;
@@ -105,16 +106,24 @@ pub fn samples_of(tables: &[PathBuf]) -> Result<Vec<Sample>> {
             ((f.table, f.number), *numbers.entry(key).or_insert(next))
         })
         .collect();
-    inputs::measure(&tables, &frames, true, None, &pool, &ProgressBar::hidden(), |frame, inputs| {
-        Ok(Sample {
-            scene: scenes[&(frame.table, frame.number)],
-            features: inputs.features.clone(),
-            setting: inputs.setting,
-            camera: inputs.camera,
-            lobes: frame.scene.lobes.clone(),
-            seconds: frame.seconds(clock).context("a frame without a time")?,
-        })
-    })
+    inputs::measure(
+        &tables,
+        &frames,
+        Some(PROBE_SIDE),
+        None,
+        &pool,
+        &ProgressBar::hidden(),
+        |frame, inputs| {
+            Ok(Sample {
+                scene: scenes[&(frame.table, frame.number)],
+                features: inputs.features.clone(),
+                setting: inputs.setting,
+                camera: inputs.camera,
+                lobes: frame.scene.lobes.clone(),
+                seconds: frame.seconds(clock).context("a frame without a time")?,
+            })
+        },
+    )
 }
 
 /// Runs the command.

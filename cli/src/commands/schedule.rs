@@ -175,7 +175,7 @@ fn tasks_of_trace(trace: &Path, calibration: &[PathBuf]) -> Result<Vec<Task>> {
     println!("predictor  {} (fitted to other volumes)", chosen.title());
     let trace = Trace::open(trace)?;
     let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);
-    let mut features = FrameFeatures::new();
+    let mut features = FrameFeatures::with_probe_side(predictor.probe_side());
     let mut tasks = Vec::with_capacity(trace.frames.len());
     for (index, at) in path.frames.iter().enumerate() {
         let volume = trace.volume_at(index);

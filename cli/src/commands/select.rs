@@ -18,8 +18,8 @@ use std::path::PathBuf;
 
 /// Find the cheapest predictor that is good enough for a data set, and the scene features that it can do without.
 ///
-/// A fifth of the volumes is held out. Candidates: the analytic model, a log-linear one, networks on scene features and
-/// learned factors on the analytic model, of growing size. The cheapest (cold latency) within the tolerance of the best
+/// A fifth of the volumes is held out. Candidates: the analytic model, a log-linear one, networks that need no probe, networks
+/// on scene features and learned factors on the analytic model, of growing size and on probes of growing fineness. The cheapest (cold latency) within the tolerance of the best
 /// is taken; then features are dropped one after another, each time the one that costs least, as long as the error stays
 /// within the tolerance.
 #[derive(Debug, clap::Args)]
@@ -46,6 +46,12 @@ pub struct Options {
     /// Instead: the most accurate predictor that takes at most so many microseconds, cold.
     #[arg(long, value_name = "US", conflicts_with = "tolerance")]
     pub budget_us: Option<f64>,
+    /// Rays along each side of the probes to try; what is not kept beside the tables is computed from the volumes.
+    #[arg(long, value_delimiter = ',', value_name = "SIDES", default_value = "11")]
+    pub probe_sides: Vec<usize>,
+    /// Networks of other seeds whose mean is taken, for every candidate.
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    pub ensemble: usize,
     /// Which clock's seconds are learned.
     #[arg(long, value_enum, default_value_t = Clock::Cpu)]
     pub clock: Clock,
@@ -114,19 +120,34 @@ pub fn run(options: &Options) -> Result<()> {
         let cold = bench.latency(&model)?.cold;
         Ok(Candidate { name: name.into(), recipe, fitted, metrics, cold })
     };
-    let base = Recipe { epochs: options.epochs, ..Recipe::default() };
+    let base = Recipe {
+        epochs: options.epochs,
+        batch: 128,
+        learning_rate: Some(3e-3),
+        ensemble: options.ensemble,
+        ..Recipe::default()
+    };
     let mut recipes = vec![
         ("analytic".to_owned(), Recipe { kind: Kind::Analytic, ..base.clone() }),
         ("log-linear".to_owned(), Recipe { kind: Kind::Linear, ..base.clone() }),
     ];
+    let bare: Vec<String> = SceneFeature::STANDARD
+        .iter()
+        .filter(|f| !f.quantity.needs_probe())
+        .map(ToString::to_string)
+        .collect();
     for width in [8, 16, 32] {
-        for (kind, what) in [(Kind::Prednet, "network"), (Kind::Residual, "analytic times factor")] {
-            for layers in [vec![width], vec![width, width]] {
-                let name = format!(
-                    "{what} {}",
-                    layers.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
-                );
-                recipes.push((name, Recipe { kind, layers, ..base.clone() }));
+        for layers in [vec![width], vec![width, width]] {
+            let widths = layers.iter().map(ToString::to_string).collect::<Vec<_>>().join("-");
+            let recipe = Recipe { layers, ..base.clone() };
+            let name = format!("network {widths}, no probe");
+            recipes.push((name, Recipe { scene_features: bare.clone(), ..recipe.clone() }));
+            for &side in &options.probe_sides {
+                let recipe = Recipe { probe_side: Some(side), ..recipe.clone() };
+                for (kind, what) in [(Kind::Prednet, "network"), (Kind::Residual, "analytic times factor")] {
+                    let name = format!("{what} {widths}, probe {side}");
+                    recipes.push((name, Recipe { kind, ..recipe.clone() }));
+                }
             }
         }
     }

@@ -64,6 +64,13 @@ pub struct Options {
     /// Scene features, in order, where `--inputs` names that group; the standard ones unless given.
     #[arg(long, value_delimiter = ',', value_name = "NAMES", conflicts_with = "fine_tune")]
     pub scene_features: Vec<String>,
+    /// Rays along each side of the probe behind scene features, 1 to 24; the standard 11 unless given. Fewer rays take less
+    /// time for every prediction.
+    #[arg(long, value_name = "SIDE", conflicts_with = "fine_tune")]
+    pub probe_side: Option<usize>,
+    /// Take the mean of so many networks of other seeds, stored as one.
+    #[arg(long, default_value_t = 1, value_name = "N", conflicts_with = "fine_tune")]
+    pub ensemble: usize,
     /// What the network gives.
     #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
     pub target: TargetChoice,
@@ -365,6 +372,8 @@ impl Options {
             preset: self.preset.clone(),
             inputs: self.inputs.clone(),
             scene_features: self.scene_features.clone(),
+            probe_side: self.probe_side,
+            ensemble: self.ensemble,
             target: self.target,
             loss: self.loss.clone(),
             epochs: self.epochs,

@@ -98,6 +98,11 @@ impl Session {
         predictor: Box<dyn Predictor + Send>,
         controller: Box<dyn Controller + Send>,
     ) -> Self {
+        // A predictor that needs no probe is scaled by a model that does.
+        let features = match predictor.probe_side() {
+            0 => FrameFeatures::new(),
+            side => FrameFeatures::with_probe_side(side),
+        };
         Self {
             predictor,
             controller,
@@ -106,7 +111,7 @@ impl Session {
             transfer: None,
             volume_features: None,
             lobes: None,
-            features: FrameFeatures::new(),
+            features,
             limits: StepLimits::default(),
             enabled: true,
             changes: Changes { first: true, ..Changes::NONE },

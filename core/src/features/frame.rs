@@ -1,6 +1,9 @@
 //! What one frame will do, for any ray step and image size of the same shape.
 
-use super::{Probe, SHADOW_STEP, SceneFeature, SceneQuantity, TransferSummary, UnitCosts, VolumeSummary};
+use super::{
+    MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_STEP, SceneFeature, SceneQuantity, TransferSummary, UnitCosts,
+    VolumeSummary,
+};
 use crate::scene::{Arcball, Frame, Shading, Skipping};
 
 /// Side of the pixel tiles that a renderer runs in lockstep.
@@ -109,6 +112,7 @@ pub const UNSHARED_SPACING: f64 = 2.0;
 /// scattering must be the measured frame's. Nothing here allocates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
+    probe_side: usize,
     probe: Probe,
     pose: Arcball,
     fov_y: f32,
@@ -130,9 +134,17 @@ impl Default for FrameFeatures {
 }
 
 impl FrameFeatures {
-    /// Features of nothing: no ray meets anything.
+    /// Features of nothing: no ray meets anything. Frames are measured with [`PROBE_SIDE`]² rays.
     pub fn new() -> Self {
+        Self::with_probe_side(PROBE_SIDE)
+    }
+
+    /// As [`FrameFeatures::new`], to be measured with `side`² rays, `side` at most [`MAX_PROBE_SIDE`]: the time that a
+    /// measurement takes and the variance of what it estimates both go with the number of rays. With 0 no ray is cast,
+    /// and quantities that [need the probe](SceneQuantity::needs_probe) are those of nothing.
+    pub fn with_probe_side(side: usize) -> Self {
         Self {
+            probe_side: side.min(MAX_PROBE_SIDE),
             probe: Probe::NOTHING,
             pose: Arcball { rx: 0.0, ry: 0.0, dz: 0.0 },
             fov_y: 0.0,
@@ -151,7 +163,7 @@ impl FrameFeatures {
     /// Measures a frame. For [`Skipping::Distance`], call [`TransferSummary::prepare_distance`] first; without it,
     /// jumps are counted as with [`Skipping::Blocks`].
     pub fn measure(&mut self, volume: &VolumeSummary, transfer: &TransferSummary, frame: &Frame) {
-        self.probe = Probe::new(volume, transfer, frame);
+        self.probe = Probe::new(volume, transfer, frame, self.probe_side);
         self.pose = frame.camera().to_arcball();
         self.fov_y = frame.camera().fov_y();
         self.occupied_share = transfer.occupied_share();
@@ -164,6 +176,11 @@ impl FrameFeatures {
         self.bytes_per_voxel = volume.scalar_type().bytes() as f32;
         let spacing = volume.spacing();
         self.cells_per_step = spacing.min_element() / spacing.max_element();
+    }
+
+    /// Rays along each side of the probe.
+    pub fn probe_side(&self) -> usize {
+        self.probe_side
     }
 
     /// The probe behind the numbers.

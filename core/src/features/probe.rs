@@ -4,8 +4,11 @@ use super::{Footprint, Geometry, TransferSummary, VolumeSummary};
 use crate::scene::{Frame, Shading};
 use glam::Vec3;
 
-/// The probe has this many rays along each side of the footprint's bounding rectangle.
+/// The probe has this many rays along each side of the footprint's bounding rectangle, unless told otherwise.
 pub const PROBE_SIDE: usize = 11;
+
+/// The finest probe.
+pub const MAX_PROBE_SIDE: usize = 24;
 
 /// Direction towards the light of single scattering in scene space, not normalized.
 pub const SHADOW_DIRECTION: [f32; 3] = [0.4, 0.8, 0.45];
@@ -16,7 +19,7 @@ pub const SHADOW_STEP: f32 = 2.0;
 /// Opacity at which a shadow ray stops.
 pub const SHADOW_OPACITY: f32 = 0.75;
 
-const RAYS: usize = PROBE_SIDE * PROBE_SIDE;
+const MAX_RAYS: usize = MAX_PROBE_SIDE * MAX_PROBE_SIDE;
 
 /// Chord lengths through empty cells are kept in half octaves from 2⁻⁴ to 2¹⁰ reference steps.
 const BINS: usize = 28;
@@ -84,23 +87,45 @@ impl Probe {
     /// Marches the probe's rays through a volume. The image's shape enters, its number of pixels does not.
     ///
     /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `volume` must be the one that `transfer`
-    /// was made from; a summary of another grid gives [`Probe::NOTHING`].
-    pub fn new(volume: &VolumeSummary, transfer: &TransferSummary, frame: &Frame) -> Self {
+    /// was made from; a summary of another grid gives [`Probe::NOTHING`]. `side` rays go along each side of the
+    /// footprint's bounding rectangle, [`MAX_PROBE_SIDE`] at most; with 0 the footprint alone is known.
+    pub fn new(volume: &VolumeSummary, transfer: &TransferSummary, frame: &Frame, side: usize) -> Self {
         let geometry = volume.geometry();
         let footprint = Footprint::new(geometry.half_extent, frame.camera(), frame.width(), frame.height());
-        if footprint.share <= 0.0 || transfer.grid() != volume.cells() {
+        if side == 0 || footprint.share <= 0.0 || transfer.grid() != volume.cells() {
             return Self { footprint, ..Self::NOTHING };
         }
+        // Room for as many rays as there are, so that small probes do not pay for clearing that of large ones.
+        match side {
+            ..=4 => Self::cast::<16>(volume, transfer, frame, footprint, side),
+            ..=8 => Self::cast::<64>(volume, transfer, frame, footprint, side),
+            ..=12 => Self::cast::<144>(volume, transfer, frame, footprint, side),
+            _ => Self::cast::<MAX_RAYS>(volume, transfer, frame, footprint, side.min(MAX_PROBE_SIDE)),
+        }
+    }
+
+    /// As [`Probe::new`], with room for side² ≤ `ROOM` rays.
+    fn cast<const ROOM: usize>(
+        volume: &VolumeSummary,
+        transfer: &TransferSummary,
+        frame: &Frame,
+        footprint: Footprint,
+        side: usize,
+    ) -> Self {
+        let geometry = volume.geometry();
+        let count = side * side;
+        let per_side = 1.0 / side as f32;
         let mut march = March::new(volume, transfer, frame, geometry);
         let (eye, right, up, forward) = frame.camera().ray_basis(frame.width(), frame.height());
         let (low, high) = (footprint.low, footprint.high);
         let size = [high[0] - low[0], high[1] - low[1]];
-        let mut rays = [Ray::MISS; RAYS];
+        let mut room = [Ray::MISS; ROOM];
+        let rays = &mut room[..count];
         for (i, ray) in rays.iter_mut().enumerate() {
-            let (ix, iy) = (i % PROBE_SIDE, i / PROBE_SIDE);
-            let u = low[0] + size[0] * (ix as f32 + OFFSETS[i][0]) * (1.0 / PROBE_SIDE as f32);
-            let v = low[1] + size[1] * (iy as f32 + OFFSETS[i][1]) * (1.0 / PROBE_SIDE as f32);
-            *ray = march.ray(eye, forward + u * right + v * up, OFFSETS[RAYS - 1 - i][0]);
+            let (ix, iy) = (i % side, i / side);
+            let u = low[0] + size[0] * (ix as f32 + OFFSETS[i][0]) * per_side;
+            let v = low[1] + size[1] * (iy as f32 + OFFSETS[i][1]) * per_side;
+            *ray = march.ray(eye, forward + u * right + v * up, OFFSETS[count - 1 - i][0]);
         }
         let mut hits = rays.iter().filter(|r| r.chord > 0.0).count();
         if hits == 0 {
@@ -127,7 +152,7 @@ impl Probe {
             out.shadow_all += ray.shadow_all;
             out.terminated += f32::from(u8::from(ray.terminated));
             let (mut o, mut a) = (ray.occupied, ray.occupied + ray.empty);
-            let (ix, iy) = (i % PROBE_SIDE, i / PROBE_SIDE);
+            let (ix, iy) = (i % side, i / side);
             let mut consider = |n: &Ray| {
                 o = o.max(n.occupied);
                 a = a.max(n.occupied + n.empty);
@@ -135,14 +160,14 @@ impl Probe {
             if ix > 0 {
                 consider(&rays[i - 1]);
             }
-            if ix + 1 < PROBE_SIDE {
+            if ix + 1 < side {
                 consider(&rays[i + 1]);
             }
             if iy > 0 {
-                consider(&rays[i - PROBE_SIDE]);
+                consider(&rays[i - side]);
             }
-            if iy + 1 < PROBE_SIDE {
-                consider(&rays[i + PROBE_SIDE]);
+            if iy + 1 < side {
+                consider(&rays[i + side]);
             }
             // A pixel that misses the box waits for its neighbors too, so misses count.
             out.occupied_max += o;
@@ -168,7 +193,7 @@ impl Probe {
             *total *= inv;
         }
         let aspect = frame.width() as f32 / frame.height() as f32;
-        out.spacing = libm::sqrtf((size[0] * aspect * size[1]).max(1.0e-12)) * 0.5 / PROBE_SIDE as f32;
+        out.spacing = libm::sqrtf((size[0] * aspect * size[1]).max(1.0e-12)) * 0.5 * per_side;
         out.block_skips = march.block_skips;
         out.block_skips.scale(inv);
         out.distance_skips = if march.distance.is_some() {
@@ -553,10 +578,10 @@ impl Jump {
 }
 
 /// Where in its stratum each ray goes: the additive recurrence of the plastic number, which fills the square evenly.
-static OFFSETS: [[f32; 2]; RAYS] = {
-    let mut out = [[0.0; 2]; RAYS];
+static OFFSETS: [[f32; 2]; MAX_RAYS] = {
+    let mut out = [[0.0; 2]; MAX_RAYS];
     let mut i = 0;
-    while i < RAYS {
+    while i < MAX_RAYS {
         let u = 0.5 + i as f64 * 0.754_877_666_246_692_8;
         let v = 0.5 + i as f64 * 0.569_840_290_998_053_2;
         out[i] = [(u - u as u64 as f64) as f32, (v - v as u64 as f64) as f32];

@@ -90,6 +90,35 @@ quantities! {
 }
 
 impl SceneQuantity {
+    /// Whether rays must be cast to know it. The others follow from camera, image size, transfer function and volume
+    /// at once.
+    pub const fn needs_probe(self) -> bool {
+        use SceneQuantity as Q;
+        matches!(
+            self,
+            Q::Samples
+                | Q::Skips
+                | Q::LaneSamples
+                | Q::LocalSamples
+                | Q::ScatterSamples
+                | Q::ShadowSamples
+                | Q::Runs
+                | Q::SpreadSamples
+                | Q::SpreadRuns
+                | Q::ShadedPerPixel
+                | Q::ShadowPerPixel
+                | Q::RunsPerRay
+                | Q::EstimatedSeconds
+                | Q::RaySpacing
+                | Q::SamplesPerPixel
+                | Q::SkipsPerPixel
+                | Q::MeanChord
+                | Q::MaxChord
+                | Q::TerminatedShare
+                | Q::Divergence
+        )
+    }
+
     /// The log variant of a value: ln(value + floor), −69 where that is not positive.
     pub fn log(self, value: f64) -> f32 {
         libm::log((value + self.log_floor()).max(1.0e-30)) as f32

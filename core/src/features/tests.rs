@@ -417,3 +417,39 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn what_needs_no_probe_is_known_without_one() {
+    let volume = summary(&ball(40), [40, 40, 40], 48);
+    let table = table(|i| if i > 100 { 0.05 } else { 0.0 });
+    let mut transfer = TransferSummary::new(&volume, &table);
+    transfer.prepare_distance();
+    let frame = frame(20.0, 30.0, 1.7, 200).with_shading(Shading::Scatter);
+    let setting = Setting::of(&frame);
+    let of = |side: usize| {
+        let mut features = FrameFeatures::with_probe_side(side);
+        features.measure(&volume, &transfer, &frame);
+        let work = features.work(&setting);
+        SceneQuantity::ALL
+            .iter()
+            .map(|&q| features.quantity(q, &setting, &work, Changes::NONE))
+            .collect::<alloc::vec::Vec<f64>>()
+    };
+    let (without, with) = (of(0), of(PROBE_SIDE));
+    for ((q, a), b) in SceneQuantity::ALL.iter().zip(&without).zip(&with) {
+        if q.needs_probe() {
+            assert!(a != b, "{} is the same without a probe", q.name());
+        } else {
+            assert_eq!(a, b, "{}", q.name());
+        }
+    }
+    // Finer probes estimate the same thing with less scatter; beyond the finest there is nothing.
+    let samples = SceneQuantity::ALL.iter().position(|q| *q == SceneQuantity::Samples).unwrap();
+    let finest = of(MAX_PROBE_SIDE)[samples];
+    for (side, tolerance) in [(4, 0.25), (7, 0.12), (8, 0.12), (11, 0.08), (12, 0.08), (13, 0.08)] {
+        let found = of(side)[samples];
+        assert!((found / finest - 1.0).abs() < tolerance, "{side}: {found}, {finest}");
+    }
+    assert_eq!(of(MAX_PROBE_SIDE + 9), of(MAX_PROBE_SIDE));
+    assert_eq!(FrameFeatures::new().probe_side(), PROBE_SIDE);
+}

@@ -3,7 +3,7 @@
 use super::TERMS;
 use crate::Result;
 use crate::error::bail;
-use crate::features::{Changes, FrameFeatures, SceneFeature, Setting};
+use crate::features::{Changes, FrameFeatures, PROBE_SIDE, SceneFeature, Setting};
 use crate::scene::{Arcball, GaussianLobe};
 
 /// Where a prediction came from.
@@ -105,6 +105,12 @@ pub trait Predictor {
     /// model that was never measured.
     fn log_sd(&self) -> Option<f32> {
         None
+    }
+
+    /// Rays along each side of the probe that the predictor was made with: what [`FrameFeatures::with_probe_side`]
+    /// takes. 0 where no input needs the probe.
+    fn probe_side(&self) -> usize {
+        PROBE_SIDE
     }
 
     /// Whether the ray step enters the prediction. Where it does not, callers scale by the analytic model.

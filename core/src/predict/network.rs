@@ -5,7 +5,7 @@ use super::{
 };
 use crate::Result;
 use crate::error::bail;
-use crate::features::{SceneFeature, SceneQuantity};
+use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
 use crate::model::Model;
 use crate::nn::{PredNet, PredScratch};
 use alloc::boxed::Box;
@@ -18,6 +18,25 @@ use serde::{Deserialize, Serialize};
 /// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95), `log_factor`
 /// (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of their work). Optional.
 pub const CALIBRATION_KEY: &str = "entire.calibration";
+
+/// Metadata key of the number of rays along each side of the probe behind a model's scene features, 1 to
+/// [`MAX_PROBE_SIDE`] in decimal; [`PROBE_SIDE`] where it is missing.
+pub const PROBE_SIDE_KEY: &str = "entire.probe_side";
+
+/// Reads [`PROBE_SIDE_KEY`].
+///
+/// # Errors
+/// [`crate::ErrorKind::InvalidModel`] for anything but a number in range.
+pub fn probe_side_of(model: &Model) -> Result<usize> {
+    let Some(text) = model.metadata().get(PROBE_SIDE_KEY) else { return Ok(PROBE_SIDE) };
+    match text.parse::<usize>() {
+        Ok(side) if (1..=MAX_PROBE_SIDE).contains(&side) => Ok(side),
+        _ => bail!(
+            InvalidModel,
+            "{PROBE_SIDE_KEY} is {text:?}; a whole number from 1 to {MAX_PROBE_SIDE} is expected"
+        ),
+    }
+}
 
 /// Shortest time that a network's prediction is taken for, seconds. Networks trained on seconds go below zero for cheap
 /// frames.
@@ -85,6 +104,7 @@ pub struct ModelPredictor {
     /// Behind `estimated_seconds`, where the file holds them.
     unit_costs: Option<UnitCosts>,
     knows_step: bool,
+    probe_side: usize,
     calibration: Calibration,
 }
 
@@ -158,6 +178,8 @@ impl ModelPredictor {
         let calibration = Stored::of(model)?
             .and_then(|s| s.log_factor)
             .map_or(Calibration::unknown(), Calibration::from_log_factor);
+        let probe_side =
+            if scene_features.iter().any(|f| f.quantity.needs_probe()) { probe_side_of(model)? } else { 0 };
         let scratch = net.scratch();
         Ok(Self {
             net,
@@ -168,6 +190,7 @@ impl ModelPredictor {
             row: vec![0.0; width],
             unit_costs: UnitCosts::of(model)?,
             knows_step,
+            probe_side,
             calibration,
         })
     }
@@ -255,6 +278,10 @@ impl Predictor for ModelPredictor {
 
     fn knows_step(&self) -> bool {
         self.knows_step
+    }
+
+    fn probe_side(&self) -> usize {
+        self.probe_side
     }
 }
 
@@ -361,6 +388,41 @@ mod tests {
         assert_eq!(ModelPredictor::new(&unknown).unwrap_err().kind(), ErrorKind::MissingInput);
         let unknown = model(&[("scene_features", 1)], &["mood"], Target::Seconds, None);
         assert_eq!(ModelPredictor::new(&unknown).unwrap_err().kind(), ErrorKind::Unsupported);
+    }
+
+    #[test]
+    fn a_model_says_how_fine_a_probe_it_needs() {
+        let of = |features: &[&str], side: Option<&str>| {
+            let mut file = ModelFile::from_bytes(&bytes(features)).unwrap();
+            if let Some(side) = side {
+                file.set_metadata(PROBE_SIDE_KEY, side);
+            }
+            ModelPredictor::new(&file.to_model().unwrap()).map(|p| p.probe_side())
+        };
+        fn bytes(features: &[&str]) -> Vec<u8> {
+            let mut file = ModelFile::new();
+            let n = features.len();
+            let layer = DenseParts {
+                inputs: n,
+                outputs: 1,
+                weight: vec![0.1; n],
+                bias: vec![0.5],
+                dtype: Dtype::F32,
+            };
+            let parts =
+                PredNetParts { layers: vec![layer], input: None, output: None, target: Target::Seconds };
+            file.set_prednet(&parts, &[InputGroup { name: "scene_features".into(), size: n }]).unwrap();
+            file.set_scene_features(features).unwrap();
+            file.to_bytes().unwrap()
+        }
+        assert_eq!(of(&["step", "log_samples"], None).unwrap(), crate::features::PROBE_SIDE);
+        assert_eq!(of(&["step", "log_samples"], Some("7")).unwrap(), 7);
+        assert_eq!(of(&["step", "log_pixels"], Some("7")).unwrap(), 0);
+        for bad in ["0", "25", "-1", "seven", ""] {
+            let e = of(&["samples"], Some(bad)).unwrap_err();
+            assert_eq!(e.kind(), ErrorKind::InvalidModel);
+            assert!(e.message().contains("entire.probe_side") && e.message().contains("1 to 24"), "{e}");
+        }
     }
 
     #[test]
