@@ -86,7 +86,7 @@ impl Bench {
                     features: &features,
                     setting: Setting::of(frame),
                     changes: Changes::NONE,
-                    camera: frame.camera().to_arcball(),
+                    camera: if looks { features.pose() } else { frame.camera().to_arcball() },
                     volume_features: Some(&code),
                     lobes: Some(lobes),
                 };

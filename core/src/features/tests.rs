@@ -420,29 +420,38 @@ proptest! {
 
 #[test]
 fn what_needs_no_probe_is_known_without_one() {
-    let volume = summary(&ball(40), [40, 40, 40], 48);
-    let table = table(|i| if i > 100 { 0.05 } else { 0.0 });
+    let volume = summary(
+        &(0..40 * 40 * 40)
+            .map(|i| {
+                let r = [i % 40, i / 40 % 40, i / 1600].map(|c| (c as f32 - 19.5) / 20.0);
+                (255.0 * (1.0 - r.iter().map(|c| c * c).sum::<f32>()).max(0.0)) as u8
+            })
+            .collect::<Vec<u8>>(),
+        [40, 40, 40],
+        48,
+    );
+    let table = table(|i| if i > 100 { 0.3 } else { 0.0 });
     let mut transfer = TransferSummary::new(&volume, &table);
     transfer.prepare_distance();
-    let frame = frame(20.0, 30.0, 1.7, 200).with_shading(Shading::Scatter);
-    let setting = Setting::of(&frame);
-    let of = |side: usize| {
+    let of = |side: usize, shading: Shading| {
+        let frame = frame(20.0, 30.0, 1.7, 200).with_shading(shading);
+        let setting = Setting::of(&frame);
         let mut features = FrameFeatures::with_probe_side(side);
         features.measure(&volume, &transfer, &frame);
         let work = features.work(&setting);
         SceneQuantity::ALL
             .iter()
             .map(|&q| features.quantity(q, &setting, &work, Changes::NONE))
-            .collect::<alloc::vec::Vec<f64>>()
+            .collect::<Vec<f64>>()
     };
-    let (without, with) = (of(0), of(PROBE_SIDE));
-    for ((q, a), b) in SceneQuantity::ALL.iter().zip(&without).zip(&with) {
-        if q.needs_probe() {
-            assert!(a != b, "{} is the same without a probe", q.name());
-        } else {
-            assert_eq!(a, b, "{}", q.name());
-        }
+    let both = |side| [of(side, Shading::Local), of(side, Shading::Scatter)].concat();
+    let (without, with) = (both(0), both(PROBE_SIDE));
+    for (k, q) in SceneQuantity::ALL.iter().enumerate() {
+        let at = [k, k + SceneQuantity::ALL.len()];
+        let same = at.iter().all(|&i| without[i] == with[i]);
+        assert_eq!(same, !q.needs_probe(), "{}", q.name());
     }
+    let of = |side| of(side, Shading::None);
     // Finer probes estimate the same thing with less scatter; beyond the finest there is nothing.
     let samples = SceneQuantity::ALL.iter().position(|q| *q == SceneQuantity::Samples).unwrap();
     let finest = of(MAX_PROBE_SIDE)[samples];
