@@ -10,3 +10,7 @@ study: ## Make and judge every predictor of STUDY: out/study/report.html
 .PHONY: bars-accuracy
 bars-accuracy: ## As study, and print every accuracy bar: bar NAME VALUE LIMIT ok|short
 	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '
+
+.PHONY: models
+models: ## Make the shipped predictors and their cards anew from the timing tables: models/
+	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study "$(STUDY)" --out "$(STUDY_OUT)" --ship models

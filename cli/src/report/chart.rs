@@ -477,7 +477,16 @@ impl Chart {
             self.draw_mark(&mut s, i, &at_x, &at_y, base, w / (x.high - x.low));
         }
         s.push_str("</svg>");
-        // Texts of points stand over the frame, on the side where there is room.
+        // Texts of points stand over the frame, on the side where there is room beside points and other texts.
+        let mut taken: Vec<[f64; 4]> = self
+            .series
+            .iter()
+            .filter_map(|s| if let Mark::Points(points) = &s.mark { Some(points) } else { None })
+            .flatten()
+            .filter(|p| !p.2.is_empty())
+            .filter_map(|p| Some((at_x(p.0)?, at_y(p.1)?)))
+            .map(|(px, py)| [px - 4.0, py - 4.0, px + 4.0, py + 4.0])
+            .collect();
         for series in &self.series {
             let Mark::Points(points) = &series.mark else { continue };
             for (vx, vy, text) in points.iter().filter(|p| !p.2.is_empty()) {
@@ -485,13 +494,31 @@ impl Chart {
                 if !(left..=right).contains(&px) || !(top..=bottom).contains(&py) {
                     continue;
                 }
-                let leftward = px + 7.0 + text_width(text) > right;
+                let wide = text_width(text);
+                let place = |leftward: bool, dy: f64| {
+                    let x = if leftward { px - 7.0 - wide } else { px + 7.0 };
+                    [x, py + dy - 11.0, x + wide, py + dy + 2.0]
+                };
+                let fits = |b: &[f64; 4]| {
+                    b[0] >= left
+                        && b[2] <= right
+                        && b[1] >= top
+                        && b[3] <= bottom
+                        && taken.iter().all(|t| b[0] > t[2] || b[2] < t[0] || b[1] > t[3] || b[3] < t[1])
+                };
+                let choices = [-5.0, 15.0, 4.0, -19.0, 29.0, -33.0, 43.0];
+                let (leftward, dy) = choices
+                    .into_iter()
+                    .flat_map(|dy| [(false, dy), (true, dy)])
+                    .find(|&(leftward, dy)| fits(&place(leftward, dy)))
+                    .unwrap_or((px + 7.0 + wide > right, if py - 16.0 < top { 15.0 } else { -5.0 }));
+                taken.push(place(leftward, dy));
                 let _ = write!(
                     s,
                     "<text class=\"k\" text-anchor=\"{}\" x=\"{:.1}\" y=\"{:.1}\">{}</text>",
                     if leftward { "end" } else { "start" },
                     if leftward { px - 7.0 } else { px + 7.0 },
-                    if py - 16.0 < top { py + 15.0 } else { py - 5.0 },
+                    py + dy,
                     escape(text)
                 );
             }

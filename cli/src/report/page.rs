@@ -24,7 +24,7 @@ p{margin:8px 0;max-width:74ch}.lead{font-size:17px;color:var(--dim)}\
 figure{margin:18px 0}figcaption{color:var(--dim);font-size:14px;margin-top:4px;max-width:80ch}\
 .scroll{overflow-x:auto}table{border-collapse:collapse;font-size:14px;margin:10px 0;font-variant-numeric:tabular-nums}\
 th,td{padding:5px 11px;border-bottom:1px solid var(--line);text-align:left;vertical-align:top}\
-th{background:var(--soft);font-weight:600}td.n,th.n{text-align:right}td b{color:var(--accent)}\
+th{background:var(--soft);font-weight:600}td.n,th.n{text-align:right}td.n{white-space:nowrap}td:first-child{min-width:9em}td b{color:var(--accent)}\
 .pictures{display:grid;grid-template-columns:repeat(auto-fill,minmax(136px,1fr));gap:12px}\
 .pictures figure{margin:0}.pictures img{width:100%;display:block;background:#000;border-radius:4px}\
 .facts{display:grid;grid-template-columns:max-content 1fr;gap:3px 16px;font-size:14px}.facts dt{color:var(--dim)}.facts dd{margin:0;overflow-wrap:anywhere}\

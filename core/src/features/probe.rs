@@ -98,8 +98,8 @@ impl Probe {
         // Room for as many rays as there are, so that small probes do not pay for clearing that of large ones.
         match side {
             ..=4 => Self::cast::<16>(volume, transfer, frame, footprint, side),
-            ..=8 => Self::cast::<64>(volume, transfer, frame, footprint, side),
-            ..=12 => Self::cast::<144>(volume, transfer, frame, footprint, side),
+            5..=8 => Self::cast::<64>(volume, transfer, frame, footprint, side),
+            9..=12 => Self::cast::<144>(volume, transfer, frame, footprint, side),
             _ => Self::cast::<MAX_RAYS>(volume, transfer, frame, footprint, side.min(MAX_PROBE_SIDE)),
         }
     }

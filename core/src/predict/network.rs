@@ -415,7 +415,7 @@ mod tests {
             file.set_scene_features(features).unwrap();
             file.to_bytes().unwrap()
         }
-        assert_eq!(of(&["step", "log_samples"], None).unwrap(), crate::features::PROBE_SIDE);
+        assert_eq!(of(&["step", "log_samples"], None).unwrap(), PROBE_SIDE);
         assert_eq!(of(&["step", "log_samples"], Some("7")).unwrap(), 7);
         assert_eq!(of(&["step", "log_pixels"], Some("7")).unwrap(), 0);
         for bad in ["0", "25", "-1", "seven", ""] {
