@@ -270,6 +270,12 @@ impl Recipe {
         }
     }
 
+    /// Whether the ray step is among what it is made from, by itself or in counts of samples.
+    pub fn knows_step(&self) -> bool {
+        let named = [GroupKind::SceneFeatures, GroupKind::StepSize].map(GroupKind::name);
+        self.inputs.iter().any(|g| named.contains(&g.trim()))
+    }
+
     fn side(&self) -> usize {
         self.probe_side.unwrap_or(PROBE_SIDE)
     }

@@ -207,6 +207,11 @@ fn card(
             ))
         );
     }
+    if model.input_size("scene_features").is_some() {
+        for path in &set.other_steps {
+            let _ = writeln!(md, "- training, other ray steps: `data/timings/{}`", file_name(path));
+        }
+    }
     for path in &set.bounds {
         let _ = writeln!(
             md,
@@ -288,7 +293,7 @@ fn card(
         if model.scene_features().is_empty() {
             "What it knows of a volume are the codes of its VolumeNet: volumes unlike the training ones may be far off."
         } else {
-            "Scenes unlike the training data (far larger images, steps other than 1) may be off; look at the prediction's out-of-range \
+            "Scenes unlike the training data (far larger images, steps that were not trained on) may be off; look at the prediction's out-of-range \
              score."
         }
     );

@@ -70,6 +70,9 @@ pub struct Set {
     pub name: String,
     /// Tables to learn from; a tenth of their volumes decides when training stops.
     pub training: Vec<PathBuf>,
+    /// Tables of frames at other ray steps, for predictors that take the step into account.
+    #[serde(default)]
+    pub other_steps: Vec<PathBuf>,
     /// Tables whose frames set the upper bounds and are used for nothing else; the validation volumes where there are none.
     #[serde(default)]
     pub bounds: Vec<PathBuf>,
@@ -228,7 +231,7 @@ pub fn read(path: &Path) -> Result<Study> {
     let place = |p: &mut PathBuf| *p = folder.join(&*p);
     place(&mut study.latency_volume.0);
     for set in &mut study.sets {
-        set.training.iter_mut().chain(&mut set.bounds).for_each(place);
+        set.training.iter_mut().chain(&mut set.bounds).chain(&mut set.other_steps).for_each(place);
         set.splits.iter_mut().flat_map(|s| &mut s.tables).for_each(place);
         set.low_resolution.values_mut().for_each(place);
     }
@@ -281,6 +284,13 @@ impl<'a> Part<'a> {
     /// Borrowed.
     pub fn timed(&self) -> Timed<'_> {
         Timed { frames: &self.frames, seconds: &self.seconds }
+    }
+
+    /// These frames and others.
+    fn and(&self, other: Self) -> Self {
+        let frames = self.frames.iter().copied().chain(other.frames).collect();
+        let seconds = self.seconds.iter().copied().chain(other.seconds).collect();
+        Self { frames, seconds }
     }
 
     fn divided(&self, first: impl Fn(usize) -> bool) -> (Self, Self) {
@@ -419,7 +429,9 @@ impl Runner<'_> {
         for set in &study.sets {
             let mut paths = set.training.clone();
             paths.extend(set.bounds.iter().cloned());
+            paths.extend(set.other_steps.iter().cloned());
             let bounds_at = set.training.len();
+            let steps_at = bounds_at + set.bounds.len();
             let mut split_at = Vec::new();
             for split in &set.splits {
                 split_at.push(paths.len()..paths.len() + split.tables.len());
@@ -441,8 +453,10 @@ impl Runner<'_> {
                 set.name,
                 clock.name()
             );
-            let bounds = of(bounds_at..bounds_at + set.bounds.len());
-            let (validation, training) = all.hold_out(1);
+            let bounds = of(bounds_at..steps_at);
+            // The paper's inputs say nothing of the step.
+            let one_step = all.hold_out(1);
+            let every_step = all.and(of(steps_at..steps_at + set.other_steps.len())).hold_out(1);
             let splits: Vec<Part<'_>> = split_at.iter().map(|r| of(r.clone())).collect();
             for (split, part) in set.splits.iter().zip(&splits) {
                 if let Some(noise) = noise_floor(part.frames.iter().copied(), clock) {
@@ -453,7 +467,8 @@ impl Runner<'_> {
             let mut bench = Bench::new(&volume, shading)?;
             for named in &study.predictors {
                 let key = format!("{}-{}", set.name, named.name);
-                let made = self.made(&key, &named.recipe, &kitchen, (&training, &validation), &bounds);
+                let (validation, training) = if named.recipe.knows_step() { &every_step } else { &one_step };
+                let made = self.made(&key, &named.recipe, &kitchen, (training, validation), &bounds);
                 self.bar.inc(1);
                 let file = match made {
                     Ok((file, path)) => {
@@ -497,7 +512,7 @@ impl Runner<'_> {
                         set,
                         named,
                         &kitchen,
-                        (&training, &validation),
+                        (training, validation),
                         &splits,
                         &file,
                         &mut out,
