@@ -397,8 +397,13 @@ impl Recipe {
         Ok(Fitted {
             file,
             what: format!(
-                "Analytic cost model times a learned factor, {} hidden units",
-                self.layers.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
+                "Analytic cost model times a learned factor, {} hidden units{}",
+                self.layers.iter().map(ToString::to_string).collect::<Vec<_>>().join("-"),
+                if self.ensemble > 1 {
+                    format!(", mean of {} networks stored as one", self.ensemble)
+                } else {
+                    String::new()
+                }
             ),
             settings: json!({ "recipe": self, "unit_costs_seconds": costs }),
             history,
@@ -523,18 +528,32 @@ impl Recipe {
 /// # Errors
 /// When the file holds no PredNet, or inputs cannot be computed.
 pub fn calibrate(file: &ModelFile, kitchen: &Kitchen<'_>, frames: Timed<'_>) -> Result<ModelFile> {
-    let model = file.to_model()?;
-    let layout = Layout::of_model(&model)?;
-    let parts = model.prednet().context("the model file holds no PredNet")?;
+    let layout = Layout::of_model(&file.to_model()?)?;
     let rows = layout.rows(kitchen.tables, frames.frames, kitchen.pool, &ProgressBar::hidden())?;
+    calibrate_to_rows(file, &rows, frames.seconds)
+}
+
+/// As [`calibrate`], to input rows in the model's order with the seconds that each took.
+///
+/// # Errors
+/// When the file holds no PredNet, or rows and seconds do not go together.
+pub fn calibrate_to_rows(file: &ModelFile, rows: &[f32], seconds: &[f64]) -> Result<ModelFile> {
+    let model = file.to_model()?;
+    let width: usize = model.inputs().iter().map(|g| g.size).sum();
+    ensure!(
+        rows.len() == width * seconds.len(),
+        "{} inputs for {} frames; the model takes {width} for each",
+        rows.len(),
+        seconds.len()
+    );
+    let parts = model.prednet().context("the model file holds no PredNet")?;
     let scale = Standardization::of(parts);
     let mut parts = parts.clone();
     let last = parts.layers.last().context("the PredNet has no layer")?.clone();
     if parts.target == Target::Seconds {
         // Costs in seconds stay what they are, but for a common factor.
-        let predicted = super::commands::train::predict_rows(&model, &rows, layout.width())?;
-        let mut logs: Vec<f64> =
-            predicted.iter().zip(frames.seconds).map(|(p, t)| (t / p.max(1e-6)).ln()).collect();
+        let predicted = super::commands::train::predict_rows(&model, rows, width)?;
+        let mut logs: Vec<f64> = predicted.iter().zip(seconds).map(|(p, t)| (t / p.max(1e-6)).ln()).collect();
         let factor = crate::dataset::median(&mut logs).unwrap_or(0.0).exp() as f32;
         let layer = parts.layers.last_mut().context("the PredNet has no layer")?;
         if parts.output.is_some() {
@@ -545,9 +564,8 @@ pub fn calibrate(file: &ModelFile, kitchen: &Kitchen<'_>, frames: Timed<'_>) -> 
             layer.weight.iter_mut().chain(&mut layer.bias).for_each(|v| *v *= factor);
         }
     } else {
-        let hidden = hidden_activations(&parts, &standardized(&rows, &scale));
-        let y: Vec<f64> = frames
-            .seconds
+        let hidden = hidden_activations(&parts, &standardized(rows, &scale));
+        let y: Vec<f64> = seconds
             .iter()
             .map(|t| (t.ln() - f64::from(scale.output_mean)) / f64::from(scale.output_std))
             .collect();
@@ -560,7 +578,7 @@ pub fn calibrate(file: &ModelFile, kitchen: &Kitchen<'_>, frames: Timed<'_>) -> 
         }
     }
     let mut out = file.clone();
-    out.set_prednet(&parts, &layout.to_model_groups())?;
+    out.set_prednet(&parts, model.inputs())?;
     Ok(out)
 }
 

@@ -179,7 +179,7 @@ fn card(
          ```\nentire collect VOLUMES --shade {shading} --frames 10 --repeats 3 --out FRAMES.csv\n\
          entire train --data FRAMES.csv --calibrate models/{name}.safetensors --out here.safetensors --limit 100\n\
          entire evaluate --data OTHER.csv --model here.safetensors\n```\n\n\
-         `entire steer --model here.safetensors` steers with it, `entire_model_load` opens it from C.\n"
+         `entire steer --model here.safetensors` steers with it.\n"
     );
     let _ = writeln!(md, "## Inputs\n");
     for group in model.inputs() {

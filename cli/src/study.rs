@@ -127,9 +127,19 @@ pub struct Named {
     /// How it is made.
     #[serde(default)]
     pub recipe: Recipe,
+    /// Another recipe in the sets of these names: what suits one shading mode is not what suits another.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub in_set: BTreeMap<String, Recipe>,
     /// Which table it belongs to: `main`, `ablation`, `architecture`.
     #[serde(default = "main_panel")]
     pub panel: String,
+}
+
+impl Named {
+    /// How it is made for a set.
+    pub fn recipe_for(&self, set: &str) -> &Recipe {
+        self.in_set.get(set).unwrap_or(&self.recipe)
+    }
 }
 
 fn main_panel() -> String {
@@ -236,7 +246,12 @@ pub fn read(path: &Path) -> Result<Study> {
         set.low_resolution.values_mut().for_each(place);
     }
     for p in &mut study.predictors {
-        p.recipe.volumenet.iter_mut().chain(&mut p.recipe.fine_tune).for_each(place);
+        for recipe in p.in_set.values_mut().chain(std::iter::once(&mut p.recipe)) {
+            recipe.volumenet.iter_mut().chain(&mut recipe.fine_tune).for_each(place);
+        }
+        if let Some(other) = p.in_set.keys().find(|n| study.sets.iter().all(|s| s.name != **n)) {
+            bail!("{}: {} names the set {other:?}, which is none", path.display(), p.name);
+        }
     }
     let mut names: Vec<&str> = study.predictors.iter().map(|p| p.name.as_str()).collect();
     names.sort_unstable();
@@ -467,8 +482,10 @@ impl Runner<'_> {
             let mut bench = Bench::new(&volume, shading)?;
             for named in &study.predictors {
                 let key = format!("{}-{}", set.name, named.name);
-                let (validation, training) = if named.recipe.knows_step() { &every_step } else { &one_step };
-                let made = self.made(&key, &named.recipe, &kitchen, (training, validation), &bounds);
+                let (validation, training) =
+                    if named.recipe_for(&set.name).knows_step() { &every_step } else { &one_step };
+                let made =
+                    self.made(&key, named.recipe_for(&set.name), &kitchen, (training, validation), &bounds);
                 self.bar.inc(1);
                 let file = match made {
                     Ok((file, path)) => {
@@ -626,7 +643,8 @@ impl Runner<'_> {
             for &size in study.sample_sizes.iter().filter(|n| **n < training.frames.len()) {
                 let (part, _) = training.sample(size, 7);
                 let key = format!("{}-{}-{size}", set.name, named.name);
-                let (made, _) = self.made(&key, &named.recipe, kitchen, (&part, validation), &none)?;
+                let (made, _) =
+                    self.made(&key, named.recipe_for(&set.name), kitchen, (&part, validation), &none)?;
                 let model = made.to_model()?;
                 let predicted = predict(&model, kitchen, &splits[at].frames)?;
                 push_point(
@@ -688,7 +706,7 @@ impl Runner<'_> {
             );
             if count >= 10 {
                 let key = format!("{}-{}-{split}-alone-{count}", set.name, named.name);
-                match self.made(&key, &named.recipe, kitchen, (&part, &none), &none) {
+                match self.made(&key, named.recipe_for(&set.name), kitchen, (&part, &none), &none) {
                     Ok((alone, _)) => {
                         let predicted = predict(&alone.to_model()?, kitchen, &judged.frames)?;
                         push_point(

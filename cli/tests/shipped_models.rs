@@ -1,5 +1,9 @@
-//! The encoders in `models/` give what PyTorch gives for the same files.
+//! The encoders in `models/` give what PyTorch gives for the same files, the predictors what their cards say.
 
+use entire_cli::dataset::{Clock, Table};
+use entire_cli::metrics::Metrics;
+use entire_cli::recipe::Kitchen;
+use entire_cli::study::{Part, predict};
 use entire_cli::volume::Volume;
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VOLUMENET_TOLERANCE, VolumeNet};
@@ -51,4 +55,45 @@ fn every_shipped_model_has_a_card_and_provenance() {
         }
     }
     assert!(models >= 2);
+}
+
+/// A card's row of a split: RMSE/SD and MdAPE in per cent.
+fn figures_on_card(card: &str, split: &str) -> [f64; 2] {
+    let start = format!("| {split} |");
+    let row = card.lines().find(|l| l.starts_with(&start)).unwrap();
+    let cells: Vec<&str> = row.split('|').map(str::trim).collect();
+    [cells[4].parse().unwrap(), cells[5].parse().unwrap()]
+}
+
+#[test]
+fn shipped_predictors_reach_the_figures_on_their_cards() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    // The paper's network is there for comparison; it has no worst error to keep.
+    for (set, table, kind, worst) in [
+        ("unshaded", "none", "selected", 0.08),
+        ("local", "local", "selected", 0.08),
+        ("scatter", "scatter", "selected", 0.15),
+        ("unshaded", "none", "paper", 1.0),
+        ("local", "local", "paper", 1.0),
+        ("scatter", "scatter", "paper", 1.0),
+    ] {
+        let path = root.join("models").join(format!("{set}-{kind}.safetensors"));
+        let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
+        let card = std::fs::read_to_string(path.with_extension("md")).unwrap();
+        for (split, name) in [("member", "members"), ("modality", "scans")] {
+            let table = root.join("data/timings").join(format!("{table}-{name}.csv.gz"));
+            let tables = [Table::read(&table, 0).unwrap()];
+            let part = Part::of(&tables[0].frames, Clock::Cpu);
+            let bar = indicatif::ProgressBar::hidden();
+            let kitchen = Kitchen { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
+            let predicted = predict(&model, &kitchen, &part.frames).unwrap();
+            let found = Metrics::new(&predicted, &part.seconds).unwrap();
+            let [rmse_over_sd, mdape] = figures_on_card(&card, split);
+            let what = format!("{set}-{kind}, {split}: {} {}", found.rmse_over_sd, found.mdape);
+            assert!((found.rmse_over_sd - rmse_over_sd).abs() < 1e-3, "{what}, {rmse_over_sd} on the card");
+            assert!((100.0 * found.mdape - mdape).abs() < 0.1, "{what}, {mdape} on the card");
+            assert!(split != "member" || found.rmse_over_sd <= worst, "{what}");
+        }
+    }
 }

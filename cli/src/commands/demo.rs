@@ -11,7 +11,7 @@ use crate::path::Generated;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
 use crate::steering::play::DrawSettings;
-use crate::steering::race::{Race, prepare, run as play};
+use crate::steering::race::{Race, prepare, run as play, shipped_model};
 use crate::steering::report::{Story, table, write};
 use crate::volume::Volume;
 use anyhow::{Context, Result, ensure};
@@ -209,6 +209,7 @@ pub fn run(options: &Options) -> Result<()> {
         if shrunk { ", made smaller so that the demo ends in time" } else { "" }
     );
     let seed_name = volume.name().to_owned();
+    let shipped = shipped_model(draw.shading)?;
     let race = Race {
         volume: &view,
         seed_name: &seed_name,
@@ -220,6 +221,7 @@ pub fn run(options: &Options) -> Result<()> {
         fixed_step: None,
         target: None,
         model: None,
+        shipped: shipped.as_ref().map(|(title, file)| (title.as_str(), file)),
     };
     const INTERRUPTED: &str = "interrupted; nothing was written";
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;

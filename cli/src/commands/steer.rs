@@ -10,7 +10,7 @@ use crate::machine::Provenance;
 use crate::path::{FlightPath, Generated, parse_target};
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::DrawSettings;
-use crate::steering::race::{Race, prepare, run as play};
+use crate::steering::race::{Race, prepare, run as play, shipped_model};
 use crate::steering::report::{Story, table, write};
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
@@ -173,6 +173,7 @@ pub fn run(options: &Options) -> Result<()> {
     let stop = || interrupt::requested(&stop);
     let mut renderer = device::open(options.device)?;
     let seed_name = volume.name().to_owned();
+    let shipped = shipped_model(draw.shading)?;
     let race = Race {
         volume: &view,
         seed_name: &seed_name,
@@ -184,6 +185,7 @@ pub fn run(options: &Options) -> Result<()> {
         fixed_step: options.fixed_step,
         target: Some(target),
         model: model.as_ref(),
+        shipped: shipped.as_ref().map(|(title, file)| (title.as_str(), file)),
     };
     const INTERRUPTED: &str = "interrupted; nothing was written";
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;

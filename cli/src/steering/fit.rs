@@ -1,12 +1,13 @@
 //! Predictors fitted to this machine, and the choice between them.
 
 use super::calibrate::{HOLD_OUT_EVERY, Quality, Sample, fit_analytic};
+use crate::recipe::calibrate_to_rows;
 use anyhow::{Context, Result};
 use entire_core::adapt::Prior;
 use entire_core::features::{Changes, SceneFeature};
 use entire_core::model::{InputGroup, Model, ModelFile};
 use entire_core::nn::{Executor, Target, VolumeNet};
-use entire_core::predict::{GroupKind, Inputs, Predictor, load};
+use entire_core::predict::{GroupKind, Inputs, ModelPredictor, Predictor, load};
 use entire_core::scene::VolumeView;
 use entire_core::train::{Network, Samples, Settings, train};
 use serde::Serialize;
@@ -194,11 +195,51 @@ impl Calibrated {
             let fitted = Fitted::made(title, &model, volume)?;
             candidates.push(Candidate::of(fitted, samples)?);
         }
-        let best = (0..candidates.len())
-            .min_by(|a, b| candidates[*a].held_out.log_sd.total_cmp(&candidates[*b].held_out.log_sd))
-            .unwrap_or(0);
-        candidates[best].chosen = true;
-        Ok(Self { candidates })
+        let mut out = Self { candidates };
+        out.choose();
+        Ok(out)
+    }
+
+    /// Adds a model that was made on another machine, its last layer calibrated to the samples that are not held out, and
+    /// chooses anew.
+    ///
+    /// # Errors
+    /// When the model needs an input that calibration frames do not have.
+    pub fn with_shipped(
+        mut self,
+        (title, file): (&str, &ModelFile),
+        samples: &[Sample],
+        volume: &VolumeView<'_>,
+    ) -> Result<Self> {
+        let mut predictor = ModelPredictor::new(&file.to_model()?)?;
+        let (mut rows, mut seconds) = (Vec::new(), Vec::new());
+        for s in samples.iter().filter(|s| !s.held_out()) {
+            let inputs = Inputs {
+                features: &s.features,
+                setting: s.setting,
+                changes: Changes::NONE,
+                camera: s.camera,
+                volume_features: None,
+                lobes: Some(&s.lobes),
+            };
+            rows.extend_from_slice(predictor.row(&inputs)?);
+            seconds.push(s.seconds);
+        }
+        let file = calibrate_to_rows(file, &rows, &seconds)?;
+        self.candidates.push(Candidate::of(Fitted::made(title.to_owned(), &file, volume)?, samples)?);
+        self.choose();
+        Ok(self)
+    }
+
+    /// Chooses the candidate with the smallest scatter on held-out frames.
+    fn choose(&mut self) {
+        let sd = |c: &Candidate| c.held_out.log_sd;
+        let best = self.candidates.iter().map(sd).fold(f64::INFINITY, f64::min);
+        let mut found = false;
+        for c in &mut self.candidates {
+            c.chosen = !found && sd(c) <= best;
+            found |= c.chosen;
+        }
     }
 
     /// The chosen one.

@@ -13,9 +13,10 @@ use anyhow::{Context, Result};
 use entire_core::adapt::Prior;
 use entire_core::control::{StepLimits, StepResponse};
 use entire_core::features::{SummaryOptions, VolumeSummary};
-use entire_core::model::Model;
-use entire_core::scene::VolumeView;
+use entire_core::model::{Model, ModelFile};
+use entire_core::scene::{Shading, VolumeView};
 use entire_vk_raycaster::Renderer;
+use std::path::PathBuf;
 
 /// What is raced.
 #[derive(Clone, Debug)]
@@ -40,6 +41,25 @@ pub struct Race<'a> {
     pub target: Option<f64>,
     /// A model that steers instead of what is fitted here; what is fitted is still reported.
     pub model: Option<&'a Model>,
+    /// A model of other machines' times, by what it is called, that is calibrated to this one and takes part in the choice.
+    pub shipped: Option<(&'a str, &'a ModelFile)>,
+}
+
+/// The model in `models/` that was selected for a shading mode; `None` where the working folder is not the project's.
+///
+/// # Errors
+/// When it is there and no model.
+pub fn shipped_model(shading: Shading) -> Result<Option<(String, ModelFile)>> {
+    let set = match shading {
+        Shading::None => "unshaded",
+        other => other.name(),
+    };
+    let path = PathBuf::from(format!("models/{set}-selected.safetensors"));
+    if !path.is_file() {
+        return Ok(None);
+    }
+    let (file, _) = crate::recipe::read_model_file(&path)?;
+    Ok(Some((format!("{}, calibrated", path.display()), file)))
 }
 
 /// What calibration gave.
@@ -129,6 +149,9 @@ pub fn prepare(
     let Some(samples) = samples? else { return Ok(None) };
     let response = response(&samples)?;
     let mut calibrated = Calibrated::fit(&samples, race.volume, race.seed)?;
+    if let Some(shipped) = race.shipped {
+        calibrated = calibrated.with_shipped(shipped, &samples, race.volume)?;
+    }
     if let Some(model) = race.model {
         let fitted = Fitted::new("the model file that was given".into(), model.clone(), race.volume)?;
         let given =
