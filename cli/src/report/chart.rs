@@ -326,7 +326,16 @@ impl Chart {
         let legend_height = if named.is_empty() { 0.0 } else { f64::from(row + 1) * 20.0 + 4.0 };
         let labelled = self.rules.iter().any(|r| matches!(r, Rule::Vertical(_, t) if !t.is_empty()));
         let top = title_height + legend_height + if labelled { 18.0 } else { 8.0 };
-        let bottom = self.height - 46.0;
+        // Category names wider than their slot stand on several heights by turns.
+        let heights = match &self.x.scale {
+            Scale::Categories(names) => {
+                let slot = (self.width - 130.0) / names.len().max(1) as f64;
+                let widest = names.iter().map(|n| text_width(n)).fold(0.0, f64::max);
+                ((widest + 8.0) / slot).ceil().clamp(1.0, 4.0) as usize
+            }
+            _ => 1,
+        };
+        let bottom = self.height - 46.0 - 14.0 * (heights - 1) as f64;
         let y_ticks = y.ticks(((bottom - top) / 44.0) as usize);
         let y_names: Vec<String> = match &self.y.scale {
             Scale::Categories(names) => names.clone(),
@@ -399,12 +408,9 @@ impl Chart {
             }
         }
         if let Scale::Categories(names) = &self.x.scale {
-            let slot = w / names.len().max(1) as f64;
-            let slanted = names.iter().any(|n| text_width(n) > slot - 6.0);
             for (i, name) in names.iter().enumerate() {
                 let Some(px) = at_x(i as f64) else { continue };
-                // Names wider than their slot stand on two heights by turns.
-                let drop = if slanted && i % 2 == 1 { 30.0 } else { 16.0 };
+                let drop = 16.0 + 14.0 * (i % heights) as f64;
                 let _ = write!(
                     s,
                     "<text class=\"k\" text-anchor=\"middle\" x=\"{px:.1}\" y=\"{:.1}\">{}</text>",

@@ -224,9 +224,10 @@ impl ModelPredictor {
         Ok(&self.row)
     }
 
-    fn score(&self) -> f32 {
+    /// The out-of-range score of an input row in the model's order; see [`Prediction::out_of_range`].
+    pub fn out_of_range(&self, row: &[f32]) -> f32 {
         let (mut worst, mut known) = (0.0f32, false);
-        for (x, &(mean, std)) in self.row.iter().zip(&self.spread) {
+        for (x, &(mean, std)) in row.iter().zip(&self.spread) {
             if mean.is_nan() {
                 continue;
             }
@@ -257,7 +258,7 @@ impl Predictor for ModelPredictor {
         let (seconds, out_of_range) = if seconds.is_nan() {
             (LONGEST, f32::INFINITY)
         } else {
-            (seconds.clamp(SHORTEST, LONGEST), self.score())
+            (seconds.clamp(SHORTEST, LONGEST), self.out_of_range(&self.row))
         };
         Ok(Prediction {
             seconds,
