@@ -3,12 +3,12 @@
 
 .PHONY: test-vtk
 test-vtk: ## Build vtkEntireSteering against the installed VTK and run its tests (skipped where VTK is not there)
-	CARGO="$(CARGO)" examples/vtk/run.sh test
+	@CARGO="$(CARGO)" examples/vtk/run.sh test
 
 .PHONY: bars-vtk
 bars-vtk: ## Compare with VTK's AutoAdjustSampleDistances and collect, train, evaluate per renderer (about an hour)
-	CARGO="$(CARGO)" examples/vtk/run.sh bars
+	@CARGO="$(CARGO)" examples/vtk/run.sh bars
 
 .PHONY: test-paraview
 test-paraview: ## Build the ParaView plugin, load and check it (skipped where ParaView is not there)
-	CARGO="$(CARGO)" examples/paraview/run.sh test
+	@CARGO="$(CARGO)" examples/paraview/run.sh test

@@ -21,7 +21,7 @@ import timing_table  # noqa: E402
 
 
 class YtRenderer:
-    name, skipping, termination, warm_up = "yt", "none", 1.0, 0
+    name, skipping, termination, warm_up = "yt", "none", 1.0, 1
 
     def __init__(self, shade):
         if shade != "none":

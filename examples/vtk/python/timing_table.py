@@ -230,6 +230,23 @@ def collect(options, renderer):
     if os.path.exists(options.out):
         sys.exit(f"{options.out} exists already; remove it or choose another name")
     steps = tuple(float(s) for s in options.steps.split(","))
+    # First, so that a table that was cut short can be used.
+    manifest = {
+        "format": "entire-timings-1",
+        "created": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "machine": f"{platform.node()}, {os.cpu_count()} logical CPUs, {platform.platform()}",
+        "renderer": renderer.name,
+        "device": renderer.device,
+        "driver": renderer.driver,
+        "commit": "",
+        "seed": options.seed,
+        "repeats": options.repeats,
+        "step_reference": "smallest voxel spacing",
+        "settings": {k: v for k, v in vars(options).items() if k not in ("volumes", "out")},
+    }
+    with open(os.path.splitext(options.out)[0] + ".manifest.json", "w") as file:
+        json.dump(manifest, file, indent=2)
+        file.write("\n")
     number = 0
     with open(options.out, "w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -257,19 +274,3 @@ def collect(options, renderer):
                 file.flush()
                 number += 1
             print(f"{path}: {options.frames} frames", file=sys.stderr)
-    manifest = {
-        "format": "entire-timings-1",
-        "created": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        "machine": f"{platform.node()}, {os.cpu_count()} logical CPUs, {platform.platform()}",
-        "renderer": renderer.name,
-        "device": renderer.device,
-        "driver": renderer.driver,
-        "commit": "",
-        "seed": options.seed,
-        "repeats": options.repeats,
-        "step_reference": "smallest voxel spacing",
-        "settings": {k: v for k, v in vars(options).items() if k != "volumes"},
-    }
-    with open(os.path.splitext(options.out)[0] + ".manifest.json", "w") as file:
-        json.dump(manifest, file, indent=2)
-        file.write("\n")
