@@ -36,10 +36,10 @@ trace maestroex-series data/maestroex_bubbles/m03/t0010.nrrd data/maestroex_bubb
     --enlarge 2 --hold 12 --generate orbit --frames "$frames"
 if [ -d "$data/ensembles" ]; then
     v="$data/ensembles/isabel_wrf/run01"
-    first=$(find "$v" -name '*.nrrd' 2>/dev/null | sort | head -n 1)
+    first=$(find "$v" -name '*.nrrd' 2>/dev/null | sort | head -n 1 || true)
     [ -n "$first" ] && trace isabel-switches "$first" --enlarge 2 --generate switches --frames "$frames"
     v="$data/ensembles/viscous_fingers/run01"
-    first=$(find "$v" -name '*.nrrd' 2>/dev/null | sort | head -n 1)
+    first=$(find "$v" -name '*.nrrd' 2>/dev/null | sort | head -n 1 || true)
     [ -n "$first" ] && trace fingers-cuts "$first" --enlarge 2 --generate cuts --frames "$frames"
 fi
 

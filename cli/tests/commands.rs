@@ -198,10 +198,8 @@ fn blocks_of_any_edge_draw_the_same_picture_with_other_work() {
 #[test]
 fn probe_prints_the_machine_in_five_numbers() {
     let folder = workshop();
-    let printed = succeeds(
-        folder.path(),
-        &["probe", "--device", "cpu", "--json", "--frame-ms", "0.1", "--repeat", "1"],
-    );
+    let printed =
+        succeeds(folder.path(), &["probe", "--device", "cpu", "--json", "--frame-ms", "10", "--repeat", "3"]);
     let json: serde_json::Value = serde_json::from_str(&printed).unwrap();
     let numbers = json["numbers"].as_object().unwrap();
     assert_eq!(numbers.len(), 5);
@@ -209,7 +207,7 @@ fn probe_prints_the_machine_in_five_numbers() {
     assert_eq!(json["agreement"]["largest_of_255"], 0);
     assert_eq!(json["agreement"]["counts"], json["agreement"]["counts_of_twin"]);
     assert_eq!((json["backend"].as_str(), json["clock"].as_str()), (Some("cpu"), Some("wall")));
-    let text = succeeds(folder.path(), &["probe", "--device", "cpu", "--frame-ms", "0.1", "--repeat", "1"]);
+    let text = succeeds(folder.path(), &["probe", "--device", "cpu", "--frame-ms", "10", "--repeat", "3"]);
     for part in ["counts equal", "coherent samples", "divergent samples", "skips", "rays", "frame by itself"]
     {
         assert!(text.contains(part), "{text}");

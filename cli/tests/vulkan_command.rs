@@ -47,7 +47,7 @@ fn agrees_with_the_twin() -> Result<(), Failed> {
 /// The probe's own comparison with the twin, and what only a device has.
 fn probe_describes_the_device() -> Result<(), Failed> {
     let folder = workshop();
-    let arguments = ["probe", "--device", "vulkan", "--json", "--frame-ms", "1", "--repeat", "2"];
+    let arguments = ["probe", "--device", "vulkan", "--json", "--frame-ms", "10", "--repeat", "3"];
     let json: serde_json::Value = serde_json::from_str(&succeeds(folder.path(), &arguments))?;
     assert_eq!(json["backend"], "vulkan");
     assert!(json["limits"]["max_image_3d"].as_u64() >= Some(256));

@@ -259,7 +259,16 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         frame: turned_away,
         grows: false,
     })?;
-    let net = |seconds: f64| (seconds - frame_seconds).max(1e-9);
+    let positive = |what: &str, seconds: f64| {
+        if seconds > 0.0 {
+            return Ok(seconds);
+        }
+        Err(Error::new(format!(
+            "the clock is too noisy for frames of {:.1} ms: {what} took {:.3} ms less than what it holds; probe with longer frames, on a machine at rest",
+            options.frame_seconds * 1e3,
+            seconds * -1e3
+        )))
+    };
     let (seconds, _, counts) = prober.time(&Scene {
         view: view(&blobs)?,
         table: table(&[(0.0, 1.0)])?,
@@ -269,15 +278,18 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         },
         grows: true,
     })?;
-    let ray = net(seconds) / counts.rays.max(1) as f64;
+    let ray = positive("a frame of rays", seconds - frame_seconds)? / counts.rays.max(1) as f64;
     let (seconds, times, counts) = prober.time(&Scene {
         view: view(&blobs)?,
         table: faint,
         frame: |edge| Ok(frame((0.0, 0.0, 50.0), 1.0, edge)?.with_skipping(Skipping::None)),
         grows: true,
     })?;
-    let rest = |seconds: f64, counts: &WorkCounts| (net(seconds) - ray * counts.rays as f64).max(1e-9);
-    let coherent = counts.samples.saturating_sub(counts.rays) as f64 / rest(seconds, &counts);
+    let rest = |what: &str, seconds: f64, counts: &WorkCounts| {
+        positive(what, seconds - frame_seconds - ray * counts.rays as f64)
+    };
+    let coherent =
+        counts.samples.saturating_sub(counts.rays) as f64 / rest("a frame of samples", seconds, &counts)?;
     let timestamps = quality(&times);
     let (seconds, _, counts) = prober.time(&Scene {
         view: view(&specks)?,
@@ -288,7 +300,8 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         },
         grows: true,
     })?;
-    let divergent = counts.samples.saturating_sub(counts.rays) as f64 / rest(seconds, &counts);
+    let divergent = counts.samples.saturating_sub(counts.rays) as f64
+        / rest("a frame of diverging rays", seconds, &counts)?;
     let (seconds, _, counts) = prober.time(&Scene {
         view: view(&empty)?,
         table: table(&[(0.0, 0.0), (0.5, 0.0), (1.0, 1.0)])?,
@@ -296,7 +309,7 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         grows: true,
     })?;
     // The jump that a ray in place of its one sample makes is in both.
-    let skips = counts.skips.saturating_sub(counts.rays) as f64 / rest(seconds, &counts);
+    let skips = counts.skips.saturating_sub(counts.rays) as f64 / rest("a frame of skips", seconds, &counts)?;
     Ok(Probe {
         device: renderer.device(),
         backend: renderer.backend(),

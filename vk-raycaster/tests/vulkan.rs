@@ -369,6 +369,15 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
         }
         gpu.enqueue(f)?;
         wanted.push_back(alone.render(f)?);
+        if i == 5 {
+            // While as many as may be are in flight: volume and transfer function, and back.
+            let other = field_bytes([24; 3]);
+            let other = VolumeView::new(Scalars::U8(&other), [24; 3]).unwrap();
+            for r in [&mut gpu, &mut alone] {
+                r.set_volume(&other)?;
+                r.set_transfer(&medium())?;
+            }
+        }
     }
     // One slot is free for a frame that is rendered in between.
     check(&mut gpu, &mut wanted)?;

@@ -359,8 +359,9 @@ impl VolumeSummary {
                     count_entries(&row[span(cx, edge[0], 0)], &mut counts);
                 }
                 let [a, b, c, d] = &counts;
-                let histogram: [u32; 256] = core::array::from_fn(|i| a[i] + b[i] + c[i] + d[i]);
-                total.iter_mut().zip(&histogram).for_each(|(t, &h)| *t += u64::from(h));
+                let histogram: [u64; 256] =
+                    core::array::from_fn(|i| [a, b, c, d].iter().map(|c| u64::from(c[i])).sum());
+                total.iter_mut().zip(&histogram).for_each(|(t, &h)| *t += h);
                 let stats = &mut self.stats[cx + cells[0] * (cy + cells[1] * cz)];
                 stats.quantiles = quantiles(&histogram).map(|q| map.near[usize::from(q)]);
             }
@@ -528,12 +529,12 @@ fn to_positions(volume: &VolumeView<'_>, row: &mut [f32]) {
     }
 }
 
-fn quantiles(histogram: &[u32; 256]) -> [u8; QUANTILES + 1] {
-    let voxels: u64 = histogram.iter().map(|&h| u64::from(h)).sum();
+fn quantiles(histogram: &[u64; 256]) -> [u8; QUANTILES + 1] {
+    let voxels: u64 = histogram.iter().sum();
     let mut out = [0u8; QUANTILES + 1];
     let (mut below, mut next) = (0u64, 0usize);
     for (entry, &n) in histogram.iter().enumerate() {
-        below += u64::from(n);
+        below += n;
         // Bound k is the smallest entry with more than k/QUANTILES of the voxels at or below it.
         while next < QUANTILES && below * QUANTILES as u64 > next as u64 * voxels {
             out[next] = entry as u8;

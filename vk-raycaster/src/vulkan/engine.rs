@@ -20,7 +20,7 @@ const STAGING_BYTES: u64 = 64 << 20;
 const TABLE_BYTES: u64 = 65536;
 
 /// Bytes per pixel of the state of a ray between its windows.
-const STATE_BYTES: u64 = 32;
+pub(crate) const STATE_BYTES: u64 = 32;
 
 /// Which variant of the shader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -35,6 +35,8 @@ pub(crate) struct ShaderKey {
 
 /// Frames that may be in flight.
 pub(crate) const FRAMES_IN_FLIGHT: usize = 2;
+/// The slot of copies to the device, which are free to go on while every other slot has a frame.
+const COPIES: usize = FRAMES_IN_FLIGHT;
 
 /// Most textures that a volume may be cut into.
 pub(crate) const MAX_BRICKS: usize = 64;
@@ -80,9 +82,16 @@ struct Slot {
 
 /// A submitted cast.
 struct Running {
+    number: u64,
     pass: String,
     pixels: u64,
     counting: bool,
+}
+
+/// What [`Engine::start`] started, for [`Engine::finish`].
+pub(crate) struct Ticket {
+    slot: usize,
+    number: u64,
 }
 
 /// Buffers whose size follows the tile.
@@ -110,6 +119,8 @@ pub(crate) struct Engine {
     staging: Option<Buffer>,
     /// A failed submission may still be running: nothing is freed or submitted before the device is idle again.
     broken: bool,
+    /// Casts so far.
+    casts: u64,
 }
 
 impl Slot {
@@ -248,7 +259,7 @@ impl Engine {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_sampler(h, None) }
         });
-        let slots = (0..FRAMES_IN_FLIGHT).map(|_| Slot::new(&gpu)).collect::<Result<_>>()?;
+        let slots = (0..=COPIES).map(|_| Slot::new(&gpu)).collect::<Result<_>>()?;
         Ok(Self {
             pipelines: HashMap::new(),
             pipeline_layout,
@@ -260,6 +271,7 @@ impl Engine {
             skip_map: None,
             staging: None,
             broken: false,
+            casts: 0,
             gpu,
         })
     }
@@ -350,9 +362,8 @@ impl Engine {
             if let Some(staging) = &mut self.staging {
                 fill(first as usize, &mut staging.bytes_mut()?[..(slice * u64::from(slices)) as usize]);
             }
-            let slot = self.free_slot()?;
-            self.submit(slot, "copy to the device", None, &record_slices(target, depth, first, slices))?;
-            self.wait(slot, "copy to the device")?;
+            self.submit(COPIES, "copy to the device", None, &record_slices(target, depth, first, slices))?;
+            self.wait(COPIES, "copy to the device")?;
             first += slices;
         }
         // A large staging buffer is not kept for small later uses.
@@ -362,9 +373,9 @@ impl Engine {
         Ok(())
     }
 
-    /// A slot in which nothing is running.
+    /// A slot for a frame in which nothing is running.
     pub(crate) fn free_slot(&self) -> Result<usize> {
-        self.slots.iter().position(|s| s.running.is_none()).ok_or_else(|| {
+        self.slots[..COPIES].iter().position(|s| s.running.is_none()).ok_or_else(|| {
             Error::new(format!(
                 "{FRAMES_IN_FLIGHT} frames are in flight, no more are taken: collect one first"
             ))
@@ -372,7 +383,7 @@ impl Engine {
     }
 
     /// Starts to cast the rays of a tile.
-    pub(crate) fn start(&mut self, slot: usize, cast: &Cast<'_>, commands: &[Command]) -> Result<()> {
+    pub(crate) fn start(&mut self, slot: usize, cast: &Cast<'_>, commands: &[Command]) -> Result<Ticket> {
         if self.broken {
             self.drain()?;
         }
@@ -383,13 +394,16 @@ impl Engine {
         let set = self.prepare_set(slot, cast.brick)?;
         let shader = self.pipelines.get(&cast.key).map(|p| (p.get(), set));
         self.submit(slot, cast.pass, shader, commands)?;
-        self.slots[slot].running = Some(Running { pass: cast.pass.to_owned(), pixels, counting });
-        Ok(())
+        self.casts += 1;
+        let number = self.casts;
+        self.slots[slot].running = Some(Running { number, pass: cast.pass.to_owned(), pixels, counting });
+        Ok(Ticket { slot, number })
     }
 
     /// Waits for what was started.
-    pub(crate) fn finish(&mut self, slot: usize) -> Result<CastTile<'_>> {
-        let Some(Running { pass, pixels, counting }) = self.slots[slot].running.take() else {
+    pub(crate) fn finish(&mut self, Ticket { slot, number }: Ticket) -> Result<CastTile<'_>> {
+        let running = &mut self.slots[slot].running;
+        let Some(Running { pass, pixels, counting, .. }) = running.take_if(|r| r.number == number) else {
             return Err(Error::new("nothing was cast, or the device failed meanwhile: render again"));
         };
         self.wait(slot, &pass)?;

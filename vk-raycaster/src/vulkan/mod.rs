@@ -17,7 +17,7 @@ use crate::renderer::{
 use crate::setup::{FAR, FrameSetup};
 use crate::table::Classifier;
 use crate::voxels::{Geometry, PreparedVolume};
-use engine::{Cast, Engine, ShaderKey};
+use engine::{Cast, Engine, STATE_BYTES, ShaderKey, Ticket};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
 use gpu::{Gpu, GpuOptions};
 use recording::{IMAGE_BYTES, Target, Tile, WORK_BYTES, record_tile, tiles};
@@ -119,7 +119,7 @@ pub struct VulkanRaycaster {
 
 /// A frame in flight.
 struct Enqueued {
-    slot: usize,
+    ticket: Ticket,
     width: u32,
     height: u32,
     watch: Stopwatch,
@@ -158,7 +158,7 @@ impl VulkanRaycaster {
         let gpu =
             Gpu::open(&GpuOptions { device: options.device.as_deref(), validation: options.validation })?;
         let groups = gpu.limits.max_compute_work_group_count;
-        let pixels = u64::from(gpu.limits.max_storage_buffer_range) / WORK_BYTES;
+        let pixels = u64::from(gpu.limits.max_storage_buffer_range) / STATE_BYTES.max(WORK_BYTES);
         let largest = (groups[0].min(groups[1]).saturating_mul(recording::GROUP_EDGE))
             .min(pixels.isqrt().try_into().unwrap_or(u32::MAX));
         let edge = options.tile.unwrap_or(1024).clamp(recording::GROUP_EDGE, largest);
@@ -236,9 +236,15 @@ impl VulkanRaycaster {
             record_tile(&plan.setup, tile, plan.table, self.has_timestamps(), self.options.count_work);
         let cast =
             Cast { pass: "ray casting, a frame in flight", key: plan.key, tile, windowed: false, brick: 0 };
-        self.engine.start(slot, &cast, &commands)?;
+        let ticket = self.engine.start(slot, &cast, &commands)?;
         self.table_step = Some(frame.step());
-        self.in_flight.push_back(Enqueued { slot, width, height, watch, counting: self.options.count_work });
+        self.in_flight.push_back(Enqueued {
+            ticket,
+            width,
+            height,
+            watch,
+            counting: self.options.count_work,
+        });
         Ok(())
     }
 
@@ -248,10 +254,10 @@ impl VulkanRaycaster {
     /// # Errors
     /// When the device fails.
     pub fn collect(&mut self) -> Result<Option<Rendered>> {
-        let Some(Enqueued { slot, width, height, watch, counting }) = self.in_flight.pop_front() else {
+        let Some(Enqueued { ticket, width, height, watch, counting }) = self.in_flight.pop_front() else {
             return Ok(None);
         };
-        let done = self.engine.finish(slot)?;
+        let done = self.engine.finish(ticket)?;
         let mut counts = WorkCounts::default();
         add_counts(&mut counts, done.work);
         let image = Image { width, height, rgba: done.image.to_vec() };
@@ -461,8 +467,8 @@ impl Renderer for VulkanRaycaster {
                         record_tile(&setup, tile, plan.table.take(), timestamps, self.options.count_work);
                     let cast = Cast { pass: &pass, key: plan.key, tile, windowed, brick };
                     let tile_watch = Stopwatch::start();
-                    self.engine.start(slot, &cast, &commands)?;
-                    let done = self.engine.finish(slot)?;
+                    let ticket = self.engine.start(slot, &cast, &commands)?;
+                    let done = self.engine.finish(ticket)?;
                     device = device.zip(done.seconds).map(|(sum, s)| sum + s);
                     if done.seconds.unwrap_or_else(|| tile_watch.wall()) > LONG_DISPATCH_SECONDS {
                         self.tile[class] = (self.tile[class] / 2).max(SMALLEST_TILE.min(self.tile[class]));
