@@ -84,6 +84,9 @@ pub struct Set {
     /// The split that fine-tuning curves and the calibration bar are about.
     #[serde(default)]
     pub calibration_split: Option<String>,
+    /// Further splits that fine-tuning curves are drawn for.
+    #[serde(default)]
+    pub more_calibration_splits: Vec<String>,
     /// Limits of the bars; none are printed for what is missing.
     #[serde(default)]
     pub limits: Limits,
@@ -668,59 +671,62 @@ impl Runner<'_> {
                 &splits[at].seconds,
             );
         }
-        let Some(at) =
-            set.calibration_split.as_ref().and_then(|n| set.splits.iter().position(|s| s.name == *n))
-        else {
-            return Ok(());
-        };
-        let (split, all) = (&set.splits[at].name, &splits[at]);
-        // The last half is judged on, whatever the share learned from.
-        let (pool, judged) = all.sample(all.frames.len() / 2, 11);
-        let before = predict(&file.to_model()?, kitchen, &judged.frames)?;
-        push_point(
-            &mut out.tuning,
-            set,
-            split,
-            &format!("{}, calibrated", named.name),
-            0,
-            &before,
-            &judged.seconds,
-        );
-        let mut counts: Vec<usize> =
-            study.shares.iter().map(|s| ((s * all.frames.len() as f64).round() as usize).max(2)).collect();
-        counts.push(100);
-        counts.sort_unstable();
-        counts.dedup();
-        for count in counts.into_iter().filter(|n| *n <= pool.frames.len()) {
-            let (part, _) = pool.sample(count, 13);
-            let tuned = calibrate(file, kitchen, part.timed())?.to_model()?;
-            let predicted = predict(&tuned, kitchen, &judged.frames)?;
+        let main = set.calibration_split.iter().map(|n| (n, String::new()));
+        let more = set.more_calibration_splits.iter().map(|n| (n, format!(" ({n})")));
+        for (name, on) in main.chain(more) {
+            let Some(at) = set.splits.iter().position(|s| s.name == *name) else { continue };
+            let (split, all) = (&set.splits[at].name, &splits[at]);
+            // The last half is judged on, whatever the share learned from.
+            let (pool, judged) = all.sample(all.frames.len() / 2, 11);
+            let before = predict(&file.to_model()?, kitchen, &judged.frames)?;
             push_point(
                 &mut out.tuning,
                 set,
                 split,
-                &format!("{}, calibrated", named.name),
-                count,
-                &predicted,
+                &format!("{}, calibrated{on}", named.name),
+                0,
+                &before,
                 &judged.seconds,
             );
-            if count >= 10 {
-                let key = format!("{}-{}-{split}-alone-{count}", set.name, named.name);
-                match self.made(&key, named.recipe_for(&set.name), kitchen, (&part, &none), &none) {
-                    Ok((alone, _)) => {
-                        let predicted = predict(&alone.to_model()?, kitchen, &judged.frames)?;
-                        push_point(
-                            &mut out.tuning,
-                            set,
-                            split,
-                            &format!("{}, from nothing", named.name),
-                            count,
-                            &predicted,
-                            &judged.seconds,
-                        );
+            let mut counts: Vec<usize> = study
+                .shares
+                .iter()
+                .map(|s| ((s * all.frames.len() as f64).round() as usize).max(2))
+                .collect();
+            counts.push(100);
+            counts.sort_unstable();
+            counts.dedup();
+            for count in counts.into_iter().filter(|n| *n <= pool.frames.len()) {
+                let (part, _) = pool.sample(count, 13);
+                let tuned = calibrate(file, kitchen, part.timed())?.to_model()?;
+                let predicted = predict(&tuned, kitchen, &judged.frames)?;
+                push_point(
+                    &mut out.tuning,
+                    set,
+                    split,
+                    &format!("{}, calibrated{on}", named.name),
+                    count,
+                    &predicted,
+                    &judged.seconds,
+                );
+                if count >= 10 {
+                    let key = format!("{}-{}-{split}-alone-{count}", set.name, named.name);
+                    match self.made(&key, named.recipe_for(&set.name), kitchen, (&part, &none), &none) {
+                        Ok((alone, _)) => {
+                            let predicted = predict(&alone.to_model()?, kitchen, &judged.frames)?;
+                            push_point(
+                                &mut out.tuning,
+                                set,
+                                split,
+                                &format!("{}, from nothing{on}", named.name),
+                                count,
+                                &predicted,
+                                &judged.seconds,
+                            );
+                        }
+                        Err(e) if (self.stop)() => return Err(e),
+                        Err(e) => out.left_out.push((set.name.clone(), key, format!("{e:#}"))),
                     }
-                    Err(e) if (self.stop)() => return Err(e),
-                    Err(e) => out.left_out.push((set.name.clone(), key, format!("{e:#}"))),
                 }
             }
         }
