@@ -30,6 +30,8 @@
 #include <array>
 #include <chrono>
 #include <cmath>
+#include <cstdint>
+#include <cstdio>
 #include <cstring>
 #include <ctime>
 #include <fstream>
@@ -1391,11 +1393,15 @@ bool vtkEntireSteering::SaveState(const char* fileName)
     return false;
   }
   const std::vector<std::uint8_t>& bytes = state.value();
-  std::ofstream file(fileName, std::ios::binary | std::ios::trunc);
+  // Written aside and put in place whole: several ranks may save to one name at a time.
+  const std::string aside = std::string(fileName) + ".part" +
+    std::to_string(std::chrono::steady_clock::now().time_since_epoch().count() ^ reinterpret_cast<std::intptr_t>(this));
+  std::ofstream file(aside, std::ios::binary | std::ios::trunc);
   file.write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
   file.close();
-  if (!file)
+  if (!file || std::rename(aside.c_str(), fileName) != 0)
   {
+    std::remove(aside.c_str());
     this->SetStatus((std::string(fileName) + " cannot be written").c_str());
     return false;
   }
