@@ -74,7 +74,7 @@ fi
 
 # Vulkan: a loader, and a driver that has something to drive. Mesa's software driver (lavapipe) always has.
 vulkan() {
-    ldconfig -p 2>/dev/null | grep -q 'libvulkan\.so\.1' || return 1
+    ldconfig -p 2>/dev/null | grep 'libvulkan\.so\.1' >/dev/null || return 1
     local named=${VK_DRIVER_FILES:-${VK_ICD_FILENAMES:-}}
     if [[ -n "$named" ]]; then
         local first=${named%%:*}

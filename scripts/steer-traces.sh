@@ -51,3 +51,12 @@ if [ ! -e "$out/farm.json" ]; then
         "${common[@]}" --name farm --out "$out/part.json"
     mv "$out/part.json" "$out/farm.json"
 fi
+
+# What the farm rendered before: other volumes of the same simulations, other poses, the same transfer function.
+if [ ! -e "$out/farm-training.json" ]; then
+    "$entire" record data/nyx_cosmology/m01/t0005.nrrd data/nyx_cosmology/m02/t0010.nrrd \
+        data/castro_blast/m01/t0008.nrrd data/castro_blast/m02/t0012.nrrd data/maestroex_bubbles/m01/t0010.nrrd \
+        data/maestroex_bubbles/m01/t0015.nrrd --enlarge 2 --hold 48 --path examples/paths/farm-training.json \
+        --steps 1,2 "${common[@]}" --name farm-training --out "$out/part.json"
+    mv "$out/part.json" "$out/farm-training.json"
+fi

@@ -146,6 +146,13 @@ fn bad_input_is_one_line_and_status_1() {
     for (more, expected) in [
         (&["--target", "33"][..], "no unit"),
         (&["--target", "0ms"], "finite positive"),
+        (&["--target", "-1"], "no unit"),
+        (&["--target", "-5ms"], "finite positive"),
+        (&["--target", "9ms", "--retarget", "5"], "FRAME:TIME"),
+        (&["--target", "9ms", "--retarget", "9:8ms,3:9ms"], "ordered by frame"),
+        (&["--target", "9ms", "--scales", "9:1,3:0.5"], "ordered by frame"),
+        (&["--target", "9ms", "--choose-scales", "1.5"], "below 1"),
+        (&["--target", "9ms", "--hold", "3"], "several volumes"),
         (&["--target", "9ms", "--limits", "4,2"], "step limits"),
         (&["--target", "9ms", "--calibrate", "3"], "at least 8 scenes"),
         (&["--target", "9ms", "--controllers", "pid,pid"], "twice"),

@@ -212,6 +212,11 @@ pub fn run(options: &Options) -> Result<()> {
     let shipped = shipped_model(draw.shading)?;
     let race = Race {
         volume: &view,
+        series: &[],
+        hold: 0,
+        retargets: &[],
+        scales: &[],
+        choices: &[],
         seed_name: &seed_name,
         seed: options.seed,
         draw,

@@ -1,7 +1,7 @@
 //! `entire record`: what every frame of a path costs, and how it looks, at a grid of ray steps and image scales.
 
 use crate::commands::collect::{ShadeOption, SkipOption, progress_bar};
-use crate::commands::steer::parse_size;
+use crate::commands::steer::{parse_hold, parse_scale, parse_size};
 use crate::dataset::{Clock, Measurement as Timing, Scene, Writer};
 use crate::device::{self, Device};
 use crate::enlarge::enlarge;
@@ -93,12 +93,6 @@ pub struct Options {
     pub enlarge: usize,
 }
 
-fn parse_scale(text: &str) -> std::result::Result<(u32, f32), String> {
-    let pair = text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
-    pair.filter(|(_, s): &(u32, f32)| (0.01..=4.0).contains(s))
-        .ok_or_else(|| format!("{text:?} is not FRAME:SCALE like 40:0.5 with a scale of 0.01 to 4"))
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -115,13 +109,7 @@ pub fn run(options: &Options) -> Result<()> {
         "--steps are {:?}; give at least two, ascending, each in [0.015625, 4096] reference steps",
         options.steps
     );
-    let hold = match (options.volumes.len(), options.hold) {
-        (1, None) => 0,
-        (1, Some(_)) => bail!("--hold is for several volumes; one was given"),
-        (_, Some(0)) => bail!("--hold is 0; each volume is shown for at least one frame"),
-        (_, Some(n)) => n,
-        (n, None) => bail!("{n} volumes were given; say for how many frames each is shown (--hold N)"),
-    };
+    let hold = parse_hold(options.volumes.len(), options.hold)?;
     ensure!(options.scales.is_sorted_by_key(|s| s.0), "--scales must be ordered by frame");
     let volumes = options
         .volumes

@@ -48,7 +48,8 @@ pub struct Options {
         long,
         value_delimiter = ',',
         default_value = "5fps,10fps,15fps,20fps,30fps,45fps,60fps,90fps",
-        value_name = "TIME,…"
+        value_name = "TIME,…",
+        allow_hyphen_values = true
     )]
     pub targets: Vec<String>,
     /// Who plays; everyone where none is named.

@@ -1,8 +1,10 @@
 //! `entire schedule`: which node renders what, in which order, and when it will be done.
 
 use crate::commands::replay::samples_of;
+use crate::dataset::median;
 use crate::machine::Provenance;
 use crate::report::{Axis, Chart, Column, Mark, Page, Series, Table};
+use crate::steering::calibrate::{Quality, Sample};
 use crate::steering::fit::{Calibrated, Fitted};
 use crate::steering::trace::{Curve, Trace};
 use anyhow::{Context, Result, bail, ensure};
@@ -42,6 +44,10 @@ pub struct Options {
     /// Timing tables that the predictor of --trace is fitted to.
     #[arg(long, value_delimiter = ',', value_name = "TABLE.csv")]
     pub calibration: Vec<PathBuf>,
+    /// Recorded frames of other volumes that the predictor of --trace is fitted to beside the timing tables: what a farm has
+    /// rendered before, with the same transfer function.
+    #[arg(long, value_delimiter = ',', value_name = "TRACE.json", requires = "trace")]
+    pub training: Vec<PathBuf>,
     /// Write the tasks of --trace down as a task list (CSV).
     #[arg(long, value_name = "TASKS.csv", requires = "trace")]
     pub save_tasks: Option<PathBuf>,
@@ -164,15 +170,53 @@ pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
     Ok(tasks)
 }
 
+/// What a trace's frames cost at every full-size point of their grids, one scene per frame, numbered from `first` on.
+fn samples_of_trace(trace: &Trace, first: usize) -> Result<Vec<Sample>> {
+    let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);
+    let mut features = FrameFeatures::new();
+    let mut samples = Vec::new();
+    for (index, at) in path.frames.iter().enumerate() {
+        let volume = trace.volume_at(index);
+        let table = at.transfer.function().to_table()?;
+        let mut transfer = TransferSummary::new(&summaries[volume], &table);
+        transfer.prepare_distance();
+        let frame = trace.frame(&path, &draw, index)?;
+        features.measure(&summaries[volume], &transfer, &frame);
+        for p in trace.frames[index].iter().filter(|p| p.scale == 1.0) {
+            samples.push(Sample {
+                scene: first + index,
+                features: features.clone(),
+                setting: Setting::of(&frame).with_step(p.step),
+                camera: at.camera,
+                lobes: at.transfer.lobes().unwrap_or_default(),
+                seconds: median(&mut p.seconds.clone()).context("a point without a time")?,
+            });
+        }
+    }
+    Ok(samples)
+}
+
 /// Tasks of a recorded path: its frames at the reference step, predicted by what `calibration` fits.
-fn tasks_of_trace(trace: &Path, calibration: &[PathBuf]) -> Result<Vec<Task>> {
-    let samples = samples_of(calibration)?;
+fn tasks_of_trace(trace: &Path, calibration: &[PathBuf], training: &[PathBuf]) -> Result<Vec<Task>> {
+    let mut samples = samples_of(calibration)?;
+    for file in training {
+        // Frames like the tasks count alone where there are any: other transfer functions teach little about this one.
+        if file == &training[0] {
+            samples.clear();
+        }
+        samples.extend(samples_of_trace(&Trace::open(file)?, samples.len())?);
+    }
     let nothing = [0u8];
     let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;
     let calibrated = Calibrated::fit(&samples, &no_volume, 1)?;
     let chosen: &Fitted = &calibrated.chosen().fitted;
     let mut predictor = chosen.predictor()?;
-    println!("predictor  {} (fitted to other volumes)", chosen.title());
+    let Quality { frames, median_error, log_sd, .. } = calibrated.chosen().held_out;
+    println!(
+        "predictor  {} (fitted to other volumes; {frames} held-out frames: median error {:.1} %, scatter {log_sd:.3})",
+        chosen.title(),
+        100.0 * median_error
+    );
     let trace = Trace::open(trace)?;
     let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);
     let mut features = FrameFeatures::with_probe_side(predictor.probe_side());
@@ -315,7 +359,7 @@ fn eta(plan: &Plan, expected: &[f64], tasks: &[Task], speeds: &[f64], options: &
 pub fn run(options: &Options) -> Result<()> {
     let tasks = match (&options.tasks, &options.trace) {
         (Some(file), _) => read_tasks(file)?,
-        (None, Some(trace)) => tasks_of_trace(trace, &options.calibration)?,
+        (None, Some(trace)) => tasks_of_trace(trace, &options.calibration, &options.training)?,
         (None, None) => bail!("give a task list or --trace"),
     };
     ensure!(

@@ -1,7 +1,7 @@
 //! `entire steer`: play a path against a target frame time under several controllers.
 
 use crate::commands::collect::{ShadeOption, SkipOption};
-use crate::dataset::Clock;
+use crate::dataset::{Clock, Scene, Writer};
 use crate::device::{self, Device};
 use crate::enlarge::enlarge;
 use crate::files::open_model;
@@ -9,14 +9,15 @@ use crate::interrupt;
 use crate::machine::Provenance;
 use crate::path::{FlightPath, Generated, parse_target};
 use crate::steering::contenders::ControllerKind;
-use crate::steering::play::DrawSettings;
+use crate::steering::play::{DrawSettings, Playback};
 use crate::steering::race::{Race, prepare, run as play, shipped_model};
 use crate::steering::report::{Story, table, write};
+use crate::steering::trace::scaled_size;
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::control::StepLimits;
-use entire_core::scene::MAX_IMAGE_SIDE;
-use std::path::PathBuf;
+use entire_core::scene::{MAX_IMAGE_SIDE, VolumeView};
+use std::path::{Path, PathBuf};
 
 /// Play a path against a target frame time under several controllers.
 ///
@@ -27,11 +28,16 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire steer data/nyx_cosmology/m01/t0010.nrrd --generate switches --target 30fps --out out/steer
-  entire steer skull.nrrd --path examples/paths/switches.json --target 33ms --controllers olp,hybrid --out out/skull")]
+  entire steer skull.nrrd --path examples/paths/switches.json --target 33ms --controllers olp,hybrid --out out/skull
+  entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit --target 30fps --retarget 30:60fps,60:15fps --out out/series
+  entire steer skull.nrrd --generate fly-in --target 60fps --choose-scales 0.7,0.5 --log observed.csv --out out/skull")]
 pub struct Options {
-    /// The volume file.
-    #[arg(value_name = "VOLUME")]
-    pub volume: PathBuf,
+    /// The volume file; several are the volumes of a series (see --hold), the first of which calibrates.
+    #[arg(value_name = "VOLUME", required = true)]
+    pub volumes: Vec<PathBuf>,
+    /// Frames that each volume of a series is shown for.
+    #[arg(long, value_name = "N")]
+    pub hold: Option<u32>,
     /// The path file to play (JSON; the format is documented with the examples in examples/paths).
     #[arg(long, value_name = "FILE.json", conflicts_with = "generate", required_unless_present = "generate")]
     pub path: Option<PathBuf>,
@@ -45,8 +51,21 @@ pub struct Options {
     #[arg(long, value_name = "FILE.json", requires = "generate")]
     pub save_path: Option<PathBuf>,
     /// Time that frames should not exceed: 33ms, 0.033s or 30fps.
-    #[arg(long, value_name = "TIME")]
+    #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub target: String,
+    /// Other targets from a frame on, as FRAME:TIME, comma-separated.
+    #[arg(long, value_delimiter = ',', value_name = "FRAME:TIME,…")]
+    pub retarget: Vec<String>,
+    /// Image scale from a frame on, as FRAME:SCALE, comma-separated: what a resized window does.
+    #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
+    pub scales: Vec<(u32, f32)>,
+    /// Shares of the image side, beside 1, that the hybrid may choose together with the step, whichever promises the better
+    /// picture; smaller images are brought back to full size before pictures are compared.
+    #[arg(long, value_delimiter = ',', value_name = "SCALE,…")]
+    pub choose_scales: Vec<f32>,
+    /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
+    #[arg(long, value_name = "TABLE.csv")]
+    pub log: Option<PathBuf>,
     /// Who plays.
     #[arg(
         long,
@@ -123,6 +142,35 @@ pub(crate) fn parse_limits(text: &str) -> std::result::Result<(f32, f32), String
     pair.ok_or_else(|| format!("{text:?} is not two numbers like 1,16"))
 }
 
+pub(crate) fn parse_scale(text: &str) -> std::result::Result<(u32, f32), String> {
+    let pair = text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    pair.filter(|(_, s): &(u32, f32)| (0.01..=4.0).contains(s))
+        .ok_or_else(|| format!("{text:?} is not FRAME:SCALE like 40:0.5 with a scale of 0.01 to 4"))
+}
+
+/// Frames per volume of a series; 0 for a single volume.
+pub(crate) fn parse_hold(volumes: usize, hold: Option<u32>) -> Result<u32> {
+    match (volumes, hold) {
+        (1, None) => Ok(0),
+        (1, Some(_)) => bail!("--hold is for several volumes; one was given"),
+        (_, Some(0)) => bail!("--hold is 0; each volume is shown for at least one frame"),
+        (_, Some(n)) => Ok(n),
+        (n, None) => bail!("{n} volumes were given; say for how many frames each is shown (--hold N)"),
+    }
+}
+
+fn parse_retarget(text: &str) -> Result<(u32, f64)> {
+    let (frame, time) = text
+        .split_once(':')
+        .with_context(|| format!("--retarget {text:?} is not FRAME:TIME like 40:60fps"))?;
+    let frame = frame
+        .trim()
+        .parse()
+        .ok()
+        .with_context(|| format!("--retarget {text:?} names no frame; give FRAME:TIME like 40:60fps"))?;
+    Ok((frame, parse_target(time)?))
+}
+
 /// Runs the command.
 ///
 /// # Errors
@@ -148,11 +196,29 @@ pub fn run(options: &Options) -> Result<()> {
         termination: options.termination,
         clock: options.clock,
     };
+    let hold = parse_hold(options.volumes.len(), options.hold)?;
+    let retargets = options.retarget.iter().map(|t| parse_retarget(t)).collect::<Result<Vec<_>>>()?;
+    ensure!(retargets.is_sorted_by_key(|t| t.0), "--retarget must be ordered by frame");
+    ensure!(options.scales.is_sorted_by_key(|s| s.0), "--scales must be ordered by frame");
+    for s in &options.choose_scales {
+        ensure!(
+            s.is_finite() && *s >= 0.05 && *s < 1.0,
+            "--choose-scales holds {s}; give shares of the image side from 0.05 to below 1"
+        );
+    }
     let model = options.model.as_deref().map(open_model).transpose()?;
-    let shown = options.volume.display().to_string();
-    let volume = Volume::open(&options.volume)?;
-    let volume = if options.enlarge == 1 { volume } else { enlarge(&volume, options.enlarge)? };
+    let volumes = options
+        .volumes
+        .iter()
+        .map(|file| {
+            let volume = Volume::open(file)?;
+            if options.enlarge == 1 { Ok(volume) } else { enlarge(&volume, options.enlarge) }
+        })
+        .collect::<Result<Vec<Volume>>>()?;
+    let volume = &volumes[0];
+    let shown = options.volumes[0].display().to_string();
     let view = volume.view();
+    let series: Vec<VolumeView<'_>> = volumes[1..].iter().map(Volume::view).collect();
     let (path, path_name) = match (&options.path, options.generate) {
         (Some(file), _) => {
             let path = FlightPath::open(file)?;
@@ -176,6 +242,11 @@ pub fn run(options: &Options) -> Result<()> {
     let shipped = shipped_model(draw.shading)?;
     let race = Race {
         volume: &view,
+        series: &series,
+        hold,
+        retargets: &retargets,
+        scales: &options.scales,
+        choices: &options.choose_scales,
         seed_name: &seed_name,
         seed: options.seed,
         draw,
@@ -201,8 +272,17 @@ pub fn run(options: &Options) -> Result<()> {
             target * 1e3,
             options.controllers.len()
         ),
-        target: format!("{:.2} ms, as asked for ({})", target * 1e3, options.target),
-        volume: describe(&shown, &volume, options.enlarge),
+        target: match options.retarget.is_empty() {
+            true => format!("{:.2} ms, as asked for ({})", target * 1e3, options.target),
+            false => format!("{}, then {}", options.target, options.retarget.join(", ")),
+        },
+        volume: options
+            .volumes
+            .iter()
+            .zip(&volumes)
+            .map(|(file, volume)| describe(&file.display().to_string(), volume, options.enlarge))
+            .collect::<Vec<_>>()
+            .join("; "),
         path: path_name,
         candidates: prepared.candidates.clone(),
         response: prepared.response_curve(),
@@ -210,8 +290,55 @@ pub fn run(options: &Options) -> Result<()> {
         provenance: Provenance::of(renderer.device()),
     };
     let metrics = write(&options.out, &story, &draw, &playback)?;
+    if let Some(file) = &options.log {
+        write_log(file, options, &volumes, &path, &draw, &playback)?;
+    }
     println!("{}", table(&playback.names, &metrics).to_text());
     println!("* best of the column. Report: {}", options.out.join("report.html").display());
+    Ok(())
+}
+
+/// Writes every frame under every controller as a timing table.
+fn write_log(
+    file: &Path,
+    options: &Options,
+    volumes: &[Volume],
+    path: &FlightPath,
+    draw: &DrawSettings,
+    playback: &Playback,
+) -> Result<()> {
+    let mut table = Writer::create(file)?;
+    let mut number = 0;
+    for (i, at) in path.frames.iter().enumerate() {
+        let Some(lobes) = at.transfer.lobes() else {
+            bail!(
+                "--log needs transfer functions made of lobes; frame {i} has control points, which timing tables do not hold"
+            )
+        };
+        let volume = playback.volumes[i];
+        for records in &playback.records {
+            let r = &records[i];
+            let (width, height) = scaled_size(playback.sizes[i], r.scale);
+            let scene = Scene {
+                volume: options.volumes[volume].display().to_string(),
+                member: String::new(),
+                time_step: None,
+                dims: volumes[volume].dims().map(|n| n as u32),
+                camera: at.camera,
+                fov_y_degrees: path.fov_y_degrees,
+                width,
+                height,
+                step: r.step,
+                shading: draw.shading,
+                skipping: draw.skipping,
+                termination: draw.termination,
+                lobes: lobes.clone(),
+            };
+            table.append(number, &scene, &[r.measured])?;
+            number += 1;
+        }
+    }
+    println!("log        {}: {number} frames", file.display());
     Ok(())
 }
 

@@ -104,7 +104,11 @@ pub fn contender(
     prior: Prior,
 ) -> Contender {
     let controller = controller(kind, fixed_step, response, prior);
-    Contender { name: kind.name().into(), session: Session::with_controller(predictor, controller) }
+    Contender {
+        name: kind.name().into(),
+        session: Session::with_controller(predictor, controller),
+        sizes: kind == ControllerKind::Hybrid,
+    }
 }
 
 #[cfg(test)]

@@ -1,12 +1,13 @@
 //! Playing a path: every frame under every controller.
 
 use super::metrics::{Metrics, Played, psnr};
+use super::trace::{resized, scale_at, scaled_size, volume_at};
 use crate::dataset::{Clock, Measurement};
 use crate::path::FlightPath;
 use anyhow::{Context, Result, ensure};
 use entire_core::adapt::ObserveFlags;
-use entire_core::control::{Reason, Session, StepLimits};
-use entire_core::features::{Changes, VolumeSummary};
+use entire_core::control::{QualityModel, Reason, Session, StepLimits};
+use entire_core::features::{Changes, Setting, VolumeSummary};
 use entire_core::scene::{Camera, Frame, Shading, Skipping, VolumeView};
 use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
@@ -57,6 +58,8 @@ pub struct Contender {
     pub name: String,
     /// Its render loop.
     pub session: Session,
+    /// Whether it may choose the image size beside the step, where the task allows any.
+    pub sizes: bool,
 }
 
 /// One frame under one controller.
@@ -64,6 +67,8 @@ pub struct Contender {
 pub struct Record {
     /// Ray step, reference steps.
     pub step: f32,
+    /// Image side over the frame's full side; 1 where the size is not for the controller to choose.
+    pub scale: f32,
     /// Predicted seconds; NaN from controllers that predict nothing.
     pub predicted: f32,
     /// Upper bound, seconds; NaN where there is none.
@@ -100,10 +105,14 @@ pub struct Playback {
     pub records: Vec<Vec<Record>>,
     /// Per frame.
     pub references: Vec<Reference>,
-    /// Frames where something switched.
+    /// Frames where something switched: the path, the volume or the image size.
     pub switches: Vec<usize>,
-    /// Seconds that frames should not exceed.
-    pub target: f64,
+    /// Seconds that each frame should not exceed.
+    pub targets: Vec<f64>,
+    /// Full size of each frame, pixels.
+    pub sizes: Vec<(u32, u32)>,
+    /// Which volume each frame shows.
+    pub volumes: Vec<usize>,
     /// The steps that were allowed.
     pub limits: StepLimits,
 }
@@ -116,7 +125,7 @@ impl Playback {
             .enumerate()
             .map(|(i, r)| Played {
                 seconds: r.seconds,
-                target: self.target,
+                target: self.targets[i],
                 step: f64::from(r.step),
                 finest: f64::from(self.limits.finest()),
                 coarsest: f64::from(self.limits.coarsest()),
@@ -132,23 +141,64 @@ impl Playback {
     }
 }
 
+/// A volume that is shown.
+#[derive(Clone, Copy, Debug)]
+pub struct Shown<'a> {
+    /// Its voxels.
+    pub view: &'a VolumeView<'a>,
+    /// Its summary.
+    pub summary: &'a VolumeSummary,
+}
+
 /// What of a path is played against.
 #[derive(Clone, Copy, Debug)]
 pub struct Task<'a> {
-    /// The volume.
-    pub volume: &'a VolumeView<'a>,
-    /// Its summary.
-    pub summary: &'a VolumeSummary,
-    /// VolumeNet's output for it, where a model takes one.
+    /// The volume, or those of a series in order.
+    pub volumes: &'a [Shown<'a>],
+    /// Frames that each volume of a series is shown for; 0 where there is one.
+    pub hold: u32,
+    /// VolumeNet's output for the volume, where a model takes one.
     pub volume_features: Option<&'a [f32]>,
     /// The path.
     pub path: &'a FlightPath,
     /// Seconds that frames should not exceed.
     pub target: f64,
+    /// Other targets from a frame on, ascending.
+    pub retargets: &'a [(u32, f64)],
+    /// Other image sizes from a frame on, as shares of the full side, ascending.
+    pub scales: &'a [(u32, f32)],
+    /// Shares of the frame's side, beside 1, at which contenders that choose the size may draw.
+    pub choices: &'a [f32],
     /// Steps that may be chosen.
     pub limits: StepLimits,
     /// Frames whose pictures are kept.
     pub keep: &'a [usize],
+}
+
+impl Task<'_> {
+    /// The target of a frame.
+    pub fn target_at(&self, frame: usize) -> f64 {
+        self.retargets.iter().rev().find(|(from, _)| *from as usize <= frame).map_or(self.target, |(_, t)| *t)
+    }
+}
+
+/// Steps per scale among which a contender that chooses the size has its choice.
+const STEP_CHOICES: usize = 24;
+
+/// What a contender that chooses the size may draw a frame with, best picture first.
+fn settings(frame: &Frame, choices: &[f32], limits: StepLimits) -> Vec<(Setting, f32)> {
+    let (low, high) = (limits.finest().ln(), limits.coarsest().ln());
+    let model = QualityModel::default();
+    let mut out: Vec<(Setting, f32)> = Vec::new();
+    for &scale in std::iter::once(&1.0).chain(choices) {
+        let (width, height) = scaled_size((frame.width(), frame.height()), scale);
+        for i in 0..STEP_CHOICES {
+            let step = limits.clamp((low + (high - low) * i as f32 / (STEP_CHOICES - 1) as f32).exp());
+            out.push((Setting { step, width, height, ..Setting::of(frame) }, scale));
+        }
+    }
+    out.sort_by(|a, b| model.error(a.0.step, a.1).total_cmp(&model.error(b.0.step, b.1)));
+    out
 }
 
 /// Plays a path under all contenders. Per frame: the reference picture is drawn first, outside of the race; then the
@@ -168,24 +218,43 @@ pub fn play(
     progress: &ProgressBar,
 ) -> Result<Option<Playback>> {
     ensure!(!contenders.is_empty(), "there is no controller to play");
-    renderer.set_volume(task.volume)?;
+    ensure!(!task.volumes.is_empty(), "there is no volume to show");
     for contender in contenders.iter_mut() {
-        contender.session.set_volume(task.summary.clone(), task.volume_features);
         contender.session.set_limits(task.limits);
     }
+    let frames = task.path.frames.len();
+    let volume_of = |i: usize| volume_at(task.hold, task.volumes.len(), i);
+    let scale_of = |i: usize| scale_at(task.scales, i);
+    let mut shown = usize::MAX;
     let mut playback = Playback {
         names: contenders.iter().map(|c| c.name.clone()).collect(),
         records: vec![Vec::with_capacity(task.path.frames.len()); contenders.len()],
         references: Vec::with_capacity(task.path.frames.len()),
-        switches: task.path.switches(),
-        target: task.target,
+        switches: (0..frames)
+            .filter(|&i| {
+                task.path.frames[i].switched()
+                    || (i > 0 && (volume_of(i) != volume_of(i - 1) || (scale_of(i) != scale_of(i - 1))))
+            })
+            .collect(),
+        targets: (0..frames).map(|i| task.target_at(i)).collect(),
+        sizes: (0..frames).map(|i| scaled_size((draw.width, draw.height), scale_of(i))).collect(),
+        volumes: (0..frames).map(volume_of).collect(),
         limits: task.limits,
     };
     progress.set_length(task.path.frames.len() as u64);
     progress.reset_eta();
     for (index, at) in task.path.frames.iter().enumerate() {
         let place = || format!("frame {index} of the path");
-        if at.transfer_changed {
+        let volume = &task.volumes[volume_of(index)];
+        let swapped = volume_of(index) != shown;
+        if swapped {
+            shown = volume_of(index);
+            renderer.set_volume(volume.view).with_context(place)?;
+            for contender in contenders.iter_mut() {
+                contender.session.set_volume(volume.summary.clone(), task.volume_features);
+            }
+        }
+        if at.transfer_changed || swapped {
             let table = at.transfer.function().to_table().with_context(place)?;
             renderer.set_transfer(&table).with_context(place)?;
             let lobes = at.transfer.lobes();
@@ -194,12 +263,11 @@ pub fn play(
             }
         }
         let camera = Camera::from_arcball(at.camera)?.with_fov_y_degrees(task.path.fov_y_degrees)?;
-        let frame = draw.frame(camera).with_context(place)?;
-        if index == 0 {
-            // First-use work of the device is nobody's fault.
-            for _ in 0..2 {
-                renderer.render(&frame).with_context(place)?;
-            }
+        let (width, height) = playback.sizes[index];
+        let frame = DrawSettings { width, height, ..*draw }.frame(camera).with_context(place)?;
+        // First-use work of the device and uploads are nobody's fault.
+        for _ in 0..if index == 0 { 2 } else { usize::from(swapped) } {
+            renderer.render(&frame).with_context(place)?;
         }
         if stop() {
             return Ok(None);
@@ -208,25 +276,38 @@ pub fn play(
         let keep = task.keep.contains(&index);
         for turn in 0..contenders.len() {
             let c = (index + turn) % contenders.len();
+            let sizes = contenders[c].sizes;
             let session = &mut contenders[c].session;
             if at.camera_switched {
                 session.mark(Changes { camera: true, ..Changes::NONE });
             }
-            let plan = session.plan(&frame, task.target as f32).with_context(place)?;
-            let rendered = renderer.render(&frame.with_step(plan.step)?).with_context(place)?;
+            let target = playback.targets[index] as f32;
+            let (plan, drawn, scale) = if sizes && !task.choices.is_empty() {
+                let settings = settings(&frame, task.choices, task.limits);
+                let only: Vec<Setting> = settings.iter().map(|s| s.0).collect();
+                let choice = session.choose(&frame, &only, target).with_context(place)?;
+                let (Setting { width, height, .. }, scale) = settings[choice.index];
+                (choice.plan, DrawSettings { width, height, ..*draw }.frame(camera)?, scale)
+            } else {
+                (session.plan(&frame, target).with_context(place)?, frame, 1.0)
+            };
+            let rendered = renderer.render(&drawn.with_step(plan.step)?).with_context(place)?;
+            let picture =
+                resized(&rendered.image, frame.width(), frame.height()).context("an image without pixels")?;
             let measured = Measurement::new(rendered.time, rendered.counts);
             let seconds = draw.seconds(&measured)?;
             session.observe(plan.id, seconds as f32, ObserveFlags::default());
             playback.records[c].push(Record {
                 step: plan.step,
+                scale,
                 predicted: plan.seconds,
                 upper: plan.upper,
                 out_of_range: plan.out_of_range,
                 reason: plan.reason,
                 measured,
                 seconds,
-                psnr: psnr(&rendered.image.rgba, &reference.image.rgba).unwrap_or(0.0),
-                image: keep.then_some(rendered.image),
+                psnr: psnr(&picture.rgba, &reference.image.rgba).unwrap_or(0.0),
+                image: keep.then_some(picture),
             });
         }
         let seconds = draw.seconds(&Measurement::new(reference.time, reference.counts))?;
@@ -317,12 +398,16 @@ mod tests {
             clock: Clock::Auto,
         };
         let path = path();
+        let shown = [Shown { view: &view, summary: &summary }];
         let task = Task {
-            volume: &view,
-            summary: &summary,
+            volumes: &shown,
+            hold: 0,
             volume_features: None,
             path: &path,
             target: 1.4e-3,
+            retargets: &[],
+            scales: &[],
+            choices: &[],
             limits: StepLimits::default(),
             keep: &[20],
         };

@@ -3,7 +3,7 @@
 use super::calibrate::{Sample, measure, response, response_pairs};
 use super::contenders::{ControllerKind, contender};
 use super::fit::{Calibrated, Candidate, Fitted};
-use super::play::{Contender, DrawSettings, Playback, Task, play};
+use super::play::{Contender, DrawSettings, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
 use crate::commands::collect::progress_bar;
 use crate::dataset::median;
@@ -23,6 +23,16 @@ use std::path::PathBuf;
 pub struct Race<'a> {
     /// The volume.
     pub volume: &'a VolumeView<'a>,
+    /// The volumes that follow it in a series; calibration renders the first alone.
+    pub series: &'a [VolumeView<'a>],
+    /// Frames that each volume of a series is shown for; 0 where there is one.
+    pub hold: u32,
+    /// Other targets from a frame on, ascending.
+    pub retargets: &'a [(u32, f64)],
+    /// Other image sizes from a frame on, as shares of the full side, ascending.
+    pub scales: &'a [(u32, f32)],
+    /// Shares of a frame's side, beside 1, that ours may choose.
+    pub choices: &'a [f32],
     /// The name under which random calibration scenes are drawn.
     pub seed_name: &'a str,
     /// Seed of calibration scenes and training.
@@ -210,12 +220,22 @@ pub fn run(
             Ok(contender(*kind, prepared.fixed_step, predictor, &prepared.response, prepared.prior))
         })
         .collect::<Result<_>>()?;
+    let summaries: Vec<VolumeSummary> = race
+        .series
+        .iter()
+        .map(|v| Ok(VolumeSummary::new(v, SummaryOptions::default())?))
+        .collect::<Result<_>>()?;
+    let mut shown = vec![Shown { view: race.volume, summary: &prepared.summary }];
+    shown.extend(race.series.iter().zip(&summaries).map(|(view, summary)| Shown { view, summary }));
     let task = Task {
-        volume: race.volume,
-        summary: &prepared.summary,
+        volumes: &shown,
+        hold: race.hold,
         volume_features: chosen.fitted.volume_features(),
         path,
         target: prepared.target,
+        retargets: race.retargets,
+        scales: race.scales,
+        choices: race.choices,
         limits: race.limits,
         keep,
     };

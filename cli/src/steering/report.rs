@@ -141,6 +141,10 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
         "reference_seconds",
         "out_of_range",
         "reason",
+        "image_scale",
+        "width_px",
+        "height_px",
+        "volume",
     ])?;
     let known = |v: f64| if v.is_nan() { String::new() } else { v.to_string() };
     let clock = |v: Option<f64>| v.map_or(String::new(), |v| v.to_string());
@@ -151,7 +155,7 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
                 frame.to_string(),
                 name.clone(),
                 u8::from(playback.switches.contains(&frame)).to_string(),
-                playback.target.to_string(),
+                playback.targets[frame].to_string(),
                 known(f64::from(r.predicted)),
                 known(f64::from(r.upper)),
                 r.seconds.to_string(),
@@ -163,6 +167,10 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
                 playback.references[frame].seconds.to_string(),
                 known(f64::from(r.out_of_range)),
                 r.reason.name().to_owned(),
+                r.scale.to_string(),
+                playback.sizes[frame].0.to_string(),
+                playback.sizes[frame].1.to_string(),
+                playback.volumes[frame].to_string(),
             ])?;
         }
     }
@@ -170,10 +178,12 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
 }
 
 fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Value {
+    let constant = playback.targets.windows(2).all(|w| w[0] == w[1]);
     let controllers: serde_json::Map<String, Value> =
         playback.names.iter().cloned().zip(metrics.iter().map(|m| json!(m))).collect();
     json!({
-        "target_s": playback.target,
+        "target_s": playback.targets.first(),
+        "targets_s": if constant { Value::Null } else { json!(playback.targets) },
         "target": story.target,
         "frames": playback.references.len(),
         "switches": playback.switches,
@@ -208,6 +218,11 @@ fn around_switches(playback: &Playback, controller: usize, before: usize, after:
         .collect()
 }
 
+/// Targets in milliseconds, frame by frame.
+fn numbered_targets(playback: &Playback) -> Vec<(f64, f64)> {
+    playback.targets.iter().enumerate().map(|(i, t)| (i as f64, t * 1e3)).collect()
+}
+
 fn with_switches(mut chart: Chart, switches: &[usize]) -> Chart {
     for (i, s) in switches.iter().enumerate() {
         let text = if switches.len() <= 8 { format!("switch {}", i + 1) } else { String::new() };
@@ -238,7 +253,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     let chart =
         Chart::new("Frame time", Axis::linear("frame"), Axis::log("frame time / ms")).size(900.0, 380.0);
     let chart = with_switches(chart, &playback.switches)
-        .rule(Rule::Horizontal(playback.target * 1e3, "target".into()))
+        .series(Series::new("target", Mark::Steps(numbered_targets(playback))).color(5))
         .series(
             Series::new(
                 "reference step (not raced)",
@@ -247,7 +262,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
                         .references
                         .iter()
                         .enumerate()
-                        .map(|(i, r)| (i as f64, playback.target.min(r.seconds) * 1e3, r.seconds * 1e3))
+                        .map(|(i, r)| (i as f64, playback.targets[i].min(r.seconds) * 1e3, r.seconds * 1e3))
                         .collect(),
                 ),
             )
@@ -282,6 +297,22 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].step)))
     });
     page.chart(&chart, "The step that each controller chose: coarser is faster and less exact.");
+
+    if playback.records.iter().flatten().any(|r| r.scale != 1.0) {
+        let chart = Chart::new(
+            "Image size",
+            Axis::linear("frame"),
+            Axis::linear("image side over the frame's full side").from(0.0).to(1.05),
+        )
+        .size(900.0, 220.0);
+        let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
+            Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].scale)))
+        });
+        page.chart(
+            &chart,
+            "The image size that each controller chose; only the hybrid may choose it here, by predicted image error.",
+        );
+    }
 
     let chart =
         Chart::new("Picture quality", Axis::linear("frame"), Axis::linear("PSNR / dB")).size(900.0, 300.0);

@@ -153,7 +153,7 @@ pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
 }
 
 /// A picture brought to another size, bilinearly.
-fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
+pub(crate) fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
     if (picture.width, picture.height) == (width, height) {
         return Some(picture.clone());
     }
@@ -275,11 +275,11 @@ impl Trace {
     }
 }
 
-fn volume_at(hold: u32, volumes: usize, frame: usize) -> usize {
+pub(crate) fn volume_at(hold: u32, volumes: usize, frame: usize) -> usize {
     if hold == 0 { 0 } else { (frame / hold as usize) % volumes.max(1) }
 }
 
-fn scale_at(scales: &[(u32, f32)], frame: usize) -> f32 {
+pub(crate) fn scale_at(scales: &[(u32, f32)], frame: usize) -> f32 {
     scales.iter().rev().find(|(from, _)| *from as usize <= frame).map_or(1.0, |(_, s)| *s)
 }
 

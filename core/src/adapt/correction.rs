@@ -52,6 +52,8 @@ pub struct Correction {
     /// The calm error before, in standard deviations; 0 where there is none.
     before: f64,
     run: i32,
+    /// Whether the observation before was taken whole, as another machine's.
+    jumped: bool,
     observations: u64,
     /// Frames since the scene was new.
     age: u64,
@@ -83,6 +85,7 @@ impl Correction {
             change: 0.0,
             before: 0.0,
             run: 0,
+            jumped: false,
             observations: 0,
             age: 0,
             prior,
@@ -109,11 +112,12 @@ impl Correction {
             }
         }
         self.spread = 2.5e-3;
-        self.gain = 0.45;
+        self.gain = 0.5;
         self.change = change.clamp(CHANGE.0, CHANGE.1);
         self.covariance[LOCAL][LOCAL] = self.change;
         self.before = 0.0;
         self.run = 0;
+        self.jumped = false;
         self.observations = 0;
         self.age = 0;
     }
@@ -136,6 +140,11 @@ impl Correction {
     /// Whether the scene at hand has been seen for some frames.
     pub fn settled(&self) -> bool {
         self.age > 4
+    }
+
+    /// Whether the observation before was the second in a row that only another machine explains.
+    pub fn machine_changed(&self) -> bool {
+        self.jumped
     }
 
     /// Variance of ln t between equal frames.
@@ -193,6 +202,7 @@ impl Correction {
             self.run = 0;
         }
         let machine_changed = self.run.abs() >= 2;
+        self.jumped = machine_changed;
         if machine_changed {
             // Not an outlier but another machine: move by what is seen.
             let jump = (error * error).min(4.0);

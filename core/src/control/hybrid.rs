@@ -1,5 +1,6 @@
 //! Ours: feed-forward prediction, corrected online, with a margin that keeps its promise.
 
+use super::smoothing::Smoothing;
 use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepCost, StepLimits};
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
@@ -11,7 +12,8 @@ use alloc::vec::Vec;
 /// Settings of [`Hybrid`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridOptions {
-    /// Share of frames that may exceed the target by more than `tolerance`.
+    /// Share of frames that may exceed their upper bound. Of the target plus `tolerance` fewer do, since not every
+    /// bound reaches so far.
     pub miss_rate: f32,
     /// How far over the target a frame may be before it counts as missed, as a share of the target.
     pub tolerance: f32,
@@ -25,7 +27,7 @@ pub struct HybridOptions {
 
 impl Default for HybridOptions {
     fn default() -> Self {
-        Self { miss_rate: 0.03, tolerance: 0.1, prior: Prior::Unknown, damping: true, trust_limit: 2.0 }
+        Self { miss_rate: 0.05, tolerance: 0.1, prior: Prior::Unknown, damping: true, trust_limit: 2.0 }
     }
 }
 
@@ -36,8 +38,9 @@ impl Default for HybridOptions {
 ///   how little the frames before are worth for this one ([`Correction::advance`]). A change that the caller announces
 ///   after calm frames counts as half new at least; one in a row of announced changes (a drag) counts by what it does.
 /// * Calm phases: the correction follows this very scene, so the margin shrinks to the noise from frame to frame and the
-///   target is met on average. The step is kept while it is close to the best; finer moves that no prediction calls for
-///   are bounded per frame.
+///   target is met on average. Of what the prediction says to differ from the frame before, as much is taken as has
+///   proved true (smoothing). The step is kept while it is close to the best; finer moves that no prediction
+///   calls for are bounded per frame.
 /// * A new scene: nothing is damped, what was learned about the scene before is put away, and the margin is the one
 ///   that new scenes have been found to need.
 /// * Limits: there is no integral, so nothing winds up; the plan says which limit was met.
@@ -55,6 +58,7 @@ pub struct Hybrid {
     /// Whether the frame before was announced as changed.
     announced: bool,
     scene: SceneMark,
+    smoothing: Smoothing,
 }
 
 /// The frame planned last.
@@ -73,6 +77,8 @@ const DEAD_BAND: f64 = 0.01;
 const FINER: f64 = 0.16;
 /// Largest move to a coarser step in a calm frame where the expected time stays bearable, in ln(step).
 const COARSER: f64 = 0.17;
+/// Standard deviation of the predicted step curve's slope, d ln(seconds) / d ln(step).
+const SLOPE_SD: f64 = 0.1;
 /// Expected time over the target that a frame may have for the sake of a small move.
 const BEARABLE: f64 = 1.0;
 /// Distance of two predictions at one step (see [`distance`]) from which the frame before says nothing.
@@ -81,6 +87,8 @@ const FAR: f64 = 0.35;
 const NEAR: f64 = 0.12;
 /// Novelty from which a frame is the first of a new scene.
 const NEW: f64 = 0.3;
+/// How fast the margin of calm frames moves.
+const CALM_PACE: f32 = 0.05;
 /// Share of new scenes whose first frame may exceed its bound.
 const CHANGED_RATE: f32 = 0.07;
 /// Margin of new scenes before any was seen: errors among scenes have heavy tails.
@@ -92,12 +100,13 @@ impl Hybrid {
         Self {
             options,
             correction: Correction::new(options.prior),
-            calm: Margin::new(options.miss_rate, 0.1),
+            calm: Margin::new(options.miss_rate, CALM_PACE),
             changed: Margin::starting_at(CHANGED_START, options.miss_rate.max(CHANGED_RATE), 0.3),
             history: History::new(),
             last: None,
             announced: false,
             scene: SceneMark::default(),
+            smoothing: Smoothing::new(),
         }
     }
 
@@ -118,8 +127,21 @@ impl Hybrid {
         self.reset();
     }
 
+    /// Corrected time and upper bound of a prediction for the frame at hand, at the step drawn last.
     fn judge(&self, terms: &CostTerms) -> (f64, f64) {
+        self.judge_at(terms, f64::NAN)
+    }
+
+    /// Corrected time and upper bound of a prediction for the frame at hand, at `step`. Within a scene the bound is wider
+    /// the further the step is from the one drawn last: the predicted step curve has an error of its own.
+    fn judge_at(&self, terms: &CostTerms, step: f64) -> (f64, f64) {
         let (seconds, sd) = self.correction.apply(terms);
+        let seconds = seconds * libm::exp(self.scene.offset);
+        let far = match self.last {
+            Some(last) if !self.scene.first && step > 0.0 => libm::log(step / f64::from(last.step)),
+            _ => 0.0,
+        };
+        let sd = libm::sqrt(sd * sd + SLOPE_SD * SLOPE_SD * far * far);
         let z = if self.scene.first { self.changed.multiple() } else { self.calm.multiple() };
         (seconds, seconds * libm::exp(z * sd))
     }
@@ -217,7 +239,11 @@ impl Controller for Hybrid {
         let margin = self.calm.multiple();
         let this = &*self;
         let mut judge = |step: f32| -> (f64, f64) {
-            if by_history { history.forecast(step, margin) } else { this.judge(&request.cost.at(step)) }
+            if by_history {
+                history.forecast(step, margin)
+            } else {
+                this.judge_at(&request.cost.at(step), f64::from(step))
+            }
         };
         let excess = |step: f32| {
             let (seconds, upper) = judge(step);
@@ -285,8 +311,15 @@ impl Controller for Hybrid {
         };
         // The first frame may hold a compile or an upload: it sets the order of magnitude where nothing else does.
         let trust = if observed.changes.first { 0.01 } else { 1.0 };
-        let corrected = self.correction.apply(&observed.terms).0;
-        let error = self.correction.observe(&observed.terms, seconds, standing, trust);
+        let factor = libm::exp(observed.scene.offset);
+        let corrected = self.correction.apply(&observed.terms).0 * factor;
+        let error = self.correction.observe(&observed.terms, seconds / factor, standing, trust);
+        if standing == Standing::Same
+            && observed.scene.offset == self.scene.offset
+            && libm::fabs(error) <= 3.0
+        {
+            self.smoothing.observe(libm::log(seconds / corrected));
+        }
         let changed = observed.changes.any() && observed.scene.first;
         if !observed.changes.first {
             let own = libm::fabs(libm::log(seconds / corrected));
@@ -297,6 +330,10 @@ impl Controller for Hybrid {
                 Standing::Past => {}
             }
         }
+        if self.correction.machine_changed() {
+            // What prediction and history made of the machine before says nothing about this one.
+            self.history.forget_errors();
+        }
         if standing != Standing::Past {
             self.history.push(observed.step, seconds, changed);
         }
@@ -305,18 +342,24 @@ impl Controller for Hybrid {
 
     fn reset(&mut self) {
         self.correction.reset();
-        self.calm = Margin::new(self.options.miss_rate, 0.1);
+        self.calm = Margin::new(self.options.miss_rate, CALM_PACE);
         self.changed = Margin::starting_at(CHANGED_START, self.options.miss_rate.max(CHANGED_RATE), 0.3);
         self.history = History::new();
         self.last = None;
         self.announced = false;
+        self.scene = SceneMark { number: self.scene.number + 1, ..SceneMark::default() };
+        self.smoothing = Smoothing::new();
     }
 
     fn begin(&mut self, changes: Changes, cost: &mut dyn StepCost) {
         let novelty = self.novelty(changes, cost);
         let first = novelty >= NEW;
         self.correction.advance(novelty);
-        self.scene = SceneMark { number: self.scene.number + u64::from(first), first };
+        let moved = self.last.map_or(f64::NAN, |last| {
+            libm::log(f64::from(cost.at(last.step).seconds()) / f64::from(last.terms.seconds()))
+        });
+        let offset = self.smoothing.advance(moved, if first { 1.0 } else { novelty });
+        self.scene = SceneMark { number: self.scene.number + u64::from(first), first, offset };
         self.announced = changes.any();
     }
 
@@ -333,7 +376,7 @@ impl Controller for Hybrid {
         let (seconds, upper) = if changes.any() {
             let mut next = self.clone();
             next.correction.advance(1.0);
-            next.scene.first = true;
+            next.scene = SceneMark { first: true, offset: 0.0, ..self.scene };
             next.judge(terms)
         } else {
             self.judge(terms)
@@ -348,21 +391,23 @@ impl Controller for Hybrid {
 
     fn save(&self, out: &mut Vec<u8>) {
         let mut w = Writer(out);
-        w.tag(*b"ENH2");
+        w.tag(*b"ENH3");
         self.correction.save(&mut w);
         self.calm.save(&mut w);
         self.changed.save(&mut w);
         self.history.save(&mut w);
+        self.smoothing.save(&mut w);
     }
 
     fn load(&mut self, bytes: &[u8]) -> Result<()> {
         let mut r = Reader(bytes);
         let mut next = Self::new(self.options);
-        r.tag(*b"ENH2")?;
+        r.tag(*b"ENH3")?;
         next.correction.load(&mut r)?;
         next.calm.load(&mut r)?;
         next.changed.load(&mut r)?;
         next.history.load(&mut r)?;
+        next.smoothing.load(&mut r)?;
         r.end()?;
         *self = next;
         Ok(())
@@ -449,6 +494,10 @@ impl History {
                 self.own_error > 0.15 && self.own_error > 1.5 * self.history_error
             };
         }
+    }
+
+    fn forget_errors(&mut self) {
+        (self.compared, self.leads) = (0, false);
     }
 
     fn push(&mut self, step: f32, seconds: f64, changed: bool) {

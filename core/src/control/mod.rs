@@ -11,6 +11,7 @@ mod quality;
 mod reactive;
 mod response;
 mod session;
+mod smoothing;
 #[cfg(test)]
 mod tests;
 
@@ -173,13 +174,15 @@ pub struct Observed {
     pub unusual: bool,
 }
 
-/// A run of frames that continue each other, as a controller counts them.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+/// A run of frames that continue each other, as a controller counts them, and what it makes of one of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SceneMark {
     /// Counts scenes.
     pub number: u64,
     /// Whether the frame is the scene's first.
     pub first: bool,
+    /// What the controller adds to ln of this frame's prediction because of the frames before it in the scene.
+    pub offset: f64,
 }
 
 /// Chooses ray steps frame by frame.
