@@ -25,4 +25,4 @@ bars-steer: steer-traces ## Hold every controller against an oracle and the farm
 
 .PHONY: stress
 stress: steer-build ## Play the 28 scenes in which methods break, with a run of a million frames: out/stress/report.html
-	@target/release/entire stress --out "$(STRESS_OUT)"
+	@target/release/entire stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)"

@@ -1,11 +1,19 @@
 //! Observation alone, on frames that a real renderer was timed at (software Vulkan, process-CPU time): a session without
 //! any model file comes to know a renderer that it was never told of.
 
+use entire_cli::commands::replay::samples_of;
+use entire_cli::dataset::{Measurement, Scene, Writer};
+use entire_cli::files::open_model;
+use entire_cli::steering::fit::fit_network;
 use entire_cli::steering::play::Contender;
 use entire_cli::steering::replay::{Replayable, Tally, replay};
 use entire_cli::steering::trace::Trace;
+use entire_cli::volume::Volume;
 use entire_core::control::{Session, StepLimits};
+use entire_core::features::Changes;
+use entire_core::predict::{Inputs, load};
 use std::path::Path;
+use std::process::Command;
 
 fn recorded(name: &str) -> Replayable {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -43,4 +51,104 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
             assert!(score.all.missed < 0.15 && score.all.quality > 0.8, "{name}: {score:?}");
         }
     }
+}
+
+/// One rendering of a recorded frame as a row of a timing table: `law` turns recorded seconds into this machine's.
+fn row(recorded: &Replayable, index: usize, point: usize, law: impl Fn(f64) -> f64) -> (Scene, Measurement) {
+    let (trace, at) = (&recorded.trace, &recorded.path.frames[index]);
+    let draw = trace.draw_settings().unwrap();
+    let p = &trace.frames[index][point];
+    let volume = &trace.volumes[trace.volume_at(index)];
+    let small = Volume::open(&volume.file).unwrap().dims();
+    let scene = Scene {
+        volume: volume.file.display().to_string(),
+        member: format!("m{}", index % 8),
+        time_step: None,
+        dims: small.map(|n| (n * volume.enlarge) as u32),
+        camera: at.camera,
+        fov_y_degrees: recorded.path.fov_y_degrees,
+        width: draw.width,
+        height: draw.height,
+        step: p.step,
+        shading: draw.shading,
+        skipping: draw.skipping,
+        termination: draw.termination,
+        lobes: at.transfer.lobes().unwrap(),
+    };
+    (scene, Measurement { cpu: Some(law(median(p.seconds.clone()))), ..Measurement::default() })
+}
+
+#[test]
+fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
+    let dir = tempfile::tempdir().unwrap();
+    let traces = [recorded("nyx-switches.json"), recorded("castro-cuts.json")];
+    let table = |name: &str, keep: &dyn Fn(usize, usize) -> bool, law: &dyn Fn(f64) -> f64| {
+        let file = dir.path().join(name);
+        let mut out = Writer::create(&file).unwrap();
+        let mut number = 0;
+        for trace in &traces {
+            for index in 0..trace.trace.frames.len() {
+                for point in (0..trace.trace.frames[index].len()).filter(|p| keep(index, *p)) {
+                    let (scene, measured) = row(trace, index, point, law);
+                    out.append(number, &scene, &[measured]).unwrap();
+                    number += 1;
+                }
+            }
+        }
+        file
+    };
+    // Frames 3 of 8 are judged by, the others make the network and, on a slower machine, the log of what was drawn: one step
+    // per frame.
+    let slower = |t: f64| 0.004 + 2.2 * t;
+    let made_on = table("made.csv", &|i, p| i % 8 != 3 && p % 2 == 0, &|t| t);
+    let log = table("log.csv", &|i, p| i % 8 != 3 && p == (i * 5) % 9, &slower);
+    let judged = table("judged.csv", &|i, p| i % 8 == 3 && (p == 2 || p == 5), &slower);
+    let (model, tuned) = (dir.path().join("model.safetensors"), dir.path().join("tuned.safetensors"));
+    let file = fit_network(&samples_of(&[made_on]).unwrap(), 1).unwrap();
+    std::fs::write(&model, file.to_bytes().unwrap()).unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_entire"))
+        .args([
+            "train",
+            "--quiet",
+            "--threads",
+            "1",
+            "--epochs",
+            "150",
+            "--batch",
+            "32",
+            "--learning-rate",
+            "2e-3",
+        ])
+        .args(["--validation-groups", "m7", "--test-groups", "m6", "--clock", "cpu"])
+        .arg("--data")
+        .arg(&log)
+        .arg("--fine-tune")
+        .arg(&model)
+        .arg("--out")
+        .arg(&tuned)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let judged = samples_of(&[judged]).unwrap();
+    let error = |file: &Path| {
+        let mut predictor = load(&open_model(file).unwrap()).unwrap();
+        median(
+            judged
+                .iter()
+                .map(|s| {
+                    let inputs = Inputs {
+                        features: &s.features,
+                        setting: s.setting,
+                        changes: Changes::NONE,
+                        camera: s.camera,
+                        volume_features: None,
+                        lobes: Some(&s.lobes),
+                    };
+                    (f64::from(predictor.predict(&inputs).unwrap().seconds) / s.seconds - 1.0).abs()
+                })
+                .collect(),
+        )
+    };
+    let (before, after) = (error(&model), error(&tuned));
+    assert!(before > 0.4 && after < 0.15, "{before} {after}");
 }

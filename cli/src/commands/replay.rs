@@ -20,7 +20,7 @@ use entire_core::features::PROBE_SIDE;
 use entire_core::scene::{Scalars, VolumeView};
 use indicatif::ProgressBar;
 use serde_json::json;
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
 /// Replay recorded cost curves under every controller and target, beside an oracle that knows them.
@@ -532,18 +532,22 @@ impl Results<'_> {
         .size(900.0, 420.0)
         .rule(Rule::Vertical(3.0, "3 %".into()))
         .rule(Rule::Horizontal(92.0, "92 %".into()));
+        let labels: BTreeSet<&str> = self.trials.iter().map(|t| t.label.as_str()).collect();
         for (k, kind) in self.kinds.iter().enumerate() {
-            let points = self
-                .outcomes
+            let points = labels
                 .iter()
-                .map(|o| {
-                    let s = o.tallies[k].score();
+                .map(|label| {
+                    let mut sum = Tally::default();
+                    for o in self.outcomes.iter().filter(|o| self.trials[o.trial].label == *label) {
+                        sum.merge(&o.tallies[k]);
+                    }
+                    let s = sum.score();
                     (100.0 * s.all.missed, 100.0 * s.all.quality, String::new())
                 })
                 .collect();
             chart = chart.series(Series::new(kind.title(), Mark::Points(points)).color(color(kind.name())));
         }
-        page.chart(&chart, "A point per controller, trace and target. Up and left is better.");
+        page.chart(&chart, "A point per controller and target, over all traces on which the target was played. Up and left is better.");
         for (t, trace) in self.traces.iter().enumerate() {
             let of_trace: Vec<&Outcome> =
                 self.outcomes.iter().filter(|o| self.trials[o.trial].trace == t).collect();

@@ -1,11 +1,14 @@
 //! `entire stress`: scenes in which methods of holding a frame time break.
 
 use crate::commands::collect::progress_bar;
+use crate::dataset::Clock;
+use crate::device::{self, Device};
 use crate::steering::contenders::ControllerKind;
 use crate::stress::report::{matrix, page};
-use crate::stress::{SCENES, run as play};
+use crate::stress::{SCENES, Verdict, run as play, run_real};
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Play the stress scenes: each method against scripts of what is known to break it.
@@ -15,7 +18,8 @@ use std::path::PathBuf;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire stress --out out/stress
-  entire stress --scenes 1,17,22 --controllers olp,hybrid --out out/stress")]
+  entire stress --scenes 1,17,22 --controllers olp,hybrid --out out/stress
+  entire stress --device vulkan --clock cpu --out out/stress")]
 pub struct Options {
     /// Numbers of the scenes; all where none is named.
     #[arg(long, value_delimiter = ',', value_name = "N,…")]
@@ -26,6 +30,12 @@ pub struct Options {
     /// Frames of the long run.
     #[arg(long, default_value_t = 1_000_000, value_name = "FRAMES")]
     pub soak: u64,
+    /// Play the scenes that make sense there again on this device, with its clock.
+    #[arg(long, value_enum)]
+    pub device: Option<Device>,
+    /// Which clock counts there.
+    #[arg(long, value_enum, default_value_t, requires = "device")]
+    pub clock: Clock,
     /// Folder for the results.
     #[arg(long, default_value = "out/stress", value_name = "DIR")]
     pub out: PathBuf,
@@ -58,20 +68,41 @@ pub fn run(options: &Options) -> Result<()> {
     let verdicts = play(&scenes, &methods, options.soak, &bar);
     bar.finish_and_clear();
     let verdicts = verdicts?;
+    let mut name = "scripted clock; the raycaster's CPU twin counts work".to_owned();
+    let mut real = Vec::new();
+    // One that predicts and reacts, one that reacts.
+    let real_methods: Vec<ControllerKind> =
+        [ControllerKind::Olp, ControllerKind::Hybrid].into_iter().filter(|m| methods.contains(m)).collect();
+    if let Some(device) = options.device {
+        let mut renderer = device::open(device)?;
+        let bar = progress_bar("stress");
+        let played = run_real(&scenes, &real_methods, renderer.as_mut(), options.clock, &bar);
+        bar.finish_and_clear();
+        real = played?;
+        name = format!("{name}; real: {}, clock {}", renderer.device(), options.clock.name());
+    }
     std::fs::create_dir_all(&options.out)
         .with_context(|| format!("cannot make the folder {}", options.out.display()))?;
     let json = options.out.join("verdicts.json");
-    std::fs::write(&json, serde_json::to_string_pretty(&verdicts)? + "\n")
-        .with_context(|| format!("cannot write {}", json.display()))?;
-    page(&verdicts, &methods, "scripted clock; the raycaster's CPU twin counts work")
-        .write(&options.out.join("report.html"))?;
+    std::fs::write(
+        &json,
+        serde_json::to_string_pretty(&json!({ "scripted": verdicts, "real": real }))? + "\n",
+    )
+    .with_context(|| format!("cannot write {}", json.display()))?;
+    page(&verdicts, &methods, (&real, &real_methods), &name).write(&options.out.join("report.html"))?;
     println!("{}", matrix(&verdicts, &methods).to_text());
+    if !real.is_empty() {
+        println!("On a real renderer ({name}):\n{}", matrix(&real, &real_methods).to_text());
+    }
     println!("Report: {}", options.out.join("report.html").display());
-    let failed: Vec<String> = verdicts
-        .iter()
-        .filter(|v| v.method == ControllerKind::Hybrid.name() && !v.passed())
-        .map(|v| format!("{} ({})", v.scene, v.failures.join("; ")))
-        .collect();
+    let ours = |played: &[Verdict], where_: &str| -> Vec<String> {
+        played
+            .iter()
+            .filter(|v| v.method == ControllerKind::Hybrid.name() && !v.passed())
+            .map(|v| format!("{}{where_} ({})", v.scene, v.failures.join("; ")))
+            .collect()
+    };
+    let mut failed = ours(&verdicts, "");
     if methods.contains(&ControllerKind::Hybrid) {
         println!(
             "bar stress-scenes-passed {} {} {}",
@@ -79,6 +110,16 @@ pub fn run(options: &Options) -> Result<()> {
             scenes.len(),
             if failed.is_empty() { "ok" } else { "short" }
         );
+        let missed = ours(&real, " on the device");
+        if !real.is_empty() {
+            let played = real.iter().filter(|v| v.method == ControllerKind::Hybrid.name()).count();
+            println!(
+                "bar stress-scenes-passed-on-device {} {played} {}",
+                played - missed.len(),
+                if missed.is_empty() { "ok" } else { "short" }
+            );
+        }
+        failed.extend(missed);
     }
     ensure!(failed.is_empty(), "scenes that ours fails: {}", failed.join(", "));
     Ok(())

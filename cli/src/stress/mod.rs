@@ -7,7 +7,9 @@ pub mod law;
 pub mod report;
 pub mod world;
 
+use crate::dataset::Clock;
 use crate::steering::contenders::ControllerKind;
+use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use serde::Serialize;
 
 /// A scene.
@@ -316,9 +318,32 @@ pub fn run(
         for &method in methods {
             let verdict = match law::play(number, method, soak) {
                 Some(verdict) => verdict,
-                None => world::play(number, method)?,
+                None => world::play(number, method, &mut world::Machine::Scripted(CpuRaycaster::new()))?,
             };
             out.push(verdict);
+        }
+        progress.inc(1);
+    }
+    Ok(out)
+}
+
+/// Runs those of the scenes that make sense there on a real renderer with a real clock.
+///
+/// # Errors
+/// When a scene cannot be set up or the renderer fails.
+pub fn run_real(
+    scenes: &[usize],
+    methods: &[ControllerKind],
+    renderer: &mut dyn Renderer,
+    clock: Clock,
+    progress: &indicatif::ProgressBar,
+) -> anyhow::Result<Vec<Verdict>> {
+    let scenes: Vec<usize> = scenes.iter().copied().filter(|n| world::REAL.contains(n)).collect();
+    let mut out = Vec::with_capacity(scenes.len() * methods.len());
+    progress.set_length(scenes.len() as u64);
+    for number in scenes {
+        for &method in methods {
+            out.push(world::play(number, method, &mut world::Machine::Real(&mut *renderer, clock))?);
         }
         progress.inc(1);
     }
@@ -342,6 +367,21 @@ mod tests {
         for v in again {
             assert_eq!(Some(&v), verdicts.iter().find(|w| w.scene == v.scene));
         }
+    }
+
+    #[test]
+    fn scenes_play_on_a_real_renderer_too() {
+        let bar = indicatif::ProgressBar::hidden();
+        let mut twin = CpuRaycaster::new();
+        // Real times of a shared machine pass or fail as they like; every number must be finite all the same.
+        let verdicts =
+            run_real(&[1, 7, 28], &[ControllerKind::Hybrid], &mut twin, Clock::Auto, &bar).unwrap();
+        assert_eq!(verdicts.len(), 1);
+        let v = &verdicts[0];
+        assert!(v.scene == 7 && v.quality > 0.0 && v.worst.is_finite());
+        assert!(!v.failures.iter().any(|f| f.contains("expected") || f.contains("step")), "{v:?}");
+        let error = run_real(&[7], &[ControllerKind::Hybrid], &mut twin, Clock::Device, &bar).unwrap_err();
+        assert!(format!("{error:#}").contains("no device clock"), "{error:#}");
     }
 
     #[test]

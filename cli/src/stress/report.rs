@@ -37,7 +37,14 @@ pub fn matrix(verdicts: &[Verdict], methods: &[ControllerKind]) -> Table {
 }
 
 /// The page.
-pub fn page(verdicts: &[Verdict], methods: &[ControllerKind], device: &str) -> Page {
+///
+/// `real` are verdicts of scenes that were played again on a real renderer, under `real_methods`.
+pub fn page(
+    verdicts: &[Verdict],
+    methods: &[ControllerKind],
+    (real, real_methods): (&[Verdict], &[ControllerKind]),
+    device: &str,
+) -> Page {
     let mut page = Page::new(
         "Where methods break",
         "Scenes in which methods of holding a frame time are known to fail, on a scripted clock that is the same in every run, each with a rule that says what passes.",
@@ -86,6 +93,13 @@ pub fn page(verdicts: &[Verdict], methods: &[ControllerKind], device: &str) -> P
         "The slowest frame of each scene over its target, per method: the worst case, not the mean.",
     );
     page.chart(&misses, "Share of feasible frames over 1.1 targets.");
+    if !real.is_empty() {
+        page.heading("On a real renderer");
+        page.table(
+            &matrix(real, real_methods),
+            "The scenes that make sense there, with images four times as wide and high and a real clock. For its noise a twentieth more frames may be over 1.1 T, two more in a row, and quality may be a tenth lower than the rules below say.",
+        );
+    }
     page.heading("Rules");
     let mut rules = Table::new(vec![Column::number("#"), Column::text("scene"), Column::text("passes when")]);
     for s in SCENES {

@@ -2,6 +2,7 @@
 //! fitted to on an ordinary volume turns counts into seconds.
 
 use super::{Limits, Noise, Seen, Verdict, judge};
+use crate::dataset::Clock;
 use crate::steering::contenders::{ControllerKind, contender};
 use crate::steering::play::Contender;
 use anyhow::{Context, Result, bail};
@@ -119,12 +120,60 @@ struct World {
     limits: Limits,
 }
 
-/// The predictor: fitted to frames of an ordinary ball under the law.
-fn fitted(renderer: &mut CpuRaycaster) -> Result<AnalyticModel> {
+/// What draws, and what clock runs.
+pub enum Machine<'a> {
+    /// The CPU twin counts work and [`law`] makes seconds of it: the same in every run.
+    Scripted(CpuRaycaster),
+    /// A real renderer and its clock. Images are [`GROWN`] times as large, so that there is something to time.
+    Real(&'a mut dyn Renderer, Clock),
+}
+
+/// Factor of image sides on a real clock.
+pub const GROWN: u32 = 4;
+
+/// Scenes that make sense on a real renderer. The image sizes of scene 12 are more than a software driver can be asked
+/// for; scene 28 draws nothing.
+pub const REAL: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
+
+impl Machine<'_> {
+    fn renderer(&mut self) -> &mut dyn Renderer {
+        match self {
+            Self::Scripted(twin) => twin,
+            Self::Real(renderer, _) => &mut **renderer,
+        }
+    }
+
+    fn grown(&self) -> u32 {
+        match self {
+            Self::Scripted(_) => 1,
+            Self::Real(..) => GROWN,
+        }
+    }
+
+    fn is_real(&self) -> bool {
+        matches!(self, Self::Real(..))
+    }
+
+    /// Draws a frame and says how long it took.
+    fn seconds(&mut self, frame: &Frame) -> Result<f64> {
+        let rendered = self.renderer().render(frame)?;
+        match self {
+            Self::Scripted(_) => Ok(law(frame.pixels() as f64, &rendered.counts.context("the twin counts")?)),
+            Self::Real(_, clock) => {
+                crate::dataset::Measurement::new(rendered.time, rendered.counts).seconds(*clock).with_context(
+                    || format!("the renderer has no {} clock; choose another with --clock", clock.name()),
+                )
+            }
+        }
+    }
+}
+
+/// The predictor: fitted to frames of an ordinary ball on the machine.
+fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
     let block = Block::ball(32, 0.05);
     let view = block.view()?;
     let summary = VolumeSummary::new(&view, SummaryOptions::default())?;
-    renderer.set_volume(&view)?;
+    machine.renderer().set_volume(&view)?;
     let mut rows = Vec::new();
     let mut features = FrameFeatures::new();
     let mut noise = Noise::new(3);
@@ -135,16 +184,16 @@ fn fitted(renderer: &mut CpuRaycaster) -> Result<AnalyticModel> {
             libm::exp(-5.0 + 5.0 * noise.uniform()) as f32,
         ))
         .to_table()?;
-        renderer.set_transfer(&table)?;
+        machine.renderer().set_transfer(&table)?;
         let transfer = TransferSummary::new(&summary, &table);
         let camera =
             Arcball { rx: 90.0 * noise.uniform() as f32, ry: 15.0 * k as f32, dz: 1.3 + 0.1 * k as f32 };
-        let side = [24, 40, 64][k % 3];
+        let side = machine.grown() * [24, 40, 64][k % 3];
         for step in [1.0, 2.0, 5.0] {
             let frame = Frame::new(Camera::from_arcball(camera)?, side, side)?.with_step(step)?;
             features.measure(&summary, &transfer, &frame);
-            let counts = renderer.render(&frame)?.counts.context("the twin counts")?;
-            rows.push(Measurement::new(&features, &Setting::of(&frame), law(frame.pixels() as f64, &counts)));
+            let seconds = machine.seconds(&frame)?;
+            rows.push(Measurement::new(&features, &Setting::of(&frame), seconds));
         }
     }
     let mut model = AnalyticModel::new();
@@ -314,10 +363,14 @@ fn scene(number: usize) -> Option<World> {
     })
 }
 
-/// One frame's truth at a step.
-fn truth(renderer: &mut CpuRaycaster, shot: &Shot, frame: &Frame, step: f32) -> Result<f64> {
+/// One frame's time at a step.
+fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Result<f64> {
+    let twin = match machine {
+        Machine::Scripted(twin) => twin,
+        Machine::Real(..) => return Ok(shot.speed * machine.seconds(&frame.with_step(step)?)?),
+    };
     let drawn = Frame::new(*frame.camera(), shot.drawn.0, shot.drawn.1)?.with_step(step)?;
-    let counts = renderer.render(&drawn)?.counts.context("the twin counts")?;
+    let counts = twin.render(&drawn)?.counts.context("the twin counts")?;
     let scale = frame.pixels() as f64 / drawn.pixels() as f64;
     let up = |n: u64| (n as f64 * scale) as u64;
     let counts = WorkCounts {
@@ -329,19 +382,27 @@ fn truth(renderer: &mut CpuRaycaster, shot: &Shot, frame: &Frame, step: f32) -> 
     Ok(shot.speed * law(frame.pixels() as f64, &counts))
 }
 
-/// Plays a scene of this file.
+/// Plays a scene of this file. On a real machine the rules leave room for its noise, which nobody can foresee: a twentieth
+/// more frames may be over, two more in a row, and quality may be a tenth lower.
 ///
 /// # Errors
 /// When it cannot be set up, or is not one of them.
-pub fn play(number: usize, method: ControllerKind) -> Result<Verdict> {
+pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     if number == 28 {
-        return damaged(method);
+        return damaged(method, machine);
     }
-    let Some(world) = scene(number) else {
+    let Some(mut world) = scene(number) else {
         bail!("there is no stress scene {number}; they are numbered 1 to 28")
     };
-    let mut renderer = CpuRaycaster::new();
-    let model = fitted(&mut renderer)?;
+    if machine.is_real() {
+        let l = &mut world.limits;
+        l.missed += 0.05;
+        l.run = l.run.saturating_add(2);
+        l.quality -= 0.1;
+        l.inside = l.inside.min(0.8);
+    }
+    let grown = machine.grown();
+    let model = fitted(machine)?;
     let response = StepResponse::inverse_step(0.1);
     let mut who: Contender =
         contender(method, 2.0, Box::new(model), &response, Prior::Fitted { log_sd: 0.2 });
@@ -361,43 +422,45 @@ pub fn play(number: usize, method: ControllerKind) -> Result<Verdict> {
         let swapped = shown.as_ref().is_none_or(|(v, _)| *v != shot.volume);
         let edited = swapped || shown.as_ref().is_none_or(|(_, l)| *l != shot.lobes);
         if swapped {
-            renderer.set_volume(&views[shot.volume])?;
+            machine.renderer().set_volume(&views[shot.volume])?;
             who.session.set_volume(summaries[shot.volume].clone(), None);
         }
         if edited {
             let table: TransferTable = TransferFunction::Gaussian(shot.lobes.clone()).to_table()?;
-            renderer.set_transfer(&table)?;
+            machine.renderer().set_transfer(&table)?;
             who.session.set_transfer(&table, Some(&shot.lobes))?;
         }
         shown = Some((shot.volume, shot.lobes.clone()));
         if shot.camera_cut {
             who.session.mark(Changes { camera: true, ..Changes::NONE });
         }
-        let frame = Frame::new(Camera::from_arcball(shot.camera)?, shot.size.0, shot.size.1)?;
+        let frame = Frame::new(Camera::from_arcball(shot.camera)?, grown * shot.size.0, grown * shot.size.1)?;
+        if machine.is_real() && edited {
+            // Uploads and first use are not part of frame times.
+            truth(machine, &shot, &frame, FINEST)?;
+        }
         // The grid that the oracle knows.
         let grid: Vec<(f64, f64)> = [1.0f32, 1.5, 2.2, 3.3, 5.0, 7.7, 12.0]
             .into_iter()
-            .map(|s| Ok((f64::from(s), truth(&mut renderer, &shot, &frame, s)?)))
+            .map(|s| Ok((f64::from(s), truth(machine, &shot, &frame, s)?)))
             .collect::<Result<_>>()?;
         if i == 0 || (number == 12 && sized != shot.size) {
             // Every image size has a target of its own there; else one holds for the whole path.
             target = world.share
                 * grid[0].1
-                * if i == 0 && number != 12 {
-                    typical(&mut renderer, &world, &views)? / grid[0].1
-                } else {
-                    1.0
-                };
+                * if i == 0 && number != 12 { typical(machine, &world, &views)? / grid[0].1 } else { 1.0 };
             if number != 12 {
-                renderer.set_volume(&views[shot.volume])?;
-                renderer.set_transfer(&TransferFunction::Gaussian(shot.lobes.clone()).to_table()?)?;
+                machine.renderer().set_volume(&views[shot.volume])?;
+                machine
+                    .renderer()
+                    .set_transfer(&TransferFunction::Gaussian(shot.lobes.clone()).to_table()?)?;
             }
         }
         let first = i > 0 && (edited || sized != shot.size);
         sized = shot.size;
         let plan = who.session.plan(&frame, target as f32)?;
-        let clean = truth(&mut renderer, &shot, &frame, plan.step)?;
-        let seconds = clean * (SIGMA * noise.normal()).exp();
+        let clean = truth(machine, &shot, &frame, plan.step)?;
+        let seconds = if machine.is_real() { clean } else { clean * (SIGMA * noise.normal()).exp() };
         who.session.observe(plan.id, seconds as f32, ObserveFlags::default());
         if method == ControllerKind::Hybrid
             && !(plan.seconds.is_finite()
@@ -434,14 +497,18 @@ pub fn play(number: usize, method: ControllerKind) -> Result<Verdict> {
 }
 
 /// Median over some frames of the time at the finest step.
-fn typical(renderer: &mut CpuRaycaster, world: &World, views: &[VolumeView<'_>]) -> Result<f64> {
+fn typical(machine: &mut Machine<'_>, world: &World, views: &[VolumeView<'_>]) -> Result<f64> {
     let mut times = Vec::new();
     for i in (0..world.frames).step_by(4) {
         let shot = (world.shot)(i);
-        renderer.set_volume(&views[shot.volume])?;
-        renderer.set_transfer(&TransferFunction::Gaussian(shot.lobes.clone()).to_table()?)?;
-        let frame = Frame::new(Camera::from_arcball(shot.camera)?, shot.size.0, shot.size.1)?;
-        times.push(truth(renderer, &shot, &frame, FINEST)?);
+        machine.renderer().set_volume(&views[shot.volume])?;
+        machine.renderer().set_transfer(&TransferFunction::Gaussian(shot.lobes.clone()).to_table()?)?;
+        let frame = Frame::new(
+            Camera::from_arcball(shot.camera)?,
+            machine.grown() * shot.size.0,
+            machine.grown() * shot.size.1,
+        )?;
+        times.push(truth(machine, &shot, &frame, FINEST)?);
     }
     crate::dataset::median(&mut times).context("a scene without frames")
 }
@@ -462,10 +529,9 @@ fn oracle(grid: &[(f64, f64)], target: f64) -> f64 {
 }
 
 /// Scene 28: model files and states that were damaged.
-fn damaged(method: ControllerKind) -> Result<Verdict> {
+fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
     let mut broken = Vec::new();
-    let mut renderer = CpuRaycaster::new();
-    let model = fitted(&mut renderer)?;
+    let model = fitted(machine)?;
     let good = model.to_model_file()?.to_bytes()?;
     let block = Block::ball(16, 0.0);
     let summary = VolumeSummary::new(&block.view()?, SummaryOptions::default())?;

@@ -665,11 +665,11 @@ fn every_plan_gives_a_reason_and_the_off_switch_keeps_learning() {
         session.observe(plan.id, speed * (0.0005 + 0.03 / plan.step), ObserveFlags::default());
     }
     session.set_enabled(true);
-    // All it saw was step 1: the first frame may be careful, it may not be late, and three frames settle it.
+    // All it saw was step 1: the first frame may be careful, it may not be late, and four frames settle it.
     for i in 0..8 {
         let plan = session.plan(&f, 0.02).unwrap();
         let seconds = 3.0 * (0.0005 + 0.03 / plan.step);
-        let least = if i < 3 { 0.008 } else { 0.016 };
+        let least = if i < 4 { 0.008 } else { 0.016 };
         assert!((least..0.022).contains(&seconds), "frame {i}: {seconds} {plan:?}");
         session.observe(plan.id, seconds, ObserveFlags::default());
     }
