@@ -318,7 +318,9 @@ pub fn run(
         for &method in methods {
             let verdict = match law::play(number, method, soak) {
                 Some(verdict) => verdict,
-                None => world::play(number, method, &mut world::Machine::Scripted(CpuRaycaster::new()))?,
+                None => {
+                    world::play(number, method, &mut world::Machine::Scripted(Box::new(CpuRaycaster::new())))?
+                }
             };
             out.push(verdict);
         }

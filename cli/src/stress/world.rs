@@ -123,7 +123,7 @@ struct World {
 /// What draws, and what clock runs.
 pub enum Machine<'a> {
     /// The CPU twin counts work and [`law`] makes seconds of it: the same in every run.
-    Scripted(CpuRaycaster),
+    Scripted(Box<CpuRaycaster>),
     /// A real renderer and its clock. Images are [`GROWN`] times as large, so that there is something to time.
     Real(&'a mut dyn Renderer, Clock),
 }
@@ -138,7 +138,7 @@ pub const REAL: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
 impl Machine<'_> {
     fn renderer(&mut self) -> &mut dyn Renderer {
         match self {
-            Self::Scripted(twin) => twin,
+            Self::Scripted(twin) => twin.as_mut(),
             Self::Real(renderer, _) => &mut **renderer,
         }
     }
@@ -366,7 +366,7 @@ fn scene(number: usize) -> Option<World> {
 /// One frame's time at a step.
 fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Result<f64> {
     let twin = match machine {
-        Machine::Scripted(twin) => twin,
+        Machine::Scripted(twin) => twin.as_mut(),
         Machine::Real(..) => return Ok(shot.speed * machine.seconds(&frame.with_step(step)?)?),
     };
     let drawn = Frame::new(*frame.camera(), shot.drawn.0, shot.drawn.1)?.with_step(step)?;
