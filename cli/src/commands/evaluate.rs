@@ -12,7 +12,7 @@ use entire_core::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
 use entire_core::model::Model;
-use entire_core::nn::PredNet;
+use entire_core::nn::{PredNet, Storage};
 use entire_core::predict::{CALIBRATION_KEY, Calibration, GroupKind, Inputs, UPPER_LEVEL};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -28,7 +28,9 @@ use std::time::Instant;
 Examples:
   entire evaluate --model model.safetensors --data frames.csv
   entire evaluate --model a.safetensors b.safetensors --data frames.csv --unseen --out out/evaluation
-        only frames of members or volumes that none of the models learned from, with plots")]
+        only frames of members or volumes that none of the models learned from, with plots
+  entire evaluate --model models/unshaded-paper.safetensors --data data/timings/none-members.csv.gz --storage int8
+        what eight-bit weights cost in accuracy")]
 pub struct Options {
     /// Model files.
     #[arg(long, required = true, num_args = 1.., value_name = "SAFETENSORS")]
@@ -51,6 +53,9 @@ pub struct Options {
     /// Folder for evaluation.json, predictions.csv, report.html and the plots as SVG.
     #[arg(long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
+    /// Judge each model also with its weights held in memory as f32, f16, bf16 or int8.
+    #[arg(long, num_args = 1.., value_name = "STORAGE", value_parser = parse_storage)]
+    pub storage: Vec<Storage>,
     /// Seed of the probes behind the constant baseline.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -60,6 +65,12 @@ pub struct Options {
     /// No progress bar.
     #[arg(long)]
     pub quiet: bool,
+}
+
+fn parse_storage(text: &str) -> Result<Storage, String> {
+    Storage::ALL.into_iter().find(|s| s.name() == text).ok_or_else(|| {
+        format!("no storage of weights; there are {}", Storage::ALL.map(Storage::name).join(", "))
+    })
 }
 
 /// Share of each volume's frames that the constant baseline renders to take their mean (Bruder et al. 2022).
@@ -188,6 +199,27 @@ pub fn run(options: &Options) -> Result<()> {
             &refs,
             latency,
             seen,
+            upper_bound(&m.model),
+        )?);
+    }
+    for (m, storage) in models.iter().flat_map(|m| options.storage.iter().map(move |&s| (m, s))) {
+        let rows = m.layout.rows(&tables, &refs, &pool, &progress_bar(true, INPUTS_BAR))?;
+        let parts = m.model.prednet().with_context(|| format!("{} holds no PredNet", m.name))?;
+        let net = PredNet::with_storage(parts, storage)?;
+        let mut scratch = net.scratch();
+        let predicted = rows
+            .chunks_exact(m.layout.width())
+            .map(|row| f64::from(net.predict(row, &mut scratch)))
+            .collect();
+        predictors.push(assess(
+            format!("{}, {} weights", m.name, storage.name()),
+            None,
+            predicted,
+            &measured,
+            &groups,
+            &refs,
+            None,
+            refs.iter().filter(|f| m.has_seen(f)).count(),
             upper_bound(&m.model),
         )?);
     }
