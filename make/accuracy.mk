@@ -8,7 +8,7 @@ study: ## Make and judge every predictor of STUDY: out/study/report.html
 	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study "$(STUDY)" --out "$(STUDY_OUT)"
 
 .PHONY: bars-accuracy
-bars-accuracy: ## As study, and print every accuracy bar: bar NAME VALUE LIMIT ok|short
+bars-accuracy: ## As study, and print every accuracy bar (fails when one is short): bar NAME VALUE LIMIT ok|short
 	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '
 
 .PHONY: models

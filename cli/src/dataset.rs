@@ -389,7 +389,7 @@ impl Table {
     /// file, line and column.
     pub fn read(path: &Path, index: usize) -> Result<Self> {
         let mut table = Self::read_without_features(path, index)?;
-        table.features = FeatureTable::beside(path, &table.frames)?;
+        table.features = FeatureTable::beside(path, &table.frames, table.hash)?;
         Ok(table)
     }
 

@@ -1,10 +1,12 @@
 //! What the core computes about the frames of a timing table, kept beside it, so that training and evaluation need no
 //! volumes: `NAME.csv` → `NAME.features.csv.gz`.
 //!
-//! One row per frame: its number, every quantity of the core's schema as it stands (never its logarithm), those that
+//! The first line, `# entire-features 1 schema HASH table HASH frames N`, tells what the features are and of what they were
+//! made: a hash of the names of the core's quantities and of [`VERSION`], the FNV-1a hash of the timing table's bytes
+//! (unfolded), and how many rows follow. Then one row per frame: its number, every quantity of the core's schema as it stands (never its logarithm), those that
 //! need the probe again as `NAME@SIDE` for probes of other than the standard number of rays, then the features of each VolumeNet that the file was made with, as columns `volumenet_ID_I` where ID tells the encoder's weights.
 
-use crate::dataset::TimedFrame;
+use crate::dataset::{TimedFrame, fnv1a};
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::features::{PROBE_SIDE, SceneQuantity};
 use entire_core::nn::VolumeNetParts;
@@ -16,12 +18,28 @@ use std::path::{Path, PathBuf};
 /// Most bytes that a compressed table may unfold to.
 const MAX_BYTES: u64 = 4 << 30;
 
+/// Counts up whenever the core computes another value of a quantity for the same frame; features kept before are refused
+/// then.
+pub const VERSION: u32 = 1;
+
+/// What the first line begins with.
+const MARK: &str = "# entire-features 1";
+
 /// Features of frames, by frame number.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FeatureTable {
+    schema: u64,
+    table: u64,
+    hash: u64,
     columns: Vec<String>,
     at: HashMap<u64, usize>,
     values: Vec<f32>,
+}
+
+/// Tells apart what quantities there are and what they mean.
+fn schema() -> u64 {
+    let names: Vec<&str> = SceneQuantity::ALL.iter().map(|q| q.name()).collect();
+    fnv1a(format!("{VERSION} {}", names.join(",")).as_bytes())
 }
 
 /// A table's name without `.csv` or `.csv.gz`.
@@ -63,7 +81,7 @@ pub fn gzip(bytes: &[u8]) -> Result<Vec<u8>> {
 pub fn encoder_id(parts: &VolumeNetParts) -> String {
     let first = parts.blocks.first().map_or(&[][..], |b| &b.weight[..]);
     let bytes: Vec<u8> = first.iter().chain(&parts.fc.weight).flat_map(|w| w.to_le_bytes()).collect();
-    format!("{:08x}", crate::dataset::fnv1a(&bytes) >> 32)
+    format!("{:08x}", fnv1a(&bytes) >> 32)
 }
 
 /// The column of a quantity, for a probe with so many rays along each side.
@@ -88,11 +106,12 @@ impl FeatureTable {
         name.into()
     }
 
-    /// From frame numbers and one row of values each, in the columns' order.
+    /// From frame numbers and one row of values each, in the columns' order, computed by this program for the timing
+    /// table of the given hash.
     ///
     /// # Errors
     /// When the values are not one row per number, or a number stands there twice.
-    pub fn new(columns: Vec<String>, numbers: &[u64], values: Vec<f32>) -> Result<Self> {
+    pub fn new(columns: Vec<String>, numbers: &[u64], values: Vec<f32>, table: u64) -> Result<Self> {
         ensure!(
             values.len() == columns.len() * numbers.len(),
             "{} values for {} frames of {} columns",
@@ -104,7 +123,18 @@ impl FeatureTable {
         for (i, &n) in numbers.iter().enumerate() {
             ensure!(at.insert(n, i).is_none(), "frame {n} stands there twice; make the file anew");
         }
-        Ok(Self { columns, at, values })
+        let bytes: Vec<u8> = columns
+            .iter()
+            .flat_map(|c| [c.as_bytes(), b","].concat())
+            .chain(numbers.iter().flat_map(|n| n.to_le_bytes()))
+            .chain(values.iter().flat_map(|v| v.to_le_bytes()))
+            .collect();
+        Ok(Self { schema: schema(), table, hash: fnv1a(&bytes), columns, at, values })
+    }
+
+    /// Tells features apart: a hash of columns, frames and values.
+    pub fn hash(&self) -> u64 {
+        self.hash
     }
 
     /// The columns, without the frame number.
@@ -130,7 +160,13 @@ impl FeatureTable {
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut numbers: Vec<u64> = self.at.keys().copied().collect();
         numbers.sort_unstable();
-        let mut text = format!("frame,{}\n", self.columns.join(","));
+        let mut text = format!(
+            "{MARK} schema {:016x} table {:016x} frames {}\nframe,{}\n",
+            self.schema,
+            self.table,
+            numbers.len(),
+            self.columns.join(",")
+        );
         for n in numbers {
             text += &n.to_string();
             for v in self.row(n).unwrap_or_default() {
@@ -151,8 +187,9 @@ impl FeatureTable {
     /// Reads the file beside a timing table; `None` where there is none.
     ///
     /// # Errors
-    /// When it exists and is damaged, or does not go with the table's frames.
-    pub fn beside(table: &Path, frames: &[TimedFrame]) -> Result<Option<Self>> {
+    /// When it exists and is damaged, was made by a program with other features, or does not go with the table, whose
+    /// bytes' hash is `hash`.
+    pub fn beside(table: &Path, frames: &[TimedFrame], hash: u64) -> Result<Option<Self>> {
         let path = Self::path_for(table);
         if !path.exists() {
             return Ok(None);
@@ -163,6 +200,17 @@ impl FeatureTable {
                 path.display()
             )
         })?;
+        ensure!(
+            found.schema == schema(),
+            "{} holds features of another version of this program, which need not mean what today's do; make it anew with `entire features` or remove it",
+            path.display()
+        );
+        ensure!(
+            found.table == hash,
+            "{} was made of another table than {} is now; make it anew with `entire features` or remove it",
+            path.display(),
+            table.display()
+        );
         let pixels = found.column(SceneQuantity::Pixels.name());
         let rays = found.column(SceneQuantity::Step.name());
         for f in frames {
@@ -183,7 +231,11 @@ impl FeatureTable {
 
     fn read(path: &Path) -> Result<Self> {
         let bytes = read_bytes(path)?;
-        let mut reader = csv::ReaderBuilder::new().from_reader(&bytes[..]);
+        let end = bytes.iter().position(|&b| b == b'\n').map_or(bytes.len(), |i| i + 1);
+        let (schema, table, rows) = std::str::from_utf8(&bytes[..end]).ok().and_then(made_of).with_context(|| {
+            format!("its first line is not {MARK:?} with schema, table and frames, so that nothing tells what its features mean")
+        })?;
+        let mut reader = csv::ReaderBuilder::new().from_reader(&bytes[end..]);
         let header = reader.headers()?.clone();
         ensure!(
             header.get(0) == Some("frame"),
@@ -194,7 +246,7 @@ impl FeatureTable {
         let (mut numbers, mut values) = (Vec::new(), Vec::new());
         for record in reader.records() {
             let record = record?;
-            let line = record.position().map_or(0, csv::Position::line);
+            let line = record.position().map_or(0, |p| p.line() + 1);
             let bad = |name: &str, text: &str| anyhow!("line {line}, column {name}: {text:?} is no number");
             let first = record.get(0).unwrap_or("");
             numbers.push(first.parse().map_err(|_| bad("frame", first))?);
@@ -204,8 +256,17 @@ impl FeatureTable {
                 values.push(value);
             }
         }
-        Self::new(columns, &numbers, values)
+        ensure!(numbers.len() == rows, "it holds {} frames and its first line says {rows}", numbers.len());
+        Ok(Self { schema, ..Self::new(columns, &numbers, values, table)? })
     }
+}
+
+/// Schema, table and number of frames that the first line tells.
+fn made_of(line: &str) -> Option<(u64, u64, usize)> {
+    let words: Vec<&str> = line.strip_prefix(MARK)?.split_whitespace().collect();
+    let ["schema", schema, "table", table, "frames", rows] = words[..] else { return None };
+    let hash = |text: &str| u64::from_str_radix(text, 16).ok();
+    Some((hash(schema)?, hash(table)?, rows.parse().ok()?))
 }
 
 #[cfg(test)]
@@ -213,8 +274,8 @@ mod tests {
     use super::*;
 
     fn table() -> FeatureTable {
-        FeatureTable::new(vec!["pixels".into(), "x".into()], &[7, 3], vec![64.0, 1.5e-9, 32.0, -2.25])
-            .unwrap()
+        let columns = vec!["pixels".into(), "x".into()];
+        FeatureTable::new(columns, &[7, 3], vec![64.0, 1.5e-9, 32.0, -2.25], 0xfeed).unwrap()
     }
 
     #[test]
@@ -227,6 +288,23 @@ mod tests {
         assert_eq!(back.row(7), Some(&[64.0f32, 1.5e-9][..]));
         assert_eq!(back.row(3), Some(&[32.0f32, -2.25][..]));
         assert_eq!((back.row(4), back.column("x"), back.column("y")), (None, Some(1), None));
+        assert_eq!((back.schema, back.table), (schema(), 0xfeed));
+    }
+
+    #[test]
+    fn features_of_another_program_or_table_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let csv = dir.path().join("t.csv");
+        let path = FeatureTable::path_for(&csv);
+        assert_eq!(FeatureTable::beside(&csv, &[], 1).unwrap(), None);
+        table().write(&path).unwrap();
+        assert!(FeatureTable::beside(&csv, &[], 0xfeed).unwrap().is_some());
+        let says = |hash: u64| format!("{:#}", FeatureTable::beside(&csv, &[], hash).unwrap_err());
+        let message = says(0xfeee);
+        assert!(message.contains("another table") && message.contains("`entire features`"), "{message}");
+        FeatureTable { schema: 1, ..table() }.write(&path).unwrap();
+        let message = says(0xfeed);
+        assert!(message.contains("another version") && message.contains("`entire features`"), "{message}");
     }
 
     #[test]
@@ -244,13 +322,21 @@ mod tests {
             std::fs::write(&path, bytes).unwrap();
             format!("{:#}", FeatureTable::read(&path).unwrap_err())
         };
+        let says = |rows: usize, text: &str| {
+            gzip(format!("{MARK} schema 0a table 0b frames {rows}\n{text}").as_bytes()).unwrap()
+        };
         assert!(fails(b"frame,x\n").contains("damaged"));
-        assert!(fails(&gzip(b"number,x\n1,2\n").unwrap()).contains("first column"));
-        assert!(fails(&gzip(b"frame,x\n1,a\n").unwrap()).contains("line 2, column x"));
-        assert!(fails(&gzip(b"frame,x\n1,inf\n").unwrap()).contains("not finite"));
-        assert!(fails(&gzip(b"frame,x\n1,1\n1,2\n").unwrap()).contains("twice"));
-        let whole = gzip(b"frame,x\n1,1\n").unwrap();
+        assert!(fails(&gzip(b"frame,x\n1,2\n").unwrap()).contains("first line"));
+        assert!(
+            fails(&gzip(b"# entire-features 1 schema 0a frames 1\nframe\n").unwrap()).contains("first line")
+        );
+        assert!(fails(&says(1, "number,x\n1,2\n")).contains("first column"));
+        assert!(fails(&says(1, "frame,x\n1,a\n")).contains("line 3, column x"));
+        assert!(fails(&says(1, "frame,x\n1,inf\n")).contains("not finite"));
+        assert!(fails(&says(2, "frame,x\n1,1\n1,2\n")).contains("twice"));
+        assert!(fails(&says(2, "frame,x\n1,1\n")).contains("holds 1 frames and its first line says 2"));
+        let whole = says(1, "frame,x\n1,1\n");
         assert!(fails(&whole[..whole.len() - 9]).contains("damaged"));
-        assert!(FeatureTable::new(vec!["a".into()], &[1, 2], vec![0.0]).is_err());
+        assert!(FeatureTable::new(vec!["a".into()], &[1, 2], vec![0.0], 0).is_err());
     }
 }

@@ -366,7 +366,10 @@ pub fn measure<T: Send>(
 }
 
 /// Opens the volume that a frame names, enlarged where the table's size is a whole multiple of the file's.
-fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> {
+///
+/// # Errors
+/// When it is not found, cannot be read, or has another size than the table says.
+pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> {
     let path = table.resolve_volume(name).with_context(|| {
         format!(
             "volume {name} of {} is not there, neither from the working folder nor beside the table; run where it was collected, put it there, or keep the features beside the table with `entire features`",

@@ -259,6 +259,13 @@ impl Recipe {
                 "the analytic model stands on the standard probe of {PROBE_SIDE} rays a side; leave the probe's side away"
             );
         }
+        self.settings()?;
+        ensure!(
+            self.kind != Kind::Residual
+                || self.fine_tune.is_some()
+                || self.inputs.iter().map(|g| g.trim()).eq([GroupKind::SceneFeatures.name()]),
+            "a residual model takes scene_features alone; leave other --inputs away"
+        );
         if let Some(path) = &self.fine_tune {
             return self.fine_tune(path, kitchen, training, validation);
         }
@@ -356,9 +363,9 @@ impl Recipe {
     }
 
     fn residual(&self, kitchen: &Kitchen<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<Fitted> {
+        let (mut file, layout) = self.layout(training)?;
         let (model, report) = fit_analytic(kitchen, training, self.side())?;
         let costs = model.unit_costs();
-        let (mut file, layout) = self.layout(training)?;
         let seconds = |part: Timed<'_>| -> Result<Vec<f64>> {
             let estimates = estimates(kitchen, part, &costs, self.side())?;
             Ok(part.seconds.iter().zip(&estimates).map(|(t, e)| t / e).collect())
@@ -379,10 +386,6 @@ impl Recipe {
             &settings,
         )?;
         let mut features = layout.scene_features().to_vec();
-        ensure!(
-            self.inputs == [GroupKind::SceneFeatures.name()],
-            "a residual model takes scene_features alone; leave other --inputs away"
-        );
         features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
         let estimates: Vec<f64> =
             estimates(kitchen, training, &costs, self.side())?.iter().map(|e| e.ln()).collect();

@@ -1,7 +1,8 @@
 //! A study: data sets, splits and predictors by name in one JSON file; every predictor made on every set's training
 //! tables and judged on every split. What is made is kept, so that a study that was stopped goes on where it was.
 
-use crate::dataset::{Clock, NoiseFloor, Table, TimedFrame, fnv1a, noise_floor, read_tables};
+use crate::dataset::{Clock, NoiseFloor, Scene, Table, TimedFrame, fnv1a, noise_floor, read_tables};
+use crate::feature_table::FeatureTable;
 use crate::inputs::Layout;
 use crate::latency::{Bench, Latency};
 use crate::metrics::{BoundMetrics, Metrics, SHORTEST, bootstrap_by_group};
@@ -15,7 +16,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The description, as its file holds it. Paths are relative to the file's folder.
@@ -68,12 +69,13 @@ pub struct Ship {
 pub struct Set {
     /// Its name.
     pub name: String,
-    /// Tables to learn from; a tenth of their volumes decides when training stops.
+    /// Tables to learn from; a tenth of their ensemble members, at least one, decides when training stops (of their volumes,
+    /// where there are fewer than three members).
     pub training: Vec<PathBuf>,
     /// Tables of frames at other ray steps, for predictors that take the step into account.
     #[serde(default)]
     pub other_steps: Vec<PathBuf>,
-    /// Tables whose frames set the upper bounds and are used for nothing else; the validation volumes where there are none.
+    /// Tables whose frames set the upper bounds and are used for nothing else; the validation frames where there are none.
     #[serde(default)]
     pub bounds: Vec<PathBuf>,
     /// Tables to test on, by split.
@@ -87,7 +89,7 @@ pub struct Set {
     /// Further splits that fine-tuning curves are drawn for.
     #[serde(default)]
     pub more_calibration_splits: Vec<String>,
-    /// Limits of the bars; none are printed for what is missing.
+    /// Limits of the bars; there are no bars for limits that are left away.
     #[serde(default)]
     pub limits: Limits,
 }
@@ -162,9 +164,9 @@ pub struct Result1 {
     pub panel: String,
     /// Errors.
     pub metrics: Metrics,
-    /// 95 % interval of RMSE/SD over volumes drawn anew.
+    /// 95 % interval of RMSE/SD over ensemble members drawn anew.
     pub rmse_interval: Option<(f64, f64)>,
-    /// 95 % interval of MdAPE over volumes drawn anew.
+    /// 95 % interval of MdAPE over ensemble members drawn anew.
     pub mdape_interval: Option<(f64, f64)>,
     /// The upper bound, where there is one.
     pub bound: Option<BoundMetrics>,
@@ -226,6 +228,9 @@ impl Findings {
         self.noise.iter().find(|n| n.0 == set && n.1 == split).map_or(0.0, |n| 0.6745 * n.2.log_sd_of_median)
     }
 }
+
+/// Frames after which the bars on calibration are taken.
+pub const CALIBRATION_FRAMES: usize = 100;
 
 /// The name of the baseline of probes.
 pub const CONSTANT: &str = "constant (mean of 15 % probes)";
@@ -331,17 +336,24 @@ impl<'a> Part<'a> {
         (pick(true), pick(false))
     }
 
-    /// A tenth of the volumes (at least one where there are three) and the rest: validation and training.
-    pub fn hold_out(&self, seed: u64) -> (Self, Self) {
-        let mut volumes: Vec<&str> = self.frames.iter().map(|f| f.scene.volume.as_str()).collect();
-        volumes.sort_unstable();
-        volumes.dedup();
-        if volumes.len() < 3 {
+    /// What may not be torn apart: ensemble members, or volumes where there are fewer members than needed.
+    pub fn groups_at_least(&self, needed: usize) -> GroupBy {
+        let members: BTreeSet<String> = self.frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
+        if members.len() < needed { GroupBy::Volume } else { GroupBy::Member }
+    }
+
+    /// A tenth of the groups (at least one where there are three) and the rest: validation and training.
+    pub fn hold_out(&self, by: GroupBy, seed: u64) -> (Self, Self) {
+        let of_frame: Vec<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
+        let mut groups: Vec<&String> = of_frame.iter().collect();
+        groups.sort_unstable();
+        groups.dedup();
+        if groups.len() < 3 {
             return (Self { frames: vec![], seconds: vec![] }, self.divided(|_| true).0);
         }
-        volumes.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
-        volumes.truncate((volumes.len() as f64 / 10.0).round().max(1.0) as usize);
-        self.divided(|i| volumes.contains(&self.frames[i].scene.volume.as_str()))
+        groups.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+        groups.truncate((groups.len() as f64 / 10.0).round().max(1.0) as usize);
+        self.divided(|i| groups.contains(&&of_frame[i]))
     }
 
     /// So many frames, chosen by the seed, and the rest.
@@ -368,6 +380,40 @@ fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
     predicted.iter().zip(measured).map(|(p, t)| (t / p.max(SHORTEST)).ln()).collect()
 }
 
+/// Counts up whenever the same recipe makes something else of the same frames.
+const MADE_AS: u32 = 1;
+
+/// Tells apart what was made: a hash of the program's version, the recipe, the bytes of the model files that it starts
+/// from, and the frames of each part with their seconds (which tell the clock) and the bytes of their tables and kept
+/// features. Where files lie does not count.
+fn identity(recipe: &Recipe, tables: &[Table], parts: [&Part<'_>; 3]) -> Result<String> {
+    let from = |path: &Option<PathBuf>| -> Result<String> {
+        let Some(path) = path else { return Ok("none".into()) };
+        let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        Ok(format!("{:016x}", fnv1a(&bytes)))
+    };
+    let bare = Recipe { volumenet: None, fine_tune: None, ..recipe.clone() };
+    let mut text = format!(
+        "{} {MADE_AS} {} {} {}",
+        env!("CARGO_PKG_VERSION"),
+        serde_json::to_string(&bare)?,
+        from(&recipe.volumenet)?,
+        from(&recipe.fine_tune)?
+    );
+    for part in parts {
+        let mut bytes = Vec::with_capacity(32 * part.frames.len());
+        for (f, seconds) in part.frames.iter().zip(&part.seconds) {
+            let table = tables.get(f.table).context("a frame of no table")?;
+            let features = table.features.as_ref().map_or(0, FeatureTable::hash);
+            for v in [table.hash, features, f.number, seconds.to_bits()] {
+                bytes.extend(v.to_le_bytes());
+            }
+        }
+        text += &format!(" {:016x}", fnv1a(&bytes));
+    }
+    Ok(format!("{:016x}", fnv1a(text.as_bytes())))
+}
+
 /// What a study works with besides its description.
 pub struct Runner<'a> {
     /// Threads.
@@ -390,16 +436,7 @@ impl Runner<'_> {
         (training, validation): (&Part<'_>, &Part<'_>),
         bounds: &Part<'_>,
     ) -> Result<(ModelFile, PathBuf)> {
-        let mut identity = serde_json::to_string(recipe)?;
-        for t in kitchen.tables {
-            identity += &format!("{:016x}{:?}", t.hash, t.features.as_ref().map(|f| f.columns().len()));
-        }
-        for part in [training, validation, bounds] {
-            let numbers: Vec<u64> = part.frames.iter().flat_map(|f| [f.table as u64, f.number]).collect();
-            identity +=
-                &format!("{:016x}", fnv1a(&numbers.iter().flat_map(|n| n.to_le_bytes()).collect::<Vec<_>>()));
-        }
-        let mark = format!("{:016x}", fnv1a(identity.as_bytes()));
+        let mark = identity(recipe, kitchen.tables, [training, validation, bounds])?;
         let name: String =
             key.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }).collect();
         let path = self.models.join(format!("{name}-{}.safetensors", &mark[..8]));
@@ -473,14 +510,16 @@ impl Runner<'_> {
             );
             let bounds = of(bounds_at..steps_at);
             // The paper's inputs say nothing of the step.
-            let one_step = all.hold_out(1);
-            let every_step = all.and(of(steps_at..steps_at + set.other_steps.len())).hold_out(1);
+            let by = all.groups_at_least(3);
+            let one_step = all.hold_out(by, 1);
+            let every_step = all.and(of(steps_at..steps_at + set.other_steps.len())).hold_out(by, 1);
             let splits: Vec<Part<'_>> = split_at.iter().map(|r| of(r.clone())).collect();
             for (split, part) in set.splits.iter().zip(&splits) {
                 if let Some(noise) = noise_floor(part.frames.iter().copied(), clock) {
                     out.noise.push((set.name.clone(), split.name.clone(), noise, part.frames.len()));
                 }
             }
+            let low = low_resolution(set, &tables, clock)?;
             let shading = all.frames[0].scene.shading;
             let mut bench = Bench::new(&volume, shading)?;
             for named in &study.predictors {
@@ -551,7 +590,7 @@ impl Runner<'_> {
                     None,
                 ));
             }
-            self.proxy(set, &tables, clock, &all, &splits, &mut out)?;
+            self.proxy(set, &low, &all, &splits, &mut out)?;
         }
         Ok(out)
     }
@@ -560,37 +599,13 @@ impl Runner<'_> {
     fn proxy(
         &self,
         set: &Set,
-        tables: &[Table],
-        clock: Clock,
+        low: &BTreeMap<(usize, u64), f64>,
         training: &Part<'_>,
         splits: &[Part<'_>],
         out: &mut Findings,
     ) -> Result<()> {
-        if set.low_resolution.is_empty() {
+        if low.is_empty() {
             return Ok(());
-        }
-        let mut low: BTreeMap<(usize, u64), f64> = BTreeMap::new();
-        for (index, table) in tables.iter().enumerate() {
-            let name = table.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-            let Some(path) = set.low_resolution.get(&name) else { continue };
-            let other = Table::read_without_features(path, 0)?;
-            let by_number: BTreeMap<u64, &TimedFrame> = other.frames.iter().map(|f| (f.number, f)).collect();
-            for f in &table.frames {
-                let Some(twin) = by_number.get(&f.number) else { continue };
-                let same = twin.scene.camera == f.scene.camera
-                    && twin.scene.width == f.scene.width
-                    && twin.scene.lobes == f.scene.lobes;
-                ensure!(
-                    same,
-                    "{}: frame {} shows another scene than in {}; collect it with the same seed and volumes",
-                    path.display(),
-                    f.number,
-                    name
-                );
-                if let Some(t) = twin.seconds(clock) {
-                    low.insert((index, f.number), t);
-                }
-            }
         }
         let paired = |part: &Part<'_>| -> Vec<(usize, f64)> {
             part.frames
@@ -693,7 +708,7 @@ impl Runner<'_> {
                 .iter()
                 .map(|s| ((s * all.frames.len() as f64).round() as usize).max(2))
                 .collect();
-            counts.push(100);
+            counts.push(CALIBRATION_FRAMES);
             counts.sort_unstable();
             counts.dedup();
             for count in counts.into_iter().filter(|n| *n <= pool.frames.len()) {
@@ -732,6 +747,35 @@ impl Runner<'_> {
         }
         Ok(())
     }
+}
+
+/// Seconds of the frames' twins on 64³ voxels, by table and frame number; empty where the set names none.
+///
+/// # Errors
+/// When a table cannot be read, or one of its frames shows another scene than the frame of its number.
+fn low_resolution(set: &Set, tables: &[Table], clock: Clock) -> Result<BTreeMap<(usize, u64), f64>> {
+    let mut low = BTreeMap::new();
+    for (index, table) in tables.iter().enumerate() {
+        let name = table.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let Some(path) = set.low_resolution.get(&name) else { continue };
+        let other = Table::read_without_features(path, 0)?;
+        let by_number: BTreeMap<u64, &TimedFrame> = other.frames.iter().map(|f| (f.number, f)).collect();
+        for f in &table.frames {
+            let Some(twin) = by_number.get(&f.number) else { continue };
+            // All but the number of voxels.
+            let as_large = Scene { dims: f.scene.dims, ..twin.scene.clone() };
+            ensure!(
+                as_large == f.scene,
+                "{}: frame {} shows another scene than in {name}; collect it with the same seed, volumes and settings",
+                path.display(),
+                f.number
+            );
+            if let Some(t) = twin.seconds(clock) {
+                low.insert((index, f.number), t);
+            }
+        }
+    }
+    Ok(low)
 }
 
 fn push_point(
@@ -788,7 +832,7 @@ fn judge(
     upper: Option<&Calibration>,
 ) -> Option<Result1> {
     let metrics = Metrics::new(predicted, &part.seconds)?;
-    let groups: Vec<String> = part.frames.iter().map(|f| GroupBy::Volume.group(&f.scene)).collect();
+    let groups: Vec<String> = part.frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
     let bound = upper.and_then(|u| {
         let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(u.upper(p.max(SHORTEST) as f32))).collect();
         BoundMetrics::new(&bounds, &part.seconds, UPPER_LEVEL)

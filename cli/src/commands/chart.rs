@@ -2,7 +2,7 @@
 
 use super::train::{progress_bar, thread_pool};
 use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
-use crate::study::{CONSTANT, Findings, PROXY, Point, Result1, Runner, Study, read};
+use crate::study::{CALIBRATION_FRAMES, CONSTANT, Findings, PROXY, Point, Result1, Runner, Study, read};
 use crate::{interrupt, machine};
 use anyhow::{Context, Result, ensure};
 use std::path::{Path, PathBuf};
@@ -29,7 +29,9 @@ pub struct Options {
     /// Only these data sets.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub sets: Vec<String>,
-    /// Print one line per bar: `bar NAME VALUE LIMIT ok|short`.
+    /// Print one line per bar, `bar NAME VALUE LIMIT ok|short`, and fail when one is short.
+    ///
+    /// The value is - where what the bar is about is missing.
     #[arg(long)]
     pub bars: bool,
     /// Write the predictors that the study ships, each with its card, into this folder.
@@ -46,7 +48,7 @@ pub struct Options {
 /// Runs the command.
 ///
 /// # Errors
-/// When the study or its tables cannot be read, or a file cannot be written.
+/// When the study or its tables cannot be read, a file cannot be written, or, with `--bars`, one is short.
 pub fn run(options: &Options) -> Result<()> {
     let mut study = read(&options.study)?;
     if !options.only.is_empty() {
@@ -82,12 +84,14 @@ pub fn run(options: &Options) -> Result<()> {
             println!("{}", main_table(&found, &set.name, &split.name, None).to_text());
         }
     }
+    let mut short = 0;
     if options.bars {
-        for b in bars(&study, &found) {
-            println!("bar {} {:.4} {:.4} {}", b.name, b.value, b.limit, if b.ok { "ok" } else { "short" });
-        }
+        let bars = bars(&study, &found);
+        bars.iter().for_each(|b| println!("{b}"));
+        short = bars.iter().filter(|b| !b.ok).count();
     }
     println!("wrote {}", options.out.join("report.html").display());
+    ensure!(short == 0, "{short} of the bars above are short");
     Ok(())
 }
 
@@ -96,13 +100,24 @@ pub fn run(options: &Options) -> Result<()> {
 pub struct Bar {
     /// What it is about, without blanks.
     pub name: String,
-    /// What was found.
-    pub value: f64,
+    /// What was found; `None` where a predictor, baseline, split or latency that it is about is missing.
+    pub value: Option<f64>,
     /// What was asked for.
     pub limit: f64,
-    /// Whether it holds.
+    /// Whether it holds; never where nothing was found.
     pub ok: bool,
 }
+
+impl std::fmt::Display for Bar {
+    /// `bar NAME VALUE LIMIT ok|short`, the value `-` where nothing was found.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let found = self.value.map_or("-".into(), |v| format!("{v:.4}"));
+        write!(f, "bar {} {found} {:.4} {}", self.name, self.limit, if self.ok { "ok" } else { "short" })
+    }
+}
+
+/// The predictor of a study that most bars are about.
+const SELECTED: &str = "selected";
 
 /// The predictors with a model file, main panel.
 fn models<'a>(found: &'a Findings, set: &'a str, split: &'a str) -> impl Iterator<Item = &'a Result1> {
@@ -113,73 +128,78 @@ fn best<'a>(found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a Res
     models(found, set, split).min_by(|a, b| a.metrics.rmse.total_cmp(&b.metrics.rmse))
 }
 
-/// What a study says about its bars. The predictor that most bars are about is `selected` where there is one, the best
-/// otherwise.
+/// `selected` where the study has one, the best on the test frames otherwise.
+fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a Result1> {
+    if study.predictors.iter().any(|p| p.name == SELECTED) {
+        found.of(set, split, SELECTED)
+    } else {
+        best(found, set, split)
+    }
+}
+
+/// What a study says about its bars: one for every limit of its sets, short where what it is about is missing. Most
+/// are about the predictor `selected` where the study has one, about the best on the test frames otherwise.
 pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
     let mut out = Vec::new();
-    let mut at_most =
-        |name: String, value: f64, limit: f64| out.push(Bar { name, value, limit, ok: value <= limit });
+    let mut at_most = |name: String, value: Option<f64>, limit: f64| {
+        out.push(Bar { name, value, limit, ok: value.is_some_and(|v| v <= limit) });
+    };
     let word = |s: &str| s.replace(' ', "-");
     for set in &study.sets {
         let limits = &set.limits;
-        if let Some(split) = set.splits.iter().find(|s| s.main) {
-            let (s, p) = (set.name.as_str(), split.name.as_str());
-            let name = |what: &str| format!("{}/{}/{what}", word(s), word(p));
-            let noise = found.noise_mdape(s, p);
-            if let Some(b) = best(found, s, p) {
-                if let Some(limit) = limits.rmse_over_sd {
-                    at_most(name("best-rmse-over-sd"), b.metrics.rmse_over_sd, limit);
-                    at_most(name("best-mdape"), b.metrics.mdape, (2.0 * noise).max(0.05));
-                }
-                if let Some(bound) = &b.bound {
-                    at_most(name("q95-coverage-off-by"), (bound.coverage - 0.95).abs(), 0.015);
-                    at_most(name("q95-missed-in-slowest-tenth"), 1.0 - bound.slowest_coverage, 0.1);
-                }
-            }
-            if let Some(paper) = found.of(s, p, "paper") {
-                for (baseline, wanted, what) in [
-                    (CONSTANT, limits.constant_over_paper, "paper-rmse-over-constant"),
-                    (PROXY, limits.proxy_over_paper, "paper-rmse-over-lvrp"),
-                ] {
-                    if let (Some(b), Some(wanted)) = (found.of(s, p, baseline), wanted) {
-                        at_most(name(what), paper.metrics.rmse / b.metrics.rmse, 1.0 / wanted);
-                    }
-                }
-                if limits.latency
-                    && let (Some(selected), Some(b)) = (found.of(s, p, "selected"), best(found, s, p))
-                    && let (Some(ours), Some(theirs)) =
-                        (found.latency(s, "selected"), found.latency(s, "paper"))
-                {
-                    at_most(name("selected-rmse-over-best"), selected.metrics.rmse / b.metrics.rmse, 1.1);
-                    at_most(name("selected-latency-over-paper"), ours.cold / theirs.cold, 0.2);
-                    let quick = models(found, s, p)
-                        .filter(|r| {
-                            found.latency(s, &r.predictor).is_some_and(|l| l.cold <= theirs.cold / 40.0)
-                        })
-                        .map(|r| r.metrics.rmse / paper.metrics.rmse)
-                        .fold(f64::INFINITY, f64::min);
-                    at_most(name("rmse-at-a-fortieth-of-paper-latency-over-paper"), quick, 0.5);
-                }
+        let s = set.name.as_str();
+        let p = set.splits.iter().find(|s| s.main).map_or("main", |s| s.name.as_str());
+        let name = |what: &str| format!("{}/{}/{what}", word(s), word(p));
+        let noise = found.noise_mdape(s, p);
+        let ours = chosen(study, found, s, p);
+        let bound = ours.and_then(|r| r.bound.as_ref());
+        if let Some(limit) = limits.rmse_over_sd {
+            at_most(name("best-rmse-over-sd"), ours.map(|r| r.metrics.rmse_over_sd), limit);
+            at_most(name("best-mdape"), ours.map(|r| r.metrics.mdape), (2.0 * noise).max(0.05));
+        }
+        if limits.rmse_over_sd.is_some() || bound.is_some() {
+            at_most(name("q95-coverage-off-by"), bound.map(|b| (b.coverage - 0.95).abs()), 0.015);
+            at_most(name("q95-missed-in-slowest-tenth"), bound.map(|b| 1.0 - b.slowest_coverage), 0.1);
+        }
+        let rmse = |predictor: &str| found.of(s, p, predictor).map(|r| r.metrics.rmse);
+        let over = |a: Option<f64>, b: Option<f64>| Some(a? / b?);
+        let paper = rmse("paper");
+        for (baseline, wanted, what) in [
+            (CONSTANT, limits.constant_over_paper, "paper-rmse-over-constant"),
+            (PROXY, limits.proxy_over_paper, "paper-rmse-over-lvrp"),
+        ] {
+            if let Some(wanted) = wanted {
+                at_most(name(what), over(paper, rmse(baseline)), 1.0 / wanted);
             }
         }
-        if let (true, Some(split)) = (limits.modality, &set.calibration_split) {
-            let (s, p) = (set.name.as_str(), split.as_str());
+        if limits.latency {
+            let cold = |predictor: &str| found.latency(s, predictor).map(|l| l.cold);
+            let lowest = best(found, s, p).map(|r| r.metrics.rmse);
+            at_most(name("selected-rmse-over-best"), over(rmse(SELECTED), lowest), 1.1);
+            at_most(name("selected-latency-over-paper"), over(cold(SELECTED), cold("paper")), 0.2);
+            let quick = cold("paper").and_then(|theirs| {
+                models(found, s, p)
+                    .filter(|r| cold(&r.predictor).is_some_and(|c| c <= theirs / 40.0))
+                    .map(|r| r.metrics.rmse)
+                    .min_by(f64::total_cmp)
+            });
+            at_most(name("rmse-at-a-fortieth-of-paper-latency-over-paper"), over(quick, paper), 0.5);
+        }
+        if limits.modality {
+            let p = set.calibration_split.as_deref().unwrap_or("calibration");
             let name = |what: &str| format!("{}/{}/{what}", word(s), word(p));
-            let chosen = found.of(s, p, "selected").or_else(|| best(found, s, p));
-            if let Some(r) = chosen {
-                at_most(name("mdape"), r.metrics.mdape, 0.15);
-                at_most(name("one-less-r2-log"), 1.0 - r.metrics.r2_log, 0.03);
+            let ours = chosen(study, found, s, p);
+            at_most(name("mdape"), ours.map(|r| r.metrics.mdape), 0.15);
+            at_most(name("one-less-r2-log"), ours.map(|r| 1.0 - r.metrics.r2_log), 0.03);
+            let tuned = ours.and_then(|r| {
                 let curve = format!("{}, calibrated", r.predictor);
-                let tuned = found.tuning.iter().find(|t| t.set == s && t.curve == curve && t.frames == 100);
-                if let Some(t) = tuned {
-                    at_most(
-                        name("mdape-after-100-frames"),
-                        t.metrics.mdape,
-                        (2.0 * found.noise_mdape(s, p)).max(0.07),
-                    );
-                    at_most(name("one-less-r2-log-after-100-frames"), 1.0 - t.metrics.r2_log, 0.015);
-                }
-            }
+                found.tuning.iter().find(|t| {
+                    t.set == s && t.split == p && t.curve == curve && t.frames == CALIBRATION_FRAMES
+                })
+            });
+            let limit = (2.0 * found.noise_mdape(s, p)).max(0.07);
+            at_most(name("mdape-after-100-frames"), tuned.map(|t| t.metrics.mdape), limit);
+            at_most(name("one-less-r2-log-after-100-frames"), tuned.map(|t| 1.0 - t.metrics.r2_log), 0.015);
         }
     }
     out
@@ -427,7 +447,7 @@ fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
     for b in bars(study, found) {
         table.row(vec![
             b.name.into(),
-            format!("{:.4}", b.value).into(),
+            b.value.map_or("-".into(), |v| format!("{v:.4}")).into(),
             format!("{:.4}", b.limit).into(),
             if b.ok { "yes" } else { "short" }.into(),
         ]);
@@ -458,7 +478,7 @@ fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             page.table(&knee, "");
             page.table(
                 &main_table(found, s, p, Some("main")),
-                "Intervals: volumes drawn anew with replacement.",
+                "Intervals: ensemble members (volumes that belong to none) drawn anew with replacement.",
             );
             for panel in ["ablation", "architecture"] {
                 if found.results.iter().any(|r| r.set == s && r.split == p && r.panel == panel) {

@@ -2,7 +2,7 @@
 
 use super::train::{INPUTS_BAR, coverage, predict_rows, progress_bar, thread_pool, timed};
 use crate::dataset::{Clock, NoiseFloor, Table as TimingTable, TimedFrame, fnv1a, noise_floor, read_tables};
-use crate::inputs::{Layout, measure};
+use crate::inputs::{Layout, measure, open_volume};
 use crate::machine;
 use crate::metrics::{BoundMetrics, Metrics, SHORTEST, bootstrap_by_group, percentile};
 use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
@@ -101,7 +101,7 @@ struct Predictor {
     bound_coverage: Option<f64>,
     /// How the upper bound does beyond that: among the slowest tenth, and its quantile loss.
     bound: Option<BoundMetrics>,
-    /// 95 % interval of RMSE/SD when volumes are drawn anew with replacement.
+    /// 95 % interval of RMSE/SD when ensemble members (volumes that belong to none) are drawn anew with replacement.
     rmse_over_sd_interval: Option<(f64, f64)>,
     /// The same of MdAPE.
     mdape_interval: Option<(f64, f64)>,
@@ -291,9 +291,9 @@ fn assess(
         let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(u.upper(p.max(SHORTEST) as f32))).collect();
         BoundMetrics::new(&bounds, measured, UPPER_LEVEL)
     });
-    let volumes: Vec<String> = frames.iter().map(|f| f.scene.volume.clone()).collect();
+    let members: Vec<String> = frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
     let interval =
-        |f: fn(&Metrics) -> f64| bootstrap_by_group(&predicted, measured, &volumes, BOOTSTRAP_ROUNDS, f);
+        |f: fn(&Metrics) -> f64| bootstrap_by_group(&predicted, measured, &members, BOOTSTRAP_ROUNDS, f);
     let (rmse_over_sd_interval, mdape_interval) = (interval(|m| m.rmse_over_sd), interval(|m| m.mdape));
     let by_kind = by_kind(frames, &predicted, measured);
     Ok(Predictor {
@@ -312,7 +312,7 @@ fn assess(
     })
 }
 
-/// Rounds behind the intervals over volumes drawn anew.
+/// Rounds behind the intervals over members drawn anew.
 const BOOTSTRAP_ROUNDS: usize = 400;
 
 /// Errors by image size, by whether the eye is near or inside the volume, and by ray step; kinds without frames are left out.
@@ -374,6 +374,10 @@ pub(crate) fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -
 }
 
 /// Warm latency over frames of the first volume: each stage by itself, median over many calls.
+///
+/// # Errors
+/// When the model looks at the scene and that volume is not there: features kept beside a table tell what they are, not
+/// what they cost.
 fn latency(m: &Loaded, tables: &[TimingTable], frames: &[&TimedFrame], rows: &[f32]) -> Result<Latency> {
     const FRAMES: usize = 64;
     const ROUNDS: usize = 40;
@@ -423,9 +427,7 @@ fn latency(m: &Loaded, tables: &[TimingTable], frames: &[&TimedFrame], rows: &[f
             transfer_seconds: 0.0,
         });
     }
-    let path =
-        tables[first.table].resolve_volume(&first.scene.volume).context("the first volume is not there")?;
-    let volume = crate::volume::Volume::open(&path)?;
+    let volume = open_volume(&tables[first.table], &first.scene.volume, first.scene.dims)?;
     let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
     let probed = m.layout.scene_features().iter().any(|f| f.quantity.needs_probe());
     let mut features = FrameFeatures::with_probe_side(if probed { m.layout.probe_side() } else { 0 });
@@ -677,7 +679,10 @@ fn write_report(
         "RMSE over SD is 1 for a predictor that always says the mean. MdAPE: median absolute percentage error. Latency: \
          median of warm calls in one thread, scene features included.",
     );
-    page.table(more, "Intervals: volumes drawn anew with replacement.");
+    page.table(
+        more,
+        "Intervals: ensemble members (volumes that belong to none) drawn anew with replacement.",
+    );
     page.heading("Errors");
     let spread = histogram(predictors, measured);
     write("errors.svg", &spread.to_svg_file())?;

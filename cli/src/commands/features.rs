@@ -102,7 +102,7 @@ pub fn run(options: &Options) -> Result<()> {
         let numbers: Vec<u64> = frames.iter().map(|f| f.number).collect();
         let out = FeatureTable::path_for(path);
         let columns_count = columns.len();
-        FeatureTable::new(columns, &numbers, rows.concat())?.write(&out)?;
+        FeatureTable::new(columns, &numbers, rows.concat(), tables[0].hash)?.write(&out)?;
         println!("{} frames, {columns_count} columns in {}", numbers.len(), out.display());
     }
     Ok(())

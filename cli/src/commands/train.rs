@@ -416,7 +416,8 @@ fn set_upper_bound(file: &mut ModelFile, upper: &Calibration) -> Result<()> {
     Ok(())
 }
 
-fn check_out(out: &Path) -> Result<()> {
+/// Whether a model file can be written there; makes its folder.
+pub(crate) fn check_out(out: &Path) -> Result<()> {
     ensure!(
         out.extension().is_some_and(|e| e == "safetensors"),
         "--out is {}; the model file's name must end in .safetensors",
@@ -428,7 +429,8 @@ fn check_out(out: &Path) -> Result<()> {
     Ok(())
 }
 
-fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
+/// Writes a file, whole or not at all.
+pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
     let mut part = path.as_os_str().to_owned();
     part.push(".part");
     let part = PathBuf::from(part);
