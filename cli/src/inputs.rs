@@ -391,3 +391,79 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
         table.path.display()
     );
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::commands::{features, train::thread_pool};
+    use crate::dataset::{Measurement, Scene, Writer, parse_lobes, read_tables};
+    use entire_core::scene::{Arcball, Shading};
+
+    #[test]
+    fn kept_features_give_what_the_volumes_give() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut bytes = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 14 12 10\nencoding: raw\n\n".to_vec();
+        bytes.extend((0..14 * 12 * 10).map(|i| (i * 13 % 241) as u8));
+        std::fs::write(folder.path().join("v.nrrd"), bytes).unwrap();
+        let csv = folder.path().join("t.csv");
+        let mut writer = Writer::create(&csv).unwrap();
+        let skipping = [Skipping::None, Skipping::Blocks, Skipping::Distance];
+        let shading = [Shading::None, Shading::Local, Shading::Scatter];
+        for i in 0..12u16 {
+            let f = f32::from(i);
+            let scene = Scene {
+                volume: "v.nrrd".into(),
+                member: String::new(),
+                time_step: None,
+                // The last frames are of the same file enlarged.
+                dims: if i < 8 { [14, 12, 10] } else { [28, 24, 20] },
+                camera: Arcball { rx: 7.0 * f - 40.0, ry: 31.0 * f, dz: 0.8 + 0.2 * f },
+                fov_y_degrees: 45.0,
+                width: 20 + 11 * u32::from(i),
+                height: 30 + 7 * u32::from(i),
+                step: 0.5 + 0.25 * f,
+                shading: shading[usize::from(i % 3)],
+                skipping: skipping[usize::from(i / 3 % 3)],
+                termination: 0.95,
+                lobes: parse_lobes("0.3 0.05 0.4;0.8 0.01 0.9").unwrap(),
+            };
+            let repeat = Measurement { wall: Some(0.1), ..Measurement::default() };
+            writer.append(u64::from(i), &scene, &[repeat]).unwrap();
+        }
+        drop(writer);
+        features::run(&features::Options {
+            data: vec![csv.clone()],
+            volumenet: Vec::new(),
+            probe_sides: vec![5],
+            root: None,
+            threads: Some(1),
+            quiet: true,
+        })
+        .unwrap();
+        let tables = read_tables(std::slice::from_ref(&csv)).unwrap();
+        let frames: Vec<&TimedFrame> = tables[0].frames.iter().collect();
+        let without = [Table { features: None, ..tables[0].clone() }];
+        let pool = thread_pool(Some(1)).unwrap();
+        let groups =
+            [GroupKind::Camera, GroupKind::SceneFeatures, GroupKind::Resolution, GroupKind::TransferFunction];
+        for side in [PROBE_SIDE, 5] {
+            for log in [false, true] {
+                let features: Vec<SceneFeature> =
+                    SceneQuantity::ALL.iter().map(|&quantity| SceneFeature { quantity, log }).collect();
+                let layout = Layout::new(&groups, features, 2, None).unwrap().with_probe_side(side);
+                let kept = layout.rows_beside(&tables, &frames).unwrap();
+                assert_eq!(layout.rows_beside(&without, &frames), None);
+                let measured = layout.rows(&without, &frames, &pool, &ProgressBar::hidden()).unwrap();
+                assert_eq!((kept.len(), measured.len()), (12 * layout.width(), 12 * layout.width()));
+                for (i, (a, b)) in kept.iter().zip(&measured).enumerate() {
+                    // Quantities are kept in single precision, bit for bit; a logarithm is taken of the rounded one.
+                    let close = (a - b).abs() <= f32::EPSILON * b.abs().max(1.0);
+                    assert!(
+                        if log { close } else { a.to_bits() == b.to_bits() },
+                        "{side} {log} {i}: {a} {b}"
+                    );
+                }
+            }
+        }
+    }
+}

@@ -69,8 +69,8 @@ pub struct Ship {
 pub struct Set {
     /// Its name.
     pub name: String,
-    /// Tables to learn from; a tenth of their ensemble members, at least one, decides when training stops (of their volumes,
-    /// where there are fewer than three members).
+    /// Tables to learn from; a tenth of their ensemble members decides when training stops (of their volumes, where there are
+    /// fewer than ten members).
     pub training: Vec<PathBuf>,
     /// Tables of frames at other ray steps, for predictors that take the step into account.
     #[serde(default)]
@@ -380,6 +380,11 @@ fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
     predicted.iter().zip(measured).map(|(p, t)| (t / p.max(SHORTEST)).ln()).collect()
 }
 
+/// Members from which on a tenth of them is held out rather than a tenth of the volumes. Of fewer, one alone would be far
+/// more than a tenth of the frames to learn from, and what training loses by that is more than what a better moment to
+/// stop gains: the frames that a study is judged on are of other members in any case.
+const MEMBERS: usize = 10;
+
 /// Counts up whenever the same recipe makes something else of the same frames.
 const MADE_AS: u32 = 1;
 
@@ -510,7 +515,7 @@ impl Runner<'_> {
             );
             let bounds = of(bounds_at..steps_at);
             // The paper's inputs say nothing of the step.
-            let by = all.groups_at_least(3);
+            let by = all.groups_at_least(MEMBERS);
             let one_step = all.hold_out(by, 1);
             let every_step = all.and(of(steps_at..steps_at + set.other_steps.len())).hold_out(by, 1);
             let splits: Vec<Part<'_>> = split_at.iter().map(|r| of(r.clone())).collect();
@@ -857,4 +862,129 @@ fn judge(
         parts,
         log_errors,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::{Measurement, parse_lobes};
+    use entire_core::scene::{Arcball, Shading, Skipping};
+
+    fn table(volumes: &[(&str, &str)]) -> Table {
+        let frame = |number: usize, volume: &str, member: &str| TimedFrame {
+            table: 0,
+            number: number as u64,
+            scene: Scene {
+                volume: volume.into(),
+                member: member.into(),
+                time_step: None,
+                dims: [8; 3],
+                camera: Arcball { rx: 1.0, ry: 2.0, dz: 3.0 },
+                fov_y_degrees: 45.0,
+                width: 20,
+                height: 10,
+                step: 1.0,
+                shading: Shading::None,
+                skipping: Skipping::Blocks,
+                termination: 0.99,
+                lobes: parse_lobes("0.5 0.1 1").unwrap(),
+            },
+            repeats: vec![Measurement { wall: Some(0.5), cpu: Some(0.25), ..Measurement::default() }],
+        };
+        let frames = volumes.iter().enumerate().map(|(i, (v, m))| frame(i, v, m)).collect();
+        Table { path: "t.csv".into(), manifest: None, frames, hash: 7, features: None, root: None }
+    }
+
+    #[test]
+    fn whole_members_are_held_out_and_volumes_where_there_are_too_few_of_them() {
+        let many: Vec<(String, String)> =
+            (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
+        let many: Vec<(&str, &str)> = many.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
+        let t = table(&many);
+        let part = Part::of(&t.frames, Clock::Cpu);
+        let by = part.groups_at_least(4);
+        assert_eq!(by, GroupBy::Member);
+        let (held, rest) = part.hold_out(by, 1);
+        assert_eq!((held.frames.len(), rest.frames.len()), (10, 30));
+        let member = &held.frames[0].scene.member;
+        assert!(held.frames.iter().all(|f| f.scene.member == *member));
+        assert!(rest.frames.iter().all(|f| f.scene.member != *member));
+        assert_eq!(part.groups_at_least(5), GroupBy::Volume);
+        let (held, rest) = part.hold_out(GroupBy::Volume, 1);
+        assert_eq!((held.frames.len(), rest.frames.len()), (4, 36));
+
+        let alone = table(&[("a.nrrd", ""), ("b.nrrd", "")]);
+        let part = Part::of(&alone.frames, Clock::Cpu);
+        let (held, rest) = part.hold_out(part.groups_at_least(3), 1);
+        assert_eq!((held.frames.len(), rest.frames.len()), (0, 2));
+    }
+
+    #[test]
+    fn what_was_made_is_told_apart_by_all_that_it_was_made_of() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("start.safetensors");
+        std::fs::write(&file, "one").unwrap();
+        let recipe = Recipe { fine_tune: Some(file.clone()), ..Recipe::default() };
+        let t = table(&[("a.nrrd", ""), ("b.nrrd", "")]);
+        let key = |recipe: &Recipe, t: &Table, clock: Clock| {
+            let part = Part::of(&t.frames, clock);
+            identity(recipe, std::slice::from_ref(t), [&part, &part, &part]).unwrap()
+        };
+        let first = key(&recipe, &t, Clock::Cpu);
+        assert_eq!(first, key(&recipe, &t, Clock::Cpu));
+        let moved = folder.path().join("moved.safetensors");
+        std::fs::copy(&file, &moved).unwrap();
+        assert_eq!(first, key(&Recipe { fine_tune: Some(moved), ..recipe.clone() }, &t, Clock::Cpu));
+
+        let mut keys = vec![first, key(&recipe, &t, Clock::Wall)];
+        keys.push(key(&Recipe { epochs: 7, ..recipe.clone() }, &t, Clock::Cpu));
+        keys.push(key(&recipe, &Table { hash: 8, ..t.clone() }, Clock::Cpu));
+        for value in [1.0, 2.0] {
+            let features = FeatureTable::new(vec!["x".into()], &[0, 1], vec![value, 0.0], 7).unwrap();
+            keys.push(key(&recipe, &Table { features: Some(features), ..t.clone() }, Clock::Cpu));
+        }
+        std::fs::write(&file, "two").unwrap();
+        keys.push(key(&recipe, &t, Clock::Cpu));
+        let all = keys.len();
+        keys.sort();
+        keys.dedup();
+        assert_eq!(keys.len(), all);
+        std::fs::remove_file(&file).unwrap();
+        let part = Part::of(&t.frames, Clock::Cpu);
+        let gone = identity(&recipe, std::slice::from_ref(&t), [&part, &part, &part]);
+        assert!(gone.unwrap_err().to_string().contains("start.safetensors"));
+    }
+
+    #[test]
+    fn a_twin_shows_the_same_scene_but_for_its_voxels() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("low.csv");
+        let t = table(&[("a.nrrd", "")]);
+        let set: Set = serde_json::from_value(json!({
+            "name": "s", "training": [], "splits": [], "low_resolution": { "t.csv": path }
+        }))
+        .unwrap();
+        let low = |change: &dyn Fn(&mut Scene)| {
+            let mut scene = Scene { dims: [64; 3], ..t.frames[0].scene.clone() };
+            change(&mut scene);
+            let mut writer = crate::dataset::Writer::create(&path).unwrap();
+            writer.append(0, &scene, &t.frames[0].repeats).unwrap();
+            drop(writer);
+            let found = low_resolution(&set, std::slice::from_ref(&t), Clock::Cpu);
+            std::fs::remove_file(&path).unwrap();
+            found.map_err(|e| e.to_string())
+        };
+        assert_eq!(low(&|_| ()).unwrap().get(&(0, 0)), Some(&0.25));
+        let changes: [&dyn Fn(&mut Scene); 6] = [
+            &|s| s.height = 11,
+            &|s| s.step = 2.0,
+            &|s| s.shading = Shading::Local,
+            &|s| s.skipping = Skipping::None,
+            &|s| s.volume = "b.nrrd".into(),
+            &|s| s.camera.dz = 2.0,
+        ];
+        for change in changes {
+            assert!(low(change).unwrap_err().contains("frame 0 shows another scene than in t.csv"));
+        }
+    }
 }

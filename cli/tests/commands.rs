@@ -280,7 +280,10 @@ fn wrong_usage_exits_with_2_and_help_shows_examples() {
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", stderr(&output));
         assert!(!stderr(&output).contains("panicked"));
     }
-    for command in ["render", "predict", "encode", "probe"] {
+    for command in [
+        "collect", "features", "train", "evaluate", "chart", "select", "predict", "encode", "render",
+        "probe", "steer", "record", "replay", "schedule", "stress", "demo",
+    ] {
         let help = succeeds(folder.path(), &[command, "--help"]);
         assert!(help.contains("Examples:") && help.contains(&format!("entire {command}")), "{help}");
     }

@@ -298,6 +298,37 @@ fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
 }
 
 #[test]
+fn kept_features_stand_in_for_volumes_that_are_gone() {
+    let data = data(6);
+    let out = data.path("m.safetensors");
+    works(&["features", "--quiet", "--data", data.csv()]);
+    works(&["train", "--quiet", "--data", data.csv(), "--out", &out, "--model-kind", "linear"]);
+    let folder = data.path("evaluation");
+    let evaluate = ["evaluate", "--quiet", "--model", &out, "--data", data.csv(), "--out", &folder];
+    let result = || {
+        let output = entire(&evaluate);
+        let err = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{err}");
+        let text = std::fs::read_to_string(format!("{folder}/evaluation.json")).unwrap();
+        (serde_json::from_str::<serde_json::Value>(&text).unwrap()["predictors"][0].clone(), err)
+    };
+    let (with, _) = result();
+    assert!(with["latency"]["transfer_seconds"].as_f64().unwrap() > 0.0);
+    std::fs::remove_dir_all(data.path("blobs")).unwrap();
+    let (without, err) = result();
+    assert!(err.contains("note: m: no latency") && err.contains("blobs/m01/t0000.nrrd"), "{err}");
+    assert!(without["latency"].is_null());
+    assert_eq!(with["metrics"], without["metrics"]);
+
+    // A row more, and the features are of another table.
+    let mut text = std::fs::read_to_string(&data.csv).unwrap();
+    text.push_str(text.lines().last().unwrap().replace(",1,blobs", ",2,blobs").as_str());
+    text.push('\n');
+    std::fs::write(&data.csv, text).unwrap();
+    fails(&evaluate, 1, "`entire features`");
+}
+
+#[test]
 fn what_cannot_be_done_is_said() {
     let data = data(3);
     let out = data.path("m.safetensors");
@@ -320,7 +351,18 @@ fn what_cannot_be_done_is_said() {
     train(&["--threads", "0"], 1, "0 threads");
     train(&["--learning-rate=-1"], 1, "learning rate");
     train(&["--fine-tune", data.csv()], 1, "t.csv");
+    train(
+        &["--model-kind", "residual", "--inputs", "scene_features,camera"],
+        1,
+        "takes scene_features alone",
+    );
     fails(&["train", "--data", data.csv(), "--out", "m.bin"], 1, ".safetensors");
+    // Said before any candidate is made: the volume for latencies is not even looked for.
+    let select = ["select", "--data", data.csv(), "--volume", "nowhere.nrrd", "--out"];
+    fails(&[&select[..], &["m.bin"]].concat(), 1, ".safetensors");
+    let below_a_file = format!("{}/m.safetensors", data.csv());
+    fails(&[&select[..], &[below_a_file.as_str()]].concat(), 1, "cannot make");
+    fails(&[&select[..], &[out.as_str()]].concat(), 1, "nowhere.nrrd");
     fails(&["train", "--data", "nowhere.csv", "--out", &out], 1, "cannot read nowhere.csv");
     fails(&["train", "--out", &out], 2, "--data");
     fails(
