@@ -358,7 +358,7 @@ fn what_cannot_be_done_is_said() {
     );
     fails(&["train", "--data", data.csv(), "--out", "m.bin"], 1, ".safetensors");
     // Said before any candidate is made: the volume for latencies is not even looked for.
-    let select = ["select", "--data", data.csv(), "--volume", "nowhere.nrrd", "--out"];
+    let select = ["select", "--clock", "wall", "--data", data.csv(), "--volume", "nowhere.nrrd", "--out"];
     fails(&[&select[..], &["m.bin"]].concat(), 1, ".safetensors");
     let below_a_file = format!("{}/m.safetensors", data.csv());
     fails(&[&select[..], &[below_a_file.as_str()]].concat(), 1, "cannot make");
