@@ -67,6 +67,10 @@ struct Last {
     step: f32,
     target: f32,
     terms: CostTerms,
+    /// How long it took, where that is known and no other scene has begun.
+    seconds: Option<f64>,
+    /// Late frames before it, in a row.
+    late: u32,
 }
 
 /// Most evaluations of the cost in a step search, beside those at the limits.
@@ -79,6 +83,9 @@ const FINER: f64 = 0.16;
 const COARSER: f64 = 0.17;
 /// Standard deviation of the predicted step curve's slope, d ln(seconds) / d ln(step).
 const SLOPE_SD: f64 = 0.1;
+/// Time over the target from which a frame is late, and below which finer moves are free.
+const LATE: f64 = 1.1;
+const EARLY: f64 = 0.5;
 /// Expected time over the target that a frame may have for the sake of a small move.
 const BEARABLE: f64 = 1.0;
 /// Distance of two predictions at one step (see [`distance`]) from which the frame before says nothing.
@@ -226,7 +233,13 @@ impl Controller for Hybrid {
         // Frames before a change of scene say nothing about the frame after it.
         let by_history = distrusted && !self.history.is_empty() && !(changes.any() && self.scene.first);
         if !known && !by_history {
-            self.last = Some(Last { step: limits.coarsest(), target: request.target, terms: first });
+            self.last = Some(Last {
+                step: limits.coarsest(),
+                target: request.target,
+                terms: first,
+                seconds: None,
+                late: 0,
+            });
             return Decision {
                 step: limits.coarsest(),
                 seconds: f32::NAN,
@@ -235,6 +248,9 @@ impl Controller for Hybrid {
                 reason: Reason::NoInformation,
             };
         }
+        let moved = self.last.map_or(f64::NAN, |last| {
+            libm::log(f64::from(request.cost.at(last.step).seconds()) / f64::from(last.terms.seconds()))
+        });
         let history = self.history;
         let margin = self.calm.multiple();
         let this = &*self;
@@ -252,6 +268,18 @@ impl Controller for Hybrid {
         };
         let best = Self::finest(limits, excess);
         let mut reason = if by_history { Reason::History } else { Reason::Fits };
+        // Where the coarsest step should fit and only its bound does not, recent frames of the scene know better.
+        let best = best.or_else(|| {
+            let lost = by_history || self.scene.first || history.is_empty();
+            if lost || judge(limits.coarsest()).0 > target {
+                return None;
+            }
+            reason = Reason::History;
+            Self::finest(limits, |step| {
+                let (seconds, upper) = history.forecast(step, margin);
+                libm::log(f64::max(seconds / target, upper / ceiling))
+            })
+        });
         let mut step = match best {
             Some(step) => step,
             None => {
@@ -287,15 +315,33 @@ impl Controller for Hybrid {
                 if reason == Reason::Fits {
                     reason = Reason::Damped;
                 }
-            } else if delta < -FINER && this.correction.settled() {
+            } else if delta < -FINER
+                && this.correction.settled()
+                && last.seconds.is_none_or(|t| t > EARLY * target)
+            {
                 step = limits.clamp(last.step * libm::exp(-FINER) as f32);
                 if matches!(reason, Reason::Fits | Reason::FinestAllowed) {
                     reason = Reason::Damped;
                 }
             }
         }
+        let mut late = 0;
+        if let Some((last, took)) = self.last.filter(steady).and_then(|l| Some((l, l.seconds?))) {
+            // Whatever is predicted: after a late frame none is finer, and after two half of the excess is taken back.
+            let now = took / target * libm::exp(if moved.is_finite() { moved.clamp(-0.5, 0.0) } else { 0.0 });
+            if now > LATE {
+                late = last.late + 1;
+                let back = if late > 1 { libm::sqrt(now) } else { 1.0 };
+                let least = limits.clamp((f64::from(last.step) * back) as f32);
+                if step < least {
+                    step = least;
+                    reason = Reason::History;
+                }
+            }
+        }
         let (seconds, upper) = judge(step);
-        self.last = Some(Last { step, target: request.target, terms: request.cost.at(step) });
+        self.last =
+            Some(Last { step, target: request.target, terms: request.cost.at(step), seconds: None, late });
         Decision { step, seconds: seconds as f32, upper: upper as f32, out_of_range, reason }
     }
 
@@ -333,6 +379,11 @@ impl Controller for Hybrid {
         if self.correction.machine_changed() {
             // What prediction and history made of the machine before says nothing about this one.
             self.history.forget_errors();
+        }
+        if let Some(last) =
+            self.last.as_mut().filter(|l| standing != Standing::Past && l.step == observed.step)
+        {
+            last.seconds = Some(seconds);
         }
         if standing != Standing::Past {
             self.history.push(observed.step, seconds, changed);
