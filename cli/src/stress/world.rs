@@ -122,7 +122,7 @@ struct World {
 
 /// What draws, and what clock runs.
 pub enum Machine<'a> {
-    /// The CPU twin counts work and [`law`] makes seconds of it: the same in every run.
+    /// The CPU twin counts work and `law` makes seconds of it: the same in every run.
     Scripted(Box<CpuRaycaster>),
     /// A real renderer and its clock. Images are [`GROWN`] times as large, so that there is something to time.
     Real(&'a mut dyn Renderer, Clock),
