@@ -125,12 +125,19 @@ pub struct entire_predictor_options {
     pub trust_limit: f32,
     /// Not 0 where moves are damped in calm phases; default 1.
     pub damping: u32,
+    /// Rays along each side of the probe that measures frames, 1 to 24. Fewer make plans cheaper and what they are made
+    /// from rougher, with the square of the side. Default 0: 11 without a model; with one it must be 0, since a model's
+    /// file names the side that it was trained with.
+    pub probe_side: u32,
+    /// Must be 0.
+    pub reserved: u32,
 }
 
 // SAFETY: repr(C), struct_size first, integers and floats only.
 unsafe impl ByValue for entire_predictor_options {
     const NAME: &'static str = "entire_predictor_options";
-    const FIRST_SIZE: usize = size_of::<Self>();
+    /// Up to `damping`.
+    const FIRST_SIZE: usize = offset_of!(Self, probe_side);
     fn defaults() -> Self {
         let (hybrid, limits) = (HybridOptions::default(), StepLimits::default());
         Self {
@@ -141,6 +148,8 @@ unsafe impl ByValue for entire_predictor_options {
             tolerance: hybrid.tolerance,
             trust_limit: hybrid.trust_limit,
             damping: hybrid.damping.into(),
+            probe_side: 0,
+            reserved: 0,
         }
     }
 }
@@ -225,8 +234,10 @@ unsafe impl ByValue for entire_prediction {
 // The layouts of ABI 1 on 64-bit targets; a field may be added behind, never moved.
 #[cfg(target_pointer_width = "64")]
 const _: () = {
-    assert!(size_of::<entire_predictor_options>() == 32);
+    assert!(size_of::<entire_predictor_options>() == 40);
+    assert!(<entire_predictor_options as ByValue>::FIRST_SIZE == 32);
     assert!(offset_of!(entire_predictor_options, damping) == 28);
+    assert!(offset_of!(entire_predictor_options, probe_side) == 32);
     assert!(size_of::<entire_plan>() == 40);
     assert!(offset_of!(entire_plan, step) == 16);
     assert!(offset_of!(entire_plan, reason) == 32);
@@ -292,9 +303,9 @@ pub unsafe extern "C" fn entire_predictor_options_init(
 /// first frames are observed, predicts. `options` may be NULL for the defaults. The predictor keeps its own share of the
 /// model.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates), ENTIRE_UNSUPPORTED (a model without a prediction network),
-/// ENTIRE_MISSING_INPUT (a model with an input group that this version does not know), ENTIRE_PANIC (a model handle that
-/// is unusable), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe side), ENTIRE_UNSUPPORTED (a model without a prediction
+/// network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know), ENTIRE_PANIC (a model
+/// handle that is unusable), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_predictor_new(
     model: *const entire_model,
@@ -307,10 +318,22 @@ pub unsafe extern "C" fn entire_predictor_new(
         let options = if options.is_null() { ByValue::defaults() } else { read_struct(options)? };
         let limits = StepLimits::new(options.finest_step, options.coarsest_step)?;
         let hybrid = hybrid_options(&options)?;
+        if options.probe_side != 0 && !model.is_null() {
+            return Err(Failure::new(
+                ENTIRE_INVALID_ARGUMENT,
+                format!(
+                    "probe_side is {} beside a model, whose file names its own; leave it 0",
+                    options.probe_side
+                ),
+            ));
+        }
         let predicts: Box<dyn Predictor + Send> =
             if model.is_null() { Box::new(AnalyticModel::new()) } else { borrow(model)?.predictor()? };
         let model = if model.is_null() { None } else { Some(share(model)) };
         let mut session = Session::new(predicts, hybrid);
+        if options.probe_side != 0 {
+            session = session.with_probe_side(options.probe_side as usize)?;
+        }
         session.set_limits(limits);
         write(predictor, give(Loop { session, model, volume: None }), "predictor (output)")
     })
@@ -329,6 +352,12 @@ fn hybrid_options(options: &entire_predictor_options) -> Result<HybridOptions, F
     }
     if !(trust_limit > 0.0) {
         return refuse("trust_limit", trust_limit, "positive (infinity to trust always)");
+    }
+    if options.reserved != 0 {
+        return Err(Failure::new(
+            ENTIRE_INVALID_ARGUMENT,
+            format!("reserved is {}; it must be 0", options.reserved),
+        ));
     }
     Ok(HybridOptions {
         miss_rate,

@@ -621,6 +621,16 @@ typedef struct entire_predictor_options {
      * Not 0 where moves are damped in calm phases; default 1.
      */
     uint32_t damping;
+    /**
+     * Rays along each side of the probe that measures frames, 1 to 24. Fewer make plans cheaper and what they are made
+     * from rougher, with the square of the side. Default 0: 11 without a model; with one it must be 0, since a model's
+     * file names the side that it was trained with.
+     */
+    uint32_t probe_side;
+    /**
+     * Must be 0.
+     */
+    uint32_t reserved;
 } entire_predictor_options;
 
 /**
@@ -1251,9 +1261,9 @@ entire_result entire_predictor_options_init(struct entire_predictor_options *opt
  * first frames are observed, predicts. `options` may be NULL for the defaults. The predictor keeps its own share of the
  * model.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates), ENTIRE_UNSUPPORTED (a model without a prediction network),
- * ENTIRE_MISSING_INPUT (a model with an input group that this version does not know), ENTIRE_PANIC (a model handle that
- * is unusable), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe side), ENTIRE_UNSUPPORTED (a model without a prediction
+ * network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know), ENTIRE_PANIC (a model
+ * handle that is unusable), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_predictor_new(const struct entire_model *model,
                                    const struct entire_predictor_options *options,

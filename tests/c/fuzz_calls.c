@@ -232,6 +232,7 @@ static void call(void) {
         options.tolerance = number(0, 1);
         options.trust_limit = number(0.1f, 5);
         options.damping = (uint32_t)below(2);
+        options.probe_side = one_in(3) ? (uint32_t)below(26) : 0;
         entire_predictor_free(predictors[slot]);
         predictors[slot] = NULL;
         note(entire_predictor_new(one_in(2) ? NULL : model, one_in(2) ? NULL : &options, &predictors[slot]));

@@ -170,6 +170,10 @@ static void options(const entire_model *model) {
     REFUSE_OPTIONS(o.tolerance = -1);
     REFUSE_OPTIONS(o.tolerance = INFINITY);
     REFUSE_OPTIONS(o.trust_limit = NAN);
+    REFUSE_OPTIONS(o.reserved = 1);
+    REFUSE_OPTIONS(o.probe_side = 25);
+    SAYS(model ? "leave it 0" : "1 to 24");
+    if (model) REFUSE_OPTIONS(o.probe_side = 7);
     entire_predictor_options sized = good;
     sized.struct_size = 1;
     EXPECT(ENTIRE_STRUCT_SIZE, entire_predictor_new(model, &sized, &predictor));
@@ -201,6 +205,35 @@ static void options(const entire_model *model) {
     OK(entire_predictor_mark(predictor, 0));
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_predictor_mark(predictor, 64));
     entire_predictor_free(predictor);
+}
+
+/* Without a model the probe may be smaller or finer; a program that was compiled before the field gets the default. */
+static void probe_sides(void) {
+    entire_predictor_options options;
+    OK(entire_predictor_options_init(&options, sizeof options));
+    CHECK(options.probe_side == 0 && options.reserved == 0);
+    entire_volume *volume = toy_volume();
+    entire_transfer_function *tf = toy_transfer_function();
+    entire_frame frame = toy_frame();
+    float seconds[5];
+    for (int i = 0; i < 5; ++i) {
+        const uint32_t sides[] = {0, 11, 7, 4, 7};
+        options.probe_side = sides[i];
+        options.struct_size = i < 4 ? sizeof options : offsetof(entire_predictor_options, probe_side);
+        entire_predictor *predictor = NULL;
+        OK(entire_predictor_new(NULL, &options, &predictor));
+        OK(entire_predictor_set_volume(predictor, volume));
+        OK(entire_predictor_set_transfer_function(predictor, tf));
+        entire_prediction prediction = {.struct_size = sizeof prediction};
+        OK(entire_predictor_predict(predictor, &frame, &prediction));
+        seconds[i] = prediction.seconds;
+        entire_predictor_free(predictor);
+    }
+    CHECK(seconds[0] > 0 && seconds[0] == seconds[1] && seconds[0] == seconds[4]);
+    CHECK(seconds[2] != seconds[0] && fabsf(seconds[2] / seconds[0] - 1) < 0.3f);
+    CHECK(seconds[3] != seconds[2] && fabsf(seconds[3] / seconds[0] - 1) < 0.5f);
+    entire_transfer_function_free(tf);
+    entire_volume_free(volume);
 }
 
 static void choices(void) {
@@ -334,6 +367,7 @@ int main(int argc, char **argv) {
     order_of_calls();
     frames();
     options(NULL);
+    probe_sides();
     choices();
     state();
     with_a_model(argv[1]);

@@ -8,7 +8,7 @@ use crate::Result;
 use crate::adapt::state::{Reader, Writer};
 use crate::adapt::{ObserveFlags, Prior, Verdict, check_seconds};
 use crate::error::bail;
-use crate::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
+use crate::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
 use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Source, TERMS};
 use crate::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
 use alloc::boxed::Box;
@@ -120,6 +120,23 @@ impl Session {
             pending: Box::new([None; PENDING_PLANS]),
             next_id: 1,
         }
+    }
+
+    /// Measures frames with `side`² probe rays instead of as many as the predictor was made with: fewer cost less time and
+    /// scatter more (see [`FrameFeatures::with_probe_side`]). For predictors that do not come from a file; those that
+    /// do were trained with the side that their file names.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`].
+    pub fn with_probe_side(mut self, side: usize) -> Result<Self> {
+        if !(1..=MAX_PROBE_SIDE).contains(&side) {
+            bail!(
+                InvalidArgument,
+                "the probe is to have {side} rays along each side; accepted are 1 to {MAX_PROBE_SIDE}"
+            );
+        }
+        self.features = FrameFeatures::with_probe_side(side);
+        Ok(self)
     }
 
     /// Sets the volume by its summary, and VolumeNet's output for it where the model takes one. The transfer function

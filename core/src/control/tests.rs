@@ -551,6 +551,27 @@ fn broken_timings_are_refused_by_name_and_leave_no_trace() {
 }
 
 #[test]
+fn a_session_without_a_file_may_use_a_smaller_probe() {
+    use crate::ErrorKind;
+    use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE};
+    let f = frame(20.0, 30.0, 2.0);
+    let of_side = |side| {
+        let mut session = ready_session().with_probe_side(side)?;
+        assert_eq!(session.features().probe_side(), side);
+        session.predict(&f).map(|p| p.seconds)
+    };
+    let usual = ready_session().predict(&f).unwrap().seconds;
+    assert_eq!(of_side(PROBE_SIDE).unwrap(), usual);
+    for side in [4, 7, MAX_PROBE_SIDE] {
+        let seconds = of_side(side).unwrap();
+        assert!(seconds != usual && (seconds / usual - 1.0).abs() < 0.3, "{side}: {seconds} {usual}");
+    }
+    for side in [0, MAX_PROBE_SIDE + 1] {
+        assert_eq!(of_side(side).unwrap_err().kind(), ErrorKind::InvalidArgument);
+    }
+}
+
+#[test]
 fn a_session_says_what_is_missing_and_refuses_bad_targets() {
     use crate::ErrorKind;
     let f = frame(0.0, 0.0, 2.0);

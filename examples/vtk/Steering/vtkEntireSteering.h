@@ -15,8 +15,9 @@
  * @endcode
  *
  * The mapper's own settings (sample distances, AutoAdjustSampleDistances, LockSampleDistanceToInputSpacing) are changed
- * on the mapper's VolumeMapperRenderStartEvent and put back on its VolumeMapperRenderEndEvent: between frames, and after
- * Detach(), the mapper is as the application left it. Frames are never drawn finer than the mapper's own sample
+ * for the frame alone: a GPU mapper's on its VolumeMapperRenderStartEvent, to be put back on its VolumeMapperRenderEndEvent;
+ * a fixed-point mapper's, which takes them before it announces its start, on the renderer's StartEvent, to be put back on
+ * the renderer's EndEvent. Between frames, and after Detach(), the mapper is as the application left it. Frames are never drawn finer than the mapper's own sample
  * distance, unless FinestSampleDistance says so.
  *
  * Still frames, those for which the render window asks for less than StillUpdateRate frames per second, are drawn by VTK
@@ -172,8 +173,8 @@ public:
 
   ///@{
   /**
-   * Writes what was learned of the mapper that was drawn last to a file, and starts from such a file: now, and whenever
-   * learning starts anew, until Detach(). Return false, and set Status, on failure.
+   * Writes what was learned of the mapper that was drawn last to a file, and starts from such a file: now (or at
+   * Attach()), and whenever learning starts anew, until Reset() or Detach(). Return false, and set Status, on failure.
    */
   bool SaveState(VTK_FILEPATH const char* fileName);
   bool LoadState(VTK_FILEPATH const char* fileName);

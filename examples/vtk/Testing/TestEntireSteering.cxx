@@ -565,6 +565,23 @@ void KeepsState(Kind kind)
     prediction = steering->GetPredictedTime();
   }
   CHECK(learned[0] == learned[1] && learned[0] != untaught && learned[0] > 0);
+  // A file that is loaded first counts from Attach() on, also where another attachment ends by it, until Detach().
+  steering->Detach();
+  vtkNew<vtkEntireSteering> early;
+  early->SetTargetFrameTime(1000);
+  CHECK(early->LoadState(file));
+  for (int i = 0; i < 2; ++i)
+  {
+    CHECK(early->Attach(scene.Renderer, scene.Volume));
+    scene.Draw();
+    CHECK(early->GetPredictedTime() == learned[0]);
+  }
+  early->Detach();
+  CHECK(early->Attach(scene.Renderer, scene.Volume));
+  scene.Draw();
+  CHECK(early->GetPredictedTime() == untaught);
+  early->Detach();
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
   std::FILE* broken = std::fopen(file, "wb");
   CHECK(broken && std::fputs("no state", broken) >= 0 && std::fclose(broken) == 0);
   CHECK(!steering->LoadState(file) && Says(steering->GetStatus(), file));

@@ -1,14 +1,11 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Every bar of the VTK adapter: the comparison with AutoAdjustSampleDistances, the observer's cost, and the accuracy of
-predictions per renderer. Prints `bar NAME VALUE LIMIT ok|short`, exit status 1 where one is short. See run.sh.
+predictions per renderer. Prints `bar NAME VALUE LIMIT ok|short`, exit status 1 where one is short; a value that cannot be
+told is `unmeasured`, and short. See run.sh.
 """
 import argparse
-import csv
-import glob
 import json
 import os
-import re
-import shutil
 import statistics
 import subprocess
 import sys
@@ -17,10 +14,14 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path.insert(0, HERE)
 SHORT = []
 
+# As vtkEntireSteering measures frames without a model.
+PROBE_SIDE = 7
+
 
 def bar(name, value, limit):
-    ok = value <= limit
-    print(f"bar {name} {value:.4g} {limit:g} {'ok' if ok else 'short'}", flush=True)
+    ok = value is not None and value <= limit
+    text = "unmeasured" if value is None else f"{value:.4g}"
+    print(f"bar {name} {text} {limit:g} {'ok' if ok else 'short'}", flush=True)
     if not ok:
         SHORT.append(name)
 
@@ -29,12 +30,22 @@ def python(*words, **options):
     subprocess.run([sys.executable, *map(str, words)], check=True, **options)
 
 
+def logged(path, *words):
+    """Runs a program whose output goes to a file, which is named where the program fails."""
+    with open(path, "w") as log:
+        done = subprocess.run([*map(str, words)], stdout=log, stderr=log)
+    if done.returncode:
+        sys.exit(f"bars: {words[0]} failed; see {path}")
+
+
 def median(repeats, pick):
-    return statistics.median(pick(r) for r in repeats)
+    """The median over repeats; None where one of them has no value."""
+    values = [pick(r) for r in repeats]
+    return None if None in values else statistics.median(values)
 
 
 def calibrate(options, mapper):
-    """A model of this mapper from 40 random frames of the comparison's volume."""
+    """A model of this mapper from 60 random frames of the comparison's volume."""
     import vtk_scene
     from timing_table import write_nrrd
 
@@ -47,11 +58,12 @@ def calibrate(options, mapper):
         part = os.path.join(options.out, f"part-{mapper}.csv")
         if os.path.exists(part):
             os.remove(part)
-        python(os.path.join(HERE, "collect_vtk.py"), "--mapper", mapper, "--out", part, "--frames", 60, "--repeats", 2,
-               "--min-size", 96, "--max-size", 512, "--steps", "1,1.4,2,3,4", volume, stderr=subprocess.DEVNULL)
+        logged(os.path.join(options.out, f"collect-{mapper}.log"), sys.executable, os.path.join(HERE, "collect_vtk.py"),
+               "--mapper", mapper, "--out", part, "--frames", 60, "--repeats", 2, "--min-size", 96, "--max-size", 512,
+               "--steps", "1,1.4,2,3,4", volume)
         os.replace(part, table)
-    subprocess.run([options.entire, "train", "--data", table, "--clock", "cpu", "--model-kind", "analytic", "--quiet",
-                    "--out", model], check=True, stdout=subprocess.DEVNULL)
+    logged(os.path.join(options.out, f"train-{mapper}.log"), options.entire, "train", "--data", table, "--clock", "cpu",
+           "--model-kind", "analytic", "--probe-side", PROBE_SIDE, "--quiet", "--out", model)
     return model
 
 
@@ -75,25 +87,14 @@ def comparison_bars(options, mapper):
 
 
 def relative_error(repeat, name):
-    """Image error over that of AutoAdjust at the same mean frame time: on the line through its two runs, or that of the
-    nearer one beyond them."""
+    """Image error over that of AutoAdjust at the same mean frame time, on the line through its two runs; None where the
+    time is not between theirs."""
     at, error = repeat[name]["cpu"]["mean_ms"], repeat[name]["cpu"]["error"]
-    points = sorted((repeat[n]["cpu"]["mean_ms"], repeat[n]["cpu"]["error"]) for n in ("auto", "scaled"))
-    (x0, y0), (x1, y1) = points
-    if at <= x0:
-        other = y0
-    elif at >= x1:
-        other = y1
-    else:
-        other = y0 + (y1 - y0) * (at - x0) / (x1 - x0)
+    (x0, y0), (x1, y1) = sorted((repeat[n]["cpu"]["mean_ms"], repeat[n]["cpu"]["error"]) for n in ("auto", "scaled"))
+    if not x0 <= at <= x1:
+        return None
+    other = y0 + (y1 - y0) * (at - x0) / (x1 - x0) if x1 > x0 else y0
     return error / other if other > 0 else float("inf")
-
-
-def evaluate(options, models, table, out):
-    subprocess.run([options.entire, "evaluate", "--model", *models, "--data", table, "--clock", "cpu", "--quiet", "--out", out],
-                   check=True, stdout=subprocess.DEVNULL)
-    with open(os.path.join(out, "evaluation.json")) as file:
-        return json.load(file)
 
 
 def main():

@@ -7,7 +7,8 @@ that what else happens on the machine hits all alike:
 
   full        full quality: sample distance 1, nothing adjusted
   auto        AutoAdjustSampleDistances as shipped, asked for 1 / target
-  scaled      AutoAdjustSampleDistances asked for a rate scaled by hand, chosen after seeing `auto`
+  scaled      AutoAdjustSampleDistances asked for a lower rate, such that it just spends the target on average: found by
+              bisection in short runs before the comparison
   cold        vtkEntireSteering without a model, learning from its first frame on
   calibrated  vtkEntireSteering with a model trained on random frames of this mapper (--model)
 
@@ -29,7 +30,10 @@ import vtk_scene  # noqa: E402
 from timing_table import timed  # noqa: E402
 
 SWITCHES = (50, 100, 150)
-SCALED = {"fixed": 1.6, "gpu": 1.9}
+
+# What `scaled` is to spend, in targets: a little more than steered frames do, so that their mean time lies between that
+# of `auto` and that of `scaled`, and close to the latter's.
+SPEND = 1.06
 COLOR = ((0, 0.1, 0.1, 0.3), (90, 0.8, 0.3, 0.1), (255, 1.0, 1.0, 0.8))
 TRANSPARENT = ((0, 0.0), (20, 0.0), (255, 0.03))
 OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.12), (255, 0.5))
@@ -52,7 +56,6 @@ class Contender:
     def __init__(self, name, mapper, image, size, options):
         self.name = name
         self.view = vtk_scene.View(mapper, image, (size, size))
-        self.mapper_name = mapper
         self.color = vtk_scene.color_function(COLOR)
         self.functions = [vtk_scene.opacity_function(p) for p in (TRANSPARENT, OPAQUE)]
         self.steering = None
@@ -77,11 +80,11 @@ class Contender:
         self.view.window.Render()
         self.view.volume.VisibilityOn()
 
-    def aim(self, target_cpu, target_wall, clock):
+    def aim(self, target_cpu, target_wall, clock, scale):
         if self.name == "auto":
             self.view.window.SetDesiredUpdateRate(1 / target_wall)
         elif self.name == "scaled":
-            self.view.window.SetDesiredUpdateRate(1 / (SCALED[self.mapper_name] * target_wall))
+            self.view.window.SetDesiredUpdateRate(1 / (scale * target_wall))
         elif self.steering:
             self.steering.SetTargetFrameTime(target_cpu if clock == "cpu" else target_wall)
 
@@ -144,6 +147,27 @@ def score(rows, full, clock, target):
     }
 
 
+def find_scale(options, image, n, target_cpu, target_wall):
+    """How many times the wall target AutoAdjust must be told to spend SPEND processor targets on average, 1 to 16."""
+    contender = Contender("scaled", options.mapper, image, options.size, options)
+    low, high = 1.0, 16.0
+    for _ in range(6):
+        scale = math.sqrt(low * high)
+        contender.aim(target_cpu, target_wall, options.clock, scale)
+        spent = []
+        for frame in range(options.frames // 24, options.frames, max(1, options.frames // 12)):
+            # The first two settle, the third is what it comes to.
+            for _ in range(3):
+                contender.pose(frame, options.frames, n)
+                _, cpu = timed(contender.view.window.Render)
+            spent.append(cpu)
+        if statistics.fmean(spent) < SPEND * target_cpu:
+            low = scale
+        else:
+            high = scale
+    return high
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mapper", choices=("fixed", "gpu"), default="fixed")
@@ -173,12 +197,16 @@ def main():
     target_wall = 0.5 * statistics.fmean(r["wall"] for r in probe.rows)
     print(f"{options.mapper}: target {1e3 * target_cpu:.1f} ms processor time, {1e3 * target_wall:.1f} ms on the wall")
     probe = None
+    scale = 1.0
+    if "scaled" in names:
+        scale = find_scale(options, image, n, target_cpu, target_wall)
+        print(f"scaled: asked for {1 / scale:.2f} of the target's rate", flush=True)
 
-    scores = {"mapper": options.mapper, "target_cpu": target_cpu, "target_wall": target_wall, "repeats": []}
+    scores = {"mapper": options.mapper, "scale": scale, "target_cpu": target_cpu, "target_wall": target_wall, "repeats": []}
     for repeat in range(options.repeats):
         contenders = [Contender(name, options.mapper, image, options.size, options) for name in names]
         for contender in contenders:
-            contender.aim(target_cpu, target_wall, options.clock)
+            contender.aim(target_cpu, target_wall, options.clock, scale)
         for frame in range(options.frames):
             reference = None
             for contender in contenders:

@@ -82,11 +82,13 @@ public:
       if (std::none_of(this->Volumes.begin(), this->Volumes.end(), is))
       {
         auto steering = vtkSmartPointer<vtkEntireSteering>::New();
-        steering->SetTargetFrameTime(1);
+        // Before the volume is read: what reads it depends on the clock and the model.
+        this->Configure(steering);
         // What cannot be steered (an unstructured grid's mapper) is left to ParaView without a word on the console.
-        steering->SetGlobalWarningDisplay(0);
+        const auto warns = vtkObject::GetGlobalWarningDisplay();
+        vtkObject::SetGlobalWarningDisplay(0);
         const bool attached = steering->Attach(this->Renderer, volume);
-        steering->SetGlobalWarningDisplay(1);
+        vtkObject::SetGlobalWarningDisplay(warns);
         if (!attached)
         {
           continue;
