@@ -125,9 +125,9 @@ pub struct entire_predictor_options {
     pub trust_limit: f32,
     /// Not 0 where moves are damped in calm phases; default 1.
     pub damping: u32,
-    /// Rays along each side of the probe that measures frames, 1 to 24. Fewer make plans cheaper and what they are made
-    /// from rougher, with the square of the side. Default 0: 11 without a model; with one it must be 0, since a model's
-    /// file names the side that it was trained with.
+    /// Rays along each side of the probe that measures frames for a linear cost model (no model, or an analytic one), 1 to
+    /// 24. Fewer make plans cheaper and what they are made from rougher, with the square of the side. Default 0: 11. A
+    /// network keeps the side that its file names, which it was trained with.
     pub probe_side: u32,
     /// Must be 0.
     pub reserved: u32,
@@ -318,15 +318,6 @@ pub unsafe extern "C" fn entire_predictor_new(
         let options = if options.is_null() { ByValue::defaults() } else { read_struct(options)? };
         let limits = StepLimits::new(options.finest_step, options.coarsest_step)?;
         let hybrid = hybrid_options(&options)?;
-        if options.probe_side != 0 && !model.is_null() {
-            return Err(Failure::new(
-                ENTIRE_INVALID_ARGUMENT,
-                format!(
-                    "probe_side is {} beside a model, whose file names its own; leave it 0",
-                    options.probe_side
-                ),
-            ));
-        }
         let predicts: Box<dyn Predictor + Send> =
             if model.is_null() { Box::new(AnalyticModel::new()) } else { borrow(model)?.predictor()? };
         let model = if model.is_null() { None } else { Some(share(model)) };

@@ -622,9 +622,9 @@ typedef struct entire_predictor_options {
      */
     uint32_t damping;
     /**
-     * Rays along each side of the probe that measures frames, 1 to 24. Fewer make plans cheaper and what they are made
-     * from rougher, with the square of the side. Default 0: 11 without a model; with one it must be 0, since a model's
-     * file names the side that it was trained with.
+     * Rays along each side of the probe that measures frames for a linear cost model (no model, or an analytic one), 1 to
+     * 24. Fewer make plans cheaper and what they are made from rougher, with the square of the side. Default 0: 11. A
+     * network keeps the side that its file names, which it was trained with.
      */
     uint32_t probe_side;
     /**

@@ -172,8 +172,7 @@ static void options(const entire_model *model) {
     REFUSE_OPTIONS(o.trust_limit = NAN);
     REFUSE_OPTIONS(o.reserved = 1);
     REFUSE_OPTIONS(o.probe_side = 25);
-    SAYS(model ? "leave it 0" : "1 to 24");
-    if (model) REFUSE_OPTIONS(o.probe_side = 7);
+    SAYS("1 to 24");
     entire_predictor_options sized = good;
     sized.struct_size = 1;
     EXPECT(ENTIRE_STRUCT_SIZE, entire_predictor_new(model, &sized, &predictor));
@@ -323,6 +322,18 @@ static void with_a_model(const char *path) {
     entire_prediction again = {.struct_size = sizeof again};
     OK(entire_predictor_predict(predictor, &frame, &again));
     CHECK(again.seconds == prediction.seconds);
+
+    /* It keeps the probe that it was trained with. */
+    entire_predictor_options small;
+    OK(entire_predictor_options_init(&small, sizeof small));
+    small.probe_side = 4;
+    entire_predictor *other = NULL;
+    OK(entire_predictor_new(model, &small, &other));
+    OK(entire_predictor_set_volume(other, volume));
+    OK(entire_predictor_set_transfer_function(other, tf));
+    OK(entire_predictor_predict(other, &frame, &again));
+    CHECK(again.seconds == prediction.seconds);
+    entire_predictor_free(other);
 
     const float three[] = {1, 2, 3};
     OK(entire_volume_set_features(volume, three, 3));

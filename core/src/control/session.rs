@@ -122,9 +122,9 @@ impl Session {
         }
     }
 
-    /// Measures frames with `side`² probe rays instead of as many as the predictor was made with: fewer cost less time and
-    /// scatter more (see [`FrameFeatures::with_probe_side`]). For predictors that do not come from a file; those that
-    /// do were trained with the side that their file names.
+    /// Measures frames with `side`² probe rays: fewer cost less time and scatter more (see
+    /// [`FrameFeatures::with_probe_side`]). For linear cost models ([`Predictor::any_probe_side`]); a network keeps the
+    /// side that it was trained with.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`].
@@ -135,7 +135,9 @@ impl Session {
                 "the probe is to have {side} rays along each side; accepted are 1 to {MAX_PROBE_SIDE}"
             );
         }
-        self.features = FrameFeatures::with_probe_side(side);
+        if self.predictor.any_probe_side() {
+            self.features = FrameFeatures::with_probe_side(side);
+        }
         Ok(self)
     }
 

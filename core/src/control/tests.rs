@@ -551,7 +551,7 @@ fn broken_timings_are_refused_by_name_and_leave_no_trace() {
 }
 
 #[test]
-fn a_session_without_a_file_may_use_a_smaller_probe() {
+fn a_linear_cost_model_may_use_a_smaller_probe() {
     use crate::ErrorKind;
     use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE};
     let f = frame(20.0, 30.0, 2.0);

@@ -363,6 +363,10 @@ impl AnalyticModel {
 }
 
 impl Predictor for AnalyticModel {
+    fn any_probe_side(&self) -> bool {
+        true
+    }
+
     fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
         let terms = self.parts(inputs.features, &inputs.setting);
         let seconds = terms.seconds().clamp(SHORTEST, LONGEST);

@@ -113,6 +113,12 @@ pub trait Predictor {
         PROBE_SIDE
     }
 
+    /// Whether a probe of another side than [`Predictor::probe_side`] serves as well: what is linear in counts that every
+    /// probe estimates was not trained with one.
+    fn any_probe_side(&self) -> bool {
+        false
+    }
+
     /// Whether the ray step enters the prediction. Where it does not, callers scale by the analytic model.
     fn knows_step(&self) -> bool {
         true

@@ -61,9 +61,9 @@ constexpr double RUNG_SLACK = 0.93;
 // How many frames the time outside of the mapper is taken from.
 constexpr std::size_t REST_FRAMES = 5;
 
-// Rays along each side of the probe that frames are measured with where no model file says. Fewer than the library's
-// default: between frames that sweep the caches a ray costs most of a microsecond, and what the rougher counts miss is learned from
-// frame to frame.
+// Rays along each side of the probe that frames are measured with for a linear cost model; a network's file names its own.
+// Fewer than the library's default: between frames that sweep the caches a ray costs most of a microsecond. With fewer
+// still, frames of sparse volumes are held less well.
 constexpr std::uint32_t PROBE_SIDE = 7;
 
 // Least share of the target that a mapper is given, however much the rest of the frame takes.
@@ -672,7 +672,7 @@ std::string vtkEntireSteering::vtkInternals::MakePredictor(Leaf& leaf)
   entire::predictor_options options;
   options.tolerance = static_cast<float>(this->Tolerance);
   options.miss_rate = static_cast<float>(this->MissRate);
-  options.probe_side = this->Model ? 0 : PROBE_SIDE;
+  options.probe_side = PROBE_SIDE;
   auto made =
     this->Model ? entire::predictor::create(*this->Model, options) : entire::predictor::untrained(options);
   if (!made)

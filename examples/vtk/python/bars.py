@@ -14,9 +14,6 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 sys.path.insert(0, HERE)
 SHORT = []
 
-# As vtkEntireSteering measures frames without a model.
-PROBE_SIDE = 7
-
 
 def bar(name, value, limit):
     ok = value is not None and value <= limit
@@ -63,7 +60,7 @@ def calibrate(options, mapper):
                "--steps", "1,1.4,2,3,4", volume)
         os.replace(part, table)
     logged(os.path.join(options.out, f"train-{mapper}.log"), options.entire, "train", "--data", table, "--clock", "cpu",
-           "--model-kind", "analytic", "--probe-side", PROBE_SIDE, "--quiet", "--out", model)
+           "--model-kind", "analytic", "--quiet", "--out", model)
     return model
 
 
