@@ -8,7 +8,7 @@ that what else happens on the machine hits all alike:
   full        full quality: sample distance 1, nothing adjusted
   auto        AutoAdjustSampleDistances as shipped, asked for 1 / target
   scaled      AutoAdjustSampleDistances asked for a lower rate, such that it just spends the target on average: found by
-              bisection in short runs before the comparison
+              bisection in short runs before the comparison, as far as the mapper goes in interaction
   cold        vtkEntireSteering without a model, learning from its first frame on
   calibrated  vtkEntireSteering with a model trained on random frames of this mapper (--model)
 
@@ -148,9 +148,11 @@ def score(rows, full, clock, target):
 
 
 def find_scale(options, image, n, target_cpu, target_wall):
-    """How many times the wall target AutoAdjust must be told to spend SPEND processor targets on average, 1 to 16."""
+    """How many times the wall target AutoAdjust must be told to spend SPEND processor targets on average, 1 to 16. From a
+    second on the mappers take a frame for a still one and leave the steps of interaction, so the most is less than that;
+    it is what is returned where even that spends less."""
     contender = Contender("scaled", options.mapper, image, options.size, options)
-    low, high = 1.0, 16.0
+    low, high = 1.0, max(1.0, min(16.0, 0.95 / target_wall))
     for _ in range(6):
         scale = math.sqrt(low * high)
         contender.aim(target_cpu, target_wall, options.clock, scale)
