@@ -57,8 +57,8 @@ pub(crate) fn color(name: &str) -> usize {
         "vtk-gpu" => 4,
         "vtk-fixed-point" => 7,
         "vtk-js" => 6,
-        "unreal" => 4,
-        _ => 7,
+        "unreal" => 8,
+        _ => 9,
     }
 }
 
