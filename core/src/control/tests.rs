@@ -6,6 +6,7 @@ use crate::features::{SummaryOptions, VolumeSummary};
 use crate::predict::{AnalyticModel, Source, TERMS};
 use crate::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
 use std::boxed::Box;
+use std::string::String;
 use std::vec::Vec;
 
 /// A deterministic source of noise.
