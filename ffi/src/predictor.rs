@@ -174,12 +174,18 @@ pub struct entire_plan {
     pub reason: entire_reason,
     /// Which of the numbers above are not known: ENTIRE_ABSENT_* flags.
     pub absent: u32,
+    /// What to divide the sides of the frame's image by, rounded down; 1 unless entire_predictor_set_coarsest_pixel allows
+    /// more.
+    pub pixel: f32,
+    /// Must be ignored.
+    pub reserved: u32,
 }
 
 // SAFETY: repr(C), struct_size first, integers and floats only.
 unsafe impl ByValue for entire_plan {
     const NAME: &'static str = "entire_plan";
-    const FIRST_SIZE: usize = size_of::<Self>();
+    /// Up to `absent`.
+    const FIRST_SIZE: usize = offset_of!(Self, pixel);
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>(),
@@ -190,6 +196,8 @@ unsafe impl ByValue for entire_plan {
             out_of_range: f32::NAN,
             reason: 0,
             absent: 0,
+            pixel: 1.0,
+            reserved: 0,
         }
     }
 }
@@ -238,7 +246,9 @@ const _: () = {
     assert!(<entire_predictor_options as ByValue>::FIRST_SIZE == 32);
     assert!(offset_of!(entire_predictor_options, damping) == 28);
     assert!(offset_of!(entire_predictor_options, probe_side) == 32);
-    assert!(size_of::<entire_plan>() == 40);
+    assert!(size_of::<entire_plan>() == 48);
+    assert!(<entire_plan as ByValue>::FIRST_SIZE == 40);
+    assert!(offset_of!(entire_plan, pixel) == 40);
     assert!(offset_of!(entire_plan, step) == 16);
     assert!(offset_of!(entire_plan, reason) == 32);
     assert!(size_of::<entire_prediction>() == 32);
@@ -262,6 +272,7 @@ impl From<Plan> for entire_plan {
             upper: plan.upper,
             out_of_range: plan.out_of_range,
             reason: plan.reason as u32,
+            pixel: plan.pixel,
             absent: absent(plan.seconds, plan.upper, plan.out_of_range),
             ..ByValue::defaults()
         }
@@ -434,6 +445,21 @@ pub unsafe extern "C" fn entire_predictor_set_limits(
             Ok(())
         })
     }
+}
+
+/// Allows plans to shrink the image, so that a side of its pixels is up to `coarsest_pixel` pixels of the frame's long, 1 to
+/// 64: ray step and image are then coarsened together, which changes the picture less than one of them alone (`pixel` in
+/// entire_plan). 1, where predictors start, leaves the image alone. For linear cost models and networks that take the image
+/// size. One plan serves all sizes: this is cheaper, and learns better, than planning for one size after the other.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT for another number; ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_predictor_set_coarsest_pixel(
+    predictor: *mut entire_predictor,
+    coarsest_pixel: f32,
+) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe { changing(predictor, |state| Ok(state.session.set_coarsest_pixel(coarsest_pixel)?)) }
 }
 
 /// Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or on again.

@@ -713,6 +713,15 @@ typedef struct entire_plan {
      * Which of the numbers above are not known: ENTIRE_ABSENT_* flags.
      */
     uint32_t absent;
+    /**
+     * What to divide the sides of the frame's image by, rounded down; 1 unless entire_predictor_set_coarsest_pixel allows
+     * more.
+     */
+    float pixel;
+    /**
+     * Must be ignored.
+     */
+    uint32_t reserved;
 } entire_plan;
 
 /**
@@ -1298,6 +1307,17 @@ entire_result entire_predictor_set_transfer_function(struct entire_predictor *pr
 entire_result entire_predictor_set_limits(struct entire_predictor *predictor,
                                           float finest_step,
                                           float coarsest_step);
+
+/**
+ * Allows plans to shrink the image, so that a side of its pixels is up to `coarsest_pixel` pixels of the frame's long, 1 to
+ * 64: ray step and image are then coarsened together, which changes the picture less than one of them alone (`pixel` in
+ * entire_plan). 1, where predictors start, leaves the image alone. For linear cost models and networks that take the image
+ * size. One plan serves all sizes: this is cheaper, and learns better, than planning for one size after the other.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT for another number; ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_predictor_set_coarsest_pixel(struct entire_predictor *predictor,
+                                                  float coarsest_pixel);
 
 /**
  * Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or on again.

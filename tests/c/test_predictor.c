@@ -1,6 +1,7 @@
 /* entire_predictor: plan, observe, choose, state, and what is refused; without a model and with one. */
 #include "check.h"
 #include <math.h>
+#include <stddef.h>
 
 static entire_plan plan_of(entire_predictor *predictor, const entire_frame *frame, float target) {
     entire_plan plan = {.struct_size = sizeof plan};
@@ -192,6 +193,23 @@ static void options(const entire_model *model) {
     }
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_predictor_set_limits(predictor, 6, 5));
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_predictor_set_limits(predictor, NAN, 5));
+
+    OK(entire_predictor_set_limits(predictor, 1, 8));
+    CHECK(plan_of(predictor, &frame, 1e-6f).pixel == 1);
+    OK(entire_predictor_set_coarsest_pixel(predictor, 4));
+    const entire_plan smallest = plan_of(predictor, &frame, 1e-6f);
+    CHECK(smallest.pixel > 3 && smallest.pixel <= 4 && smallest.step > 7.99f && smallest.step < 8.01f);
+    CHECK(plan_of(predictor, &frame, 10.0f).pixel == 1);
+    /* A caller that was compiled before `pixel` was there. */
+    entire_plan older;
+    memset(&older, 0xa5, sizeof older);
+    older.struct_size = offsetof(entire_plan, pixel);
+    OK(entire_predictor_plan(predictor, &frame, 1e-6f, &older));
+    CHECK(older.step == smallest.step && older.reserved == 0xa5a5a5a5u);
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_predictor_set_coarsest_pixel(predictor, 0.5f));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_predictor_set_coarsest_pixel(predictor, NAN));
+    OK(entire_predictor_set_coarsest_pixel(predictor, 1));
+    OK(entire_predictor_set_limits(predictor, 5, 6));
 
     frame.step = 7.5f;
     OK(entire_predictor_set_enabled(predictor, 0));

@@ -6,6 +6,7 @@
 //! scene's features for one render loop.
 
 mod algorithm1;
+mod coarsening;
 mod hybrid;
 mod quality;
 mod reactive;

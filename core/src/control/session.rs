@@ -1,5 +1,6 @@
 //! One render loop: a volume, a transfer function, a predictor and a controller.
 
+use super::coarsening::Coarsening;
 use super::{
     Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, SceneMark, StepCost,
     StepLimits,
@@ -24,6 +25,9 @@ pub struct Plan {
     pub id: u64,
     /// Ray step in multiples of the reference step.
     pub step: f32,
+    /// How much smaller than the frame's the image is to be along each side: its sides divided by this, rounded down. 1
+    /// unless [`Session::set_coarsest_pixel`] allows more.
+    pub pixel: f32,
     /// Expected seconds; NaN from controllers that expect nothing.
     pub seconds: f32,
     /// Upper bound in seconds; NaN where there is none.
@@ -69,7 +73,7 @@ pub struct Session {
     volume_features: Option<Vec<f32>>,
     lobes: Option<Vec<GaussianLobe>>,
     features: FrameFeatures,
-    limits: StepLimits,
+    coarsening: Coarsening,
     enabled: bool,
     changes: Changes,
     last: Option<Setting>,
@@ -112,7 +116,7 @@ impl Session {
             volume_features: None,
             lobes: None,
             features,
-            limits: StepLimits::default(),
+            coarsening: Coarsening::of_step(StepLimits::default()),
             enabled: true,
             changes: Changes { first: true, ..Changes::NONE },
             last: None,
@@ -175,12 +179,26 @@ impl Session {
 
     /// Sets the steps that may be chosen.
     pub fn set_limits(&mut self, limits: StepLimits) {
-        self.limits = limits;
+        self.coarsening.set_steps(limits);
+    }
+
+    /// Allows plans to shrink the image, so that a side of its pixels is up to `pixel` pixels of the frame's long: ray step and
+    /// image are then coarsened together ([`Plan::pixel`]). 1, where sessions start, leaves the image alone. For predictors that
+    /// know the image size.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `pixel` ≤ 64.
+    pub fn set_coarsest_pixel(&mut self, pixel: f32) -> Result<()> {
+        if !(1.0..=64.0).contains(&pixel) {
+            bail!(InvalidArgument, "the coarsest pixel is {pixel} pixels of the frame's; it must be 1 to 64");
+        }
+        self.coarsening.set_coarsest_pixel(pixel);
+        Ok(())
     }
 
     /// The steps that may be chosen.
     pub fn limits(&self) -> StepLimits {
-        self.limits
+        self.coarsening.steps()
     }
 
     /// Switches steering off (every plan answers the frame's own step, clamped to nothing) or on again. Observations
@@ -244,7 +262,7 @@ impl Session {
                 out_of_range: p.out_of_range,
                 reason: Reason::Off,
             };
-            return Ok(self.note(frame, target, changes, own, decision));
+            return Ok(self.note(frame, target, changes, own, decision, (frame.step(), 1.0)));
         }
         let inputs = Inputs {
             features: &self.features,
@@ -256,12 +274,21 @@ impl Session {
         };
         // Checked once, so that the search below cannot fail for want of an input.
         self.predictor.check(&inputs)?;
-        let mut cost =
-            Cost { predictor: &mut *self.predictor, shape: &self.shape, reference: None, last: None, inputs };
-        let mut request = PlanRequest { target, limits: self.limits, changes, cost: &mut cost };
+        let limits = self.coarsening.limits();
+        let mut cost = Cost {
+            predictor: &mut *self.predictor,
+            shape: &self.shape,
+            coarsening: self.coarsening,
+            full: setting,
+            reference: None,
+            last: None,
+            inputs,
+        };
+        let mut request = PlanRequest { target, limits, changes, cost: &mut cost };
         let decision = self.controller.plan(&mut request);
         let terms = cost.at(decision.step);
-        Ok(self.note(frame, target, changes, terms, decision))
+        let drawn = self.coarsening.take(decision.step);
+        Ok(self.note(frame, target, changes, terms, decision, drawn))
     }
 
     /// Chooses among settings, best quality first ([`super::QualityModel::sort`] puts them so): the first that is expected
@@ -324,7 +351,8 @@ impl Session {
             out_of_range: p.out_of_range,
             reason,
         };
-        Ok(Choice { index, plan: self.note(frame, target, changes, terms, decision) })
+        let drawn = (decision.step, 1.0);
+        Ok(Choice { index, plan: self.note(frame, target, changes, terms, decision, drawn) })
     }
 
     /// Hears how long a planned frame took. Refused observations (see [`Verdict::is_refused`]) leave no trace.
@@ -405,8 +433,15 @@ impl Session {
             lobes: self.lobes.as_deref(),
         };
         self.predictor.check(&inputs)?;
-        let mut cost =
-            Cost { predictor: &mut *self.predictor, shape: &self.shape, reference: None, last: None, inputs };
+        let mut cost = Cost {
+            predictor: &mut *self.predictor,
+            shape: &self.shape,
+            coarsening: self.coarsening,
+            full: setting,
+            reference: None,
+            last: None,
+            inputs,
+        };
         self.controller.begin(changes, &mut cost);
         Ok(())
     }
@@ -446,6 +481,7 @@ impl Session {
         changes: Changes,
         terms: CostTerms,
         decision: Decision,
+        (step, pixel): (f32, f32),
     ) -> Plan {
         let id = self.next_id;
         self.next_id += 1;
@@ -463,7 +499,8 @@ impl Session {
         self.last_termination = frame.termination();
         Plan {
             id,
-            step: decision.step,
+            step,
+            pixel,
             seconds: decision.seconds,
             upper: decision.upper,
             out_of_range: decision.out_of_range,
@@ -487,8 +524,12 @@ fn scaled(terms: CostTerms, shape: &AnalyticModel, features: &FrameFeatures, set
 struct Cost<'a> {
     predictor: &'a mut (dyn Predictor + Send),
     shape: &'a AnalyticModel,
-    /// The prediction at the reference step, for predictors that do not know the step.
-    reference: Option<CostTerms>,
+    /// What a step stands for: the step itself, or one with an image size.
+    coarsening: Coarsening,
+    /// The frame's own setting.
+    full: Setting,
+    /// An image width and the prediction at the reference step there, for predictors that do not know the step.
+    reference: Option<(u32, CostTerms)>,
     /// The step asked for last, and its cost.
     last: Option<(f32, CostTerms)>,
     inputs: Inputs<'a>,
@@ -511,17 +552,17 @@ impl Cost<'_> {
     fn evaluate(&mut self, step: f32) -> CostTerms {
         let unknown =
             CostTerms { parts: [f32::NAN; TERMS], out_of_range: f32::NAN, source: Source::Analytic };
-        let setting = self.inputs.setting.with_step(step);
+        let setting = self.coarsening.setting(self.full, step);
         if self.predictor.knows_step() {
             self.inputs.setting = setting;
             return self.predictor.terms(&self.inputs).unwrap_or(unknown);
         }
         let reference = match self.reference {
-            Some(terms) => terms,
-            None => {
+            Some((width, terms)) if width == setting.width => terms,
+            _ => {
                 let inputs = Inputs { setting: setting.with_step(1.0), ..self.inputs };
                 let terms = self.predictor.terms(&inputs).unwrap_or(unknown);
-                self.reference = Some(terms);
+                self.reference = Some((setting.width, terms));
                 terms
             }
         };

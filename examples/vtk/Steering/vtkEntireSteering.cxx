@@ -48,16 +48,6 @@ namespace
 {
 constexpr double NOT_KNOWN = std::numeric_limits<double>::quiet_NaN();
 
-// The ladder of quality. Each rung has an image sample distance, 1.2 times that of the rung before, and a range of ray
-// steps around it in which the controller is free: at equal cost, coarsening rays and pixels together shows fewer
-// differences from full quality than coarsening one of them alone, with both mappers.
-constexpr double RUNG_RATIO = 1.2;
-constexpr double RUNG_FINEST = 0.75;
-constexpr double RUNG_COARSEST = 1.6;
-
-// A finer rung is taken when its coarsest step is predicted to need at most this share of the target.
-constexpr double RUNG_SLACK = 0.93;
-
 // How many frames the time outside of the mapper is taken from.
 constexpr std::size_t REST_FRAMES = 5;
 
@@ -371,7 +361,6 @@ public:
     // Forgets what was learned.
     void Forget()
     {
-      this->Rung = 0;
       this->Volume = VolumeKey();
       this->Predictor.reset();
       this->Planned = {};
@@ -407,7 +396,6 @@ public:
     Knobs Own;
     entire_plan Planned{};
     OuterKnobs OwnOuter;
-    int Rung = 0;
     bool Ready = false;
     bool Drawing = false;
     bool Steered = false;
@@ -1058,70 +1046,26 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   }
   const double coarsest = std::max(finest, owner->CoarsestSampleDistance);
   const double coarsestImage = std::max(pixels, owner->CoarsestImageSampleDistance);
-  const int last = static_cast<int>(std::floor(1.0e-9 + std::log(coarsestImage / pixels) / std::log(RUNG_RATIO)));
-  int rung = std::min(this->Rung, last);
-  const auto distance = [&](int at) { return pixels * std::pow(RUNG_RATIO, at); };
-  const auto range = [&](int at) {
-    const double by = distance(at) / pixels;
-    const double high =
-      at == last ? coarsest : std::min(coarsest, finest * RUNG_COARSEST * by);
-    return std::array<double, 2>{ { std::min(high, finest * std::max(1.0, RUNG_FINEST * by)), high } };
-  };
-  const auto resize = [&](int at) {
-    frame.width = shrunk(size[0], distance(at));
-    frame.height = shrunk(size[1], distance(at));
-  };
-  // Whether a rung's coarsest step is expected to fit.
-  const auto fits = [&](int at, double within) {
-    resize(at);
-    frame.step = static_cast<float>(range(at)[1]);
-    auto prediction = this->Predictor->predict(frame);
-    return prediction && !(prediction.value().absent & ENTIRE_ABSENT_SECONDS) &&
-      prediction.value().seconds <= within;
-  };
-  for (int tried = 0; tried <= last; ++tried)
+  // Ray step and image are coarsened together: at equal cost that shows fewer differences from full quality than coarsening
+  // one of them alone, with both mappers.
+  frame.step = static_cast<float>(finest);
+  auto limits = this->Predictor->set_limits(static_cast<float>(finest), static_cast<float>(coarsest));
+  if (!limits)
   {
-    const std::array<double, 2> steps = range(rung);
-    resize(rung);
-    frame.step = static_cast<float>(steps[0]);
-    auto limits = this->Predictor->set_limits(static_cast<float>(steps[0]), static_cast<float>(steps[1]));
-    if (!limits)
-    {
-      return limits.message();
-    }
-    auto planned = this->Predictor->plan(frame, target);
-    if (!planned)
-    {
-      return planned.message();
-    }
-    this->Planned = planned.value();
-    int next = rung;
-    if (this->Planned.reason == ENTIRE_REASON_TARGET_UNREACHABLE || this->Planned.reason == ENTIRE_REASON_NO_INFORMATION)
-    {
-      if (rung == last)
-      {
-        break;
-      }
-      for (++next; next < last && !fits(next, target); ++next)
-      {
-      }
-    }
-    else if (rung > 0 && tried == 0 &&
-      this->Planned.step <= 1.1 * steps[0] && this->Planned.seconds < RUNG_SLACK * target)
-    {
-      while (next > 0 && fits(next - 1, RUNG_SLACK * target))
-      {
-        --next;
-      }
-    }
-    if (next == rung)
-    {
-      break;
-    }
-    rung = next;
+    return limits.message();
   }
-  this->Rung = rung;
-  const double chosen = distance(rung);
+  auto sizes = this->Predictor->set_coarsest_pixel(static_cast<float>(std::min(64.0, coarsestImage / pixels)));
+  if (!sizes)
+  {
+    return sizes.message();
+  }
+  auto planned = this->Predictor->plan(frame, target);
+  if (!planned)
+  {
+    return planned.message();
+  }
+  this->Planned = planned.value();
+  const double chosen = pixels * this->Planned.pixel;
 
   Knobs knobs;
   knobs.AutoAdjust = 0;
