@@ -53,6 +53,12 @@ def options() -> argparse.Namespace:
     parser.add_argument("--patience", type=int, default=40, help="epochs without a better validation loss before stopping")
     parser.add_argument("--minutes", type=float, help="stop after this long, keeping the best")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--split",
+        choices=("member", "volume"),
+        default="member",
+        help="keep members whole (default), or split 80/10/10 by volume, as the paper does for MAESTROeX",
+    )
     parser.add_argument("--val-members", type=lambda s: s.split(","), help="dataset/member,... for validation")
     parser.add_argument("--test-members", type=lambda s: s.split(","), help="dataset/member,... for testing")
     parser.add_argument("--dtype", choices=("f32", "f16", "bf16"), default="f16", help="how weights are stored")
@@ -70,7 +76,15 @@ def options() -> argparse.Namespace:
 
 
 def split(files: list[VolumeFile], args: argparse.Namespace) -> dict[str, list[VolumeFile]]:
-    """Training, validation and test volumes; a member is never torn apart."""
+    """Training, validation and test volumes; a member is only torn apart where --split volume asks for it."""
+    if args.split == "volume":
+        if args.test_members or args.val_members:
+            sys.exit("--val-members and --test-members go with --split member")
+        shuffled = files[:]
+        random.Random(args.seed).shuffle(shuffled)
+        tenth = round(len(files) / 10)
+        parts = {"train": shuffled[2 * tenth :], "validation": shuffled[tenth : 2 * tenth], "test": shuffled[:tenth]}
+        return {name: sorted(part, key=lambda f: f.path) for name, part in parts.items()}
     members = sorted({f.member for f in files})
     for name in (args.val_members or []) + (args.test_members or []):
         if name not in members:
@@ -225,6 +239,8 @@ def main() -> None:
         "data_sha256": digest.hexdigest(),
         "members": {name: sorted({f.member for f in members}) for name, members in parts.items()},
         "volumes": {name: len(members) for name, members in parts.items()},
+        "files": {name: [f"{f.member}/{f.path.name}" for f in found] for name, found in parts.items()},
+        "split_by": args.split,
         "channels": list(args.channels),
         "settings": {
             "batch": args.batch,

@@ -246,7 +246,7 @@ entire train --data FRAMES.csv --out MODEL.safetensors --volumenet {name}.safete
 
 ## Data and split
 
-By ensemble member. SHA-256 of all files in order: `{provenance["data_sha256"]}`.
+By {"single volume" if provenance.get("split_by") == "volume" else "ensemble member"}. SHA-256 of all files in order: `{provenance["data_sha256"]}`.
 
 {split}
 
