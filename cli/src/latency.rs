@@ -34,6 +34,17 @@ pub struct Latency {
     pub transfer: f64,
 }
 
+impl Latency {
+    /// The shorter of each.
+    fn min(self, other: Self) -> Self {
+        Self {
+            cold: self.cold.min(other.cold),
+            warm: self.warm.min(other.warm),
+            transfer: self.transfer.min(other.transfer),
+        }
+    }
+}
+
 /// Frames of one volume on which latencies are taken.
 #[derive(Debug)]
 pub struct Bench {
@@ -69,10 +80,7 @@ impl Bench {
     pub fn latency(&mut self, model: &Model) -> Result<Latency> {
         let mut best = self.round(model)?;
         for _ in 1..ROUNDS {
-            let next = self.round(model)?;
-            best.cold = best.cold.min(next.cold);
-            best.warm = best.warm.min(next.warm);
-            best.transfer = best.transfer.min(next.transfer);
+            best = best.min(self.round(model)?);
         }
         Ok(best)
     }
@@ -80,8 +88,40 @@ impl Bench {
     fn round(&mut self, model: &Model) -> Result<Latency> {
         let mut predictor = load(model)?;
         let looks = model.inputs().iter().any(|g| g.name == GroupKind::SceneFeatures.name());
-        let code = vec![0.1f32; model.volumenet().map_or(0, |v| v.features())];
-        let mut features = FrameFeatures::with_probe_side(predictor.probe_side());
+        let codes = model.volumenet().map_or(0, |v| v.features());
+        let side = predictor.probe_side();
+        self.round_of(looks.then_some(side), codes, |inputs| {
+            Ok(f64::from(predictor.predict(inputs)?.seconds))
+        })
+    }
+
+    /// As [`Bench::latency`], of anything that predicts. `probe_side` where it looks at the scene, and how many volume
+    /// features it takes.
+    ///
+    /// # Errors
+    /// What `predict` gives.
+    pub fn latency_of(
+        &mut self,
+        probe_side: Option<usize>,
+        codes: usize,
+        mut predict: impl FnMut(&Inputs<'_>) -> Result<f64>,
+    ) -> Result<Latency> {
+        let mut best = self.round_of(probe_side, codes, &mut predict)?;
+        for _ in 1..ROUNDS {
+            best = best.min(self.round_of(probe_side, codes, &mut predict)?);
+        }
+        Ok(best)
+    }
+
+    fn round_of(
+        &mut self,
+        probe_side: Option<usize>,
+        codes: usize,
+        mut predict: impl FnMut(&Inputs<'_>) -> Result<f64>,
+    ) -> Result<Latency> {
+        let looks = probe_side.is_some();
+        let code = vec![0.1f32; codes];
+        let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
         let Some((_, first, _)) = self.scenes.first() else { return Err(anyhow::anyhow!("no scenes")) };
         let mut transfer = TransferSummary::new(&self.summary, first);
         let (mut cold, mut warm, mut transfers) = (Vec::new(), Vec::new(), Vec::new());
@@ -104,7 +144,7 @@ impl Bench {
                     volume_features: Some(&code),
                     lobes: Some(lobes),
                 };
-                std::hint::black_box(predictor.predict(&inputs)?);
+                std::hint::black_box(predict(&inputs)?);
                 Ok(start.elapsed().as_secs_f64())
             };
             for value in &mut self.evicted {

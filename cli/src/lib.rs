@@ -1,6 +1,7 @@
 //! Files, progress bars and plots around `entire-core`: everything behind the `entire` command, as a library so that
 //! tests and fuzz targets reach it.
 
+pub mod bound;
 pub mod commands;
 pub mod dataset;
 pub mod device;
@@ -23,4 +24,5 @@ pub mod split;
 pub mod steering;
 pub mod stress;
 pub mod study;
+pub mod trees;
 pub mod volume;

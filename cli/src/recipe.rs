@@ -43,6 +43,9 @@ pub enum Kind {
     Linear,
     /// The analytic model times a learned factor: a small network on ln(measured / analytic).
     Residual,
+    /// Gradient-boosted trees of a library: a yardstick that no model file holds.
+    #[value(skip)]
+    Trees,
 }
 
 /// What the network gives.
@@ -274,6 +277,7 @@ impl Recipe {
             Kind::Linear => self.linear(kitchen, training),
             Kind::Residual => self.residual(kitchen, training, validation),
             Kind::Prednet => self.network(kitchen, training, validation),
+            Kind::Trees => bail!("boosted trees are a yardstick of `entire chart`; no model file holds them"),
         }
     }
 
@@ -285,6 +289,19 @@ impl Recipe {
 
     fn side(&self) -> usize {
         self.probe_side.unwrap_or(PROBE_SIDE)
+    }
+
+    /// Trees on the recipe's inputs.
+    ///
+    /// # Errors
+    /// As [`Recipe::make`].
+    pub fn trees(
+        &self,
+        kitchen: &Kitchen<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<crate::trees::Trees> {
+        crate::trees::Trees::fit(self.layout(training)?.1, kitchen, training, validation)
     }
 
     fn layout(&self, training: Timed<'_>) -> Result<(ModelFile, Layout)> {

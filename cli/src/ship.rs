@@ -1,12 +1,12 @@
 //! Shipping what a study made: model files with cards, judged as they are shipped.
 
+use crate::bound;
 use crate::dataset::{Table, read_tables};
-use crate::metrics::{BoundMetrics, Metrics, SHORTEST};
+use crate::metrics::{BoundMetrics, Metrics};
 use crate::recipe::{DtypeChoice, Kitchen, read_model_file};
-use crate::study::{Findings, Part, Runner, Set, Ship, Study, bound_of, clock, predict};
+use crate::study::{Findings, Fit, Part, Runner, Set, Ship, Study, clock, predict};
 use anyhow::{Context, Result};
 use entire_core::model::{ModelFile, keys};
-use entire_core::predict::UPPER_LEVEL;
 use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -44,7 +44,8 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
             let tables = read_tables(&paths)?;
             let figures = judge(&file, study, set, &tables, runner)?;
             let name = format!("{}-{}", set.name.replace(' ', "-"), ship.predictor.replace(' ', "-"));
-            provenance(&mut file, study, set, &tables[..set.training.len()], &figures)?;
+            let fit = found.fit(&set.name, &ship.predictor);
+            provenance(&mut file, study, set, &tables[..set.training.len()], &figures, fit)?;
             let path = folder.join(format!("{name}.safetensors"));
             std::fs::write(&path, file.to_bytes()?)
                 .with_context(|| format!("cannot write {}", path.display()))?;
@@ -89,7 +90,7 @@ fn judge(
 ) -> Result<Vec<Figures>> {
     let clock = clock(&study.clock)?;
     let model = file.to_model()?;
-    let upper = bound_of(&model);
+    let upper = bound::of(&model);
     let hidden = indicatif::ProgressBar::hidden();
     let kitchen = Kitchen { tables, pool: runner.pool, bar: &hidden, stop: runner.stop };
     let mut at = set.training.len();
@@ -98,11 +99,7 @@ fn judge(
         let part = Part::of(tables[at..at + split.tables.len()].iter().flat_map(|t| &t.frames), clock);
         at += split.tables.len();
         let predicted = predict(&model, &kitchen, &part.frames)?;
-        let bound = upper.and_then(|u| {
-            let bounds: Vec<f64> =
-                predicted.iter().map(|p| f64::from(u.upper(p.max(SHORTEST) as f32))).collect();
-            BoundMetrics::new(&bounds, &part.seconds, UPPER_LEVEL)
-        });
+        let bound = upper.and_then(|u| bound::judge(&u, &predicted, &part.seconds));
         out.push(Figures {
             split: split.name.clone(),
             tables: split.tables.iter().map(|t| file_name(t)).collect(),
@@ -119,6 +116,7 @@ fn provenance(
     set: &Set,
     training: &[Table],
     figures: &[Figures],
+    fit: Option<&Fit>,
 ) -> Result<()> {
     let mut stored: serde_json::Value = match file.metadata().get(keys::PROVENANCE) {
         Some(text) => serde_json::from_str(text)?,
@@ -131,7 +129,13 @@ fn provenance(
         .iter()
         .map(|t| json!({ "file": file_name(&t.path), "fnv1a": format!("{:016x}", t.hash), "frames": t.frames.len() }))
         .collect();
-    stored["bounds_from"] = set.bounds.iter().map(|p| json!(file_name(p))).collect();
+    let crossed = fit.and_then(|f| f.crossed.as_ref());
+    stored["bounds_from"] = match crossed {
+        Some(_) => json!("cross-validation"),
+        None => set.bounds.iter().map(|p| json!(file_name(p))).collect(),
+    };
+    stored["cross_validated"] =
+        json!(crossed.map(|m| json!({ "rmse_over_sd": m.rmse_over_sd, "mdape": m.mdape })));
     stored["figures"] = figures
         .iter()
         .map(|f| {
@@ -212,12 +216,24 @@ fn card(
             let _ = writeln!(md, "- training, other ray steps: `data/timings/{}`", file_name(path));
         }
     }
-    for path in &set.bounds {
-        let _ = writeln!(
-            md,
-            "- upper bound alone: `data/timings/{}`; weights were not fitted to these frames",
-            file_name(path)
-        );
+    let fit = found.fit(&set.name, &ship.predictor);
+    let crossed = fit.and_then(|f| Some((f.crossed.as_ref()?, f.folds)));
+    match crossed {
+        Some((_, folds)) => {
+            let _ = writeln!(
+                md,
+                "- upper bound: the training frames, each predicted without its ensemble member ({folds} parts)"
+            );
+        }
+        None => {
+            for path in &set.bounds {
+                let _ = writeln!(
+                    md,
+                    "- upper bound alone: `data/timings/{}`; weights were not fitted to these frames",
+                    file_name(path)
+                );
+            }
+        }
     }
     let _ = writeln!(
         md,
@@ -261,6 +277,18 @@ fn card(
             held(|b| b.coverage),
             held(|b| b.slowest_coverage),
             100.0 * found.noise_mdape(&set.name, &f.split)
+        );
+    }
+    if let Some(f) = fit {
+        let of = |m: &Metrics| format!("RMSE/SD {:.3}, MdAPE {:.1} %", m.rmse_over_sd, 100.0 * m.mdape);
+        let _ = writeln!(
+            md,
+            "\nOn the frames that it learned from: {}{}.",
+            of(&f.seen),
+            crossed.map_or(String::new(), |(m, _)| format!(
+                "; on training frames of ensemble members that it was made without: {}",
+                of(m)
+            ))
         );
     }
     if let Some(l) = latency {

@@ -1,16 +1,18 @@
 //! A study: data sets, splits and predictors by name in one JSON file; every predictor made on every set's training
 //! tables and judged on every split. What is made is kept, so that a study that was stopped goes on where it was.
 
+use crate::bound;
 use crate::dataset::{Clock, NoiseFloor, Scene, Table, TimedFrame, fnv1a, noise_floor, read_tables};
 use crate::feature_table::FeatureTable;
 use crate::inputs::Layout;
 use crate::latency::{Bench, Latency};
-use crate::metrics::{BoundMetrics, Metrics, SHORTEST, bootstrap_by_group};
-use crate::recipe::{Kitchen, Recipe, Timed, calibrate};
+use crate::metrics::{BoundMetrics, Metrics, bootstrap_by_group};
+use crate::recipe::{Kind, Kitchen, Recipe, Timed, calibrate};
 use crate::split::GroupBy;
+use crate::trees::Trees;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::{Model, ModelFile, keys};
-use entire_core::predict::{CALIBRATION_KEY, Calibration, UPPER_LEVEL};
+use entire_core::predict::Calibration;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -75,7 +77,8 @@ pub struct Set {
     /// Tables of frames at other ray steps, for predictors that take the step into account.
     #[serde(default)]
     pub other_steps: Vec<PathBuf>,
-    /// Tables whose frames set the upper bounds and are used for nothing else; the validation frames where there are none.
+    /// Tables whose frames set the upper bounds and are used for nothing else, of predictors that are not cross-validated;
+    /// the validation frames where there are none.
     #[serde(default)]
     pub bounds: Vec<PathBuf>,
     /// Tables to test on, by split.
@@ -121,6 +124,9 @@ pub struct Limits {
     pub modality: bool,
     /// Whether the bars on latency apply.
     pub latency: bool,
+    /// Largest share of the cold latency of the predictor `paper` that the selected one may take; any unless given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cold_over_paper: Option<f64>,
 }
 
 /// A predictor.
@@ -138,6 +144,10 @@ pub struct Named {
     /// Which table it belongs to: `main`, `ablation`, `architecture`.
     #[serde(default = "main_panel")]
     pub panel: String,
+    /// Whether it is made again without one ensemble member after another, to be judged on that member: which predictor is
+    /// selected and what its upper bound is follow from these errors. For the table `main` alone.
+    #[serde(default = "yes")]
+    pub cross_validated: bool,
 }
 
 impl Named {
@@ -149,6 +159,26 @@ impl Named {
 
 fn main_panel() -> String {
     "main".into()
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// How a predictor did on the frames that it was made of, and on those of the training tables when it was made without
+/// their ensemble member.
+#[derive(Clone, Debug, Serialize)]
+pub struct Fit {
+    /// Set and predictor.
+    pub set: String,
+    /// See `set`.
+    pub predictor: String,
+    /// On the frames that it was made of.
+    pub seen: Metrics,
+    /// On frames of members that it was made without.
+    pub crossed: Option<Metrics>,
+    /// How often.
+    pub folds: usize,
 }
 
 /// How a predictor did on a split.
@@ -196,6 +226,8 @@ pub struct Point {
 pub struct Findings {
     /// One per set, split and predictor.
     pub results: Vec<Result1>,
+    /// Errors on the training tables.
+    pub fits: Vec<Fit>,
     /// By set and predictor.
     pub latencies: Vec<(String, String, Latency)>,
     /// Noise floor by set and split.
@@ -215,6 +247,11 @@ impl Findings {
     /// A result.
     pub fn of(&self, set: &str, split: &str, predictor: &str) -> Option<&Result1> {
         self.results.iter().find(|r| r.set == set && r.split == split && r.predictor == predictor)
+    }
+
+    /// Errors on the training tables.
+    pub fn fit(&self, set: &str, predictor: &str) -> Option<&Fit> {
+        self.fits.iter().find(|f| f.set == set && f.predictor == predictor)
     }
 
     /// A latency.
@@ -316,6 +353,29 @@ impl<'a> Part<'a> {
         Self { frames, seconds }
     }
 
+    /// The frames that are asked for, and the rest.
+    fn parted(&self, wanted: impl Fn(&TimedFrame) -> bool) -> (Self, Self) {
+        self.divided(|i| wanted(self.frames[i]))
+    }
+
+    /// Groups for cross-validation, at most [`FOLDS`] times some that are held out together: ensemble members, volumes
+    /// where there are fewer than three members; none where there are fewer than three volumes too.
+    pub fn folds(&self) -> (GroupBy, Vec<BTreeSet<String>>) {
+        let by = self.groups_at_least(3);
+        let groups: BTreeSet<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
+        if groups.len() < 3 {
+            return (by, Vec::new());
+        }
+        let mut groups: Vec<String> = groups.into_iter().collect();
+        groups.shuffle(&mut ChaCha8Rng::seed_from_u64(3));
+        let mut folds = vec![BTreeSet::new(); FOLDS.min(groups.len())];
+        let count = folds.len();
+        for (i, group) in groups.into_iter().enumerate() {
+            folds[i % count].insert(group);
+        }
+        (by, folds)
+    }
+
     fn divided(&self, first: impl Fn(usize) -> bool) -> (Self, Self) {
         let pick = |want: bool| Self {
             frames: self
@@ -376,14 +436,45 @@ pub fn predict(model: &Model, kitchen: &Kitchen<'_>, frames: &[&TimedFrame]) -> 
     crate::commands::train::predict_rows(model, &rows, layout.width())
 }
 
-fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
-    predicted.iter().zip(measured).map(|(p, t)| (t / p.max(SHORTEST)).ln()).collect()
-}
-
 /// Members from which on a tenth of them is held out rather than a tenth of the volumes. Of fewer, one alone would be far
 /// more than a tenth of the frames to learn from, and what training loses by that is more than what a better moment to
 /// stop gains: the frames that a study is judged on are of other members in any case.
 const MEMBERS: usize = 10;
+
+/// Parts of a cross-validation at most.
+pub const FOLDS: usize = 5;
+
+/// What an upper bound follows from.
+enum Bounds<'a> {
+    /// Frames; the validation frames where there are none.
+    Frames(&'a Part<'a>),
+    /// ln(measured / predicted) of frames that were predicted without their group.
+    Residuals(&'a [f64]),
+}
+
+/// A predictor of a study.
+enum Made {
+    /// One with a model file.
+    Model(Box<(Model, ModelFile, PathBuf)>),
+    /// The yardstick.
+    Trees(Box<Trees>),
+}
+
+impl Made {
+    fn predict(&self, kitchen: &Kitchen<'_>, frames: &[&TimedFrame]) -> Result<Vec<f64>> {
+        match self {
+            Self::Model(made) => predict(&made.0, kitchen, frames),
+            Self::Trees(trees) => trees.predict(kitchen, frames),
+        }
+    }
+
+    fn latency(&self, bench: &mut Bench) -> Result<Latency> {
+        match self {
+            Self::Model(made) => bench.latency(&made.0),
+            Self::Trees(t) => bench.latency_of(Some(t.probe_side()), 0, |inputs| t.predict_one(inputs)),
+        }
+    }
+}
 
 /// Counts up whenever the same recipe makes something else of the same frames.
 const MADE_AS: u32 = 1;
@@ -391,7 +482,7 @@ const MADE_AS: u32 = 1;
 /// Tells apart what was made: a hash of the program's version, the recipe, the bytes of the model files that it starts
 /// from, and the frames of each part with their seconds (which tell the clock) and the bytes of their tables and kept
 /// features. Where files lie does not count.
-fn identity(recipe: &Recipe, tables: &[Table], parts: [&Part<'_>; 3]) -> Result<String> {
+fn identity(recipe: &Recipe, tables: &[Table], parts: [&Part<'_>; 3], residuals: &[f64]) -> Result<String> {
     let from = |path: &Option<PathBuf>| -> Result<String> {
         let Some(path) = path else { return Ok("none".into()) };
         let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -414,6 +505,10 @@ fn identity(recipe: &Recipe, tables: &[Table], parts: [&Part<'_>; 3]) -> Result<
                 bytes.extend(v.to_le_bytes());
             }
         }
+        text += &format!(" {:016x}", fnv1a(&bytes));
+    }
+    if !residuals.is_empty() {
+        let bytes: Vec<u8> = residuals.iter().flat_map(|r| r.to_le_bytes()).collect();
         text += &format!(" {:016x}", fnv1a(&bytes));
     }
     Ok(format!("{:016x}", fnv1a(text.as_bytes())))
@@ -439,9 +534,14 @@ impl Runner<'_> {
         recipe: &Recipe,
         kitchen: &Kitchen<'_>,
         (training, validation): (&Part<'_>, &Part<'_>),
-        bounds: &Part<'_>,
+        bounds: &Bounds<'_>,
     ) -> Result<(ModelFile, PathBuf)> {
-        let mark = identity(recipe, kitchen.tables, [training, validation, bounds])?;
+        let none = Part { frames: vec![], seconds: vec![] };
+        let (judged, residuals) = match bounds {
+            Bounds::Frames(frames) => (*frames, &[][..]),
+            Bounds::Residuals(residuals) => (&none, *residuals),
+        };
+        let mark = identity(recipe, kitchen.tables, [training, validation, judged], residuals)?;
         let name: String =
             key.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }).collect();
         let path = self.models.join(format!("{name}-{}.safetensors", &mark[..8]));
@@ -455,11 +555,12 @@ impl Runner<'_> {
         let fitted = recipe.make(kitchen, training.timed(), validation.timed())?;
         ensure!(!(self.stop)(), "stopped; what was made is kept in {}", self.models.display());
         let mut file = fitted.file;
-        let judged = if bounds.frames.is_empty() { validation } else { bounds };
-        if !judged.frames.is_empty() {
+        let judged = if judged.frames.is_empty() { validation } else { judged };
+        if !residuals.is_empty() {
+            bound::set(&mut file, &Calibration::from_residuals(&mut residuals.to_vec()))?;
+        } else if !judged.frames.is_empty() {
             let predicted = predict(&file.to_model()?, kitchen, &judged.frames)?;
-            let upper = Calibration::from_residuals(&mut log_residuals(&predicted, &judged.seconds));
-            set_bound(&mut file, &upper)?;
+            bound::set(&mut file, &bound::from_predictions(&predicted, &judged.seconds))?;
         }
         file.set_metadata("entire.study_key", mark);
         file.set_metadata(
@@ -474,6 +575,50 @@ impl Runner<'_> {
             .and_then(|()| std::fs::rename(&part, &path))
             .with_context(|| format!("cannot write {}", path.display()))?;
         Ok((file, path))
+    }
+
+    /// As [`Runner::made`], of any kind.
+    fn any(
+        &self,
+        key: &str,
+        recipe: &Recipe,
+        kitchen: &Kitchen<'_>,
+        parts: (&Part<'_>, &Part<'_>),
+        bounds: &Bounds<'_>,
+    ) -> Result<Made> {
+        if recipe.kind == Kind::Trees {
+            self.bar.set_message(key.to_owned());
+            return Ok(Made::Trees(Box::new(recipe.trees(kitchen, parts.0.timed(), parts.1.timed())?)));
+        }
+        let (file, path) = self.made(key, recipe, kitchen, parts, bounds)?;
+        Ok(Made::Model(Box::new((file.to_model()?, file, path))))
+    }
+
+    /// Predicts every frame of `judged` with a predictor that was made of those frames of `all` that are of other groups.
+    /// Predicted and measured seconds, and the number of parts; `None` where there are too few groups.
+    #[allow(clippy::type_complexity, reason = "one call site")]
+    fn crossed(
+        &self,
+        key: &str,
+        recipe: &Recipe,
+        kitchen: &Kitchen<'_>,
+        all: &Part<'_>,
+        judged: &Part<'_>,
+    ) -> Result<Option<(Vec<f64>, Vec<f64>, usize)>> {
+        let (by, folds) = judged.folds();
+        let (mut predicted, mut measured) = (Vec::new(), Vec::new());
+        for (k, fold) in folds.iter().enumerate() {
+            let of_fold = |f: &TimedFrame| fold.contains(&by.group(&f.scene));
+            let (held, _) = judged.parted(of_fold);
+            let (_, rest) = all.parted(of_fold);
+            let (validation, training) = rest.hold_out(rest.groups_at_least(MEMBERS), 1);
+            let none = Part { frames: vec![], seconds: vec![] };
+            let key = format!("{key}-without-{}", k + 1);
+            let made = self.any(&key, recipe, kitchen, (&training, &validation), &Bounds::Frames(&none))?;
+            predicted.extend(made.predict(kitchen, &held.frames)?);
+            measured.extend(held.seconds);
+        }
+        Ok((!folds.is_empty()).then_some((predicted, measured, folds.len())))
     }
 
     /// Runs a whole study.
@@ -516,8 +661,9 @@ impl Runner<'_> {
             let bounds = of(bounds_at..steps_at);
             // The paper's inputs say nothing of the step.
             let by = all.groups_at_least(MEMBERS);
+            let every = all.and(of(steps_at..steps_at + set.other_steps.len()));
             let one_step = all.hold_out(by, 1);
-            let every_step = all.and(of(steps_at..steps_at + set.other_steps.len())).hold_out(by, 1);
+            let every_step = every.hold_out(by, 1);
             let splits: Vec<Part<'_>> = split_at.iter().map(|r| of(r.clone())).collect();
             for (split, part) in set.splits.iter().zip(&splits) {
                 if let Some(noise) = noise_floor(part.frames.iter().copied(), clock) {
@@ -529,15 +675,42 @@ impl Runner<'_> {
             let mut bench = Bench::new(&volume, shading)?;
             for named in &study.predictors {
                 let key = format!("{}-{}", set.name, named.name);
-                let (validation, training) =
-                    if named.recipe_for(&set.name).knows_step() { &every_step } else { &one_step };
-                let made =
-                    self.made(&key, named.recipe_for(&set.name), &kitchen, (training, validation), &bounds);
+                let recipe = named.recipe_for(&set.name);
+                let (whole, (validation, training)) =
+                    if recipe.knows_step() { (&every, &every_step) } else { (&all, &one_step) };
+                let made = || -> Result<_> {
+                    let crossed = if named.cross_validated && named.panel == main_panel() {
+                        self.crossed(&key, recipe, &kitchen, whole, &all)?
+                    } else {
+                        None
+                    };
+                    let residuals = crossed.as_ref().map(|(p, t, _)| bound::log_residuals(p, t));
+                    let from = residuals.as_deref().map_or(Bounds::Frames(&bounds), Bounds::Residuals);
+                    let made = self.any(&key, recipe, &kitchen, (training, validation), &from)?;
+                    let (seen, _) = training.parted(|f| f.table < bounds_at);
+                    let predicted = made.predict(&kitchen, &seen.frames)?;
+                    let fit = Metrics::new(&predicted, &seen.seconds).map(|seen| Fit {
+                        set: set.name.clone(),
+                        predictor: named.name.clone(),
+                        seen,
+                        crossed: crossed.as_ref().and_then(|(p, t, _)| Metrics::new(p, t)),
+                        folds: crossed.as_ref().map_or(0, |c| c.2),
+                    });
+                    let upper = match (&made, residuals) {
+                        (Made::Model(made), _) => bound::of(&made.0),
+                        (Made::Trees(_), r) => r.map(|mut r| Calibration::from_residuals(&mut r)),
+                    };
+                    Ok((made, fit, upper))
+                };
+                let made = made();
                 self.bar.inc(1);
-                let file = match made {
-                    Ok((file, path)) => {
-                        out.files.push((set.name.clone(), named.name.clone(), path));
-                        file
+                let (made, upper) = match made {
+                    Ok((made, fit, upper)) => {
+                        if let Made::Model(m) = &made {
+                            out.files.push((set.name.clone(), named.name.clone(), m.2.clone()));
+                        }
+                        out.fits.extend(fit);
+                        (made, upper)
                     }
                     Err(e) if (self.stop)() => return Err(e),
                     Err(e) => {
@@ -545,11 +718,9 @@ impl Runner<'_> {
                         continue;
                     }
                 };
-                let model = file.to_model()?;
-                out.latencies.push((set.name.clone(), named.name.clone(), bench.latency(&model)?));
-                let upper = bound_of(&model);
+                out.latencies.push((set.name.clone(), named.name.clone(), made.latency(&mut bench)?));
                 for (split, part) in set.splits.iter().zip(&splits) {
-                    let predicted = match predict(&model, &kitchen, &part.frames) {
+                    let predicted = match made.predict(&kitchen, &part.frames) {
                         Ok(p) => p,
                         Err(e) => {
                             out.left_out.push((
@@ -570,7 +741,9 @@ impl Runner<'_> {
                         upper.as_ref(),
                     ));
                 }
-                if study.curves.contains(&named.name) {
+                if let Made::Model(made) = &made
+                    && study.curves.contains(&named.name)
+                {
                     self.curves(
                         study,
                         set,
@@ -578,7 +751,7 @@ impl Runner<'_> {
                         &kitchen,
                         (training, validation),
                         &splits,
-                        &file,
+                        &made.1,
                         &mut out,
                     )?;
                 }
@@ -666,8 +839,13 @@ impl Runner<'_> {
             for &size in study.sample_sizes.iter().filter(|n| **n < training.frames.len()) {
                 let (part, _) = training.sample(size, 7);
                 let key = format!("{}-{}-{size}", set.name, named.name);
-                let (made, _) =
-                    self.made(&key, named.recipe_for(&set.name), kitchen, (&part, validation), &none)?;
+                let (made, _) = self.made(
+                    &key,
+                    named.recipe_for(&set.name),
+                    kitchen,
+                    (&part, validation),
+                    &Bounds::Frames(&none),
+                )?;
                 let model = made.to_model()?;
                 let predicted = predict(&model, kitchen, &splits[at].frames)?;
                 push_point(
@@ -731,7 +909,13 @@ impl Runner<'_> {
                 );
                 if count >= 10 {
                     let key = format!("{}-{}-{split}-alone-{count}", set.name, named.name);
-                    match self.made(&key, named.recipe_for(&set.name), kitchen, (&part, &none), &none) {
+                    match self.made(
+                        &key,
+                        named.recipe_for(&set.name),
+                        kitchen,
+                        (&part, &none),
+                        &Bounds::Frames(&none),
+                    ) {
                         Ok((alone, _)) => {
                             let predicted = predict(&alone.to_model()?, kitchen, &judged.frames)?;
                             push_point(
@@ -803,30 +987,6 @@ fn push_point(
     }
 }
 
-/// The upper bound that a model file holds.
-pub fn bound_of(model: &Model) -> Option<Calibration> {
-    let stored: serde_json::Value = serde_json::from_str(model.metadata().get(CALIBRATION_KEY)?).ok()?;
-    Some(Calibration::from_log_factor(stored.get("log_factor")?.as_f64()? as f32))
-}
-
-/// Puts an upper bound into a model file, keeping what else its calibration holds.
-///
-/// # Errors
-/// When what it holds is damaged.
-pub fn set_bound(file: &mut ModelFile, upper: &Calibration) -> Result<()> {
-    if !upper.log_factor().is_finite() {
-        return Ok(());
-    }
-    let mut stored: serde_json::Value = match file.metadata().get(CALIBRATION_KEY) {
-        Some(text) => serde_json::from_str(text)?,
-        None => json!({}),
-    };
-    stored["level"] = json!(UPPER_LEVEL);
-    stored["log_factor"] = json!(upper.log_factor());
-    file.set_metadata(CALIBRATION_KEY, stored.to_string());
-    Ok(())
-}
-
 fn judge(
     set: &str,
     split: &str,
@@ -838,15 +998,12 @@ fn judge(
 ) -> Option<Result1> {
     let metrics = Metrics::new(predicted, &part.seconds)?;
     let groups: Vec<String> = part.frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
-    let bound = upper.and_then(|u| {
-        let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(u.upper(p.max(SHORTEST) as f32))).collect();
-        BoundMetrics::new(&bounds, &part.seconds, UPPER_LEVEL)
-    });
+    let bound = upper.and_then(|u| bound::judge(u, predicted, &part.seconds));
     let parts = crate::commands::evaluate::by_kind(&part.frames, predicted, &part.seconds)
         .into_iter()
         .map(|(name, m)| (name.to_owned(), m))
         .collect();
-    let mut errors: Vec<f64> = log_residuals(predicted, &part.seconds).iter().map(|e| -e).collect();
+    let mut errors: Vec<f64> = bound::log_residuals(predicted, &part.seconds).iter().map(|e| -e).collect();
     errors.sort_by(f64::total_cmp);
     let log_errors =
         [0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99].map(|q| crate::metrics::percentile(&errors, q));
@@ -920,6 +1077,75 @@ mod tests {
     }
 
     #[test]
+    fn folds_share_no_member_and_leave_none_out() {
+        let frames: Vec<(String, String)> =
+            (0..60).map(|i| (format!("e/m{}/t{}.nrrd", i % 7, i / 7), format!("m{}", i % 7))).collect();
+        let frames: Vec<(&str, &str)> = frames.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
+        let t = table(&frames);
+        let part = Part::of(&t.frames, Clock::Cpu);
+        let (by, folds) = part.folds();
+        assert_eq!((by, folds.len()), (GroupBy::Member, FOLDS));
+        let all: Vec<&String> = folds.iter().flatten().collect();
+        assert_eq!((all.len(), all.iter().collect::<BTreeSet<_>>().len()), (7, 7));
+        let held: usize =
+            folds.iter().map(|f| part.parted(|x| f.contains(&by.group(&x.scene))).0.frames.len()).sum();
+        assert_eq!(held, part.frames.len());
+        // Of two members, volumes are held out; of two volumes, nothing is.
+        let few = table(&[("e/a/t0.nrrd", "a"), ("e/a/t1.nrrd", "a"), ("e/b/t0.nrrd", "b")]);
+        let (by, folds) = Part::of(&few.frames, Clock::Cpu).folds();
+        assert_eq!((by, folds.len()), (GroupBy::Volume, 3));
+        let pair = table(&[("a.nrrd", ""), ("b.nrrd", "")]);
+        assert!(Part::of(&pair.frames, Clock::Cpu).folds().1.is_empty());
+    }
+
+    #[test]
+    fn what_is_cross_validated_was_not_learned_from() {
+        // Seconds are the member's own, nothing that another member tells: a predictor that had seen them would know.
+        let frames: Vec<(String, String)> =
+            (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
+        let named: Vec<(&str, &str)> = frames.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
+        let mut t = table(&named);
+        for (i, f) in t.frames.iter_mut().enumerate() {
+            let seconds = [1.0, 1000.0, 2.0, 500.0][i % 4];
+            f.scene.camera.rx = (i % 4) as f32 * 20.0;
+            f.repeats =
+                vec![Measurement { cpu: Some(seconds), wall: Some(seconds), ..Measurement::default() }];
+        }
+        let part = Part::of(&t.frames, Clock::Cpu);
+        let folder = tempfile::tempdir().unwrap();
+        let pool = crate::commands::train::thread_pool(Some(1)).unwrap();
+        let hidden = indicatif::ProgressBar::hidden();
+        let runner = Runner { pool: &pool, models: folder.path().to_owned(), bar: &hidden, stop: &|| false };
+        let tables = [t.clone()];
+        let kitchen = Kitchen { tables: &tables, pool: &pool, bar: &hidden, stop: &|| false };
+        let inputs = vec!["camera".to_owned()];
+        for recipe in [
+            Recipe {
+                inputs: inputs.clone(),
+                layers: vec![8],
+                epochs: 300,
+                patience: 300,
+                batch: 8,
+                learning_rate: Some(1e-2),
+                ..Recipe::default()
+            },
+            Recipe { inputs, kind: Kind::Trees, ..Recipe::default() },
+        ] {
+            let (predicted, measured, folds) =
+                runner.crossed("key", &recipe, &kitchen, &part, &part).unwrap().unwrap();
+            assert_eq!((folds, predicted.len()), (4, 40));
+            let worst = bound::log_residuals(&predicted, &measured).into_iter().map(f64::abs);
+            assert!(worst.clone().all(|r| r > 0.3), "{:?}", worst.collect::<Vec<_>>());
+            let none = Part { frames: vec![], seconds: vec![] };
+            let seen = runner.any("all", &recipe, &kitchen, (&part, &none), &Bounds::Frames(&none)).unwrap();
+            let metrics =
+                Metrics::new(&seen.predict(&kitchen, &part.frames).unwrap(), &part.seconds).unwrap();
+            let crossed = Metrics::new(&predicted, &measured).unwrap();
+            assert!(metrics.mdape < 0.5 * crossed.mdape, "{} {}", metrics.mdape, crossed.mdape);
+        }
+    }
+
+    #[test]
     fn what_was_made_is_told_apart_by_all_that_it_was_made_of() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("start.safetensors");
@@ -928,7 +1154,7 @@ mod tests {
         let t = table(&[("a.nrrd", ""), ("b.nrrd", "")]);
         let key = |recipe: &Recipe, t: &Table, clock: Clock| {
             let part = Part::of(&t.frames, clock);
-            identity(recipe, std::slice::from_ref(t), [&part, &part, &part]).unwrap()
+            identity(recipe, std::slice::from_ref(t), [&part, &part, &part], &[]).unwrap()
         };
         let first = key(&recipe, &t, Clock::Cpu);
         assert_eq!(first, key(&recipe, &t, Clock::Cpu));
@@ -936,7 +1162,9 @@ mod tests {
         std::fs::copy(&file, &moved).unwrap();
         assert_eq!(first, key(&Recipe { fine_tune: Some(moved), ..recipe.clone() }, &t, Clock::Cpu));
 
-        let mut keys = vec![first, key(&recipe, &t, Clock::Wall)];
+        let part = Part::of(&t.frames, Clock::Cpu);
+        let of = |r: &[f64]| identity(&recipe, std::slice::from_ref(&t), [&part, &part, &part], r).unwrap();
+        let mut keys = vec![first, key(&recipe, &t, Clock::Wall), of(&[0.1]), of(&[0.2])];
         keys.push(key(&Recipe { epochs: 7, ..recipe.clone() }, &t, Clock::Cpu));
         keys.push(key(&recipe, &Table { hash: 8, ..t.clone() }, Clock::Cpu));
         for value in [1.0, 2.0] {
@@ -951,7 +1179,7 @@ mod tests {
         assert_eq!(keys.len(), all);
         std::fs::remove_file(&file).unwrap();
         let part = Part::of(&t.frames, Clock::Cpu);
-        let gone = identity(&recipe, std::slice::from_ref(&t), [&part, &part, &part]);
+        let gone = identity(&recipe, std::slice::from_ref(&t), [&part, &part, &part], &[]);
         assert!(gone.unwrap_err().to_string().contains("start.safetensors"));
     }
 

@@ -1,10 +1,11 @@
 //! `entire evaluate`: measure how well predictors do on collected frames.
 
-use super::train::{INPUTS_BAR, coverage, predict_rows, progress_bar, thread_pool, timed};
+use super::train::{INPUTS_BAR, predict_rows, progress_bar, thread_pool, timed};
+use crate::bound;
 use crate::dataset::{Clock, NoiseFloor, Table as TimingTable, TimedFrame, fnv1a, noise_floor, read_tables};
 use crate::inputs::{Layout, measure, open_volume};
 use crate::machine;
-use crate::metrics::{BoundMetrics, Metrics, SHORTEST, bootstrap_by_group, percentile};
+use crate::metrics::{BoundMetrics, Metrics, bootstrap_by_group, percentile};
 use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use crate::split::{GroupBy, Part, Split};
 use anyhow::{Context, Result, ensure};
@@ -13,7 +14,7 @@ use entire_core::features::{
 };
 use entire_core::model::Model;
 use entire_core::nn::{PredNet, Storage};
-use entire_core::predict::{CALIBRATION_KEY, Calibration, GroupKind, Inputs, UPPER_LEVEL};
+use entire_core::predict::{Calibration, GroupKind, Inputs};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -199,7 +200,7 @@ pub fn run(options: &Options) -> Result<()> {
             &refs,
             latency,
             seen,
-            upper_bound(&m.model),
+            bound::of(&m.model),
         )?);
     }
     for (m, storage) in models.iter().flat_map(|m| options.storage.iter().map(move |&s| (m, s))) {
@@ -220,7 +221,7 @@ pub fn run(options: &Options) -> Result<()> {
             &refs,
             None,
             refs.iter().filter(|f| m.has_seen(f)).count(),
-            upper_bound(&m.model),
+            bound::of(&m.model),
         )?);
     }
     let constant = probe_means(&refs, &measured, options.seed);
@@ -286,11 +287,8 @@ fn assess(
     }
     let by_group =
         pairs.into_iter().filter_map(|(g, (p, t))| Some((g.to_owned(), Metrics::new(&p, &t)?))).collect();
-    let bound_coverage = upper.map(|u| coverage(&predicted, measured, &u));
-    let bound = upper.and_then(|u| {
-        let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(u.upper(p.max(SHORTEST) as f32))).collect();
-        BoundMetrics::new(&bounds, measured, UPPER_LEVEL)
-    });
+    let bound = upper.and_then(|u| bound::judge(&u, &predicted, measured));
+    let bound_coverage = bound.as_ref().map(|b| b.coverage);
     let members: Vec<String> = frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
     let interval =
         |f: fn(&Metrics) -> f64| bootstrap_by_group(&predicted, measured, &members, BOOTSTRAP_ROUNDS, f);
@@ -345,12 +343,6 @@ pub(crate) fn by_kind(
             Some((name, Metrics::new(&p, &t)?))
         })
         .collect()
-}
-
-/// The upper bound that a model file holds.
-fn upper_bound(model: &Model) -> Option<Calibration> {
-    let stored: serde_json::Value = serde_json::from_str(model.metadata().get(CALIBRATION_KEY)?).ok()?;
-    Some(Calibration::from_log_factor(stored.get("log_factor")?.as_f64()? as f32))
 }
 
 /// For each frame the mean time of a random share of its volume's frames, those probes included.

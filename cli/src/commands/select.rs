@@ -7,12 +7,11 @@ use crate::latency::Bench;
 use crate::metrics::Metrics;
 use crate::recipe::{Fitted, Kind, Kitchen, Recipe};
 use crate::report::{Column, Table};
-use crate::study::{Part, predict, set_bound};
-use crate::{interrupt, machine};
+use crate::study::{Part, predict};
+use crate::{bound, interrupt, machine};
 use anyhow::{Context, Result, ensure};
 use entire_core::features::SceneFeature;
 use entire_core::model::keys;
-use entire_core::predict::Calibration;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -233,9 +232,7 @@ pub fn run(options: &Options) -> Result<()> {
     bar.finish_and_clear();
     let mut file = current.fitted.file;
     let predicted = predict(&file.to_model()?, &kitchen, &judged.frames)?;
-    let mut residuals: Vec<f64> =
-        predicted.iter().zip(&judged.seconds).map(|(p, t)| (t / p.max(1e-6)).ln()).collect();
-    set_bound(&mut file, &Calibration::from_residuals(&mut residuals))?;
+    bound::set(&mut file, &bound::from_predictions(&predicted, &judged.seconds))?;
     file.set_metadata(
         keys::PROVENANCE,
         json!({ "what": current.fitted.what, "chosen": name, "dropped": dropped, "recipe": current.recipe,

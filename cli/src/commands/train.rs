@@ -2,14 +2,14 @@
 
 use crate::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor, read_tables};
 use crate::inputs::Layout;
-use crate::metrics::{Metrics, SHORTEST};
+use crate::metrics::Metrics;
 pub use crate::recipe::{DtypeChoice, Kind, TargetChoice};
 use crate::recipe::{Fitted, Kitchen, Recipe, Timed, calibrate, parse_loss, read_model_file};
 use crate::split::{GroupBy, Part, Split};
-use crate::{interrupt, machine};
+use crate::{bound, interrupt, machine};
 use anyhow::{Context, Result, ensure};
-use entire_core::model::{Model, ModelFile, keys};
-use entire_core::predict::{CALIBRATION_KEY, Calibration, UPPER_LEVEL};
+use entire_core::model::{Model, keys};
+use entire_core::predict::{Calibration, UPPER_LEVEL};
 use indicatif::{ProgressBar, ProgressStyle};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -278,17 +278,13 @@ pub fn run(options: &Options) -> Result<()> {
             results.push((p, metrics));
             // The bound comes from frames that the weights were not fitted to, where there are any.
             if upper.log_factor().is_nan() {
-                let mut residuals: Vec<f64> =
-                    predicted.iter().zip(&measured).map(|(p, t)| (t / p.max(SHORTEST)).ln()).collect();
-                upper = Calibration::from_residuals(&mut residuals);
+                upper = bound::from_predictions(&predicted, &measured);
             }
-            covered.insert(p.name(), coverage(&predicted, &measured, &upper));
+            covered.insert(p.name(), bound::judge(&upper, &predicted, &measured).map(|b| b.coverage));
         }
     }
     results.sort_by_key(|r| r.0);
-    if model_has_bound(&upper) {
-        set_upper_bound(&mut fitted.fitted.file, &upper)?;
-    }
+    bound::set(&mut fitted.fitted.file, &upper)?;
     let noise = noise_floor(refs.iter().copied(), options.clock);
     if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
         eprintln!(
@@ -327,8 +323,8 @@ pub fn run(options: &Options) -> Result<()> {
         fitted.fitted.file.set_metadata(keys::STEP_REFERENCE, manifest.step_reference.clone());
     }
     write_whole(&options.out, &fitted.fitted.file.to_bytes()?)?;
-    let bound = covered.get(Part::Test.name()).or(covered.get(Part::Validation.name())).copied();
-    let card = card(options, &fitted, &split, &tables, &results, (upper, bound), noise.as_ref());
+    let held = covered.get(Part::Test.name()).or(covered.get(Part::Validation.name())).copied().flatten();
+    let card = card(options, &fitted, &split, &tables, &results, (upper, held), noise.as_ref());
     write_whole(&options.out.with_extension("md"), card.as_bytes())?;
     for (p, m) in &results {
         println!(
@@ -388,32 +384,6 @@ impl Options {
             dtype: self.dtype,
         }
     }
-}
-
-/// Share of frames that took no longer than the bound.
-pub(crate) fn coverage(predicted: &[f64], measured: &[f64], upper: &Calibration) -> f64 {
-    let within = predicted
-        .iter()
-        .zip(measured)
-        .filter(|(p, t)| **t <= f64::from(upper.upper(p.max(SHORTEST) as f32)))
-        .count();
-    within as f64 / measured.len().max(1) as f64
-}
-
-fn model_has_bound(upper: &Calibration) -> bool {
-    upper.log_factor().is_finite()
-}
-
-/// Puts the bound into the file, keeping what else its calibration holds.
-fn set_upper_bound(file: &mut ModelFile, upper: &Calibration) -> Result<()> {
-    let mut stored: serde_json::Value = match file.metadata().get(CALIBRATION_KEY) {
-        Some(text) => serde_json::from_str(text)?,
-        None => json!({}),
-    };
-    stored["level"] = json!(UPPER_LEVEL);
-    stored["log_factor"] = json!(upper.log_factor());
-    file.set_metadata(CALIBRATION_KEY, stored.to_string());
-    Ok(())
 }
 
 /// Whether a model file can be written there; makes its folder.
@@ -556,7 +526,7 @@ fn card(
             m.r2_log
         );
     }
-    if model_has_bound(&upper) {
+    if upper.log_factor().is_finite() {
         let _ = writeln!(
             md,
             "\nUpper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames (training frames where \

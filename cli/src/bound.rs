@@ -1,0 +1,87 @@
+//! Upper bounds: from residuals, in and out of model files, and how well they hold.
+
+use crate::metrics::{BoundMetrics, SHORTEST};
+use anyhow::Result;
+use entire_core::model::{Model, ModelFile};
+use entire_core::predict::{CALIBRATION_KEY, Calibration, UPPER_LEVEL};
+use serde_json::json;
+
+/// ln(measured / predicted) of every frame; what is not positive counts as the shortest prediction.
+pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
+    let usable = |p: f64| if p > SHORTEST { p } else { SHORTEST };
+    predicted.iter().zip(measured).map(|(&p, t)| (t / usable(p)).ln()).collect()
+}
+
+/// The bound that frames which no weight was fitted to give.
+pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> Calibration {
+    Calibration::from_residuals(&mut log_residuals(predicted, measured))
+}
+
+/// How often a bound holds.
+pub fn judge(upper: &Calibration, predicted: &[f64], measured: &[f64]) -> Option<BoundMetrics> {
+    let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(upper.upper(p.max(SHORTEST) as f32))).collect();
+    BoundMetrics::new(&bounds, measured, UPPER_LEVEL)
+}
+
+/// The upper bound that a model file holds.
+pub fn of(model: &Model) -> Option<Calibration> {
+    let stored: serde_json::Value = serde_json::from_str(model.metadata().get(CALIBRATION_KEY)?).ok()?;
+    Some(Calibration::from_log_factor(stored.get("log_factor")?.as_f64()? as f32))
+}
+
+/// Puts an upper bound into a model file, keeping what else its calibration holds; leaves the file as it is where the
+/// bound is not known.
+///
+/// # Errors
+/// When what it holds is damaged.
+pub fn set(file: &mut ModelFile, upper: &Calibration) -> Result<()> {
+    if !upper.log_factor().is_finite() {
+        return Ok(());
+    }
+    let mut stored: serde_json::Value = match file.metadata().get(CALIBRATION_KEY) {
+        Some(text) => serde_json::from_str(text)?,
+        None => json!({}),
+    };
+    stored["level"] = json!(UPPER_LEVEL);
+    stored["log_factor"] = json!(upper.log_factor());
+    file.set_metadata(CALIBRATION_KEY, stored.to_string());
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bound_holds_for_its_share_of_the_frames_that_gave_it() {
+        let predicted = vec![2.0; 399];
+        let measured: Vec<f64> = (1..=399).map(|i| 2.0 + f64::from(i) * 1e-3).collect();
+        let upper = from_predictions(&predicted, &measured);
+        // The 380th of 399: ceil(400 · 0.95).
+        assert!((f64::from(upper.factor()) - 2.380 / 2.0).abs() < 1e-6, "{}", upper.factor());
+        let held = judge(&upper, &predicted, &measured).unwrap();
+        assert!((held.coverage - 0.95).abs() < 0.004, "{}", held.coverage);
+        assert_eq!(held.slowest_coverage, 1.0 - 19.0 / 40.0);
+        assert!(judge(&upper, &[], &[]).is_none());
+    }
+
+    #[test]
+    fn a_bound_survives_the_file_beside_what_else_stands_there() {
+        let mut file = ModelFile::new();
+        file.set_metadata(CALIBRATION_KEY, r#"{"range":[1,2]}"#);
+        set(&mut file, &Calibration::from_log_factor(0.25)).unwrap();
+        let text = file.metadata().get(CALIBRATION_KEY).unwrap().clone();
+        assert!(text.contains("range") && text.contains("0.25"), "{text}");
+        set(&mut file, &Calibration::unknown()).unwrap();
+        assert_eq!(file.metadata().get(CALIBRATION_KEY), Some(&text));
+        file.set_metadata(CALIBRATION_KEY, "{");
+        assert!(set(&mut file, &Calibration::from_log_factor(0.1)).is_err());
+    }
+
+    #[test]
+    fn what_is_no_prediction_counts_as_the_shortest() {
+        let r = log_residuals(&[0.0, f64::NAN, -1.0, 1.0], &[1.0; 4]);
+        assert!(r[..3].iter().all(|r| (r - (1.0 / SHORTEST).ln()).abs() < 1e-12));
+        assert_eq!(r[3], 0.0);
+    }
+}
