@@ -5,6 +5,7 @@ use anyhow::Result;
 use entire_core::model::{Model, ModelFile};
 use entire_core::predict::{CALIBRATION_KEY, Calibration, UPPER_LEVEL};
 use serde_json::json;
+use std::collections::BTreeMap;
 
 /// ln(measured / predicted) of every frame; what is not positive counts as the shortest prediction.
 pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
@@ -15,6 +16,31 @@ pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
 /// The bound that frames which no weight was fitted to give.
 pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> Calibration {
     Calibration::from_residuals(&mut log_residuals(predicted, measured))
+}
+
+/// As [`from_predictions`] where frames come in groups (ensemble members) and new frames are of new groups: every group
+/// counts alike, however many frames it has.
+pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> Calibration {
+    let mut sizes: BTreeMap<&str, f64> = BTreeMap::new();
+    for g in groups {
+        *sizes.entry(g).or_default() += 1.0;
+    }
+    let mut weighted: Vec<(f64, f64)> = log_residuals(predicted, measured)
+        .into_iter()
+        .zip(groups)
+        .map(|(r, g)| (if r.is_nan() { f64::INFINITY } else { r }, 1.0 / sizes[g.as_str()]))
+        .collect();
+    weighted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    // One frame more than there are, as in split-conformal bounds.
+    let wanted = UPPER_LEVEL * sizes.len() as f64 * (1.0 + 1.0 / weighted.len().max(1) as f64);
+    let mut sum = 0.0;
+    for (r, w) in &weighted {
+        sum += w;
+        if sum >= wanted * (1.0 - 1e-12) {
+            return Calibration::from_log_factor(*r as f32);
+        }
+    }
+    weighted.last().map_or(Calibration::unknown(), |(r, _)| Calibration::from_log_factor(*r as f32))
 }
 
 /// How often a bound holds.
@@ -63,6 +89,21 @@ mod tests {
         assert!((held.coverage - 0.95).abs() < 0.004, "{}", held.coverage);
         assert_eq!(held.slowest_coverage, 1.0 - 19.0 / 40.0);
         assert!(judge(&upper, &[], &[]).is_none());
+    }
+
+    #[test]
+    fn groups_count_alike_in_a_bound() {
+        let measured: Vec<f64> = (1..=399).map(|i| 1.0 + f64::from(i) * 1e-3).collect();
+        let predicted = vec![1.0; 399];
+        let one = vec!["a".to_owned(); 399];
+        assert_eq!(from_groups(&predicted, &measured, &one), from_predictions(&predicted, &measured));
+        // The slow 39 frames are a group of their own: half of all, so that the bound is their 90 % and not the whole's 95 %.
+        let two: Vec<String> = (1..=399).map(|i| if i > 360 { "slow" } else { "quick" }.to_owned()).collect();
+        let upper = from_groups(&predicted, &measured, &two);
+        assert!((f64::from(upper.factor()) - 1.396).abs() < 1.5e-3, "{}", upper.factor());
+        let few = from_groups(&predicted[..3], &measured[..3], &two[..3]);
+        assert!((few.factor() - 1.003).abs() < 1e-6, "{}", few.factor());
+        assert!(from_groups(&[], &[], &[]).log_factor().is_nan());
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //! | `linear` | ln seconds as a linear function of scene features, robust least squares | one dense layer, log seconds |
 //! | `network` | PredNet by gradient descent | dense layers |
 //! | `residual` | analytic × exp(network): unit costs first, then a network on ln(measured / analytic) | dense layers that carry `log_estimated_seconds` past the network |
+//! | `trees` | ln seconds by gradient-boosted trees of a library | nowhere: a yardstick of `chart` |
 
 use crate::dataset::{Table, TimedFrame};
 use crate::inputs::{Encoder, Layout};

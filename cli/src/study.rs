@@ -448,8 +448,23 @@ pub const FOLDS: usize = 5;
 enum Bounds<'a> {
     /// Frames; the validation frames where there are none.
     Frames(&'a Part<'a>),
-    /// ln(measured / predicted) of frames that were predicted without their group.
-    Residuals(&'a [f64]),
+    /// Frames that were predicted without their group.
+    Crossed(&'a Crossed),
+}
+
+/// Training frames, each predicted without its ensemble member.
+struct Crossed {
+    predicted: Vec<f64>,
+    measured: Vec<f64>,
+    /// The member of each.
+    groups: Vec<String>,
+    folds: usize,
+}
+
+impl Crossed {
+    fn upper(&self) -> Calibration {
+        bound::from_groups(&self.predicted, &self.measured, &self.groups)
+    }
 }
 
 /// A predictor of a study.
@@ -514,6 +529,14 @@ fn identity(recipe: &Recipe, tables: &[Table], parts: [&Part<'_>; 3], residuals:
     Ok(format!("{:016x}", fnv1a(text.as_bytes())))
 }
 
+/// Writes a model file, whole or not at all.
+fn keep(file: &ModelFile, path: &Path) -> Result<()> {
+    let part = path.with_extension("part");
+    std::fs::write(&part, file.to_bytes()?)
+        .and_then(|()| std::fs::rename(&part, path))
+        .with_context(|| format!("cannot write {}", path.display()))
+}
+
 /// What a study works with besides its description.
 pub struct Runner<'a> {
     /// Threads.
@@ -537,17 +560,25 @@ impl Runner<'_> {
         bounds: &Bounds<'_>,
     ) -> Result<(ModelFile, PathBuf)> {
         let none = Part { frames: vec![], seconds: vec![] };
-        let (judged, residuals) = match bounds {
-            Bounds::Frames(frames) => (*frames, &[][..]),
-            Bounds::Residuals(residuals) => (&none, *residuals),
+        let (judged, upper) = match bounds {
+            Bounds::Frames(frames) => (*frames, None),
+            Bounds::Crossed(crossed) => (&none, Some(crossed.upper())),
         };
-        let mark = identity(recipe, kitchen.tables, [training, validation, judged], residuals)?;
+        let residuals = match bounds {
+            Bounds::Frames(_) => Vec::new(),
+            Bounds::Crossed(c) => bound::log_residuals(&c.predicted, &c.measured),
+        };
+        let mark = identity(recipe, kitchen.tables, [training, validation, judged], &residuals)?;
         let name: String =
             key.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }).collect();
         let path = self.models.join(format!("{name}-{}.safetensors", &mark[..8]));
         if path.exists() {
-            let (file, _) = crate::recipe::read_model_file(&path)?;
+            let (mut file, model) = crate::recipe::read_model_file(&path)?;
             if file.metadata().get("entire.study_key") == Some(&mark) {
+                if let Some(upper) = upper.filter(|u| bound::of(&model) != Some(*u)) {
+                    bound::set(&mut file, &upper)?;
+                    keep(&file, &path)?;
+                }
                 return Ok((file, path));
             }
         }
@@ -556,8 +587,8 @@ impl Runner<'_> {
         ensure!(!(self.stop)(), "stopped; what was made is kept in {}", self.models.display());
         let mut file = fitted.file;
         let judged = if judged.frames.is_empty() { validation } else { judged };
-        if !residuals.is_empty() {
-            bound::set(&mut file, &Calibration::from_residuals(&mut residuals.to_vec()))?;
+        if let Some(upper) = upper {
+            bound::set(&mut file, &upper)?;
         } else if !judged.frames.is_empty() {
             let predicted = predict(&file.to_model()?, kitchen, &judged.frames)?;
             bound::set(&mut file, &bound::from_predictions(&predicted, &judged.seconds))?;
@@ -570,10 +601,7 @@ impl Runner<'_> {
             .to_string(),
         );
         std::fs::create_dir_all(&self.models)?;
-        let part = path.with_extension("part");
-        std::fs::write(&part, file.to_bytes()?)
-            .and_then(|()| std::fs::rename(&part, &path))
-            .with_context(|| format!("cannot write {}", path.display()))?;
+        keep(&file, &path)?;
         Ok((file, path))
     }
 
@@ -595,8 +623,7 @@ impl Runner<'_> {
     }
 
     /// Predicts every frame of `judged` with a predictor that was made of those frames of `all` that are of other groups.
-    /// Predicted and measured seconds, and the number of parts; `None` where there are too few groups.
-    #[allow(clippy::type_complexity, reason = "one call site")]
+    /// `None` where there are too few groups.
     fn crossed(
         &self,
         key: &str,
@@ -604,9 +631,9 @@ impl Runner<'_> {
         kitchen: &Kitchen<'_>,
         all: &Part<'_>,
         judged: &Part<'_>,
-    ) -> Result<Option<(Vec<f64>, Vec<f64>, usize)>> {
+    ) -> Result<Option<Crossed>> {
         let (by, folds) = judged.folds();
-        let (mut predicted, mut measured) = (Vec::new(), Vec::new());
+        let (mut predicted, mut measured, mut groups) = (Vec::new(), Vec::new(), Vec::new());
         for (k, fold) in folds.iter().enumerate() {
             let of_fold = |f: &TimedFrame| fold.contains(&by.group(&f.scene));
             let (held, _) = judged.parted(of_fold);
@@ -616,9 +643,10 @@ impl Runner<'_> {
             let key = format!("{key}-without-{}", k + 1);
             let made = self.any(&key, recipe, kitchen, (&training, &validation), &Bounds::Frames(&none))?;
             predicted.extend(made.predict(kitchen, &held.frames)?);
+            groups.extend(held.frames.iter().map(|f| by.group(&f.scene)));
             measured.extend(held.seconds);
         }
-        Ok((!folds.is_empty()).then_some((predicted, measured, folds.len())))
+        Ok((!folds.is_empty()).then_some(Crossed { predicted, measured, groups, folds: folds.len() }))
     }
 
     /// Runs a whole study.
@@ -684,8 +712,7 @@ impl Runner<'_> {
                     } else {
                         None
                     };
-                    let residuals = crossed.as_ref().map(|(p, t, _)| bound::log_residuals(p, t));
-                    let from = residuals.as_deref().map_or(Bounds::Frames(&bounds), Bounds::Residuals);
+                    let from = crossed.as_ref().map_or(Bounds::Frames(&bounds), Bounds::Crossed);
                     let made = self.any(&key, recipe, &kitchen, (training, validation), &from)?;
                     let (seen, _) = training.parted(|f| f.table < bounds_at);
                     let predicted = made.predict(&kitchen, &seen.frames)?;
@@ -693,12 +720,12 @@ impl Runner<'_> {
                         set: set.name.clone(),
                         predictor: named.name.clone(),
                         seen,
-                        crossed: crossed.as_ref().and_then(|(p, t, _)| Metrics::new(p, t)),
-                        folds: crossed.as_ref().map_or(0, |c| c.2),
+                        crossed: crossed.as_ref().and_then(|c| Metrics::new(&c.predicted, &c.measured)),
+                        folds: crossed.as_ref().map_or(0, |c| c.folds),
                     });
-                    let upper = match (&made, residuals) {
+                    let upper = match (&made, &crossed) {
                         (Made::Model(made), _) => bound::of(&made.0),
-                        (Made::Trees(_), r) => r.map(|mut r| Calibration::from_residuals(&mut r)),
+                        (Made::Trees(_), crossed) => crossed.as_ref().map(Crossed::upper),
                     };
                     Ok((made, fit, upper))
                 };
@@ -1131,9 +1158,9 @@ mod tests {
             },
             Recipe { inputs, kind: Kind::Trees, ..Recipe::default() },
         ] {
-            let (predicted, measured, folds) =
+            let Crossed { predicted, measured, folds, groups } =
                 runner.crossed("key", &recipe, &kitchen, &part, &part).unwrap().unwrap();
-            assert_eq!((folds, predicted.len()), (4, 40));
+            assert_eq!((folds, predicted.len(), groups.len()), (4, 40, 40));
             let worst = bound::log_residuals(&predicted, &measured).into_iter().map(f64::abs);
             assert!(worst.clone().all(|r| r > 0.3), "{:?}", worst.collect::<Vec<_>>());
             let none = Part { frames: vec![], seconds: vec![] };

@@ -536,7 +536,7 @@ fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             page.table(
                 &fits_table(study, found, &set.name, &split.name),
                 &format!(
-                    "Cross-validated: every training frame predicted without its ensemble member; upper bounds follow from these                      errors. The rule takes the quickest predictor whose cross-validated RMSE is within {:.0} % of the least{}; it sees                      no test frame.",
+                    "Cross-validated: every training frame predicted without its ensemble member; upper bounds follow from these errors, every member counting alike. The rule takes the quickest predictor whose cross-validated RMSE is within {:.0} % of the least{}; it sees no test frame.",
                     100.0 * SELECTION_TOLERANCE,
                     set.limits.cold_over_paper.map_or(String::new(), |s| format!(
                         " among those that take at most {:.0} % of the latency of `paper`",
