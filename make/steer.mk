@@ -19,8 +19,8 @@ bars-steer: steer-traces ## Hold every controller against an oracle and the farm
 	@status=0; \
 	target/release/entire replay "$(STEER_OUT)"/traces/*.json --calibration "$(STEER_OUT)/calibration.csv" \
 		--out "$(STEER_OUT)" --bars || status=1; \
-	target/release/entire schedule --trace "$(STEER_OUT)/farm.json" --calibration "$(STEER_OUT)/calibration.csv" \
-		--training "$(STEER_OUT)/farm-training.json" --save-tasks "$(STEER_OUT)/farm-tasks.csv" --report "$(STEER_OUT)/farm" --bars || status=1; \
+	target/release/entire schedule --trace "$(STEER_OUT)/farm.json" --training "$(STEER_OUT)/farm-training.json" \
+		--probe-side 24 --save-tasks "$(STEER_OUT)/farm-tasks.csv" --report "$(STEER_OUT)/farm" --bars || status=1; \
 	exit $$status
 
 .PHONY: stress

@@ -6,6 +6,17 @@ out=$1 clock=$2 frames=$3 data=$4
 entire=${ENTIRE:-target/release/entire}
 mkdir -p "$out/traces"
 
+# Paths over volumes beside those of the repository: which bars are taken from them depends on what is there.
+found=() absent=()
+for pair in isabel_wrf:isabel-switches viscous_fingers:fingers-cuts; do
+    if [ -d "$data/ensembles/${pair%%:*}/run01" ] || [ -e "$out/traces/${pair#*:}.json" ]; then
+        found+=("${pair#*:}")
+    else
+        absent+=("${pair#*:}")
+    fi
+done
+echo "volumes in $data (STEER_DATA=folder): paths ${found[*]:-none}${absent:+; not there, so left out of the bars: ${absent[*]}}"
+
 common=(--clock "$clock" --size 256x256)
 
 if [ ! -e "$out/calibration.csv" ]; then
@@ -43,12 +54,13 @@ if [ -d "$data/ensembles" ]; then
     [ -n "$first" ] && trace fingers-cuts "$first" --enlarge 2 --generate cuts --frames "$frames"
 fi
 
-# Six volumes, 64 poses each, one transfer function: what a farm renders for an image database.
+# Six volumes, 64 poses each, one transfer function: what a farm renders for an image database. Schedules are judged by
+# medians of five; both recordings are of one renderer: remove both together.
 if [ ! -e "$out/farm.json" ]; then
     "$entire" record data/nyx_cosmology/m04/t0010.nrrd data/castro_blast/m04/t0012.nrrd \
         data/castro_blast/m05/t0012.nrrd data/maestroex_bubbles/m03/t0010.nrrd data/maestroex_bubbles/m03/t0015.nrrd \
         data/nyx_cosmology/m01/t0010.nrrd --enlarge 2 --hold 64 --path examples/paths/farm.json --steps 1,2 \
-        "${common[@]}" --name farm --out "$out/part.json"
+        --repeats 5 "${common[@]}" --name farm --out "$out/part.json"
     mv "$out/part.json" "$out/farm.json"
 fi
 
@@ -57,6 +69,6 @@ if [ ! -e "$out/farm-training.json" ]; then
     "$entire" record data/nyx_cosmology/m01/t0005.nrrd data/nyx_cosmology/m02/t0010.nrrd \
         data/castro_blast/m01/t0008.nrrd data/castro_blast/m02/t0012.nrrd data/maestroex_bubbles/m01/t0010.nrrd \
         data/maestroex_bubbles/m01/t0015.nrrd --enlarge 2 --hold 48 --path examples/paths/farm-training.json \
-        --steps 1,2 "${common[@]}" --name farm-training --out "$out/part.json"
+        --steps 1,2 --repeats 5 "${common[@]}" --name farm-training --out "$out/part.json"
     mv "$out/part.json" "$out/farm-training.json"
 fi

@@ -692,7 +692,7 @@ fn robust_least_squares(x: &[f64], width: usize, y: &[f64], prior: &[f64], ridge
 }
 
 /// Cholesky of a symmetric positive matrix given by its lower half; `None` where it is not.
-fn solve(a: &mut [f64], mut b: Vec<f64>) -> Option<Vec<f64>> {
+pub(crate) fn solve(a: &mut [f64], mut b: Vec<f64>) -> Option<Vec<f64>> {
     let n = b.len();
     for j in 0..n {
         for k in 0..j {

@@ -89,6 +89,61 @@ fn steer_plays_a_path_and_writes_a_report_that_stands_alone() {
 }
 
 #[test]
+fn steer_chooses_image_sizes_and_logs_them() {
+    let (dir, volume, out) = setting();
+    let log = dir.path().join("log.csv");
+    let (volume, out_text, log_text) =
+        (volume.to_str().unwrap(), out.to_str().unwrap(), log.to_str().unwrap());
+    // Shorter than full-size frames at the coarsest step take, so that smaller pictures are called for.
+    let output = entire(&[
+        "steer",
+        volume,
+        "--generate",
+        "orbit",
+        "--frames",
+        "12",
+        "--target",
+        "50us",
+        "--limits",
+        "1,4",
+        "--device",
+        "cpu",
+        "--size",
+        "120x96",
+        "--calibrate",
+        "8",
+        "--controllers",
+        "olp,hybrid",
+        "--choose-scales",
+        "0.7,0.5",
+        "--log",
+        log_text,
+        "--out",
+        out_text,
+    ]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let frames = std::fs::read_to_string(out.join("frames.csv")).unwrap();
+    let at = |name: &str| frames.lines().next().unwrap().split(',').position(|c| c == name).unwrap();
+    let (who, scale) = (at("controller"), at("image_scale"));
+    let mut chosen = BTreeSet::new();
+    for row in frames.lines().skip(1).map(|l| l.split(',').collect::<Vec<_>>()) {
+        assert!(row[who] == "hybrid" || row[scale] == "1", "{row:?}");
+        chosen.insert(row[scale].to_owned());
+    }
+    assert!(chosen.contains("0.5"), "{chosen:?}");
+    assert!(chosen.iter().all(|s| ["1", "0.7", "0.5"].contains(&s.as_str())), "{chosen:?}");
+    // The log holds the sizes that were drawn: 60 x 48 is half of either side.
+    let table = std::fs::read_to_string(&log).unwrap();
+    let columns: Vec<&str> = table.lines().next().unwrap().split(',').collect();
+    let width = columns.iter().position(|c| c.starts_with("width")).unwrap();
+    let widths: BTreeSet<&str> = table.lines().skip(1).map(|l| l.split(',').nth(width).unwrap()).collect();
+    assert!(widths.contains("120") && widths.contains("60"), "{widths:?}");
+    assert_eq!(table.lines().count(), 1 + 2 * 12);
+    let page = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(page.contains("Image size"), "the report does not show the sizes");
+}
+
+#[test]
 fn demo_goes_from_a_volume_to_a_report_and_its_model_steers() {
     let (dir, volume, out) = setting();
     let (volume, out_text) = (volume.to_str().unwrap(), out.to_str().unwrap());
@@ -187,4 +242,51 @@ fn example_paths_are_paths() {
         }
     }
     assert!(seen >= 2);
+}
+
+#[test]
+fn farms_are_scheduled_from_recorded_frames_of_other_volumes() {
+    let (dir, volume, _) = setting();
+    let file = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let (volume, before, tasks) = (volume.to_str().unwrap(), file("before.json"), file("tasks.json"));
+    let second = file("second.nrrd");
+    std::fs::copy(volume, &second).unwrap();
+    let record = |volumes: &[&str], frames: &str, out: &str| {
+        let common =
+            ["--generate", "orbit", "--device", "cpu", "--size", "24x24", "--steps", "1,2", "--repeats", "1"];
+        let output =
+            entire(&[&["record"][..], volumes, &common, &["--frames", frames, "--out", out]].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    };
+    record(&[volume, &second, "--hold", "20"], "40", &before);
+    record(&[volume], "16", &tasks);
+    let (list, plan) = (file("tasks.csv"), file("plan.csv"));
+    let run = |more: &[&str]| {
+        let output =
+            entire(&[&["schedule", "--trace", &tasks, "--nodes", "4", "--out", &plan][..], more].concat());
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        (output.status.code(), text + &String::from_utf8_lossy(&output.stderr))
+    };
+    let (code, text) = run(&["--training", &before, "--probe-side", "16", "--save-tasks", &list]);
+    assert_eq!(code, Some(0), "{text}");
+    for word in ["16 x 16 rays; each volume left out in turn", "factor learned from the view", "ms per task"]
+    {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+    let rows = std::fs::read_to_string(&list).unwrap();
+    assert_eq!(rows.lines().count(), 17);
+    for row in rows.lines().skip(1) {
+        let cells: Vec<&str> = row.split(',').collect();
+        assert!(cells[1].parse::<f64>().unwrap() > 0.0 && cells[2].parse::<f64>().unwrap() > 0.0, "{row}");
+    }
+    // Every task once, on one of the four nodes.
+    let rows = std::fs::read_to_string(&plan).unwrap();
+    let names: BTreeSet<&str> = rows.lines().skip(1).map(|l| l.split(',').nth(1).unwrap()).collect();
+    assert_eq!((names.len(), rows.lines().count()), (16, 17));
+    assert!(rows.lines().skip(1).all(|l| l.split(',').nth(2).unwrap().parse::<u32>().unwrap() < 4));
+
+    let (code, text) = run(&["--training", &before, "--probe-side", "25"]);
+    assert!(code == Some(1) && text.contains("1 to 24"), "{text}");
+    let (code, text) = run(&[]);
+    assert!(code == Some(1) && text.contains("--training"), "{text}");
 }

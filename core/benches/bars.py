@@ -115,6 +115,13 @@ def main():
             return None
         return answer
 
+    scripts = {k: f"{options.peers}/{k}_peer.py" for k in sorted({p.split("/")[0] for row in RATIOS for p in row[6]} - {"rten"})}
+    scripts["rten"] = f"{options.rust}/rten-peer"
+    there = [k for k, path in scripts.items() if os.path.exists(path)]
+    absent = [k for k in scripts if k not in there]
+    print(f"peers in {options.peers} (PEERS=folder): {', '.join(there) or 'none'}"
+          + (f"; not there, so not measured: {', '.join(absent)}" if absent else ""), flush=True)
+
     best = {}
     rows = [row for row in RATIOS if options.only in row[0]]
     for _ in range(options.rounds):

@@ -151,6 +151,10 @@ def main():
         if not path.exists():
             ours.ask(f"make {kind} {options.edge} {path}")
         volumes[kind] = (path, [options.edge] * 3, [1.0] * 3)
+    found = [name for name, _ in SCANS if (pathlib.Path(options.scans) / name).exists()]
+    absent = [name for name, _ in SCANS if name not in found]
+    print(f"scans in {options.scans} (SCANS=folder): {', '.join(found) or 'none'}"
+          + (f"; not there, so without bars: {', '.join(absent)}" if absent else ""))
     for name, transfer in SCANS:
         path = pathlib.Path(options.scans) / name
         stem = name.split(".")[0]

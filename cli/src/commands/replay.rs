@@ -83,11 +83,11 @@ struct Outcome {
     tallies: Vec<Tally>,
 }
 
-/// Samples of timing tables, the frames of one scene next to each other under one number.
+/// Samples of timing tables, the frames of one scene next to each other under one number; probes have `side`² rays.
 ///
 /// # Errors
 /// When a table or a volume cannot be read.
-pub fn samples_of(tables: &[PathBuf]) -> Result<Vec<Sample>> {
+pub fn samples_of(tables: &[PathBuf], side: usize) -> Result<Vec<Sample>> {
     let tables = read_tables(tables)?;
     let frames: Vec<&TimedFrame> = tables.iter().flat_map(|t| &t.frames).collect();
     let clock = [Clock::Cpu, Clock::Auto]
@@ -107,24 +107,16 @@ pub fn samples_of(tables: &[PathBuf]) -> Result<Vec<Sample>> {
             ((f.table, f.number), *numbers.entry(key).or_insert(next))
         })
         .collect();
-    inputs::measure(
-        &tables,
-        &frames,
-        Some(PROBE_SIDE),
-        None,
-        &pool,
-        &ProgressBar::hidden(),
-        |frame, inputs| {
-            Ok(Sample {
-                scene: scenes[&(frame.table, frame.number)],
-                features: inputs.features.clone(),
-                setting: inputs.setting,
-                camera: inputs.camera,
-                lobes: frame.scene.lobes.clone(),
-                seconds: frame.seconds(clock).context("a frame without a time")?,
-            })
-        },
-    )
+    inputs::measure(&tables, &frames, Some(side), None, &pool, &ProgressBar::hidden(), |frame, inputs| {
+        Ok(Sample {
+            scene: scenes[&(frame.table, frame.number)],
+            features: inputs.features.clone(),
+            setting: inputs.setting,
+            camera: inputs.camera,
+            lobes: frame.scene.lobes.clone(),
+            seconds: frame.seconds(clock).context("a frame without a time")?,
+        })
+    })
 }
 
 /// Runs the command.
@@ -142,7 +134,7 @@ pub fn run(options: &Options) -> Result<()> {
     } else {
         options.controllers.clone()
     };
-    let samples = samples_of(&options.calibration)?;
+    let samples = samples_of(&options.calibration, PROBE_SIDE)?;
     let response = response(&samples).context("G needs scenes that were timed at several steps")?;
     let nothing = [0u8];
     let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;

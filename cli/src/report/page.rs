@@ -25,6 +25,7 @@ figure{margin:18px 0}figcaption{color:var(--dim);font-size:14px;margin-top:4px;m
 .scroll{overflow-x:auto}table{border-collapse:collapse;font-size:14px;margin:10px 0;font-variant-numeric:tabular-nums}\
 th,td{padding:5px 11px;border-bottom:1px solid var(--line);text-align:left;vertical-align:top}\
 th{background:var(--soft);font-weight:600}td.n,th.n{text-align:right}td.n{white-space:nowrap}td:first-child{min-width:9em}td b{color:var(--accent)}\
+table.wide{font-size:11.5px;line-height:1.35}table.wide th,table.wide td{padding:3px 5px}table.wide td:first-child{min-width:0}\
 .pictures{display:grid;grid-template-columns:repeat(auto-fill,minmax(136px,1fr));gap:12px}\
 .pictures figure{margin:0}.pictures img{width:100%;display:block;background:#000;border-radius:4px}\
 .facts{display:grid;grid-template-columns:max-content 1fr;gap:3px 16px;font-size:14px}.facts dt{color:var(--dim)}.facts dd{margin:0;overflow-wrap:anywhere}\

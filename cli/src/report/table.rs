@@ -50,6 +50,9 @@ impl From<&str> for Cell {
     }
 }
 
+/// Tables of more columns are set smaller on a page, so that they need no scrolling.
+const WIDE: usize = 8;
+
 /// A table. Rows shorter than the heading are padded with empty cells.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Table {
@@ -122,7 +125,8 @@ impl Table {
     /// For an HTML page; best cells are bold.
     pub fn to_html(&self) -> String {
         let class = |c: usize| if self.columns[c].align == Align::Right { " class=\"n\"" } else { "" };
-        let mut out = String::from("<div class=\"scroll\"><table><thead><tr>");
+        let wide = if self.columns.len() > WIDE { " class=\"wide\"" } else { "" };
+        let mut out = format!("<div class=\"scroll\"><table{wide}><thead><tr>");
         for (c, column) in self.columns.iter().enumerate() {
             let _ = write!(out, "<th{}>{}</th>", class(c), escape(&column.name));
         }
@@ -188,5 +192,11 @@ mod tests {
         );
         assert!(table().to_html().contains("<td>a|&lt;b&gt;</td><td class=\"n\"><b>2.5</b></td>"));
         assert!(table().to_markdown().contains("| a\\|<b> | **2.5** |"));
+    }
+
+    #[test]
+    fn tables_of_many_columns_are_set_smaller() {
+        let of = |n: usize| Table::new((0..n).map(|i| Column::number(i.to_string())).collect()).to_html();
+        assert!(of(WIDE).contains("<table>") && of(WIDE + 1).contains("<table class=\"wide\">"));
     }
 }

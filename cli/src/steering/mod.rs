@@ -2,6 +2,7 @@
 
 pub mod calibrate;
 pub mod contenders;
+pub mod factor;
 pub mod fit;
 pub mod metrics;
 pub mod play;

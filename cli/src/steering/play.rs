@@ -376,6 +376,10 @@ mod tests {
     ];
 
     fn play_scripted(noise: f64, bias: f64, stop_at: Option<u64>) -> Option<Playback> {
+        play_scripted_with(noise, bias, stop_at, &[])
+    }
+
+    fn play_scripted_with(noise: f64, bias: f64, stop_at: Option<u64>, choices: &[f32]) -> Option<Playback> {
         let voxels = vec![128u8; 32 * 32 * 32];
         let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32]).unwrap();
         let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
@@ -407,7 +411,7 @@ mod tests {
             target: 1.4e-3,
             retargets: &[],
             scales: &[],
-            choices: &[],
+            choices,
             limits: StepLimits::default(),
             keep: &[20],
         };
@@ -454,6 +458,37 @@ mod tests {
         for (a, b) in playback.records.iter().flatten().zip(again.records.iter().flatten()) {
             assert_eq!((a.step.to_bits(), a.seconds.to_bits()), (b.step.to_bits(), b.seconds.to_bits()));
         }
+    }
+
+    #[test]
+    fn who_chooses_the_size_meets_the_target_with_a_better_picture() {
+        let choices = [0.7f32, 0.5];
+        let plain = play_scripted(0.02, 1.1, None).unwrap();
+        let sized = play_scripted_with(0.02, 1.1, None, &choices).unwrap();
+        let hybrid = 4;
+        // Nobody else chooses a size, nor does anybody without choices.
+        assert!(plain.records.iter().flatten().all(|r| r.scale == 1.0));
+        for (k, records) in sized.records.iter().enumerate() {
+            for r in records {
+                assert!(r.scale == 1.0 || (k == hybrid && choices.contains(&r.scale)), "{k}: {}", r.scale);
+            }
+        }
+        let smaller = sized.records[hybrid].iter().filter(|r| r.scale < 1.0).count();
+        assert!((1..80).contains(&smaller), "{smaller} smaller pictures");
+        // By the quality model the choice among both is never worse than the step alone, and the target is met as well.
+        let model = QualityModel::default();
+        let error = |p: &Playback| -> f64 {
+            p.records[hybrid][3..].iter().map(|r| f64::from(model.error(r.step, r.scale))).sum()
+        };
+        assert!(error(&sized) < error(&plain), "{} {}", error(&sized), error(&plain));
+        let missed = |p: &Playback| {
+            let late = |r: &&Record| r.seconds > 1.1 * 1.4e-3;
+            p.records[hybrid].iter().filter(late).count()
+        };
+        assert!(missed(&sized) <= missed(&plain) + 1, "{} {}", missed(&sized), missed(&plain));
+        // Pictures come back at full size.
+        let kept = sized.records[hybrid][20].image.as_ref().unwrap();
+        assert_eq!((kept.width, kept.height), (100, 100));
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! *predicted* times and judged by *measured* ones: [`Assignment::makespan`] takes any times.
 
 mod affinity;
+mod exchange;
 mod queue;
 
 pub use affinity::{AffinityTask, simulate_affinity};

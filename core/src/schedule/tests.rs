@@ -36,6 +36,20 @@ fn grahams_worst_case_is_met_exactly() {
 }
 
 #[test]
+fn exchanges_repair_grahams_worst_case() {
+    let times = [3.0, 3.0, 2.0, 2.0, 2.0];
+    let mut a = assign_longest_first(&times, &ones(2)).unwrap();
+    a.exchange(&times, &ones(2)).unwrap();
+    assert_eq!(a.makespan(&times, &ones(2)).unwrap(), 6.0);
+    // All on one node of three: moves alone bring it down.
+    let mut a = Assignment { node_of: vec![1; 9], nodes: 3 };
+    a.exchange(&[1.0; 9], &ones(3)).unwrap();
+    assert_eq!(a.loads(&[1.0; 9], &ones(3)).unwrap(), [3.0, 3.0, 3.0]);
+    assert!(Assignment { node_of: vec![0; 2], nodes: 1 }.exchange(&[1.0], &ones(1)).is_err());
+    assert!(Assignment { node_of: vec![5; 1], nodes: 1 }.exchange(&[1.0], &ones(1)).is_err());
+}
+
+#[test]
 fn equal_times_are_dealt_out_in_turn() {
     let a = assign_longest_first(&[1.0; 10], &ones(4)).unwrap();
     let mut counts = [0; 4];
@@ -133,6 +147,17 @@ proptest! {
         let doubled: Vec<f64> = times.iter().chain(&times).copied().collect();
         let twice: Vec<usize> = order.iter().copied().chain(order.iter().map(|t| t + times.len())).collect();
         prop_assert!(simulate_queue(&twice, &doubled, &speeds, dispatch).unwrap().makespan >= line.makespan);
+    }
+
+    #[test]
+    fn exchanges_never_do_harm(times in prop::collection::vec(0.0f64..10.0, 1..60), speeds in prop::collection::vec(0.2f64..4.0, 1..9)) {
+        let before = assign_longest_first(&times, &speeds).unwrap();
+        let mut after = before.clone();
+        after.exchange(&times, &speeds).unwrap();
+        let (b, a) = (before.makespan(&times, &speeds).unwrap(), after.makespan(&times, &speeds).unwrap());
+        prop_assert!(a <= b * (1.0 + 1e-12), "{a} {b}");
+        prop_assert!(a >= lower_bound(&times, &speeds).unwrap() * (1.0 - 1e-12));
+        prop_assert!(after.node_of.len() == times.len() && after.node_of.iter().all(|&n| n < speeds.len()));
     }
 
     #[test]
