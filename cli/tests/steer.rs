@@ -253,7 +253,7 @@ fn farms_are_scheduled_from_recorded_frames_of_other_volumes() {
     std::fs::copy(volume, &second).unwrap();
     let record = |volumes: &[&str], frames: &str, out: &str| {
         let common =
-            ["--generate", "orbit", "--device", "cpu", "--size", "24x24", "--steps", "1,2", "--repeats", "1"];
+            ["--generate", "orbit", "--device", "cpu", "--size", "24x24", "--steps", "1,2", "--repeats", "2"];
         let output =
             entire(&[&["record"][..], volumes, &common, &["--frames", frames, "--out", out]].concat());
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -284,6 +284,12 @@ fn farms_are_scheduled_from_recorded_frames_of_other_volumes() {
     let names: BTreeSet<&str> = rows.lines().skip(1).map(|l| l.split(',').nth(1).unwrap()).collect();
     assert_eq!((names.len(), rows.lines().count()), (16, 17));
     assert!(rows.lines().skip(1).all(|l| l.split(',').nth(2).unwrap().parse::<u32>().unwrap() < 4));
+
+    // Longest first alone is another method, and the comparison says what repeats say of each other.
+    let report = file("report");
+    let (code, text) = run(&["--training", &before, "--method", "longest", "--report", &report]);
+    assert_eq!(code, Some(0), "{text}");
+    assert!(text.contains("static with exchanges, predicted") && text.contains("a second time"), "{text}");
 
     let (code, text) = run(&["--training", &before, "--probe-side", "25"]);
     assert!(code == Some(1) && text.contains("1 to 24"), "{text}");

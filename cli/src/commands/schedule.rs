@@ -356,6 +356,32 @@ fn tasks_of_trace(trace: &Path, options: &Options) -> Result<Vec<Task>> {
     Ok(tasks)
 }
 
+/// What a second measurement would reach in place of a prediction: longest first on the medians of all repeats but one,
+/// judged by that one beside longest first on itself, the worst of 2 to 64 nodes; least and most over the repeats.
+fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
+    let repeats: Vec<&[f64]> =
+        trace.frames.iter().filter_map(|f| f.first()).map(|p| &p.seconds[..]).collect();
+    let count = repeats.iter().map(|r| r.len()).min().unwrap_or(0);
+    let mut range: Option<(f64, f64)> = None;
+    for judge in 0..if count < 2 { 0 } else { count } {
+        let judged: Vec<f64> = repeats.iter().map(|r| r[judge]).collect();
+        let others = |r: &[f64]| -> Option<f64> {
+            let mut rest: Vec<f64> =
+                r.iter().enumerate().filter(|(i, _)| *i != judge).map(|(_, t)| *t).collect();
+            median(&mut rest)
+        };
+        let decided: Vec<f64> = repeats.iter().filter_map(|r| others(r)).collect();
+        let mut worst = 0.0f64;
+        for nodes in 2..=64 {
+            let speeds = vec![1.0; nodes];
+            let of = |times: &[f64]| assign_longest_first(times, &speeds)?.makespan(&judged, &speeds);
+            worst = worst.max(of(&decided)? / of(&judged)?);
+        }
+        range = Some(range.map_or((worst, worst), |(low, high)| (low.min(worst), high.max(worst))));
+    }
+    Ok(range)
+}
+
 fn times(tasks: &[Task], by: By) -> Result<Vec<f64>> {
     tasks
         .iter()
@@ -494,7 +520,11 @@ pub fn run(options: &Options) -> Result<()> {
         write(&tasks, &speeds, options, out)?;
     }
     if let Some(folder) = &options.report {
-        compare(&tasks, options, folder)?;
+        let noise = match &options.trace {
+            Some(trace) => second_measurement(&Trace::open(trace)?)?,
+            None => None,
+        };
+        compare(&tasks, options, folder, noise)?;
     }
     Ok(())
 }
@@ -568,7 +598,7 @@ const COMPARED: [(&str, Method, By, usize); 6] = [
     ("static with exchanges, predicted", Method::Static, By::Predicted, 4),
 ];
 
-fn compare(tasks: &[Task], options: &Options, folder: &Path) -> Result<()> {
+fn compare(tasks: &[Task], options: &Options, folder: &Path, noise: Option<(f64, f64)>) -> Result<()> {
     std::fs::create_dir_all(folder)
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     let measured = times(tasks, By::Measured).context("the comparison judges by measured times")?;
@@ -655,6 +685,13 @@ fn compare(tasks: &[Task], options: &Options, folder: &Path) -> Result<()> {
     let bound = all.iter().map(|&n| (n as f64, bounds[at(n)] / makespans[0][at(n)])).collect();
     chart = chart.series(Series::new("lower bound", Mark::Line(bound)).color(6));
     page.chart(&chart, "What decides when a farm is done, normalised to static balancing on measured times.");
+    if let Some((low, high)) = noise {
+        let text = format!(
+            "What measuring a second time reaches instead of predicting: static longest first on the medians of all repeats but one takes, by that one, up to {low:.3} to {high:.3} of what longest first on itself takes."
+        );
+        println!("{text}");
+        page.paragraph(&text);
+    }
     mixed(tasks, &measured, options, &mut page)?;
     page.heading("Where this comes from");
     let source = options.trace.as_ref().or(options.tasks.as_ref()).map(|p| p.display().to_string());

@@ -4,6 +4,8 @@
 //! and on how far apart they are. ln(measured / predicted) is fitted to the view direction and the spacing and divergence of
 //! the rays by ridge regression. That needs frames like those that will be predicted, so it serves farms, not steering.
 
+#![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
+
 use super::calibrate::Sample;
 use crate::recipe::solve;
 use entire_core::features::{Changes, FrameFeatures, SceneQuantity, Setting};
