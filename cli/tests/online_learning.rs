@@ -10,7 +10,7 @@ use entire_cli::steering::replay::{Replayable, Tally, replay};
 use entire_cli::steering::trace::Trace;
 use entire_cli::volume::Volume;
 use entire_core::control::{Session, StepLimits};
-use entire_core::features::Changes;
+use entire_core::features::{Changes, PROBE_SIDE};
 use entire_core::predict::{Inputs, load};
 use std::path::Path;
 use std::process::Command;
@@ -104,7 +104,7 @@ fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
     let log = table("log.csv", &|i, p| i % 8 != 3 && p == (i * 5) % 9, &slower);
     let judged = table("judged.csv", &|i, p| i % 8 == 3 && (p == 2 || p == 5), &slower);
     let (model, tuned) = (dir.path().join("model.safetensors"), dir.path().join("tuned.safetensors"));
-    let file = fit_network(&samples_of(&[made_on]).unwrap(), 1).unwrap();
+    let file = fit_network(&samples_of(&[made_on], PROBE_SIDE).unwrap(), 1).unwrap();
     std::fs::write(&model, file.to_bytes().unwrap()).unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_entire"))
         .args([
@@ -129,7 +129,7 @@ fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
         .output()
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let judged = samples_of(&[judged]).unwrap();
+    let judged = samples_of(&[judged], PROBE_SIDE).unwrap();
     let error = |file: &Path| {
         let mut predictor = load(&open_model(file).unwrap()).unwrap();
         median(
