@@ -12,3 +12,7 @@ bars-vtk: ## Compare with VTK's AutoAdjustSampleDistances and collect, train, ev
 .PHONY: test-paraview
 test-paraview: ## Build the ParaView plugin, load and check it (skipped where ParaView is not there)
 	@CARGO="$(CARGO)" examples/paraview/run.sh test
+
+.PHONY: study-renderers
+study-renderers: ## Accuracy and fine-tuning curves for VTK's mappers, ParaView and yt: out/renderers/report.html
+	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study data/timings/renderers-study.json --out out/renderers --bars

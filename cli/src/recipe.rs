@@ -585,6 +585,54 @@ pub fn calibrate_to_rows(file: &ModelFile, rows: &[f32], seconds: &[f64]) -> Res
     Ok(out)
 }
 
+/// Takes an analytic model times a learned factor to another renderer, from a few frames: unit costs are solved anew, and the
+/// factor's last layer is fitted towards half of its weights, since what the model had wrong there is in part wrong here too.
+///
+/// # Errors
+/// For a model that is no analytic one times a learned factor, or when inputs cannot be computed.
+pub fn transfer(file: &ModelFile, kitchen: &Kitchen<'_>, frames: Timed<'_>) -> Result<ModelFile> {
+    let model = file.to_model()?;
+    let layout = Layout::of_model(&model)?;
+    let carried = layout.scene_features().last() == Some(&SceneFeature::log(SceneQuantity::EstimatedSeconds));
+    let parts = model.prednet().context("the model file holds no PredNet")?;
+    ensure!(
+        carried && parts.target == Target::LogSeconds && model.metadata().contains_key(UNIT_COSTS_KEY),
+        "only an analytic model times a learned factor (--model-kind residual) can be transferred; calibrate or fine-tune this one"
+    );
+    let (analytic, _) = fit_analytic(kitchen, frames, layout.probe_side())?;
+    let mut out = file.clone();
+    out.set_metadata(UNIT_COSTS_KEY, analytic.unit_costs().to_json()?);
+    let layout = Layout::of_model(&out.to_model()?)?;
+    let rows = layout.rows(kitchen.tables, frames.frames, kitchen.pool, &ProgressBar::hidden())?;
+    let scale = Standardization::of(parts);
+    let mut parts = parts.clone();
+    let last = parts.layers.last().context("the PredNet has no layer")?.clone();
+    // The last unit holds the estimate, which stays as it is; the others hold the factor.
+    let width = last.inputs - 1;
+    let (estimate, factor) = (f64::from(last.weight[width]), &last.weight[..width]);
+    let (mut hidden, mut y) = (Vec::new(), Vec::new());
+    let activations = hidden_activations(&parts, &standardized(&rows, &scale));
+    for (row, seconds) in activations.chunks_exact(last.inputs).zip(frames.seconds) {
+        let log = (seconds.ln() - f64::from(scale.output_mean)) / f64::from(scale.output_std);
+        hidden.extend_from_slice(&row[..width]);
+        y.push(log - estimate * row[width]);
+    }
+    let mut prior: Vec<f64> = factor.iter().map(|&w| TRANSFERRED * f64::from(w)).collect();
+    prior.push(f64::from(last.bias[0]));
+    let solution = robust_least_squares(&hidden, width, &y, &prior, TRANSFER_RIDGE);
+    if let Some(layer) = parts.layers.last_mut() {
+        let fitted = last_layer(&solution);
+        layer.weight[..width].copy_from_slice(&fitted.weight);
+        layer.bias = fitted.bias;
+    }
+    out.set_prednet(&parts, model.inputs())?;
+    Ok(out)
+}
+
+/// Share of a learned factor's weights that is expected to hold for another renderer, and what that weighs per frame.
+const TRANSFERRED: f64 = 0.5;
+const TRANSFER_RIDGE: f64 = 0.3;
+
 /// Ridge of the log-linear fit, relative to the number of frames, on standardized inputs.
 const RIDGE: f64 = 1e-4;
 

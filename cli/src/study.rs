@@ -6,7 +6,7 @@ use crate::feature_table::FeatureTable;
 use crate::inputs::Layout;
 use crate::latency::{Bench, Latency};
 use crate::metrics::{BoundMetrics, Metrics, SHORTEST, bootstrap_by_group};
-use crate::recipe::{Kitchen, Recipe, Timed, calibrate};
+use crate::recipe::{Kitchen, Recipe, Timed, calibrate, transfer};
 use crate::split::GroupBy;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::{Model, ModelFile, keys};
@@ -89,6 +89,10 @@ pub struct Set {
     /// Further splits that fine-tuning curves are drawn for.
     #[serde(default)]
     pub more_calibration_splits: Vec<String>,
+    /// Whether the split that calibration curves are about is of another renderer: a curve is drawn for models that are
+    /// transferred to it, too.
+    #[serde(default)]
+    pub transfer: bool,
     /// Limits of the bars; there are no bars for limits that are left away.
     #[serde(default)]
     pub limits: Limits,
@@ -718,17 +722,22 @@ impl Runner<'_> {
             counts.dedup();
             for count in counts.into_iter().filter(|n| *n <= pool.frames.len()) {
                 let (part, _) = pool.sample(count, 13);
-                let tuned = calibrate(file, kitchen, part.timed())?.to_model()?;
-                let predicted = predict(&tuned, kitchen, &judged.frames)?;
-                push_point(
-                    &mut out.tuning,
-                    set,
-                    split,
-                    &format!("{}, calibrated{on}", named.name),
-                    count,
-                    &predicted,
-                    &judged.seconds,
-                );
+                let mut tuned = vec![("calibrated", calibrate(file, kitchen, part.timed())?)];
+                if set.transfer {
+                    tuned.push(("transferred", transfer(file, kitchen, part.timed())?));
+                }
+                for (how, tuned) in tuned {
+                    let predicted = predict(&tuned.to_model()?, kitchen, &judged.frames)?;
+                    push_point(
+                        &mut out.tuning,
+                        set,
+                        split,
+                        &format!("{}, {how}{on}", named.name),
+                        count,
+                        &predicted,
+                        &judged.seconds,
+                    );
+                }
                 if count >= 10 {
                     let key = format!("{}-{}-{split}-alone-{count}", set.name, named.name);
                     match self.made(&key, named.recipe_for(&set.name), kitchen, (&part, &none), &none) {

@@ -5,19 +5,35 @@
     venv/bin/python collect_yt.py --out yt.csv --max-size 128 VOLUME.nrrd...
     entire train --data yt.csv --clock cpu --out yt.safetensors
 
-The Gaussian lobes go into yt's ColorTransferFunction as they are (same formula). yt takes a whole number of samples per
-cell: the steps drawn from are 1 / that number. It neither skips empty space nor stops opaque rays.
+The Gaussian lobes go into yt's ColorTransferFunction as they are (same formula). yt takes a whole number of samples in
+every cell that a ray crosses: the steps drawn from are 1 / that number, and the table holds the mean distance between samples
+that it comes to, which depends on the direction of view and on the spacing. yt neither skips empty space nor stops opaque
+rays. It runs on one thread, since waiting threads would count as processor time; OMP_NUM_THREADS overrides that.
 """
 import math
 import os
 import platform
 import sys
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import yt
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "vtk", "python"))
 import timing_table  # noqa: E402
+
+
+def mean_cell_chord(scene, spacing, side=16):
+    """Mean length of a ray inside a cell, over side x side rays of the image: a ray of direction d crosses
+    sum(|d_i| / spacing_i) cells per unit of length."""
+    toward, up = (np.array(v) for v in scene.eye())
+    forward, right = -toward, np.cross(up, toward)
+    half = math.tan(math.radians(0.5 * scene.fov_y))
+    at = (np.arange(side) + 0.5) / side * 2 - 1
+    x, y = np.meshgrid(at * half * scene.width / scene.height, at * half)
+    rays = forward + x[..., None] * right + y[..., None] * up
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    return 1.0 / float(np.mean(np.sum(np.abs(rays) / np.array(spacing), axis=-1)))
 
 
 class YtRenderer:
@@ -47,6 +63,7 @@ class YtRenderer:
         source.num_samples = max(1, round(1.0 / scene.step))
         if abs(source.num_samples * scene.step - 1.0) > 1e-6:
             sys.exit(f"yt has no step of {scene.step}; use 1, 0.5, 0.25, ...")
+        scene.step = mean_cell_chord(scene, volume.spacing) / volume.reference_step / source.num_samples
         functions = yt.ColorTransferFunction((0.0, 1.0))
         for center, width, height in scene.lobes:
             functions.add_gaussian(center, width, [1.0, 0.7, 0.4, height])

@@ -449,7 +449,8 @@ pub unsafe extern "C" fn entire_predictor_set_limits(
 
 /// Allows plans to shrink the image, so that a side of its pixels is up to `coarsest_pixel` pixels of the frame's long, 1 to
 /// 64: ray step and image are then coarsened together, which changes the picture less than one of them alone (`pixel` in
-/// entire_plan). 1, where predictors start, leaves the image alone. For linear cost models and networks that take the image
+/// entire_plan). Up to `step_alone` times the finest step, 1 to 64, the image stays whole: 1, or some 2 where any smaller image
+/// is blurred by much. A `coarsest_pixel` of 1, where predictors start, leaves the image alone. For linear cost models and networks that take the image
 /// size. One plan serves all sizes: this is cheaper, and learns better, than planning for one size after the other.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT for another number; ENTIRE_NULL_ARGUMENT.
@@ -457,9 +458,10 @@ pub unsafe extern "C" fn entire_predictor_set_limits(
 pub unsafe extern "C" fn entire_predictor_set_coarsest_pixel(
     predictor: *mut entire_predictor,
     coarsest_pixel: f32,
+    step_alone: f32,
 ) -> entire_result {
     // SAFETY: the pointer is as the crate's documentation demands.
-    unsafe { changing(predictor, |state| Ok(state.session.set_coarsest_pixel(coarsest_pixel)?)) }
+    unsafe { changing(predictor, |state| Ok(state.session.set_coarsest_pixel(coarsest_pixel, step_alone)?)) }
 }
 
 /// Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or on again.

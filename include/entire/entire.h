@@ -1311,13 +1311,15 @@ entire_result entire_predictor_set_limits(struct entire_predictor *predictor,
 /**
  * Allows plans to shrink the image, so that a side of its pixels is up to `coarsest_pixel` pixels of the frame's long, 1 to
  * 64: ray step and image are then coarsened together, which changes the picture less than one of them alone (`pixel` in
- * entire_plan). 1, where predictors start, leaves the image alone. For linear cost models and networks that take the image
+ * entire_plan). Up to `step_alone` times the finest step, 1 to 64, the image stays whole: 1, or some 2 where any smaller image
+ * is blurred by much. A `coarsest_pixel` of 1, where predictors start, leaves the image alone. For linear cost models and networks that take the image
  * size. One plan serves all sizes: this is cheaper, and learns better, than planning for one size after the other.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT for another number; ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_predictor_set_coarsest_pixel(struct entire_predictor *predictor,
-                                                  float coarsest_pixel);
+                                                  float coarsest_pixel,
+                                                  float step_alone);
 
 /**
  * Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or on again.

@@ -376,7 +376,9 @@ public:
     status set_limits(float finest_step, float coarsest_step) {
         return detail::done(entire_predictor_set_limits(get(), finest_step, coarsest_step));
     }
-    status set_coarsest_pixel(float pixel) { return detail::done(entire_predictor_set_coarsest_pixel(get(), pixel)); }
+    status set_coarsest_pixel(float pixel, float step_alone = 1) {
+        return detail::done(entire_predictor_set_coarsest_pixel(get(), pixel, step_alone));
+    }
     status set_enabled(bool enabled) { return detail::done(entire_predictor_set_enabled(get(), enabled)); }
     status mark(std::uint32_t changes) { return detail::done(entire_predictor_mark(get(), changes)); }
 

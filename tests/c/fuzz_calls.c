@@ -312,7 +312,7 @@ static void call(void) {
         break;
     case 20:
         note(entire_predictor_set_limits(predictor, number(0.02f, 4), number(4, 100)));
-        note(entire_predictor_set_coarsest_pixel(predictor, number(0.5f, 70)));
+        note(entire_predictor_set_coarsest_pixel(predictor, number(0.5f, 70), number(0.5f, 5)));
         break;
     case 21:
         note(entire_predictor_set_enabled(predictor, (uint32_t)below(3)));

@@ -100,7 +100,7 @@ int main(int argc, char **argv) {
     NONE(entire_predictor_set_transfer_function(NULL, t));
     NONE(entire_predictor_set_transfer_function(p, NULL));
     NONE(entire_predictor_set_limits(NULL, 1, 2));
-    NONE(entire_predictor_set_coarsest_pixel(NULL, 2));
+    NONE(entire_predictor_set_coarsest_pixel(NULL, 2, 1));
     NONE(entire_predictor_set_enabled(NULL, 1));
     NONE(entire_predictor_mark(NULL, 0));
     NONE(entire_predictor_predict(NULL, &frame, &prediction));

@@ -196,7 +196,7 @@ static void options(const entire_model *model) {
 
     OK(entire_predictor_set_limits(predictor, 1, 8));
     CHECK(plan_of(predictor, &frame, 1e-6f).pixel == 1);
-    OK(entire_predictor_set_coarsest_pixel(predictor, 4));
+    OK(entire_predictor_set_coarsest_pixel(predictor, 4, 1));
     const entire_plan smallest = plan_of(predictor, &frame, 1e-6f);
     CHECK(smallest.pixel > 3 && smallest.pixel <= 4 && smallest.step > 7.99f && smallest.step < 8.01f);
     CHECK(plan_of(predictor, &frame, 10.0f).pixel == 1);
@@ -206,9 +206,9 @@ static void options(const entire_model *model) {
     older.struct_size = offsetof(entire_plan, pixel);
     OK(entire_predictor_plan(predictor, &frame, 1e-6f, &older));
     CHECK(older.step == smallest.step && older.reserved == 0xa5a5a5a5u);
-    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_predictor_set_coarsest_pixel(predictor, 0.5f));
-    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_predictor_set_coarsest_pixel(predictor, NAN));
-    OK(entire_predictor_set_coarsest_pixel(predictor, 1));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_predictor_set_coarsest_pixel(predictor, 0.5f, 1));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_predictor_set_coarsest_pixel(predictor, 2, NAN));
+    OK(entire_predictor_set_coarsest_pixel(predictor, 1, 1));
     OK(entire_predictor_set_limits(predictor, 5, 6));
 
     frame.step = 7.5f;

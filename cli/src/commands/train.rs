@@ -4,7 +4,7 @@ use crate::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor, read_tab
 use crate::inputs::Layout;
 use crate::metrics::{Metrics, SHORTEST};
 pub use crate::recipe::{DtypeChoice, Kind, TargetChoice};
-use crate::recipe::{Fitted, Kitchen, Recipe, Timed, calibrate, parse_loss, read_model_file};
+use crate::recipe::{Fitted, Kitchen, Recipe, Timed, calibrate, parse_loss, read_model_file, transfer};
 use crate::split::{GroupBy, Part, Split};
 use crate::{interrupt, machine};
 use anyhow::{Context, Result, ensure};
@@ -35,7 +35,9 @@ Examples:
         unit costs by non-negative least squares: fits from a few frames on
   entire train --data frames.csv --out residual.safetensors --model-kind residual --layers 32
         the analytic model times a learned factor
-  entire train --data new-machine.csv --out here.safetensors --calibrate model.safetensors --limit 100")]
+  entire train --data new-machine.csv --out here.safetensors --calibrate model.safetensors --limit 100
+  entire train --data new-renderer.csv --out there.safetensors --transfer residual.safetensors
+        from one renderer to another with a few frames, all of which are learned from")]
 pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
@@ -104,6 +106,10 @@ pub struct Options {
     /// Adapt this model to the frames in closed form, its last layer drawn towards its weights: some ten frames will do.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["fine_tune", "model_kind"])]
     pub calibrate: Option<PathBuf>,
+    /// Take this model (of kind residual) to another renderer in closed form: unit costs are solved anew, and the factor's last
+    /// layer is fitted towards half of its weights. All frames are learned from; some twenty will do.
+    #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["fine_tune", "calibrate", "model_kind", "validation_groups", "test_groups"])]
+    pub transfer: Option<PathBuf>,
     /// Model file with the VolumeNet that encodes volumes; it is written into the new file too.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
     pub volumenet: Option<PathBuf>,
@@ -202,13 +208,18 @@ pub fn run(options: &Options) -> Result<()> {
     let pool = thread_pool(options.threads)?;
     let tables = read_tables(&options.data)?;
     let frames = timed(&tables, options.clock, options.shading)?;
-    let split = Split::new(
+    let mut split = Split::new(
         frames.iter().map(|f| f.0),
         options.split,
         &options.validation_groups,
         &options.test_groups,
         options.seed,
     )?;
+    if options.transfer.is_some() {
+        let Split { training, validation, test, .. } = &mut split;
+        training.append(validation);
+        training.append(test);
+    }
     let seconds: BTreeMap<(usize, u64), f64> =
         frames.iter().map(|(f, t)| ((f.table, f.number), *t)).collect();
     let refs: Vec<&TimedFrame> = frames.iter().map(|f| f.0).collect();
@@ -229,7 +240,7 @@ pub fn run(options: &Options) -> Result<()> {
         count(Part::Validation),
         count(Part::Test)
     );
-    if split.validation.is_empty() {
+    if split.validation.is_empty() && options.transfer.is_none() {
         eprintln!(
             "note: fewer than three {}s, so every frame trains and nothing is held out; test on other data",
             split.by.name()
@@ -247,8 +258,18 @@ pub fn run(options: &Options) -> Result<()> {
     let (training, validation) = (part_seconds(Part::Training), part_seconds(Part::Validation));
     let training = Timed { frames: part(Part::Training), seconds: &training };
     let validation = Timed { frames: part(Part::Validation), seconds: &validation };
-    let fitted = match &options.calibrate {
-        Some(path) => {
+    let fitted = match (&options.calibrate, &options.transfer) {
+        (None, Some(path)) => {
+            let (file, _) = read_model_file(path)?;
+            Fitted {
+                file: transfer(&file, &kitchen, training)?,
+                what: "Analytic cost model times a learned factor, taken to another renderer".into(),
+                settings: json!({ "transferred_from": path.file_name().map(|n| n.to_string_lossy()) }),
+                history: Vec::new(),
+                outcome: format!("transferred with {} frames", training.frames.len()),
+            }
+        }
+        (Some(path), _) => {
             let (file, _) = read_model_file(path)?;
             Fitted {
                 file: calibrate(&file, &kitchen, training)?,
@@ -258,7 +279,7 @@ pub fn run(options: &Options) -> Result<()> {
                 outcome: format!("calibrated on {} frames", training.frames.len()),
             }
         }
-        None => options.recipe().make(&kitchen, training, validation)?,
+        (None, None) => options.recipe().make(&kitchen, training, validation)?,
     };
     bar.finish_and_clear();
     let mut fitted = Made { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted };

@@ -183,16 +183,18 @@ impl Session {
     }
 
     /// Allows plans to shrink the image, so that a side of its pixels is up to `pixel` pixels of the frame's long: ray step and
-    /// image are then coarsened together ([`Plan::pixel`]). 1, where sessions start, leaves the image alone. For predictors that
-    /// know the image size.
+    /// image are then coarsened together ([`Plan::pixel`]), from `step_alone` times the finest step on; 1 is from the start. A
+    /// `pixel` of 1, where sessions start, leaves the image alone. For predictors that know the image size.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `pixel` ≤ 64.
-    pub fn set_coarsest_pixel(&mut self, pixel: f32) -> Result<()> {
-        if !(1.0..=64.0).contains(&pixel) {
-            bail!(InvalidArgument, "the coarsest pixel is {pixel} pixels of the frame's; it must be 1 to 64");
+    /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `pixel` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
+    pub fn set_coarsest_pixel(&mut self, pixel: f32, step_alone: f32) -> Result<()> {
+        for (what, v) in [("coarsest pixel", pixel), ("coarsening of the step alone", step_alone)] {
+            if !(1.0..=64.0).contains(&v) {
+                bail!(InvalidArgument, "the {what} is {v}; it must be 1 to 64");
+            }
         }
-        self.coarsening.set_coarsest_pixel(pixel);
+        self.coarsening.set_coarsest_pixel(pixel, step_alone);
         Ok(())
     }
 

@@ -54,7 +54,10 @@ constexpr std::size_t REST_FRAMES = 5;
 // Rays along each side of the probe that frames are measured with for a linear cost model; a network's file names its own.
 // Fewer than the library's default: between frames that sweep the caches a ray costs most of a microsecond. With fewer
 // still, frames of sparse volumes are held less well.
-constexpr std::uint32_t PROBE_SIDE = 7;
+constexpr std::uint32_t PROBE_SIDE = 6;
+
+// Coarsening of the GPU mapper's step before its image shrinks.
+constexpr float GPU_STEP_ALONE = 2.1f;
 
 // Least share of the target that a mapper is given, however much the rest of the frame takes.
 constexpr double LEAST_SHARE = 0.2;
@@ -1047,14 +1050,15 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   const double coarsest = std::max(finest, owner->CoarsestSampleDistance);
   const double coarsestImage = std::max(pixels, owner->CoarsestImageSampleDistance);
   // Ray step and image are coarsened together: at equal cost that shows fewer differences from full quality than coarsening
-  // one of them alone, with both mappers.
+  // one of them alone. The GPU mapper blurs any smaller image: there the step alone comes first.
   frame.step = static_cast<float>(finest);
   auto limits = this->Predictor->set_limits(static_cast<float>(finest), static_cast<float>(coarsest));
   if (!limits)
   {
     return limits.message();
   }
-  auto sizes = this->Predictor->set_coarsest_pixel(static_cast<float>(std::min(64.0, coarsestImage / pixels)));
+  auto sizes = this->Predictor->set_coarsest_pixel(
+    static_cast<float>(std::min(64.0, coarsestImage / pixels)), gpu ? GPU_STEP_ALONE : 1.0f);
   if (!sizes)
   {
     return sizes.message();

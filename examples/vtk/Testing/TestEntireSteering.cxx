@@ -624,6 +624,16 @@ void OutlivesItsObjects(Kind kind)
   CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
 }
 
+// Not a behaviour: what the run under valgrind must find.
+void LosesASteering(Kind kind)
+{
+  Scene scene(kind);
+  vtkEntireSteering* lost = vtkEntireSteering::New();
+  CHECK(lost->Attach(scene.Renderer, scene.Volume));
+  scene.Draw();
+  lost = nullptr;
+}
+
 const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "Attaches", Attaches },
   { "LeavesStillFramesAlone", LeavesStillFramesAlone },
@@ -636,6 +646,7 @@ const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "KnowsItsRenderer", KnowsItsRenderer },
   { "KeepsState", KeepsState },
   { "OutlivesItsObjects", OutlivesItsObjects },
+  { "LosesASteering", LosesASteering },
 };
 }
 

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """How well predictions do per renderer: VTK's fixed-point and GPU mappers, ParaView, yt. From the timing tables in
 data/timings (RENDERER-train and RENDERER-test, of different volumes; the collectors make such tables) a factor network
-and an analytic model are trained and judged on the volumes that they did not see. A network that was trained on the Vulkan
-raycaster's frames is then fine-tuned with a twentieth of the frames, validation included. Needs no renderer. Called by bars.py.
+and an analytic model are trained and judged on the volumes that they did not see. A model that was trained on the Vulkan
+raycaster's frames is then transferred with a twentieth of the frames. Needs no renderer. Called by bars.py.
 
 ENTIRE_DATA  folder that the tables' volume names start from (default ../shared/data)
 """
+import bisect
 import csv
 import gzip
+import itertools
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -17,22 +20,27 @@ RENDERERS = ("vtk-fixed", "vtk-gpu", "paraview", "yt")
 BASE = ("none-train", "none-steps")
 FACTOR = "--model-kind residual --layers 32 --batch 128 --learning-rate 0.003 --epochs 150".split()
 ANALYTIC = "--model-kind analytic".split()
-TUNE = "--batch 16 --epochs 300 --learning-rate 0.001".split()
 SHARE = 0.05
 
 
-def cut(table, frames, out):
-    """The table of every so-manieth frame, so that there are `frames` of them, with all their repeats, from all of the
-    table: its volumes stand one after the other. The manifest goes with it."""
+def cut(table, count, out):
+    """The table of `count` of its frames, with all their repeats. Frames are taken at even distances along the sum of the
+    square roots of their expected costs, cheapest first: long ones more often than short ones, as what is to be told is mostly
+    about them. The expectation needs no timing; it is the one that stands beside the table. The manifest goes with it."""
+    with gzip.open(table.removesuffix(".csv.gz") + ".features.csv.gz", "rt", newline="") as file:
+        file.readline()
+        weights = {row["frame"]: math.sqrt(float(row["estimated_seconds"])) for row in csv.DictReader(file)}
+    order = sorted(weights, key=weights.get)
+    sums = list(itertools.accumulate(weights[frame] for frame in order))
+    at = [bisect.bisect_left(sums, (i + 0.5) / count * sums[-1]) for i in range(count)]
+    kept = {order[min(i, len(order) - 1)] for i in at}
     with gzip.open(table, "rt", newline="") as file:
         reader = csv.DictReader(file)
-        rows, names = list(reader), reader.fieldnames
-    numbers = list(dict.fromkeys(row["frame"] for row in rows))
-    kept = {numbers[i * len(numbers) // frames] for i in range(frames)}
+        rows, names = [row for row in reader if row["frame"] in kept], reader.fieldnames
     with gzip.open(out, "wt", newline="") as file:
         writer = csv.DictWriter(file, names, lineterminator="\n")
         writer.writeheader()
-        writer.writerows(row for row in rows if row["frame"] in kept)
+        writer.writerows(rows)
     shutil.copyfile(table.removesuffix(".csv.gz") + ".manifest.json", out.removesuffix(".csv.gz") + ".manifest.json")
 
 
@@ -69,11 +77,11 @@ def run(options, bar):
         few = max(8, int(SHARE * frames))
         part = os.path.join(out, f"{renderer}-{few}.csv.gz")
         cut(learn, few, part)
-        tuned = f"tuned with {few}"
+        tuned = f"transferred with {few}"
         models = {"factor": train([learn], f"{renderer}-factor", *FACTOR),
                   "analytic": train([learn], f"{renderer}-analytic", *ANALYTIC),
                   "vulkan": base,
-                  tuned: train([part], f"{renderer}-tuned-{few}", "--fine-tune", base, *TUNE)}
+                  tuned: train([part], f"{renderer}-transferred-{few}", "--transfer", base)}
         folder = os.path.join(out, f"evaluation-{renderer}")
         entire("evaluate", "--model", *models.values(), "--data", test, "--clock", "cpu", "--quiet", "--out", folder)
         with open(os.path.join(folder, "evaluation.json")) as file:
@@ -86,6 +94,6 @@ def run(options, bar):
         for label, path in models.items():
             m = scores[os.path.splitext(os.path.basename(path))[0]]
             value[label] = m["rmse_over_sd"]
-            print(f"  {label:16} RMSE/SD {m['rmse_over_sd']:.3f}  MdAPE {100 * m['mdape']:.1f} %")
+            print(f"  {label:20} RMSE/SD {m['rmse_over_sd']:.3f}  MdAPE {100 * m['mdape']:.1f} %")
         bar(f"{renderer} RMSE/SD on unseen volumes", value["factor"], 0.15)
         bar(f"{renderer} Vulkan model {tuned} / fully trained", value[tuned] / value["factor"], 1.2)

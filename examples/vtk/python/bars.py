@@ -79,18 +79,21 @@ def comparison_bars(options, mapper):
         bar(f"{label} |t-target|/target, frames over target", median(repeats, lambda r: r[name]["cpu"]["off_hard"]), limit)
         bar(f"{label} share over 1.25x", median(repeats, lambda r: r[name]["cpu"]["over"]), 0.02)
         bar(f"{label} frames until recovered", median(repeats, lambda r: max(r[name]["cpu"]["recovery"])), 1)
-        bar(f"{label} image error / AutoAdjust's at its mean time", median(repeats, lambda r: relative_error(r, name)), 1)
+        bar(f"{label} image error / AutoAdjust's at its mean time", relative_error(repeats, name), 1)
         bar(f"{label} observer us", median(repeats, lambda r: r[name]["observer_us"]), 100)
 
 
-def relative_error(repeat, name):
-    """Image error over that of AutoAdjust at the same mean frame time, on the line through its two runs; None where the
-    time is not between theirs."""
-    at, error = repeat[name]["cpu"]["mean_ms"], repeat[name]["cpu"]["error"]
-    (x0, y0), (x1, y1) = sorted((repeat[n]["cpu"]["mean_ms"], repeat[n]["cpu"]["error"]) for n in ("auto", "scaled"))
-    if not x0 <= at <= x1:
+def relative_error(repeats, name):
+    """Image error over that of AutoAdjust at the same mean frame time, on the line through its two runs, all as means over the
+    repeats. The line is drawn on by a twentieth of the longer time at most; None beyond that."""
+    def mean(who):
+        return tuple(statistics.fmean(r[who]["cpu"][what] for r in repeats) for what in ("mean_ms", "error"))
+
+    at, error = mean(name)
+    (x0, y0), (x1, y1) = sorted((mean("auto"), mean("scaled")))
+    if not (x0 <= at <= 1.05 * x1 and x1 > x0):
         return None
-    other = y0 + (y1 - y0) * (at - x0) / (x1 - x0) if x1 > x0 else y0
+    other = y0 + (y1 - y0) * (at - x0) / (x1 - x0)
     return error / other if other > 0 else float("inf")
 
 

@@ -1,0 +1,48 @@
+//! A model of one renderer is taken to another with a few frames.
+
+use entire_cli::dataset::{Clock, Table};
+use entire_cli::metrics::Metrics;
+use entire_cli::recipe::{Kind, Kitchen, Recipe, Timed, transfer};
+use entire_cli::study::{Part, predict};
+use std::path::Path;
+
+#[test]
+fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
+    let tables: Vec<Table> = ["none-others", "vtk-gpu-train", "vtk-gpu-test"]
+        .iter()
+        .enumerate()
+        .map(|(i, name)| {
+            let folder = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join("data/timings");
+            Table::read(&folder.join(format!("{name}.csv.gz")), i).unwrap()
+        })
+        .collect();
+    let [here, there, unseen] = [0, 1, 2].map(|i: usize| Part::of(&tables[i].frames, Clock::Cpu));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let bar = indicatif::ProgressBar::hidden();
+    let kitchen = Kitchen { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
+    let recipe = |kind| Recipe {
+        kind,
+        layers: vec![8],
+        epochs: 10,
+        batch: 64,
+        learning_rate: Some(3e-3),
+        ..Recipe::default()
+    };
+    let nothing = Timed { frames: &[], seconds: &[] };
+    let base = recipe(Kind::Residual).make(&kitchen, here.timed(), nothing).unwrap().file;
+    let few: Vec<usize> = (0..there.frames.len()).step_by(20).collect();
+    let frames: Vec<_> = few.iter().map(|&i| there.frames[i]).collect();
+    let seconds: Vec<f64> = few.iter().map(|&i| there.seconds[i]).collect();
+    let few = Timed { frames: &frames, seconds: &seconds };
+    let tuned = transfer(&base, &kitchen, few).unwrap();
+    let error = |file: &entire_core::model::ModelFile| {
+        let predicted = predict(&file.to_model().unwrap(), &kitchen, &unseen.frames).unwrap();
+        Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
+    };
+    let (before, after) = (error(&base), error(&tuned));
+    assert!(after < 0.25 && after < 0.5 * before, "{before} as it is, {after} transferred");
+
+    let analytic = recipe(Kind::Analytic).make(&kitchen, here.timed(), nothing).unwrap().file;
+    let refused = transfer(&analytic, &kitchen, few).unwrap_err().to_string();
+    assert!(refused.contains("--model-kind residual"), "{refused}");
+}
