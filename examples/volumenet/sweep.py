@@ -60,6 +60,7 @@ def main() -> None:
     args, rest = parser.parse_known_args()
     args.out.mkdir(parents=True, exist_ok=True)
     records = {(s, f): train(s, f, args, rest) for s in args.sizes for f in args.features}
+    args.features.sort()
 
     datasets = sorted({d for r in records.values() for p in r["provenance"]["psnr_db"].values() for d in p})
     lines = ["| input | F | epochs, best | seconds | " + " | ".join(f"{d}: {', '.join(PARTS)}" for d in datasets) + " |"]
