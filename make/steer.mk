@@ -15,12 +15,13 @@ steer-traces: setup steer-build ## Record the cost curves that the steering bars
 	@CARGO="$(CARGO)" bash scripts/steer-traces.sh "$(STEER_OUT)" "$(STEER_CLOCK)" "$(STEER_FRAMES)" "$(STEER_DATA)"
 
 .PHONY: bars-steer
-bars-steer: steer-traces ## Hold every controller against an oracle and the farm against its lower bound; fails when short
+bars-steer: steer-traces ## Hold every controller against an oracle, the farm against its lower bound, all against the stress scenes; fails when short
 	@status=0; \
 	target/release/entire replay "$(STEER_OUT)"/traces/*.json --calibration "$(STEER_OUT)/calibration.csv" \
 		--out "$(STEER_OUT)" --bars || status=1; \
 	target/release/entire schedule --trace "$(STEER_OUT)/farm.json" --training "$(STEER_OUT)/farm-training.json" \
 		--probe-side 24 --save-tasks "$(STEER_OUT)/farm-tasks.csv" --report "$(STEER_OUT)/farm" --bars || status=1; \
+	target/release/entire stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)" || status=1; \
 	exit $$status
 
 .PHONY: stress
