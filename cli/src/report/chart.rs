@@ -115,7 +115,7 @@ pub struct Chart {
 
 /// Colors that stay apart without red-green vision (Okabe and Ito's set without black, and two of Tol's) for light and dark
 /// backgrounds.
-pub(super) const PALETTE: [(&str, &str); 10] = [
+pub(super) const PALETTE: [(&str, &str); 11] = [
     ("#0072b2", "#56a8e0"),
     ("#d55e00", "#ff8a3d"),
     ("#009e73", "#2fc9a0"),
@@ -126,9 +126,10 @@ pub(super) const PALETTE: [(&str, &str); 10] = [
     ("#7f3f00", "#c98d5a"),
     ("#332288", "#9a8cf0"),
     ("#cc3311", "#ff7a66"),
+    ("#111111", "#f2f2f2"),
 ];
-const DASHES: [&str; 10] =
-    ["", "7 3", "2 3", "9 3 2 3", "5 2 1 2 1 2", "1 2", "12 4", "4 4", "9 2 1 2", "3 1"];
+const DASHES: [&str; 11] =
+    ["", "7 3", "2 3", "9 3 2 3", "5 2 1 2 1 2", "1 2", "12 4", "4 4", "9 2 1 2", "3 1", ""];
 const FONT: f64 = 13.0;
 
 /// Rough width of a text in the chart's font, pixels.

@@ -253,7 +253,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     let chart =
         Chart::new("Frame time", Axis::linear("frame"), Axis::log("frame time / ms")).size(900.0, 380.0);
     let chart = with_switches(chart, &playback.switches)
-        .series(Series::new("target", Mark::Steps(numbered_targets(playback))).color(5))
+        .series(Series::new("target", Mark::Steps(numbered_targets(playback))).color(10))
         .series(
             Series::new(
                 "reference step (not raced)",
