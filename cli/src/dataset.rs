@@ -211,6 +211,27 @@ pub struct TimedFrame {
 }
 
 impl TimedFrame {
+    /// A frame of a volume that no file needs to hold, never timed.
+    #[cfg(test)]
+    pub(crate) fn of_no_volume(volume: &str, member: &str) -> Self {
+        let scene = Scene {
+            volume: volume.into(),
+            member: member.into(),
+            time_step: None,
+            dims: [8; 3],
+            camera: Arcball { rx: 1.0, ry: 2.0, dz: 3.0 },
+            fov_y_degrees: 45.0,
+            width: 64,
+            height: 64,
+            step: 1.0,
+            shading: Shading::None,
+            skipping: Skipping::Blocks,
+            termination: 0.99,
+            lobes: parse_lobes("0.5 0.1 1").expect("a lobe"),
+        };
+        Self { table: 0, number: 0, scene, repeats: Vec::new() }
+    }
+
     /// Median of the repeats by a clock (mean of the middle two where their number is even), over the repeats that have
     /// it and are longer than zero; `None` when there are none.
     pub fn seconds(&self, clock: Clock) -> Option<f64> {

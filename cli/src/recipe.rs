@@ -995,32 +995,19 @@ mod tests {
     }
 
     fn tables_of_no_volume(count: u64) -> Vec<TimedFrame> {
-        use crate::dataset::{Scene, parse_lobes};
-        use entire_core::scene::{Arcball, Shading, Skipping};
+        use entire_core::scene::{Arcball, Skipping};
         (0..count)
-            .map(|number| TimedFrame {
-                table: 0,
-                number,
-                scene: Scene {
-                    volume: "nowhere.nrrd".into(),
-                    member: String::new(),
-                    time_step: None,
-                    dims: [8; 3],
-                    camera: Arcball {
-                        rx: (number * 37 % 17) as f32 * 0.2 - 1.5,
-                        ry: (number * 11 % 23) as f32 * 0.2 - 2.0,
-                        dz: 1.0 + (number * 5 % 13) as f32 * 0.2,
-                    },
-                    fov_y_degrees: 45.0,
-                    width: 64,
-                    height: 64,
-                    step: 1.0,
-                    shading: Shading::None,
-                    skipping: Skipping::None,
-                    termination: 1.0,
-                    lobes: parse_lobes("0.5 0.1 1").unwrap(),
-                },
-                repeats: vec![],
+            .map(|number| {
+                let mut frame = TimedFrame::of_no_volume("nowhere.nrrd", "");
+                frame.number = number;
+                frame.scene.skipping = Skipping::None;
+                frame.scene.termination = 1.0;
+                frame.scene.camera = Arcball {
+                    rx: (number * 37 % 17) as f32 * 0.2 - 1.5,
+                    ry: (number * 11 % 23) as f32 * 0.2 - 2.0,
+                    dz: 1.0 + (number * 5 % 13) as f32 * 0.2,
+                };
+                frame
             })
             .collect()
     }

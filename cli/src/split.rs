@@ -158,45 +158,21 @@ impl Part {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::parse_lobes;
-    use entire_core::scene::{Arcball, Shading, Skipping};
-
-    fn frame(volume: &str, member: &str) -> TimedFrame {
-        TimedFrame {
-            table: 0,
-            number: 0,
-            scene: Scene {
-                volume: volume.into(),
-                member: member.into(),
-                time_step: None,
-                dims: [1; 3],
-                camera: Arcball { rx: 0.0, ry: 0.0, dz: 2.0 },
-                fov_y_degrees: 45.0,
-                width: 1,
-                height: 1,
-                step: 1.0,
-                shading: Shading::None,
-                skipping: Skipping::None,
-                termination: 1.0,
-                lobes: parse_lobes("0.5 0.1 1").unwrap(),
-            },
-            repeats: vec![],
-        }
-    }
 
     #[test]
     fn members_of_two_ensembles_with_one_name_are_two_groups() {
-        let scene = frame("data/castro/m01/t0001.nrrd", "m01").scene;
+        let scene = TimedFrame::of_no_volume("data/castro/m01/t0001.nrrd", "m01").scene;
         assert_eq!(GroupBy::Member.group(&scene), "castro/m01");
-        assert_eq!(GroupBy::Member.group(&frame("m01/t1.nrrd", "m01").scene), "m01");
-        assert_eq!(GroupBy::Member.group(&frame("a/b.nrrd", "x").scene), "x");
-        assert_eq!(GroupBy::Member.group(&frame("a/b.nrrd", "").scene), "a/b.nrrd");
+        assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume("m01/t1.nrrd", "m01").scene), "m01");
+        assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume("a/b.nrrd", "x").scene), "x");
+        assert_eq!(GroupBy::Member.group(&TimedFrame::of_no_volume("a/b.nrrd", "").scene), "a/b.nrrd");
         assert_eq!(GroupBy::Volume.group(&scene), "data/castro/m01/t0001.nrrd");
     }
 
     #[test]
     fn a_tenth_each_and_no_group_torn_apart() {
-        let frames: Vec<TimedFrame> = (0..200).map(|i| frame(&format!("v{}.nrrd", i % 20), "")).collect();
+        let frames: Vec<TimedFrame> =
+            (0..200).map(|i| TimedFrame::of_no_volume(&format!("v{}.nrrd", i % 20), "")).collect();
         let split = Split::new(&frames, GroupBy::Volume, &[], &[], 3).unwrap();
         assert_eq!((split.training.len(), split.validation.len(), split.test.len()), (16, 2, 2));
         let refs: Vec<&TimedFrame> = frames.iter().collect();
@@ -209,13 +185,17 @@ mod tests {
 
     #[test]
     fn names_are_obeyed_and_checked() {
-        let frames = [frame("a", ""), frame("b", ""), frame("c", "")];
+        let frames = [
+            TimedFrame::of_no_volume("a", ""),
+            TimedFrame::of_no_volume("b", ""),
+            TimedFrame::of_no_volume("c", ""),
+        ];
         let names = |n: &[&str]| n.iter().map(|s| (*s).to_owned()).collect::<Vec<_>>();
         let split = Split::new(&frames, GroupBy::Volume, &names(&["a"]), &names(&["c"]), 1).unwrap();
         assert_eq!(split.part(&frames[0].scene), Part::Validation);
         assert_eq!(split.part(&frames[1].scene), Part::Training);
         assert_eq!(split.part(&frames[2].scene), Part::Test);
-        assert_eq!(split.part(&frame("d", "").scene), Part::Unknown);
+        assert_eq!(split.part(&TimedFrame::of_no_volume("d", "").scene), Part::Unknown);
         let fails = |v: &[&str], t: &[&str]| {
             Split::new(&frames, GroupBy::Volume, &names(v), &names(t), 1).unwrap_err().to_string()
         };

@@ -1060,29 +1060,14 @@ fn judge(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::{Measurement, parse_lobes};
-    use entire_core::scene::{Arcball, Shading, Skipping};
+    use crate::dataset::Measurement;
+    use entire_core::scene::{Shading, Skipping};
 
     fn table(volumes: &[(&str, &str)]) -> Table {
         let frame = |number: usize, volume: &str, member: &str| TimedFrame {
-            table: 0,
             number: number as u64,
-            scene: Scene {
-                volume: volume.into(),
-                member: member.into(),
-                time_step: None,
-                dims: [8; 3],
-                camera: Arcball { rx: 1.0, ry: 2.0, dz: 3.0 },
-                fov_y_degrees: 45.0,
-                width: 20,
-                height: 10,
-                step: 1.0,
-                shading: Shading::None,
-                skipping: Skipping::Blocks,
-                termination: 0.99,
-                lobes: parse_lobes("0.5 0.1 1").unwrap(),
-            },
             repeats: vec![Measurement { wall: Some(0.5), cpu: Some(0.25), ..Measurement::default() }],
+            ..TimedFrame::of_no_volume(volume, member)
         };
         let frames = volumes.iter().enumerate().map(|(i, (v, m))| frame(i, v, m)).collect();
         Table { path: "t.csv".into(), manifest: None, frames, hash: 7, features: None, root: None }

@@ -10,8 +10,8 @@ use entire_cli::steering::replay::{Replayable, Tally, replay};
 use entire_cli::steering::trace::Trace;
 use entire_cli::volume::Volume;
 use entire_core::control::{Session, StepLimits};
-use entire_core::features::{Changes, PROBE_SIDE};
-use entire_core::predict::{Inputs, load};
+use entire_core::features::PROBE_SIDE;
+use entire_core::predict::load;
 use std::path::Path;
 use std::process::Command;
 
@@ -136,15 +136,9 @@ fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
             judged
                 .iter()
                 .map(|s| {
-                    let inputs = Inputs {
-                        features: &s.features,
-                        setting: s.setting,
-                        changes: Changes::NONE,
-                        camera: s.camera,
-                        volume_features: None,
-                        lobes: Some(&s.lobes),
-                    };
-                    (f64::from(predictor.predict(&inputs).unwrap().seconds) / s.seconds - 1.0).abs()
+                    (f64::from(predictor.predict(&s.predictor_inputs(None)).unwrap().seconds) / s.seconds
+                        - 1.0)
+                        .abs()
                 })
                 .collect(),
         )

@@ -247,15 +247,7 @@ impl Recorded {
 }
 
 fn predicted(model: &mut AnalyticModel, s: &Sample) -> Result<f64> {
-    let inputs = Inputs {
-        features: &s.features,
-        setting: s.setting,
-        changes: Changes::NONE,
-        camera: s.camera,
-        volume_features: None,
-        lobes: Some(&s.lobes),
-    };
-    Ok(f64::from(model.predict(&inputs)?.seconds))
+    Ok(f64::from(model.predict(&s.predictor_inputs(None))?.seconds))
 }
 
 /// What predicts the tasks of a recorded path.

@@ -6,7 +6,7 @@ use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result, ensure};
 use entire_core::control::StepResponse;
 use entire_core::features::{Changes, FrameFeatures, SceneFeature, Setting, TransferSummary, VolumeSummary};
-use entire_core::predict::{AnalyticModel, FitReport, Measurement};
+use entire_core::predict::{AnalyticModel, FitReport, Inputs, Measurement};
 use entire_core::scene::{
     Arcball, Camera, DEFAULT_FOV_Y_DEGREES, GaussianLobe, TransferFunction, VolumeView,
 };
@@ -40,6 +40,18 @@ impl Sample {
     /// Whether it is held out from fitting.
     pub fn held_out(&self) -> bool {
         self.scene % HOLD_OUT_EVERY == HOLD_OUT_EVERY - 1
+    }
+
+    /// What a predictor is told of it, with the volume's features where there are any.
+    pub fn predictor_inputs<'a>(&'a self, volume_features: Option<&'a [f32]>) -> Inputs<'a> {
+        Inputs {
+            features: &self.features,
+            setting: self.setting,
+            changes: Changes::NONE,
+            camera: self.camera,
+            volume_features,
+            lobes: Some(&self.lobes),
+        }
     }
 
     /// Its scene features.

@@ -4,10 +4,10 @@ use super::calibrate::{HOLD_OUT_EVERY, Quality, Sample, fit_analytic};
 use crate::recipe::calibrate_to_rows;
 use anyhow::{Context, Result};
 use entire_core::adapt::Prior;
-use entire_core::features::{Changes, SceneFeature};
+use entire_core::features::SceneFeature;
 use entire_core::model::{InputGroup, Model, ModelFile};
 use entire_core::nn::{Executor, Target, VolumeNet};
-use entire_core::predict::{GroupKind, Inputs, ModelPredictor, Predictor, load};
+use entire_core::predict::{GroupKind, ModelPredictor, Predictor, load};
 use entire_core::scene::VolumeView;
 use entire_core::train::{Network, Samples, Settings, train};
 use serde::Serialize;
@@ -86,15 +86,10 @@ impl Fitted {
         let every_step = predictor.knows_step();
         let mut pairs = Vec::new();
         for s in samples.iter().filter(|s| s.held_out() && (every_step || s.setting.step == 1.0)) {
-            let inputs = Inputs {
-                features: &s.features,
-                setting: s.setting,
-                changes: Changes::NONE,
-                camera: s.camera,
-                volume_features: self.volume_features(),
-                lobes: Some(&s.lobes),
-            };
-            pairs.push((f64::from(predictor.predict(&inputs)?.seconds), s.seconds));
+            pairs.push((
+                f64::from(predictor.predict(&s.predictor_inputs(self.volume_features()))?.seconds),
+                s.seconds,
+            ));
         }
         Quality::of(&pairs).with_context(|| {
             format!("no calibration frame is held out; calibrate with at least {HOLD_OUT_EVERY} scenes")
@@ -214,15 +209,7 @@ impl Calibrated {
         let mut predictor = ModelPredictor::new(&file.to_model()?)?;
         let (mut rows, mut seconds) = (Vec::new(), Vec::new());
         for s in samples.iter().filter(|s| !s.held_out()) {
-            let inputs = Inputs {
-                features: &s.features,
-                setting: s.setting,
-                changes: Changes::NONE,
-                camera: s.camera,
-                volume_features: None,
-                lobes: Some(&s.lobes),
-            };
-            rows.extend_from_slice(predictor.row(&inputs)?);
+            rows.extend_from_slice(predictor.row(&s.predictor_inputs(None))?);
             seconds.push(s.seconds);
         }
         let file = calibrate_to_rows(file, &rows, &seconds)?;

@@ -266,28 +266,10 @@ impl Session {
             };
             return Ok(self.note(frame, target, changes, own, decision, (frame.step(), 1.0)));
         }
-        let inputs = Inputs {
-            features: &self.features,
-            setting,
-            changes,
-            camera: self.features.pose(),
-            volume_features: self.volume_features.as_deref(),
-            lobes: self.lobes.as_deref(),
-        };
-        // Checked once, so that the search below cannot fail for want of an input.
-        self.predictor.check(&inputs)?;
         let limits = self.coarsening.limits();
-        let mut cost = Cost {
-            predictor: &mut *self.predictor,
-            shape: &self.shape,
-            coarsening: self.coarsening,
-            full: setting,
-            reference: None,
-            last: None,
-            inputs,
-        };
+        let (controller, mut cost) = self.costing(changes, setting)?;
         let mut request = PlanRequest { target, limits, changes, cost: &mut cost };
-        let decision = self.controller.plan(&mut request);
+        let decision = controller.plan(&mut request);
         let terms = cost.at(decision.step);
         let drawn = self.coarsening.take(decision.step);
         Ok(self.note(frame, target, changes, terms, decision, drawn))
@@ -426,6 +408,18 @@ impl Session {
 
     /// Lets the controller know of a frame whose setting it does not choose.
     fn begin(&mut self, changes: Changes, setting: Setting) -> Result<()> {
+        let (controller, mut cost) = self.costing(changes, setting)?;
+        controller.begin(changes, &mut cost);
+        Ok(())
+    }
+
+    /// The controller, and what it asks for the costs of the measured frame. That every input is there is checked here, so
+    /// that no question fails for want of one.
+    fn costing(
+        &mut self,
+        changes: Changes,
+        setting: Setting,
+    ) -> Result<(&mut (dyn Controller + Send), Cost<'_>)> {
         let inputs = Inputs {
             features: &self.features,
             setting,
@@ -435,7 +429,7 @@ impl Session {
             lobes: self.lobes.as_deref(),
         };
         self.predictor.check(&inputs)?;
-        let mut cost = Cost {
+        let cost = Cost {
             predictor: &mut *self.predictor,
             shape: &self.shape,
             coarsening: self.coarsening,
@@ -444,8 +438,7 @@ impl Session {
             last: None,
             inputs,
         };
-        self.controller.begin(changes, &mut cost);
-        Ok(())
+        Ok((&mut *self.controller, cost))
     }
 
     fn changes_for(&self, frame: &Frame) -> Changes {
