@@ -37,7 +37,7 @@ for target in $targets; do
     mkdir -p "fuzz/scratch/$target"
     echo "==> $target, $each s"
     if ! cargo fuzz run "$target" "fuzz/scratch/$target" "fuzz/corpus/$target" -- \
-        -max_total_time="$each" -max_len=65536 -timeout=30 -rss_limit_mb=1024 -malloc_limit_mb=256 \
+        -seed="${FUZZ_SEED:-1}" -max_total_time="$each" -max_len=65536 -timeout=30 -rss_limit_mb=1024 -malloc_limit_mb=256 \
         -print_final_stats=1 -verbosity=0 >"fuzz/scratch/$target.log" 2>&1; then
         tail -n 40 "fuzz/scratch/$target.log"
         echo "FAILED: fuzz target $target; the input is under fuzz/artifacts/$target" >&2

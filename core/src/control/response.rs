@@ -113,7 +113,11 @@ impl StepResponse {
             return libm::exp(self.points[self.points.len() - 1].0) as f32;
         }
         let ((x0, y0), (x1, y1)) = (self.points[upper - 1], self.points[upper]);
-        libm::exp(x0 + (x1 - x0) * (y - y0) / (y1 - y0)) as f32
+        let exact = libm::exp(x0 + (x1 - x0) * (y - y0) / (y1 - y0));
+        let rounded = exact as f32;
+        // Upwards: where two steps a millionth apart were sampled, the curve between them is steep enough that a step
+        // rounded down would take visibly longer than asked.
+        if f64::from(rounded) < exact { f32::from_bits(rounded.to_bits() + 1) } else { rounded }
     }
 
     /// The curve's points as (step ratio, time ratio), ascending in step.
@@ -153,6 +157,17 @@ mod tests {
         }
         assert!(StepResponse::from_samples(&[]).is_err());
         assert!(StepResponse::from_samples(&[(1.0, 1.0)]).is_err());
+    }
+
+    /// Steps that differ in their sixth digit make a curve so steep that the rounding of a step shows in the time.
+    #[test]
+    fn the_inverse_fits_on_a_cliff() {
+        let cliff = [(1.425_012, 3.0), (1.425_014_5, 0.01), (4.0, 0.01)];
+        let g = StepResponse::from_samples(&cliff).unwrap();
+        for i in 1..300 {
+            let t = 0.01 * i as f32;
+            assert!(g.time_ratio(g.step_ratio(t)) <= t * 1.0001, "{t}");
+        }
     }
 
     proptest! {
