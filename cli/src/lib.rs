@@ -24,5 +24,6 @@ pub mod split;
 pub mod steering;
 pub mod stress;
 pub mod study;
+pub mod teacher;
 pub mod trees;
 pub mod volume;

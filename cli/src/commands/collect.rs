@@ -10,6 +10,7 @@ use crate::device::{self, Device};
 use crate::enlarge::{enlarge, resample};
 use crate::interrupt;
 use crate::machine;
+use crate::teacher::Teacher;
 use crate::scenes::{DEFAULT_RADII, SceneDistribution};
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
@@ -63,6 +64,10 @@ pub struct Options {
     /// What renders.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
+    /// Predict the frames by this model instead of rendering them, so that a model that needs very many frames can be
+    /// taught by one that needs few; every clock reads the prediction
+    #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
+    pub teacher: Option<PathBuf>,
     /// Shortest image side, pixels.
     #[arg(long, default_value_t = 32, value_name = "PIXELS")]
     pub min_size: u32,
@@ -438,7 +443,14 @@ pub fn run(options: &Options) -> Result<()> {
     );
     protocol.scenes.check()?;
     let stop = interrupt::flag()?;
-    let mut renderer = device::open(options.device)?;
+    let mut renderer: Box<dyn Renderer> = match &options.teacher {
+        Some(path) => {
+            let (_, model) = crate::recipe::read_model_file(path)?;
+            let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+            Box::new(Teacher::new(&name, &model).with_context(|| format!("{}", path.display()))?)
+        }
+        None => device::open(options.device)?,
+    };
 
     let mut manifest = Manifest {
         format: MANIFEST_FORMAT.into(),
