@@ -13,7 +13,8 @@ use entire_core::features::{
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VolumeNet, VolumeNetParts};
 use entire_core::predict::{
-    COST_QUANTITIES, GroupKind, Inputs, UnitCosts, probe_side_of, write_estimate, write_group,
+    COST_QUANTITIES, GroupKind, Inputs, UnitCosts, probe_side_of, sort_lobes, takes_sorted_lobes,
+    write_estimate, write_group,
 };
 use entire_core::scene::Skipping;
 use indicatif::ProgressBar;
@@ -46,6 +47,7 @@ pub struct Layout {
     encoder: Option<Encoder>,
     unit_costs: Option<UnitCosts>,
     probe_side: usize,
+    sorted_lobes: bool,
 }
 
 impl Layout {
@@ -86,7 +88,14 @@ impl Layout {
             };
             sized.push((group, size));
         }
-        Ok(Self { groups: sized, scene_features, encoder, unit_costs: None, probe_side: PROBE_SIDE })
+        Ok(Self {
+            groups: sized,
+            scene_features,
+            encoder,
+            unit_costs: None,
+            probe_side: PROBE_SIDE,
+            sorted_lobes: false,
+        })
     }
 
     /// The layout of a model file.
@@ -116,12 +125,23 @@ impl Layout {
             encoder,
             unit_costs: UnitCosts::of(model)?,
             probe_side: probe_side_of(model)?,
+            sorted_lobes: takes_sorted_lobes(model)?,
         })
     }
 
     /// The same with another number of rays along each side of the probe.
     pub fn with_probe_side(self, probe_side: usize) -> Self {
         Self { probe_side, ..self }
+    }
+
+    /// The same, its Gaussian lobes by ascending center or as they are given.
+    pub fn with_sorted_lobes(self, sorted_lobes: bool) -> Self {
+        Self { sorted_lobes, ..self }
+    }
+
+    /// Whether Gaussian lobes go in by ascending center.
+    pub fn sorted_lobes(&self) -> bool {
+        self.sorted_lobes
     }
 
     /// Rays along each side of the probe.
@@ -169,6 +189,9 @@ impl Layout {
         for (group, size) in &self.groups {
             let (here, after) = std::mem::take(&mut rest).split_at_mut(*size);
             write_group(*group, &self.scene_features, inputs, here)?;
+            if *group == GroupKind::TransferFunction && self.sorted_lobes {
+                sort_lobes(here);
+            }
             if *group == GroupKind::SceneFeatures
                 && let Some(costs) = &self.unit_costs
             {
@@ -274,6 +297,9 @@ impl Layout {
                     GroupKind::Resolution => out.extend([scene.width as f32, scene.height as f32]),
                     GroupKind::TransferFunction => {
                         out.extend(scene.lobes.iter().flat_map(|l| [l.center, l.width, l.height]));
+                        if self.sorted_lobes {
+                            sort_lobes(&mut out[start..]);
+                        }
                     }
                     GroupKind::StepSize => out.push(scene.step),
                     _ => return None,
@@ -425,7 +451,7 @@ mod tests {
                 shading: shading[usize::from(i % 3)],
                 skipping: skipping[usize::from(i / 3 % 3)],
                 termination: 0.95,
-                lobes: parse_lobes("0.3 0.05 0.4;0.8 0.01 0.9").unwrap(),
+                lobes: parse_lobes("0.8 0.01 0.9;0.3 0.05 0.4").unwrap(),
             };
             let repeat = Measurement { wall: Some(0.1), ..Measurement::default() };
             writer.append(u64::from(i), &scene, &[repeat]).unwrap();
@@ -450,11 +476,17 @@ mod tests {
             for log in [false, true] {
                 let features: Vec<SceneFeature> =
                     SceneQuantity::ALL.iter().map(|&quantity| SceneFeature { quantity, log }).collect();
-                let layout = Layout::new(&groups, features, 2, None).unwrap().with_probe_side(side);
+                let layout = Layout::new(&groups, features, 2, None)
+                    .unwrap()
+                    .with_probe_side(side)
+                    .with_sorted_lobes(log);
                 let kept = layout.rows_beside(&tables, &frames).unwrap();
                 assert_eq!(layout.rows_beside(&without, &frames), None);
                 let measured = layout.rows(&without, &frames, &pool, &ProgressBar::hidden()).unwrap();
                 assert_eq!((kept.len(), measured.len()), (12 * layout.width(), 12 * layout.width()));
+                let lobes = &kept[layout.width() - 6..layout.width()];
+                let ascending = [0.3, 0.05, 0.4, 0.8, 0.01, 0.9];
+                assert_eq!(lobes, if log { ascending } else { [0.8, 0.01, 0.9, 0.3, 0.05, 0.4] });
                 for (i, (a, b)) in kept.iter().zip(&measured).enumerate() {
                     // Quantities are kept in single precision, bit for bit; a logarithm is taken of the rounded one.
                     let close = (a - b).abs() <= f32::EPSILON * b.abs().max(1.0);

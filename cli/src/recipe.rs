@@ -15,7 +15,8 @@ use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuant
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, SELU_SCALE, Target};
 use entire_core::predict::{
-    AnalyticModel, COST_QUANTITIES, GroupKind, Measurement, PROBE_SIDE_KEY, UNIT_COSTS_KEY, UnitCosts,
+    AnalyticModel, COST_QUANTITIES, GroupKind, LOBE_ORDER_KEY, Measurement, PROBE_SIDE_KEY, UNIT_COSTS_KEY,
+    UnitCosts,
 };
 use entire_core::train::{
     EpochRecord, Loss, Network, Progress, Samples, Settings, Standardization, Stop, preset_widths, train,
@@ -126,6 +127,12 @@ pub struct Recipe {
     pub volumenet: Option<PathBuf>,
     /// Start from this model instead of random weights.
     pub fine_tune: Option<PathBuf>,
+    /// Whether Gaussian lobes go in by ascending center.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub sorted_lobes: bool,
+    /// A model file that is taken as it is; nothing else counts then.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub file: Option<PathBuf>,
     /// How weights are stored.
     pub dtype: DtypeChoice,
 }
@@ -151,6 +158,8 @@ impl Default for Recipe {
             seed: 1,
             volumenet: None,
             fine_tune: None,
+            sorted_lobes: false,
+            file: None,
             dtype: DtypeChoice::F32,
         }
     }
@@ -247,6 +256,16 @@ impl Recipe {
     /// # Errors
     /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or training fails.
     pub fn make(&self, kitchen: &Kitchen<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<Fitted> {
+        if let Some(path) = &self.file {
+            let (file, _) = read_model_file(path)?;
+            return Ok(Fitted {
+                file,
+                what: "A model file as it is".into(),
+                settings: json!({ "file": path.file_name().map(|n| n.to_string_lossy()) }),
+                history: Vec::new(),
+                outcome: "nothing was fitted".into(),
+            });
+        }
         ensure!(!training.frames.is_empty(), "there are no training frames");
         ensure!(
             (1..=MAX_ENSEMBLE).contains(&self.ensemble),
@@ -319,7 +338,10 @@ impl Recipe {
         };
         let lobes = training.frames.first().map_or(0, |f| f.scene.lobes.len());
         let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
-        Ok((file, Layout::new(&groups, features, lobes, encoder)?.with_probe_side(self.side())))
+        let layout = Layout::new(&groups, features, lobes, encoder)?
+            .with_probe_side(self.side())
+            .with_sorted_lobes(self.sorted_lobes);
+        Ok((file, layout))
     }
 
     fn settings(&self) -> Result<Settings> {
@@ -533,6 +555,9 @@ impl Recipe {
             layer.dtype = self.dtype.storage();
         }
         file.set_prednet(&parts, &layout.to_model_groups())?;
+        if layout.sorted_lobes() {
+            file.set_metadata(LOBE_ORDER_KEY, "center");
+        }
         if !layout.scene_features().is_empty() {
             file.set_scene_features(&names(layout.scene_features()))?;
             if layout.probe_side() != PROBE_SIDE {

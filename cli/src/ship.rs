@@ -45,7 +45,11 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
             let figures = judge(&file, study, set, &tables, runner)?;
             let name = format!("{}-{}", set.name.replace(' ', "-"), ship.predictor.replace(' ', "-"));
             let fit = found.fit(&set.name, &ship.predictor);
-            provenance(&mut file, study, set, &tables[..set.training.len()], &figures, fit)?;
+            let as_it_is = study
+                .predictors
+                .iter()
+                .any(|p| p.name == ship.predictor && p.recipe_for(&set.name).file.is_some());
+            provenance(&mut file, study, set, &tables[..set.training.len()], &figures, fit, as_it_is)?;
             let path = folder.join(format!("{name}.safetensors"));
             std::fs::write(&path, file.to_bytes()?)
                 .with_context(|| format!("cannot write {}", path.display()))?;
@@ -117,6 +121,7 @@ fn provenance(
     training: &[Table],
     figures: &[Figures],
     fit: Option<&Fit>,
+    as_it_is: bool,
 ) -> Result<()> {
     let mut stored: serde_json::Value = match file.metadata().get(keys::PROVENANCE) {
         Some(text) => serde_json::from_str(text)?,
@@ -125,10 +130,12 @@ fn provenance(
     stored["paper"] = json!("ENTIRE: Learning-based Volume Rendering Time Prediction");
     stored["clock"] = json!(study.clock);
     stored["shading"] = json!(training.iter().flat_map(|t| &t.frames).next().map(|f| f.scene.shading.name()));
-    stored["data"] = training
-        .iter()
-        .map(|t| json!({ "file": file_name(&t.path), "fnv1a": format!("{:016x}", t.hash), "frames": t.frames.len() }))
-        .collect();
+    if !as_it_is || stored.get("data").is_none() {
+        stored["data"] = training
+            .iter()
+            .map(|t| json!({ "file": file_name(&t.path), "fnv1a": format!("{:016x}", t.hash), "frames": t.frames.len() }))
+            .collect();
+    }
     let crossed = fit.and_then(|f| f.crossed.as_ref());
     stored["bounds_from"] = match crossed {
         Some(_) => json!("cross-validation"),
@@ -198,7 +205,23 @@ fn card(
         );
     }
     let _ = writeln!(md, "\n## Data\n");
-    for t in training {
+    let taught = stored["data"].as_array().into_iter().flatten().filter(|d| d["renderer"] == "teacher");
+    let mut by_teacher = false;
+    for d in taught {
+        let word = |key: &str| d[key].as_str().unwrap_or("not known").to_owned();
+        let _ = writeln!(
+            md,
+            "- taught: {} frames of the training volumes, random under seed {}, that were not rendered: their seconds are those of {} \
+             (`{}`, FNV-1a {}; `make teach` makes it)",
+            d["frames"],
+            d["seed"],
+            word("device"),
+            word("file"),
+            word("fnv1a")
+        );
+        by_teacher = true;
+    }
+    for t in training.iter().filter(|_| !by_teacher) {
         let _ = writeln!(
             md,
             "- training: `data/timings/{}`, {} frames, FNV-1a {:016x}{}",

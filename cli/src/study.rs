@@ -296,7 +296,7 @@ pub fn read(path: &Path) -> Result<Study> {
     }
     for p in &mut study.predictors {
         for recipe in p.in_set.values_mut().chain(std::iter::once(&mut p.recipe)) {
-            recipe.volumenet.iter_mut().chain(&mut recipe.fine_tune).for_each(place);
+            recipe.volumenet.iter_mut().chain(&mut recipe.fine_tune).chain(&mut recipe.file).for_each(place);
         }
         if let Some(other) = p.in_set.keys().find(|n| study.sets.iter().all(|s| s.name != **n)) {
             bail!("{}: {} names the set {other:?}, which is none", path.display(), p.name);
@@ -507,7 +507,7 @@ fn identity(recipe: &Recipe, tables: &[Table], parts: [&Part<'_>; 3], residuals:
         let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
         Ok(format!("{:016x}", fnv1a(&bytes)))
     };
-    let bare = Recipe { volumenet: None, fine_tune: None, ..recipe.clone() };
+    let bare = Recipe { volumenet: None, fine_tune: None, file: None, ..recipe.clone() };
     let mut text = format!(
         "{} {MADE_AS} {} {} {}",
         env!("CARGO_PKG_VERSION"),
@@ -515,6 +515,9 @@ fn identity(recipe: &Recipe, tables: &[Table], parts: [&Part<'_>; 3], residuals:
         from(&recipe.volumenet)?,
         from(&recipe.fine_tune)?
     );
+    if recipe.file.is_some() {
+        text += &format!(" {}", from(&recipe.file)?);
+    }
     for part in parts {
         let mut bytes = Vec::with_capacity(32 * part.frames.len());
         for (f, seconds) in part.frames.iter().zip(&part.seconds) {
@@ -598,12 +601,14 @@ impl Runner<'_> {
             bound::set(&mut file, &bound::from_predictions(&predicted, &judged.seconds))?;
         }
         file.set_metadata("entire.study_key", mark);
-        file.set_metadata(
-            keys::PROVENANCE,
-            json!({ "what": fitted.what, "settings": fitted.settings, "outcome": fitted.outcome,
-                "training_frames": training.frames.len(), "program": crate::machine::version() })
-            .to_string(),
-        );
+        if recipe.file.is_none() || !file.metadata().contains_key(keys::PROVENANCE) {
+            file.set_metadata(
+                keys::PROVENANCE,
+                json!({ "what": fitted.what, "settings": fitted.settings, "outcome": fitted.outcome,
+                    "training_frames": training.frames.len(), "program": crate::machine::version() })
+                .to_string(),
+            );
+        }
         std::fs::create_dir_all(&self.models)?;
         keep(&file, &path)?;
         Ok((file, path))

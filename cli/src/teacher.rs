@@ -84,3 +84,54 @@ impl Renderer for Teacher {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::volume::{Volume, VolumeData};
+    use entire_core::model::{InputGroup, ModelFile};
+    use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
+    use entire_core::predict::AnalyticModel;
+    use entire_core::scene::{Camera, TransferFunction};
+
+    fn volume() -> Volume {
+        let value = |i: u32| if i % 16 < 8 { 0 } else { (i * i / 97 % 251) as u8 };
+        Volume::new(VolumeData::U8((0..16 * 16 * 16).map(value).collect()), [16; 3], [1.0; 3], "v").unwrap()
+    }
+
+    #[test]
+    fn it_takes_as_long_as_its_model_says() {
+        let mut costs = [0.0; entire_core::features::COSTS];
+        (costs[0], costs[1]) = (1e-3, 1e-6);
+        let file = AnalyticModel::from_costs(costs).unwrap().to_model_file().unwrap();
+        let mut teacher = Teacher::new("a model", &file.to_model().unwrap()).unwrap();
+        assert_eq!((teacher.backend(), teacher.device().as_str()), ("teacher", "the predictor a model"));
+        let camera = Camera::from_arcball(Arcball { rx: 25.0, ry: -60.0, dz: 2.0 }).unwrap();
+        let frame = Frame::new(camera, 40, 30).unwrap();
+        assert!(teacher.render(&frame).is_err(), "nothing was set");
+        let volume = volume();
+        let lobes = crate::dataset::parse_lobes("0.8 0.01 0.9").unwrap();
+        let table = TransferFunction::Gaussian(lobes).to_table().unwrap();
+        assert!(teacher.set_transfer(&table).is_err(), "no volume was set");
+        teacher.set_volume(&volume.view()).unwrap();
+        teacher.set_transfer(&table).unwrap();
+        let time = teacher.render(&frame).unwrap().time;
+        // A cost of a frame and of a pixel.
+        assert!((time.wall / (1e-3 + 1200.0 * 1e-6) - 1.0).abs() < 1e-5, "{time:?}");
+        assert_eq!((time.device, time.cpu), (Some(time.wall), Some(time.wall)));
+        // Another volume forgets the transfer function.
+        teacher.set_volume(&volume.view()).unwrap();
+        assert!(teacher.render(&frame).is_err());
+    }
+
+    #[test]
+    fn a_model_that_needs_more_than_a_scene_is_refused() {
+        let layer =
+            DenseParts { inputs: 3, outputs: 1, weight: vec![0.1; 3], bias: vec![1.0], dtype: Dtype::F32 };
+        let parts = PredNetParts { layers: vec![layer], input: None, output: None, target: Target::Seconds };
+        let mut file = ModelFile::new();
+        file.set_prednet(&parts, &[InputGroup { name: "camera".into(), size: 3 }]).unwrap();
+        let error = Teacher::new("m", &file.to_model().unwrap()).err().unwrap().to_string();
+        assert!(error.contains("camera") && error.contains("scene_features"), "{error}");
+    }
+}

@@ -66,6 +66,10 @@ pub struct Options {
     /// Scene features, in order, where `--inputs` names that group; the standard ones unless given.
     #[arg(long, value_delimiter = ',', value_name = "NAMES", conflicts_with = "fine_tune")]
     pub scene_features: Vec<String>,
+    /// Take the Gaussian lobes of `transfer_function` by ascending center instead of as they are given: their sum is the
+    /// same in every order, and a network that sees one order need not learn so.
+    #[arg(long)]
+    pub sorted_lobes: bool,
     /// Rays along each side of the probe behind scene features, 1 to 24; the standard 11 unless given. Fewer rays take less
     /// time for every prediction.
     #[arg(long, value_name = "SIDE", conflicts_with = "fine_tune")]
@@ -320,6 +324,8 @@ pub fn run(options: &Options) -> Result<()> {
             "file": t.path.file_name().map(|n| n.to_string_lossy()),
             "fnv1a": format!("{:016x}", t.hash),
             "frames": t.frames.len(),
+            "renderer": t.manifest.as_ref().map(|m| &m.renderer),
+            "device": t.manifest.as_ref().map(|m| &m.device),
             "measured_on": t.manifest.as_ref().map(|m| &m.machine),
             "created": t.manifest.as_ref().map(|m| &m.created),
             "seed": t.manifest.as_ref().map(|m| m.seed),
@@ -402,6 +408,8 @@ impl Options {
             seed: self.seed,
             volumenet: self.volumenet.clone(),
             fine_tune: self.fine_tune.clone(),
+            sorted_lobes: self.sorted_lobes,
+            file: None,
             dtype: self.dtype,
         }
     }

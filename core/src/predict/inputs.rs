@@ -4,6 +4,7 @@ use super::TERMS;
 use crate::Result;
 use crate::error::bail;
 use crate::features::{Changes, FrameFeatures, PROBE_SIDE, SceneFeature, Setting};
+use crate::model::Model;
 use crate::scene::{Arcball, GaussianLobe};
 
 /// Where a prediction came from.
@@ -181,6 +182,42 @@ impl GroupKind {
     }
 }
 
+/// Metadata key under which a model file names the order in which it takes Gaussian lobes: `center` for ascending centers.
+/// Without it, lobes go in as they are given. A sum of lobes does not depend on their order; a network that always sees the
+/// same order need not learn so.
+pub const LOBE_ORDER_KEY: &str = "entire.lobe_order";
+
+/// Whether a model takes its Gaussian lobes by ascending center.
+///
+/// # Errors
+/// [`crate::ErrorKind::Unsupported`] for an order that this version does not know.
+pub fn takes_sorted_lobes(model: &Model) -> Result<bool> {
+    match model.metadata().get(LOBE_ORDER_KEY).map(|s| s.as_str()) {
+        None => Ok(false),
+        Some("center") => Ok(true),
+        Some(other) => {
+            bail!(
+                Unsupported,
+                "{LOBE_ORDER_KEY} is {other:?}; this version knows center, and none for lobes as given"
+            )
+        }
+    }
+}
+
+/// Puts the lobes of a `transfer_function` group, (c, w, h) each, in the order of their centers; equal centers keep theirs.
+pub fn sort_lobes(group: &mut [f32]) {
+    let count = group.len() / 3;
+    for end in 1..count {
+        let mut at = end;
+        while at > 0 && group[3 * at] < group[3 * (at - 1)] {
+            for k in 0..3 {
+                group.swap(3 * at + k, 3 * (at - 1) + k);
+            }
+            at -= 1;
+        }
+    }
+}
+
 /// Writes one input group into its place in a model's input vector.
 ///
 /// # Errors
@@ -248,5 +285,21 @@ pub fn write_group(
             inputs.features.write(scene_features, &inputs.setting, inputs.changes, out);
             Ok(())
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lobes_are_sorted_by_center_whole_and_stably() {
+        let mut group = [0.7, 1.0, 2.0, 0.1, 3.0, 4.0, 0.7, 5.0, 6.0, -0.2, 7.0, 8.0];
+        sort_lobes(&mut group);
+        assert_eq!(group, [-0.2, 7.0, 8.0, 0.1, 3.0, 4.0, 0.7, 1.0, 2.0, 0.7, 5.0, 6.0]);
+        sort_lobes(&mut []);
+        let mut one = [0.5, 0.1, 0.2];
+        sort_lobes(&mut one);
+        assert_eq!(one, [0.5, 0.1, 0.2]);
     }
 }

@@ -13,6 +13,9 @@ mod nnls;
 pub use crate::features::{COST_QUANTITIES, COSTS, UnitCosts};
 pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS, UNIT_COSTS_KEY};
 pub use calibration::{Calibration, FeatureRange, UPPER_LEVEL};
-pub use inputs::{CostTerms, GroupKind, Inputs, Prediction, Predictor, Source, write_group};
+pub use inputs::{
+    CostTerms, GroupKind, Inputs, LOBE_ORDER_KEY, Prediction, Predictor, Source, sort_lobes,
+    takes_sorted_lobes, write_group,
+};
 pub use network::{CALIBRATION_KEY, ModelPredictor, PROBE_SIDE_KEY, load, probe_side_of, write_estimate};
 pub use nnls::nnls;

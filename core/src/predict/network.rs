@@ -1,7 +1,8 @@
 //! A network from a model file as a predictor.
 
 use super::{
-    AnalyticModel, Calibration, GroupKind, Inputs, Prediction, Predictor, Source, UnitCosts, write_group,
+    AnalyticModel, Calibration, GroupKind, Inputs, Prediction, Predictor, Source, UnitCosts, sort_lobes,
+    takes_sorted_lobes, write_group,
 };
 use crate::Result;
 use crate::error::bail;
@@ -104,6 +105,7 @@ pub struct ModelPredictor {
     /// Behind `estimated_seconds`, where the file holds them.
     unit_costs: Option<UnitCosts>,
     knows_step: bool,
+    sorted_lobes: bool,
     probe_side: usize,
     calibration: Calibration,
 }
@@ -190,6 +192,7 @@ impl ModelPredictor {
             row: vec![0.0; width],
             unit_costs: UnitCosts::of(model)?,
             knows_step,
+            sorted_lobes: takes_sorted_lobes(model)?,
             probe_side,
             calibration,
         })
@@ -214,6 +217,9 @@ impl ModelPredictor {
         for &(kind, size) in &self.groups {
             let (head, tail) = rest.split_at_mut(size);
             write_group(kind, &self.scene_features, inputs, head)?;
+            if kind == GroupKind::TransferFunction && self.sorted_lobes {
+                sort_lobes(head);
+            }
             if kind == GroupKind::SceneFeatures
                 && let Some(costs) = &self.unit_costs
             {
@@ -367,6 +373,38 @@ mod tests {
         let seconds = p.predict(&inputs).unwrap();
         assert!((f64::from(seconds.seconds) / y.exp() - 1.0).abs() < 1e-5);
         assert!(seconds.upper.is_nan() && seconds.out_of_range.is_nan() && p.knows_step());
+    }
+
+    #[test]
+    fn lobes_go_in_by_center_where_the_file_says_so() {
+        let of = |order: Option<&str>| {
+            let layer = DenseParts {
+                inputs: 6,
+                outputs: 1,
+                weight: (0..6).map(|i| 0.1 * i as f32).collect(),
+                bias: vec![0.5],
+                dtype: Dtype::F32,
+            };
+            let parts =
+                PredNetParts { layers: vec![layer], input: None, output: None, target: Target::Seconds };
+            let mut file = ModelFile::new();
+            file.set_prednet(&parts, &[InputGroup { name: "transfer_function".into(), size: 6 }]).unwrap();
+            if let Some(order) = order {
+                file.set_metadata(crate::predict::LOBE_ORDER_KEY, order);
+            }
+            ModelPredictor::new(&file.to_model().unwrap())
+        };
+        let features = FrameFeatures::new();
+        let late = GaussianLobe { center: 0.9, width: 0.2, height: 0.3 };
+        let early = GaussianLobe { center: 0.1, width: 0.4, height: 0.5 };
+        let (given, swapped) = ([late, early], [early, late]);
+        let mut plain = of(None).unwrap();
+        assert_eq!(plain.row(&inputs(&features, &[], &given)).unwrap(), [0.9, 0.2, 0.3, 0.1, 0.4, 0.5]);
+        let mut sorted = of(Some("center")).unwrap();
+        assert_eq!(sorted.row(&inputs(&features, &[], &given)).unwrap(), [0.1, 0.4, 0.5, 0.9, 0.2, 0.3]);
+        let times = [given, swapped].map(|lobes| sorted.predict(&inputs(&features, &[], &lobes)).unwrap());
+        assert_eq!(times[0].seconds.to_bits(), times[1].seconds.to_bits());
+        assert_eq!(of(Some("height")).unwrap_err().kind(), ErrorKind::Unsupported);
     }
 
     #[test]
