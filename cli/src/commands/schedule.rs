@@ -307,9 +307,8 @@ fn foreteller(options: &Options) -> Result<Foreteller> {
 }
 
 /// Tasks of a recorded path: its frames at the reference step, predicted by what was recorded of other volumes.
-fn tasks_of_trace(trace: &Path, options: &Options) -> Result<Vec<Task>> {
+fn tasks_of_trace(trace: &Trace, options: &Options) -> Result<Vec<Task>> {
     let Foreteller { mut predictor, volume_features, factor } = foreteller(options)?;
-    let trace = Trace::open(trace)?;
     let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);
     let mut features = FrameFeatures::with_probe_side(options.probe_side);
     let mut tasks = Vec::with_capacity(trace.frames.len());
@@ -486,7 +485,8 @@ fn eta(plan: &Plan, expected: &[f64], tasks: &[Task], speeds: &[f64], options: &
 /// # Errors
 /// Bad options or tasks; with --bars when one is short.
 pub fn run(options: &Options) -> Result<()> {
-    let tasks = match (&options.tasks, &options.trace) {
+    let trace = options.trace.as_ref().map(|file| Trace::open(file)).transpose()?;
+    let tasks = match (&options.tasks, &trace) {
         (Some(file), _) => read_tasks(file)?,
         (None, Some(trace)) => tasks_of_trace(trace, options)?,
         (None, None) => bail!("give a task list or --trace"),
@@ -512,10 +512,7 @@ pub fn run(options: &Options) -> Result<()> {
         write(&tasks, &speeds, options, out)?;
     }
     if let Some(folder) = &options.report {
-        let noise = match &options.trace {
-            Some(trace) => second_measurement(&Trace::open(trace)?)?,
-            None => None,
-        };
+        let noise = trace.as_ref().map(second_measurement).transpose()?.flatten();
         compare(&tasks, options, folder, noise)?;
     }
     Ok(())
