@@ -22,4 +22,6 @@ pub use frame::{Changes, FrameFeatures, Setting, UNSHARED_SPACING, Work};
 pub use probe::{MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_DIRECTION, SHADOW_OPACITY, SHADOW_STEP};
 pub use schema::{SceneFeature, SceneQuantity};
 pub use transfer::{CORRELATION_LENGTH, TransferSummary};
-pub use volume::{BLOCK_EDGE, DEFAULT_CELLS_PER_AXIS, Geometry, QUANTILES, SummaryOptions, VolumeSummary};
+pub use volume::{
+    BLOCK_EDGE, DEFAULT_CELLS_PER_AXIS, Geometry, LARGEST_INDEX, QUANTILES, SummaryOptions, VolumeSummary,
+};
