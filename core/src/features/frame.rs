@@ -129,6 +129,9 @@ impl Work {
     }
 }
 
+/// Voxels of a volume of which a cache holds half, for [`SceneQuantity::FarX`] and the like.
+pub const CACHED_VOXELS: f64 = 2.0e6;
+
 /// Ray spacing in reference steps at which half of what a sample reads is shared with no other ray.
 pub const UNSHARED_SPACING: f64 = 2.0;
 
@@ -329,7 +332,17 @@ impl FrameFeatures {
             Q::Remapped => flag(self.remapped),
             Q::AlongX => f64::from(self.along.x),
             Q::AlongZ => f64::from(self.along.z),
+            Q::RemappedSamples => flag(self.remapped) * work.samples,
+            Q::FarX => self.far(work) * f64::from(self.along.x),
+            Q::FarY => self.far(work) * f64::from(self.along.y),
+            Q::FarZ => self.far(work) * f64::from(self.along.z),
         }
+    }
+
+    /// Samples that no ray beside shares, of the part of the volume that no cache holds.
+    fn far(&self, work: &Work) -> f64 {
+        let voxels = f64::from(self.voxels);
+        work.samples * work.unshared() * voxels / (voxels + CACHED_VOXELS)
     }
 
     /// Writes features in the order asked for; `out` and `features` are walked together to the shorter end.

@@ -424,7 +424,7 @@ fn what_needs_no_probe_is_known_without_one() {
         &(0..40 * 40 * 40)
             .map(|i| {
                 let r = [i % 40, i / 40 % 40, i / 1600].map(|c| (c as f32 - 19.5) / 20.0);
-                (255.0 * (1.0 - r.iter().map(|c| c * c).sum::<f32>()).max(0.0)) as u8
+                (255.0 * (1.0 - r.iter().map(|c| c * c).sum::<f32>()).max(0.02)) as u8
             })
             .collect::<Vec<u8>>(),
         [40, 40, 40],
