@@ -2,7 +2,7 @@
 //! volumes: `NAME.csv` → `NAME.features.csv.gz`.
 //!
 //! The first line, `# entire-features 1 schema HASH table HASH frames N`, tells what the features are and of what they were
-//! made: a hash of the names of the core's quantities and of [`VERSION`], the FNV-1a hash of the timing table's bytes
+//! made: a hash of the names of the core's quantities and of [`VERSION`] (names that were added since are no obstacle), the FNV-1a hash of the timing table's bytes
 //! (unfolded), and how many rows follow. Then one row per frame: its number, every quantity of the core's schema as it stands (never its logarithm), those that
 //! need the probe again as `NAME@SIDE` for probes of other than the standard number of rays, then the features of each VolumeNet that the file was made with, as columns `volumenet_ID_I` where ID tells the encoder's weights.
 
@@ -36,10 +36,21 @@ pub struct FeatureTable {
     values: Vec<f32>,
 }
 
+/// Tells apart what the first `count` quantities are and what they mean.
+fn schema_of(count: usize) -> u64 {
+    let names: Vec<&str> = SceneQuantity::ALL.iter().take(count).map(|q| q.name()).collect();
+    fnv1a(format!("{VERSION} {}", names.join(",")).as_bytes())
+}
+
 /// Tells apart what quantities there are and what they mean.
 fn schema() -> u64 {
-    let names: Vec<&str> = SceneQuantity::ALL.iter().map(|q| q.name()).collect();
-    fnv1a(format!("{VERSION} {}", names.join(",")).as_bytes())
+    schema_of(SceneQuantity::ALL.len())
+}
+
+/// Whether features of this schema mean what today's do: new quantities come last, so that tables made before are good for
+/// the others. What a model asks for and a table lacks is computed from the volumes.
+fn is_understood(schema: u64) -> bool {
+    (1..=SceneQuantity::ALL.len()).any(|count| schema_of(count) == schema)
 }
 
 /// A table's name without `.csv` or `.csv.gz`.
@@ -201,7 +212,7 @@ impl FeatureTable {
             )
         })?;
         ensure!(
-            found.schema == schema(),
+            is_understood(found.schema),
             "{} holds features of another version of this program, which need not mean what today's do; make it anew with `entire features` or remove it",
             path.display()
         );
@@ -302,6 +313,9 @@ mod tests {
         let says = |hash: u64| format!("{:#}", FeatureTable::beside(&csv, &[], hash).unwrap_err());
         let message = says(0xfeee);
         assert!(message.contains("another table") && message.contains("`entire features`"), "{message}");
+        let before = FeatureTable { schema: schema_of(SceneQuantity::ALL.len() - 1), ..table() };
+        before.write(&path).unwrap();
+        assert!(FeatureTable::beside(&csv, &[], 0xfeed).unwrap().is_some());
         FeatureTable { schema: 1, ..table() }.write(&path).unwrap();
         let message = says(0xfeed);
         assert!(message.contains("another version") && message.contains("`entire features`"), "{message}");
@@ -339,7 +353,7 @@ mod tests {
         }
         assert_eq!(
             (VERSION, format!("{:016x}", fnv1a(text.as_bytes()))),
-            (1, "a66c5d7d290e8e82".into()),
+            (1, "b814b71f8b7b4853".into()),
             "{text}"
         );
     }

@@ -272,13 +272,17 @@ impl Layout {
                             let column = *columns.next()?;
                             let value = match &self.unit_costs {
                                 Some(costs) if f.quantity == SceneQuantity::EstimatedSeconds => {
+                                    // What costs nothing need not be kept.
                                     let work: Option<Vec<f32>> = COST_QUANTITIES
                                         .iter()
-                                        .map(|q| {
-                                            Some(
-                                                row[features
-                                                    .column(&quantity_column(*q, self.probe_side))?],
-                                            )
+                                        .zip(&costs.0[1..])
+                                        .map(|(q, &cost)| {
+                                            let name = quantity_column(*q, self.probe_side);
+                                            if cost == 0.0 {
+                                                Some(0.0)
+                                            } else {
+                                                Some(row[features.column(&name)?])
+                                            }
                                         })
                                         .collect();
                                     costs.seconds_of_quantities(&work?) as f32

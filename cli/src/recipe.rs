@@ -15,8 +15,8 @@ use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuant
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, SELU_SCALE, Target};
 use entire_core::predict::{
-    AnalyticModel, COST_QUANTITIES, GroupKind, LOBE_ORDER_KEY, Measurement, PROBE_SIDE_KEY, UNIT_COSTS_KEY,
-    UnitCosts,
+    AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, LOBE_ORDER_KEY, Measurement, PROBE_SIDE_KEY,
+    UNIT_COSTS_KEY, UnitCosts,
 };
 use entire_core::train::{
     EpochRecord, Loss, Network, Progress, Samples, Settings, Standardization, Stop, preset_widths, train,
@@ -103,6 +103,10 @@ pub struct Recipe {
     /// Rays along each side of the probe behind scene features; the standard number unless given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probe_side: Option<usize>,
+    /// Whether an analytic model is solved for [`UnitCosts::CONVERTING`], too: what converting stored values and waiting for
+    /// memory cost.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub converting: bool,
     /// Networks of other seeds whose mean is taken; stored as one network, each beside the others.
     pub ensemble: usize,
     /// What a network gives.
@@ -146,6 +150,7 @@ impl Default for Recipe {
             inputs: vec![GroupKind::SceneFeatures.name().into()],
             scene_features: Vec::new(),
             probe_side: None,
+            converting: false,
             ensemble: 1,
             target: TargetChoice::LogSeconds,
             loss: "mse".into(),
@@ -363,8 +368,13 @@ impl Recipe {
         Ok(settings)
     }
 
+    /// The ratios that unit costs are drawn to; those that are 0 stay so.
+    fn default_costs(&self) -> UnitCosts {
+        if self.converting { UnitCosts::CONVERTING } else { UnitCosts::SOFTWARE }
+    }
+
     fn analytic(&self, kitchen: &Kitchen<'_>, training: Timed<'_>) -> Result<Fitted> {
-        let (model, report) = fit_analytic(kitchen, training, self.side())?;
+        let (model, report) = fit_analytic(kitchen, training, self.side(), &self.default_costs())?;
         let costs: BTreeMap<String, f64> = model.unit_costs().named().map(|(n, c)| (n.into(), c)).collect();
         Ok(Fitted {
             file: model.to_model_file()?,
@@ -404,7 +414,7 @@ impl Recipe {
 
     fn residual(&self, kitchen: &Kitchen<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<Fitted> {
         let (mut file, layout) = self.layout(training)?;
-        let (model, report) = fit_analytic(kitchen, training, self.side())?;
+        let (model, report) = fit_analytic(kitchen, training, self.side(), &self.default_costs())?;
         let costs = model.unit_costs();
         let seconds = |part: Timed<'_>| -> Result<Vec<f64>> {
             let estimates = estimates(kitchen, part, &costs, self.side())?;
@@ -628,8 +638,10 @@ pub fn calibrate_to_rows(file: &ModelFile, rows: &[f32], seconds: &[f64]) -> Res
     Ok(out)
 }
 
-/// Takes an analytic model times a learned factor to another renderer, from a few frames: unit costs are solved anew, and the
-/// factor's last layer is fitted towards half of its weights, since what the model had wrong there is in part wrong here too.
+/// Takes an analytic model times a learned factor to another renderer, from a few frames: unit costs are solved anew, those of
+/// [`UnitCosts::CONVERTING`] among them, and the factor's last layer is fitted towards a part of its weights, since what the
+/// model had wrong there is in part wrong here too. Frames that are expected to be long weigh more, and of the factor that
+/// so few frames give a part is taken ([`BELIEVED`]).
 ///
 /// # Errors
 /// For a model that is no analytic one times a learned factor, or when inputs cannot be computed.
@@ -642,7 +654,7 @@ pub fn transfer(file: &ModelFile, kitchen: &Kitchen<'_>, frames: Timed<'_>) -> R
         carried && parts.target == Target::LogSeconds && model.metadata().contains_key(UNIT_COSTS_KEY),
         "only an analytic model times a learned factor (--model-kind residual) can be transferred; calibrate or fine-tune this one"
     );
-    let (analytic, _) = fit_analytic(kitchen, frames, layout.probe_side())?;
+    let (analytic, _) = fit_analytic(kitchen, frames, layout.probe_side(), &UnitCosts::CONVERTING)?;
     let mut out = file.clone();
     out.set_metadata(UNIT_COSTS_KEY, analytic.unit_costs().to_json()?);
     let layout = Layout::of_model(&out.to_model()?)?;
@@ -655,14 +667,26 @@ pub fn transfer(file: &ModelFile, kitchen: &Kitchen<'_>, frames: Timed<'_>) -> R
     let (estimate, factor) = (f64::from(last.weight[width]), &last.weight[..width]);
     let (mut hidden, mut y) = (Vec::new(), Vec::new());
     let activations = hidden_activations(&parts, &standardized(&rows, &scale));
-    for (row, seconds) in activations.chunks_exact(last.inputs).zip(frames.seconds) {
-        let log = (seconds.ln() - f64::from(scale.output_mean)) / f64::from(scale.output_std);
+    let inputs = scale.input_mean.len();
+    let (mut importance, mut neutral) = (Vec::new(), 0.0);
+    let standard = |log: f64| (log - f64::from(scale.output_mean)) / f64::from(scale.output_std);
+    for ((row, seconds), input) in
+        activations.chunks_exact(last.inputs).zip(frames.seconds).zip(rows.chunks_exact(inputs))
+    {
+        let expected = f64::from(input[inputs - 1]);
         hidden.extend_from_slice(&row[..width]);
-        y.push(log - estimate * row[width]);
+        y.push(standard(seconds.ln()) - estimate * row[width]);
+        importance.push((0.5 * expected).exp());
+        // With this bias and no factor, the estimate is what comes out.
+        neutral += (standard(expected) - estimate * row[width]) / frames.seconds.len() as f64;
     }
+    let mean = importance.iter().sum::<f64>() / importance.len() as f64;
+    importance.iter_mut().for_each(|w| *w /= mean);
     let mut prior: Vec<f64> = factor.iter().map(|&w| TRANSFERRED * f64::from(w)).collect();
-    prior.push(f64::from(last.bias[0]));
-    let solution = robust_least_squares(&hidden, width, &y, &prior, TRANSFER_RIDGE);
+    prior.push(neutral);
+    let mut solution = weighted_least_squares(&hidden, width, &y, &importance, &prior, TRANSFER_RIDGE);
+    solution[..width].iter_mut().for_each(|w| *w *= BELIEVED);
+    solution[width] = neutral + BELIEVED * (solution[width] - neutral);
     if let Some(layer) = parts.layers.last_mut() {
         let fitted = last_layer(&solution);
         layer.weight[..width].copy_from_slice(&fitted.weight);
@@ -672,9 +696,13 @@ pub fn transfer(file: &ModelFile, kitchen: &Kitchen<'_>, frames: Timed<'_>) -> R
     Ok(out)
 }
 
-/// Share of a learned factor's weights that is expected to hold for another renderer, and what that weighs per frame.
-const TRANSFERRED: f64 = 0.5;
+/// Share of a learned factor's weights that is expected to hold for another renderer, and what that weighs per frame. These
+/// and [`BELIEVED`] are what did best over the training volumes of four renderers, each fold's by the others.
+const TRANSFERRED: f64 = 0.25;
 const TRANSFER_RIDGE: f64 = 0.3;
+
+/// Share of the logarithm of a factor fitted to a few frames that is taken.
+const BELIEVED: f64 = 0.85;
 
 /// Ridge of the log-linear fit, relative to the number of frames, on standardized inputs.
 const RIDGE: f64 = 1e-4;
@@ -725,13 +753,26 @@ fn last_layer(solution: &[f64]) -> DenseParts {
 /// Minimizes Σ huber(y − w·x − b) + n·ridge·‖(w, b) − prior‖², the bias free of the ridge; returns w then b. Errors beyond
 /// two robust standard deviations count linearly.
 fn robust_least_squares(x: &[f64], width: usize, y: &[f64], prior: &[f64], ridge: f64) -> Vec<f64> {
+    weighted_least_squares(x, width, y, &vec![1.0; y.len()], prior, ridge)
+}
+
+/// As [`robust_least_squares`], each row times its importance; their mean is 1.
+fn weighted_least_squares(
+    x: &[f64],
+    width: usize,
+    y: &[f64],
+    importance: &[f64],
+    prior: &[f64],
+    ridge: f64,
+) -> Vec<f64> {
     let m = width + 1;
     let mut solution = prior.to_vec();
     let mut weights = vec![1.0; y.len()];
     for _ in 0..6 {
         let mut gram = vec![0.0; m * m];
         let mut rhs = vec![0.0; m];
-        for ((row, &t), &weight) in x.chunks_exact(width).zip(y).zip(&weights) {
+        for (((row, &t), &weight), &times) in x.chunks_exact(width).zip(y).zip(&weights).zip(importance) {
+            let weight = weight * times;
             let at = |i: usize| if i < width { row[i] } else { 1.0 };
             for i in 0..m {
                 let wi = weight * at(i);
@@ -798,14 +839,15 @@ fn fit_analytic(
     kitchen: &Kitchen<'_>,
     training: Timed<'_>,
     probe_side: usize,
+    default: &UnitCosts,
 ) -> Result<(AnalyticModel, String)> {
-    let measurements: Vec<Measurement> = counts(kitchen, training, probe_side)?
-        .chunks_exact(COST_QUANTITIES.len())
+    let measurements: Vec<Measurement> = counts(kitchen, training, default, probe_side)?
+        .iter()
         .zip(training.seconds)
         .map(|(row, &seconds)| Measurement::from_work(row, seconds))
         .collect();
     let mut model = AnalyticModel::new();
-    let report = model.fit(&measurements)?;
+    let report = model.fit_towards(default, &measurements)?;
     let text = format!(
         "fitted to {} frames, {} refused, median error {:.2} %",
         report.used,
@@ -815,11 +857,31 @@ fn fit_analytic(
     Ok((model, text))
 }
 
-/// The counts that unit costs stand for, one row per frame.
-fn counts(kitchen: &Kitchen<'_>, part: Timed<'_>, probe_side: usize) -> Result<Vec<f32>> {
-    let features: Vec<SceneFeature> = COST_QUANTITIES.iter().map(|&q| SceneFeature::linear(q)).collect();
+/// The counts that unit costs stand for, one row per frame; 0 for those that cost nothing.
+fn counts(
+    kitchen: &Kitchen<'_>,
+    part: Timed<'_>,
+    costs: &UnitCosts,
+    probe_side: usize,
+) -> Result<Vec<[f32; COSTS - 1]>> {
+    let asked: Vec<usize> = (0..COSTS - 1).filter(|i| costs.0[i + 1] > 0.0).collect();
+    if asked.is_empty() {
+        return Ok(vec![[0.0; COSTS - 1]; part.frames.len()]);
+    }
+    let features: Vec<SceneFeature> =
+        asked.iter().map(|&i| SceneFeature::linear(COST_QUANTITIES[i])).collect();
     let layout = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?.with_probe_side(probe_side);
-    layout.rows(kitchen.tables, part.frames, kitchen.pool, &ProgressBar::hidden())
+    let rows = layout.rows(kitchen.tables, part.frames, kitchen.pool, &ProgressBar::hidden())?;
+    Ok(rows
+        .chunks_exact(asked.len())
+        .map(|row| {
+            let mut out = [0.0; COSTS - 1];
+            for (&i, &value) in asked.iter().zip(row) {
+                out[i] = value;
+            }
+            out
+        })
+        .collect())
 }
 
 fn estimates(
@@ -828,10 +890,7 @@ fn estimates(
     costs: &UnitCosts,
     probe_side: usize,
 ) -> Result<Vec<f64>> {
-    Ok(counts(kitchen, part, probe_side)?
-        .chunks_exact(COST_QUANTITIES.len())
-        .map(|row| costs.seconds_of_quantities(row))
-        .collect())
+    Ok(counts(kitchen, part, costs, probe_side)?.iter().map(|row| costs.seconds_of_quantities(row)).collect())
 }
 
 /// Most networks whose mean is taken.

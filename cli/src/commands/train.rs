@@ -74,6 +74,10 @@ pub struct Options {
     /// time for every prediction.
     #[arg(long, value_name = "SIDE", conflicts_with = "fine_tune")]
     pub probe_side: Option<usize>,
+    /// Solve the analytic part for what converting stored values and waiting for memory cost, too: for renderers on the CPU
+    /// that look values up in tables or read large volumes voxel by voxel, such as VTK's fixed-point mapper and yt.
+    #[arg(long)]
+    pub converting: bool,
     /// Take the mean of so many networks of other seeds, stored as one.
     #[arg(long, default_value_t = 1, value_name = "N", conflicts_with = "fine_tune")]
     pub ensemble: usize,
@@ -396,6 +400,7 @@ impl Options {
             inputs: self.inputs.clone(),
             scene_features: self.scene_features.clone(),
             probe_side: self.probe_side,
+            converting: self.converting,
             ensemble: self.ensemble,
             target: self.target,
             loss: self.loss.clone(),

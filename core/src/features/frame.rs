@@ -1,10 +1,37 @@
 //! What one frame will do, for any ray step and image size of the same shape.
 
 use super::{
-    MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_STEP, SceneFeature, SceneQuantity, TransferSummary, UnitCosts,
-    VolumeSummary,
+    Footprint, MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_STEP, SceneFeature, SceneQuantity, TransferSummary,
+    UnitCosts, VolumeSummary,
 };
 use crate::scene::{Arcball, Frame, Shading, Skipping};
+use glam::Vec3;
+
+/// Rays along each side of the footprint's rectangle from which [`along`] takes its mean.
+const ALONG_SIDE: usize = 3;
+
+/// Shares of the voxel borders crossed by rays that lie across x, y and z: those of ALONG_SIDE² rays through the footprint's
+/// rectangle, averaged, or of the central ray where the box is not seen.
+fn along(frame: &Frame, spacing: Vec3, footprint: &Footprint) -> Vec3 {
+    let (_, right, up, forward) = frame.camera().ray_basis(frame.width(), frame.height());
+    // A ray of direction d crosses |d| / spacing borders per unit of length along each axis.
+    let share = |direction: Vec3| {
+        let crossed = direction.abs() / spacing;
+        crossed / crossed.element_sum()
+    };
+    if !(footprint.share > 0.0) {
+        return share(forward);
+    }
+    let at = |axis: usize, i: usize| {
+        let (low, high) = (footprint.low[axis], footprint.high[axis]);
+        low + (high - low) * (i as f32 + 0.5) / ALONG_SIDE as f32
+    };
+    let mut sum = Vec3::ZERO;
+    for i in 0..ALONG_SIDE * ALONG_SIDE {
+        sum += share(forward + at(0, i % ALONG_SIDE) * right + at(1, i / ALONG_SIDE) * up);
+    }
+    sum / (ALONG_SIDE * ALONG_SIDE) as f32
+}
 
 /// Side of the pixel tiles that a renderer runs in lockstep.
 const TILE_SIDE: f32 = 8.0;
@@ -102,6 +129,9 @@ impl Work {
     }
 }
 
+/// Voxels of a volume of which a cache holds half, for [`SceneQuantity::FarX`] and the like.
+pub const CACHED_VOXELS: f64 = 2.0e6;
+
 /// Ray spacing in reference steps at which half of what a sample reads is shared with no other ray.
 pub const UNSHARED_SPACING: f64 = 2.0;
 
@@ -125,6 +155,8 @@ pub struct FrameFeatures {
     voxels: f32,
     bytes_per_voxel: f32,
     cells_per_step: f32,
+    remapped: bool,
+    along: Vec3,
 }
 
 impl Default for FrameFeatures {
@@ -157,6 +189,8 @@ impl FrameFeatures {
             voxels: 0.0,
             bytes_per_voxel: 0.0,
             cells_per_step: 0.0,
+            remapped: false,
+            along: Vec3::splat(1.0 / 3.0),
         }
     }
 
@@ -176,6 +210,8 @@ impl FrameFeatures {
         self.bytes_per_voxel = volume.scalar_type().bytes() as f32;
         let spacing = volume.spacing();
         self.cells_per_step = spacing.min_element() / spacing.max_element();
+        self.remapped = volume.remapped();
+        self.along = along(frame, spacing, self.probe.footprint());
     }
 
     /// Rays along each side of the probe.
@@ -293,7 +329,20 @@ impl FrameFeatures {
             Q::TransferChanged => flag(changes.transfer),
             Q::VolumeChanged => flag(changes.volume),
             Q::SizeChanged => flag(changes.size),
+            Q::Remapped => flag(self.remapped),
+            Q::AlongX => f64::from(self.along.x),
+            Q::AlongZ => f64::from(self.along.z),
+            Q::RemappedSamples => flag(self.remapped) * work.samples,
+            Q::FarX => self.far(work) * f64::from(self.along.x),
+            Q::FarY => self.far(work) * f64::from(self.along.y),
+            Q::FarZ => self.far(work) * f64::from(self.along.z),
         }
+    }
+
+    /// Samples that no ray beside shares, of the part of the volume that no cache holds.
+    fn far(&self, work: &Work) -> f64 {
+        let voxels = f64::from(self.voxels);
+        work.samples * work.unshared() * voxels / (voxels + CACHED_VOXELS)
     }
 
     /// Writes features in the order asked for; `out` and `features` are walked together to the shorter end.

@@ -87,6 +87,13 @@ quantities! {
     TransferChanged, "transfer_changed", "flag", 1.0, "1 when the transfer function is new";
     VolumeChanged, "volume_changed", "flag", 1.0, "1 when the volume is new";
     SizeChanged, "size_changed", "flag", 1.0, "1 when the image size is new";
+    Remapped, "remapped", "flag", 1.0, "1 unless the voxels are integers from 0 (which is among them) to at most 32767: a renderer that looks values up in a table must shift or scale each";
+    AlongX, "along_x", "1", 0.01, "share of the voxel borders crossed by rays that lie across x: where voxels are far apart in memory along an axis, rays along it read slowly";
+    AlongZ, "along_z", "1", 0.01, "the same across z";
+    RemappedSamples, "remapped_samples", "samples", 1.0, "samples of a volume whose values are remapped; else 0";
+    FarX, "far_x", "samples", 1.0, "samples read far from the one before: those that no ray beside shares, times the share of the volume beyond a cache, times `along_x`";
+    FarY, "far_y", "samples", 1.0, "the same across y";
+    FarZ, "far_z", "samples", 1.0, "the same across z";
 }
 
 impl SceneQuantity {
@@ -116,6 +123,10 @@ impl SceneQuantity {
                 | Q::MaxChord
                 | Q::TerminatedShare
                 | Q::Divergence
+                | Q::RemappedSamples
+                | Q::FarX
+                | Q::FarY
+                | Q::FarZ
         )
     }
 

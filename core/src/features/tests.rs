@@ -424,7 +424,7 @@ fn what_needs_no_probe_is_known_without_one() {
         &(0..40 * 40 * 40)
             .map(|i| {
                 let r = [i % 40, i / 40 % 40, i / 1600].map(|c| (c as f32 - 19.5) / 20.0);
-                (255.0 * (1.0 - r.iter().map(|c| c * c).sum::<f32>()).max(0.0)) as u8
+                (255.0 * (1.0 - r.iter().map(|c| c * c).sum::<f32>()).max(0.02)) as u8
             })
             .collect::<Vec<u8>>(),
         [40, 40, 40],
@@ -461,4 +461,97 @@ fn what_needs_no_probe_is_known_without_one() {
     }
     assert_eq!(of(MAX_PROBE_SIDE + 9), of(MAX_PROBE_SIDE));
     assert_eq!(FrameFeatures::new().probe_side(), PROBE_SIDE);
+}
+
+#[test]
+fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
+    let dims = [20, 9, 10];
+    let n = dims.iter().product::<usize>();
+    let of = |scalars: Scalars<'_>| {
+        // The range that maps to the table says nothing about what is stored.
+        let view = VolumeView::new(scalars, dims).unwrap().with_range(3.0, 90.0).unwrap();
+        VolumeSummary::new(&view, SummaryOptions::default()).unwrap().remapped()
+    };
+    let with = |low: f32, high: f32| -> Vec<f32> {
+        (0..n).map(|i| if i == 777 { low } else { low + (high - low) * (i % 5) as f32 / 4.0 }).collect()
+    };
+    for (low, high, remapped) in
+        [(0.0, 255.0, false), (1.0, 255.0, true), (0.0, 7.0, false), (0.0, 0.0, false)]
+    {
+        let bytes: Vec<u8> = with(low, high).iter().map(|&v| v as u8).collect();
+        assert_eq!(of(Scalars::U8(&bytes)), remapped, "bytes from {low} to {high}");
+    }
+    for (low, high, remapped) in
+        [(0.0, 32767.0, false), (0.0, 32768.0, true), (0.0, 65535.0, true), (1.0, 900.0, true)]
+    {
+        let words: Vec<u16> = with(low, high).iter().map(|&v| v as u16).collect();
+        assert_eq!(of(Scalars::U16(&words)), remapped, "words from {low} to {high}");
+    }
+    for (low, high, remapped) in [(0.0, 900.0, false), (-1024.0, 900.0, true), (5.0, 900.0, true)] {
+        let words: Vec<i16> = with(low, high).iter().map(|&v| v as i16).collect();
+        assert_eq!(of(Scalars::I16(&words)), remapped, "signed words from {low} to {high}");
+    }
+    assert!(of(Scalars::F32(&with(0.0, 255.0))));
+    for (low, kind, remapped) in
+        [(0.0, ScalarType::U8, false), (0.1, ScalarType::U8, true), (0.0, ScalarType::F32, true)]
+    {
+        let bounds = [[0.5, 1.0], [low, 0.7]];
+        let bricks = VolumeSummary::from_bricks([16, 8, 8], [1.0; 3], kind, [8; 3], &bounds).unwrap();
+        assert_eq!(bricks.remapped(), remapped, "bricks of {kind:?} from {low}");
+    }
+    // And the quantity says so.
+    let bytes: Vec<u8> = with(9.0, 250.0).iter().map(|&v| v as u8).collect();
+    let f = frame(20.0, 30.0, 2.0, 50);
+    let features = measured(&summary(&bytes, dims, 48), &table(|_| 0.5), &f);
+    let work = features.work(&Setting::of(&f));
+    assert_eq!(features.quantity(SceneQuantity::Remapped, &Setting::of(&f), &work, Changes::NONE), 1.0);
+}
+
+/// Greatest difference of the shares of borders from those that all rays of an image count: nine rays stand for all of them.
+const ALONG_TOLERANCE: f64 = 0.06;
+
+#[test]
+fn shares_of_borders_are_those_that_rays_count() {
+    let (dims, spacing) = ([40usize, 24, 30], [1.0f32, 2.0, 0.5]);
+    let data = noise(dims.iter().product(), 9);
+    let view = VolumeView::new(Scalars::U8(&data), dims).unwrap().with_spacing(spacing).unwrap();
+    let s = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    let half = s.geometry().half_extent;
+    let voxel = [0, 1, 2].map(|a| 2.0 * half[a] / dims[a] as f32);
+    for (rx, ry, dz) in
+        [(0.0, 0.0, 2.5), (0.0, 90.0, 2.5), (90.0, 0.0, 2.5), (30.0, 40.0, 1.4), (-60.0, 10.0, 4.0)]
+    {
+        let f = frame(rx, ry, dz, 60);
+        let mut shares = [0.0f64; 3];
+        let mut rays = 0;
+        for (x, y) in (0..60).flat_map(|y| (0..60).map(move |x| (x, y))) {
+            let (o, d) = f.camera().ray(x as f32 + 0.5, y as f32 + 0.5, 60, 60);
+            let (a, b) = ((-half - o) / d, (half - o) / d);
+            let (near, far) = (a.min(b).max_element().max(0.0), a.max(b).min_element());
+            if near >= far {
+                continue;
+            }
+            // Planes between where the ray enters and where it leaves, counted along each axis.
+            let planes = [0, 1, 2].map(|k| {
+                let index = |t: f32| f64::from((o[k] + t * d[k] + half[k]) / voxel[k]).floor();
+                (index(far) - index(near)).abs()
+            });
+            let sum: f64 = planes.iter().sum();
+            if sum > 0.0 {
+                rays += 1;
+                shares.iter_mut().zip(planes).for_each(|(share, p)| *share += p / sum);
+            }
+        }
+        let features = measured(&s, &table(|_| 0.1), &f);
+        let (setting, work) = (Setting::of(&f), features.work(&Setting::of(&f)));
+        for (q, share) in [(SceneQuantity::AlongX, shares[0]), (SceneQuantity::AlongZ, shares[2])] {
+            let (found, counted) =
+                (features.quantity(q, &setting, &work, Changes::NONE), share / f64::from(rays));
+            assert!(
+                (found - counted).abs() < ALONG_TOLERANCE,
+                "{} at {rx} {ry} {dz}: {found}, counted {counted}",
+                q.name()
+            );
+        }
+    }
 }

@@ -16,6 +16,9 @@ pub const DEFAULT_CELLS_PER_AXIS: usize = 48;
 /// Quantile intervals kept per cell; the `QUANTILES + 1` bounds split its voxels into shares of equal size.
 pub const QUANTILES: usize = 8;
 
+/// Largest stored integer that indexes a table of 15 bits as it stands.
+pub const LARGEST_INDEX: i16 = i16::MAX;
+
 /// Most blocks kept inside one cell along an axis; beyond that a kept block is a run of blocks.
 const BLOCKS_PER_CELL_AXIS: usize = 8;
 
@@ -77,6 +80,7 @@ pub struct VolumeSummary {
     first_block: Vec<u32>,
     histogram: [f32; 256],
     non_finite_share: f32,
+    remapped: bool,
 }
 
 impl VolumeSummary {
@@ -94,12 +98,13 @@ impl VolumeSummary {
                 to_positions(volume, &mut positions);
                 let mut map = Entries { low: [0; 256], high: [0; 256], near: [0; 256] };
                 entries(&positions, [&mut map.low, &mut map.high, &mut map.near]);
-                summary.scan(volume, &map, |at, [low, high, near]| {
+                let total = summary.scan(volume, &map, |at, [low, high, near]| {
                     copy(s, at, near, |v| v);
                     low.copy_from_slice(near);
                     high.copy_from_slice(near);
                     0
                 });
+                summary.remapped = total[0] == 0;
             }
             Scalars::U16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from)),
             Scalars::I16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from)),
@@ -142,10 +147,12 @@ impl VolumeSummary {
         }
         let mut summary = Self::with_grid(dims, Vec3::from_array(spacing), scalar_type, cells, brick_edge)?;
         summary.block = brick_edge;
+        let mut smallest = 1.0f32;
         let clean = |v: f32| if v.is_nan() { 0.0 } else { v.clamp(0.0, 1.0) };
         for (i, bound) in bounds.iter().enumerate() {
             let (a, b) = (clean(bound[0]), clean(bound[1]));
             let (lo, hi) = (a.min(b), a.max(b));
+            smallest = smallest.min(lo);
             let stats = &mut summary.stats[i];
             stats.low = entry_below(lo);
             stats.high = entry_above(hi);
@@ -153,6 +160,7 @@ impl VolumeSummary {
                 *q = entry_near(lo + (hi - lo) * k as f32 / QUANTILES as f32);
             }
         }
+        summary.remapped = scalar_type == ScalarType::F32 || smallest > 0.0;
         summary.histogram_from_quantiles();
         Ok(summary)
     }
@@ -221,6 +229,13 @@ impl VolumeSummary {
         self.non_finite_share
     }
 
+    /// Whether a renderer that looks stored values up in a table must shift or scale each of them: not where they are
+    /// integers from 0, which is among them, to at most [`LARGEST_INDEX`]. Of a volume made of bricks the bounds tell: 0
+    /// among those of integers is taken as a stored 0.
+    pub fn remapped(&self) -> bool {
+        self.remapped
+    }
+
     /// Number of voxels.
     pub fn voxels(&self) -> f64 {
         self.dims.iter().map(|&n| n as f64).product()
@@ -284,6 +299,7 @@ impl VolumeSummary {
             first_block: Vec::new(),
             histogram: [0.0; 256],
             non_finite_share: 0.0,
+            remapped: true,
         })
     }
 
@@ -291,17 +307,25 @@ impl VolumeSummary {
     fn scan_numbers(&mut self, volume: &VolumeView<'_>, read: impl Fn((usize, usize), &mut [f32])) {
         let mut row = vec![0.0f32; self.dims[0]];
         let same: [u8; 256] = core::array::from_fn(|v| v as u8);
+        let (mut smallest, mut largest) = (f32::INFINITY, f32::NEG_INFINITY);
         self.scan(volume, &Entries { low: same, high: same, near: same }, |at, out| {
             read(at, &mut row);
             let non_finite = row.iter().map(|v| u32::from(!v.is_finite())).sum();
+            for &v in &row {
+                smallest = smallest.min(v);
+                largest = largest.max(v);
+            }
             to_positions(volume, &mut row);
             entries(&row, out);
             non_finite
         });
+        self.remapped =
+            self.scalar_type == ScalarType::F32 || smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
     }
 
     /// Reads every voxel once. `fetch((start, stride), [low, high, near])` writes three bytes per voxel of a row, from
-    /// which `map` leads to table entries without changing their order, and says how many of them are not finite.
+    /// which `map` leads to table entries without changing their order, and says how many of them are not finite. Gives
+    /// how often each byte was written as `near`.
     ///
     /// A row enters the bounds of the blocks that it lies in and, where it is a block's first along y or z, those of the
     /// blocks before. Rows are joined voxel by voxel and reduced along x once per block.
@@ -310,7 +334,7 @@ impl VolumeSummary {
         volume: &VolumeView<'_>,
         map: &Entries,
         mut fetch: impl FnMut((usize, usize), [&mut [u8]; 3]) -> u32,
-    ) {
+    ) -> [u64; 256] {
         let (dims, edge, cells, block) = (self.dims, self.edge, self.cells, self.block);
         let n: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(block[a]));
         let mut bounds = vec![[255u8, 0u8]; n[0] * n[1] * n[2]];
@@ -379,6 +403,7 @@ impl VolumeSummary {
             *h = (t as f64 / voxels) as f32;
         }
         self.non_finite_share = (non_finite as f64 / voxels) as f32;
+        total
     }
 
     /// Bounds of cells from those of their blocks, which are kept where a cell holds several.

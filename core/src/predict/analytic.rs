@@ -7,7 +7,9 @@ use super::{
 };
 use crate::Result;
 use crate::error::bail;
-use crate::features::{COST_QUANTITIES, COSTS, FrameFeatures, SceneQuantity, Setting, UnitCosts};
+use crate::features::{
+    COMMON_COSTS, COST_QUANTITIES, COSTS, FrameFeatures, SceneQuantity, Setting, UnitCosts,
+};
 use crate::model::{InputGroup, Model, ModelFile};
 use crate::nn::{DenseParts, Dtype, PredNetParts, Target};
 use alloc::collections::BTreeMap;
@@ -18,7 +20,7 @@ use alloc::vec::Vec;
 pub const TERMS: usize = 9;
 
 /// The part that each unit cost belongs to: work that goes together on every machine is corrected together.
-const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 3, 3, 5];
+const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 3, 3, 5, 4, 5, 5, 5];
 
 /// Metadata key under which a model file that takes `estimated_seconds` holds the unit costs behind it: a JSON object of
 /// seconds by name, `frame` and those of [`COST_QUANTITIES`]; names that are missing cost nothing.
@@ -186,6 +188,14 @@ impl AnalyticModel {
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] when no measurement is usable.
     pub fn fit(&mut self, measurements: &[Measurement]) -> Result<FitReport> {
+        self.fit_towards(&UnitCosts::SOFTWARE, measurements)
+    }
+
+    /// As [`AnalyticModel::fit`], with other default ratios: costs that are 0 there stay 0.
+    ///
+    /// # Errors
+    /// As [`AnalyticModel::fit`].
+    pub fn fit_towards(&mut self, default: &UnitCosts, measurements: &[Measurement]) -> Result<FitReport> {
         let usable: Vec<&Measurement> = measurements
             .iter()
             .filter(|m| {
@@ -206,8 +216,7 @@ impl AnalyticModel {
         let mut residuals = alloc::vec![0.0f64; usable.len()];
         let mut costs = [0.0f64; COSTS];
         // Prior: the default ratios at the machine's speed, worth one measurement in a thousand.
-        let mut ratios: Vec<f64> =
-            usable.iter().map(|m| m.seconds / dot(&UnitCosts::SOFTWARE.0, &m.work)).collect();
+        let mut ratios: Vec<f64> = usable.iter().map(|m| m.seconds / dot(&default.0, &m.work)).collect();
         let speed = median(&mut ratios);
         for _ in 0..ROUNDS {
             let mut gram = [0.0f64; COSTS * COSTS];
@@ -224,7 +233,12 @@ impl AnalyticModel {
             }
             let ridge = 1.0e-3;
             for i in 0..COSTS {
-                let unit = 1.0 / (UnitCosts::SOFTWARE.0[i] * speed);
+                if default.0[i] == 0.0 {
+                    // A column of nothing is left at 0.
+                    gram[i * COSTS + i] = 0.0;
+                    continue;
+                }
+                let unit = 1.0 / (default.0[i] * speed);
                 // (x / prior − 1)²: nothing is drawn harder than one frame in a thousand would.
                 let pull = ridge * unit;
                 gram[i * COSTS + i] += pull * unit * 1.0e-1;
@@ -267,18 +281,19 @@ impl AnalyticModel {
         })
     }
 
-    /// The model as a file: one dense layer on [`COST_QUANTITIES`] as scene features, target seconds, calibration and
+    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without those beyond [`COMMON_COSTS`] where they cost nothing) as scene features, target seconds, calibration and
     /// range beside it under [`CALIBRATION_KEY`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidTensor`] when a cost does not fit single precision.
     pub fn to_model_file(&self) -> Result<ModelFile> {
         let mut file = ModelFile::new();
+        let used = if self.costs[COMMON_COSTS..].iter().all(|&c| c == 0.0) { COMMON_COSTS } else { COSTS };
         let parts = PredNetParts {
             layers: alloc::vec![DenseParts {
-                inputs: COSTS - 1,
+                inputs: used - 1,
                 outputs: 1,
-                weight: self.costs[1..].iter().map(|&c| c as f32).collect(),
+                weight: self.costs[1..used].iter().map(|&c| c as f32).collect(),
                 bias: alloc::vec![self.costs[0] as f32],
                 dtype: Dtype::F32,
             }],
@@ -286,9 +301,9 @@ impl AnalyticModel {
             output: None,
             target: Target::Seconds,
         };
-        let group = InputGroup { name: GroupKind::SceneFeatures.name().into(), size: COSTS - 1 };
+        let group = InputGroup { name: GroupKind::SceneFeatures.name().into(), size: used - 1 };
         file.set_prednet(&parts, &[group])?;
-        file.set_scene_features(&COST_QUANTITIES.map(SceneQuantity::name))?;
+        file.set_scene_features(&COST_QUANTITIES.map(SceneQuantity::name)[..used - 1])?;
         let stored = Stored {
             level: UPPER_LEVEL,
             log_factor: Some(self.calibration.log_factor()).filter(|f| f.is_finite()),
@@ -308,7 +323,7 @@ impl AnalyticModel {
         let Some(net) = model.prednet() else { return Ok(None) };
         let [layer] = &net.layers[..] else { return Ok(None) };
         let fits = model.inputs().len() == 1
-            && names.len() == COSTS - 1
+            && [COMMON_COSTS - 1, COSTS - 1].contains(&names.len())
             && names.iter().zip(&COST_QUANTITIES).all(|(n, q)| n == q.name())
             && net.input.is_none()
             && net.output.is_none()
@@ -423,7 +438,8 @@ pub(super) fn median(values: &mut [f64]) -> f64 {
 mod tests {
     use super::*;
 
-    const TRUTH: [f64; COSTS] = [1e-3, 3e-9, 2e-8, 0.0, 4e-8, 1e-8, 9e-8, 0.0, 0.0, 2e-7, 0.0, 0.0];
+    const TRUTH: [f64; COSTS] =
+        [1e-3, 3e-9, 2e-8, 0.0, 4e-8, 1e-8, 9e-8, 0.0, 0.0, 2e-7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
     /// Work of frames as they come: counts over several decades, scattering never used.
     fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
@@ -451,6 +467,10 @@ mod tests {
                     rays * 3.0 * uniform(),
                     0.0,
                     0.0,
+                    if i % 3 == 0 { samples } else { 0.0 },
+                    samples * uniform(),
+                    0.0,
+                    0.0,
                 ];
                 let mut seconds = dot(&TRUTH, &work) * libm::exp(noise * (uniform() + uniform() - 1.0));
                 if outliers && i % 20 == 0 {
@@ -471,6 +491,32 @@ mod tests {
         }
         // Never seen: their default ratio to the rest, not zero.
         assert!(model.costs()[7] > 0.0 && model.costs()[8] > 0.0);
+    }
+
+    #[test]
+    fn what_costs_nothing_by_default_is_solved_for_where_it_is_asked_for() {
+        let mut truth = TRUTH;
+        (truth[12], truth[13]) = (7e-9, 3e-8);
+        let mut rows = measurements(200, 0.0, false);
+        for m in &mut rows {
+            m.seconds = dot(&truth, &m.work);
+        }
+        let (mut plain, mut asked) = (AnalyticModel::new(), AnalyticModel::new());
+        let report = plain.fit(&rows).unwrap();
+        assert!(plain.costs()[COMMON_COSTS..].iter().all(|&c| c == 0.0) && report.median_error > 0.02);
+        assert!(asked.fit_towards(&UnitCosts::CONVERTING, &rows).unwrap().median_error < 3e-3);
+        for (i, t) in [(12, 7e-9), (13, 3e-8)] {
+            assert!((asked.costs()[i] / t - 1.0).abs() < 0.05, "{i}: {}", asked.costs()[i]);
+        }
+        // The file names what costs something, and reads back.
+        for (model, names) in [(&plain, COMMON_COSTS - 1), (&asked, COSTS - 1)] {
+            let file = model.to_model_file().unwrap().to_model().unwrap();
+            assert_eq!(file.scene_features().len(), names);
+            let back = AnalyticModel::from_model(&file).unwrap().unwrap();
+            for (a, b) in back.costs().iter().zip(model.costs()) {
+                assert_eq!(*a, f64::from(*b as f32));
+            }
+        }
     }
 
     #[test]

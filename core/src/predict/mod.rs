@@ -10,7 +10,7 @@ mod network;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod nnls;
 
-pub use crate::features::{COST_QUANTITIES, COSTS, UnitCosts};
+pub use crate::features::{COMMON_COSTS, COST_QUANTITIES, COSTS, UnitCosts};
 pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS, UNIT_COSTS_KEY};
 pub use calibration::{Calibration, FeatureRange, UPPER_LEVEL};
 pub use inputs::{

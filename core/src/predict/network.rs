@@ -498,9 +498,10 @@ mod tests {
 
     #[test]
     fn analytic_models_survive_their_file() {
-        let mut analytic =
-            AnalyticModel::from_costs([1e-3, 2e-9, 0.0, 4e-9, 5e-8, 0.0, 7e-8, 0.0, 9e-8, 1e-8, 0.0, 2e-8])
-                .unwrap();
+        let mut analytic = AnalyticModel::from_costs([
+            1e-3, 2e-9, 0.0, 4e-9, 5e-8, 0.0, 7e-8, 0.0, 9e-8, 1e-8, 0.0, 2e-8, 0.0, 3e-9, 0.0, 0.0,
+        ])
+        .unwrap();
         analytic.set_calibration(Calibration::from_log_factor(0.25));
         let model = analytic.to_model_file().unwrap().to_model().unwrap();
         let back = AnalyticModel::from_model(&model).unwrap().unwrap();

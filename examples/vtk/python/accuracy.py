@@ -18,8 +18,13 @@ import subprocess
 
 RENDERERS = ("vtk-fixed", "vtk-gpu", "paraview", "yt")
 BASE = ("none-train", "none-steps")
-FACTOR = "--model-kind residual --layers 32 --batch 128 --learning-rate 0.003 --epochs 150".split()
-ANALYTIC = "--model-kind analytic".split()
+PLAIN = "--model-kind residual --layers 32 --batch 128 --learning-rate 0.003 --epochs 150".split()
+# What renderers pay for beyond what the raycaster does; a mean of networks of eight seeds.
+MORE = """log_pixels log_samples_per_pixel log_skips_per_pixel log_shaded_per_pixel log_shadow_per_pixel log_runs_per_ray
+log_ray_spacing footprint_share terminated_share log_divergence occupied_share log_visible_share log_mean_extinction
+log_mean_chord tilt turn log_step log_voxels remapped along_x along_z""".split()
+FACTOR = [*PLAIN, "--converting", "--ensemble", "8", "--scene-features", ",".join(MORE)]
+ANALYTIC = "--model-kind analytic --converting".split()
 SHARE = 0.05
 
 
@@ -66,7 +71,7 @@ def run(options, bar):
         entire("train", "--data", *tables, "--clock", "cpu", "--split", "volume", "--quiet", "--out", model, *how)
         return model
 
-    base = train([os.path.join(tables, f"{n}.csv.gz") for n in BASE], "vulkan", *FACTOR)
+    base = train([os.path.join(tables, f"{n}.csv.gz") for n in BASE], "vulkan", *PLAIN)
     for renderer in RENDERERS:
         learn, test = (os.path.join(tables, f"{renderer}-{part}.csv.gz") for part in ("train", "test"))
         if not (os.path.exists(learn) and os.path.exists(test)):
