@@ -5,13 +5,14 @@
 #   DATA     the folder that holds ensembles/ (the volumes that data/timings/*-train.csv.gz name)
 #   FRAMES   frames per volume; 10000 take 130 MB and some minutes per set
 #   EPOCHS   passes over them
+#   MODELS   where the models go, models/ unless given
 set -euo pipefail
 cd "$(dirname "$0")/.."
 root=$PWD
 data=${DATA:?name the folder that holds ensembles/, for example make teach DATA=../shared/data}
 frames=${FRAMES:-10000} epochs=${EPOCHS:-30}
 entire=${ENTIRE:-$root/target/release/entire}
-out=$root/out/teach
+out=$root/out/teach models=${MODELS:-$root/models}
 mkdir -p "$out"
 cd "$data"
 for set in ${*:-unshaded local scatter}; do
@@ -34,5 +35,5 @@ for set in ${*:-unshaded local scatter}; do
         --volumenet "$root/models/volumenet-128f2.safetensors" --batch 256 --learning-rate 7e-4 --epochs "$epochs" \
         --split volume --validation-groups ensembles/nyx_cosmology/m02/t0018.nrrd \
         --test-groups ensembles/castro_blast/m01/t0014.nrrd
-    cp "$out/$set-taught.safetensors" "$root/models/"
+    cp "$out/$set-taught.safetensors" "$models/"
 done
