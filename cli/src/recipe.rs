@@ -697,7 +697,7 @@ pub fn transfer(file: &ModelFile, kitchen: &Kitchen<'_>, frames: Timed<'_>) -> R
 }
 
 /// Share of a learned factor's weights that is expected to hold for another renderer, and what that weighs per frame. These
-/// and [`BELIEVED`] are what did best over the training volumes of four renderers, each fold's by the others.
+/// and [`BELIEVED`] were chosen by cross-validation over the training volumes of four renderers.
 const TRANSFERRED: f64 = 0.25;
 const TRANSFER_RIDGE: f64 = 0.3;
 

@@ -46,3 +46,27 @@ fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
     let refused = transfer(&analytic, &kitchen, few).unwrap_err().to_string();
     assert!(refused.contains("--model-kind residual"), "{refused}");
 }
+
+#[test]
+fn what_converting_stored_values_costs_is_told_from_the_volume() {
+    let tables: Vec<Table> = ["vtk-fixed-train", "vtk-fixed-test"]
+        .iter()
+        .enumerate()
+        .map(|(i, name)| {
+            let folder = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join("data/timings");
+            Table::read(&folder.join(format!("{name}.csv.gz")), i).unwrap()
+        })
+        .collect();
+    let [train, unseen] = [0, 1].map(|i: usize| Part::of(&tables[i].frames, Clock::Cpu));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let bar = indicatif::ProgressBar::hidden();
+    let kitchen = Kitchen { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
+    let nothing = Timed { frames: &[], seconds: &[] };
+    let [plain, converting] = [false, true].map(|converting| {
+        let recipe = Recipe { kind: Kind::Analytic, converting, ..Recipe::default() };
+        let file = recipe.make(&kitchen, train.timed(), nothing).unwrap().file;
+        let predicted = predict(&file.to_model().unwrap(), &kitchen, &unseen.frames).unwrap();
+        Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
+    });
+    assert!(converting < 0.15 && converting < 0.75 * plain, "{converting}, {plain} without");
+}

@@ -114,8 +114,8 @@ pub struct Options {
     /// Adapt this model to the frames in closed form, its last layer drawn towards its weights: some ten frames will do.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["fine_tune", "model_kind"])]
     pub calibrate: Option<PathBuf>,
-    /// Take this model (of kind residual) to another renderer in closed form: unit costs are solved anew, and the factor's last
-    /// layer is fitted towards half of its weights. All frames are learned from; some twenty will do.
+    /// Take this model (of kind residual) to another renderer in closed form: unit costs are solved anew (as with `--converting`),
+    /// and the factor's last layer is fitted towards a quarter of its weights. All frames are learned from; some fifty will do.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["fine_tune", "calibrate", "model_kind", "validation_groups", "test_groups"])]
     pub transfer: Option<PathBuf>,
     /// Model file with the VolumeNet that encodes volumes; it is written into the new file too.
