@@ -275,6 +275,10 @@ impl Recipe {
                 || self.inputs.iter().map(|g| g.trim()).eq([GroupKind::SceneFeatures.name()]),
             "a residual model takes scene_features alone; leave other --inputs away"
         );
+        ensure!(
+            !self.converting || matches!(self.kind, Kind::Analytic | Kind::Residual),
+            "--converting is about the costs of an analytic model; name --model-kind analytic or residual, or leave it away"
+        );
         if let Some(path) = &self.fine_tune {
             return self.fine_tune(path, kitchen, training, validation);
         }
