@@ -620,7 +620,7 @@ pub fn calibrate_to_rows(file: &ModelFile, rows: &[f32], seconds: &[f64]) -> Res
 /// Takes an analytic model times a learned factor to another renderer, from a few frames: unit costs are solved anew, those of
 /// [`UnitCosts::CONVERTING`] among them, and the factor's last layer is fitted towards a part of its weights, since what the
 /// model had wrong there is in part wrong here too. Frames that are expected to be long weigh more, and of the factor that
-/// so few frames give a part is taken ([`BELIEVED`]).
+/// so few frames give a part is taken.
 ///
 /// # Errors
 /// For a model that is no analytic one times a learned factor, or when inputs cannot be computed.
