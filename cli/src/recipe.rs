@@ -294,6 +294,10 @@ impl Recipe {
                 || self.inputs.iter().map(|g| g.trim()).eq([GroupKind::SceneFeatures.name()]),
             "a residual model takes scene_features alone; leave other --inputs away"
         );
+        ensure!(
+            !self.converting || matches!(self.kind, Kind::Analytic | Kind::Residual),
+            "--converting is about the costs of an analytic model; name --model-kind analytic or residual, or leave it away"
+        );
         if let Some(path) = &self.fine_tune {
             return self.fine_tune(path, kitchen, training, validation);
         }
@@ -641,7 +645,7 @@ pub fn calibrate_to_rows(file: &ModelFile, rows: &[f32], seconds: &[f64]) -> Res
 /// Takes an analytic model times a learned factor to another renderer, from a few frames: unit costs are solved anew, those of
 /// [`UnitCosts::CONVERTING`] among them, and the factor's last layer is fitted towards a part of its weights, since what the
 /// model had wrong there is in part wrong here too. Frames that are expected to be long weigh more, and of the factor that
-/// so few frames give a part is taken ([`BELIEVED`]).
+/// so few frames give a part is taken.
 ///
 /// # Errors
 /// For a model that is no analytic one times a learned factor, or when inputs cannot be computed.
