@@ -18,12 +18,13 @@ import subprocess
 
 RENDERERS = ("vtk-fixed", "vtk-gpu", "paraview", "yt")
 BASE = ("none-train", "none-steps")
-PLAIN = "--model-kind residual --layers 32 --batch 128 --learning-rate 0.003 --epochs 150".split()
+HOW = "--model-kind residual --batch 128 --learning-rate 0.003 --epochs 150".split()
+PLAIN = [*HOW, "--layers", "32"]
 # What renderers pay for beyond what the raycaster does; a mean of networks of eight seeds.
 MORE = """log_pixels log_samples_per_pixel log_skips_per_pixel log_shaded_per_pixel log_shadow_per_pixel log_runs_per_ray
 log_ray_spacing footprint_share terminated_share log_divergence occupied_share log_visible_share log_mean_extinction
 log_mean_chord tilt turn log_step log_voxels remapped along_x along_z""".split()
-FACTOR = [*PLAIN, "--converting", "--ensemble", "8", "--scene-features", ",".join(MORE)]
+FACTOR = [*HOW, "--layers", "32,16", "--converting", "--ensemble", "8", "--scene-features", ",".join(MORE)]
 ANALYTIC = "--model-kind analytic --converting".split()
 SHARE = 0.05
 
