@@ -37,7 +37,8 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
                 .iter()
                 .find(|f| f.0 == set.name && f.1 == ship.predictor)
                 .with_context(|| format!("{} was not made for {}", ship.predictor, set.name))?;
-            let (mut file, _) = read_model_file(&made.2)?;
+            let (mut file, model) = read_model_file(&made.2)?;
+            let judged_as = model.prednet().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.name());
             store_as(&mut file, ship.dtype)?;
             let paths: Vec<PathBuf> =
                 set.training.iter().chain(set.splits.iter().flat_map(|s| &s.tables)).cloned().collect();
@@ -62,7 +63,7 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
                 set,
                 &tables[..set.training.len()],
                 &figures,
-                latency,
+                (latency, judged_as),
                 found,
             )?;
             let path_md = path.with_extension("md");
@@ -169,7 +170,7 @@ fn card(
     set: &Set,
     training: &[Table],
     figures: &[Figures],
-    latency: Option<crate::latency::Latency>,
+    (latency, judged_as): (Option<crate::latency::Latency>, &str),
     found: &Findings,
 ) -> Result<String> {
     let model = file.to_model()?;
@@ -267,7 +268,7 @@ fn card(
     let _ = writeln!(
         md,
         "## Splits\n\nTrained on even time steps of castro_blast m01 and m02, nyx_cosmology m01 and m02, maestroex_bubbles m01 (a tenth \
-         of the volumes decides when training stops). member: other members, other seeds and physical parameters; time step: odd \
+         of the volumes, of taught ones one volume, decides when training stops). member: other members, other seeds and physical parameters; time step: odd \
          steps of the same members; the others say what they are.\n"
     );
     let _ = writeln!(
@@ -317,7 +318,7 @@ fn card(
     if let Some(l) = latency {
         let _ = writeln!(
             md,
-            "\nOne prediction, scene features included, weights as F32, on {}: {:.1} µs with cold caches, {:.1} µs warm{}.",
+            "\nOne prediction, scene features included, weights as {judged_as}, on {}: {:.1} µs with cold caches, {:.1} µs warm{}.",
             crate::machine::machine(),
             1e6 * l.cold,
             1e6 * l.warm,
