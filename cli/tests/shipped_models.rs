@@ -71,14 +71,14 @@ fn figures_on_card(card: &str, split: &str) -> [f64; 2] {
 fn shipped_predictors_reach_the_figures_on_their_cards() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    // The paper's network is there for comparison; it has no worst error to keep.
+    // The paper's network is there for comparison; taught, it is no worse than this.
     for (set, table, kind, worst) in [
         ("unshaded", "none", "selected", 0.08),
         ("local", "local", "selected", 0.08),
         ("scatter", "scatter", "selected", 0.15),
-        ("unshaded", "none", "paper", 1.0),
-        ("local", "local", "paper", 1.0),
-        ("scatter", "scatter", "paper", 1.0),
+        ("unshaded", "none", "taught", 0.25),
+        ("local", "local", "taught", 0.25),
+        ("scatter", "scatter", "taught", 0.35),
     ] {
         let path = root.join("models").join(format!("{set}-{kind}.safetensors"));
         let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
