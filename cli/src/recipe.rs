@@ -372,6 +372,17 @@ impl Recipe {
         Ok(settings)
     }
 
+    /// The recipe as a model file tells it: of other files the names alone, since where they lie is of this machine.
+    fn told(&self) -> Self {
+        let name = |path: &Option<PathBuf>| path.as_ref().and_then(|p| p.file_name()).map(PathBuf::from);
+        Self {
+            volumenet: name(&self.volumenet),
+            fine_tune: name(&self.fine_tune),
+            file: name(&self.file),
+            ..self.clone()
+        }
+    }
+
     /// The ratios that unit costs are drawn to; those that are 0 stay so.
     fn default_costs(&self) -> UnitCosts {
         if self.converting { UnitCosts::CONVERTING } else { UnitCosts::SOFTWARE }
@@ -462,7 +473,7 @@ impl Recipe {
                     String::new()
                 }
             ),
-            settings: json!({ "recipe": self, "unit_costs_seconds": costs }),
+            settings: json!({ "recipe": self.told(), "unit_costs_seconds": costs }),
             history,
             outcome: format!("analytic part {report}; factor: {outcome}"),
         })
@@ -498,7 +509,7 @@ impl Recipe {
                 "PredNet, widths {}",
                 widths.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
             ),
-            settings: json!({ "recipe": self, "widths": widths, "optimizer": "Adam(0.9, 0.999)", "schedule": "cosine, per step" }),
+            settings: json!({ "recipe": self.told(), "widths": widths, "optimizer": "Adam(0.9, 0.999)", "schedule": "cosine, per step" }),
             history,
             outcome,
         })
@@ -557,7 +568,7 @@ impl Recipe {
             file,
             what: "PredNet, fine-tuned".into(),
             settings: json!({
-                "fine_tuned_from": path.file_name().map(|n| n.to_string_lossy()), "recipe": self,
+                "fine_tuned_from": path.file_name().map(|n| n.to_string_lossy()), "recipe": self.told(),
             }),
             history,
             outcome,

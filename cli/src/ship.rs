@@ -206,9 +206,9 @@ fn card(
         );
     }
     let _ = writeln!(md, "\n## Data\n");
-    let taught = stored["data"].as_array().into_iter().flatten().filter(|d| d["renderer"] == "teacher");
-    let mut by_teacher = false;
-    for d in taught {
+    let taught: Vec<_> =
+        stored["data"].as_array().into_iter().flatten().filter(|d| d["renderer"] == "teacher").collect();
+    for d in &taught {
         let word = |key: &str| d[key].as_str().unwrap_or("not known").to_owned();
         let _ = writeln!(
             md,
@@ -220,9 +220,8 @@ fn card(
             word("file"),
             word("fnv1a")
         );
-        by_teacher = true;
     }
-    for t in training.iter().filter(|_| !by_teacher) {
+    for t in training.iter().filter(|_| taught.is_empty()) {
         let _ = writeln!(
             md,
             "- training: `data/timings/{}`, {} frames, FNV-1a {:016x}{}",

@@ -50,6 +50,11 @@ fn every_shipped_model_has_a_card_and_provenance() {
             let provenance: serde_json::Value = serde_json::from_str(model.provenance().unwrap()).unwrap();
             assert!(provenance.is_object(), "{}", path.display());
             let card = std::fs::read_to_string(path.with_extension("md")).unwrap();
+            for text in [&card, model.provenance().unwrap()] {
+                for start in ["\": \"/", "\":\"/", "`/"] {
+                    assert!(!text.contains(start), "{}: a path of one machine", path.display());
+                }
+            }
             for heading in ["## Use", "## Data", "## Training", "## Limits"] {
                 assert!(card.contains(heading), "{}: {heading}", path.display());
             }

@@ -6,16 +6,16 @@ use entire_cli::recipe::{Kind, Kitchen, Recipe, Timed, transfer};
 use entire_cli::study::{Part, predict};
 use std::path::Path;
 
+/// Tables of data/timings, numbered in their order.
+fn tables(names: &[&str]) -> Vec<Table> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join("data/timings");
+    let read = |(i, name)| Table::read(&folder.join(format!("{name}.csv.gz")), i).unwrap();
+    names.iter().enumerate().map(read).collect()
+}
+
 #[test]
 fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
-    let tables: Vec<Table> = ["none-others", "vtk-gpu-train", "vtk-gpu-test"]
-        .iter()
-        .enumerate()
-        .map(|(i, name)| {
-            let folder = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join("data/timings");
-            Table::read(&folder.join(format!("{name}.csv.gz")), i).unwrap()
-        })
-        .collect();
+    let tables = tables(&["none-others", "vtk-gpu-train", "vtk-gpu-test"]);
     let [here, there, unseen] = [0, 1, 2].map(|i: usize| Part::of(&tables[i].frames, Clock::Cpu));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let bar = indicatif::ProgressBar::hidden();
@@ -49,14 +49,7 @@ fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
 
 #[test]
 fn what_converting_stored_values_costs_is_told_from_the_volume() {
-    let tables: Vec<Table> = ["vtk-fixed-train", "vtk-fixed-test"]
-        .iter()
-        .enumerate()
-        .map(|(i, name)| {
-            let folder = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().join("data/timings");
-            Table::read(&folder.join(format!("{name}.csv.gz")), i).unwrap()
-        })
-        .collect();
+    let tables = tables(&["vtk-fixed-train", "vtk-fixed-test"]);
     let [train, unseen] = [0, 1].map(|i: usize| Part::of(&tables[i].frames, Clock::Cpu));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let bar = indicatif::ProgressBar::hidden();
