@@ -11,6 +11,10 @@ study: ## Make and judge every predictor of STUDY: out/study/report.html
 bars-accuracy: ## As study, and print every accuracy bar (fails when one is short): bar NAME VALUE LIMIT ok|short
 	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '
 
+.PHONY: tables
+tables: build ## Collect timing tables anew on this machine: make tables DATA=FOLDER-WITH-ensembles TABLES="scatter-members scatter-train"
+	DATA="$(DATA)" bash scripts/tables.sh $(TABLES)
+
 .PHONY: teach
 teach: build ## Teach the paper's network by the selected predictors, an hour or two: make teach DATA=FOLDER-WITH-ensembles
 	DATA="$(DATA)" bash scripts/teach.sh $(SETS)

@@ -5,7 +5,7 @@ use anyhow::{Result, ensure};
 use entire_core::scene::{Arcball, GaussianLobe, MAX_IMAGE_SIDE};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// What random scenes are drawn from. Every draw is independent of all others.
 ///
@@ -16,7 +16,7 @@ use serde::Serialize;
 /// | image size | sides log-uniform in `[min_size, max_size]`; half of the images are square |
 /// | lobes | a number uniform in `lobes`; centre uniform in [0, 1); width w log-uniform in [0.0005, 0.05] (falls to 1/e within 0.022 to 0.22); height log-uniform in [0.005, 1] |
 /// | ray step | one of `steps` (reference steps), each equally likely |
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct SceneDistribution {
     /// Radii of the semi-spheres, bounding-sphere radii.
     pub radii: Vec<f32>,

@@ -13,11 +13,12 @@ use crate::machine;
 use crate::scenes::{DEFAULT_RADII, SceneDistribution};
 use crate::teacher::Teacher;
 use crate::volume::Volume;
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
 use entire_vk_raycaster::Renderer;
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Deserialize;
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -32,20 +33,30 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "Examples:
   entire collect data/*.nrrd --out frames.csv
   entire collect castro_blast/m0?/t00*.nrrd --out castro.csv --frames 100 --shade local
-  entire collect skull.nii.gz --out skull.csv --steps 0.5,1,2,4 --max-size 512 --resume")]
+  entire collect skull.nii.gz --out skull.csv --steps 0.5,1,2,4 --max-size 512 --resume
+  entire collect --like data/timings/none-train.csv.gz --out again.csv")]
 pub struct Options {
     /// Volume files. Files named like `t0012.nrrd` are time steps; their folder is their ensemble member.
-    #[arg(required = true, value_name = "VOLUME")]
+    #[arg(required_unless_present = "like", value_name = "VOLUME")]
     pub volumes: Vec<PathBuf>,
     /// The table to write; its manifest goes beside it as NAME.manifest.json.
     #[arg(long, value_name = "FILE.csv")]
     pub out: PathBuf,
+    /// Collect the frames of this table anew: volumes, frames and all settings come from its manifest. Its volume names
+    /// start from the working folder.
+    #[arg(long, value_name = "TABLE", conflicts_with_all = ["volumes", "frames", "repeats", "passes", "warm_up", "seed",
+        "shade", "skip", "termination", "min_size", "max_size", "radii", "lobes", "steps", "member", "enlarge", "proxy"])]
+    pub like: Option<PathBuf>,
     /// Frames per volume.
     #[arg(long, default_value_t = 100, value_name = "N")]
     pub frames: u32,
     /// How often each frame is rendered.
     #[arg(long, default_value_t = 5, value_name = "R")]
     pub repeats: u32,
+    /// Go through all volumes so often, with --repeats renderings of each frame every time: repeats minutes apart show
+    /// the machine's drift, which repeats at once do not.
+    #[arg(long, default_value_t = 1, value_name = "P")]
+    pub passes: u32,
     /// Frames rendered and thrown away after each volume is loaded, so that first-use work is not timed.
     #[arg(long, default_value_t = 2, value_name = "N")]
     pub warm_up: u32,
@@ -194,8 +205,10 @@ impl Job {
 pub struct Protocol {
     /// Frames per volume.
     pub frames: u32,
-    /// Repeats per frame.
+    /// Repeats per frame and pass.
     pub repeats: u32,
+    /// How often all volumes are gone through.
+    pub passes: u32,
     /// Frames discarded after each volume change.
     pub warm_up: u32,
     /// Seed.
@@ -215,6 +228,94 @@ pub struct Protocol {
 }
 
 impl Protocol {
+    /// What the options say.
+    fn of_options(options: &Options) -> Self {
+        Self {
+            frames: options.frames,
+            repeats: options.repeats,
+            passes: options.passes,
+            warm_up: options.warm_up,
+            seed: options.seed,
+            scenes: SceneDistribution {
+                radii: options.radii.clone(),
+                lobes: options.lobes,
+                min_size: options.min_size,
+                max_size: options.max_size,
+                steps: options.steps.clone(),
+            },
+            shading: options.shade.into(),
+            skipping: options.skip.into(),
+            termination: options.termination,
+            enlarge: options.enlarge,
+            proxy: options.proxy,
+        }
+    }
+
+    /// What the manifest of a table says that `entire collect` made, and the table's volumes.
+    ///
+    /// # Errors
+    /// When a setting is missing or is nothing that this version knows; names it.
+    pub fn of_manifest(manifest: &Manifest) -> Result<(Self, Vec<Job>)> {
+        #[derive(Deserialize)]
+        struct Settings {
+            frames_per_volume: u32,
+            warm_up_frames_discarded_per_volume: u32,
+            shading: String,
+            skipping: String,
+            termination: f32,
+            fov_y_deg: f32,
+            enlarged_trilinearly_by: usize,
+            scenes: SceneDistribution,
+            volumes: Vec<VolumeOf>,
+            #[serde(default)]
+            resampled_to_edge: Option<usize>,
+            #[serde(default = "one")]
+            passes: u32,
+        }
+        #[derive(Deserialize)]
+        struct VolumeOf {
+            path: PathBuf,
+            member: String,
+            time_step: Option<u32>,
+        }
+        fn one() -> u32 {
+            1
+        }
+        let s: Settings = serde_json::from_value(manifest.settings.clone())
+            .context("its settings are not those of `entire collect`")?;
+        let option = |what: &str, name: &str| format!("its {what} is {name:?}, which this version does not know");
+        ensure!(
+            s.fov_y_deg == DEFAULT_FOV_Y_DEGREES,
+            "its field of view is {}°; this version draws {DEFAULT_FOV_Y_DEGREES}°",
+            s.fov_y_deg
+        );
+        ensure!(
+            s.passes > 0 && manifest.repeats.is_multiple_of(s.passes),
+            "its {} repeats are not those of {} passes",
+            manifest.repeats,
+            s.passes
+        );
+        let protocol = Self {
+            frames: s.frames_per_volume,
+            repeats: manifest.repeats / s.passes,
+            passes: s.passes,
+            warm_up: s.warm_up_frames_discarded_per_volume,
+            seed: manifest.seed,
+            scenes: s.scenes,
+            shading: ShadeOption::from_str(&s.shading, false)
+                .map_err(|_| anyhow!(option("shading", &s.shading)))?
+                .into(),
+            skipping: SkipOption::from_str(&s.skipping, false)
+                .map_err(|_| anyhow!(option("skipping", &s.skipping)))?
+                .into(),
+            termination: s.termination,
+            enlarge: s.enlarged_trilinearly_by,
+            proxy: s.resampled_to_edge,
+        };
+        let jobs = s.volumes.into_iter().map(|v| Job { path: v.path, member: v.member, time_step: v.time_step });
+        Ok((protocol, jobs.collect()))
+    }
+
     fn settings(&self, jobs: &[Job]) -> serde_json::Value {
         let mut settings = json!({
             "frames_per_volume": self.frames,
@@ -233,16 +334,24 @@ impl Protocol {
         if let Some(edge) = self.proxy {
             settings["resampled_to_edge"] = json!(edge);
         }
+        if self.passes > 1 {
+            settings["passes"] = json!(self.passes);
+        }
         settings
+    }
+
+    /// What [`Outcome`] counts.
+    fn counted(&self) -> &'static str {
+        if self.passes > 1 { "frames of all passes" } else { "frames" }
     }
 }
 
 /// What came of a collection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outcome {
-    /// Frames in the table now.
+    /// Frames that are written down now; where there are several passes, those of each.
     pub done: u64,
-    /// Frames that it is to have.
+    /// Frames that are to be.
     pub total: u64,
     /// Warm-up frames rendered and discarded in this run.
     pub discarded: u64,
@@ -333,6 +442,85 @@ pub fn collect(
     Ok(outcome)
 }
 
+/// Where each pass over the volumes keeps its frames until all are done; none for a single pass.
+fn pass_files(out: &Path, passes: u32) -> Vec<PathBuf> {
+    let count = if passes > 1 { passes } else { 0 };
+    (1..=count).map(|pass| out.with_extension(format!("pass{pass}.csv"))).collect()
+}
+
+/// As [`collect`], as many times over as the protocol has passes. Each pass has a table of its own beside `out`, so that
+/// it can be gone on with; in the end `table` takes them together, the repeats of a frame in the order of the passes,
+/// and they are removed.
+///
+/// # Errors
+/// Those of [`collect`], and pass tables that cannot be read or removed.
+#[expect(clippy::too_many_arguments, reason = "those of collect, and where the passes go")]
+pub fn collect_passes(
+    jobs: &[Job],
+    protocol: &Protocol,
+    renderer: &mut dyn Renderer,
+    open: &mut dyn FnMut(&Path) -> Result<Volume>,
+    table: &mut Writer,
+    out: &Path,
+    stop: &dyn Fn() -> bool,
+    progress: &ProgressBar,
+) -> Result<Outcome> {
+    let total = jobs.len() as u64 * u64::from(protocol.frames);
+    // Without passes, or interrupted between the last pass and the end of the table and its pass files' removal.
+    let complete = (0..total).all(|n| table.done().contains(&n));
+    if protocol.passes == 1 || complete {
+        let outcome = collect(jobs, protocol, renderer, open, table, stop, progress)?;
+        remove(&pass_files(out, protocol.passes))?;
+        return Ok(outcome);
+    }
+    let files = pass_files(out, protocol.passes);
+    let mut outcome = Outcome { done: 0, total: 0, discarded: 0, interrupted: false };
+    for (i, file) in files.iter().enumerate() {
+        progress.set_prefix(format!("collect, pass {} of {}", i + 1, files.len()));
+        let mut pass = Writer::resume(file, protocol.repeats)?;
+        if outcome.interrupted {
+            outcome.done += pass.done().len() as u64;
+            outcome.total += total;
+            continue;
+        }
+        let of_pass = collect(jobs, protocol, renderer, open, &mut pass, stop, progress)?;
+        outcome.done += of_pass.done;
+        outcome.total += of_pass.total;
+        outcome.discarded += of_pass.discarded;
+        outcome.interrupted = of_pass.interrupted;
+    }
+    if outcome.interrupted {
+        return Ok(outcome);
+    }
+    let mut frames: BTreeMap<u64, (Scene, Vec<Measurement>)> = BTreeMap::new();
+    for file in &files {
+        for frame in Table::read(file, 0)?.frames {
+            let entry = frames.entry(frame.number).or_insert_with(|| (frame.scene.clone(), Vec::new()));
+            ensure!(
+                entry.0 == frame.scene,
+                "{}: frame {} shows something else than in the passes before; remove the files of the passes",
+                file.display(),
+                frame.number
+            );
+            entry.1.extend(frame.repeats);
+        }
+    }
+    for (number, (scene, repeats)) in &frames {
+        if !table.done().contains(number) {
+            table.append(*number, scene, repeats)?;
+        }
+    }
+    remove(&files)?;
+    Ok(outcome)
+}
+
+fn remove(files: &[PathBuf]) -> Result<()> {
+    for file in files.iter().filter(|f| f.exists()) {
+        std::fs::remove_file(file).with_context(|| format!("cannot remove {}", file.display()))?;
+    }
+    Ok(())
+}
+
 /// Says what keeps a table from being gone on with, if anything.
 fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
     let mut out = Vec::new();
@@ -389,15 +577,21 @@ fn jobs(options: &Options) -> Result<Vec<Job>> {
         }
         n => bail!("--member names {n} members for {} volumes; give one for all or one for each", jobs.len()),
     }
-    for job in &jobs {
-        ensure!(job.path.is_file(), "{}: no such file; give volume files", job.path.display());
+    check(&jobs, "give volume files")?;
+    Ok(jobs)
+}
+
+/// That every volume is there, once.
+fn check(jobs: &[Job], remedy: &str) -> Result<()> {
+    for job in jobs {
+        ensure!(job.path.is_file(), "{}: no such file; {remedy}", job.path.display());
     }
     let mut paths: Vec<&PathBuf> = jobs.iter().map(|j| &j.path).collect();
     paths.sort();
     if let Some(twice) = paths.windows(2).find(|w| w[0] == w[1]) {
         bail!("{} is given twice; give every volume once", twice[0].display());
     }
-    Ok(jobs)
+    Ok(())
 }
 
 /// A progress bar with the time left; silent where standard error is no terminal.
@@ -416,26 +610,23 @@ pub fn progress_bar(what: &str) -> ProgressBar {
 /// # Errors
 /// Bad options or files, a device that fails, and interruption; the message says how to go on.
 pub fn run(options: &Options) -> Result<()> {
-    let jobs = jobs(options)?;
-    let protocol = Protocol {
-        frames: options.frames,
-        repeats: options.repeats,
-        warm_up: options.warm_up,
-        seed: options.seed,
-        scenes: SceneDistribution {
-            radii: options.radii.clone(),
-            lobes: options.lobes,
-            min_size: options.min_size,
-            max_size: options.max_size,
-            steps: options.steps.clone(),
-        },
-        shading: options.shade.into(),
-        skipping: options.skip.into(),
-        termination: options.termination,
-        enlarge: options.enlarge,
-        proxy: options.proxy,
+    let (protocol, jobs) = match &options.like {
+        Some(table) => {
+            let shown = table.display();
+            let manifest = Manifest::read(table)?.with_context(|| {
+                format!("{shown} has no manifest {}", Manifest::path_for(table).display())
+            })?;
+            let (protocol, jobs) = Protocol::of_manifest(&manifest)
+                .with_context(|| format!("{} cannot be followed", Manifest::path_for(table).display()))?;
+            check(&jobs, "run from the folder that its volume names start from")?;
+            (protocol, jobs)
+        }
+        None => (Protocol::of_options(options), jobs(options)?),
     };
-    ensure!(protocol.frames > 0 && protocol.repeats > 0, "--frames and --repeats must be at least 1");
+    ensure!(
+        protocol.frames > 0 && protocol.repeats > 0 && protocol.passes > 0,
+        "--frames, --repeats and --passes must be at least 1"
+    );
     ensure!(
         protocol.termination > 0.0 && protocol.termination <= 1.0,
         "--termination is {}; it must lie in (0, 1], 1 for never",
@@ -461,7 +652,7 @@ pub fn run(options: &Options) -> Result<()> {
         driver: driver_of(renderer.as_ref()),
         commit: machine::version(),
         seed: protocol.seed,
-        repeats: protocol.repeats,
+        repeats: protocol.repeats * protocol.passes,
         step_reference: "smallest voxel spacing".into(),
         settings: protocol.settings(&jobs),
         other: BTreeMap::new(),
@@ -490,8 +681,15 @@ pub fn run(options: &Options) -> Result<()> {
                 Manifest::path_for(&options.out).display()
             );
         }
-        Writer::resume(&options.out, protocol.repeats)?
+        Writer::resume(&options.out, manifest.repeats)?
     } else {
+        for path in pass_files(&options.out, protocol.passes) {
+            ensure!(
+                !path.exists(),
+                "{} is left of an interrupted collection; go on with --resume, or remove it",
+                path.display()
+            );
+        }
         Writer::create(&options.out)?
     };
     let started = json!({ "started": machine::now(), "load_average_at_start": machine::load_average(),
@@ -512,12 +710,13 @@ pub fn run(options: &Options) -> Result<()> {
     manifest.write(&options.out)?;
 
     let bar = progress_bar("collect");
-    let result = collect(
+    let result = collect_passes(
         &jobs,
         &protocol,
         renderer.as_mut(),
         &mut |path| Volume::open(path),
         &mut table,
+        &options.out,
         &|| interrupt::requested(&stop),
         &bar,
     );
@@ -527,14 +726,14 @@ pub fn run(options: &Options) -> Result<()> {
     manifest.other.insert("runs".into(), note(Some(outcome)));
     manifest.write(&options.out)?;
     if outcome.interrupted {
-        bail!("interrupted after {} of {} frames; {go_on}", outcome.done, outcome.total);
+        bail!("interrupted after {} of {} {}; {go_on}", outcome.done, outcome.total, protocol.counted());
     }
     println!(
         "{} frames of {} volume{} x {} repeats in {}; {} warm-up frames were rendered and discarded",
-        outcome.done,
+        table.done().len(),
         jobs.len(),
         if jobs.len() == 1 { "" } else { "s" },
-        protocol.repeats,
+        manifest.repeats,
         options.out.display(),
         outcome.discarded
     );
@@ -563,6 +762,7 @@ mod tests {
         Protocol {
             frames: 4,
             repeats: 3,
+            passes: 1,
             warm_up: 2,
             seed: 11,
             scenes: SceneDistribution { max_size: 64, ..Default::default() },
@@ -631,6 +831,53 @@ mod tests {
     }
 
     #[test]
+    fn passes_make_one_table_whose_repeats_are_far_apart_and_can_be_stopped_anywhere() {
+        let dir = tempfile::tempdir().unwrap();
+        let protocol = Protocol { passes: 2, repeats: 2, ..protocol() };
+        let noisy = || ScriptedRenderer { noise: 0.1, ..Default::default() };
+        let run = |out: &Path, renders: u32| {
+            let mut table = Writer::resume(out, 4).unwrap();
+            let asked = Cell::new(0);
+            let stop = || {
+                asked.set(asked.get() + 1);
+                asked.get() > renders
+            };
+            let bar = ProgressBar::hidden();
+            let (jobs, mut renderer) = (some_jobs(), noisy());
+            collect_passes(&jobs, &protocol, &mut renderer, &mut tiny, &mut table, out, &stop, &bar).unwrap()
+        };
+        let whole = dir.path().join("whole.csv");
+        assert_eq!(run(&whole, 1000), Outcome { done: 16, total: 16, discarded: 8, interrupted: false });
+        let expected = without_times(&whole);
+        assert_eq!(expected.len(), 1 + 8 * 4);
+        assert!(expected[4].starts_with("0,3,") && expected[5].starts_with("1,0,"), "{}", expected[4]);
+        // The first pass's repeats come first: those of a single pass with the same renderer.
+        let single = dir.path().join("single.csv");
+        let once = Protocol { passes: 1, ..protocol.clone() };
+        let (mut table, mut renderer) = (Writer::create(&single).unwrap(), noisy());
+        let bar = ProgressBar::hidden();
+        collect(&some_jobs(), &once, &mut renderer, &mut tiny, &mut table, &|| false, &bar).unwrap();
+        let seconds = |path: &Path| -> Vec<Vec<f64>> {
+            let frames = Table::read(path, 0).unwrap().frames;
+            frames.iter().map(|f| f.repeats.iter().filter_map(|r| r.seconds(Clock::Wall)).collect()).collect()
+        };
+        for (all, first) in seconds(&whole).iter().zip(seconds(&single)) {
+            assert_eq!((all.len(), &all[..2]), (4, first.as_slice()));
+            assert!(all[2] != all[0] && all[3] != all[1], "{all:?}");
+        }
+        std::fs::remove_file(single).unwrap();
+        assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "pass files are left");
+        for stop_after in [0, 3, 19, 20, 21, 39] {
+            let out = dir.path().join(format!("{stop_after}.csv"));
+            let stopped = run(&out, stop_after);
+            assert!(stopped.interrupted && stopped.total == 16, "{stop_after}");
+            assert_eq!(Table::read(&out, 0).map(|t| t.frames.len()).unwrap(), 0);
+            assert!(!run(&out, 1000).interrupted);
+            assert_eq!(without_times(&out), expected, "{stop_after}");
+        }
+    }
+
+    #[test]
     fn order_of_volumes_changes_numbers_but_no_scene() {
         let dir = tempfile::tempdir().unwrap();
         let (a, b) = (dir.path().join("a.csv"), dir.path().join("b.csv"));
@@ -680,6 +927,17 @@ mod tests {
         // Through a file and back, numbers and all.
         let back: Manifest = serde_json::from_str(&serde_json::to_string(&base).unwrap()).unwrap();
         assert_eq!(differences(&back, &base), Vec::<String>::new());
+        // And from the manifest to the same frames.
+        let twice = Protocol { passes: 2, repeats: 4, proxy: Some(64), shading: Shading::Scatter, ..protocol() };
+        for p in [protocol(), twice] {
+            let mut written = manifest(&p, &some_jobs(), "d");
+            written.repeats = p.repeats * p.passes;
+            assert_eq!(Protocol::of_manifest(&written).unwrap(), (p, some_jobs()));
+        }
+        let mut other = back.clone();
+        other.settings["shading"] = json!("path tracing");
+        let error = Protocol::of_manifest(&other).unwrap_err().to_string();
+        assert_eq!(error, "its shading is \"path tracing\", which this version does not know");
         let changed = |f: &dyn Fn(&mut Protocol)| {
             let mut p = protocol();
             f(&mut p);

@@ -1,6 +1,11 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """The Python module steers, and the collector draws the frames that `entire collect` draws."""
+import csv
+import os
 import sys
+import tempfile
+
+import numpy as np
 
 sys.path.insert(0, sys.argv[1])
 import timing_table  # noqa: E402
@@ -30,3 +35,36 @@ text = ";".join(" ".join(timing_table.single_text(v) for v in lobe) for lobe in 
 assert text == "0.3575599 0.0110967215 0.017436543;0.91632026 0.0006550259 0.5698056;0.05813787 0.010394635 0.07989768"
 assert [timing_table.single_text(v) for v in (scene.rx, scene.ry, scene.dz)] == ["1.6128389", "32.929604", "3"]
 assert (scene.width, scene.height, scene.step) == (36, 312, 1.0)
+
+
+class Clockwork:
+    """Draws nothing and takes a second more every time."""
+
+    name, device, driver, skipping, termination, warm_up = "clockwork", "none", "none", "none", 1.0, 0
+    drawn = 0
+
+    def load(self, volume):
+        assert volume.dims == (2, 3, 4)
+
+    def prepare(self, scene):
+        def draw():
+            self.drawn += 1
+            return float(self.drawn), float(self.drawn)
+
+        return draw
+
+
+with tempfile.TemporaryDirectory() as folder:
+    paths = [os.path.join(folder, name) for name in ("a.nrrd", "b.nrrd")]
+    for path in paths:
+        timing_table.write_nrrd(path, np.zeros((4, 3, 2)))
+    out = os.path.join(folder, "t.csv")
+    words = [*paths, "--out", out, "--frames", "2", "--passes", "2", "--repeats", "1", "--warm-up", "0"]
+    timing_table.collect(timing_table.arguments("").parse_args(words), Clockwork())
+    with open(out, newline="") as file:
+        rows = [(r["frame"], r["repeat"], os.path.basename(r["volume"]), r["seconds_cpu"], r["tf"]) for r in csv.DictReader(file)]
+    # The second pass comes after the first, through all volumes, and shows the same.
+    assert [r[:3] for r in rows[:4]] == [("0", "0", "a.nrrd"), ("1", "0", "a.nrrd"), ("2", "0", "b.nrrd"), ("3", "0", "b.nrrd")]
+    assert [float(r[3]) for r in rows] == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert [(r[0], "0", r[2], r[4]) for r in rows[4:]] == [(r[0], "0", r[2], r[4]) for r in rows[:4]]
+    assert {r[1] for r in rows[4:]} == {"1"}

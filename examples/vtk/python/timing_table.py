@@ -216,6 +216,10 @@ def arguments(description):
     parser.add_argument("--out", required=True, metavar="FILE.csv")
     parser.add_argument("--frames", type=int, default=100, help="frames per volume")
     parser.add_argument("--repeats", type=int, default=5, help="how often each frame is drawn")
+    parser.add_argument(
+        "--passes", type=int, default=1,
+        help="go through all volumes so often: repeats minutes apart show the machine's drift, which repeats at once do not",
+    )
     parser.add_argument("--warm-up", type=int, default=2, help="frames drawn and thrown away after a volume is loaded")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--min-size", type=int, default=32, help="shortest image side, pixels")
@@ -240,37 +244,44 @@ def collect(options, renderer):
         "driver": renderer.driver,
         "commit": "",
         "seed": options.seed,
-        "repeats": options.repeats,
+        "repeats": options.repeats * options.passes,
         "step_reference": "smallest voxel spacing",
         "settings": {k: v for k, v in vars(options).items() if k not in ("volumes", "out")},
     }
     with open(os.path.splitext(options.out)[0] + ".manifest.json", "w") as file:
         json.dump(manifest, file, indent=2)
         file.write("\n")
-    number = 0
     with open(options.out, "w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
-        for path in options.volumes:
-            volume = read_nrrd(path)
-            member, time_step = volume.place()
-            renderer.load(volume)
-            for index in range(options.frames):
-                scene = draw_scene(options.seed, path, index, options.min_size, options.max_size, steps)
-                draw = renderer.prepare(scene)
-                # The first frame of another size or transfer function holds work that is done once.
-                for _ in range(options.warm_up if index == 0 else renderer.warm_up):
-                    draw()
-                for repeat in range(options.repeats):
-                    wall, cpu = draw()
-                    writer.writerow(
-                        [number, repeat, path, member, time_step, *volume.dims]
-                        + [single_text(v) for v in (scene.rx, scene.ry, scene.dz, scene.fov_y)]
-                        + [scene.width, scene.height, single_text(scene.step), options.shade, renderer.skipping]
-                        + [single_text(renderer.termination)]
-                        + [";".join(" ".join(single_text(v) for v in lobe) for lobe in scene.lobes)]
-                        + ["", repr(wall), repr(cpu), "", "", "", ""]
-                    )
-                file.flush()
-                number += 1
-            print(f"{path}: {options.frames} frames", file=sys.stderr)
+        for turn in range(options.passes):
+            for place, path in enumerate(options.volumes):
+                rows = volume_rows(options, renderer, path, steps, place * options.frames, turn * options.repeats)
+                for row in rows:
+                    writer.writerow(row)
+                    file.flush()
+                of = f", pass {turn + 1} of {options.passes}" if options.passes > 1 else ""
+                print(f"{path}: {options.frames} frames{of}", file=sys.stderr)
+
+
+def volume_rows(options, renderer, path, steps, number, repeat):
+    """Draws a volume's frames and yields their rows; the first has this number and this repeat."""
+    volume = read_nrrd(path)
+    member, time_step = volume.place()
+    renderer.load(volume)
+    for index in range(options.frames):
+        scene = draw_scene(options.seed, path, index, options.min_size, options.max_size, steps)
+        draw = renderer.prepare(scene)
+        # The first frame of another size or transfer function holds work that is done once.
+        for _ in range(options.warm_up if index == 0 else renderer.warm_up):
+            draw()
+        for again in range(options.repeats):
+            wall, cpu = draw()
+            yield (
+                [number + index, repeat + again, path, member, time_step, *volume.dims]
+                + [single_text(v) for v in (scene.rx, scene.ry, scene.dz, scene.fov_y)]
+                + [scene.width, scene.height, single_text(scene.step), options.shade, renderer.skipping]
+                + [single_text(renderer.termination)]
+                + [";".join(" ".join(single_text(v) for v in lobe) for lobe in scene.lobes)]
+                + ["", repr(wall), repr(cpu), "", "", "", ""]
+            )
