@@ -132,3 +132,31 @@ fn bad_input_is_one_line_and_status_1_and_wrong_usage_is_2() {
     let output = collect(&volume, &out, &["--member", "a", "b", "--frames", "1"]).output().unwrap();
     assert!(stderr(&output).contains("2 members for 1 volumes"), "{}", stderr(&output));
 }
+
+#[test]
+fn a_table_is_collected_anew_from_its_manifest() {
+    let (dir, volume) = setting();
+    let (first, again) = (dir.path().join("first.csv"), dir.path().join("again.csv"));
+    let settings = ["--frames", "3", "--passes", "2", "--max-size", "48", "--seed", "9", "--steps", "1,2.5"];
+    let output = collect(&volume, &first, &settings).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert!(String::from_utf8_lossy(&output.stdout).starts_with("3 frames of 1 volume x 4 repeats"));
+
+    let like = |table: &Path, out: &Path, more: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
+        command.args(["collect", "--device", "cpu", "--like"]).arg(table).arg("--out").arg(out).args(more);
+        command.output().unwrap()
+    };
+    let output = like(&first, &again, &[]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(frames(&again), frames(&first));
+    assert_eq!(frames(&again).len(), 1 + 3 * 4);
+
+    let missing = like(&dir.path().join("none.csv"), &dir.path().join("x.csv"), &[]);
+    assert!(stderr(&missing).contains("none.csv has no manifest"), "{}", stderr(&missing));
+    let both = like(&first, &dir.path().join("x.csv"), &["--frames", "5"]);
+    assert!(stderr(&both).contains("--frames"), "{}", stderr(&both));
+    std::fs::remove_file(&volume).unwrap();
+    let gone = like(&first, &dir.path().join("x.csv"), &[]);
+    assert!(stderr(&gone).contains("v.nrrd: no such file; run from the folder"), "{}", stderr(&gone));
+}

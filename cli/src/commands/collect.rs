@@ -283,7 +283,8 @@ impl Protocol {
         }
         let s: Settings = serde_json::from_value(manifest.settings.clone())
             .context("its settings are not those of `entire collect`")?;
-        let option = |what: &str, name: &str| format!("its {what} is {name:?}, which this version does not know");
+        let option =
+            |what: &str, name: &str| format!("its {what} is {name:?}, which this version does not know");
         ensure!(
             s.fov_y_deg == DEFAULT_FOV_Y_DEGREES,
             "its field of view is {}°; this version draws {DEFAULT_FOV_Y_DEGREES}°",
@@ -312,7 +313,8 @@ impl Protocol {
             enlarge: s.enlarged_trilinearly_by,
             proxy: s.resampled_to_edge,
         };
-        let jobs = s.volumes.into_iter().map(|v| Job { path: v.path, member: v.member, time_step: v.time_step });
+        let jobs =
+            s.volumes.into_iter().map(|v| Job { path: v.path, member: v.member, time_step: v.time_step });
         Ok((protocol, jobs.collect()))
     }
 
@@ -834,7 +836,11 @@ mod tests {
     fn passes_make_one_table_whose_repeats_are_far_apart_and_can_be_stopped_anywhere() {
         let dir = tempfile::tempdir().unwrap();
         let protocol = Protocol { passes: 2, repeats: 2, ..protocol() };
-        let noisy = || ScriptedRenderer { noise: 0.1, ..Default::default() };
+        let noisy = || {
+            let mut renderer = ScriptedRenderer::default();
+            renderer.noise = 0.1;
+            renderer
+        };
         let run = |out: &Path, renders: u32| {
             let mut table = Writer::resume(out, 4).unwrap();
             let asked = Cell::new(0);
@@ -928,7 +934,8 @@ mod tests {
         let back: Manifest = serde_json::from_str(&serde_json::to_string(&base).unwrap()).unwrap();
         assert_eq!(differences(&back, &base), Vec::<String>::new());
         // And from the manifest to the same frames.
-        let twice = Protocol { passes: 2, repeats: 4, proxy: Some(64), shading: Shading::Scatter, ..protocol() };
+        let twice =
+            Protocol { passes: 2, repeats: 4, proxy: Some(64), shading: Shading::Scatter, ..protocol() };
         for p in [protocol(), twice] {
             let mut written = manifest(&p, &some_jobs(), "d");
             written.repeats = p.repeats * p.passes;
