@@ -328,18 +328,53 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::renderer::{Preparation, Rendered};
+
+    const FRAME: f64 = 1e-3;
+    const RAY: f64 = 1e-7;
+    const SAMPLE: f64 = 1e-8;
+
+    /// The twin, with a clock that goes by what it counts.
+    struct Clockwork(CpuRaycaster);
+
+    impl Renderer for Clockwork {
+        fn device(&self) -> String {
+            self.0.device()
+        }
+
+        fn backend(&self) -> &'static str {
+            self.0.backend()
+        }
+
+        fn set_volume(&mut self, volume: &VolumeView<'_>) -> Result<Preparation> {
+            self.0.set_volume(volume)
+        }
+
+        fn set_transfer(&mut self, table: &TransferTable) -> Result<Preparation> {
+            self.0.set_transfer(table)
+        }
+
+        fn render(&mut self, frame: &Frame) -> Result<Rendered> {
+            let mut rendered = self.0.render(frame)?;
+            let counts = rendered.counts.unwrap();
+            let wall = FRAME + RAY * counts.rays as f64 + SAMPLE * (counts.samples + counts.skips) as f64;
+            rendered.time = FrameTime { device: None, wall, cpu: None };
+            Ok(rendered)
+        }
+    }
 
     #[test]
-    fn the_twin_agrees_with_itself_and_its_numbers_are_positive() {
+    fn the_twin_agrees_with_itself_and_the_numbers_are_those_of_its_clock() {
         let options = ProbeOptions { frame_seconds: 1e-4, repeats: 2 };
-        let p = probe(&mut CpuRaycaster::new(), options).unwrap();
+        let p = probe(&mut Clockwork(CpuRaycaster::new()), options).unwrap();
         assert_eq!((p.agreement.largest, p.agreement.mean), (0, 0.0));
         assert_eq!(p.agreement.counts, Some(p.agreement.twin));
         assert!(p.agreement.twin.samples > 10_000 && p.agreement.twin.shaded > 1000);
         assert_eq!((p.backend, p.clock), ("cpu", "wall"));
         assert!(p.limits.is_none() && p.timestamps.is_none());
-        for (name, value) in p.numbers() {
-            assert!(value.is_finite() && value > 0.0, "{name} is {value}");
+        let expected = [FRAME, 1.0 / (RAY + SAMPLE), 1.0 / SAMPLE, 1.0 / SAMPLE, 1.0 / SAMPLE];
+        for ((name, value), expected) in p.numbers().into_iter().zip(expected) {
+            assert!((value / expected - 1.0).abs() < 1e-6, "{name} is {value}, not {expected}");
         }
     }
 
