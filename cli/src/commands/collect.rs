@@ -629,6 +629,9 @@ pub fn run(options: &Options) -> Result<()> {
         protocol.frames > 0 && protocol.repeats > 0 && protocol.passes > 0,
         "--frames, --repeats and --passes must be at least 1"
     );
+    let repeats = protocol.repeats.checked_mul(protocol.passes).with_context(|| {
+        format!("{} repeats in {} passes are too many", protocol.repeats, protocol.passes)
+    })?;
     ensure!(
         protocol.termination > 0.0 && protocol.termination <= 1.0,
         "--termination is {}; it must lie in (0, 1], 1 for never",
@@ -654,7 +657,7 @@ pub fn run(options: &Options) -> Result<()> {
         driver: driver_of(renderer.as_ref()),
         commit: machine::version(),
         seed: protocol.seed,
-        repeats: protocol.repeats * protocol.passes,
+        repeats,
         step_reference: "smallest voxel spacing".into(),
         settings: protocol.settings(&jobs),
         other: BTreeMap::new(),
