@@ -64,5 +64,5 @@ fn what_converting_stored_values_costs_is_told_from_the_volume() {
     let elsewhere = Recipe { converting: true, ..Recipe::default() };
     let refused = elsewhere.make(&kitchen, train.timed(), nothing).unwrap_err().to_string();
     assert!(refused.contains("--model-kind"), "{refused}");
-    assert!(converting < 0.18 && converting < 0.8 * plain, "{converting}, {plain} without");
+    assert!(converting < 0.15 && converting < 0.75 * plain, "{converting}, {plain} without");
 }

@@ -5,7 +5,10 @@
 //! [`SceneDistribution`], each depending on the seed, the volume and its number alone. Every repeat is a row of the
 //! table (see [`crate::dataset`]); medians are taken by whoever reads it.
 
-use crate::dataset::{Clock, MANIFEST_FORMAT, Manifest, Measurement, Scene, Table, Writer, noise_floor};
+use crate::dataset::{
+    Clock, MANIFEST_FORMAT, Manifest, Measurement, Scene, Table, Writer, noise_floor, parse_shading,
+    parse_skipping,
+};
 use crate::device::{self, Device};
 use crate::enlarge::{enlarge, resample};
 use crate::interrupt;
@@ -13,7 +16,7 @@ use crate::machine;
 use crate::scenes::{DEFAULT_RADII, SceneDistribution};
 use crate::teacher::Teacher;
 use crate::volume::Volume;
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
 use entire_vk_raycaster::Renderer;
@@ -283,7 +286,7 @@ impl Protocol {
         }
         let s: Settings = serde_json::from_value(manifest.settings.clone())
             .context("its settings are not those of `entire collect`")?;
-        let option =
+        let unknown =
             |what: &str, name: &str| format!("its {what} is {name:?}, which this version does not know");
         ensure!(
             s.fov_y_deg == DEFAULT_FOV_Y_DEGREES,
@@ -303,12 +306,8 @@ impl Protocol {
             warm_up: s.warm_up_frames_discarded_per_volume,
             seed: manifest.seed,
             scenes: s.scenes,
-            shading: ShadeOption::from_str(&s.shading, false)
-                .map_err(|_| anyhow!(option("shading", &s.shading)))?
-                .into(),
-            skipping: SkipOption::from_str(&s.skipping, false)
-                .map_err(|_| anyhow!(option("skipping", &s.skipping)))?
-                .into(),
+            shading: parse_shading(&s.shading).with_context(|| unknown("shading", &s.shading))?,
+            skipping: parse_skipping(&s.skipping).with_context(|| unknown("skipping", &s.skipping))?,
             termination: s.termination,
             enlarge: s.enlarged_trilinearly_by,
             proxy: s.resampled_to_edge,
@@ -476,23 +475,19 @@ pub fn collect_passes(
         return Ok(outcome);
     }
     let files = pass_files(out, protocol.passes);
-    let mut outcome = Outcome { done: 0, total: 0, discarded: 0, interrupted: false };
+    let all = total * u64::from(protocol.passes);
+    let mut outcome = Outcome { done: 0, total: all, discarded: 0, interrupted: false };
     for (i, file) in files.iter().enumerate() {
         progress.set_prefix(format!("collect, pass {} of {}", i + 1, files.len()));
         let mut pass = Writer::resume(file, protocol.repeats)?;
-        if outcome.interrupted {
-            outcome.done += pass.done().len() as u64;
-            outcome.total += total;
-            continue;
-        }
         let of_pass = collect(jobs, protocol, renderer, open, &mut pass, stop, progress)?;
         outcome.done += of_pass.done;
-        outcome.total += of_pass.total;
         outcome.discarded += of_pass.discarded;
         outcome.interrupted = of_pass.interrupted;
-    }
-    if outcome.interrupted {
-        return Ok(outcome);
+        // Later passes have not begun.
+        if outcome.interrupted {
+            return Ok(outcome);
+        }
     }
     let mut frames: BTreeMap<u64, (Scene, Vec<Measurement>)> = BTreeMap::new();
     for file in &files {

@@ -256,16 +256,16 @@ def collect(options, renderer):
         writer.writerow(COLUMNS)
         for turn in range(options.passes):
             for place, path in enumerate(options.volumes):
-                rows = volume_rows(options, renderer, path, steps, place * options.frames, turn * options.repeats)
-                for row in rows:
-                    writer.writerow(row)
+                frames = volume_frames(options, renderer, path, steps, place * options.frames, turn * options.repeats)
+                for rows in frames:
+                    writer.writerows(rows)
                     file.flush()
                 of = f", pass {turn + 1} of {options.passes}" if options.passes > 1 else ""
                 print(f"{path}: {options.frames} frames{of}", file=sys.stderr)
 
 
-def volume_rows(options, renderer, path, steps, number, repeat):
-    """Draws a volume's frames and yields their rows; the first has this number and this repeat."""
+def volume_frames(options, renderer, path, steps, number, repeat):
+    """Draws a volume's frames and yields each one's rows; the first has this number and this repeat."""
     volume = read_nrrd(path)
     member, time_step = volume.place()
     renderer.load(volume)
@@ -275,9 +275,10 @@ def volume_rows(options, renderer, path, steps, number, repeat):
         # The first frame of another size or transfer function holds work that is done once.
         for _ in range(options.warm_up if index == 0 else renderer.warm_up):
             draw()
+        rows = []
         for again in range(options.repeats):
             wall, cpu = draw()
-            yield (
+            rows.append(
                 [number + index, repeat + again, path, member, time_step, *volume.dims]
                 + [single_text(v) for v in (scene.rx, scene.ry, scene.dz, scene.fov_y)]
                 + [scene.width, scene.height, single_text(scene.step), options.shade, renderer.skipping]
@@ -285,3 +286,4 @@ def volume_rows(options, renderer, path, steps, number, repeat):
                 + [";".join(" ".join(single_text(v) for v in lobe) for lobe in scene.lobes)]
                 + ["", repr(wall), repr(cpu), "", "", "", ""]
             )
+        yield rows
