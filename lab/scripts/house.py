@@ -11,6 +11,7 @@ import argparse
 import os
 import re
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -187,6 +188,28 @@ def missing_commands(pages, folder):
                         yield f"{page.path}: `{words[0]} {words[1]}` has no option {option}"
 
 
+def broken_snippets(pages):
+    """C and C++ blocks on the C library that do not compile, and Python blocks that do not parse."""
+    compilers = {"c": ("cc", "-std=c11", "-xc", "names.h"), "cpp": ("c++", "-std=c++17", "-xc++", "names.hpp")}
+    for page in pages:
+        for number, language, lines in page.blocks:
+            text = "\n".join(lines)
+            if language == "python":
+                try:
+                    compile(text, page.path, "exec")
+                except SyntaxError as error:
+                    yield f"{page.path}:{number}: {error}"
+            if language not in compilers or not re.search(r"\bentire(_|::)", text):
+                continue
+            compiler, standard, kind, names = compilers[language]
+            body = "\n".join(line for line in lines if not line.startswith("#include"))
+            program = f'#include "{names}"\nvoid snippet(void) {{\n{body}\n}}\n'
+            command = [compiler, standard, kind, "-fsyntax-only", "-Wall", "-Wno-unused", f"-I{ROOT}/include", f"-I{ROOT}/docs/snippets", "-"]
+            done = run(*command, input=program)
+            if done.returncode != 0 or done.stderr:
+                yield f"{page.path}:{number}: does not compile:\n    " + done.stderr.strip().replace("\n", "\n    ")
+
+
 # ------------------------------------------------------------------------------------------------------------- source
 
 
@@ -258,6 +281,7 @@ def main():
         ("broken-links", broken_links(pages)),
         ("missing-paths", missing_paths(front)),
         ("missing-make-targets", missing_targets(pages)),
+        ("code-blocks-that-do-not-compile", broken_snippets(front) if shutil.which("cc") else ()),
     ):
         found = sorted(set(found))
         bars.at_most(name, len(found), 0, found)
