@@ -281,7 +281,7 @@ def main():
         ("broken-links", broken_links(pages)),
         ("missing-paths", missing_paths(front)),
         ("missing-make-targets", missing_targets(pages)),
-        ("code-blocks-that-do-not-compile", broken_snippets(front) if shutil.which("cc") else ()),
+        ("code-blocks-that-do-not-compile", broken_snippets(pages) if shutil.which("cc") else ()),
     ):
         found = sorted(set(found))
         bars.at_most(name, len(found), 0, found)
