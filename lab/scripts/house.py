@@ -142,6 +142,19 @@ def missing_paths(pages):
                 yield f"{page.path}: `{span}` does not exist"
 
 
+def missing_names(pages):
+    """Names of the C library in code that its header does not have."""
+    header = (ROOT / "include/entire/entire.h").read_text(encoding="utf-8")
+    known = set(re.findall(r"\w+", header))
+    # Modules and packages of other languages.
+    known |= {"entire_vtk", "entire_paraview", "entire_core", "entire_static"}
+    for page in pages:
+        code = page.spans() + [line for _, _, lines in page.blocks for line in lines]
+        for name in set(re.findall(r"\b(?:entire_[a-z0-9_]*[a-z0-9]|ENTIRE_(?:OBSERVE|CHANGE|UNIT|CAMERA|VOXELS)_\w+)\b", "\n".join(code))):
+            if name not in known and f"{name}_" not in header:
+                yield f"{page.path}: entire.h has no {name}"
+
+
 def make_targets():
     found = set()
     for name in ["Makefile", *tracked("make/*.mk")]:
@@ -207,7 +220,8 @@ def broken_snippets(pages):
             command = [compiler, standard, kind, "-fsyntax-only", "-Wall", "-Wno-unused", f"-I{ROOT}/include", f"-I{ROOT}/docs/snippets", "-"]
             done = run(*command, input=program)
             if done.returncode != 0 or done.stderr:
-                yield f"{page.path}:{number}: does not compile:\n    " + done.stderr.strip().replace("\n", "\n    ")
+                first = [line for line in done.stderr.splitlines() if "error" in line or "warning" in line][:3]
+                yield f"{page.path}:{number}: " + "; ".join(first or ["does not compile"])
 
 
 # ------------------------------------------------------------------------------------------------------------- source
@@ -280,6 +294,7 @@ def main():
     for name, found in (
         ("broken-links", broken_links(pages)),
         ("missing-paths", missing_paths(front)),
+        ("missing-c-names", missing_names(front)),
         ("missing-make-targets", missing_targets(pages)),
         ("code-blocks-that-do-not-compile", broken_snippets(pages) if shutil.which("cc") else ()),
     ):
