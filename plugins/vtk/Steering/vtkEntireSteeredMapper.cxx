@@ -7,6 +7,7 @@
 #include "vtkFixedPointVolumeRayCastMapper.h"
 #include "vtkGPUVolumeRayCastMapper.h"
 #include "vtkImageData.h"
+#include "vtkNew.h"
 #include "vtkSmartPointer.h"
 #include "vtkVolumeProperty.h"
 
@@ -52,6 +53,28 @@ const char* ReasonName(entire_reason reason)
   }
 }
 
+// Puts settings back once more when the renderer is done. The fixed-point mapper ends its drawing by writing the sample
+// distance that it began with, over what was put back meanwhile.
+class RestoreLater : public vtkCommand
+{
+public:
+  static RestoreLater* New() { return new RestoreLater; }
+  void Execute(vtkObject* renderer, unsigned long, void*) override
+  {
+    // While this runs the renderer holds it.
+    renderer->RemoveObserver(this);
+    const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
+    if (mapper)
+    {
+      this->Own.Keeping(vtkEntire::MapperSettings::Read(mapper), this->Written).Write(mapper);
+    }
+  }
+
+  vtkWeakPointer<vtkVolumeMapper> Mapper;
+  vtkEntire::MapperSettings Own;
+  vtkEntire::MapperSettings Written;
+};
+
 double Since(std::chrono::steady_clock::time_point before)
 {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - before).count();
@@ -83,6 +106,15 @@ void vtkEntireSteering::vtkInternals::Leaf::Release()
   {
     this->Mapper->RemoveObserver(this->Tags[0]);
     this->Mapper->RemoveObserver(this->Tags[1]);
+  }
+  if (this->Steered && this->SetEarly() && this->DrawnIn)
+  {
+    // In the middle of the renderer's frame, perhaps of the mapper's.
+    vtkNew<RestoreLater> later;
+    later->Mapper = this->Mapper;
+    later->Own = this->Own;
+    later->Written = this->Written;
+    this->DrawnIn->AddObserver(vtkCommand::EndEvent, later);
   }
   this->Restore();
 }
@@ -353,6 +385,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Steer(
     this->OwnOuter = vtkEntire::SmartSettings::Read(outer);
     this->WrittenOuter = { 0, 0, settings.SampleDistance };
   }
+  this->DrawnIn = this->Internals->Renderer;
   this->Steered = true;
   settings.Write(mapper);
   if (outer && this->Alive)
@@ -539,6 +572,11 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
     {
       return;
     }
+  }
+  else if (this->Steered && this->Mapper)
+  {
+    // The fixed-point mapper is about to write the sample distance that it began with over what the application set.
+    this->Own = this->Own.Keeping(vtkEntire::MapperSettings::Read(this->Mapper), this->Written);
   }
   if (this->Planned.id != 0 && this->Session)
   {

@@ -23,7 +23,7 @@
  *
  * Observers of any event of the window, the renderer, the mapper, its pipeline and of vtkEntireSteering itself may
  * call any of its functions and may drop the last reference to it. Warnings are said at the end of the frame. Two
- * vtkEntireSteering of one volume in one renderer do not work together: the one that was attached first steers.
+ * vtkEntireSteering of one volume in one renderer do not work together: one of them steers, the Status of the other says so.
  *
  * Still frames, those for which the render window asks for less than StillUpdateRate frames per second, are drawn by VTK
  * alone, pixel for pixel; their times are learned from. So are frames that cannot be predicted: GetStatus() then says

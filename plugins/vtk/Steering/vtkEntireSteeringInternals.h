@@ -99,6 +99,8 @@ public:
     float LastView[16];
     bool HasView = false;
     entire_plan Planned{};
+    // Whose frame the mapper is steered for.
+    vtkWeakPointer<vtkRenderer> DrawnIn;
     // The mapper's settings as the application left them, and as this frame has them.
     vtkEntire::MapperSettings Own;
     vtkEntire::MapperSettings Written;
