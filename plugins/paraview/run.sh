@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 # Builds the ParaView plugin against an installed libentire, and loads and checks it.
 #
-#   examples/paraview/run.sh build|test|screenshot
+#   plugins/paraview/run.sh build|test|screenshot
 #
 # PARAVIEW_OUT     where builds and results go (default target/paraview)
 # PARAVIEW_PYTHON  root of an unpacked python3-paraview package, where it is not installed (it conflicts with
@@ -65,7 +65,7 @@ build() {
     [[ ${ENTIRE_SDK_READY:-} ]] || ffi/package/install.sh --prefix "$sdk" >/dev/null
     local generator=()
     if command -v ninja >/dev/null; then generator=(-G Ninja); fi
-    cmake -S examples/paraview -B "$out/build" "${generator[@]}" -DCMAKE_PREFIX_PATH="$sdk" -DParaView_DIR="$cmake_dir" \
+    cmake -S plugins/paraview -B "$out/build" "${generator[@]}" -DCMAKE_PREFIX_PATH="$sdk" -DParaView_DIR="$cmake_dir" \
         -DENTIRE_PANEL="${PARAVIEW_PANEL:-ON}" >"$out/configure.log" 2>&1 ||
         { tail -n 30 "$out/configure.log" >&2; exit 1; }
     cmake --build "$out/build" >"$out/build.log" 2>&1 || { tail -n 40 "$out/build.log" >&2; exit 1; }
@@ -79,10 +79,10 @@ display() { timeout "${LIMIT:-600}" xvfb-run -a -s "-screen 0 1280x900x24 -nores
 build
 export ENTIRE_PLUGIN=$plugin
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
-here=examples/paraview/python
+here=plugins/paraview/python
 case $what in
     build) ;;
-    test) LIMIT=1200 display bash examples/paraview/check.sh "$out" ;;
-    screenshot) LIMIT=300 display bash examples/paraview/screenshot.sh "$out" ;;
+    test) LIMIT=1200 display bash plugins/paraview/check.sh "$out" ;;
+    screenshot) LIMIT=300 display bash plugins/paraview/screenshot.sh "$out" ;;
     *) echo "run.sh: unknown word $what" >&2; exit 2 ;;
 esac

@@ -25,31 +25,17 @@ import sys
 
 import numpy as np
 
-sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+HERE = os.path.dirname(os.path.abspath(__file__))
+sys.path.insert(0, os.path.join(HERE, "..", "..", "..", "plugins", "vtk", "python"))
 import vtk_scene  # noqa: E402
 from timing_table import timed  # noqa: E402
+from vtk_scene import COLOR, OPAQUE, TRANSPARENT, camera  # noqa: E402
 
 SWITCHES = (50, 100, 150)
 
 # What `scaled` is to spend, in targets: a little more than steered frames do, so that their mean time lies between that
 # of `auto` and that of `scaled`, and close to the latter's.
 SPEND = 1.06
-COLOR = ((0, 0.1, 0.1, 0.3), (90, 0.8, 0.3, 0.1), (255, 1.0, 1.0, 0.8))
-TRANSPARENT = ((0, 0.0), (20, 0.0), (255, 0.03))
-OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.12), (255, 0.5))
-
-
-def camera(frame, frames, n):
-    """Position of the eye on the orbit, in voxels from the volume's center."""
-    t = frame / frames
-    azimuth = 2 * math.pi * t
-    elevation = math.radians(25) * math.sin(4 * math.pi * t)
-    distance = n * (2.1 + 0.4 * math.cos(2 * math.pi * (t - 0.875)))
-    return (
-        distance * math.cos(elevation) * math.sin(azimuth),
-        distance * math.sin(elevation),
-        distance * math.cos(elevation) * math.cos(azimuth),
-    )
 
 
 class Contender:

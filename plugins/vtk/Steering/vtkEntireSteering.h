@@ -3,9 +3,9 @@
  * @class   vtkEntireSteering
  * @brief   holds a volume's frames to a target time
  *
- * Attached to a volume in a renderer, vtkEntireSteering predicts what the next frame will cost, sets the sample distance
- * (and, where that is not enough, the image sample distance) of the volume's mapper before the mapper draws, and learns
- * from the time that the frame then took. It works with vtkFixedPointVolumeRayCastMapper, with vtkGPUVolumeRayCastMapper,
+ * Attached to a volume in a renderer, vtkEntireSteering predicts what the next frame will cost, sets the sample
+ * distance (and, where that is not enough, the image sample distance) of the volume's mapper before the mapper draws,
+ * and learns from the time that the frame then took. It works with vtkFixedPointVolumeRayCastMapper, with vtkGPUVolumeRayCastMapper,
  * and with the mappers inside vtkSmartVolumeMapper and vtkMultiBlockVolumeMapper.
  *
  * @code
@@ -14,11 +14,16 @@
  * steering->Attach(renderer, volume);
  * @endcode
  *
- * The mapper's own settings (sample distances, AutoAdjustSampleDistances, LockSampleDistanceToInputSpacing) are changed
- * for the frame alone: a GPU mapper's on its VolumeMapperRenderStartEvent, to be put back on its VolumeMapperRenderEndEvent;
- * a fixed-point mapper's, which takes them before it announces its start, on the renderer's StartEvent, to be put back on
- * the renderer's EndEvent. Between frames, and after Detach(), the mapper is as the application left it. Frames are never drawn finer than the mapper's own sample
- * distance, unless FinestSampleDistance says so.
+ * The mapper's own settings (sample distances, AutoAdjustSampleDistances, LockSampleDistanceToInputSpacing) are
+ * changed for the frame alone: a GPU mapper's on its VolumeMapperRenderStartEvent, to be put back on its
+ * VolumeMapperRenderEndEvent; a fixed-point mapper's, which takes them before it announces its start, on the
+ * renderer's StartEvent, to be put back on the renderer's EndEvent. Between frames, and after Detach(), the mapper is
+ * as the application left it; what the application sets during a frame is kept. Frames are never drawn finer than the
+ * mapper's own sample distance, unless FinestSampleDistance says so.
+ *
+ * Observers of any event of the window, the renderer, the mapper, its pipeline and of vtkEntireSteering itself may
+ * call any of its functions and may drop the last reference to it. Warnings are said at the end of the frame. Two
+ * vtkEntireSteering of one volume in one renderer do not work together: one of them steers, the Status of the other says so.
  *
  * Still frames, those for which the render window asks for less than StillUpdateRate frames per second, are drawn by VTK
  * alone, pixel for pixel; their times are learned from. So are frames that cannot be predicted: GetStatus() then says
@@ -38,7 +43,9 @@
 #include "vtkObject.h"
 
 #include <memory> // for std::unique_ptr
+#include <string> // for std::string
 
+class vtkAbstractVolumeMapper;
 class vtkRenderer;
 class vtkVolume;
 
@@ -70,11 +77,18 @@ public:
   };
 
   /**
-   * Steers this volume in this renderer from its next frame on; an earlier attachment ends. The mapper may be exchanged
-   * later. Neither object is kept alive. A volume that the mapper has already is read here, at once (see GetVolumeTime()):
-   * set Clock, ModelFileName, Tolerance and MissRate before, or it is read again. Returns false, and sets Status, where there is nothing to attach to.
+   * Steers this volume in this renderer from its next frame on; an earlier attachment ends. The mapper may be
+   * exchanged later. Neither object is kept alive. While the volume is not among the renderer's props nothing is
+   * planned. A volume that the mapper has already is read here, at once (see GetVolumeTime()): set Clock,
+   * ModelFileName, Tolerance and MissRate before, or it is read again. Returns false, sets Status and reports an error
+   * where there is nothing to attach to.
    */
   bool Attach(vtkRenderer* renderer, vtkVolume* volume);
+
+  /**
+   * Whether Attach() takes a volume with this mapper.
+   */
+  static bool CanSteer(vtkAbstractVolumeMapper* mapper);
 
   /**
    * Lets go of the volume and forgets what was learned of it. The mapper is left as the application set it.
@@ -125,8 +139,8 @@ public:
 
   ///@{
   /**
-   * The coarsest image sample distance, in pixels. Ray step and image are coarsened together, since that changes the
-   * picture least. Default 4; 1 leaves the image's resolution alone.
+   * The coarsest image sample distance: pixels between rays along each side of the image. Ray step and image are
+   * coarsened together, since that changes the picture least. Default 4; 1 leaves the image's resolution alone.
    */
   vtkSetClampMacro(CoarsestImageSampleDistance, double, 1.0, 100.0);
   vtkGetMacro(CoarsestImageSampleDistance, double);
@@ -164,8 +178,8 @@ public:
 
   ///@{
   /**
-   * A model file from `entire train`, or nullptr for none. A file that cannot be used switches steering off; Status says
-   * why. A changed name starts learning anew.
+   * A model file from `entire train`, or nullptr for none. A file that cannot be used switches steering off; Status
+   * says why. A changed name starts learning anew.
    */
   vtkSetFilePathMacro(ModelFileName);
   vtkGetFilePathMacro(ModelFileName);
@@ -174,7 +188,8 @@ public:
   ///@{
   /**
    * Writes what was learned of the mapper that was drawn last to a file, and starts from such a file: now (or at
-   * Attach()), and whenever learning starts anew, until Reset() or Detach(). Return false, and set Status, on failure.
+   * Attach()), and whenever learning starts anew, until Reset() or Detach(). A file is written whole or not at all.
+   * Read are regular files of at most 1 MiB. Return false, set Status and report an error on failure.
    */
   bool SaveState(VTK_FILEPATH const char* fileName);
   bool LoadState(VTK_FILEPATH const char* fileName);
@@ -226,9 +241,6 @@ protected:
   vtkEntireSteering();
   ~vtkEntireSteering() override;
 
-  vtkSetStringMacro(Reason);
-  vtkSetStringMacro(Status);
-
   bool Enabled = true;
   double TargetFrameTime = 0.0;
   double CoarsestSampleDistance = 8.0;
@@ -256,8 +268,10 @@ private:
   vtkEntireSteering(const vtkEntireSteering&) = delete;
   void operator=(const vtkEntireSteering&) = delete;
 
+  // Sets Status and reports an error. Returns false.
+  bool Fail(const std::string& text);
+
   class vtkInternals;
-  friend class vtkInternals;
   std::unique_ptr<vtkInternals> Internals;
 };
 

@@ -9,7 +9,7 @@ import sys
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import vtk_scene  # noqa: E402
-from compare import COLOR, OPAQUE, TRANSPARENT, camera  # noqa: E402
+from vtk_scene import COLOR, OPAQUE, TRANSPARENT, camera  # noqa: E402
 from entire_vtk.vtkEntireSteering import vtkEntireSteering  # noqa: E402
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)

@@ -1,231 +1,27 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 // The behaviours of vtkEntireSteering, one per name: TestEntireSteering NAME MAPPER. No test depends on how fast anything
 // is: targets are so long that every frame fits, or so short that none does.
+#include "Scene.h"
+
+#include "vtkAssembly.h"
 #include "vtkCallbackCommand.h"
-#include "vtkCamera.h"
-#include "vtkColorTransferFunction.h"
 #include "vtkDataArray.h"
 #include "vtkEntireSteering.h"
-#include "vtkFixedPointVolumeRayCastMapper.h"
-#include "vtkImageData.h"
+#include "vtkImageShiftScale.h"
 #include "vtkMatrix4x4.h"
-#include "vtkMultiBlockDataSet.h"
-#include "vtkMultiBlockVolumeMapper.h"
-#include "vtkNew.h"
-#include "vtkOpenGLGPUVolumeRayCastMapper.h"
-#include "vtkPiecewiseFunction.h"
 #include "vtkPointData.h"
-#include "vtkRenderWindow.h"
-#include "vtkRenderer.h"
-#include "vtkSmartPointer.h"
-#include "vtkSmartVolumeMapper.h"
 #include "vtkTestErrorObserver.h"
-#include "vtkVolume.h"
-#include "vtkVolumeProperty.h"
-#include "vtkWindowToImageFilter.h"
 
-#include <algorithm>
-#include <cmath>
 #include <cstdio>
-#include <cstdlib>
-#include <cstring>
 #include <functional>
-#include <iostream>
-#include <map>
 #include <sstream>
-#include <string>
-#include <vector>
+
+#include <sys/stat.h>
+
+using namespace EntireTest;
 
 namespace
 {
-#define CHECK(condition)                                                                                               \
-  do                                                                                                                   \
-  {                                                                                                                    \
-    if (!(condition))                                                                                                  \
-    {                                                                                                                  \
-      std::cerr << __FILE__ << ":" << __LINE__ << ": " << #condition << "\n";                                          \
-      std::exit(EXIT_FAILURE);                                                                                         \
-    }                                                                                                                  \
-  } while (false)
-
-constexpr int EDGE = 48;
-
-vtkSmartPointer<vtkImageData> Image(int edge = EDGE)
-{
-  auto image = vtkSmartPointer<vtkImageData>::New();
-  image->SetDimensions(edge, edge, edge);
-  image->SetOrigin(-0.5 * edge, -0.5 * edge, -0.5 * edge);
-  image->AllocateScalars(VTK_UNSIGNED_CHAR, 1);
-  auto* voxels = static_cast<unsigned char*>(image->GetScalarPointer());
-  for (int z = 0; z < edge; ++z)
-  {
-    for (int y = 0; y < edge; ++y)
-    {
-      for (int x = 0; x < edge; ++x)
-      {
-        const double r = std::hypot(x - 0.5 * edge, y - 0.5 * edge, z - 0.5 * edge) / (0.5 * edge);
-        const double wave = std::sin(0.9 * x) * std::sin(0.7 * y) * std::sin(0.8 * z);
-        *voxels++ = static_cast<unsigned char>(255 * std::max(0.0, std::min(1.0, 1.1 - r + 0.3 * wave)));
-      }
-    }
-  }
-  return image;
-}
-
-enum Kind
-{
-  FIXED,
-  GPU,
-  SMART,
-  SMART_FIXED,
-  BLOCKS
-};
-const std::map<std::string, Kind> KINDS = { { "fixed", FIXED }, { "gpu", GPU }, { "smart", SMART },
-  { "smart-fixed", SMART_FIXED }, { "blocks", BLOCKS } };
-
-struct Scene
-{
-  vtkSmartPointer<vtkVolumeMapper> Mapper;
-  vtkSmartPointer<vtkImageData> Data = Image();
-  vtkNew<vtkVolume> Volume;
-  vtkNew<vtkVolumeProperty> Property;
-  vtkNew<vtkPiecewiseFunction> Opacity;
-  vtkNew<vtkColorTransferFunction> Color;
-  vtkNew<vtkRenderer> Renderer;
-  vtkNew<vtkRenderWindow> Window;
-
-  explicit Scene(Kind kind)
-  {
-    if (kind == FIXED)
-    {
-      this->Mapper = vtkSmartPointer<vtkFixedPointVolumeRayCastMapper>::New();
-    }
-    else if (kind == GPU)
-    {
-      this->Mapper = vtkSmartPointer<vtkOpenGLGPUVolumeRayCastMapper>::New();
-    }
-    else if (kind == BLOCKS)
-    {
-      this->Mapper = vtkSmartPointer<vtkMultiBlockVolumeMapper>::New();
-    }
-    else
-    {
-      auto smart = vtkSmartPointer<vtkSmartVolumeMapper>::New();
-      if (kind == SMART_FIXED)
-      {
-        smart->SetRequestedRenderModeToRayCast();
-      }
-      else
-      {
-        smart->SetRequestedRenderModeToGPU();
-      }
-      this->Mapper = smart;
-    }
-    if (kind == BLOCKS)
-    {
-      vtkNew<vtkMultiBlockDataSet> blocks;
-      blocks->SetBlock(0, this->Data);
-      this->Mapper->SetInputDataObject(blocks);
-    }
-    else
-    {
-      this->Mapper->SetInputDataObject(this->Data);
-    }
-    this->Opacity->AddPoint(0, 0.0);
-    this->Opacity->AddPoint(60, 0.0);
-    this->Opacity->AddPoint(255, 0.2, 0.4, 0.2);
-    this->Color->AddRGBPoint(0, 0.1, 0.2, 0.6);
-    this->Color->AddRGBPoint(255, 1.0, 0.9, 0.3);
-    this->Property->SetInterpolationTypeToLinear();
-    this->Property->SetScalarOpacity(this->Opacity);
-    this->Property->SetColor(this->Color);
-    this->Volume->SetMapper(this->Mapper);
-    this->Volume->SetProperty(this->Property);
-    this->Renderer->AddVolume(this->Volume);
-    this->Window->SetOffScreenRendering(1);
-    this->Window->SetMultiSamples(0);
-    this->Window->SetSize(160, 120);
-    this->Window->AddRenderer(this->Renderer);
-    this->Pose(30);
-  }
-
-  void Pose(double azimuth)
-  {
-    const double a = azimuth * 3.14159265358979 / 180;
-    vtkCamera* camera = this->Renderer->GetActiveCamera();
-    camera->SetFocalPoint(0, 0, 0);
-    camera->SetPosition(2.2 * EDGE * std::sin(a), 20, 2.2 * EDGE * std::cos(a));
-    this->Renderer->ResetCameraClippingRange();
-  }
-
-  // As while the mouse is down.
-  void Interactive() { this->Window->SetDesiredUpdateRate(15); }
-
-  std::vector<unsigned char> Draw()
-  {
-    this->Window->Render();
-    vtkNew<vtkWindowToImageFilter> grab;
-    grab->SetInput(this->Window);
-    grab->ShouldRerenderOff();
-    grab->ReadFrontBufferOff();
-    grab->Update();
-    vtkImageData* out = grab->GetOutput();
-    const auto* bytes = static_cast<unsigned char*>(out->GetScalarPointer());
-    return { bytes, bytes + out->GetNumberOfPoints() * out->GetNumberOfScalarComponents() };
-  }
-};
-
-struct Settings
-{
-  float Distance, ImageDistance;
-  int Auto, Lock;
-  bool operator==(const Settings& o) const
-  {
-    return this->Distance == o.Distance && this->ImageDistance == o.ImageDistance && this->Auto == o.Auto &&
-      this->Lock == o.Lock;
-  }
-};
-
-template <class Mapper>
-Settings Of(Mapper* mapper)
-{
-  return { mapper->GetSampleDistance(), mapper->GetImageSampleDistance(), mapper->GetAutoAdjustSampleDistances(),
-    mapper->GetLockSampleDistanceToInputSpacing() };
-}
-
-Settings Read(vtkVolumeMapper* mapper)
-{
-  if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
-  {
-    return Of(gpu);
-  }
-  if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper))
-  {
-    return Of(cpu);
-  }
-  if (auto* smart = vtkSmartVolumeMapper::SafeDownCast(mapper))
-  {
-    return { smart->GetSampleDistance(), 1, smart->GetAutoAdjustSampleDistances(),
-      smart->GetInteractiveAdjustSampleDistances() };
-  }
-  return { 0, 0, 0, 0 };
-}
-
-bool Empty(const char* text)
-{
-  return !text || !*text;
-}
-
-bool Is(const char* text, const char* what)
-{
-  return text && !std::strcmp(text, what);
-}
-
-bool Says(const char* text, const char* what)
-{
-  return text && std::strstr(text, what);
-}
-
 // Draws frames that cannot be fast enough until the first of them was steered, and one more.
 void Warm(Scene& scene, vtkEntireSteering* steering)
 {
@@ -624,6 +420,159 @@ void OutlivesItsObjects(Kind kind)
   CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
 }
 
+// What the application sets during a frame is the mapper's setting for the next.
+void KeepsSettingsMadeDuringFrames(Kind kind)
+{
+  Scene scene(kind);
+  scene.Draw();
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  Warm(scene, steering);
+  const Settings before = Read(scene.Mapper);
+  vtkNew<vtkCallbackCommand> command;
+  command->SetClientData(&scene);
+  command->SetCallback([](vtkObject*, unsigned long, void* data, void*) {
+    vtkVolumeMapper* mapper = static_cast<Scene*>(data)->Mapper;
+    if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
+    {
+      gpu->SetSampleDistance(0.25f);
+    }
+    else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper))
+    {
+      cpu->SetSampleDistance(0.25f);
+    }
+    else
+    {
+      vtkSmartVolumeMapper::SafeDownCast(mapper)->SetSampleDistance(0.25f);
+    }
+  });
+  const bool smart = kind == SMART || kind == SMART_FIXED;
+  // A smart mapper hands its settings on as it begins to draw, before the mapper inside it does.
+  vtkObject* subject = smart ? static_cast<vtkObject*>(scene.Renderer) : scene.Mapper;
+  const unsigned long tag = subject->AddObserver(
+    smart ? vtkCommand::StartEvent : vtkCommand::VolumeMapperRenderStartEvent, command, -1.0f);
+  scene.Draw();
+  subject->RemoveObserver(tag);
+  const auto kept = [&] {
+    const Settings now = Read(scene.Mapper);
+    return now.Distance == 0.25f && now.Auto == before.Auto && now.Lock == before.Lock;
+  };
+  CHECK(before.Distance != 0.25f && kept());
+  const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == steered + 1 && kept());
+  steering->Detach();
+  CHECK(kept());
+}
+
+// A volume that its renderer does not have is neither planned nor brought up to date; one in an assembly is drawn.
+void LeavesRemovedVolumesAlone(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkImageShiftScale> filter;
+  if (kind != BLOCKS)
+  {
+    filter->SetInputData(scene.Data);
+    filter->SetOutputScalarTypeToUnsignedChar();
+    scene.Mapper->SetInputConnection(filter->GetOutputPort());
+  }
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1000);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  Warm(scene, steering);
+  int updates = 0;
+  vtkNew<vtkCallbackCommand> command;
+  command->SetClientData(&updates);
+  command->SetCallback([](vtkObject*, unsigned long, void* data, void*) { ++*static_cast<int*>(data); });
+  filter->AddObserver(vtkCommand::EndEvent, command);
+  scene.Renderer->RemoveVolume(scene.Volume);
+  const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+  for (int i = 0; i < 3; ++i)
+  {
+    filter->SetShift(1 + i);
+    scene.Draw();
+  }
+  CHECK(updates == 0 && steering->GetNumberOfSteeredFrames() == steered);
+  CHECK(Says(steering->GetStatus(), "not among the props"));
+  vtkNew<vtkAssembly> assembly;
+  assembly->AddPart(scene.Volume);
+  scene.Renderer->AddViewProp(assembly);
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == steered + 1 && Empty(steering->GetStatus()));
+  CHECK(updates == (kind == BLOCKS ? 0 : 1));
+}
+
+// Of two that are attached to one volume in one renderer one steers, and the mapper is left as it was.
+void OneSteersAMapper(Kind kind)
+{
+  Scene scene(kind);
+  scene.Draw();
+  const Settings before = Read(scene.Mapper);
+  vtkNew<vtkEntireSteering> both[2];
+  vtkNew<vtkTest::ErrorObserver> warnings;
+  for (auto& each : both)
+  {
+    each->AddObserver(vtkCommand::WarningEvent, warnings);
+    each->SetTargetFrameTime(1e-6);
+    CHECK(each->Attach(scene.Renderer, scene.Volume));
+  }
+  scene.Interactive();
+  for (int i = 0; i < 3; ++i)
+  {
+    scene.Draw();
+    CHECK(Read(scene.Mapper) == before);
+  }
+  const int which = both[0]->GetNumberOfSteeredFrames() > 0 ? 0 : 1;
+  vtkEntireSteering *first = both[which], *second = both[1 - which];
+  CHECK(first->GetNumberOfSteeredFrames() > 0 && first->GetNumberOfFallbackFrames() == 0);
+  CHECK(second->GetNumberOfSteeredFrames() == 0 && Says(second->GetStatus(), "another vtkEntireSteering"));
+  CHECK(warnings->GetWarning());
+  first->Detach();
+  scene.Draw();
+  CHECK(second->GetNumberOfSteeredFrames() == 1 && Read(scene.Mapper) == before);
+}
+
+// Names that are no file of a saved state: refused at once, with an error that says why.
+void RefusesOddStateFiles(Kind kind)
+{
+  Scene scene(kind);
+  const std::string base = std::getenv("ENTIRE_TEST_FILE");
+  const std::string pipe = base + ".pipe", large = base + ".large";
+  std::remove(pipe.c_str());
+  CHECK(mkfifo(pipe.c_str(), 0600) == 0);
+  std::FILE* file = std::fopen(large.c_str(), "wb");
+  CHECK(file && std::fseek(file, 1 << 30, SEEK_SET) == 0 && std::fputc(0, file) == 0 && std::fclose(file) == 0);
+  vtkNew<vtkEntireSteering> steering;
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  vtkNew<vtkTest::ErrorObserver> errors;
+  steering->AddObserver(vtkCommand::ErrorEvent, errors);
+  const std::string cases[][2] = { { "/", "not a regular file" }, { "/dev/zero", "not a regular file" },
+    { pipe, "not a regular file" }, { large, "larger than" }, { "/nowhere/state", "cannot be read" },
+    { "/dev/null", "not a regular file" } };
+  for (const auto& each : cases)
+  {
+    errors->Clear();
+    CHECK(!steering->LoadState(each[0].c_str()));
+    CHECK(errors->GetError() && Says(steering->GetStatus(), each[0].c_str()));
+    CHECK(Says(steering->GetStatus(), each[1].c_str()));
+  }
+  for (const char* name : { static_cast<const char*>(nullptr), "" })
+  {
+    CHECK(!steering->LoadState(name) && !steering->SaveState(name));
+  }
+  // Nothing is written where nothing was learned, and a folder is not replaced.
+  steering->SetTargetFrameTime(1000);
+  scene.Interactive();
+  Warm(scene, steering);
+  errors->Clear();
+  CHECK(!steering->SaveState("/") && errors->GetError());
+  std::remove(pipe.c_str());
+  std::remove(large.c_str());
+}
+
 // Not a behaviour: what the run under valgrind must find.
 void LosesASteering(Kind kind)
 {
@@ -646,6 +595,10 @@ const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "KnowsItsRenderer", KnowsItsRenderer },
   { "KeepsState", KeepsState },
   { "OutlivesItsObjects", OutlivesItsObjects },
+  { "KeepsSettingsMadeDuringFrames", KeepsSettingsMadeDuringFrames },
+  { "LeavesRemovedVolumesAlone", LeavesRemovedVolumesAlone },
+  { "OneSteersAMapper", OneSteersAMapper },
+  { "RefusesOddStateFiles", RefusesOddStateFiles },
   { "LosesASteering", LosesASteering },
 };
 }

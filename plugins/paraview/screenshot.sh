@@ -8,7 +8,7 @@ export HOME=$results/home
 export XDG_CONFIG_HOME=$HOME/.config
 mkdir -p "$XDG_CONFIG_HOME"
 paraview --plugin-search-paths="$(dirname "$ENTIRE_PLUGIN")" --plugins=EntireSteering \
-    --script=examples/paraview/python/show.py >"$results/log" 2>&1 &
+    --script=plugins/paraview/python/show.py >"$results/log" 2>&1 &
 client=$!
 trap 'kill $client 2>/dev/null || true' EXIT
 for _ in $(seq 120); do grep -q "^shown" "$results/log" && break; sleep 1; done

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Every bar of the VTK adapter: the comparison with AutoAdjustSampleDistances, the observer's cost, and the accuracy of
 predictions per renderer. Prints `bar NAME VALUE LIMIT ok|short`, exit status 1 where one is short; a value that cannot be
-told is `unmeasured`, and short. See run.sh.
+told is `unmeasured`, and short. See bars.sh.
 """
 import argparse
 import json
@@ -11,7 +11,9 @@ import subprocess
 import sys
 
 HERE = os.path.dirname(os.path.abspath(__file__))
+PLUGIN = os.path.normpath(os.path.join(HERE, "..", "..", "..", "plugins", "vtk", "python"))
 sys.path.insert(0, HERE)
+sys.path.insert(0, PLUGIN)
 SHORT = []
 
 
@@ -55,7 +57,7 @@ def calibrate(options, mapper):
         part = os.path.join(options.out, f"part-{mapper}.csv")
         if os.path.exists(part):
             os.remove(part)
-        logged(os.path.join(options.out, f"collect-{mapper}.log"), sys.executable, os.path.join(HERE, "collect_vtk.py"),
+        logged(os.path.join(options.out, f"collect-{mapper}.log"), sys.executable, os.path.join(PLUGIN, "collect_vtk.py"),
                "--mapper", mapper, "--out", part, "--frames", 60, "--repeats", 2, "--min-size", 96, "--max-size", 512,
                "--steps", "1,1.4,2,3,4", volume)
         os.replace(part, table)

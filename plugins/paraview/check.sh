@@ -5,7 +5,7 @@ set -euo pipefail
 out=$1
 results=$out/check
 rm -rf "$results" && mkdir -p "$results"
-script=examples/paraview/python/check.py
+script=plugins/paraview/python/check.py
 failed=0
 
 # run NAME COMMAND...: the check must say that it passed.
@@ -27,7 +27,7 @@ if [[ ! $pvpython && ${PARAVIEW_ROOT:-} && -x $PARAVIEW_ROOT/usr/bin/pvpython ]]
 if [[ $pvpython ]]; then
     run pvpython "$pvpython" "$script" "$ENTIRE_PLUGIN" "$results" --name pvpython
 else
-    echo "skip  pvpython (it is in python3-paraview)"
+    echo "skip  pvpython, pvserver: the program pvpython is not installed (it is in python3-paraview)"
 fi
 if command -v mpirun >/dev/null; then
     run two-ranks mpirun -n 2 --oversubscribe pvbatch "$script" "$ENTIRE_PLUGIN" "$results" --name two-ranks
@@ -43,10 +43,18 @@ if command -v mpirun >/dev/null; then
         kill $server 2>/dev/null || true
         wait $server 2>/dev/null || true
     fi
-fi
-if command -v paraview >/dev/null && nm -DC "$ENTIRE_PLUGIN" | grep -q pqEntireSteeringPanel; then
-    bash examples/paraview/gui.sh "$out" "$results" || failed=1
 else
-    echo "skip  graphical client (the plugin was built without its panel)"
+    echo "skip  two-ranks, pvserver: the program mpirun is not installed (it is in openmpi-bin)"
+fi
+# The whole output is read before it is searched: a reader that leaves early ends nm with SIGPIPE, which pipefail reports.
+if ! symbols=$(nm -DC "$ENTIRE_PLUGIN"); then
+    echo "FAILED gui: nm cannot list the symbols of $ENTIRE_PLUGIN"
+    failed=1
+elif ! command -v paraview >/dev/null; then
+    echo "skip  gui: the program paraview is not installed"
+elif [[ $symbols != *pqEntireSteeringPanel* ]]; then
+    echo "skip  gui: the plugin was built without its panel (PARAVIEW_PANEL=OFF, or ParaView without Qt)"
+else
+    bash plugins/paraview/gui.sh "$out" "$results" || failed=1
 fi
 exit $failed

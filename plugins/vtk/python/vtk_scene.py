@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """A volume, its window and its transfer function in VTK, as the comparison, the collector and the tests want them."""
+import math
+
 import numpy as np
 import vtkmodules.vtkInteractionStyle  # noqa: F401  (object factories)
 import vtkmodules.vtkRenderingOpenGL2  # noqa: F401
@@ -22,6 +24,24 @@ MAPPERS = {
     "gpu": vtkOpenGLGPUVolumeRayCastMapper,
     "smart": vtkSmartVolumeMapper,
 }
+
+# Transfer functions of the comparison and of steer.py.
+COLOR = ((0, 0.1, 0.1, 0.3), (90, 0.8, 0.3, 0.1), (255, 1.0, 1.0, 0.8))
+TRANSPARENT = ((0, 0.0), (20, 0.0), (255, 0.03))
+OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.12), (255, 0.5))
+
+
+def camera(frame, frames, n):
+    """Position of the eye on the orbit, in voxels from the volume's center."""
+    t = frame / frames
+    azimuth = 2 * math.pi * t
+    elevation = math.radians(25) * math.sin(4 * math.pi * t)
+    distance = n * (2.1 + 0.4 * math.cos(2 * math.pi * (t - 0.875)))
+    return (
+        distance * math.cos(elevation) * math.sin(azimuth),
+        distance * math.sin(elevation),
+        distance * math.cos(elevation) * math.cos(azimuth),
+    )
 
 
 def noise_volume(n, seed=7):

@@ -3,7 +3,7 @@
 # The same checks inside the graphical client. Called by check.sh.
 set -euo pipefail
 results=$2
-export HOME=$results/home ENTIRE_SCRIPTS=$PWD/examples/paraview/python
+export HOME=$results/home ENTIRE_SCRIPTS=$PWD/plugins/paraview/python
 export XDG_CONFIG_HOME=$HOME/.config
 rm -f "$results/gui.txt"
 mkdir -p "$XDG_CONFIG_HOME/ParaView"
