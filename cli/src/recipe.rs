@@ -15,8 +15,8 @@ use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuant
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, SELU_SCALE, Target};
 use entire_core::predict::{
-    AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, InputLayout, LOBE_ORDER_KEY, Measurement,
-    PROBE_SIDE_KEY, UNIT_COSTS_KEY, UnitCosts,
+    AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, InputLayout, LOBE_ORDER_KEY, PROBE_SIDE_KEY,
+    UNIT_COSTS_KEY, UnitCosts, WorkSample,
 };
 use entire_core::train::{
     EpochRecord, Loss, Network, Progress, Samples, Settings, Standardization, Stop, preset_widths, train,
@@ -865,10 +865,10 @@ fn fit_analytic(
     probe_side: usize,
     default: &UnitCosts,
 ) -> Result<(AnalyticModel, String)> {
-    let measurements: Vec<Measurement> = counts(kitchen, training, default, probe_side)?
+    let measurements: Vec<WorkSample> = counts(kitchen, training, default, probe_side)?
         .iter()
         .zip(training.seconds)
-        .map(|(row, &seconds)| Measurement::from_work(row, seconds))
+        .map(|(row, &seconds)| WorkSample::from_work(row, seconds))
         .collect();
     let mut model = AnalyticModel::new();
     let report = model.fit_towards(default, &measurements)?;

@@ -186,7 +186,7 @@ impl Joined {
     }
 }
 
-/// The entries of positions in 0…255, in arithmetic that compilers vectorise.
+/// The entries of positions in 0…255, in arithmetic that compilers vectorize.
 pub(super) fn entries(positions: &[f32], [low, high, near]: [&mut [u8]; 3]) {
     /// 2²³: adding it rounds to an integer, which then stands in the low bits.
     const SHIFT: f32 = 8_388_608.0;
@@ -203,7 +203,7 @@ pub(super) fn entries(positions: &[f32], [low, high, near]: [&mut [u8]; 3]) {
     }
 }
 
-/// Counts bytes in four tables in turn: in one, equal neighbours would wait for each other.
+/// Counts bytes in four tables in turn: in one, equal neighbors would wait for each other.
 fn count_entries(bytes: &[u8], counts: &mut [[u32; 256]; 4]) {
     let (fours, rest) = bytes.as_chunks::<4>();
     for four in fours {

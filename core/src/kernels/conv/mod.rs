@@ -4,7 +4,7 @@
 //!
 //! The first layer has one input channel, so its vectors run along x. Its input planes are *prepared*: every row is split
 //! into `stride` phases (padded coordinate X = stride·q + phase goes to place q of its phase), so that the samples which
-//! one tap needs for neighbouring outputs lie side by side. Its output is *planar*: one row per y and channel.
+//! one tap needs for neighboring outputs lie side by side. Its output is *planar*: one row per y and channel.
 //!
 //! Every rest layer has its vectors along output channels and takes its input one number at a time, broadcast. Its input
 //! is either the planar output of the first layer, or *channels last*: (z, y, x, channel) with zero borders as wide as the

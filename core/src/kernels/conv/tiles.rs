@@ -199,7 +199,7 @@ macro_rules! wide {
 }
 
 /// A tile of 16 positions, two floats apart, and one vector, for rows of three taps: each channel's three are added
-/// together, so that an input that two neighbours share is read once.
+/// together, so that an input that two neighbors share is read once.
 #[inline(always)]
 unsafe fn sixteen_by_tap_triples<S: Simd>(s: S, tile: &Tile) {
     macro_rules! body {
@@ -255,7 +255,7 @@ wide!(one_by_sixteen: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4
 /// # Safety
 /// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] says so, `vectors` is 1 and positions p and p + 8 lie at one
 /// distance; where [`Tile::two_apart`] says so, position p lies 2·p floats from position 0, and where
-/// [`Tile::tap_triples`] does, taps come in tap_triples of neighbours. Every input pointer plus any tap plus any channel is readable, weights and biases are packed for the tile,
+/// [`Tile::tap_triples`] does, taps come in tap_triples of neighbors. Every input pointer plus any tap plus any channel is readable, weights and biases are packed for the tile,
 /// and every output pointer has room for its vectors, which no other thread touches.
 #[inline(always)]
 pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vectors: usize) {

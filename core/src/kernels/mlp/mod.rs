@@ -60,7 +60,7 @@ pub(crate) struct Mlp {
     /// Inputs of the last layer, and where its row starts.
     last: (usize, usize),
     last_bias: f32,
-    /// Mean, then reciprocal of std, each padded to whole lines; empty without normalisation.
+    /// Mean, then reciprocal of std, each padded to whole lines; empty without normalization.
     norm: Vec<Line>,
     data: Vec<Line>,
     /// Widest activation, in numbers.

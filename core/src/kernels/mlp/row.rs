@@ -161,7 +161,7 @@ impl Kernel for LastRow<'_> {
 }
 
 impl Mlp {
-    /// Copies one row of inputs, normalised, and clears the padding behind it.
+    /// Copies one row of inputs, normalized, and clears the padding behind it.
     ///
     /// # Safety
     /// `inputs` must have the network's length and `x` room for it, padded to 16.

@@ -79,7 +79,7 @@ pub(crate) trait Scalar: Pod + Send + Sync {
     /// The stored value.
     fn to_f32(self) -> f32;
 
-    /// The stored values of two neighbours.
+    /// The stored values of two neighbors.
     #[inline(always)]
     fn pair(pair: [Self; 2]) -> [f32; 2] {
         [pair[0].to_f32(), pair[1].to_f32()]
@@ -190,7 +190,7 @@ impl After {
 pub(crate) struct Geometry<'a> {
     /// Input voxels along x, y, z.
     pub(crate) dims: [usize; 3],
-    /// Elements between neighbours along x, y, z.
+    /// Elements between neighbors along x, y, z.
     pub(crate) strides: [usize; 3],
     /// Output voxels per axis.
     pub(crate) n: usize,
