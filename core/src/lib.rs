@@ -8,7 +8,7 @@
 //! | time | seconds (`f32`, or `f64` where they are accumulated) |
 //! | ray step | multiples of the *reference step*, which is the volume's smallest voxel spacing |
 //! | angles | degrees at the door (`Arcball`), radians inside |
-//! | scene space | origin at the volume's centre, unit length = radius of its bounding sphere |
+//! | scene space | origin at the volume's center, unit length = radius of its bounding sphere |
 //! | image sizes | pixels |
 //!
 //! # Contract

@@ -272,7 +272,7 @@ impl From<Plan> for entire_plan {
             upper: plan.upper,
             out_of_range: plan.out_of_range,
             reason: plan.reason as u32,
-            pixel: plan.pixel,
+            pixel: plan.image_sample_distance,
             absent: absent(plan.seconds, plan.upper, plan.out_of_range),
             ..ByValue::defaults()
         }
@@ -461,7 +461,11 @@ pub unsafe extern "C" fn entire_predictor_set_coarsest_pixel(
     step_alone: f32,
 ) -> entire_result {
     // SAFETY: the pointer is as the crate's documentation demands.
-    unsafe { changing(predictor, |state| Ok(state.session.set_coarsest_pixel(coarsest_pixel, step_alone)?)) }
+    unsafe {
+        changing(predictor, |state| {
+            Ok(state.session.set_max_image_sample_distance(coarsest_pixel, step_alone)?)
+        })
+    }
 }
 
 /// Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or on again.
@@ -643,17 +647,7 @@ pub unsafe extern "C" fn entire_predictor_observe(
                 unusual: flags & ENTIRE_OBSERVE_UNUSUAL != 0,
                 cancelled: flags & ENTIRE_OBSERVE_CANCELLED != 0,
             };
-            let found = state.session.observe(plan_id, seconds, told);
-            if found.is_refused() {
-                return Err(Failure::new(
-                    ENTIRE_REJECTED_OBSERVATION,
-                    format!(
-                        "the observation of {seconds} s for plan {plan_id} was refused: {}; report each plan once, \
-                         with the seconds that its frame took",
-                        found.name()
-                    ),
-                ));
-            }
+            let found = state.session.observe(plan_id, seconds, told)?;
             if !verdict.is_null() {
                 write(verdict, found as u32, "verdict (output)")?;
             }

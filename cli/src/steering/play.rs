@@ -296,7 +296,7 @@ pub fn play(
                 resized(&rendered.image, frame.width(), frame.height()).context("an image without pixels")?;
             let measured = Timing::new(rendered.time, rendered.counts);
             let seconds = draw.seconds(&measured)?;
-            session.observe(plan.id, seconds as f32, ObserveFlags::default());
+            session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
             playback.records[c].push(Record {
                 step: plan.step,
                 scale,

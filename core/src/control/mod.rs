@@ -15,7 +15,7 @@ mod smoothing;
 mod tests;
 
 pub use fixed::Fixed;
-pub use hybrid::{Hybrid, HybridOptions};
+pub use hybrid::{DEFAULT_MISS_RATE, DEFAULT_TOLERANCE, Hybrid, HybridOptions, NEW_SCENE_MISS_RATE};
 pub use quality::{QualityModel, QualitySample};
 pub use session::{Choice, PENDING_PLANS, Plan, Session};
 

@@ -1,6 +1,7 @@
 //! Closed loops with a scripted clock: no renderer, a known cost law.
 
 use super::*;
+use crate::ErrorKind;
 use crate::adapt::{ObserveFlags, Prior, Verdict};
 use crate::features::{SummaryOptions, VolumeSummary};
 use crate::predict::{AnalyticModel, Source, TERMS};
@@ -82,7 +83,7 @@ fn a_session_learns_an_unknown_machine_and_holds_its_target() {
                 );
             }
         }
-        assert!(!session.observe(plan.id, seconds, ObserveFlags::default()).is_refused());
+        session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
     }
     assert!(misses <= 8, "{misses} misses");
 }
@@ -300,32 +301,32 @@ fn broken_timings_are_refused_by_name_and_leave_no_trace() {
     let f = frame(0.0, 0.0, 2.0);
     for _ in 0..10 {
         let plan = session.plan(&f, 0.02).unwrap();
-        session.observe(plan.id, 0.013, flags);
+        session.observe(plan.id, 0.013, flags).unwrap();
     }
     let plan = session.plan(&f, 0.02).unwrap();
     let before = session.save_state();
-    for (seconds, verdict) in [
-        (f32::NAN, Verdict::NotFinite),
-        (f32::INFINITY, Verdict::NotFinite),
-        (0.0, Verdict::NotPositive),
-        (-1.0, Verdict::NotPositive),
-        (1e5, Verdict::TooLong),
-    ] {
-        assert_eq!(session.observe(plan.id, seconds, flags), verdict);
+    let rejects = |session: &mut Session, id: u64, seconds: f32, text: &str| {
+        let e = session.observe(id, seconds, flags).unwrap_err();
+        assert_eq!(e.kind(), ErrorKind::RejectedObservation);
+        assert!(e.message().contains(text), "{e}");
+    };
+    for seconds in [f32::NAN, f32::INFINITY, 0.0, -1.0, 1e5] {
+        rejects(&mut session, plan.id, seconds, "must be finite, positive and at most 10000 s");
         assert_eq!(session.save_state(), before);
     }
-    assert_eq!(session.observe(plan.id + 1, 0.01, flags), Verdict::UnknownPlan);
-    assert_eq!(session.observe(0, 0.01, flags), Verdict::UnknownPlan);
+    rejects(&mut session, plan.id + 1, 0.01, "is unknown");
+    rejects(&mut session, 0, 0.01, "is unknown");
     assert_eq!(session.save_state(), before);
     // Late by many frames is welcome, forgotten is not, twice is not.
     let mut ids = Vec::new();
     for _ in 0..PENDING_PLANS {
         ids.push(session.plan(&f, 0.02).unwrap().id);
     }
-    assert_eq!(session.observe(plan.id, 0.013, flags), Verdict::UnknownPlan);
-    assert!(!session.observe(ids[0], 0.013, flags).is_refused());
-    assert_eq!(session.observe(ids[0], 0.013, flags), Verdict::Duplicate);
-    assert_eq!(session.observe(ids[5], 0.013, ObserveFlags { unusual: true, ..flags }), Verdict::Ignored);
+    rejects(&mut session, plan.id, 0.013, "is unknown");
+    assert!(session.observe(ids[0], 0.013, flags).is_ok());
+    rejects(&mut session, ids[0], 0.013, "was observed before");
+    let unusual = session.observe(ids[5], 0.013, ObserveFlags { unusual: true, ..flags });
+    assert_eq!(unusual.unwrap(), Verdict::Ignored);
 }
 
 #[test]
@@ -381,7 +382,7 @@ fn choose_takes_the_first_setting_that_fits() {
     for _ in 0..30 {
         let choice = session.choose(&f, &settings, 0.02).unwrap();
         let seconds = 0.001 + 0.04 / settings[choice.index].step;
-        session.observe(choice.plan.id, seconds, ObserveFlags::default());
+        session.observe(choice.plan.id, seconds, ObserveFlags::default()).unwrap();
     }
     let choice = session.choose(&f, &settings, 0.025).unwrap();
     assert_eq!((choice.index, choice.plan.reason), (3, Reason::Fits), "{choice:?}");
@@ -422,7 +423,7 @@ fn logged(log: &mut Vec<(u32, Option<u32>)>) -> Vec<(u32, u32, u32, Reason)> {
             log.push((target.to_bits(), seconds.map(f32::to_bits)));
         }
         if let Some((id, t)) = late.take() {
-            session.observe(id, t, ObserveFlags::default());
+            session.observe(id, t, ObserveFlags::default()).unwrap();
         }
         match seconds {
             Some(t) if i % 10 == 3 => late = Some((plan.id, t)),
@@ -461,7 +462,7 @@ fn every_plan_gives_a_reason_and_the_off_switch_keeps_learning() {
         session.set_enabled(i < 30);
         let plan = session.plan(&f, 0.02).unwrap();
         let speed = if i < 30 { 1.0 } else { 3.0 };
-        session.observe(plan.id, speed * (0.0005 + 0.03 / plan.step), ObserveFlags::default());
+        session.observe(plan.id, speed * (0.0005 + 0.03 / plan.step), ObserveFlags::default()).unwrap();
     }
     session.set_enabled(true);
     // All it saw was step 1: the first frame may be careful, it may not be late, and four frames settle it.
@@ -470,7 +471,7 @@ fn every_plan_gives_a_reason_and_the_off_switch_keeps_learning() {
         let seconds = 3.0 * (0.0005 + 0.03 / plan.step);
         let least = if i < 4 { 0.008 } else { 0.016 };
         assert!((least..0.022).contains(&seconds), "frame {i}: {seconds} {plan:?}");
-        session.observe(plan.id, seconds, ObserveFlags::default());
+        session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
     }
 }
 

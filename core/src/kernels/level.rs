@@ -14,7 +14,7 @@ pub const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum Isa {
-    /// Portable Rust, vectorised by the compiler; the standard that the others are tested against.
+    /// Portable Rust, vectorized by the compiler; the standard that the others are tested against.
     Scalar,
     /// x86-64 with AVX2, FMA and F16C.
     Avx2,

@@ -156,7 +156,7 @@ fn play_script(
                 return true;
             }
             // As a session does: times that cannot be are refused before a controller hears of them.
-            if check_seconds(w.observed.seconds).is_none() {
+            if check_seconds(w.observed.seconds).is_ok() {
                 controller.observe(&w.observed);
             }
             false

@@ -13,7 +13,7 @@ use entire_core::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
 use entire_core::model::Model;
-use entire_core::predict::{AnalyticModel, Inputs, Measurement, load};
+use entire_core::predict::{AnalyticModel, Inputs, WorkSample, load};
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, TransferTable, VolumeView,
 };
@@ -194,7 +194,7 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
             let frame = Frame::new(Camera::from_arcball(camera)?, side, side)?.with_step(step)?;
             features.measure(&summary, &transfer, &frame);
             let seconds = machine.seconds(&frame)?;
-            rows.push(Measurement::new(&features, &Setting::of(&frame), seconds));
+            rows.push(WorkSample::new(&features, &Setting::of(&frame), seconds));
         }
     }
     let mut model = AnalyticModel::new();
@@ -462,7 +462,7 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
         let plan = who.session.plan(&frame, target as f32)?;
         let clean = truth(machine, &shot, &frame, plan.step)?;
         let seconds = if machine.is_real() { clean } else { clean * (SIGMA * noise.normal()).exp() };
-        who.session.observe(plan.id, seconds as f32, ObserveFlags::default());
+        who.session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
         if method == ControllerKind::Hybrid
             && !(plan.seconds.is_finite()
                 && plan.seconds > 0.0
