@@ -46,3 +46,6 @@ mod frame;
 mod session;
 
 mod schedule;
+
+#[cfg(test)]
+mod calls;

@@ -50,6 +50,17 @@ static size_t count_near(size_t right) {
     return one_in(10) ? odd[below(6)] : right;
 }
 
+/* Of any magnitude: 10^-38 to 10^38. */
+static float magnitude(void) {
+    return powf(10, uniform(-38, 38)) * (one_in(20) ? -1.0f : 1.0f);
+}
+
+/* Zero, one, or of any magnitude up to the largest. */
+static size_t any_size(void) {
+    const size_t any = (size_t)bits() >> below(sizeof(size_t) * 8);
+    return one_in(3) ? below(2) : any;
+}
+
 /* For counts that the library may read as far as: never more than there is. */
 static size_t count_within(size_t there) {
     return one_in(6) ? below(there + 1) : there;
@@ -101,6 +112,20 @@ static void new_volume(entire_volume **out) {
         desc.spacing[i] = number(0.1f, 9);
         if (one_in(8)) desc.strides[i] = count_near(below(20));
     }
+    if (one_in(6)) { /* one scale for all axes, or another for each */
+        const float unit = magnitude();
+        const int apart = one_in(3);
+        for (int i = 0; i < 3; ++i) desc.spacing[i] = apart ? magnitude() : unit * uniform(0.5f, 2);
+    }
+    if (one_in(6))
+        for (int i = 0; i < 3; ++i) desc.strides[i] = any_size();
+    /* Repeated voxels: sizes of all magnitudes, few of which are scanned. */
+    if (one_in(12))
+        for (int i = 0; i < 3; ++i) {
+            desc.strides[i] = 0;
+            desc.dims[i] = one_in(20) ? 1 + below(200) : one_in(2) ? any_size() : 1 + below(20);
+            if (desc.dims[i] < 4000 && desc.dims[i] > 200) desc.dims[i] = 200;
+        }
     if (one_in(3)) desc.range[0] = number(-10, 10), desc.range[1] = number(-10, 1000);
     note(entire_volume_new(&desc, out));
 }
@@ -117,9 +142,11 @@ static void new_bricks(entire_volume **out) {
         const size_t n = 1 + below(3), edge = 1 + below(9);
         desc.brick_edge[i] = count_near(edge);
         desc.dims[i] = count_near(n * edge - below(edge));
-        desc.spacing[i] = number(0.1f, 9);
+        desc.spacing[i] = one_in(6) ? magnitude() : number(0.1f, 9);
         bricks *= n;
     }
+    if (one_in(12))
+        for (int i = 0; i < 3; ++i) desc.dims[i] = any_size(), desc.brick_edge[i] = any_size();
     desc.bounds = one_in(30) ? NULL : bounds;
     desc.brick_count = one_in(10) ? below(33) : bricks;
     note(entire_volume_from_bricks(&desc, out));
@@ -291,7 +318,7 @@ static void call(void) {
     case 17: {
         entire_prediction prediction = {.struct_size = struct_size(sizeof prediction), .seconds = 0.5f};
         if (note(entire_session_predict(session, &frame, &prediction)) != ENTIRE_OK) CHECK(prediction.seconds == 0.5f);
-        else CHECK(prediction.seconds >= 0 || isnan(prediction.seconds));
+        else CHECK(prediction.seconds > 0 && prediction.seconds < 1e9f);
         break;
     }
     case 18: {

@@ -6,6 +6,9 @@ mod plan;
 mod settings;
 mod state;
 
+#[cfg(test)]
+pub(crate) use {observe::*, options::*, plan::*, settings::*, state::*};
+
 use crate::abi::{ByValue, check_pointer, read_struct, write};
 use crate::guard::{freeing, guard, last_error_of};
 use crate::handle::{Status, borrow, give, handle, share};
