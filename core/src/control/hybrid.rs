@@ -51,7 +51,7 @@ impl Default for HybridOptions {
 /// the target and whose upper bound stays within the tolerance.
 ///
 /// * Novelty: how much of the predicted cost of the step drawn last changed since that frame, in amount and make-up, says
-///   how little the frames before are worth for this one ([`Correction::advance`]). A change that the caller announces
+///   how little the frames before are worth for this one. A change that the caller announces
 ///   after calm frames counts as half new at least; one in a row of announced changes (a drag) counts by what it does.
 /// * Calm phases: the correction follows this very scene, so the margin shrinks to the noise from frame to frame and the
 ///   target is met on average. Of what the prediction says to differ from the frame before, as much is taken as has
@@ -137,15 +137,9 @@ impl Hybrid {
     }
 
     /// What has been learned of the cost parts.
-    pub fn correction(&self) -> &Correction {
+    #[cfg(test)]
+    pub(crate) fn correction(&self) -> &Correction {
         &self.correction
-    }
-
-    /// Replaces what is known of the prediction before the first frame, and forgets every frame.
-    pub fn set_prior(&mut self, prior: Prior) {
-        self.options.prior = prior;
-        self.correction = Correction::new(prior);
-        self.reset();
     }
 
     /// Corrected time and upper bound of a prediction for the frame at hand, at the step drawn last.

@@ -224,11 +224,6 @@ impl Session {
         c.camera |= changes.camera;
     }
 
-    /// The controller's name.
-    pub fn controller_name(&self) -> &'static str {
-        self.controller.name()
-    }
-
     /// The features of the frame that was planned or predicted last.
     pub fn features(&self) -> &FrameFeatures {
         &self.features

@@ -150,12 +150,12 @@ impl Level {
     }
 
     /// Whether the level includes AVX512_BF16.
-    pub const fn has_bf16(self) -> bool {
+    pub(crate) const fn has_bf16(self) -> bool {
         self.extras & HAS_BF16 != 0
     }
 
     /// Whether the level includes AVX512_FP16.
-    pub const fn has_fp16(self) -> bool {
+    pub(crate) const fn has_fp16(self) -> bool {
         self.extras & HAS_FP16 != 0
     }
 }

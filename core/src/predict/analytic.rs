@@ -166,11 +166,6 @@ impl AnalyticModel {
         &self.costs
     }
 
-    /// Whether the costs were measured.
-    pub fn is_fitted(&self) -> bool {
-        self.fitted
-    }
-
     /// The calibration behind [`Prediction::upper`].
     pub fn calibration(&self) -> &Calibration {
         &self.calibration

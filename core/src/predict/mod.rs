@@ -17,4 +17,3 @@ pub use calibration::{Calibration, FeatureRange, UPPER_LEVEL};
 pub use inputs::{CostTerms, GroupKind, Inputs, Prediction, Predictor, Source};
 pub use layout::{InputLayout, InputValues, LOBE_ORDER_KEY, PROBE_SIDE_KEY};
 pub use network::{CALIBRATION_KEY, ModelPredictor, load};
-pub use nnls::nnls;

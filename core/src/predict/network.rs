@@ -144,11 +144,6 @@ impl ModelPredictor {
         })
     }
 
-    /// Replaces the calibration behind [`Prediction::upper`].
-    pub fn set_calibration(&mut self, calibration: Calibration) {
-        self.calibration = calibration;
-    }
-
     /// What the model takes.
     pub fn layout(&self) -> &InputLayout {
         &self.layout

@@ -151,7 +151,7 @@ impl TransferTable {
     }
 
     /// The distance over which the opacities hold, in multiples of the reference step.
-    pub fn unit_distance(&self) -> f32 {
+    pub(crate) fn unit_distance(&self) -> f32 {
         self.unit_distance
     }
 
@@ -174,7 +174,7 @@ impl TransferTable {
     }
 
     /// Largest opacity in the table.
-    pub fn max_opacity(&self) -> f32 {
+    pub(crate) fn max_opacity(&self) -> f32 {
         self.rgba.iter().fold(0.0, |m, e| m.max(e[3]))
     }
 }

@@ -172,7 +172,7 @@ impl Standardization {
     }
 
     /// None: means 0, deviations 1.
-    pub fn identity(width: usize) -> Self {
+    pub(crate) fn identity(width: usize) -> Self {
         Self { input_mean: vec![0.0; width], input_std: vec![1.0; width], output_mean: 0.0, output_std: 1.0 }
     }
 

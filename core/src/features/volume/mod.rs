@@ -200,7 +200,7 @@ impl VolumeSummary {
     }
 
     /// Voxels along each axis of a cell (the last cell of an axis may reach beyond the volume).
-    pub fn cell_edge(&self) -> [usize; 3] {
+    pub(crate) fn cell_edge(&self) -> [usize; 3] {
         self.edge
     }
 
@@ -213,7 +213,8 @@ impl VolumeSummary {
     ///
     /// # Panics
     /// When the cell lies outside the grid.
-    pub fn cell_bounds(&self, x: usize, y: usize, z: usize) -> (u8, u8) {
+    #[cfg(test)]
+    pub(crate) fn cell_bounds(&self, x: usize, y: usize, z: usize) -> (u8, u8) {
         assert!(
             x < self.cells[0] && y < self.cells[1] && z < self.cells[2],
             "cell {x}, {y}, {z} outside the grid"
@@ -223,7 +224,7 @@ impl VolumeSummary {
     }
 
     /// Share of voxels per table entry; sums to 1.
-    pub fn histogram(&self) -> &[f32; 256] {
+    pub(crate) fn histogram(&self) -> &[f32; 256] {
         &self.histogram
     }
 
@@ -235,7 +236,7 @@ impl VolumeSummary {
     /// Whether a renderer that looks stored values up in a table must shift or scale each of them: not where they are
     /// integers from 0, which is among them, to at most [`LARGEST_INDEX`]. Of a volume made of bricks the bounds tell: 0
     /// among those of integers is taken as a stored 0.
-    pub fn remapped(&self) -> bool {
+    pub(crate) fn remapped(&self) -> bool {
         self.remapped
     }
 
