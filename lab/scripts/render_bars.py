@@ -29,7 +29,7 @@ import zlib
 HERE = pathlib.Path(__file__).resolve().parent
 MODES = ["none", "blocks", "distance"]
 PEERS = {"fixed": "vtkFixedPointVolumeRayCastMapper", "gpu": "vtkGPUVolumeRayCastMapper"}
-PACKAGES = "apt-get install python3-vtk9 xvfb (or point VTK_PYTHON at a Python that can import vtkmodules)"
+PACKAGES = "apt-get install python3-vtk9 python3-numpy xvfb, or point VTK_PYTHON at a Python that has them"
 # name, volume, transfer function, limit against the fixed-point mapper, against the GPU mapper
 SCENES = [
     ("transparent", "noise", "transparent", 0.8, 0.6),
@@ -72,13 +72,21 @@ class Contestant:
 def vtk_command():
     """How to start the VTK peer, or why not."""
     named = os.environ.get("VTK_PYTHON")
+    check = "import vtkmodules.vtkRenderingVolumeOpenGL2, vtkmodules.util.numpy_support"
+    reasons = []
     for python in [named] if named else ["/usr/bin/python3", "python3"]:
         found = shutil.which(python)
-        check = "import vtkmodules.vtkRenderingVolumeOpenGL2, vtkmodules.util.numpy_support"
-        if found and subprocess.run([found, "-c", check], capture_output=True).returncode == 0:
+        if not found:
+            reasons.append(f"{python} is no program")
+            continue
+        done = subprocess.run([found, "-c", check], capture_output=True, text=True)
+        if done.returncode == 0:
             break
+        # The last line of the traceback names the module that is missing: VTK's, or numpy.
+        said = done.stderr.strip().splitlines()
+        reasons.append(f"{found}: {said[-1] if said else f'exit status {done.returncode}'}")
     else:
-        return None, f"no Python here can import vtkmodules: {PACKAGES}"
+        return None, f"{'; '.join(dict.fromkeys(reasons))}. Remedy: {PACKAGES}"
     start = [found, str(HERE / "vtk_peer.py")]
     if os.environ.get("DISPLAY"):
         return start, None
