@@ -34,11 +34,7 @@ pub struct WarmLatency {
 }
 
 /// Errors by image size, by whether the eye is near or inside the volume, and by ray step; kinds without frames are left out.
-pub fn by_kind(
-    frames: &[&TimedFrame],
-    predicted: &[f64],
-    measured: &[f64],
-) -> Vec<(&'static str, Metrics)> {
+pub fn by_kind(frames: &[&TimedFrame], predicted: &[f64], measured: &[f64]) -> Vec<(&'static str, Metrics)> {
     type Test = fn(&TimedFrame) -> bool;
     fn pixels(f: &TimedFrame) -> u64 {
         u64::from(f.scene.width) * u64::from(f.scene.height)
@@ -144,8 +140,7 @@ pub fn warm_latency(
     }
     let volume = open_volume(&tables[first.table], &first.scene.volume, first.scene.dims)?;
     let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
-    let probed = layout.scene_features().iter().any(|f| f.quantity.needs_probe());
-    let mut features = FrameFeatures::with_probe_side(if probed { layout.probe_side() } else { 0 });
+    let mut features = FrameFeatures::with_probe_side(layout.probe_side());
     let (mut all, mut transfer_times) = (Vec::new(), Vec::new());
     for f in of_volume {
         let (frame, table) = (f.scene.to_frame()?, f.scene.to_table()?);

@@ -1,12 +1,12 @@
 //! Shipping what a study made: model files with cards, judged as they are shipped.
 
-use entire_cli::bound;
-use entire_cli::dataset::{Table, TimedFrames, read_tables};
-use entire_cli::metrics::{BoundMetrics, Metrics};
-use entire_cli::files::read_model_file;
-use entire_cli::fit::{DtypeChoice, FitContext, predict};
 use crate::study::{Findings, Fit, Runner, Set, Ship, Study, clock};
 use anyhow::{Context, Result};
+use entire_cli::bound;
+use entire_cli::dataset::{Table, TimedFrames, read_tables};
+use entire_cli::files::read_model_file;
+use entire_cli::fit::{DtypeChoice, FitContext, predict};
+use entire_cli::metrics::{BoundMetrics, Metrics};
 use entire_core::model::{ModelFile, keys};
 use serde_json::json;
 use std::fmt::Write as _;
@@ -203,7 +203,7 @@ fn card(
             md,
             "\nScene features, in order: {}. Rays along each side of the probe: {}.",
             model.scene_features().join(", "),
-            entire_core::predict::probe_side_of(&model)?
+            entire_core::predict::InputLayout::of_model(&model)?.probe_side()
         );
     }
     let _ = writeln!(md, "\n## Data\n");

@@ -6,7 +6,7 @@
 //! table (see [`crate::dataset`]); medians are taken by whoever reads it.
 
 use crate::dataset::{
-    Clock, MANIFEST_FORMAT, Manifest, Timing, Scene, Table, Writer, noise_floor, parse_shading,
+    Clock, MANIFEST_FORMAT, Manifest, Scene, Table, Timing, Writer, noise_floor, parse_shading,
     parse_skipping,
 };
 use crate::device::{self, Device};

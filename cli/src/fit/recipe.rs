@@ -12,7 +12,9 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
 use entire_core::model::ModelFile;
 use entire_core::nn::{Dtype, Normalization, PredNetParts, Target};
-use entire_core::predict::{GroupKind, LOBE_ORDER_KEY, PROBE_SIDE_KEY, UNIT_COSTS_KEY, UnitCosts};
+use entire_core::predict::{
+    GroupKind, InputLayout, LOBE_ORDER_KEY, PROBE_SIDE_KEY, UNIT_COSTS_KEY, UnitCosts,
+};
 use entire_core::train::{EpochRecord, Loss, Network, Samples, Settings, Standardization, preset_widths};
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
@@ -204,7 +206,12 @@ impl Recipe {
     ///
     /// # Errors
     /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or training fails.
-    pub fn make(&self, context: &FitContext<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<FittedModel> {
+    pub fn make(
+        &self,
+        context: &FitContext<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<FittedModel> {
         if let Some(path) = &self.file {
             let (file, _) = read_model_file(path)?;
             return Ok(FittedModel {
@@ -254,9 +261,18 @@ impl Recipe {
     }
 
     /// Whether the ray step is among what it is made from, by itself or in counts of samples.
-    pub fn knows_step(&self) -> bool {
-        let named = [GroupKind::SceneFeatures, GroupKind::StepSize].map(GroupKind::name);
-        self.inputs.iter().any(|g| named.contains(&g.trim()))
+    ///
+    /// # Errors
+    /// For a group or feature that is not known.
+    pub fn knows_step(&self) -> Result<bool> {
+        if matches!(self.kind, Kind::Analytic | Kind::Residual) {
+            return Ok(true);
+        }
+        let groups =
+            self.inputs.iter().map(|n| GroupKind::from_name(n.trim())).collect::<Result<Vec<_>, _>>()?;
+        let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
+        // The sizes of other groups say nothing of the step.
+        Ok(InputLayout::new(&groups, features, 1, 1)?.knows_step())
     }
 
     fn side(&self) -> usize {
@@ -361,7 +377,12 @@ impl Recipe {
         })
     }
 
-    fn residual(&self, context: &FitContext<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<FittedModel> {
+    fn residual(
+        &self,
+        context: &FitContext<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<FittedModel> {
         let (mut file, layout) = self.layout(training)?;
         let (model, report) = fit_analytic(context, training, self.side(), &self.default_costs())?;
         let costs = model.unit_costs();
@@ -413,7 +434,12 @@ impl Recipe {
         })
     }
 
-    fn network(&self, context: &FitContext<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<FittedModel> {
+    fn network(
+        &self,
+        context: &FitContext<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<FittedModel> {
         let (mut file, layout) = self.layout(training)?;
         let widths = match &self.preset {
             Some(preset) => preset_widths(preset, layout.width())?,
@@ -519,7 +545,7 @@ impl Recipe {
         }
         if !layout.scene_features().is_empty() {
             file.set_scene_features(&names(layout.scene_features()))?;
-            if layout.probe_side() != PROBE_SIDE {
+            if ![0, PROBE_SIDE].contains(&layout.probe_side()) {
                 file.set_metadata(PROBE_SIDE_KEY, layout.probe_side().to_string());
             }
         }

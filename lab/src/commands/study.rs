@@ -1,16 +1,16 @@
 //! `entire-lab study`: a whole study in one report, accuracy against latency first.
 
-use entire_cli::options::thread_pool;
-use entire_cli::progress::templated_bar;
-use entire_cli::metrics::Metrics;
-use entire_cli::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use crate::bars::Bar;
 use crate::study::{
-    CALIBRATION_FRAMES, CONSTANT, Findings, Named, PROXY, Point, SplitResult, Runner, Study, read,
+    CALIBRATION_FRAMES, CONSTANT, Findings, Named, PROXY, Point, Runner, SplitResult, Study, read,
 };
+use anyhow::{Context, Result, ensure};
 use entire_cli::interrupt;
 use entire_cli::machine;
-use anyhow::{Context, Result, ensure};
+use entire_cli::metrics::Metrics;
+use entire_cli::options::thread_pool;
+use entire_cli::progress::templated_bar;
+use entire_cli::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::{Path, PathBuf};
 
 /// Make and judge every predictor of a study; write one report: accuracy against latency, tables, curves.
