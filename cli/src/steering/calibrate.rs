@@ -1,10 +1,11 @@
 //! Fitting predictors to this machine: a few random frames of the volume, each at several ray steps.
 
 use super::play::DrawSettings;
-use crate::dataset::{Measurement as Timing, median};
+use super::rivals::StepResponse;
+use crate::dataset::Timing;
+use crate::metrics::median;
 use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result, ensure};
-use entire_core::control::StepResponse;
 use entire_core::features::{Changes, FrameFeatures, SceneFeature, Setting, TransferSummary, VolumeSummary};
 use entire_core::predict::{AnalyticModel, FitReport, Inputs, Measurement};
 use entire_core::scene::{
@@ -132,7 +133,7 @@ pub fn measure(
 /// # Errors
 /// When no scene was timed at two steps.
 pub fn response(samples: &[Sample]) -> Result<StepResponse> {
-    Ok(StepResponse::from_samples(&response_pairs(samples))?)
+    StepResponse::from_samples(&response_pairs(samples))
 }
 
 /// The (step, time ratio) pairs behind [`response`], scene after scene.
