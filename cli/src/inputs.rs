@@ -369,8 +369,9 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::{features, train::thread_pool};
-    use crate::dataset::{Measurement, Writer, parse_lobes, read_tables};
+    use crate::commands::features;
+    use crate::dataset::{Timing, Writer, parse_lobes, read_tables};
+    use crate::options::thread_pool;
     use entire_core::features::PROBE_SIDE;
     use entire_core::scene::Shading;
 
@@ -402,7 +403,7 @@ mod tests {
                 termination: 0.95,
                 lobes: parse_lobes("0.8 0.01 0.9;0.3 0.05 0.4").unwrap(),
             };
-            let repeat = Measurement { wall: Some(0.1), ..Measurement::default() };
+            let repeat = Timing { wall: Some(0.1), ..Timing::default() };
             writer.append(u64::from(i), &scene, &[repeat]).unwrap();
         }
         drop(writer);

@@ -211,13 +211,9 @@ impl Probe {
     }
 
     /// Mean length of the box along rays that meet it, reference steps.
+    #[cfg(test)]
     pub(crate) fn mean_chord(&self) -> f32 {
         self.mean_chord
-    }
-
-    /// Largest such length, reference steps.
-    pub(crate) fn max_chord(&self) -> f32 {
-        self.max_chord
     }
 
     /// Share of rays that end before they leave the box.
