@@ -45,7 +45,7 @@ impl UnitCosts {
     /// # Errors
     /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is negative or not
     /// finite, or when all are zero.
-    pub fn of(model: &Model) -> Result<Option<Self>> {
+    pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata().get(UNIT_COSTS_KEY) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
             Ok(named) => named,
