@@ -21,6 +21,8 @@
 
 mod tiles;
 
+use crate::Result;
+use crate::error::bail;
 use crate::kernels::resample::{Map, Scalar};
 use crate::kernels::simd::{Kernel, Simd};
 use crate::kernels::{Executor, Level};
@@ -45,8 +47,21 @@ pub(crate) struct Buffer(Vec<Line>);
 struct Line([f32; LINE]);
 
 impl Buffer {
-    fn zeroed(len: usize) -> Self {
-        Self(vec![Line([0.0; LINE]); len.div_ceil(LINE)])
+    /// # Errors
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where the allocator has no such room.
+    fn zeroed(len: usize) -> Result<Self> {
+        let lines = len.div_ceil(LINE);
+        let mut data = Vec::new();
+        if data.try_reserve_exact(lines).is_err() {
+            bail!(
+                SizeMismatch,
+                "the volume encoder needs a buffer of {} bytes, and memory has no room for it: use a model with a \
+                 smaller encoder, or give the process more memory",
+                lines.saturating_mul(size_of::<Line>())
+            );
+        }
+        data.resize(lines, Line([0.0; LINE]));
+        Ok(Self(data))
     }
 
     fn as_slice(&self) -> &[f32] {
@@ -308,9 +323,12 @@ impl PreparedPlane<'_> {
 
 impl Encoder {
     /// Packs checked blocks and the dense layer.
-    pub(crate) fn new(blocks: &[Block<'_>], fc: &Head<'_>, level: Level) -> Self {
+    ///
+    /// # Errors
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where memory has no room for the packed weights.
+    pub(crate) fn new(blocks: &[Block<'_>], fc: &Head<'_>, level: Level) -> Result<Self> {
         let padding_of = |i: usize| blocks.get(i).map_or(0, |b: &Block<'_>| b.padding);
-        let first = First::new(&blocks[0], padding_of(1), level);
+        let first = First::new(&blocks[0], padding_of(1), level)?;
         let mut later: Vec<Later> = Vec::with_capacity(blocks.len() - 1);
         for (i, block) in blocks.iter().enumerate().skip(1) {
             let edge = block.input_edge + 2 * block.padding;
@@ -321,13 +339,13 @@ impl Encoder {
                     (1, column, edge * column, edge * edge * column)
                 }
             };
-            later.push(Later::new(block, [channel_stride, column, row, plane], padding_of(i + 1), level));
+            later.push(Later::new(block, [channel_stride, column, row, plane], padding_of(i + 1), level)?);
         }
         // The dense layer's weights, moved to where the last layer writes.
         let edge = blocks[blocks.len() - 1].output_edge;
         let channels = blocks[blocks.len() - 1].outputs;
         let dense_len = later.last().map_or(edge * first.out_plane, |l| l.out_len).next_multiple_of(LINE);
-        let mut dense = Buffer::zeroed(dense_len * fc.outputs);
+        let mut dense = Buffer::zeroed(dense_len * fc.outputs)?;
         for (row, weights) in
             dense.as_mut_slice().chunks_exact_mut(dense_len).zip(fc.weight.chunks_exact(fc.inputs))
         {
@@ -346,7 +364,7 @@ impl Encoder {
                 }
             }
         }
-        Self { level, first, later, dense, dense_len, dense_bias: fc.bias.to_vec() }
+        Ok(Self { level, first, later, dense, dense_len, dense_bias: fc.bias.to_vec() })
     }
 
     fn sizes(&self) -> impl Iterator<Item = usize> {
@@ -365,42 +383,53 @@ impl Encoder {
     }
 
     /// Makes the scratch fit this encoder and number of threads.
-    fn fit(&self, scratch: &mut Scratch, threads: usize) {
+    fn fit(&self, scratch: &mut Scratch, threads: usize) -> Result<()> {
         if !self.sizes().eq(scratch.sizes.iter().copied()) {
-            scratch.workers.clear();
-            scratch.sizes.clear();
-            scratch.sizes.extend(self.sizes());
-            scratch.outputs = vec![Buffer::zeroed(scratch.sizes[2])];
-            scratch.outputs.extend(self.later.iter().map(|l| Buffer::zeroed(l.out_len)));
+            // Empty until everything is there, so that a scratch which memory had no room for is made anew.
+            *scratch = Scratch::default();
+            let sizes: Vec<usize> = self.sizes().collect();
+            scratch.outputs.push(Buffer::zeroed(sizes[2])?);
+            for layer in &self.later {
+                scratch.outputs.push(Buffer::zeroed(layer.out_len)?);
+            }
+            scratch.sizes = sizes;
         }
         while scratch.workers.len() < threads {
             let taps =
                 self.first.shape.kernel.pow(3).max(self.later.first().map_or(0, |l| l.shape.kernel.pow(3)));
             scratch.workers.push(Worker {
-                prepared: Buffer::zeroed(scratch.sizes[0]),
-                ring: Buffer::zeroed(scratch.sizes[1]),
+                prepared: Buffer::zeroed(scratch.sizes[0])?,
+                ring: Buffer::zeroed(scratch.sizes[1])?,
                 taps: vec![0; taps],
             });
         }
+        Ok(())
     }
 
-    /// Working memory for a given number of threads.
-    pub(crate) fn scratch(&self, threads: usize) -> Scratch {
-        let mut scratch = Scratch::default();
-        self.fit(&mut scratch, threads);
-        scratch
+    /// Bytes of the packed weights and of one thread's working memory.
+    #[cfg(test)]
+    pub(crate) fn memory(&self) -> usize {
+        let weights = |w: &Buffer, bias: &Buffer| w.as_slice().len() + bias.as_slice().len();
+        let later: usize =
+            self.later.iter().map(|l| weights(&l.weights, &l.bias) + l.out_len + 2 * l.taps.len()).sum();
+        let working: usize = self.sizes().take(3).sum();
+        size_of::<f32>()
+            * (weights(&self.first.weights, &self.first.bias) + later + working + self.dense.as_slice().len())
     }
 
-    /// Runs the network; `features` has one place per output of the dense layer.
+    /// Runs the network; `features` has one place per output of the dense layer. Makes the scratch fit first.
+    ///
+    /// # Errors
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where memory has no room for the scratch.
     pub(crate) fn run(
         &self,
         prepare: &Prepare<'_>,
         scratch: &mut Scratch,
         executor: Executor<'_>,
         features: &mut [f32],
-    ) {
+    ) -> Result<()> {
         let threads = executor.threads();
-        self.fit(scratch, threads);
+        self.fit(scratch, threads)?;
         let Scratch { workers, outputs, .. } = scratch;
         let workers = &mut workers[..threads];
         let planes = match self.later.first() {
@@ -433,6 +462,7 @@ impl Encoder {
             x: &last[..self.dense_len.min(last.len())],
             features,
         });
+        Ok(())
     }
 
     /// The first layers, split over the workers by output planes.
@@ -530,7 +560,7 @@ unsafe impl Send for Output {}
 unsafe impl Sync for Output {}
 
 impl First {
-    fn new(block: &Block<'_>, border: usize, level: Level) -> Self {
+    fn new(block: &Block<'_>, border: usize, level: Level) -> Result<Self> {
         let cut = cut(level);
         let shape = Shape::of(block);
         let (kernel, stride) = (shape.kernel, shape.stride);
@@ -542,8 +572,8 @@ impl First {
             .next_multiple_of(LINE);
         let row = stride * phase;
         let padded = block.outputs.next_multiple_of(cut.group);
-        let mut weights = Buffer::zeroed(padded * kernel.pow(3));
-        let mut bias = Buffer::zeroed(padded);
+        let mut weights = Buffer::zeroed(padded * kernel.pow(3))?;
+        let mut bias = Buffer::zeroed(padded)?;
         bias.as_mut_slice()[..block.outputs].copy_from_slice(block.bias);
         let taps = kernel.pow(3);
         for c in 0..block.outputs {
@@ -555,7 +585,7 @@ impl First {
         // The zeros after a row are the zeros before the next one.
         let out_row = (shape.output + border).next_multiple_of(LINE);
         let out_plane = (shape.output + 2 * border) * padded * out_row;
-        Self {
+        Ok(Self {
             level,
             cut,
             shape,
@@ -569,7 +599,7 @@ impl First {
             out_row,
             out_plane,
             lead: border.next_multiple_of(LINE),
-        }
+        })
     }
 
     /// Place of x = 0 in a row of the whole output.
@@ -662,7 +692,7 @@ impl Later {
         [channel_stride, column, row, plane]: [usize; 4],
         border: usize,
         level: Level,
-    ) -> Self {
+    ) -> Result<Self> {
         let cut = cut(level);
         let shape = Shape::of(block);
         let k = shape.kernel;
@@ -682,7 +712,7 @@ impl Later {
             channel += vectors * cut.lanes;
             place += all * block.inputs * vectors * cut.lanes;
         }
-        let mut weights = Buffer::zeroed(place);
+        let mut weights = Buffer::zeroed(place)?;
         let packed = weights.as_mut_slice();
         for &(channel, vectors, place) in &blocks {
             let wide = vectors * cut.lanes;
@@ -695,10 +725,10 @@ impl Later {
                 }
             }
         }
-        let mut bias = Buffer::zeroed(out_channels);
+        let mut bias = Buffer::zeroed(out_channels)?;
         bias.as_mut_slice()[..block.outputs].copy_from_slice(block.bias);
         let out_len = (shape.output + 2 * border).pow(3) * out_channels;
-        Self {
+        Ok(Self {
             level,
             cut,
             shape,
@@ -714,7 +744,7 @@ impl Later {
             border,
             out_channels,
             out_len,
-        }
+        })
     }
 
     fn positions(&self) -> usize {
