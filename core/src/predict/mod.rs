@@ -9,6 +9,7 @@ mod inputs;
 mod network;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod nnls;
+mod seconds;
 
 pub use crate::features::{COMMON_COSTS, COST_QUANTITIES, COSTS, UnitCosts};
 pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS, UNIT_COSTS_KEY};
@@ -19,3 +20,6 @@ pub use inputs::{
 };
 pub use network::{CALIBRATION_KEY, ModelPredictor, PROBE_SIDE_KEY, load, probe_side_of, write_estimate};
 pub use nnls::nnls;
+pub use seconds::{
+    CLAMPED_SCORE, LONGEST_FRAME, LONGEST_PREDICTION, SHORTEST_PREDICTION, check_batch, checked_seconds,
+};

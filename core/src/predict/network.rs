@@ -1,8 +1,8 @@
 //! A network from a model file as a predictor.
 
 use super::{
-    AnalyticModel, Calibration, GroupKind, Inputs, Prediction, Predictor, Source, UnitCosts, sort_lobes,
-    takes_sorted_lobes, write_group,
+    AnalyticModel, CLAMPED_SCORE, Calibration, GroupKind, Inputs, Prediction, Predictor, Source, UnitCosts,
+    checked_seconds, sort_lobes, takes_sorted_lobes, write_group,
 };
 use crate::Result;
 use crate::error::bail;
@@ -38,13 +38,6 @@ pub fn probe_side_of(model: &Model) -> Result<usize> {
         ),
     }
 }
-
-/// Shortest time that a network's prediction is taken for, seconds. Networks trained on seconds go below zero for cheap
-/// frames.
-const SHORTEST: f32 = 1.0e-6;
-
-/// Longest time, seconds; also what a network says whose output is not a number.
-const LONGEST: f32 = 1.0e9;
 
 /// Distance from the training mean, in standard deviations, up to which an input counts as inside.
 const INSIDE: f32 = 2.5;
@@ -108,6 +101,7 @@ pub struct ModelPredictor {
     sorted_lobes: bool,
     probe_side: usize,
     calibration: Calibration,
+    identity: u32,
 }
 
 impl ModelPredictor {
@@ -195,6 +189,7 @@ impl ModelPredictor {
             sorted_lobes: takes_sorted_lobes(model)?,
             probe_side,
             calibration,
+            identity: identity_of(model),
         })
     }
 
@@ -245,6 +240,30 @@ impl ModelPredictor {
     }
 }
 
+/// A checksum of everything behind a model's predictions: the weights, what goes in, and the metadata, which names the
+/// renderer, the device and the clock where they are known.
+fn identity_of(model: &Model) -> u32 {
+    let mut hash = crc32fast::Hasher::new();
+    for (key, value) in model.metadata() {
+        for text in [key, value] {
+            hash.update(&(text.len() as u64).to_le_bytes());
+            hash.update(text.as_bytes());
+        }
+    }
+    if let Some(net) = model.prednet() {
+        for layer in &net.layers {
+            hash.update(&(layer.inputs as u64).to_le_bytes());
+            hash.update(bytemuck::cast_slice(&layer.weight));
+            hash.update(bytemuck::cast_slice(&layer.bias));
+        }
+        for norm in [&net.input, &net.output].into_iter().flatten() {
+            hash.update(bytemuck::cast_slice(&norm.mean));
+            hash.update(bytemuck::cast_slice(&norm.std));
+        }
+    }
+    hash.finalize()
+}
+
 /// Writes the feature `estimated_seconds` by a model's own unit costs over what the group holds in its place.
 pub fn write_estimate(costs: &UnitCosts, features: &[SceneFeature], inputs: &Inputs<'_>, group: &mut [f32]) {
     let mut seconds = None;
@@ -261,11 +280,10 @@ impl Predictor for ModelPredictor {
     fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
         self.row(inputs)?;
         let seconds = self.net.predict(&self.row, &mut self.scratch);
-        let (seconds, out_of_range) = if seconds.is_nan() {
-            (LONGEST, f32::INFINITY)
-        } else {
-            (seconds.clamp(SHORTEST, LONGEST), self.out_of_range(&self.row))
-        };
+        let (seconds, clamped) = checked_seconds(seconds)?;
+        let out_of_range = self.out_of_range(&self.row);
+        // A score that is NaN, where no range is known, gives way as well.
+        let out_of_range = if clamped { out_of_range.max(CLAMPED_SCORE) } else { out_of_range };
         Ok(Prediction {
             seconds,
             upper: self.calibration.upper(seconds),
@@ -281,6 +299,10 @@ impl Predictor for ModelPredictor {
     fn log_sd(&self) -> Option<f32> {
         // A network without calibration was still trained on times of some machine.
         Some(self.calibration.log_sd().unwrap_or(0.5))
+    }
+
+    fn identity(&self) -> u32 {
+        self.identity
     }
 
     fn knows_step(&self) -> bool {
