@@ -118,9 +118,9 @@ impl VolumeSummary {
     /// Values inside a brick are taken as spread evenly between its bounds. NaN bounds count as 0.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for a size or edge of 0, a size over [`crate::scene::MAX_VOLUME_EDGE`] or a spacing
-    /// that [`VolumeView::with_spacing`] refuses, [`ErrorKind::SizeMismatch`] when the number of bricks is not the one
-    /// that sizes and edge give.
+    /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with_spacing`] refuses,
+    /// [`ErrorKind::SizeMismatch`] for a size over [`crate::scene::MAX_VOLUME_EDGE`] or when the number of bricks is not
+    /// the one that sizes and edge give.
     pub fn from_bricks(
         dims: [usize; 3],
         spacing: [f32; 3],

@@ -16,7 +16,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 /// Most nodes of a schedule.
-pub const MAX_NODES: usize = 65_536;
+pub const MAX_NODES: usize = 1 << 20;
 
 /// Which node runs each task.
 #[derive(Clone, Debug, PartialEq, Eq)]
