@@ -16,8 +16,7 @@ kernels=(
     kernels::level::
     kernels::helper::
     kernels::scalar::
-    nn::resample::tests::bad_sizes_are_refused
-    nn::volumenet::tests::any_volume_is_resampled_first
+    nn::volumenet::tests::small_networks_meet_the_definition
     nn::prednet::tests::a_batch_without_scratch_or_with_wrong_sizes_is_refused
     nn::prednet::tests::small_networks_agree_with_plain_loops
 )

@@ -29,7 +29,7 @@ pub struct EncodeScratch {
     encoder: Scratch,
 }
 
-/// The encoder, ready to run: blocks of convolution (batch normalisation folded in) and SELU, then one dense layer
+/// The encoder, ready to run: blocks of convolution (batch normalization folded in) and SELU, then one dense layer
 /// (paper, section on the volume network). Any number of blocks, kernel edges, strides and paddings.
 ///
 /// The input is the volume mapped to [0, 1] over its range, resampled to a cube of [`input_size`](Self::input_size)³
@@ -404,6 +404,28 @@ mod tests {
             for level in Level::available() {
                 let net = VolumeNet::with(&parts, level).unwrap();
                 assert_eq!((net.input_size(), net.feature_len(), net.level()), (input, 3, level));
+                assert_close(&encode(&net, &view), &expected, &alloc::format!("{input} {blocks:?} {level}"));
+            }
+        }
+    }
+
+    /// Small enough for Miri: every path of the portable kernels, one, two and three layers.
+    #[test]
+    fn small_networks_meet_the_definition() {
+        let small: [(usize, &[Layer]); 5] = [
+            (1, &[(3, 1, 1, 0)]),
+            (3, &[(2, 2, 5, 6), (2, 3, 4, 3)]),
+            (5, &[(2, 3, 2, 1), (17, 3, 1, 1)]),
+            (4, &[(3, 3, 2, 1), (5, 2, 1, 0), (2, 1, 1, 0)]),
+            (4, &[(2, 2, 3, 1), (3, 1, 2, 0)]),
+        ];
+        for (seed, (input, blocks)) in small.into_iter().enumerate() {
+            let parts = network(input, blocks, 2, seed as u64 + 1);
+            let bytes: Vec<u8> = (0..input * input * input).map(|i| (i * 37 % 251) as u8).collect();
+            let view = VolumeView::new(Scalars::U8(&bytes), [input; 3]).unwrap();
+            let expected = exact(&parts, bytes.iter().map(|&b| f64::from(b) / 255.0));
+            for level in Level::available() {
+                let net = VolumeNet::with(&parts, level).unwrap();
                 assert_close(&encode(&net, &view), &expected, &alloc::format!("{input} {blocks:?} {level}"));
             }
         }

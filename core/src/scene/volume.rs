@@ -251,7 +251,7 @@ impl<'a> VolumeView<'a> {
         self.range
     }
 
-    /// World size of the volume's box: voxels × spacing (voxel-centred samples, the box reaches half a voxel beyond).
+    /// World size of the volume's box: voxels × spacing (voxel-centered samples, the box reaches half a voxel beyond).
     pub fn extent(&self) -> Vec3 {
         Vec3::new(self.dims[0] as f32, self.dims[1] as f32, self.dims[2] as f32) * self.spacing
     }
