@@ -5,7 +5,7 @@
 
 static void volume_sizes(void) {
     static const float voxel[1] = {0};
-    const size_t sides[] = {513, 200000, (size_t)1 << 20, (size_t)1 << 21, SIZE_MAX / 3, SIZE_MAX};
+    const size_t sides[] = {1025, 200000, (size_t)1 << 21, (size_t)ENTIRE_MAX_SIDE + 1, SIZE_MAX / 3, SIZE_MAX};
     const entire_scalar_type types[] = {ENTIRE_SCALAR_U8, ENTIRE_SCALAR_U16, ENTIRE_SCALAR_I16, ENTIRE_SCALAR_F32};
     for (size_t i = 0; i < sizeof sides / sizeof sides[0]; ++i)
         for (size_t k = 0; k < 8; ++k) {
@@ -63,7 +63,7 @@ static void brick_sizes(void) {
     EXPECT(ENTIRE_SIZE_MISMATCH, entire_volume_from_bricks(&bad, &volume));
     SAYS("ENTIRE_MAX_BRICKS");
     bad = good;
-    for (int a = 0; a < 3; ++a) bad.dims[a] = ENTIRE_MAX_SIDE, bad.brick_edge[a] = 1;
+    for (int a = 0; a < 3; ++a) bad.dims[a] = (size_t)1 << 20, bad.brick_edge[a] = 1;
     EXPECT(ENTIRE_SIZE_MISMATCH, entire_volume_from_bricks(&bad, &volume));
     CHECK(volume == NULL);
 }
