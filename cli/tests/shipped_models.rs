@@ -1,10 +1,9 @@
 //! The encoders in `models/` give what PyTorch gives for the same files, the predictors what their cards say.
 
-use entire_cli::dataset::{Clock, Table};
+use entire_cli::dataset::{Clock, Table, TimedFrames};
+use entire_cli::fit::{FitContext, predict};
 use entire_cli::inputs::Layout;
 use entire_cli::metrics::Metrics;
-use entire_cli::recipe::Kitchen;
-use entire_cli::study::{Part, predict};
 use entire_cli::volume::Volume;
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VOLUMENET_TOLERANCE, VolumeNet};
@@ -91,10 +90,10 @@ fn shipped_predictors_reach_the_figures_on_their_cards() {
         for (split, name) in [("member", "members"), ("modality", "scans")] {
             let table = root.join("data/timings").join(format!("{table}-{name}.csv.gz"));
             let tables = [Table::read(&table, 0).unwrap()];
-            let part = Part::of(&tables[0].frames, Clock::Cpu);
+            let part = TimedFrames::of(&tables[0].frames, Clock::Cpu);
             let bar = indicatif::ProgressBar::hidden();
-            let kitchen = Kitchen { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
-            let predicted = predict(&model, &kitchen, &part.frames).unwrap();
+            let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
+            let predicted = predict(&model, &context, &part.frames).unwrap();
             let found = Metrics::new(&predicted, &part.seconds).unwrap();
             let [rmse_over_sd, mdape] = figures_on_card(&card, split);
             let what = format!("{set}-{kind}, {split}: {} {}", found.rmse_over_sd, found.mdape);

@@ -1,5 +1,5 @@
-/* entire.h - predicts how long a volume-rendered frame will take, before it is drawn, and picks the ray step that
- * keeps the frame inside its budget.
+/* entire.h - predicts how long a volume-rendered frame will take, before it is drawn, and picks the ray step
+ * that keeps the frame inside its budget.
  *
  * SPDX-License-Identifier: MIT OR Apache-2.0
  *
@@ -39,7 +39,8 @@
  * functions do it, and set defaults). Later versions only add fields at the end: older programs go on working
  * with newer libraries, and a newer program works with an older library as long as it leaves the fields that
  * are unknown there zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
- * (entire_gaussian_lobe, entire_opacity_node, entire_color_node) have no struct_size and never change.
+ * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and never
+ * change.
  *
  * Units. Time in seconds. Ray steps in multiples of the reference step, which is the volume's smallest voxel
  * spacing. Angles in degrees. Camera distance in multiples of the radius of the volume's bounding sphere.
@@ -50,7 +51,7 @@
  *
  * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits before anything
  * is allocated or read; a larger one gives ENTIRE_SIZE_MISMATCH. Memory for what the caller declares (copies,
- * features, batches, schedules) is asked for in a way that can fail: ENTIRE_OUT_OF_MEMORY. Where the system
+ * features, batches) is asked for in a way that can fail: ENTIRE_OUT_OF_MEMORY. Where the system
  * refuses even the little memory that a call needs for its own bookkeeping (handles, error texts, a model's
  * tables), the process ends, as Rust programs do; hot calls ask for none.
  *
@@ -63,7 +64,8 @@
  * allocate. Same model, inputs, correction and SIMD level (entire_simd_level): same bits.
  *
  * Bugs. No exception and no panic crosses this boundary. A bug in the library comes back as ENTIRE_PANIC,
- * with its place in the error text; the handle then refuses every call but free. /
+ * with its place in the error text; the handle then refuses every call but free.
+ */
 
 
 #ifndef ENTIRE_ENTIRE_H

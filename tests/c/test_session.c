@@ -193,11 +193,11 @@ static void options(const entire_model *model) {
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_limits(session, NAN, 5));
 
     OK(entire_session_set_limits(session, 1, 8));
-    CHECK(plan_of(session, &frame, 1e-6f).pixel == 1);
+    CHECK(plan_of(session, &frame, 1e-6f).image_sample_distance == 1);
     OK(entire_session_set_max_image_sample_distance(session, 4, 1));
     const entire_plan smallest = plan_of(session, &frame, 1e-6f);
-    CHECK(smallest.pixel > 3 && smallest.pixel <= 4 && smallest.step > 7.99f && smallest.step < 8.01f);
-    CHECK(plan_of(session, &frame, 10.0f).pixel == 1);
+    CHECK(smallest.image_sample_distance > 3 && smallest.image_sample_distance <= 4 && smallest.step > 7.99f && smallest.step < 8.01f);
+    CHECK(plan_of(session, &frame, 10.0f).image_sample_distance == 1);
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_max_image_sample_distance(session, 0.5f, 1));
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_max_image_sample_distance(session, 2, NAN));
     OK(entire_session_set_max_image_sample_distance(session, 1, 1));

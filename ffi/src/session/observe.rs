@@ -52,17 +52,7 @@ pub unsafe extern "C" fn entire_session_observe(
                 unusual: flags & ENTIRE_OBSERVE_UNUSUAL != 0,
                 cancelled: flags & ENTIRE_OBSERVE_CANCELLED != 0,
             };
-            let found = state.session.observe(plan_id, seconds, noted);
-            if found.is_refused() {
-                return Err(Failure::new(
-                    ENTIRE_REJECTED_OBSERVATION,
-                    format!(
-                        "the observation of {seconds} s for plan {plan_id} was refused: {}; \
-                         report each plan once, with the seconds that its frame took",
-                        found.name()
-                    ),
-                ));
-            }
+            let found = state.session.observe(plan_id, seconds, noted)?;
             if !verdict.is_null() {
                 write(verdict, found as u32, "verdict (output)")?;
             }

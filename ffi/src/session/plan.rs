@@ -185,7 +185,7 @@ fn checked(plan: Plan) -> Result<entire_plan, Failure> {
     Ok(entire_plan {
         id: plan.id,
         step: plan.step,
-        image_sample_distance: plan.pixel,
+        image_sample_distance: plan.image_sample_distance,
         seconds: plan.seconds,
         upper,
         out_of_range: plan.out_of_range,

@@ -118,7 +118,7 @@ pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
     // SAFETY: the pointer is as the crate's documentation demands.
     unsafe {
         changing(session, |state| {
-            Ok(state.session.set_coarsest_pixel(max_image_sample_distance, step_alone)?)
+            Ok(state.session.set_max_image_sample_distance(max_image_sample_distance, step_alone)?)
         })
     }
 }
