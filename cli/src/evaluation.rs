@@ -34,11 +34,7 @@ pub struct WarmLatency {
 }
 
 /// Errors by image size, by whether the eye is near or inside the volume, and by ray step; kinds without frames are left out.
-pub fn by_kind(
-    frames: &[&TimedFrame],
-    predicted: &[f64],
-    measured: &[f64],
-) -> Vec<(&'static str, Metrics)> {
+pub fn by_kind(frames: &[&TimedFrame], predicted: &[f64], measured: &[f64]) -> Vec<(&'static str, Metrics)> {
     type Test = fn(&TimedFrame) -> bool;
     fn pixels(f: &TimedFrame) -> u64 {
         u64::from(f.scene.width) * u64::from(f.scene.height)

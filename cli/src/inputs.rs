@@ -370,10 +370,10 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
 mod tests {
     use super::*;
     use crate::commands::features;
-    use crate::dataset::{Scene, Timing, Writer, parse_lobes, read_tables};
+    use crate::dataset::{Timing, Writer, parse_lobes, read_tables};
     use crate::options::thread_pool;
     use entire_core::features::PROBE_SIDE;
-    use entire_core::scene::{Arcball, Shading};
+    use entire_core::scene::Shading;
 
     #[test]
     fn kept_features_give_what_the_volumes_give() {

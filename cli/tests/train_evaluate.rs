@@ -1,6 +1,6 @@
 //! `entire train` and `entire evaluate` as a user runs them, on tables whose times follow a known law.
 
-use entire_cli::dataset::{MANIFEST_FORMAT, Manifest, Timing, Scene, Writer};
+use entire_cli::dataset::{MANIFEST_FORMAT, Manifest, Scene, Timing, Writer};
 use entire_core::model::{Model, ModelFile, keys};
 use entire_core::nn::Dtype;
 use entire_core::scene::{Arcball, GaussianLobe, Shading, Skipping};
@@ -77,8 +77,7 @@ fn data(frames: usize) -> Data {
                     lobes: vec![GaussianLobe { center: unit(), width: 0.05, height: unit() }],
                 };
                 let seconds = 1e-3 + 2e-8 * f64::from(side * side) * f64::from(3.5 / dz);
-                let repeats =
-                    [0.99, 1.01].map(|f| Timing { wall: Some(seconds * f), ..Timing::default() });
+                let repeats = [0.99, 1.01].map(|f| Timing { wall: Some(seconds * f), ..Timing::default() });
                 writer.append(number, &scene, &repeats).unwrap();
                 number += 1;
             }

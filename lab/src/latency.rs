@@ -1,9 +1,9 @@
 //! How long a prediction takes when it is asked for between frames: from camera and transfer function to seconds, with
 //! the caches of the processor filled by something else.
 
+use anyhow::Result;
 use entire_cli::scenes::SceneDistribution;
 use entire_cli::volume::Volume;
-use anyhow::Result;
 use entire_core::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };

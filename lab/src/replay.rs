@@ -1,9 +1,9 @@
 //! Replaying traces: controllers against recorded cost curves, scored beside an oracle that knows them.
 
-use entire_cli::steering::play::Contender;
 use crate::trace::{Curve, Trace};
-use entire_cli::path::FlightPath;
 use anyhow::{Context, Result, ensure};
+use entire_cli::path::FlightPath;
+use entire_cli::steering::play::Contender;
 use entire_core::adapt::ObserveFlags;
 use entire_core::control::{Reason, StepLimits};
 use entire_core::features::{Changes, VolumeSummary};

@@ -1,12 +1,12 @@
 //! Shipping what a study made: model files with cards, judged as they are shipped.
 
-use entire_cli::bound;
-use entire_cli::dataset::{Table, TimedFrames, read_tables};
-use entire_cli::metrics::{BoundMetrics, Metrics};
-use entire_cli::files::read_model_file;
-use entire_cli::fit::{DtypeChoice, FitContext, predict};
 use crate::study::{Findings, Fit, Runner, Set, Ship, Study, clock};
 use anyhow::{Context, Result};
+use entire_cli::bound;
+use entire_cli::dataset::{Table, TimedFrames, read_tables};
+use entire_cli::files::read_model_file;
+use entire_cli::fit::{DtypeChoice, FitContext, predict};
+use entire_cli::metrics::{BoundMetrics, Metrics};
 use entire_core::model::{ModelFile, keys};
 use serde_json::json;
 use std::fmt::Write as _;
@@ -207,13 +207,13 @@ fn card(
         );
     }
     let _ = writeln!(md, "\n## Data\n");
-    let taught: Vec<_> =
+    let distilled: Vec<_> =
         stored["data"].as_array().into_iter().flatten().filter(|d| d["renderer"] == "teacher").collect();
-    for d in &taught {
+    for d in &distilled {
         let word = |key: &str| d[key].as_str().unwrap_or("not known").to_owned();
         let _ = writeln!(
             md,
-            "- taught: {} frames of the training volumes, random under seed {}, that were not rendered: their seconds are those of {} \
+            "- distilled: {} frames of the training volumes, random under seed {}, that were not rendered: their seconds are those of {} \
              (`{}`, FNV-1a {}; `make distill` makes it)",
             d["frames"],
             d["seed"],
@@ -222,7 +222,7 @@ fn card(
             word("fnv1a")
         );
     }
-    for t in training.iter().filter(|_| taught.is_empty()) {
+    for t in training.iter().filter(|_| distilled.is_empty()) {
         let _ = writeln!(
             md,
             "- training: `data/timings/{}`, {} frames, FNV-1a {:016x}{}",
@@ -268,7 +268,7 @@ fn card(
     let _ = writeln!(
         md,
         "## Splits\n\nTrained on even time steps of castro_blast m01 and m02, nyx_cosmology m01 and m02, maestroex_bubbles m01 (a tenth \
-         of the volumes, of taught ones one volume, decides when training stops). member: other members, other seeds and physical parameters; time step: odd \
+         of the volumes, of distilled ones one volume, decides when training stops). member: other members, other seeds and physical parameters; time step: odd \
          steps of the same members; the others say what they are.\n"
     );
     let _ = writeln!(

@@ -1,18 +1,18 @@
 //! A study: data sets, splits and predictors by name in one JSON file; every predictor made on every set's training
 //! tables and judged on every split. What is made is kept, so that a study that was stopped goes on where it was.
 
+use crate::latency::{Bench, Latency};
+use crate::trees::Trees;
+use anyhow::{Context, Result, bail, ensure};
 use entire_cli::bound;
 use entire_cli::dataset::{
     Clock, NoiseFloor, Scene, Table, TimedFrame, TimedFrames, noise_floor, read_tables,
 };
 use entire_cli::feature_table::FeatureTable;
 use entire_cli::files::{fnv1a, write_whole};
-use crate::latency::{Bench, Latency};
-use entire_cli::metrics::{BoundMetrics, Metrics, bootstrap_by_group};
 use entire_cli::fit::{FitContext, Recipe, calibrate, predict, transfer};
+use entire_cli::metrics::{BoundMetrics, Metrics, bootstrap_by_group};
 use entire_cli::split::GroupBy;
-use crate::trees::Trees;
-use anyhow::{Context, Result, bail, ensure};
 use entire_core::model::{Model, ModelFile, keys};
 use entire_core::predict::Calibration;
 use serde::{Deserialize, Serialize};
@@ -390,7 +390,12 @@ const MADE_AS: u32 = 1;
 /// Tells apart what was made: a hash of the program's version, the recipe, the bytes of the model files that it starts
 /// from, and the frames of each part with their seconds (which tell the clock) and the bytes of their tables and kept
 /// features. Where files lie does not count.
-fn identity(recipe: &Recipe, tables: &[Table], parts: [&TimedFrames<'_>; 3], residuals: &[f64]) -> Result<String> {
+fn identity(
+    recipe: &Recipe,
+    tables: &[Table],
+    parts: [&TimedFrames<'_>; 3],
+    residuals: &[f64],
+) -> Result<String> {
     let from = |path: &Option<PathBuf>| -> Result<String> {
         let Some(path) = path else { return Ok("none".into()) };
         let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -567,8 +572,9 @@ impl Runner<'_> {
                 bar: &indicatif::ProgressBar::hidden(),
                 stop: self.stop,
             };
-            let of =
-                |range: std::ops::Range<usize>| TimedFrames::of(tables[range].iter().flat_map(|t| &t.frames), clock);
+            let of = |range: std::ops::Range<usize>| {
+                TimedFrames::of(tables[range].iter().flat_map(|t| &t.frames), clock)
+            };
             let all = of(0..bounds_at);
             ensure!(
                 !all.frames.is_empty(),
@@ -603,7 +609,8 @@ impl Runner<'_> {
                         None
                     };
                     let from = crossed.as_ref().map_or(Bounds::Frames(&bounds), Bounds::Crossed);
-                    let made = self.any(&key, (recipe, named.trees), &context, (training, validation), &from)?;
+                    let made =
+                        self.any(&key, (recipe, named.trees), &context, (training, validation), &from)?;
                     let (seen, _) = training.parted(|f| f.table < bounds_at);
                     let predicted = made.predict(&context, &seen.frames)?;
                     let fit = Metrics::new(&predicted, &seen.seconds).map(|seen| Fit {
@@ -990,8 +997,7 @@ mod tests {
         for (i, f) in t.frames.iter_mut().enumerate() {
             let seconds = [1.0, 1000.0, 2.0, 500.0][i % 4];
             f.scene.camera.rx = (i % 4) as f32 * 20.0;
-            f.repeats =
-                vec![Timing { cpu: Some(seconds), wall: Some(seconds), ..Timing::default() }];
+            f.repeats = vec![Timing { cpu: Some(seconds), wall: Some(seconds), ..Timing::default() }];
         }
         let part = TimedFrames::of(&t.frames, Clock::Cpu);
         let folder = tempfile::tempdir().unwrap();
@@ -1002,15 +1008,18 @@ mod tests {
         let context = FitContext { tables: &tables, pool: &pool, bar: &hidden, stop: &|| false };
         let inputs = vec!["camera".to_owned()];
         for (recipe, trees) in [
-            (Recipe {
-                inputs: inputs.clone(),
-                layers: vec![8],
-                epochs: 300,
-                patience: 300,
-                batch: 8,
-                learning_rate: Some(1e-2),
-                ..Recipe::default()
-            }, false),
+            (
+                Recipe {
+                    inputs: inputs.clone(),
+                    layers: vec![8],
+                    epochs: 300,
+                    patience: 300,
+                    batch: 8,
+                    learning_rate: Some(1e-2),
+                    ..Recipe::default()
+                },
+                false,
+            ),
             (Recipe { inputs, ..Recipe::default() }, true),
         ] {
             let Crossed { predicted, measured, folds, groups } =
@@ -1019,7 +1028,9 @@ mod tests {
             let worst = bound::log_residuals(&predicted, &measured).into_iter().map(f64::abs);
             assert!(worst.clone().all(|r| r > 0.3), "{:?}", worst.collect::<Vec<_>>());
             let none = TimedFrames::default();
-            let seen = runner.any("all", (&recipe, trees), &context, (&part, &none), &Bounds::Frames(&none)).unwrap();
+            let seen = runner
+                .any("all", (&recipe, trees), &context, (&part, &none), &Bounds::Frames(&none))
+                .unwrap();
             let metrics =
                 Metrics::new(&seen.predict(&context, &part.frames).unwrap(), &part.seconds).unwrap();
             let crossed = Metrics::new(&predicted, &measured).unwrap();

@@ -1,9 +1,9 @@
 //! Gradient-boosted trees of a library, as a yardstick in studies: they are in no model file and predict in no renderer.
 
-use entire_cli::inputs::Layout;
+use anyhow::{Result, anyhow, ensure};
 use entire_cli::dataset::Timed;
 use entire_cli::fit::{FitContext, Recipe};
-use anyhow::{Result, anyhow, ensure};
+use entire_cli::inputs::Layout;
 use entire_core::predict::Inputs;
 use forust_ml::metric::Metric;
 use forust_ml::objective::ObjectiveType;
@@ -74,7 +74,11 @@ impl Trees {
     ///
     /// # Errors
     /// When their inputs cannot be computed.
-    pub fn predict(&self, context: &FitContext<'_>, frames: &[&entire_cli::dataset::TimedFrame]) -> Result<Vec<f64>> {
+    pub fn predict(
+        &self,
+        context: &FitContext<'_>,
+        frames: &[&entire_cli::dataset::TimedFrame],
+    ) -> Result<Vec<f64>> {
         let rows = self.layout.rows(context.tables, frames, context.pool, &ProgressBar::hidden())?;
         let columns = by_columns(&rows, self.layout.width());
         let logs = self.booster.predict(&Matrix::new(&columns, frames.len(), self.layout.width()), false);

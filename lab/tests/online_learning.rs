@@ -1,9 +1,9 @@
 //! Observation alone, on frames that a real renderer was timed at (software Vulkan, process-CPU time): a session without
 //! any model file comes to know a renderer that it was never told of.
 
-use entire_cli::dataset::{Scene, Timing, Writer};
 use clap::Parser;
 use entire_cli::commands::train;
+use entire_cli::dataset::{Scene, Timing, Writer};
 use entire_cli::files::open_model;
 use entire_cli::steering::fit::fit_network;
 use entire_cli::steering::play::Contender;

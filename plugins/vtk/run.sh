@@ -24,6 +24,7 @@ export PYTHONPATH=$out/build/lib/python3/site-packages
 
 lacks() {
     echo "vtk: skipped: $1"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "test-vtk: $1" >>"$ENTIRE_SKIPPED"
     exit 0
 }
 command -v cmake >/dev/null || lacks "cmake is not installed (apt-get install cmake ninja-build g++ libvtk9-dev python3-vtk9 xvfb xauth)"

@@ -6,7 +6,7 @@
 //! table (see [`crate::dataset`]); medians are taken by whoever reads it.
 
 use crate::dataset::{
-    Clock, MANIFEST_FORMAT, Manifest, Timing, Scene, Table, Writer, noise_floor, parse_shading,
+    Clock, MANIFEST_FORMAT, Manifest, Scene, Table, Timing, Writer, noise_floor, parse_shading,
     parse_skipping,
 };
 use crate::device::{self, Device};
@@ -80,7 +80,7 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
     /// Predict the frames by this model instead of rendering them, so that a model that needs very many frames can be
-    /// taught by one that needs few; every clock reads the prediction
+    /// distilled from one that needs few; every clock reads the prediction.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
     pub teacher: Option<PathBuf>,
     /// Shortest image side, pixels.

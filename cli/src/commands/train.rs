@@ -222,7 +222,8 @@ pub fn run(options: &Options) -> Result<()> {
 
     let stop = interrupt::flag()?;
     let bar = templated_bar(options.quiet, "epoch {msg} [{bar:30}] {eta} left");
-    let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| interrupt::requested(&stop) };
+    let context =
+        FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| interrupt::requested(&stop) };
     let (training, validation) = (part_seconds(Part::Training), part_seconds(Part::Validation));
     let training = Timed { frames: part(Part::Training), seconds: &training };
     let validation = Timed { frames: part(Part::Validation), seconds: &validation };

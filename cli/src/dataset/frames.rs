@@ -22,11 +22,7 @@ pub struct Timed<'a> {
 ///
 /// # Errors
 /// When there are none.
-pub fn timed(
-    tables: &[Table],
-    clock: Clock,
-    shading: Option<Shading>,
-) -> Result<Vec<(&TimedFrame, f64)>> {
+pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result<Vec<(&TimedFrame, f64)>> {
     let all = || tables.iter().flat_map(|t| &t.frames);
     let frames: Vec<(&TimedFrame, f64)> = all()
         .filter(|f| shading.is_none_or(|s| f.scene.shading == s))

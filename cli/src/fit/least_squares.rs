@@ -28,7 +28,13 @@ pub(super) fn last_layer(solution: &[f64]) -> DenseParts {
 
 /// Minimizes Σ huber(y − w·x − b) + n·ridge·‖(w, b) − prior‖², the bias free of the ridge; returns w then b. Errors beyond
 /// two robust standard deviations count linearly.
-pub(super) fn robust_least_squares(x: &[f64], width: usize, y: &[f64], prior: &[f64], ridge: f64) -> Vec<f64> {
+pub(super) fn robust_least_squares(
+    x: &[f64],
+    width: usize,
+    y: &[f64],
+    prior: &[f64],
+    ridge: f64,
+) -> Vec<f64> {
     weighted_least_squares(x, width, y, &vec![1.0; y.len()], prior, ridge)
 }
 

@@ -12,7 +12,9 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
 use entire_core::model::ModelFile;
 use entire_core::nn::{Dtype, Normalization, PredNetParts, Target};
-use entire_core::predict::{GroupKind, InputLayout, LOBE_ORDER_KEY, PROBE_SIDE_KEY, UNIT_COSTS_KEY, UnitCosts};
+use entire_core::predict::{
+    GroupKind, InputLayout, LOBE_ORDER_KEY, PROBE_SIDE_KEY, UNIT_COSTS_KEY, UnitCosts,
+};
 use entire_core::train::{EpochRecord, Loss, Network, Samples, Settings, Standardization, preset_widths};
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
@@ -204,7 +206,12 @@ impl Recipe {
     ///
     /// # Errors
     /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or training fails.
-    pub fn make(&self, context: &FitContext<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<FittedModel> {
+    pub fn make(
+        &self,
+        context: &FitContext<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<FittedModel> {
         if let Some(path) = &self.file {
             let (file, _) = read_model_file(path)?;
             return Ok(FittedModel {
@@ -370,7 +377,12 @@ impl Recipe {
         })
     }
 
-    fn residual(&self, context: &FitContext<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<FittedModel> {
+    fn residual(
+        &self,
+        context: &FitContext<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<FittedModel> {
         let (mut file, layout) = self.layout(training)?;
         let (model, report) = fit_analytic(context, training, self.side(), &self.default_costs())?;
         let costs = model.unit_costs();
@@ -422,7 +434,12 @@ impl Recipe {
         })
     }
 
-    fn network(&self, context: &FitContext<'_>, training: Timed<'_>, validation: Timed<'_>) -> Result<FittedModel> {
+    fn network(
+        &self,
+        context: &FitContext<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<FittedModel> {
         let (mut file, layout) = self.layout(training)?;
         let widths = match &self.preset {
             Some(preset) => preset_widths(preset, layout.width())?,

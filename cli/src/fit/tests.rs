@@ -94,16 +94,14 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
     let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default()).unwrap();
     let analytic = AnalyticModel::from_costs(std::array::from_fn(|i| 1e-6 * (1.0 + i as f64))).unwrap();
     let costs = analytic.unit_costs();
-    let inputs =
-        [SceneFeature::log(SceneQuantity::Pixels), SceneFeature::linear(SceneQuantity::MeanChord)];
+    let inputs = [SceneFeature::log(SceneQuantity::Pixels), SceneFeature::linear(SceneQuantity::MeanChord)];
     for widths in [&[2, 1][..], &[2, 4, 1], &[2, 6, 5, 1], &[2, 4, 4, 3, 1]] {
         let mut ratio = network(widths, 3);
         ratio.output = Some(Normalization { mean: vec![0.2], std: vec![0.3] });
         let carried = carry_past(ratio.clone(), -3.0, 1.5);
         let mut features = inputs.to_vec();
         features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
-        let wide =
-            Layout::new(&[GroupKind::SceneFeatures], features, 0, None).unwrap().with_probe_side(5);
+        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None).unwrap().with_probe_side(5);
         let mut file = ModelFile::new();
         file.set_metadata(UNIT_COSTS_KEY, costs.to_json().unwrap());
         Recipe::default().store(&mut file, carried, &wide).unwrap();
@@ -137,8 +135,8 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
                 quantity(SceneQuantity::MeanChord) as f32,
             ];
             let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
-            let expected = costs.seconds_of_quantities(&counts)
-                * f64::from(factor.predict(&x, &mut factor.scratch()));
+            let expected =
+                costs.seconds_of_quantities(&counts) * f64::from(factor.predict(&x, &mut factor.scratch()));
             // Far from the shortest time that a network gives, where nothing could be told apart.
             assert!((1e-4..1e4).contains(&expected), "{expected}");
             let predicted = f64::from(predictor.predict(&asked).unwrap().seconds);
@@ -167,9 +165,8 @@ fn calibration_recovers_the_factor_of_another_machine() {
         let mut file = ModelFile::new();
         Recipe::default().store(&mut file, parts, &layout).unwrap();
         in_context(|context| {
-            let predicted_by = |file: &ModelFile| {
-                predict(&file.to_model().unwrap(), context, &frames).unwrap()
-            };
+            let predicted_by =
+                |file: &ModelFile| predict(&file.to_model().unwrap(), context, &frames).unwrap();
             let there: Vec<f64> = predicted_by(&file).iter().map(|t| 2.5 * t).collect();
             let few = Timed { frames: &frames[..100], seconds: &there[..100] };
             let tuned = predicted_by(&calibrate(&file, context, few).unwrap());
@@ -186,9 +183,8 @@ fn what_a_recipe_cannot_take_is_said_before_anything_is_computed() {
     let frames: Vec<&TimedFrame> = frames.iter().collect();
     let part = Timed { frames: &frames, seconds: &[1.0, 2.0, 3.0] };
     // The volume is nowhere, so that any work at all fails in another way.
-    let says = |recipe: Recipe| {
-        in_context(|context| format!("{:#}", recipe.make(context, part, part).unwrap_err()))
-    };
+    let says =
+        |recipe: Recipe| in_context(|context| format!("{:#}", recipe.make(context, part, part).unwrap_err()));
     let residual = Recipe { kind: Kind::Residual, ..Recipe::default() };
     let inputs = vec!["scene_features".into(), "camera".into()];
     assert!(says(Recipe { inputs, ..residual.clone() }).contains("takes scene_features alone"));

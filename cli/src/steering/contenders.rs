@@ -1,9 +1,7 @@
 //! The controllers that commands can name.
 
 use super::play::Contender;
-use super::rivals::{
-    Algorithm1, Filament, Olp, Pid, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs,
-};
+use super::rivals::{Algorithm1, Filament, Olp, Pid, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
 use clap::ValueEnum;
 use entire_core::adapt::Prior;
 use entire_core::control::{Controller, Fixed, Hybrid, HybridOptions, Session};

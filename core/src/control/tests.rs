@@ -101,10 +101,8 @@ fn costs_that_are_not_numbers_lead_to_the_coarsest_step() {
 
 #[test]
 fn every_controller_survives_any_observation() {
-    let controllers: Vec<Box<dyn Controller>> = std::vec![
-        Box::new(Fixed::new(2.0)),
-        Box::new(Hybrid::new(HybridOptions::default())),
-    ];
+    let controllers: Vec<Box<dyn Controller>> =
+        std::vec![Box::new(Fixed::new(2.0)), Box::new(Hybrid::new(HybridOptions::default())),];
     for mut controller in controllers {
         let mut noise = Noise(3);
         for i in 0..3000 {

@@ -1,18 +1,18 @@
 //! `entire-lab record`: what every frame of a path costs, and how it looks, at a grid of ray steps and image scales.
 
-use entire_cli::options::{ShadeOption, SkipOption, parse_hold, parse_scale, parse_size};
-use entire_cli::progress::progress_bar;
-use entire_cli::dataset::{Clock, Timing, Scene, Writer};
+use crate::trace::{Recording, TRACE_STEPS, TraceVolume, record};
+use anyhow::{Context, Result, bail, ensure};
+use entire_cli::dataset::{Clock, Scene, Timing, Writer};
 use entire_cli::device::{self, Device};
 use entire_cli::enlarge::enlarge;
 use entire_cli::interrupt;
+use entire_cli::options::{ShadeOption, SkipOption, parse_hold, parse_scale, parse_size};
 use entire_cli::path::{Generated, PathFile};
+use entire_cli::progress::progress_bar;
 use entire_cli::steering::calibrate::measure;
 use entire_cli::steering::play::DrawSettings;
 use entire_cli::steering::race::calibration_scenes;
-use crate::trace::{Recording, TRACE_STEPS, TraceVolume, record};
 use entire_cli::volume::Volume;
-use anyhow::{Context, Result, bail, ensure};
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use std::path::{Path, PathBuf};

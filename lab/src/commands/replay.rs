@@ -1,6 +1,10 @@
 //! `entire-lab replay`: recorded cost curves under every controller and target, beside an oracle; the steering bars.
 
 use crate::calibration::samples_of;
+use crate::replay::{Replayable, Replayed, SETTLING, Score, Tally, replay, worth_playing};
+use crate::trace::Trace;
+use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
 use entire_cli::files::open_model;
 use entire_cli::machine::Provenance;
 use entire_cli::metrics::median;
@@ -9,13 +13,9 @@ use entire_cli::report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Ta
 use entire_cli::steering::calibrate::{Sample, response, response_pairs};
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::fit::{Calibrated, Candidate, SteeringModel};
-use crate::replay::{Replayable, Replayed, SETTLING, Score, Tally, replay, worth_playing};
 use entire_cli::steering::report::color;
-use crate::trace::Trace;
-use anyhow::{Context, Result, ensure};
-use clap::ValueEnum;
-use entire_core::adapt::Prior;
 use entire_cli::steering::rivals::StepResponse;
+use entire_core::adapt::Prior;
 use entire_core::control::{QualityModel, QualitySample, StepLimits};
 use entire_core::features::PROBE_SIDE;
 use entire_core::scene::{Scalars, VolumeView};
@@ -245,9 +245,8 @@ fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> 
     let (mut frames, mut by_model, mut by_step, mut best) = (0, 0.0, 0.0, 0.0);
     for frame in points(true) {
         for (target, _) in targets {
-            let seconds = |p: &crate::trace::TracePoint| {
-                median(&mut p.seconds.clone()).unwrap_or(f64::INFINITY)
-            };
+            let seconds =
+                |p: &crate::trace::TracePoint| median(&mut p.seconds.clone()).unwrap_or(f64::INFINITY);
             let fitting: Vec<_> = frame.iter().filter(|p| seconds(p) <= *target).collect();
             // Only where there is something to choose: the reference setting does not fit, some full-size one does.
             let full = fitting.iter().filter(|p| p.scale == 1.0).min_by(|a, b| a.step.total_cmp(&b.step));

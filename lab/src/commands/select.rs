@@ -1,16 +1,16 @@
 //! `entire-lab select`: no more than a scene needs: the cheapest predictor that is good enough, with the inputs that it can do
 //! without left away.
 
+use crate::latency::Bench;
+use anyhow::{Context, Result, ensure};
+use entire_cli::dataset::{Clock, TimedFrames, noise_floor, read_tables};
 use entire_cli::files::{check_model_out, write_whole};
+use entire_cli::fit::{FitContext, FittedModel, Kind, Recipe, predict};
+use entire_cli::metrics::Metrics;
 use entire_cli::options::thread_pool;
 use entire_cli::progress::templated_bar;
-use entire_cli::dataset::{Clock, TimedFrames, noise_floor, read_tables};
-use crate::latency::Bench;
-use entire_cli::metrics::Metrics;
-use entire_cli::fit::{FitContext, FittedModel, Kind, Recipe, predict};
 use entire_cli::report::{Column, Table};
 use entire_cli::{bound, interrupt, machine};
-use anyhow::{Context, Result, ensure};
 use entire_core::features::SceneFeature;
 use entire_core::model::keys;
 use serde_json::json;

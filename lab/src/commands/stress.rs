@@ -1,13 +1,13 @@
 //! `entire-lab stress`: scenes in which methods of holding a frame time break.
 
-use entire_cli::progress::progress_bar;
-use entire_cli::dataset::Clock;
-use entire_cli::device::{self, Device};
-use entire_cli::steering::contenders::ControllerKind;
 use crate::stress::report::{matrix, page};
 use crate::stress::{SCENES, Verdict, run as play, run_real};
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
+use entire_cli::dataset::Clock;
+use entire_cli::device::{self, Device};
+use entire_cli::progress::progress_bar;
+use entire_cli::steering::contenders::ControllerKind;
 use serde_json::json;
 use std::path::PathBuf;
 

@@ -1,16 +1,16 @@
 //! `entire-lab study`: a whole study in one report, accuracy against latency first.
 
-use entire_cli::options::thread_pool;
-use entire_cli::progress::templated_bar;
-use entire_cli::metrics::Metrics;
-use entire_cli::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use crate::bars::Bar;
 use crate::study::{
-    CALIBRATION_FRAMES, CONSTANT, Findings, Named, PROXY, Point, SplitResult, Runner, Study, read,
+    CALIBRATION_FRAMES, CONSTANT, Findings, Named, PROXY, Point, Runner, SplitResult, Study, read,
 };
+use anyhow::{Context, Result, ensure};
 use entire_cli::interrupt;
 use entire_cli::machine;
-use anyhow::{Context, Result, ensure};
+use entire_cli::metrics::Metrics;
+use entire_cli::options::thread_pool;
+use entire_cli::progress::templated_bar;
+use entire_cli::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::{Path, PathBuf};
 
 /// Make and judge every predictor of a study; write one report: accuracy against latency, tables, curves.
@@ -108,8 +108,8 @@ pub fn run(options: &Options) -> Result<()> {
 /// The predictor of a study that most bars are about.
 const SELECTED: &str = "selected";
 
-/// The paper's network where it learned from another predictor's frames.
-const TAUGHT: &str = "taught";
+/// The paper's network where it is distilled from another predictor.
+const DISTILLED: &str = "distilled";
 
 /// The predictors with a model file, main panel.
 fn models<'a>(found: &'a Findings, set: &'a str, split: &'a str) -> impl Iterator<Item = &'a SplitResult> {
@@ -156,9 +156,9 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
         let rmse = |predictor: &str| found.of(s, p, predictor).map(|r| r.metrics.rmse);
         let over = |a: Option<f64>, b: Option<f64>| Some(a? / b?);
         let paper = rmse("paper");
-        // The paper's network as the paper trains it and, where the study has it, taught by another predictor.
-        let taught = study.predictors.iter().any(|p| p.name == TAUGHT).then_some(TAUGHT);
-        for network in std::iter::once("paper").chain(taught) {
+        // The paper's network as the paper trains it and, where the study has it, distilled from another predictor.
+        let distilled = study.predictors.iter().any(|p| p.name == DISTILLED).then_some(DISTILLED);
+        for network in std::iter::once("paper").chain(distilled) {
             for (baseline, wanted, what) in
                 [(CONSTANT, limits.constant_over_paper, "constant"), (PROXY, limits.proxy_over_paper, "lvrp")]
             {

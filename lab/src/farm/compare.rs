@@ -82,7 +82,8 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     let mut loads: HashMap<(usize, usize), Vec<f64>> = HashMap::new();
     let mut bounds = Vec::new();
     for &nodes in &all {
-        let farm = Farm { speeds: vec![1.0; nodes], dispatch: comparison.dispatch, window: comparison.window };
+        let farm =
+            Farm { speeds: vec![1.0; nodes], dispatch: comparison.dispatch, window: comparison.window };
         bounds.push(lower_bound(&measured, &farm.speeds)?);
         for (k, &(_, method, by, _)) in COMPARED.iter().enumerate() {
             let line = play(&plan(method, &times(tasks, by)?, &farm.speeds)?, &measured, tasks, &farm)?;

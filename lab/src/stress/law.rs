@@ -2,8 +2,8 @@
 
 use super::{Limits, Noise, Seen, Verdict, judge};
 use entire_cli::steering::contenders::{ControllerKind, controller};
-use entire_core::adapt::{Prior, check_seconds};
 use entire_cli::steering::rivals::StepResponse;
+use entire_core::adapt::{Prior, check_seconds};
 use entire_core::control::{Controller, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use entire_core::features::Changes;
 use entire_core::predict::{CostTerms, Source, TERMS};

@@ -2,13 +2,13 @@
 //! fitted to on an ordinary volume turns counts into seconds.
 
 use super::{Limits, Noise, Seen, Verdict, judge};
+use anyhow::{Context, Result, bail};
 use entire_cli::dataset::Clock;
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::play::Contender;
-use anyhow::{Context, Result, bail};
-use entire_core::adapt::{ObserveFlags, Prior};
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::control::{StepLimits};
+use entire_core::adapt::{ObserveFlags, Prior};
+use entire_core::control::StepLimits;
 use entire_core::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };

@@ -17,8 +17,8 @@ use anyhow::{Context, Result, ensure};
 use entire_core::model::Model;
 use entire_core::nn::{PredNet, Storage};
 use entire_core::predict::Calibration;
-use std::collections::BTreeMap;
 use report::{Evaluation, Predictor, detail_table, noise_text, tables_of, write_report};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Measure how well predictors do on collected frames.

@@ -79,8 +79,9 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     ]);
     for p in predictors {
         let m = &p.metrics;
-        let micro =
-            |f: fn(&WarmLatency) -> f64| p.latency.as_ref().map_or("-".into(), |l| format!("{:.2}", 1e6 * f(l)));
+        let micro = |f: fn(&WarmLatency) -> f64| {
+            p.latency.as_ref().map_or("-".into(), |l| format!("{:.2}", 1e6 * f(l)))
+        };
         overall.row(vec![
             p.name.clone().into(),
             m.frames.to_string().into(),

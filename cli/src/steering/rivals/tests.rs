@@ -198,7 +198,7 @@ fn plants() -> Vec<(&'static str, Plant)> {
     vec![
         (
             "switch",
-            Plant { law: |i| (2e-3, if i / 40 % 2 == 0 { 20e-3 } else { 160e-3 }), switch_every: 40, ..s() }
+            Plant { law: |i| (2e-3, if i / 40 % 2 == 0 { 20e-3 } else { 160e-3 }), switch_every: 40, ..s() },
         ),
         ("orbit", Plant { law: |i| (2e-3, 60e-3 * (1.0 + 0.6 * (i as f64 / 60.0).sin())), ..s() }),
         (
@@ -207,7 +207,7 @@ fn plants() -> Vec<(&'static str, Plant)> {
                 law: |i| (20e-3, if (50..80).contains(&i) { 400e-3 } else { 40e-3 }),
                 target: |_| 66e-3,
                 ..s()
-            }
+            },
         ),
         ("half", Plant { law: |i| (2e-3, 60e-3 * (1.0 + 0.6 * (i as f64 / 60.0).sin())), bias: 0.5, ..s() }),
         ("throttle", Plant { speed: |i| if i / 100 % 2 == 0 { 1.0 } else { 1.6 }, ..s() }),
