@@ -13,7 +13,7 @@ use entire_core::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
 use entire_core::model::Model;
-use entire_core::predict::{AnalyticModel, Inputs, WorkSample, load};
+use entire_core::predict::{AnalyticModel, Inputs, Measurement, load};
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, TransferTable, VolumeView,
 };
@@ -194,7 +194,7 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
             let frame = Frame::new(Camera::from_arcball(camera)?, side, side)?.with_step(step)?;
             features.measure(&summary, &transfer, &frame);
             let seconds = machine.seconds(&frame)?;
-            rows.push(WorkSample::new(&features, &Setting::of(&frame), seconds));
+            rows.push(Measurement::new(&features, &Setting::of(&frame), seconds));
         }
     }
     let mut model = AnalyticModel::new();
