@@ -1,8 +1,8 @@
 //! NRRD ("nearly raw raster data"): a text header of `field: value` lines, a blank line, the voxels; or the
 //! voxels in the file that `data file` names. Encodings raw, gzip and ascii are read, gzip is written.
 //!
-//! The project's own reader: the crate that reads NRRD, `bioformats`, reserves as much memory as a header asks
-//! for, and has no 64-bit integers (`lab/scripts/readers`).
+//! The project's own reader: the crate that reads NRRD, `bioformats`, reserves as much memory as a header
+//! asks for, and has no 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::stream::{Companions, Remaining, Stream};

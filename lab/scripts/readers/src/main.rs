@@ -1,4 +1,5 @@
-//! `readers CRATE FILE`: reads a volume and prints its sizes, the spacing, and a checksum of its voxels as 32-bit floats.
+//! `readers CRATE FILE`: reads a volume and prints its sizes, the spacing, and a checksum of its voxels as
+//! 32-bit floats.
 //! `judge.py` runs it.
 
 #![allow(dead_code, reason = "the command's readers can do more than this program asks for")]
