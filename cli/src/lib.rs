@@ -2,6 +2,7 @@
 //! tests and fuzz targets reach it.
 
 pub mod bound;
+pub mod collection;
 pub mod commands;
 pub mod dataset;
 pub mod device;

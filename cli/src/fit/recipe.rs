@@ -268,8 +268,11 @@ impl Recipe {
         if matches!(self.kind, Kind::Analytic | Kind::Residual) {
             return Ok(true);
         }
-        let groups =
-            self.inputs.iter().map(|n| GroupKind::from_name(n.trim())).collect::<Result<Vec<_>, _>>()?;
+        let groups = self
+            .inputs
+            .iter()
+            .map(|n| GroupKind::from_name(n.trim()))
+            .collect::<Result<Vec<_>, entire_core::Error>>()?;
         let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
         // The sizes of other groups say nothing of the step.
         Ok(InputLayout::new(&groups, features, 1, 1)?.knows_step())

@@ -9,7 +9,7 @@ use entire_cli::metrics::median;
 use entire_cli::steering::calibrate::{Quality, Sample};
 use entire_cli::steering::fit::{Calibrated, SteeringModel};
 use entire_core::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary};
-use entire_core::predict::{AnalyticModel, Inputs, WorkSample, Predictor};
+use entire_core::predict::{AnalyticModel, Inputs, Measurement, Predictor};
 use entire_core::scene::{Scalars, Skipping, VolumeView};
 use std::path::PathBuf;
 
@@ -65,8 +65,8 @@ impl Recorded {
     fn fit(&self, keep: impl Fn(usize) -> bool) -> Result<(AnalyticModel, Factor)> {
         let kept: Vec<&Sample> =
             self.samples.iter().zip(&self.volumes).filter(|(_, v)| keep(**v)).map(|(s, _)| s).collect();
-        let measured: Vec<WorkSample> =
-            kept.iter().map(|s| WorkSample::new(&s.features, &s.setting, s.seconds)).collect();
+        let measured: Vec<Measurement> =
+            kept.iter().map(|s| Measurement::new(&s.features, &s.setting, s.seconds)).collect();
         let mut model = AnalyticModel::new();
         model.fit(&measured)?;
         let pairs = kept.iter().map(|s| Ok((*s, predicted(&mut model, s)?))).collect::<Result<Vec<_>>>()?;

@@ -97,7 +97,7 @@ pub const SCENES: [Scene; 28] = [
     },
     Scene {
         number: 15,
-        title: "volumes unlike anything the predictor saw, twice as dear as it says",
+        title: "volumes unlike anything the predictor saw, twice as expensive as it says",
         rule: "at most 12 % over 1.1 T, never 4 in a row; quality 0.6",
     },
     Scene {
