@@ -186,7 +186,8 @@ fn truncated_files_say_what_is_missing() {
 fn lying_headers_do_not_allocate() {
     let mha = |sizes: &str, more: &str| {
         format!(
-            "ObjectType = Image\nNDims = 3\n{more}DimSize = {sizes}\nElementType = MET_SHORT\nElementDataFile = LOCAL\n"
+            "ObjectType = Image\nNDims = 3\n{more}DimSize = {sizes}\nElementType = \
+             MET_SHORT\nElementDataFile = LOCAL\n"
         )
     };
     let hundred = "x".repeat(100);
