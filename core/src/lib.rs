@@ -25,7 +25,7 @@
 //! let voxels = vec![100u8; 32 * 32 * 32];
 //! let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32])?;
 //! let lobe = GaussianLobe { center: 0.4, width: 0.1, height: 0.8 };
-//! let table = TransferFunction::from_lobes(&[lobe])?.to_table();
+//! let table = TransferFunction::Gaussian(vec![lobe]).to_table()?;
 //!
 //! let mut session = Session::untrained();
 //! session.set_volume(VolumeSummary::new(&view, SummaryOptions::default())?, None);

@@ -19,7 +19,7 @@ pub enum Prior {
 
 /// How an observed frame stands to the scene at hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Standing {
+pub(crate) enum Standing {
     /// The first frame of this scene.
     First,
     /// A later frame of this scene.
@@ -40,7 +40,7 @@ pub enum Standing {
 /// deviations are clipped; two in a row on the same side mean that the machine has changed, and the filter opens up and
 /// takes the second one whole. The state is bounded for ever.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Correction {
+pub(crate) struct Correction {
     /// θ, then b.
     state: [f64; STATES],
     covariance: [[f64; STATES]; STATES],
@@ -77,7 +77,7 @@ const CLIP_BELOW: f64 = 2.0;
 
 impl Correction {
     /// A correction that has seen nothing.
-    pub fn new(prior: Prior) -> Self {
+    pub(crate) fn new(prior: Prior) -> Self {
         let mut out = Self {
             state: [0.0; STATES],
             covariance: [[0.0; STATES]; STATES],
@@ -96,7 +96,7 @@ impl Correction {
     }
 
     /// Forgets everything.
-    pub fn reset(&mut self) {
+    pub(crate) fn reset(&mut self) {
         let (common, single, change) = match self.prior {
             Prior::Unknown => (9.0, 1.0, 0.04),
             Prior::Fitted { log_sd } => {
@@ -140,12 +140,12 @@ impl Correction {
     }
 
     /// Variance of ln t between equal frames.
-    pub fn noise(&self) -> f64 {
+    pub(crate) fn noise(&self) -> f64 {
         self.spread * (1.0 - self.gain)
     }
 
     /// Moves on by a frame. `novelty` is 0 where the frame continues the one before, 1 where that says nothing about it.
-    pub fn advance(&mut self, novelty: f64) {
+    pub(crate) fn advance(&mut self, novelty: f64) {
         let novelty = if novelty.is_finite() { novelty.clamp(0.0, 1.0) } else { 1.0 };
         let keep = 1.0 - novelty;
         self.state[LOCAL] *= keep;
@@ -175,7 +175,7 @@ impl Correction {
     /// Learns from an observed time (finite and positive) of a frame that [`Correction::advance`] was called for.
     /// `trust` in (0, 1] weakens an observation that may hold other work. Returns the error
     /// ln(observed / corrected prediction) in standard deviations, before learning.
-    pub fn observe(&mut self, terms: &CostTerms, seconds: f64, standing: Standing, trust: f64) -> f64 {
+    pub(crate) fn observe(&mut self, terms: &CostTerms, seconds: f64, standing: Standing, trust: f64) -> f64 {
         let this_scene = standing != Standing::Past;
         let (predicted, shares) = self.shares(terms, this_scene);
         if !(seconds.is_finite() && seconds > 0.0 && predicted.is_finite() && predicted > 0.0) {

@@ -58,7 +58,7 @@ impl UnitCosts {
     }
 
     /// Seconds for work: a leading 1 for the frame, then the quantities' values.
-    pub fn seconds(&self, work: &[f64; COSTS]) -> f64 {
+    pub(crate) fn seconds(&self, work: &[f64; COSTS]) -> f64 {
         self.0.iter().zip(work).map(|(c, w)| c * w).sum()
     }
 

@@ -27,7 +27,7 @@ impl Footprint {
     ///
     /// The faces that the eye sees from inside (or would see through the box) project one to one onto the covered
     /// region, from outside as from inside; each is clipped to the frustum and its area summed. Pixels are not rounded.
-    pub fn new(half_extent: Vec3, camera: &Camera, width: u32, height: u32) -> Self {
+    pub(crate) fn new(half_extent: Vec3, camera: &Camera, width: u32, height: u32) -> Self {
         let (eye, right, up, forward) = camera.ray_basis(width, height);
         let (inv_u, inv_v) = (1.0 / right.length_squared(), 1.0 / up.length_squared());
         let inside = eye.abs().cmple(half_extent).all();

@@ -89,7 +89,12 @@ impl Probe {
     /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `volume` must be the one that `transfer`
     /// was made from; a summary of another grid gives [`Probe::NOTHING`]. `side` rays go along each side of the
     /// footprint's bounding rectangle, [`MAX_PROBE_SIDE`] at most; with 0 the footprint alone is known.
-    pub fn new(volume: &VolumeSummary, transfer: &TransferSummary, frame: &Frame, side: usize) -> Self {
+    pub(crate) fn new(
+        volume: &VolumeSummary,
+        transfer: &TransferSummary,
+        frame: &Frame,
+        side: usize,
+    ) -> Self {
         let geometry = volume.geometry();
         let footprint = Footprint::new(geometry.half_extent, frame.camera(), frame.width(), frame.height());
         if side == 0 || footprint.share <= 0.0 || transfer.grid() != volume.cells() {
@@ -211,13 +216,9 @@ impl Probe {
     }
 
     /// Mean length of the box along rays that meet it, reference steps.
+    #[cfg(test)]
     pub(crate) fn mean_chord(&self) -> f32 {
         self.mean_chord
-    }
-
-    /// Largest such length, reference steps.
-    pub(crate) fn max_chord(&self) -> f32 {
-        self.max_chord
     }
 
     /// Share of rays that end before they leave the box.

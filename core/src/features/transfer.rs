@@ -173,6 +173,7 @@ impl TransferSummary {
     ///
     /// # Panics
     /// When the cell lies outside the grid.
+    #[cfg(test)]
     pub(crate) fn extinction(&self, x: usize, y: usize, z: usize) -> f32 {
         let g = self.grid;
         assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");

@@ -89,7 +89,7 @@ impl Level {
     }
 
     /// The highest level of this CPU that is not above `cap`, whatever the environment says: the override for programs.
-    pub fn at_most(cap: Isa) -> Self {
+    pub(crate) fn at_most(cap: Isa) -> Self {
         let best = Isa::ALL.into_iter().rev().filter(|&isa| isa <= cap).find_map(Self::exactly);
         best.unwrap_or(Self::SCALAR)
     }

@@ -1,9 +1,10 @@
 //! The analytic cost model: unit costs times estimated work.
 
 use super::network::Stored;
+use super::nnls::nnls;
 use super::{
     CALIBRATION_KEY, Calibration, CostTerms, FeatureRange, GroupKind, Inputs, LONGEST_FRAME, Prediction,
-    Predictor, Source, UPPER_LEVEL, nnls,
+    Predictor, Source, UPPER_LEVEL,
 };
 use crate::Result;
 use crate::error::bail;
@@ -44,7 +45,7 @@ impl UnitCosts {
     /// # Errors
     /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is negative or not
     /// finite, or when all are zero.
-    pub fn of(model: &Model) -> Result<Option<Self>> {
+    pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata().get(UNIT_COSTS_KEY) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
             Ok(named) => named,
@@ -78,14 +79,14 @@ const LONGEST: f32 = 1.0e9;
 
 /// One measured frame, for [`AnalyticModel::fit`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WorkSample {
+pub struct Measurement {
     /// Work of each of [`COST_QUANTITIES`], after a leading 1 for the frame itself.
     pub work: [f64; COSTS],
     /// Measured seconds.
     pub seconds: f64,
 }
 
-impl WorkSample {
+impl Measurement {
     /// The estimated work of a frame at a setting, with its measured time.
     pub fn new(features: &FrameFeatures, setting: &Setting, seconds: f64) -> Self {
         Self { work: features.cost_work(setting), seconds }
@@ -183,7 +184,7 @@ impl AnalyticModel {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] when no measurement is usable.
-    pub fn fit(&mut self, measurements: &[WorkSample]) -> Result<FitReport> {
+    pub fn fit(&mut self, measurements: &[Measurement]) -> Result<FitReport> {
         self.fit_towards(&UnitCosts::SOFTWARE, measurements)
     }
 
@@ -191,8 +192,8 @@ impl AnalyticModel {
     ///
     /// # Errors
     /// As [`AnalyticModel::fit`].
-    pub fn fit_towards(&mut self, default: &UnitCosts, measurements: &[WorkSample]) -> Result<FitReport> {
-        let usable: Vec<&WorkSample> = measurements
+    pub fn fit_towards(&mut self, default: &UnitCosts, measurements: &[Measurement]) -> Result<FitReport> {
+        let usable: Vec<&Measurement> = measurements
             .iter()
             .filter(|m| {
                 m.seconds > 0.0
@@ -443,7 +444,7 @@ mod tests {
         [1e-3, 3e-9, 2e-8, 0.0, 4e-8, 1e-8, 9e-8, 0.0, 0.0, 2e-7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
     /// Work of frames as they come: counts over several decades, scattering never used.
-    fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<WorkSample> {
+    fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
         let mut state = 9u64;
         let mut uniform = || {
             state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -477,7 +478,7 @@ mod tests {
                 if outliers && i % 20 == 0 {
                     seconds *= 10.0;
                 }
-                WorkSample { work, seconds }
+                Measurement { work, seconds }
             })
             .collect()
     }
@@ -549,9 +550,9 @@ mod tests {
     fn broken_measurements_are_left_out_and_all_broken_is_an_error() {
         let mut rows = measurements(20, 0.0, false);
         for seconds in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            rows.push(WorkSample { seconds, ..rows[0] });
+            rows.push(Measurement { seconds, ..rows[0] });
         }
-        rows.push(WorkSample { work: [f64::NAN; COSTS], seconds: 1.0 });
+        rows.push(Measurement { work: [f64::NAN; COSTS], seconds: 1.0 });
         let mut model = AnalyticModel::new();
         let report = model.fit(&rows).unwrap();
         assert_eq!((report.used, report.refused), (20, 5));

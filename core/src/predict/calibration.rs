@@ -53,7 +53,7 @@ impl Calibration {
 
     /// Standard deviation of ln(measured / predicted) that a normal distribution with this bound has, at least 0.02;
     /// `None` when never calibrated.
-    pub fn log_sd(&self) -> Option<f32> {
+    pub(crate) fn log_sd(&self) -> Option<f32> {
         (!self.log_factor.is_nan()).then_some((self.log_factor / 1.645).max(0.02))
     }
 
@@ -73,7 +73,7 @@ pub struct FeatureRange<const N: usize = 5> {
 
 impl<const N: usize> FeatureRange<N> {
     /// Knows nothing: scores are NaN.
-    pub const fn unknown() -> Self {
+    pub(crate) const fn unknown() -> Self {
         Self { low: [0.0; N], high: [0.0; N], known: false }
     }
 
@@ -84,7 +84,7 @@ impl<const N: usize> FeatureRange<N> {
     }
 
     /// Low and high ends, or `None` where nothing is known.
-    pub fn ends(&self) -> Option<(&[f32; N], &[f32; N])> {
+    pub(crate) fn ends(&self) -> Option<(&[f32; N], &[f32; N])> {
         self.known.then_some((&self.low, &self.high))
     }
 
@@ -112,7 +112,7 @@ impl<const N: usize> FeatureRange<N> {
 
     /// 0 inside the range; outside, the largest distance of any number from it, in units of half the range's width
     /// (at least 0.7, a factor of two in logarithms). 1 is the edge of trust. NaN where nothing is known.
-    pub fn score(&self, row: &[f32; N]) -> f32 {
+    pub(crate) fn score(&self, row: &[f32; N]) -> f32 {
         if !self.known {
             return f32::NAN;
         }

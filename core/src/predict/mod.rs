@@ -13,7 +13,7 @@ mod nnls;
 mod seconds;
 
 pub use crate::features::{COMMON_COSTS, COST_QUANTITIES, COSTS, UnitCosts};
-pub use analytic::{AnalyticModel, FitReport, TERMS, UNIT_COSTS_KEY, WorkSample};
+pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS, UNIT_COSTS_KEY};
 pub use calibration::{Calibration, FeatureRange, UPPER_LEVEL};
 pub use inputs::{CostTerms, GroupKind, Inputs, Prediction, Predictor, Source};
 pub use layout::{InputLayout, InputValues, LOBE_ORDER_KEY, PROBE_SIDE_KEY};

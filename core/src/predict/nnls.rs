@@ -10,7 +10,7 @@ const MAX_UNKNOWNS: usize = 16;
 ///
 /// # Panics
 /// When n is over 16 or `gram` is not n × n.
-pub fn nnls(gram: &[f64], rhs: &[f64], x: &mut [f64]) {
+pub(super) fn nnls(gram: &[f64], rhs: &[f64], x: &mut [f64]) {
     let n = rhs.len();
     assert!(n <= MAX_UNKNOWNS && gram.len() == n * n && x.len() == n, "nnls takes up to 16 unknowns");
     let mut scale = [0.0f64; MAX_UNKNOWNS];

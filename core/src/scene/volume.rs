@@ -27,7 +27,7 @@ pub enum ScalarType {
 
 impl ScalarType {
     /// Bytes per voxel.
-    pub const fn bytes(self) -> usize {
+    pub(crate) const fn bytes(self) -> usize {
         match self {
             Self::U8 => 1,
             Self::U16 | Self::I16 => 2,

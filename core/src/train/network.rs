@@ -100,7 +100,7 @@ impl<T: Real> Network<T> {
     }
 
     /// Widths from the input's to the output's.
-    pub fn widths(&self) -> &[usize] {
+    pub(crate) fn widths(&self) -> &[usize] {
         &self.widths
     }
 

@@ -185,17 +185,17 @@ impl VolumeSummary {
     }
 
     /// The element type of the volume.
-    pub fn scalar_type(&self) -> ScalarType {
+    pub(crate) fn scalar_type(&self) -> ScalarType {
         self.scalar_type
     }
 
     /// The box that rays meet.
-    pub fn geometry(&self) -> Geometry {
+    pub(crate) fn geometry(&self) -> Geometry {
         self.geometry
     }
 
     /// Cells along x, y, z.
-    pub fn cells(&self) -> [usize; 3] {
+    pub(crate) fn cells(&self) -> [usize; 3] {
         self.cells
     }
 
@@ -205,7 +205,7 @@ impl VolumeSummary {
     }
 
     /// Voxels along each axis of the blocks by which emptiness is judged.
-    pub fn block_edge(&self) -> [usize; 3] {
+    pub(crate) fn block_edge(&self) -> [usize; 3] {
         self.block
     }
 
@@ -241,7 +241,7 @@ impl VolumeSummary {
     }
 
     /// Number of voxels.
-    pub fn voxels(&self) -> f64 {
+    pub(crate) fn voxels(&self) -> f64 {
         self.dims.iter().map(|&n| n as f64).product()
     }
 
