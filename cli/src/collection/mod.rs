@@ -1,9 +1,9 @@
 //! Collecting frames: many random scenes of volumes, rendered several times, written down as a timing table.
 //!
-//! The protocol is the paper's (section "Data collection"): the renderer takes one volume at a time, renders all its
-//! frames, each several times, then takes the next; loading is not timed. Scenes come from
-//! [`crate::scenes::SceneDistribution`], each depending on the seed, the volume and its number alone. Every repeat is a
-//! row of the table (see [`crate::dataset`]); medians are taken by whoever reads it.
+//! The protocol is the paper's (section "Data collection"): the renderer takes one volume at a time, renders
+//! all its frames, each several times, then takes the next; loading is not timed. Scenes come from
+//! [`crate::scenes::SceneDistribution`], each depending on the seed, the volume and its number alone. Every
+//! repeat is a row of the table (see [`crate::dataset`]); medians are taken by whoever reads it.
 
 mod passes;
 mod protocol;
@@ -39,7 +39,8 @@ pub struct Outcome {
 /// `j · frames + i`. `stop` is asked before every rendering; a frame in flight is then given up.
 ///
 /// # Errors
-/// A volume that cannot be read, a renderer that fails, a table that cannot be written; names the volume and frame.
+/// A volume that cannot be read, a renderer that fails, a table that cannot be written; names the volume and
+/// frame.
 pub fn collect(
     jobs: &[Job],
     protocol: &Protocol,

@@ -37,8 +37,8 @@ impl Job {
         Self { path: path.to_owned(), member, time_step }
     }
 
-    /// The name under which random scenes are drawn: the file's name, for a time step with the two folders above it.
-    /// It does not depend on the working directory or on where the data lie.
+    /// The name under which random scenes are drawn: the file's name, for a time step with the two folders
+    /// above it. It does not depend on the working directory or on where the data lie.
     pub fn seed_name(&self) -> String {
         let absolute = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
         let parts: Vec<String> =

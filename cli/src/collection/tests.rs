@@ -75,7 +75,8 @@ fn stopping_anywhere_and_resuming_gives_the_same_table() {
         let path = dir.path().join(format!("{stop_after}.csv"));
         let first = run_until(&path, Some(stop_after), &some_jobs());
         assert!(first.interrupted, "{stop_after}");
-        // Four renderings of each volume's first frame are two warm-ups and a partial frame: none is in the table.
+        // Four renderings of each volume's first frame are two warm-ups and a partial frame: none is in the
+        // table.
         assert_eq!(Table::read(&path, 0).map(|t| t.frames.len() as u64).unwrap(), first.done);
         let second = run_until(&path, None, &some_jobs());
         assert!(!second.interrupted && second.done == 8);

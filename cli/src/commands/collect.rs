@@ -19,10 +19,10 @@ use std::path::PathBuf;
 
 /// Render many random frames of volumes and write down how long each took.
 ///
-/// Cameras stand on semi-spheres of several radii, transfer functions are random Gaussian lobes, images are square and
-/// not, sides log-uniform. Each frame is rendered several times and every repeat becomes a row; a manifest beside the
-/// table says with what it was measured. The same seed gives the same frames of a volume, whatever else is collected.
-/// Ctrl-C keeps every finished frame; go on with --resume.
+/// Cameras stand on semi-spheres of several radii, transfer functions are random Gaussian lobes, images are
+/// square and not, sides log-uniform. Each frame is rendered several times and every repeat becomes a row; a
+/// manifest beside the table says with what it was measured. The same seed gives the same frames of a volume,
+/// whatever else is collected. Ctrl-C keeps every finished frame; go on with --resume.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire collect data/*.nrrd --out frames.csv
@@ -36,10 +36,12 @@ pub struct Options {
     /// The table to write; its manifest goes beside it as NAME.manifest.json.
     #[arg(long, value_name = "FILE.csv")]
     pub out: PathBuf,
-    /// Collect the frames of this table anew: volumes, frames and all settings come from its manifest. Its volume names
-    /// start from the working folder.
-    #[arg(long, value_name = "TABLE", conflicts_with_all = ["volumes", "frames", "repeats", "passes", "warm_up", "seed",
-        "shade", "skip", "termination", "min_size", "max_size", "radii", "lobes", "steps", "member", "enlarge", "proxy"])]
+    /// Collect the frames of this table anew: volumes, frames and all settings come from its manifest. Its
+    /// volume names start from the working folder.
+    #[arg(long, value_name = "TABLE", conflicts_with_all = [
+        "volumes", "frames", "repeats", "passes", "warm_up", "seed", "shade", "skip", "termination",
+        "min_size", "max_size", "radii", "lobes", "steps", "member", "enlarge", "proxy",
+    ])]
     pub like: Option<PathBuf>,
     /// Frames per volume.
     #[arg(long, default_value_t = 100, value_name = "N")]
@@ -47,8 +49,8 @@ pub struct Options {
     /// How often each frame is rendered.
     #[arg(long, default_value_t = 5, value_name = "R")]
     pub repeats: u32,
-    /// Go through all volumes so often, with --repeats renderings of each frame every time: repeats minutes apart show
-    /// the machine's drift, which repeats at once do not.
+    /// Go through all volumes so often, with --repeats renderings of each frame every time: repeats minutes
+    /// apart show the machine's drift, which repeats at once do not.
     #[arg(long, default_value_t = 1, value_name = "P")]
     pub passes: u32,
     /// Frames rendered and thrown away after each volume is loaded, so that first-use work is not timed.
@@ -69,8 +71,8 @@ pub struct Options {
     /// What renders.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
-    /// Predict the frames by this model instead of rendering them, so that a model that needs very many frames can be
-    /// distilled from one that needs few; every clock reads the prediction.
+    /// Predict the frames by this model instead of rendering them, so that a model that needs very many
+    /// frames can be distilled from one that needs few; every clock reads the prediction.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
     pub teacher: Option<PathBuf>,
     /// Shortest image side, pixels.
@@ -91,10 +93,12 @@ pub struct Options {
     /// Ensemble member of the volumes: one for all, or one for each. Else it follows from the folder's name.
     #[arg(long, num_args = 1.., value_name = "NAME")]
     pub member: Vec<String>,
-    /// Enlarge every volume by this factor at load, trilinearly, so that small volumes cost what large ones do.
+    /// Enlarge every volume by this factor at load, trilinearly, so that small volumes cost what large ones
+    /// do.
     #[arg(long, default_value_t = 1, value_name = "FACTOR")]
     pub enlarge: usize,
-    /// Render every volume resampled to so many voxels an edge instead: the low-resolution proxy of the same frames.
+    /// Render every volume resampled to so many voxels an edge instead: the low-resolution proxy of the same
+    /// frames.
     #[arg(long, value_name = "EDGE", conflicts_with = "enlarge")]
     pub proxy: Option<usize>,
     /// Go on with a table that was interrupted. Settings and machine must be those of its manifest.
@@ -133,7 +137,8 @@ fn protocol(options: &Options) -> Protocol {
     }
 }
 
-/// The driver with its version: what a Vulkan device's description ends with. Empty for the CPU twin, which has none.
+/// The driver with its version: what a Vulkan device's description ends with. Empty for the CPU twin, which
+/// has none.
 fn driver_of(renderer: &dyn Renderer) -> String {
     let device = renderer.device();
     match device.rsplit_once(", ") {

@@ -31,8 +31,8 @@ impl Generated {
         }
     }
 
-    /// The path, `frames` long, with transfer functions set by the volume's value distribution. Every transfer
-    /// function has three lobes.
+    /// The path, `frames` long, with transfer functions set by the volume's value distribution. Every
+    /// transfer function has three lobes.
     ///
     /// # Errors
     /// Fewer frames than 8.
@@ -99,8 +99,8 @@ struct Values {
 }
 
 impl Values {
-    /// From up to 100 000 voxels, evenly spread. Voxels at the low end of the range are taken for background where
-    /// enough others are left.
+    /// From up to 100 000 voxels, evenly spread. Voxels at the low end of the range are taken for background
+    /// where enough others are left.
     fn of(volume: &VolumeView<'_>) -> Self {
         let [nx, ny, nz] = volume.dims();
         let stride = (volume.voxels() / 100_000).max(1);

@@ -1,31 +1,31 @@
-//! Paths: what a user looks at, frame by frame. Camera and transfer function are given at keyframes and interpolated in
-//! between, or switch abruptly.
+//! Paths: what a user looks at, frame by frame. Camera and transfer function are given at keyframes and
+//! interpolated in between, or switch abruptly.
 //!
 //! # File format
 //!
 //! JSON, one object:
 //!
-//! | key | required | meaning |
-//! |---|---|---|
-//! | `format` | yes | `"entire-path-1"` |
-//! | `name` | no | a name for reports |
-//! | `frames` | yes | number of frames, 1 to 1 000 000 |
-//! | `fov_y_deg` | no | vertical field of view, degrees; 45 where it is not given |
-//! | `keyframes` | yes | array of keyframes, `frame` ascending, the first at frame 0 with camera and transfer function |
+//! * `format`, required: `"entire-path-1"`.
+//! * `name`: a name for reports.
+//! * `frames`, required: number of frames, 1 to 1 000 000.
+//! * `fov_y_deg`: vertical field of view, degrees; 45 where it is not given.
+//! * `keyframes`, required: array of keyframes, `frame` ascending, the first at frame 0 with camera and transfer
+//!   function.
 //!
 //! A keyframe:
 //!
-//! | key | required | meaning |
-//! |---|---|---|
-//! | `frame` | yes | frame number from 0 |
-//! | `camera` | at frame 0 | `{"rx_deg": …, "ry_deg": …, "dz_radii": …}`: arcball angles, distance in bounding-sphere radii |
-//! | `transfer` | at frame 0 | `{"lobes": [{"center": …, "width": …, "height": …}, …]}` or `{"points": [{"position": …, "color": [r, g, b], "opacity": …}, …]}` |
-//! | `switch` | no | `true`: what this keyframe gives holds from its frame on at once; before, the former value holds still |
+//! * `frame`, required: frame number from 0.
+//! * `camera`, required at frame 0: `{"rx_deg": …, "ry_deg": …, "dz_radii": …}`. Arcball angles, and the distance in
+//!   bounding-sphere radii.
+//! * `transfer`, required at frame 0: `{"lobes": [{"center": …, "width": …, "height": …}, …]}` or
+//!   `{"points": [{"position": …, "color": [r, g, b], "opacity": …}, …]}`.
+//! * `switch`: with `true`, what this keyframe gives holds from its frame on at once, and the former value before.
 //!
-//! Camera and transfer function are two tracks; a keyframe may give either or both. Between keyframes of a track,
-//! angles go linearly in degrees as they stand (0 to 720 is two turns), the distance in its logarithm; lobes go in pairs
-//! by position in the list: center and height linearly, width in its logarithm; points go in pairs, every number
-//! linearly. Two transfer functions of different kinds or lengths cannot be interpolated; the later one must switch.
+//! Camera and transfer function are two tracks; a keyframe may give either or both. Between keyframes of a
+//! track, angles go linearly in degrees as they stand (0 to 720 is two turns), the distance in its logarithm;
+//! lobes go in pairs by position in the list: center and height linearly, width in its logarithm; points go
+//! in pairs, every number linearly. Two transfer functions of different kinds or lengths cannot be
+//! interpolated; the later one must switch.
 
 mod generated;
 mod target;
@@ -305,7 +305,8 @@ impl PathFile {
                     let ((kind_a, a), (kind_b, b)) = (before.size(), transfer.size());
                     ensure!(
                         key.switch || (kind_a == kind_b && a == b),
-                        "{}: {a} {kind_a} of frame {frame} cannot be interpolated to {b} {kind_b}; give as many of the same kind, or \"switch\": true",
+                        "{}: {a} {kind_a} of frame {frame} cannot be interpolated to {b} {kind_b}; give as \
+                         many of the same kind, or \"switch\": true",
                         place()
                     );
                 }

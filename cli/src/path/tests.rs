@@ -9,7 +9,8 @@ const GOOD: &str = r#"{
         {"frame": 0, "camera": {"rx_deg": 0, "ry_deg": 0, "dz_radii": 4},
          "transfer": {"lobes": [{"center": 0.2, "width": 0.01, "height": 0.5}]}},
         {"frame": 4, "transfer": {"lobes": [{"center": 0.6, "width": 0.04, "height": 0.1}]}},
-        {"frame": 6, "switch": true, "transfer": {"points": [{"position": 0.5, "color": [1, 0, 0], "opacity": 0.5}]}},
+        {"frame": 6, "switch": true, "transfer":
+             {"points": [{"position": 0.5, "color": [1, 0, 0], "opacity": 0.5}]}},
         {"frame": 10, "camera": {"rx_deg": 50, "ry_deg": -100, "dz_radii": 1}}
     ]}"#;
 
@@ -78,7 +79,7 @@ fn every_mistake_is_named() {
         assert!(message.contains(expected), "{to}: {message}");
     }
     let cut = PathFile::parse(&GOOD[..GOOD.len() - 4]).unwrap_err().to_string();
-    assert!(cut.contains("line 9"), "{cut}");
+    assert!(cut.contains("line 10"), "{cut}");
     let empty = r#"{"format": "entire-path-1", "frames": 3, "keyframes": []}"#;
     assert!(PathFile::parse(empty).unwrap().resolve().unwrap_err().to_string().contains("no keyframe"));
     let missing = FlightPath::open(Path::new("/no/such/path.json")).unwrap_err().to_string();

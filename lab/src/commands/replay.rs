@@ -1,4 +1,5 @@
-//! `entire-lab replay`: recorded cost curves under every controller and target, beside an oracle; the steering bars.
+//! `entire-lab replay`: recorded cost curves under every controller and target, beside an oracle; the
+//! steering bars.
 
 use crate::bars;
 use crate::calibration::samples_of;
@@ -20,13 +21,15 @@ use std::path::PathBuf;
 
 /// Replay recorded cost curves under every controller and target, beside an oracle that knows them.
 ///
-/// Every trace (see `entire-lab record`) is played under every controller against every target that is worth playing on it
-/// (some allowed step meets it in at least half of the frames), and against a series of targets. The predictor is
-/// fitted to a timing table of other volumes. DIR gets report.html, scores.json and frames.csv.
+/// Every trace (see `entire-lab record`) is played under every controller against every target that is worth
+/// playing on it (some allowed step meets it in at least half of the frames), and against a series of
+/// targets. The predictor is fitted to a timing table of other volumes. DIR gets report.html, scores.json and
+/// frames.csv.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab replay out/steer/traces/*.json --calibration out/steer/calibration.csv --out out/steer
-  entire-lab replay nyx.json --calibration calibration.csv --targets 30fps,60fps --controllers olp,hybrid --out out/nyx")]
+  entire-lab replay nyx.json --calibration calibration.csv --targets 30fps,60fps --controllers olp,hybrid \
+  --out out/nyx")]
 pub struct Options {
     /// The traces.
     #[arg(value_name = "TRACE.json", required = true)]

@@ -11,8 +11,8 @@ use std::path::PathBuf;
 
 /// Make and judge every predictor of a study; write one report: accuracy against latency, tables, curves.
 ///
-/// Predictors that were made before of the same data are taken from OUT/models, so that a study that was stopped goes
-/// on where it was.
+/// Predictors that were made before of the same data are taken from OUT/models, so that a study that was
+/// stopped goes on where it was.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

@@ -5,8 +5,8 @@ use crate::trace::TracePoint;
 use entire_cli::metrics::median;
 use entire_core::control::{QualityModel, QualitySample};
 
-/// What choosing among steps and image sizes by the quality model gives, on traces that it was not fitted to: mean
-/// structural similarity of what each way picks among settings that meet the target.
+/// What choosing among steps and image sizes by the quality model gives, on traces that it was not fitted to:
+/// mean structural similarity of what each way picks among settings that meet the target.
 pub struct Frontier {
     pub(super) model: QualityModel,
     frames: usize,
@@ -19,13 +19,15 @@ impl Frontier {
     /// In a sentence.
     pub fn sentence(&self) -> String {
         format!(
-            "Quality model (step and image size) on {} choices of traces that it was not fitted to: mean SSIM {:.4} by its order, {:.4} by the step alone, {:.4} at best.",
+            "Quality model (step and image size) on {} choices of traces that it was not fitted to: mean \
+             SSIM {:.4} by its order, {:.4} by the step alone, {:.4} at best.",
             self.frames, self.by_model, self.by_step, self.best
         )
     }
 }
 
-/// Fits the quality model to every other trace and judges it by the others; `None` where there is nothing to choose.
+/// Fits the quality model to every other trace and judges it by the others; `None` where there is nothing to
+/// choose.
 pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
     let points = |odd: bool| {
         traces
@@ -45,7 +47,8 @@ pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Fronti
         for (target, _) in targets {
             let seconds = |p: &TracePoint| median(&mut p.seconds.clone()).unwrap_or(f64::INFINITY);
             let fitting: Vec<_> = frame.iter().filter(|p| seconds(p) <= *target).collect();
-            // Only where there is something to choose: the reference setting does not fit, some full-size one does.
+            // Only where there is something to choose: the reference setting does not fit, some full-size one
+            // does.
             let full = fitting.iter().filter(|p| p.scale == 1.0).min_by(|a, b| a.step.total_cmp(&b.step));
             let (Some(full), false) = (full, fitting.iter().any(|p| p.scale == 1.0 && p.step <= 1.0)) else {
                 continue;

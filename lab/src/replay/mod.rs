@@ -87,7 +87,8 @@ pub struct Replayed {
     pub reachable: bool,
     /// Whether something, or the target, changed abruptly here.
     pub switched: bool,
-    /// Whether nothing but the camera has changed in this frame and the [`SETTLING`] before, nor the path begun.
+    /// Whether nothing but the camera has changed in this frame and the [`SETTLING`] before, nor the path
+    /// begun.
     pub calm: bool,
     /// Why the step.
     #[serde(serialize_with = "reason_name")]
@@ -106,8 +107,8 @@ fn mix(a: u64, b: u64) -> u64 {
     h ^ (h >> 32)
 }
 
-/// Plays a trace against `targets` (one per frame). The noise of a frame is the same for every controller; `seed` picks
-/// which of the measured ones.
+/// Plays a trace against `targets` (one per frame). The noise of a frame is the same for every controller;
+/// `seed` picks which of the measured ones.
 ///
 /// # Errors
 /// When a prediction fails; names the frame.
@@ -149,7 +150,7 @@ pub fn replay(
         let curve = &recorded.curves[index];
         let step = f64::from(plan.step);
         let seconds = curve.seconds(step) * curve.noise(mix(seed, index as u64)).exp();
-        session.observe(plan.id, seconds as f32, ObserveFlags::default());
+        session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
         let oracle_step = curve.oracle(target, finest, coarsest);
         let retargeted = index > 0 && (targets[index - 1] / target).ln().abs() > 0.05;
         let switched = recorded.switches[index] || retargeted;
@@ -176,7 +177,8 @@ pub fn replay(
     Ok(out)
 }
 
-/// A target that is worth playing on a trace: some allowed step meets it exactly in at least half of the frames.
+/// A target that is worth playing on a trace: some allowed step meets it exactly in at least half of the
+/// frames.
 pub fn worth_playing(recorded: &Replayable, target: f64, limits: StepLimits) -> bool {
     let (finest, coarsest) = (f64::from(limits.finest()), f64::from(limits.coarsest()));
     let reachable = recorded.curves.iter().filter(|c| c.reaches(target, finest, coarsest)).count();

@@ -228,14 +228,24 @@ impl Results<'_> {
         let mut page = Page::new(
             "Holding a frame time, beside an oracle",
             &format!(
-                "{} recorded paths over real volumes, {} trials, {frames} frames per controller. None of the volumes was seen by the predictor before.",
+                "{} recorded paths over real volumes, {} trials, {frames} frames per controller. None of the \
+                 volumes was seen by the predictor before.",
                 self.traces.len(),
                 self.trials.len()
             ),
         );
         page.table(
             &self.table(),
-            &format!("T is the target. > 1.1 T: share of the frames in which the coarsest allowed step meets the target. |t-T|/T: mean over the frames in which some allowed step takes exactly the target. Quality: mean of the oracle's step over the step, at most 1; the oracle knows every frame's cost curve, not its noise. Calm: nothing but the camera has changed, without a cut, in the frame and the {SETTLING} before. Jumps: calm frames whose step differs from the frame before by over 20 %. In bound: abrupt changes whose first frame stayed inside its upper bound. SSIM: mean structural similarity to the picture at the reference step, over the oracle's. Best of each column in bold."),
+            &format!(
+                "T is the target. > 1.1 T: share of the frames in which the coarsest allowed step meets \
+                the target. |t-T|/T: mean over the frames in which some allowed step takes exactly the \
+                target. Quality: mean of the oracle's step over the step, at most 1; the oracle knows every \
+                frame's cost curve, not its noise. Calm: nothing but the camera has changed, without a cut, \
+                in the frame and the {SETTLING} before. Jumps: calm frames whose step differs from the frame \
+                before by over 20 %. In bound: abrupt changes whose first frame stayed inside its upper \
+                bound. SSIM: mean structural similarity to the picture at the reference step, over the \
+                oracle's. Best of each column in bold."
+            ),
         );
         let mut chart = Chart::new(
             "Misses and quality",
@@ -260,7 +270,11 @@ impl Results<'_> {
                 .collect();
             chart = chart.series(Series::new(kind.title(), Mark::Points(points)).color(color(kind.name())));
         }
-        page.chart(&chart, "A point per controller and target, over all traces on which the target was played. Up and left is better.");
+        page.chart(
+            &chart,
+            "A point per controller and target, over all traces on which the target was \
+            played. Up and left is better.",
+        );
         for (t, trace) in self.traces.iter().enumerate() {
             let of_trace: Vec<&Outcome> =
                 self.outcomes.iter().filter(|o| self.trials[o.trial].trace == t).collect();
@@ -292,7 +306,11 @@ impl Results<'_> {
                 "smaller image",
                 Mark::Line(curve(&|x| f64::from(model.error(1.0, (1.0 / x) as f32)))),
             ));
-            page.chart(&chart, "The quality model, fitted to every other trace. Settings are tried in the order of its error; the first that is expected to meet the target is drawn.");
+            page.chart(
+                &chart,
+                "The quality model, fitted to every other trace. Settings are tried in the \
+                order of its error; the first that is expected to meet the target is drawn.",
+            );
         }
         page.heading("Every trial");
         page.table(&self.per_trial(), "Shares in percent, as in the first table.");
@@ -315,7 +333,8 @@ impl Results<'_> {
         }
         page.table(
             &predictors,
-            "SteeringModel to random scenes of other volumes on this machine, judged by scenes that were held out.",
+            "SteeringModel to random scenes of other volumes on this machine, judged by scenes that were \
+             held out.",
         );
         let wide = |p: (f32, f32)| (f64::from(p.0), f64::from(p.1));
         let chart = Chart::new(
@@ -340,7 +359,12 @@ impl Results<'_> {
         .series(Series::new("G", Mark::Line(response.points().map(wide).collect())).color(0));
         page.chart(&chart, "Algorithm 1 and OLP use this one curve for all scenes.");
         page.heading("Where this comes from");
-        page.paragraph("Every frame of a path was drawn at nine ray steps, all repeats, outside of any race; a controller's step is answered by that frame's own curve between them, times the noise of one of its renderings: the same for every controller. Changes of the transfer function and of volumes are not part of frame times.");
+        page.paragraph(
+            "Every frame of a path was drawn at nine ray steps, all repeats, outside of any race; \
+            a controller's step is answered by that frame's own curve between them, times the noise of one \
+            of its renderings: the same for every controller. Changes of the transfer function and of \
+            volumes are not part of frame times.",
+        );
         let mut facts: Vec<(&str, String)> = Vec::new();
         for t in self.traces {
             let volumes: Vec<String> =

@@ -28,8 +28,8 @@ pub struct Outcome {
     pub tallies: Vec<Tally>,
 }
 
-/// The trials that are worth playing: every trace against every target that some allowed step meets in half of its
-/// frames, and against those targets in turn.
+/// The trials that are worth playing: every trace against every target that some allowed step meets in half
+/// of its frames, and against those targets in turn.
 pub fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits) -> Vec<Trial> {
     let mut out = Vec::new();
     for (i, trace) in traces.iter().enumerate() {

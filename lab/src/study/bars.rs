@@ -31,8 +31,9 @@ fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) 
     }
 }
 
-/// What a study says about its bars: one for every limit of its sets, short where what it is about is missing. Most
-/// are about the predictor `selected` where the study has one, about the best on the test frames otherwise.
+/// What a study says about its bars: one for every limit of its sets, short where what it is about is
+/// missing. Most are about the predictor `selected` where the study has one, about the best on the test
+/// frames otherwise.
 pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
     let mut out = Vec::new();
     let mut at_most = |name: String, value: Option<f64>, limit: f64| {
@@ -58,7 +59,8 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
         let rmse = |predictor: &str| found.of(s, p, predictor).map(|r| r.metrics.rmse);
         let over = |a: Option<f64>, b: Option<f64>| Some(a? / b?);
         let paper = rmse("paper");
-        // The paper's network as the paper trains it and, where the study has it, distilled from another predictor.
+        // The paper's network as the paper trains it and, where the study has it, distilled from another
+        // predictor.
         let distilled = study.predictors.iter().any(|p| p.name == DISTILLED).then_some(DISTILLED);
         for network in std::iter::once("paper").chain(distilled) {
             for (baseline, wanted, what) in
@@ -106,9 +108,9 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
 /// How much worse than the best in cross-validation the selected predictor may be.
 pub(super) const SELECTION_TOLERANCE: f64 = 0.05;
 
-/// The predictor that the rule selects from the training frames alone: among those that were cross-validated and take no
-/// more than the set's share of the paper's latency, the quickest whose cross-validated error is within
-/// [`SELECTION_TOLERANCE`] of the least. Recipes that are there twice count once.
+/// The predictor that the rule selects from the training frames alone: among those that were cross-validated
+/// and take no more than the set's share of the paper's latency, the quickest whose cross-validated error is
+/// within [`SELECTION_TOLERANCE`] of the least. Recipes that are there twice count once.
 pub(super) fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Option<&'a str> {
     let limits = &study.sets.iter().find(|s| s.name == set)?.limits;
     let paper = found.latency(set, "paper").map(|l| l.cold);

@@ -9,7 +9,8 @@ fn study_of(predictors: &str, limits: &str) -> Study {
     serde_json::from_str(&format!(
         r#"{{ "title": "t", "latency_volume": ["v.nrrd", 1], "predictors": [{predictors}], "sets": [{{
             "name": "a set", "training": [], "calibration_split": "other", "limits": {limits},
-            "splits": [{{ "name": "seen", "tables": [] }}, {{ "name": "member", "tables": [], "main": true }}] }}] }}"#
+            "splits": [{{ "name": "seen", "tables": [] }},
+                {{ "name": "member", "tables": [], "main": true }}] }}] }}"#
     ))
     .unwrap()
 }

@@ -1,13 +1,15 @@
-//! The baselines that predictors are beside: the mean of some frames of each volume, and a low-resolution proxy.
+//! The baselines that predictors are beside: the mean of some frames of each volume, and a low-resolution
+//! proxy.
 
 use super::findings::judge;
 use super::runner::OnSet;
 use super::{CONSTANT, Findings, PROXY, Set};
 use crate::latency::Latency;
 use anyhow::{Result, ensure};
-use entire_cli::dataset::{Clock, Scene, Table, TimedFrame, TimedFrames};
+use entire_cli::dataset::{Clock, Scene, Table, TimedFrame};
 use entire_cli::evaluation::probe_means;
 use entire_cli::metrics::median;
+use entire_cli::split::TimedFrames;
 use std::collections::BTreeMap;
 
 /// The mean time of a share of each volume's frames, for all of them.
@@ -82,7 +84,8 @@ pub(super) fn low_resolution(
             let as_large = Scene { dims: f.scene.dims, ..twin.scene.clone() };
             ensure!(
                 as_large == f.scene,
-                "{}: frame {} shows another scene than in {name}; collect it with the same seed, volumes and settings",
+                "{}: frame {} shows another scene than in {name}; collect it with the same seed, volumes and \
+                 settings",
                 path.display(),
                 f.number
             );

@@ -2,10 +2,11 @@
 
 use anyhow::{Context, Result};
 use entire_cli::bound;
-use entire_cli::dataset::{Table, TimedFrames};
-use entire_cli::feature_table::FeatureTable;
+use entire_cli::dataset::Table;
+use entire_cli::dataset::feature_table::FeatureTable;
 use entire_cli::files::{fnv1a, read_model_file, write_whole};
 use entire_cli::fit::Recipe;
+use entire_cli::split::TimedFrames;
 use entire_core::model::ModelFile;
 use entire_core::predict::Calibration;
 use std::path::{Path, PathBuf};
@@ -16,9 +17,9 @@ pub(super) const STUDY_KEY: &str = "entire.study_key";
 /// Counts up whenever the same recipe makes something else of the same frames.
 const MADE_AS: u32 = 1;
 
-/// Tells apart what was made: a hash of the program's version, the recipe, the bytes of the model files that it starts
-/// from, and the frames of each part with their seconds (which tell the clock) and the bytes of their tables and kept
-/// features. Where files lie does not count.
+/// Tells apart what was made: a hash of the program's version, the recipe, the bytes of the model files that
+/// it starts from, and the frames of each part with their seconds (which tell the clock) and the bytes of
+/// their tables and kept features. Where files lie does not count.
 pub(super) fn identity(
     recipe: &Recipe,
     tables: &[Table],
@@ -66,7 +67,8 @@ pub(super) fn path_of(models: &Path, key: &str, identity: &str) -> PathBuf {
     models.join(format!("{name}-{}.safetensors", &identity[..8]))
 }
 
-/// The model that is kept there, where it is of this identity; its upper bound is brought to `upper` where that is given.
+/// The model that is kept there, where it is of this identity; its upper bound is brought to `upper` where
+/// that is given.
 ///
 /// # Errors
 /// When the file is damaged or cannot be written.

@@ -1,11 +1,13 @@
-//! Curves of a predictor: error by number of training frames, and by number of frames of other data that it is adapted to.
+//! Curves of a predictor: error by number of training frames, and by number of frames of other data that it
+//! is adapted to.
 
 use super::findings::push_point;
 use super::runner::{Bounds, OnSet, Runner};
 use super::{CALIBRATION_FRAMES, Findings, Named};
 use anyhow::Result;
-use entire_cli::dataset::{Timed, TimedFrames};
+use entire_cli::dataset::Timed;
 use entire_cli::fit::{calibrate, predict, transfer};
+use entire_cli::split::TimedFrames;
 use entire_core::model::ModelFile;
 
 /// The seed by which training frames are taken for smaller numbers of them.
@@ -68,7 +70,8 @@ impl Runner<'_> {
         point(file, learned.training.frames.len())
     }
 
-    /// Error on a split by number of its frames that the model is calibrated to, transferred to, or made of alone.
+    /// Error on a split by number of its frames that the model is calibrated to, transferred to, or made of
+    /// alone.
     fn tuning_curves(
         &self,
         on: &OnSet<'_>,

@@ -2,12 +2,13 @@
 
 use super::Set;
 use anyhow::{Result, ensure};
-use entire_cli::dataset::{Clock, Table, TimedFrames, read_tables};
+use entire_cli::dataset::{Clock, Table, read_tables};
+use entire_cli::split::TimedFrames;
 use std::ops::Range;
 
-/// Members from which on a tenth of them is held out rather than a tenth of the volumes. Of fewer, one alone would be far
-/// more than a tenth of the frames to learn from, and what training loses by that is more than what a better moment to
-/// stop gains: the frames that a study is judged on are of other members in any case.
+/// Members from which on a tenth of them is held out rather than a tenth of the volumes. Of fewer, one alone
+/// would be far more than a tenth of the frames to learn from, and what training loses by that is more than
+/// what a better moment to stop gains: the frames that a study is judged on are of other members in any case.
 pub(super) const MEMBERS: usize = 10;
 
 /// A set's tables, read, and which are what.

@@ -57,14 +57,14 @@ pub struct Ship {
 pub struct Set {
     /// Its name.
     pub name: String,
-    /// Tables to learn from; a tenth of their ensemble members decides when training stops (of their volumes, where there are
-    /// fewer than ten members).
+    /// Tables to learn from; a tenth of their ensemble members decides when training stops (of their volumes,
+    /// where there are fewer than ten members).
     pub training: Vec<PathBuf>,
     /// Tables of frames at other ray steps, for predictors that take the step into account.
     #[serde(default)]
     pub other_steps: Vec<PathBuf>,
-    /// Tables whose frames set the upper bounds and are used for nothing else, of predictors that are not cross-validated;
-    /// the validation frames where there are none.
+    /// Tables whose frames set the upper bounds and are used for nothing else, of predictors that are not
+    /// cross-validated; the validation frames where there are none.
     #[serde(default)]
     pub bounds: Vec<PathBuf>,
     /// Tables to test on, by split.
@@ -78,8 +78,8 @@ pub struct Set {
     /// Further splits that fine-tuning curves are drawn for.
     #[serde(default)]
     pub more_calibration_splits: Vec<String>,
-    /// Whether the split that calibration curves are about is of another renderer: a curve is drawn for models that are
-    /// transferred to it, too.
+    /// Whether the split that calibration curves are about is of another renderer: a curve is drawn for
+    /// models that are transferred to it, too.
     #[serde(default)]
     pub transfer: bool,
     /// Limits of the bars; there are no bars for limits that are left away.
@@ -114,7 +114,8 @@ pub struct Limits {
     pub modality: bool,
     /// Whether the bars on latency apply.
     pub latency: bool,
-    /// Largest share of the cold latency of the predictor `paper` that the selected one may take; any unless given.
+    /// Largest share of the cold latency of the predictor `paper` that the selected one may take; any unless
+    /// given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cold_over_paper: Option<f64>,
 }
@@ -137,8 +138,9 @@ pub struct Named {
     /// Which table it belongs to: `main`, `ablation`, `architecture`.
     #[serde(default = "main_panel")]
     pub panel: String,
-    /// Whether it is made again without one ensemble member after another, to be judged on that member: which predictor is
-    /// selected and what its upper bound is follow from these errors. For the table `main` alone.
+    /// Whether it is made again without one ensemble member after another, to be judged on that member: which
+    /// predictor is selected and what its upper bound is follow from these errors. For the table `main`
+    /// alone.
     #[serde(default = "yes")]
     pub cross_validated: bool,
 }

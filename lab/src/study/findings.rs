@@ -3,16 +3,17 @@
 use super::Set;
 use crate::latency::Latency;
 use entire_cli::bound;
-use entire_cli::dataset::{NoiseFloor, TimedFrames};
+use entire_cli::dataset::NoiseFloor;
 use entire_cli::evaluation::by_kind;
 use entire_cli::metrics::{BoundMetrics, Metrics, bootstrap_by_group, percentile};
 use entire_cli::split::GroupBy;
+use entire_cli::split::TimedFrames;
 use entire_core::predict::Calibration;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// How a predictor did on the frames that it was made of, and on those of the training tables when it was made without
-/// their ensemble member.
+/// How a predictor did on the frames that it was made of, and on those of the training tables when it was
+/// made without their ensemble member.
 #[derive(Clone, Debug, Serialize)]
 pub struct Fit {
     /// Set and predictor.
@@ -105,8 +106,8 @@ impl Findings {
         self.latencies.iter().find(|l| l.0 == set && l.1 == predictor).map(|l| l.2)
     }
 
-    /// What repeats leave as median absolute relative error of a predictor that knows the truth: 0.6745 standard
-    /// deviations of a frame's median.
+    /// What repeats leave as median absolute relative error of a predictor that knows the truth: 0.6745
+    /// standard deviations of a frame's median.
     pub fn noise_mdape(&self, set: &str, split: &str) -> f64 {
         self.noise.iter().find(|n| n.0 == set && n.1 == split).map_or(0.0, |n| 0.6745 * n.2.log_sd_of_median)
     }

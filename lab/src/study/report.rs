@@ -66,7 +66,8 @@ pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>)
     table
 }
 
-/// Errors on frames that a predictor was made of, on members that it was made without, and on those of the main split.
+/// Errors on frames that a predictor was made of, on members that it was made without, and on those of the
+/// main split.
 pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),
@@ -269,9 +270,12 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
     let mut page = Page::new(
         study.title.as_str(),
         &format!(
-            "Every predictor is made from the training tables of a data set alone and judged on splits that it never saw. A frame's \
-             time is the median of its repeats by the clock {:?}. Latency: one thread, caches evicted before every call, scene \
-             features included; what is done once per volume is not, and what is done once per transfer function has a column of its own.",
+            "Every predictor is made from the training tables of a data set alone and judged on splits that \
+             it never saw. A frame's \
+             time is the median of its repeats by the clock {:?}. Latency: one thread, caches evicted before \
+             every call, scene \
+             features included; what is done once per volume is not, and what is done once per transfer \
+             function has a column of its own.",
             study.clock
         ),
     );
@@ -297,7 +301,10 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             page.table(
                 &fits_table(study, found, &set.name, &split.name),
                 &format!(
-                    "Cross-validated: every training frame predicted without its ensemble member; upper bounds follow from these errors, every member counting alike. The rule takes the quickest predictor whose cross-validated RMSE is within {:.0} % of the least{}; it sees no test frame.",
+                    "Cross-validated: every training frame predicted without its ensemble member; upper \
+                     bounds follow from these errors, every member counting alike. The rule takes the \
+                     quickest predictor whose cross-validated RMSE is within {:.0} % of the least{}; it sees \
+                     no test frame.",
                     100.0 * SELECTION_TOLERANCE,
                     set.limits.cold_over_paper.map_or(String::new(), |s| format!(
                         " among those that take at most {:.0} % of the latency of `paper`",
@@ -311,7 +318,8 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             page.heading(&format!("{s}: split by {p}"));
             if let Some((_, _, n, frames)) = found.noise.iter().find(|n| n.0 == s && n.1 == p) {
                 page.paragraph(&format!(
-                    "{frames} frames. Noise floor: repeats of one frame scatter with a log-SD of {:.3} (its median about {:.3}), so \
+                    "{frames} frames. Noise floor: repeats of one frame scatter with a log-SD of {:.3} (its \
+                     median about {:.3}), so \
                      that knowing the truth would leave an MdAPE of about {:.1} %.",
                     n.log_sd,
                     n.log_sd_of_median,
@@ -354,7 +362,8 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             (
                 &found.tuning,
                 "adapting to other data",
-                "Error on frames not learned from. Calibrated: the model of the training tables, its last layer fitted anew; from nothing: trained on those frames alone.",
+                "Error on frames not learned from. Calibrated: the model of the training tables, its last \
+                 layer fitted anew; from nothing: trained on those frames alone.",
             ),
         ] {
             let of_set: Vec<&Point> = points.iter().filter(|p| p.set == set.name).collect();

@@ -10,11 +10,12 @@ use crate::latency::{Bench, Latency};
 use crate::trees::Trees;
 use anyhow::{Result, ensure};
 use entire_cli::bound;
-use entire_cli::dataset::{TimedFrame, TimedFrames, noise_floor};
+use entire_cli::dataset::{TimedFrame, noise_floor};
 use entire_cli::enlarge::enlarge;
 use entire_cli::files::{make_folder, write_whole};
 use entire_cli::fit::{FitContext, Recipe, predict};
 use entire_cli::metrics::Metrics;
+use entire_cli::split::TimedFrames;
 use entire_cli::volume::Volume;
 use entire_core::model::{Model, ModelFile, keys};
 use entire_core::predict::Calibration;
@@ -178,8 +179,8 @@ impl Runner<'_> {
         Ok(StudyPredictor::Model(Box::new(KeptModel { model: file.to_model()?, file, path })))
     }
 
-    /// Predicts every frame of `judged` with a predictor that was made of those frames of `all` that are of other groups.
-    /// `None` where there are too few groups.
+    /// Predicts every frame of `judged` with a predictor that was made of those frames of `all` that are of
+    /// other groups. `None` where there are too few groups.
     pub(super) fn crossed(
         &self,
         key: &str,
@@ -248,8 +249,8 @@ impl Runner<'_> {
         Ok(out)
     }
 
-    /// Makes a predictor for a set, cross-validated where it is to be; its upper bound, and how it fits what it learned
-    /// from.
+    /// Makes a predictor for a set, cross-validated where it is to be; its upper bound, and how it fits what
+    /// it learned from.
     fn on_set(
         &self,
         on: &OnSet<'_>,

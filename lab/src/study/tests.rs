@@ -5,11 +5,12 @@ use super::cache::identity;
 use super::runner::{Bounds, Crossed};
 use super::*;
 use entire_cli::bound;
-use entire_cli::dataset::{Clock, Scene, Table, TimedFrame, TimedFrames, Timing, Writer, parse_lobes};
-use entire_cli::feature_table::FeatureTable;
+use entire_cli::dataset::feature_table::FeatureTable;
+use entire_cli::dataset::{Clock, Scene, Table, TimedFrame, Timing, Writer, parse_lobes};
 use entire_cli::fit::{FitContext, Recipe};
 use entire_cli::metrics::Metrics;
 use entire_cli::options::thread_pool;
+use entire_cli::split::TimedFrames;
 use entire_core::scene::{Arcball, Shading, Skipping};
 use serde_json::json;
 
@@ -45,7 +46,8 @@ fn table(volumes: &[(&str, &str)]) -> Table {
 
 #[test]
 fn what_is_cross_validated_was_not_learned_from() {
-    // Seconds are the member's own, nothing that another member tells: a predictor that had seen them would know.
+    // Seconds are the member's own, nothing that another member tells: a predictor that had seen them would
+    // know.
     let frames: Vec<(String, String)> =
         (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
     let named: Vec<(&str, &str)> = frames.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();

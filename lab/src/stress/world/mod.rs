@@ -1,5 +1,5 @@
-//! Scenes of real geometry: the CPU twin of the raycaster counts each frame's work, and a law that the predictor was
-//! fitted to on an ordinary volume turns counts into seconds.
+//! Scenes of real geometry: the CPU twin of the raycaster counts each frame's work, and a law that the
+//! predictor was fitted to on an ordinary volume turns counts into seconds.
 
 mod damaged;
 mod scenes;
@@ -37,15 +37,16 @@ fn law(pixels: f64, counts: &WorkCounts) -> f64 {
 pub enum Machine<'a> {
     /// The CPU twin counts work and `law` makes seconds of it: the same in every run.
     Scripted(Box<CpuRaycaster>),
-    /// A real renderer and its clock. Images are [`GROWN`] times as large, so that there is something to time.
+    /// A real renderer and its clock. Images are [`GROWN`] times as large, so that there is something to
+    /// time.
     Real(&'a mut dyn Renderer, Clock),
 }
 
 /// Factor of image sides on a real clock.
 pub const GROWN: u32 = 4;
 
-/// Scenes that make sense on a real renderer. The image sizes of scene 12 are more than a software driver can be asked
-/// for; scene 28 draws nothing.
+/// Scenes that make sense on a real renderer. The image sizes of scene 12 are more than a software driver can
+/// be asked for; scene 28 draws nothing.
 pub const REAL: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
 
 impl Machine<'_> {
@@ -133,8 +134,8 @@ fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Re
     Ok(shot.speed * law(frame.pixels() as f64, &counts))
 }
 
-/// Plays a scene of this file. On a real machine the rules leave room for its noise, which nobody can foresee: a twentieth
-/// more frames may be over, two more in a row, and quality may be a tenth lower.
+/// Plays a scene of this file. On a real machine the rules leave room for its noise, which nobody can
+/// foresee: a twentieth more frames may be over, two more in a row, and quality may be a tenth lower.
 ///
 /// # Errors
 /// When it cannot be set up, or is not one of them.
@@ -212,7 +213,7 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
         let plan = who.session.plan(&frame, target as f32)?;
         let clean = truth(machine, &shot, &frame, plan.step)?;
         let seconds = if machine.is_real() { clean } else { clean * (SIGMA * noise.normal()).exp() };
-        who.session.observe(plan.id, seconds as f32, ObserveFlags::default());
+        who.session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
         if method == ControllerKind::Hybrid
             && !(plan.seconds.is_finite()
                 && plan.seconds > 0.0
