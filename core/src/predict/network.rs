@@ -12,12 +12,13 @@ use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95), `log_factor`
-/// (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of their work). Optional.
+/// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95),
+/// `log_factor` (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of
+/// their work). Optional.
 pub const CALIBRATION_KEY: &str = "entire.calibration";
 
-/// Shortest time that a network's prediction is taken for, seconds. Networks trained on seconds go below zero for cheap
-/// frames.
+/// Shortest time that a network's prediction is taken for, seconds. Networks trained on seconds go below zero
+/// for cheap frames.
 const SHORTEST: f32 = 1.0e-6;
 
 /// Longest time, seconds; also what a network says whose output is not a number.
@@ -68,8 +69,8 @@ pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
 
 /// A model file's PredNet, its inputs assembled from named groups in the file's order.
 ///
-/// The out-of-range score looks at the inputs' distance from their training means, where the file holds them; volume
-/// features take no part in it, since an encoder maps any volume to familiar codes.
+/// The out-of-range score looks at the inputs' distance from their training means, where the file holds them;
+/// volume features take no part in it, since an encoder maps any volume to familiar codes.
 #[derive(Clone, Debug)]
 pub struct ModelPredictor {
     net: Arc<PredNet>,
@@ -88,8 +89,8 @@ impl ModelPredictor {
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for an input group that this version does not know,
-    /// [`crate::ErrorKind::Unsupported`] for such a scene feature, [`crate::ErrorKind::InvalidModel`] for a file
-    /// without PredNet or with a damaged calibration.
+    /// [`crate::ErrorKind::Unsupported`] for such a scene feature, [`crate::ErrorKind::InvalidModel`] for a
+    /// file without PredNet or with a damaged calibration.
     pub fn new(model: &Model) -> Result<Self> {
         let Some(parts) = model.prednet() else {
             bail!(
@@ -100,11 +101,12 @@ impl ModelPredictor {
         Self::with_net(Arc::new(PredNet::new(parts)?), model)
     }
 
-    /// As [`ModelPredictor::new`] with a network that was built from the same model before, so that several predictors
-    /// share its weights.
+    /// As [`ModelPredictor::new`] with a network that was built from the same model before, so that several
+    /// predictors share its weights.
     ///
     /// # Errors
-    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network of another input size.
+    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network of another input
+    /// size.
     pub fn with_net(net: Arc<PredNet>, model: &Model) -> Result<Self> {
         let layout = InputLayout::of_model(model)?;
         let width = layout.width();
