@@ -19,4 +19,4 @@ test-paraview: ## Build the ParaView plugin, load and check it (skipped where Pa
 
 .PHONY: study-renderers
 study-renderers: ## Accuracy and fine-tuning curves for VTK's mappers, ParaView and yt: out/renderers/report.html
-	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study data/timings/renderers-study.json --out out/renderers --bars
+	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study data/timings/renderers-study.json --out out/renderers --bars

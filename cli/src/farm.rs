@@ -25,8 +25,8 @@ pub struct Farm {
 /// How tasks come to nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Method {
-    /// Fixed beforehand: longest first, each to the node that would finish it first; then tasks are exchanged between nodes as
-    /// long as that helps.
+    /// Fixed beforehand: longest first, each to the node that would finish it first; then tasks are exchanged
+    /// between nodes as long as that helps.
     #[default]
     Static,
     /// Fixed beforehand: longest first alone.
@@ -219,8 +219,9 @@ pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
     })
 }
 
-/// When everything will be done: expected, and the interval that nine in ten ends fall into. Errors are drawn from the
-/// tasks' own ln(measured / predicted) where they hold both, else from a normal distribution with this standard deviation.
+/// When everything will be done: expected, and the interval that nine in ten ends fall into. Errors are drawn
+/// from the tasks' own ln(measured / predicted) where they hold both, else from a normal distribution with
+/// this standard deviation.
 ///
 /// # Errors
 /// As [`play`].

@@ -87,9 +87,9 @@ pub fn make_folder(folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))
 }
 
-/// Writes a file, whole or not at all: under a name beside it that nobody can foresee, flushed to the disk, then put in its
-/// place. A link that stood there is replaced, not followed. What is there and is no regular file (a device, a pipe) is
-/// written to as it stands.
+/// Writes a file, whole or not at all: under a name beside it that nobody can foresee, flushed to the disk,
+/// then put in its place. A link that stood there is replaced, not followed. What is there and is no regular
+/// file (a device, a pipe) is written to as it stands.
 ///
 /// # Errors
 /// Names the file that cannot be written.
@@ -155,8 +155,8 @@ pub fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// Reads a volume and sets the range that maps to [0, 1], where one is given. Voxels that are not finite are noted on
-/// standard error.
+/// Reads a volume and sets the range that maps to [0, 1], where one is given. Voxels that are not finite are
+/// noted on standard error.
 ///
 /// # Errors
 /// As [`Volume::open`], and for a range whose low end is above its high one.
@@ -166,7 +166,8 @@ pub fn open_volume(path: &Path, range: Option<(f32, f32)>) -> Result<Volume> {
     let broken = volume.data().non_finite();
     if broken > 0 {
         note(&format!(
-            "{}: {broken} of {} voxels are NaN or infinite; they count as the ends of the range (NaN as the low end)",
+            "{}: {broken} of {} voxels are NaN or infinite; they count as the ends of the range (NaN as the \
+             low end)",
             path.display(),
             volume.data().len()
         ));

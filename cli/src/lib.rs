@@ -1,14 +1,14 @@
-//! Files, progress bars and plots around `entire-core`: everything behind the `entire` command, as a library so that
-//! tests and fuzz targets reach it.
+//! Files, progress bars and plots around `entire-core`: everything behind the `entire` command, as a library
+//! so that tests and fuzz targets reach it.
 
 pub mod bound;
+pub mod collection;
 pub mod commands;
 pub mod dataset;
 pub mod device;
 pub mod enlarge;
 pub mod evaluation;
 pub mod farm;
-pub mod feature_table;
 pub mod files;
 pub mod fit;
 pub mod inputs;

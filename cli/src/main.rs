@@ -1,12 +1,12 @@
-//! The `entire` command. Exit status: 0, 1 for bad input (one line on standard error that says why and what to do),
-//! 2 for wrong usage.
+//! The `entire` command. Exit status: 0, 1 for bad input (one line on standard error that says why and what
+//! to do), 2 for wrong usage.
 
 use clap::{Parser, Subcommand};
 use entire_cli::{commands, program};
 use std::process::ExitCode;
 
-/// Tells how long a volume-rendered frame will take before it is drawn, and picks the ray step that keeps it inside its
-/// budget.
+/// Tells how long a volume-rendered frame will take before it is drawn, and picks the ray step that keeps it
+/// inside its budget.
 #[derive(Debug, Parser)]
 #[command(name = "entire", version, propagate_version = true)]
 struct Cli {

@@ -1,6 +1,7 @@
 //! Two doors, same bits: the C program `tests/c/parity.c` and this test ask the same model the same things.
 //!
-//! Run by `make test-ffi`, which builds the program against the installed library and names it in `ENTIRE_C_PARITY`.
+//! Run by `make test-ffi`, which builds the program against the installed library and names it in
+//! `ENTIRE_C_PARITY`.
 
 use entire_core::control::{HybridOptions, Session};
 use entire_core::features::{SummaryOptions, VolumeSummary};

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Measures the inference bars afresh: one line `bar NAME VALUE LIMIT ok|short` each; exit status 1 when any is short.
 
-usage: bars.py --server PEER_SERVER --peers FOLDER --models FOLDER [--rust FOLDER] [--rounds N] [--seconds S] [--nice N]
+usage: bars_inference.py --server PEER_SERVER --peers FOLDER --models FOLDER [--rust FOLDER] [--rounds N] [--seconds S] [--nice N]
 
 Every contestant is a server process (line `NAME BATCH SECONDS` in, `@@{json}` out). Each round visits every bar and, in
 random order, its contestants; a window is SECONDS of repeated calls. A ratio is the smallest time of ours over the

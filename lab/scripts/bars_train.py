@@ -1,7 +1,7 @@
 """Training speed of entire's PredNet trainer against PyTorch: the same frames, first weights, settings and threads, the two
 taking turns; prints one `bar` line each for time and final loss and exits 1 when one is short.
 
-    python scripts/bars_train.py --frames 100000 --preset 12C256
+    python lab/scripts/bars_train.py --frames 100000 --preset 12C256
 """
 
 import argparse
@@ -13,7 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def arguments():

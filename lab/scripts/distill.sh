@@ -1,18 +1,18 @@
 #!/usr/bin/env bash
-# The paper's network, taught: `entire collect --teacher` predicts many random frames of the training volumes with the
-# selected predictor, and PredNet learns from those. Makes out/teach/SET-taught.safetensors for every SET named
+# The paper's network, distilled: `entire collect --teacher` predicts many random frames of the training volumes with the
+# selected predictor, and PredNet learns from those. Makes out/distill/SET-distilled.safetensors for every SET named
 # (unshaded, local, scatter; all unless given) and puts it into models/, where the accuracy study finds it.
 #   DATA     the folder that holds ensembles/ (the volumes that data/timings/*-train.csv.gz name)
 #   FRAMES   frames per volume; 10000 take 130 MB and some minutes per set
 #   EPOCHS   passes over them
 #   MODELS   where the models go, models/ unless given
 set -euo pipefail
-cd "$(dirname "$0")/.."
+cd "$(dirname "$0")/../.."
 root=$PWD
-data=${DATA:?name the folder that holds ensembles/, for example make teach DATA=../shared/data}
+data=${DATA:?name the folder that holds ensembles/, for example make distill DATA=../shared/data}
 frames=${FRAMES:-10000} epochs=${EPOCHS:-30}
 entire=${ENTIRE:-$root/target/release/entire}
-out=$root/out/teach models=${MODELS:-$root/models}
+out=$root/out/distill models=${MODELS:-$root/models}
 mkdir -p "$out"
 cd "$data"
 for set in ${*:-unshaded local scatter}; do
@@ -30,10 +30,10 @@ for set in ${*:-unshaded local scatter}; do
     "$entire" collect "${volumes[@]}" --out "$out/$set.csv" "${resume[@]}" --frames "$frames" --repeats 1 --warm-up 0 \
         --seed 77 --enlarge 2 --max-size "$size" --shade "$shade" --teacher "$root/models/$set-selected.safetensors"
     echo "==> $set: training"
-    "$entire" train --data "$out/$set.csv" --out "$out/$set-taught.safetensors" --preset 12C256 --dtype f16 \
+    "$entire" train --data "$out/$set.csv" --out "$out/$set-distilled.safetensors" --preset 12C256 --dtype f16 \
         --inputs volume_features,camera,resolution,transfer_function --sorted-lobes --target seconds --clock cpu \
         --volumenet "$root/models/volumenet-128f2.safetensors" --batch 256 --learning-rate 7e-4 --epochs "$epochs" \
         --split volume --validation-groups ensembles/nyx_cosmology/m02/t0018.nrrd \
         --test-groups ensembles/castro_blast/m01/t0014.nrrd
-    cp "$out/$set-taught.safetensors" "$models/"
+    cp "$out/$set-distilled.safetensors" "$models/"
 done

@@ -3,7 +3,7 @@
 # curves of paths over volumes that the calibration did not see. What is there stays; remove the folder to record anew.
 set -euo pipefail
 out=$1 clock=$2 frames=$3 data=$4
-entire=${ENTIRE:-target/release/entire}
+lab=${ENTIRE_LAB:-target/release/entire-lab}
 mkdir -p "$out/traces"
 
 # Paths over volumes beside those of the repository: which bars are taken from them depends on what is there.
@@ -21,7 +21,7 @@ common=(--clock "$clock" --size 256x256)
 
 if [ ! -e "$out/calibration.csv" ]; then
     rm -f "$out/calibration.part.csv"
-    "$entire" record data/castro_blast/m01/t0008.nrrd data/nyx_cosmology/m01/t0005.nrrd \
+    "$lab" record data/castro_blast/m01/t0008.nrrd data/nyx_cosmology/m01/t0005.nrrd \
         data/maestroex_bubbles/m01/t0010.nrrd data/nyx_cosmology/m02/t0010.nrrd \
         --enlarge 2 --calibration 16 --repeats 2 "${common[@]}" --out "$out/calibration.part.csv"
     mv "$out/calibration.part.csv" "$out/calibration.csv"
@@ -32,7 +32,7 @@ trace() { # trace NAME VOLUME... -- OPTION...
     shift
     local to="$out/traces/$name.json"
     [ -e "$to" ] && return
-    "$entire" record "$@" "${common[@]}" --name "$name" --out "$out/part.json"
+    "$lab" record "$@" "${common[@]}" --name "$name" --out "$out/part.json"
     mv "$out/part.json" "$to"
 }
 
@@ -57,7 +57,7 @@ fi
 # Six volumes, 64 poses each, one transfer function: what a farm renders for an image database. Schedules are judged by
 # medians of five; both recordings are of one renderer: remove both together.
 if [ ! -e "$out/farm.json" ]; then
-    "$entire" record data/nyx_cosmology/m04/t0010.nrrd data/castro_blast/m04/t0012.nrrd \
+    "$lab" record data/nyx_cosmology/m04/t0010.nrrd data/castro_blast/m04/t0012.nrrd \
         data/castro_blast/m05/t0012.nrrd data/maestroex_bubbles/m03/t0010.nrrd data/maestroex_bubbles/m03/t0015.nrrd \
         data/nyx_cosmology/m01/t0010.nrrd --enlarge 2 --hold 64 --path examples/paths/farm.json --steps 1,2 \
         --repeats 5 "${common[@]}" --name farm --out "$out/part.json"
@@ -66,7 +66,7 @@ fi
 
 # What the farm rendered before: other volumes of the same simulations, other poses, the same transfer function.
 if [ ! -e "$out/farm-training.json" ]; then
-    "$entire" record data/nyx_cosmology/m01/t0005.nrrd data/nyx_cosmology/m02/t0010.nrrd \
+    "$lab" record data/nyx_cosmology/m01/t0005.nrrd data/nyx_cosmology/m02/t0010.nrrd \
         data/castro_blast/m01/t0008.nrrd data/castro_blast/m02/t0012.nrrd data/maestroex_bubbles/m01/t0010.nrrd \
         data/maestroex_bubbles/m01/t0015.nrrd --enlarge 2 --hold 48 --path examples/paths/farm-training.json \
         --steps 1,2 --repeats 5 "${common[@]}" --name farm-training --out "$out/part.json"

@@ -5,7 +5,7 @@
 #   DATA     the folder that holds ensembles/ and scans/
 #   OUT      where the tables go, out/tables unless given
 set -euo pipefail
-cd "$(dirname "$0")/.."
+cd "$(dirname "$0")/../.."
 root=$PWD
 data=${DATA:?name the folder that holds ensembles/ and scans/, for example make tables DATA=../shared/data TABLES=scatter-members}
 entire=${ENTIRE:-$root/target/release/entire}

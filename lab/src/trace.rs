@@ -1,15 +1,16 @@
-//! Traces: what every frame of a path costs, and how its picture looks, at a grid of ray steps and image scales.
+//! Traces: what every frame of a path costs, and how its picture looks, at a grid of ray steps and image
+//! scales.
 //!
-//! A trace is recorded once with a real renderer and replayed any number of times in milliseconds: a controller's step
-//! is answered by the frame's own curve, times the noise that was measured at that very frame. The curve without the
-//! noise is what an oracle knows.
+//! A trace is recorded once with a real renderer and replayed any number of times in milliseconds: a
+//! controller's step is answered by the frame's own curve, times the noise that was measured at that very
+//! frame. The curve without the noise is what an oracle knows.
 //!
 //! # File format
 //!
 //! JSON, one object ([`Trace`]): `format` `"entire-trace-1"`, the volumes (file and enlargement), the path
-//! ([`entire_cli::path`]), `hold` (frames per volume of a series; 0 where there is one volume), `scales` (image scale from a
-//! frame on), how frames were drawn, the grid, and per frame the seconds of every repeat at every step and scale beside
-//! the likeness to the picture at the reference step.
+//! ([`entire_cli::path`]), `hold` (frames per volume of a series; 0 where there is one volume), `scales`
+//! (image scale from a frame on), how frames were drawn, the grid, and per frame the seconds of every repeat
+//! at every step and scale beside the likeness to the picture at the reference step.
 
 use anyhow::{Context, Result, ensure};
 use entire_cli::dataset::{Clock, Timing};
@@ -143,8 +144,8 @@ fn luma(picture: &Image) -> Option<image::GrayImage> {
     image::GrayImage::from_raw(picture.width, picture.height, gray)
 }
 
-/// Structural similarity of two pictures of one size, 0 to 1 (mean SSIM over windows of 8 × 8 pixels of their luma).
-/// `None` when they differ in size.
+/// Structural similarity of two pictures of one size, 0 to 1 (mean SSIM over windows of 8 × 8 pixels of their
+/// luma). `None` when they differ in size.
 pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
     if (a.width, a.height) != (b.width, b.height) {
         return None;
@@ -382,8 +383,8 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// Of a frame's points at scale 1. Seconds at a step are the median of its repeats, made to fall with the step by
-    /// pooling neighbours that do not.
+    /// Of a frame's points at scale 1. Seconds at a step are the median of its repeats, made to fall with the
+    /// step by pooling neighbors that do not.
     pub fn of(points: &[TracePoint]) -> Self {
         let full: Vec<&TracePoint> = points.iter().filter(|p| p.scale == 1.0).collect();
         let logs: Vec<f64> =
@@ -443,8 +444,8 @@ impl Curve {
         self.residuals[(which % self.residuals.len() as u64) as usize]
     }
 
-    /// What an oracle does: the finest step within the limits whose seconds do not exceed the target; the coarsest where
-    /// none does.
+    /// What an oracle does: the finest step within the limits whose seconds do not exceed the target; the
+    /// coarsest where none does.
     pub fn oracle(&self, target: f64, finest: f64, coarsest: f64) -> f64 {
         if self.seconds(finest) <= target {
             return finest;

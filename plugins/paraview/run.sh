@@ -19,6 +19,7 @@ cmake_dir=/usr/lib/$arch/cmake/paraview-5.11
 
 lacks() {
     echo "paraview: skipped: $1"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "test-paraview: $1" >>"$ENTIRE_SKIPPED"
     exit 0
 }
 packages="paraview paraview-dev qtbase5-dev libqt5svg5-dev qttools5-dev libqt5opengl5-dev libutfcpp-dev libxml2-dev \

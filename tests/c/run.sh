@@ -154,7 +154,7 @@ if [[ ! $quick ]]; then
 
     say "valgrind"
     if have valgrind; then
-        for test in library model volume transfer_function predictor; do
+        for test in library model volume transfer_function session limits; do
             valgrind --quiet --error-exitcode=99 --leak-check=full --show-leak-kinds=definite,possible \
                 "$work/gcc-c++17/test_$test" "$toy" || fail "valgrind: test_$test"
         done

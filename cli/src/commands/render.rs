@@ -15,8 +15,9 @@ use std::path::{Path, PathBuf};
 
 /// Render one frame and time it.
 ///
-/// Writes the picture over black as PNG (8-bit RGB) and prints how long it took: a line, or with --json a JSON object with the
-/// seconds of every repeat, the samples taken (null where the renderer does not count), device and step.
+/// Writes the picture over black as PNG (8-bit RGB) and prints how long it took: a line, or with --json a
+/// JSON object with the seconds of every repeat, the samples taken (null where the renderer does not count),
+/// device and step.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire render data/mr_banana.nrrd --camera 20,35,2.5 --tf 0.4,0.01,0.6 --size 512x512 --out banana.png
@@ -52,14 +53,20 @@ pub struct Options {
     /// Vertical field of view in degrees.
     #[arg(long, default_value_t = DEFAULT_FOV_Y_DEGREES, value_name = "DEGREES", allow_hyphen_values = true)]
     pub fov: f32,
-    /// Scalar range that maps to [0, 1]; else 0…255 for unsigned bytes, the finite minimum…maximum for other types.
+    /// Scalar range that maps to [0, 1]; else 0…255 for unsigned bytes, the finite minimum…maximum for other
+    /// types.
     #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
     pub range: Option<(f32, f32)>,
     /// What renders.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
     /// How often the frame is rendered.
-    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(
+        long,
+        default_value_t = 1,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(1..=100_000)
+    )]
     pub repeat: u32,
     /// The picture to write.
     #[arg(long, value_name = "IMG.png")]
@@ -140,7 +147,12 @@ pub fn run(options: &Options) -> Result<()> {
             "dims": view.dims(),
             "scalar_type": view.scalar_type().name(),
             "range": [short(range.0), short(range.1)],
-            "camera": { "rx_deg": short(options.camera.rx), "ry_deg": short(options.camera.ry), "dz_radii": short(options.camera.dz), "fov_y_deg": short(options.fov) },
+            "camera": {
+                "rx_deg": short(options.camera.rx),
+                "ry_deg": short(options.camera.ry),
+                "dz_radii": short(options.camera.dz),
+                "fov_y_deg": short(options.fov),
+            },
             "tf": options.tf.0.iter().map(|l| [l.center, l.width, l.height].map(short)).collect::<Vec<_>>(),
             "width": image.width,
             "height": image.height,

@@ -21,16 +21,19 @@ use std::path::{Path, PathBuf};
 
 /// Play a path against a target frame time under several controllers.
 ///
-/// First some random frames of the volume are rendered to fit the predictor to this machine and to measure G, the
-/// saving of a coarser step. Then the path is played: every frame is drawn under every controller before the next one
-/// begins, in rotating order, beside a reference picture outside of the race. DIR gets frames.csv (every frame under
-/// every controller), summary.json and report.html.
+/// First some random frames of the volume are rendered to fit the predictor to this machine and to measure G,
+/// the saving of a coarser step. Then the path is played: every frame is drawn under every controller before
+/// the next one begins, in rotating order, beside a reference picture outside of the race. DIR gets
+/// frames.csv (every frame under every controller), summary.json and report.html.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire steer data/nyx_cosmology/m01/t0010.nrrd --generate switches --target 30fps --out out/steer
-  entire steer skull.nrrd --path examples/paths/switches.json --target 33ms --controllers olp,hybrid --out out/skull
-  entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit --target 30fps --retarget 30:60fps,60:15fps --out out/series
-  entire steer skull.nrrd --generate fly-in --target 60fps --choose-scales 0.7,0.5 --log observed.csv --out out/skull")]
+  entire steer skull.nrrd --path examples/paths/switches.json --target 33ms --controllers olp,hybrid --out \
+  out/skull
+  entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit --target 30fps --retarget \
+  30:60fps,60:15fps --out out/series
+  entire steer skull.nrrd --generate fly-in --target 60fps --choose-scales 0.7,0.5 --log observed.csv --out \
+  out/skull")]
 pub struct Options {
     /// The volume file; several are the volumes of a series (see --hold), the first of which calibrates.
     #[arg(value_name = "VOLUME", required = true)]
@@ -59,8 +62,9 @@ pub struct Options {
     /// Image scale from a frame on, as FRAME:SCALE, comma-separated: what a resized window does.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub scales: Vec<(u32, f32)>,
-    /// Shares of the image side, beside 1, that the hybrid may choose together with the step, whichever promises the better
-    /// picture; smaller images are brought back to full size before pictures are compared.
+    /// Shares of the image side, beside 1, that the hybrid may choose together with the step, whichever
+    /// promises the better picture; smaller images are brought back to full size before pictures are
+    /// compared.
     #[arg(long, value_delimiter = ',', value_name = "SCALE,…")]
     pub choose_scales: Vec<f32>,
     /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
@@ -278,7 +282,8 @@ fn write_log(
     for (i, at) in path.frames.iter().enumerate() {
         let Some(lobes) = at.transfer.lobes() else {
             bail!(
-                "--log needs transfer functions made of lobes; frame {i} has control points, which timing tables do not hold"
+                "--log needs transfer functions made of lobes; frame {i} has control points, which timing \
+                 tables do not hold"
             )
         };
         let volume = playback.volumes[i];

@@ -1,6 +1,6 @@
 //! What a table was measured with and how.
 
-use crate::feature_table::stem;
+use super::feature_table::stem;
 use crate::files::write_whole;
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};

@@ -9,8 +9,8 @@ use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// Appends frames to a timing table. Each frame goes out in one piece and is flushed to disk, so that a crash loses at
-/// most the frame in flight.
+/// Appends frames to a timing table. Each frame goes out in one piece and is flushed to disk, so that a crash
+/// loses at most the frame in flight.
 #[derive(Debug)]
 pub struct Writer {
     file: File,
@@ -37,8 +37,8 @@ impl Writer {
         Ok(Self { file, path: path.to_owned(), done: HashSet::new() })
     }
 
-    /// Goes on with a table (or starts it where there is none). A last line that was cut off, and a last frame with
-    /// fewer than `repeats` repeats, are removed.
+    /// Goes on with a table (or starts it where there is none). A last line that was cut off, and a last
+    /// frame with fewer than `repeats` repeats, are removed.
     ///
     /// # Errors
     /// When the file is no timing table, has its columns in another order, or cannot be written.

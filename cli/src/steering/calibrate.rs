@@ -63,9 +63,9 @@ impl Sample {
     }
 }
 
-/// Renders `scenes` random scenes at every step of [`CALIBRATION_STEPS`], each `repeats` times (the median counts).
-/// Scenes come from `distribution` (its sizes and steps are not used) under `seed` and `name`; the transfer functions
-/// are random, so that none of a path's is among them but by chance.
+/// Renders `scenes` random scenes at every step of [`CALIBRATION_STEPS`], each `repeats` times (the median
+/// counts). Scenes come from `distribution` (its sizes and steps are not used) under `seed` and `name`; the
+/// transfer functions are random, so that none of a path's is among them but by chance.
 ///
 /// Answers `None` when `stop` said so.
 ///

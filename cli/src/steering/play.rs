@@ -201,9 +201,9 @@ fn settings(frame: &Frame, choices: &[f32], limits: StepLimits) -> Vec<(Setting,
     out
 }
 
-/// Plays a path under all contenders. Per frame: the reference picture is drawn first, outside of the race; then the
-/// frame is drawn under every contender, each with its own step, so that the machine's noise hits all alike; who comes
-/// first moves on from frame to frame. Changes of the transfer function are not timed.
+/// Plays a path under all contenders. Per frame: the reference picture is drawn first, outside of the race;
+/// then the frame is drawn under every contender, each with its own step, so that the machine's noise hits
+/// all alike; who comes first moves on from frame to frame. Changes of the transfer function are not timed.
 ///
 /// Answers `None` when `stop` said so.
 ///
@@ -475,7 +475,8 @@ mod tests {
         }
         let smaller = sized.records[hybrid].iter().filter(|r| r.scale < 1.0).count();
         assert!((1..80).contains(&smaller), "{smaller} smaller pictures");
-        // By the quality model the choice among both is never worse than the step alone, and the target is met as well.
+        // By the quality model the choice among both is never worse than the step alone, and the target is
+        // met as well.
         let model = QualityModel::default();
         let error = |p: &Playback| -> f64 {
             p.records[hybrid][3..].iter().map(|r| f64::from(model.error(r.step, r.scale))).sum()

@@ -52,11 +52,13 @@ pub struct Race<'a> {
     pub target: Option<f64>,
     /// A model that steers instead of what is fitted here; what is fitted is still reported.
     pub model: Option<&'a Model>,
-    /// A model of other machines' times, by what it is called, that is calibrated to this one and takes part in the choice.
+    /// A model of other machines' times, by what it is called, that is calibrated to this one and takes part
+    /// in the choice.
     pub shipped: Option<(&'a str, &'a ModelFile)>,
 }
 
-/// The model in `models/` that was selected for a shading mode; `None` where the working folder is not the project's.
+/// The model in `models/` that was selected for a shading mode; `None` where the working folder is not the
+/// project's.
 ///
 /// # Errors
 /// When it is there and no model.
@@ -116,18 +118,19 @@ fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
     times
 }
 
-/// A target under which the step matters: this share of the median of the calibration scenes' times at the reference
-/// step. Most scenes must then be drawn coarser, few of them at the coarsest step.
+/// A target under which the step matters: this share of the median of the calibration scenes' times at the
+/// reference step. Most scenes must then be drawn coarser, few of them at the coarsest step.
 pub const TARGET_SHARE: f64 = 0.5;
 
-/// [`TARGET_SHARE`] of the median time at the reference step, rounded to a tenth of a millisecond where it is longer.
+/// [`TARGET_SHARE`] of the median time at the reference step, rounded to a tenth of a millisecond where it is
+/// longer.
 pub fn sane_target(samples: &[Sample]) -> Option<f64> {
     let target = TARGET_SHARE * median(&mut times_at(samples, 1.0))?;
     Some(if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target })
 }
 
-/// What calibration scenes are drawn from: as collections are, with one to three lobes, so that volumes that are nearly
-/// empty under the transfer function are among them.
+/// What calibration scenes are drawn from: as collections are, with one to three lobes, so that volumes that
+/// are nearly empty under the transfer function are among them.
 pub fn calibration_scenes() -> SceneDistribution {
     SceneDistribution { lobes: (1, 3), ..SceneDistribution::default() }
 }

@@ -46,7 +46,7 @@ fn title(name: &str) -> String {
     ControllerKind::from_name(name).map_or(name.to_owned(), |k| k.title().to_owned())
 }
 
-/// One colour per controller throughout, whichever of them play.
+/// One color per controller throughout, whichever of them play.
 pub fn color(name: &str) -> usize {
     match name {
         "fixed" => 5,
@@ -119,7 +119,12 @@ pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
 /// What the table's columns mean.
 pub fn table_caption() -> String {
     format!(
-        "T is the target. The first two columns are shares of frames over 1.1 and 1.25 T, the third is the mean of |t - T| / T over all frames; \"at switches\" over the {SWITCH_FRAMES} frames from each abrupt switch on, \"calm\" over all others but the first {SWITCH_FRAMES}. Best of each column in bold. Recovery: frames from a switch on until two in a row are on target (within a quarter, or at the end of the allowed steps), mean over the switches; 0 means the switch's own frame was. PSNR against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB."
+        "T is the target. The first two columns are shares of frames over 1.1 and 1.25 T, the third is the \
+         mean of |t - T| / T over all frames; \"at switches\" over the {SWITCH_FRAMES} frames from each \
+         abrupt switch on, \"calm\" over all others but the first {SWITCH_FRAMES}. Best of each column in \
+         bold. Recovery: frames from a switch on until two in a row are on target (within a quarter, or at \
+         the end of the allowed steps), mean over the switches; 0 means the switch's own frame was. PSNR \
+         against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB."
     )
 }
 
@@ -199,8 +204,8 @@ fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[M
     })
 }
 
-/// Frame times as multiples of the target around the switches: per controller, the mean of |t − target| / target at
-/// each distance from a switch.
+/// Frame times as multiples of the target around the switches: per controller, the mean of |t − target| /
+/// target at each distance from a switch.
 fn around_switches(playback: &Playback, controller: usize, before: usize, after: usize) -> Vec<(f64, f64)> {
     let played = playback.played(controller);
     (0..=before + after)
@@ -273,7 +278,9 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     });
     page.chart(
         &chart,
-        "Measured time of every frame under every controller. The shaded area reaches from the target to what the frame costs at the reference step: what there is to save. All controllers draw the same frame before the next one begins, in rotating order.",
+        "Measured time of every frame under every controller. The shaded area reaches from the target to \
+         what the frame costs at the reference step: what there is to save. All controllers draw the same \
+         frame before the next one begins, in rotating order.",
     );
 
     if !playback.switches.is_empty() {
@@ -287,7 +294,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         let chart = per_controller(chart, playback, |c| Mark::Line(around_switches(playback, c, 3, 10)));
         page.chart(
             &chart,
-            "Mean over the switches. What reacts sees a switch one frame late; what predicts plans its first frame already.",
+            "Mean over the switches. What reacts sees a switch one frame late; what predicts plans its first \
+             frame already.",
         );
     }
 
@@ -310,7 +318,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         });
         page.chart(
             &chart,
-            "The image size that each controller chose; only the hybrid may choose it here, by predicted image error.",
+            "The image size that each controller chose; only the hybrid may choose it here, by predicted \
+             image error.",
         );
     }
 
@@ -343,7 +352,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     if !story.candidates.is_empty() {
         page.table(
             &predictors,
-            "Fitted to random frames of this volume on this machine, judged by others that were held out. None shows a transfer function of the path.",
+            "Fitted to random frames of this volume on this machine, judged by others that were held out. \
+             None shows a transfer function of the path.",
         );
     }
     let predicting: Vec<usize> = (0..playback.names.len())
@@ -363,7 +373,9 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         }
         page.chart(
             &chart,
-            "What was predicted for each frame before it was drawn, over what it took. Algorithm 1 takes the prediction as it is; the hybrid corrects it by what it observed, and aims below the target where its upper bound would not fit.",
+            "What was predicted for each frame before it was drawn, over what it took. Algorithm 1 takes the \
+             prediction as it is; the hybrid corrects it by what it observed, and aims below the target \
+             where its upper bound would not fit.",
         );
     }
     let ResponseCurve { samples, points: curve } = &story.response;
@@ -387,7 +399,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         );
         page.chart(
             &chart,
-            "Algorithm 1 and OLP use this one curve for all scenes. How far the scenes scatter about it is what that costs them; the hybrid predicts each scene's own curve.",
+            "Algorithm 1 and OLP use this one curve for all scenes. How far the scenes scatter about it is \
+             what that costs them; the hybrid predicts each scene's own curve.",
         );
     }
 
@@ -444,7 +457,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     Ok(page)
 }
 
-/// Writes `frames.csv`, `summary.json` and `report.html` into a folder, which is made where it does not exist.
+/// Writes `frames.csv`, `summary.json` and `report.html` into a folder, which is made where it does not
+/// exist.
 ///
 /// # Errors
 /// When a file cannot be written; names it.

@@ -1,5 +1,8 @@
-//! NRRD ("nearly raw raster data"): a text header of `field: value` lines, a blank line, the voxels; or the voxels in
-//! the file that `data file` names. Encodings raw, gzip and ascii are read, gzip is written.
+//! NRRD ("nearly raw raster data"): a text header of `field: value` lines, a blank line, the voxels; or the
+//! voxels in the file that `data file` names. Encodings raw, gzip and ascii are read, gzip is written.
+//!
+//! The project's own reader: the crate that reads NRRD, `bioformats`, reserves as much memory as a header
+//! asks for, and has no 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::stream::{Companions, Remaining, Stream};
@@ -70,7 +73,8 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
     let (sizes, spacing) = three_axes(&sizes, &spacings, &spatial)?;
     if spacing.iter().any(|s| s.is_nan()) {
         bail!(
-            "NRRD spacing is {spacing:?}; all three must be positive numbers (write 1 where the spacing is unknown)"
+            "NRRD spacing is {spacing:?}; all three must be positive numbers (write 1 where the spacing is \
+             unknown)"
         );
     }
     let dims = checked_dims(sizes)?;
@@ -78,7 +82,8 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
         Some(endian) => endian,
         None if element.bytes() == 1 || encoding == Encoding::Text => Endian::Little,
         None => bail!(
-            "NRRD header has no \"endian\" field, which {} bytes per voxel need; add \"endian: little\" or \"endian: big\"",
+            "NRRD header has no \"endian\" field, which {} bytes per voxel need; add \"endian: little\" or \
+             \"endian: big\"",
             element.bytes()
         ),
     };
@@ -140,7 +145,8 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         if line.starts_with('#') {
             continue;
         }
-        // "field: value" describes the data, "key:=value" is the writer's own; whichever separator comes first decides.
+        // "field: value" describes the data, "key:=value" is the writer's own; whichever separator comes
+        // first decides.
         let (field, value) = match (line.find(": "), line.find(":=")) {
             (Some(at), pair) if pair.is_none_or(|p| at < p) => (&line[..at], line[at + 2..].trim()),
             (_, Some(_)) => continue,
@@ -287,8 +293,8 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(&bytes[..bytes.len().min(40)]).into_owned()
 }
 
-/// Writes a volume as one `.nrrd` file, gzip encoding, little endian, with its spacing. The file appears under its
-/// name when it is complete.
+/// Writes a volume as one `.nrrd` file, gzip encoding, little endian, with its spacing. The file appears
+/// under its name when it is complete.
 ///
 /// # Errors
 /// Names the path when it cannot be written.
@@ -317,7 +323,8 @@ fn write_to(path: &Path, volume: &Volume) -> Result<()> {
     };
     write!(
         out,
-        "NRRD0004\ntype: {kind}\ndimension: 3\nsizes: {x} {y} {z}\nspacings: {sx} {sy} {sz}\nendian: little\nencoding: gzip\n\n"
+        "NRRD0004\ntype: {kind}\ndimension: 3\nsizes: {x} {y} {z}\nspacings: {sx} {sy} {sz}\nendian: \
+         little\nencoding: gzip\n\n"
     )?;
     let mut packed = GzEncoder::new(out, Compression::default());
     let mut chunk = Vec::with_capacity(1 << 16);
@@ -381,7 +388,9 @@ mod tests {
     #[test]
     fn comments_pairs_line_ends_and_spelling_are_taken_as_the_format_allows() {
         let data: Vec<u8> = (0..24).collect();
-        let fields = "# made by hand\r\nType: unsigned   char\r\ndimension: 3\r\nsizes: 2 3 4\r\nkey: of=x\r\nmy:=own: pair\r\nspace directions: (0,3,4) (1,0,0) (0,0,-2)\r\nencoding: RAW\r\ncontent:\r\n\r";
+        let fields = "# made by hand\r\nType: unsigned   char\r\ndimension: 3\r\nsizes: 2 3 4\r\nkey: \
+         of=x\r\nmy:=own: pair\r\nspace directions: (0,3,4) (1,0,0) (0,0,-2)\r\nencoding: \
+         RAW\r\ncontent:\r\n\r";
         let volume = open(&with(fields, &data)).unwrap();
         assert_eq!((volume.dims(), volume.spacing()), ([2, 3, 4], [5.0, 1.0, 2.0]));
         assert_eq!(volume.data(), &VolumeData::U8(data));

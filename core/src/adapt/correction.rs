@@ -2,6 +2,7 @@
 
 use super::state::{Reader, Writer};
 use crate::Result;
+use crate::error::bail;
 use crate::predict::{CostTerms, TERMS};
 
 /// How well the prediction is known before the first observation.
@@ -161,6 +162,7 @@ impl Correction {
             self.before = 0.0;
         }
         self.age = self.age.saturating_add(1);
+        self.recover();
     }
 
     /// The corrected time of a prediction in parts: seconds, and the standard deviation of ln(time).
@@ -236,6 +238,7 @@ impl Correction {
         }
         self.tidy();
         self.observations = self.observations.saturating_add(1);
+        self.recover();
         normalized
     }
 
@@ -303,6 +306,34 @@ impl Correction {
         }
     }
 
+    /// Forgets everything where a number is not finite: no observation brings such a filter back.
+    fn recover(&mut self) {
+        let rest = [self.spread, self.gain, self.change, self.before];
+        let mut numbers = self.state.iter().chain(self.covariance.iter().flatten()).chain(&rest);
+        if !numbers.all(|v| v.is_finite()) {
+            self.reset();
+        }
+    }
+
+    /// Whether the covariance is one: positive definite, to a millionth of its diagonal (Cholesky).
+    fn is_definite(&self) -> bool {
+        const TOLERANCE: f64 = 1.0e-6;
+        let mut low = self.covariance;
+        for j in 0..STATES {
+            let own: f64 = (0..j).map(|k| low[j][k] * low[j][k]).sum();
+            let pivot = low[j][j] * (1.0 + TOLERANCE) - own;
+            if !(pivot > 0.0) {
+                return false;
+            }
+            low[j][j] = libm::sqrt(pivot);
+            for i in j + 1..STATES {
+                let shared: f64 = (0..j).map(|k| low[i][k] * low[j][k]).sum();
+                low[i][j] = (low[i][j] - shared) / low[j][j];
+            }
+        }
+        true
+    }
+
     pub(crate) fn save(&self, w: &mut Writer<'_>) {
         w.f64s(&self.state);
         for row in &self.covariance {
@@ -334,6 +365,92 @@ impl Correction {
         self.observations = r.u64()?;
         self.age = r.u64()?;
         self.tidy();
+        if !self.is_definite() {
+            bail!(
+                InvalidArgument,
+                "the saved state's covariance is not positive definite; it is damaged, start without it"
+            );
+        }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ErrorKind;
+    use crate::predict::Source;
+    use alloc::vec::Vec;
+
+    fn saved(correction: &Correction) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        correction.save(&mut Writer(&mut bytes));
+        bytes
+    }
+
+    fn terms(seed: u64) -> CostTerms {
+        let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+        let parts = core::array::from_fn(|_| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            1.0e-4 * (1 + state % 1000) as f32
+        });
+        CostTerms { parts, out_of_range: 0.0, source: Source::Analytic }
+    }
+
+    #[test]
+    fn a_filter_that_is_not_finite_starts_anew_by_itself() {
+        for prior in [Prior::Unknown, Prior::Fitted { log_sd: 0.1 }] {
+            let poisons: [fn(&mut Correction, f64); 6] = [
+                |c, v| c.state[2] = v,
+                |c, v| c.state[LOCAL] = v,
+                |c, v| (c.covariance[1][3], c.covariance[3][1]) = (v, v),
+                |c, v| c.covariance[LOCAL][LOCAL] = v,
+                |c, v| c.spread = v,
+                |c, v| c.gain = v,
+            ];
+            for (i, poison) in poisons.into_iter().enumerate() {
+                for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+                    let mut correction = Correction::new(prior);
+                    poison(&mut correction, value);
+                    for frame in 0..60 {
+                        correction.advance(0.0);
+                        correction.observe(&terms(frame), 0.02, Standing::Same, 1.0);
+                    }
+                    let (seconds, sd) = correction.apply(&terms(7));
+                    assert!(seconds > 0.0 && seconds.is_finite() && sd.is_finite(), "{prior:?} {i} {value}");
+                    assert!(correction.observations > 50, "{prior:?} {i} {value}: it learns again");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn every_state_that_is_reached_is_loaded_and_indefinite_ones_are_not() {
+        for prior in [Prior::Unknown, Prior::Fitted { log_sd: 0.01 }, Prior::Fitted { log_sd: 1.0 }] {
+            let mut correction = Correction::new(prior);
+            for frame in 0..3000u64 {
+                correction.advance([0.0, 0.0, 0.0, 0.3, 1.0][frame as usize % 5]);
+                let seconds = if frame / 400 % 2 == 0 { 0.01 } else { 3.0 } * (1.0 + (frame % 7) as f64);
+                let standing = if frame % 5 == 4 { Standing::First } else { Standing::Same };
+                // The same make-up for long: the filter becomes sure of one direction alone.
+                correction.observe(&terms(frame / 1000), seconds, standing, 1.0);
+                let bytes = saved(&correction);
+                let mut other = Correction::new(prior);
+                other.load(&mut Reader(&bytes)).unwrap();
+                assert_eq!(other.observations, correction.observations, "frame {frame}");
+            }
+            // Every variance stays as it is; two states are more than fully correlated.
+            for sign in [-1.0, 1.0] {
+                let mut broken = correction.clone();
+                let bound = libm::sqrt(broken.covariance[0][0] * broken.covariance[4][4]);
+                broken.covariance[0][4] = sign * 1.01 * bound;
+                broken.covariance[4][0] = sign * 1.01 * bound;
+                let error = Correction::new(prior).load(&mut Reader(&saved(&broken))).unwrap_err();
+                assert_eq!(error.kind(), ErrorKind::InvalidArgument);
+                assert!(error.message().contains("positive definite"), "{error}");
+            }
+        }
     }
 }

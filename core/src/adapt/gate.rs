@@ -2,8 +2,7 @@
 
 use crate::{Error, ErrorKind, Result};
 
-/// Longest frame time that is believed, seconds.
-pub const LONGEST_FRAME: f32 = 10_000.0;
+pub use crate::predict::LONGEST_FRAME;
 
 /// What became of an observation. Stable numbers: they are part of the C ABI.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -333,6 +333,70 @@ fn broken_timings_are_refused_by_name_and_leave_no_trace() {
     assert_eq!(unusual.unwrap(), Verdict::Ignored);
 }
 
+/// A session that has seen frames of two settings.
+fn taught(mut session: Session) -> Session {
+    for i in 0..40 {
+        let plan = session.plan(&frame(0.0, 3.0 * (i % 20) as f32, 2.0), 0.02).unwrap();
+        session.observe(plan.id, 0.05 / plan.step, ObserveFlags::default()).unwrap();
+    }
+    session
+}
+
+#[test]
+fn no_saved_state_with_a_flipped_bit_a_cut_or_more_bytes_is_loaded() {
+    let state = taught(ready_session()).save_state();
+    let mut session = ready_session();
+    let fresh = session.save_state();
+    let mut refused = |bytes: &[u8], what: &str| {
+        let error = session.load_state(bytes).expect_err(what);
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument, "{what}: {error}");
+        assert_eq!(session.save_state(), fresh, "{what} changed the session");
+    };
+    for bit in 0..8 * state.len() {
+        let mut flipped = state.clone();
+        flipped[bit / 8] ^= 1 << (bit % 8);
+        refused(&flipped, &std::format!("bit {bit} of {}", 8 * state.len()));
+    }
+    for cut in 0..state.len() {
+        refused(&state[..cut], &std::format!("cut to {cut} bytes"));
+    }
+    for extra in [1, 4, 8] {
+        let mut longer = state.clone();
+        longer.resize(state.len() + extra, 0);
+        refused(&longer, &std::format!("{extra} bytes more"));
+    }
+    refused(b"ENS1rubbish", "another version");
+    session.load_state(&state).unwrap();
+    assert_eq!(session.save_state(), state, "the whole state is taken up");
+}
+
+#[test]
+fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
+    let named = |costs: Option<f64>, renderer: &str, clock: &str| {
+        let model = match costs {
+            Some(c) => AnalyticModel::from_costs([c; crate::predict::COSTS]).unwrap(),
+            None => AnalyticModel::new(),
+        };
+        let mut session = Session::new(Box::new(model), HybridOptions::default());
+        session.set_timing_source(renderer, clock).unwrap();
+        session
+    };
+    let state = named(None, "a renderer", "device").save_state();
+    named(None, "a renderer", "device").load_state(&state).unwrap();
+    for (costs, renderer, clock, says) in [
+        (Some(1e-8), "a renderer", "device", "another model"),
+        (None, "another", "device", "renderer \"a renderer\""),
+        (None, "", "device", "renderer"),
+        (None, "a renderer", "wall", "clock \"device\""),
+    ] {
+        let error = named(costs, renderer, clock).load_state(&state).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument);
+        assert!(error.message().contains(says), "{error}");
+    }
+    let mut session = ready_session();
+    assert!(session.set_timing_source(&"x".repeat(257), "").is_err());
+}
+
 #[test]
 fn a_linear_cost_model_may_use_a_smaller_probe() {
     use crate::ErrorKind;
@@ -368,7 +432,6 @@ fn a_session_says_what_is_missing_and_refuses_bad_targets() {
         assert_eq!(session.choose(&f, &[], target).unwrap_err().kind(), ErrorKind::InvalidArgument);
     }
     assert_eq!(session.choose(&f, &[], 0.02).unwrap_err().kind(), ErrorKind::InvalidArgument);
-    assert!(session.load_state(b"ENS1rubbish").is_err());
     let state = session.save_state();
     session.load_state(&state).unwrap();
     session.set_enabled(false);

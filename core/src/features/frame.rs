@@ -4,7 +4,7 @@ use super::{
     Footprint, MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_STEP, SceneFeature, SceneQuantity, TransferSummary,
     UnitCosts, VolumeSummary,
 };
-use crate::scene::{Arcball, Frame, Shading, Skipping};
+use crate::scene::{Arcball, Frame, Shading, Skipping, ratios};
 use glam::Vec3;
 
 /// Rays along each side of the footprint's rectangle from which [`along`] takes its mean.
@@ -14,7 +14,9 @@ const ALONG_SIDE: usize = 3;
 /// the footprint's rectangle, averaged, or of the central ray where the box is not seen.
 fn along(frame: &Frame, spacing: Vec3, footprint: &Footprint) -> Vec3 {
     let (_, right, up, forward) = frame.camera().ray_basis(frame.width(), frame.height());
-    // A ray of direction d crosses |d| / spacing borders per unit of length along each axis.
+    // A ray of direction d crosses |d| / spacing borders per unit of length along each axis, whatever the
+    // unit.
+    let spacing = ratios(spacing);
     let share = |direction: Vec3| {
         let crossed = direction.abs() / spacing;
         crossed / crossed.element_sum()

@@ -18,6 +18,7 @@ pub use prednet::{
     PredScratch,
 };
 pub use resample::{RESAMPLE_MAX_RATIO, RESAMPLE_TOLERANCE, Resampler};
-pub use volumenet::{EncodeScratch, VOLUMENET_TOLERANCE, VolumeNet};
+pub(crate) use volumenet::check as check_volumenet;
+pub use volumenet::{EncodeScratch, MAX_ENCODER_MEMORY, VOLUMENET_TOLERANCE, VolumeNet};
 
 pub use crate::kernels::{Helper, SELU_ALPHA, SELU_SCALE, SELU_TOLERANCE, Storage};

@@ -366,6 +366,37 @@ mod tests {
         }
     }
 
+    /// Small enough for Miri: every storage of the portable kernels, alone and in batches, with whole and cut
+    /// panels.
+    #[test]
+    fn small_networks_agree_with_plain_loops() {
+        for (sizes, rows) in [(&[3, 5, 1][..], 2), (&[7, 17, 4, 1], 7), (&[2, 1], 1)] {
+            let parts = parts(sizes, Target::LogSeconds, 11);
+            let inputs: Vec<f32> =
+                (0..rows * sizes[0]).map(|i| (i * 7919 % 1000) as f32 / 250.0 - 2.0).collect();
+            for level in Level::available() {
+                for storage in Storage::ALL {
+                    let net = PredNet::with(&parts, level, storage).unwrap();
+                    let mut batch = vec![0.0; rows];
+                    net.predict_batch(&inputs, &mut batch, &mut net.batch_scratch(rows)).unwrap();
+                    for (row, &in_batch) in inputs.chunks(sizes[0]).zip(&batch) {
+                        let exact = plain(&parts, row);
+                        let single = net.predict(row, &mut net.scratch());
+                        let tolerance = if storage == Storage::F32 { PREDNET_F32_TOLERANCE } else { 0.3 };
+                        for found in [single, in_batch] {
+                            let error = (f64::from(found) - exact).abs() / exact;
+                            assert!(
+                                error <= tolerance,
+                                "{sizes:?} {level} {}: {found} {exact}",
+                                storage.name()
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+
     #[test]
     fn a_helper_changes_no_bit() {
         let parts = parts(&[16, 256, 256, 320, 192, 128, 1], Target::Seconds, 5);

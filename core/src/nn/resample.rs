@@ -482,8 +482,5 @@ mod tests {
         assert!(e.message().contains("2 x 2 x 2") && e.message().contains('7'));
         let e = resampler.resample(&view, usize::MAX, &mut [0.0; 7], Executor::serial()).unwrap_err();
         assert_eq!(e.kind(), ErrorKind::InvalidArgument);
-        let long = VolumeView::with_strides(Scalars::U8(&[1]), [1 << 40, 1, 1], [0, 0, 0]).unwrap();
-        let e = resampler.resample(&long, 1, &mut [0.0], Executor::serial()).unwrap_err();
-        assert_eq!(e.kind(), ErrorKind::InvalidArgument);
     }
 }

@@ -3,8 +3,8 @@
 use super::network::Stored;
 use super::nnls::nnls;
 use super::{
-    CALIBRATION_KEY, Calibration, CostTerms, FeatureRange, GroupKind, Inputs, Prediction, Predictor, Source,
-    UPPER_LEVEL,
+    CALIBRATION_KEY, Calibration, CostTerms, FeatureRange, GroupKind, Inputs, LONGEST_FRAME, Prediction,
+    Predictor, Source, UPPER_LEVEL,
 };
 use crate::Result;
 use crate::error::bail;
@@ -109,7 +109,8 @@ impl Measurement {
 pub struct FitReport {
     /// Measurements used.
     pub used: usize,
-    /// Measurements refused: a time or a count that is not finite and positive.
+    /// Measurements refused: a time that is not positive or over [`LONGEST_FRAME`](super::LONGEST_FRAME), or
+    /// a count that is not finite and positive.
     pub refused: usize,
     /// Median of |predicted / measured − 1|.
     pub median_error: f64,
@@ -197,8 +198,8 @@ impl AnalyticModel {
         let usable: Vec<&Measurement> = measurements
             .iter()
             .filter(|m| {
-                m.seconds.is_finite()
-                    && m.seconds > 0.0
+                m.seconds > 0.0
+                    && m.seconds <= f64::from(LONGEST_FRAME)
                     && m.work.iter().all(|w| w.is_finite() && *w >= 0.0)
                     && m.work.iter().any(|w| *w > 0.0)
             })
@@ -206,8 +207,8 @@ impl AnalyticModel {
         if usable.is_empty() {
             bail!(
                 InvalidArgument,
-                "none of {} measurements has a finite positive time and finite work; measure some frames \
-                 first",
+                "none of {} measurements has a positive time of at most {LONGEST_FRAME} seconds and finite work; measure \
+                 some frames first",
                 measurements.len()
             );
         }
@@ -399,6 +400,10 @@ impl Predictor for AnalyticModel {
 
     fn check(&mut self, _: &Inputs<'_>) -> Result<()> {
         Ok(())
+    }
+
+    fn identity(&self) -> u32 {
+        crc32fast::hash(bytemuck::cast_slice(&self.costs))
     }
 
     fn log_sd(&self) -> Option<f32> {

@@ -119,6 +119,12 @@ pub trait Predictor {
         false
     }
 
+    /// A number that tells predictors apart whose corrections must not be mixed up: what was learned of one
+    /// says nothing about another. 0, the default, for predictors that do not tell.
+    fn identity(&self) -> u32 {
+        0
+    }
+
     /// Whether the ray step enters the prediction. Where it does not, callers scale by the analytic model.
     fn knows_step(&self) -> bool {
         true

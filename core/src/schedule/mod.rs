@@ -15,6 +15,9 @@ use crate::error::bail;
 use alloc::vec;
 use alloc::vec::Vec;
 
+/// Most nodes of a schedule.
+pub const MAX_NODES: usize = 1 << 20;
+
 /// Which node runs each task.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Assignment {
@@ -73,8 +76,8 @@ pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
 /// it first. For uniform times pass equal numbers: tasks are then dealt out in turn.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] without nodes, for a speed that is not finite and positive, or a
-/// time that is negative or not finite.
+/// [`crate::ErrorKind::InvalidArgument`] without nodes, for more than [`MAX_NODES`], for a speed that is not
+/// finite and positive, or a time that is negative or not finite.
 pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment> {
     check(times, speeds)?;
     let mut loads = vec![0.0f64; speeds.len()];
@@ -111,6 +114,13 @@ pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
 fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     if speeds.is_empty() {
         bail!(InvalidArgument, "there are no nodes; at least one is needed");
+    }
+    if speeds.len() > MAX_NODES {
+        bail!(
+            InvalidArgument,
+            "there are {} nodes, at most {MAX_NODES} are accepted; check the number of nodes",
+            speeds.len()
+        );
     }
     for (i, &s) in speeds.iter().enumerate() {
         if !(s.is_finite() && s > 0.0) {

@@ -6,6 +6,7 @@ use super::{Loss, Network, Real, Trainer};
 use crate::Result;
 use crate::error::bail;
 use crate::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
+use crate::predict::LONGEST_FRAME;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::ops::ControlFlow;
@@ -57,10 +58,12 @@ impl Samples<'_> {
                 self.inputs[i]
             );
         }
-        if let Some(i) = self.seconds.iter().position(|t| !(t.is_finite() && *t > 0.0)) {
+        let longest = f64::from(LONGEST_FRAME);
+        if let Some(i) = self.seconds.iter().position(|t| !(*t > 0.0 && *t <= longest)) {
             bail!(
                 InvalidArgument,
-                "{what}: frame {i} took {} seconds; times must be finite and positive",
+                "{what}: frame {i} took {} seconds; times must be positive and at most {longest}: check their unit, or leave \
+                 the frame out",
                 self.seconds[i]
             );
         }

@@ -1,4 +1,5 @@
-//! `entire-lab record`: what every frame of a path costs, and how it looks, at a grid of ray steps and image scales.
+//! `entire-lab record`: what every frame of a path costs, and how it looks, at a grid of ray steps and image
+//! scales.
 
 use crate::trace::{Recording, TRACE_STEPS, TraceVolume, record};
 use anyhow::{Context, Result, bail, ensure};
@@ -19,12 +20,13 @@ use std::path::{Path, PathBuf};
 
 /// Record what every frame of a path costs, and how it looks, at a grid of ray steps.
 ///
-/// Every frame is drawn at nine ray steps from the reference step to sixteen of them (every fourth frame also as smaller
-/// images), outside of any race. `entire-lab replay` then plays controllers and targets against the recorded curves in
-/// milliseconds, beside an oracle that knows them.
+/// Every frame is drawn at nine ray steps from the reference step to sixteen of them (every fourth frame also
+/// as smaller images), outside of any race. `entire-lab replay` then plays controllers and targets against
+/// the recorded curves in milliseconds, beside an oracle that knows them.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  entire-lab record data/nyx_cosmology/m04/t0010.nrrd --enlarge 2 --generate switches --clock cpu --out out/steer/nyx.json
+  entire-lab record data/nyx_cosmology/m04/t0010.nrrd --enlarge 2 --generate switches --clock cpu --out \
+  out/steer/nyx.json
   entire-lab record a.nrrd b.nrrd --enlarge 2 --calibration 24 --clock cpu --out out/steer/calibration.csv
   entire-lab record t0001.nrrd t0002.nrrd t0003.nrrd --hold 20 --generate orbit --out series.json")]
 pub struct Options {
@@ -42,8 +44,8 @@ pub struct Options {
     /// Make a path that fits the first volume instead.
     #[arg(long, value_enum)]
     pub generate: Option<Generated>,
-    /// Render this many random scenes of each volume at six steps each instead of a path, and write a timing table: what
-    /// `entire-lab replay` fits its predictor to.
+    /// Render this many random scenes of each volume at six steps each instead of a path, and write a timing
+    /// table: what `entire-lab replay` fits its predictor to.
     #[arg(long, value_name = "SCENES", conflicts_with_all = ["generate", "path", "hold", "scales"])]
     pub calibration: Option<usize>,
     /// Seed of the calibration scenes.

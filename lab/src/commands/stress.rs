@@ -13,8 +13,9 @@ use std::path::PathBuf;
 
 /// Play the stress scenes: each method against scripts of what is known to break it.
 ///
-/// 28 scenes on a scripted clock, the same in every run, each with a rule that says what passes. Prints the matrix of
-/// scenes and methods, writes report.html and verdicts.json into DIR, and fails when ours fails a scene.
+/// 28 scenes on a scripted clock, the same in every run, each with a rule that says what passes. Prints the
+/// matrix of scenes and methods, writes report.html and verdicts.json into DIR, and fails when ours fails a
+/// scene.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab stress --out out/stress

@@ -118,7 +118,8 @@ fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
             q.log_sd
         );
     };
-    // Frames like the tasks count alone where there are any: other transfer functions teach little about this one.
+    // Frames like the tasks count alone where there are any: other transfer functions teach little about this
+    // one.
     if !fitting.training.is_empty() {
         let mut recorded = Recorded::default();
         for file in fitting.training {
@@ -137,7 +138,8 @@ fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
     }
     ensure!(
         !fitting.calibration.is_empty(),
-        "nothing to predict the frames of --trace from: give --training (recorded frames of other volumes) or --calibration (timing tables)"
+        "nothing to predict the frames of --trace from: give --training (recorded frames of other volumes) \
+         or --calibration (timing tables)"
     );
     let samples = samples_of(fitting.calibration, side)?;
     let nothing = [0u8];
@@ -152,7 +154,8 @@ fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
     })
 }
 
-/// Tasks of a recorded path: its frames at the reference step, predicted by what was recorded of other volumes.
+/// Tasks of a recorded path: its frames at the reference step, predicted by what was recorded of other
+/// volumes.
 ///
 /// # Errors
 /// When there is nothing to fit to, a file cannot be read, or a prediction fails.

@@ -3,7 +3,7 @@
 mod scan;
 
 use crate::error::bail;
-use crate::scene::{ScalarType, Scalars, VolumeView};
+use crate::scene::{ScalarType, Scalars, VolumeView, bounding_radius, check_edges, check_spacing};
 use crate::{Error, ErrorKind, Result};
 use alloc::vec;
 use alloc::vec::Vec;
@@ -124,7 +124,8 @@ impl VolumeSummary {
     /// included. Values inside a brick are taken as spread evenly between its bounds. NaN bounds count as 0.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for a zero size, spacing or edge, [`ErrorKind::SizeMismatch`] when the
+    /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with_spacing`]
+    /// refuses, [`ErrorKind::SizeMismatch`] for a size over [`crate::scene::MAX_VOLUME_EDGE`] or when the
     /// number of bricks is not the one that sizes and edge give.
     pub fn from_bricks(
         dims: [usize; 3],
@@ -139,9 +140,8 @@ impl VolumeSummary {
                 "volume of {dims:?} voxels in bricks of {brick_edge:?}; every size must be at least 1"
             );
         }
-        if spacing.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
-            bail!(InvalidArgument, "voxel spacing is {spacing:?}; all three must be finite and positive");
-        }
+        check_edges(dims)?;
+        let spacing = check_spacing(spacing)?;
         let cells: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(brick_edge[a]));
         let expected = count(cells, dims)?;
         if expected != bounds.len() {
@@ -152,7 +152,7 @@ impl VolumeSummary {
                 bounds.len()
             );
         }
-        let mut summary = Self::with_grid(dims, Vec3::from_array(spacing), scalar_type, cells, brick_edge)?;
+        let mut summary = Self::with_grid(dims, spacing, scalar_type, cells, brick_edge)?;
         summary.block = brick_edge;
         let mut smallest = 1.0f32;
         let clean = |v: f32| if v.is_nan() { 0.0 } else { v.clamp(0.0, 1.0) };
@@ -185,7 +185,7 @@ impl VolumeSummary {
     /// Radius of the bounding sphere in world units, as in [`VolumeView::bounding_radius`].
     pub fn bounding_radius(&self) -> f32 {
         let [x, y, z] = self.dims.map(|n| n as f32);
-        0.5 * (Vec3::new(x, y, z) * self.spacing).length()
+        bounding_radius(Vec3::new(x, y, z) * self.spacing)
     }
 
     /// The element type of the volume.
@@ -290,7 +290,7 @@ impl VolumeSummary {
     ) -> Result<Self> {
         let n = count(cells, dims)?;
         let extent = Vec3::new(dims[0] as f32, dims[1] as f32, dims[2] as f32) * spacing;
-        let radius = 0.5 * extent.length();
+        let radius = bounding_radius(extent);
         let geometry =
             Geometry { half_extent: 0.5 * extent / radius, reference_step: spacing.min_element() / radius };
         let empty = CellStats { low: 255, high: 0, quantiles: [0; QUANTILES + 1] };

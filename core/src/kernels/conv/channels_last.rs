@@ -2,6 +2,7 @@
 
 use super::layout::{Block, Buffer, Output, Shape, Taps, cut};
 use super::tiles::{self, Cut, MAX_POSITIONS, Tile};
+use crate::Result;
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
 use alloc::vec::Vec;
@@ -47,7 +48,7 @@ impl ChannelsLast {
         [channel_stride, column, row, plane]: [usize; 4],
         border: usize,
         level: Level,
-    ) -> Self {
+    ) -> Result<Self> {
         let cut = cut(level);
         let shape = Shape::of(block);
         let k = shape.kernel;
@@ -67,7 +68,7 @@ impl ChannelsLast {
             channel += vectors * cut.lanes;
             place += all * block.inputs * vectors * cut.lanes;
         }
-        let mut weights = Buffer::zeroed(place);
+        let mut weights = Buffer::zeroed(place)?;
         let packed = weights.as_mut_slice();
         for &(channel, vectors, place) in &blocks {
             let wide = vectors * cut.lanes;
@@ -80,10 +81,10 @@ impl ChannelsLast {
                 }
             }
         }
-        let mut bias = Buffer::zeroed(out_channels);
+        let mut bias = Buffer::zeroed(out_channels)?;
         bias.as_mut_slice()[..block.outputs].copy_from_slice(block.bias);
         let out_len = (shape.output + 2 * border).pow(3) * out_channels;
-        Self {
+        Ok(Self {
             level,
             cut,
             shape,
@@ -99,7 +100,7 @@ impl ChannelsLast {
             border,
             out_channels,
             out_len,
-        }
+        })
     }
 
     fn positions(&self) -> usize {
