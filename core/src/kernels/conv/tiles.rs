@@ -5,7 +5,7 @@ use crate::kernels::simd::Simd;
 /// Output positions per tile at most.
 pub(super) const MAX_POSITIONS: usize = 16;
 
-/// One tile of a later layer: a few output positions times one block of channels.
+/// One tile of a channels-last layer: a few output positions times one block of channels.
 pub(super) struct Tile {
     /// Per position: the input number that tap 0 and channel 0 take.
     pub(super) input: [*const f32; MAX_POSITIONS],
@@ -15,7 +15,7 @@ pub(super) struct Tile {
     pub(super) distinct: usize,
     /// Whether the positions lie two floats apart.
     pub(super) two_apart: bool,
-    /// Whether the taps come in tap_triples that lie one float apart.
+    /// Whether the taps come in triples that lie one float apart.
     pub(super) tap_triples: bool,
     /// As `input[0]`, of the tile after this one.
     pub(super) next: *const f32,
@@ -60,7 +60,7 @@ pub(super) struct Cut {
     pub(super) group: usize,
     /// Outputs along x per step in the first layer.
     pub(super) width: usize,
-    /// Positions per tile in the later layers.
+    /// Positions per tile in the channels-last layers.
     pub(super) positions: usize,
     /// Whether there are tiles of 16 positions and one vector.
     pub(super) wide: bool,
@@ -254,11 +254,11 @@ wide!(one_by_sixteen: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4
 /// Computes a tile of `positions` positions and `vectors` vectors of channels.
 ///
 /// # Safety
-/// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] says so, `vectors` is 1 and positions p and p
-/// + 8 lie at one distance; where [`Tile::two_apart`] says so, position p lies 2·p floats from position 0,
-/// and where [`Tile::tap_triples`] does, taps come in tap_triples of neighbors. Every input pointer plus any
-/// tap plus any channel is readable, weights and biases are packed for the tile, and every output pointer has
-/// room for its vectors, which no other thread touches.
+/// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] says so, `vectors` is 1 and positions p and p + 8 lie
+/// at one distance. Where [`Tile::two_apart`] says so, position p lies 2·p floats from position 0. Where
+/// [`Tile::tap_triples`] says so, taps come in triples of neighbors. Every input pointer plus any tap plus any
+/// channel is readable, weights and biases are packed for the tile, and every output pointer has room for its
+/// vectors, which no other thread touches.
 #[inline(always)]
 pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vectors: usize) {
     const { assert!(MAX_POSITIONS >= 16) };
