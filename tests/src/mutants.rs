@@ -83,6 +83,8 @@ impl Parts {
 pub struct Mutants {
     state: u64,
     seeds: Vec<Parts>,
+    /// Whether the file at hand has usable weights and strides wherever no mutation says otherwise.
+    calm: bool,
 }
 
 impl Mutants {
@@ -91,7 +93,7 @@ impl Mutants {
     /// # Panics
     /// When one of the files is no model file.
     pub fn new(seed: u64, files: &[Vec<u8>]) -> Self {
-        let mut out = Self { state: 0, seeds: files.iter().map(|f| Parts::read(f)).collect() };
+        let mut out = Self { state: 0, seeds: files.iter().map(|f| Parts::read(f)).collect(), calm: true };
         out.reseed(seed);
         out
     }
@@ -132,12 +134,12 @@ impl Mutants {
     }
 
     fn floats(&mut self, n: usize) -> Vec<u8> {
-        let (style, value) = (self.below(4), self.float());
+        let (style, value) = (if self.calm { 3 } else { self.below(4) }, self.float());
         let each = |this: &mut Self| match style {
             0 => value,
             1 if this.below(50) == 0 => this.float(),
             2 => this.one(&[3.0e38, -3.0e38]),
-            _ => (this.random() % 2000) as f32 * 1.0e-4 - 0.1,
+            _ => (this.random() % 2000) as f32 * 1.0e-4,
         };
         (0..n).flat_map(|_| each(self).to_le_bytes()).collect()
     }
@@ -160,11 +162,11 @@ impl Mutants {
             let kernel = self.one(&[1, 1, 2, 3, 3, 5, 8]).min(edge.max(1));
             let padding = if self.below(8) == 0 { self.below(4) } else { self.below(kernel) };
             let padded = edge + 2 * padding;
-            let stride = match self.below(6) {
+            let stride = match self.below(if self.calm { 60 } else { 6 }) {
                 0 => self.size(),
                 1 => padded as u64,
                 2 => (padded + 1) as u64,
-                _ => 1 + self.below(4) as u64,
+                _ => 1 + self.below(4).min(padded.saturating_sub(1)) as u64,
             };
             let room = MOST_TENSOR / 4 / (channels * kernel.pow(3));
             let wide = if self.below(6) == 0 { 1 + self.below(4096) } else { 1 + self.below(20) };
@@ -249,7 +251,10 @@ impl Mutants {
         let (size, other) = (self.size(), self.below(parts.tensors.len()));
         let t = &mut parts.tensors[at];
         match kind {
-            0 => t.data = self.floats(t.data.len() / 4),
+            0 => {
+                self.calm = false;
+                t.data = self.floats(t.data.len() / 4);
+            }
             1 if !t.shape.is_empty() => {
                 let axis = self.below(t.shape.len());
                 t.shape[axis] = size;
@@ -301,6 +306,7 @@ impl Mutants {
 
     /// The next mutant.
     pub fn next_file(&mut self) -> Vec<u8> {
+        self.calm = self.below(3) > 0;
         let mut parts = match self.below(self.seeds.len() + 1) {
             0 => Parts::default(),
             i => self.seeds[i - 1].clone(),
