@@ -221,7 +221,7 @@ pub fn run(options: &Options) -> Result<()> {
         hold: 0,
         retargets: &[],
         scales: &[],
-        choices: &[],
+        image_sample_distances: &[],
         seed_name: &seed_name,
         seed: options.seed,
         draw,

@@ -9,17 +9,18 @@
 //! * `name`: a name for reports.
 //! * `frames`, required: number of frames, 1 to 1 000 000.
 //! * `fov_y_deg`: vertical field of view, degrees; 45 where it is not given.
-//! * `keyframes`, required: array of keyframes, `frame` ascending, the first at frame 0 with camera and transfer
-//!   function.
+//! * `keyframes`, required: array of keyframes, `frame` ascending, the first at frame 0 with camera and
+//!   transfer function.
 //!
 //! A keyframe:
 //!
 //! * `frame`, required: frame number from 0.
-//! * `camera`, required at frame 0: `{"rx_deg": …, "ry_deg": …, "dz_radii": …}`. Arcball angles, and the distance in
-//!   bounding-sphere radii.
+//! * `camera`, required at frame 0: `{"rx_deg": …, "ry_deg": …, "dz_radii": …}`. Arcball angles, and the
+//!   distance in bounding-sphere radii.
 //! * `transfer`, required at frame 0: `{"lobes": [{"center": …, "width": …, "height": …}, …]}` or
 //!   `{"points": [{"position": …, "color": [r, g, b], "opacity": …}, …]}`.
-//! * `switch`: with `true`, what this keyframe gives holds from its frame on at once, and the former value before.
+//! * `switch`: with `true`, what this keyframe gives holds from its frame on at once, and the former value
+//!   before.
 //!
 //! Camera and transfer function are two tracks; a keyframe may give either or both. Between keyframes of a
 //! track, angles go linearly in degrees as they stand (0 to 720 is two turns), the distance in its logarithm;

@@ -146,7 +146,7 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
         "reference_seconds",
         "out_of_range",
         "reason",
-        "image_scale",
+        "image_sample_distance",
         "width_px",
         "height_px",
         "volume",
@@ -172,7 +172,7 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
                 playback.references[frame].seconds.to_string(),
                 known(f64::from(r.out_of_range)),
                 r.reason.name().to_owned(),
-                r.scale.to_string(),
+                r.image_sample_distance.to_string(),
                 playback.sizes[frame].0.to_string(),
                 playback.sizes[frame].1.to_string(),
                 playback.volumes[frame].to_string(),
@@ -306,20 +306,20 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     });
     page.chart(&chart, "The step that each controller chose: coarser is faster and less exact.");
 
-    if playback.records.iter().flatten().any(|r| r.scale != 1.0) {
+    if playback.records.iter().flatten().any(|r| r.image_sample_distance != 1.0) {
         let chart = Chart::new(
-            "Image size",
+            "Image sample distance",
             Axis::linear("frame"),
-            Axis::linear("image side over the frame's full side").from(0.0).to(1.05),
+            Axis::linear("pixels between rays along each side").from(0.0),
         )
         .size(900.0, 220.0);
         let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
-            Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].scale)))
+            Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].image_sample_distance)))
         });
         page.chart(
             &chart,
-            "The image size that each controller chose; only the hybrid may choose it here, by predicted \
-             image error.",
+            "The image sample distance that each controller chose; only the hybrid may choose it here, by \
+             predicted image error.",
         );
     }
 
