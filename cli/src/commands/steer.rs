@@ -3,7 +3,7 @@
 use crate::dataset::{Clock, Scene, Writer};
 use crate::device::{self, Device};
 use crate::enlarge::enlarge;
-use crate::files::open_model;
+use crate::files::{open_model, write_json};
 use crate::interrupt;
 use crate::machine::Provenance;
 use crate::options::{ShadeOption, SkipOption, parse_hold, parse_limits, parse_scale, parse_size};
@@ -199,8 +199,7 @@ pub fn run(options: &Options) -> Result<()> {
         (None, Some(kind)) => {
             let file = kind.path(&view, options.frames)?;
             if let Some(to) = &options.save_path {
-                std::fs::write(to, serde_json::to_string_pretty(&file)? + "\n")
-                    .with_context(|| format!("cannot write {}", to.display()))?;
+                write_json(to, &file)?;
             }
             (file.resolve()?, format!("{} (generated, {} frames)", kind.name(), options.frames))
         }
