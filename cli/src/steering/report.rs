@@ -4,9 +4,10 @@ use super::contenders::ControllerKind;
 use super::fit::Candidate;
 use super::metrics::{BEST_PSNR, Metrics, SWITCH_FRAMES};
 use super::play::{DrawSettings, Playback};
+use crate::files::{make_folder, write_json, write_whole};
 use crate::machine::Provenance;
 use crate::report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
-use anyhow::{Context, Result};
+use anyhow::Result;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -129,7 +130,7 @@ pub fn table_caption() -> String {
 }
 
 fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
-    let mut out = csv::Writer::from_path(path).with_context(|| format!("cannot write {}", path.display()))?;
+    let mut out = csv::Writer::from_writer(Vec::new());
     out.write_record([
         "frame",
         "controller",
@@ -179,7 +180,7 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
             ])?;
         }
     }
-    out.flush().with_context(|| format!("cannot write {}", path.display()))
+    write_whole(path, &out.into_inner()?)
 }
 
 fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Value {
@@ -463,13 +464,10 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
 /// # Errors
 /// When a file cannot be written; names it.
 pub fn write(folder: &Path, story: &Story, draw: &DrawSettings, playback: &Playback) -> Result<Vec<Metrics>> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    make_folder(folder)?;
     let metrics = playback.metrics();
     write_csv(&folder.join("frames.csv"), playback)?;
-    let text = serde_json::to_string_pretty(&summary(story, draw, playback, &metrics))? + "\n";
-    let json = folder.join("summary.json");
-    std::fs::write(&json, text).with_context(|| format!("cannot write {}", json.display()))?;
+    write_json(&folder.join("summary.json"), &summary(story, draw, playback, &metrics))?;
     page(story, draw, playback, &metrics)?.write(&folder.join("report.html"))?;
     Ok(metrics)
 }

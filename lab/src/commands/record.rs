@@ -4,10 +4,11 @@
 use crate::trace::{Recording, TRACE_STEPS, TraceVolume, record};
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::dataset::{Clock, Scene, Timing, Writer};
-use entire_cli::device::{self, Device};
+use entire_cli::device;
 use entire_cli::enlarge::enlarge;
+use entire_cli::files::{make_folder_of, write_whole};
 use entire_cli::interrupt;
-use entire_cli::options::{ShadeOption, SkipOption, parse_hold, parse_scale, parse_size};
+use entire_cli::options::{RenderArgs, parse_hold, parse_scale, parse_size};
 use entire_cli::path::{Generated, PathFile};
 use entire_cli::progress::progress_bar;
 use entire_cli::steering::calibrate::measure;
@@ -16,7 +17,7 @@ use entire_cli::steering::race::calibration_scenes;
 use entire_cli::volume::Volume;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Record what every frame of a path costs, and how it looks, at a grid of ray steps.
 ///
@@ -75,18 +76,9 @@ pub struct Options {
     /// Image size, pixels.
     #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
     pub size: (u32, u32),
-    /// What each sample computes.
-    #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOption,
-    /// How empty space is skipped.
-    #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
-    /// Accumulated opacity at which a ray stops; 1 for never.
-    #[arg(long, default_value_t = 0.99, value_name = "OPACITY")]
-    pub termination: f32,
-    /// What renders.
-    #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
+    /// How frames are rendered.
+    #[command(flatten)]
+    pub render: RenderArgs,
     /// Which clock counts.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
@@ -146,35 +138,19 @@ pub fn run(options: &Options) -> Result<()> {
         repeats: options.repeats,
     };
     let stop = interrupt::flag()?;
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = device::open(options.render.device)?;
     let bar = progress_bar("record");
     let trace = record(&recording, renderer.as_mut(), &|| interrupt::requested(&stop), &bar);
     bar.finish_and_clear();
     let trace = trace?.context("interrupted; nothing was written")?;
     make_folder_of(&options.out)?;
-    std::fs::write(&options.out, serde_json::to_string(&trace)? + "\n")
-        .with_context(|| format!("cannot write {}", options.out.display()))?;
+    write_whole(&options.out, (serde_json::to_string(&trace)? + "\n").as_bytes())?;
     println!("{}: {} frames", options.out.display(), trace.frames.len());
     Ok(())
 }
 
 fn draw_settings(options: &Options) -> DrawSettings {
-    DrawSettings {
-        width: options.size.0,
-        height: options.size.1,
-        shading: options.shade.into(),
-        skipping: options.skip.into(),
-        termination: options.termination,
-        clock: options.clock,
-    }
-}
-
-fn make_folder_of(file: &Path) -> Result<()> {
-    if let Some(folder) = file.parent().filter(|f| !f.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    }
-    Ok(())
+    DrawSettings::new(options.size, &options.render, options.clock)
 }
 
 /// Writes a timing table of random scenes, each at every calibration step.
@@ -182,7 +158,7 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
     ensure!(scenes >= 8, "--calibration is {scenes}; at least 8 scenes per volume are needed");
     let draw = draw_settings(options);
     let stop = interrupt::flag()?;
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = device::open(options.render.device)?;
     make_folder_of(&options.out)?;
     let mut table = Writer::create(&options.out)?;
     let mut number = 0;
