@@ -127,7 +127,7 @@ pub fn run(options: &Options) -> Result<()> {
         counts = renderer.render(&frame)?.counts;
     }
     // What is seen over black, which premultiplied colors already are.
-    write_whole(&options.out, &encode_png(&image)?)?;
+    write_whole(&options.out, &encode_png(&image)?).context("check --out")?;
 
     let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();
     let clock = repeats.first().map_or("wall", |time| time.source());
