@@ -164,7 +164,7 @@ impl Recording<'_> {
     fn grid(&self, index: usize) -> Vec<(f32, f32)> {
         let mut grid: Vec<(f32, f32)> = self.steps.iter().map(|s| (*s, 1.0)).collect();
         // Smaller images at some frames only: they serve the quality model.
-        if index % 4 == 0 && self.steps.len() == TRACE_STEPS.len() {
+        if index.is_multiple_of(4) && self.steps.len() == TRACE_STEPS.len() {
             for scale in TRACE_SCALES {
                 grid.extend(SCALED_STEPS.iter().map(|s| (*s, scale)));
             }
