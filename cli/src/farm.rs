@@ -87,8 +87,7 @@ pub struct Task {
 /// Names the file, the task and what is wrong.
 pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
     let place = || format!("task list {}", path.display());
-    let bytes =
-        read_bytes(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
+    let bytes = read_bytes(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
     let mut tasks: Vec<Task> = if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
         serde_json::from_slice(&bytes).with_context(place)?
     } else {

@@ -260,7 +260,9 @@ fn a_table_is_fresh_until_its_first_row() {
 
 #[test]
 fn seconds_that_no_frame_takes_are_refused() {
-    for (seconds, fine) in [(1.0e300, false), (f64::INFINITY, false), (f64::NAN, false), (-1.0, false), (9000.0, true)] {
+    for (seconds, fine) in
+        [(1.0e300, false), (f64::INFINITY, false), (f64::NAN, false), (-1.0, false), (9000.0, true)]
+    {
         let timing = Timing { device: None, wall: Some(seconds), cpu: None, counts: None };
         assert_eq!(timing.check().is_ok(), fine, "{seconds}");
     }

@@ -36,7 +36,8 @@ impl Writer {
         Ok(Self { file, path: path.to_owned(), done: HashSet::new() })
     }
 
-    /// Whether a file holds no frame yet: it is not there, or was cut off within its first line or right after it.
+    /// Whether a file holds no frame yet: it is not there, or was cut off within its first line or right
+    /// after it.
     ///
     /// # Errors
     /// When it cannot be read.
@@ -161,7 +162,9 @@ fn lock(file: &File, path: &Path) -> Result<()> {
         ),
         // Some network file systems know no locks: then nobody can be kept out.
         Err(std::fs::TryLockError::Error(e)) if e.kind() == std::io::ErrorKind::Unsupported => Ok(()),
-        Err(std::fs::TryLockError::Error(e)) => Err(e).with_context(|| format!("cannot lock {}", path.display())),
+        Err(std::fs::TryLockError::Error(e)) => {
+            Err(e).with_context(|| format!("cannot lock {}", path.display()))
+        }
     }
 }
 

@@ -221,8 +221,8 @@ impl CameraPose {
     }
 }
 
-/// The transfer function of a frame: where it lies between keyframes. It is worked out when it is asked for, so that
-/// a long path takes no more memory than its keyframes and cameras.
+/// The transfer function of a frame: where it lies between keyframes. It is worked out when it is asked for,
+/// so that a long path takes no more memory than its keyframes and cameras.
 #[derive(Clone, Debug)]
 pub struct TransferAt {
     keys: Arc<[(u32, bool, Transfer)]>,
@@ -299,8 +299,8 @@ impl PathFile {
     /// # Errors
     /// Names the file and what is wrong in it.
     pub fn open(path: &Path) -> Result<Self> {
-        let text =
-            read_text(path, MAX_PATH_BYTES).with_context(|| format!("cannot read the path {}", path.display()))?;
+        let text = read_text(path, MAX_PATH_BYTES)
+            .with_context(|| format!("cannot read the path {}", path.display()))?;
         Self::parse(&text).with_context(|| format!("{} is no path", path.display()))
     }
 
@@ -403,8 +403,8 @@ impl PathFile {
     }
 }
 
-/// Where a frame lies on a track: the keyframe at or before it, the share of the way to the next one, and whether
-/// the track switched there.
+/// Where a frame lies on a track: the keyframe at or before it, the share of the way to the next one, and
+/// whether the track switched there.
 fn at<T>(track: &[(u32, bool, T)], index: u32) -> (usize, f32, bool) {
     let next = track.partition_point(|(frame, _, _)| *frame <= index);
     let (frame, switch, _) = &track[next - 1];
@@ -423,9 +423,8 @@ impl FlightPath {
     /// # Errors
     /// Names the file and what is wrong in it.
     pub fn open(path: &Path) -> Result<Self> {
-        let mut flight = PathFile::open(path)?
-            .resolve()
-            .with_context(|| format!("{} is no path", path.display()))?;
+        let mut flight =
+            PathFile::open(path)?.resolve().with_context(|| format!("{} is no path", path.display()))?;
         if flight.name.is_empty() {
             flight.name = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         }
