@@ -343,7 +343,7 @@ fn no_saved_state_with_a_flipped_bit_a_cut_or_more_bytes_is_loaded() {
     let fresh = session.save_state();
     let mut refused = |bytes: &[u8], what: &str| {
         let error = session.load_state(bytes).expect_err(what);
-        assert_eq!(error.kind(), crate::ErrorKind::InvalidArgument, "{what}: {error}");
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument, "{what}: {error}");
         assert_eq!(session.save_state(), fresh, "{what} changed the session");
     };
     for bit in 0..8 * state.len() {
@@ -384,7 +384,7 @@ fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
         (None, "a renderer", "wall", "clock \"device\""),
     ] {
         let error = named(costs, renderer, clock).load_state(&state).unwrap_err();
-        assert_eq!(error.kind(), crate::ErrorKind::InvalidArgument);
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument);
         assert!(error.message().contains(says), "{error}");
     }
     let mut session = ready_session();

@@ -18,7 +18,6 @@ pub use calibration::{Calibration, FeatureRange, UPPER_LEVEL};
 pub use inputs::{CostTerms, GroupKind, Inputs, Prediction, Predictor, Source};
 pub use layout::{InputLayout, InputValues, LOBE_ORDER_KEY, PROBE_SIDE_KEY};
 pub use network::{CALIBRATION_KEY, ModelPredictor, load};
-use nnls::nnls;
 pub use seconds::{
     CLAMPED_SCORE, LONGEST_FRAME, LONGEST_PREDICTION, SHORTEST_PREDICTION, check_batch, checked_seconds,
 };
