@@ -150,7 +150,7 @@ pub fn replay(
         let curve = &recorded.curves[index];
         let step = f64::from(plan.step);
         let seconds = curve.seconds(step) * curve.noise(mix(seed, index as u64)).exp();
-        session.observe(plan.id, seconds as f32, ObserveFlags::default());
+        session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
         let oracle_step = curve.oracle(target, finest, coarsest);
         let retargeted = index > 0 && (targets[index - 1] / target).ln().abs() > 0.05;
         let switched = recorded.switches[index] || retargeted;

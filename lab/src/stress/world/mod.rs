@@ -213,7 +213,7 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
         let plan = who.session.plan(&frame, target as f32)?;
         let clean = truth(machine, &shot, &frame, plan.step)?;
         let seconds = if machine.is_real() { clean } else { clean * (SIGMA * noise.normal()).exp() };
-        who.session.observe(plan.id, seconds as f32, ObserveFlags::default());
+        who.session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
         if method == ControllerKind::Hybrid
             && !(plan.seconds.is_finite()
                 && plan.seconds > 0.0
