@@ -5,9 +5,9 @@ use crate::scene::{TABLE_LEN, TransferTable};
 use alloc::vec;
 use alloc::vec::Vec;
 
-/// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction is that
-/// of its mean transmittance over this length: with 0 it would be the mean extinction, which overrates cells that hold
-/// a few opaque voxels among transparent ones.
+/// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction
+/// is that of its mean transmittance over this length: with 0 it would be the mean extinction, which
+/// overrates cells that hold a few opaque voxels among transparent ones.
 pub const CORRELATION_LENGTH: f32 = 2.0;
 
 /// Opacities are capped here where extinction (−ln(1 − α)) is formed.
@@ -64,8 +64,8 @@ impl TransferSummary {
         summary
     }
 
-    /// Applies another table, or the table to another volume. Allocates only when the volume has more cells than any
-    /// before it.
+    /// Applies another table, or the table to another volume. Allocates only when the volume has more cells
+    /// than any before it.
     pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) {
         let n = volume.stats().len();
         self.cells.resize(n, Cell { extinction: 0.0, occupied: 0.0, visible: 0.0 });
@@ -135,27 +135,27 @@ impl TransferSummary {
     }
 
     /// Opacity of the table averaged over the volume's voxels.
-    pub fn mean_opacity(&self) -> f32 {
+    pub(crate) fn mean_opacity(&self) -> f32 {
         self.mean_opacity
     }
 
     /// Squared opacity averaged over the volume's voxels.
-    pub fn mean_square_opacity(&self) -> f32 {
+    pub(crate) fn mean_square_opacity(&self) -> f32 {
         self.mean_square_opacity
     }
 
     /// Extinction per reference step averaged over the volume's voxels.
-    pub fn mean_extinction(&self) -> f32 {
+    pub(crate) fn mean_extinction(&self) -> f32 {
         self.mean_extinction
     }
 
     /// Share of voxels with any opacity.
-    pub fn visible_share(&self) -> f32 {
+    pub(crate) fn visible_share(&self) -> f32 {
         self.visible_share
     }
 
     /// Largest opacity in the table.
-    pub fn max_opacity(&self) -> f32 {
+    pub(crate) fn max_opacity(&self) -> f32 {
         self.max_opacity
     }
 
@@ -173,7 +173,8 @@ impl TransferSummary {
     ///
     /// # Panics
     /// When the cell lies outside the grid.
-    pub fn extinction(&self, x: usize, y: usize, z: usize) -> f32 {
+    #[cfg(test)]
+    pub(crate) fn extinction(&self, x: usize, y: usize, z: usize) -> f32 {
         let g = self.grid;
         assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
         self.cells[x + g[0] * (y + g[1] * z)].extinction
@@ -187,7 +188,8 @@ impl TransferSummary {
         self.grid
     }
 
-    /// Makes the distance map that [`crate::scene::Skipping::Distance`] needs, unless it is there. Never allocates.
+    /// Makes the distance map that [`crate::scene::Skipping::Distance`] needs, unless it is there. Never
+    /// allocates.
     pub fn prepare_distance(&mut self) {
         if self.distance_ready {
             return;

@@ -1,12 +1,11 @@
 //! A network from a model file as a predictor.
 
 use super::{
-    AnalyticModel, Calibration, GroupKind, Inputs, Prediction, Predictor, Source, UnitCosts, sort_lobes,
-    takes_sorted_lobes, write_group,
+    AnalyticModel, CLAMPED_SCORE, Calibration, GroupKind, InputLayout, Inputs, Prediction, Predictor, Source,
+    checked_seconds,
 };
 use crate::Result;
 use crate::error::bail;
-use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
 use crate::model::Model;
 use crate::nn::{PredNet, PredScratch};
 use alloc::boxed::Box;
@@ -16,35 +15,10 @@ use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95), `log_factor`
-/// (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of their work). Optional.
+/// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95),
+/// `log_factor` (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of
+/// their work). Optional.
 pub const CALIBRATION_KEY: &str = "entire.calibration";
-
-/// Metadata key of the number of rays along each side of the probe behind a model's scene features, 1 to
-/// [`MAX_PROBE_SIDE`] in decimal; [`PROBE_SIDE`] where it is missing.
-pub const PROBE_SIDE_KEY: &str = "entire.probe_side";
-
-/// Reads [`PROBE_SIDE_KEY`].
-///
-/// # Errors
-/// [`crate::ErrorKind::InvalidModel`] for anything but a number in range.
-pub fn probe_side_of(model: &Model) -> Result<usize> {
-    let Some(text) = model.metadata().get(PROBE_SIDE_KEY) else { return Ok(PROBE_SIDE) };
-    match text.parse::<usize>() {
-        Ok(side) if (1..=MAX_PROBE_SIDE).contains(&side) => Ok(side),
-        _ => bail!(
-            InvalidModel,
-            "{PROBE_SIDE_KEY} is {text:?}; a whole number from 1 to {MAX_PROBE_SIDE} is expected"
-        ),
-    }
-}
-
-/// Shortest time that a network's prediction is taken for, seconds. Networks trained on seconds go below zero for cheap
-/// frames.
-const SHORTEST: f32 = 1.0e-6;
-
-/// Longest time, seconds; also what a network says whose output is not a number.
-const LONGEST: f32 = 1.0e9;
 
 /// Distance from the training mean, in standard deviations, up to which an input counts as inside.
 const INSIDE: f32 = 2.5;
@@ -91,23 +65,20 @@ pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
 
 /// A model file's PredNet, its inputs assembled from named groups in the file's order.
 ///
-/// The out-of-range score looks at the inputs' distance from their training means, where the file holds them; volume
-/// features take no part in it, since an encoder maps any volume to familiar codes.
+/// The out-of-range score looks at the inputs' distance from their training means, where the file holds them;
+/// volume features take no part in it, since an encoder maps any volume to familiar codes.
 #[derive(Clone, Debug)]
 pub struct ModelPredictor {
     net: Arc<PredNet>,
-    groups: Vec<(GroupKind, usize)>,
-    scene_features: Vec<SceneFeature>,
+    layout: InputLayout,
     /// Mean and standard deviation per input; NaN mean where an input takes no part in the score.
     spread: Vec<(f32, f32)>,
     scratch: PredScratch,
     row: Vec<f32>,
-    /// Behind `estimated_seconds`, where the file holds them.
-    unit_costs: Option<UnitCosts>,
     knows_step: bool,
-    sorted_lobes: bool,
     probe_side: usize,
     calibration: Calibration,
+    identity: u32,
 }
 
 impl ModelPredictor {
@@ -115,8 +86,8 @@ impl ModelPredictor {
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for an input group that this version does not know,
-    /// [`crate::ErrorKind::Unsupported`] for such a scene feature, [`crate::ErrorKind::InvalidModel`] for a file
-    /// without PredNet or with a damaged calibration.
+    /// [`crate::ErrorKind::Unsupported`] for such a scene feature, [`crate::ErrorKind::InvalidModel`] for a
+    /// file without PredNet or with a damaged calibration.
     pub fn new(model: &Model) -> Result<Self> {
         let Some(parts) = model.prednet() else {
             bail!(
@@ -127,19 +98,15 @@ impl ModelPredictor {
         Self::with_net(Arc::new(PredNet::new(parts)?), model)
     }
 
-    /// As [`ModelPredictor::new`] with a network that was built from the same model before, so that several predictors
-    /// share its weights.
+    /// As [`ModelPredictor::new`] with a network that was built from the same model before, so that several
+    /// predictors share its weights.
     ///
     /// # Errors
-    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network of another input size.
+    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network of another input
+    /// size.
     pub fn with_net(net: Arc<PredNet>, model: &Model) -> Result<Self> {
-        let mut groups = Vec::with_capacity(model.inputs().len());
-        for group in model.inputs() {
-            groups.push((GroupKind::from_name(&group.name)?, group.size));
-        }
-        let scene_features =
-            model.scene_features().iter().map(|n| SceneFeature::from_name(n)).collect::<Result<Vec<_>>>()?;
-        let width: usize = groups.iter().map(|g| g.1).sum();
+        let layout = InputLayout::of_model(model)?;
+        let width = layout.width();
         if width != net.inputs() {
             bail!(
                 SizeMismatch,
@@ -150,7 +117,7 @@ impl ModelPredictor {
         let mut spread = vec![(f32::NAN, 1.0); width];
         if let Some(norm) = model.prednet().and_then(|p| p.input.as_ref()) {
             let mut at = 0;
-            for &(kind, size) in &groups {
+            for &(kind, size) in layout.groups() {
                 if kind != GroupKind::VolumeFeatures {
                     let ends = norm.mean[at..at + size].iter().zip(&norm.std[at..at + size]);
                     for (slot, (&mean, &std)) in spread[at..at + size].iter_mut().zip(ends) {
@@ -160,52 +127,26 @@ impl ModelPredictor {
                 at += size;
             }
         }
-        let knows_step = groups.iter().any(|g| g.0 == GroupKind::StepSize)
-            || scene_features.iter().any(|f| {
-                matches!(
-                    f.quantity,
-                    SceneQuantity::Step
-                        | SceneQuantity::EstimatedSeconds
-                        | SceneQuantity::SpreadSamples
-                        | SceneQuantity::ShadedPerPixel
-                        | SceneQuantity::ShadowPerPixel
-                        | SceneQuantity::Samples
-                        | SceneQuantity::LaneSamples
-                        | SceneQuantity::LocalSamples
-                        | SceneQuantity::ScatterSamples
-                        | SceneQuantity::SamplesPerPixel
-                        | SceneQuantity::ShadowSamples
-                )
-            });
         let calibration = Stored::of(model)?
             .and_then(|s| s.log_factor)
             .map_or(Calibration::unknown(), Calibration::from_log_factor);
-        let probe_side =
-            if scene_features.iter().any(|f| f.quantity.needs_probe()) { probe_side_of(model)? } else { 0 };
         let scratch = net.scratch();
         Ok(Self {
+            knows_step: layout.knows_step(),
+            probe_side: layout.probe_side(),
+            layout,
             net,
-            groups,
-            scene_features,
             spread,
             scratch,
             row: vec![0.0; width],
-            unit_costs: UnitCosts::of(model)?,
-            knows_step,
-            sorted_lobes: takes_sorted_lobes(model)?,
-            probe_side,
             calibration,
+            identity: identity_of(model),
         })
     }
 
-    /// Replaces the calibration behind [`Prediction::upper`].
-    pub fn set_calibration(&mut self, calibration: Calibration) {
-        self.calibration = calibration;
-    }
-
-    /// The scene features that the model takes, in order.
-    pub fn scene_features(&self) -> &[SceneFeature] {
-        &self.scene_features
+    /// What the model takes.
+    pub fn layout(&self) -> &InputLayout {
+        &self.layout
     }
 
     /// The input row of a frame, in the model's order.
@@ -213,20 +154,7 @@ impl ModelPredictor {
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for a group that was not supplied.
     pub fn row(&mut self, inputs: &Inputs<'_>) -> Result<&[f32]> {
-        let mut rest = &mut self.row[..];
-        for &(kind, size) in &self.groups {
-            let (head, tail) = rest.split_at_mut(size);
-            write_group(kind, &self.scene_features, inputs, head)?;
-            if kind == GroupKind::TransferFunction && self.sorted_lobes {
-                sort_lobes(head);
-            }
-            if kind == GroupKind::SceneFeatures
-                && let Some(costs) = &self.unit_costs
-            {
-                write_estimate(costs, &self.scene_features, inputs, head);
-            }
-            rest = tail;
-        }
+        self.layout.write(inputs, &mut self.row)?;
         Ok(&self.row)
     }
 
@@ -245,27 +173,38 @@ impl ModelPredictor {
     }
 }
 
-/// Writes the feature `estimated_seconds` by a model's own unit costs over what the group holds in its place.
-pub fn write_estimate(costs: &UnitCosts, features: &[SceneFeature], inputs: &Inputs<'_>, group: &mut [f32]) {
-    let mut seconds = None;
-    for (slot, feature) in group.iter_mut().zip(features) {
-        if feature.quantity == SceneQuantity::EstimatedSeconds {
-            let value =
-                *seconds.get_or_insert_with(|| costs.seconds(&inputs.features.cost_work(&inputs.setting)));
-            *slot = if feature.log { feature.quantity.log(value) } else { value as f32 };
+/// A checksum of everything behind a model's predictions: the weights, what goes in, and the metadata, which
+/// names the renderer, the device and the clock where they are known.
+fn identity_of(model: &Model) -> u32 {
+    let mut hash = crc32fast::Hasher::new();
+    for (key, value) in model.metadata() {
+        for text in [key, value] {
+            hash.update(&(text.len() as u64).to_le_bytes());
+            hash.update(text.as_bytes());
         }
     }
+    if let Some(net) = model.prednet() {
+        for layer in &net.layers {
+            hash.update(&(layer.inputs as u64).to_le_bytes());
+            hash.update(bytemuck::cast_slice(&layer.weight));
+            hash.update(bytemuck::cast_slice(&layer.bias));
+        }
+        for norm in [&net.input, &net.output].into_iter().flatten() {
+            hash.update(bytemuck::cast_slice(&norm.mean));
+            hash.update(bytemuck::cast_slice(&norm.std));
+        }
+    }
+    hash.finalize()
 }
 
 impl Predictor for ModelPredictor {
     fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
         self.row(inputs)?;
         let seconds = self.net.predict(&self.row, &mut self.scratch);
-        let (seconds, out_of_range) = if seconds.is_nan() {
-            (LONGEST, f32::INFINITY)
-        } else {
-            (seconds.clamp(SHORTEST, LONGEST), self.out_of_range(&self.row))
-        };
+        let (seconds, clamped) = checked_seconds(seconds)?;
+        let out_of_range = self.out_of_range(&self.row);
+        // A score that is NaN, where no range is known, gives way as well.
+        let out_of_range = if clamped { out_of_range.max(CLAMPED_SCORE) } else { out_of_range };
         Ok(Prediction {
             seconds,
             upper: self.calibration.upper(seconds),
@@ -283,6 +222,10 @@ impl Predictor for ModelPredictor {
         Some(self.calibration.log_sd().unwrap_or(0.5))
     }
 
+    fn identity(&self) -> u32 {
+        self.identity
+    }
+
     fn knows_step(&self) -> bool {
         self.knows_step
     }
@@ -296,7 +239,7 @@ impl Predictor for ModelPredictor {
 mod tests {
     use super::*;
     use crate::ErrorKind;
-    use crate::features::{Changes, FrameFeatures, Setting};
+    use crate::features::{Changes, FrameFeatures, PROBE_SIDE, Setting};
     use crate::model::{InputGroup, ModelFile};
     use crate::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
     use crate::scene::{Arcball, Camera, Frame, GaussianLobe};
@@ -434,7 +377,7 @@ mod tests {
         let of = |features: &[&str], side: Option<&str>| {
             let mut file = ModelFile::from_bytes(&bytes(features)).unwrap();
             if let Some(side) = side {
-                file.set_metadata(PROBE_SIDE_KEY, side);
+                file.set_metadata(crate::predict::PROBE_SIDE_KEY, side);
             }
             ModelPredictor::new(&file.to_model().unwrap()).map(|p| p.probe_side())
         };
