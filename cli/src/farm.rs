@@ -1,5 +1,6 @@
 //! Render farms: a list of tasks, and which node does what in which order.
 
+use crate::files::read_bytes;
 use anyhow::{Context, Result, ensure};
 use entire_core::schedule::{
     AffinityTask, Assignment, Span, Timeline, assign_longest_first, longest_first, simulate_affinity,
@@ -87,7 +88,7 @@ pub struct Task {
 pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
     let place = || format!("task list {}", path.display());
     let bytes =
-        std::fs::read(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
+        read_bytes(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
     let mut tasks: Vec<Task> = if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
         serde_json::from_slice(&bytes).with_context(place)?
     } else {

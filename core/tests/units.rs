@@ -1,5 +1,5 @@
-//! A scene predicts the same time in any unit of length: over 60 orders of magnitude, from voxels and from bricks, by
-//! arcball and by view camera.
+//! A scene predicts the same time in any unit of length: over 60 orders of magnitude, from voxels and from
+//! bricks, by arcball and by view camera.
 
 use entire_core::control::Session;
 use entire_core::features::{SummaryOptions, VolumeSummary};
@@ -10,7 +10,8 @@ use entire_core::scene::{
 };
 use glam::{Mat3, Mat4, Vec3};
 
-/// Relative difference that another unit may make where it is no power of two times the first: f32 rounds the spacing.
+/// Relative difference that another unit may make where it is no power of two times the first: f32 rounds the
+/// spacing.
 const TOLERANCE: f32 = 1e-5;
 
 const DIMS: [usize; 3] = [40, 24, 31];
@@ -43,7 +44,8 @@ fn cameras(radius: f32) -> [Camera; 2] {
     [arcball, Camera::from_world_view(world, centre, radius).unwrap()]
 }
 
-/// Predictions of the scene in a unit of length: voxels and bricks, each with both cameras, with and without shading.
+/// Predictions of the scene in a unit of length: voxels and bricks, each with both cameras, with and without
+/// shading.
 fn predictions(unit: f32) -> Vec<Prediction> {
     let table = TransferFunction::Gaussian(vec![GaussianLobe { center: 0.4, width: 0.05, height: 0.3 }])
         .to_table()

@@ -4,7 +4,7 @@ use crate::study::{Findings, Fit, Runner, Set, Ship, Study, clock};
 use anyhow::{Context, Result};
 use entire_cli::bound;
 use entire_cli::dataset::{Table, read_tables};
-use entire_cli::files::read_model_file;
+use entire_cli::files::{read_model_file, write_whole};
 use entire_cli::fit::{DtypeChoice, FitContext, predict};
 use entire_cli::metrics::{BoundMetrics, Metrics};
 use entire_cli::split::TimedFrames;
@@ -54,8 +54,7 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
                 .any(|p| p.name == ship.predictor && p.recipe_for(&set.name).file.is_some());
             provenance(&mut file, study, set, &tables[..set.training.len()], &figures, fit, as_it_is)?;
             let path = folder.join(format!("{name}.safetensors"));
-            std::fs::write(&path, file.to_bytes()?)
-                .with_context(|| format!("cannot write {}", path.display()))?;
+            write_whole(&path, &file.to_bytes()?)?;
             let latency = found.latency(&set.name, &ship.predictor);
             let text = card(
                 &name,
@@ -69,7 +68,7 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
                 found,
             )?;
             let path_md = path.with_extension("md");
-            std::fs::write(&path_md, text).with_context(|| format!("cannot write {}", path_md.display()))?;
+            write_whole(&path_md, text.as_bytes())?;
             out.push(path);
         }
     }

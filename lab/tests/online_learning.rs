@@ -43,7 +43,11 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
         let recorded = recorded(name);
         let n = recorded.path.frames.len();
         let errors = |seed: u64| {
-            let mut who = Contender { name: "untrained".into(), session: Session::untrained(), sizes: false };
+            let mut who = Contender {
+                name: "untrained".into(),
+                session: Session::untrained(),
+                chooses_image_sample_distance: false,
+            };
             let played =
                 replay(&recorded, &mut who, None, &vec![1.0 / fps; n], StepLimits::default(), seed).unwrap();
             let error = |range: std::ops::Range<usize>| {

@@ -1,4 +1,5 @@
-//! The house rules that a compiler does not check: arrows between rooms never point back, and `unsafe` stays fenced.
+//! The house rules that a compiler does not check: arrows between rooms never point back, and `unsafe` stays
+//! fenced.
 
 use proc_macro2::{TokenStream, TokenTree};
 use quote::ToTokens;
@@ -36,7 +37,8 @@ fn rust_files(place: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Removes what is compiled for tests alone, exactly, wherever it stands, and notes which files hold only that.
+/// Removes what is compiled for tests alone, exactly, wherever it stands, and notes which files hold only
+/// that.
 #[derive(Default)]
 struct WithoutTests {
     test_modules: BTreeSet<String>,
@@ -276,8 +278,8 @@ const LAB: &Rooms = &[
     ("commands", &["bars", "calibration", "farm", "latency", "replay", "ship", "stress", "study", "trace"]),
 ];
 
-/// The rooms that a crate's source folder has: its folders, and its files but for the two that open it; those for tests
-/// alone are none.
+/// The rooms that a crate's source folder has: its folders, and its files but for the two that open it; those
+/// for tests alone are none.
 fn rooms_of(source: &Path) -> Vec<String> {
     let text = fs::read_to_string(source.join("lib.rs")).expect("lib.rs");
     let (_, tests) = product_tokens(&text).expect("Rust");

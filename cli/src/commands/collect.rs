@@ -248,8 +248,9 @@ pub fn run(options: &Options) -> Result<()> {
             manifest.created = old.created;
             manifest.commit = old.commit;
         } else {
+            // A collection that was killed before its manifest was written has no frame either.
             ensure!(
-                !options.out.exists(),
+                Writer::is_fresh(&options.out)?,
                 "cannot go on with {}: its manifest {} is missing",
                 options.out.display(),
                 Manifest::path_for(&options.out).display()

@@ -14,6 +14,7 @@ use crate::steering::play::DrawSettings;
 use crate::steering::race::{Race, prepare, run as play, shipped_model};
 use crate::steering::report::{Story, table, write};
 use crate::volume::Volume;
+use crate::files::{write_json, write_whole};
 use anyhow::{Context, Result, ensure};
 use entire_core::control::StepLimits;
 use entire_core::scene::{Arcball, Camera, VolumeView};
@@ -221,7 +222,7 @@ pub fn run(options: &Options) -> Result<()> {
         hold: 0,
         retargets: &[],
         scales: &[],
-        choices: &[],
+        image_sample_distances: &[],
         seed_name: &seed_name,
         seed: options.seed,
         draw,
@@ -290,13 +291,9 @@ pub fn run(options: &Options) -> Result<()> {
         provenance: Provenance::of(renderer.device()),
     };
     let metrics = write(&options.out, &story, &draw, &playback)?;
-    let save = |name: &str, bytes: &[u8]| {
-        let to = options.out.join(name);
-        std::fs::write(&to, bytes).with_context(|| format!("cannot write {}", to.display()))
-    };
-    save("path.json", (serde_json::to_string_pretty(&path_file)? + "\n").as_bytes())?;
+    write_json(&options.out.join("path.json"), &path_file)?;
     if let Some(bytes) = prepared.chosen()?.fitted.file() {
-        save("model.safetensors", bytes)?;
+        write_whole(&options.out.join("model.safetensors"), bytes)?;
     }
     println!("\n{}", table(&playback.names, &metrics).to_text());
     println!(

@@ -1,16 +1,16 @@
 //! `entire render`: render one frame and time it.
 
 use crate::device::{self, Device};
-use crate::files::{open_volume, parse_list, parse_numbers, parse_range};
+use crate::files::{open_volume, parse_list, parse_numbers, parse_range, write_whole_with};
 use crate::metrics::median;
 use crate::options::{ShadeOption, SkipOption};
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
 use entire_core::scene::{
     Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
 };
 use entire_vk_raycaster::{Image, Rendered};
 use serde_json::json;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Render one frame and time it.
@@ -203,18 +203,10 @@ fn short(value: f32) -> f64 {
 /// Writes a picture as PNG: what is seen over black, which premultiplied colors already are.
 fn write_png(path: &Path, image: &Image) -> Result<()> {
     let rgb: Vec<u8> = image.rgba.as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
-    let file = std::fs::File::create(path)
-        .map_err(|error| anyhow!("{}: cannot be written: {error}; check --out", path.display()))?;
-    let mut out = BufWriter::new(file);
-    let encoder = image::codecs::png::PngEncoder::new(&mut out);
-    image::ImageEncoder::write_image(
-        encoder,
-        &rgb,
-        image.width,
-        image.height,
-        image::ExtendedColorType::Rgb8,
-    )
-    .with_context(|| format!("{}: cannot be written", path.display()))?;
-    out.flush().with_context(|| format!("{}: cannot be written", path.display()))?;
-    Ok(())
+    write_whole_with(path, |out| {
+        let encoder = image::codecs::png::PngEncoder::new(out);
+        let (width, height) = (image.width, image.height);
+        Ok(image::ImageEncoder::write_image(encoder, &rgb, width, height, image::ExtendedColorType::Rgb8)?)
+    })
+    .context("check --out")
 }

@@ -5,6 +5,7 @@ use super::parse_lobes;
 use super::{Scene, Table};
 use crate::metrics::median;
 use anyhow::{Result, ensure};
+use entire_core::predict::LONGEST_FRAME;
 use entire_core::scene::Shading;
 #[cfg(test)]
 use entire_core::scene::{Arcball, Skipping};
@@ -45,7 +46,10 @@ impl Timing {
             [("seconds_device", self.device), ("seconds_wall", self.wall), ("seconds_cpu", self.cpu)]
         {
             if let Some(v) = value {
-                ensure!(v.is_finite() && v >= 0.0, "{name} is {v}; seconds must be finite and not negative");
+                ensure!(
+                    (0.0..=f64::from(LONGEST_FRAME)).contains(&v),
+                    "{name} is {v}; seconds from 0 to {LONGEST_FRAME} are accepted"
+                );
             }
         }
         ensure!(

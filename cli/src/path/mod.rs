@@ -9,17 +9,18 @@
 //! * `name`: a name for reports.
 //! * `frames`, required: number of frames, 1 to 1 000 000.
 //! * `fov_y_deg`: vertical field of view, degrees; 45 where it is not given.
-//! * `keyframes`, required: array of keyframes, `frame` ascending, the first at frame 0 with camera and transfer
-//!   function.
+//! * `keyframes`, required: array of keyframes, `frame` ascending, the first at frame 0 with camera and
+//!   transfer function.
 //!
 //! A keyframe:
 //!
 //! * `frame`, required: frame number from 0.
-//! * `camera`, required at frame 0: `{"rx_deg": …, "ry_deg": …, "dz_radii": …}`. Arcball angles, and the distance in
-//!   bounding-sphere radii.
+//! * `camera`, required at frame 0: `{"rx_deg": …, "ry_deg": …, "dz_radii": …}`. Arcball angles, and the
+//!   distance in bounding-sphere radii.
 //! * `transfer`, required at frame 0: `{"lobes": [{"center": …, "width": …, "height": …}, …]}` or
 //!   `{"points": [{"position": …, "color": [r, g, b], "opacity": …}, …]}`.
-//! * `switch`: with `true`, what this keyframe gives holds from its frame on at once, and the former value before.
+//! * `switch`: with `true`, what this keyframe gives holds from its frame on at once, and the former value
+//!   before.
 //!
 //! Camera and transfer function are two tracks; a keyframe may give either or both. Between keyframes of a
 //! track, angles go linearly in degrees as they stand (0 to 720 is two turns), the distance in its logarithm;
@@ -35,18 +36,27 @@ mod tests;
 pub use generated::Generated;
 pub use target::parse_target;
 
+use crate::files::read_text;
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::scene::{
     Arcball, Camera, ControlPoint, DEFAULT_FOV_Y_DEGREES, GaussianLobe, TransferFunction,
 };
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::path::Path;
+use std::sync::Arc;
 
 /// The `format` value.
 pub const PATH_FORMAT: &str = "entire-path-1";
 
 /// Most frames that a path may have.
 pub const MAX_FRAMES: u32 = 1_000_000;
+
+/// Most lobes or points of a transfer function: four for each entry of the table that it becomes.
+pub const MAX_TRANSFER_PARTS: usize = 1024;
+
+/// Largest path file, in bytes.
+const MAX_PATH_BYTES: u64 = 64 << 20;
 
 /// A path as its file holds it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -211,13 +221,52 @@ impl CameraPose {
     }
 }
 
+/// The transfer function of a frame: where it lies between keyframes. It is worked out when it is asked for, so that
+/// a long path takes no more memory than its keyframes and cameras.
+#[derive(Clone, Debug)]
+pub struct TransferAt {
+    keys: Arc<[(u32, bool, Transfer)]>,
+    /// The keyframe at or before the frame.
+    key: usize,
+    /// How far it lies on the way to the next keyframe.
+    share: f32,
+}
+
+impl TransferAt {
+    /// The transfer function.
+    pub fn get(&self) -> Cow<'_, Transfer> {
+        let (_, _, value) = &self.keys[self.key];
+        match self.keys.get(self.key + 1) {
+            Some((_, _, next)) if self.share > 0.0 => Cow::Owned(value.mix(next, self.share)),
+            _ => Cow::Borrowed(value),
+        }
+    }
+
+    /// As the core has it.
+    pub fn function(&self) -> TransferFunction {
+        self.get().function()
+    }
+
+    /// The lobes, where there are such.
+    pub fn lobes(&self) -> Option<Vec<GaussianLobe>> {
+        self.get().lobes()
+    }
+}
+
+impl PartialEq for TransferAt {
+    fn eq(&self, other: &Self) -> bool {
+        let same = Arc::ptr_eq(&self.keys, &other.keys) && self.key == other.key && self.share == other.share;
+        same || self.get() == other.get()
+    }
+}
+
 /// One frame of a path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathFrame {
     /// The camera.
     pub camera: Arcball,
     /// The transfer function.
-    pub transfer: Transfer,
+    pub transfer: TransferAt,
     /// Whether the transfer function differs from the frame before (true for the first).
     pub transfer_changed: bool,
     /// Whether the transfer function switched abruptly here.
@@ -245,6 +294,16 @@ pub struct FlightPath {
 }
 
 impl PathFile {
+    /// Reads a path file.
+    ///
+    /// # Errors
+    /// Names the file and what is wrong in it.
+    pub fn open(path: &Path) -> Result<Self> {
+        let text =
+            read_text(path, MAX_PATH_BYTES).with_context(|| format!("cannot read the path {}", path.display()))?;
+        Self::parse(&text).with_context(|| format!("{} is no path", path.display()))
+    }
+
     /// Reads a path file's text.
     ///
     /// # Errors
@@ -299,6 +358,12 @@ impl PathFile {
                 cameras.push((key.frame, key.switch, pose));
             }
             if let Some(transfer) = &key.transfer {
+                let (kind, size) = transfer.size();
+                ensure!(
+                    size <= MAX_TRANSFER_PARTS,
+                    "{}: {size} {kind}; a transfer function has at most {MAX_TRANSFER_PARTS}",
+                    place()
+                );
                 transfer.function().to_table().with_context(place)?;
                 if let Some((frame, _, before)) = transfers.last() {
                     let before: &Transfer = before;
@@ -313,10 +378,16 @@ impl PathFile {
                 transfers.push((key.frame, key.switch, transfer.clone()));
             }
         }
+        let keys: Arc<[(u32, bool, Transfer)]> = transfers.into();
         let mut frames: Vec<PathFrame> = Vec::with_capacity(self.frames as usize);
         for index in 0..self.frames {
-            let (camera, camera_switched) = at(&cameras, index, |a, b, t| a.mix(*b, t));
-            let (transfer, transfer_switched) = at(&transfers, index, |a, b, t| a.mix(b, t));
+            let (key, share, camera_switched) = at(&cameras, index);
+            let camera = match cameras.get(key + 1) {
+                Some((_, _, next)) if share > 0.0 => cameras[key].2.mix(*next, share),
+                _ => cameras[key].2,
+            };
+            let (key, share, transfer_switched) = at(&keys, index);
+            let transfer = TransferAt { keys: keys.clone(), key, share };
             let transfer_changed = frames.last().is_none_or(|f| f.transfer != transfer);
             // A change from a frame to the next that no keyframe calls a switch is a drag.
             let real = |switched: bool| switched && index > 0;
@@ -332,18 +403,17 @@ impl PathFile {
     }
 }
 
-/// The value of a track at a frame, and whether it switched there.
-fn at<T: Clone>(track: &[(u32, bool, T)], index: u32, mix: impl Fn(&T, &T, f32) -> T) -> (T, bool) {
+/// Where a frame lies on a track: the keyframe at or before it, the share of the way to the next one, and whether
+/// the track switched there.
+fn at<T>(track: &[(u32, bool, T)], index: u32) -> (usize, f32, bool) {
     let next = track.partition_point(|(frame, _, _)| *frame <= index);
-    let (frame, switch, value) = &track[next - 1];
+    let (frame, switch, _) = &track[next - 1];
     if *frame == index {
-        return (value.clone(), *switch);
+        return (next - 1, 0.0, *switch);
     }
     match track.get(next) {
-        Some((later, false, target)) => {
-            (mix(value, target, (index - frame) as f32 / (later - frame) as f32), false)
-        }
-        _ => (value.clone(), false),
+        Some((later, false, _)) => (next - 1, (index - frame) as f32 / (later - frame) as f32, false),
+        _ => (next - 1, 0.0, false),
     }
 }
 
@@ -353,10 +423,8 @@ impl FlightPath {
     /// # Errors
     /// Names the file and what is wrong in it.
     pub fn open(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .with_context(|| format!("cannot read the path {}", path.display()))?;
-        let mut flight = PathFile::parse(&text)
-            .and_then(|f| f.resolve())
+        let mut flight = PathFile::open(path)?
+            .resolve()
             .with_context(|| format!("{} is no path", path.display()))?;
         if flight.name.is_empty() {
             flight.name = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();

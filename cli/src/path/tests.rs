@@ -26,12 +26,12 @@ fn tracks_interpolate_hold_and_switch() {
     assert!(
         (camera.rx - 25.0).abs() < 1e-4 && (camera.ry + 50.0).abs() < 1e-4 && (camera.dz - 2.0).abs() < 1e-5
     );
-    let Transfer::Lobes(lobes) = &p.frames[2].transfer else { panic!() };
+    let Transfer::Lobes(lobes) = p.frames[2].transfer.get().into_owned() else { panic!() };
     assert!((lobes[0].center - 0.4).abs() < 1e-6 && (lobes[0].width - 0.02).abs() < 1e-6);
     assert!((lobes[0].height - 0.3).abs() < 1e-6);
     // Held before the switch, new from its frame on.
     assert_eq!(p.frames[5].transfer, p.frames[4].transfer);
-    assert!(matches!(p.frames[6].transfer, Transfer::Points(_)));
+    assert!(matches!(*p.frames[6].transfer.get(), Transfer::Points(_)));
     assert_eq!(p.frames[10].transfer, p.frames[6].transfer);
     assert_eq!(p.switches(), [6]);
     let changed: Vec<usize> = (0..11).filter(|i| p.frames[*i].transfer_changed).collect();
@@ -121,4 +121,26 @@ fn targets_are_times_or_rates() {
     for text in ["", "33", "ms", "-3ms", "0fps", "0ms", "nan s", "3 parsecs", "inf s"] {
         assert!(parse_target(text).is_err(), "{text}");
     }
+}
+
+#[test]
+fn long_paths_hold_no_transfer_function_twice() {
+    let lobes = |height: f32| {
+        let lobe = format!("{{\"center\": 0.5, \"width\": 0.1, \"height\": {height}}}");
+        vec![lobe; MAX_TRANSFER_PARTS].join(",")
+    };
+    let text = |parts: &str| {
+        format!(
+            "{{\"format\": \"entire-path-1\", \"frames\": 1000000, \"keyframes\": [{{\"frame\": 0, \"camera\": \
+             {{\"rx_deg\": 0, \"ry_deg\": 0, \"dz_radii\": 2}}, \"transfer\": {{\"lobes\": [{parts}]}}}}]}}"
+        )
+    };
+    let path = PathFile::parse(&text(&lobes(0.01))).unwrap().resolve().unwrap();
+    assert_eq!(path.frames.len(), 1_000_000);
+    // A million functions of 1024 lobes would take 12 GB.
+    assert!(size_of::<PathFrame>() <= 64);
+    assert!(Arc::ptr_eq(&path.frames[0].transfer.keys, &path.frames[999_999].transfer.keys));
+    let too_many = format!("{}, {}", lobes(0.01), lobes(0.01));
+    let said = format!("{:#}", PathFile::parse(&text(&too_many)).unwrap().resolve().unwrap_err());
+    assert!(said.contains("2048 lobes; a transfer function has at most 1024"), "{said}");
 }

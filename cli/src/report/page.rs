@@ -1,6 +1,7 @@
 //! A self-contained HTML page; its text is `templates/page.html`.
 
 use super::{Chart, Table};
+use crate::files::write_whole;
 use anyhow::{Context, Result};
 use askama::Template;
 use base64::Engine as _;
@@ -86,8 +87,7 @@ impl Page {
     /// # Errors
     /// When the file cannot be written; names it.
     pub fn write(&self, path: &Path) -> Result<()> {
-        std::fs::write(path, self.finish())
-            .with_context(|| format!("cannot write the report {}", path.display()))
+        write_whole(path, self.finish().as_bytes())
     }
 }
 

@@ -105,7 +105,7 @@ pub fn contender(
     Contender {
         name: kind.name().into(),
         session: Session::with_controller(predictor, controller),
-        sizes: kind == ControllerKind::Hybrid,
+        chooses_image_sample_distance: kind == ControllerKind::Hybrid,
     }
 }
 

@@ -32,8 +32,8 @@ pub struct Race<'a> {
     pub retargets: &'a [(u32, f64)],
     /// Other image sizes from a frame on, as shares of the full side, ascending.
     pub scales: &'a [(u32, f32)],
-    /// Shares of a frame's side, beside 1, that ours may choose.
-    pub choices: &'a [f32],
+    /// Pixels between rays along each side, beside 1, that the hybrid may choose.
+    pub image_sample_distances: &'a [f32],
     /// The name under which random calibration scenes are drawn.
     pub seed_name: &'a str,
     /// Seed of calibration scenes and training.
@@ -239,7 +239,7 @@ pub fn run(
         target: prepared.target,
         retargets: race.retargets,
         scales: race.scales,
-        choices: race.choices,
+        image_sample_distances: race.image_sample_distances,
         limits: race.limits,
         keep,
     };

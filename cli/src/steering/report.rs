@@ -6,6 +6,7 @@ use super::metrics::{BEST_PSNR, Metrics, SWITCH_FRAMES};
 use super::play::{DrawSettings, Playback};
 use crate::machine::Provenance;
 use crate::report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
+use crate::files::{write_json, write_whole};
 use anyhow::{Context, Result};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -129,7 +130,7 @@ pub fn table_caption() -> String {
 }
 
 fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
-    let mut out = csv::Writer::from_path(path).with_context(|| format!("cannot write {}", path.display()))?;
+    let mut out = csv::Writer::from_writer(Vec::new());
     out.write_record([
         "frame",
         "controller",
@@ -146,7 +147,7 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
         "reference_seconds",
         "out_of_range",
         "reason",
-        "image_scale",
+        "image_sample_distance",
         "width_px",
         "height_px",
         "volume",
@@ -172,14 +173,14 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
                 playback.references[frame].seconds.to_string(),
                 known(f64::from(r.out_of_range)),
                 r.reason.name().to_owned(),
-                r.scale.to_string(),
+                r.image_sample_distance.to_string(),
                 playback.sizes[frame].0.to_string(),
                 playback.sizes[frame].1.to_string(),
                 playback.volumes[frame].to_string(),
             ])?;
         }
     }
-    out.flush().with_context(|| format!("cannot write {}", path.display()))
+    write_whole(path, &out.into_inner().map_err(|e| e.into_error())?)
 }
 
 fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Value {
@@ -306,20 +307,20 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     });
     page.chart(&chart, "The step that each controller chose: coarser is faster and less exact.");
 
-    if playback.records.iter().flatten().any(|r| r.scale != 1.0) {
+    if playback.records.iter().flatten().any(|r| r.image_sample_distance != 1.0) {
         let chart = Chart::new(
-            "Image size",
+            "Image sample distance",
             Axis::linear("frame"),
-            Axis::linear("image side over the frame's full side").from(0.0).to(1.05),
+            Axis::linear("pixels between rays along each side").from(0.0),
         )
         .size(900.0, 220.0);
         let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
-            Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].scale)))
+            Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].image_sample_distance)))
         });
         page.chart(
             &chart,
-            "The image size that each controller chose; only the hybrid may choose it here, by predicted \
-             image error.",
+            "The image sample distance that each controller chose; only the hybrid may choose it here, by \
+             predicted image error.",
         );
     }
 
@@ -467,9 +468,7 @@ pub fn write(folder: &Path, story: &Story, draw: &DrawSettings, playback: &Playb
         .with_context(|| format!("cannot make the folder {}", folder.display()))?;
     let metrics = playback.metrics();
     write_csv(&folder.join("frames.csv"), playback)?;
-    let text = serde_json::to_string_pretty(&summary(story, draw, playback, &metrics))? + "\n";
-    let json = folder.join("summary.json");
-    std::fs::write(&json, text).with_context(|| format!("cannot write {}", json.display()))?;
+    write_json(&folder.join("summary.json"), &summary(story, draw, playback, &metrics))?;
     page(story, draw, playback, &metrics)?.write(&folder.join("report.html"))?;
     Ok(metrics)
 }

@@ -7,10 +7,10 @@
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::stream::{Companions, Remaining, Stream};
 use super::{Element, Endian, Parts, Volume, VolumeData, checked_dims, three_axes};
+use crate::files::write_whole_with;
 use anyhow::{Context, Result, bail};
 use flate2::{Compression, write::GzEncoder};
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::Path;
 
 const MAX_LINE: usize = 1 << 16;
@@ -299,20 +299,10 @@ fn text(bytes: &[u8]) -> String {
 /// # Errors
 /// Names the path when it cannot be written.
 pub fn write(path: impl AsRef<Path>, volume: &Volume) -> Result<()> {
-    let path = path.as_ref();
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".part");
-    let partial = Path::new(&partial);
-    let written = write_to(partial, volume).and_then(|()| Ok(std::fs::rename(partial, path)?));
-    if written.is_err() {
-        // The first error is the one to report.
-        let _ = std::fs::remove_file(partial);
-    }
-    written.with_context(|| format!("{}: cannot be written", path.display()))
+    write_whole_with(path.as_ref(), |out| write_to(out, volume))
 }
 
-fn write_to(path: &Path, volume: &Volume) -> Result<()> {
-    let mut out = BufWriter::new(File::create(path)?);
+fn write_to(out: &mut dyn Write, volume: &Volume) -> Result<()> {
     let [x, y, z] = volume.dims();
     let [sx, sy, sz] = volume.spacing();
     let kind = match volume.data() {

@@ -308,19 +308,25 @@ fn broken_timings_are_refused_by_name_and_leave_no_trace() {
         assert_eq!(e.kind(), ErrorKind::RejectedObservation);
         assert!(e.message().contains(text), "{e}");
     };
-    for seconds in [f32::NAN, f32::INFINITY, 0.0, -1.0, 1e5] {
-        rejects(&mut session, plan.id, seconds, "must be finite, positive and at most 10000 s");
+    for (seconds, text) in [
+        (f32::NAN, "is not finite"),
+        (f32::INFINITY, "is not finite"),
+        (0.0, "is not positive"),
+        (-1.0, "is not positive"),
+        (1e5, "is over 10000 s"),
+    ] {
+        rejects(&mut session, plan.id, seconds, text);
         assert_eq!(session.save_state(), before);
     }
-    rejects(&mut session, plan.id + 1, 0.01, "is unknown");
-    rejects(&mut session, 0, 0.01, "is unknown");
+    rejects(&mut session, plan.id + 1, 0.01, "no plan has this id");
+    rejects(&mut session, 0, 0.01, "no plan has this id");
     assert_eq!(session.save_state(), before);
     // Late by many frames is welcome, forgotten is not, twice is not.
     let mut ids = Vec::new();
     for _ in 0..PENDING_PLANS {
         ids.push(session.plan(&f, 0.02).unwrap().id);
     }
-    rejects(&mut session, plan.id, 0.013, "is unknown");
+    rejects(&mut session, plan.id, 0.013, "no plan has this id");
     assert!(session.observe(ids[0], 0.013, flags).is_ok());
     rejects(&mut session, ids[0], 0.013, "was observed before");
     let unusual = session.observe(ids[5], 0.013, ObserveFlags { unusual: true, ..flags });
@@ -453,8 +459,8 @@ fn choose_takes_the_first_setting_that_fits() {
     assert_eq!(all.index, 0);
 }
 
-/// A loop with noise, late and missing observations, a switch, and steering off for a while. Where `log` holds entries
-/// they are played again; else they are written.
+/// A loop with noise, late and missing observations, a switch, and steering off for a while. Where `log`
+/// holds entries they are played again; else they are written.
 fn logged(log: &mut Vec<(u32, Option<u32>)>) -> Vec<(u32, u32, u32, Reason)> {
     let replaying = !log.is_empty();
     let mut session = ready_session();

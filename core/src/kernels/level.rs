@@ -7,8 +7,8 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 /// Environment variable that caps the level chosen by [`Level::detect`]: `scalar`, `avx2` or `avx512`.
 ///
-/// Read only with the feature `std`, and once: at the first [`Level::detect`] or [`Level::check_override`] of the process.
-/// It can lower the level, never raise it above what the CPU has.
+/// Read only with the feature `std`, and once: at the first [`Level::detect`] or [`Level::check_override`] of
+/// the process. It can lower the level, never raise it above what the CPU has.
 pub const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
 /// The instruction set a kernel is written for, in rising order.
@@ -46,7 +46,8 @@ impl Isa {
             Some(&isa) => Ok(isa),
             None => bail!(
                 InvalidArgument,
-                "unknown level {text:?}: use \"scalar\", \"avx2\" or \"avx512\" (or leave {LEVEL_VARIABLE} unset)"
+                "unknown level {text:?}: use \"scalar\", \"avx2\" or \"avx512\" (or leave {LEVEL_VARIABLE} \
+                 unset)"
             ),
         }
     }
@@ -78,8 +79,8 @@ impl Level {
     /// The portable level, which every machine has.
     pub const SCALAR: Level = Level { isa: Isa::Scalar, extras: 0 };
 
-    /// The highest level of this CPU, capped by [`LEVEL_VARIABLE`] where the feature `std` is on. An unknown value there
-    /// is ignored here and reported by [`Level::check_override`].
+    /// The highest level of this CPU, capped by [`LEVEL_VARIABLE`] where the feature `std` is on. An unknown
+    /// value there is ignored here and reported by [`Level::check_override`].
     pub fn detect() -> Self {
         #[cfg(feature = "std")]
         if let Ok(Some(cap)) = Self::override_isa() {
@@ -88,7 +89,8 @@ impl Level {
         Self::at_most(Isa::Avx512)
     }
 
-    /// The highest level of this CPU that is not above `cap`, whatever the environment says: the override for programs.
+    /// The highest level of this CPU that is not above `cap`, whatever the environment says: the override for
+    /// programs.
     pub(crate) fn at_most(cap: Isa) -> Self {
         let best = Isa::ALL.into_iter().rev().filter(|&isa| isa <= cap).find_map(Self::exactly);
         best.unwrap_or(Self::SCALAR)
@@ -110,12 +112,13 @@ impl Level {
         Isa::ALL.into_iter().filter_map(Self::exactly)
     }
 
-    /// Checks [`LEVEL_VARIABLE`], for programs that want to refuse a misspelled override. Always `Ok` without `std`.
+    /// Checks [`LEVEL_VARIABLE`], for programs that want to refuse a misspelled override. Always `Ok` without
+    /// `std`.
     ///
     /// # Errors
     ///
-    /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a value that names no level, [`Unsupported`](crate::ErrorKind::Unsupported) for a level that this
-    /// CPU does not have.
+    /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a value that names no level,
+    /// [`Unsupported`](crate::ErrorKind::Unsupported) for a level that this CPU does not have.
     pub fn check_override() -> Result<()> {
         #[cfg(feature = "std")]
         if let Some(isa) = Self::override_isa().clone()?
@@ -130,7 +133,8 @@ impl Level {
         Ok(())
     }
 
-    /// What [`LEVEL_VARIABLE`] says, asked once: reading the environment while another thread changes it is not safe in C.
+    /// What [`LEVEL_VARIABLE`] says, asked once: reading the environment while another thread changes it is
+    /// not safe in C.
     #[cfg(feature = "std")]
     fn override_isa() -> &'static Result<Option<Isa>> {
         static SAID: std::sync::OnceLock<Result<Option<Isa>>> = std::sync::OnceLock::new();
@@ -199,8 +203,8 @@ fn probe() -> u32 {
     0
 }
 
-/// Asks `cpuid` for the instructions and `xgetbv` whether the operating system saves the wide registers; the same code
-/// with and without `std`, so that both choose the same level.
+/// Asks `cpuid` for the instructions and `xgetbv` whether the operating system saves the wide registers; the
+/// same code with and without `std`, so that both choose the same level.
 #[cfg(all(target_arch = "x86_64", not(miri)))]
 fn probe() -> u32 {
     use core::arch::x86_64::{__cpuid, __cpuid_count, _xgetbv};

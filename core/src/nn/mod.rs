@@ -1,7 +1,8 @@
 //! Networks in plain meaning: dense layers, activation, PredNet, VolumeNet. Speed lives in `kernels`.
 //!
-//! [`PredNetParts`] and [`VolumeNetParts`] are checked weights without any layout: what a model file holds, what training
-//! writes. [`PredNet`] is built from them for one [`Level`](crate::kernels::Level) and one [`Storage`].
+//! [`PredNetParts`] and [`VolumeNetParts`] are checked weights without any layout: what a model file holds,
+//! what training writes. [`PredNet`] is built from them for one [`Level`](crate::kernels::Level) and one
+//! [`Storage`].
 
 #[cfg(test)]
 mod conv3d;

@@ -168,7 +168,8 @@ impl PredNetParts {
     ///
     /// # Errors
     ///
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming the tensor, what was expected and what was found.
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming the tensor, what was expected and what was
+    /// found.
     pub(crate) fn check(&self) -> Result<()> {
         let Some(last) = self.layers.last() else {
             bail!(InvalidTensor, "PredNet has no layer: expected at least prednet.0.weight");
@@ -178,7 +179,8 @@ impl PredNetParts {
             if i > 0 && layer.inputs != self.layers[i - 1].outputs {
                 bail!(
                     InvalidTensor,
-                    "prednet.{i}.weight has shape [{}, {}], expected [{}, {}]: the layer before it has {} outputs",
+                    "prednet.{i}.weight has shape [{}, {}], expected [{}, {}]: the layer before it has {} \
+                     outputs",
                     layer.outputs,
                     layer.inputs,
                     layer.outputs,
@@ -232,7 +234,8 @@ pub struct ConvBlockParts {
     pub dtype: Dtype,
 }
 
-/// VolumeNet's encoder (paper, section on the volume network): blocks, then one dense layer without activation.
+/// VolumeNet's encoder (paper, section on the volume network): blocks, then one dense layer without
+/// activation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeNetParts {
     /// Edge of the cubic input volume, in voxels.

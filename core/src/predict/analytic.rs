@@ -23,8 +23,9 @@ pub const TERMS: usize = 9;
 /// The part that each unit cost belongs to: work that goes together on every machine is corrected together.
 const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 3, 3, 5, 4, 5, 5, 5];
 
-/// Metadata key under which a model file that takes `estimated_seconds` holds the unit costs behind it: a JSON object of
-/// seconds by name, `frame` and those of [`COST_QUANTITIES`]; names that are missing cost nothing.
+/// Metadata key under which a model file that takes `estimated_seconds` holds the unit costs behind it: a
+/// JSON object of seconds by name, `frame` and those of [`COST_QUANTITIES`]; names that are missing cost
+/// nothing.
 pub const UNIT_COSTS_KEY: &str = "entire.unit_costs";
 
 impl UnitCosts {
@@ -43,8 +44,8 @@ impl UnitCosts {
     /// The unit costs of a model file; `None` where it holds none.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is negative or not
-    /// finite, or when all are zero.
+    /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is
+    /// negative or not finite, or when all are zero.
     pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata().get(UNIT_COSTS_KEY) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
@@ -108,8 +109,8 @@ impl Measurement {
 pub struct FitReport {
     /// Measurements used.
     pub used: usize,
-    /// Measurements refused: a time that is not positive or over [`LONGEST_FRAME`](super::LONGEST_FRAME), or a count that
-    /// is not finite and positive.
+    /// Measurements refused: a time that is not positive or over [`LONGEST_FRAME`](super::LONGEST_FRAME), or
+    /// a count that is not finite and positive.
     pub refused: usize,
     /// Median of |predicted / measured − 1|.
     pub median_error: f64,
@@ -117,7 +118,8 @@ pub struct FitReport {
     pub p95_error: f64,
 }
 
-/// t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer step or more pixels.
+/// t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer step or more
+/// pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnalyticModel {
     costs: [f64; COSTS],
@@ -178,9 +180,9 @@ impl AnalyticModel {
         self.calibration = calibration;
     }
 
-    /// Fits the unit costs to measured frames by non-negative least squares, reweighted in rounds until it minimizes
-    /// errors of ln(seconds), outliers down-weighted (Huber), and calibrates the upper bound on the same frames. Costs of work that no
-    /// measurement holds keep their default ratio to the others.
+    /// Fits the unit costs to measured frames by non-negative least squares, reweighted in rounds until it
+    /// minimizes errors of ln(seconds), outliers down-weighted (Huber), and calibrates the upper bound on the
+    /// same frames. Costs of work that no measurement holds keep their default ratio to the others.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] when no measurement is usable.
@@ -279,8 +281,9 @@ impl AnalyticModel {
         })
     }
 
-    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without those beyond [`COMMON_COSTS`] where they cost nothing) as scene features, target seconds, calibration and
-    /// range beside it under [`CALIBRATION_KEY`].
+    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without those beyond [`COMMON_COSTS`]
+    /// where they cost nothing) as scene features, target seconds, calibration and range beside it under
+    /// [`CALIBRATION_KEY`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidTensor`] when a cost does not fit single precision.

@@ -1,4 +1,5 @@
-//! From inputs to seconds: the analytic cost model and PredNet behind one trait, with upper bound and out-of-range score.
+//! From inputs to seconds: the analytic cost model and PredNet behind one trait, with upper bound and
+//! out-of-range score.
 //!
 //! [`load`] turns a model file into the predictor that fits it.
 

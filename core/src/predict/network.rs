@@ -15,8 +15,9 @@ use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95), `log_factor`
-/// (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of their work). Optional.
+/// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95),
+/// `log_factor` (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of
+/// their work). Optional.
 pub const CALIBRATION_KEY: &str = "entire.calibration";
 
 /// Distance from the training mean, in standard deviations, up to which an input counts as inside.
@@ -64,8 +65,8 @@ pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
 
 /// A model file's PredNet, its inputs assembled from named groups in the file's order.
 ///
-/// The out-of-range score looks at the inputs' distance from their training means, where the file holds them; volume
-/// features take no part in it, since an encoder maps any volume to familiar codes.
+/// The out-of-range score looks at the inputs' distance from their training means, where the file holds them;
+/// volume features take no part in it, since an encoder maps any volume to familiar codes.
 #[derive(Clone, Debug)]
 pub struct ModelPredictor {
     net: Arc<PredNet>,
@@ -85,8 +86,8 @@ impl ModelPredictor {
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for an input group that this version does not know,
-    /// [`crate::ErrorKind::Unsupported`] for such a scene feature, [`crate::ErrorKind::InvalidModel`] for a file
-    /// without PredNet or with a damaged calibration.
+    /// [`crate::ErrorKind::Unsupported`] for such a scene feature, [`crate::ErrorKind::InvalidModel`] for a
+    /// file without PredNet or with a damaged calibration.
     pub fn new(model: &Model) -> Result<Self> {
         let Some(parts) = model.prednet() else {
             bail!(
@@ -97,11 +98,12 @@ impl ModelPredictor {
         Self::with_net(Arc::new(PredNet::new(parts)?), model)
     }
 
-    /// As [`ModelPredictor::new`] with a network that was built from the same model before, so that several predictors
-    /// share its weights.
+    /// As [`ModelPredictor::new`] with a network that was built from the same model before, so that several
+    /// predictors share its weights.
     ///
     /// # Errors
-    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network of another input size.
+    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network of another input
+    /// size.
     pub fn with_net(net: Arc<PredNet>, model: &Model) -> Result<Self> {
         let layout = InputLayout::of_model(model)?;
         let width = layout.width();
@@ -171,8 +173,8 @@ impl ModelPredictor {
     }
 }
 
-/// A checksum of everything behind a model's predictions: the weights, what goes in, and the metadata, which names the
-/// renderer, the device and the clock where they are known.
+/// A checksum of everything behind a model's predictions: the weights, what goes in, and the metadata, which
+/// names the renderer, the device and the clock where they are known.
 fn identity_of(model: &Model) -> u32 {
     let mut hash = crc32fast::Hasher::new();
     for (key, value) in model.metadata() {

@@ -3,10 +3,12 @@
 /// Most unknowns that [`nnls`] takes.
 const MAX_UNKNOWNS: usize = 16;
 
-/// Minimizes ‖A·x − b‖² over x ≥ 0, given the normal equations `gram` = AᵀA (row-major n × n) and `rhs` = Aᵀb, by the
-/// active-set method of Lawson and Hanson. Returns x; unknowns whose column is zero (or not finite) stay 0.
+/// Minimizes ‖A·x − b‖² over x ≥ 0, given the normal equations `gram` = AᵀA (row-major n × n) and `rhs` =
+/// Aᵀb, by the active-set method of Lawson and Hanson. Returns x; unknowns whose column is zero (or not
+/// finite) stay 0.
 ///
-/// The columns are scaled to unit length inside and a ridge of 1e-12 of that length keeps collinear columns solvable.
+/// The columns are scaled to unit length inside and a ridge of 1e-12 of that length keeps collinear columns
+/// solvable.
 ///
 /// # Panics
 /// When n is over 16 or `gram` is not n × n.

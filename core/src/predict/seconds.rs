@@ -1,10 +1,11 @@
-//! The door that every network's output goes through: what comes out is a finite, positive number of seconds, or an error.
+//! The door that every network's output goes through: what comes out is a finite, positive number of seconds,
+//! or an error.
 
 use crate::Result;
 use crate::error::bail;
 
-/// Shortest time that a network's prediction is taken for, seconds. A network trained on seconds goes to zero and below for
-/// cheap frames, and the exponential of a network trained on their logarithm can vanish.
+/// Shortest time that a network's prediction is taken for, seconds. A network trained on seconds goes to zero
+/// and below for cheap frames, and the exponential of a network trained on their logarithm can vanish.
 pub const SHORTEST_PREDICTION: f32 = 1.0e-6;
 
 /// Longest time that a prediction is taken for, seconds.
@@ -17,8 +18,8 @@ pub const LONGEST_FRAME: f32 = 10_000.0;
 /// [`LONGEST_PREDICTION`]: far beyond any edge of trust.
 pub const CLAMPED_SCORE: f32 = 1000.0;
 
-/// A network's output as a time: its seconds, and whether they had to be brought into [`SHORTEST_PREDICTION`] to
-/// [`LONGEST_PREDICTION`]; [`CLAMPED_SCORE`] is the least out-of-range score then.
+/// A network's output as a time: its seconds, and whether they had to be brought into [`SHORTEST_PREDICTION`]
+/// to [`LONGEST_PREDICTION`]; [`CLAMPED_SCORE`] is the least out-of-range score then.
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidModel`] for NaN or an infinity: weights so large that sums of them leave `f32`.

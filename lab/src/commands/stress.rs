@@ -3,6 +3,7 @@
 use crate::stress::report::{matrix, page};
 use crate::stress::{SCENES, Verdict, run as play, run_real};
 use anyhow::{Context, Result, ensure};
+use entire_cli::files::write_json;
 use clap::ValueEnum;
 use entire_cli::dataset::Clock;
 use entire_cli::device::{self, Device};
@@ -84,12 +85,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     std::fs::create_dir_all(&options.out)
         .with_context(|| format!("cannot make the folder {}", options.out.display()))?;
-    let json = options.out.join("verdicts.json");
-    std::fs::write(
-        &json,
-        serde_json::to_string_pretty(&json!({ "scripted": verdicts, "real": real }))? + "\n",
-    )
-    .with_context(|| format!("cannot write {}", json.display()))?;
+    write_json(&options.out.join("verdicts.json"), &json!({ "scripted": verdicts, "real": real }))?;
     page(&verdicts, &methods, (&real, &real_methods), &name).write(&options.out.join("report.html"))?;
     println!("{}", matrix(&verdicts, &methods).to_text());
     if !real.is_empty() {

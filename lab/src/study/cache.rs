@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use entire_cli::bound;
 use entire_cli::dataset::Table;
 use entire_cli::dataset::feature_table::FeatureTable;
-use entire_cli::files::{fnv1a, read_model_file, write_whole};
+use entire_cli::files::{fnv1a, read_bytes, read_model_file, write_whole};
 use entire_cli::fit::Recipe;
 use entire_cli::split::TimedFrames;
 use entire_core::model::ModelFile;
@@ -28,7 +28,7 @@ pub(super) fn identity(
 ) -> Result<String> {
     let from = |path: &Option<PathBuf>| -> Result<String> {
         let Some(path) = path else { return Ok("none".into()) };
-        let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let bytes = read_bytes(path).with_context(|| format!("cannot read {}", path.display()))?;
         Ok(format!("{:016x}", fnv1a(&bytes)))
     };
     let bare = Recipe { volumenet: None, fine_tune: None, file: None, ..recipe.clone() };

@@ -1,6 +1,7 @@
 //! What a study is asked for: its JSON file.
 
 use anyhow::{Context, Result, bail, ensure};
+use entire_cli::files::read_text;
 use entire_cli::dataset::Clock;
 use entire_cli::fit::{DtypeChoice, Recipe};
 use serde::{Deserialize, Serialize};
@@ -166,7 +167,7 @@ fn yes() -> bool {
 /// # Errors
 /// When the file cannot be read or says something that it may not.
 pub fn read(path: &Path) -> Result<Study> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
     let mut study: Study =
         serde_json::from_str(&text).with_context(|| format!("{} is no study", path.display()))?;
     let folder = path.parent().unwrap_or(Path::new("")).to_owned();

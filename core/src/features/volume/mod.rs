@@ -28,7 +28,8 @@ const BLOCKS_PER_CELL_AXIS: usize = 8;
 /// How a [`VolumeSummary`] is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SummaryOptions {
-    /// Most cells along each axis, 1…128. Cells have the edge of a block, doubled along an axis until this holds.
+    /// Most cells along each axis, 1…128. Cells have the edge of a block, doubled along an axis until this
+    /// holds.
     pub cells_per_axis: usize,
 }
 
@@ -50,7 +51,8 @@ pub struct Geometry {
 /// Value bounds and quantiles of one cell, as indices into a 256-entry table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct CellStats {
-    /// Lowest table entry that a sample in the cell can touch (interpolation with the voxels beyond its far side included).
+    /// Lowest table entry that a sample in the cell can touch (interpolation with the voxels beyond its far
+    /// side included).
     pub(super) low: u8,
     /// Highest such entry.
     pub(super) high: u8,
@@ -60,10 +62,11 @@ pub(super) struct CellStats {
 
 /// What is kept of a volume: about 12 bytes per cell of 8³ voxels, never the voxels.
 ///
-/// Cell (i, j, k) with edge e holds the samples between the centers of voxels e·i and e·(i + 1) along each axis; so one
-/// voxel beyond its far side enters its bounds. The edge is [`BLOCK_EDGE`] voxels along each axis, coarser by powers of two where the volume is larger than
-/// the options allow; then the value bounds of the blocks inside each cell are kept too, so that emptiness is still
-/// judged by the blocks that a renderer skips.
+/// Cell (i, j, k) with edge e holds the samples between the centers of voxels e·i and e·(i + 1) along each
+/// axis; so one voxel beyond its far side enters its bounds. The edge is [`BLOCK_EDGE`] voxels along each
+/// axis, coarser by powers of two where the volume is larger than the options allow; then the value bounds of
+/// the blocks inside each cell are kept too, so that emptiness is still judged by the blocks that a renderer
+/// skips.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeSummary {
     dims: [usize; 3],
@@ -77,8 +80,8 @@ pub struct VolumeSummary {
     /// Voxels along each axis of a block.
     block: [usize; 3],
     stats: Vec<CellStats>,
-    /// Bounds of the blocks inside each cell, cell after cell; `first_block[c]..first_block[c + 1]`. Empty where every
-    /// cell is one block.
+    /// Bounds of the blocks inside each cell, cell after cell; `first_block[c]..first_block[c + 1]`. Empty
+    /// where every cell is one block.
     blocks: Vec<[u8; 2]>,
     first_block: Vec<u32>,
     histogram: [f32; 256],
@@ -90,8 +93,8 @@ impl VolumeSummary {
     /// Scans a volume once.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with more
-    /// blocks than can be indexed.
+    /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with
+    /// more blocks than can be indexed.
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
         let mut summary = Self::layout(volume.dims(), volume.spacing(), volume.scalar_type(), options)?;
         match volume.scalars() {
@@ -117,13 +120,13 @@ impl VolumeSummary {
     }
 
     /// From bounds that the renderer already has: one (low, high) pair of normalized scalars per brick of
-    /// `brick_edge` voxels, x fastest, ⌈dims / edge⌉ bricks per axis, the apron that interpolation needs included.
-    /// Values inside a brick are taken as spread evenly between its bounds. NaN bounds count as 0.
+    /// `brick_edge` voxels, x fastest, ⌈dims / edge⌉ bricks per axis, the apron that interpolation needs
+    /// included. Values inside a brick are taken as spread evenly between its bounds. NaN bounds count as 0.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with_spacing`] refuses,
-    /// [`ErrorKind::SizeMismatch`] for a size over [`crate::scene::MAX_VOLUME_EDGE`] or when the number of bricks is not
-    /// the one that sizes and edge give.
+    /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with_spacing`]
+    /// refuses, [`ErrorKind::SizeMismatch`] for a size over [`crate::scene::MAX_VOLUME_EDGE`] or when the
+    /// number of bricks is not the one that sizes and edge give.
     pub fn from_bricks(
         dims: [usize; 3],
         spacing: [f32; 3],
@@ -144,7 +147,8 @@ impl VolumeSummary {
         if expected != bounds.len() {
             bail!(
                 SizeMismatch,
-                "a volume of {dims:?} voxels in bricks of {brick_edge:?} has {expected} bricks, {} bounds were given; pass one (low, high) pair per brick, x fastest",
+                "a volume of {dims:?} voxels in bricks of {brick_edge:?} has {expected} bricks, {} bounds \
+                 were given; pass one (low, high) pair per brick, x fastest",
                 bounds.len()
             );
         }
@@ -233,9 +237,9 @@ impl VolumeSummary {
         self.non_finite_share
     }
 
-    /// Whether a renderer that looks stored values up in a table must shift or scale each of them: not where they are
-    /// integers from 0, which is among them, to at most [`LARGEST_INDEX`]. Of a volume made of bricks the bounds tell: 0
-    /// among those of integers is taken as a stored 0.
+    /// Whether a renderer that looks stored values up in a table must shift or scale each of them: not where
+    /// they are integers from 0, which is among them, to at most [`LARGEST_INDEX`]. Of a volume made of
+    /// bricks the bounds tell: 0 among those of integers is taken as a stored 0.
     pub(crate) fn remapped(&self) -> bool {
         self.remapped
     }

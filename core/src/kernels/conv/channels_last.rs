@@ -107,8 +107,8 @@ impl ChannelsLast {
         self.shape.output.pow(3)
     }
 
-    /// Number of tasks that a layer with its whole input at hand falls into: chunks of positions, then blocks of
-    /// channels, then tiles.
+    /// Number of tasks that a layer with its whole input at hand falls into: chunks of positions, then blocks
+    /// of channels, then tiles.
     pub(super) fn tasks(&self) -> usize {
         self.positions().div_ceil(CHUNK) * self.blocks.len() * CHUNK.div_ceil(self.cut.positions)
     }
@@ -131,8 +131,8 @@ impl ChannelsLast {
         }
     }
 
-    /// Computes one block of channels at a range of positions, whose inputs lie `plane` floats apart from one output
-    /// plane to the next (0 where the taps say where the planes lie).
+    /// Computes one block of channels at a range of positions, whose inputs lie `plane` floats apart from one
+    /// output plane to the next (0 where the taps say where the planes lie).
     pub(super) fn tiles(
         &self,
         input: &[f32],
@@ -192,7 +192,8 @@ impl Kernel for Tiles<'_> {
             for i in 0..step {
                 let from = z * plane + stride * (y * layer.row + x * layer.column);
                 tile.input[i] = input[from..].as_ptr();
-                // SAFETY: the place lies inside the layer's output, and so does the block of channels after it.
+                // SAFETY: the place lies inside the layer's output, and so does the block of channels after
+                // it.
                 tile.output[i] = unsafe { target.0.add(layer.place(z, y, x) + channel) };
                 // The last tile repeats its last position: the same numbers go to the same places.
                 if p + i + 1 < positions.end {
@@ -206,8 +207,8 @@ impl Kernel for Tiles<'_> {
                 }
             }
             tile.next = input.as_ptr().wrapping_add(z * plane + stride * (y * layer.row + x * layer.column));
-            // SAFETY: a position's place plus any tap and channel lies inside the bordered input; weights and biases
-            // are packed for whole blocks; no other thread has these positions and channels.
+            // SAFETY: a position's place plus any tap and channel lies inside the bordered input; weights and
+            // biases are packed for whole blocks; no other thread has these positions and channels.
             unsafe { tiles::run_tile(s, &tile, step, vectors) };
             p += step;
         }

@@ -103,7 +103,8 @@ impl Shape {
         }
     }
 
-    /// The input planes that output plane `z` needs, and the first kernel plane among them: the rest is padding.
+    /// The input planes that output plane `z` needs, and the first kernel plane among them: the rest is
+    /// padding.
     pub(super) fn planes(&self, z: usize) -> (Range<usize>, usize) {
         let low = z * self.stride;
         let first = low.max(self.padding);

@@ -2,22 +2,24 @@
 //!
 //! # Layouts
 //!
-//! The first layer has one input channel, so its vectors run along x. Its input planes are *prepared*: every row is split
-//! into `stride` phases (padded coordinate X = stride·q + phase goes to place q of its phase), so that the samples which
-//! one tap needs for neighboring outputs lie side by side. Its output is *planar*: one row per y and channel.
+//! The first layer has one input channel, so its vectors run along x. Its input planes are *prepared*: every
+//! row is split into `stride` phases (padded coordinate X = stride·q + phase goes to place q of its phase),
+//! so that the samples which one tap needs for neighboring outputs lie side by side. Its output is *planar*:
+//! one row per y and channel.
 //!
-//! Every rest layer has its vectors along output channels and takes its input one number at a time, broadcast. Its input
-//! is either the planar output of the first layer, or *channels last*: (z, y, x, channel) with zero borders as wide as the
-//! layer's padding. Its output is channels last, with the borders of the layer that follows.
+//! Every rest layer has its vectors along output channels and takes its input one number at a time,
+//! broadcast. Its input is either the planar output of the first layer, or *channels last*: (z, y, x,
+//! channel) with zero borders as wide as the layer's padding. Its output is channels last, with the borders
+//! of the layer that follows.
 //!
-//! The first two layers run plane by plane: a thread keeps only as many prepared planes and planes of the first layer's
-//! output as the kernels span. Borders are zeroed once and never written.
+//! The first two layers run plane by plane: a thread keeps only as many prepared planes and planes of the
+//! first layer's output as the kernels span. Borders are zeroed once and never written.
 //!
 //! # Order
 //!
-//! Every output starts at its bias and adds its taps in one accumulator, in the order (kernel z, y, x, input channel), or
-//! (kernel z, y, input channel, x) at all positions of a channel. So neither the tile an output falls into nor the number of
-//! threads changes a bit.
+//! Every output starts at its bias and adds its taps in one accumulator, in the order (kernel z, y, x, input
+//! channel), or (kernel z, y, input channel, x) at all positions of a channel. So neither the tile an output
+//! falls into nor the number of threads changes a bit.
 
 mod channels_last;
 mod head;

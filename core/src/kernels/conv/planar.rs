@@ -41,8 +41,8 @@ pub(crate) struct PreparedPlane<'a> {
 }
 
 impl PreparedPlane<'_> {
-    /// Fills the plane from rows of voxels that start at `base` and follow at `stride`, mapped to [0, 1] by `map` and
-    /// from there to [-1, 1].
+    /// Fills the plane from rows of voxels that start at `base` and follow at `stride`, mapped to [0, 1] by
+    /// `map` and from there to [-1, 1].
     pub(crate) fn fill<T: Scalar, M: Map<T>>(&mut self, src: &[T], base: usize, stride: usize, map: M) {
         struct Body<'a, 'b, T, M>(&'a mut PreparedPlane<'b>, &'a [T], usize, usize, M);
         impl<T: Scalar, M: Map<T>> Kernel for Body<'_, '_, T, M> {
@@ -206,8 +206,8 @@ impl Kernel for Rows<'_> {
                     channels: group,
                     width: first.shape.output,
                 };
-                // SAFETY: every tap plus the width in whole steps stays inside the prepared planes (phases are long
-                // enough for it), the group's rows inside the output plane, which nobody else has.
+                // SAFETY: every tap plus the width in whole steps stays inside the prepared planes (phases
+                // are long enough for it), the group's rows inside the output plane, which nobody else has.
                 unsafe { tiles::run_row(s, &row) };
             }
         }
