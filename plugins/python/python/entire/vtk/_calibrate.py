@@ -121,7 +121,7 @@ class _Calibrator:
                 gpu = _mappers.is_gpu(mapper)
                 calibration.add(
                     grid.volume,
-                    _scene.camera(renderer, _first_volume(self.volume), grid),
+                    _scene.camera(renderer, _first_volume(self.volume).GetMatrix().GetData(), grid),
                     _scene.transfer_function(prop, grid.range),
                     renderer.GetSize(),
                     self.seconds,

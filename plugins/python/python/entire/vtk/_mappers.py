@@ -48,6 +48,15 @@ class Settings:
         self.adjust: int = mapper.GetAutoAdjustSampleDistances()
         self.lock: int = mapper.GetLockSampleDistanceToInputSpacing()
 
+    def write(self, mapper: Any) -> None:
+        """Puts the settings back."""
+        if self.adjust:
+            mapper.SetAutoAdjustSampleDistances(self.adjust)
+        if self.lock:
+            mapper.SetLockSampleDistanceToInputSpacing(self.lock)
+        mapper.SetSampleDistance(self.sample)
+        mapper.SetImageSampleDistance(self.image)
+
     def restore(self, mapper: Any, sample: float, image: float) -> None:
         """Puts the settings back, but for those that somebody else set since steering wrote `sample` and `image`."""
         if self.adjust and not mapper.GetAutoAdjustSampleDistances():
@@ -105,8 +114,19 @@ def refusal(mapper: Any) -> str:
 def _copy(source: Any, target: Any, names: tuple[str, ...]) -> None:
     for name in names:
         get, put = getattr(source, "Get" + name, None), getattr(target, "Set" + name, None)
-        if get is not None and put is not None:
-            put(get())
+        value = None if get is None else get()
+        if value is not None and put is not None:
+            put(value)
+
+
+def copy_changed(source: Any, target: Any) -> None:
+    """Hands on what an application sets on a mapper while it is shown: cropping, clipping planes, blending."""
+    _copy(source, target, ("Cropping", "CroppingRegionFlags", "CroppingRegionPlanes", "BlendMode"))
+    planes = source.GetClippingPlanes()
+    if planes is not None:
+        target.SetClippingPlanes(planes)
+    else:
+        target.RemoveAllClippingPlanes()
 
 
 def gpu_in_place_of(smart: Any) -> Any:

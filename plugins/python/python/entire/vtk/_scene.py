@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -161,8 +162,8 @@ def transfer_function(prop: Any, span: tuple[float, float]) -> TransferFunction:
     )
 
 
-def camera(renderer: Any, volume: Any, grid: Grid) -> Camera:
-    """The renderer's camera about the volume."""
+def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:
+    """The renderer's camera about a volume that a matrix (its 16 elements, row by row) places in the world."""
     active = renderer.GetActiveCamera()
     angle = active.GetViewAngle()
     if active.GetUseHorizontalViewAngle():
@@ -172,7 +173,7 @@ def camera(renderer: Any, volume: Any, grid: Grid) -> Camera:
     return Camera.scene(
         grid.volume,
         active.GetViewTransformMatrix().GetData(),
-        volume.GetMatrix().GetData(),
+        placed,
         grid.direction,
         grid.center,
         angle,

@@ -105,7 +105,13 @@ class Leaf:
         self._limits: Any = None
         self._plan: Plan | None = None
         self._own: Any = None
+        self._times: Any = None
+        self._image = self._shown = _Weak()
+        self._placed: Any = None
+        self._pixels = self._finest = self._termination = 1.0
+        self._shading = "none"
         self._wrote = (_NAN, _NAN)
+        self._wrote_time = 0
         self._steered = self._ready = self._drawing = False
         self._started = 0.0
 
@@ -148,8 +154,7 @@ class Leaf:
             volume = self._volume()
             if give_back and mapper is not None and volume is not None and volume.GetMapper() is mapper:
                 # What was set meanwhile holds on.
-                for name in ("Cropping", "CroppingRegionFlags", "CroppingRegionPlanes", "BlendMode", "ClippingPlanes"):
-                    getattr(smart, "Set" + name)(getattr(mapper, "Get" + name)())
+                _mappers.copy_changed(mapper, smart)
                 volume.SetMapper(smart)
         self._grid = self._tf = None
 
@@ -231,7 +236,14 @@ class Leaf:
     def _restore(self, mapper: Any) -> None:
         if self._steered:
             self._steered = False
-            self._own.restore(mapper, *self._wrote)
+            if mapper.GetMTime() != self._wrote_time:
+                # The application has set it since: only what it left is put back, and read anew.
+                self._own.restore(mapper, *self._wrote)
+                self._times = None
+                return
+            self._own.write(mapper)
+            if self._times is not None:
+                self._times = (mapper.GetMTime(), *self._times[1:])
 
     def _prepare(self, mapper: Any) -> None:
         before = time.perf_counter()
@@ -255,11 +267,11 @@ class Leaf:
         self._plan = None
         self.reason, self.status = "fallback", why
 
-    def _choose(self, mapper: Any) -> None:
-        steering, volume, session = self._steering, self._volume(), self.session
-        renderer, window = steering._renderer(), steering._window()
-        if volume is None or renderer is None or window is None:
-            raise _scene.Unreadable("the renderer has no window or the volume is gone")
+    def _read_mapper(self, mapper: Any) -> None:
+        """Reads what changes seldom: the input, the volume's functions and place, the mapper's own settings."""
+        steering, session, volume = self._steering, self.session, self._volume()
+        if volume is None:
+            raise _scene.Unreadable("the volume is gone")
         shown = _first_volume(volume)
         prop = shown.GetProperty()
         image = _scene.input_of(mapper)
@@ -277,28 +289,42 @@ class Leaf:
         if tf_key != self._tf_key:
             self._tf = _scene.transfer_function(prop, grid.range)
             self._tf_key = tf_key
-        camera = _scene.camera(renderer, shown, grid)
-        if self._camera is not None and camera.jumps_from(self._camera):
-            session.mark(camera=True)
-        self._camera = camera
         look = _scene.look(prop, mapper)
         if look != self._look:
             if self._look is not None:
                 session.mark(mode=True)
             self._look = look
-
+            self._shading = "local" if look[0] else "none"
+            self._termination = _scene.termination(look, self._gpu)
         own = self._own = _mappers.Settings(mapper)
         # Where VTK adjusts by itself, the image sample distance that it left is that of an earlier frame.
-        pixels = 1.0 if own.adjust else max(0.1, own.image)
+        self._pixels = 1.0 if own.adjust else max(0.1, own.image)
         finest = _mappers.spacing_adjusted(image) if own.lock else own.sample
-        finest = min(4096.0, max(1 / 64, finest / grid.reference))
+        self._finest = min(4096.0, max(1 / 64, finest / grid.reference))
+        self._image, self._shown = _Weak(image), _Weak(shown)
+        self._placed = shown.GetMatrix().GetData()
+        self._times = (mapper.GetMTime(), image.GetMTime(), shown.GetMTime())
+
+    def _choose(self, mapper: Any) -> None:
+        steering, session = self._steering, self.session
+        renderer, window = steering._renderer(), steering._window()
+        if renderer is None or window is None:
+            raise _scene.Unreadable("the renderer has no window")
+        image, shown = self._image(), self._shown()
+        # Modification times say whether anything but the camera is another: each read costs most of a frame's overhead.
+        if image is None or shown is None or self._times != (mapper.GetMTime(), image.GetMTime(), shown.GetMTime()):
+            self._times = None
+            self._read_mapper(mapper)
+        grid, own = self._grid, self._own
+        camera = _scene.camera(renderer, self._placed, grid)
+        if self._camera is not None and camera.jumps_from(self._camera):
+            session.mark(camera=True)
+        self._camera = camera
+        finest, pixels = self._finest, self._pixels
         size = renderer.GetSize()
-        drawn = (_side(size[0] / pixels), _side(size[1] / pixels))
+        drawn = size if pixels == 1 else (_side(size[0] / pixels), _side(size[1] / pixels))
         target = steering._target(window, self)
-        gpu = self._gpu
-        shading = "local" if look[0] else "none"
-        skipping = "none" if gpu else "blocks"
-        end = _scene.termination(look, gpu)
+        skipping = "none" if self._gpu else "blocks"
         still = steering._is_still(window)
         if still or not steering.enabled:
             self.reason = "still" if still else "off"
@@ -307,23 +333,39 @@ class Leaf:
             if still or not own.adjust:
                 session.set_enabled(False)
                 self._plan = session.plan(
-                    camera, self._tf, drawn, target, step=finest, shading=shading, skipping=skipping, termination=end
+                    camera,
+                    self._tf,
+                    drawn,
+                    target,
+                    step=finest,
+                    shading=self._shading,
+                    skipping=skipping,
+                    termination=self._termination,
                 )
                 session.set_enabled(True)
                 self.sample_distance, self.image_sample_distance = finest * grid.reference, pixels
             return
         if steering.finest is not None:
             finest = max(1 / 64, steering.finest)
-        limits = (finest, max(finest, steering.coarsest), min(64.0, max(1.0, steering.coarsest_image / pixels)))
+        limits = (finest, steering.coarsest, steering.coarsest_image, pixels)
         if limits != self._limits:
-            session.set_limits(limits[0], limits[1])
-            session.set_coarsest_image_sample_distance(limits[2], _GPU_STEP_ALONE if gpu else 1.0)
+            session.set_limits(finest, max(finest, steering.coarsest))
+            coarsest_image = min(64.0, max(1.0, steering.coarsest_image / pixels))
+            session.set_coarsest_image_sample_distance(coarsest_image, _GPU_STEP_ALONE if self._gpu else 1.0)
             self._limits = limits
         plan = session.plan(
-            camera, self._tf, drawn, target, step=finest, shading=shading, skipping=skipping, termination=end
+            camera,
+            self._tf,
+            drawn,
+            target,
+            step=finest,
+            shading=self._shading,
+            skipping=skipping,
+            termination=self._termination,
         )
         self._plan = plan
         self._wrote = _mappers.write(mapper, plan.step * grid.reference, pixels * plan.image_sample_distance)
+        self._wrote_time = mapper.GetMTime()
         self._steered = True
         self.sample_distance, self.image_sample_distance = self._wrote
         self.reason, self.status = plan.reason, ""
@@ -424,6 +466,7 @@ class Steering:
         self._still = 0
         self._outside: deque[float] = deque(maxlen=_REST_FRAMES)
         self._rests: deque[float] = deque(maxlen=_REST_FRAMES)
+        self._rest = self._outside_time = 0.0
         self._frames = 0
         self._rendering = self._in_frame = False
         self._clean = True
@@ -528,6 +571,7 @@ class Steering:
         if not (math.isfinite(seconds) and seconds >= 0):
             raise ValueError(f"seconds is {seconds}; it must be finite and not negative")
         self._outside.append(seconds)
+        self._outside_time = statistics.median(self._outside)
 
     def reset(self) -> None:
         """Forgets what was learned."""
@@ -605,6 +649,11 @@ class Steering:
         return self._leaf.reason if self._leaf else "detached"
 
     @property
+    def status(self) -> str:
+        """str : In words, why the last frame was not steered; empty where it was."""
+        return self._leaf.status if self._leaf else "attached to nothing"
+
+    @property
     def why(self) -> str:
         """str : Why the last frame was drawn as it was, in a sentence."""
         return self._leaf.why if self._leaf else "attached to nothing"
@@ -660,6 +709,7 @@ class Steering:
         # The first frame holds what is done once.
         if self._frames > 0 and self._clean:
             self._rests.append(max(0.0, seconds - self._mapper_seconds))
+            self._rest = sorted(self._rests)[len(self._rests) // 2]
         self._frames += 1
         self.frame_time, self.overhead = seconds, self._overhead
         if self.on_frame is not None:
@@ -719,9 +769,7 @@ class Steering:
 
     def _target(self, window: Any, leaf: Leaf) -> float:
         wanted = self.seconds if self.seconds is not None else 1.0 / max(window.GetDesiredUpdateRate(), 1e-4)
-        rest = statistics.median(self._rests) if self._rests else 0.0
-        outside = statistics.median(self._outside) if self._outside else 0.0
-        left = max(wanted - rest - outside, _LEAST_SHARE * wanted)
+        left = max(wanted - self._rest - self._outside_time, _LEAST_SHARE * wanted)
         n = len(self.leaves)
         if n > 1:
             total = sum(other._weight for other in self.leaves)
