@@ -3,20 +3,16 @@
 //!
 //! The first line, `# entire-features 1 schema HASH table HASH frames N`, tells what the features are and of what they were
 //! made: a hash of the names of the core's quantities and of [`VERSION`] (names that were added since are no obstacle), the FNV-1a hash of the timing table's bytes
-//! (unfolded), and how many rows follow. Then one row per frame: its number, every quantity of the core's schema as it stands (never its logarithm), those that
+//! (decompressed), and how many rows follow. Then one row per frame: its number, every quantity of the core's schema as it stands (never its logarithm), those that
 //! need the probe again as `NAME@SIDE` for probes of other than the standard number of rays, then the features of each VolumeNet that the file was made with, as columns `volumenet_ID_I` where ID tells the encoder's weights.
 
-use crate::dataset::{TimedFrame, fnv1a};
+use crate::dataset::TimedFrame;
+use crate::files::{fnv1a, gzip, read_decompressed, write_whole};
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::features::{PROBE_SIDE, SceneQuantity};
 use entire_core::nn::VolumeNetParts;
-use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};
 use std::collections::HashMap;
-use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
-
-/// Most bytes that a compressed table may unfold to.
-const MAX_BYTES: u64 = 4 << 30;
 
 /// Counts up whenever the core computes another value of a quantity for the same frame; features kept before are refused
 /// then.
@@ -47,7 +43,7 @@ fn schema() -> u64 {
     schema_of(SceneQuantity::ALL.len())
 }
 
-/// Whether features of this schema mean what today's do: new quantities come last, so that tables made before are good for
+/// Whether features of this schema mean what this version's do: new quantities come last, so that tables made before are good for
 /// the others. What a model asks for and a table lacks is computed from the volumes.
 fn is_understood(schema: u64) -> bool {
     (1..=SceneQuantity::ALL.len()).any(|count| schema_of(count) == schema)
@@ -58,34 +54,6 @@ pub fn stem(table: &Path) -> PathBuf {
     let bare =
         if table.extension().is_some_and(|e| e == "gz") { table.with_extension("") } else { table.into() };
     bare.with_extension("")
-}
-
-/// A whole file, unfolded where its name ends in `.gz`.
-///
-/// # Errors
-/// When it cannot be read, is damaged, or unfolds to more than 4 GiB.
-pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    let bytes = std::fs::read(path)?;
-    if path.extension().is_none_or(|e| e != "gz") {
-        return Ok(bytes);
-    }
-    let mut out = Vec::new();
-    MultiGzDecoder::new(&bytes[..])
-        .take(MAX_BYTES + 1)
-        .read_to_end(&mut out)
-        .map_err(|e| anyhow!("the gzip stream is damaged: {e}"))?;
-    ensure!(out.len() as u64 <= MAX_BYTES, "it unfolds to more than {} GiB", MAX_BYTES >> 30);
-    Ok(out)
-}
-
-/// Compresses bytes as gzip; the same bytes give the same file.
-///
-/// # Errors
-/// Never in practice: memory is written to.
-pub fn gzip(bytes: &[u8]) -> Result<Vec<u8>> {
-    let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
-    encoder.write_all(bytes)?;
-    Ok(encoder.finish()?)
 }
 
 /// Tells VolumeNets apart: a hash of the first block's and the last layer's weights, eight hexadecimal digits.
@@ -187,12 +155,7 @@ impl FeatureTable {
             }
             text.push('\n');
         }
-        let mut part = path.as_os_str().to_owned();
-        part.push(".part");
-        let part = PathBuf::from(part);
-        std::fs::write(&part, gzip(text.as_bytes())?)
-            .and_then(|()| std::fs::rename(&part, path))
-            .with_context(|| format!("cannot write {}", path.display()))
+        write_whole(path, &gzip(text.as_bytes())?)
     }
 
     /// Reads the file beside a timing table; `None` where there is none.
@@ -213,7 +176,7 @@ impl FeatureTable {
         })?;
         ensure!(
             is_understood(found.schema),
-            "{} holds features of another version of this program, which need not mean what today's do; make it anew with `entire features` or remove it",
+            "{} holds features of another version of this program, which need not mean what this version's do; make it anew with `entire features` or remove it",
             path.display()
         );
         ensure!(
@@ -241,7 +204,7 @@ impl FeatureTable {
     }
 
     fn read(path: &Path) -> Result<Self> {
-        let bytes = read_bytes(path)?;
+        let bytes = read_decompressed(path)?;
         let end = bytes.iter().position(|&b| b == b'\n').map_or(bytes.len(), |i| i + 1);
         let (schema, table, rows) = std::str::from_utf8(&bytes[..end]).ok().and_then(made_of).with_context(|| {
             format!("its first line is not {MARK:?} with schema, table and frames, so that nothing tells what its features mean")

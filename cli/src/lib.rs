@@ -2,28 +2,31 @@
 //! tests and fuzz targets reach it.
 
 pub mod bound;
+mod command_line;
 pub mod commands;
 pub mod dataset;
 pub mod device;
 pub mod enlarge;
+pub mod evaluation;
+pub mod farm;
 pub mod feature_table;
 pub mod files;
+pub mod fit;
 pub mod inputs;
 pub mod interrupt;
-pub mod latency;
 pub mod machine;
 pub mod metrics;
+pub mod options;
 pub mod path;
-pub mod recipe;
+pub mod program;
+pub mod progress;
 pub mod report;
 pub mod scenes;
 #[cfg(test)]
 mod scripted;
-pub mod ship;
 pub mod split;
 pub mod steering;
-pub mod stress;
-pub mod study;
 pub mod teacher;
-pub mod trees;
 pub mod volume;
+
+pub use command_line::main_with_args;

@@ -90,7 +90,7 @@ impl SceneDistribution {
     /// Scene `index` of the volume named `volume` under `seed`. Depends on nothing else: neither on other volumes nor
     /// on scenes drawn before.
     pub fn draw(&self, seed: u64, volume: &str, index: u64) -> RandomScene {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ crate::dataset::fnv1a(volume.as_bytes()));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ crate::files::fnv1a(volume.as_bytes()));
         rng.set_stream(index);
         let mut unit = || (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
         let dz = *pick(&self.radii, unit());

@@ -1,5 +1,5 @@
 //! A predictor in a renderer's place: frames cost nothing but their prediction, so that a model which needs very many can
-//! be taught by one that needs few.
+//! be distilled from one that needs few.
 
 use entire_core::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,

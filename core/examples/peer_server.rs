@@ -108,7 +108,7 @@ fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -
     }))
 }
 
-/// A VolumeNet as the peers read it, batch normalisation folded in.
+/// A VolumeNet as the peers read it, batch normalization folded in.
 fn volumenet(path: &Path) -> Result<VolumeNetParts, Problem> {
     let bytes = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
     let file = SafeTensors::deserialize(&bytes)?;
@@ -248,7 +248,7 @@ fn accuracy(options: &Options, name: &str, rows: usize) -> Result<f64, Problem> 
     Ok(error(&single).max(error(&batch)))
 }
 
-/// Times of whole `predict` calls of a 2×64 network on 24 inputs with normalisation, target log-seconds.
+/// Times of whole `predict` calls of a 2×64 network on 24 inputs with normalization, target log-seconds.
 fn small(options: &Options, cold: bool, seconds: f64) -> Result<String, Problem> {
     let number = |i: usize| ((i * 2_654_435_761) % 2000) as f32 / 10_000.0 - 0.1;
     let layer = |inputs: usize, outputs: usize| DenseParts {

@@ -14,13 +14,13 @@ pub enum ErrorKind {
     SizeMismatch = 2,
     /// The bytes are not a model file that this version reads.
     InvalidModel = 3,
-    /// A tensor is missing or has another shape than its neighbours require.
+    /// A tensor is missing or has another shape than its neighbors require.
     InvalidTensor = 4,
     /// The model needs an input group that the caller did not supply, or the reverse.
     MissingInput = 5,
     /// The call needs something that was not set before it (volume, transfer function, model).
     NotReady = 6,
-    /// An observation was refused (unknown plan, non-positive time, duplicate).
+    /// An observation was rejected (unknown plan, a time that is not positive, duplicate).
     RejectedObservation = 7,
     /// A feature that this build or this model does not have.
     Unsupported = 8,

@@ -66,7 +66,7 @@ fn plan_choose_predict_and_observe_never_allocate() {
                     session.choose(&frame, &settings, 0.02).expect("a choice").plan
                 };
                 for seconds in [f32::NAN, 0.01, 0.01] {
-                    session.observe(plan.id, seconds, ObserveFlags::default());
+                    session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
                 }
             });
         }

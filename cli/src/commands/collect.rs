@@ -6,21 +6,22 @@
 //! table (see [`crate::dataset`]); medians are taken by whoever reads it.
 
 use crate::dataset::{
-    Clock, MANIFEST_FORMAT, Manifest, Measurement, Scene, Table, Writer, noise_floor, parse_shading,
+    Clock, MANIFEST_FORMAT, Manifest, Scene, Table, Timing, Writer, noise_floor, parse_shading,
     parse_skipping,
 };
 use crate::device::{self, Device};
 use crate::enlarge::{enlarge, resample};
 use crate::interrupt;
 use crate::machine;
+use crate::options::{ShadeOption, SkipOption};
+use crate::progress::progress_bar;
 use crate::scenes::{DEFAULT_RADII, SceneDistribution};
 use crate::teacher::Teacher;
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
-use clap::ValueEnum;
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
 use entire_vk_raycaster::Renderer;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde::Deserialize;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -79,7 +80,7 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
     /// Predict the frames by this model instead of rendering them, so that a model that needs very many frames can be
-    /// taught by one that needs few; every clock reads the prediction
+    /// distilled from one that needs few; every clock reads the prediction.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
     pub teacher: Option<PathBuf>,
     /// Shortest image side, pixels.
@@ -109,50 +110,6 @@ pub struct Options {
     /// Go on with a table that was interrupted. Settings and machine must be those of its manifest.
     #[arg(long)]
     pub resume: bool,
-}
-
-/// [`Shading`] as an option.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum ShadeOption {
-    /// Colour and opacity alone.
-    #[default]
-    None,
-    /// Local lighting with gradients.
-    Local,
-    /// Single scattering.
-    Scatter,
-}
-
-impl From<ShadeOption> for Shading {
-    fn from(option: ShadeOption) -> Self {
-        match option {
-            ShadeOption::None => Self::None,
-            ShadeOption::Local => Self::Local,
-            ShadeOption::Scatter => Self::Scatter,
-        }
-    }
-}
-
-/// [`Skipping`] as an option.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum SkipOption {
-    /// Every sample is taken.
-    None,
-    /// Empty blocks are jumped over.
-    #[default]
-    Blocks,
-    /// Runs of empty blocks are jumped over at once.
-    Distance,
-}
-
-impl From<SkipOption> for Skipping {
-    fn from(option: SkipOption) -> Self {
-        match option {
-            SkipOption::None => Self::None,
-            SkipOption::Blocks => Self::Blocks,
-            SkipOption::Distance => Self::Distance,
-        }
-    }
 }
 
 fn parse_lobe_range(text: &str) -> std::result::Result<(u32, u32), String> {
@@ -433,7 +390,7 @@ pub fn collect(
                     outcome.discarded += 1;
                     continue;
                 }
-                repeats.push(Measurement::new(rendered.time, rendered.counts));
+                repeats.push(Timing::new(rendered.time, rendered.counts));
             }
             table.append(number, &scene, &repeats)?;
             outcome.done += 1;
@@ -489,7 +446,7 @@ pub fn collect_passes(
             return Ok(outcome);
         }
     }
-    let mut frames: BTreeMap<u64, (Scene, Vec<Measurement>)> = BTreeMap::new();
+    let mut frames: BTreeMap<u64, (Scene, Vec<Timing>)> = BTreeMap::new();
     for file in &files {
         for frame in Table::read(file, 0)?.frames {
             let entry = frames.entry(frame.number).or_insert_with(|| (frame.scene.clone(), Vec::new()));
@@ -591,17 +548,6 @@ fn check(jobs: &[Job], remedy: &str) -> Result<()> {
     Ok(())
 }
 
-/// A progress bar with the time left; silent where standard error is no terminal.
-pub fn progress_bar(what: &str) -> ProgressBar {
-    let bar = ProgressBar::new(0);
-    if let Ok(style) = ProgressStyle::with_template("{prefix} [{bar:32}] {pos}/{len}, {eta} left  {wide_msg}")
-    {
-        bar.set_style(style.progress_chars("=> "));
-    }
-    bar.set_prefix(what.to_owned());
-    bar
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -636,7 +582,7 @@ pub fn run(options: &Options) -> Result<()> {
     let stop = interrupt::flag()?;
     let mut renderer: Box<dyn Renderer> = match &options.teacher {
         Some(path) => {
-            let (_, model) = crate::recipe::read_model_file(path)?;
+            let (_, model) = crate::files::read_model_file(path)?;
             let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
             Box::new(Teacher::new(&name, &model).with_context(|| format!("{}", path.display()))?)
         }

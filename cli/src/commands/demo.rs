@@ -1,12 +1,12 @@
 //! `entire demo`: calibrate, explore and report: the main job, end to end.
 
-use crate::commands::collect::{ShadeOption, SkipOption};
-use crate::commands::steer::{describe, parse_size};
+use crate::commands::steer::describe;
 use crate::dataset::Clock;
 use crate::device::{self, Device};
 use crate::enlarge::enlarge;
 use crate::interrupt;
 use crate::machine::{self, Provenance};
+use crate::options::{ShadeOption, SkipOption, parse_size};
 use crate::path::Generated;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};

@@ -1,10 +1,11 @@
 //! `entire features`: what the core computes about the frames of timing tables, kept beside them.
 
-use super::train::{INPUTS_BAR, progress_bar, thread_pool};
 use crate::dataset::{Table, TimedFrame};
 use crate::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use crate::files::open_model;
 use crate::inputs::measure;
+use crate::options::thread_pool;
+use crate::progress::{INPUTS_BAR, templated_bar};
 use anyhow::{Context, Result, ensure};
 use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneQuantity};
 use entire_core::nn::VolumeNet;
@@ -64,7 +65,7 @@ pub fn run(options: &Options) -> Result<()> {
         let frames: Vec<&TimedFrame> = tables[0].frames.iter().collect();
         ensure!(!frames.is_empty(), "{} has no frames; collect some with `entire collect`", path.display());
         let mut columns: Vec<String> = SceneQuantity::ALL.iter().map(|q| q.name().to_owned()).collect();
-        let bar = progress_bar(options.quiet, INPUTS_BAR);
+        let bar = templated_bar(options.quiet, INPUTS_BAR);
         let mut rows = measure(&tables, &frames, Some(PROBE_SIDE), None, &pool, &bar, |_, inputs| {
             let work = inputs.features.work(&inputs.setting);
             Ok(SceneQuantity::ALL

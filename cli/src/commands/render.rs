@@ -1,8 +1,9 @@
 //! `entire render`: render one frame and time it.
 
-use crate::commands::collect::{ShadeOption, SkipOption};
 use crate::device::{self, Device};
 use crate::files::{open_volume, parse_list, parse_numbers, parse_range};
+use crate::metrics::median;
+use crate::options::{ShadeOption, SkipOption};
 use anyhow::{Context, Result, anyhow};
 use entire_core::scene::{
     Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
@@ -130,7 +131,7 @@ pub fn run(options: &Options) -> Result<()> {
 
     let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();
     let clock = repeats.first().map_or("wall", |time| time.source());
-    let median = median(&seconds);
+    let median = median(&mut seconds.clone()).unwrap_or(f64::NAN);
     let mut out = std::io::stdout().lock();
     if options.json {
         let range = view.range();
@@ -185,16 +186,6 @@ pub fn run(options: &Options) -> Result<()> {
 /// The shortest decimal that is this number, as JSON's double: 0.35, not 0.3499999940395355.
 fn short(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    match sorted.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => sorted[n / 2],
-        n => 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]),
-    }
 }
 
 /// Writes a picture as PNG: what is seen over black, which premultiplied colors already are.

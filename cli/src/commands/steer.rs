@@ -1,22 +1,22 @@
 //! `entire steer`: play a path against a target frame time under several controllers.
 
-use crate::commands::collect::{ShadeOption, SkipOption};
 use crate::dataset::{Clock, Scene, Writer};
 use crate::device::{self, Device};
 use crate::enlarge::enlarge;
 use crate::files::open_model;
 use crate::interrupt;
 use crate::machine::Provenance;
+use crate::options::{ShadeOption, SkipOption, parse_hold, parse_limits, parse_scale, parse_size};
 use crate::path::{FlightPath, Generated, parse_target};
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{DrawSettings, Playback};
 use crate::steering::race::{Race, prepare, run as play, shipped_model};
 use crate::steering::report::{Story, table, write};
-use crate::steering::trace::scaled_size;
+use crate::steering::sizes::scaled_size;
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::control::StepLimits;
-use entire_core::scene::{MAX_IMAGE_SIDE, VolumeView};
+use entire_core::scene::VolumeView;
 use std::path::{Path, PathBuf};
 
 /// Play a path against a target frame time under several controllers.
@@ -123,40 +123,6 @@ pub struct Options {
     /// Frames whose pictures go into the report, beside those of switches.
     #[arg(long, value_delimiter = ',', value_name = "FRAME,…")]
     pub pictures: Vec<usize>,
-}
-
-/// Reads `WxH`.
-pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
-    let wrong = || format!("{text:?} is not WIDTHxHEIGHT with sides of 1 to {MAX_IMAGE_SIDE} pixels");
-    let (w, h) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
-    match (w.trim().parse(), h.trim().parse()) {
-        (Ok(w), Ok(h)) if (1..=MAX_IMAGE_SIDE).contains(&w) && (1..=MAX_IMAGE_SIDE).contains(&h) => {
-            Ok((w, h))
-        }
-        _ => Err(wrong()),
-    }
-}
-
-pub(crate) fn parse_limits(text: &str) -> std::result::Result<(f32, f32), String> {
-    let pair = text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
-    pair.ok_or_else(|| format!("{text:?} is not two numbers like 1,16"))
-}
-
-pub(crate) fn parse_scale(text: &str) -> std::result::Result<(u32, f32), String> {
-    let pair = text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
-    pair.filter(|(_, s): &(u32, f32)| (0.01..=4.0).contains(s))
-        .ok_or_else(|| format!("{text:?} is not FRAME:SCALE like 40:0.5 with a scale of 0.01 to 4"))
-}
-
-/// Frames per volume of a series; 0 for a single volume.
-pub(crate) fn parse_hold(volumes: usize, hold: Option<u32>) -> Result<u32> {
-    match (volumes, hold) {
-        (1, None) => Ok(0),
-        (1, Some(_)) => bail!("--hold is for several volumes; one was given"),
-        (_, Some(0)) => bail!("--hold is 0; each volume is shown for at least one frame"),
-        (_, Some(n)) => Ok(n),
-        (n, None) => bail!("{n} volumes were given; say for how many frames each is shown (--hold N)"),
-    }
 }
 
 fn parse_retarget(text: &str) -> Result<(u32, f64)> {

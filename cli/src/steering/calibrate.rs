@@ -1,12 +1,13 @@
 //! Fitting predictors to this machine: a few random frames of the volume, each at several ray steps.
 
 use super::play::DrawSettings;
-use crate::dataset::{Measurement as Timing, median};
+use super::rivals::StepResponse;
+use crate::dataset::Timing;
+use crate::metrics::median;
 use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result, ensure};
-use entire_core::control::StepResponse;
 use entire_core::features::{Changes, FrameFeatures, SceneFeature, Setting, TransferSummary, VolumeSummary};
-use entire_core::predict::{AnalyticModel, FitReport, Inputs, Measurement};
+use entire_core::predict::{AnalyticModel, FitReport, Inputs, WorkSample};
 use entire_core::scene::{
     Arcball, Camera, DEFAULT_FOV_Y_DEGREES, GaussianLobe, TransferFunction, VolumeView,
 };
@@ -132,7 +133,7 @@ pub fn measure(
 /// # Errors
 /// When no scene was timed at two steps.
 pub fn response(samples: &[Sample]) -> Result<StepResponse> {
-    Ok(StepResponse::from_samples(&response_pairs(samples))?)
+    StepResponse::from_samples(&response_pairs(samples))
 }
 
 /// The (step, time ratio) pairs behind [`response`], scene after scene.
@@ -152,10 +153,10 @@ pub fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
 /// # Errors
 /// When none of them is usable.
 pub fn fit_analytic(samples: &[Sample]) -> Result<(AnalyticModel, FitReport)> {
-    let measurements: Vec<Measurement> = samples
+    let measurements: Vec<WorkSample> = samples
         .iter()
         .filter(|s| !s.held_out())
-        .map(|s| Measurement::new(&s.features, &s.setting, s.seconds))
+        .map(|s| WorkSample::new(&s.features, &s.setting, s.seconds))
         .collect();
     let mut model = AnalyticModel::new();
     let report = model.fit(&measurements)?;

@@ -1,12 +1,10 @@
 //! The controllers that commands can name.
 
 use super::play::Contender;
+use super::rivals::{Algorithm1, Filament, Olp, Pid, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
 use clap::ValueEnum;
 use entire_core::adapt::Prior;
-use entire_core::control::{
-    Algorithm1, Controller, Filament, Fixed, Hybrid, HybridOptions, Olp, Pid, Session, StepResponse, Unreal,
-    VtkFixedPoint, VtkGpu, VtkJs,
-};
+use entire_core::control::{Controller, Fixed, Hybrid, HybridOptions, Session};
 use entire_core::predict::Predictor;
 
 /// A controller by name.

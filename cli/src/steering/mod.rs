@@ -2,11 +2,10 @@
 
 pub mod calibrate;
 pub mod contenders;
-pub mod factor;
 pub mod fit;
 pub mod metrics;
 pub mod play;
 pub mod race;
-pub mod replay;
 pub mod report;
-pub mod trace;
+pub mod rivals;
+pub mod sizes;

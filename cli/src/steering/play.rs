@@ -1,8 +1,8 @@
 //! Playing a path: every frame under every controller.
 
 use super::metrics::{Metrics, Played, psnr};
-use super::trace::{resized, scale_at, scaled_size, volume_at};
-use crate::dataset::{Clock, Measurement};
+use super::sizes::{resized, scale_at, scaled_size, volume_at};
+use crate::dataset::{Clock, Timing};
 use crate::path::FlightPath;
 use anyhow::{Context, Result, ensure};
 use entire_core::adapt::ObserveFlags;
@@ -45,7 +45,7 @@ impl DrawSettings {
     ///
     /// # Errors
     /// When the renderer has no such clock.
-    pub fn seconds(&self, measurement: &Measurement) -> Result<f64> {
+    pub fn seconds(&self, measurement: &Timing) -> Result<f64> {
         measurement.seconds(self.clock).with_context(|| {
             format!("the renderer has no {} clock; choose another with --clock", self.clock.name())
         })
@@ -78,7 +78,7 @@ pub struct Record {
     /// Why this step.
     pub reason: Reason,
     /// All clocks.
-    pub measured: Measurement,
+    pub measured: Timing,
     /// Seconds by the clock that counts.
     pub seconds: f64,
     /// Likeness to the reference picture, decibels.
@@ -294,9 +294,9 @@ pub fn play(
             let rendered = renderer.render(&drawn.with_step(plan.step)?).with_context(place)?;
             let picture =
                 resized(&rendered.image, frame.width(), frame.height()).context("an image without pixels")?;
-            let measured = Measurement::new(rendered.time, rendered.counts);
+            let measured = Timing::new(rendered.time, rendered.counts);
             let seconds = draw.seconds(&measured)?;
-            session.observe(plan.id, seconds as f32, ObserveFlags::default());
+            session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
             playback.records[c].push(Record {
                 step: plan.step,
                 scale,
@@ -310,7 +310,7 @@ pub fn play(
                 image: keep.then_some(picture),
             });
         }
-        let seconds = draw.seconds(&Measurement::new(reference.time, reference.counts))?;
+        let seconds = draw.seconds(&Timing::new(reference.time, reference.counts))?;
         playback.references.push(Reference { seconds, image: keep.then_some(reference.image) });
         progress.inc(1);
     }
@@ -323,8 +323,8 @@ mod tests {
     use crate::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Transfer};
     use crate::scripted::ScriptedRenderer;
     use crate::steering::contenders::{ControllerKind, contender};
+    use crate::steering::rivals::StepResponse;
     use entire_core::adapt::Prior;
-    use entire_core::control::StepResponse;
     use entire_core::features::SummaryOptions;
     use entire_core::predict::{Inputs, Prediction, Predictor, Source};
     use entire_core::scene::{Scalars, TransferFunction};

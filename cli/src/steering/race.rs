@@ -2,16 +2,17 @@
 
 use super::calibrate::{Sample, measure, response, response_pairs};
 use super::contenders::{ControllerKind, contender};
-use super::fit::{Calibrated, Candidate, Fitted};
+use super::fit::{Calibrated, Candidate, SteeringModel};
 use super::play::{Contender, DrawSettings, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
-use crate::commands::collect::progress_bar;
-use crate::dataset::median;
+use super::rivals::StepResponse;
+use crate::metrics::median;
 use crate::path::FlightPath;
+use crate::progress::progress_bar;
 use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result};
 use entire_core::adapt::Prior;
-use entire_core::control::{StepLimits, StepResponse};
+use entire_core::control::StepLimits;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::model::{Model, ModelFile};
 use entire_core::scene::{Shading, VolumeView};
@@ -68,7 +69,7 @@ pub fn shipped_model(shading: Shading) -> Result<Option<(String, ModelFile)>> {
     if !path.is_file() {
         return Ok(None);
     }
-    let (file, _) = crate::recipe::read_model_file(&path)?;
+    let (file, _) = crate::files::read_model_file(&path)?;
     Ok(Some((format!("{}, calibrated", path.display()), file)))
 }
 
@@ -163,7 +164,7 @@ pub fn prepare(
         calibrated = calibrated.with_shipped(shipped, &samples, race.volume)?;
     }
     if let Some(model) = race.model {
-        let fitted = Fitted::new("the model file that was given".into(), model.clone(), race.volume)?;
+        let fitted = SteeringModel::new("the model file that was given".into(), model.clone(), race.volume)?;
         let given =
             Candidate::of(fitted, &samples).context("the model cannot predict the calibration frames")?;
         for c in &mut calibrated.candidates {

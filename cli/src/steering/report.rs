@@ -47,7 +47,7 @@ fn title(name: &str) -> String {
 }
 
 /// One colour per controller throughout, whichever of them play.
-pub(crate) fn color(name: &str) -> usize {
+pub fn color(name: &str) -> usize {
     match name {
         "fixed" => 5,
         "olp" => 1,

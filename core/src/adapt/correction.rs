@@ -122,28 +122,19 @@ impl Correction {
         self.age = 0;
     }
 
-    /// Observations learned from since the last reset.
-    pub fn observations(&self) -> u64 {
-        self.observations
-    }
-
     /// The factor that each part is corrected by in every scene.
-    pub fn factors(&self) -> [f64; TERMS] {
+    #[cfg(test)]
+    pub(crate) fn factors(&self) -> [f64; TERMS] {
         core::array::from_fn(|i| libm::exp(self.state[i]))
     }
 
-    /// The factor of the scene at hand.
-    pub fn scene_factor(&self) -> f64 {
-        libm::exp(self.state[LOCAL])
-    }
-
     /// Whether the scene at hand has been seen for some frames.
-    pub fn settled(&self) -> bool {
+    pub(crate) fn settled(&self) -> bool {
         self.age > 4
     }
 
     /// Whether the observation before was the second in a row that only another machine explains.
-    pub fn machine_changed(&self) -> bool {
+    pub(crate) fn machine_changed(&self) -> bool {
         self.jumped
     }
 
@@ -173,7 +164,7 @@ impl Correction {
     }
 
     /// The corrected time of a prediction in parts: seconds, and the standard deviation of ln(time).
-    pub fn apply(&self, terms: &CostTerms) -> (f64, f64) {
+    pub(crate) fn apply(&self, terms: &CostTerms) -> (f64, f64) {
         let (seconds, shares) = self.shares(terms, true);
         let variance = self.model_variance(&shares) + self.noise();
         (seconds, libm::sqrt(variance.clamp(1.0e-8, 4.0 * MAX_VARIANCE)))

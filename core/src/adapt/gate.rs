@@ -1,5 +1,8 @@
 //! Which timings are believed.
 
+use crate::Result;
+use crate::error::bail;
+
 /// Longest frame time that is believed, seconds.
 pub const LONGEST_FRAME: f32 = 10_000.0;
 
@@ -14,35 +17,15 @@ pub enum Verdict {
     Clipped = 1,
     /// Taken note of, not learned from: the caller flagged it, or it was the first frame after a pipeline was built.
     Ignored = 2,
-    /// Refused: NaN or infinite.
-    NotFinite = 3,
-    /// Refused: zero or negative.
-    NotPositive = 4,
-    /// Refused: over [`LONGEST_FRAME`].
-    TooLong = 5,
-    /// Refused: no plan has this id, or it is so old that it was forgotten.
-    UnknownPlan = 6,
-    /// Refused: this plan was observed before.
-    Duplicate = 7,
 }
 
 impl Verdict {
-    /// Whether the observation was refused and left no trace.
-    pub const fn is_refused(self) -> bool {
-        (self as u32) >= (Self::NotFinite as u32)
-    }
-
     /// A short name.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Learned => "learned",
             Self::Clipped => "clipped",
             Self::Ignored => "ignored",
-            Self::NotFinite => "not finite",
-            Self::NotPositive => "not positive",
-            Self::TooLong => "too long",
-            Self::UnknownPlan => "unknown plan",
-            Self::Duplicate => "duplicate",
         }
     }
 }
@@ -56,15 +39,17 @@ pub struct ObserveFlags {
     pub cancelled: bool,
 }
 
-/// Whether a time can be a frame's.
-pub fn check_seconds(seconds: f32) -> Option<Verdict> {
-    if !seconds.is_finite() {
-        Some(Verdict::NotFinite)
-    } else if seconds <= 0.0 {
-        Some(Verdict::NotPositive)
-    } else if seconds > LONGEST_FRAME {
-        Some(Verdict::TooLong)
-    } else {
-        None
+/// Checks that a time can be a frame's.
+///
+/// # Errors
+/// [`crate::ErrorKind::RejectedObservation`] unless it is finite, positive and at most [`LONGEST_FRAME`].
+pub fn check_seconds(seconds: f32) -> Result<()> {
+    if !(seconds > 0.0 && seconds <= LONGEST_FRAME) {
+        bail!(
+            RejectedObservation,
+            "a frame time of {seconds} s; it must be finite, positive and at most {LONGEST_FRAME} s: report the \
+             seconds that the frame took"
+        );
     }
+    Ok(())
 }

@@ -22,7 +22,7 @@ impl Margin {
     }
 
     /// As [`Margin::new`], with a multiple to start from, clamped to 0.5…8.
-    pub fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
+    pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
         let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
         let pace = if pace.is_finite() { f64::from(pace).clamp(1.0e-3, 1.0) } else { 0.1 };
         let z = if multiple.is_finite() { multiple.clamp(LOW, HIGH) } else { 2.0 };
@@ -30,7 +30,7 @@ impl Margin {
     }
 
     /// The multiple.
-    pub fn multiple(&self) -> f64 {
+    pub(crate) fn multiple(&self) -> f64 {
         self.z
     }
 

@@ -9,6 +9,7 @@ pub(crate) mod state;
 #[cfg(test)]
 mod tests;
 
-pub use correction::{Correction, Prior, Standing};
+pub use correction::Prior;
+pub(crate) use correction::{Correction, Standing};
 pub use gate::{LONGEST_FRAME, ObserveFlags, Verdict, check_seconds};
-pub use margin::Margin;
+pub(crate) use margin::Margin;

@@ -1,4 +1,4 @@
-//! Ours: feed-forward prediction, corrected online, with a margin that keeps its promise.
+//! Feed-forward prediction, corrected online, with a margin that keeps its promise.
 
 use super::smoothing::Smoothing;
 use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepCost, StepLimits};
@@ -9,13 +9,23 @@ use crate::features::Changes;
 use crate::predict::{CostTerms, Prediction, TERMS};
 use alloc::vec::Vec;
 
+/// Default share of calm frames that may exceed their upper bound.
+pub const DEFAULT_MISS_RATE: f32 = 0.05;
+
+/// Share of the first frames of new scenes that may exceed their upper bound, at least.
+pub const NEW_SCENE_MISS_RATE: f32 = 0.07;
+
+/// Default share of the target by which an upper bound may exceed it.
+pub const DEFAULT_TOLERANCE: f32 = 0.1;
+
 /// Settings of [`Hybrid`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridOptions {
-    /// Share of frames that may exceed their upper bound. Of the target plus `tolerance` fewer do, since not every
-    /// bound reaches so far.
+    /// Share of calm frames that may exceed their upper bound, over 0 and under 1; [`DEFAULT_MISS_RATE`]. Fewer exceed
+    /// the target plus `tolerance`, since not every bound reaches so far. Of the first frames of new scenes, at least
+    /// [`NEW_SCENE_MISS_RATE`] may.
     pub miss_rate: f32,
-    /// How far over the target a frame may be before it counts as missed, as a share of the target.
+    /// How far over the target a frame's upper bound may reach, as a share of the target; [`DEFAULT_TOLERANCE`].
     pub tolerance: f32,
     /// What is known of the prediction before the first frame.
     pub prior: Prior,
@@ -27,7 +37,13 @@ pub struct HybridOptions {
 
 impl Default for HybridOptions {
     fn default() -> Self {
-        Self { miss_rate: 0.05, tolerance: 0.1, prior: Prior::Unknown, damping: true, trust_limit: 2.0 }
+        Self {
+            miss_rate: DEFAULT_MISS_RATE,
+            tolerance: DEFAULT_TOLERANCE,
+            prior: Prior::Unknown,
+            damping: true,
+            trust_limit: 2.0,
+        }
     }
 }
 
@@ -35,7 +51,7 @@ impl Default for HybridOptions {
 /// the target and whose upper bound stays within the tolerance.
 ///
 /// * Novelty: how much of the predicted cost of the step drawn last changed since that frame, in amount and make-up, says
-///   how little the frames before are worth for this one ([`Correction::advance`]). A change that the caller announces
+///   how little the frames before are worth for this one. A change that the caller announces
 ///   after calm frames counts as half new at least; one in a row of announced changes (a drag) counts by what it does.
 /// * Calm phases: the correction follows this very scene, so the margin shrinks to the noise from frame to frame and the
 ///   target is met on average. Of what the prediction says to differ from the frame before, as much is taken as has
@@ -96,8 +112,6 @@ const NEAR: f64 = 0.12;
 const NEW: f64 = 0.3;
 /// How fast the margin of calm frames moves.
 const CALM_PACE: f32 = 0.05;
-/// Share of new scenes whose first frame may exceed its bound.
-const CHANGED_RATE: f32 = 0.07;
 /// Margin of new scenes before any was seen: errors among scenes have heavy tails.
 const CHANGED_START: f64 = 2.5;
 
@@ -108,7 +122,7 @@ impl Hybrid {
             options,
             correction: Correction::new(options.prior),
             calm: Margin::new(options.miss_rate, CALM_PACE),
-            changed: Margin::starting_at(CHANGED_START, options.miss_rate.max(CHANGED_RATE), 0.3),
+            changed: Margin::starting_at(CHANGED_START, options.miss_rate.max(NEW_SCENE_MISS_RATE), 0.3),
             history: History::new(),
             last: None,
             announced: false,
@@ -123,15 +137,9 @@ impl Hybrid {
     }
 
     /// What has been learned of the cost parts.
-    pub fn correction(&self) -> &Correction {
+    #[cfg(test)]
+    pub(crate) fn correction(&self) -> &Correction {
         &self.correction
-    }
-
-    /// Replaces what is known of the prediction before the first frame, and forgets every frame.
-    pub fn set_prior(&mut self, prior: Prior) {
-        self.options.prior = prior;
-        self.correction = Correction::new(prior);
-        self.reset();
     }
 
     /// Corrected time and upper bound of a prediction for the frame at hand, at the step drawn last.
@@ -394,7 +402,8 @@ impl Controller for Hybrid {
     fn reset(&mut self) {
         self.correction.reset();
         self.calm = Margin::new(self.options.miss_rate, CALM_PACE);
-        self.changed = Margin::starting_at(CHANGED_START, self.options.miss_rate.max(CHANGED_RATE), 0.3);
+        self.changed =
+            Margin::starting_at(CHANGED_START, self.options.miss_rate.max(NEW_SCENE_MISS_RATE), 0.3);
         self.history = History::new();
         self.last = None;
         self.announced = false;

@@ -1,26 +1,22 @@
-//! Step choice under a budget: ours, the paper's, and the reactive rules in use elsewhere.
+//! Step choice under a budget.
 //!
 //! A [`Controller`] sees one frame at a time: the target, the limits of the step, what the caller knows to have changed,
 //! and the predicted cost of any step ([`StepCost`]). It answers with a step and a [`Reason`], and later hears how long
 //! the frame took. None of them allocates after construction. [`Session`] joins a controller with a predictor and the
 //! scene's features for one render loop.
 
-mod algorithm1;
 mod coarsening;
+mod fixed;
 mod hybrid;
 mod quality;
-mod reactive;
-mod response;
 mod session;
 mod smoothing;
 #[cfg(test)]
 mod tests;
 
-pub use algorithm1::{Algorithm1, Fixed, Olp, Pid};
-pub use hybrid::{Hybrid, HybridOptions};
+pub use fixed::Fixed;
+pub use hybrid::{DEFAULT_MISS_RATE, DEFAULT_TOLERANCE, Hybrid, HybridOptions, NEW_SCENE_MISS_RATE};
 pub use quality::{QualityModel, QualitySample};
-pub use reactive::{Filament, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
-pub use response::StepResponse;
 pub use session::{Choice, PENDING_PLANS, Plan, Session};
 
 use crate::Result;

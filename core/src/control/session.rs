@@ -25,9 +25,9 @@ pub struct Plan {
     pub id: u64,
     /// Ray step in multiples of the reference step.
     pub step: f32,
-    /// How much smaller than the frame's the image is to be along each side: its sides divided by this, rounded down. 1
-    /// unless [`Session::set_coarsest_pixel`] allows more.
-    pub pixel: f32,
+    /// Pixels of the frame between neighboring rays along each side: the image is drawn with the frame's sides divided
+    /// by this, rounded down. 1 unless [`Session::set_max_image_sample_distance`] allows more.
+    pub image_sample_distance: f32,
     /// Expected seconds; NaN from controllers that expect nothing.
     pub seconds: f32,
     /// Upper bound in seconds; NaN where there is none.
@@ -182,19 +182,22 @@ impl Session {
         self.coarsening.set_steps(limits);
     }
 
-    /// Allows plans to shrink the image, so that a side of its pixels is up to `pixel` pixels of the frame's long: ray step and
-    /// image are then coarsened together ([`Plan::pixel`]), from `step_alone` times the finest step on; 1 is from the start. A
-    /// `pixel` of 1, where sessions start, leaves the image alone. For predictors that know the image size.
+    /// Allows plans to coarsen the image: neighboring rays stand up to `distance` pixels apart along each side (VTK's
+    /// ImageSampleDistance). Ray step and image are then coarsened together ([`Plan::image_sample_distance`]), from
+    /// `step_alone` times the finest step on; 1 is from the start. A `distance` of 1, where sessions start, leaves the
+    /// image alone. For predictors that know the image size.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `pixel` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
-    pub fn set_coarsest_pixel(&mut self, pixel: f32, step_alone: f32) -> Result<()> {
-        for (what, v) in [("coarsest pixel", pixel), ("coarsening of the step alone", step_alone)] {
+    /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `distance` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
+    pub fn set_max_image_sample_distance(&mut self, distance: f32, step_alone: f32) -> Result<()> {
+        for (what, v) in
+            [("largest image sample distance", distance), ("coarsening of the step alone", step_alone)]
+        {
             if !(1.0..=64.0).contains(&v) {
                 bail!(InvalidArgument, "the {what} is {v}; it must be 1 to 64");
             }
         }
-        self.coarsening.set_coarsest_pixel(pixel, step_alone);
+        self.coarsening.set_max_distance(distance, step_alone);
         Ok(())
     }
 
@@ -203,8 +206,8 @@ impl Session {
         self.coarsening.steps()
     }
 
-    /// Switches steering off (every plan answers the frame's own step, clamped to nothing) or on again. Observations
-    /// are learned from either way.
+    /// Switches steering off (every plan answers the frame's own step, unclamped) or on again. Observations are
+    /// learned from either way.
     pub fn set_enabled(&mut self, enabled: bool) {
         self.enabled = enabled;
     }
@@ -219,11 +222,6 @@ impl Session {
         c.size |= changes.size;
         c.mode |= changes.mode;
         c.camera |= changes.camera;
-    }
-
-    /// The controller's name.
-    pub fn controller_name(&self) -> &'static str {
-        self.controller.name()
     }
 
     /// The features of the frame that was planned or predicted last.
@@ -339,20 +337,29 @@ impl Session {
         Ok(Choice { index, plan: self.note(frame, target, changes, terms, decision, drawn) })
     }
 
-    /// Hears how long a planned frame took. Refused observations (see [`Verdict::is_refused`]) leave no trace.
-    pub fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> Verdict {
+    /// Hears how long a planned frame took.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::RejectedObservation`] for a plan that is unknown, forgotten or observed before, and for a
+    /// time that is not finite, not positive or over [`crate::adapt::LONGEST_FRAME`]. It leaves no trace. Only the
+    /// error's text allocates.
+    pub fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> Result<Verdict> {
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
-        let Some(pending) = slot.as_mut().filter(|p| p.id == id) else { return Verdict::UnknownPlan };
+        let Some(pending) = slot.as_mut().filter(|p| p.id == id) else {
+            bail!(
+                RejectedObservation,
+                "plan {id} is unknown: it was never made, or {PENDING_PLANS} plans came after it; report each frame \
+                 with its plan's id, sooner"
+            );
+        };
         if pending.observed {
-            return Verdict::Duplicate;
+            bail!(RejectedObservation, "plan {id} was observed before; report each plan once");
         }
-        if let Some(verdict) = check_seconds(seconds) {
-            return verdict;
-        }
+        check_seconds(seconds)?;
         pending.observed = true;
         if flags.cancelled && seconds <= pending.terms.seconds() {
             // It would have taken longer: that says nothing.
-            return Verdict::Ignored;
+            return Ok(Verdict::Ignored);
         }
         let observed = Observed {
             seconds,
@@ -363,7 +370,7 @@ impl Session {
             scene: pending.scene,
             unusual: flags.unusual,
         };
-        self.controller.observe(&observed)
+        Ok(self.controller.observe(&observed))
     }
 
     /// Forgets every observation and every pending plan; volume and transfer function stay.
@@ -375,6 +382,7 @@ impl Session {
     }
 
     /// What was learned, as bytes for [`Session::load_state`].
+    #[must_use]
     pub fn save_state(&self) -> Vec<u8> {
         let mut out = Vec::new();
         Writer(&mut out).tag(*b"ENS1");
@@ -476,7 +484,7 @@ impl Session {
         changes: Changes,
         terms: CostTerms,
         decision: Decision,
-        (step, pixel): (f32, f32),
+        (step, image_sample_distance): (f32, f32),
     ) -> Plan {
         let id = self.next_id;
         self.next_id += 1;
@@ -495,7 +503,7 @@ impl Session {
         Plan {
             id,
             step,
-            pixel,
+            image_sample_distance,
             seconds: decision.seconds,
             upper: decision.upper,
             out_of_range: decision.out_of_range,

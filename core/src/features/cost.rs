@@ -70,7 +70,7 @@ impl UnitCosts {
 
 impl FrameFeatures {
     /// Work as unit costs count it: a leading 1 for the frame, then the quantities.
-    pub fn cost_work(&self, setting: &Setting) -> [f64; COSTS] {
+    pub(crate) fn cost_work(&self, setting: &Setting) -> [f64; COSTS] {
         let work = self.work(setting);
         let mut out = [1.0; COSTS];
         for (slot, &quantity) in out[1..].iter_mut().zip(&COST_QUANTITIES) {

@@ -123,7 +123,7 @@ pub struct Work {
 impl Work {
     /// How little neighboring rays share of what they read, 0…1: s²/(s² + [`UNSHARED_SPACING`]²) at ray spacing s.
     /// Rays closer than a voxel read the same memory, rays far apart read each their own.
-    pub fn unshared(&self) -> f64 {
+    pub(crate) fn unshared(&self) -> f64 {
         let square = self.ray_spacing * self.ray_spacing;
         square / (square + UNSHARED_SPACING * UNSHARED_SPACING)
     }

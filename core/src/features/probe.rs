@@ -206,17 +206,17 @@ impl Probe {
     }
 
     /// Share of the image that the box covers.
-    pub fn footprint(&self) -> &Footprint {
+    pub(crate) fn footprint(&self) -> &Footprint {
         &self.footprint
     }
 
     /// Mean length of the box along rays that meet it, reference steps.
-    pub fn mean_chord(&self) -> f32 {
+    pub(crate) fn mean_chord(&self) -> f32 {
         self.mean_chord
     }
 
     /// Largest such length, reference steps.
-    pub fn max_chord(&self) -> f32 {
+    pub(crate) fn max_chord(&self) -> f32 {
         self.max_chord
     }
 

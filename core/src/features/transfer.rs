@@ -135,27 +135,27 @@ impl TransferSummary {
     }
 
     /// Opacity of the table averaged over the volume's voxels.
-    pub fn mean_opacity(&self) -> f32 {
+    pub(crate) fn mean_opacity(&self) -> f32 {
         self.mean_opacity
     }
 
     /// Squared opacity averaged over the volume's voxels.
-    pub fn mean_square_opacity(&self) -> f32 {
+    pub(crate) fn mean_square_opacity(&self) -> f32 {
         self.mean_square_opacity
     }
 
     /// Extinction per reference step averaged over the volume's voxels.
-    pub fn mean_extinction(&self) -> f32 {
+    pub(crate) fn mean_extinction(&self) -> f32 {
         self.mean_extinction
     }
 
     /// Share of voxels with any opacity.
-    pub fn visible_share(&self) -> f32 {
+    pub(crate) fn visible_share(&self) -> f32 {
         self.visible_share
     }
 
     /// Largest opacity in the table.
-    pub fn max_opacity(&self) -> f32 {
+    pub(crate) fn max_opacity(&self) -> f32 {
         self.max_opacity
     }
 
@@ -173,7 +173,7 @@ impl TransferSummary {
     ///
     /// # Panics
     /// When the cell lies outside the grid.
-    pub fn extinction(&self, x: usize, y: usize, z: usize) -> f32 {
+    pub(crate) fn extinction(&self, x: usize, y: usize, z: usize) -> f32 {
         let g = self.grid;
         assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
         self.cells[x + g[0] * (y + g[1] * z)].extinction

@@ -80,7 +80,7 @@ impl Helper {
     }
 
     /// Whether a thread serves.
-    pub fn is_served(&self) -> bool {
+    pub(crate) fn is_served(&self) -> bool {
         self.state.load(Ordering::Relaxed) != ABSENT
     }
 

@@ -14,7 +14,7 @@ pub const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum Isa {
-    /// Portable Rust, vectorised by the compiler; the standard that the others are tested against.
+    /// Portable Rust, vectorized by the compiler; the standard that the others are tested against.
     Scalar,
     /// x86-64 with AVX2, FMA and F16C.
     Avx2,
@@ -150,12 +150,12 @@ impl Level {
     }
 
     /// Whether the level includes AVX512_BF16.
-    pub const fn has_bf16(self) -> bool {
+    pub(crate) const fn has_bf16(self) -> bool {
         self.extras & HAS_BF16 != 0
     }
 
     /// Whether the level includes AVX512_FP16.
-    pub const fn has_fp16(self) -> bool {
+    pub(crate) const fn has_fp16(self) -> bool {
         self.extras & HAS_FP16 != 0
     }
 }

@@ -175,7 +175,8 @@ impl ModelFile {
     }
 
     /// Removes one tensor; says whether it was there.
-    pub fn remove_tensor(&mut self, name: &str) -> bool {
+    #[cfg(test)]
+    pub(crate) fn remove_tensor(&mut self, name: &str) -> bool {
         self.tensors.remove(name).is_some()
     }
 

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// Largest edge of VolumeNet's input that is accepted, in voxels (512³ voxels are 512 MiB as f32).
 pub const MAX_VOLUMENET_INPUT: usize = 512;
 
-/// Variance offset of batch normalisation.
+/// Variance offset of batch normalization.
 const BATCH_NORM_EPSILON: f64 = 1e-5;
 
 /// A named run of inputs: the model's inputs are the groups one after another.
@@ -70,7 +70,7 @@ impl Model {
         self.prednet.as_ref()
     }
 
-    /// The encoder's weights with batch normalisation folded in, or `None` where the file lacks one.
+    /// The encoder's weights with batch normalization folded in, or `None` where the file lacks one.
     pub fn volumenet(&self) -> Option<&VolumeNetParts> {
         self.volumenet.as_ref()
     }

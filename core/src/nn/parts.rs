@@ -150,9 +150,9 @@ fn check_finite(values: &[f32], name: &str, part: &str) -> Result<()> {
 pub struct PredNetParts {
     /// The layers, first to last; the last has one output.
     pub layers: Vec<DenseParts>,
-    /// Normalisation of the inputs, if any.
+    /// Normalization of the inputs, if any.
     pub input: Option<Normalization>,
-    /// De-normalisation of the output, if any (length 1).
+    /// De-normalization of the output, if any (length 1).
     pub output: Option<Normalization>,
     /// What the output stands for.
     pub target: Target,
@@ -207,7 +207,7 @@ impl PredNetParts {
     }
 }
 
-/// One block of VolumeNet's encoder with batch normalisation folded in: SELU(conv(x, weight) + bias).
+/// One block of VolumeNet's encoder with batch normalization folded in: SELU(conv(x, weight) + bias).
 #[derive(Clone, Debug, PartialEq)]
 pub struct ConvBlockParts {
     /// Input channels.

@@ -19,7 +19,7 @@ use crate::nn::Executor;
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
-/// Largest absolute difference between [`Resampler::resample`]'s values and the exact average of the exactly normalised voxels,
+/// Largest absolute difference between [`Resampler::resample`]'s values and the exact average of the exactly normalized voxels,
 /// for at most [`RESAMPLE_MAX_RATIO`] input voxels per output voxel and axis.
 pub const RESAMPLE_TOLERANCE: f32 = 2e-6;
 
@@ -124,7 +124,7 @@ impl Resampler {
 /// Fills planes from a first number on, with row scratch.
 type Fill<'a> = dyn Fn(usize, &mut [f32], &mut [f32]) + Sync + 'a;
 
-/// The view's own normalisation, for ranges without a usable reciprocal.
+/// The view's own normalization, for ranges without a usable reciprocal.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Exact<'a>(pub(super) &'a VolumeView<'a>);
 

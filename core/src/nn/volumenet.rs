@@ -23,7 +23,7 @@ pub struct EncodeScratch {
     encoder: Scratch,
 }
 
-/// The encoder, ready to run: blocks of convolution (batch normalisation folded in) and SELU, then one dense layer
+/// The encoder, ready to run: blocks of convolution (batch normalization folded in) and SELU, then one dense layer
 /// (paper, section on the volume network). Any number of blocks, kernel edges, strides and paddings.
 ///
 /// The input is the volume mapped to [0, 1] over its range, resampled to a cube of [`input_size`](Self::input_size)³

@@ -78,14 +78,14 @@ const LONGEST: f32 = 1.0e9;
 
 /// One measured frame, for [`AnalyticModel::fit`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Measurement {
+pub struct WorkSample {
     /// Work of each of [`COST_QUANTITIES`], after a leading 1 for the frame itself.
     pub work: [f64; COSTS],
     /// Measured seconds.
     pub seconds: f64,
 }
 
-impl Measurement {
+impl WorkSample {
     /// The estimated work of a frame at a setting, with its measured time.
     pub fn new(features: &FrameFeatures, setting: &Setting, seconds: f64) -> Self {
         Self { work: features.cost_work(setting), seconds }
@@ -166,11 +166,6 @@ impl AnalyticModel {
         &self.costs
     }
 
-    /// Whether the costs were measured.
-    pub fn is_fitted(&self) -> bool {
-        self.fitted
-    }
-
     /// The calibration behind [`Prediction::upper`].
     pub fn calibration(&self) -> &Calibration {
         &self.calibration
@@ -187,7 +182,7 @@ impl AnalyticModel {
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] when no measurement is usable.
-    pub fn fit(&mut self, measurements: &[Measurement]) -> Result<FitReport> {
+    pub fn fit(&mut self, measurements: &[WorkSample]) -> Result<FitReport> {
         self.fit_towards(&UnitCosts::SOFTWARE, measurements)
     }
 
@@ -195,8 +190,8 @@ impl AnalyticModel {
     ///
     /// # Errors
     /// As [`AnalyticModel::fit`].
-    pub fn fit_towards(&mut self, default: &UnitCosts, measurements: &[Measurement]) -> Result<FitReport> {
-        let usable: Vec<&Measurement> = measurements
+    pub fn fit_towards(&mut self, default: &UnitCosts, measurements: &[WorkSample]) -> Result<FitReport> {
+        let usable: Vec<&WorkSample> = measurements
             .iter()
             .filter(|m| {
                 m.seconds.is_finite()
@@ -244,7 +239,7 @@ impl AnalyticModel {
                 gram[i * COSTS + i] += pull * unit * 1.0e-1;
                 rhs[i] += pull * 1.0e-1;
             }
-            nnls(&gram, &rhs, &mut costs);
+            nnls::nnls(&gram, &rhs, &mut costs);
             for (m, residual) in usable.iter().zip(&mut residuals) {
                 *residual = libm::log(dot(&costs, &m.work).max(1.0e-30) / m.seconds);
             }
@@ -442,7 +437,7 @@ mod tests {
         [1e-3, 3e-9, 2e-8, 0.0, 4e-8, 1e-8, 9e-8, 0.0, 0.0, 2e-7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
     /// Work of frames as they come: counts over several decades, scattering never used.
-    fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
+    fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<WorkSample> {
         let mut state = 9u64;
         let mut uniform = || {
             state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -476,7 +471,7 @@ mod tests {
                 if outliers && i % 20 == 0 {
                     seconds *= 10.0;
                 }
-                Measurement { work, seconds }
+                WorkSample { work, seconds }
             })
             .collect()
     }
@@ -548,9 +543,9 @@ mod tests {
     fn broken_measurements_are_left_out_and_all_broken_is_an_error() {
         let mut rows = measurements(20, 0.0, false);
         for seconds in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            rows.push(Measurement { seconds, ..rows[0] });
+            rows.push(WorkSample { seconds, ..rows[0] });
         }
-        rows.push(Measurement { work: [f64::NAN; COSTS], seconds: 1.0 });
+        rows.push(WorkSample { work: [f64::NAN; COSTS], seconds: 1.0 });
         let mut model = AnalyticModel::new();
         let report = model.fit(&rows).unwrap();
         assert_eq!((report.used, report.refused), (20, 5));

@@ -78,7 +78,7 @@ impl<const N: usize> FeatureRange<N> {
     }
 
     /// With given ends; unknown when any is not finite.
-    pub fn from_ends(low: [f32; N], high: [f32; N]) -> Self {
+    pub(crate) fn from_ends(low: [f32; N], high: [f32; N]) -> Self {
         let known = low.iter().chain(&high).all(|v| v.is_finite());
         if known { Self { low, high, known } } else { Self::unknown() }
     }
@@ -89,7 +89,7 @@ impl<const N: usize> FeatureRange<N> {
     }
 
     /// The range of the rows; values that are not finite are passed over.
-    pub fn from_rows(rows: &[[f32; N]]) -> Self {
+    pub(crate) fn from_rows(rows: &[[f32; N]]) -> Self {
         if rows.is_empty() {
             return Self::unknown();
         }

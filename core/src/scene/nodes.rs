@@ -1,10 +1,10 @@
 //! Transfer functions given as nodes with midpoint and sharpness: the description of VTK and ParaView
-//! (`vtkPiecewiseFunction` for opacity, `vtkColorTransferFunction` in RGB for colour), evaluated as they do.
+//! (`vtkPiecewiseFunction` for opacity, `vtkColorTransferFunction` in RGB for color), evaluated as they do.
 //!
 //! Between two nodes the left one's midpoint says where the value is half way, and its sharpness how abrupt the change
 //! is: under 0.01 it is linear on both sides of the midpoint; from there on the position is first bent by the power
 //! 1 + 10·sharpness towards the midpoint and then fed to a cubic Hermite curve whose end slopes are (1 − sharpness)
-//! times the rise. Colours alone become a step at the midpoint over 0.99; opacity keeps the curve, as VTK's two
+//! times the rise. Colors alone become a step at the midpoint over 0.99; opacity keeps the curve, as VTK's two
 //! classes differ in this. Agreement with VTK 9.7: 1e-6 on every table entry.
 
 use super::transfer::{TABLE_LEN, TransferTable, ramp};
@@ -25,7 +25,7 @@ pub struct OpacityNode {
     pub sharpness: f64,
 }
 
-/// A node of a colour function.
+/// A node of a color function.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColorNode {
     /// Scalar value, in the unit of the function's range.
@@ -38,7 +38,7 @@ pub struct ColorNode {
     pub sharpness: f64,
 }
 
-/// Opacity and colour nodes with the scalar range that maps to [0, 1].
+/// Opacity and color nodes with the scalar range that maps to [0, 1].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Nodes {
     opacity: Vec<OpacityNode>,
@@ -49,7 +49,7 @@ pub struct Nodes {
 
 impl Nodes {
     /// Nodes in ascending position over the scalar range `low`…`high`, which should be the volume's. Two nodes at one
-    /// position make a step. No opacity node means transparent everywhere; no colour node means
+    /// position make a step. No opacity node means transparent everywhere; no color node means
     /// [`super::COLOR_RAMP`]. Beyond the outermost nodes their value goes on (see [`Nodes::with_clamping`]).
     ///
     /// # Errors
@@ -79,7 +79,7 @@ impl Nodes {
         &self.opacity
     }
 
-    /// The colour nodes.
+    /// The color nodes.
     pub fn color(&self) -> &[ColorNode] {
         &self.color
     }

@@ -249,14 +249,14 @@ impl<'a> VolumeView<'a> {
         self.range
     }
 
-    /// World size of the volume's box: voxels × spacing (voxel-centred samples, the box reaches half a voxel beyond).
+    /// World size of the volume's box: voxels × spacing (voxel-centered samples, the box reaches half a voxel beyond).
     pub fn extent(&self) -> Vec3 {
         Vec3::new(self.dims[0] as f32, self.dims[1] as f32, self.dims[2] as f32) * self.spacing
     }
 
     /// Radius of the bounding sphere in world units: the unit of length of scene space.
     pub fn bounding_radius(&self) -> f32 {
-        // Scaled first: the square of a spacing in centimetres of a galaxy, or of metres of an atom, leaves f32's range.
+        // Scaled first: the square of a spacing in centimetres of a galaxy, or of meters of an atom, leaves f32's range.
         let extent = self.extent();
         let longest = extent.max_element();
         0.5 * (extent / longest).length() * longest

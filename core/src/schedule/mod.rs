@@ -30,7 +30,7 @@ impl Assignment {
     /// # Errors
     /// [`crate::ErrorKind::SizeMismatch`] when `times` or `speeds` have another length than this assignment has tasks
     /// or nodes; [`crate::ErrorKind::InvalidArgument`] for a time or speed that is not usable.
-    pub fn loads(&self, times: &[f64], speeds: &[f64]) -> Result<Vec<f64>> {
+    pub(crate) fn loads(&self, times: &[f64], speeds: &[f64]) -> Result<Vec<f64>> {
         check(times, speeds)?;
         if times.len() != self.node_of.len() || speeds.len() != self.nodes {
             bail!(

@@ -88,11 +88,6 @@ impl<T: Real> Trainer<T> {
         &self.network
     }
 
-    /// The network, its training over.
-    pub fn into_network(self) -> Network<T> {
-        self.network
-    }
-
     /// Gradient of the last step's mean loss, before clipping.
     pub fn gradient(&self) -> &[T] {
         &self.gradient

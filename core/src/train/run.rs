@@ -172,11 +172,11 @@ impl Standardization {
     }
 
     /// None: means 0, deviations 1.
-    pub fn identity(width: usize) -> Self {
+    pub(crate) fn identity(width: usize) -> Self {
         Self { input_mean: vec![0.0; width], input_std: vec![1.0; width], output_mean: 0.0, output_std: 1.0 }
     }
 
-    /// What a model brings: its normalisation where it has one, else none.
+    /// What a model brings: its normalization where it has one, else none.
     pub fn of(parts: &PredNetParts) -> Self {
         let mut out = Self::identity(parts.inputs());
         if let Some(Normalization { mean, std }) = &parts.input {

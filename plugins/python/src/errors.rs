@@ -23,6 +23,13 @@ create_exception!(
     "The call needs something that was not set before it: a volume, a transfer function."
 );
 
+create_exception!(
+    entire,
+    RejectedObservationError,
+    PyValueError,
+    "A time that cannot be learned from: of an unknown plan, told twice, or no positive number. It changed nothing."
+);
+
 /// The exception for an error of the library.
 pub(crate) fn raise(error: Error) -> PyErr {
     let text = error.message().to_owned();
@@ -31,6 +38,7 @@ pub(crate) fn raise(error: Error) -> PyErr {
             ModelError::new_err(text)
         }
         ErrorKind::MissingInput => MissingInputError::new_err(text),
+        ErrorKind::RejectedObservation => RejectedObservationError::new_err(text),
         ErrorKind::NotReady => NotReadyError::new_err(text),
         _ => PyValueError::new_err(text),
     }

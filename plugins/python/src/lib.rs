@@ -6,6 +6,7 @@
 
 mod calibration;
 mod camera;
+mod command;
 mod errors;
 mod frame;
 mod history;
@@ -25,7 +26,9 @@ mod _native {
     #[pymodule_export]
     use crate::camera::Camera;
     #[pymodule_export]
-    use crate::errors::{MissingInputError, ModelError, NotReadyError};
+    use crate::command::command;
+    #[pymodule_export]
+    use crate::errors::{MissingInputError, ModelError, NotReadyError, RejectedObservationError};
     #[pymodule_export]
     use crate::model::Model;
     #[pymodule_export]

@@ -249,13 +249,8 @@ impl Session {
     /// ValueError
     ///     For other numbers.
     #[pyo3(signature = (coarsest, step_alone = 1.0))]
-    fn set_coarsest_image_sample_distance(
-        &self,
-        py: Python<'_>,
-        coarsest: f32,
-        step_alone: f32,
-    ) -> PyResult<()> {
-        self.state(py)?.core.set_coarsest_pixel(coarsest, step_alone).map_err(raise)
+    fn set_max_image_sample_distance(&self, py: Python<'_>, coarsest: f32, step_alone: f32) -> PyResult<()> {
+        self.state(py)?.core.set_max_image_sample_distance(coarsest, step_alone).map_err(raise)
     }
 
     /// Switches steering off (every plan answers the frame's own step: for screenshots and still frames) or on again.
@@ -336,11 +331,11 @@ impl Session {
         }
         let plan = state.core.plan(&frame, target).map_err(raise)?;
         state.plans[(plan.id % PENDING_PLANS as u64) as usize] = Some((plan, target));
-        let shrunk = |side: u32| ((f64::from(side) / f64::from(plan.pixel)) as u32).max(1);
+        let shrunk = |side: u32| ((f64::from(side) / f64::from(plan.image_sample_distance)) as u32).max(1);
         Ok(Plan {
             id: plan.id,
             step: plan.step,
-            image_sample_distance: plan.pixel,
+            image_sample_distance: plan.image_sample_distance,
             size: (shrunk(frame.width()), shrunk(frame.height())),
             seconds: plan.seconds,
             upper: plan.upper,
@@ -365,8 +360,13 @@ impl Session {
     /// Returns
     /// -------
     /// str
-    ///     "learned", "clipped" (far from what was expected), "ignored", or why the time was refused: "not finite", "not
-    ///     positive", "too long" (over 10,000 s), "unknown plan", "duplicate". A refused time changes nothing.
+    ///     "learned", "clipped" (far from what was expected: its pull was clipped) or "ignored" (flagged, or the first frame).
+    ///
+    /// Raises
+    /// ------
+    /// RejectedObservationError
+    ///     For a plan that is unknown, forgotten or observed before, and a time that is not finite, not positive or over
+    ///     10,000 s. It changes nothing.
     #[pyo3(signature = (plan, seconds, *, unusual = false, cancelled = false))]
     fn observe(
         &self,
@@ -378,9 +378,9 @@ impl Session {
     ) -> PyResult<&'static str> {
         let mut state = self.state(py)?;
         let state = &mut *state;
-        let verdict = state.core.observe(plan.id, seconds as f32, ObserveFlags { unusual, cancelled });
-        if !verdict.is_refused()
-            && let Some((core, target)) = state.plans[(plan.id % PENDING_PLANS as u64) as usize]
+        let flags = ObserveFlags { unusual, cancelled };
+        let verdict = state.core.observe(plan.id, seconds as f32, flags).map_err(raise)?;
+        if let Some((core, target)) = state.plans[(plan.id % PENDING_PLANS as u64) as usize]
             && core.id == plan.id
         {
             state.history.push(Entry {
@@ -390,7 +390,7 @@ impl Session {
                 upper: core.upper,
                 measured: seconds as f32,
                 step: core.step,
-                image_sample_distance: core.pixel,
+                image_sample_distance: core.image_sample_distance,
                 reason: core.reason.name(),
                 verdict: verdict.name(),
             });

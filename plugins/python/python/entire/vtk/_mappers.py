@@ -129,12 +129,14 @@ def copy_changed(source: Any, target: Any) -> None:
         target.RemoveAllClippingPlanes()
 
 
-def gpu_in_place_of(smart: Any) -> Any:
+def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> Any:
     """A GPU mapper that draws what a smart mapper draws, pixel for pixel, as far as that one draws on the GPU.
 
     Parameters
     ----------
     smart : vtkSmartVolumeMapper
+    make : callable, optional
+        Makes the mapper.
 
     Returns
     -------
@@ -151,7 +153,7 @@ def gpu_in_place_of(smart: Any) -> Any:
             f"the vtkSmartVolumeMapper was told to draw in mode {mode}, and gives Python no access to the mapper inside; use "
             "vtkFixedPointVolumeRayCastMapper (pyvista: mapper='fixed_point') or the default mode"
         )
-    gpu = vtkOpenGLGPUVolumeRayCastMapper()
+    gpu = make()
     if smart.GetNumberOfInputConnections(0):
         gpu.SetInputConnection(smart.GetInputConnection(0, 0))
     _copy(

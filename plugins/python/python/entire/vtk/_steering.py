@@ -211,9 +211,8 @@ class Leaf:
     def _end(self, mapper: Any, _event: str) -> None:
         if not self._drawing:
             return
+        # The GPU mapper waits for the device by itself before it announces its end.
         steering = self._steering
-        if self._gpu:
-            steering._finish()
         seconds = steering._now() - self._started
         before = time.perf_counter()
         self._drawing = False
@@ -224,7 +223,8 @@ class Leaf:
         if plan is not None:
             window = steering._window()
             cancelled = window is not None and bool(window.GetAbortRender())
-            self.session.observe(plan, seconds, cancelled=cancelled)
+            with contextlib.suppress(ValueError):  # A time that is rejected teaches nothing.
+                self.session.observe(plan, seconds, cancelled=cancelled)
             # What the frame would have taken at full quality, roughly.
             whole = seconds * plan.step * plan.image_sample_distance**2
             self._weight = whole if self._weight == 0 else 0.7 * self._weight + 0.3 * whole
@@ -351,7 +351,7 @@ class Leaf:
         if limits != self._limits:
             session.set_limits(finest, max(finest, steering.coarsest))
             coarsest_image = min(64.0, max(1.0, steering.coarsest_image / pixels))
-            session.set_coarsest_image_sample_distance(coarsest_image, _GPU_STEP_ALONE if self._gpu else 1.0)
+            session.set_max_image_sample_distance(coarsest_image, _GPU_STEP_ALONE if self._gpu else 1.0)
             self._limits = limits
         plan = session.plan(
             camera,

@@ -1,0 +1,351 @@
+//! What is kept of a volume: a grid of cells with value bounds and quantiles.
+
+mod scan;
+
+use crate::error::bail;
+use crate::scene::{ScalarType, Scalars, VolumeView};
+use crate::{Error, ErrorKind, Result};
+use alloc::vec;
+use alloc::vec::Vec;
+use glam::Vec3;
+use scan::{Entries, copy, entries, to_positions};
+
+/// Edge of the blocks that renderers skip by, in voxels.
+pub const BLOCK_EDGE: usize = 8;
+
+/// Most cells along an axis unless [`SummaryOptions`] says otherwise.
+pub const DEFAULT_CELLS_PER_AXIS: usize = 48;
+
+/// Quantile intervals kept per cell; the `QUANTILES + 1` bounds split its voxels into shares of equal size.
+pub const QUANTILES: usize = 8;
+
+/// Largest stored integer that indexes a table of 15 bits as it stands.
+pub const LARGEST_INDEX: i16 = i16::MAX;
+
+/// Most blocks kept inside one cell along an axis; beyond that a kept block is a run of blocks.
+const BLOCKS_PER_CELL_AXIS: usize = 8;
+
+/// How a [`VolumeSummary`] is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SummaryOptions {
+    /// Most cells along each axis, 1…128. Cells have the edge of a block, doubled along an axis until this holds.
+    pub cells_per_axis: usize,
+}
+
+impl Default for SummaryOptions {
+    fn default() -> Self {
+        Self { cells_per_axis: DEFAULT_CELLS_PER_AXIS }
+    }
+}
+
+/// The box that rays meet, in scene space (origin at its center, unit = bounding-sphere radius).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Geometry {
+    /// Half the box.
+    pub half_extent: Vec3,
+    /// The reference ray step.
+    pub reference_step: f32,
+}
+
+/// Value bounds and quantiles of one cell, as indices into a 256-entry table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct CellStats {
+    /// Lowest table entry that a sample in the cell can touch (interpolation with the voxels beyond its far side included).
+    pub(super) low: u8,
+    /// Highest such entry.
+    pub(super) high: u8,
+    /// Ascending quantile bounds of the cell's own voxels.
+    pub(super) quantiles: [u8; QUANTILES + 1],
+}
+
+/// What is kept of a volume: about 12 bytes per cell of 8³ voxels, never the voxels.
+///
+/// Cell (i, j, k) with edge e holds the samples between the centers of voxels e·i and e·(i + 1) along each axis; so one
+/// voxel beyond its far side enters its bounds. The edge is [`BLOCK_EDGE`] voxels along each axis, coarser by powers of two where the volume is larger than
+/// the options allow; then the value bounds of the blocks inside each cell are kept too, so that emptiness is still
+/// judged by the blocks that a renderer skips.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VolumeSummary {
+    dims: [usize; 3],
+    spacing: Vec3,
+    scalar_type: ScalarType,
+    geometry: Geometry,
+    /// Cells along each axis.
+    cells: [usize; 3],
+    /// Voxels along each axis of a cell.
+    edge: [usize; 3],
+    /// Voxels along each axis of a block.
+    block: [usize; 3],
+    stats: Vec<CellStats>,
+    /// Bounds of the blocks inside each cell, cell after cell; `first_block[c]..first_block[c + 1]`. Empty where every
+    /// cell is one block.
+    blocks: Vec<[u8; 2]>,
+    first_block: Vec<u32>,
+    histogram: [f32; 256],
+    non_finite_share: f32,
+    remapped: bool,
+}
+
+impl VolumeSummary {
+    /// Scans a volume once.
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with more
+    /// blocks than can be indexed.
+    pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
+        let mut summary = Self::layout(volume.dims(), volume.spacing(), volume.scalar_type(), options)?;
+        match volume.scalars() {
+            Scalars::U8(s) => {
+                // Everything kept is monotone in the stored byte: bytes are counted, and mapped at the end.
+                let mut positions: [f32; 256] = core::array::from_fn(|v| v as f32);
+                to_positions(volume, &mut positions);
+                let mut map = Entries { low: [0; 256], high: [0; 256], near: [0; 256] };
+                entries(&positions, [&mut map.low, &mut map.high, &mut map.near]);
+                let total = summary.scan(volume, &map, |at, [low, high, near]| {
+                    copy(s, at, near, |v| v);
+                    low.copy_from_slice(near);
+                    high.copy_from_slice(near);
+                    0
+                });
+                summary.remapped = total[0] == 0;
+            }
+            Scalars::U16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from)),
+            Scalars::I16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from)),
+            Scalars::F32(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, |v| v)),
+        }
+        Ok(summary)
+    }
+
+    /// From bounds that the renderer already has: one (low, high) pair of normalized scalars per brick of
+    /// `brick_edge` voxels, x fastest, ⌈dims / edge⌉ bricks per axis, the apron that interpolation needs included.
+    /// Values inside a brick are taken as spread evenly between its bounds. NaN bounds count as 0.
+    ///
+    /// # Errors
+    /// [`ErrorKind::InvalidArgument`] for a zero size, spacing or edge, [`ErrorKind::SizeMismatch`] when the number of
+    /// bricks is not the one that sizes and edge give.
+    pub fn from_bricks(
+        dims: [usize; 3],
+        spacing: [f32; 3],
+        scalar_type: ScalarType,
+        brick_edge: [usize; 3],
+        bounds: &[[f32; 2]],
+    ) -> Result<Self> {
+        if dims.contains(&0) || brick_edge.contains(&0) {
+            bail!(
+                InvalidArgument,
+                "volume of {dims:?} voxels in bricks of {brick_edge:?}; every size must be at least 1"
+            );
+        }
+        if spacing.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
+            bail!(InvalidArgument, "voxel spacing is {spacing:?}; all three must be finite and positive");
+        }
+        let cells: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(brick_edge[a]));
+        let expected = count(cells, dims)?;
+        if expected != bounds.len() {
+            bail!(
+                SizeMismatch,
+                "a volume of {dims:?} voxels in bricks of {brick_edge:?} has {expected} bricks, {} bounds were given; pass one (low, high) pair per brick, x fastest",
+                bounds.len()
+            );
+        }
+        let mut summary = Self::with_grid(dims, Vec3::from_array(spacing), scalar_type, cells, brick_edge)?;
+        summary.block = brick_edge;
+        let mut smallest = 1.0f32;
+        let clean = |v: f32| if v.is_nan() { 0.0 } else { v.clamp(0.0, 1.0) };
+        for (i, bound) in bounds.iter().enumerate() {
+            let (a, b) = (clean(bound[0]), clean(bound[1]));
+            let (lo, hi) = (a.min(b), a.max(b));
+            smallest = smallest.min(lo);
+            let stats = &mut summary.stats[i];
+            stats.low = entry_below(lo);
+            stats.high = entry_above(hi);
+            for (k, q) in stats.quantiles.iter_mut().enumerate() {
+                *q = entry_near(lo + (hi - lo) * k as f32 / QUANTILES as f32);
+            }
+        }
+        summary.remapped = scalar_type == ScalarType::F32 || smallest > 0.0;
+        summary.histogram_from_quantiles();
+        Ok(summary)
+    }
+
+    /// Voxels along x, y, z.
+    pub fn dims(&self) -> [usize; 3] {
+        self.dims
+    }
+
+    /// Voxel spacing along x, y, z.
+    pub fn spacing(&self) -> Vec3 {
+        self.spacing
+    }
+
+    /// Radius of the bounding sphere in world units, as in [`VolumeView::bounding_radius`].
+    pub fn bounding_radius(&self) -> f32 {
+        let [x, y, z] = self.dims.map(|n| n as f32);
+        0.5 * (Vec3::new(x, y, z) * self.spacing).length()
+    }
+
+    /// The element type of the volume.
+    pub fn scalar_type(&self) -> ScalarType {
+        self.scalar_type
+    }
+
+    /// The box that rays meet.
+    pub fn geometry(&self) -> Geometry {
+        self.geometry
+    }
+
+    /// Cells along x, y, z.
+    pub fn cells(&self) -> [usize; 3] {
+        self.cells
+    }
+
+    /// Voxels along each axis of a cell (the last cell of an axis may reach beyond the volume).
+    pub(crate) fn cell_edge(&self) -> [usize; 3] {
+        self.edge
+    }
+
+    /// Voxels along each axis of the blocks by which emptiness is judged.
+    pub fn block_edge(&self) -> [usize; 3] {
+        self.block
+    }
+
+    /// Lowest and highest table entry that samples in a cell can touch.
+    ///
+    /// # Panics
+    /// When the cell lies outside the grid.
+    #[cfg(test)]
+    pub(crate) fn cell_bounds(&self, x: usize, y: usize, z: usize) -> (u8, u8) {
+        assert!(
+            x < self.cells[0] && y < self.cells[1] && z < self.cells[2],
+            "cell {x}, {y}, {z} outside the grid"
+        );
+        let s = &self.stats[x + self.cells[0] * (y + self.cells[1] * z)];
+        (s.low, s.high)
+    }
+
+    /// Share of voxels per table entry; sums to 1.
+    pub(crate) fn histogram(&self) -> &[f32; 256] {
+        &self.histogram
+    }
+
+    /// Share of voxels that are NaN or infinite.
+    pub fn non_finite_share(&self) -> f32 {
+        self.non_finite_share
+    }
+
+    /// Whether a renderer that looks stored values up in a table must shift or scale each of them: not where they are
+    /// integers from 0, which is among them, to at most [`LARGEST_INDEX`]. Of a volume made of bricks the bounds tell: 0
+    /// among those of integers is taken as a stored 0.
+    pub(crate) fn remapped(&self) -> bool {
+        self.remapped
+    }
+
+    /// Number of voxels.
+    pub fn voxels(&self) -> f64 {
+        self.dims.iter().map(|&n| n as f64).product()
+    }
+
+    pub(super) fn stats(&self) -> &[CellStats] {
+        &self.stats
+    }
+
+    /// Bounds of the blocks of a cell, or `None` where the cell is one block.
+    pub(super) fn blocks_of(&self, cell: usize) -> Option<&[[u8; 2]]> {
+        if self.first_block.is_empty() {
+            return None;
+        }
+        Some(&self.blocks[self.first_block[cell] as usize..self.first_block[cell + 1] as usize])
+    }
+
+    fn layout(
+        dims: [usize; 3],
+        spacing: Vec3,
+        scalar_type: ScalarType,
+        options: SummaryOptions,
+    ) -> Result<Self> {
+        let most = options.cells_per_axis;
+        if most == 0 || most > 128 {
+            bail!(InvalidArgument, "{most} cells per axis were asked for; accepted are 1…128");
+        }
+        let mut edge = [BLOCK_EDGE; 3];
+        for axis in 0..3 {
+            while dims[axis].div_ceil(edge[axis]) > most {
+                edge[axis] *= 2;
+            }
+        }
+        let cells: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(edge[a]));
+        Self::with_grid(dims, spacing, scalar_type, cells, edge)
+    }
+
+    fn with_grid(
+        dims: [usize; 3],
+        spacing: Vec3,
+        scalar_type: ScalarType,
+        cells: [usize; 3],
+        edge: [usize; 3],
+    ) -> Result<Self> {
+        let n = count(cells, dims)?;
+        let extent = Vec3::new(dims[0] as f32, dims[1] as f32, dims[2] as f32) * spacing;
+        let radius = 0.5 * extent.length();
+        let geometry =
+            Geometry { half_extent: 0.5 * extent / radius, reference_step: spacing.min_element() / radius };
+        let empty = CellStats { low: 255, high: 0, quantiles: [0; QUANTILES + 1] };
+        Ok(Self {
+            dims,
+            spacing,
+            scalar_type,
+            geometry,
+            cells,
+            edge,
+            block: edge.map(|e| e.min((e / BLOCKS_PER_CELL_AXIS).max(BLOCK_EDGE))),
+            stats: vec![empty; n],
+            blocks: Vec::new(),
+            first_block: Vec::new(),
+            histogram: [0.0; 256],
+            non_finite_share: 0.0,
+            remapped: true,
+        })
+    }
+
+    fn histogram_from_quantiles(&mut self) {
+        let mut sum = [0.0f64; 256];
+        let share = 1.0 / (self.stats.len() * QUANTILES) as f64;
+        for stats in &self.stats {
+            for pair in stats.quantiles.windows(2) {
+                let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
+                let each = share / (b - a + 1) as f64;
+                sum[a..=b].iter_mut().for_each(|s| *s += each);
+            }
+        }
+        for (h, s) in self.histogram.iter_mut().zip(sum) {
+            *h = s as f32;
+        }
+    }
+}
+
+fn count(cells: [usize; 3], dims: [usize; 3]) -> Result<usize> {
+    let n = cells.iter().try_fold(1u64, |p, &c| p.checked_mul(c as u64)).filter(|&n| n <= 1 << 28);
+    n.map(|n| n as usize).ok_or_else(|| {
+        Error::new(
+            ErrorKind::SizeMismatch,
+            alloc::format!("a volume of {dims:?} voxels has more than 2^28 bricks; use a larger brick edge"),
+        )
+    })
+}
+
+fn ceil_entry(position: f32) -> u8 {
+    let below = position as u8;
+    if f32::from(below) < position { below.saturating_add(1) } else { below }
+}
+
+fn entry_below(s: f32) -> u8 {
+    (s * 255.0) as u8
+}
+
+fn entry_above(s: f32) -> u8 {
+    ceil_entry(s * 255.0)
+}
+
+fn entry_near(s: f32) -> u8 {
+    (s * 255.0 + 0.5) as u8
+}
