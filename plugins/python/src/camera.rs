@@ -190,6 +190,57 @@ impl Camera {
         camera.with_fov_y_degrees(angle as f32).map(Self).map_err(raise)
     }
 
+    /// A camera from the one matrix that takes the world to the picture, as OpenGL, vispy and others have it.
+    ///
+    /// Parameters
+    /// ----------
+    /// volume : Volume
+    ///     The volume that is seen.
+    /// matrix : array_like, shape (4, 4)
+    ///     Takes homogeneous world coordinates (a column, ``matrix @ p``) to clip coordinates: x and y in [-w, w] are seen.
+    ///     Perspective or parallel; pixels square.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For a matrix that shows nothing.
+    #[staticmethod]
+    fn projection(volume: &Volume, matrix: [[f64; 4]; 4]) -> PyResult<Self> {
+        let row = |i: usize| DVec3::new(matrix[i][0], matrix[i][1], matrix[i][2]);
+        let (x, y, z, w) = (row(0), row(1), row(2), row(3));
+        let center = DVec3::from_array(volume.0.center());
+        let parallel = w.length() <= 1e-12 * y.length();
+        let (eye, forward, up, fov);
+        if parallel {
+            let back = x.cross(y).normalize_or_zero();
+            let half = matrix[3][3] / y.length();
+            fov = PARALLEL_FOV;
+            // The point of the volume's depth that the picture's middle shows, and an eye far before it.
+            let at = (x / x.length_squared()) * (-matrix[0][3] - x.dot(center))
+                + (y / y.length_squared()) * (-matrix[1][3] - y.dot(center));
+            forward = if back.dot(z) > 0.0 { back } else { -back };
+            up = y.normalize_or_zero();
+            eye = center + at - forward * (half.abs() / (0.5 * fov).to_radians().tan());
+        } else {
+            let solve = DMat3::from_cols(x, y, w).transpose();
+            let known = DVec3::new(-matrix[0][3], -matrix[1][3], -matrix[3][3]);
+            eye = solve.inverse() * known;
+            forward = w.normalize_or_zero();
+            let across = (y - forward * y.dot(forward)) / w.length();
+            up = across.normalize_or_zero();
+            fov = 2.0 * (1.0 / across.length()).atan().to_degrees();
+        }
+        let right = forward.cross(up);
+        if !eye.is_finite() || !(right.length() > 0.5) || !fov.is_finite() {
+            return Err(PyValueError::new_err(
+                "the matrix shows nothing: it must take the world to clip coordinates, with x, y and w apart",
+            ));
+        }
+        let row = |axis: DVec3| [axis.x, axis.y, axis.z, -axis.dot(eye)];
+        let rows = [row(right), row(up), row(-forward), [0.0, 0.0, 0.0, 1.0]];
+        from_view(volume, rows, fov as f32).map(Self)
+    }
+
     /// Whether a renderer that goes from `before` to this camera jumps: turns by more than a third of a right angle, or
     /// changes its distance by half.
     ///

@@ -10,7 +10,7 @@ use crate::transfer::{Transfer, TransferFunction};
 use crate::volume::{Data, Volume};
 use entire_core::adapt::ObserveFlags;
 use entire_core::control::{HybridOptions, PENDING_PLANS, Plan as CorePlan, Session as Core, StepLimits};
-use entire_core::features::Changes;
+use entire_core::features::{Changes, Setting};
 use entire_core::predict::{AnalyticModel, Predictor, Source};
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
@@ -116,6 +116,22 @@ impl Session {
 }
 
 impl State {
+    /// Keeps a plan for its observation.
+    fn note(&mut self, plan: CorePlan, size: (u32, u32), target: f32) -> Plan {
+        self.plans[(plan.id % PENDING_PLANS as u64) as usize] = Some((plan, target));
+        Plan {
+            id: plan.id,
+            step: plan.step,
+            image_sample_distance: plan.image_sample_distance,
+            size,
+            seconds: plan.seconds,
+            upper: plan.upper,
+            out_of_range: plan.out_of_range,
+            reason: plan.reason.name(),
+            target,
+        }
+    }
+
     fn take_transfer(&mut self, transfer: &TransferFunction) -> PyResult<()> {
         if self.transfer.as_ref().is_some_and(|t| Arc::ptr_eq(t, &transfer.0)) {
             return Ok(());
@@ -330,19 +346,57 @@ impl Session {
             state.take_transfer(tf)?;
         }
         let plan = state.core.plan(&frame, target).map_err(raise)?;
-        state.plans[(plan.id % PENDING_PLANS as u64) as usize] = Some((plan, target));
         let shrunk = |side: u32| ((f64::from(side) / f64::from(plan.image_sample_distance)) as u32).max(1);
-        Ok(Plan {
-            id: plan.id,
-            step: plan.step,
-            image_sample_distance: plan.image_sample_distance,
-            size: (shrunk(frame.width()), shrunk(frame.height())),
-            seconds: plan.seconds,
-            upper: plan.upper,
-            out_of_range: plan.out_of_range,
-            reason: plan.reason.name(),
-            target,
-        })
+        let size = (shrunk(frame.width()), shrunk(frame.height()));
+        Ok(state.note(plan, size, target))
+    }
+
+    /// Chooses among settings, best picture first: the first that is expected to meet the target, else the fastest.
+    ///
+    /// For renderers whose steps or sizes come in a few values.
+    ///
+    /// Parameters
+    /// ----------
+    /// camera, tf, size, target, shading, skipping, termination
+    ///     As in :meth:`plan`.
+    /// settings : sequence of (step, (width, height))
+    ///     Ray step in reference steps and size in pixels, of the shape of `size`; best picture first, at most 64.
+    ///
+    /// Returns
+    /// -------
+    /// (int, Plan)
+    ///     Index of the setting to draw with, and its plan for :meth:`observe`.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For no settings, or one out of range; else as :meth:`plan`.
+    #[pyo3(signature = (camera, tf, size, target, settings, *, shading = "none", skipping = "blocks", termination = 0.99))]
+    #[allow(clippy::too_many_arguments, reason = "Python names them")]
+    fn choose(
+        &self,
+        py: Python<'_>,
+        camera: &Camera,
+        tf: Option<&TransferFunction>,
+        size: (i64, i64),
+        target: f32,
+        settings: Vec<(f32, (u32, u32))>,
+        shading: &str,
+        skipping: &str,
+        termination: f32,
+    ) -> PyResult<(usize, Plan)> {
+        let frame = Shape::new(size, 1.0, shading, skipping, termination)?.frame(camera.0)?;
+        let settings: Vec<Setting> = settings
+            .into_iter()
+            .map(|(step, (width, height))| Setting { step, width, height, ..Setting::of(&frame) })
+            .collect();
+        let mut state = self.state(py)?;
+        if let Some(tf) = tf {
+            state.take_transfer(tf)?;
+        }
+        let choice = state.core.choose(&frame, &settings, target).map_err(raise)?;
+        let drawn = settings[choice.index];
+        Ok((choice.index, state.note(choice.plan, (drawn.width, drawn.height), target)))
     }
 
     /// Hears how long a planned frame took.

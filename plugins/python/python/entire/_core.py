@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     import numpy as np
     import numpy.typing as npt
+    from typing_extensions import Self
 
     Shading = Literal["none", "local", "scatter"]
     Skipping = Literal["blocks", "none", "distance"]
@@ -66,7 +67,7 @@ class Model(_native.Model):
     True
     """
 
-    def __new__(cls, source: Union[str, os.PathLike[str], bytes]) -> Model:
+    def __new__(cls, source: Union[str, os.PathLike[str], bytes]) -> Self:
         if isinstance(source, (bytes, bytearray, memoryview)):
             return super().__new__(cls, bytes(source))
         path = Path(source)
@@ -151,7 +152,7 @@ class Session(_native.Session):
         trust_limit: float = 2.0,
         damping: bool = True,
         probe_side: int | None = None,
-    ) -> Session:
+    ) -> Self:
         return super().__new__(
             cls,
             volume,

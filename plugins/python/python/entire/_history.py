@@ -87,7 +87,7 @@ def _ticks(high: float) -> list[float]:
 
 def _line(x: Any, y: Any, color: str, dash: str = "", width: float = 1.5) -> str:
     """A line through the points that are there."""
-    text = []
+    text: list[str] = []
     for a, b in zip(x, y):
         text.append("M" if not text or text[-1] == "" else "L")
         if not np.isfinite(b):

@@ -41,6 +41,6 @@ class Overlay:
             )
 
     def remove(self) -> None:
-        renderer = self._renderer.Get()
+        renderer: Any = self._renderer.Get()
         if renderer is not None:
             renderer.RemoveViewProp(self._actor)

@@ -12,7 +12,7 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Union
+from typing import Any, Literal, Union
 
 from vtkmodules.vtkCommonCore import vtkWeakReference
 
@@ -109,7 +109,7 @@ class Leaf:
         self._image = self._shown = _Weak()
         self._placed: Any = None
         self._pixels = self._finest = self._termination = 1.0
-        self._shading = "none"
+        self._shading: Literal["none", "local"] = "none"
         self._wrote = (_NAN, _NAN)
         self._wrote_time = 0
         self._steered = self._ready = self._drawing = False
@@ -324,7 +324,7 @@ class Leaf:
         size = renderer.GetSize()
         drawn = size if pixels == 1 else (_side(size[0] / pixels), _side(size[1] / pixels))
         target = steering._target(window, self)
-        skipping = "none" if self._gpu else "blocks"
+        skipping: Literal["none", "blocks"] = "none" if self._gpu else "blocks"
         still = steering._is_still(window)
         if still or not steering.enabled:
             self.reason = "still" if still else "off"
