@@ -55,7 +55,7 @@ def test_attaching(voxels, kind):
     pytest.importorskip("vtkmodules")
     import entire.vtk
 
-    from vtk_scene import View, add_volume
+    from scenes import View, add_volume
 
     view = View((32, 32))
     volume = add_volume(view.renderer, voxels[:16, :16, :16], kind)

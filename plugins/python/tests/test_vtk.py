@@ -14,7 +14,7 @@ import entire.vtk
 from vtkmodules.vtkCommonDataModel import vtkPlane, vtkPlaneCollection
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindowInteractor, vtkVolume
 
-from vtk_scene import MAPPERS, TRANSPARENT, View, add_volume, image_data
+from scenes import MAPPERS, TRANSPARENT, View, add_volume, image_data
 
 KINDS = ["gpu", "fixed", "smart"]
 

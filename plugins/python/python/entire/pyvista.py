@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import sys
 from collections.abc import Iterator
 from typing import Any
 
@@ -83,6 +84,10 @@ class EntireComponent:
         self._end(index)
         steering = hold(self._plotter.renderer, volume, seconds, make_gpu=_gpu_wrapper, **options)
         self._held[index] = steering
+        if "trame_vtk" in sys.modules:
+            from .trame import watch
+
+            watch(steering)
         self._guard_screenshots()
         return steering
 

@@ -413,6 +413,8 @@ class Steering:
         The held volumes.
     notes : list of str
         What was done to the scene on attaching.
+    frames : int
+        Frames of the window in which a held volume was drawn.
     frame_time : float
         Seconds that the window's last frame took.
     overhead : float
@@ -467,7 +469,7 @@ class Steering:
         self._outside: deque[float] = deque(maxlen=_REST_FRAMES)
         self._rests: deque[float] = deque(maxlen=_REST_FRAMES)
         self._rest = self._outside_time = 0.0
-        self._frames = 0
+        self.frames = 0
         self._rendering = self._in_frame = False
         self._clean = True
         self._frame_start = self._mapper_seconds = self._overhead = 0.0
@@ -703,15 +705,17 @@ class Steering:
         if not self._in_frame:
             return
         seconds = self._now() - self._frame_start
+        before = time.perf_counter()
         self._in_frame = False
         if self._drawn == 0:
             return
         # The first frame holds what is done once.
-        if self._frames > 0 and self._clean:
+        if self.frames > 0 and self._clean:
             self._rests.append(max(0.0, seconds - self._mapper_seconds))
             self._rest = sorted(self._rests)[len(self._rests) // 2]
-        self._frames += 1
-        self.frame_time, self.overhead = seconds, self._overhead
+        self.frames += 1
+        self.frame_time = seconds
+        self.overhead = self._overhead + time.perf_counter() - before
         if self.on_frame is not None:
             self.on_frame(self)
 
@@ -719,6 +723,8 @@ class Steering:
         if renderer.GetSelector() is not None:
             # A pass that picks, not one that shows.
             return
+        before = time.perf_counter()
+        inside = self._overhead
         self._follow_window(renderer.GetRenderWindow())
         if self._all:
             self._follow_volumes(renderer)
@@ -728,11 +734,15 @@ class Steering:
         if self._overlay is not None:
             window = self._window()
             self._overlay.show(self, window is not None and not self._is_still(window))
+        # What leaves counted by themselves is part of this.
+        self._overhead = inside + time.perf_counter() - before
 
     def _on_renderer_end(self, _renderer: Any, _event: str) -> None:
+        before = time.perf_counter()
         self._rendering = False
         for leaf in self.leaves:
             leaf._renderer_end()
+        self._overhead += time.perf_counter() - before
 
     def _follow_volumes(self, renderer: Any) -> None:
         changed = renderer.GetViewProps().GetMTime()
