@@ -5,8 +5,8 @@ use clap::{Parser, Subcommand};
 use std::ffi::OsString;
 use std::process::ExitCode;
 
-/// Tells how long a volume-rendered frame will take before it is drawn, and picks the ray step that keeps it inside its
-/// budget.
+/// Tells how long a volume-rendered frame will take before it is drawn, and picks the ray step that keeps it
+/// inside its budget.
 #[derive(Debug, Parser)]
 #[command(name = "entire", version, propagate_version = true)]
 struct Cli {
@@ -40,7 +40,8 @@ enum Command {
     Demo(commands::demo::Options),
 }
 
-/// Runs the command line: the program's name, then its arguments. Ends the process with status 2 for wrong usage.
+/// Runs the command line: the program's name, then its arguments. Ends the process with status 2 for wrong
+/// usage.
 pub fn main_with_args(args: impl IntoIterator<Item = OsString>) -> ExitCode {
     let args: Vec<OsString> = args.into_iter().collect();
     program::run("entire", move || Cli::parse_from(args).run())

@@ -33,7 +33,8 @@ pub struct WarmLatency {
     pub transfer_seconds: f64,
 }
 
-/// Errors by image size, by whether the eye is near or inside the volume, and by ray step; kinds without frames are left out.
+/// Errors by image size, by whether the eye is near or inside the volume, and by ray step; kinds without
+/// frames are left out.
 pub fn by_kind(frames: &[&TimedFrame], predicted: &[f64], measured: &[f64]) -> Vec<(&'static str, Metrics)> {
     type Test = fn(&TimedFrame) -> bool;
     fn pixels(f: &TimedFrame) -> u64 {
@@ -84,8 +85,8 @@ pub fn probe_means(frames: &[&TimedFrame], measured: &[f64], seed: u64) -> Vec<f
 /// Warm latency over frames of the first volume: each stage by itself, median over many calls.
 ///
 /// # Errors
-/// When the model looks at the scene and that volume is not there: features kept beside a table tell what they are, not
-/// what they cost.
+/// When the model looks at the scene and that volume is not there: features kept beside a table tell what
+/// they are, not what they cost.
 pub fn warm_latency(
     model: &Model,
     layout: &Layout,

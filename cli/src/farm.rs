@@ -1,5 +1,6 @@
 //! Render farms: a list of tasks, and which node does what in which order.
 
+use crate::files::read_bytes;
 use anyhow::{Context, Result, ensure};
 use entire_core::schedule::{
     AffinityTask, Assignment, Span, Timeline, assign_longest_first, longest_first, simulate_affinity,
@@ -25,8 +26,8 @@ pub struct Farm {
 /// How tasks come to nodes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Method {
-    /// Fixed beforehand: longest first, each to the node that would finish it first; then tasks are exchanged between nodes as
-    /// long as that helps.
+    /// Fixed beforehand: longest first, each to the node that would finish it first; then tasks are exchanged
+    /// between nodes as long as that helps.
     #[default]
     Static,
     /// Fixed beforehand: longest first alone.
@@ -86,8 +87,7 @@ pub struct Task {
 /// Names the file, the task and what is wrong.
 pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
     let place = || format!("task list {}", path.display());
-    let bytes =
-        std::fs::read(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
+    let bytes = read_bytes(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
     let mut tasks: Vec<Task> = if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
         serde_json::from_slice(&bytes).with_context(place)?
     } else {
@@ -219,8 +219,9 @@ pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
     })
 }
 
-/// When everything will be done: expected, and the interval that nine in ten ends fall into. Errors are drawn from the
-/// tasks' own ln(measured / predicted) where they hold both, else from a normal distribution with this standard deviation.
+/// When everything will be done: expected, and the interval that nine in ten ends fall into. Errors are drawn
+/// from the tasks' own ln(measured / predicted) where they hold both, else from a normal distribution with
+/// this standard deviation.
 ///
 /// # Errors
 /// As [`play`].

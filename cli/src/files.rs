@@ -4,7 +4,8 @@ use crate::volume::{Stream, Volume};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::model::{Model, ModelFile};
 use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};
-use std::io::{Read, Write};
+use std::fs::File;
+use std::io::{BufWriter, Read, Write};
 use std::path::Path;
 
 /// Largest model file that is read, in bytes.
@@ -87,16 +88,30 @@ pub fn make_folder(folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))
 }
 
-/// Writes a file, whole or not at all: under a name beside it that nobody can foresee, flushed to the disk, then put in its
-/// place. A link that stood there is replaced, not followed. What is there and is no regular file (a device, a pipe) is
-/// written to as it stands.
+/// Writes a file, whole or not at all: under a name beside it that nobody can foresee, flushed to the disk,
+/// then put in its place. A link that stood there is replaced, not followed. What is there and is no regular
+/// file (a device, a pipe) is written to as it stands.
 ///
 /// # Errors
 /// Names the file that cannot be written.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
+    write_whole_with(path, |file| Ok(file.write_all(bytes)?))
+}
+
+/// As [`write_whole`], by `fill`, which writes the file's content.
+///
+/// # Errors
+/// As [`write_whole`], and those of `fill`.
+pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
     let fail = || format!("cannot write {}", path.display());
+    let fill = |file: &mut File| -> Result<()> {
+        let mut buffered = BufWriter::new(&*file);
+        fill(&mut buffered)?;
+        Ok(buffered.flush()?)
+    };
     if std::fs::metadata(path).is_ok_and(|there| !there.is_file()) {
-        return std::fs::write(path, bytes).with_context(fail);
+        let mut there = File::options().write(true).open(path).with_context(fail)?;
+        return fill(&mut there).with_context(fail);
     }
     let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
@@ -105,7 +120,8 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let mut part = builder.tempfile_in(folder).with_context(fail)?;
-    part.write_all(bytes).and_then(|()| part.as_file().sync_all()).with_context(fail)?;
+    fill(part.as_file_mut()).with_context(fail)?;
+    part.as_file().sync_all().with_context(fail)?;
     part.persist(path).map_err(|e| e.error).with_context(fail)?;
     Ok(())
 }
@@ -123,7 +139,7 @@ pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
 /// # Errors
 /// When it cannot be read, is damaged, or decompresses to more than 4 GiB.
 pub fn read_decompressed(path: &Path) -> Result<Vec<u8>> {
-    let bytes = std::fs::read(path)?;
+    let bytes = read_bytes(path)?;
     if path.extension().is_none_or(|e| e != "gz") {
         return Ok(bytes);
     }
@@ -138,6 +154,23 @@ pub fn read_decompressed(path: &Path) -> Result<Vec<u8>> {
         MAX_TABLE_BYTES >> 30
     );
     Ok(out)
+}
+
+/// The bytes of a regular file, a table's at most.
+///
+/// # Errors
+/// When it is no regular file, is larger than 4 GiB, or cannot be read.
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    Stream::open(path)?.all(MAX_TABLE_BYTES)
+}
+
+/// The text of a regular file of at most `most` bytes.
+///
+/// # Errors
+/// When it is no regular file, is larger, cannot be read, or is not UTF-8.
+pub fn read_text(path: &Path, most: u64) -> Result<String> {
+    let bytes = Stream::open(path)?.all(most)?;
+    String::from_utf8(bytes).map_err(|e| anyhow!("byte {} is not UTF-8", e.utf8_error().valid_up_to()))
 }
 
 /// Compresses bytes as gzip; the same bytes give the same file.
@@ -155,8 +188,8 @@ pub fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// Reads a volume and sets the range that maps to [0, 1], where one is given. Voxels that are not finite are noted on
-/// standard error.
+/// Reads a volume and sets the range that maps to [0, 1], where one is given. Voxels that are not finite are
+/// noted on standard error.
 ///
 /// # Errors
 /// As [`Volume::open`], and for a range whose low end is above its high one.
@@ -166,7 +199,8 @@ pub fn open_volume(path: &Path, range: Option<(f32, f32)>) -> Result<Volume> {
     let broken = volume.data().non_finite();
     if broken > 0 {
         note(&format!(
-            "{}: {broken} of {} voxels are NaN or infinite; they count as the ends of the range (NaN as the low end)",
+            "{}: {broken} of {} voxels are NaN or infinite; they count as the ends of the range (NaN as the \
+             low end)",
             path.display(),
             volume.data().len()
         ));

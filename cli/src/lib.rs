@@ -1,7 +1,8 @@
-//! Files, progress bars and plots around `entire-core`: everything behind the `entire` command, as a library so that
-//! tests and fuzz targets reach it.
+//! Files, progress bars and plots around `entire-core`: everything behind the `entire` command, as a library
+//! so that tests and fuzz targets reach it.
 
 pub mod bound;
+pub mod collection;
 mod command_line;
 pub mod commands;
 pub mod dataset;
@@ -9,7 +10,6 @@ pub mod device;
 pub mod enlarge;
 pub mod evaluation;
 pub mod farm;
-pub mod feature_table;
 pub mod files;
 pub mod fit;
 pub mod inputs;

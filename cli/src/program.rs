@@ -1,4 +1,5 @@
-//! What a program of this project does around its commands: one line for whatever goes wrong, and the exit status.
+//! What a program of this project does around its commands: one line for whatever goes wrong, and the exit
+//! status.
 
 use anyhow::Result;
 use std::io::Write;
@@ -6,8 +7,8 @@ use std::panic::UnwindSafe;
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex};
 
-/// Runs a command. Exit status: 0, 1 for an error or a panic (one line on standard error that says why and what to do). Output
-/// that nobody reads to its end is no error.
+/// Runs a command. Exit status: 0, 1 for an error or a panic (one line on standard error that says why and
+/// what to do). Output that nobody reads to its end is no error.
 pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> ExitCode {
     // What went wrong is told once, below, in one line: the hook only remembers where.
     let location = Arc::new(Mutex::new(None));

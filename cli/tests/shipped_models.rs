@@ -1,9 +1,10 @@
 //! The encoders in `models/` give what PyTorch gives for the same files, the predictors what their cards say.
 
-use entire_cli::dataset::{Clock, Table, TimedFrames};
+use entire_cli::dataset::{Clock, Table};
 use entire_cli::fit::{FitContext, predict};
 use entire_cli::inputs::Layout;
 use entire_cli::metrics::Metrics;
+use entire_cli::split::TimedFrames;
 use entire_cli::volume::Volume;
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VOLUMENET_TOLERANCE, VolumeNet};
@@ -119,8 +120,8 @@ fn scans_are_told_from_simulations_by_the_out_of_range_score() {
         let out = rows.chunks_exact(layout.width()).filter(|r| predictor.out_of_range(r) > 0.0).count();
         out as f64 / frames.len() as f64
     };
-    // Members never seen of codes that it knows are familiar; CT and angiography volumes, on which an encoder gives
-    // familiar codes, are not.
+    // Members never seen of codes that it knows are familiar; CT and angiography volumes, on which an encoder
+    // gives familiar codes, are not.
     for known in ["castro_blast/m04", "castro_blast/m05", "nyx_cosmology/m04", "nyx_cosmology/m05"] {
         let share = share_out("none-members.csv.gz", known);
         assert!(share < 0.2, "{known}: {share}");

@@ -114,8 +114,8 @@ fn steer_chooses_image_sizes_and_logs_them() {
         "8",
         "--controllers",
         "olp,hybrid",
-        "--choose-scales",
-        "0.7,0.5",
+        "--image-sample-distances",
+        "1.4,2",
         "--log",
         log_text,
         "--out",
@@ -124,14 +124,14 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let frames = std::fs::read_to_string(out.join("frames.csv")).unwrap();
     let at = |name: &str| frames.lines().next().unwrap().split(',').position(|c| c == name).unwrap();
-    let (who, scale) = (at("controller"), at("image_scale"));
+    let (who, distance) = (at("controller"), at("image_sample_distance"));
     let mut chosen = BTreeSet::new();
     for row in frames.lines().skip(1).map(|l| l.split(',').collect::<Vec<_>>()) {
-        assert!(row[who] == "hybrid" || row[scale] == "1", "{row:?}");
-        chosen.insert(row[scale].to_owned());
+        assert!(row[who] == "hybrid" || row[distance] == "1", "{row:?}");
+        chosen.insert(row[distance].to_owned());
     }
-    assert!(chosen.contains("0.5"), "{chosen:?}");
-    assert!(chosen.iter().all(|s| ["1", "0.7", "0.5"].contains(&s.as_str())), "{chosen:?}");
+    assert!(chosen.contains("2"), "{chosen:?}");
+    assert!(chosen.iter().all(|s| ["1", "1.4", "2"].contains(&s.as_str())), "{chosen:?}");
     // The log holds the sizes that were drawn: 60 x 48 is half of either side.
     let table = std::fs::read_to_string(&log).unwrap();
     let columns: Vec<&str> = table.lines().next().unwrap().split(',').collect();
@@ -140,7 +140,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert!(widths.contains("120") && widths.contains("60"), "{widths:?}");
     assert_eq!(table.lines().count(), 1 + 2 * 12);
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
-    assert!(page.contains("Image size"), "the report does not show the sizes");
+    assert!(page.contains("Image sample distance"), "the report does not show the distances");
 }
 
 #[test]
@@ -206,7 +206,7 @@ fn bad_input_is_one_line_and_status_1() {
         (&["--target", "9ms", "--retarget", "5"], "FRAME:TIME"),
         (&["--target", "9ms", "--retarget", "9:8ms,3:9ms"], "ordered by frame"),
         (&["--target", "9ms", "--scales", "9:1,3:0.5"], "ordered by frame"),
-        (&["--target", "9ms", "--choose-scales", "1.5"], "below 1"),
+        (&["--target", "9ms", "--image-sample-distances", "0.5"], "above 1"),
         (&["--target", "9ms", "--hold", "3"], "several volumes"),
         (&["--target", "9ms", "--limits", "4,2"], "step limits"),
         (&["--target", "9ms", "--calibrate", "3"], "at least 8 scenes"),

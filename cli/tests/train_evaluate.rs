@@ -44,8 +44,8 @@ impl Data {
     }
 }
 
-/// Four members with two volumes each and `frames` frames per volume; seconds are a fixed cost, one per pixel and one
-/// that depends on the distance, each repeat 1 % above or below.
+/// Four members with two volumes each and `frames` frames per volume; seconds are a fixed cost, one per pixel
+/// and one that depends on the distance, each repeat 1 % above or below.
 fn data(frames: usize) -> Data {
     let folder = tempfile::tempdir().unwrap();
     let csv = folder.path().join("t.csv");
@@ -176,7 +176,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         assert!(std::fs::metadata(format!("{folder}/{name}")).unwrap().len() > 500, "{name}");
     }
 
-    // Fine-tuning keeps layers, inputs and standardisation; on times twice as long it learns the factor.
+    // Fine-tuning keeps layers, inputs and standardization; on times twice as long it learns the factor.
     let tuned = data.path("tuned.safetensors");
     works(&[
         "train",

@@ -1,8 +1,9 @@
 //! A model of one renderer is taken to another with a few frames.
 
-use entire_cli::dataset::{Clock, Table, Timed, TimedFrames};
+use entire_cli::dataset::{Clock, Table, Timed};
 use entire_cli::fit::{FitContext, Kind, Recipe, predict, transfer};
 use entire_cli::metrics::Metrics;
+use entire_cli::split::TimedFrames;
 use std::path::Path;
 
 /// Tables of data/timings, numbered in their order.

@@ -1,14 +1,15 @@
-//! This crate's inference behind the protocol of the peer benchmark: a line `NAME BATCH SECONDS` in, a line `@@{json}`
-//! out, so that it is timed interleaved with other libraries.
+//! This crate's inference behind the protocol of the peer benchmark: a line `NAME BATCH SECONDS` in, a line
+//! `@@{json}` out, so that it is timed interleaved with other libraries.
 //!
 //! usage: peer_server [--storage f32|f16|bf16|int8] [--level scalar|avx2|avx512] MODELS
 //!
-//! `MODELS` is a folder of networks as the peers read them (`NAME.safetensors` with `l0.weight`, …, `inputs.safetensors`).
-//! Threads come from the environment variable `PEER_THREADS` (1 or 2). Some names answer something else:
-//! `accuracy/NAME` the largest relative error against a float64 evaluation, the output taken as the logarithm of
-//! seconds; `small/warm` and `small/cold` the times of a 2×64 network on 24 inputs, cold with its weights evicted from
-//! the first two cache levels before each call. `vol_…` is a VolumeNet on a byte volume (`vol_…:f32` on the floats that
-//! the peers take), `resample/N` resampling N³ bytes to 128³, with the time of reading them once as `read`.
+//! `MODELS` is a folder of networks as the peers read them (`NAME.safetensors` with `l0.weight`, …,
+//! `inputs.safetensors`). Threads come from the environment variable `PEER_THREADS` (1 or 2). Some names
+//! answer something else: `accuracy/NAME` the largest relative error against a float64 evaluation, the output
+//! taken as the logarithm of seconds; `small/warm` and `small/cold` the times of a 2×64 network on 24 inputs,
+//! cold with its weights evicted from the first two cache levels before each call. `vol_…` is a VolumeNet on
+//! a byte volume (`vol_…:f32` on the floats that the peers take), `resample/N` resampling N³ bytes to 128³,
+//! with the time of reading them once as `read`.
 
 use entire_core::kernels::{Isa, Level};
 use entire_core::nn::{

@@ -1,6 +1,6 @@
 //! The one error type: what went wrong, where, and what to change.
 
-use alloc::string::String;
+use alloc::borrow::Cow;
 use core::fmt;
 
 /// What kind of mistake an [`Error`] reports. The numbers are stable and are the C ABI's result codes.
@@ -30,7 +30,7 @@ pub enum ErrorKind {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
     kind: ErrorKind,
-    message: String,
+    message: Cow<'static, str>,
 }
 
 /// Shorthand used throughout the crate.
@@ -38,7 +38,8 @@ pub type Result<T> = core::result::Result<T, Error>;
 
 impl Error {
     /// Makes an error; `message` names the thing, what was expected, what was found, and the remedy.
-    pub fn new(kind: ErrorKind, message: impl Into<String>) -> Self {
+    /// A text that stands in the program allocates nothing.
+    pub fn new(kind: ErrorKind, message: impl Into<Cow<'static, str>>) -> Self {
         Self { kind, message: message.into() }
     }
 

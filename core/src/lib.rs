@@ -13,8 +13,8 @@
 //!
 //! # Steering a render loop
 //!
-//! A [`Session`] knows the volume and the transfer function. Before each frame it plans the ray step, and after it
-//! hears how long the frame took:
+//! A [`Session`] knows the volume and the transfer function. Before each frame it plans the ray step, and
+//! after it hears how long the frame took:
 //!
 //! ```
 //! use entire_core::adapt::ObserveFlags;
@@ -25,7 +25,7 @@
 //! let voxels = vec![100u8; 32 * 32 * 32];
 //! let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32])?;
 //! let lobe = GaussianLobe { center: 0.4, width: 0.1, height: 0.8 };
-//! let table = TransferFunction::from_lobes(&[lobe])?.to_table();
+//! let table = TransferFunction::Gaussian(vec![lobe]).to_table()?;
 //!
 //! let mut session = Session::untrained();
 //! session.set_volume(VolumeSummary::new(&view, SummaryOptions::default())?, None);
@@ -63,9 +63,10 @@
 //!
 //! # Contract
 //!
-//! The crate is `no_std` with `alloc`. It knows no files, no GPU and no threads that the caller did not give. Hot calls
-//! (predict, plan, observe) never allocate, lock or call the system once set-up is done. A prediction is a pure
-//! function: same model, same inputs, same SIMD level, same bits, with and without the feature `std`.
+//! The crate is `no_std` with `alloc`. It knows no files, no GPU and no threads that the caller did not give.
+//! Hot calls (predict, plan, observe) never allocate, lock or call the system once set-up is done. A
+//! prediction is a pure function: same model, same inputs, same SIMD level, same bits, with and without the
+//! feature `std`.
 #![cfg_attr(not(feature = "std"), no_std)]
 #![deny(unsafe_code)]
 

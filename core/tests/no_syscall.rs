@@ -1,8 +1,8 @@
 //! After set-up, predictions, plans, observations and repeated encodings make no system call.
 //!
-//! Each case runs in a process of its own that, once everything is set up, enters seccomp's strict mode: from there on the
-//! kernel kills it at the first system call other than read, write and exit. Where the kernel refuses that mode the cases
-//! are reported as ignored.
+//! Each case runs in a process of its own that, once everything is set up, enters seccomp's strict mode: from
+//! there on the kernel kills it at the first system call other than read, write and exit. Where the kernel
+//! refuses that mode the cases are reported as ignored.
 
 use libtest_mimic::{Arguments, Failed, Trial};
 use std::process::ExitCode;

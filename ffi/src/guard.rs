@@ -176,8 +176,11 @@ fn failed(failure: Failure) -> entire_result {
 
 #[cold]
 fn panicked(payload: Box<dyn Any + Send>) -> Failure {
-    // Dropping a foreign payload could panic again; leaking it in a process that met a bug harms nobody.
-    std::mem::forget(payload);
+    // A payload whose drop panics in turn leaves another, which is given up: leaking it in a process that met a bug
+    // harms nobody.
+    if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
+        std::mem::forget(second);
+    }
     let place = PANIC.try_with(|text| text.take()).unwrap_or_default();
     Failure::new(
         ENTIRE_PANIC,

@@ -89,12 +89,12 @@
 /**
  * Most voxels along one axis of a volume.
  */
-#define ENTIRE_MAX_SIDE 1048576
+#define ENTIRE_MAX_SIDE 16777216
 
 /**
  * Most voxels of a volume that has fewer in memory: one whose strides are zero or overlap.
  */
-#define ENTIRE_MAX_REPEATED_VOXELS 134217728
+#define ENTIRE_MAX_REPEATED_VOXELS 1073741824
 
 /**
  * Most bricks of a volume.
@@ -129,7 +129,7 @@
 /**
  * Most nodes that entire_schedule takes.
  */
-#define ENTIRE_MAX_NODES 1048576
+#define ENTIRE_MAX_NODES 65536
 
 /**
  * Most tasks times nodes that entire_schedule takes: each task is compared on every node.

@@ -8,7 +8,8 @@ use indicatif::ProgressBar;
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-/// Samples of timing tables, the frames of one scene next to each other under one number; probes have `side`² rays.
+/// Samples of timing tables, the frames of one scene next to each other under one number; probes have `side`²
+/// rays.
 ///
 /// # Errors
 /// When a table or a volume cannot be read.

@@ -1,5 +1,5 @@
-//! How long a prediction takes when it is asked for between frames: from camera and transfer function to seconds, with
-//! the caches of the processor filled by something else.
+//! How long a prediction takes when it is asked for between frames: from camera and transfer function to
+//! seconds, with the caches of the processor filled by something else.
 
 use anyhow::Result;
 use entire_cli::scenes::SceneDistribution;
@@ -22,8 +22,8 @@ const FRAMES: u64 = 200;
 /// How often they are.
 const ROUNDS: usize = 5;
 
-/// Seconds of one prediction in one thread, scene features included. Once per volume and once per transfer function there is
-/// more to do; the latter is apart.
+/// Seconds of one prediction in one thread, scene features included. Once per volume and once per transfer
+/// function there is more to do; the latter is apart.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Latency {
     /// Median with cold caches.
@@ -95,8 +95,8 @@ impl Bench {
         })
     }
 
-    /// As [`Bench::latency`], of anything that predicts. `probe_side` where it looks at the scene, and how many volume
-    /// features it takes.
+    /// As [`Bench::latency`], of anything that predicts. `probe_side` where it looks at the scene, and how
+    /// many volume features it takes.
     ///
     /// # Errors
     /// What `predict` gives.

@@ -3,10 +3,11 @@
 use crate::study::{Findings, Fit, Runner, Set, Ship, Study, clock};
 use anyhow::{Context, Result};
 use entire_cli::bound;
-use entire_cli::dataset::{Table, TimedFrames, read_tables};
-use entire_cli::files::read_model_file;
+use entire_cli::dataset::{Table, read_tables};
+use entire_cli::files::{read_model_file, write_whole};
 use entire_cli::fit::{DtypeChoice, FitContext, predict};
 use entire_cli::metrics::{BoundMetrics, Metrics};
+use entire_cli::split::TimedFrames;
 use entire_core::model::{ModelFile, keys};
 use serde_json::json;
 use std::fmt::Write as _;
@@ -53,8 +54,7 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
                 .any(|p| p.name == ship.predictor && p.recipe_for(&set.name).file.is_some());
             provenance(&mut file, study, set, &tables[..set.training.len()], &figures, fit, as_it_is)?;
             let path = folder.join(format!("{name}.safetensors"));
-            std::fs::write(&path, file.to_bytes()?)
-                .with_context(|| format!("cannot write {}", path.display()))?;
+            write_whole(&path, &file.to_bytes()?)?;
             let latency = found.latency(&set.name, &ship.predictor);
             let text = card(
                 &name,
@@ -68,7 +68,7 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
                 found,
             )?;
             let path_md = path.with_extension("md");
-            std::fs::write(&path_md, text).with_context(|| format!("cannot write {}", path_md.display()))?;
+            write_whole(&path_md, text.as_bytes())?;
             out.push(path);
         }
     }
@@ -135,7 +135,10 @@ fn provenance(
     if !as_it_is || stored.get("data").is_none() {
         stored["data"] = training
             .iter()
-            .map(|t| json!({ "file": file_name(&t.path), "fnv1a": format!("{:016x}", t.hash), "frames": t.frames.len() }))
+            .map(|t| {
+                let hash = format!("{:016x}", t.hash);
+                json!({ "file": file_name(&t.path), "fnv1a": hash, "frames": t.frames.len() })
+            })
             .collect();
     }
     let crossed = fit.and_then(|f| f.crossed.as_ref());
@@ -148,8 +151,9 @@ fn provenance(
     stored["figures"] = figures
         .iter()
         .map(|f| {
-            json!({ "split": f.split, "tables": f.tables, "frames": f.metrics.frames, "rmse_over_sd": f.metrics.rmse_over_sd,
-                "mdape": f.metrics.mdape, "r2_log": f.metrics.r2_log, "coverage": f.bound.map(|b| b.coverage) })
+            json!({ "split": f.split, "tables": f.tables, "frames": f.metrics.frames,
+                "rmse_over_sd": f.metrics.rmse_over_sd, "mdape": f.metrics.mdape, "r2_log": f.metrics.r2_log,
+                "coverage": f.bound.map(|b| b.coverage) })
         })
         .collect();
     file.set_metadata(keys::PROVENANCE, stored.to_string());
@@ -182,15 +186,18 @@ fn card(
     let mut md = String::new();
     let _ = writeln!(
         md,
-        "# {name}\n\n{}; weights stored as {}. Predicts the seconds of one frame with shading `{shading}` before it is drawn.\n",
+        "# {name}\n\n{}; weights stored as {}. Predicts the seconds of one frame with shading `{shading}` \
+         before it is drawn.\n",
         text("what"),
         ship.dtype.storage().name()
     );
     let _ = writeln!(
         md,
-        "## Use\n\nSeconds belong to a machine and a renderer. On yours, collect 100 frames and calibrate the last layer to them:\n\n\
+        "## Use\n\nSeconds belong to a machine and a renderer. On yours, collect 100 frames and calibrate \
+         the last layer to them:\n\n\
          ```\nentire collect VOLUMES --shade {shading} --frames 10 --repeats 3 --out FRAMES.csv\n\
-         entire train --data FRAMES.csv --calibrate models/{name}.safetensors --out here.safetensors --limit 100\n\
+         entire train --data FRAMES.csv --calibrate models/{name}.safetensors --out here.safetensors --limit \
+         100\n\
          entire evaluate --data OTHER.csv --model here.safetensors\n```\n\n\
          `entire steer --model here.safetensors` steers with it.\n"
     );
@@ -213,7 +220,8 @@ fn card(
         let word = |key: &str| d[key].as_str().unwrap_or("not known").to_owned();
         let _ = writeln!(
             md,
-            "- distilled: {} frames of the training volumes, random under seed {}, that were not rendered: their seconds are those of {} \
+            "- distilled: {} frames of the training volumes, random under seed {}, that were not rendered: \
+             their seconds are those of {} \
              (`{}`, FNV-1a {}; `make distill` makes it)",
             d["frames"],
             d["seed"],
@@ -246,7 +254,8 @@ fn card(
         Some((_, folds)) => {
             let _ = writeln!(
                 md,
-                "- upper bound: the training frames, each predicted without its ensemble member ({folds} parts)"
+                "- upper bound: the training frames, each predicted without its ensemble member ({folds} \
+                 parts)"
             );
         }
         None => {
@@ -261,14 +270,18 @@ fn card(
     }
     let _ = writeln!(
         md,
-        "\nVolumes: the castro_blast, nyx_cosmology and maestroex_bubbles ensembles, computed for this project and under its licences \
-         (MIT or Apache-2.0, see data/README.md), enlarged twice trilinearly. Nothing else was trained on; scans and other \
+        "\nVolumes: the castro_blast, nyx_cosmology and maestroex_bubbles ensembles, computed for this \
+         project and under its licences \
+         (MIT or Apache-2.0, see data/README.md), enlarged twice trilinearly. Nothing else was trained on; \
+         scans and other \
          codes serve evaluation alone. The weights are under the project's licences.\n"
     );
     let _ = writeln!(
         md,
-        "## Splits\n\nTrained on even time steps of castro_blast m01 and m02, nyx_cosmology m01 and m02, maestroex_bubbles m01 (a tenth \
-         of the volumes, of distilled ones one volume, decides when training stops). member: other members, other seeds and physical parameters; time step: odd \
+        "## Splits\n\nTrained on even time steps of castro_blast m01 and m02, nyx_cosmology m01 and m02, \
+         maestroex_bubbles m01 (a tenth \
+         of the volumes, of distilled ones one volume, decides when training stops). member: other members, \
+         other seeds and physical parameters; time step: odd \
          steps of the same members; the others say what they are.\n"
     );
     let _ = writeln!(
@@ -280,7 +293,8 @@ fn card(
     );
     let _ = writeln!(
         md,
-        "## Figures\n\n| split | frames | RMSE, ms | RMSE/SD | MdAPE, % | p95, % | R² in log | q95 held, % | … slowest tenth | noise floor, MdAPE % |\n\
+        "## Figures\n\n| split | frames | RMSE, ms | RMSE/SD | MdAPE, % | p95, % | R² in log | q95 held, % | \
+         … slowest tenth | noise floor, MdAPE % |\n\
          |---|---|---|---|---|---|---|---|---|---|"
     );
     for f in figures {
@@ -318,7 +332,8 @@ fn card(
     if let Some(l) = latency {
         let _ = writeln!(
             md,
-            "\nOne prediction, scene features included, weights as {judged_as}, on {}: {:.1} µs with cold caches, {:.1} µs warm{}.",
+            "\nOne prediction, scene features included, weights as {judged_as}, on {}: {:.1} µs with cold \
+             caches, {:.1} µs warm{}.",
             entire_cli::machine::machine(),
             1e6 * l.cold,
             1e6 * l.warm,
@@ -333,7 +348,8 @@ fn card(
         figures.iter().flat_map(|f| &f.tables).map(|t| format!("data/timings/{t}")).collect();
     let _ = writeln!(
         md,
-        "\n`make models` makes this file and its figures anew. One split: `entire evaluate --clock {} --model models/{name}.safetensors \
+        "\n`make models` makes this file and its figures anew. One split: `entire evaluate --clock {} \
+         --model models/{name}.safetensors \
          --data {}` (or another of {}).",
         study.clock,
         tables.first().map_or("", String::as_str),
@@ -341,11 +357,14 @@ fn card(
     );
     let _ = writeln!(
         md,
-        "\n## Limits\n\nMeasured with one renderer on one machine with a software Vulkan driver: elsewhere calibrate first. {}",
+        "\n## Limits\n\nMeasured with one renderer on one machine with a software Vulkan driver: elsewhere \
+         calibrate first. {}",
         if model.scene_features().is_empty() {
-            "What it knows of a volume are the codes of its VolumeNet: volumes unlike the training ones may be far off."
+            "What it knows of a volume are the codes of its VolumeNet: volumes unlike the training ones may \
+             be far off."
         } else {
-            "Scenes unlike the training data (far larger images, steps that were not trained on) may be off; look at the prediction's out-of-range \
+            "Scenes unlike the training data (far larger images, steps that were not trained on) may be off; \
+             look at the prediction's out-of-range \
              score."
         }
     );

@@ -1,19 +1,21 @@
-//! Traces: what every frame of a path costs, and how its picture looks, at a grid of ray steps and image scales.
+//! Traces: what every frame of a path costs, and how its picture looks, at a grid of ray steps and image
+//! scales.
 //!
-//! A trace is recorded once with a real renderer and replayed any number of times in milliseconds: a controller's step
-//! is answered by the frame's own curve, times the noise that was measured at that very frame. The curve without the
-//! noise is what an oracle knows.
+//! A trace is recorded once with a real renderer and replayed any number of times in milliseconds: a
+//! controller's step is answered by the frame's own curve, times the noise that was measured at that very
+//! frame. The curve without the noise is what an oracle knows.
 //!
 //! # File format
 //!
 //! JSON, one object ([`Trace`]): `format` `"entire-trace-1"`, the volumes (file and enlargement), the path
-//! ([`entire_cli::path`]), `hold` (frames per volume of a series; 0 where there is one volume), `scales` (image scale from a
-//! frame on), how frames were drawn, the grid, and per frame the seconds of every repeat at every step and scale beside
-//! the likeness to the picture at the reference step.
+//! ([`entire_cli::path`]), `hold` (frames per volume of a series; 0 where there is one volume), `scales`
+//! (image scale from a frame on), how frames were drawn, the grid, and per frame the seconds of every repeat
+//! at every step and scale beside the likeness to the picture at the reference step.
 
 use anyhow::{Context, Result, ensure};
 use entire_cli::dataset::{Clock, Timing};
 use entire_cli::enlarge::enlarge;
+use entire_cli::files::read_text;
 use entire_cli::machine::Provenance;
 use entire_cli::metrics::median;
 use entire_cli::options::{ShadeOption, SkipOption};
@@ -29,9 +31,13 @@ use image_compare::Algorithm;
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 /// The `format` value.
 pub const TRACE_FORMAT: &str = "entire-trace-1";
+
+/// Largest trace that is read, in bytes.
+const MAX_TRACE_BYTES: u64 = 1 << 30;
 
 /// Ray steps of the grid where none are given, reference steps: half octaves over the default limits.
 pub const TRACE_STEPS: [f32; 9] = [1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0];
@@ -131,6 +137,42 @@ pub struct Recording<'a> {
     pub repeats: usize,
 }
 
+impl Recording<'_> {
+    /// The trace before its first frame.
+    fn begun(&self) -> Trace {
+        Trace {
+            format: TRACE_FORMAT.into(),
+            name: self.name.clone(),
+            volumes: self.volumes.iter().map(|(v, _)| v.clone()).collect(),
+            path: self.path.clone(),
+            hold: self.hold,
+            scales: self.scales.to_vec(),
+            draw: TraceDraw {
+                width_px: self.draw.width,
+                height_px: self.draw.height,
+                shading: self.draw.shading.name().into(),
+                skipping: self.draw.skipping.name().into(),
+                termination: self.draw.termination,
+                clock: self.draw.clock.name().into(),
+            },
+            frames: Vec::new(),
+            provenance: serde_json::Value::Null,
+        }
+    }
+
+    /// Ray steps and image scales of a frame.
+    fn grid(&self, index: usize) -> Vec<(f32, f32)> {
+        let mut grid: Vec<(f32, f32)> = self.steps.iter().map(|s| (*s, 1.0)).collect();
+        // Smaller images at some frames only: they serve the quality model.
+        if index % 4 == 0 && self.steps.len() == TRACE_STEPS.len() {
+            for scale in TRACE_SCALES {
+                grid.extend(SCALED_STEPS.iter().map(|s| (*s, scale)));
+            }
+        }
+        grid
+    }
+}
+
 /// Luma of a picture.
 fn luma(picture: &Image) -> Option<image::GrayImage> {
     let gray = picture
@@ -143,8 +185,8 @@ fn luma(picture: &Image) -> Option<image::GrayImage> {
     image::GrayImage::from_raw(picture.width, picture.height, gray)
 }
 
-/// Structural similarity of two pictures of one size, 0 to 1 (mean SSIM over windows of 8 × 8 pixels of their luma).
-/// `None` when they differ in size.
+/// Structural similarity of two pictures of one size, 0 to 1 (mean SSIM over windows of 8 × 8 pixels of their
+/// luma). `None` when they differ in size.
 pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
     if (a.width, a.height) != (b.width, b.height) {
         return None;
@@ -160,8 +202,25 @@ impl Trace {
     /// # Errors
     /// Names the file and what is wrong in it.
     pub fn open(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path)
-            .with_context(|| format!("cannot read the trace {}", path.display()))?;
+        let trace = Self::open_begun(path)?;
+        ensure!(
+            trace.is_complete(),
+            "{} holds {} frames, its path has {}: its recording was interrupted; go on with the same `entire-lab record` \
+             and --resume",
+            path.display(),
+            trace.frames.len(),
+            trace.path.frames
+        );
+        Ok(trace)
+    }
+
+    /// Reads and checks a trace that may hold the first frames of its path only.
+    ///
+    /// # Errors
+    /// As [`Trace::open`].
+    pub fn open_begun(path: &Path) -> Result<Self> {
+        let text =
+            read_text(path, MAX_TRACE_BYTES).with_context(|| format!("cannot read the trace {}", path.display()))?;
         let trace: Self =
             serde_json::from_str(&text).with_context(|| format!("{} is no trace", path.display()))?;
         trace.check().with_context(|| format!("{} is no trace", path.display()))?;
@@ -176,7 +235,7 @@ impl Trace {
         );
         ensure!(!self.volumes.is_empty(), "it names no volume");
         ensure!(
-            self.frames.len() == self.path.frames as usize,
+            self.frames.len() <= self.path.frames as usize,
             "it holds {} frames, its path has {}",
             self.frames.len(),
             self.path.frames
@@ -207,6 +266,30 @@ impl Trace {
         }
         self.draw_settings()?;
         Ok(())
+    }
+
+    /// Whether every frame of the path was recorded.
+    pub fn is_complete(&self) -> bool {
+        self.frames.len() == self.path.frames as usize
+    }
+
+    /// What of it differs from a recording, so that it cannot be gone on with; nothing where it can.
+    pub fn differences(&self, recording: &Recording<'_>) -> Vec<&'static str> {
+        let other = recording.begun();
+        let points = |frame: &Vec<TracePoint>| frame.iter().map(|p| (p.step, p.scale)).collect::<Vec<_>>();
+        let repeats = |f: &Vec<TracePoint>| f.iter().all(|p| p.seconds.len() == recording.repeats);
+        let grid = |(i, f): (usize, &Vec<TracePoint>)| points(f) == recording.grid(i) && repeats(f);
+        [
+            ("volumes", self.volumes == other.volumes),
+            ("path", self.path == other.path),
+            ("hold", self.hold == other.hold),
+            ("scales", self.scales == other.scales),
+            ("drawing", self.draw == other.draw),
+            ("steps or repeats", self.frames.iter().enumerate().all(grid)),
+        ]
+        .into_iter()
+        .filter_map(|(what, same)| (!same).then_some(what))
+        .collect()
     }
 
     /// How frames were drawn.
@@ -267,28 +350,58 @@ fn drawn_frame(path: &FlightPath, draw: &DrawSettings, scale: f32, index: usize)
     DrawSettings { width, height, ..*draw }.frame(camera)
 }
 
-/// Draws every frame of a path at every point of the grid.
+/// Time after which what has been recorded is kept, so that no accident loses more.
+const KEEP_EVERY: Duration = Duration::from_secs(5);
+
+/// Draws every frame of a path at every point of the grid, but for those that `begun` holds.
 ///
-/// Answers `None` when `stop` said so.
+/// `keep` is given the trace every few seconds and at the end. The trace is not complete when `stop` said so.
 ///
 /// # Errors
-/// When the renderer fails; names the frame.
+/// When the renderer fails; names the frame. What was recorded before has been kept.
 pub fn record(
     recording: &Recording<'_>,
     renderer: &mut dyn Renderer,
+    begun: Option<Trace>,
     stop: &dyn Fn() -> bool,
+    keep: &mut dyn FnMut(&Trace) -> Result<()>,
     progress: &ProgressBar,
-) -> Result<Option<Trace>> {
+) -> Result<Trace> {
+    let provenance = serde_json::to_value(Provenance::of(renderer.device()))?;
+    let mut trace = Trace { provenance, ..begun.unwrap_or_else(|| recording.begun()) };
+    let before = trace.frames.len();
+    let result = record_on(recording, renderer, &mut trace, stop, keep, progress);
+    if trace.frames.len() > before {
+        trace.check()?;
+        keep(&trace)?;
+    }
+    result.map(|()| trace)
+}
+
+fn record_on(
+    recording: &Recording<'_>,
+    renderer: &mut dyn Renderer,
+    trace: &mut Trace,
+    stop: &dyn Fn() -> bool,
+    keep: &mut dyn FnMut(&Trace) -> Result<()>,
+    progress: &ProgressBar,
+) -> Result<()> {
     let path = recording.path.resolve()?;
     let draw = recording.draw;
     let mut shown = usize::MAX;
-    let mut frames = Vec::with_capacity(path.frames.len());
+    let first = trace.frames.len();
+    let mut kept = Instant::now();
     progress.set_length(path.frames.len() as u64);
+    progress.set_position(first as u64);
     progress.reset_eta();
-    for (index, at) in path.frames.iter().enumerate() {
+    for (index, at) in path.frames.iter().enumerate().skip(first) {
         let place = || format!("frame {index} of the path");
         if stop() {
-            return Ok(None);
+            return Ok(());
+        }
+        if kept.elapsed() > KEEP_EVERY {
+            keep(trace)?;
+            kept = Instant::now();
         }
         let volume = volume_at(recording.hold, recording.volumes.len(), index);
         let swapped = volume != shown;
@@ -303,13 +416,7 @@ pub fn record(
         let frame =
             drawn_frame(&path, &draw, scale_at(recording.scales, index), index).with_context(place)?;
         let full = (frame.width(), frame.height());
-        let mut grid: Vec<(f32, f32)> = recording.steps.iter().map(|s| (*s, 1.0)).collect();
-        // Smaller images at some frames only: they serve the quality model.
-        if index % 4 == 0 && recording.steps.len() == TRACE_STEPS.len() {
-            for scale in TRACE_SCALES {
-                grid.extend(SCALED_STEPS.iter().map(|s| (*s, scale)));
-            }
-        }
+        let grid = recording.grid(index);
         if swapped || at.transfer_changed {
             renderer.render(&frame).with_context(place)?;
         }
@@ -335,7 +442,7 @@ pub fn record(
                 );
             }
         }
-        frames.push(
+        trace.frames.push(
             grid.iter()
                 .zip(seconds)
                 .zip(looks)
@@ -350,26 +457,7 @@ pub fn record(
         );
         progress.inc(1);
     }
-    let trace = Trace {
-        format: TRACE_FORMAT.into(),
-        name: recording.name.clone(),
-        volumes: recording.volumes.iter().map(|(v, _)| v.clone()).collect(),
-        path: recording.path.clone(),
-        hold: recording.hold,
-        scales: recording.scales.to_vec(),
-        draw: TraceDraw {
-            width_px: draw.width,
-            height_px: draw.height,
-            shading: draw.shading.name().into(),
-            skipping: draw.skipping.name().into(),
-            termination: draw.termination,
-            clock: draw.clock.name().into(),
-        },
-        frames,
-        provenance: serde_json::to_value(Provenance::of(renderer.device()))?,
-    };
-    trace.check()?;
-    Ok(Some(trace))
+    Ok(())
 }
 
 /// A frame's cost and likeness as functions of the ray step, and its noise.
@@ -382,8 +470,8 @@ pub struct Curve {
 }
 
 impl Curve {
-    /// Of a frame's points at scale 1. Seconds at a step are the median of its repeats, made to fall with the step by
-    /// pooling neighbours that do not.
+    /// Of a frame's points at scale 1. Seconds at a step are the median of its repeats, made to fall with the
+    /// step by pooling neighbors that do not.
     pub fn of(points: &[TracePoint]) -> Self {
         let full: Vec<&TracePoint> = points.iter().filter(|p| p.scale == 1.0).collect();
         let logs: Vec<f64> =
@@ -443,8 +531,8 @@ impl Curve {
         self.residuals[(which % self.residuals.len() as u64) as usize]
     }
 
-    /// What an oracle does: the finest step within the limits whose seconds do not exceed the target; the coarsest where
-    /// none does.
+    /// What an oracle does: the finest step within the limits whose seconds do not exceed the target; the
+    /// coarsest where none does.
     pub fn oracle(&self, target: f64, finest: f64, coarsest: f64) -> f64 {
         if self.seconds(finest) <= target {
             return finest;

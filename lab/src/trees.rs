@@ -1,4 +1,5 @@
-//! Gradient-boosted trees of a library, as a yardstick in studies: they are in no model file and predict in no renderer.
+//! Gradient-boosted trees of a library, as a yardstick in studies: they are in no model file and predict in
+//! no renderer.
 
 use anyhow::{Result, anyhow, ensure};
 use entire_cli::dataset::Timed;

@@ -1,5 +1,5 @@
-//! Observation alone, on frames that a real renderer was timed at (software Vulkan, process-CPU time): a session without
-//! any model file comes to know a renderer that it was never told of.
+//! Observation alone, on frames that a real renderer was timed at (software Vulkan, process-CPU time): a
+//! session without any model file comes to know a renderer that it was never told of.
 
 use clap::Parser;
 use entire_cli::commands::train;
@@ -43,7 +43,11 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
         let recorded = recorded(name);
         let n = recorded.path.frames.len();
         let errors = |seed: u64| {
-            let mut who = Contender { name: "untrained".into(), session: Session::untrained(), sizes: false };
+            let mut who = Contender {
+                name: "untrained".into(),
+                session: Session::untrained(),
+                chooses_image_sample_distance: false,
+            };
             let played =
                 replay(&recorded, &mut who, None, &vec![1.0 / fps; n], StepLimits::default(), seed).unwrap();
             let error = |range: std::ops::Range<usize>| {
@@ -61,7 +65,8 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
     }
 }
 
-/// One rendering of a recorded frame as a row of a timing table: `law` turns recorded seconds into this machine's.
+/// One rendering of a recorded frame as a row of a timing table: `law` turns recorded seconds into this
+/// machine's.
 fn row(recorded: &Replayable, index: usize, point: usize, law: impl Fn(f64) -> f64) -> (Scene, Timing) {
     let (trace, at) = (&recorded.trace, &recorded.path.frames[index]);
     let draw = trace.draw_settings().unwrap();
@@ -105,8 +110,8 @@ fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
         }
         file
     };
-    // Frames 3 of 8 are judged by, the others make the network and, on a slower machine, the log of what was drawn: one step
-    // per frame.
+    // Frames 3 of 8 are judged by, the others make the network and, on a slower machine, the log of what was
+    // drawn: one step per frame.
     let slower = |t: f64| 0.004 + 2.2 * t;
     let made_on = table("made.csv", &|i, p| i % 8 != 3 && p % 2 == 0, &|t| t);
     let log = table("log.csv", &|i, p| i % 8 != 3 && p == (i * 5) % 9, &slower);

@@ -1,7 +1,7 @@
 //! `entire-lab study` end to end on a study cut small from the committed timing tables.
 
+use entire_cli::dataset::feature_table::FeatureTable;
 use entire_cli::dataset::{Table, Writer};
-use entire_cli::feature_table::FeatureTable;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -74,7 +74,9 @@ fn a_small_study_goes_from_tables_to_bars() {
         }],
         "predictors": [{
             "name": "selected",
-            "recipe": { "kind": "residual", "layers": [6], "epochs": 8, "batch": 32, "learning_rate": 0.003, "probe_side": 7 }
+            "recipe": {
+                "kind": "residual", "layers": [6], "epochs": 8, "batch": 32, "learning_rate": 0.003, "probe_side": 7
+            }
         }],
         "shares": [0.1],
         "curves": ["selected"]
@@ -82,7 +84,8 @@ fn a_small_study_goes_from_tables_to_bars() {
     std::fs::write(at.join("study.json"), description.to_string()).unwrap();
 
     let (output, text) = study(at, &["--bars"]);
-    // One limit is about a predictor and tables that the study does not have: that bar is short, and so is the status.
+    // One limit is about a predictor and tables that the study does not have: that bar is short, and so is
+    // the status.
     assert_eq!(output.status.code(), Some(1), "{text}");
     let bars: Vec<Vec<&str>> =
         text.lines().filter(|l| l.starts_with("bar ")).map(|l| l.split(' ').collect()).collect();
@@ -95,7 +98,8 @@ fn a_small_study_goes_from_tables_to_bars() {
         let (value, limit): (f64, f64) = (b[2].parse().unwrap(), b[3].parse().unwrap());
         assert_eq!(b[4] == "ok", value <= limit, "{b:?}");
     }
-    // An analytic model with a factor beats the mean of probes by far, even after eight epochs on two hundred frames.
+    // An analytic model with a factor beats the mean of probes by far, even after eight epochs on two hundred
+    // frames.
     assert!(bar("small/member/best-rmse-over-sd")[2].parse::<f64>().unwrap() < 0.5, "{text}");
 
     let found: serde_json::Value =

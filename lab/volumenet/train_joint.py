@@ -5,7 +5,7 @@
         --preset 12C256 --inputs volume_features,camera,resolution,transfer_function --out paper-joint.safetensors
 
 Frames are rows of timing tables of `entire collect`; their volumes' paths are relative to --data. Each step takes some
-volumes (--batch) and some frames of each (--frames-per-volume). The loss is the mean squared error of standardised ln
+volumes (--batch) and some frames of each (--frames-per-volume). The loss is the mean squared error of standardized ln
 seconds plus --reconstruction times the mean squared error of the voxels. Validation members decide when training stops.
 PredNet only serves training here: `entire train` trains the one that ships, with the encoder's features.
 """

@@ -179,7 +179,7 @@ def main() -> None:
         for i in range(0, len(order), args.batch):
             chosen = order[i : i + args.batch]
             if len(chosen) == 1 and len(order) > 1 and args.size == 2 ** len(args.channels):
-                break  # batch normalisation needs more than one value per channel
+                break  # batch normalization needs more than one value per channel
             x = tensors["train"][chosen].to(args.device, memory_format=torch.channels_last_3d)
             optimizer.zero_grad(set_to_none=True)
             loss = loss_function(model(x), x)

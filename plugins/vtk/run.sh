@@ -22,9 +22,15 @@ sdk=$out/sdk
 python=${VTK_PYTHON:-/usr/bin/python3}
 export PYTHONPATH=$out/build/lib/python3/site-packages
 
+name=test-vtk
+if [[ $what == asan ]]; then name=test-vtk-asan; fi
+# Also into the list that CI ends with.
+skip() {
+    echo "$name: skipped: $1"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "$name: $1" >>"$ENTIRE_SKIPPED"
+}
 lacks() {
-    echo "vtk: skipped: $1"
-    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "test-vtk: $1" >>"$ENTIRE_SKIPPED"
+    skip "$1"
     exit 0
 }
 command -v cmake >/dev/null || lacks "cmake is not installed (apt-get install cmake ninja-build g++ libvtk9-dev python3-vtk9 xvfb xauth)"
@@ -54,6 +60,7 @@ mkdir -p "$out"
 case $what in
     build) build "$out/build" ;;
     test)
+        command -v valgrind >/dev/null || skip "memory checks: valgrind is not installed (apt-get install valgrind)"
         build "$out/build"
         display ctest --test-dir "$out/build" --output-on-failure
         ;;

@@ -72,6 +72,26 @@ fn the_counter_counts() {
 }
 
 #[test]
+fn an_encoder_that_never_runs_has_no_working_memory() {
+    use entire_core::nn::{ConvBlockParts, VolumeNet, VolumeNetParts};
+    let block = ConvBlockParts {
+        inputs: 1,
+        outputs: 1,
+        kernel: 1,
+        stride: 128,
+        padding: 0,
+        weight: vec![1.0],
+        bias: vec![0.0],
+        input_edge: 128,
+        output_edge: 1,
+        dtype: Dtype::F32,
+    };
+    let fc = DenseParts { inputs: 1, outputs: 1, weight: vec![1.0], bias: vec![0.0], dtype: Dtype::F32 };
+    let net = VolumeNet::new(&VolumeNetParts { input: 128, blocks: vec![block], fc }).expect("an encoder");
+    assert_eq!(allocations(|| drop(std::hint::black_box(net.scratch()))), 0);
+}
+
+#[test]
 fn predictions_allocate_nothing() {
     let helper = Helper::new();
     for level in Level::available() {

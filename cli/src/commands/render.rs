@@ -1,22 +1,23 @@
 //! `entire render`: render one frame and time it.
 
 use crate::device::{self, Device};
-use crate::files::{open_volume, parse_list, parse_numbers, parse_range};
+use crate::files::{open_volume, parse_list, parse_numbers, parse_range, write_whole_with};
 use crate::metrics::median;
 use crate::options::{ShadeOption, SkipOption};
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result};
 use entire_core::scene::{
     Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
 };
 use entire_vk_raycaster::{Image, Rendered};
 use serde_json::json;
-use std::io::{BufWriter, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Render one frame and time it.
 ///
-/// Writes the picture over black as PNG (8-bit RGB) and prints how long it took: a line, or with --json a JSON object with the
-/// seconds of every repeat, the samples taken (null where the renderer does not count), device and step.
+/// Writes the picture over black as PNG (8-bit RGB) and prints how long it took: a line, or with --json a
+/// JSON object with the seconds of every repeat, the samples taken (null where the renderer does not count),
+/// device and step.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire render data/mr_banana.nrrd --camera 20,35,2.5 --tf 0.4,0.01,0.6 --size 512x512 --out banana.png
@@ -52,14 +53,20 @@ pub struct Options {
     /// Vertical field of view in degrees.
     #[arg(long, default_value_t = DEFAULT_FOV_Y_DEGREES, value_name = "DEGREES", allow_hyphen_values = true)]
     pub fov: f32,
-    /// Scalar range that maps to [0, 1]; else 0…255 for unsigned bytes, the finite minimum…maximum for other types.
+    /// Scalar range that maps to [0, 1]; else 0…255 for unsigned bytes, the finite minimum…maximum for other
+    /// types.
     #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
     pub range: Option<(f32, f32)>,
     /// What renders.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
     /// How often the frame is rendered.
-    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(
+        long,
+        default_value_t = 1,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(1..=100_000)
+    )]
     pub repeat: u32,
     /// The picture to write.
     #[arg(long, value_name = "IMG.png")]
@@ -140,7 +147,12 @@ pub fn run(options: &Options) -> Result<()> {
             "dims": view.dims(),
             "scalar_type": view.scalar_type().name(),
             "range": [short(range.0), short(range.1)],
-            "camera": { "rx_deg": short(options.camera.rx), "ry_deg": short(options.camera.ry), "dz_radii": short(options.camera.dz), "fov_y_deg": short(options.fov) },
+            "camera": {
+                "rx_deg": short(options.camera.rx),
+                "ry_deg": short(options.camera.ry),
+                "dz_radii": short(options.camera.dz),
+                "fov_y_deg": short(options.fov),
+            },
             "tf": options.tf.0.iter().map(|l| [l.center, l.width, l.height].map(short)).collect::<Vec<_>>(),
             "width": image.width,
             "height": image.height,
@@ -191,18 +203,10 @@ fn short(value: f32) -> f64 {
 /// Writes a picture as PNG: what is seen over black, which premultiplied colors already are.
 fn write_png(path: &Path, image: &Image) -> Result<()> {
     let rgb: Vec<u8> = image.rgba.as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
-    let file = std::fs::File::create(path)
-        .map_err(|error| anyhow!("{}: cannot be written: {error}; check --out", path.display()))?;
-    let mut out = BufWriter::new(file);
-    let encoder = image::codecs::png::PngEncoder::new(&mut out);
-    image::ImageEncoder::write_image(
-        encoder,
-        &rgb,
-        image.width,
-        image.height,
-        image::ExtendedColorType::Rgb8,
-    )
-    .with_context(|| format!("{}: cannot be written", path.display()))?;
-    out.flush().with_context(|| format!("{}: cannot be written", path.display()))?;
-    Ok(())
+    write_whole_with(path, |out| {
+        let encoder = image::codecs::png::PngEncoder::new(out);
+        let (width, height) = (image.width, image.height);
+        Ok(image::ImageEncoder::write_image(encoder, &rgb, width, height, image::ExtendedColorType::Rgb8)?)
+    })
+    .context("check --out")
 }

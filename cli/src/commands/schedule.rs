@@ -9,9 +9,10 @@ use std::path::PathBuf;
 
 /// Decide which node renders what, in which order, and say when it will be done.
 ///
-/// Reads tasks (CSV with a header line, or a JSON array of objects): `predicted_s` or `measured_s` (either may be
-/// missing, not both), and where there are any `task` (a name), `volume` (which data it needs) and `load_s` (seconds to
-/// load that data). Writes the assignment or the order as CSV or JSON, by the file's ending.
+/// Reads tasks (CSV with a header line, or a JSON array of objects): `predicted_s` or `measured_s` (either
+/// may be missing, not both), and where there are any `task` (a name), `volume` (which data it needs) and
+/// `load_s` (seconds to load that data). Writes the assignment or the order as CSV or JSON, by the file's
+/// ending.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire schedule tasks.csv --nodes 16 --out assignment.csv
@@ -39,7 +40,8 @@ pub struct Options {
     /// Tasks that a node looks at for one on the volume that it holds (--method affinity).
     #[arg(long, default_value_t = 64, value_name = "TASKS")]
     pub window: usize,
-    /// Scatter of ln(measured / predicted) for the interval of the end, where the tasks do not hold both times.
+    /// Scatter of ln(measured / predicted) for the interval of the end, where the tasks do not hold both
+    /// times.
     #[arg(long, default_value_t = 0.15, value_name = "SD")]
     pub log_sd: f64,
     /// Where the assignment or order goes (.csv or .json).
@@ -107,7 +109,8 @@ fn write(tasks: &[Task], farm: &Farm, options: &Options) -> Result<()> {
         write_whole(out, &csv.into_inner()?)?;
     }
     println!(
-        "{} tasks on {} nodes: done after {:.3} s expected, {low:.3} to {high:.3} s in nine of ten cases (lower bound \
+        "{} tasks on {} nodes: done after {:.3} s expected, {low:.3} to {high:.3} s in nine of ten cases \
+         (lower bound \
          {bound:.3} s)",
         tasks.len(),
         speeds.len(),

@@ -3,7 +3,7 @@
 use crate::dataset::{Clock, Scene, Writer};
 use crate::device::{self, Device};
 use crate::enlarge::enlarge;
-use crate::files::open_model;
+use crate::files::{open_model, write_json};
 use crate::interrupt;
 use crate::machine::Provenance;
 use crate::options::{ShadeOption, SkipOption, parse_hold, parse_limits, parse_scale, parse_size};
@@ -21,16 +21,20 @@ use std::path::{Path, PathBuf};
 
 /// Play a path against a target frame time under several controllers.
 ///
-/// First some random frames of the volume are rendered to fit the predictor to this machine and to measure G, the
-/// saving of a coarser step. Then the path is played: every frame is drawn under every controller before the next one
-/// begins, in rotating order, beside a reference picture outside of the race. DIR gets frames.csv (every frame under
-/// every controller), summary.json and report.html.
+/// First some random frames of the volume are rendered to fit the predictor to this machine and to measure G,
+/// the saving of a coarser step. Then the path is played: every frame is drawn under every controller before
+/// the next one begins, in rotating order, beside a reference picture outside of the race. DIR gets
+/// frames.csv (every frame under every controller), summary.json and report.html.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire steer data/nyx_cosmology/m01/t0010.nrrd --generate switches --target 30fps --out out/steer
-  entire steer skull.nrrd --path examples/paths/switches.json --target 33ms --controllers olp,hybrid --out out/skull
-  entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit --target 30fps --retarget 30:60fps,60:15fps --out out/series
-  entire steer skull.nrrd --generate fly-in --target 60fps --choose-scales 0.7,0.5 --log observed.csv --out out/skull")]
+  entire steer skull.nrrd --path examples/paths/switches.json --target 33ms --controllers olp,hybrid --out \
+  out/skull
+  entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit --target 30fps --retarget \
+  30:60fps,60:15fps --out out/series
+  entire steer skull.nrrd --generate fly-in --target 60fps --image-sample-distances 1.4,2 --log observed.csv \
+  --out \
+  out/skull")]
 pub struct Options {
     /// The volume file; several are the volumes of a series (see --hold), the first of which calibrates.
     #[arg(value_name = "VOLUME", required = true)]
@@ -59,10 +63,11 @@ pub struct Options {
     /// Image scale from a frame on, as FRAME:SCALE, comma-separated: what a resized window does.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub scales: Vec<(u32, f32)>,
-    /// Shares of the image side, beside 1, that the hybrid may choose together with the step, whichever promises the better
-    /// picture; smaller images are brought back to full size before pictures are compared.
-    #[arg(long, value_delimiter = ',', value_name = "SCALE,…")]
-    pub choose_scales: Vec<f32>,
+    /// Pixels between rays along each image side, beside 1, that the hybrid may choose together with the
+    /// step, whichever promises the better picture; coarser images are brought back to full size before
+    /// pictures are compared.
+    #[arg(long, value_delimiter = ',', value_name = "PIXELS,…")]
+    pub image_sample_distances: Vec<f32>,
     /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "TABLE.csv")]
     pub log: Option<PathBuf>,
@@ -166,10 +171,10 @@ pub fn run(options: &Options) -> Result<()> {
     let retargets = options.retarget.iter().map(|t| parse_retarget(t)).collect::<Result<Vec<_>>>()?;
     ensure!(retargets.is_sorted_by_key(|t| t.0), "--retarget must be ordered by frame");
     ensure!(options.scales.is_sorted_by_key(|s| s.0), "--scales must be ordered by frame");
-    for s in &options.choose_scales {
+    for d in &options.image_sample_distances {
         ensure!(
-            s.is_finite() && *s >= 0.05 && *s < 1.0,
-            "--choose-scales holds {s}; give shares of the image side from 0.05 to below 1"
+            *d > 1.0 && *d <= 20.0,
+            "--image-sample-distances holds {d}; give pixels between rays from above 1 to 20"
         );
     }
     let model = options.model.as_deref().map(open_model).transpose()?;
@@ -194,8 +199,7 @@ pub fn run(options: &Options) -> Result<()> {
         (None, Some(kind)) => {
             let file = kind.path(&view, options.frames)?;
             if let Some(to) = &options.save_path {
-                std::fs::write(to, serde_json::to_string_pretty(&file)? + "\n")
-                    .with_context(|| format!("cannot write {}", to.display()))?;
+                write_json(to, &file)?;
             }
             (file.resolve()?, format!("{} (generated, {} frames)", kind.name(), options.frames))
         }
@@ -212,7 +216,7 @@ pub fn run(options: &Options) -> Result<()> {
         hold,
         retargets: &retargets,
         scales: &options.scales,
-        choices: &options.choose_scales,
+        image_sample_distances: &options.image_sample_distances,
         seed_name: &seed_name,
         seed: options.seed,
         draw,
@@ -278,13 +282,14 @@ fn write_log(
     for (i, at) in path.frames.iter().enumerate() {
         let Some(lobes) = at.transfer.lobes() else {
             bail!(
-                "--log needs transfer functions made of lobes; frame {i} has control points, which timing tables do not hold"
+                "--log needs transfer functions made of lobes; frame {i} has control points, which timing \
+                 tables do not hold"
             )
         };
         let volume = playback.volumes[i];
         for records in &playback.records {
             let r = &records[i];
-            let (width, height) = scaled_size(playback.sizes[i], r.scale);
+            let (width, height) = scaled_size(playback.sizes[i], 1.0 / r.image_sample_distance);
             let scene = Scene {
                 volume: options.volumes[volume].display().to_string(),
                 member: String::new(),

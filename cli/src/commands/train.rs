@@ -31,9 +31,11 @@ Examples:
   entire train --data frames.csv --out model.safetensors
         a small network on scene features, log seconds, split by ensemble member
   entire train --data frames.csv --out paper.safetensors --preset 12C256 --target seconds \\
-        --inputs volume_features,camera,resolution,transfer_function --volumenet models/volumenet-128f2.safetensors
+        --inputs volume_features,camera,resolution,transfer_function --volumenet \
+        models/volumenet-128f2.safetensors
         the paper's configuration
-  entire train --data new-machine.csv --out tuned.safetensors --fine-tune model.safetensors --learning-rate 1e-4
+  entire train --data new-machine.csv --out tuned.safetensors --fine-tune model.safetensors --learning-rate \
+  1e-4
   entire train --data frames.csv --out costs.safetensors --model-kind analytic
         unit costs by non-negative least squares: fits from a few frames on
   entire train --data frames.csv --out residual.safetensors --model-kind residual --layers 32
@@ -52,12 +54,20 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t = Kind::Prednet)]
     pub model_kind: Kind,
     /// Hidden layer widths.
-    #[arg(long, value_delimiter = ',', value_name = "WIDTHS", conflicts_with_all = ["preset", "fine_tune"], default_value = "64,64")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "WIDTHS",
+        conflicts_with_all = ["preset", "fine_tune"],
+        default_value = "64,64"
+    )]
     pub layers: Vec<usize>,
-    /// Layers of the paper, such as 0C256, 12C256 or 4C64: inputs → 256, 12 × (256 → 256), halved down to 16, 1.
+    /// Layers of the paper, such as 0C256, 12C256 or 4C64: inputs → 256, 12 × (256 → 256), halved down to 16,
+    /// 1.
     #[arg(long, conflicts_with = "fine_tune")]
     pub preset: Option<String>,
-    /// Input groups, in order: volume_features, camera, resolution, transfer_function, step_size, scene_features.
+    /// Input groups, in order: volume_features, camera, resolution, transfer_function, step_size,
+    /// scene_features.
     #[arg(
         long,
         value_delimiter = ',',
@@ -69,16 +79,17 @@ pub struct Options {
     /// Scene features, in order, where `--inputs` names that group; the standard ones unless given.
     #[arg(long, value_delimiter = ',', value_name = "NAMES", conflicts_with = "fine_tune")]
     pub scene_features: Vec<String>,
-    /// Take the Gaussian lobes of `transfer_function` by ascending center instead of as they are given: their sum is the
-    /// same in every order, and a network that sees one order need not learn so.
+    /// Take the Gaussian lobes of `transfer_function` by ascending center instead of as they are given: their
+    /// sum is the same in every order, and a network that sees one order need not learn so.
     #[arg(long)]
     pub sorted_lobes: bool,
-    /// Rays along each side of the probe behind scene features, 1 to 24; the standard 11 unless given. Fewer rays take less
-    /// time for every prediction.
+    /// Rays along each side of the probe behind scene features, 1 to 24; the standard 11 unless given. Fewer
+    /// rays take less time for every prediction.
     #[arg(long, value_name = "SIDE", conflicts_with = "fine_tune")]
     pub probe_side: Option<usize>,
-    /// Solve the analytic part for what converting stored values and waiting for memory cost, too: for renderers on the CPU
-    /// that look values up in tables or read large volumes voxel by voxel, such as VTK's fixed-point mapper and yt.
+    /// Solve the analytic part for what converting stored values and waiting for memory cost, too: for
+    /// renderers on the CPU that look values up in tables or read large volumes voxel by voxel, such as VTK's
+    /// fixed-point mapper and yt.
     #[arg(long)]
     pub converting: bool,
     /// Take the mean of so many networks of other seeds, stored as one.
@@ -87,7 +98,8 @@ pub struct Options {
     /// What the network gives.
     #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
     pub target: TargetChoice,
-    /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile; the last gives an upper bound.
+    /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile; the last gives an upper
+    /// bound.
     #[arg(long, default_value = "mse", value_parser = check_loss)]
     pub loss: String,
     /// Passes over the training frames at most.
@@ -96,7 +108,8 @@ pub struct Options {
     /// Frames per step.
     #[arg(long, default_value_t = 256)]
     pub batch: usize,
-    /// First learning rate; it falls by a half cosine. Unless given, 1e-4 with --preset (as the paper) and --fine-tune, else 1e-3.
+    /// First learning rate; it falls by a half cosine. Unless given, 1e-4 with --preset (as the paper) and
+    /// --fine-tune, else 1e-3.
     #[arg(long)]
     pub learning_rate: Option<f64>,
     /// Last learning rate. Unless given, a hundredth of the first.
@@ -114,12 +127,16 @@ pub struct Options {
     /// Start from this model: its layers, inputs, target and standardization stay, its weights learn on.
     #[arg(long, value_name = "SAFETENSORS")]
     pub fine_tune: Option<PathBuf>,
-    /// Adapt this model to the frames in closed form, its last layer drawn towards its weights: some ten frames will do.
+    /// Adapt this model to the frames in closed form, its last layer drawn towards its weights: some ten
+    /// frames will do.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["fine_tune", "model_kind"])]
     pub calibrate: Option<PathBuf>,
-    /// Take this model (of kind residual) to another renderer in closed form: unit costs are solved anew (as with `--converting`),
-    /// and the factor's last layer is fitted towards a quarter of its weights. All frames are learned from; some fifty will do.
-    #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["fine_tune", "calibrate", "model_kind", "validation_groups", "test_groups"])]
+    /// Take this model (of kind residual) to another renderer in closed form: unit costs are solved anew (as
+    /// with `--converting`), and the factor's last layer is fitted towards a quarter of its weights. All
+    /// frames are learned from; some fifty will do.
+    #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = [
+        "fine_tune", "calibrate", "model_kind", "validation_groups", "test_groups",
+    ])]
     pub transfer: Option<PathBuf>,
     /// Model file with the VolumeNet that encodes volumes; it is written into the new file too.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
@@ -278,7 +295,8 @@ pub fn run(options: &Options) -> Result<()> {
     let noise = noise_floor(refs.iter().copied(), options.clock);
     if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
         eprintln!(
-            "note: repeats of one frame scatter by {:.0} %; collect on a quieter machine, with more --repeats, or try --clock cpu",
+            "note: repeats of one frame scatter by {:.0} %; collect on a quieter machine, with more \
+             --repeats, or try --clock cpu",
             100.0 * (n.log_sd.exp() - 1.0)
         );
     }
@@ -302,7 +320,9 @@ pub fn run(options: &Options) -> Result<()> {
         "settings": trained.fitted.settings,
         "outcome": trained.fitted.outcome,
         "metrics": results.iter().map(|(p, m)| (p.name(), m)).collect::<BTreeMap<_, _>>(),
-        "upper_bound": { "level": UPPER_LEVEL, "log_factor": f64::from(upper.log_factor()), "coverage": covered },
+        "upper_bound": {
+            "level": UPPER_LEVEL, "log_factor": f64::from(upper.log_factor()), "coverage": covered,
+        },
         "noise_floor": noise,
         "trained_on": machine::machine(),
         "program": format!("entire {}", machine::version()),
@@ -320,7 +340,8 @@ pub fn run(options: &Options) -> Result<()> {
     write_whole(&options.out.with_extension("md"), card.as_bytes())?;
     for (p, m) in &results {
         println!(
-            "{:<10} {:>6} frames  RMSE {:.3e} s ({:.3} SD)  MAE {:.3e} s  MdAPE {:.2} %  p95 {:.1} %  R2(log) {:.4}",
+            "{:<10} {:>6} frames  RMSE {:.3e} s ({:.3} SD)  MAE {:.3e} s  MdAPE {:.2} %  p95 {:.1} \
+             %  R2(log) {:.4}",
             p.name(),
             m.frames,
             m.rmse,
@@ -399,9 +420,12 @@ fn card(
     let _ = writeln!(md, "# {name}\n\n{}.\n", trained.fitted.what);
     let _ = writeln!(
         md,
-        "## Use\n\nPredicts the seconds that one volume-rendered frame takes, before it is drawn, on the machine and with the \
-         renderer that it was measured on. On another machine, fine-tune it first:\n\n```\nentire train --data FRAMES.csv \
-         --fine-tune {name}.safetensors --out tuned.safetensors\n```\n\nEvaluate it: `entire evaluate --model {name}.safetensors \
+        "## Use\n\nPredicts the seconds that one volume-rendered frame takes, before it is drawn, on the \
+         machine and with the \
+         renderer that it was measured on. On another machine, fine-tune it first:\n\n```\nentire train \
+         --data FRAMES.csv \
+         --fine-tune {name}.safetensors --out tuned.safetensors\n```\n\nEvaluate it: `entire evaluate \
+         --model {name}.safetensors \
          --data FRAMES.csv`\n"
     );
     let _ = writeln!(md, "## Inputs\n");
@@ -438,7 +462,8 @@ fn card(
             None => {
                 let _ = writeln!(
                     md,
-                    "- `{file}` ({} frames, FNV-1a {:016x}); no manifest, so machine and renderer are not known",
+                    "- `{file}` ({} frames, FNV-1a {:016x}); no manifest, so machine and renderer are not \
+                     known",
                     t.frames.len(),
                     t.hash
                 );
@@ -474,7 +499,8 @@ fn card(
     }
     let _ = writeln!(
         md,
-        "## Metrics\n\n| frames of | number | RMSE, s | RMSE/SD | MAE, s | MdAPE | p95 error | R² in log |\n|---|---|---|---|---|---|---|---|"
+        "## Metrics\n\n| frames of | number | RMSE, s | RMSE/SD | MAE, s | MdAPE | p95 error | R² in log \
+         |\n|---|---|---|---|---|---|---|---|"
     );
     for (p, m) in results {
         let _ = writeln!(
@@ -493,7 +519,8 @@ fn card(
     if upper.log_factor().is_finite() {
         let _ = writeln!(
             md,
-            "\nUpper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames (training frames where \
+            "\nUpper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames \
+             (training frames where \
              there are none){}.",
             upper.factor().max(1.0),
             covered.map_or(String::new(), |c| format!("; it held for {:.1} % of held-out frames", 100.0 * c))
@@ -503,7 +530,8 @@ fn card(
         Some(n) => {
             let _ = writeln!(
                 md,
-                "\nNoise floor: repeats of one frame scatter with a log-SD of {:.4} (the median of a frame's repeats: about \
+                "\nNoise floor: repeats of one frame scatter with a log-SD of {:.4} (the median of a frame's \
+                 repeats: about \
                  {:.4}), over {} repeated frames. No predictor can do better than that.",
                 n.log_sd, n.log_sd_of_median, n.frames
             );
@@ -514,8 +542,10 @@ fn card(
     }
     let _ = writeln!(
         md,
-        "\n## Limits\n\nMeasured with one renderer on one machine: another machine, driver or renderer has other unit costs. \
-         Scenes unlike the training data (other modalities, sizes, shading modes, steps) may be far off; check the \
+        "\n## Limits\n\nMeasured with one renderer on one machine: another machine, driver or renderer has \
+         other unit costs. \
+         Scenes unlike the training data (other modalities, sizes, shading modes, steps) may be far off; \
+         check the \
          prediction's out-of-range score. {}",
         if split.test.is_empty() {
             "Nothing was held out for testing, so the numbers above are those of frames it has seen."

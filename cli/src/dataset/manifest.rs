@@ -1,7 +1,7 @@
 //! What a table was measured with and how.
 
-use crate::feature_table::stem;
-use crate::files::write_whole;
+use super::feature_table::stem;
+use crate::files::{read_text, write_whole};
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -9,6 +9,9 @@ use std::path::{Path, PathBuf};
 
 /// The manifest's `format` value.
 pub const MANIFEST_FORMAT: &str = "entire-timings-1";
+
+/// Largest manifest that is read, in bytes.
+const MAX_MANIFEST_BYTES: u64 = 64 << 20;
 
 /// What was measured, with what and how. Written beside the table as `NAME.manifest.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -67,11 +70,11 @@ impl Manifest {
     /// When it exists but is no manifest that this version reads.
     pub fn read(table: &Path) -> Result<Option<Self>> {
         let path = Self::path_for(table);
-        let text = match std::fs::read_to_string(&path) {
-            Ok(text) => text,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-            Err(e) => return Err(e).with_context(|| format!("cannot read {}", path.display())),
-        };
+        if !path.try_exists().with_context(|| format!("cannot read {}", path.display()))? {
+            return Ok(None);
+        }
+        let text = read_text(&path, MAX_MANIFEST_BYTES)
+            .with_context(|| format!("cannot read {}", path.display()))?;
         let manifest: Self =
             serde_json::from_str(&text).with_context(|| format!("{} is no manifest", path.display()))?;
         ensure!(

@@ -116,7 +116,7 @@ pub fn parse_lobes(text: &str) -> Result<Vec<GaussianLobe>> {
                 .map(|p| p.parse().map_err(|_| anyhow!("lobe {i}: {p:?} is no number")))
                 .collect::<Result<_>>()?;
             let [center, width, height] = parts[..] else {
-                bail!("lobe {i} is {lobe:?}; three numbers are expected: centre, width, height");
+                bail!("lobe {i} is {lobe:?}; three numbers are expected: center, width, height");
             };
             Ok(GaussianLobe { center, width, height })
         })

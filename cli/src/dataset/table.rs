@@ -1,7 +1,7 @@
 //! Timing tables, read: rows grouped into frames, every wrong field named with its line and column.
 
+use super::feature_table::FeatureTable;
 use super::{Manifest, Scene, TimedFrame, Timing, parse_lobes, parse_shading, parse_skipping};
-use crate::feature_table::FeatureTable;
 use crate::files::{fnv1a, read_decompressed};
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::scene::Arcball;
@@ -57,12 +57,12 @@ pub struct Table {
 }
 
 impl Table {
-    /// Reads a table, its manifest and its features. `index` is stored in each frame's `table`. Names that end in `.gz`
-    /// are decompressed.
+    /// Reads a table, its manifest and its features. `index` is stored in each frame's `table`. Names that
+    /// end in `.gz` are decompressed.
     ///
     /// # Errors
-    /// When a file cannot be read, a column is missing, or a row holds something that it may not; the message names
-    /// file, line and column.
+    /// When a file cannot be read, a column is missing, or a row holds something that it may not; the message
+    /// names file, line and column.
     pub fn read(path: &Path, index: usize) -> Result<Self> {
         let mut table = Self::read_without_features(path, index)?;
         table.features = FeatureTable::beside(path, &table.frames, table.hash)?;
@@ -91,8 +91,8 @@ impl Table {
         })
     }
 
-    /// Finds a frame's volume file: the name below the root where one is set, the name as it stands, else relative to
-    /// the table's folder.
+    /// Finds a frame's volume file: the name below the root where one is set, the name as it stands, else
+    /// relative to the table's folder.
     pub fn resolve_volume(&self, name: &str) -> Option<PathBuf> {
         if let Some(below) = self.root.as_ref().map(|r| r.join(name)).filter(|p| p.exists()) {
             return Some(below);
@@ -149,7 +149,8 @@ pub(super) fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
             Some(&i) => {
                 ensure!(
                     frames[i].scene == scene,
-                    "line {line}: repeat {repeat} of frame {number} shows another scene than its earlier rows; give it another frame number"
+                    "line {line}: repeat {repeat} of frame {number} shows another scene than its earlier \
+                     rows; give it another frame number"
                 );
                 frames[i].repeats.push(measurement);
             }

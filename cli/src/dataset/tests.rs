@@ -229,3 +229,50 @@ fn manifests_keep_unknown_keys_and_refuse_other_formats() {
     manifest.write(&table).unwrap();
     assert!(Manifest::read(&table).unwrap_err().to_string().contains("entire-timings-1"));
 }
+
+#[test]
+fn a_table_has_one_writer() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("t.csv");
+    let first = Writer::create(&path).unwrap();
+    let said = format!("{:#}", Writer::resume(&path, 1).unwrap_err());
+    assert!(said.contains("is being written by another process"), "{said}");
+    drop(first);
+    Writer::resume(&path, 1).unwrap();
+}
+
+#[test]
+fn a_table_is_fresh_until_its_first_row() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("t.csv");
+    assert!(Writer::is_fresh(&path).unwrap());
+    drop(Writer::create(&path).unwrap());
+    let header = std::fs::read(&path).unwrap();
+    for cut in 0..=header.len() {
+        std::fs::write(&path, &header[..cut]).unwrap();
+        assert!(Writer::is_fresh(&path).unwrap(), "{cut}");
+        drop(Writer::resume(&path, 1).unwrap());
+        assert_eq!(std::fs::read(&path).unwrap(), header, "{cut}");
+    }
+    std::fs::write(&path, [&header[..], b"0"].concat()).unwrap();
+    assert!(!Writer::is_fresh(&path).unwrap());
+}
+
+#[test]
+fn seconds_that_no_frame_takes_are_refused() {
+    for (seconds, fine) in
+        [(1.0e300, false), (f64::INFINITY, false), (f64::NAN, false), (-1.0, false), (9000.0, true)]
+    {
+        let timing = Timing { device: None, wall: Some(seconds), cpu: None, counts: None };
+        assert_eq!(timing.check().is_ok(), fine, "{seconds}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn what_is_no_regular_file_is_no_table() {
+    for path in ["/dev/zero", "/"] {
+        let said = format!("{:#}", Table::read(std::path::Path::new(path), 0).unwrap_err());
+        assert!(said.contains(path), "{said}");
+    }
+}

@@ -1,12 +1,14 @@
 //! How long frames took: repeats by every clock, their median, and how far they scatter.
 
-use super::Scene;
 #[cfg(test)]
 use super::parse_lobes;
+use super::{Scene, Table};
 use crate::metrics::median;
 use anyhow::{Result, ensure};
+use entire_core::predict::LONGEST_FRAME;
+use entire_core::scene::Shading;
 #[cfg(test)]
-use entire_core::scene::{Arcball, Shading, Skipping};
+use entire_core::scene::{Arcball, Skipping};
 use entire_vk_raycaster::{FrameTime, WorkCounts};
 use serde::Serialize;
 
@@ -44,7 +46,10 @@ impl Timing {
             [("seconds_device", self.device), ("seconds_wall", self.wall), ("seconds_cpu", self.cpu)]
         {
             if let Some(v) = value {
-                ensure!(v.is_finite() && v >= 0.0, "{name} is {v}; seconds must be finite and not negative");
+                ensure!(
+                    (0.0..=f64::from(LONGEST_FRAME)).contains(&v),
+                    "{name} is {v}; seconds from 0 to {LONGEST_FRAME} are accepted"
+                );
             }
         }
         ensure!(
@@ -116,8 +121,8 @@ impl TimedFrame {
         Self { table: 0, number: 0, scene, repeats: Vec::new() }
     }
 
-    /// Median of the repeats by a clock (mean of the middle two where their number is even), over the repeats that have
-    /// it and are longer than zero; `None` when there are none.
+    /// Median of the repeats by a clock (mean of the middle two where their number is even), over the repeats
+    /// that have it and are longer than zero; `None` when there are none.
     pub fn seconds(&self, clock: Clock) -> Option<f64> {
         let mut seconds: Vec<f64> =
             self.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).collect();
@@ -130,14 +135,44 @@ impl TimedFrame {
     }
 }
 
+/// Frames with their seconds.
+#[derive(Clone, Copy, Debug)]
+pub struct Timed<'a> {
+    /// The frames.
+    pub frames: &'a [&'a TimedFrame],
+    /// Seconds of each.
+    pub seconds: &'a [f64],
+}
+
+/// Frames that have seconds by the clock (and the shading asked for), with those seconds.
+///
+/// # Errors
+/// When there are none.
+pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result<Vec<(&TimedFrame, f64)>> {
+    let all = || tables.iter().flat_map(|t| &t.frames);
+    let frames: Vec<(&TimedFrame, f64)> = all()
+        .filter(|f| shading.is_none_or(|s| f.scene.shading == s))
+        .filter_map(|f| Some((f, f.seconds(clock)?)))
+        .collect();
+    ensure!(
+        !frames.is_empty(),
+        "none of {} frames has {} and a time by the clock {:?}; choose another --clock{}",
+        all().count(),
+        shading.map_or("any shading".to_owned(), |s| format!("shading {}", s.name())),
+        clock.name(),
+        if shading.is_some() { " or --shading" } else { "" },
+    );
+    Ok(frames)
+}
+
 /// How far repeats of one frame scatter: the floor under every predictor's error.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NoiseFloor {
     /// Standard deviation of ln(seconds) of a single repeat about its frame's mean, pooled over frames with
     /// n − 1 degrees of freedom each.
     pub log_sd: f64,
-    /// The same for the median of each frame's repeats, taking its standard error as sqrt(π/2) times the mean's for
-    /// three repeats or more, and the mean's for two.
+    /// The same for the median of each frame's repeats, taking its standard error as sqrt(π/2) times the
+    /// mean's for three repeats or more, and the mean's for two.
     pub log_sd_of_median: f64,
     /// Median over repeats of |t − frame median| / frame median.
     pub median_relative_deviation: f64,

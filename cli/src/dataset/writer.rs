@@ -2,15 +2,15 @@
 
 use super::table::parse;
 use super::{COLUMNS, Scene, Timing, format_lobes};
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_vk_raycaster::WorkCounts;
 use std::collections::HashSet;
 use std::fs::{File, OpenOptions};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-/// Appends frames to a timing table. Each frame goes out in one piece and is flushed to disk, so that a crash loses at
-/// most the frame in flight.
+/// Appends frames to a timing table. Each frame goes out in one piece and is flushed to disk, so that a crash
+/// loses at most the frame in flight. The table is locked for as long: two writers would mix their rows.
 #[derive(Debug)]
 pub struct Writer {
     file: File,
@@ -31,14 +31,29 @@ impl Writer {
                 anyhow!("cannot write {}: {e}", path.display())
             }
         })?;
-        file.write_all(format!("{}\n", COLUMNS.join(",")).as_bytes())
-            .and_then(|()| file.sync_data())
-            .with_context(|| format!("cannot write {}", path.display()))?;
+        lock(&file, path)?;
+        write_header(&mut file).with_context(|| format!("cannot write {}", path.display()))?;
         Ok(Self { file, path: path.to_owned(), done: HashSet::new() })
     }
 
-    /// Goes on with a table (or starts it where there is none). A last line that was cut off, and a last frame with
-    /// fewer than `repeats` repeats, are removed.
+    /// Whether a file holds no frame yet: it is not there, or was cut off within its first line or right after it.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn is_fresh(path: &Path) -> Result<bool> {
+        let header = format!("{}\n", COLUMNS.join(","));
+        let mut start = Vec::new();
+        match File::open(path) {
+            Ok(file) => file.take(header.len() as u64 + 1).read_to_end(&mut start),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(true),
+            Err(e) => Err(e),
+        }
+        .with_context(|| format!("cannot read {}", path.display()))?;
+        Ok(header.as_bytes().starts_with(&start))
+    }
+
+    /// Goes on with a table (or starts it where there is none). A last line that was cut off, and a last
+    /// frame with fewer than `repeats` repeats, are removed.
     ///
     /// # Errors
     /// When the file is no timing table, has its columns in another order, or cannot be written.
@@ -48,14 +63,15 @@ impl Writer {
         }
         let fail = || format!("cannot resume {}", path.display());
         let mut file = OpenOptions::new().read(true).write(true).open(path).with_context(fail)?;
+        lock(&file, path)?;
         let mut bytes = Vec::new();
         file.read_to_end(&mut bytes).with_context(fail)?;
         let header = format!("{}\n", COLUMNS.join(","));
         if header.as_bytes().starts_with(&bytes) && bytes.len() < header.len() {
             // Cut off within its header: nothing is lost.
-            drop(file);
-            std::fs::remove_file(path).with_context(fail)?;
-            return Self::create(path);
+            file.set_len(0).and_then(|()| file.rewind()).with_context(fail)?;
+            write_header(&mut file).with_context(fail)?;
+            return Ok(Self { file, path: path.to_owned(), done: HashSet::new() });
         }
         ensure!(
             bytes.starts_with(header.as_bytes()),
@@ -133,4 +149,25 @@ impl Writer {
         self.done.insert(number);
         Ok(())
     }
+}
+
+/// Takes the table for this process alone. The lock goes with the process, however that ends.
+fn lock(file: &File, path: &Path) -> Result<()> {
+    match file.try_lock() {
+        Ok(()) => Ok(()),
+        Err(std::fs::TryLockError::WouldBlock) => bail!(
+            "{} is being written by another process; wait until that has ended, or choose another name",
+            path.display()
+        ),
+        // Some network file systems know no locks: then nobody can be kept out.
+        Err(std::fs::TryLockError::Error(e)) if e.kind() == std::io::ErrorKind::Unsupported => Ok(()),
+        Err(std::fs::TryLockError::Error(e)) => {
+            Err(e).with_context(|| format!("cannot lock {}", path.display()))
+        }
+    }
+}
+
+fn write_header(file: &mut File) -> std::io::Result<()> {
+    file.write_all(format!("{}\n", COLUMNS.join(",")).as_bytes())?;
+    file.sync_data()
 }

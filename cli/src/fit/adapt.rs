@@ -14,8 +14,9 @@ use entire_core::predict::{UNIT_COSTS_KEY, UnitCosts};
 use entire_core::train::Standardization;
 use indicatif::ProgressBar;
 
-/// Share of a learned factor's weights that is expected to hold for another renderer, and what that weighs per frame. These
-/// and [`SHRINKAGE`] were chosen by cross-validation over the training volumes of four renderers.
+/// Share of a learned factor's weights that is expected to hold for another renderer, and what that weighs
+/// per frame. These and [`SHRINKAGE`] were chosen by cross-validation over the training volumes of four
+/// renderers.
 const TRANSFERRED: f64 = 0.25;
 const TRANSFER_RIDGE: f64 = 0.3;
 
@@ -25,8 +26,9 @@ const SHRINKAGE: f64 = 0.85;
 /// What a model's weights weigh against new frames, per frame.
 const PRIOR_FRAMES: f64 = 3e-2;
 
-/// Adapts a model to a few frames of another machine, renderer or kind of volume in closed form: the last layer is fitted
-/// anew by least squares drawn towards its present weights. Works from a handful of frames on.
+/// Adapts a model to a few frames of another machine, renderer or kind of volume in closed form: the last
+/// layer is fitted anew by least squares drawn towards its present weights. Works from a handful of frames
+/// on.
 ///
 /// # Errors
 /// When the file holds no PredNet, or inputs cannot be computed.
@@ -85,10 +87,10 @@ pub fn calibrate_to_rows(file: &ModelFile, rows: &[f32], seconds: &[f64]) -> Res
     Ok(out)
 }
 
-/// Takes an analytic model times a learned factor to another renderer, from a few frames: unit costs are solved anew, those of
-/// [`UnitCosts::CONVERTING`] among them, and the factor's last layer is fitted towards a part of its weights, since what the
-/// model had wrong there is in part wrong here too. Frames that are expected to be long weigh more, and of the factor that
-/// so few frames give a part is taken.
+/// Takes an analytic model times a learned factor to another renderer, from a few frames: unit costs are
+/// solved anew, those of [`UnitCosts::CONVERTING`] among them, and the factor's last layer is fitted towards
+/// a part of its weights, since what the model had wrong there is in part wrong here too. Frames that are
+/// expected to be long weigh more, and of the factor that so few frames give a part is taken.
 ///
 /// # Errors
 /// For a model that is no analytic one times a learned factor, or when inputs cannot be computed.
@@ -99,7 +101,8 @@ pub fn transfer(file: &ModelFile, context: &FitContext<'_>, frames: Timed<'_>) -
     let parts = model.prednet().context("the model file holds no PredNet")?;
     ensure!(
         carried && parts.target == Target::LogSeconds && model.metadata().contains_key(UNIT_COSTS_KEY),
-        "only an analytic model times a learned factor (--model-kind residual) can be transferred; calibrate or fine-tune this one"
+        "only an analytic model times a learned factor (--model-kind residual) can be transferred; calibrate \
+         or fine-tune this one"
     );
     let (analytic, _) = fit_analytic(context, frames, layout.probe_side(), &UnitCosts::CONVERTING)?;
     let mut out = file.clone();

@@ -5,7 +5,7 @@ use crate::dataset::Timed;
 use crate::inputs::Layout;
 use anyhow::Result;
 use entire_core::features::SceneFeature;
-use entire_core::predict::{AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, UnitCosts, WorkSample};
+use entire_core::predict::{AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, Measurement, UnitCosts};
 use indicatif::ProgressBar;
 
 pub(super) fn fit_analytic(
@@ -14,10 +14,10 @@ pub(super) fn fit_analytic(
     probe_side: usize,
     default: &UnitCosts,
 ) -> Result<(AnalyticModel, String)> {
-    let measurements: Vec<WorkSample> = counts(context, training, default, probe_side)?
+    let measurements: Vec<Measurement> = counts(context, training, default, probe_side)?
         .iter()
         .zip(training.seconds)
-        .map(|(row, &seconds)| WorkSample::from_work(row, seconds))
+        .map(|(row, &seconds)| Measurement::from_work(row, seconds))
         .collect();
     let mut model = AnalyticModel::new();
     let report = model.fit_towards(default, &measurements)?;

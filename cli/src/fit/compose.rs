@@ -3,8 +3,8 @@
 use anyhow::{Context, Result, ensure};
 use entire_core::nn::{DenseParts, Normalization, PredNetParts, SELU_SCALE, Target};
 
-/// One network that gives the mean of what several give that are alike in widths and standardization: hidden layers
-/// beside each other, the last one over all of them.
+/// One network that gives the mean of what several give that are alike in widths and standardization: hidden
+/// layers beside each other, the last one over all of them.
 pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
     let count = members.len();
     let mut members = members.into_iter();
@@ -43,9 +43,9 @@ pub(super) fn side_by_side(members: Vec<PredNetParts>) -> Result<PredNetParts> {
 /// How many standard deviations below its mean the carried estimate stays exact.
 const CARRY_RANGE: f32 = 12.0;
 
-/// Adds the logarithm of an estimate, as a last input with the given mean and deviation, to what a network on log ratios
-/// gives. In every hidden layer one unit of its own holds the estimate, kept so far above zero that SELU is a plain
-/// factor there; the last layer takes factor and offset out again.
+/// Adds the logarithm of an estimate, as a last input with the given mean and deviation, to what a network on
+/// log ratios gives. In every hidden layer one unit of its own holds the estimate, kept so far above zero
+/// that SELU is a plain factor there; the last layer takes factor and offset out again.
 pub(super) fn carry_past(parts: PredNetParts, mean: f32, sd: f32) -> PredNetParts {
     let (out_mean, out_std) = match &parts.output {
         Some(n) => (n.mean[0], n.std[0]),

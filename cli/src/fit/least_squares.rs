@@ -26,8 +26,8 @@ pub(super) fn last_layer(solution: &[f64]) -> DenseParts {
     }
 }
 
-/// Minimizes Σ huber(y − w·x − b) + n·ridge·‖(w, b) − prior‖², the bias free of the ridge; returns w then b. Errors beyond
-/// two robust standard deviations count linearly.
+/// Minimizes Σ huber(y − w·x − b) + n·ridge·‖(w, b) − prior‖², the bias free of the ridge; returns w then b.
+/// Errors beyond two robust standard deviations count linearly.
 pub(super) fn robust_least_squares(
     x: &[f64],
     width: usize,

@@ -1,12 +1,12 @@
 //! How predictors are made from measured frames.
 //!
-//! * `analytic`: unit costs of estimated work, non-negative least squares on relative errors. Stored as one dense layer on
-//!   counts that gives seconds.
-//! * `linear`: ln seconds as a linear function of scene features, robust least squares. Stored as one dense layer that
-//!   gives log seconds.
+//! * `analytic`: unit costs of estimated work, non-negative least squares on relative errors. Stored as one
+//!   dense layer on counts that gives seconds.
+//! * `linear`: ln seconds as a linear function of scene features, robust least squares. Stored as one dense
+//!   layer that gives log seconds.
 //! * `network`: PredNet by gradient descent.
-//! * `residual`: analytic × exp(network). Unit costs first, then a network on ln(measured / analytic). Stored as dense
-//!   layers that carry `log_estimated_seconds` past the network.
+//! * `residual`: analytic × exp(network). Unit costs first, then a network on ln(measured / analytic). Stored
+//!   as dense layers that carry `log_estimated_seconds` past the network.
 
 mod adapt;
 mod analytic;

@@ -98,8 +98,8 @@ pub struct Recipe {
     /// Rays along each side of the probe behind scene features; the standard number unless given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub probe_side: Option<usize>,
-    /// Whether an analytic model is solved for [`UnitCosts::CONVERTING`], too: what converting stored values and waiting for
-    /// memory cost.
+    /// Whether an analytic model is solved for [`UnitCosts::CONVERTING`], too: what converting stored values
+    /// and waiting for memory cost.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub converting: bool,
     /// Networks of other seeds whose mean is taken; stored as one network, each beside the others.
@@ -202,10 +202,12 @@ impl Recipe {
         self.scene_features.iter().map(|n| Ok(SceneFeature::from_name(n.trim())?)).collect()
     }
 
-    /// Makes the predictor. Validation frames decide when a network stops; the other kinds do not look at them.
+    /// Makes the predictor. Validation frames decide when a network stops; the other kinds do not look at
+    /// them.
     ///
     /// # Errors
-    /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or training fails.
+    /// When the recipe does not fit the frames, a setting is out of range, inputs cannot be computed, or
+    /// training fails.
     pub fn make(
         &self,
         context: &FitContext<'_>,
@@ -235,7 +237,8 @@ impl Recipe {
             );
             ensure!(
                 self.kind != Kind::Analytic || side == PROBE_SIDE,
-                "the analytic model stands on the standard probe of {PROBE_SIDE} rays a side; leave the probe's side away"
+                "the analytic model stands on the standard probe of {PROBE_SIDE} rays a side; leave the \
+                 probe's side away"
             );
         }
         self.settings()?;
@@ -247,7 +250,8 @@ impl Recipe {
         );
         ensure!(
             !self.converting || matches!(self.kind, Kind::Analytic | Kind::Residual),
-            "--converting is about the costs of an analytic model; name --model-kind analytic or residual, or leave it away"
+            "--converting is about the costs of an analytic model; name --model-kind analytic or residual, \
+             or leave it away"
         );
         if let Some(path) = &self.fine_tune {
             return self.fine_tune(path, context, training, validation);
@@ -268,8 +272,11 @@ impl Recipe {
         if matches!(self.kind, Kind::Analytic | Kind::Residual) {
             return Ok(true);
         }
-        let groups =
-            self.inputs.iter().map(|n| GroupKind::from_name(n.trim())).collect::<Result<Vec<_>, _>>()?;
+        let groups = self
+            .inputs
+            .iter()
+            .map(|n| GroupKind::from_name(n.trim()))
+            .collect::<Result<Vec<_>, entire_core::Error>>()?;
         let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
         // The sizes of other groups say nothing of the step.
         Ok(InputLayout::new(&groups, features, 1, 1)?.knows_step())
@@ -279,7 +286,8 @@ impl Recipe {
         self.probe_side.unwrap_or(PROBE_SIDE)
     }
 
-    /// Where its inputs stand in a row, and the model file that they begin: that of the VolumeNet, where one is named.
+    /// Where its inputs stand in a row, and the model file that they begin: that of the VolumeNet, where one
+    /// is named.
     ///
     /// # Errors
     /// For names that are not known, or when the VolumeNet's file cannot be read.
@@ -322,7 +330,8 @@ impl Recipe {
         Ok(settings)
     }
 
-    /// The recipe as a model file tells it: of other files the names alone, since where they lie is of this machine.
+    /// The recipe as a model file tells it: of other files the names alone, since where they lie is of this
+    /// machine.
     fn portable(&self) -> Self {
         let name = |path: &Option<PathBuf>| path.as_ref().and_then(|p| p.file_name()).map(PathBuf::from);
         Self {
@@ -343,8 +352,10 @@ impl Recipe {
         let costs: BTreeMap<String, f64> = model.unit_costs().named().map(|(n, c)| (n.into(), c)).collect();
         Ok(FittedModel {
             file: model.to_model_file()?,
-            what: "Analytic cost model: unit costs of estimated work, non-negative least squares on relative errors"
-                .into(),
+            what:
+                "Analytic cost model: unit costs of estimated work, non-negative least squares on relative \
+                errors"
+                    .into(),
             settings: json!({ "kind": self.kind, "unit_costs_seconds": costs }),
             history: Vec::new(),
             outcome: report,
@@ -469,13 +480,15 @@ impl Recipe {
                 "PredNet, widths {}",
                 widths.iter().map(ToString::to_string).collect::<Vec<_>>().join("-")
             ),
-            settings: json!({ "recipe": self.portable(), "widths": widths, "optimizer": "Adam(0.9, 0.999)", "schedule": "cosine, per step" }),
+            settings: json!({ "recipe": self.portable(), "widths": widths, "optimizer": "Adam(0.9, \
+                0.999)", "schedule": "cosine, per step" }),
             history,
             outcome,
         })
     }
 
-    /// Trains as many networks as the recipe asks for, from one seed after another, and puts them beside each other.
+    /// Trains as many networks as the recipe asks for, from one seed after another, and puts them beside each
+    /// other.
     fn ensemble(
         &self,
         context: &FitContext<'_>,

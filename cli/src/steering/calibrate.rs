@@ -7,7 +7,7 @@ use crate::metrics::median;
 use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result, ensure};
 use entire_core::features::{Changes, FrameFeatures, SceneFeature, Setting, TransferSummary, VolumeSummary};
-use entire_core::predict::{AnalyticModel, FitReport, Inputs, WorkSample};
+use entire_core::predict::{AnalyticModel, FitReport, Inputs, Measurement};
 use entire_core::scene::{
     Arcball, Camera, DEFAULT_FOV_Y_DEGREES, GaussianLobe, TransferFunction, VolumeView,
 };
@@ -63,9 +63,9 @@ impl Sample {
     }
 }
 
-/// Renders `scenes` random scenes at every step of [`CALIBRATION_STEPS`], each `repeats` times (the median counts).
-/// Scenes come from `distribution` (its sizes and steps are not used) under `seed` and `name`; the transfer functions
-/// are random, so that none of a path's is among them but by chance.
+/// Renders `scenes` random scenes at every step of [`CALIBRATION_STEPS`], each `repeats` times (the median
+/// counts). Scenes come from `distribution` (its sizes and steps are not used) under `seed` and `name`; the
+/// transfer functions are random, so that none of a path's is among them but by chance.
 ///
 /// Answers `None` when `stop` said so.
 ///
@@ -153,10 +153,10 @@ pub fn response_pairs(samples: &[Sample]) -> Vec<(f32, f32)> {
 /// # Errors
 /// When none of them is usable.
 pub fn fit_analytic(samples: &[Sample]) -> Result<(AnalyticModel, FitReport)> {
-    let measurements: Vec<WorkSample> = samples
+    let measurements: Vec<Measurement> = samples
         .iter()
         .filter(|s| !s.held_out())
-        .map(|s| WorkSample::new(&s.features, &s.setting, s.seconds))
+        .map(|s| Measurement::new(&s.features, &s.setting, s.seconds))
         .collect();
     let mut model = AnalyticModel::new();
     let report = model.fit(&measurements)?;

@@ -71,8 +71,8 @@ impl ControllerKind {
     }
 }
 
-/// A controller that has seen nothing. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is G; `prior`
-/// says how well the predictor is known on this machine.
+/// A controller that has seen nothing. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is
+/// G; `prior` says how well the predictor is known on this machine.
 pub fn controller(
     kind: ControllerKind,
     fixed_step: f32,
@@ -105,7 +105,7 @@ pub fn contender(
     Contender {
         name: kind.name().into(),
         session: Session::with_controller(predictor, controller),
-        sizes: kind == ControllerKind::Hybrid,
+        chooses_image_sample_distance: kind == ControllerKind::Hybrid,
     }
 }
 

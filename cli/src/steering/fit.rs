@@ -27,7 +27,8 @@ pub struct SteeringModel {
 }
 
 impl SteeringModel {
-    /// A model that was made or read. A VolumeNet in it encodes `volume` at once where its inputs call for that.
+    /// A model that was made or read. A VolumeNet in it encodes `volume` at once where its inputs call for
+    /// that.
     ///
     /// # Errors
     /// When the model holds no predictor, or the volume cannot be encoded.
@@ -77,7 +78,8 @@ impl SteeringModel {
         self.volume_features.as_deref()
     }
 
-    /// How well it does on the held-out samples. Models that do not know the step are judged at the reference step.
+    /// How well it does on the held-out samples. Models that do not know the step are judged at the reference
+    /// step.
     ///
     /// # Errors
     /// When none is held out, or the model needs an input that calibration frames do not have.
@@ -97,8 +99,8 @@ impl SteeringModel {
     }
 }
 
-/// A small network on [`SceneFeature::STANDARD`], trained on ln(seconds) of the samples that are not held out; a fifth
-/// of those decides when to stop. Single-threaded: the frames are few.
+/// A small network on [`SceneFeature::STANDARD`], trained on ln(seconds) of the samples that are not held
+/// out; a fifth of those decides when to stop. Single-threaded: the frames are few.
 ///
 /// # Errors
 /// When there are too few samples.
@@ -173,8 +175,8 @@ pub struct Calibrated {
 }
 
 impl Calibrated {
-    /// Fits the analytic model and the small network and chooses the one with the smaller scatter of ln(seconds) on the
-    /// held-out frames.
+    /// Fits the analytic model and the small network and chooses the one with the smaller scatter of
+    /// ln(seconds) on the held-out frames.
     ///
     /// # Errors
     /// When there are too few usable samples.
@@ -195,8 +197,8 @@ impl Calibrated {
         Ok(out)
     }
 
-    /// Adds a model that was made on another machine, its last layer calibrated to the samples that are not held out, and
-    /// chooses anew.
+    /// Adds a model that was made on another machine, its last layer calibrated to the samples that are not
+    /// held out, and chooses anew.
     ///
     /// # Errors
     /// When the model needs an input that calibration frames do not have.

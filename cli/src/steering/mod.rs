@@ -1,4 +1,5 @@
-//! Steering as commands play it: calibration, a path under several controllers, what came of it, and the report.
+//! Steering as commands play it: calibration, a path under several controllers, what came of it, and the
+//! report.
 
 pub mod calibrate;
 pub mod contenders;

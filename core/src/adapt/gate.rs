@@ -1,10 +1,8 @@
 //! Which timings are believed.
 
-use crate::Result;
-use crate::error::bail;
+use crate::{Error, ErrorKind, Result};
 
-/// Longest frame time that is believed, seconds.
-pub const LONGEST_FRAME: f32 = 10_000.0;
+pub use crate::predict::LONGEST_FRAME;
 
 /// What became of an observation. Stable numbers: they are part of the C ABI.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -44,12 +42,14 @@ pub struct ObserveFlags {
 /// # Errors
 /// [`crate::ErrorKind::RejectedObservation`] unless it is finite, positive and at most [`LONGEST_FRAME`].
 pub fn check_seconds(seconds: f32) -> Result<()> {
-    if !(seconds > 0.0 && seconds <= LONGEST_FRAME) {
-        bail!(
-            RejectedObservation,
-            "a frame time of {seconds} s; it must be finite, positive and at most {LONGEST_FRAME} s: report the \
-             seconds that the frame took"
-        );
-    }
-    Ok(())
+    let text = if !seconds.is_finite() {
+        "the frame time is not finite; report the seconds that the frame took"
+    } else if seconds <= 0.0 {
+        "the frame time is not positive; report the seconds that the frame took"
+    } else if seconds > LONGEST_FRAME {
+        "the frame time is over 10000 s; report the seconds that the frame took, not milliseconds"
+    } else {
+        return Ok(());
+    };
+    Err(Error::new(ErrorKind::RejectedObservation, text))
 }

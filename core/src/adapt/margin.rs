@@ -6,7 +6,7 @@ use crate::Result;
 /// Multiple of the expected error that an upper bound adds, moved after every frame so that the share of frames above
 /// the bound tends to the rate asked for (adaptive conformal inference: Gibbs and Candès 2021). O(1) state.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Margin {
+pub(crate) struct Margin {
     z: f64,
     rate: f64,
     pace: f64,
@@ -17,7 +17,7 @@ const HIGH: f64 = 8.0;
 
 impl Margin {
     /// A margin that aims at a miss rate in (0, 0.5]; out-of-range rates are clamped.
-    pub fn new(rate: f32, pace: f32) -> Self {
+    pub(crate) fn new(rate: f32, pace: f32) -> Self {
         Self::starting_at(2.0, rate, pace)
     }
 
@@ -35,7 +35,7 @@ impl Margin {
     }
 
     /// Takes note of an error in units of what was expected of it (positive: slower than predicted).
-    pub fn observe(&mut self, normalized_error: f64) {
+    pub(crate) fn observe(&mut self, normalized_error: f64) {
         if normalized_error.is_nan() {
             return;
         }

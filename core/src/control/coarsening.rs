@@ -17,12 +17,12 @@ const KEEP: (f64, f64) = (0.75, 1.6);
 
 /// A path from the finest step at full image size to the coarsest step at the largest image sample distance.
 ///
-/// The controller chooses c = step · distance², where neighboring rays stand `distance` pixels apart: the time of a
-/// frame goes about as 1/c. Along the path both grow together, which at equal cost shows fewer differences from full
-/// quality than coarsening one of them alone; where any smaller image is blurred by much, the step alone is coarsened
-/// first. Distances are powers of [`RATIO`], so that buffers seldom change, and one is kept while the step that goes
-/// with it is not far off. Where a distance changes, so does the step, and c is met; unless the limits of the step are
-/// closer together than two distances are.
+/// The controller chooses c = step · distance², where neighboring rays stand `distance` pixels apart: the
+/// time of a frame goes about as 1/c. Along the path both grow together, which at equal cost shows fewer
+/// differences from full quality than coarsening one of them alone; where any smaller image is blurred by
+/// much, the step alone is coarsened first. Distances are powers of [`RATIO`], so that buffers seldom change,
+/// and one is kept while the step that goes with it is not far off. Where a distance changes, so does the
+/// step, and c is met; unless the limits of the step are closer together than two distances are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Coarsening {
     steps: StepLimits,
@@ -50,8 +50,8 @@ impl Coarsening {
         self.steps = steps;
     }
 
-    /// Sets the largest image sample distance, and how many times the finest step comes before any distance over 1;
-    /// numbers of at least 1.
+    /// Sets the largest image sample distance, and how many times the finest step comes before any distance
+    /// over 1; numbers of at least 1.
     pub(super) fn set_max_distance(&mut self, distance: f32, step_alone: f32) {
         let powers = |v: f32| libm::floor(libm::log(f64::from(v)) / libm::log(RATIO) + 1.0e-6) as i32;
         self.alone = f64::from(step_alone);
@@ -198,7 +198,8 @@ mod tests {
                 prop_assert!(off.abs() < if coarsening > 2.0 * alone { 1e-5 } else { 7.0 }, "{off}");
                 let s = path.setting(full, c);
                 let pixels = f64::from(s.width) * f64::from(s.height);
-                // Rays alone, and samples alone; an image of whole pixels is a little smaller than it should be.
+                // Rays alone, and samples alone; an image of whole pixels is a little smaller than it should
+                // be.
                 let work = (pixels, pixels / f64::from(s.step));
                 prop_assert!(work.0 <= before.0 && work.1 <= before.1 * 1.005, "{work:?} {before:?}");
                 before = work;

@@ -308,23 +308,93 @@ fn broken_timings_are_refused_by_name_and_leave_no_trace() {
         assert_eq!(e.kind(), ErrorKind::RejectedObservation);
         assert!(e.message().contains(text), "{e}");
     };
-    for seconds in [f32::NAN, f32::INFINITY, 0.0, -1.0, 1e5] {
-        rejects(&mut session, plan.id, seconds, "must be finite, positive and at most 10000 s");
+    for (seconds, text) in [
+        (f32::NAN, "is not finite"),
+        (f32::INFINITY, "is not finite"),
+        (0.0, "is not positive"),
+        (-1.0, "is not positive"),
+        (1e5, "is over 10000 s"),
+    ] {
+        rejects(&mut session, plan.id, seconds, text);
         assert_eq!(session.save_state(), before);
     }
-    rejects(&mut session, plan.id + 1, 0.01, "is unknown");
-    rejects(&mut session, 0, 0.01, "is unknown");
+    rejects(&mut session, plan.id + 1, 0.01, "no plan has this id");
+    rejects(&mut session, 0, 0.01, "no plan has this id");
     assert_eq!(session.save_state(), before);
     // Late by many frames is welcome, forgotten is not, twice is not.
     let mut ids = Vec::new();
     for _ in 0..PENDING_PLANS {
         ids.push(session.plan(&f, 0.02).unwrap().id);
     }
-    rejects(&mut session, plan.id, 0.013, "is unknown");
+    rejects(&mut session, plan.id, 0.013, "no plan has this id");
     assert!(session.observe(ids[0], 0.013, flags).is_ok());
     rejects(&mut session, ids[0], 0.013, "was observed before");
     let unusual = session.observe(ids[5], 0.013, ObserveFlags { unusual: true, ..flags });
     assert_eq!(unusual.unwrap(), Verdict::Ignored);
+}
+
+/// A session that has seen frames of two settings.
+fn taught(mut session: Session) -> Session {
+    for i in 0..40 {
+        let plan = session.plan(&frame(0.0, 3.0 * (i % 20) as f32, 2.0), 0.02).unwrap();
+        session.observe(plan.id, 0.05 / plan.step, ObserveFlags::default()).unwrap();
+    }
+    session
+}
+
+#[test]
+fn no_saved_state_with_a_flipped_bit_a_cut_or_more_bytes_is_loaded() {
+    let state = taught(ready_session()).save_state();
+    let mut session = ready_session();
+    let fresh = session.save_state();
+    let mut refused = |bytes: &[u8], what: &str| {
+        let error = session.load_state(bytes).expect_err(what);
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument, "{what}: {error}");
+        assert_eq!(session.save_state(), fresh, "{what} changed the session");
+    };
+    for bit in 0..8 * state.len() {
+        let mut flipped = state.clone();
+        flipped[bit / 8] ^= 1 << (bit % 8);
+        refused(&flipped, &std::format!("bit {bit} of {}", 8 * state.len()));
+    }
+    for cut in 0..state.len() {
+        refused(&state[..cut], &std::format!("cut to {cut} bytes"));
+    }
+    for extra in [1, 4, 8] {
+        let mut longer = state.clone();
+        longer.resize(state.len() + extra, 0);
+        refused(&longer, &std::format!("{extra} bytes more"));
+    }
+    refused(b"ENS1rubbish", "another version");
+    session.load_state(&state).unwrap();
+    assert_eq!(session.save_state(), state, "the whole state is taken up");
+}
+
+#[test]
+fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
+    let named = |costs: Option<f64>, renderer: &str, clock: &str| {
+        let model = match costs {
+            Some(c) => AnalyticModel::from_costs([c; crate::predict::COSTS]).unwrap(),
+            None => AnalyticModel::new(),
+        };
+        let mut session = Session::new(Box::new(model), HybridOptions::default());
+        session.set_timing_source(renderer, clock).unwrap();
+        session
+    };
+    let state = named(None, "a renderer", "device").save_state();
+    named(None, "a renderer", "device").load_state(&state).unwrap();
+    for (costs, renderer, clock, says) in [
+        (Some(1e-8), "a renderer", "device", "another model"),
+        (None, "another", "device", "renderer \"a renderer\""),
+        (None, "", "device", "renderer"),
+        (None, "a renderer", "wall", "clock \"device\""),
+    ] {
+        let error = named(costs, renderer, clock).load_state(&state).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument);
+        assert!(error.message().contains(says), "{error}");
+    }
+    let mut session = ready_session();
+    assert!(session.set_timing_source(&"x".repeat(257), "").is_err());
 }
 
 #[test]
@@ -362,7 +432,6 @@ fn a_session_says_what_is_missing_and_refuses_bad_targets() {
         assert_eq!(session.choose(&f, &[], target).unwrap_err().kind(), ErrorKind::InvalidArgument);
     }
     assert_eq!(session.choose(&f, &[], 0.02).unwrap_err().kind(), ErrorKind::InvalidArgument);
-    assert!(session.load_state(b"ENS1rubbish").is_err());
     let state = session.save_state();
     session.load_state(&state).unwrap();
     session.set_enabled(false);
@@ -390,8 +459,8 @@ fn choose_takes_the_first_setting_that_fits() {
     assert_eq!(all.index, 0);
 }
 
-/// A loop with noise, late and missing observations, a switch, and steering off for a while. Where `log` holds entries
-/// they are played again; else they are written.
+/// A loop with noise, late and missing observations, a switch, and steering off for a while. Where `log`
+/// holds entries they are played again; else they are written.
 fn logged(log: &mut Vec<(u32, Option<u32>)>) -> Vec<(u32, u32, u32, Reason)> {
     let replaying = !log.is_empty();
     let mut session = ready_session();

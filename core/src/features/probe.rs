@@ -1,4 +1,5 @@
-//! The coarse ray probe: a few rays through the grid of cells, marched once per frame, evaluated for any step.
+//! The coarse ray probe: a few rays through the grid of cells, marched once per frame, evaluated for any
+//! step.
 
 use super::{Footprint, Geometry, TransferSummary, VolumeSummary};
 use crate::scene::{Frame, Shading};
@@ -25,8 +26,8 @@ const MAX_RAYS: usize = MAX_PROBE_SIDE * MAX_PROBE_SIDE;
 const BINS: usize = 28;
 const FIRST_BIN_EXPONENT: u32 = 127 - 4;
 
-/// Work of an average ray that meets the box, as lengths in reference steps; [`super::FrameFeatures::work`] turns it
-/// into counts for a step.
+/// Work of an average ray that meets the box, as lengths in reference steps; [`super::FrameFeatures::work`]
+/// turns it into counts for a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Probe {
     pub(super) footprint: Footprint,
@@ -40,7 +41,8 @@ pub struct Probe {
     pub(super) empty: f32,
     /// Length in which samples have opacity.
     pub(super) visible: f32,
-    /// Runs of samples between jumps: how often a ray comes from an empty block (or from outside) into an occupied one.
+    /// Runs of samples between jumps: how often a ray comes from an empty block (or from outside) into an
+    /// occupied one.
     pub(super) runs: f32,
     /// Distance of rays that are the image's height apart, reference steps, at the mean depth of the samples.
     pub(super) spread: f32,
@@ -51,7 +53,8 @@ pub struct Probe {
     pub(super) all_max: f32,
     /// Image distance between neighboring probe rays in units of the image's height.
     pub(super) spacing: f32,
-    /// Visible length times the length in occupied blocks that a shadow ray covers; 0 unless the frame scatters.
+    /// Visible length times the length in occupied blocks that a shadow ray covers; 0 unless the frame
+    /// scatters.
     pub(super) shadow: f32,
     /// Visible length times the empty blocks that a shadow ray jumps over.
     pub(super) shadow_skips: f32,
@@ -86,16 +89,23 @@ impl Probe {
 
     /// Marches the probe's rays through a volume. The image's shape enters, its number of pixels does not.
     ///
-    /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `volume` must be the one that `transfer`
-    /// was made from; a summary of another grid gives [`Probe::NOTHING`]. `side` rays go along each side of the
-    /// footprint's bounding rectangle, [`MAX_PROBE_SIDE`] at most; with 0 the footprint alone is known.
-    pub fn new(volume: &VolumeSummary, transfer: &TransferSummary, frame: &Frame, side: usize) -> Self {
+    /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `volume` must be the one that
+    /// `transfer` was made from; a summary of another grid gives [`Probe::NOTHING`]. `side` rays go along
+    /// each side of the footprint's bounding rectangle, [`MAX_PROBE_SIDE`] at most; with 0 the footprint
+    /// alone is known.
+    pub(crate) fn new(
+        volume: &VolumeSummary,
+        transfer: &TransferSummary,
+        frame: &Frame,
+        side: usize,
+    ) -> Self {
         let geometry = volume.geometry();
         let footprint = Footprint::new(geometry.half_extent, frame.camera(), frame.width(), frame.height());
         if side == 0 || footprint.share <= 0.0 || transfer.grid() != volume.cells() {
             return Self { footprint, ..Self::NOTHING };
         }
-        // Room for as many rays as there are, so that small probes do not pay for clearing that of large ones.
+        // Room for as many rays as there are, so that small probes do not pay for clearing that of large
+        // ones.
         match side {
             ..=4 => Self::cast::<16>(volume, transfer, frame, footprint, side),
             5..=8 => Self::cast::<64>(volume, transfer, frame, footprint, side),
@@ -173,7 +183,8 @@ impl Probe {
             out.occupied_max += o;
             out.all_max += a;
         }
-        // Depth along the view, weighted by the samples' length; where nothing is sampled, that of the volume's center.
+        // Depth along the view, weighted by the samples' length; where nothing is sampled, that of the
+        // volume's center.
         let depth =
             if out.occupied > 0.0 { out.spread / out.occupied } else { frame.camera().to_arcball().dz };
         out.spread = 2.0 * libm::tanf(0.5 * frame.camera().fov_y()) * depth / geometry.reference_step;
@@ -211,13 +222,9 @@ impl Probe {
     }
 
     /// Mean length of the box along rays that meet it, reference steps.
+    #[cfg(test)]
     pub(crate) fn mean_chord(&self) -> f32 {
         self.mean_chord
-    }
-
-    /// Largest such length, reference steps.
-    pub(crate) fn max_chord(&self) -> f32 {
-        self.max_chord
     }
 
     /// Share of rays that end before they leave the box.
@@ -455,7 +462,8 @@ impl<'a> March<'a> {
         out
     }
 
-    /// Marches a shadow ray from a point in the box: length in occupied blocks, length in all, and empty blocks met.
+    /// Marches a shadow ray from a point in the box: length in occupied blocks, length in all, and empty
+    /// blocks met.
     fn shadow(&self, from: Vec3) -> (f32, f32, f32) {
         let direction = Vec3::from_array(SHADOW_DIRECTION);
         let mut t_exit = f32::INFINITY;
@@ -497,11 +505,11 @@ impl<'a> March<'a> {
     }
 }
 
-/// The cells along a ray, one after another, without branches (Amanatides and Woo). Several faces met at once are
-/// crossed at once.
+/// The cells along a ray, one after another, without branches (Amanatides and Woo). Several faces met at once
+/// are crossed at once.
 struct Walk {
-    /// t at which the ray leaves the present cell along each axis; infinite in the outermost cell, which reaches to the
-    /// box.
+    /// t at which the ray leaves the present cell along each axis; infinite in the outermost cell, which
+    /// reaches to the box.
     next: [f32; 3],
     /// Growth of t from face to face.
     delta: [f32; 3],
@@ -577,7 +585,8 @@ impl Jump {
     }
 }
 
-/// Where in its stratum each ray goes: the additive recurrence of the plastic number, which fills the square evenly.
+/// Where in its stratum each ray goes: the additive recurrence of the plastic number, which fills the square
+/// evenly.
 static OFFSETS: [[f32; 2]; MAX_RAYS] = {
     let mut out = [[0.0; 2]; MAX_RAYS];
     let mut i = 0;

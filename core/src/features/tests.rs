@@ -197,7 +197,8 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
         sorted.sort();
         sorted.iter().for_each(|&e| total[usize::from(e)] += 1);
         for (k, &q) in stats.quantiles.iter().enumerate() {
-            // The smallest entry with more than k/QUANTILES of the voxels at or below it; the last bound is the largest.
+            // The smallest entry with more than k/QUANTILES of the voxels at or below it; the last bound is
+            // the largest.
             let rank = (k * sorted.len() / QUANTILES).min(sorted.len() - 1);
             assert_eq!(q, sorted[rank], "{what} {c:?} bound {k}");
         }
@@ -496,7 +497,8 @@ fn quantities_depend_on_the_step_where_the_table_says_so() {
                     };
                     let at_one = of(&frame, 1.0);
                     let at_three = of(&frame, 3.0);
-                    // What is measured depends on the step of the setting alone, not on that of the measured frame.
+                    // What is measured depends on the step of the setting alone, not on that of the measured
+                    // frame.
                     assert_eq!(at_three, of(&frame.with_step(2.0).unwrap(), 3.0));
                     for (changed, (a, b)) in changed.iter_mut().zip(at_one.iter().zip(&at_three)) {
                         *changed |= a != b;
@@ -554,7 +556,8 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
     assert_eq!(features.quantity(SceneQuantity::Remapped, &Setting::of(&f), &work, Changes::NONE), 1.0);
 }
 
-/// Greatest difference of the shares of borders from those that all rays of an image count: nine rays stand for all of them.
+/// Greatest difference of the shares of borders from those that all rays of an image count: nine rays stand
+/// for all of them.
 const ALONG_TOLERANCE: f64 = 0.06;
 
 #[test]

@@ -5,9 +5,9 @@ use crate::scene::{TABLE_LEN, TransferTable};
 use alloc::vec;
 use alloc::vec::Vec;
 
-/// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction is that
-/// of its mean transmittance over this length: with 0 it would be the mean extinction, which overrates cells that hold
-/// a few opaque voxels among transparent ones.
+/// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction
+/// is that of its mean transmittance over this length: with 0 it would be the mean extinction, which
+/// overrates cells that hold a few opaque voxels among transparent ones.
 pub const CORRELATION_LENGTH: f32 = 2.0;
 
 /// Opacities are capped here where extinction (−ln(1 − α)) is formed.
@@ -64,8 +64,8 @@ impl TransferSummary {
         summary
     }
 
-    /// Applies another table, or the table to another volume. Allocates only when the volume has more cells than any
-    /// before it.
+    /// Applies another table, or the table to another volume. Allocates only when the volume has more cells
+    /// than any before it.
     pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) {
         let n = volume.stats().len();
         self.cells.resize(n, Cell { extinction: 0.0, occupied: 0.0, visible: 0.0 });
@@ -173,6 +173,7 @@ impl TransferSummary {
     ///
     /// # Panics
     /// When the cell lies outside the grid.
+    #[cfg(test)]
     pub(crate) fn extinction(&self, x: usize, y: usize, z: usize) -> f32 {
         let g = self.grid;
         assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
@@ -187,7 +188,8 @@ impl TransferSummary {
         self.grid
     }
 
-    /// Makes the distance map that [`crate::scene::Skipping::Distance`] needs, unless it is there. Never allocates.
+    /// Makes the distance map that [`crate::scene::Skipping::Distance`] needs, unless it is there. Never
+    /// allocates.
     pub fn prepare_distance(&mut self) {
         if self.distance_ready {
             return;

@@ -1,4 +1,5 @@
-//! The portable level: four lanes of plain Rust, laid out so that compilers turn them into whatever vectors they have.
+//! The portable level: four lanes of plain Rust, laid out so that compilers turn them into whatever vectors
+//! they have.
 
 use super::simd::Simd;
 

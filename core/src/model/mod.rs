@@ -9,7 +9,7 @@ mod read;
 mod tests;
 
 pub use file::ModelFile;
-pub use read::{InputGroup, MAX_VOLUMENET_INPUT, Model};
+pub use read::{InputGroup, MAX_INPUT_GROUPS, MAX_VOLUMENET_INPUT, Model};
 
 /// Metadata keys and fixed names of the model file, each stated once.
 pub mod keys {

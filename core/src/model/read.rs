@@ -3,10 +3,12 @@
 use super::file::TensorData;
 use super::keys;
 use crate::error::bail;
-use crate::nn::{ConvBlockParts, DenseParts, Dtype, Normalization, PredNetParts, Target, VolumeNetParts};
+use crate::nn::{
+    ConvBlockParts, DenseParts, Dtype, Normalization, PredNetParts, Target, VolumeNetParts, check_volumenet,
+};
 use crate::{Error, ErrorKind, Result};
 use alloc::borrow::ToOwned;
-use alloc::collections::BTreeMap;
+use alloc::collections::{BTreeMap, BTreeSet};
 use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
@@ -14,6 +16,9 @@ use serde::{Deserialize, Serialize};
 
 /// Largest edge of VolumeNet's input that is accepted, in voxels (512³ voxels are 512 MiB as f32).
 pub const MAX_VOLUMENET_INPUT: usize = 512;
+
+/// Most input groups that a model may name.
+pub const MAX_INPUT_GROUPS: usize = 1024;
 
 /// Variance offset of batch normalization.
 const BATCH_NORM_EPSILON: f64 = 1e-5;
@@ -203,10 +208,17 @@ impl Source<'_> {
                 "{key} is not a JSON array of {{\"name\": text, \"size\": whole number}}: {e}"
             ),
         };
-        let mut total = 0usize;
-        for (i, group) in groups.iter().enumerate() {
+        if groups.len() > MAX_INPUT_GROUPS {
+            bail!(
+                InvalidModel,
+                "{key} lists {} groups, at most {MAX_INPUT_GROUPS} are accepted: join them into larger ones",
+                groups.len()
+            );
+        }
+        let (mut total, mut seen) = (0usize, BTreeSet::new());
+        for group in &groups {
             let name = group.name.as_str();
-            if groups[..i].iter().any(|other| other.name == name) {
+            if !seen.insert(name) {
                 bail!(InvalidModel, "{key} names the group {name:?} twice");
             }
             let (fits, expected) = match name {
@@ -260,8 +272,9 @@ impl Source<'_> {
                 group.size
             );
         }
-        for (i, name) in names.iter().enumerate() {
-            if names[..i].contains(name) {
+        let mut seen = BTreeSet::new();
+        for name in &names {
+            if !seen.insert(name.as_str()) {
                 bail!(InvalidModel, "{key} names {name:?} twice");
             }
         }
@@ -319,8 +332,9 @@ impl Source<'_> {
             bail!(InvalidTensor, "the last block gives {channels} x {edge}^3 numbers: too many to flatten");
         };
         let fc = self.dense("volumenet.fc", Some(flat), None)?;
-        fc.check("volumenet.fc")?;
-        Ok(VolumeNetParts { input: layout.input, blocks, fc })
+        let parts = VolumeNetParts { input: layout.input, blocks, fc };
+        check_volumenet(&parts)?;
+        Ok(parts)
     }
 
     fn conv_block(
@@ -363,6 +377,14 @@ impl Source<'_> {
                 InvalidTensor,
                 "{conv} has kernel {kernel}, but block {i}'s padded input is only {padded} wide: fewer blocks, a \
                  larger input or more padding"
+            );
+        }
+        if stride > padded {
+            bail!(
+                InvalidModel,
+                "{}: block {i} has stride {stride}, but its padded input is only {padded} wide: expected a stride of 1 \
+                 to {padded}",
+                keys::VOLUMENET
             );
         }
         let output_edge = (padded - kernel) / stride + 1;

@@ -1,9 +1,10 @@
 //! The analytic cost model: unit costs times estimated work.
 
 use super::network::Stored;
+use super::nnls::nnls;
 use super::{
-    CALIBRATION_KEY, Calibration, CostTerms, FeatureRange, GroupKind, Inputs, Prediction, Predictor, Source,
-    UPPER_LEVEL, nnls,
+    CALIBRATION_KEY, Calibration, CostTerms, FeatureRange, GroupKind, Inputs, LONGEST_FRAME, Prediction,
+    Predictor, Source, UPPER_LEVEL,
 };
 use crate::Result;
 use crate::error::bail;
@@ -22,8 +23,9 @@ pub const TERMS: usize = 9;
 /// The part that each unit cost belongs to: work that goes together on every machine is corrected together.
 const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 3, 3, 5, 4, 5, 5, 5];
 
-/// Metadata key under which a model file that takes `estimated_seconds` holds the unit costs behind it: a JSON object of
-/// seconds by name, `frame` and those of [`COST_QUANTITIES`]; names that are missing cost nothing.
+/// Metadata key under which a model file that takes `estimated_seconds` holds the unit costs behind it: a
+/// JSON object of seconds by name, `frame` and those of [`COST_QUANTITIES`]; names that are missing cost
+/// nothing.
 pub const UNIT_COSTS_KEY: &str = "entire.unit_costs";
 
 impl UnitCosts {
@@ -42,9 +44,9 @@ impl UnitCosts {
     /// The unit costs of a model file; `None` where it holds none.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is negative or not
-    /// finite, or when all are zero.
-    pub fn of(model: &Model) -> Result<Option<Self>> {
+    /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is
+    /// negative or not finite, or when all are zero.
+    pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata().get(UNIT_COSTS_KEY) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
             Ok(named) => named,
@@ -78,14 +80,14 @@ const LONGEST: f32 = 1.0e9;
 
 /// One measured frame, for [`AnalyticModel::fit`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct WorkSample {
+pub struct Measurement {
     /// Work of each of [`COST_QUANTITIES`], after a leading 1 for the frame itself.
     pub work: [f64; COSTS],
     /// Measured seconds.
     pub seconds: f64,
 }
 
-impl WorkSample {
+impl Measurement {
     /// The estimated work of a frame at a setting, with its measured time.
     pub fn new(features: &FrameFeatures, setting: &Setting, seconds: f64) -> Self {
         Self { work: features.cost_work(setting), seconds }
@@ -107,7 +109,8 @@ impl WorkSample {
 pub struct FitReport {
     /// Measurements used.
     pub used: usize,
-    /// Measurements refused: a time or a count that is not finite and positive.
+    /// Measurements refused: a time that is not positive or over [`LONGEST_FRAME`](super::LONGEST_FRAME), or
+    /// a count that is not finite and positive.
     pub refused: usize,
     /// Median of |predicted / measured − 1|.
     pub median_error: f64,
@@ -115,7 +118,8 @@ pub struct FitReport {
     pub p95_error: f64,
 }
 
-/// t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer step or more pixels.
+/// t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer step or more
+/// pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnalyticModel {
     costs: [f64; COSTS],
@@ -176,13 +180,13 @@ impl AnalyticModel {
         self.calibration = calibration;
     }
 
-    /// Fits the unit costs to measured frames by non-negative least squares, reweighted in rounds until it minimizes
-    /// errors of ln(seconds), outliers down-weighted (Huber), and calibrates the upper bound on the same frames. Costs of work that no
-    /// measurement holds keep their default ratio to the others.
+    /// Fits the unit costs to measured frames by non-negative least squares, reweighted in rounds until it
+    /// minimizes errors of ln(seconds), outliers down-weighted (Huber), and calibrates the upper bound on the
+    /// same frames. Costs of work that no measurement holds keep their default ratio to the others.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] when no measurement is usable.
-    pub fn fit(&mut self, measurements: &[WorkSample]) -> Result<FitReport> {
+    pub fn fit(&mut self, measurements: &[Measurement]) -> Result<FitReport> {
         self.fit_towards(&UnitCosts::SOFTWARE, measurements)
     }
 
@@ -190,12 +194,12 @@ impl AnalyticModel {
     ///
     /// # Errors
     /// As [`AnalyticModel::fit`].
-    pub fn fit_towards(&mut self, default: &UnitCosts, measurements: &[WorkSample]) -> Result<FitReport> {
-        let usable: Vec<&WorkSample> = measurements
+    pub fn fit_towards(&mut self, default: &UnitCosts, measurements: &[Measurement]) -> Result<FitReport> {
+        let usable: Vec<&Measurement> = measurements
             .iter()
             .filter(|m| {
-                m.seconds.is_finite()
-                    && m.seconds > 0.0
+                m.seconds > 0.0
+                    && m.seconds <= f64::from(LONGEST_FRAME)
                     && m.work.iter().all(|w| w.is_finite() && *w >= 0.0)
                     && m.work.iter().any(|w| *w > 0.0)
             })
@@ -203,7 +207,8 @@ impl AnalyticModel {
         if usable.is_empty() {
             bail!(
                 InvalidArgument,
-                "none of {} measurements has a finite positive time and finite work; measure some frames first",
+                "none of {} measurements has a positive time of at most {LONGEST_FRAME} seconds and finite work; measure \
+                 some frames first",
                 measurements.len()
             );
         }
@@ -239,7 +244,7 @@ impl AnalyticModel {
                 gram[i * COSTS + i] += pull * unit * 1.0e-1;
                 rhs[i] += pull * 1.0e-1;
             }
-            nnls::nnls(&gram, &rhs, &mut costs);
+            nnls(&gram, &rhs, &mut costs);
             for (m, residual) in usable.iter().zip(&mut residuals) {
                 *residual = libm::log(dot(&costs, &m.work).max(1.0e-30) / m.seconds);
             }
@@ -276,8 +281,9 @@ impl AnalyticModel {
         })
     }
 
-    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without those beyond [`COMMON_COSTS`] where they cost nothing) as scene features, target seconds, calibration and
-    /// range beside it under [`CALIBRATION_KEY`].
+    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without those beyond [`COMMON_COSTS`]
+    /// where they cost nothing) as scene features, target seconds, calibration and range beside it under
+    /// [`CALIBRATION_KEY`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidTensor`] when a cost does not fit single precision.
@@ -396,6 +402,10 @@ impl Predictor for AnalyticModel {
         Ok(())
     }
 
+    fn identity(&self) -> u32 {
+        crc32fast::hash(bytemuck::cast_slice(&self.costs))
+    }
+
     fn log_sd(&self) -> Option<f32> {
         // Costs that were given without residuals are trusted to within a third.
         self.fitted.then(|| self.calibration.log_sd().unwrap_or(0.3))
@@ -437,7 +447,7 @@ mod tests {
         [1e-3, 3e-9, 2e-8, 0.0, 4e-8, 1e-8, 9e-8, 0.0, 0.0, 2e-7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
     /// Work of frames as they come: counts over several decades, scattering never used.
-    fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<WorkSample> {
+    fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
         let mut state = 9u64;
         let mut uniform = || {
             state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -471,7 +481,7 @@ mod tests {
                 if outliers && i % 20 == 0 {
                     seconds *= 10.0;
                 }
-                WorkSample { work, seconds }
+                Measurement { work, seconds }
             })
             .collect()
     }
@@ -543,9 +553,9 @@ mod tests {
     fn broken_measurements_are_left_out_and_all_broken_is_an_error() {
         let mut rows = measurements(20, 0.0, false);
         for seconds in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            rows.push(WorkSample { seconds, ..rows[0] });
+            rows.push(Measurement { seconds, ..rows[0] });
         }
-        rows.push(WorkSample { work: [f64::NAN; COSTS], seconds: 1.0 });
+        rows.push(Measurement { work: [f64::NAN; COSTS], seconds: 1.0 });
         let mut model = AnalyticModel::new();
         let report = model.fit(&rows).unwrap();
         assert_eq!((report.used, report.refused), (20, 5));

@@ -99,12 +99,12 @@ impl Camera {
     }
 
     /// Vertical field of view in radians.
-    pub fn fov_y(&self) -> f32 {
+    pub(crate) fn fov_y(&self) -> f32 {
         self.fov_y
     }
 
     /// The eye in scene space.
-    pub fn eye(&self) -> Vec3 {
+    pub(crate) fn eye(&self) -> Vec3 {
         let r = Mat3::from_mat4(self.view);
         -(r.transpose() * self.view.w_axis.truncate())
     }

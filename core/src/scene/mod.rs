@@ -14,4 +14,5 @@ pub use transfer::{
     COLOR_RAMP, ControlPoint, GaussianLobe, OPACITY_FLOOR, TABLE_LEN, TransferFunction, TransferTable,
     corrected_opacity,
 };
-pub use volume::{ScalarType, Scalars, VolumeView};
+pub use volume::{MAX_REPEATED_VOXELS, MAX_VOLUME_EDGE, ScalarType, Scalars, VolumeView};
+pub(crate) use volume::{bounding_radius, check_edges, check_spacing, ratios};

@@ -174,6 +174,7 @@ impl TransferTable {
     }
 
     /// Largest opacity in the table.
+    #[cfg(test)]
     pub(crate) fn max_opacity(&self) -> f32 {
         self.rgba.iter().fold(0.0, |m, e| m.max(e[3]))
     }

@@ -10,7 +10,8 @@ use crate::error::bail;
 pub enum Loss {
     /// (prediction − target)² (paper, section "Loss Functions").
     SquaredError,
-    /// ((prediction − target) / target)² in seconds, scaled to a mean weight of 1. Only with the target `seconds`.
+    /// ((prediction − target) / target)² in seconds, scaled to a mean weight of 1. Only with the target
+    /// `seconds`.
     Relative,
     /// Half the squared error up to `delta` standard deviations, linear beyond, times two: equal to
     /// [`Loss::SquaredError`] for small errors.

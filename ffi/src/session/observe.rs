@@ -3,8 +3,7 @@
 use super::{check_flags, entire_session};
 use crate::abi::{check_pointer, write};
 use crate::guard::changing;
-use crate::result::Failure;
-use crate::result::entire_result::{self, *};
+use crate::result::entire_result;
 use entire_core::adapt::{ObserveFlags, Verdict};
 
 const _: () = {

@@ -11,8 +11,8 @@ use std::path::PathBuf;
 
 /// Compare every way to balance a render farm for 2 to 64 nodes, by measured times.
 ///
-/// The tasks come from a list (see `entire schedule`; both times are needed), or are the frames of a recorded path,
-/// predicted by a model fitted to other volumes.
+/// The tasks come from a list (see `entire schedule`; both times are needed), or are the frames of a recorded
+/// path, predicted by a model fitted to other volumes.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab farm tasks.csv --report out/farm
@@ -27,12 +27,13 @@ pub struct Options {
     /// Timing tables that the predictor of --trace is fitted to, where there is no --training.
     #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", requires = "trace")]
     pub calibration: Vec<PathBuf>,
-    /// Recorded frames of other volumes that the predictor of --trace is fitted to: what a farm has rendered before, with the
-    /// same transfer function. The analytic model is fitted to them, and a factor on it that depends on the view.
+    /// Recorded frames of other volumes that the predictor of --trace is fitted to: what a farm has rendered
+    /// before, with the same transfer function. The analytic model is fitted to them, and a factor on it that
+    /// depends on the view.
     #[arg(long, value_delimiter = ',', value_name = "TRACE.json", requires = "trace")]
     pub training: Vec<PathBuf>,
-    /// Rays along each side of the probe that predicts the tasks of --trace, 1 to 24. A schedule is made once, beforehand: it
-    /// can pay for more than the 11 that steering uses.
+    /// Rays along each side of the probe that predicts the tasks of --trace, 1 to 24. A schedule is made
+    /// once, beforehand: it can pay for more than the 11 that steering uses.
     #[arg(long, default_value_t = PROBE_SIDE, value_name = "N")]
     pub probe_side: usize,
     /// Write the tasks of --trace down as a task list (CSV).

@@ -1,10 +1,12 @@
-//! `entire-lab record`: what every frame of a path costs, and how it looks, at a grid of ray steps and image scales.
+//! `entire-lab record`: what every frame of a path costs, and how it looks, at a grid of ray steps and image
+//! scales.
 
-use crate::trace::{Recording, TRACE_STEPS, TraceVolume, record};
+use crate::trace::{Recording, TRACE_STEPS, Trace, TraceVolume, record};
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::dataset::{Clock, Scene, Timing, Writer};
 use entire_cli::device::{self, Device};
 use entire_cli::enlarge::enlarge;
+use entire_cli::files::{make_folder_of, write_whole};
 use entire_cli::interrupt;
 use entire_cli::options::{ShadeOption, SkipOption, parse_hold, parse_scale, parse_size};
 use entire_cli::path::{Generated, PathFile};
@@ -15,16 +17,17 @@ use entire_cli::steering::race::calibration_scenes;
 use entire_cli::volume::Volume;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Record what every frame of a path costs, and how it looks, at a grid of ray steps.
 ///
-/// Every frame is drawn at nine ray steps from the reference step to sixteen of them (every fourth frame also as smaller
-/// images), outside of any race. `entire-lab replay` then plays controllers and targets against the recorded curves in
-/// milliseconds, beside an oracle that knows them.
+/// Every frame is drawn at nine ray steps from the reference step to sixteen of them (every fourth frame also
+/// as smaller images), outside of any race. `entire-lab replay` then plays controllers and targets against
+/// the recorded curves in milliseconds, beside an oracle that knows them.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  entire-lab record data/nyx_cosmology/m04/t0010.nrrd --enlarge 2 --generate switches --clock cpu --out out/steer/nyx.json
+  entire-lab record data/nyx_cosmology/m04/t0010.nrrd --enlarge 2 --generate switches --clock cpu --out \
+  out/steer/nyx.json
   entire-lab record a.nrrd b.nrrd --enlarge 2 --calibration 24 --clock cpu --out out/steer/calibration.csv
   entire-lab record t0001.nrrd t0002.nrrd t0003.nrrd --hold 20 --generate orbit --out series.json")]
 pub struct Options {
@@ -42,8 +45,8 @@ pub struct Options {
     /// Make a path that fits the first volume instead.
     #[arg(long, value_enum)]
     pub generate: Option<Generated>,
-    /// Render this many random scenes of each volume at six steps each instead of a path, and write a timing table: what
-    /// `entire-lab replay` fits its predictor to.
+    /// Render this many random scenes of each volume at six steps each instead of a path, and write a timing
+    /// table: what `entire-lab replay` fits its predictor to.
     #[arg(long, value_name = "SCENES", conflicts_with_all = ["generate", "path", "hold", "scales"])]
     pub calibration: Option<usize>,
     /// Seed of the calibration scenes.
@@ -64,6 +67,9 @@ pub struct Options {
     /// The trace to write; with --calibration the timing table (CSV).
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
+    /// Go on with an interrupted recording.
+    #[arg(long, conflicts_with = "calibration")]
+    pub resume: bool,
     /// Ray steps of the grid at full image size, reference steps, ascending; at least two.
     #[arg(long, value_delimiter = ',', value_name = "STEP,…", default_values_t = TRACE_STEPS)]
     pub steps: Vec<f32>,
@@ -122,9 +128,7 @@ pub fn run(options: &Options) -> Result<()> {
         .collect::<Result<Vec<_>>>()?;
     let path = match (&options.path, options.generate) {
         (Some(file), _) => {
-            let text = std::fs::read_to_string(file)
-                .with_context(|| format!("cannot read the path {}", file.display()))?;
-            PathFile::parse(&text).with_context(|| format!("{} is no path", file.display()))?
+            PathFile::open(file)?
         }
         (None, Some(kind)) => kind.path(&volumes[0].1.view(), options.frames)?,
         (None, None) => bail!("give --path or --generate"),
@@ -143,17 +147,46 @@ pub fn run(options: &Options) -> Result<()> {
         steps: &options.steps,
         repeats: options.repeats,
     };
+    let begun = begun(options, &recording)?;
     let stop = interrupt::flag()?;
     let mut renderer = device::open(options.device)?;
-    let bar = progress_bar("record");
-    let trace = record(&recording, renderer.as_mut(), &|| interrupt::requested(&stop), &bar);
-    bar.finish_and_clear();
-    let trace = trace?.context("interrupted; nothing was written")?;
     make_folder_of(&options.out)?;
-    std::fs::write(&options.out, serde_json::to_string(&trace)? + "\n")
-        .with_context(|| format!("cannot write {}", options.out.display()))?;
+    let bar = progress_bar("record");
+    let trace = record(
+        &recording,
+        renderer.as_mut(),
+        begun,
+        &|| interrupt::requested(&stop),
+        &mut |trace| write_whole(&options.out, (serde_json::to_string(trace)? + "\n").as_bytes()),
+        &bar,
+    );
+    bar.finish_and_clear();
+    let trace = trace?;
+    ensure!(
+        trace.is_complete(),
+        "interrupted after {} of {} frames; go on with the same command and --resume ({})",
+        trace.frames.len(),
+        trace.path.frames,
+        options.out.display()
+    );
     println!("{}: {} frames", options.out.display(), trace.frames.len());
     Ok(())
+}
+
+/// What an interrupted recording left, with --resume.
+fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> {
+    if !options.resume || !options.out.exists() {
+        return Ok(None);
+    }
+    let begun = Trace::open_begun(&options.out)?;
+    let differences = begun.differences(recording);
+    ensure!(
+        differences.is_empty(),
+        "cannot go on with {}: it has other {}; use the same settings, or another --out",
+        options.out.display(),
+        differences.join(", ")
+    );
+    Ok(Some(begun))
 }
 
 fn draw_settings(options: &Options) -> DrawSettings {
@@ -165,14 +198,6 @@ fn draw_settings(options: &Options) -> DrawSettings {
         termination: options.termination,
         clock: options.clock,
     }
-}
-
-fn make_folder_of(file: &Path) -> Result<()> {
-    if let Some(folder) = file.parent().filter(|f| !f.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder)
-            .with_context(|| format!("cannot make the folder {}", folder.display()))?;
-    }
-    Ok(())
 }
 
 /// Writes a timing table of random scenes, each at every calibration step.

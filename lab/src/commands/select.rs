@@ -1,29 +1,32 @@
-//! `entire-lab select`: no more than a scene needs: the cheapest predictor that is good enough, with the inputs that it can do
-//! without left away.
+//! `entire-lab select`: no more than a scene needs: the cheapest predictor that is good enough, with the
+//! inputs that it can do without left away.
 
 use crate::latency::Bench;
 use anyhow::{Context, Result, ensure};
-use entire_cli::dataset::{Clock, TimedFrames, noise_floor, read_tables};
+use entire_cli::dataset::{Clock, noise_floor, read_tables};
 use entire_cli::files::{check_model_out, write_whole};
 use entire_cli::fit::{FitContext, FittedModel, Kind, Recipe, predict};
 use entire_cli::metrics::Metrics;
 use entire_cli::options::thread_pool;
 use entire_cli::progress::templated_bar;
 use entire_cli::report::{Column, Table};
+use entire_cli::split::TimedFrames;
 use entire_cli::{bound, interrupt, machine};
 use entire_core::features::SceneFeature;
 use entire_core::model::keys;
 use serde_json::json;
 use std::path::PathBuf;
 
-/// Find the cheapest predictor that is good enough for a data set, and the scene features that it can do without.
+/// Find the cheapest predictor that is good enough for a data set, and the scene features that it can do
+/// without.
 ///
-/// A fifth of the ensemble members (of the volumes, where there are fewer than four members) is held out: one half of it
-/// stops the training, the other one chooses, so that the errors shown are a little better than on frames that had no
-/// say; judge what was chosen on other tables with `entire evaluate`. Candidates: the analytic model, a log-linear one, networks that need no probe, networks
-/// on scene features and learned factors on the analytic model, of growing size and on probes of growing fineness. The cheapest (cold latency) within the tolerance of the best
-/// is taken; then features are dropped one after another, each time the one that costs least, as long as the error stays
-/// within the tolerance.
+/// A fifth of the ensemble members (of the volumes, where there are fewer than four members) is held out: one
+/// half of it stops the training, the other one chooses, so that the errors shown are a little better than on
+/// frames that had no say; judge what was chosen on other tables with `entire evaluate`. Candidates: the
+/// analytic model, a log-linear one, networks that need no probe, networks on scene features and learned
+/// factors on the analytic model, of growing size and on probes of growing fineness. The cheapest (cold
+/// latency) within the tolerance of the best is taken; then features are dropped one after another, each time
+/// the one that costs least, as long as the error stays within the tolerance.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -48,7 +51,8 @@ pub struct Options {
     /// Instead: the most accurate predictor that takes at most so many microseconds, cold.
     #[arg(long, value_name = "US", conflicts_with = "tolerance")]
     pub budget_us: Option<f64>,
-    /// Rays along each side of the probes to try; what is not kept beside the tables is computed from the volumes.
+    /// Rays along each side of the probes to try; what is not kept beside the tables is computed from the
+    /// volumes.
     #[arg(long, value_delimiter = ',', value_name = "SIDES", default_value = "11")]
     pub probe_sides: Vec<usize>,
     /// Networks of other seeds whose mean is taken, for every candidate.
@@ -79,7 +83,8 @@ struct Candidate {
 /// Runs the command.
 ///
 /// # Errors
-/// When tables or the volume cannot be read, there are too few volumes to hold some out, or nothing fits the budget.
+/// When tables or the volume cannot be read, there are too few volumes to hold some out, or nothing fits the
+/// budget.
 pub fn run(options: &Options) -> Result<()> {
     check_model_out(&options.out)?;
     ensure!(
@@ -237,15 +242,18 @@ pub fn run(options: &Options) -> Result<()> {
     file.set_metadata(
         keys::PROVENANCE,
         json!({ "what": current.fitted.what, "chosen": name, "dropped": dropped, "recipe": current.recipe,
-            "metrics_on_groups_it_was_chosen_by": current.metrics, "groups": by.name(), "cold_seconds": current.cold,
+            "metrics_on_groups_it_was_chosen_by": current.metrics, "groups": by.name(),
+            "cold_seconds": current.cold,
             "tolerance": options.tolerance, "budget_us": options.budget_us, "clock": options.clock.name(),
-            "program": format!("entire {}", machine::version()), "machine": machine::machine(), "date": machine::now() })
+            "program": format!("entire {}", machine::version()), "machine": machine::machine(),
+            "date": machine::now() })
         .to_string(),
     );
     let bytes = file.to_bytes()?;
     write_whole(&options.out, &bytes)?;
     println!(
-        "{name} on {} inputs: RMSE/SD {:.3}, MdAPE {:.2} % on the {}s it was chosen by, {:.2} µs cold; wrote {}",
+        "{name} on {} inputs: RMSE/SD {:.3}, MdAPE {:.2} % on the {}s it was chosen by, {:.2} µs cold; wrote \
+         {}",
         file.to_model()?.inputs().iter().map(|g| g.size).sum::<usize>(),
         current.metrics.rmse_over_sd,
         100.0 * current.metrics.mdape,

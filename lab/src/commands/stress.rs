@@ -3,6 +3,7 @@
 use crate::stress::report::{matrix, page};
 use crate::stress::{SCENES, Verdict, run as play, run_real};
 use anyhow::{Context, Result, ensure};
+use entire_cli::files::write_json;
 use clap::ValueEnum;
 use entire_cli::dataset::Clock;
 use entire_cli::device::{self, Device};
@@ -13,8 +14,9 @@ use std::path::PathBuf;
 
 /// Play the stress scenes: each method against scripts of what is known to break it.
 ///
-/// 28 scenes on a scripted clock, the same in every run, each with a rule that says what passes. Prints the matrix of
-/// scenes and methods, writes report.html and verdicts.json into DIR, and fails when ours fails a scene.
+/// 28 scenes on a scripted clock, the same in every run, each with a rule that says what passes. Prints the
+/// matrix of scenes and methods, writes report.html and verdicts.json into DIR, and fails when ours fails a
+/// scene.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab stress --out out/stress
@@ -83,12 +85,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     std::fs::create_dir_all(&options.out)
         .with_context(|| format!("cannot make the folder {}", options.out.display()))?;
-    let json = options.out.join("verdicts.json");
-    std::fs::write(
-        &json,
-        serde_json::to_string_pretty(&json!({ "scripted": verdicts, "real": real }))? + "\n",
-    )
-    .with_context(|| format!("cannot write {}", json.display()))?;
+    write_json(&options.out.join("verdicts.json"), &json!({ "scripted": verdicts, "real": real }))?;
     page(&verdicts, &methods, (&real, &real_methods), &name).write(&options.out.join("report.html"))?;
     println!("{}", matrix(&verdicts, &methods).to_text());
     if !real.is_empty() {

@@ -14,8 +14,9 @@ use entire_core::schedule::{
 use std::collections::HashMap;
 use std::path::Path;
 
-/// What a second measurement would reach in place of a prediction: longest first on the medians of all repeats but one,
-/// judged by that one beside longest first on itself, the worst of 2 to 64 nodes; least and most over the repeats.
+/// What a second measurement would reach in place of a prediction: longest first on the medians of all
+/// repeats but one, judged by that one beside longest first on itself, the worst of 2 to 64 nodes; least and
+/// most over the repeats.
 ///
 /// # Errors
 /// When a time is not finite and positive.
@@ -106,7 +107,8 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     let mut page = Page::new(
         "Balancing a render farm",
         &format!(
-            "{} tasks on 2 to 64 nodes, judged by measured times ({:.1} s in all); median error of the predictions {:.1} %.",
+            "{} tasks on 2 to 64 nodes, judged by measured times ({:.1} s in all); median error of the \
+             predictions {:.1} %.",
             tasks.len(),
             measured.iter().sum::<f64>(),
             100.0 * middle
@@ -122,7 +124,11 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
         row.extend(shown.iter().map(|&n| format!("{:.3}", makespans[k][at(n)] / bounds[at(n)]).into()));
         table.row(row);
     }
-    page.table(&table, "Time until the last node is done over the lower bound (all work over all nodes, and the longest tasks).");
+    page.table(
+        &table,
+        "Time until the last node is done over the lower bound (all work over all nodes, and \
+        the longest tasks).",
+    );
     println!("{}", table.to_text());
     let mut chart = Chart::new(
         "Loads of the nodes",
@@ -144,7 +150,11 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
             .collect();
         chart = chart.series(Series::new(*title, Mark::Boxes(boxes)).color(*hue));
     }
-    page.chart(&chart, "Per method, the spread of what the nodes have to do, normalized to the longest load that static balancing on measured times leaves. 5th, 25th, 50th, 75th and 95th percentile.");
+    page.chart(
+        &chart,
+        "Per method, the spread of what the nodes have to do, normalized to the longest load \
+        that static balancing on measured times leaves. 5th, 25th, 50th, 75th and 95th percentile.",
+    );
     let mut chart = Chart::new(
         "Longest load",
         Axis::log("nodes"),
@@ -160,7 +170,9 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     page.chart(&chart, "What decides when a farm is done, normalized to static balancing on measured times.");
     if let Some((low, high)) = comparison.noise {
         let text = format!(
-            "What measuring a second time reaches instead of predicting: static longest first on the medians of all repeats but one takes, by that one, up to {low:.3} to {high:.3} of what longest first on itself takes."
+            "What measuring a second time reaches instead of predicting: static longest first on the medians \
+             of all repeats but one takes, by that one, up to {low:.3} to {high:.3} of what longest first on \
+             itself takes."
         );
         println!("{text}");
         page.paragraph(&text);

@@ -1,8 +1,10 @@
-//! A factor on predicted times, learned from measured frames of one transfer function: what the analytic model leaves.
+//! A factor on predicted times, learned from measured frames of one transfer function: what the analytic
+//! model leaves.
 //!
-//! The analytic model counts work; what a count costs depends on the direction in which rays cross the voxels in memory
-//! and on how far apart they are. ln(measured / predicted) is fitted to the view direction and the spacing and divergence of
-//! the rays by ridge regression. That needs frames like those that will be predicted, so it serves farms, not steering.
+//! The analytic model counts work; what a count costs depends on the direction in which rays cross the voxels
+//! in memory and on how far apart they are. ln(measured / predicted) is fitted to the view direction and the
+//! spacing and divergence of the rays by ridge regression. That needs frames like those that will be
+//! predicted, so it serves farms, not steering.
 
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
@@ -18,8 +20,8 @@ const RIDGE: f64 = 10.0;
 /// Largest factor: e to this.
 const LIMIT: f64 = 0.5;
 
-/// Shares of the view direction along the volume's axes, logarithms of ray spacing, samples per ray, image share and
-/// step, the divergence of neighboring rays.
+/// Shares of the view direction along the volume's axes, logarithms of ray spacing, samples per ray, image
+/// share and step, the divergence of neighboring rays.
 fn terms(features: &FrameFeatures, setting: &Setting, camera: Arcball) -> Option<[f64; TERMS]> {
     let work = features.work(setting);
     let of = |q: SceneQuantity| features.quantity(q, setting, &work, Changes::NONE);
@@ -57,7 +59,8 @@ impl Factor {
         Self { mean: [0.0; TERMS], sd: [1.0; TERMS], weights: [0.0; 2 * TERMS], offset: 0.0 }
     }
 
-    /// From frames with their predicted seconds; no change where fewer than three frames per unknown are usable.
+    /// From frames with their predicted seconds; no change where fewer than three frames per unknown are
+    /// usable.
     pub fn fit(frames: &[(&Sample, f64)]) -> Self {
         let rows: Vec<([f64; TERMS], f64)> = frames
             .iter()

@@ -9,7 +9,7 @@ use entire_cli::metrics::median;
 use entire_cli::steering::calibrate::{Quality, Sample};
 use entire_cli::steering::fit::{Calibrated, SteeringModel};
 use entire_core::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary};
-use entire_core::predict::{AnalyticModel, Inputs, WorkSample, Predictor};
+use entire_core::predict::{AnalyticModel, Inputs, Measurement, Predictor};
 use entire_core::scene::{Scalars, Skipping, VolumeView};
 use std::path::PathBuf;
 
@@ -65,8 +65,8 @@ impl Recorded {
     fn fit(&self, keep: impl Fn(usize) -> bool) -> Result<(AnalyticModel, Factor)> {
         let kept: Vec<&Sample> =
             self.samples.iter().zip(&self.volumes).filter(|(_, v)| keep(**v)).map(|(s, _)| s).collect();
-        let measured: Vec<WorkSample> =
-            kept.iter().map(|s| WorkSample::new(&s.features, &s.setting, s.seconds)).collect();
+        let measured: Vec<Measurement> =
+            kept.iter().map(|s| Measurement::new(&s.features, &s.setting, s.seconds)).collect();
         let mut model = AnalyticModel::new();
         model.fit(&measured)?;
         let pairs = kept.iter().map(|s| Ok((*s, predicted(&mut model, s)?))).collect::<Result<Vec<_>>>()?;
@@ -118,7 +118,8 @@ fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
             q.log_sd
         );
     };
-    // Frames like the tasks count alone where there are any: other transfer functions teach little about this one.
+    // Frames like the tasks count alone where there are any: other transfer functions teach little about this
+    // one.
     if !fitting.training.is_empty() {
         let mut recorded = Recorded::default();
         for file in fitting.training {
@@ -137,7 +138,8 @@ fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
     }
     ensure!(
         !fitting.calibration.is_empty(),
-        "nothing to predict the frames of --trace from: give --training (recorded frames of other volumes) or --calibration (timing tables)"
+        "nothing to predict the frames of --trace from: give --training (recorded frames of other volumes) \
+         or --calibration (timing tables)"
     );
     let samples = samples_of(fitting.calibration, side)?;
     let nothing = [0u8];
@@ -152,7 +154,8 @@ fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
     })
 }
 
-/// Tasks of a recorded path: its frames at the reference step, predicted by what was recorded of other volumes.
+/// Tasks of a recorded path: its frames at the reference step, predicted by what was recorded of other
+/// volumes.
 ///
 /// # Errors
 /// When there is nothing to fit to, a file cannot be read, or a prediction fails.

@@ -1,7 +1,9 @@
-//! Scenes in which methods of holding a frame time are known to break, each scripted, with a rule that says what passes.
+//! Scenes in which methods of holding a frame time are known to break, each scripted, with a rule that says
+//! what passes.
 //!
-//! [`law`] has scenes whose frame times follow a law of the step that the script changes; [`world`] has scenes of real
-//! geometry, whose work the CPU twin of the raycaster counts. Both run on a scripted clock: the same in every run.
+//! [`law`] has scenes whose frame times follow a law of the step that the script changes; [`world`] has
+//! scenes of real geometry, whose work the CPU twin of the raycaster counts. Both run on a scripted clock:
+//! the same in every run.
 
 pub mod law;
 pub mod report;
@@ -97,7 +99,7 @@ pub const SCENES: [Scene; 28] = [
     },
     Scene {
         number: 15,
-        title: "volumes unlike anything the predictor saw, twice as dear as it says",
+        title: "volumes unlike anything the predictor saw, twice as expensive as it says",
         rule: "at most 12 % over 1.1 T, never 4 in a row; quality 0.6",
     },
     Scene {
@@ -133,7 +135,8 @@ pub const SCENES: [Scene; 28] = [
     Scene {
         number: 22,
         title: "impossible target, then a possible one, then a slack one",
-        rule: "coarsest while impossible, within 1.1 T from the 4th frame after, finest from the 20th while slack",
+        rule: "coarsest while impossible, within 1.1 T from the 4th frame after, finest from the 20th while \
+            slack",
     },
     Scene {
         number: 23,
@@ -153,7 +156,8 @@ pub const SCENES: [Scene; 28] = [
     Scene {
         number: 26,
         title: "memory pressure: bursts in which a third of the frames take 4 times as long",
-        rule: "no more than 45 % of a burst's frames over 1.1 T; outside of them at most 5 %; the bound over twice the expectation in bursts",
+        rule: "no more than 45 % of a burst's frames over 1.1 T; outside of them at most 5 %; the bound over \
+            twice the expectation in bursts",
     },
     Scene {
         number: 27,
@@ -389,7 +393,8 @@ mod tests {
     #[test]
     fn rules_can_fail() {
         let bar = indicatif::ProgressBar::hidden();
-        // What the scenes are there for: reaction at switches, blind trust in the prediction, a step that never moves.
+        // What the scenes are there for: reaction at switches, blind trust in the prediction, a step that
+        // never moves.
         for (scene, method) in [
             (1, ControllerKind::Olp),
             (17, ControllerKind::Algorithm1),

@@ -47,9 +47,14 @@ pub fn page(
 ) -> Page {
     let mut page = Page::new(
         "Where methods break",
-        "Scenes in which methods of holding a frame time are known to fail, on a scripted clock that is the same in every run, each with a rule that says what passes.",
+        "Scenes in which methods of holding a frame time are known to fail, on a scripted clock that is the \
+         same in every run, each with a rule that says what passes.",
     );
-    page.table(&matrix(verdicts, methods), "What failed first in each scene; ok where nothing did. T is the target; shares are of the frames in which the coarsest step meets it.");
+    page.table(
+        &matrix(verdicts, methods),
+        "What failed first in each scene; ok where nothing did. T is the \
+        target; shares are of the frames in which the coarsest step meets it.",
+    );
     let names: Vec<String> = SCENES
         .iter()
         .filter(|s| verdicts.iter().any(|v| v.scene == s.number))
@@ -97,7 +102,9 @@ pub fn page(
         page.heading("On a real renderer");
         page.table(
             &matrix(real, real_methods),
-            "The scenes that make sense there, with images four times as wide and high and a real clock. For its noise a twentieth more frames may be over 1.1 T, two more in a row, and quality may be a tenth lower than the rules below say.",
+            "The scenes that make sense there, with images four times as wide and high and a real clock. For \
+             its noise a twentieth more frames may be over 1.1 T, two more in a row, and quality may be a \
+             tenth lower than the rules below say.",
         );
     }
     page.heading("Rules");

@@ -116,6 +116,14 @@ check(read["Reason"] == "fallback" and "/nowhere/model" in read["Status"], "a mi
 steering.proxy.ModelFileName = ""
 interact()
 check(steering.read()["Reason"] != "fallback", "and steering goes on when the name is gone")
+# A folder as a saved state: refused, and steering goes on. Without a message window the error goes to the console.
+steering.proxy.StateFileName = options.folder
+steering.proxy.UpdateVTKObjects()
+before = steering.read()["NumberOfSteeredFrames"]
+interact()
+check(steering.read()["NumberOfSteeredFrames"] > before, "a folder is refused as a saved state, and steering goes on")
+steering.proxy.StateFileName = ""
+steering.proxy.UpdateVTKObjects()
 # Another array, another data set, a second volume.
 source.WholeExtent = [-30, 30, -30, 30, -30, 30]
 interact()

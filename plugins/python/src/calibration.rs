@@ -7,7 +7,7 @@ use crate::lock::Guarded;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
 use entire_core::features::{FrameFeatures, Setting, TransferSummary};
-use entire_core::predict::{AnalyticModel, WorkSample};
+use entire_core::predict::{AnalyticModel, Measurement};
 use entire_core::scene::Skipping;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -21,7 +21,7 @@ use pyo3::types::PyBytes;
 /// ...     calibration.add(volume, camera, tf, size, seconds=draw(camera))
 /// >>> session = entire.Session(volume, model=calibration.fit())            # doctest: +SKIP
 #[pyclass(frozen, subclass, module = "entire._native")]
-pub(crate) struct Calibration(Guarded<Vec<WorkSample>>);
+pub(crate) struct Calibration(Guarded<Vec<Measurement>>);
 
 #[pymethods]
 impl Calibration {
@@ -66,7 +66,7 @@ impl Calibration {
         skipping: &str,
         termination: f32,
     ) -> PyResult<()> {
-        let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.0)?;
+        let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.core)?;
         let summary = volume.0.summary(py)?;
         let table = tf.0.table_for(&volume.0)?;
         let measurement = py.detach(|| {
@@ -76,7 +76,7 @@ impl Calibration {
             }
             let mut features = FrameFeatures::new();
             features.measure(summary, &transfer, &frame);
-            WorkSample::new(&features, &Setting::of(&frame), seconds)
+            Measurement::new(&features, &Setting::of(&frame), seconds)
         });
         self.0.lock(py)?.push(measurement);
         Ok(())
@@ -89,7 +89,7 @@ impl Calibration {
     /// Fits the cost model, as the bytes of a model file and the median relative error over the frames.
     fn fit_bytes<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyBytes>, f64)> {
         let measurements = self.0.lock(py)?;
-        let measurements: &Vec<WorkSample> = &measurements;
+        let measurements: &Vec<Measurement> = &measurements;
         let (bytes, error) = py
             .detach(|| {
                 let mut model = AnalyticModel::new();

@@ -11,8 +11,18 @@ use pyo3::prelude::*;
 ///
 /// Lengths are kept relative to the volume's bounding sphere, so a camera belongs to volumes of one size.
 #[pyclass(frozen, from_py_object, module = "entire")]
-#[derive(Clone)]
-pub(crate) struct Camera(pub(crate) CoreCamera);
+#[derive(Clone, PartialEq)]
+pub(crate) struct Camera {
+    pub(crate) core: CoreCamera,
+    /// Vertical field of view, degrees.
+    fov: f32,
+}
+
+impl Camera {
+    fn new(core: CoreCamera, fov: f32) -> PyResult<Self> {
+        Ok(Self { core: core.with_fov_y_degrees(fov).map_err(raise)?, fov })
+    }
+}
 
 /// Largest cosine between the volume's axes that still counts as a right angle.
 const SQUARE: f64 = 0.02;
@@ -25,16 +35,17 @@ fn matrix(rows: [[f64; 4]; 4]) -> DMat4 {
 }
 
 /// A camera from a world-to-eye matrix, about a volume's center.
-pub(crate) fn from_view(volume: &Volume, rows: [[f64; 4]; 4], fov: f32) -> PyResult<CoreCamera> {
+pub(crate) fn from_view(volume: &Volume, rows: [[f64; 4]; 4], fov: f32) -> PyResult<Camera> {
     // Moved to the center in double precision: worlds far from their origin lose digits otherwise.
     let view = matrix(rows) * DMat4::from_translation(DVec3::from_array(volume.0.center()));
-    let camera = CoreCamera::from_world_view(view.as_mat4(), Vec3::ZERO, volume.0.radius()).map_err(raise)?;
-    camera.with_fov_y_degrees(fov).map_err(raise)
+    Camera::new(
+        CoreCamera::from_world_view(view.as_mat4(), Vec3::ZERO, volume.0.radius()).map_err(raise)?,
+        fov,
+    )
 }
 
-pub(crate) fn from_arcball(rx: f32, ry: f32, dz: f32, fov: f32) -> PyResult<CoreCamera> {
-    let camera = CoreCamera::from_arcball(Arcball { rx, ry, dz }).map_err(raise)?;
-    camera.with_fov_y_degrees(fov).map_err(raise)
+pub(crate) fn from_arcball(rx: f32, ry: f32, dz: f32, fov: f32) -> PyResult<Camera> {
+    Camera::new(CoreCamera::from_arcball(Arcball { rx, ry, dz }).map_err(raise)?, fov)
 }
 
 #[pymethods]
@@ -57,7 +68,7 @@ impl Camera {
     #[staticmethod]
     #[pyo3(signature = (rx, ry, dz, fov = DEFAULT_FOV_Y_DEGREES))]
     fn arcball(rx: f32, ry: f32, dz: f32, fov: f32) -> PyResult<Self> {
-        from_arcball(rx, ry, dz, fov).map(Self)
+        from_arcball(rx, ry, dz, fov)
     }
 
     /// A camera at a point of the world.
@@ -100,7 +111,7 @@ impl Camera {
         }
         let row = |axis: DVec3| [axis.x, axis.y, axis.z, -axis.dot(at)];
         let rows = [row(right), row(right.cross(forward)), row(-forward), [0.0, 0.0, 0.0, 1.0]];
-        from_view(volume, rows, fov).map(Self)
+        from_view(volume, rows, fov)
     }
 
     /// A camera from a world-to-eye matrix.
@@ -122,7 +133,7 @@ impl Camera {
     #[staticmethod]
     #[pyo3(signature = (volume, matrix, fov = DEFAULT_FOV_Y_DEGREES))]
     fn view(volume: &Volume, matrix: [[f64; 4]; 4], fov: f32) -> PyResult<Self> {
-        from_view(volume, matrix, fov).map(Self)
+        from_view(volume, matrix, fov)
     }
 
     /// A camera of a scene whose volume may itself be moved, turned and scaled.
@@ -186,8 +197,10 @@ impl Camera {
         }
         let view = DMat4::from_cols(x.extend(0.0), y.extend(0.0), z.extend(0.0), eye.extend(1.0));
         let view: Mat4 = view.as_mat4();
-        let camera = CoreCamera::from_world_view(view, Vec3::ZERO, volume.0.radius()).map_err(raise)?;
-        camera.with_fov_y_degrees(angle as f32).map(Self).map_err(raise)
+        Self::new(
+            CoreCamera::from_world_view(view, Vec3::ZERO, volume.0.radius()).map_err(raise)?,
+            angle as f32,
+        )
     }
 
     /// A camera from the one matrix that takes the world to the picture, as OpenGL, vispy and others have it.
@@ -238,7 +251,7 @@ impl Camera {
         }
         let row = |axis: DVec3| [axis.x, axis.y, axis.z, -axis.dot(eye)];
         let rows = [row(right), row(up), row(-forward), [0.0, 0.0, 0.0, 1.0]];
-        from_view(volume, rows, fov as f32).map(Self)
+        from_view(volume, rows, fov as f32)
     }
 
     /// Whether a renderer that goes from `before` to this camera jumps: turns by more than a third of a right angle, or
@@ -253,7 +266,7 @@ impl Camera {
     /// -------
     /// bool
     fn jumps_from(&self, before: &Self) -> bool {
-        let (now, then) = (self.0.view(), before.0.view());
+        let (now, then) = (self.core.view(), before.core.view());
         let turned = (now.row(2) - then.row(2)).abs();
         let ratio = now.w_axis.z / then.w_axis.z;
         turned.x.max(turned.y).max(turned.z) > 0.5 || !(ratio > 0.67 && ratio < 1.5)
@@ -262,22 +275,22 @@ impl Camera {
     /// tuple of float : Elevation and azimuth in degrees, and distance in radii, of the arcball pose with the same eye.
     #[getter]
     fn pose(&self) -> (f32, f32, f32) {
-        let Arcball { rx, ry, dz } = self.0.to_arcball();
+        let Arcball { rx, ry, dz } = self.core.to_arcball();
         (rx, ry, dz)
     }
 
     /// float : Vertical field of view in degrees.
     #[getter]
     fn fov(&self) -> f32 {
-        self.0.fov_y().to_degrees()
+        self.fov
     }
 
     fn __eq__(&self, other: &Self) -> bool {
-        self.0 == other.0
+        self == other
     }
 
     fn __repr__(&self) -> String {
         let (rx, ry, dz) = self.pose();
-        format!("Camera(rx {rx:.1}, ry {ry:.1}, dz {dz:.3}, fov {:.1})", self.fov())
+        format!("Camera(rx {rx:.1}, ry {ry:.1}, dz {dz:.3}, fov {:.1})", self.fov)
     }
 }

@@ -64,10 +64,10 @@ impl Shape {
 /// Many cameras: camera objects, arcball poses (n, 3) or world-to-eye matrices (n, 4, 4).
 pub(crate) fn cameras(given: &Bound<'_, PyAny>, volume: &Volume, fov: f32) -> PyResult<Vec<CoreCamera>> {
     if let Ok(camera) = given.cast::<Camera>() {
-        return Ok(vec![camera.get().0]);
+        return Ok(vec![camera.get().core]);
     }
     if let Ok(list) = given.extract::<Vec<Camera>>() {
-        return Ok(list.into_iter().map(|c| c.0).collect());
+        return Ok(list.into_iter().map(|c| c.core).collect());
     }
     let array = asarray(given)?;
     let shape: Vec<usize> = array.getattr("shape")?.extract()?;
@@ -77,7 +77,7 @@ pub(crate) fn cameras(given: &Bound<'_, PyAny>, volume: &Volume, fov: f32) -> Py
             let rows: PyReadonlyArray2<'_, f32> = array.call_method1("astype", ("float32",))?.extract()?;
             let rows = rows.as_array();
             let poses = rows.outer_iter().enumerate();
-            poses.map(|(i, r)| from_arcball(r[0], r[1], r[2], fov).map_err(at(i))).collect()
+            poses.map(|(i, r)| from_arcball(r[0], r[1], r[2], fov).map(|c| c.core).map_err(at(i))).collect()
         }
         [_, 4, 4] => {
             let all: PyReadonlyArray3<'_, f64> = array.call_method1("astype", ("float64",))?.extract()?;
@@ -86,7 +86,7 @@ pub(crate) fn cameras(given: &Bound<'_, PyAny>, volume: &Volume, fov: f32) -> Py
             matrices
                 .map(|(i, m)| {
                     let rows = std::array::from_fn(|r| std::array::from_fn(|c| m[[r, c]]));
-                    from_view(volume, rows, fov).map_err(at(i))
+                    from_view(volume, rows, fov).map(|c| c.core).map_err(at(i))
                 })
                 .collect()
         }

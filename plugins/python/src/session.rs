@@ -340,7 +340,7 @@ impl Session {
         skipping: &str,
         termination: f32,
     ) -> PyResult<Plan> {
-        let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.0)?;
+        let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.core)?;
         let mut state = self.state(py)?;
         if let Some(tf) = tf {
             state.take_transfer(tf)?;
@@ -385,7 +385,7 @@ impl Session {
         skipping: &str,
         termination: f32,
     ) -> PyResult<(usize, Plan)> {
-        let frame = Shape::new(size, 1.0, shading, skipping, termination)?.frame(camera.0)?;
+        let frame = Shape::new(size, 1.0, shading, skipping, termination)?.frame(camera.core)?;
         let settings: Vec<Setting> = settings
             .into_iter()
             .map(|(step, (width, height))| Setting { step, width, height, ..Setting::of(&frame) })
@@ -475,7 +475,7 @@ impl Session {
         skipping: &str,
         termination: f32,
     ) -> PyResult<Prediction> {
-        let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.0)?;
+        let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.core)?;
         let mut state = self.state(py)?;
         if let Some(tf) = tf {
             state.take_transfer(tf)?;

@@ -173,18 +173,17 @@ impl Volume {
             )));
         }
         let (kind, converted) = kept_as(&kept)?;
-        let size = kind.bytes();
+        let (name, size) = match kind {
+            ScalarType::U8 => ("uint8", 1),
+            ScalarType::U16 => ("uint16", 2),
+            ScalarType::I16 => ("int16", 2),
+            _ => ("float32", 4),
+        };
         let mut copied = false;
         let plain = |a: &Bound<'_, PyUntypedArray>| {
             let whole = a.strides().iter().all(|&s| s >= 0 && s as usize % size == 0);
             // SAFETY: the array lives; its data pointer is only looked at.
             whole && unsafe { (*a.as_array_ptr()).fields.data } as usize % size == 0
-        };
-        let name = match kind {
-            ScalarType::U8 => "uint8",
-            ScalarType::U16 => "uint16",
-            ScalarType::I16 => "int16",
-            _ => "float32",
         };
         if converted.is_some() || !plain(&kept) {
             kept = convert(kept.as_any(), name)?;

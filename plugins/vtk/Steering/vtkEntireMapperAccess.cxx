@@ -38,8 +38,8 @@ struct SpacingMembers : vtkVolumeMapper
   }
 };
 
-// Those of vtkMultiBlockVolumeMapper are private and nothing gives them out. An explicit instantiation may name private
-// members; this one hands out the pointer to the member.
+// Those of vtkMultiBlockVolumeMapper are private and nothing gives them out. An explicit instantiation may
+// name private members; this one hands out the pointer to the member.
 template <typename Tag, typename Tag::Type Member>
 struct MemberOf
 {
@@ -105,7 +105,8 @@ void FindLeafMappers(vtkAbstractVolumeMapper* mapper, std::vector<LeafMapper>& f
   {
     SmartMembers::Inner(smart, found);
   }
-  else if (vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper) || vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
+  else if (vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper) ||
+    vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
   {
     found.push_back({ vtkVolumeMapper::SafeDownCast(mapper), nullptr });
   }

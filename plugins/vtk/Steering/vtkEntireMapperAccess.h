@@ -21,7 +21,8 @@ struct LeafMapper
   vtkSmartVolumeMapper* Outer;
 };
 
-// Adds the mappers that draw: the given one, or those inside it. Adds none for a mapper that cannot be steered.
+// Adds the mappers that draw: the given one, or those inside it. Adds none for a mapper that cannot be
+// steered.
 void FindLeafMappers(vtkAbstractVolumeMapper* mapper, std::vector<LeafMapper>& found);
 
 // The sample distance that a mapper takes where it is locked to the spacing of its input.
@@ -53,7 +54,8 @@ struct SmartSettings
   SmartSettings Keeping(const SmartSettings& now, const SmartSettings& written) const;
 };
 
-// The settings of a mapper are changed by one at a time: false where another than `who` has claimed the mapper.
+// The settings of a mapper are changed by one at a time: false where another than `who` has claimed the
+// mapper.
 bool ClaimMapper(const vtkVolumeMapper* mapper, const void* who);
 void ReleaseClaim(const void* who);
 }

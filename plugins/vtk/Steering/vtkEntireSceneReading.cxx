@@ -91,7 +91,8 @@ std::string Crop(vtkVolumeMapper* mapper, vtkImageData* image, vtkEntire::Volume
 namespace vtkEntire
 {
 //------------------------------------------------------------------------------
-std::string ReadGrid(vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid)
+std::string ReadGrid(
+  vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid)
 {
   int onCells = 0;
   grid.Scalars = vtkAbstractMapper::GetScalars(image, mapper->GetScalarMode(), mapper->GetArrayAccessMode(),
@@ -126,8 +127,8 @@ std::string ReadGrid(vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProp
   }
   if (static_cast<std::size_t>(grid.Scalars->GetNumberOfTuples()) != voxels)
   {
-    return "the mapper's input has " + std::to_string(grid.Scalars->GetNumberOfTuples()) + " scalar values for " +
-      std::to_string(voxels) + " voxels";
+    return "the mapper's input has " + std::to_string(grid.Scalars->GetNumberOfTuples()) +
+      " scalar values for " + std::to_string(voxels) + " voxels";
   }
   for (int axis = 0; axis < 3; ++axis)
   {
@@ -156,7 +157,8 @@ std::string ReadGrid(vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProp
 }
 
 //------------------------------------------------------------------------------
-std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& volume, std::array<double, 2>& range)
+std::string ReadVoxels(
+  const VoxelGrid& grid, std::optional<entire::volume>& volume, std::array<double, 2>& range)
 {
   const VolumeKey& key = grid.Key;
   grid.Scalars->GetRange(range.data(), key.Component);
@@ -200,8 +202,8 @@ std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& vol
 }
 
 //------------------------------------------------------------------------------
-std::string ReadTransferFunction(
-  vtkVolumeProperty* property, const std::array<double, 2>& range, std::optional<entire::transfer_function>& function)
+std::string ReadTransferFunction(vtkVolumeProperty* property, const std::array<double, 2>& range,
+  std::optional<entire::transfer_function>& function)
 {
   std::vector<entire_opacity_node> opacities;
   vtkPiecewiseFunction* opacity = property->GetScalarOpacity(0);
@@ -249,9 +251,9 @@ std::string ReadCamera(
     camera->GetViewTransformMatrix()->GetData(), volume->GetMatrix()->GetData(), toEye);
   const int* extent = image->GetExtent();
   double world[3];
-  vtkImageData::TransformContinuousIndexToPhysicalPoint(grid.Center[0] + extent[0], grid.Center[1] + extent[2],
-    grid.Center[2] + extent[4], image->GetOrigin(), image->GetSpacing(), image->GetDirectionMatrix()->GetData(),
-    world);
+  vtkImageData::TransformContinuousIndexToPhysicalPoint(grid.Center[0] + extent[0],
+    grid.Center[1] + extent[2], grid.Center[2] + extent[4], image->GetOrigin(), image->GetSpacing(),
+    image->GetDirectionMatrix()->GetData(), world);
   const double* direction = image->GetDirectionMatrix()->GetData();
   double axes[3][3];
   double scales[3];

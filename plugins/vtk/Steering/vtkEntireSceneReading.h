@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Reading the scene: what a mapper, a volume, its property and a renderer are, as the library takes it. Functions that
-// can fail return why they did, or an empty text.
+// Reading the scene: what a mapper, a volume, its property and a renderer are, as the library takes it.
+// Functions that can fail return why they did, or an empty text.
 #ifndef vtkEntireSceneReading_h
 #define vtkEntireSceneReading_h
 
@@ -66,15 +66,17 @@ struct VoxelGrid
   double Reference = 1;
 };
 
-std::string ReadGrid(vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid);
+std::string ReadGrid(
+  vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid);
 
-// The voxels of the grid's box. The volume borrows them where the library reads their type: use it before the scene
-// changes. `range` receives the least and the largest scalar value.
-std::string ReadVoxels(const VoxelGrid& grid, std::optional<entire::volume>& volume, std::array<double, 2>& range);
+// The voxels of the grid's box. The volume borrows them where the library reads their type: use it before the
+// scene changes. `range` receives the least and the largest scalar value.
+std::string ReadVoxels(
+  const VoxelGrid& grid, std::optional<entire::volume>& volume, std::array<double, 2>& range);
 
 // The volume property's functions of scalar opacity and color, and its ScalarOpacityUnitDistance.
-std::string ReadTransferFunction(
-  vtkVolumeProperty* property, const std::array<double, 2>& range, std::optional<entire::transfer_function>& function);
+std::string ReadTransferFunction(vtkVolumeProperty* property, const std::array<double, 2>& range,
+  std::optional<entire::transfer_function>& function);
 
 // The eye as the library has it: relative to the volume's axes, lengths in the unit of the volume's spacing.
 std::string ReadCamera(

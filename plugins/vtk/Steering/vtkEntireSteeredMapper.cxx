@@ -24,7 +24,8 @@ constexpr float GPU_STEP_ALONE = 2.1f;
 // Least share of the target that a mapper is given, however much the rest of the frame takes.
 constexpr double LEAST_SHARE = 0.2;
 
-// The coarsest image that the library is asked for, relative to the mapper's own, and the coarsest that VTK takes.
+// The coarsest image that the library is asked for, relative to the mapper's own, and the coarsest that VTK
+// takes.
 constexpr double COARSEST_IMAGE = 64;
 constexpr double COARSEST_IMAGE_OF_VTK = 100;
 
@@ -53,8 +54,8 @@ const char* ReasonName(entire_reason reason)
   }
 }
 
-// Puts settings back once more when the renderer is done. The fixed-point mapper ends its drawing by writing the sample
-// distance that it began with, over what was put back meanwhile.
+// Puts settings back once more when the renderer is done. The fixed-point mapper ends its drawing by writing
+// the sample distance that it began with, over what was put back meanwhile.
 class RestoreLater : public vtkCommand
 {
 public:
@@ -180,7 +181,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetTransferFunction(vtkVolume
     return {};
   }
   // A property without functions makes some when it is asked for them, and says so.
-  const std::shared_ptr<entire::predictor> session = this->Session;
+  const std::shared_ptr<entire::session> session = this->Session;
   std::optional<entire::transfer_function> function;
   std::string failure = vtkEntire::ReadTransferFunction(property, this->Range, function);
   if (!failure.empty())
@@ -293,8 +294,8 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     // An observer of what was read here let go of it.
     return {};
   }
-  const vtkEntire::ModeKey mode{ { property->GetShade(0), property->GetInterpolationType(), mapper->GetBlendMode(),
-    property->HasGradientOpacity(0) && !property->GetDisableGradientOpacity(0) } };
+  const vtkEntire::ModeKey mode{ { property->GetShade(0), property->GetInterpolationType(),
+    mapper->GetBlendMode(), property->HasGradientOpacity(0) && !property->GetDisableGradientOpacity(0) } };
   this->MarkChanges(mode, frame);
   frame.shading = mode[0] ? ENTIRE_SHADING_LOCAL : ENTIRE_SHADING_NONE;
   frame.skipping = gpu ? ENTIRE_SKIPPING_NONE : ENTIRE_SKIPPING_BLOCKS;
@@ -322,15 +323,16 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   }
   const double coarsest = std::max(finest, owner->CoarsestSampleDistance);
   const double coarsestImage = std::max(ownImage, owner->CoarsestImageSampleDistance);
-  // Ray step and image are coarsened together: at equal cost that shows fewer differences from full quality than
-  // coarsening one of them alone. The GPU mapper blurs any smaller image: there the step alone comes first.
+  // Ray step and image are coarsened together: at equal cost that shows fewer differences from full quality
+  // than coarsening one of them alone. The GPU mapper blurs any smaller image: there the step alone comes
+  // first.
   frame.step = static_cast<float>(finest);
   auto limits = this->Session->set_limits(static_cast<float>(finest), static_cast<float>(coarsest));
   if (!limits)
   {
     return limits.message();
   }
-  auto sizes = this->Session->set_coarsest_pixel(
+  auto sizes = this->Session->set_max_image_sample_distance(
     static_cast<float>(std::min(COARSEST_IMAGE, coarsestImage / ownImage)), gpu ? GPU_STEP_ALONE : 1.0f);
   if (!sizes)
   {
@@ -347,12 +349,13 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   settings.Lock = 0;
   settings.SampleDistance = static_cast<float>(this->Planned.step * grid.Reference);
   settings.ImageSampleDistance =
-    static_cast<float>(std::min(COARSEST_IMAGE_OF_VTK, ownImage * this->Planned.pixel));
+    static_cast<float>(std::min(COARSEST_IMAGE_OF_VTK, ownImage * this->Planned.image_sample_distance));
   return this->Steer(mapper, settings);
 }
 
 //------------------------------------------------------------------------------
-void vtkEntireSteering::vtkInternals::Leaf::PlanUnsteered(const entire::frame& frame, float target, bool still)
+void vtkEntireSteering::vtkInternals::Leaf::PlanUnsteered(
+  const entire::frame& frame, float target, bool still)
 {
   this->Internals->Report(
     still ? "still" : "off", still ? "a still frame, drawn by VTK alone" : "steering is off");
@@ -575,7 +578,8 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
   }
   else if (this->Steered && this->Mapper)
   {
-    // The fixed-point mapper is about to write the sample distance that it began with over what the application set.
+    // The fixed-point mapper is about to write the sample distance that it began with over what the
+    // application set.
     this->Own = this->Own.Keeping(vtkEntire::MapperSettings::Read(this->Mapper), this->Written);
   }
   if (this->Planned.id != 0 && this->Session)

@@ -76,8 +76,8 @@ bool vtkEntireSteering::Attach(vtkRenderer* renderer, vtkVolume* volume)
   if (volume->GetMapper() && !CanSteer(volume->GetMapper()))
   {
     return this->Fail(std::string(volume->GetMapper()->GetClassName()) +
-      " cannot be steered; vtkFixedPointVolumeRayCastMapper, vtkGPUVolumeRayCastMapper, vtkSmartVolumeMapper and "
-      "vtkMultiBlockVolumeMapper can");
+      " cannot be steered; vtkFixedPointVolumeRayCastMapper, vtkGPUVolumeRayCastMapper, vtkSmartVolumeMapper "
+      "and vtkMultiBlockVolumeMapper can");
   }
   this->Internals->Volume = volume;
   this->Internals->Observe(renderer);
@@ -167,7 +167,7 @@ bool vtkEntireSteering::LoadState(const char* fileName)
     return this->Fail(failure);
   }
   // Tried on a session of its own first, so that a file that is no state changes nothing.
-  auto trial = entire::predictor::untrained();
+  auto trial = entire::session::untrained();
   if (!trial)
   {
     return this->Fail(trial.message());

@@ -3,10 +3,11 @@
  * @class   vtkEntireSteering
  * @brief   holds a volume's frames to a target time
  *
- * Attached to a volume in a renderer, vtkEntireSteering predicts what the next frame will cost, sets the sample
- * distance (and, where that is not enough, the image sample distance) of the volume's mapper before the mapper draws,
- * and learns from the time that the frame then took. It works with vtkFixedPointVolumeRayCastMapper, with vtkGPUVolumeRayCastMapper,
- * and with the mappers inside vtkSmartVolumeMapper and vtkMultiBlockVolumeMapper.
+ * Attached to a volume in a renderer, vtkEntireSteering predicts what the next frame will cost, sets the
+ * sample distance (and, where that is not enough, the image sample distance) of the volume's mapper before
+ * the mapper draws, and learns from the time that the frame then took. It works with
+ * vtkFixedPointVolumeRayCastMapper, with vtkGPUVolumeRayCastMapper, and with the mappers inside
+ * vtkSmartVolumeMapper and vtkMultiBlockVolumeMapper.
  *
  * @code
  * vtkNew<vtkEntireSteering> steering;
@@ -14,27 +15,28 @@
  * steering->Attach(renderer, volume);
  * @endcode
  *
- * The mapper's own settings (sample distances, AutoAdjustSampleDistances, LockSampleDistanceToInputSpacing) are
- * changed for the frame alone: a GPU mapper's on its VolumeMapperRenderStartEvent, to be put back on its
+ * The mapper's own settings (sample distances, AutoAdjustSampleDistances, LockSampleDistanceToInputSpacing)
+ * are changed for the frame alone: a GPU mapper's on its VolumeMapperRenderStartEvent, to be put back on its
  * VolumeMapperRenderEndEvent; a fixed-point mapper's, which takes them before it announces its start, on the
- * renderer's StartEvent, to be put back on the renderer's EndEvent. Between frames, and after Detach(), the mapper is
- * as the application left it; what the application sets during a frame is kept. Frames are never drawn finer than the
- * mapper's own sample distance, unless FinestSampleDistance says so.
+ * renderer's StartEvent, to be put back on the renderer's EndEvent. Between frames, and after Detach(), the
+ * mapper is as the application left it; what the application sets during a frame is kept. Frames are never
+ * drawn finer than the mapper's own sample distance, unless FinestSampleDistance says so.
  *
- * Observers of any event of the window, the renderer, the mapper, its pipeline and of vtkEntireSteering itself may
- * call any of its functions and may drop the last reference to it. Warnings are said at the end of the frame. Two
- * vtkEntireSteering of one volume in one renderer do not work together: one of them steers, the Status of the other says so.
+ * Observers of any event of the window, the renderer, the mapper, its pipeline and of vtkEntireSteering
+ * itself may call any of its functions and may drop the last reference to it. Warnings are said at the end of
+ * the frame. Two vtkEntireSteering of one volume in one renderer do not work together: one of them steers,
+ * the Status of the other says so.
  *
- * Still frames, those for which the render window asks for less than StillUpdateRate frames per second, are drawn by VTK
- * alone, pixel for pixel; their times are learned from. So are frames that cannot be predicted: GetStatus() then says
- * why.
+ * Still frames, those for which the render window asks for less than StillUpdateRate frames per second, are
+ * drawn by VTK alone, pixel for pixel; their times are learned from. So are frames that cannot be predicted:
+ * GetStatus() then says why.
  *
- * No model file is needed. Without one a linear cost model starts from rough costs and learns the mapper and the device
- * from the first frames on; with one (see `entire train`) the first frame is predicted too.
+ * No model file is needed. Without one a linear cost model starts from rough costs and learns the mapper and
+ * the device from the first frames on; with one (see `entire train`) the first frame is predicted too.
  *
- * Not known to the prediction, and so left to what is learned from frame to frame: clipping planes, geometry in front of
- * the volume, gradient opacity, 2D transfer functions, masks, cropping other than to a box, and all but one of several
- * independent components.
+ * Not known to the prediction, and so left to what is learned from frame to frame: clipping planes, geometry
+ * in front of the volume, gradient opacity, 2D transfer functions, masks, cropping other than to a box, and
+ * all but one of several independent components.
  */
 #ifndef vtkEntireSteering_h
 #define vtkEntireSteering_h
@@ -57,8 +59,8 @@ public:
   void PrintSelf(ostream& os, vtkIndent indent) override;
 
   /**
-   * Invoked after every frame of the window in which the volume was drawn, steered or not, when the read-outs below are
-   * up to date.
+   * Invoked after every frame of the window in which the volume was drawn, steered or not, when the read-outs
+   * below are up to date.
    */
   enum EventIds
   {
@@ -78,10 +80,10 @@ public:
 
   /**
    * Steers this volume in this renderer from its next frame on; an earlier attachment ends. The mapper may be
-   * exchanged later. Neither object is kept alive. While the volume is not among the renderer's props nothing is
-   * planned. A volume that the mapper has already is read here, at once (see GetVolumeTime()): set Clock,
-   * ModelFileName, Tolerance and MissRate before, or it is read again. Returns false, sets Status and reports an error
-   * where there is nothing to attach to.
+   * exchanged later. Neither object is kept alive. While the volume is not among the renderer's props nothing
+   * is planned. A volume that the mapper has already is read here, at once (see GetVolumeTime()): set Clock,
+   * ModelFileName, Tolerance and MissRate before, or it is read again. Returns false, sets Status and reports
+   * an error where there is nothing to attach to.
    */
   bool Attach(vtkRenderer* renderer, vtkVolume* volume);
 
@@ -114,8 +116,8 @@ public:
 
   ///@{
   /**
-   * Seconds that a whole frame of the window may take, everything else that it draws included. 0, the default, takes
-   * them from the window: 1 / DesiredUpdateRate.
+   * Seconds that a whole frame of the window may take, everything else that it draws included. 0, the
+   * default, takes them from the window: 1 / DesiredUpdateRate.
    */
   vtkSetClampMacro(TargetFrameTime, double, 0.0, 10000.0);
   vtkGetMacro(TargetFrameTime, double);
@@ -131,7 +133,8 @@ public:
 
   ///@{
   /**
-   * The finest sample distance, as a multiple of the smallest voxel spacing. 0, the default, is the mapper's own.
+   * The finest sample distance, as a multiple of the smallest voxel spacing. 0, the default, is the mapper's
+   * own.
    */
   vtkSetClampMacro(FinestSampleDistance, double, 0.0, 4096.0);
   vtkGetMacro(FinestSampleDistance, double);
@@ -139,8 +142,9 @@ public:
 
   ///@{
   /**
-   * The coarsest image sample distance: pixels between rays along each side of the image. Ray step and image are
-   * coarsened together, since that changes the picture least. Default 4; 1 leaves the image's resolution alone.
+   * The coarsest image sample distance: pixels between rays along each side of the image. Ray step and image
+   * are coarsened together, since that changes the picture least. Default 4; 1 leaves the image's resolution
+   * alone.
    */
   vtkSetClampMacro(CoarsestImageSampleDistance, double, 1.0, 100.0);
   vtkGetMacro(CoarsestImageSampleDistance, double);
@@ -148,8 +152,9 @@ public:
 
   ///@{
   /**
-   * A frame is a still one, and not steered, where the window's DesiredUpdateRate is below this. Default 1, as
-   * vtkSmartVolumeMapper has it. 0 steers every frame: set it, and a TargetFrameTime, where no interactor sets rates.
+   * A frame is a still one, and not steered, where the window's DesiredUpdateRate is below this. Default 1,
+   * as vtkSmartVolumeMapper has it. 0 steers every frame: set it, and a TargetFrameTime, where no interactor
+   * sets rates.
    */
   vtkSetClampMacro(StillUpdateRate, double, 0.0, 1.0e10);
   vtkGetMacro(StillUpdateRate, double);
@@ -167,8 +172,8 @@ public:
 
   ///@{
   /**
-   * How far over the target a frame may be before it counts as missed, as a share of the target, and the share of
-   * frames that may be missed. Default 0.25 and 0.02. A changed value starts learning anew.
+   * How far over the target a frame may be before it counts as missed, as a share of the target, and the
+   * share of frames that may be missed. Default 0.25 and 0.02. A changed value starts learning anew.
    */
   vtkSetClampMacro(Tolerance, double, 0.0, 10.0);
   vtkGetMacro(Tolerance, double);
@@ -178,8 +183,8 @@ public:
 
   ///@{
   /**
-   * A model file from `entire train`, or nullptr for none. A file that cannot be used switches steering off; Status
-   * says why. A changed name starts learning anew.
+   * A model file from `entire train`, or nullptr for none. A file that cannot be used switches steering off;
+   * Status says why. A changed name starts learning anew.
    */
   vtkSetFilePathMacro(ModelFileName);
   vtkGetFilePathMacro(ModelFileName);
@@ -187,9 +192,10 @@ public:
 
   ///@{
   /**
-   * Writes what was learned of the mapper that was drawn last to a file, and starts from such a file: now (or at
-   * Attach()), and whenever learning starts anew, until Reset() or Detach(). A file is written whole or not at all.
-   * Read are regular files of at most 1 MiB. Return false, set Status and report an error on failure.
+   * Writes what was learned of the mapper that was drawn last to a file, and starts from such a file: now (or
+   * at Attach()), and whenever learning starts anew, until Reset() or Detach(). A file is written whole or
+   * not at all. Read are regular files of at most 1 MiB. Return false, set Status and report an error on
+   * failure.
    */
   bool SaveState(VTK_FILEPATH const char* fileName);
   bool LoadState(VTK_FILEPATH const char* fileName);
@@ -202,9 +208,10 @@ public:
 
   ///@{
   /**
-   * Read-outs of the last frame, seconds by the chosen clock; NaN where there is none. Predicted is of the mapper's
-   * work alone, as is Measured; FrameTime is of the whole frame. The sample distance is in the unit of the spacing, as
-   * the mapper has it. ObserverTime is what prediction and steering themselves took, on the wall.
+   * Read-outs of the last frame, seconds by the chosen clock; NaN where there is none. Predicted is of the
+   * mapper's work alone, as is Measured; FrameTime is of the whole frame. The sample distance is in the unit
+   * of the spacing, as the mapper has it. ObserverTime is what prediction and steering themselves took, on
+   * the wall.
    */
   vtkGetMacro(PredictedTime, double);
   vtkGetMacro(MeasuredTime, double);
@@ -226,7 +233,8 @@ public:
 
   ///@{
   /**
-   * Frames since Attach(): steered ones, and those that VTK drew on its own because they could not be predicted.
+   * Frames since Attach(): steered ones, and those that VTK drew on its own because they could not be
+   * predicted.
    */
   vtkGetMacro(NumberOfSteeredFrames, vtkIdType);
   vtkGetMacro(NumberOfFallbackFrames, vtkIdType);

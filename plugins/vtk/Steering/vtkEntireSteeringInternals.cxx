@@ -12,9 +12,9 @@
 
 namespace
 {
-// Rays along each side of the probe that frames are measured with for a linear cost model; a network's file names its own.
-// Fewer than the library's default: between frames that sweep the caches a ray costs most of a microsecond. With fewer
-// still, frames of sparse volumes are held less well.
+// Rays along each side of the probe that frames are measured with for a linear cost model; a network's file
+// names its own. Fewer than the library's default: between frames that sweep the caches a ray costs most of a
+// microsecond. With fewer still, frames of sparse volumes are held less well.
 constexpr std::uint32_t PROBE_SIDE = 6;
 
 void Copy(char*& to, const char* text)
@@ -321,12 +321,12 @@ std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
     }
     this->Model.emplace(std::move(opened.value()));
   }
-  entire::predictor_options options;
+  entire::session_options options;
   options.tolerance = static_cast<float>(this->Tolerance);
   options.miss_rate = static_cast<float>(this->MissRate);
   options.probe_side = PROBE_SIDE;
   auto made =
-    this->Model ? entire::predictor::create(*this->Model, options) : entire::predictor::untrained(options);
+    this->Model ? entire::session::create(*this->Model, options) : entire::session::untrained(options);
   if (!made)
   {
     return made.message();
@@ -339,6 +339,6 @@ std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
       return loaded.message();
     }
   }
-  leaf.Session = std::make_shared<entire::predictor>(std::move(made.value()));
+  leaf.Session = std::make_shared<entire::session>(std::move(made.value()));
   return {};
 }

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// What vtkEntireSteering is attached to: the window and the renderer (vtkInternals), and each mapper that draws (Leaf).
+// What vtkEntireSteering is attached to: the window and the renderer (vtkInternals), and each mapper that
+// draws (Leaf).
 //
-// Observers of any event may call back: detach, attach elsewhere, drop the last reference to the steering. What handles an
-// event therefore holds the owner and the leaf, runs over copies of lists, and asks after each call into VTK that can
-// invoke an event whether the attachment still stands. Warnings wait for the end of the frame.
+// Observers of any event may call back: detach, attach elsewhere, drop the last reference to the steering.
+// What handles an event therefore holds the owner and the leaf, runs over copies of lists, and asks after
+// each call into VTK that can invoke an event whether the attachment still stands. Warnings wait for the end
+// of the frame.
 #ifndef vtkEntireSteeringInternals_h
 #define vtkEntireSteeringInternals_h
 
@@ -60,8 +62,8 @@ public:
     void Start();
     void End();
 
-    // Reads the volume that the mapper has already, so that the first frame need not; what cannot be read yet, or not at
-    // all, is for the first frame to say.
+    // Reads the volume that the mapper has already, so that the first frame need not; what cannot be read
+    // yet, or not at all, is for the first frame to say.
     void ReadAhead();
 
     // Forgets what was learned.
@@ -71,12 +73,13 @@ public:
     vtkWeakPointer<vtkVolumeMapper> Mapper;
     vtkWeakPointer<vtkSmartVolumeMapper> Outer;
     // Shared with the event at hand, which Forget() may be called from.
-    std::shared_ptr<entire::predictor> Session;
+    std::shared_ptr<entire::session> Session;
 
   private:
-    // vtkFixedPointVolumeRayCastMapper takes its sample distances, and the opacities that go with them, before it
-    // announces its start: it is set when its renderer starts, and put back when its renderer is done. It lies that far
-    // ahead only where nobody sets it in between, so not inside a smart mapper that draws otherwise.
+    // vtkFixedPointVolumeRayCastMapper takes its sample distances, and the opacities that go with them,
+    // before it announces its start: it is set when its renderer starts, and put back when its renderer is
+    // done. It lies that far ahead only where nobody sets it in between, so not inside a smart mapper that
+    // draws otherwise.
     bool SetEarly() const;
     void Plan();
     void Restore();
@@ -122,7 +125,8 @@ public:
   // Seconds by the owner's clock.
   double Now() const;
 
-  // Ends the attachment. The leaves are handed out: whoever has them releases them, which mappers' observers hear of.
+  // Ends the attachment. The leaves are handed out: whoever has them releases them, which mappers' observers
+  // hear of.
   Leaves TakeApart();
   static void ReleaseAll(const Leaves& leaves);
 
@@ -136,7 +140,8 @@ public:
   // Gives the leaf a session where it has none, and starts anew where model, tolerance or miss rate changed.
   std::string MakeSession(Leaf& leaf);
 
-  // The owner's Reason and Status; nullptr leaves the one or the other. Nobody is told: read-outs change with every frame.
+  // The owner's Reason and Status; nullptr leaves the one or the other. Nobody is told: read-outs change with
+  // every frame.
   void Report(const char* reason, const char* status);
   // Keeps a warning until the frame is over.
   void Warn(const std::string& text) { this->Warnings.push_back(text); }

@@ -31,14 +31,14 @@
 
 namespace EntireTest
 {
-#define CHECK(condition)                                                                                               \
-  do                                                                                                                   \
-  {                                                                                                                    \
-    if (!(condition))                                                                                                  \
-    {                                                                                                                  \
-      std::cerr << __FILE__ << ":" << __LINE__ << ": " << #condition << "\n";                                          \
-      std::exit(EXIT_FAILURE);                                                                                         \
-    }                                                                                                                  \
+#define CHECK(condition) \
+  do \
+  { \
+    if (!(condition)) \
+    { \
+      std::cerr << __FILE__ << ":" << __LINE__ << ": " << #condition << "\n"; \
+      std::exit(EXIT_FAILURE); \
+    } \
   } while (false)
 
 constexpr int EDGE = 48;
@@ -182,8 +182,8 @@ struct Settings
 template <class Mapper>
 Settings Of(Mapper* mapper)
 {
-  return { mapper->GetSampleDistance(), mapper->GetImageSampleDistance(), mapper->GetAutoAdjustSampleDistances(),
-    mapper->GetLockSampleDistanceToInputSpacing() };
+  return { mapper->GetSampleDistance(), mapper->GetImageSampleDistance(),
+    mapper->GetAutoAdjustSampleDistances(), mapper->GetLockSampleDistanceToInputSpacing() };
 }
 
 inline Settings Read(vtkVolumeMapper* mapper)

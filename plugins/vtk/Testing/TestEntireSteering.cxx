@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// The behaviours of vtkEntireSteering, one per name: TestEntireSteering NAME MAPPER. No test depends on how fast anything
-// is: targets are so long that every frame fits, or so short that none does.
+// The behaviours of vtkEntireSteering, one per name: TestEntireSteering NAME MAPPER. No test depends on how
+// fast anything is: targets are so long that every frame fits, or so short that none does.
 #include "Scene.h"
 
 #include "vtkAssembly.h"
@@ -108,7 +108,8 @@ void DrawsWhatVtkDraws(Kind kind)
   Warm(steered, steering);
   const auto shown = steered.Draw();
   CHECK(steering->GetSampleDistance() > 2.9);
-  // A smart mapper takes no distance by hand (it locks its mappers to the spacing): it is held against the mapper inside.
+  // A smart mapper takes no distance by hand (it locks its mappers to the spacing): it is held against the
+  // mapper inside.
   Scene plain(kind == SMART ? GPU : kind == SMART_FIXED ? FIXED : kind);
   if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(plain.Mapper))
   {
@@ -228,7 +229,8 @@ void FallsBack(Kind kind)
   scene.Draw();
   scene.Draw();
   CHECK(Is(steering->GetReason(), "fallback") && Says(steering->GetStatus(), "/nowhere/model.safetensors"));
-  CHECK(warnings->GetWarning() && steering->GetNumberOfFallbackFrames() > 0 && steering->GetNumberOfSteeredFrames() == 0);
+  CHECK(warnings->GetWarning() && steering->GetNumberOfFallbackFrames() > 0);
+  CHECK(steering->GetNumberOfSteeredFrames() == 0);
   // The name goes, and so does the failure.
   steering->SetModelFileName(nullptr);
   scene.Draw();
@@ -361,7 +363,8 @@ void KeepsState(Kind kind)
     prediction = steering->GetPredictedTime();
   }
   CHECK(learned[0] == learned[1] && learned[0] != untaught && learned[0] > 0);
-  // A file that is loaded first counts from Attach() on, also where another attachment ends by it, until Detach().
+  // A file that is loaded first counts from Attach() on, also where another attachment ends by it, until
+  // Detach().
   steering->Detach();
   vtkNew<vtkEntireSteering> early;
   early->SetTargetFrameTime(1000);
@@ -467,7 +470,8 @@ void KeepsSettingsMadeDuringFrames(Kind kind)
   CHECK(kept());
 }
 
-// A volume that its renderer does not have is neither planned nor brought up to date; one in an assembly is drawn.
+// A volume that its renderer does not have is neither planned nor brought up to date; one in an assembly is
+// drawn.
 void LeavesRemovedVolumesAlone(Kind kind)
 {
   Scene scene(kind);
@@ -544,7 +548,8 @@ void RefusesOddStateFiles(Kind kind)
   std::remove(pipe.c_str());
   CHECK(mkfifo(pipe.c_str(), 0600) == 0);
   std::FILE* file = std::fopen(large.c_str(), "wb");
-  CHECK(file && std::fseek(file, 1 << 30, SEEK_SET) == 0 && std::fputc(0, file) == 0 && std::fclose(file) == 0);
+  CHECK(file && std::fseek(file, 1 << 30, SEEK_SET) == 0);
+  CHECK(std::fputc(0, file) == 0 && std::fclose(file) == 0);
   vtkNew<vtkEntireSteering> steering;
   CHECK(steering->Attach(scene.Renderer, scene.Volume));
   vtkNew<vtkTest::ErrorObserver> errors;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// Observers that call back into vtkEntireSteering, or end what it is attached to: TestReentry EVENT MAPPER. Every action
-// is tried in the event, by an observer that is called before the steering's own and by one that is called after it. Built
-// with AddressSanitizer this shows that nothing is used after it is gone.
+// Observers that call back into vtkEntireSteering, or end what it is attached to: TestReentry EVENT MAPPER.
+// Every action is tried in the event, by an observer that is called before the steering's own and by one that
+// is called after it. Built with AddressSanitizer this shows that nothing is used after it is gone.
 #include "Scene.h"
 
 #include "vtkCallbackCommand.h"
@@ -115,7 +115,8 @@ struct Stage : Scene
 class Once
 {
 public:
-  Once(const std::vector<vtkObject*>& subjects, unsigned long event, float priority, std::function<void()> what)
+  Once(const std::vector<vtkObject*>& subjects, unsigned long event, float priority,
+    std::function<void()> what)
     : What(std::move(what))
   {
     this->Command->SetClientData(this);
@@ -160,8 +161,8 @@ struct Event
   unsigned long Id;
   // What makes it happen in the next frame; nullptr where every frame has it.
   std::function<void(Stage&)> Provoke;
-  // Whether it comes between a mapper's start and its end, or while VTK asks it for its input: where VTK itself does not
-  // bear that its mapper or its context is exchanged.
+  // Whether it comes between a mapper's start and its end, or while VTK asks it for its input: where VTK
+  // itself does not bear that its mapper or its context is exchanged.
   std::function<bool(Kind)> InsideMapper;
 };
 
@@ -291,7 +292,7 @@ std::map<std::string, Action> Actions(const std::vector<Settings>& own)
       { [](Stage& stage) { CHECK(!stage.Steering->Attach(nullptr, nullptr)); }, released, true } },
     { "Reset", { [](Stage& stage) { stage.Steering->Reset(); }, GoesOn, true } },
     { "ExchangeModel",
-      { [](Stage& stage) { stage.Steering->SetModelFileName("/nowhere/other.safetensors"); }, GoesOn, true } },
+      { [](Stage& stage) { stage.Steering->SetModelFileName("/nowhere/other"); }, GoesOn, true } },
     { "LoadNoState", { [](Stage& stage) { CHECK(!stage.Steering->LoadState("/")); }, GoesOn, true } },
     { "RemoveVolume",
       { [](Stage& stage) { stage.Renderer->RemoveVolume(stage.Volume); },

@@ -28,7 +28,8 @@ Examples:
   entire evaluate --model model.safetensors --data frames.csv
   entire evaluate --model a.safetensors b.safetensors --data frames.csv --unseen --out out/evaluation
         only frames of members or volumes that none of the models learned from, with plots
-  entire evaluate --model models/unshaded-distilled.safetensors --data data/timings/none-members.csv.gz --storage int8
+  entire evaluate --model models/unshaded-distilled.safetensors --data data/timings/none-members.csv.gz \
+  --storage int8
         what eight-bit weights cost in accuracy")]
 pub struct Options {
     /// Model files.

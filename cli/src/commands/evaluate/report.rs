@@ -24,7 +24,8 @@ pub(super) struct Predictor {
     pub(super) bound_coverage: Option<f64>,
     /// How the upper bound does beyond that: among the slowest tenth, and its quantile loss.
     pub(super) bound: Option<BoundMetrics>,
-    /// 95 % interval of RMSE/SD when ensemble members (volumes that belong to none) are drawn anew with replacement.
+    /// 95 % interval of RMSE/SD when ensemble members (volumes that belong to none) are drawn anew with
+    /// replacement.
     pub(super) rmse_over_sd_interval: Option<(f64, f64)>,
     /// The same of MdAPE.
     pub(super) mdape_interval: Option<(f64, f64)>,
@@ -52,7 +53,8 @@ pub(super) struct Evaluation<'a> {
 pub(super) fn noise_text(noise: Option<NoiseFloor>) -> String {
     match noise {
         Some(n) => format!(
-            "noise floor: repeats of one frame scatter with a log-SD of {:.4} (median of repeats about {:.4}), {} repeated frames",
+            "noise floor: repeats of one frame scatter with a log-SD of {:.4} (median of repeats about \
+             {:.4}), {} repeated frames",
             n.log_sd, n.log_sd_of_median, n.frames
         ),
         None => "noise floor: not known, no frame was repeated".into(),
@@ -187,8 +189,8 @@ fn scatter(p: &Predictor, measured: &[f64], color: usize) -> Chart {
     .series(Series::new("", Mark::Points(points)).color(color))
 }
 
-/// Share of frames by predicted / measured, on bins of equal ratio between a half and twice; the outermost bins hold
-/// everything beyond.
+/// Share of frames by predicted / measured, on bins of equal ratio between a half and twice; the outermost
+/// bins hold everything beyond.
 fn histogram(predictors: &[Predictor], measured: &[f64]) -> Chart {
     const BINS: usize = 41;
     let span = 2f64.ln();
@@ -272,7 +274,8 @@ pub(super) fn write_report(
     let mut page = Page::new("Evaluation of predictors", &lead);
     page.table(
         overall,
-        "RMSE over SD is 1 for a predictor that always says the mean. MdAPE: median absolute percentage error. Latency: \
+        "RMSE over SD is 1 for a predictor that always says the mean. MdAPE: median absolute percentage \
+         error. Latency: \
          median of warm calls in one thread, scene features included.",
     );
     page.table(

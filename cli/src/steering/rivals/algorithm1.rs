@@ -43,8 +43,8 @@ impl Controller for Algorithm1 {
     fn reset(&mut self) {}
 }
 
-/// OLP: the mean of the three preceding frames, each brought to the reference step by G, takes the prediction's place
-/// in Algorithm 1. The first frame is drawn at the reference step.
+/// OLP: the mean of the three preceding frames, each brought to the reference step by G, takes the
+/// prediction's place in Algorithm 1. The first frame is drawn at the reference step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Olp {
     response: StepResponse,
@@ -86,8 +86,9 @@ impl Controller for Olp {
     }
 }
 
-/// PID on the step: the error (t − t_target) / t_target of the frame before moves the step in proportion, by its sum
-/// and by its difference (gains 0.3, 0.05, 0.1 in the paper). The sum stands still while the step is clamped.
+/// PID on the step: the error (t − t_target) / t_target of the frame before moves the step in proportion, by
+/// its sum and by its difference (gains 0.3, 0.05, 0.1 in the paper). The sum stands still while the step is
+/// clamped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pid {
     gains: [f32; 3],

@@ -1,7 +1,8 @@
-//! The reactive rules of renderers in use, ported with their published constants, acting on the ray step alone.
+//! The reactive rules of renderers in use, ported with their published constants, acting on the ray step
+//! alone.
 //!
-//! Where the original scales image resolution, its resolution fraction f (work ∝ f²) or image sample distance is
-//! mapped to the step by equal assumed work: work ∝ 1 / step.
+//! Where the original scales image resolution, its resolution fraction f (work ∝ f²) or image sample distance
+//! is mapped to the step by equal assumed work: work ∝ 1 / step.
 
 use entire_core::adapt::Verdict;
 use entire_core::control::{Controller, Decision, Observed, PlanRequest, Reason};
@@ -10,8 +11,9 @@ fn reactive(step: f32) -> Decision {
     Decision { step, seconds: f32::NAN, upper: f32::NAN, out_of_range: f32::NAN, reason: Reason::Reactive }
 }
 
-/// The reduction rule of VTK's GPU volume mapper: the mean of the old factor and allocated time over full-quality time,
-/// quantized to 1, 0.5, 0.2 or 0.1; the step is its inverse. The first frame is drawn at full quality.
+/// The reduction rule of VTK's GPU volume mapper: the mean of the old factor and allocated time over
+/// full-quality time, quantized to 1, 0.5, 0.2 or 0.1; the step is its inverse. The first frame is drawn at
+/// full quality.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VtkGpu {
     factor: f32,
@@ -64,9 +66,9 @@ impl Controller for VtkGpu {
     }
 }
 
-/// The rule of VTK's fixed-point CPU mapper: image sample distance √(full time / allocated time), 1…10, from the last
-/// frame alone; full time is the last time multiplied by its squared distance. The first frame is drawn at half the
-/// largest distance. The step stands for the squared distance.
+/// The rule of VTK's fixed-point CPU mapper: image sample distance √(full time / allocated time), 1…10, from
+/// the last frame alone; full time is the last time multiplied by its squared distance. The first frame is
+/// drawn at half the largest distance. The step stands for the squared distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VtkFixedPoint {
     distance: f32,
@@ -111,8 +113,8 @@ impl Controller for VtkFixedPoint {
     }
 }
 
-/// The rule of vtk.js: over windows of at least one second, the scale is multiplied by desired over measured frame rate
-/// when they differ by more than 15 %; 1…400. The step is the scale.
+/// The rule of vtk.js: over windows of at least one second, the scale is multiplied by desired over measured
+/// frame rate when they differ by more than 15 %; 1…400. The step is the scale.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VtkJs {
     scale: f32,
@@ -168,10 +170,10 @@ impl Controller for VtkJs {
 /// Frames that [`Unreal`] and [`Filament`] look back on.
 const WINDOW: usize = 16;
 
-/// The dynamic-resolution heuristic of Unreal Engine: frame times weighted by 0.9 per frame of age, resolution fraction
-/// f · √(0.95 target / time), changes of at least 2 %, at least 8 frames apart, moves up blended by 0.9; two frames
-/// over the budget in a row drop the history and react at once. f in 0.5…1; the step is 1 / f² so that it has the
-/// range that the limits allow.
+/// The dynamic-resolution heuristic of Unreal Engine: frame times weighted by 0.9 per frame of age,
+/// resolution fraction f · √(0.95 target / time), changes of at least 2 %, at least 8 frames apart, moves up
+/// blended by 0.9; two frames over the budget in a row drop the history and react at once. f in 0.5…1; the
+/// step is 1 / f² so that it has the range that the limits allow.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unreal {
     work: f32,
@@ -252,9 +254,9 @@ impl Controller for Unreal {
     }
 }
 
-/// The frame-rate controller of Filament: the median of up to 15 frame times, a PI controller in velocity form on
-/// measured over target time (Kp = 1 − e^(−1/8), Ki = 0.002), an output dead band of −1 %…+5 %, no integral while clamped.
-/// The controlled quantity is the share of work; the step is its inverse.
+/// The frame-rate controller of Filament: the median of up to 15 frame times, a PI controller in velocity
+/// form on measured over target time (Kp = 1 − e^(−1/8), Ki = 0.002), an output dead band of −1 %…+5 %, no
+/// integral while clamped. The controlled quantity is the share of work; the step is its inverse.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Filament {
     work: f32,

@@ -1,9 +1,10 @@
-//! G: relative frame time as a function of relative ray step (paper, Algorithm 1 and supplement to use case 1).
+//! G: relative frame time as a function of relative ray step (paper, Algorithm 1 and supplement to use case
+//! 1).
 
 use anyhow::{Result, bail};
 
-/// The curve G(step / reference step) = time / time at the reference step: measured, made monotone, interpolated
-/// linearly in logarithms.
+/// The curve G(step / reference step) = time / time at the reference step: measured, made monotone,
+/// interpolated linearly in logarithms.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepResponse {
     /// ln(step ratio), ascending, and ln(time ratio), not ascending.
@@ -11,9 +12,9 @@ pub struct StepResponse {
 }
 
 impl StepResponse {
-    /// From measured (step ratio, time ratio) pairs of any number of scenes, in any order: the median time ratio at
-    /// each step ratio, then the nearest curve that never rises (pool adjacent violators). A point (1, 1) is added
-    /// unless step ratio 1 was measured.
+    /// From measured (step ratio, time ratio) pairs of any number of scenes, in any order: the median time
+    /// ratio at each step ratio, then the nearest curve that never rises (pool adjacent violators). A point
+    /// (1, 1) is added unless step ratio 1 was measured.
     ///
     /// # Errors
     /// For values that are not finite and positive, or when fewer than two
@@ -23,7 +24,8 @@ impl StepResponse {
         for (i, &(step, time)) in samples.iter().enumerate() {
             if !(step.is_finite() && step > 0.0 && time.is_finite() && time > 0.0) {
                 bail!(
-                    "step response sample {i} is ({step}, {time}); step ratio and time ratio must be finite and \
+                    "step response sample {i} is ({step}, {time}); step ratio and time ratio must be finite \
+                     and \
                      positive"
                 );
             }
@@ -44,7 +46,8 @@ impl StepResponse {
         }
         if blocks.len() < 2 {
             bail!(
-                "the step response was sampled at one step only; sample at least one step other than the reference"
+                "the step response was sampled at one step only; sample at least one step other than the \
+                 reference"
             );
         }
         // Pool adjacent violators: (sum of weighted values, weight, number of points).
@@ -71,8 +74,8 @@ impl StepResponse {
         Ok(Self { points })
     }
 
-    /// A renderer whose time is a fixed share plus one that falls as 1 / step, sampled from a quarter of the reference
-    /// step to 32 of them: a stand-in until G is measured. The share is clamped to 0…0.99.
+    /// A renderer whose time is a fixed share plus one that falls as 1 / step, sampled from a quarter of the
+    /// reference step to 32 of them: a stand-in until G is measured. The share is clamped to 0…0.99.
     pub fn inverse_step(fixed_share: f32) -> Self {
         let fixed = if fixed_share.is_finite() { f64::from(fixed_share).clamp(0.0, 0.99) } else { 0.0 };
         let points = (-4..=10)
@@ -98,8 +101,8 @@ impl StepResponse {
         libm::exp(y0 + (y1 - y0) * (x - x0) / (x1 - x0)) as f32
     }
 
-    /// G⁻¹: the finest step ratio whose time ratio is at most the one given; the finest sampled step where all are
-    /// faster, the coarsest where none is.
+    /// G⁻¹: the finest step ratio whose time ratio is at most the one given; the finest sampled step where
+    /// all are faster, the coarsest where none is.
     pub fn step_ratio(&self, time_ratio: f32) -> f32 {
         let y = libm::log(f64::from(time_ratio).max(1.0e-30));
         let upper = self.points.partition_point(|p| p.1 > y);
@@ -112,8 +115,8 @@ impl StepResponse {
         let ((x0, y0), (x1, y1)) = (self.points[upper - 1], self.points[upper]);
         let exact = libm::exp(x0 + (x1 - x0) * (y - y0) / (y1 - y0));
         let rounded = exact as f32;
-        // Upwards: where two steps a millionth apart were sampled, the curve between them is steep enough that a step
-        // rounded down would take visibly longer than asked.
+        // Upwards: where two steps a millionth apart were sampled, the curve between them is steep enough
+        // that a step rounded down would take visibly longer than asked.
         if f64::from(rounded) < exact { f32::from_bits(rounded.to_bits() + 1) } else { rounded }
     }
 
@@ -156,7 +159,8 @@ mod tests {
         assert!(StepResponse::from_samples(&[(1.0, 1.0)]).is_err());
     }
 
-    /// Steps that differ in their sixth digit make a curve so steep that the rounding of a step shows in the time.
+    /// Steps that differ in their sixth digit make a curve so steep that the rounding of a step shows in the
+    /// time.
     #[test]
     fn the_inverse_fits_on_a_cliff() {
         let cliff = [(1.425_012, 3.0), (1.425_014_5, 0.01), (4.0, 0.01)];

@@ -289,7 +289,8 @@ fn closed_loop_table() {
         for make in all(Prior::Fitted { log_sd: 0.2 }) {
             let o = mean_of(&plant, 10, 600, &*make);
             println!(
-                "  {:16} miss {:5.1} %  longest {:3}  |t-T|/T {:6.3}  quality {:5.3}  jumps {:5.1} %  switch above bound {:5.1} %",
+                "  {:16} miss {:5.1} %  longest {:3}  |t-T|/T {:6.3}  quality {:5.3}  jumps {:5.1} %  switch \
+                 above bound {:5.1} %",
                 make().name(),
                 100.0 * o.miss,
                 o.longest,

@@ -6,7 +6,8 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 impl VolumeSummary {
-    /// As [`scan`](Self::scan) for numbers that are mapped first. `read((start, stride), out)` copies a row's values.
+    /// As [`scan`](Self::scan) for numbers that are mapped first. `read((start, stride), out)` copies a row's
+    /// values.
     pub(super) fn scan_numbers(
         &mut self,
         volume: &VolumeView<'_>,
@@ -30,12 +31,12 @@ impl VolumeSummary {
             self.scalar_type == ScalarType::F32 || smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
     }
 
-    /// Reads every voxel once. `fetch((start, stride), [low, high, near])` writes three bytes per voxel of a row, from
-    /// which `map` leads to table entries without changing their order, and says how many of them are not finite. Gives
-    /// how often each byte was written as `near`.
+    /// Reads every voxel once. `fetch((start, stride), [low, high, near])` writes three bytes per voxel of a
+    /// row, from which `map` leads to table entries without changing their order, and says how many of them
+    /// are not finite. Gives how often each byte was written as `near`.
     ///
-    /// A row enters the bounds of the blocks that it lies in and, where it is a block's first along y or z, those of the
-    /// blocks before. Rows are joined voxel by voxel and reduced along x once per block.
+    /// A row enters the bounds of the blocks that it lies in and, where it is a block's first along y or z,
+    /// those of the blocks before. Rows are joined voxel by voxel and reduced along x once per block.
     pub(super) fn scan(
         &mut self,
         volume: &VolumeView<'_>,
@@ -176,7 +177,8 @@ impl Joined {
         self.high.iter_mut().zip(high).for_each(|(a, &b)| *a = (*a).max(b));
     }
 
-    /// Widens the bounds of a row of blocks: a block's values are its own and the first one of the next block.
+    /// Widens the bounds of a row of blocks: a block's values are its own and the first one of the next
+    /// block.
     fn reduce(&self, block: usize, bounds: &mut [[u8; 2]]) {
         for (bx, bound) in bounds.iter_mut().enumerate() {
             let range = bx * block..(bx * block + block + 1).min(self.low.len());

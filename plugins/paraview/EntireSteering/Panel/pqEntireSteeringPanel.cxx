@@ -45,7 +45,7 @@ struct pqEntireSteeringPanel::pqInternals
   QCheckBox* On = nullptr;
   QDoubleSpinBox* Target = nullptr;
   QDoubleSpinBox* Step = nullptr;
-  QDoubleSpinBox* Pixel = nullptr;
+  QDoubleSpinBox* ImageDistance = nullptr;
   QComboBox* Clock = nullptr;
   QLineEdit* Model = nullptr;
   QLabel* Predicted = nullptr;
@@ -60,7 +60,8 @@ struct pqEntireSteeringPanel::pqInternals
 
 namespace
 {
-QDoubleSpinBox* Spin(double low, double high, double value, const QString& suffix, const QString& tip, const char* name)
+QDoubleSpinBox* Spin(
+  double low, double high, double value, const QString& suffix, const QString& tip, const char* name)
 {
   auto* box = new QDoubleSpinBox;
   box->setRange(low, high);
@@ -89,13 +90,15 @@ pqEntireSteeringPanel::pqEntireSteeringPanel(QWidget* parent, Qt::WindowFlags fl
   auto* column = new QVBoxLayout(body);
   in.On = new QCheckBox("Hold the frame time of this view");
   in.On->setObjectName("On");
-  in.On->setToolTip("Steers volumes while the view is moved. Still renders and screenshots are never touched.");
+  in.On->setToolTip("Steers volumes while the view is moved. Leaves still renders alone.");
   column->addWidget(in.On);
 
   auto* form = new QFormLayout;
   in.Target = Spin(1, 10000, 100, " ms", "What an interactive frame may take", "Target");
-  in.Step = Spin(1, 64, 8, " voxels", "The coarsest step along rays", "Step");
-  in.Pixel = Spin(1, 16, 4, " pixels", "The coarsest spacing of rays in the image; 1 leaves its resolution alone", "Pixel");
+  in.Step = Spin(1, 64, 8, " voxels", "The coarsest distance between samples along rays", "SampleDistance");
+  in.ImageDistance = Spin(1, 16, 4, " pixels",
+    "The most pixels between rays along each side of the image; 1 leaves its resolution alone",
+    "ImageSampleDistance");
   in.Clock = new QComboBox;
   in.Clock->addItems({ "Wall", "Process CPU" });
   in.Clock->setToolTip("Process CPU is for rendering on the CPU of a shared machine");
@@ -109,8 +112,8 @@ pqEntireSteeringPanel::pqEntireSteeringPanel(QWidget* parent, Qt::WindowFlags fl
   file->addWidget(in.Model);
   file->addWidget(browse);
   form->addRow("Target", in.Target);
-  form->addRow("Coarsest step", in.Step);
-  form->addRow("Coarsest pixel", in.Pixel);
+  form->addRow("Coarsest sample distance", in.Step);
+  form->addRow("Coarsest image sample distance", in.ImageDistance);
   form->addRow("Clock", in.Clock);
   form->addRow("Model file", file);
   column->addLayout(form);
@@ -133,7 +136,7 @@ pqEntireSteeringPanel::pqEntireSteeringPanel(QWidget* parent, Qt::WindowFlags fl
   in.Predicted = label("Predicted", "Predicted");
   in.Measured = label("Measured", "Measured");
   in.Frame = label("Whole frame", "Frame");
-  in.Distances = label("Step, pixel", "Distances");
+  in.Distances = label("Sample distance, of the image", "Distances");
   in.Reason = label("Why", "Reason");
   in.Reason->setWordWrap(true);
   in.Frames = label("Frames steered", "Frames");
@@ -142,7 +145,7 @@ pqEntireSteeringPanel::pqEntireSteeringPanel(QWidget* parent, Qt::WindowFlags fl
   this->setWidget(body);
 
   connect(in.On, &QCheckBox::toggled, this, &pqEntireSteeringPanel::steer);
-  for (QDoubleSpinBox* box : { in.Target, in.Step, in.Pixel })
+  for (QDoubleSpinBox* box : { in.Target, in.Step, in.ImageDistance })
   {
     connect(box, QOverload<double>::of(&QDoubleSpinBox::valueChanged), this, &pqEntireSteeringPanel::apply);
   }
@@ -176,10 +179,10 @@ void pqEntireSteeringPanel::setView(pqView* view)
   in.On->setChecked(proxy && vtkSMPropertyHelper(proxy, "Enabled").GetAsInt() != 0);
   if (proxy)
   {
-    const QSignalBlocker target(in.Target), step(in.Step), pixel(in.Pixel), clock(in.Clock);
+    const QSignalBlocker target(in.Target), step(in.Step), image(in.ImageDistance), clock(in.Clock);
     in.Target->setValue(1e3 * vtkSMPropertyHelper(proxy, "TargetFrameTime").GetAsDouble());
     in.Step->setValue(vtkSMPropertyHelper(proxy, "CoarsestSampleDistance").GetAsDouble());
-    in.Pixel->setValue(vtkSMPropertyHelper(proxy, "CoarsestImageSampleDistance").GetAsDouble());
+    in.ImageDistance->setValue(vtkSMPropertyHelper(proxy, "CoarsestImageSampleDistance").GetAsDouble());
     in.Clock->setCurrentIndex(vtkSMPropertyHelper(proxy, "Clock").GetAsInt());
     in.Model->setText(vtkSMPropertyHelper(proxy, "ModelFileName").GetAsString());
   }
@@ -256,7 +259,7 @@ void pqEntireSteeringPanel::apply()
   vtkSMPropertyHelper(proxy, "Enabled").Set(in.On->isChecked() ? 1 : 0);
   vtkSMPropertyHelper(proxy, "TargetFrameTime").Set(1e-3 * in.Target->value());
   vtkSMPropertyHelper(proxy, "CoarsestSampleDistance").Set(in.Step->value());
-  vtkSMPropertyHelper(proxy, "CoarsestImageSampleDistance").Set(in.Pixel->value());
+  vtkSMPropertyHelper(proxy, "CoarsestImageSampleDistance").Set(in.ImageDistance->value());
   vtkSMPropertyHelper(proxy, "Clock").Set(in.Clock->currentIndex());
   vtkSMPropertyHelper(proxy, "ModelFileName").Set(in.Model->text().toUtf8().data());
   proxy->UpdateVTKObjects();

@@ -15,6 +15,7 @@
 #include <cmath>
 #include <limits>
 #include <string>
+#include <utility>
 #include <vector>
 
 vtkStandardNewMacro(vtkEntireViewSteering);
@@ -40,6 +41,8 @@ public:
       this->Renderer->RemoveObserver(this->Tag);
     }
     this->Renderer = nullptr;
+    // Letting go puts mappers' settings back, which their observers hear of.
+    const auto volumes = std::move(this->Volumes);
     this->Volumes.clear();
   }
 
@@ -57,50 +60,55 @@ public:
   // Meets the volumes that the view has now.
   void Start()
   {
-    vtkPropCollection* props = this->Renderer ? this->Renderer->GetViewProps() : nullptr;
+    // An error that is reported here may be observed by whoever lets go of this object.
+    const vtkSmartPointer<vtkEntireViewSteering> owner(this->Owner);
+    const vtkSmartPointer<vtkRenderer> renderer(this->Renderer);
+    vtkPropCollection* props = renderer ? renderer->GetViewProps() : nullptr;
     if (!props)
     {
       return;
     }
-    std::vector<vtkVolume*> drawn;
+    std::vector<vtkSmartPointer<vtkVolume>> drawn;
     vtkCollectionSimpleIterator at;
     props->InitTraversal(at);
     while (vtkProp* prop = props->GetNextProp(at))
     {
       vtkVolume* volume = vtkVolume::SafeDownCast(prop);
-      if (volume && volume->GetVisibility() && volume->GetMapper())
+      // What cannot be steered (an unstructured grid's mapper) is left to ParaView.
+      if (volume && volume->GetVisibility() && vtkEntireSteering::CanSteer(volume->GetMapper()))
       {
-        drawn.push_back(volume);
+        drawn.emplace_back(volume);
       }
     }
     this->Volumes.erase(std::remove_if(this->Volumes.begin(), this->Volumes.end(),
                           [](const vtkSmartPointer<vtkEntireSteering>& each) { return !each->GetVolume(); }),
       this->Volumes.end());
-    for (vtkVolume* volume : drawn)
+    for (const auto& volume : drawn)
     {
       auto is = [&](const vtkSmartPointer<vtkEntireSteering>& each) { return each->GetVolume() == volume; };
-      if (std::none_of(this->Volumes.begin(), this->Volumes.end(), is))
+      if (std::any_of(this->Volumes.begin(), this->Volumes.end(), is))
       {
-        auto steering = vtkSmartPointer<vtkEntireSteering>::New();
-        // Before the volume is read: what reads it depends on the clock and the model.
-        this->Configure(steering);
-        // What cannot be steered (an unstructured grid's mapper) is left to ParaView without a word on the console.
-        const auto warns = vtkObject::GetGlobalWarningDisplay();
-        vtkObject::SetGlobalWarningDisplay(0);
-        const bool attached = steering->Attach(this->Renderer, volume);
-        vtkObject::SetGlobalWarningDisplay(warns);
-        if (!attached)
-        {
-          continue;
-        }
-        if (this->Owner->StateFileName && *this->Owner->StateFileName)
-        {
-          steering->LoadState(this->Owner->StateFileName);
-        }
+        continue;
+      }
+      auto steering = vtkSmartPointer<vtkEntireSteering>::New();
+      // Before the volume is read: what reads it depends on the clock and the model.
+      this->Configure(steering);
+      if (steering->Attach(renderer, volume))
+      {
         this->Volumes.push_back(steering);
+        if (owner->StateFileName && *owner->StateFileName)
+        {
+          // What is wrong with the file the steering reports.
+          static_cast<void>(steering->LoadState(owner->StateFileName));
+        }
+      }
+      if (this->Renderer.GetPointer() != renderer)
+      {
+        return;
       }
     }
-    for (auto& each : this->Volumes)
+    const auto volumes = this->Volumes;
+    for (const auto& each : volumes)
     {
       this->Configure(each);
     }
@@ -180,6 +188,7 @@ void vtkEntireViewSteering::SetSource(vtkEntireViewSteering* source)
 //------------------------------------------------------------------------------
 void vtkEntireViewSteering::SetStateFileName(const char* fileName)
 {
+  const vtkSmartPointer<vtkEntireViewSteering> self(this);
   const std::string before = this->StateFileName ? this->StateFileName : "";
   if (before == (fileName ? fileName : ""))
   {
@@ -191,12 +200,12 @@ void vtkEntireViewSteering::SetStateFileName(const char* fileName)
   {
     this->StateFileName = new char[std::string(fileName).size() + 1];
     std::copy(fileName, fileName + std::string(fileName).size() + 1, this->StateFileName);
-    for (auto& each : this->Internals->Volumes)
+    const std::string name = this->StateFileName;
+    const auto volumes = this->Internals->Volumes;
+    for (const auto& each : volumes)
     {
-      if (!each->LoadState(this->StateFileName))
-      {
-        vtkWarningMacro(<< each->GetStatus());
-      }
+      // What is wrong with the file the steering reports.
+      static_cast<void>(each->LoadState(name.c_str()));
     }
   }
   this->Modified();
@@ -209,18 +218,13 @@ bool vtkEntireViewSteering::SaveState(const char* fileName)
   {
     return false;
   }
-  vtkEntireSteering* last = this->Internals->Last();
+  const vtkSmartPointer<vtkEntireSteering> last(this->Internals->Last());
   if (!last)
   {
-    vtkWarningMacro("nothing was learned yet: no volume was drawn");
+    vtkErrorMacro("nothing was learned yet: no volume was drawn");
     return false;
   }
-  if (!last->SaveState(fileName))
-  {
-    vtkWarningMacro(<< last->GetStatus());
-    return false;
-  }
-  return true;
+  return last->SaveState(fileName);
 }
 
 //------------------------------------------------------------------------------

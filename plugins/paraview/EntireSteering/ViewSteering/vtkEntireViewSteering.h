@@ -3,9 +3,9 @@
  * @class   vtkEntireViewSteering
  * @brief   holds every volume of a render view to a frame time
  *
- * Gives each volume that the view draws a vtkEntireSteering of its own, before each frame, with the settings below.
- * Interactive frames are steered; still frames and screenshots are drawn by ParaView alone. In a parallel server every
- * rank steers the part of the volume that it draws, by its own clock.
+ * Gives each volume that the view draws a vtkEntireSteering of its own, before each frame, with the settings
+ * below. Interactive frames are steered; still frames and screenshots are drawn by ParaView alone. In a
+ * parallel server every rank steers the part of the volume that it draws, by its own clock.
  */
 #ifndef vtkEntireViewSteering_h
 #define vtkEntireViewSteering_h
@@ -30,8 +30,8 @@ public:
   void SetView(vtkPVRenderView* view);
 
   /**
-   * Another one in this process whose read-outs are given instead of this one's own; nullptr for none. It is not kept
-   * alive.
+   * Another one in this process whose read-outs are given instead of this one's own; nullptr for none. It is
+   * not kept alive.
    */
   void SetSource(vtkEntireViewSteering* source);
 

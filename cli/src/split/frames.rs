@@ -1,43 +1,11 @@
 //! Frames with their seconds, and parts of them that share no ensemble member.
 
-use super::{Clock, Table, TimedFrame};
-use crate::split::GroupBy;
-use anyhow::{Result, ensure};
-use entire_core::scene::Shading;
+use super::GroupBy;
+use crate::dataset::{Clock, Timed, TimedFrame};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::collections::BTreeSet;
-
-/// Frames with their seconds.
-#[derive(Clone, Copy, Debug)]
-pub struct Timed<'a> {
-    /// The frames.
-    pub frames: &'a [&'a TimedFrame],
-    /// Seconds of each.
-    pub seconds: &'a [f64],
-}
-
-/// Frames that have seconds by the clock (and the shading asked for), with those seconds.
-///
-/// # Errors
-/// When there are none.
-pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result<Vec<(&TimedFrame, f64)>> {
-    let all = || tables.iter().flat_map(|t| &t.frames);
-    let frames: Vec<(&TimedFrame, f64)> = all()
-        .filter(|f| shading.is_none_or(|s| f.scene.shading == s))
-        .filter_map(|f| Some((f, f.seconds(clock)?)))
-        .collect();
-    ensure!(
-        !frames.is_empty(),
-        "none of {} frames has {} and a time by the clock {:?}; choose another --clock{}",
-        all().count(),
-        shading.map_or("any shading".to_owned(), |s| format!("shading {}", s.name())),
-        clock.name(),
-        if shading.is_some() { " or --shading" } else { "" },
-    );
-    Ok(frames)
-}
 
 /// Parts of a cross-validation at most.
 pub const FOLDS: usize = 5;
@@ -75,8 +43,9 @@ impl<'a> TimedFrames<'a> {
         self.divided(|i| wanted(self.frames[i]))
     }
 
-    /// Groups for cross-validation, at most [`FOLDS`] times some that are held out together: ensemble members, volumes
-    /// where there are fewer than three members; none where there are fewer than three volumes too.
+    /// Groups for cross-validation, at most [`FOLDS`] times some that are held out together: ensemble
+    /// members, volumes where there are fewer than three members; none where there are fewer than three
+    /// volumes too.
     pub fn folds(&self) -> (GroupBy, Vec<BTreeSet<String>>) {
         let by = self.groups_at_least(3);
         let groups: BTreeSet<String> = self.frames.iter().map(|f| by.group(&f.scene)).collect();
@@ -146,7 +115,7 @@ impl<'a> TimedFrames<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::dataset::Timing;
+    use crate::dataset::{Table, Timing};
 
     fn table(volumes: &[(&str, &str)]) -> Table {
         let frame = |number: usize, volume: &str, member: &str| TimedFrame {

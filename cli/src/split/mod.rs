@@ -1,5 +1,9 @@
 //! Training, validation and test frames, split by volume or ensemble member and never by frame.
 
+mod frames;
+
+pub use frames::{FOLDS, TimedFrames};
+
 use crate::dataset::{Scene, TimedFrame};
 use anyhow::{Result, bail, ensure};
 use rand::seq::SliceRandom;
@@ -29,8 +33,8 @@ impl GroupBy {
         }
     }
 
-    /// The group that a frame belongs to. A member is named with the folder that its own folder stands in, since
-    /// ensembles often number theirs alike: `castro_blast/m01`.
+    /// The group that a frame belongs to. A member is named with the folder that its own folder stands in,
+    /// since ensembles often number theirs alike: `castro_blast/m01`.
     pub fn group(self, scene: &Scene) -> String {
         let folder = Path::new(&scene.volume).parent();
         let name = |p: Option<&Path>| p.and_then(Path::file_name).map(|n| n.to_string_lossy().into_owned());
@@ -60,8 +64,8 @@ pub struct Split {
 }
 
 impl Split {
-    /// Splits groups: those named for validation and testing; where none are named, a tenth each (at least one where
-    /// there are three groups or more), by the seed.
+    /// Splits groups: those named for validation and testing; where none are named, a tenth each (at least
+    /// one where there are three groups or more), by the seed.
     ///
     /// # Errors
     /// For a name that is no group or is named twice, or when no training group is left.

@@ -1,12 +1,15 @@
-//! What the core computes about the frames of a timing table, kept beside it, so that training and evaluation need no
-//! volumes: `NAME.csv` → `NAME.features.csv.gz`.
+//! What the core computes about the frames of a timing table, kept beside it, so that training and evaluation
+//! need no volumes: `NAME.csv` → `NAME.features.csv.gz`.
 //!
-//! The first line, `# entire-features 1 schema HASH table HASH frames N`, tells what the features are and of what they were
-//! made: a hash of the names of the core's quantities and of [`VERSION`] (names that were added since are no obstacle), the FNV-1a hash of the timing table's bytes
-//! (decompressed), and how many rows follow. Then one row per frame: its number, every quantity of the core's schema as it stands (never its logarithm), those that
-//! need the probe again as `NAME@SIDE` for probes of other than the standard number of rays, then the features of each VolumeNet that the file was made with, as columns `volumenet_ID_I` where ID tells the encoder's weights.
+//! The first line, `# entire-features 1 schema HASH table HASH frames N`, tells what the features are and of
+//! what they were made: a hash of the names of the core's quantities and of [`VERSION`] (names that were
+//! added since are no obstacle), the FNV-1a hash of the timing table's bytes (decompressed), and how many
+//! rows follow. Then one row per frame: its number, every quantity of the core's schema as it stands (never
+//! its logarithm), those that need the probe again as `NAME@SIDE` for probes of other than the standard
+//! number of rays, then the features of each VolumeNet that the file was made with, as columns
+//! `volumenet_ID_I` where ID tells the encoder's weights.
 
-use crate::dataset::TimedFrame;
+use super::TimedFrame;
 use crate::files::{fnv1a, gzip, read_decompressed, write_whole};
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::features::{PROBE_SIDE, SceneQuantity};
@@ -14,8 +17,8 @@ use entire_core::nn::VolumeNetParts;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// Counts up whenever the core computes another value of a quantity for the same frame; features kept before are refused
-/// then.
+/// Counts up whenever the core computes another value of a quantity for the same frame; features kept before
+/// are refused then.
 pub const VERSION: u32 = 1;
 
 /// What the first line begins with.
@@ -43,8 +46,8 @@ fn schema() -> u64 {
     schema_of(SceneQuantity::ALL.len())
 }
 
-/// Whether features of this schema mean what this version's do: new quantities come last, so that tables made before are good for
-/// the others. What a model asks for and a table lacks is computed from the volumes.
+/// Whether features of this schema mean what this version's do: new quantities come last, so that tables made
+/// before are good for the others. What a model asks for and a table lacks is computed from the volumes.
 fn is_understood(schema: u64) -> bool {
     (1..=SceneQuantity::ALL.len()).any(|count| schema_of(count) == schema)
 }
@@ -56,7 +59,8 @@ pub fn stem(table: &Path) -> PathBuf {
     bare.with_extension("")
 }
 
-/// Tells VolumeNets apart: a hash of the first block's and the last layer's weights, eight hexadecimal digits.
+/// Tells VolumeNets apart: a hash of the first block's and the last layer's weights, eight hexadecimal
+/// digits.
 pub fn encoder_id(parts: &VolumeNetParts) -> String {
     let first = parts.blocks.first().map_or(&[][..], |b| &b.weight[..]);
     let bytes: Vec<u8> = first.iter().chain(&parts.fc.weight).flat_map(|w| w.to_le_bytes()).collect();
@@ -85,8 +89,8 @@ impl FeatureTable {
         name.into()
     }
 
-    /// From frame numbers and one row of values each, in the columns' order, computed by this program for the timing
-    /// table of the given hash.
+    /// From frame numbers and one row of values each, in the columns' order, computed by this program for the
+    /// timing table of the given hash.
     ///
     /// # Errors
     /// When the values are not one row per number, or a number stands there twice.
@@ -161,8 +165,8 @@ impl FeatureTable {
     /// Reads the file beside a timing table; `None` where there is none.
     ///
     /// # Errors
-    /// When it exists and is damaged, was made by a program with other features, or does not go with the table, whose
-    /// bytes' hash is `hash`.
+    /// When it exists and is damaged, was made by a program with other features, or does not go with the
+    /// table, whose bytes' hash is `hash`.
     pub fn beside(table: &Path, frames: &[TimedFrame], hash: u64) -> Result<Option<Self>> {
         let path = Self::path_for(table);
         if !path.exists() {
@@ -176,7 +180,8 @@ impl FeatureTable {
         })?;
         ensure!(
             is_understood(found.schema),
-            "{} holds features of another version of this program, which need not mean what this version's do; make it anew with `entire features` or remove it",
+            "{} holds features of another version of this program, which need not mean what this version's \
+             do; make it anew with `entire features` or remove it",
             path.display()
         );
         ensure!(
@@ -194,7 +199,8 @@ impl FeatureTable {
             });
             ensure!(
                 fits,
-                "{} does not go with {}: frame {} is missing or has another size or step; make it anew with `entire features`",
+                "{} does not go with {}: frame {} is missing or has another size or step; make it anew with \
+                 `entire features`",
                 path.display(),
                 table.display(),
                 f.number
@@ -206,9 +212,13 @@ impl FeatureTable {
     fn read(path: &Path) -> Result<Self> {
         let bytes = read_decompressed(path)?;
         let end = bytes.iter().position(|&b| b == b'\n').map_or(bytes.len(), |i| i + 1);
-        let (schema, table, rows) = std::str::from_utf8(&bytes[..end]).ok().and_then(made_of).with_context(|| {
-            format!("its first line is not {MARK:?} with schema, table and frames, so that nothing tells what its features mean")
-        })?;
+        let (schema, table, rows) =
+            std::str::from_utf8(&bytes[..end]).ok().and_then(made_of).with_context(|| {
+                format!(
+                    "its first line is not {MARK:?} with schema, table and frames, so that nothing tells \
+                what its features mean"
+                )
+            })?;
         let mut reader = csv::ReaderBuilder::new().from_reader(&bytes[end..]);
         let header = reader.headers()?.clone();
         ensure!(
@@ -284,8 +294,8 @@ mod tests {
         assert!(message.contains("another version") && message.contains("`entire features`"), "{message}");
     }
 
-    /// Fails when the core computes other values than those that kept tables hold: raise [`VERSION`] then, make the kept
-    /// tables anew with `entire features`, and put the new hash here.
+    /// Fails when the core computes other values than those that kept tables hold: raise [`VERSION`] then,
+    /// make the kept tables anew with `entire features`, and put the new hash here.
     #[test]
     fn this_version_stands_for_these_values() {
         use crate::volume::{Volume, VolumeData};
