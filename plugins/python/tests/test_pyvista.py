@@ -136,7 +136,7 @@ def test_a_clip_plane_widget(shown):
     for _ in drag(plotter, 5, at=(10, 10)):
         pass
     assert plotter.entire.steering.fallback_frames == 0
-    widget = plotter.plane_widgets[0]
+    widget = getattr(plotter, "widgets", plotter).plane_widgets[0]
     widget.SetOrigin(10, 24, 24)
     widget.InvokeEvent("EndInteractionEvent")
     plotter.render()

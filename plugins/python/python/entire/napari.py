@@ -39,7 +39,7 @@ def hold(
 ) -> Holder:
     """Holds the 3D view of an image layer to a frame time while its camera moves.
 
-    A quarter of a second after the last move the view is drawn once more at the layer's own step, and screenshots are.
+    A quarter of a second after the last move the view is drawn once more at the layer's own step; screenshots always are.
 
     Parameters
     ----------
@@ -83,23 +83,18 @@ def hold(
         state["moved"] = time.perf_counter()
         timer.start()
 
-    watched = (viewer.camera.events.angles, viewer.camera.events.zoom, viewer.camera.events.center)
+    events = (viewer.scene if hasattr(viewer, "scene") else viewer).camera.events
+    watched = (events.angles, events.zoom, events.center)
     for emitter in watched:
         emitter.connect(moved)
-    plain_detach, plain_screenshot = holder.detach, viewer.screenshot
-
-    def screenshot(*args: Any, **kwargs: Any) -> Any:
-        state["moved"] = -1e9
-        return plain_screenshot(*args, **kwargs)
+    plain_detach = holder.detach
 
     def detach() -> None:
         timer.stop()
         for emitter in watched:
             emitter.disconnect(moved)
-        viewer.__dict__.pop("screenshot", None)
         plain_detach()
 
-    viewer.__dict__["screenshot"] = screenshot
     holder.detach = detach  # type: ignore[method-assign]
     return holder
 

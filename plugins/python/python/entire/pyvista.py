@@ -16,8 +16,11 @@ from .vtk import Steering, calibrate, hold
 from .vtk._mappers import gpu_in_place_of
 
 
-def _gpu_wrapper(smart: Any) -> Any:
-    """PyVista's own GPU mapper in place of its smart one, with what PyVista keeps beside a mapper."""
+def _gpu_wrapper(smart: Any, keep: list[Any]) -> Any:
+    """PyVista's own GPU mapper in place of its smart one, with what PyVista keeps beside a mapper.
+
+    PyVista's mappers lose that when Python lets go of them: they are kept in the list.
+    """
     kind = getattr(pv.plotting.mapper, "OpenGLGPUVolumeRayCastMapper", None)
     if kind is None or not hasattr(smart, "_scalar_range"):
         return gpu_in_place_of(smart)
@@ -25,6 +28,7 @@ def _gpu_wrapper(smart: Any) -> Any:
     for name, value in smart.__dict__.items():
         if name in ("_lut", "_scalar_range", "_theme"):
             wrapped.__dict__[name] = value
+    keep.append(wrapped)
     return wrapped
 
 
@@ -44,6 +48,10 @@ class EntireComponent:
         #: Steering of each renderer that is held, by its index among the plotter's.
         self._held: dict[int, Steering] = {}
         self._screenshots: dict[str, Any] = {}
+        self._mappers: list[Any] = []
+
+    def _make_gpu(self, smart: Any) -> Any:
+        return _gpu_wrapper(smart, self._mappers)
 
     def hold(self, fps: float | None = None, *, seconds: float | None = None, volume: Any = None, **options: Any) -> Steering:
         """Holds volumes of the active renderer to a frame rate while the camera or a widget moves.
@@ -82,7 +90,7 @@ class EntireComponent:
             seconds = 1.0 / rate
         index = self._plotter.renderers.active_index
         self._end(index)
-        steering = hold(self._plotter.renderer, volume, seconds, make_gpu=_gpu_wrapper, **options)
+        steering = hold(self._plotter.renderer, volume, seconds, make_gpu=self._make_gpu, **options)
         self._held[index] = steering
         if "trame_vtk" in sys.modules:
             from .trame import watch
@@ -108,11 +116,12 @@ class EntireComponent:
         self._plotter.render()
         if self.steering is None:
             # A smart mapper is exchanged for as long as it is measured.
-            passing = hold(self._plotter.renderer, None, 1.0, make_gpu=_gpu_wrapper)
+            passing = hold(self._plotter.renderer, None, 1.0, make_gpu=self._make_gpu)
             try:
                 return calibrate(self._plotter.renderer, frames=frames, **options)
             finally:
                 passing.detach()
+                self._mappers = []
         return calibrate(self._plotter.renderer, frames=frames, **options)
 
     @property
@@ -142,6 +151,7 @@ class EntireComponent:
         if steering is not None:
             steering.detach()
         if not self._held:
+            self._mappers = []
             for name in self._screenshots:
                 self._plotter.__dict__.pop(name, None)
             self._screenshots = {}

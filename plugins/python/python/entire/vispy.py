@@ -30,8 +30,6 @@ class CannotSteer(ValueError):
 def _matrix(visual: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
     """What takes the visual's coordinates to clip coordinates, as a matrix for columns."""
     transform = visual.transforms.get_transform("visual", "render")
-    points = np.vstack([np.zeros((1, 4)), np.eye(4)])
-    points[0, 3] = 1
     # Affine and projective maps are linear in homogeneous coordinates: four images of the unit vectors tell all.
     mapped = np.asarray(transform.map(np.eye(4)), np.float64)
     return mapped.T
@@ -124,6 +122,8 @@ class Holder:
     def _after(self, _event: Any) -> None:
         gl.glFinish()
         self.measured = time.perf_counter() - self._began
+        # Between frames the visual is as the application set it: what is rendered to an image is at full quality.
+        self._restore()
         plan, self._plan = self._plan, None
         if plan is not None:
             try:

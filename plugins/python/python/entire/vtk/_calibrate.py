@@ -92,8 +92,7 @@ class _Calibrator:
         enabled = None if steering is None else steering.enabled
         camera, own = renderer.GetActiveCamera(), _mappers.Settings(mapper)
         unit = prop.GetScalarOpacityUnitDistance(0)
-        kept = type(camera)()
-        kept.DeepCopy(camera)
+        kept = {name: getattr(camera, "Get" + name)() for name in ("FocalPoint", "Position", "ViewUp", "ClippingRange")}
         tags = [
             mapper.AddObserver("VolumeMapperRenderStartEvent", self.start, -1.0),
             mapper.AddObserver("VolumeMapperRenderEndEvent", self.end, 1.0),
@@ -139,7 +138,8 @@ class _Calibrator:
             mapper.SetLockSampleDistanceToInputSpacing(own.lock)
             mapper.SetSampleDistance(own.sample)
             mapper.SetImageSampleDistance(own.image)
-            camera.DeepCopy(kept)
+            for name, value in kept.items():
+                getattr(camera, "Set" + name)(*value)
             if steering is not None and enabled is not None:
                 steering.enabled = enabled
             window.Render()
