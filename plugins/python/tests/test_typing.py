@@ -20,6 +20,7 @@ PACKAGE = Path(entire.__file__).parent
 def mypy(*arguments):
     pytest.importorskip("mypy")
     command = [sys.executable, "-m", *arguments]
+    # The package that is installed, not a folder that happens to be the current one.
     return subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=HERE.parent)
 
 
@@ -56,6 +57,7 @@ def test_everything_is_documented(name):
 def test_parameters_are_named_in_their_docstrings():
     for owner in (_native.Session, _native.Camera, _native.TransferFunction, _native.Calibration):
         for member, value in vars(owner).items():
+            value = getattr(owner, member)
             if member.startswith("_") or not callable(value):
                 continue
             parameters = [p for p in inspect.signature(value).parameters if p != "self"]

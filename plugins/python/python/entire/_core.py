@@ -139,7 +139,7 @@ class Session(_native.Session):
     >>> session = entire.Session(volume)
     >>> plan = session.plan(entire.Camera.arcball(20, 30, 3), tf, (640, 480), target=0.02)
     >>> session.observe(plan, seconds=0.018)
-    'ignored'
+    'learned'
     """
 
     def __new__(

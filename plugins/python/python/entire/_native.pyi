@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,13 +20,14 @@ class RejectedObservationError(ValueError): ...
 
 def command(args: Sequence[str]) -> int: ...
 
+@final
 class Volume:
     def __new__(
         cls,
         array: npt.ArrayLike,
-        spacing: _Triple = (1.0, 1.0, 1.0),
+        spacing: _Triple = ...,
         *,
-        origin: _Triple = (0.0, 0.0, 0.0),
+        origin: _Triple = ...,
         axes: Literal["zyx", "xyz"] = "zyx",
         range: tuple[float, float] | None = None,
     ) -> Self: ...
@@ -47,20 +48,21 @@ class Volume:
     @property
     def array(self) -> npt.NDArray[Any]: ...
 
+@final
 class Camera:
     @staticmethod
-    def arcball(rx: float, ry: float, dz: float, fov: float = 45.0) -> Camera: ...
+    def arcball(rx: float, ry: float, dz: float, fov: float = ...) -> Camera: ...
     @staticmethod
     def look_at(
         volume: Volume,
         eye: _Triple,
         target: _Triple | None = None,
-        up: _Triple = (0.0, 1.0, 0.0),
-        fov: float = 45.0,
+        up: _Triple = ...,
+        fov: float = ...,
     ) -> Camera: ...
     @staticmethod
     def view(
-        volume: Volume, matrix: Sequence[Sequence[float]] | npt.NDArray[np.floating[Any]], fov: float = 45.0
+        volume: Volume, matrix: Sequence[Sequence[float]] | npt.NDArray[np.floating[Any]], fov: float = ...
     ) -> Camera: ...
     @staticmethod
     def scene(
@@ -82,6 +84,7 @@ class Camera:
     @property
     def fov(self) -> float: ...
 
+@final
 class TransferFunction:
     @staticmethod
     def lobes(
@@ -101,7 +104,7 @@ class TransferFunction:
     def nodes(
         opacity: Sequence[tuple[float, float]] | Sequence[tuple[float, float, float, float]],
         color: Sequence[tuple[float, float, float, float]]
-        | Sequence[tuple[float, float, float, float, float, float]] = (),
+        | Sequence[tuple[float, float, float, float, float, float]] = ...,
         *,
         range: tuple[float, float],
         clamp: bool = True,
@@ -128,6 +131,7 @@ class Model:
     def encodes(self) -> bool: ...
     def to_bytes(self) -> bytes: ...
 
+@final
 class Plan:
     @property
     def id(self) -> int: ...
@@ -148,6 +152,7 @@ class Plan:
     @property
     def target(self) -> float: ...
 
+@final
 class Prediction:
     @property
     def seconds(self) -> float: ...

@@ -78,7 +78,8 @@ class Holder:
             raise CannotSteer(f"{lens} has no single field of view; perspective and plane-parallel lenses can be predicted")
         self.volume = _fixed_resolution(self.source, edge)
         self.session = Session(self.volume, model=model, tolerance=0.25)
-        self.most, self.full = int(self.source.num_samples), tuple(int(n) for n in scene.camera.resolution)
+        width, height = (int(n) for n in scene.camera.resolution)
+        self.most, self.full = int(self.source.num_samples), (width, height)
         self.smallest = smallest
         self.samples, self.resolution = self.most, self.full
         self.measured = self.predicted = math.nan
