@@ -108,11 +108,12 @@ class _Calibrator:
             bounds = self.volume.GetBounds()
             middle = [0.5 * (bounds[2 * a] + bounds[2 * a + 1]) for a in range(3)]
             radius = 0.5 * math.dist(bounds[::2], bounds[1::2])
+            _mappers.write(mapper, own, base * grid.reference, 1.0)
             for i in range(frames + 1):
                 self.pose(camera, draw, middle, radius)
                 prop.SetScalarOpacityUnitDistance(0, unit * 2 ** draw.uniform(-3, 3))
                 step = base * (max(coarsest, base) / base) ** draw.random()
-                _mappers.write(mapper, step * grid.reference, 1.0)
+                mapper.SetSampleDistance(step * grid.reference)
                 window.Render()
                 if i == 0:
                     continue  # Holds what is done once.

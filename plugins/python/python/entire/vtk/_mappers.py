@@ -2,6 +2,7 @@
 """Volume mappers: which can be steered, what is set on them, and what takes the place of one that cannot."""
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from vtkmodules.vtkRenderingVolume import vtkFixedPointVolumeRayCastMapper, vtkGPUVolumeRayCastMapper
@@ -48,14 +49,15 @@ class Settings:
         self.adjust: int = mapper.GetAutoAdjustSampleDistances()
         self.lock: int = mapper.GetLockSampleDistanceToInputSpacing()
 
-    def write(self, mapper: Any) -> None:
-        """Puts the settings back."""
+    def write(self, mapper: Any, image: float) -> None:
+        """Puts the settings back, where `image` is the image sample distance that steering wrote."""
         if self.adjust:
             mapper.SetAutoAdjustSampleDistances(self.adjust)
         if self.lock:
             mapper.SetLockSampleDistanceToInputSpacing(self.lock)
         mapper.SetSampleDistance(self.sample)
-        mapper.SetImageSampleDistance(self.image)
+        if image != self.image:
+            mapper.SetImageSampleDistance(self.image)
 
     def restore(self, mapper: Any, sample: float, image: float) -> None:
         """Puts the settings back, but for those that somebody else set since steering wrote `sample` and `image`."""
@@ -63,19 +65,22 @@ class Settings:
             mapper.SetAutoAdjustSampleDistances(self.adjust)
         if self.lock and not mapper.GetLockSampleDistanceToInputSpacing():
             mapper.SetLockSampleDistanceToInputSpacing(self.lock)
-        if mapper.GetSampleDistance() == sample:
+        # VTK keeps single precision.
+        if math.isclose(mapper.GetSampleDistance(), sample, rel_tol=1e-6):
             mapper.SetSampleDistance(self.sample)
-        if mapper.GetImageSampleDistance() == image:
+        if math.isclose(mapper.GetImageSampleDistance(), image, rel_tol=1e-6):
             mapper.SetImageSampleDistance(self.image)
 
 
-def write(mapper: Any, sample: float, image: float) -> tuple[float, float]:
-    """Sets both distances and switches VTK's own rules off. Returns what the mapper kept of them."""
-    mapper.SetAutoAdjustSampleDistances(0)
-    mapper.SetLockSampleDistanceToInputSpacing(0)
+def write(mapper: Any, own: Settings, sample: float, image: float) -> None:
+    """Sets both distances and switches VTK's own rules off, where they are on."""
+    if own.adjust:
+        mapper.SetAutoAdjustSampleDistances(0)
+    if own.lock:
+        mapper.SetLockSampleDistanceToInputSpacing(0)
     mapper.SetSampleDistance(sample)
-    mapper.SetImageSampleDistance(image)
-    return mapper.GetSampleDistance(), mapper.GetImageSampleDistance()
+    if image != own.image:
+        mapper.SetImageSampleDistance(image)
 
 
 def is_gpu(mapper: Any) -> bool:

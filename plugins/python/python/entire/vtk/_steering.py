@@ -241,7 +241,7 @@ class Leaf:
                 self._own.restore(mapper, *self._wrote)
                 self._times = None
                 return
-            self._own.write(mapper)
+            self._own.write(mapper, self._wrote[1])
             if self._times is not None:
                 self._times = (mapper.GetMTime(), *self._times[1:])
 
@@ -364,7 +364,9 @@ class Leaf:
             termination=self._termination,
         )
         self._plan = plan
-        self._wrote = _mappers.write(mapper, plan.step * grid.reference, pixels * plan.image_sample_distance)
+        image_distance = plan.image_sample_distance
+        self._wrote = (plan.step * grid.reference, own.image if image_distance == 1 and not own.adjust else pixels * image_distance)
+        _mappers.write(mapper, own, *self._wrote)
         self._wrote_time = mapper.GetMTime()
         self._steered = True
         self.sample_distance, self.image_sample_distance = self._wrote
