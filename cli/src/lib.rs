@@ -3,6 +3,7 @@
 
 pub mod bound;
 pub mod collection;
+mod command_line;
 pub mod commands;
 pub mod dataset;
 pub mod device;
@@ -27,3 +28,5 @@ pub mod split;
 pub mod steering;
 pub mod teacher;
 pub mod volume;
+
+pub use command_line::main_with_args;

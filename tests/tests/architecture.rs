@@ -265,6 +265,7 @@ const CLI: &Rooms = &[
             "volume",
         ],
     ),
+    ("command_line", &["commands", "program"]),
 ];
 
 const LAB: &Rooms = &[
