@@ -341,7 +341,8 @@ fn main() {
         eprintln!("No Vulkan device, these tests are ignored: {error}");
     }
     drop(device);
-    let tests: [(&str, fn() -> Outcome); 5] = [
+    type Test = (&'static str, fn() -> Outcome);
+    let tests: [Test; 5] = [
         (
             "a_device_lost_in_any_call_is_an_error_that_names_it",
             a_device_lost_in_any_call_is_an_error_that_names_it,
