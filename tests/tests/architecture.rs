@@ -213,14 +213,14 @@ const CORE: &Rooms = &[
 /// A room is a folder or a file. Commands are what nobody else uses.
 const CLI: &Rooms = &[
     ("device", &[]),
-    ("farm", &[]),
+    ("farm", &["files"]),
     ("interrupt", &[]),
     ("machine", &[]),
     ("metrics", &[]),
-    ("path", &[]),
+    ("path", &["files"]),
     ("program", &[]),
     ("progress", &[]),
-    ("report", &[]),
+    ("report", &["files"]),
     ("teacher", &[]),
     ("volume", &[]),
     ("bound", &["metrics"]),
