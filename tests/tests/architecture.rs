@@ -213,6 +213,8 @@ const CORE: &Rooms = &[
 /// A room is a folder or a file. Commands are what nobody else uses.
 const CLI: &Rooms = &[
     ("device", &[]),
+    ("volume", &[]),
+    ("files", &["volume"]),
     ("farm", &["files"]),
     ("interrupt", &[]),
     ("machine", &[]),
@@ -222,10 +224,8 @@ const CLI: &Rooms = &[
     ("progress", &[]),
     ("report", &["files"]),
     ("teacher", &[]),
-    ("volume", &[]),
     ("bound", &["metrics"]),
     ("enlarge", &["volume"]),
-    ("files", &["volume"]),
     ("options", &["device", "machine"]),
     ("scenes", &["files"]),
     ("dataset", &["files", "metrics"]),
