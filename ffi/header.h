@@ -39,8 +39,8 @@
  * functions do it, and set defaults). Later versions only add fields at the end: older programs go on working
  * with newer libraries, and a newer program works with an older library as long as it leaves the fields that
  * are unknown there zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
- * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and never
- * change.
+ * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and
+ * never change.
  *
  * Units. Time in seconds. Ray steps in multiples of the reference step, which is the volume's smallest voxel
  * spacing. Angles in degrees. Camera distance in multiples of the radius of the volume's bounding sphere.
@@ -56,7 +56,7 @@
  * tables), the process ends, as Rust programs do; hot calls ask for none.
  *
  * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
- * whose `absent` says so. A model whose answer is anything else gives ENTIRE_NO_PREDICTION.
+ * whose `absent` says so. A model whose answer is anything else gives ENTIRE_INVALID_MODEL.
  *
  * Hot calls. entire_session_plan, entire_session_observe, entire_session_choose and entire_model_predict do
  * not allocate, lock or call the system when they succeed and nobody listens to the log; entire_model_predict

@@ -1,10 +1,28 @@
 //! Options that several commands have: what is drawn and how, and with how many threads.
 
+use crate::device::Device;
 use crate::machine;
 use anyhow::{Context, Result, bail, ensure};
 use clap::ValueEnum;
 use entire_core::scene::{MAX_IMAGE_SIDE, Shading, Skipping};
 use rayon::{ThreadPool, ThreadPoolBuilder};
+
+/// How frames are rendered, as options.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct RenderArgs {
+    /// What each sample computes.
+    #[arg(long, value_enum, default_value_t)]
+    pub shade: ShadeOption,
+    /// How empty space is skipped.
+    #[arg(long, value_enum, default_value_t)]
+    pub skip: SkipOption,
+    /// Accumulated opacity at which a ray stops; 1 for never.
+    #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
+    pub termination: f32,
+    /// What renders.
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+}
 
 /// [`Shading`] as an option.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]

@@ -1,5 +1,5 @@
-//! The entry points called as C calls them: raw pointers in, codes out. Small enough for Miri, which sees what no C test
-//! can: an access outside what a pointer may reach, a race, a leak.
+//! The entry points called as C calls them: raw pointers in, codes out. Small enough for Miri, which sees
+//! what no C test can: an access outside what a pointer may reach, a race, a leak.
 
 use crate::frame::{ENTIRE_SHADING_NONE, ENTIRE_SKIPPING_BLOCKS, entire_frame_init, entire_setting};
 use crate::model::*;

@@ -176,8 +176,8 @@ fn failed(failure: Failure) -> entire_result {
 
 #[cold]
 fn panicked(payload: Box<dyn Any + Send>) -> Failure {
-    // A payload whose drop panics in turn leaves another, which is given up: leaking it in a process that met a bug
-    // harms nobody.
+    // A payload whose drop panics in turn leaves another, which is given up: leaking it in a process that met
+    // a bug harms nobody.
     if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
         std::mem::forget(second);
     }

@@ -5,9 +5,9 @@ use crate::result::Failure;
 use crate::result::entire_result::*;
 
 /// Most voxels along one axis of a volume.
-pub const ENTIRE_MAX_SIDE: usize = 16_777_216;
+pub const ENTIRE_MAX_SIDE: usize = 1_048_576;
 /// Most voxels of a volume that has fewer in memory: one whose strides are zero or overlap.
-pub const ENTIRE_MAX_REPEATED_VOXELS: usize = 1_073_741_824;
+pub const ENTIRE_MAX_REPEATED_VOXELS: usize = 134_217_728;
 /// Most bricks of a volume.
 pub const ENTIRE_MAX_BRICKS: usize = 134_217_728;
 /// Most ready features of a volume.
@@ -21,9 +21,16 @@ pub const ENTIRE_MAX_STATE_BYTES: usize = 16_777_216;
 /// Most tasks that entire_schedule takes.
 pub const ENTIRE_MAX_TASKS: usize = 16_777_216;
 /// Most nodes that entire_schedule takes.
-pub const ENTIRE_MAX_NODES: usize = 65_536;
+pub const ENTIRE_MAX_NODES: usize = 1_048_576;
 /// Most tasks times nodes that entire_schedule takes: each task is compared on every node.
 pub const ENTIRE_MAX_TASKS_TIMES_NODES: u64 = 4_294_967_296;
+
+// What the core accepts is what this door lets through.
+const _: () = {
+    assert!(ENTIRE_MAX_SIDE == entire_core::scene::MAX_VOLUME_EDGE);
+    assert!(ENTIRE_MAX_REPEATED_VOXELS as u64 == entire_core::scene::MAX_REPEATED_VOXELS);
+    assert!(ENTIRE_MAX_NODES == entire_core::schedule::MAX_NODES);
+};
 
 /// Refuses a count over its limit.
 pub(crate) fn at_most(what: &str, found: usize, limit: usize, name: &str) -> Result<(), Failure> {
@@ -52,7 +59,7 @@ pub(crate) fn check_dims(dims: [usize; 3], voxel_count: Option<usize>) -> Result
         }
     }
     let Some(there) = voxel_count else { return Ok(()) };
-    // Three sides of at most 2^24: the product fits.
+    // Three sides of at most 2^20: the product fits.
     let voxels = dims.iter().map(|&n| n as u128).product::<u128>();
     if voxels > (there as u128).max(ENTIRE_MAX_REPEATED_VOXELS as u128) {
         let [x, y, z] = dims;
@@ -75,9 +82,9 @@ mod tests {
     #[test]
     fn sizes_are_bounded_by_what_is_there() {
         let code = |dims, count| check_dims(dims, count).err().map(|f| f.code);
-        assert_eq!(code([1024, 1024, 1024], Some(1)), None);
-        assert_eq!(code([1024, 1024, 1025], Some(1)), Some(ENTIRE_SIZE_MISMATCH));
-        assert_eq!(code([1024, 1024, 1025], Some(1024 * 1024 * 1025)), None);
+        assert_eq!(code([512, 512, 512], Some(1)), None);
+        assert_eq!(code([512, 512, 513], Some(1)), Some(ENTIRE_SIZE_MISMATCH));
+        assert_eq!(code([512, 512, 513], Some(512 * 512 * 513)), None);
         assert_eq!(code([200_000; 3], Some(1)), Some(ENTIRE_SIZE_MISMATCH));
         assert_eq!(code([200_000; 3], None), None);
         assert_eq!(code([65_536, 65_536, 2], Some(usize::MAX)), None);

@@ -8,7 +8,7 @@ use crate::handle::{Status, borrow, give, handle};
 use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
 use crate::pool::Pool;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, is_frame_time, no_prediction};
+use crate::result::{Failure, frame_time};
 use crate::sink;
 use crate::volume::{Volume, entire_volume};
 use entire_core::kernels::{Level, Storage};
@@ -426,7 +426,7 @@ pub unsafe extern "C" fn entire_model_encode(
 /// ENTIRE_CONCURRENT_PREDICTIONS calls run on the model at the same time.
 ///
 /// Fails with ENTIRE_SIZE_MISMATCH (another number of inputs than the model takes), ENTIRE_INVALID_ARGUMENT
-/// (an input that is not finite), ENTIRE_NO_PREDICTION (the model's answer is no frame time),
+/// (an input that is not finite), ENTIRE_INVALID_MODEL (the model's answer is no frame time),
 /// ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_predict(
@@ -443,10 +443,7 @@ pub unsafe extern "C" fn entire_model_predict(
             let (net, pool) = loaded.prednet()?;
             check_inputs(inputs, net.inputs(), 1)?;
             let predicted = pool.with(|| net.scratch(), |scratch| net.predict(inputs, scratch));
-            if !is_frame_time(predicted) {
-                return Err(no_prediction(predicted));
-            }
-            write(seconds, predicted, "seconds (output)")
+            write(seconds, frame_time(predicted)?, "seconds (output)")
         })
     }
 }
@@ -488,9 +485,9 @@ pub unsafe extern "C" fn entire_model_predict_batch(
             predicted.try_reserve_exact(rows)?;
             predicted.resize(rows, 0.0f32);
             loaded.rows.with(scratch, |scratch| net.predict_batch(inputs, &mut predicted, scratch))?;
-            if let Some(row) = predicted.iter().position(|&s| !is_frame_time(s)) {
-                let why = no_prediction(predicted[row]);
-                return Err(Failure::new(why.code, format!("row {row}: {}", why.message)));
+            for (row, answer) in predicted.iter_mut().enumerate() {
+                *answer = frame_time(*answer)
+                    .map_err(|why| Failure::new(why.code, format!("row {row}: {}", why.message)))?;
             }
             seconds.copy_from_slice(&predicted);
             Ok(())

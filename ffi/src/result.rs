@@ -1,5 +1,6 @@
 //! Result codes, and the failure that becomes one.
 
+use entire_core::predict::{LONGEST_PREDICTION, checked_seconds};
 use entire_core::{Error, ErrorKind};
 use std::collections::TryReserveError;
 use std::ffi::{CStr, c_char};
@@ -14,9 +15,9 @@ pub enum entire_result {
     ENTIRE_INVALID_ARGUMENT = 1,
     /// A buffer is too short, or a product of sizes overflows.
     ENTIRE_SIZE_MISMATCH = 2,
-    /// The bytes are not a model file that this version reads.
+    /// The bytes are not a model file that this version reads, or what the model answers is no frame time.
     ENTIRE_INVALID_MODEL = 3,
-    /// A tensor of the model is missing or has another shape than its neighbours require.
+    /// A tensor of the model is missing or has another shape than its neighbors require.
     ENTIRE_INVALID_TENSOR = 4,
     /// The model needs an input group that the caller did not supply, or the reverse.
     ENTIRE_MISSING_INPUT = 5,
@@ -36,17 +37,14 @@ pub enum entire_result {
     /// The library met a bug of its own. The handle refuses all further calls with this code and can only be
     /// freed.
     ENTIRE_PANIC = 103,
-    /// What the model answers for these inputs is no frame time: it is not finite, not positive, or 1e9 s or
-    /// more.
-    ENTIRE_NO_PREDICTION = 104,
     /// There is no memory for what was asked for.
-    ENTIRE_OUT_OF_MEMORY = 105,
+    ENTIRE_OUT_OF_MEMORY = 104,
 }
 
 use entire_result::*;
 
 impl entire_result {
-    const ALL: [Self; 15] = [
+    const ALL: [Self; 14] = [
         ENTIRE_OK,
         ENTIRE_INVALID_ARGUMENT,
         ENTIRE_SIZE_MISMATCH,
@@ -60,7 +58,6 @@ impl entire_result {
         ENTIRE_STRUCT_SIZE,
         ENTIRE_IO,
         ENTIRE_PANIC,
-        ENTIRE_NO_PREDICTION,
         ENTIRE_OUT_OF_MEMORY,
     ];
 
@@ -79,7 +76,6 @@ impl entire_result {
             ENTIRE_STRUCT_SIZE => c"ENTIRE_STRUCT_SIZE",
             ENTIRE_IO => c"ENTIRE_IO",
             ENTIRE_PANIC => c"ENTIRE_PANIC",
-            ENTIRE_NO_PREDICTION => c"ENTIRE_NO_PREDICTION",
             ENTIRE_OUT_OF_MEMORY => c"ENTIRE_OUT_OF_MEMORY",
         }
     }
@@ -118,25 +114,31 @@ impl Failure {
     }
 }
 
-/// Predictions from this many seconds on stand for "no answer", as those that are not finite or not positive
-/// do.
-const LONGEST_FRAME: f32 = 1.0e9;
-
 /// Whether a number can be the seconds that a frame takes.
 #[inline]
 pub(crate) fn is_frame_time(seconds: f32) -> bool {
-    seconds > 0.0 && seconds < LONGEST_FRAME
+    seconds > 0.0 && seconds < LONGEST_PREDICTION
+}
+
+/// A network's answer as the seconds that a frame takes. One that is zero or below, as networks give for
+/// cheap frames, is the shortest prediction of all.
+#[inline]
+pub(crate) fn frame_time(answer: f32) -> Result<f32, Failure> {
+    match checked_seconds(answer) {
+        Ok((seconds, _)) if is_frame_time(seconds) => Ok(seconds),
+        _ => Err(no_prediction(answer)),
+    }
 }
 
 /// A model's answer that is no frame time.
 #[cold]
 pub(crate) fn no_prediction(seconds: f32) -> Failure {
     Failure::new(
-        ENTIRE_NO_PREDICTION,
+        ENTIRE_INVALID_MODEL,
         format!(
             "the model predicts {seconds} s for this frame; a frame time is over 0 and under \
-             {LONGEST_FRAME} s. The inputs are far from what the model was trained on, or its weights are damaged: \
-             use another model"
+             {LONGEST_PREDICTION} s. The inputs are far from what the model was trained on, or its weights are \
+             damaged: use another model"
         ),
     )
 }
@@ -220,7 +222,9 @@ mod tests {
         }
         for seconds in [0.0, -0.0, -1.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e9, f32::MAX] {
             assert!(!is_frame_time(seconds));
-            assert_eq!(no_prediction(seconds).code, ENTIRE_NO_PREDICTION);
+            let cheap = seconds <= 0.0 && seconds.is_finite();
+            assert_eq!(frame_time(seconds).is_ok_and(is_frame_time), cheap, "{seconds}");
+            assert_eq!(no_prediction(seconds).code, ENTIRE_INVALID_MODEL);
         }
     }
 }

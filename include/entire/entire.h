@@ -39,8 +39,8 @@
  * functions do it, and set defaults). Later versions only add fields at the end: older programs go on working
  * with newer libraries, and a newer program works with an older library as long as it leaves the fields that
  * are unknown there zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
- * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and never
- * change.
+ * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and
+ * never change.
  *
  * Units. Time in seconds. Ray steps in multiples of the reference step, which is the volume's smallest voxel
  * spacing. Angles in degrees. Camera distance in multiples of the radius of the volume's bounding sphere.
@@ -56,7 +56,7 @@
  * tables), the process ends, as Rust programs do; hot calls ask for none.
  *
  * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
- * whose `absent` says so. A model whose answer is anything else gives ENTIRE_NO_PREDICTION.
+ * whose `absent` says so. A model whose answer is anything else gives ENTIRE_INVALID_MODEL.
  *
  * Hot calls. entire_session_plan, entire_session_observe, entire_session_choose and entire_model_predict do
  * not allocate, lock or call the system when they succeed and nobody listens to the log; entire_model_predict
@@ -89,12 +89,12 @@
 /**
  * Most voxels along one axis of a volume.
  */
-#define ENTIRE_MAX_SIDE 16777216
+#define ENTIRE_MAX_SIDE 1048576
 
 /**
  * Most voxels of a volume that has fewer in memory: one whose strides are zero or overlap.
  */
-#define ENTIRE_MAX_REPEATED_VOXELS 1073741824
+#define ENTIRE_MAX_REPEATED_VOXELS 134217728
 
 /**
  * Most bricks of a volume.
@@ -129,7 +129,7 @@
 /**
  * Most nodes that entire_schedule takes.
  */
-#define ENTIRE_MAX_NODES 65536
+#define ENTIRE_MAX_NODES 1048576
 
 /**
  * Most tasks times nodes that entire_schedule takes: each task is compared on every node.
@@ -228,11 +228,11 @@ enum entire_result
      */
     ENTIRE_SIZE_MISMATCH = 2,
     /**
-     * The bytes are not a model file that this version reads.
+     * The bytes are not a model file that this version reads, or what the model answers is no frame time.
      */
     ENTIRE_INVALID_MODEL = 3,
     /**
-     * A tensor of the model is missing or has another shape than its neighbours require.
+     * A tensor of the model is missing or has another shape than its neighbors require.
      */
     ENTIRE_INVALID_TENSOR = 4,
     /**
@@ -270,14 +270,9 @@ enum entire_result
      */
     ENTIRE_PANIC = 103,
     /**
-     * What the model answers for these inputs is no frame time: it is not finite, not positive, or 1e9 s or
-     * more.
-     */
-    ENTIRE_NO_PREDICTION = 104,
-    /**
      * There is no memory for what was asked for.
      */
-    ENTIRE_OUT_OF_MEMORY = 105,
+    ENTIRE_OUT_OF_MEMORY = 104,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -783,7 +778,7 @@ typedef struct entire_plan {
      */
     float step;
     /**
-     * Pixels of the frame between neighbouring rays along each side of the image: divide its sides by this,
+     * Pixels of the frame between neighboring rays along each side of the image: divide its sides by this,
      * rounded down. 1 unless entire_session_set_max_image_sample_distance allows more.
      */
     float image_sample_distance;
@@ -1172,7 +1167,7 @@ entire_result entire_model_encode(const struct entire_model *model,
  * ENTIRE_CONCURRENT_PREDICTIONS calls run on the model at the same time.
  *
  * Fails with ENTIRE_SIZE_MISMATCH (another number of inputs than the model takes), ENTIRE_INVALID_ARGUMENT
- * (an input that is not finite), ENTIRE_NO_PREDICTION (the model's answer is no frame time),
+ * (an input that is not finite), ENTIRE_INVALID_MODEL (the model's answer is no frame time),
  * ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_model_predict(const struct entire_model *model,
@@ -1412,7 +1407,7 @@ entire_result entire_session_options_init(struct entire_session_options *options
  *
  * Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
  * an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
- * ENTIRE_NO_PREDICTION (the model's answer is no frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * ENTIRE_INVALID_MODEL (the model's answer is no frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_session_predict(struct entire_session *session,
                                      const struct entire_frame *frame,
@@ -1477,7 +1472,7 @@ entire_result entire_session_set_limits(struct entire_session *session,
                                         float coarsest_step);
 
 /**
- * Allows plans to coarsen the image: neighbouring rays stand up to `max_image_sample_distance` pixels apart
+ * Allows plans to coarsen the image: neighboring rays stand up to `max_image_sample_distance` pixels apart
  * along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Ray step and image are then coarsened
  * together, which changes the picture less than coarsening one of them alone (`image_sample_distance` in
  * entire_plan). Up to `step_alone` times the finest step, 1 to 64, the image stays whole: 1, or about 2

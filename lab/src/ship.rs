@@ -4,7 +4,7 @@ use crate::study::{Findings, Fit, Runner, Set, Ship, Study, clock};
 use anyhow::{Context, Result};
 use entire_cli::bound;
 use entire_cli::dataset::{Table, read_tables};
-use entire_cli::files::{read_model_file, write_whole};
+use entire_cli::files::{make_folder, read_model_file, write_whole};
 use entire_cli::fit::{DtypeChoice, FitContext, predict};
 use entire_cli::metrics::{BoundMetrics, Metrics};
 use entire_cli::split::TimedFrames;
@@ -30,7 +30,7 @@ fn file_name(path: &Path) -> String {
 /// # Errors
 /// When a predictor was not made, a table cannot be read, or a file cannot be written.
 pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>) -> Result<Vec<PathBuf>> {
-    std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    make_folder(folder)?;
     let mut out = Vec::new();
     for set in &study.sets {
         for ship in &study.ship {
@@ -67,8 +67,7 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
                 (latency, judged_as),
                 found,
             )?;
-            let path_md = path.with_extension("md");
-            write_whole(&path_md, text.as_bytes())?;
+            write_whole(&path.with_extension("md"), text.as_bytes())?;
             out.push(path);
         }
     }

@@ -164,7 +164,7 @@ impl Recording<'_> {
     fn grid(&self, index: usize) -> Vec<(f32, f32)> {
         let mut grid: Vec<(f32, f32)> = self.steps.iter().map(|s| (*s, 1.0)).collect();
         // Smaller images at some frames only: they serve the quality model.
-        if index % 4 == 0 && self.steps.len() == TRACE_STEPS.len() {
+        if index.is_multiple_of(4) && self.steps.len() == TRACE_STEPS.len() {
             for scale in TRACE_SCALES {
                 grid.extend(SCALED_STEPS.iter().map(|s| (*s, scale)));
             }
@@ -205,7 +205,8 @@ impl Trace {
         let trace = Self::open_begun(path)?;
         ensure!(
             trace.is_complete(),
-            "{} holds {} frames, its path has {}: its recording was interrupted; go on with the same `entire-lab record` \
+            "{} holds {} frames, its path has {}: its recording was interrupted; go on with the same \
+             `entire-lab record` \
              and --resume",
             path.display(),
             trace.frames.len(),
@@ -219,8 +220,8 @@ impl Trace {
     /// # Errors
     /// As [`Trace::open`].
     pub fn open_begun(path: &Path) -> Result<Self> {
-        let text =
-            read_text(path, MAX_TRACE_BYTES).with_context(|| format!("cannot read the trace {}", path.display()))?;
+        let text = read_text(path, MAX_TRACE_BYTES)
+            .with_context(|| format!("cannot read the trace {}", path.display()))?;
         let trace: Self =
             serde_json::from_str(&text).with_context(|| format!("{} is no trace", path.display()))?;
         trace.check().with_context(|| format!("{} is no trace", path.display()))?;

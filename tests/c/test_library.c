@@ -4,8 +4,7 @@
 _Static_assert(ENTIRE_OK == 0 && ENTIRE_INVALID_ARGUMENT == 1 && ENTIRE_SIZE_MISMATCH == 2 && ENTIRE_INVALID_MODEL == 3 &&
                    ENTIRE_INVALID_TENSOR == 4 && ENTIRE_MISSING_INPUT == 5 && ENTIRE_NOT_READY == 6 &&
                    ENTIRE_REJECTED_OBSERVATION == 7 && ENTIRE_UNSUPPORTED == 8 && ENTIRE_NULL_ARGUMENT == 100 &&
-                   ENTIRE_STRUCT_SIZE == 101 && ENTIRE_IO == 102 && ENTIRE_PANIC == 103 && ENTIRE_NO_PREDICTION == 104 &&
-                   ENTIRE_OUT_OF_MEMORY == 105,
+                   ENTIRE_STRUCT_SIZE == 101 && ENTIRE_IO == 102 && ENTIRE_PANIC == 103 && ENTIRE_OUT_OF_MEMORY == 104,
                "result numbers never change");
 _Static_assert(ENTIRE_STRIDE_CONTIGUOUS == SIZE_MAX, "the library takes it for SIZE_MAX");
 

@@ -45,7 +45,7 @@ static void observations(void) {
         EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, plan.id, bad[i], 0, &verdict));
     EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, 0, 0.01f, 0, &verdict));
     EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, plan.id + 1, 0.01f, 0, &verdict));
-    SAYS("unknown plan");
+    SAYS("plans came after it");
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_observe(session, plan.id, 0.01f, 4, &verdict));
     CHECK(verdict == 77);
     char text[200];
@@ -55,7 +55,7 @@ static void observations(void) {
     OK(entire_session_last_error(session, text, sizeof text, NULL));
     CHECK(text[0] == '\0' && verdict != 77);
     EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, plan.id, 0.01f, 0, NULL));
-    SAYS("duplicate");
+    SAYS("observed before");
     plan = plan_of(session, &frame, 0.03f);
     OK(entire_session_observe(session, plan.id, 1e-6f, ENTIRE_OBSERVE_CANCELLED, NULL));
 

@@ -226,7 +226,7 @@ const CLI: &Rooms = &[
     ("bound", &["metrics"]),
     ("enlarge", &["volume"]),
     ("files", &["volume"]),
-    ("options", &["machine"]),
+    ("options", &["device", "machine"]),
     ("scenes", &["files"]),
     ("dataset", &["files", "metrics"]),
     ("split", &["dataset"]),
@@ -234,7 +234,10 @@ const CLI: &Rooms = &[
     ("evaluation", &["dataset", "inputs", "metrics", "options"]),
     ("fit", &["dataset", "files", "inputs", "metrics"]),
     ("collection", &["dataset", "enlarge", "scenes", "volume"]),
-    ("steering", &["dataset", "files", "fit", "machine", "metrics", "path", "progress", "report", "scenes"]),
+    (
+        "steering",
+        &["dataset", "files", "fit", "machine", "metrics", "options", "path", "progress", "report", "scenes"],
+    ),
     (
         "commands",
         &[

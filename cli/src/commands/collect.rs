@@ -2,11 +2,11 @@
 
 use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pass_files};
 use crate::dataset::{Clock, MANIFEST_FORMAT, Manifest, Table, Writer, noise_floor};
-use crate::device::{self, Device};
+use crate::device;
 use crate::files::read_model_file;
 use crate::interrupt;
 use crate::machine;
-use crate::options::{ShadeOption, SkipOption};
+use crate::options::RenderArgs;
 use crate::progress::progress_bar;
 use crate::scenes::{DEFAULT_RADII, SceneDistribution};
 use crate::teacher::Teacher;
@@ -59,18 +59,9 @@ pub struct Options {
     /// Seed of every random choice.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// What each sample computes.
-    #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOption,
-    /// How empty space is skipped.
-    #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
-    /// Accumulated opacity at which a ray stops; 1 for never.
-    #[arg(long, default_value_t = 0.99, value_name = "OPACITY")]
-    pub termination: f32,
-    /// What renders.
-    #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
+    /// How frames are rendered.
+    #[command(flatten)]
+    pub render: RenderArgs,
     /// Predict the frames by this model instead of rendering them, so that a model that needs very many
     /// frames can be distilled from one that needs few; every clock reads the prediction.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["device", "proxy"])]
@@ -129,9 +120,9 @@ fn protocol(options: &Options) -> Protocol {
             max_size: options.max_size,
             steps: options.steps.clone(),
         },
-        shading: options.shade.into(),
-        skipping: options.skip.into(),
-        termination: options.termination,
+        shading: options.render.shade.into(),
+        skipping: options.render.skip.into(),
+        termination: options.render.termination,
         enlarge: options.enlarge,
         proxy: options.proxy,
     }
@@ -214,7 +205,7 @@ pub fn run(options: &Options) -> Result<()> {
             let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
             Box::new(Teacher::new(&name, &model).with_context(|| format!("{}", path.display()))?)
         }
-        None => device::open(options.device)?,
+        None => device::open(options.render.device)?,
     };
 
     let mut manifest = Manifest {

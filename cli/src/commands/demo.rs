@@ -2,12 +2,12 @@
 
 use crate::commands::steer::describe;
 use crate::dataset::Clock;
-use crate::device::{self, Device};
+use crate::device;
 use crate::enlarge::enlarge;
 use crate::files::{write_json, write_whole};
 use crate::interrupt;
 use crate::machine::{self, Provenance};
-use crate::options::{ShadeOption, SkipOption, parse_size};
+use crate::options::{RenderArgs, parse_size};
 use crate::path::Generated;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
@@ -67,15 +67,9 @@ pub struct Options {
     /// Random scenes rendered to calibrate, at six steps each.
     #[arg(long, default_value_t = 80, value_name = "N")]
     pub calibrate: usize,
-    /// What each sample computes.
-    #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOption,
-    /// How empty space is skipped.
-    #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
-    /// What renders.
-    #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
+    /// How frames are rendered.
+    #[command(flatten)]
+    pub render: RenderArgs,
     /// Which clock counts. `auto` is the device's, or the process's CPU time where software renders on a busy
     /// machine.
     #[arg(long, value_enum, default_value_t)]
@@ -191,20 +185,13 @@ pub fn run(options: &Options) -> Result<()> {
 
     let stop = interrupt::flag()?;
     let stop = || interrupt::requested(&stop);
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = device::open(options.render.device)?;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
     let (clock, busy) = choose_clock(options.clock, renderer.as_ref());
     if let Some(busy) = &busy {
         println!("clock      {busy}");
     }
-    let asked = DrawSettings {
-        width: options.size.0,
-        height: options.size.1,
-        shading: options.shade.into(),
-        skipping: options.skip.into(),
-        termination: 0.99,
-        clock,
-    };
+    let asked = DrawSettings::new(options.size, &options.render, clock);
     let renderings = (7 * options.calibrate + (CONTROLLERS.len() + 1) * options.frames as usize) as f64;
     let draw = fit_size(asked, &view, renderings, renderer.as_mut())?;
     let shrunk = draw != asked;

@@ -1,17 +1,18 @@
 //! `entire render`: render one frame and time it.
 
-use crate::device::{self, Device};
-use crate::files::{open_volume, parse_list, parse_numbers, parse_range, write_whole_with};
+use crate::device;
+use crate::files::{open_volume, parse_list, parse_numbers, parse_range, write_whole};
 use crate::metrics::median;
-use crate::options::{ShadeOption, SkipOption};
+use crate::options::RenderArgs;
+use crate::report::encode_png;
 use anyhow::{Context, Result};
 use entire_core::scene::{
     Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
 };
-use entire_vk_raycaster::{Image, Rendered};
+use entire_vk_raycaster::Rendered;
 use serde_json::json;
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Render one frame and time it.
 ///
@@ -38,18 +39,12 @@ pub struct Options {
     /// Ray step in reference steps (the smallest voxel spacing).
     #[arg(long, default_value_t = 1.0, value_name = "S", allow_hyphen_values = true)]
     pub step: f32,
-    /// What each sample computes.
-    #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOption,
-    /// How empty space is skipped.
-    #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
+    /// How frames are rendered.
+    #[command(flatten)]
+    pub render: RenderArgs,
     /// Edge of the blocks that are skipped, in cells: 4, 8 or 16.
     #[arg(long, default_value_t = entire_vk_raycaster::BLOCK_EDGE, value_name = "CELLS")]
     pub block_edge: usize,
-    /// Accumulated opacity at which a ray stops; 1 for never.
-    #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
-    pub termination: f32,
     /// Vertical field of view in degrees.
     #[arg(long, default_value_t = DEFAULT_FOV_Y_DEGREES, value_name = "DEGREES", allow_hyphen_values = true)]
     pub fov: f32,
@@ -57,9 +52,6 @@ pub struct Options {
     /// types.
     #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
     pub range: Option<(f32, f32)>,
-    /// What renders.
-    #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
     /// How often the frame is rendered.
     #[arg(
         long,
@@ -111,12 +103,12 @@ pub fn run(options: &Options) -> Result<()> {
     let camera = Camera::from_arcball(options.camera)?.with_fov_y_degrees(options.fov)?;
     let frame = Frame::new(camera, options.size.0, options.size.1)?
         .with_step(options.step)?
-        .with_termination(options.termination)?
-        .with_shading(options.shade.into())
-        .with_skipping(options.skip.into());
+        .with_termination(options.render.termination)?
+        .with_shading(options.render.shade.into())
+        .with_skipping(options.render.skip.into());
     let table = TransferFunction::Gaussian(options.tf.0.clone()).to_table()?;
     let volume = open_volume(&options.volume, options.range)?;
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = device::open(options.render.device)?;
     renderer.set_block_edge(options.block_edge).context("--block-edge")?;
     let view = volume.view();
     let volume_time = renderer.set_volume(&view).with_context(|| format!("{}", options.volume.display()))?;
@@ -134,7 +126,8 @@ pub fn run(options: &Options) -> Result<()> {
         renderer.count_work(true);
         counts = renderer.render(&frame)?.counts;
     }
-    write_png(&options.out, &image)?;
+    // What is seen over black, which premultiplied colors already are.
+    write_whole(&options.out, &encode_png(&image)?).context("check --out")?;
 
     let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();
     let clock = repeats.first().map_or("wall", |time| time.source());
@@ -157,8 +150,8 @@ pub fn run(options: &Options) -> Result<()> {
             "width": image.width,
             "height": image.height,
             "step": short(frame.step()),
-            "shade": Shading::from(options.shade).name(),
-            "skip": Skipping::from(options.skip).name(),
+            "shade": Shading::from(options.render.shade).name(),
+            "skip": Skipping::from(options.render.skip).name(),
             "block_edge": options.block_edge,
             "termination": short(frame.termination()),
             "backend": renderer.backend(),
@@ -198,15 +191,4 @@ pub fn run(options: &Options) -> Result<()> {
 /// The shortest decimal that is this number, as JSON's double: 0.35, not 0.3499999940395355.
 fn short(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
-}
-
-/// Writes a picture as PNG: what is seen over black, which premultiplied colors already are.
-fn write_png(path: &Path, image: &Image) -> Result<()> {
-    let rgb: Vec<u8> = image.rgba.as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
-    write_whole_with(path, |out| {
-        let encoder = image::codecs::png::PngEncoder::new(out);
-        let (width, height) = (image.width, image.height);
-        Ok(image::ImageEncoder::write_image(encoder, &rgb, width, height, image::ExtendedColorType::Rgb8)?)
-    })
-    .context("check --out")
 }

@@ -1,12 +1,12 @@
 //! `entire steer`: play a path against a target frame time under several controllers.
 
 use crate::dataset::{Clock, Scene, Writer};
-use crate::device::{self, Device};
+use crate::device;
 use crate::enlarge::enlarge;
 use crate::files::{open_model, write_json};
 use crate::interrupt;
 use crate::machine::Provenance;
-use crate::options::{ShadeOption, SkipOption, parse_hold, parse_limits, parse_scale, parse_size};
+use crate::options::{RenderArgs, parse_hold, parse_limits, parse_scale, parse_size};
 use crate::path::{FlightPath, Generated, parse_target};
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{DrawSettings, Playback};
@@ -98,18 +98,9 @@ pub struct Options {
     /// Image size, pixels.
     #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
     pub size: (u32, u32),
-    /// What each sample computes.
-    #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOption,
-    /// How empty space is skipped.
-    #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
-    /// Accumulated opacity at which a ray stops; 1 for never.
-    #[arg(long, default_value_t = 0.99, value_name = "OPACITY")]
-    pub termination: f32,
-    /// What renders.
-    #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
+    /// How frames are rendered.
+    #[command(flatten)]
+    pub render: RenderArgs,
     /// Which clock counts.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
@@ -159,14 +150,7 @@ pub fn run(options: &Options) -> Result<()> {
         options.calibrate,
         options.repeats
     );
-    let draw = DrawSettings {
-        width: options.size.0,
-        height: options.size.1,
-        shading: options.shade.into(),
-        skipping: options.skip.into(),
-        termination: options.termination,
-        clock: options.clock,
-    };
+    let draw = DrawSettings::new(options.size, &options.render, options.clock);
     let hold = parse_hold(options.volumes.len(), options.hold)?;
     let retargets = options.retarget.iter().map(|t| parse_retarget(t)).collect::<Result<Vec<_>>>()?;
     ensure!(retargets.is_sorted_by_key(|t| t.0), "--retarget must be ordered by frame");
@@ -207,7 +191,7 @@ pub fn run(options: &Options) -> Result<()> {
     };
     let stop = interrupt::flag()?;
     let stop = || interrupt::requested(&stop);
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = device::open(options.render.device)?;
     let seed_name = volume.name().to_owned();
     let shipped = shipped_model(draw.shading)?;
     let race = Race {

@@ -221,8 +221,8 @@ impl CameraPose {
     }
 }
 
-/// The transfer function of a frame: where it lies between keyframes. It is worked out when it is asked for, so that
-/// a long path takes no more memory than its keyframes and cameras.
+/// The transfer function of a frame: where it lies between keyframes. It is worked out when it is asked for,
+/// so that a long path takes no more memory than its keyframes and cameras.
 #[derive(Clone, Debug)]
 pub struct TransferAt {
     keys: Arc<[(u32, bool, Transfer)]>,
@@ -403,8 +403,8 @@ impl PathFile {
     }
 }
 
-/// Where a frame lies on a track: the keyframe at or before it, the share of the way to the next one, and whether
-/// the track switched there.
+/// Where a frame lies on a track: the keyframe at or before it, the share of the way to the next one, and
+/// whether the track switched there.
 fn at<T>(track: &[(u32, bool, T)], index: u32) -> (usize, f32, bool) {
     let next = track.partition_point(|(frame, _, _)| *frame <= index);
     let (frame, switch, _) = &track[next - 1];

@@ -131,7 +131,8 @@ fn long_paths_hold_no_transfer_function_twice() {
     };
     let text = |parts: &str| {
         format!(
-            "{{\"format\": \"entire-path-1\", \"frames\": 1000000, \"keyframes\": [{{\"frame\": 0, \"camera\": \
+            "{{\"format\": \"entire-path-1\", \"frames\": 1000000, \"keyframes\": \
+             [{{\"frame\": 0, \"camera\": \
              {{\"rx_deg\": 0, \"ry_deg\": 0, \"dz_radii\": 2}}, \"transfer\": {{\"lobes\": [{parts}]}}}}]}}"
         )
     };

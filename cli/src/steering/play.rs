@@ -3,6 +3,7 @@
 use super::metrics::{Metrics, Played, psnr};
 use super::sizes::{resized, scale_at, scaled_size, volume_at};
 use crate::dataset::{Clock, Timing};
+use crate::options::RenderArgs;
 use crate::path::FlightPath;
 use anyhow::{Context, Result, ensure};
 use entire_core::adapt::ObserveFlags;
@@ -30,6 +31,18 @@ pub struct DrawSettings {
 }
 
 impl DrawSettings {
+    /// What the options say.
+    pub fn new((width, height): (u32, u32), render: &RenderArgs, clock: Clock) -> Self {
+        Self {
+            width,
+            height,
+            shading: render.shade.into(),
+            skipping: render.skip.into(),
+            termination: render.termination,
+            clock,
+        }
+    }
+
     /// A frame with these settings at the reference step.
     ///
     /// # Errors

@@ -4,10 +4,10 @@ use super::contenders::ControllerKind;
 use super::fit::Candidate;
 use super::metrics::{BEST_PSNR, Metrics, SWITCH_FRAMES};
 use super::play::{DrawSettings, Playback};
-use crate::files::{write_json, write_whole};
+use crate::files::{make_folder, write_json, write_whole};
 use crate::machine::Provenance;
 use crate::report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
-use anyhow::{Context, Result};
+use anyhow::Result;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -180,7 +180,7 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
             ])?;
         }
     }
-    write_whole(path, &out.into_inner().map_err(|e| e.into_error())?)
+    write_whole(path, &out.into_inner()?)
 }
 
 fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Value {
@@ -464,8 +464,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
 /// # Errors
 /// When a file cannot be written; names it.
 pub fn write(folder: &Path, story: &Story, draw: &DrawSettings, playback: &Playback) -> Result<Vec<Metrics>> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    make_folder(folder)?;
     let metrics = playback.metrics();
     write_csv(&folder.join("frames.csv"), playback)?;
     write_json(&folder.join("summary.json"), &summary(story, draw, playback, &metrics))?;

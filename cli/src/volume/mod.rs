@@ -30,7 +30,6 @@ mod stream;
 mod vti;
 
 pub use element::{Element, Endian};
-pub use nrrd::write as write_nrrd;
 pub use stream::{Companions, Folder, NoCompanions, Stream};
 
 use anyhow::{Context, Result, bail};

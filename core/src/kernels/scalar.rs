@@ -159,7 +159,8 @@ mod tests {
 
     #[test]
     fn every_half_widens_exactly() {
-        for bits in 0..=u16::MAX {
+        // Miri takes some of them.
+        for bits in (0..=u16::MAX).step_by(if cfg!(miri) { 97 } else { 1 }) {
             let expected = half::f16::from_bits(bits).to_f32_const();
             let found = f16_to_f32(bits);
             assert!(

@@ -3,6 +3,7 @@
 use super::{check_flags, entire_session};
 use crate::abi::{check_pointer, write};
 use crate::guard::changing;
+use crate::result::Failure;
 use crate::result::entire_result;
 use entire_core::adapt::{ObserveFlags, Verdict};
 
@@ -51,7 +52,10 @@ pub unsafe extern "C" fn entire_session_observe(
                 unusual: flags & ENTIRE_OBSERVE_UNUSUAL != 0,
                 cancelled: flags & ENTIRE_OBSERVE_CANCELLED != 0,
             };
-            let found = state.session.observe(plan_id, seconds, noted)?;
+            let found = state.session.observe(plan_id, seconds, noted).map_err(|e| {
+                let why = Failure::from(e);
+                Failure::new(why.code, format!("{seconds} s for plan {plan_id}: {}", why.message))
+            })?;
             if !verdict.is_null() {
                 write(verdict, found as u32, "verdict (output)")?;
             }

@@ -75,7 +75,7 @@ pub struct entire_plan {
     pub id: u64,
     /// Ray step to draw with, in multiples of the reference step.
     pub step: f32,
-    /// Pixels of the frame between neighbouring rays along each side of the image: divide its sides by this,
+    /// Pixels of the frame between neighboring rays along each side of the image: divide its sides by this,
     /// rounded down. 1 unless entire_session_set_max_image_sample_distance allows more.
     pub image_sample_distance: f32,
     /// Expected seconds: finite and positive, or NaN where ENTIRE_ABSENT_SECONDS says so.
@@ -200,7 +200,7 @@ fn checked(plan: Plan) -> Result<entire_plan, Failure> {
 ///
 /// Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
 /// an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
-/// ENTIRE_NO_PREDICTION (the model's answer is no frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// ENTIRE_INVALID_MODEL (the model's answer is no frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_predict(
     session: *mut entire_session,

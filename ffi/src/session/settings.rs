@@ -100,7 +100,7 @@ pub unsafe extern "C" fn entire_session_set_limits(
     }
 }
 
-/// Allows plans to coarsen the image: neighbouring rays stand up to `max_image_sample_distance` pixels apart
+/// Allows plans to coarsen the image: neighboring rays stand up to `max_image_sample_distance` pixels apart
 /// along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Ray step and image are then coarsened
 /// together, which changes the picture less than coarsening one of them alone (`image_sample_distance` in
 /// entire_plan). Up to `step_alone` times the finest step, 1 to 64, the image stays whole: 1, or about 2

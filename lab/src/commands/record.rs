@@ -4,11 +4,11 @@
 use crate::trace::{Recording, TRACE_STEPS, Trace, TraceVolume, record};
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::dataset::{Clock, Scene, Timing, Writer};
-use entire_cli::device::{self, Device};
+use entire_cli::device;
 use entire_cli::enlarge::enlarge;
 use entire_cli::files::{make_folder_of, write_whole};
 use entire_cli::interrupt;
-use entire_cli::options::{ShadeOption, SkipOption, parse_hold, parse_scale, parse_size};
+use entire_cli::options::{RenderArgs, parse_hold, parse_scale, parse_size};
 use entire_cli::path::{Generated, PathFile};
 use entire_cli::progress::progress_bar;
 use entire_cli::steering::calibrate::measure;
@@ -79,18 +79,9 @@ pub struct Options {
     /// Image size, pixels.
     #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
     pub size: (u32, u32),
-    /// What each sample computes.
-    #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOption,
-    /// How empty space is skipped.
-    #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
-    /// Accumulated opacity at which a ray stops; 1 for never.
-    #[arg(long, default_value_t = 0.99, value_name = "OPACITY")]
-    pub termination: f32,
-    /// What renders.
-    #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
+    /// How frames are rendered.
+    #[command(flatten)]
+    pub render: RenderArgs,
     /// Which clock counts.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
@@ -127,9 +118,7 @@ pub fn run(options: &Options) -> Result<()> {
         })
         .collect::<Result<Vec<_>>>()?;
     let path = match (&options.path, options.generate) {
-        (Some(file), _) => {
-            PathFile::open(file)?
-        }
+        (Some(file), _) => PathFile::open(file)?,
         (None, Some(kind)) => kind.path(&volumes[0].1.view(), options.frames)?,
         (None, None) => bail!("give --path or --generate"),
     };
@@ -149,7 +138,7 @@ pub fn run(options: &Options) -> Result<()> {
     };
     let begun = begun(options, &recording)?;
     let stop = interrupt::flag()?;
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = device::open(options.render.device)?;
     make_folder_of(&options.out)?;
     let bar = progress_bar("record");
     let trace = record(
@@ -190,14 +179,7 @@ fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> 
 }
 
 fn draw_settings(options: &Options) -> DrawSettings {
-    DrawSettings {
-        width: options.size.0,
-        height: options.size.1,
-        shading: options.shade.into(),
-        skipping: options.skip.into(),
-        termination: options.termination,
-        clock: options.clock,
-    }
+    DrawSettings::new(options.size, &options.render, options.clock)
 }
 
 /// Writes a timing table of random scenes, each at every calibration step.
@@ -205,7 +187,7 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
     ensure!(scenes >= 8, "--calibration is {scenes}; at least 8 scenes per volume are needed");
     let draw = draw_settings(options);
     let stop = interrupt::flag()?;
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = device::open(options.render.device)?;
     make_folder_of(&options.out)?;
     let mut table = Writer::create(&options.out)?;
     let mut number = 0;

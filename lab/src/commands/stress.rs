@@ -1,12 +1,13 @@
 //! `entire-lab stress`: scenes in which methods of holding a frame time break.
 
+use crate::bars::Bar;
 use crate::stress::report::{matrix, page};
 use crate::stress::{SCENES, Verdict, run as play, run_real};
-use anyhow::{Context, Result, ensure};
-use entire_cli::files::write_json;
+use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use entire_cli::dataset::Clock;
 use entire_cli::device::{self, Device};
+use entire_cli::files::{make_folder, write_json};
 use entire_cli::progress::progress_bar;
 use entire_cli::steering::contenders::ControllerKind;
 use serde_json::json;
@@ -83,9 +84,9 @@ pub fn run(options: &Options) -> Result<()> {
         real = played?;
         name = format!("{name}; real: {}, clock {}", renderer.device(), options.clock.name());
     }
-    std::fs::create_dir_all(&options.out)
-        .with_context(|| format!("cannot make the folder {}", options.out.display()))?;
-    write_json(&options.out.join("verdicts.json"), &json!({ "scripted": verdicts, "real": real }))?;
+    make_folder(&options.out)?;
+    let found = json!({ "scripted": verdicts, "real": real });
+    write_json(&options.out.join("verdicts.json"), &found)?;
     page(&verdicts, &methods, (&real, &real_methods), &name).write(&options.out.join("report.html"))?;
     println!("{}", matrix(&verdicts, &methods).to_text());
     if !real.is_empty() {
@@ -101,23 +102,17 @@ pub fn run(options: &Options) -> Result<()> {
     };
     let mut failed = ours(&verdicts, "");
     if methods.contains(&ControllerKind::Hybrid) {
-        println!(
-            "bar stress-scenes-passed {} {} {}",
-            scenes.len() - failed.len(),
-            scenes.len(),
-            if failed.is_empty() { "ok" } else { "short" }
-        );
+        let bar = |name: &str, played: usize, failed: usize| {
+            println!("{}", Bar::at_least(name, Some((played - failed) as f64), played as f64));
+        };
+        bar("stress-scenes-passed", scenes.len(), failed.len());
         let missed = ours(&real, " on the device");
         if !real.is_empty() {
             let played = real.iter().filter(|v| v.method == ControllerKind::Hybrid.name()).count();
-            println!(
-                "bar stress-scenes-passed-on-device {} {played} {}",
-                played - missed.len(),
-                if missed.is_empty() { "ok" } else { "short" }
-            );
+            bar("stress-scenes-passed-on-device", played, missed.len());
         }
         failed.extend(missed);
     }
-    ensure!(failed.is_empty(), "scenes that ours fails: {}", failed.join(", "));
+    ensure!(failed.is_empty(), "scenes that the hybrid fails: {}", failed.join(", "));
     Ok(())
 }

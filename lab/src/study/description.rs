@@ -1,8 +1,8 @@
 //! What a study is asked for: its JSON file.
 
 use anyhow::{Context, Result, bail, ensure};
-use entire_cli::files::read_text;
 use entire_cli::dataset::Clock;
+use entire_cli::files::read_text;
 use entire_cli::fit::{DtypeChoice, Recipe};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

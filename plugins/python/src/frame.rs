@@ -71,7 +71,7 @@ pub(crate) fn cameras(given: &Bound<'_, PyAny>, volume: &Volume, fov: f32) -> Py
     }
     let array = asarray(given)?;
     let shape: Vec<usize> = array.getattr("shape")?.extract()?;
-    let at = |i: usize| move |e: PyErr| PyErr::from(PyValueError::new_err(format!("camera {i}: {}", e)));
+    let at = |i: usize| move |e: PyErr| PyValueError::new_err(format!("camera {i}: {e}"));
     match shape[..] {
         [_, 3] => {
             let rows: PyReadonlyArray2<'_, f32> = array.call_method1("astype", ("float32",))?.extract()?;

@@ -181,9 +181,9 @@ impl Volume {
         };
         let mut copied = false;
         let plain = |a: &Bound<'_, PyUntypedArray>| {
-            let whole = a.strides().iter().all(|&s| s >= 0 && s as usize % size == 0);
+            let whole = a.strides().iter().all(|&s| s >= 0 && (s as usize).is_multiple_of(size));
             // SAFETY: the array lives; its data pointer is only looked at.
-            whole && unsafe { (*a.as_array_ptr()).fields.data } as usize % size == 0
+            whole && (unsafe { (*a.as_array_ptr()).fields.data } as usize).is_multiple_of(size)
         };
         if converted.is_some() || !plain(&kept) {
             kept = convert(kept.as_any(), name)?;

@@ -3,9 +3,11 @@
 
 use super::axis::Span;
 
+type Point = (f64, f64);
+
 /// The parts of a line through the points that lie inside both ranges. Points without a place break the line.
-pub(super) fn clip(points: &[(f64, f64)], x: &Span, y: &Span) -> Vec<Vec<(f64, f64)>> {
-    let mut parts: Vec<Vec<(f64, f64)>> = Vec::new();
+pub(super) fn clip(points: &[Point], x: &Span, y: &Span) -> Vec<Vec<Point>> {
+    let mut parts: Vec<Vec<Point>> = Vec::new();
     for run in points.split(|p| !x.takes(p.0) || !y.takes(p.1)) {
         // Whether the last part ends where the next segment begins.
         let mut open = false;
@@ -26,7 +28,7 @@ pub(super) fn clip(points: &[(f64, f64)], x: &Span, y: &Span) -> Vec<Vec<(f64, f
 
 /// The part of a segment inside both ranges, and whether it reaches the segment's end (Liang and Barsky's
 /// clipping).
-fn segment(a: (f64, f64), b: (f64, f64), x: &Span, y: &Span) -> Option<((f64, f64), (f64, f64), bool)> {
+fn segment(a: Point, b: Point, x: &Span, y: &Span) -> Option<(Point, Point, bool)> {
     let from = (x.place(a.0), y.place(a.1));
     let by = (x.place(b.0) - from.0, y.place(b.1) - from.1);
     let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
