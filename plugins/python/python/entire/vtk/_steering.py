@@ -261,7 +261,7 @@ class Steering:
             For a file that is no saved state; then nothing changes.
         """
         state = Path(path).read_bytes()
-        Session().load_state(state)
+        Session(**self._options).load_state(state)
         self._state = state
         for leaf in self.leaves:
             leaf.session.load_state(state)
