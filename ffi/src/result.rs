@@ -120,7 +120,7 @@ pub(crate) fn is_frame_time(seconds: f32) -> bool {
     seconds > 0.0 && seconds < LONGEST_PREDICTION
 }
 
-/// A network's answer as the seconds that a frame takes. One that is zero or below, as networks give for
+/// A network's answer as the seconds that a frame takes. One under 1e-6, as networks give for
 /// cheap frames, is the shortest prediction of all.
 #[inline]
 pub(crate) fn frame_time(answer: f32) -> Result<f32, Failure> {

@@ -63,7 +63,7 @@ fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
     let mut wanted = Vec::new();
     let mut scratch = net.scratch();
     for row in inputs.chunks_exact(net.inputs()) {
-        wanted.push(net.predict(row, &mut scratch));
+        wanted.push(predict::checked_seconds(net.predict(row, &mut scratch)).unwrap().0);
     }
 
     let voxels = toy_volume();

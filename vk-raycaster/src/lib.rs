@@ -62,4 +62,4 @@ pub use renderer::{
     DeviceLimits, Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts,
 };
 pub use setup::{LIGHT_DIRECTION, SHADOW_STEP, SHADOW_TERMINATION};
-pub use vulkan::{VoxelFetch, VulkanOptions, VulkanRaycaster};
+pub use vulkan::{LONGEST_WAIT, LONGEST_WAIT_SOFTWARE, VoxelFetch, VulkanOptions, VulkanRaycaster};

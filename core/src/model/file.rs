@@ -185,7 +185,7 @@ impl ModelFile {
     ///
     /// # Errors
     ///
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when the parts do not pass [`PredNetParts::check`] or a
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when the parts do not fit together or a
     /// weight overflows its format.
     pub fn set_prednet(&mut self, net: &PredNetParts, inputs: &[InputGroup]) -> Result<&mut Self> {
         net.check()?;

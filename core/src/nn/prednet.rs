@@ -68,7 +68,8 @@ impl PredNet {
     ///
     /// # Errors
     ///
-    /// As [`PredNetParts::check`].
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) or [`SizeMismatch`](crate::ErrorKind::SizeMismatch) for parts
+    /// that do not fit together, numbers that are not finite, or a standard deviation that is not positive.
     pub fn new(parts: &PredNetParts) -> Result<Self> {
         let storage = parts.layers.first().map_or(Storage::F32, |layer| layer.dtype.into());
         Self::with(parts, Level::detect(), storage)
@@ -88,7 +89,7 @@ impl PredNet {
     ///
     /// # Errors
     ///
-    /// As [`PredNetParts::check`]; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when a weight overflows
+    /// As [`PredNet::new`]; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when a weight overflows
     /// half precision.
     pub fn with(parts: &PredNetParts, level: Level, storage: Storage) -> Result<Self> {
         parts.check()?;

@@ -27,7 +27,7 @@ impl Assignment {
     /// few that is several percent, which exchanges take away. What errors of predicted times add stays.
     ///
     /// # Errors
-    /// As [`Assignment::loads`].
+    /// As [`Assignment::makespan`].
     pub fn exchange(&mut self, times: &[f64], speeds: &[f64]) -> Result<()> {
         check(times, speeds)?;
         if let Some(&node) = self.node_of.iter().find(|&&n| n >= speeds.len()) {

@@ -55,7 +55,8 @@ impl Assignment {
     /// Time until the last node is done.
     ///
     /// # Errors
-    /// As [`Assignment::loads`].
+    /// [`crate::ErrorKind::SizeMismatch`] when `times` or `speeds` have another length than this assignment
+    /// has tasks or nodes; [`crate::ErrorKind::InvalidArgument`] for a time or speed that is not usable.
     pub fn makespan(&self, times: &[f64], speeds: &[f64]) -> Result<f64> {
         Ok(self.loads(times, speeds)?.into_iter().fold(0.0, f64::max))
     }

@@ -37,7 +37,7 @@ pub struct SplitResult {
     pub split: String,
     /// See `set`.
     pub predictor: String,
-    /// See [`Named::panel`]; `baseline` for those that have no model file.
+    /// See [`super::Named::panel`]; `baseline` for those that have no model file.
     pub panel: String,
     /// Errors.
     pub metrics: Metrics,

@@ -1,6 +1,7 @@
 //! Plays recordings on a device: what it owns, and when a submission begins and ends.
 
 mod play;
+mod waiting;
 
 use super::gpu::{Gpu, NamedCall};
 use super::recording::{Command, IMAGE_BYTES, Target, Tile, WORK_BYTES, record_slices};
@@ -79,6 +80,8 @@ struct Slot {
     setup: Buffer,
     table_staging: Buffer,
     tile: Option<TileBuffers>,
+    /// Whether the fence was submitted and not reset since.
+    pending: bool,
     running: Option<Running>,
 }
 
@@ -119,8 +122,10 @@ pub(crate) struct Engine {
     volume: Vec<Image>,
     skip_map: Option<Image>,
     staging: Option<Buffer>,
-    /// A failed submission may still be running: nothing is freed or submitted before the device is idle again.
+    /// A failed submission may still be running: nothing is freed or submitted before every slot was waited for.
     broken: bool,
+    /// A submission ran longer than it may: nobody waits for the device again, only looks whether it is done.
+    hangs: bool,
     /// Casts so far.
     casts: u64,
 }
@@ -139,7 +144,7 @@ impl Slot {
         // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes into an
         // `Owned` that destroys it once.
         let handle =
-            unsafe { gpu.device.create_descriptor_pool(&info, None) }.named("vkCreateDescriptorPool")?;
+            unsafe { gpu.device.create_descriptor_pool(&info, None) }.on(gpu, "vkCreateDescriptorPool")?;
         let descriptors = Owned::new(gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_descriptor_pool(h, None) }
@@ -148,7 +153,7 @@ impl Slot {
             .queue_family_index(gpu.family)
             .flags(vk::CommandPoolCreateFlags::TRANSIENT);
         // SAFETY: as above.
-        let handle = unsafe { gpu.device.create_command_pool(&info, None) }.named("vkCreateCommandPool")?;
+        let handle = unsafe { gpu.device.create_command_pool(&info, None) }.on(gpu, "vkCreateCommandPool")?;
         let pool = Owned::new(gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_command_pool(h, None) }
@@ -159,10 +164,10 @@ impl Slot {
             .command_buffer_count(1);
         // SAFETY: the pool is alive.
         let commands =
-            unsafe { gpu.device.allocate_command_buffers(&info) }.named("vkAllocateCommandBuffers")?[0];
+            unsafe { gpu.device.allocate_command_buffers(&info) }.on(gpu, "vkAllocateCommandBuffers")?[0];
         // SAFETY: as above.
         let handle = unsafe { gpu.device.create_fence(&vk::FenceCreateInfo::default(), None) }
-            .named("vkCreateFence")?;
+            .on(gpu, "vkCreateFence")?;
         let fence = Owned::new(gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_fence(h, None) }
@@ -170,7 +175,7 @@ impl Slot {
         let queries = if gpu.timestamps.is_some() {
             let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(2);
             // SAFETY: as above.
-            let handle = unsafe { gpu.device.create_query_pool(&info, None) }.named("vkCreateQueryPool")?;
+            let handle = unsafe { gpu.device.create_query_pool(&info, None) }.on(gpu, "vkCreateQueryPool")?;
             Some(Owned::new(gpu, handle, |d, h| {
                 // SAFETY: see `Owned`.
                 unsafe { d.destroy_query_pool(h, None) }
@@ -202,6 +207,7 @@ impl Slot {
             setup,
             table_staging,
             tile: None,
+            pending: false,
             running: None,
         })
     }
@@ -235,7 +241,7 @@ impl Engine {
         // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes into an
         // `Owned` that destroys it once.
         let layout = unsafe { gpu.device.create_descriptor_set_layout(&info, None) }
-            .named("vkCreateDescriptorSetLayout")?;
+            .on(&gpu, "vkCreateDescriptorSetLayout")?;
         let set_layout = Owned::new(&gpu, layout, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_descriptor_set_layout(h, None) }
@@ -244,7 +250,7 @@ impl Engine {
         let info = vk::PipelineLayoutCreateInfo::default().set_layouts(&layouts);
         // SAFETY: as above.
         let handle =
-            unsafe { gpu.device.create_pipeline_layout(&info, None) }.named("vkCreatePipelineLayout")?;
+            unsafe { gpu.device.create_pipeline_layout(&info, None) }.on(&gpu, "vkCreatePipelineLayout")?;
         let pipeline_layout = Owned::new(&gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_pipeline_layout(h, None) }
@@ -256,7 +262,7 @@ impl Engine {
             .address_mode_v(vk::SamplerAddressMode::CLAMP_TO_EDGE)
             .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE);
         // SAFETY: as above.
-        let handle = unsafe { gpu.device.create_sampler(&info, None) }.named("vkCreateSampler")?;
+        let handle = unsafe { gpu.device.create_sampler(&info, None) }.on(&gpu, "vkCreateSampler")?;
         let sampler = Owned::new(&gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_sampler(h, None) }
@@ -273,6 +279,7 @@ impl Engine {
             skip_map: None,
             staging: None,
             broken: false,
+            hangs: false,
             casts: 0,
             gpu,
         })
@@ -323,24 +330,6 @@ impl Engine {
         self.slots.iter_mut().for_each(|s| s.sets.clear());
     }
 
-    /// Waits until nothing is running; what was cast can still be finished.
-    pub(crate) fn drain(&mut self) -> Result<()> {
-        if self.broken || self.slots.iter().any(|s| s.running.is_some()) {
-            // SAFETY: the device is alive; the queue is used by this thread alone (`&mut self`).
-            unsafe { self.gpu.device.device_wait_idle() }.named("vkDeviceWaitIdle")?;
-        }
-        if self.broken {
-            for slot in &mut self.slots {
-                let fences = [slot.fence.get()];
-                // SAFETY: the device is idle, so the fence is in no pending submission.
-                unsafe { self.gpu.device.reset_fences(&fences) }.named("vkResetFences")?;
-                slot.running = None;
-            }
-            self.broken = false;
-        }
-        Ok(())
-    }
-
     /// Fills a reserved image slice by slice: `fill` gets the first slice of a run and the bytes to write.
     pub(crate) fn copy_slices(&mut self, target: Target, fill: impl Fn(usize, &mut [u8])) -> Result<()> {
         self.drain()?;
@@ -386,6 +375,7 @@ impl Engine {
 
     /// Starts to cast the rays of a tile.
     pub(crate) fn start(&mut self, slot: usize, cast: &Cast<'_>, commands: &[Command]) -> Result<Ticket> {
+        self.gpu.check()?;
         if self.broken {
             self.drain()?;
         }
@@ -457,8 +447,8 @@ impl Engine {
             bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         let info = vk::ShaderModuleCreateInfo::default().code(&words);
         // SAFETY: `words` is a whole SPIR-V module made by the build script.
-        let handle =
-            unsafe { self.gpu.device.create_shader_module(&info, None) }.named("vkCreateShaderModule")?;
+        let handle = unsafe { self.gpu.device.create_shader_module(&info, None) }
+            .on(&self.gpu, "vkCreateShaderModule")?;
         let module = Owned::new(&self.gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_shader_module(h, None) }
@@ -471,7 +461,7 @@ impl Engine {
         // SAFETY: module and layout are alive, the entry point `main` exists and its bindings are those of the layout.
         let made =
             unsafe { self.gpu.device.create_compute_pipelines(vk::PipelineCache::null(), &[info], None) };
-        let handle = made.map_err(|(_, r)| r).named("vkCreateComputePipelines")?[0];
+        let handle = made.map_err(|(_, r)| r).on(&self.gpu, "vkCreateComputePipelines")?[0];
         let pipeline = Owned::new(&self.gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_pipeline(h, None) }
@@ -493,12 +483,13 @@ impl Engine {
             // SAFETY: nothing that uses the pool's sets is running: sets are made for slots whose submission was waited
             // for.
             unsafe { device.reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty()) }
-                .named("vkResetDescriptorPool")?;
+                .on(&self.gpu, "vkResetDescriptorPool")?;
         }
         let layouts = [self.set_layout.get()];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
         // SAFETY: the pool has room for a set of each brick.
-        let set = unsafe { device.allocate_descriptor_sets(&info) }.named("vkAllocateDescriptorSets")?[0];
+        let set =
+            unsafe { device.allocate_descriptor_sets(&info) }.on(&self.gpu, "vkAllocateDescriptorSets")?[0];
         let write = |write: vk::WriteDescriptorSet<'_>| {
             // SAFETY: the set is new, so nothing uses it, and the resource is alive.
             unsafe { device.update_descriptor_sets(&[write.dst_set(set)], &[]) };
@@ -559,35 +550,16 @@ impl Engine {
         commands: &[Command],
     ) -> Result<()> {
         self.broken = true;
-        self.try_submit(&self.slots[slot], shader, commands).map_err(|e| self.with_pass(&e, pass))?;
+        self.try_submit(&self.slots[slot], shader, commands).map_err(|e| with_pass(&e, pass))?;
+        self.slots[slot].pending = true;
         self.broken = false;
         Ok(())
-    }
-
-    /// Waits for the end of a submission.
-    fn wait(&mut self, slot: usize, pass: &str) -> Result<()> {
-        self.broken = true;
-        let fences = [self.slots[slot].fence.get()];
-        // SAFETY: the fence was submitted, and nothing else waits for it.
-        unsafe { self.gpu.device.wait_for_fences(&fences, true, u64::MAX) }
-            .named("vkWaitForFences")
-            .map_err(|e| self.with_pass(&e, pass))?;
-        // SAFETY: the fence has signaled and is in no pending submission.
-        unsafe { self.gpu.device.reset_fences(&fences) }.named("vkResetFences")?;
-        self.broken = false;
-        Ok(())
-    }
-
-    fn with_pass(&self, e: &Error, pass: &str) -> Error {
-        Error::new(format!("{e} (last pass: {pass}, on {})", self.gpu.name))
     }
 }
 
-impl Drop for Engine {
-    fn drop(&mut self) {
-        // SAFETY: the device is alive. An error means that the device is lost: then nothing runs on it.
-        let _ = unsafe { self.gpu.device.device_wait_idle() };
-    }
+/// An error with what the device was doing.
+fn with_pass(e: &Error, pass: &str) -> Error {
+    Error::new(format!("{e} (last pass: {pass})"))
 }
 
 /// Bytes of a texel.

@@ -19,11 +19,13 @@ use crate::table::Classifier;
 use crate::voxels::{Geometry, PreparedVolume};
 use engine::{Cast, Engine, STATE_BYTES, ShaderKey, Ticket};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
-use gpu::{Gpu, GpuOptions};
+use gpu::{Gpu, GpuOptions, WrapDevice};
+pub use gpu::{LONGEST_WAIT, LONGEST_WAIT_SOFTWARE};
 use recording::{IMAGE_BYTES, Target, Tile, WORK_BYTES, record_tile, tiles};
 use resources::Shape;
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Duration;
 use upload::Brick;
 
 /// A dispatch that takes longer than this makes the tiles of its shading mode smaller.
@@ -63,10 +65,14 @@ pub struct VulkanOptions {
     pub tile: Option<u32>,
     /// Most voxels along an axis of one texture; larger volumes are cut into bricks. `None` is the device's limit.
     pub largest_texture: Option<u32>,
+    /// How long the device may take for one submission (a tile, a copy) before it counts as hanging. `None` is
+    /// [`LONGEST_WAIT`], on software devices [`LONGEST_WAIT_SOFTWARE`].
+    pub longest_wait: Option<Duration>,
 }
 
 impl VulkanOptions {
-    /// Reads `ENTIRE_DEVICE`, `ENTIRE_VALIDATION` (1 or 0) and `ENTIRE_TILE` (pixels); what is not set is the default.
+    /// Reads `ENTIRE_DEVICE`, `ENTIRE_VALIDATION` (1 or 0), `ENTIRE_TILE` (pixels) and `ENTIRE_DEVICE_WAIT` (seconds,
+    /// [`VulkanOptions::longest_wait`]); what is not set is the default.
     ///
     /// # Errors
     /// When a variable holds something else.
@@ -91,8 +97,19 @@ impl VulkanOptions {
                 }
             },
         };
+        let longest_wait = match get("ENTIRE_DEVICE_WAIT").as_deref() {
+            None | Some("") => None,
+            Some(text) => match text.parse::<f64>() {
+                Ok(seconds) if (0.001..=86400.0).contains(&seconds) => Some(Duration::from_secs_f64(seconds)),
+                _ => {
+                    return Err(Error::new(format!(
+                        "ENTIRE_DEVICE_WAIT is {text:?}; it must be 0.001…86400 seconds"
+                    )));
+                }
+            },
+        };
         let device = get("ENTIRE_DEVICE").filter(|d| !d.is_empty());
-        Ok(Self { device, validation, tile, ..Self::default() })
+        Ok(Self { device, validation, tile, longest_wait, ..Self::default() })
     }
 }
 
@@ -155,8 +172,32 @@ impl VulkanRaycaster {
     /// # Errors
     /// When there is no Vulkan loader, no driver or no such device; says what to install or to choose from.
     pub fn new(options: VulkanOptions) -> Result<Self> {
-        let gpu =
-            Gpu::open(&GpuOptions { device: options.device.as_deref(), validation: options.validation })?;
+        Self::open(options, &|device| device)
+    }
+
+    /// As [`VulkanRaycaster::new`] with other functions in the place of the device's, so that tests have devices that fail.
+    ///
+    /// # Errors
+    /// As [`VulkanRaycaster::new`].
+    ///
+    /// # Safety
+    /// The functions of the device that `wrap` returns must do what Vulkan says, failures included.
+    #[doc(hidden)]
+    #[allow(unsafe_code, reason = "calls into Vulkan go through what the caller gives")]
+    pub unsafe fn with_device_functions(
+        options: VulkanOptions,
+        wrap: &dyn Fn(ash::Device) -> ash::Device,
+    ) -> Result<Self> {
+        Self::open(options, wrap)
+    }
+
+    fn open(options: VulkanOptions, wrap: WrapDevice<'_>) -> Result<Self> {
+        let gpu = GpuOptions {
+            device: options.device.as_deref(),
+            validation: options.validation,
+            longest_wait: options.longest_wait,
+        };
+        let gpu = Gpu::open(&gpu, wrap)?;
         let groups = gpu.limits.max_compute_work_group_count;
         let pixels = u64::from(gpu.limits.max_storage_buffer_range) / STATE_BYTES.max(WORK_BYTES);
         let largest = (groups[0].min(groups[1]).saturating_mul(recording::GROUP_EDGE))
@@ -579,6 +620,11 @@ mod tests {
         let o =
             read(&[("ENTIRE_DEVICE", "llvm"), ("ENTIRE_VALIDATION", "1"), ("ENTIRE_TILE", "256")]).unwrap();
         assert_eq!((o.device.as_deref(), o.validation, o.tile), (Some("llvm"), true, Some(256)));
+        let wait = |text| read(&[("ENTIRE_DEVICE_WAIT", text)]).map(|o| o.longest_wait);
+        assert_eq!(wait("2.5").unwrap(), Some(Duration::from_millis(2500)));
+        for bad in ["0", "-1", "nan", "inf", "1e9", "long"] {
+            assert!(wait(bad).unwrap_err().to_string().contains("ENTIRE_DEVICE_WAIT"), "{bad}");
+        }
         assert!(read(&[("ENTIRE_VALIDATION", "yes")]).unwrap_err().to_string().contains("\"yes\""));
         for bad in ["0", "7", "big", "-8", "99999"] {
             assert!(read(&[("ENTIRE_TILE", bad)]).is_err());

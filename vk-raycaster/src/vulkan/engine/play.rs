@@ -13,20 +13,22 @@ impl Engine {
         // SAFETY: the one command buffer of the pool is not pending: the slot's submission was waited for, or `drain`
         // has waited for the device.
         unsafe { device.reset_command_pool(slot.pool.get(), vk::CommandPoolResetFlags::empty()) }
-            .named("vkResetCommandPool")?;
+            .on(&self.gpu, "vkResetCommandPool")?;
         let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
         // SAFETY: the command buffer is in its initial state.
-        unsafe { device.begin_command_buffer(slot.commands, &begin) }.named("vkBeginCommandBuffer")?;
+        unsafe { device.begin_command_buffer(slot.commands, &begin) }
+            .on(&self.gpu, "vkBeginCommandBuffer")?;
         for command in commands {
             self.play(slot, shader, command)?;
         }
         // SAFETY: recording was begun above.
-        unsafe { device.end_command_buffer(slot.commands) }.named("vkEndCommandBuffer")?;
+        unsafe { device.end_command_buffer(slot.commands) }.on(&self.gpu, "vkEndCommandBuffer")?;
         let buffers = [slot.commands];
         let submit = [vk::SubmitInfo::default().command_buffers(&buffers)];
         // SAFETY: the command buffer is complete, everything it uses is kept until the fence has signaled, the fence
         // is unsignaled, and `&mut self` of the callers keeps other threads from the queue.
-        unsafe { device.queue_submit(self.gpu.queue, &submit, slot.fence.get()) }.named("vkQueueSubmit")
+        unsafe { device.queue_submit(self.gpu.queue, &submit, slot.fence.get()) }
+            .on(&self.gpu, "vkQueueSubmit")
     }
 
     pub(super) fn image(&self, target: Target) -> Result<&Image> {
@@ -196,16 +198,16 @@ impl Engine {
             return Ok(None);
         };
         let mut ticks = [0u64; 2];
-        // SAFETY: the submission that wrote both queries was waited for.
+        // SAFETY: the submission that wrote both queries was waited for, so that both are there without waiting.
         unsafe {
             self.gpu.device.get_query_pool_results(
                 queries.get(),
                 0,
                 &mut ticks,
-                vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT,
+                vk::QueryResultFlags::TYPE_64,
             )
         }
-        .named("vkGetQueryPoolResults")?;
+        .on(&self.gpu, "vkGetQueryPoolResults")?;
         Ok(Some(clock.seconds(ticks[0], ticks[1])))
     }
 }
