@@ -5,7 +5,7 @@ wheel: ## Build the Python wheel and sdist: out/wheels/entire-*
 	@CARGO="$(CARGO)" plugins/python/run.sh wheel
 
 .PHONY: test-python
-test-python: ## Install the wheel into an environment of its own and run its tests (skipped where Python or Xvfb is not there)
+test-python: ## Run the tests of the installed wheel (skipped where Python or Xvfb is missing)
 	@CARGO="$(CARGO)" plugins/python/run.sh test
 
 .PHONY: bars-python

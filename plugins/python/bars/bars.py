@@ -4,9 +4,11 @@
     make bars-python
     plugins/python/run.sh bars --only frames,overhead
 
-Frames are those of `make bars-vtk`: 256^3 voxels of noise, 512 x 512 pixels, 200 frames of an orbit, a transparent and an
-opaque function in turn, the target half of the mean frame time at full quality, by processor time.
+Frames are those of `make bars-vtk`: 256^3 voxels of noise, 512 x 512 pixels, 200 frames of an orbit, a
+transparent and an opaque function in turn, the target half of the mean frame time at full quality, by
+processor time.
 """
+
 import argparse
 import ctypes
 import gc
@@ -38,13 +40,18 @@ pl.show(auto_close=False, interactive=False)
 
 def bar(name, value, limit, text=None, below=True):
     good = value <= limit if below else value >= limit
-    print(f"bar {name} {value:.4g} {limit:g} {'ok' if good else 'short'}" + (f"   {text}" if text else ""), flush=True)
+    print(
+        f"bar {name} {value:.4g} {limit:g} {'ok' if good else 'short'}" + (f"   {text}" if text else ""),
+        flush=True,
+    )
     return {"name": name, "value": value, "limit": limit, "ok": bool(good), "text": text}
 
 
 def noise_volume(n, seed=7):
     # The very volume of `make bars-vtk`.
-    spec = importlib.util.spec_from_file_location("vtk_scene", ROOT / "plugins" / "vtk" / "python" / "vtk_scene.py")
+    spec = importlib.util.spec_from_file_location(
+        "vtk_scene", ROOT / "plugins" / "vtk" / "python" / "vtk_scene.py"
+    )
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module.noise_volume(n, seed)
@@ -102,7 +109,10 @@ def frames_held(options):
         path.draw(0)
     full = [path.draw(f) for f in range(0, options.frames, 10)]
     target = 0.5 * statistics.fmean(full)
-    print(f"target {1e3 * target:.1f} ms of processor time, full quality {1e3 * statistics.fmean(full):.1f} ms", flush=True)
+    print(
+        f"target {1e3 * target:.1f} ms of processor time, full quality {1e3 * statistics.fmean(full):.1f} ms",
+        flush=True,
+    )
     results, figures = [], {}
     for name, limit in (("cold", 0.12), ("calibrated", 0.08)):
         path = Path200(voxels, options.size, options.frames)
@@ -123,10 +133,22 @@ def frames_held(options):
         relative = np.array(times) / target
         figures[name] = {"relative": relative.tolist(), "overhead": overhead}
         late = float(np.mean(relative > 1.25))
-        results.append(bar(f"error-{name}", float(np.mean(np.abs(relative - 1))), limit, f"mean {1e3 * np.mean(times):.1f} ms"))
+        results.append(
+            bar(
+                f"error-{name}",
+                float(np.mean(np.abs(relative - 1))),
+                limit,
+                f"mean {1e3 * np.mean(times):.1f} ms",
+            )
+        )
         results.append(bar(f"late-{name}", late, 0.02, "share of frames over 1.25 x target"))
         results.append(
-            bar(f"overhead-{name}", 1e6 * statistics.median(overhead), 150, "microseconds a frame, median, all of Python's part")
+            bar(
+                f"overhead-{name}",
+                1e6 * statistics.median(overhead),
+                150,
+                "microseconds a frame, median, all of Python's part",
+            )
         )
     (options.out / "frames.json").write_text(json.dumps(figures))
     return results
@@ -174,11 +196,14 @@ def many_views(options):
             times.append(time.process_time() - before)
         session = entire.Session(volume, model=model)
         alone = np.array(
-            [session.predict(entire.Camera.arcball(*map(float, v)), tf, (1280, 720)).seconds for v in views], np.float32
+            [session.predict(entire.Camera.arcball(*map(float, v)), tf, (1280, 720)).seconds for v in views],
+            np.float32,
         )
         name = model or "untrained"
         results.append(bar(f"views-{name}", min(times), 0.5, "seconds of one core for 10,000 views"))
-        results.append(bar(f"views-{name}-other-bits", int((together.view(np.uint32) != alone.view(np.uint32)).sum()), 0))
+        results.append(
+            bar(f"views-{name}-other-bits", int((together.view(np.uint32) != alone.view(np.uint32)).sum()), 0)
+        )
     return results
 
 
@@ -235,7 +260,12 @@ def volume_of_512(options):
     ratio = min(python_times) / min(c_times)
     return [
         bar("volume-copies", copies, 0),
-        bar("volume-over-c", ratio, 1.1, f"{1e3 * min(python_times):.1f} ms, the C call {1e3 * min(c_times):.1f} ms"),
+        bar(
+            "volume-over-c",
+            ratio,
+            1.1,
+            f"{1e3 * min(python_times):.1f} ms, the C call {1e3 * min(c_times):.1f} ms",
+        ),
     ]
 
 
@@ -311,7 +341,9 @@ MEASURES = {
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--wheels", default=ROOT / "out" / "wheels")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "python")
     parser.add_argument("--library", type=Path, default=ROOT / "target" / "release" / "libentire.so")
@@ -327,7 +359,10 @@ def main():
         results += MEASURES[name](options)
     (options.out / "bars.json").write_text(json.dumps(results, indent=1))
     short = [r["name"] for r in results if not r["ok"]]
-    print(f"{len(results) - len(short)} of {len(results)} bars met" + (f"; short: {', '.join(short)}" if short else ""))
+    print(
+        f"{len(results) - len(short)} of {len(results)} bars met"
+        + (f"; short: {', '.join(short)}" if short else "")
+    )
 
 
 if __name__ == "__main__":

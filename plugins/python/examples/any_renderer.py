@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """A renderer of one's own in a session: here NumPy adds up samples along z, and is told how many to take.
 
-    python any_renderer.py
+python any_renderer.py
 """
+
 import time
 
 import numpy as np
@@ -24,7 +25,9 @@ def draw(step):
 
 session = entire.Session(volume)
 for frame in range(60):
-    plan = session.plan(entire.Camera.arcball(0, 0, 2.5), tf, (192, 192), target=0.05, skipping="none", termination=1.0)
+    plan = session.plan(
+        entire.Camera.arcball(0, 0, 2.5), tf, (192, 192), target=0.05, skipping="none", termination=1.0
+    )
     began = time.perf_counter()
     draw(plan.step)
     session.observe(plan, time.perf_counter() - began)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """A volume in PyVista that keeps 30 frames per second while it is turned: drag with the mouse.
 
-    pip install entire[pyvista]
-    python three_lines.py
+pip install entire[pyvista]
+python three_lines.py
 """
+
 import numpy as np
 import pyvista as pv
 

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Holds a volume of plain VTK to 20 ms off screen and writes how it went: history.svg.
 
-    pip install entire[vtk]
-    xvfb-run -a python vtk_hold.py
+pip install entire[vtk]
+xvfb-run -a python vtk_hold.py
 """
+
 import math
 import sys
 
@@ -20,7 +21,9 @@ import entire.vtk
 
 n = 96
 z, y, x = np.mgrid[-1 : 1 : n * 1j, -1 : 1 : n * 1j, -1 : 1 : n * 1j]
-voxels = (127 * (1 + np.sin(12 * np.sqrt(x**2 + y**2 + z**2)) * np.cos(9 * x) * np.cos(9 * y))).astype(np.uint8)
+voxels = (127 * (1 + np.sin(12 * np.sqrt(x**2 + y**2 + z**2)) * np.cos(9 * x) * np.cos(9 * y))).astype(
+    np.uint8
+)
 image = vtkImageData()
 image.SetDimensions(n, n, n)
 image.GetPointData().SetScalars(numpy_to_vtk(voxels.ravel()))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """A yt scene drawn within a time per picture.
 
-    pip install entire yt
-    python yt_hold.py picture.png
+pip install entire yt
+python yt_hold.py picture.png
 """
+
 import sys
 
 import numpy as np
@@ -15,7 +16,9 @@ yt.set_log_level(50)
 n = 64
 z, y, x = np.mgrid[-1 : 1 : n * 1j, -1 : 1 : n * 1j, -1 : 1 : n * 1j]
 density = np.exp(-6 * (x**2 + 2 * y**2 + z**2)) * (1 + 0.5 * np.sin(20 * x) * np.sin(20 * z)) + 1e-3
-data = yt.load_uniform_grid({("stream", "density"): density}, (n, n, n), bbox=np.array([[-1.0, 1.0]] * 3), nprocs=1)
+data = yt.load_uniform_grid(
+    {("stream", "density"): density}, (n, n, n), bbox=np.array([[-1.0, 1.0]] * 3), nprocs=1
+)
 scene = yt.create_scene(data, ("stream", "density"))
 source = scene[0]
 source.set_log(False)
@@ -31,7 +34,10 @@ holder = entire.yt.hold(scene, seconds=0.4)
 for degrees in range(0, 90, 10):
     camera.yaw(np.radians(1.0))
     holder.render()
-    print(f"{holder.samples} samples per cell, {holder.resolution[0]} pixels, {1e3 * holder.measured:.0f} ms: {holder.why}")
+    print(
+        f"{holder.samples} samples per cell, {holder.resolution[0]} pixels, {1e3 * holder.measured:.0f} "
+        f"ms: {holder.why}"
+    )
 print(holder.history)
 if len(sys.argv) > 1:
     scene.save(sys.argv[1], sigma_clip=4.0, render=False)

@@ -50,7 +50,8 @@ impl Calibration {
     /// ------
     /// ValueError
     ///     For a size, step or termination out of range.
-    #[pyo3(signature = (volume, camera, tf, size, seconds, *, step = 1.0, shading = "none", skipping = "blocks",
+    #[pyo3(signature = (volume, camera, tf, size, seconds, *, step = 1.0, shading = "none",
+        skipping = "blocks",
         termination = 0.99))]
     #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn add(

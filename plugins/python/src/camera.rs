@@ -105,7 +105,8 @@ impl Camera {
         let right = forward.cross(DVec3::from_array(up)).normalize_or_zero();
         if forward == DVec3::ZERO || right == DVec3::ZERO || !at.is_finite() {
             return Err(PyValueError::new_err(format!(
-                "eye {eye:?}, target {:?} and up {up:?} give no view; eye and target must differ, up must not lie along the view",
+                "eye {eye:?}, target {:?} and up {up:?} give no view; eye and target must differ, up must \
+                 not lie along the view",
                 target.to_array()
             )));
         }
@@ -121,8 +122,8 @@ impl Camera {
     /// volume : Volume
     ///     The volume that is seen.
     /// matrix : array_like, shape (4, 4)
-    ///     Takes homogeneous world coordinates (a column, ``matrix @ p``) to the eye's: x right, y up, looking along -z.
-    ///     A rotation and a translation; no scale, no projection.
+    ///     Takes homogeneous world coordinates (a column, ``matrix @ p``) to the eye's: x right, y up,
+    ///     looking along -z. A rotation and a translation; no scale, no projection.
     /// fov : float, optional
     ///     Vertical field of view in degrees. Default 45.
     ///
@@ -210,8 +211,8 @@ impl Camera {
     /// volume : Volume
     ///     The volume that is seen.
     /// matrix : array_like, shape (4, 4)
-    ///     Takes homogeneous world coordinates (a column, ``matrix @ p``) to clip coordinates: x and y in [-w, w] are seen.
-    ///     Perspective or parallel; pixels square.
+    ///     Takes homogeneous world coordinates (a column, ``matrix @ p``) to clip coordinates: x and y in
+    ///     [-w, w] are seen. Perspective or parallel; pixels square.
     ///
     /// Raises
     /// ------
@@ -254,8 +255,8 @@ impl Camera {
         from_view(volume, rows, fov as f32)
     }
 
-    /// Whether a renderer that goes from `before` to this camera jumps: turns by more than a third of a right angle, or
-    /// changes its distance by half.
+    /// Whether a renderer that goes from `before` to this camera jumps: turns by more than a third of a right
+    /// angle, or changes its distance by half.
     ///
     /// Parameters
     /// ----------
@@ -272,7 +273,8 @@ impl Camera {
         turned.x.max(turned.y).max(turned.z) > 0.5 || !(ratio > 0.67 && ratio < 1.5)
     }
 
-    /// tuple of float : Elevation and azimuth in degrees, and distance in radii, of the arcball pose with the same eye.
+    /// tuple of float : Elevation and azimuth in degrees, and distance in radii, of the arcball pose with the
+    /// same eye.
     #[getter]
     fn pose(&self) -> (f32, f32, f32) {
         let Arcball { rx, ry, dz } = self.core.to_arcball();

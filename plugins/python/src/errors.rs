@@ -8,7 +8,8 @@ create_exception!(
     entire,
     ModelError,
     PyValueError,
-    "A model file that cannot be used: damaged, of another format, or without the network that the call needs."
+    "A model file that cannot be used: damaged, of another format, or without the network that the call \
+     needs."
 );
 create_exception!(
     entire,
@@ -27,7 +28,8 @@ create_exception!(
     entire,
     RejectedObservationError,
     PyValueError,
-    "A time that cannot be learned from: of an unknown plan, told twice, or no positive number. It changed nothing."
+    "A time that cannot be learned from: of an unknown plan, told twice, or no positive number. It changed \
+     nothing."
 );
 
 /// The exception for an error of the library.

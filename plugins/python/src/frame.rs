@@ -91,7 +91,8 @@ pub(crate) fn cameras(given: &Bound<'_, PyAny>, volume: &Volume, fov: f32) -> Py
                 .collect()
         }
         _ => Err(PyTypeError::new_err(format!(
-            "cameras have the shape {shape:?}; pass Camera objects, an array (n, 3) of rx, ry, dz or an array (n, 4, 4) of world-to-eye matrices"
+            "cameras have the shape {shape:?}; pass Camera objects, an array (n, 3) of rx, ry, dz or an \
+             array (n, 4, 4) of world-to-eye matrices"
         ))),
     }
 }

@@ -19,8 +19,8 @@ impl<T: Send> Guarded<T> {
     /// Locks. Where another thread holds the lock, the interpreter is let go of while waiting for it.
     ///
     /// # Errors
-    /// `RuntimeError` where the lock was held by a thread of the parent when this process was forked, or where a call
-    /// under it has panicked.
+    /// `RuntimeError` where the lock was held by a thread of the parent when this process was forked, or
+    /// where a call under it has panicked.
     pub(crate) fn lock<'a>(&'a self, py: Python<'_>) -> PyResult<MutexGuard<'a, T>> {
         let guard = match self.value.try_lock() {
             Ok(guard) => guard,
@@ -29,7 +29,8 @@ impl<T: Send> Guarded<T> {
                 let holder = self.process.load(Ordering::Relaxed);
                 if holder != 0 && holder != std::process::id() {
                     return Err(PyRuntimeError::new_err(
-                        "another thread was using this object when the process was forked; make a new one in the child",
+                        "another thread was using this object when the process was forked; make a new one \
+                         in the child",
                     ));
                 }
                 py.detach(|| self.value.lock().map(SendGuard).map_err(drop)).map_err(|()| poisoned())?.0

@@ -28,7 +28,8 @@ impl Loaded {
         }
         let Some(net) = &self.net else {
             return Err(ModelError::new_err(
-                "the model has no prediction network; take one such as \"unshaded-selected\", or a file from `entire train`",
+                "the model has no prediction network; take one such as \"unshaded-selected\", or a file \
+                 from `entire train`",
             ));
         };
         Ok(Box::new(ModelPredictor::with_net(net.clone(), &self.file).map_err(raise)?))
@@ -45,7 +46,8 @@ impl Loaded {
     fn encode(&self, py: Python<'_>, volume: &Data) -> PyResult<Vec<f32>> {
         let Some(encoder) = &self.encoder else {
             return Err(ModelError::new_err(
-                "the model has no volume encoder; take one such as \"volumenet-64f2\", or a file with volumenet.* tensors",
+                "the model has no volume encoder; take one such as \"volumenet-64f2\", or a file with \
+                 volumenet.* tensors",
             ));
         };
         let mut scratch = self.scratch.lock(py)?;

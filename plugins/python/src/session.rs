@@ -100,7 +100,8 @@ impl Session {
         self.state.lock(py)
     }
 
-    /// Takes up another volume; scanned and encoded with the interpreter let go of, before the session is locked.
+    /// Takes up another volume; scanned and encoded with the interpreter let go of, before the session is
+    /// locked.
     fn take_volume(&self, py: Python<'_>, volume: &Volume) -> PyResult<()> {
         let summary = volume.0.summary(py)?;
         let features = match &self.model {
@@ -159,7 +160,8 @@ fn source(source: Source) -> &'static str {
 #[pymethods]
 impl Session {
     #[new]
-    #[pyo3(signature = (volume = None, *, model = None, tolerance = 0.1, miss_rate = 0.05, trust_limit = 2.0, damping = true,
+    #[pyo3(signature = (volume = None, *, model = None, tolerance = 0.1, miss_rate = 0.05,
+        trust_limit = 2.0, damping = true,
         probe_side = None))]
     #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn new(
@@ -255,10 +257,11 @@ impl Session {
     /// Parameters
     /// ----------
     /// coarsest : float
-    ///     Most pixels between rays along each side of the image, 1 to 64. 1, as sessions start, leaves the image alone.
+    ///     Most pixels between rays along each side of the image, 1 to 64. 1, as sessions start, leaves the
+    ///     image alone.
     /// step_alone : float, optional
-    ///     How many times the finest step comes before any smaller image, 1 to 64. Default 1; about 2 where a smaller image
-    ///     is blurred by much.
+    ///     How many times the finest step comes before any smaller image, 1 to 64. Default 1; about 2 where a
+    ///     smaller image is blurred by much.
     ///
     /// Raises
     /// ------
@@ -269,7 +272,8 @@ impl Session {
         self.state(py)?.core.set_max_image_sample_distance(coarsest, step_alone).map_err(raise)
     }
 
-    /// Switches steering off (every plan answers the frame's own step: for screenshots and still frames) or on again.
+    /// Switches steering off (every plan answers the frame's own step: for screenshots and still frames) or
+    /// on again.
     ///
     /// Parameters
     /// ----------
@@ -279,7 +283,8 @@ impl Session {
         Ok(())
     }
 
-    /// Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot see.
+    /// Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot
+    /// see.
     ///
     /// Parameters
     /// ----------
@@ -326,7 +331,8 @@ impl Session {
     ///     Where the model needs an input that was not given, such as Gaussian lobes.
     /// ValueError
     ///     For a size, step, target or termination out of range.
-    #[pyo3(signature = (camera, tf, size, target, *, step = 1.0, shading = "none", skipping = "blocks", termination = 0.99))]
+    #[pyo3(signature = (camera, tf, size, target, *, step = 1.0, shading = "none", skipping = "blocks",
+        termination = 0.99))]
     #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn plan(
         &self,
@@ -351,7 +357,8 @@ impl Session {
         Ok(state.note(plan, size, target))
     }
 
-    /// Chooses among settings, best picture first: the first that is expected to meet the target, else the fastest.
+    /// Chooses among settings, best picture first: the first that is expected to meet the target, else the
+    /// fastest.
     ///
     /// For renderers whose steps or sizes come in a few values.
     ///
@@ -360,7 +367,8 @@ impl Session {
     /// camera, tf, size, target, shading, skipping, termination
     ///     As in :meth:`plan`.
     /// settings : sequence of (step, (width, height))
-    ///     Ray step in reference steps and size in pixels, of the shape of `size`; best picture first, at most 64.
+    ///     Ray step in reference steps and size in pixels, of the shape of `size`; best picture first, at
+    ///     most 64.
     ///
     /// Returns
     /// -------
@@ -371,7 +379,8 @@ impl Session {
     /// ------
     /// ValueError
     ///     For no settings, or one out of range; else as :meth:`plan`.
-    #[pyo3(signature = (camera, tf, size, target, settings, *, shading = "none", skipping = "blocks", termination = 0.99))]
+    #[pyo3(signature = (camera, tf, size, target, settings, *, shading = "none", skipping = "blocks",
+        termination = 0.99))]
     #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn choose(
         &self,
@@ -414,13 +423,14 @@ impl Session {
     /// Returns
     /// -------
     /// str
-    ///     "learned", "clipped" (far from what was expected: its pull was clipped) or "ignored" (flagged, or the first frame).
+    ///     "learned", "clipped" (far from what was expected: its pull was clipped) or "ignored" (flagged, or
+    ///     the first frame).
     ///
     /// Raises
     /// ------
     /// RejectedObservationError
-    ///     For a plan that is unknown, forgotten or observed before, and a time that is not finite, not positive or over
-    ///     10,000 s. It changes nothing.
+    ///     For a plan that is unknown, forgotten or observed before, and a time that is not finite, not
+    ///     positive or over 10,000 s. It changes nothing.
     #[pyo3(signature = (plan, seconds, *, unusual = false, cancelled = false))]
     fn observe(
         &self,
@@ -452,7 +462,8 @@ impl Session {
         Ok(verdict.name())
     }
 
-    /// Predicts a frame's seconds at its own step, corrected by what was observed; later plans do not depend on it.
+    /// Predicts a frame's seconds at its own step, corrected by what was observed; later plans do not depend
+    /// on it.
     ///
     /// Parameters
     /// ----------
@@ -462,7 +473,8 @@ impl Session {
     /// Returns
     /// -------
     /// Prediction
-    #[pyo3(signature = (camera, tf, size, *, step = 1.0, shading = "none", skipping = "blocks", termination = 0.99))]
+    #[pyo3(signature = (camera, tf, size, *, step = 1.0, shading = "none", skipping = "blocks",
+        termination = 0.99))]
     #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn predict(
         &self,
@@ -504,7 +516,8 @@ impl Session {
     /// -------
     /// numpy.ndarray
     ///     float32, shape (n,): seconds.
-    #[pyo3(signature = (cameras, tf, size, *, step = 1.0, shading = "none", skipping = "blocks", termination = 0.99,
+    #[pyo3(signature = (cameras, tf, size, *, step = 1.0, shading = "none", skipping = "blocks",
+        termination = 0.99,
         fov = 45.0))]
     #[allow(clippy::too_many_arguments, reason = "Python names them")]
     fn predict_many<'py>(
@@ -571,8 +584,8 @@ impl Session {
     /// Returns
     /// -------
     /// dict of str to list
-    ///     ``plan``, ``target``, ``predicted``, ``upper``, ``measured`` (seconds), ``step`` (reference steps),
-    ///     ``image_sample_distance`` (pixels), ``reason``, ``verdict``.
+    ///     ``plan``, ``target``, ``predicted``, ``upper``, ``measured`` (seconds), ``step`` (reference
+    ///     steps), ``image_sample_distance`` (pixels), ``reason``, ``verdict``.
     fn columns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let entries: Vec<Entry> = self.state(py)?.history.entries().copied().collect();
         let dict = PyDict::new(py);

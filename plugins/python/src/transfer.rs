@@ -44,8 +44,8 @@ impl Transfer {
 
 /// Opacity and color of scalar values. Made by :meth:`lobes`, :meth:`points`, :meth:`nodes` or :meth:`table`.
 ///
-/// Opacities are those of one unit of length along a ray: `unit_distance` reference steps (1 by default; a reference step
-/// is the smallest voxel spacing), or `unit_length` in the unit of the volume's spacing.
+/// Opacities are those of one unit of length along a ray: `unit_distance` reference steps (1 by default; a
+/// reference step is the smallest voxel spacing), or `unit_length` in the unit of the volume's spacing.
 #[pyclass(frozen, module = "entire")]
 pub(crate) struct TransferFunction(pub(crate) Arc<Transfer>);
 
@@ -57,7 +57,8 @@ fn made(
     let unit = match (unit_distance, unit_length) {
         (Some(_), Some(_)) => {
             return Err(PyValueError::new_err(
-                "unit_distance and unit_length are both given; opacities belong to one length: pass one of them",
+                "unit_distance and unit_length are both given; opacities belong to one length: pass one of \
+                 them",
             ));
         }
         (_, Some(length)) => Unit::World(length),
@@ -140,13 +141,16 @@ impl TransferFunction {
         made(Description::Points(points.collect()), unit_distance, unit_length)
     }
 
-    /// Nodes as VTK and ParaView have them, evaluated as ``vtkPiecewiseFunction`` and ``vtkColorTransferFunction`` do.
+    /// Nodes as VTK and ParaView have them, evaluated as ``vtkPiecewiseFunction`` and
+    /// ``vtkColorTransferFunction`` do.
     ///
     /// Parameters
     /// ----------
     /// opacity : sequence of (position, opacity) or (position, opacity, midpoint, sharpness)
-    ///     Positions in scalar values, ascending; everything else in [0, 1]. Midpoint 0.5 and sharpness 0 are linear.
-    /// color : sequence of (position, red, green, blue) or (position, red, green, blue, midpoint, sharpness), optional
+    ///     Positions in scalar values, ascending; everything else in [0, 1]. Midpoint 0.5 and sharpness 0 are
+    ///     linear.
+    /// color : sequence of (position, red, green, blue) or (position, red, green, blue, midpoint, sharpness),
+    /// optional
     ///     Default: a color ramp.
     /// range : (float, float)
     ///     Scalar values that [0, 1] stands for: the volume's range.
@@ -160,7 +164,8 @@ impl TransferFunction {
     /// ValueError
     ///     Naming the node and what is wrong with it.
     #[staticmethod]
-    #[pyo3(signature = (opacity, color = Vec::new(), *, range, clamp = true, unit_distance = None, unit_length = None))]
+    #[pyo3(signature = (opacity, color = Vec::new(), *, range, clamp = true, unit_distance = None,
+        unit_length = None))]
     fn nodes(
         opacity: Vec<OpacityEntry>,
         color: Vec<ColorEntry>,
@@ -221,7 +226,8 @@ impl TransferFunction {
             }
             _ => {
                 return Err(PyValueError::new_err(format!(
-                    "the table has the shape {shape:?}; it must be (n, 4) for red, green, blue, opacity or (n,) for opacity"
+                    "the table has the shape {shape:?}; it must be (n, 4) for red, green, blue, opacity or \
+                     (n,) for opacity"
                 )));
             }
         };

@@ -53,32 +53,35 @@ impl Data {
 
 /// A scalar volume on a regular grid, looked at where it lies in memory.
 ///
-/// Arrays of ``uint8``, ``uint16``, ``int16`` and ``float32`` in the machine's byte order are neither copied nor changed,
-/// whatever their strides, as long as no stride is negative; the array is kept alive. ``bool`` counts as ``uint8``; every
-/// other integer and float type, foreign byte orders and negative strides are converted once (to ``int16`` from ``int8``,
-/// else to ``float32``). The array must not be written to while a call reads it.
+/// Arrays of ``uint8``, ``uint16``, ``int16`` and ``float32`` in the machine's byte order are neither copied
+/// nor changed, whatever their strides, as long as no stride is negative; the array is kept alive. ``bool``
+/// counts as ``uint8``; every other integer and float type, foreign byte orders and negative strides are
+/// converted once (to ``int16`` from ``int8``, else to ``float32``). The array must not be written to while a
+/// call reads it.
 ///
 /// Parameters
 /// ----------
 /// array : array_like, 3-D
 ///     Voxels, indexed by `axes`.
 /// spacing : (float, float, float), optional
-///     Distances between neighboring voxels along x, y and z, in any unit of length; positive. Default 1, 1, 1.
+///     Distances between neighboring voxels along x, y and z, in any unit of length; positive. Default 1, 1,
+///     1.
 /// origin : (float, float, float), optional
 ///     World position of the first voxel's center, in the same unit. Default 0, 0, 0.
 /// axes : {"zyx", "xyz"}, optional
-///     Which axis of the array is which: ``array[z, y, x]`` (the default; x fastest in C order) or ``array[x, y, z]``.
+///     Which axis of the array is which: ``array[z, y, x]`` (the default; x fastest in C order) or
+///     ``array[x, y, z]``.
 /// range : (float, float), optional
-///     Scalar values that the transfer function's ends belong to. Default: 0 to 255 for ``uint8``, else the smallest and
-///     the largest finite voxel.
+///     Scalar values that the transfer function's ends belong to. Default: 0 to 255 for ``uint8``, else the
+///     smallest and the largest finite voxel.
 ///
 /// Raises
 /// ------
 /// TypeError
 ///     For an array that does not hold numbers.
 /// ValueError
-///     For an array that is empty or has not three axes, a spacing that is not positive, a range that is not finite or
-///     upside down.
+///     For an array that is empty or has not three axes, a spacing that is not positive, a range that is not
+///     finite or upside down.
 ///
 /// Examples
 /// --------
@@ -124,7 +127,8 @@ fn kept_as(array: &Bound<'_, PyUntypedArray>) -> PyResult<(ScalarType, Option<&'
         (b'i', 1) => Ok((ScalarType::I16, Some("int16"))),
         (b'u' | b'i' | b'f', _) => Ok((ScalarType::F32, Some("float32"))),
         _ => Err(PyTypeError::new_err(format!(
-            "the array's dtype is {dtype}; integers, floats and bool can be drawn (take one component, or the magnitude)"
+            "the array's dtype is {dtype}; integers, floats and bool can be drawn (take one component, or \
+             the magnitude)"
         ))),
     }
 }
@@ -132,8 +136,8 @@ fn kept_as(array: &Bound<'_, PyUntypedArray>) -> PyResult<(ScalarType, Option<&'
 /// A slice over everything that an array's strides reach.
 ///
 /// # Safety
-/// `at` points at the first element of an array of `T` whose memory lives as long as the result is used, and `count`
-/// elements can be read from there.
+/// `at` points at the first element of an array of `T` whose memory lives as long as the result is used, and
+/// `count` elements can be read from there.
 unsafe fn elements<T>(at: *const u8, count: usize) -> &'static [T] {
     // SAFETY: as the caller promises.
     unsafe { std::slice::from_raw_parts(at.cast(), count) }
@@ -142,7 +146,8 @@ unsafe fn elements<T>(at: *const u8, count: usize) -> &'static [T] {
 #[pymethods]
 impl Volume {
     #[new]
-    #[pyo3(signature = (array, spacing = [1.0, 1.0, 1.0], *, origin = [0.0, 0.0, 0.0], axes = "zyx", range = None))]
+    #[pyo3(signature = (array, spacing = [1.0, 1.0, 1.0], *, origin = [0.0, 0.0, 0.0], axes = "zyx",
+        range = None))]
     fn new(
         py: Python<'_>,
         array: &Bound<'_, PyAny>,
@@ -167,7 +172,8 @@ impl Volume {
         let mut kept = given.cast::<PyUntypedArray>()?.clone();
         if kept.ndim() != 3 {
             return Err(PyValueError::new_err(format!(
-                "the array has {} axes (shape {:?}); a volume has three. Choose a time step or a component first",
+                "the array has {} axes (shape {:?}); a volume has three. Choose a time step or a component \
+                 first",
                 kept.ndim(),
                 kept.shape()
             )));
@@ -193,8 +199,8 @@ impl Volume {
         let strides: [usize; 3] = std::array::from_fn(|a| kept.strides()[order[a]] as usize / size);
         let count =
             if dims.contains(&0) { 0 } else { 1 + (0..3).map(|a| (dims[a] - 1) * strides[a]).sum::<usize>() };
-        // SAFETY: the array lives; NumPy's data pointer is aligned (checked above) and reaches `count` elements, the last
-        // of which is the array's last. `owner` keeps the memory for as long as the view.
+        // SAFETY: the array lives; NumPy's data pointer is aligned (checked above) and reaches `count`
+        // elements, the last of which is the array's last. `owner` keeps the memory for as long as the view.
         let scalars = unsafe {
             let at = (*kept.as_array_ptr()).fields.data.cast::<u8>().cast_const();
             match kind {
@@ -252,7 +258,8 @@ impl Volume {
         self.0.view.range()
     }
 
-    /// float : The reference ray step (the smallest spacing), of which plans are multiples, in the unit of the spacing.
+    /// float : The reference ray step (the smallest spacing), of which plans are multiples, in the unit of
+    /// the spacing.
     #[getter]
     fn reference_step(&self) -> f32 {
         self.0.spacing().min_element()

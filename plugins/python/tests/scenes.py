@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Volumes in a VTK window."""
+
 import math
 
 import numpy as np

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """trame, yt, vispy and napari: each drawn for real, and what cannot be steered says why."""
+
 import os
 import subprocess
 import sys
@@ -15,7 +16,9 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
 def example(name, *arguments, timeout=240):
-    run = subprocess.run([sys.executable, EXAMPLES / name, *arguments], capture_output=True, text=True, timeout=timeout)
+    run = subprocess.run(
+        [sys.executable, EXAMPLES / name, *arguments], capture_output=True, text=True, timeout=timeout
+    )
     assert run.returncode == 0, run.stderr[-2000:]
     return run.stdout
 
@@ -104,7 +107,9 @@ def canvas(voxels):
     except Exception as error:
         pytest.skip(f"Qt opens no window here: {error}")
     view = made.central_widget.add_view()
-    visual = scene.visuals.Volume(voxels.astype(np.float32), parent=view.scene, method="translucent", clim=(0, 255))
+    visual = scene.visuals.Volume(
+        voxels.astype(np.float32), parent=view.scene, method="translucent", clim=(0, 255)
+    )
     view.camera = scene.cameras.TurntableCamera(fov=45, distance=120, center=(24, 24, 24), parent=view.scene)
     app.process_events()
     yield made, view, visual

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Memory does not grow with cycles; `make bars-python` runs many more."""
+
 import gc
 import os
 

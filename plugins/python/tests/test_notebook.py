@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """The tutorial runs from top to bottom and shows what it says."""
+
 from pathlib import Path
 
 import pytest

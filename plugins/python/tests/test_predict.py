@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Thousands of views give the bits of one view at a time, while other threads run."""
+
 import threading
 import time
 
@@ -23,7 +24,9 @@ def test_the_same_bits_as_one_by_one(voxels, tf, model):
         together = entire.predict(volume, views, function, (320, 200), model=model, shading=shading, step=1.5)
         session = entire.Session(volume, model=model)
         alone = [
-            session.predict(entire.Camera.arcball(*map(float, v)), function, (320, 200), shading=shading, step=1.5).seconds
+            session.predict(
+                entire.Camera.arcball(*map(float, v)), function, (320, 200), shading=shading, step=1.5
+            ).seconds
             for v in views
         ]
         assert together.dtype == np.float32

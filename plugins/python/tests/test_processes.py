@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Threads, forks and the end of the interpreter."""
+
 import os
 import subprocess
 import sys
@@ -97,14 +98,20 @@ def test_the_interpreter_may_end_at_any_time():
         module_level = (volume, tf, session, entire.Model("unshaded-selected"))
         print("done")
     """
-    run = subprocess.run([sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, timeout=60)
+    run = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, timeout=60
+    )
     assert (run.returncode, run.stdout.strip(), run.stderr) == (0, "done", "")
 
 
 def test_python_m_entire_and_the_command_are_one():
-    run = subprocess.run([sys.executable, "-m", "entire", "--version"], capture_output=True, text=True, timeout=60)
+    run = subprocess.run(
+        [sys.executable, "-m", "entire", "--version"], capture_output=True, text=True, timeout=60
+    )
     assert run.returncode == 0
     assert run.stdout.split()[-1] == entire.__version__
-    wrong = subprocess.run([sys.executable, "-m", "entire", "encode", "nothing.nrrd"], capture_output=True, text=True, timeout=60)
+    wrong = subprocess.run(
+        [sys.executable, "-m", "entire", "encode", "nothing.nrrd"], capture_output=True, text=True, timeout=60
+    )
     assert wrong.returncode in (1, 2)
     assert wrong.stderr

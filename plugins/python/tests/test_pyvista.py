@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """PyVista: three lines, widgets, several renderers, pictures that are kept."""
+
 import numpy as np
 import pytest
 
@@ -143,13 +144,19 @@ def test_a_clip_plane_widget(shown):
     moved = plotter.screenshot()
     assert not np.array_equal(clipped, moved)
     plotter.entire.detach()
-    assert actor.mapper.GetNumberOfClippingPlanes() if hasattr(actor.mapper, "GetNumberOfClippingPlanes") else True
+    assert (
+        actor.mapper.GetNumberOfClippingPlanes()
+        if hasattr(actor.mapper, "GetNumberOfClippingPlanes")
+        else True
+    )
     plotter.render()
     assert np.array_equal(plotter.screenshot(), moved)
 
 
 def test_blocks(image):
-    blocks = pv.MultiBlock([image.extract_subset((0, 24, 0, 47, 0, 47)), image.extract_subset((24, 47, 0, 47, 0, 47))])
+    blocks = pv.MultiBlock(
+        [image.extract_subset((0, 24, 0, 47, 0, 47)), image.extract_subset((24, 47, 0, 47, 0, 47))]
+    )
     plotter = pv.Plotter(off_screen=True, window_size=(240, 240))
     plotter.add_volume(blocks, scalars="values", show_scalar_bar=False)
     plotter.show(auto_close=False)

@@ -27,7 +27,14 @@ def test_a_loop_meets_its_target(voxels, tf):
     assert len(history) == 120
     assert np.allclose(history.measured, np.float32(0.01) * np.array(late), rtol=1e-5)
     assert history.relative_error()[20:].mean() < 0.1
-    assert set(history.reason) <= {"fits", "held", "damped", "finest allowed", "history", "target unreachable"}
+    assert set(history.reason) <= {
+        "fits",
+        "held",
+        "damped",
+        "finest allowed",
+        "history",
+        "target unreachable",
+    }
 
 
 def test_the_image_shrinks_where_it_may(voxels, tf):
@@ -133,7 +140,10 @@ def test_cameras_agree(voxels, tf):
     assert not at.jumps_from(straight)
     assert entire.Camera.arcball(0, 60, 2.5).jumps_from(straight)
     assert entire.Camera.arcball(0, 0, 6).jumps_from(straight)
-    for bad in (lambda: entire.Camera.look_at(volume, center), lambda: entire.Camera.look_at(volume, eye, up=(0, 0, 1))):
+    for bad in (
+        lambda: entire.Camera.look_at(volume, center),
+        lambda: entire.Camera.look_at(volume, eye, up=(0, 0, 1)),
+    ):
         with pytest.raises(ValueError, match="must differ"):
             bad()
     shear = np.eye(4)
@@ -173,7 +183,9 @@ def test_opacity_of_a_length_in_space_follows_the_spacing(voxels):
     steps = entire.TransferFunction.points([(0, 0), (1, 0.2)], unit_distance=2)
     space = entire.TransferFunction.points([(0, 0), (1, 0.2)], unit_length=4)
     orbit = [(0, a, 2) for a in range(0, 180, 30)]
-    assert np.array_equal(entire.predict(volume, orbit, steps, (64, 64)), entire.predict(volume, orbit, space, (64, 64)))
+    assert np.array_equal(
+        entire.predict(volume, orbit, steps, (64, 64)), entire.predict(volume, orbit, space, (64, 64))
+    )
 
 
 def test_models_by_name_path_and_bytes(voxels, tf, tmp_path):
@@ -184,7 +196,13 @@ def test_models_by_name_path_and_bytes(voxels, tf, tmp_path):
     orbit = [(0, a, 2) for a in range(0, 180, 30)]
     times = [
         entire.predict(voxels, orbit, tf, (64, 64), model=m)
-        for m in ("unshaded-selected", model, tmp_path / "copy.safetensors", str(tmp_path / "copy.safetensors"), model.to_bytes())
+        for m in (
+            "unshaded-selected",
+            model,
+            tmp_path / "copy.safetensors",
+            str(tmp_path / "copy.safetensors"),
+            model.to_bytes(),
+        )
     ]
     assert all(np.array_equal(times[0], t) for t in times)
     assert model.predicts
@@ -228,7 +246,9 @@ def test_calibration_finds_the_renderer(voxels, tf):
     fitted = entire.Session(volume, model=model)
     for _ in range(20):
         camera = entire.Camera.arcball(*(float(v) for v in rng.uniform((-80, 0, 1.2), (80, 360, 4))))
-        assert fitted.predict(camera, tf, (300, 200)).seconds == pytest.approx(renderer(camera, (300, 200), 1.0), rel=0.05)
+        assert fitted.predict(camera, tf, (300, 200)).seconds == pytest.approx(
+            renderer(camera, (300, 200), 1.0), rel=0.05
+        )
 
 
 def test_a_history_is_shown(voxels, tf):

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Stubs agree with the module, users' code with the stubs, examples in docstrings with what happens."""
+
 import doctest
 import importlib
 import inspect
@@ -25,7 +26,15 @@ def mypy(*arguments):
 
 
 def test_stubs_and_users_code():
-    run = mypy("mypy", "--config-file", "pyproject.toml", "--cache-dir", os.devnull, str(PACKAGE), "tests/typing_check.py")
+    run = mypy(
+        "mypy",
+        "--config-file",
+        "pyproject.toml",
+        "--cache-dir",
+        os.devnull,
+        str(PACKAGE),
+        "tests/typing_check.py",
+    )
     assert run.returncode == 0, run.stdout
 
 

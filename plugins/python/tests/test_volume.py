@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Arrays of every kind give the same predictions as the plain copy of them."""
+
 import gc
 import weakref
 
@@ -27,7 +28,8 @@ def test_native_arrays_are_not_copied(voxels, dtype, tf):
 
 
 @pytest.mark.parametrize(
-    "dtype", ["bool", "int8", ">u2", ">i2", ">f4", "uint32", "int32", "float64", "float16", "uint64", "int64", ">f8"]
+    "dtype",
+    ["bool", "int8", ">u2", ">i2", ">f4", "uint32", "int32", "float64", "float16", "uint64", "int64", ">f8"],
 )
 def test_other_types_are_converted_to_the_same_values(voxels, dtype, tf):
     plain = (voxels > 60 if dtype == "bool" else voxels // 2).astype(dtype)
@@ -35,7 +37,8 @@ def test_other_types_are_converted_to_the_same_values(voxels, dtype, tf):
     assert volume.copied is (dtype != "bool")
     expected = entire.Volume(plain.astype(np.float32), range=(0, 127))
     assert np.array_equal(np.asarray(volume.array, np.float32), np.asarray(expected.array))
-    # The type itself enters the cost of a sample, so times may differ a little; which voxels are visible may not.
+    # The type itself enters the cost of a sample, so times may differ a little; which voxels are visible may
+    # not.
     assert np.allclose(seconds(volume, tf), seconds(expected, tf), rtol=0.6)
 
 

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Steering of pip's VTK, by its pictures, settings and times."""
+
 import gc
 import math
 import weakref
@@ -20,7 +21,12 @@ KINDS = ["gpu", "fixed", "smart"]
 
 
 def settings(mapper):
-    names = ("SampleDistance", "ImageSampleDistance", "AutoAdjustSampleDistances", "LockSampleDistanceToInputSpacing")
+    names = (
+        "SampleDistance",
+        "ImageSampleDistance",
+        "AutoAdjustSampleDistances",
+        "LockSampleDistanceToInputSpacing",
+    )
     return [getattr(mapper, "Get" + n)() for n in names if hasattr(mapper, "Get" + n)]
 
 
@@ -113,7 +119,10 @@ def test_the_windows_rate_decides_where_there_is_an_interactor(voxels):
 
 def test_several_volumes_share_the_time(voxels):
     view = View((300, 300))
-    left, right = add_volume(view.renderer, voxels), add_volume(view.renderer, voxels[:, :24], points=TRANSPARENT)
+    left, right = (
+        add_volume(view.renderer, voxels),
+        add_volume(view.renderer, voxels[:, :24], points=TRANSPARENT),
+    )
     left.SetPosition(-25, 0, 0)
     right.SetPosition(25, 0, 0)
     target = 0.4 * mean_time(view)
@@ -142,7 +151,8 @@ def test_scene_changes_are_followed(voxels):
     view.draw(5)
     leaf = steering.leaves[0]
     first = leaf.volume_time
-    # Another input, another mapper, clipping, cropping, shading, blending, a moved and mirrored volume, parallel views.
+    # Another input, another mapper, clipping, cropping, shading, blending, a moved and mirrored volume,
+    # parallel views.
     volume.GetMapper().SetInputData(image_data(voxels[:30]))
     view.draw(3)
     assert leaf.volume_time != first

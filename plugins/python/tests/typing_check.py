@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Code of users as type checkers see it; never run."""
+
 from __future__ import annotations
 
 import numpy as np

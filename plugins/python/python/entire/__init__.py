@@ -7,8 +7,10 @@ With PyVista::
     pl.add_volume(v)
     pl.entire.hold(fps=30)
 
-with any VTK: :func:`entire.vtk.hold`; with any other renderer: :class:`Session`; without one: :func:`predict`.
+with any VTK: :func:`entire.vtk.hold`; with any other renderer: :class:`Session`; without one:
+:func:`predict`.
 """
+
 from __future__ import annotations
 
 from ._core import Calibration, Model, Session, models, predict

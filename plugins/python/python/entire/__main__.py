@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """``python -m entire``: the command `entire`."""
+
 from __future__ import annotations
 
 import sys

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """The command `entire`."""
+
 from __future__ import annotations
 
 import signal

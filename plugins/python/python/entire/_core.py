@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Models by name, sessions with a history, and predictions of many views."""
+
 from __future__ import annotations
 
 import os
@@ -51,7 +52,8 @@ class Model(_native.Model):
     Parameters
     ----------
     source : str, os.PathLike or bytes
-        The name of a shipped model (see :func:`models`), the path of a file from ``entire train``, or a file's bytes.
+        The name of a shipped model (see :func:`models`), the path of a file from ``entire train``, or a
+        file's bytes.
 
     Raises
     ------
@@ -75,7 +77,8 @@ class Model(_native.Model):
             path = _FOLDER / f"{source}.safetensors"
         if not path.is_file():
             raise FileNotFoundError(
-                f"{os.fspath(source)!r} is neither a file nor a shipped model; shipped are {', '.join(models())}"
+                f"{os.fspath(source)!r} is neither a file nor a shipped model; shipped are "
+                f"{', '.join(models())}"
             )
         return super().__new__(cls, path.read_bytes())
 
@@ -103,18 +106,19 @@ def _model(given: ModelLike | None) -> Model | None:
 class Session(_native.Session):
     """Predicts and steers one render loop, whatever renders.
 
-    For every frame: :meth:`plan`, draw with the plan's step, then :meth:`observe` the time it took. A session may be used
-    from any thread, by one at a time.
+    For every frame: :meth:`plan`, draw with the plan's step, then :meth:`observe` the time it took. A session
+    may be used from any thread, by one at a time.
 
     Parameters
     ----------
     volume : Volume, optional
         What is drawn; :meth:`set_volume` exchanges it.
     model : Model, str, os.PathLike or bytes, optional
-        Predictor of the first frames: as :class:`Model` takes it. Without one a linear cost model learns the renderer
-        from its first frames on.
+        Predictor of the first frames: as :class:`Model` takes it. Without one a linear cost model learns the
+        renderer from its first frames on.
     tolerance : float, optional
-        How far over the target a frame may be before it counts as missed, as a share of the target. Default 0.1.
+        How far over the target a frame may be before it counts as missed, as a share of the target. Default
+        0.1.
     miss_rate : float, optional
         Share of frames that may be missed, over 0 and under 1. Default 0.05.
     trust_limit : float, optional
@@ -219,7 +223,8 @@ class Calibration(_native.Calibration):
     median_error: float = float("nan")
 
     def fit(self) -> Model:
-        """Fits the cost model to the frames so far. Some 50 frames from various sides, with various steps, will do.
+        """Fits the cost model to the frames so far. Some 50 frames from various sides, with various steps,
+        will do.
 
         Returns
         -------
@@ -259,8 +264,9 @@ def predict(
     size : (int, int)
         Width and height of the image in pixels.
     model : Model, str, os.PathLike or bytes, optional
-        As :class:`Model` takes it. Seconds belong to a machine and a renderer: calibrate to yours. Without a model the
-        seconds are those of a rough software renderer; their ratios still tell expensive views from cheap ones.
+        As :class:`Model` takes it. Seconds belong to a machine and a renderer: calibrate to yours. Without a
+        model the seconds are those of a rough software renderer; their ratios still tell expensive views from
+        cheap ones.
     step : float, optional
         Ray step in reference steps (smallest voxel spacings). Default 1.
     shading, skipping, termination

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """The frames of a session as columns, and as a picture for notebooks."""
+
 from __future__ import annotations
 
 from collections.abc import Mapping
@@ -18,9 +19,9 @@ _MOST = 600
 class History:
     """Observed frames of a session, oldest first.
 
-    Columns are reached as attributes or by name: ``plan``, ``target``, ``predicted``, ``upper``, ``measured`` (seconds),
-    ``step`` (reference steps), ``image_sample_distance`` (pixels), ``reason`` and ``verdict``. Notebooks show it as two
-    plots: predicted and measured time with the target, and the step.
+    Columns are reached as attributes or by name: ``plan``, ``target``, ``predicted``, ``upper``, ``measured``
+    (seconds), ``step`` (reference steps), ``image_sample_distance`` (pixels), ``reason`` and ``verdict``.
+    Notebooks show it as two plots: predicted and measured time with the target, and the step.
 
     Parameters
     ----------
@@ -51,7 +52,9 @@ class History:
             float64, shape (n,).
         """
         target = np.asarray(self.columns["target"], np.float64)
-        error: npt.NDArray[np.float64] = np.abs(np.asarray(self.columns["measured"], np.float64) - target) / target
+        error: npt.NDArray[np.float64] = (
+            np.abs(np.asarray(self.columns["measured"], np.float64) - target) / target
+        )
         return error
 
     def __repr__(self) -> str:
@@ -102,7 +105,8 @@ def _line(x: Any, y: Any, color: str, dash: str = "", width: float = 1.5) -> str
 def _svg(history: History) -> str:
     n = len(history)
     head = (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {2 * _HEIGHT + _GAP + _TOP}" width="{_WIDTH}" '
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {2 * _HEIGHT + _GAP + _TOP}" '
+        f'width="{_WIDTH}" '
         f'font-family="sans-serif" font-size="11" role="img"><title>Frame times and steps</title>'
         f'<rect width="100%" height="100%" fill="white"/>'
     )
@@ -117,7 +121,11 @@ def _svg(history: History) -> str:
     coarsening = (np.asarray(history["step"]) * np.asarray(history["image_sample_distance"]) ** 2)[keep]
     parts = [head]
     series = (
-        ("milliseconds", _TOP, [(predicted, "#d95f02", ""), (measured, "#1b6ca8", ""), (target, "#555", "5 3")]),
+        (
+            "milliseconds",
+            _TOP,
+            [(predicted, "#d95f02", ""), (measured, "#1b6ca8", ""), (target, "#555", "5 3")],
+        ),
         ("samples saved (x)", _TOP + _HEIGHT + _GAP, [(coarsening, "#2a7f3f", "")]),
     )
     for label, top, lines in series:
@@ -131,7 +139,8 @@ def _svg(history: History) -> str:
 
         for tick in _ticks(high):
             parts.append(
-                f'<line x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{at(tick):.1f}" y2="{at(tick):.1f}" stroke="#e4e4e4"/>'
+                f'<line x1="{_LEFT}" x2="{_WIDTH - _RIGHT}" y1="{at(tick):.1f}" y2="{at(tick):.1f}" '
+                f'stroke="#e4e4e4"/>'
                 f'<text x="{_LEFT - 6}" y="{at(tick) + 4:.1f}" text-anchor="end" fill="#333">{tick:g}</text>'
             )
         parts.extend(_line(x, at(y), color, dash) for y, color, dash in lines)
@@ -147,5 +156,8 @@ def _svg(history: History) -> str:
             f'<text x="{at_x + 19}" y="14" fill="#333">{name}</text>'
         )
     bottom = 2 * _HEIGHT + _GAP + _TOP - 6
-    parts.append(f'<text x="{_LEFT + wide / 2}" y="{bottom}" fill="#333" text-anchor="middle">frame (of {n})</text></svg>')
+    parts.append(
+        f'<text x="{_LEFT + wide / 2}" y="{bottom}" fill="#333" text-anchor="middle">frame (of '
+        f'{n})</text></svg>'
+    )
     return "".join(parts)

@@ -206,7 +206,9 @@ class Session:
         skipping: _Skipping = "blocks",
         termination: float = 0.99,
     ) -> tuple[int, Plan]: ...
-    def observe(self, plan: Plan, seconds: float, *, unusual: bool = False, cancelled: bool = False) -> str: ...
+    def observe(
+        self, plan: Plan, seconds: float, *, unusual: bool = False, cancelled: bool = False
+    ) -> str: ...
     def predict(
         self,
         camera: Camera,

@@ -5,6 +5,7 @@
 
     holder = entire.napari.hold(viewer, seconds=1 / 30)
 """
+
 from __future__ import annotations
 
 import time
@@ -39,7 +40,8 @@ def hold(
 ) -> Holder:
     """Holds the 3D view of an image layer to a frame time while its camera moves.
 
-    A quarter of a second after the last move the view is drawn once more at the layer's own step; screenshots always are.
+    A quarter of a second after the last move the view is drawn once more at the layer's own step; screenshots
+    always are.
 
     Parameters
     ----------
@@ -59,20 +61,32 @@ def hold(
         Where the viewer shows slices, or the layer is no volume.
     """
     if viewer.dims.ndisplay != 3:
-        raise CannotSteer("the viewer shows 2D slices, which draw one sample per pixel; set viewer.dims.ndisplay = 3 first")
+        raise CannotSteer(
+            "the viewer shows 2D slices, which draw one sample per pixel; set viewer.dims.ndisplay = 3 first"
+        )
     if layer is None:
-        layer = next((each for each in reversed(viewer.layers) if each.visible and type(each).__name__ == "Image"), None)
+        layer = next(
+            (each for each in reversed(viewer.layers) if each.visible and type(each).__name__ == "Image"),
+            None,
+        )
         if layer is None:
             raise CannotSteer("the viewer shows no image layer; add one with viewer.add_image")
     if getattr(layer, "depiction", "volume") != "volume":
-        raise CannotSteer("the layer is depicted as a plane, which draws few samples; set layer.depiction = 'volume'")
+        raise CannotSteer(
+            "the layer is depicted as a plane, which draws few samples; set layer.depiction = 'volume'"
+        )
     canvas = _canvas(viewer)
     visuals = getattr(canvas, "layer_to_visual", None) or viewer.window._qt_viewer.layer_to_visual
     node = visuals[layer].node
     state = {"moved": -1e9}
     scene = canvas._scene_canvas
     holder = _hold(
-        scene, node, seconds, model=model, coarsest=coarsest, moving=lambda: time.perf_counter() - state["moved"] < _REST
+        scene,
+        node,
+        seconds,
+        model=model,
+        coarsest=coarsest,
+        moving=lambda: time.perf_counter() - state["moved"] < _REST,
     )
     timer = QTimer()
     timer.setSingleShot(True)

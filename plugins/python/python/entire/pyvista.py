@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""``plotter.entire``: frame times of PyVista's plotters. PyVista (0.48 or newer) finds it by itself; nothing is imported."""
+"""``plotter.entire``: frame times of PyVista's plotters. PyVista (0.48 or newer) finds it by itself; nothing
+is imported."""
+
 from __future__ import annotations
 
 import contextlib
@@ -53,7 +55,9 @@ class EntireComponent:
     def _make_gpu(self, smart: Any) -> Any:
         return _gpu_wrapper(smart, self._mappers)
 
-    def hold(self, fps: float | None = None, *, seconds: float | None = None, volume: Any = None, **options: Any) -> Steering:
+    def hold(
+        self, fps: float | None = None, *, seconds: float | None = None, volume: Any = None, **options: Any
+    ) -> Steering:
         """Holds volumes of the active renderer to a frame rate while the camera or a widget moves.
 
         Still frames, and screenshots and movie frames, are PyVista's at full quality, pixel for pixel.
@@ -67,8 +71,8 @@ class EntireComponent:
         volume : pyvista.Volume or sequence of them, optional
             Default: every volume of the renderer, those that are added later included.
         **options
-            As :func:`entire.vtk.hold` takes them. Loops without interaction (off screen) need ``always=True``: without it
-            all their frames are still ones.
+            As :func:`entire.vtk.hold` takes them. Loops without interaction (off screen) need
+            ``always=True``: without it all their frames are still ones.
 
         Returns
         -------
@@ -100,7 +104,8 @@ class EntireComponent:
         return steering
 
     def calibrate(self, frames: int = 60, **options: Any) -> Model:
-        """Draws random frames of the renderer's first volume and fits the cost model to them; see :func:`entire.vtk.calibrate`.
+        """Draws random frames of the renderer's first volume and fits the cost model to them; see
+        :func:`entire.vtk.calibrate`.
 
         Parameters
         ----------
@@ -165,7 +170,9 @@ class EntireComponent:
 
             @functools.wraps(original)
             def at_full_quality(*args: Any, _original: Any = original, **kwargs: Any) -> Any:
-                coarse = any(leaf.reason not in ("still", "") for s in self._held.values() for leaf in s.leaves)
+                coarse = any(
+                    leaf.reason not in ("still", "") for s in self._held.values() for leaf in s.leaves
+                )
                 with self.still():
                     window = self._plotter.render_window
                     if coarse and window is not None:

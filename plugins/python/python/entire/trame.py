@@ -8,6 +8,7 @@
 
 Views that the browser draws by itself (local ones: vtk.js, VTK.wasm) are out of Python's reach.
 """
+
 from __future__ import annotations
 
 import functools
@@ -44,7 +45,8 @@ def _count(original: Any) -> Any:
 def watch(steering: Steering) -> None:
     """Counts the encoding of pictures for the browser as part of the frames of a steering.
 
-    Later frames leave room for the median of the last five, so that the rate that was asked for is the browser's.
+    Later frames leave room for the median of the last five, so that the rate that was asked for is the
+    browser's.
 
     Parameters
     ----------

@@ -5,6 +5,7 @@
 
     holder = entire.vispy.hold(canvas, volume_visual, seconds=1 / 30)
 """
+
 from __future__ import annotations
 
 import math
@@ -30,7 +31,8 @@ class CannotSteer(ValueError):
 def _matrix(visual: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
     """What takes the visual's coordinates to clip coordinates, as a matrix for columns."""
     transform = visual.transforms.get_transform("visual", "render")
-    # Affine and projective maps are linear in homogeneous coordinates: four images of the unit vectors tell all.
+    # Affine and projective maps are linear in homogeneous coordinates: four images of the unit vectors tell
+    # all.
     mapped = np.asarray(transform.map(np.eye(4)), np.float64)
     return mapped.T
 
@@ -54,13 +56,22 @@ class Holder:
     """
 
     def __init__(
-        self, canvas: Any, visual: Any, seconds: float, model: ModelLike | None, coarsest: float, moving: Callable[[], bool]
+        self,
+        canvas: Any,
+        visual: Any,
+        seconds: float,
+        model: ModelLike | None,
+        coarsest: float,
+        moving: Callable[[], bool],
     ) -> None:
         if not (math.isfinite(seconds) and seconds > 0):
-            raise ValueError(f"seconds is {seconds}; it must be finite and positive (1 / 30 for 30 frames per second)")
+            raise ValueError(
+                f"seconds is {seconds}; it must be finite and positive (1 / 30 for 30 frames per second)"
+            )
         if not hasattr(visual, "relative_step_size"):
             raise CannotSteer(
-                f"{type(visual).__name__} has no relative_step_size; vispy's Volume visual can be steered, planes and images draw one "
+                f"{type(visual).__name__} has no relative_step_size; vispy's Volume visual can be "
+                f"steered, planes and images draw one "
                 "sample per pixel"
             )
         self.canvas, self.visual, self.seconds, self.moving = canvas, visual, seconds, moving
@@ -122,7 +133,8 @@ class Holder:
     def _after(self, _event: Any) -> None:
         gl.glFinish()
         self.measured = time.perf_counter() - self._began
-        # Between frames the visual is as the application set it: what is rendered to an image is at full quality.
+        # Between frames the visual is as the application set it: what is rendered to an image is at full
+        # quality.
         self._restore()
         plan, self._plan = self._plan, None
         if plan is not None:
@@ -139,17 +151,21 @@ class Holder:
         method, limits = visual.method, tuple(float(c) for c in visual.clim)
         if data is not self._data:
             values = np.asarray(data)
-            self._volume = Volume(values if values.ndim == 3 else values[..., 0], range=(min(limits), max(limits)))
+            self._volume = Volume(
+                values if values.ndim == 3 else values[..., 0], range=(min(limits), max(limits))
+            )
             self.session.set_volume(self._volume)
             self._data, self._key = data, None
         tf = None
         key = (method, limits)
         if key != self._key:
-            # Where rays stop at an opacity, it grows with the value; else every sample is taken and none is opaque.
+            # Where rays stop at an opacity, it grows with the value; else every sample is taken and none is
+            # opaque.
             most = 0.2 if method in _STOPPING else 1e-3
             tf = TransferFunction.points([(0, 1e-3), (1, most)])
             self._key = key
-        # The visual's first voxel spans 0 to 1: its center, where a volume's own coordinates begin, lies at a half.
+        # The visual's first voxel spans 0 to 1: its center, where a volume's own coordinates begin, lies at a
+        # half.
         half = np.eye(4)
         half[:3, 3] = 0.5
         return Camera.projection(self._volume, _matrix(visual) @ half), tf, _STOPPING.get(method, 1.0)
@@ -202,7 +218,8 @@ def hold(
     coarsest : float, optional
         Coarsest step in voxels. Default 8.
     moving : callable, optional
-        Says whether a frame is steered; others are drawn at the visual's own step, bit for bit. Default: every frame is.
+        Says whether a frame is steered; others are drawn at the visual's own step, bit for bit. Default:
+        every frame is.
 
     Returns
     -------

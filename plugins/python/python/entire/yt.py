@@ -6,6 +6,7 @@
     holder = entire.yt.hold(scene, seconds=2.0)
     picture = holder.render()
 """
+
 from __future__ import annotations
 
 import math
@@ -27,16 +28,25 @@ def _source(scene: Any) -> Any:
     for source in scene.sources.values():
         if hasattr(source, "num_samples"):
             return source
-    raise CannotSteer("the scene has no volume source, whose samples could be set; mesh, line and point sources have none")
+    raise CannotSteer(
+        "the scene has no volume source, whose samples could be set; mesh, line and point sources have none"
+    )
 
 
 def _fixed_resolution(source: Any, edge: int) -> Volume:
-    """The field on a regular grid of at most `edge` cells along an axis, as yt's rays see it, in log where yt takes logs."""
+    """The field on a regular grid of at most `edge` cells along an axis, as yt's rays see it, in log where yt
+    takes logs."""
     data = source.data_source
     dataset = data.ds
-    low, high = (np.asarray(v.to_value("code_length")) for v in (dataset.domain_left_edge, dataset.domain_right_edge))
-    cells = np.minimum(np.asarray(dataset.domain_dimensions) * dataset.refine_by**dataset.index.max_level, edge).astype(int)
-    grid = dataset.arbitrary_grid(dataset.domain_left_edge, dataset.domain_right_edge, dims=[int(n) for n in cells])
+    low, high = (
+        np.asarray(v.to_value("code_length")) for v in (dataset.domain_left_edge, dataset.domain_right_edge)
+    )
+    cells = np.minimum(
+        np.asarray(dataset.domain_dimensions) * dataset.refine_by**dataset.index.max_level, edge
+    ).astype(int)
+    grid = dataset.arbitrary_grid(
+        dataset.domain_left_edge, dataset.domain_right_edge, dims=[int(n) for n in cells]
+    )
     values = np.asarray(grid[source.field], np.float64)
     if source.log_field:
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -68,14 +78,18 @@ class Holder:
         Its seconds; NaN where there is none.
     """
 
-    def __init__(self, scene: Any, seconds: float, model: ModelLike | None, smallest: float, edge: int) -> None:
+    def __init__(
+        self, scene: Any, seconds: float, model: ModelLike | None, smallest: float, edge: int
+    ) -> None:
         if not (math.isfinite(seconds) and seconds > 0):
             raise ValueError(f"seconds is {seconds}; it must be finite and positive")
         self.scene, self.seconds = scene, seconds
         self.source = _source(scene)
         lens = type(scene.camera.lens).__name__
         if lens not in ("PerspectiveLens", "PlaneParallelLens"):
-            raise CannotSteer(f"{lens} has no single field of view; perspective and plane-parallel lenses can be predicted")
+            raise CannotSteer(
+                f"{lens} has no single field of view; perspective and plane-parallel lenses can be predicted"
+            )
         self.volume = _fixed_resolution(self.source, edge)
         self.session = Session(self.volume, model=model, tolerance=0.25)
         width, height = (int(n) for n in scene.camera.resolution)
@@ -100,7 +114,9 @@ class Holder:
             forward = np.asarray(camera.unit_vectors[2])
             eye = focus - forward / np.linalg.norm(forward) * (0.5 * width[1] / math.tan(math.radians(1.0)))
         at = tuple(float(v) for v in eye)
-        return Camera.look_at(self.volume, at, tuple(float(v) for v in focus), tuple(float(v) for v in north), fov)
+        return Camera.look_at(
+            self.volume, at, tuple(float(v) for v in focus), tuple(float(v) for v in north), fov
+        )
 
     def _function(self) -> TransferFunction:
         alpha = np.clip(np.asarray(self.source.transfer_function.alpha.y, np.float64), 0, 1)
@@ -121,7 +137,13 @@ class Holder:
             scale = max(self.smallest, scale / 1.25)
             settings.append((1.0, (max(1, int(self.full[0] * scale)), max(1, int(self.full[1] * scale)))))
         index, plan = self.session.choose(
-            self._camera(), self._function(), self.full, self.seconds, settings, skipping="none", termination=1.0
+            self._camera(),
+            self._function(),
+            self.full,
+            self.seconds,
+            settings,
+            skipping="none",
+            termination=1.0,
         )
         step, self.resolution = settings[index]
         self.samples = round(1.0 / step)
@@ -171,7 +193,8 @@ def hold(
     """Renders a yt scene within a time per picture.
 
     yt takes a whole number of samples in every cell that a ray crosses (``num_samples``) and a picture of
-    ``camera.resolution``; fewer samples come first, a smaller picture where one sample per cell still takes too long.
+    ``camera.resolution``; fewer samples come first, a smaller picture where one sample per cell still takes
+    too long.
 
     Parameters
     ----------

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Measuring the host's renderer, so that the first frame is predicted too."""
+
 from __future__ import annotations
 
 import math
@@ -10,7 +11,8 @@ from typing import Any
 from .._core import Calibration, Model
 from . import _mappers, _scene
 from ._mappers import CannotSteer
-from ._steering import _first_volume, _volumes
+from ._leaf import first_volume
+from ._steering import _volumes
 
 
 def calibrate(
@@ -24,15 +26,15 @@ def calibrate(
 ) -> Model:
     """Draws random frames of a volume in its window and fits the cost model to how long its mapper took.
 
-    Directions, distances, steps and the opacity of the volume are varied; camera, mapper and property are put back
-    afterwards, and the window is drawn once more as it was.
+    Directions, distances, steps and the opacity of the volume are varied; camera, mapper and property are put
+    back afterwards, and the window is drawn once more as it was.
 
     Parameters
     ----------
     renderer : vtkRenderer
     volume : vtkVolume, optional
-        Default: the renderer's first. Its mapper must be the GPU or the fixed-point one; hold it first, and a smart mapper
-        is exchanged.
+        Default: the renderer's first. Its mapper must be the GPU or the fixed-point one; hold it first, and a
+        smart mapper is exchanged.
     frames : int, optional
         How many to draw, at least 10. Default 60.
     seed : int, optional
@@ -62,11 +64,14 @@ def calibrate(
             raise ValueError("the renderer has no volume; add one with AddVolume() first")
     mapper = volume.GetMapper()
     if mapper is None or not (_mappers.is_gpu(mapper) or _mappers.is_fixed_point(mapper)):
-        why = _mappers.refusal(mapper) or "hold the volume first: its vtkSmartVolumeMapper is then exchanged for a GPU mapper"
+        why = (
+            _mappers.refusal(mapper)
+            or "hold the volume first: its vtkSmartVolumeMapper is then exchanged for a GPU mapper"
+        )
         raise CannotSteer(why)
-    return _Calibrator(renderer, volume, mapper, time.process_time if clock == "cpu" else time.perf_counter).run(
-        frames, seed, coarsest
-    )
+    return _Calibrator(
+        renderer, volume, mapper, time.process_time if clock == "cpu" else time.perf_counter
+    ).run(frames, seed, coarsest)
 
 
 class _Calibrator:
@@ -87,12 +92,15 @@ class _Calibrator:
         from ._steering import _held
 
         renderer, mapper, window = self.renderer, self.mapper, self.window
-        prop = _first_volume(self.volume).GetProperty()
+        prop = first_volume(self.volume).GetProperty()
         steering = _held.get(self.volume.__this__)
         enabled = None if steering is None else steering.enabled
         camera, own = renderer.GetActiveCamera(), _mappers.Settings(mapper)
         unit = prop.GetScalarOpacityUnitDistance(0)
-        kept = {name: getattr(camera, "Get" + name)() for name in ("FocalPoint", "Position", "ViewUp", "ClippingRange")}
+        kept = {
+            name: getattr(camera, "Get" + name)()
+            for name in ("FocalPoint", "Position", "ViewUp", "ClippingRange")
+        }
         tags = [
             mapper.AddObserver("VolumeMapperRenderStartEvent", self.start, -1.0),
             mapper.AddObserver("VolumeMapperRenderEndEvent", self.end, 1.0),
@@ -103,7 +111,9 @@ class _Calibrator:
             window.Render()
             image = _scene.input_of(mapper)
             grid = _scene.Grid(mapper, image, 0 if prop.GetIndependentComponents() else -1)
-            base = max(1 / 64, (_mappers.spacing_adjusted(image) if own.lock else own.sample) / grid.reference)
+            base = max(
+                1 / 64, (_mappers.spacing_adjusted(image) if own.lock else own.sample) / grid.reference
+            )
             calibration, draw = Calibration(), random.Random(seed)
             bounds = self.volume.GetBounds()
             middle = [0.5 * (bounds[2 * a] + bounds[2 * a + 1]) for a in range(3)]
@@ -121,7 +131,7 @@ class _Calibrator:
                 gpu = _mappers.is_gpu(mapper)
                 calibration.add(
                     grid.volume,
-                    _scene.camera(renderer, _first_volume(self.volume).GetMatrix().GetData(), grid),
+                    _scene.camera(renderer, first_volume(self.volume).GetMatrix().GetData(), grid),
                     _scene.transfer_function(prop, grid.range),
                     renderer.GetSize(),
                     self.seconds,

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Volume mappers: which can be steered, what is set on them, and what takes the place of one that cannot."""
+
 from __future__ import annotations
 
 import math
@@ -18,7 +19,8 @@ _SMALL = 100.0
 
 
 def spacing_adjusted(image: Any) -> float:
-    """The sample distance of mappers that are locked to their input's spacing: half a voxel, less in small volumes.
+    """The sample distance of mappers that are locked to their input's spacing: half a voxel, less in small
+    volumes.
 
     Parameters
     ----------
@@ -60,7 +62,8 @@ class Settings:
             mapper.SetImageSampleDistance(self.image)
 
     def restore(self, mapper: Any, sample: float, image: float) -> None:
-        """Puts the settings back, but for those that somebody else set since steering wrote `sample` and `image`."""
+        """Puts the settings back, but for those that somebody else set since steering wrote `sample` and
+        `image`."""
         if self.adjust and not mapper.GetAutoAdjustSampleDistances():
             mapper.SetAutoAdjustSampleDistances(self.adjust)
         if self.lock and not mapper.GetLockSampleDistanceToInputSpacing():
@@ -100,16 +103,21 @@ def refusal(mapper: Any) -> str:
     name = mapper.GetClassName()
     if mapper.IsA("vtkMultiBlockVolumeMapper"):
         return (
-            f"{name} gives Python no access to the mappers of its blocks, so nothing can be set on them; add each block as a "
+            f"{name} gives Python no access to the mappers of its blocks, so nothing can be set on them; "
+            f"add each block as a "
             "volume of its own (pyvista's add_volume does so), or use the C++ class vtkEntireSteering"
         )
     if mapper.IsA("vtkUnstructuredGridVolumeMapper"):
         return (
-            f"{name} draws an unstructured grid, whose cost is not predicted; resample the grid to vtkImageData "
+            f"{name} draws an unstructured grid, whose cost is not predicted; resample the grid to "
+            f"vtkImageData "
             "(vtkResampleToImage, or pyvista's sample_over_bounds) and draw that"
         )
     if mapper.IsA("vtkAnariVolumeMapper") or mapper.IsA("vtkOSPRayVolumeMapper"):
-        return f"{name} draws outside of VTK and has no sample distance; steer with entire.Session around its frames"
+        return (
+            f"{name} draws outside of VTK and has no sample distance; steer with entire.Session around its "
+            f"frames"
+        )
     return (
         f"{name} cannot be steered; vtkOpenGLGPUVolumeRayCastMapper, vtkFixedPointVolumeRayCastMapper and "
         "vtkSmartVolumeMapper can"
@@ -125,7 +133,8 @@ def _copy(source: Any, target: Any, names: tuple[str, ...]) -> None:
 
 
 def copy_changed(source: Any, target: Any) -> None:
-    """Hands on what an application sets on a mapper while it is shown: cropping, clipping planes, blending."""
+    """Hands on what an application sets on a mapper while it is shown: cropping, clipping planes,
+    blending."""
     _copy(source, target, ("Cropping", "CroppingRegionFlags", "CroppingRegionPlanes", "BlendMode"))
     planes = source.GetClippingPlanes()
     if planes is not None:
@@ -135,7 +144,8 @@ def copy_changed(source: Any, target: Any) -> None:
 
 
 def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> Any:
-    """A GPU mapper that draws what a smart mapper draws, pixel for pixel, as far as that one draws on the GPU.
+    """A GPU mapper that draws what a smart mapper draws, pixel for pixel, as far as that one draws on the
+    GPU.
 
     Parameters
     ----------
@@ -155,7 +165,8 @@ def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> 
     mode = smart.GetRequestedRenderMode()
     if mode not in (vtkSmartVolumeMapper.DefaultRenderMode, vtkSmartVolumeMapper.GPURenderMode):
         raise CannotSteer(
-            f"the vtkSmartVolumeMapper was told to draw in mode {mode}, and gives Python no access to the mapper inside; use "
+            f"the vtkSmartVolumeMapper was told to draw in mode {mode}, and gives Python no access to the "
+            f"mapper inside; use "
             "vtkFixedPointVolumeRayCastMapper (pyvista: mapper='fixed_point') or the default mode"
         )
     gpu = make()
@@ -191,7 +202,8 @@ def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> 
     gpu.SetScalarMode(smart.GetScalarMode())
     if smart.GetVectorMode() >= 0 and smart.GetVectorMode() != vtkSmartVolumeMapper.DISABLED:
         raise CannotSteer(
-            "the vtkSmartVolumeMapper draws a vector's magnitude or component, which its inner mapper alone can; draw an array "
+            "the vtkSmartVolumeMapper draws a vector's magnitude or component, which its inner mapper "
+            "alone can; draw an array "
             "of that magnitude or component instead"
         )
     # As the smart mapper keeps the mapper inside it.

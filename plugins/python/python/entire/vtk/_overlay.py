@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """A line in the corner of the picture."""
+
 from __future__ import annotations
 
 import math

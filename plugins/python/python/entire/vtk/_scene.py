@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """What a VTK scene says about a volume: voxels, transfer function, camera."""
+
 from __future__ import annotations
 
 import math
@@ -53,11 +54,15 @@ class Grid:
             raise Unreadable("the mapper's input is empty")
         components = scalars.GetNumberOfComponents()
         if scalars.GetNumberOfTuples() != dims[0] * dims[1] * dims[2]:
-            raise Unreadable(f"the mapper's input has {scalars.GetNumberOfTuples()} scalar values for {dims} voxels")
+            raise Unreadable(
+                f"the mapper's input has {scalars.GetNumberOfTuples()} scalar values for {dims} voxels"
+            )
         try:
             values = vtk_to_numpy(scalars)
         except (AssertionError, ValueError, TypeError) as error:
-            raise Unreadable(f"scalars of type {scalars.GetDataTypeAsString()} cannot be predicted: {error}") from None
+            raise Unreadable(
+                f"scalars of type {scalars.GetDataTypeAsString()} cannot be predicted: {error}"
+            ) from None
         component = component if component >= 0 else components - 1
         voxels = values.reshape(dims[2], dims[1], dims[0], components)[..., component]
         spacing = [abs(s) for s in image.GetSpacing()]
@@ -152,7 +157,9 @@ def transfer_function(prop: Any, span: tuple[float, float]) -> TransferFunction:
         node = [0.0] * 6
         for i in range(colors.GetSize()):
             colors.GetNodeValue(i, node)
-            color.append((node[0], _unit(node[1]), _unit(node[2]), _unit(node[3]), _unit(node[4]), _unit(node[5])))
+            color.append(
+                (node[0], _unit(node[1]), _unit(node[2]), _unit(node[3]), _unit(node[4]), _unit(node[5]))
+            )
     return TransferFunction.nodes(
         opacity,
         color,
@@ -163,7 +170,8 @@ def transfer_function(prop: Any, span: tuple[float, float]) -> TransferFunction:
 
 
 def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:
-    """The renderer's camera about a volume that a matrix (its 16 elements, row by row) places in the world."""
+    """The renderer's camera about a volume that a matrix (its 16 elements, row by row) places in the
+    world."""
     active = renderer.GetActiveCamera()
     angle = active.GetViewAngle()
     if active.GetUseHorizontalViewAngle():
@@ -193,4 +201,13 @@ def termination(mode: tuple[int, int, int, bool], gpu: bool) -> float:
     return GPU_TERMINATION if gpu else FIXED_POINT_TERMINATION
 
 
-__all__ = ["Grid", "Unreadable", "camera", "input_of", "look", "transfer_function", "vtkAbstractMapper", "vtkImageData"]
+__all__ = [
+    "Grid",
+    "Unreadable",
+    "camera",
+    "input_of",
+    "look",
+    "transfer_function",
+    "vtkAbstractMapper",
+    "vtkImageData",
+]
