@@ -402,7 +402,7 @@ mod tests {
         let says = |groups: &[GroupKind]| {
             let e = InputLayout::new(groups, Vec::new(), 0, 0).unwrap_err();
             assert_eq!(e.kind(), ErrorKind::InvalidArgument);
-            e.message().to_owned()
+            alloc::string::String::from(e.message())
         };
         assert!(says(&[]).contains("at least one input group"));
         assert!(says(&[GroupKind::Camera, GroupKind::Camera]).contains("camera is named twice"));
