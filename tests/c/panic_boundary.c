@@ -8,7 +8,7 @@ int main(void) {
     entire_session *session = toy_session(NULL), *other = toy_session(NULL);
     EXPECT(ENTIRE_PANIC, entire_test_panic(session));
     SAYS("a bug in the library");
-    SAYS("session.rs:");
+    SAYS("session/mod.rs:");
     EXPECT(ENTIRE_PANIC, entire_session_reset(session));
     SAYS("earlier call panicked inside this entire_session");
     entire_frame frame = toy_frame();
