@@ -27,7 +27,7 @@ pub struct RenderArgs {
 /// [`Shading`] as an option.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum ShadeOption {
-    /// Colour and opacity alone.
+    /// Color and opacity alone.
     #[default]
     None,
     /// Local lighting with gradients.

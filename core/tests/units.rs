@@ -37,11 +37,11 @@ fn summaries(unit: f32) -> [VolumeSummary; 2] {
 /// The arcball camera, and the same as a view matrix in world units.
 fn cameras(radius: f32) -> [Camera; 2] {
     let arcball = Camera::from_arcball(Arcball { rx: 20.0, ry: -40.0, dz: 2.5 }).unwrap();
-    let centre = radius * Vec3::new(0.25, -0.5, 0.125);
+    let center = radius * Vec3::new(0.25, -0.5, 0.125);
     let rotation = Mat4::from_mat3(Mat3::from_mat4(arcball.view()));
     let moved = Mat4::from_translation(arcball.view().w_axis.truncate() * radius);
-    let world = moved * rotation * Mat4::from_translation(-centre);
-    [arcball, Camera::from_world_view(world, centre, radius).unwrap()]
+    let world = moved * rotation * Mat4::from_translation(-center);
+    [arcball, Camera::from_world_view(world, center, radius).unwrap()]
 }
 
 /// Predictions of the scene in a unit of length: voxels and bricks, each with both cameras, with and without

@@ -270,10 +270,10 @@ fn card(
     let _ = writeln!(
         md,
         "\nVolumes: the castro_blast, nyx_cosmology and maestroex_bubbles ensembles, computed for this \
-         project and under its licences \
+         project and under its licenses \
          (MIT or Apache-2.0, see data/README.md), enlarged twice trilinearly. Nothing else was trained on; \
          scans and other \
-         codes serve evaluation alone. The weights are under the project's licences.\n"
+         codes serve evaluation alone. The weights are under the project's licenses.\n"
     );
     let _ = writeln!(
         md,

@@ -4,7 +4,7 @@ use super::Real;
 use crate::Result;
 use crate::error::bail;
 
-/// The loss of one frame, on standardised targets. Its mean over the batch is made small.
+/// The loss of one frame, on standardized targets. Its mean over the batch is made small.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Loss {

@@ -1,4 +1,4 @@
-//! A whole training run: standardisation, shuffled mini-batches, validation, early stopping, the best
+//! A whole training run: standardization, shuffled mini-batches, validation, early stopping, the best
 //! weights.
 
 use super::optimizer::{cosine_learning_rate, predict};
@@ -33,7 +33,7 @@ fn seconds_of(target: Target, value: f64) -> f64 {
 /// Frames to learn from.
 #[derive(Clone, Copy, Debug)]
 pub struct Samples<'a> {
-    /// One row per frame, [frames, width] by rows, as the model's input groups order them; not standardised.
+    /// One row per frame, [frames, width] by rows, as the model's input groups order them; not standardized.
     pub inputs: &'a [f32],
     /// Seconds of each frame, finite and positive.
     pub seconds: &'a [f64],
@@ -213,7 +213,7 @@ impl Standardization {
         if self.input_mean.len() != width || self.input_std.len() != width {
             bail!(
                 SizeMismatch,
-                "standardisation of {} means and {} deviations for {width} inputs",
+                "standardization of {} means and {} deviations for {width} inputs",
                 self.input_mean.len(),
                 self.input_std.len()
             );
@@ -224,7 +224,7 @@ impl Standardization {
         {
             bail!(
                 InvalidArgument,
-                "standardisation holds a mean that is not finite or a deviation that is not positive"
+                "standardization holds a mean that is not finite or a deviation that is not positive"
             );
         }
         Ok(())
@@ -354,7 +354,7 @@ impl<T: Real> Trained<T> {
         }
     }
 
-    /// Seconds for rows of inputs (not standardised), in parallel.
+    /// Seconds for rows of inputs (not standardized), in parallel.
     ///
     /// # Errors
     /// [`crate::ErrorKind::SizeMismatch`] when the inputs are no whole number of rows.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// The behaviours of vtkEntireSteering, one per name: TestEntireSteering NAME MAPPER. No test depends on how
+// The behaviors of vtkEntireSteering, one per name: TestEntireSteering NAME MAPPER. No test depends on how
 // fast anything is: targets are so long that every frame fits, or so short that none does.
 #include "Scene.h"
 
@@ -578,7 +578,7 @@ void RefusesOddStateFiles(Kind kind)
   std::remove(large.c_str());
 }
 
-// Not a behaviour: what the run under valgrind must find.
+// Not a behavior: what the run under valgrind must find.
 void LosesASteering(Kind kind)
 {
   Scene scene(kind);

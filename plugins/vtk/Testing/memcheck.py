@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""Runs a behaviour of TestEntireSteering under valgrind's memcheck. What counts is what has the adapter or the library on its
+"""Runs a behavior of TestEntireSteering under valgrind's memcheck. What counts is what has the adapter or the library on its
 stack: invalid accesses, and memory that nothing points to any more at the end. OpenGL's and VTK's own findings, of which there
 are many, do not count.
 
