@@ -123,7 +123,7 @@ fn unknown_tensors_and_metadata_survive_fine_tuning() {
 }
 
 #[test]
-fn volumenet_shapes_are_followed_and_batch_normalisation_is_folded() {
+fn volumenet_shapes_are_followed_and_batch_normalization_is_folded() {
     let model = with_volumenet().to_model().unwrap();
     let net = model.volumenet().unwrap();
     assert_eq!((net.input, net.features(), net.blocks.len()), (8, 4, 2));

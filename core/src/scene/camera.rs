@@ -71,12 +71,12 @@ impl Camera {
                 "the view matrix is not a rotation and a translation; pass world-to-eye in column-major order, without scale or projection"
             );
         }
-        let eye_of_centre = view.transform_point3(center) / radius;
+        let eye_of_center = view.transform_point3(center) / radius;
         let view = Mat4::from_cols(
             r.x_axis.extend(0.0),
             r.y_axis.extend(0.0),
             r.z_axis.extend(0.0),
-            eye_of_centre.extend(1.0),
+            eye_of_center.extend(1.0),
         );
         Ok(Self { view, fov_y: DEFAULT_FOV_Y_DEGREES.to_radians() })
     }
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn central_ray_looks_at_the_centre() {
+    fn central_ray_looks_at_the_center() {
         let camera = arc(25.0, 130.0, 2.5);
         let (origin, direction) = camera.ray(32.0, 16.0, 64, 32);
         assert!((origin + direction * 2.5).length() < 1e-4);

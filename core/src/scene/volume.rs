@@ -421,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_and_non_finite_volumes_normalise_to_zero() {
+    fn constant_and_non_finite_volumes_normalize_to_zero() {
         let constant = [7i16; 4];
         let v = VolumeView::new(Scalars::I16(&constant), [4, 1, 1]).unwrap();
         assert_eq!(v.normalized(3, 0, 0), 0.0);
