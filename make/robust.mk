@@ -1,5 +1,5 @@
 .PHONY: bars-robust
-bars-robust: ## Measure the bars of robustness: mutants of model files in 4 GB of address space (MUTANTS=100000)
+bars-robust: ## Measure the bars of robustness: mutants, kills, full disks, states, re-entrant events, Miri (MUTANTS=100000 KILLS=200)
 	CARGO="$(CARGO)" scripts/bars-robust.sh
 
 # Seconds that Miri may take over core's and over ffi's tests, each.
