@@ -1,5 +1,6 @@
-//! Structure-aware mutants of model files: what a random flip of bytes never reaches, because the header's length would no
-//! longer fit. Every file's length field is right; what stands behind it is wrong in ways that a reader has to find.
+//! Structure-aware mutants of model files: what a random flip of bytes never reaches, because the header's
+//! length would no longer fit. Every file's length field is right; what stands behind it is wrong in ways
+//! that a reader has to find.
 
 use entire_core::features::{Changes, FrameFeatures, Setting};
 use entire_core::model::{Model, keys};
@@ -144,7 +145,8 @@ impl Mutants {
         (0..n).flat_map(|_| each(self).to_le_bytes()).collect()
     }
 
-    /// Tensors and layout of an encoder whose sizes fit together, of any input size, channels, kernels and strides.
+    /// Tensors and layout of an encoder whose sizes fit together, of any input size, channels, kernels and
+    /// strides.
     fn encoder(&mut self, parts: &mut Parts) {
         parts.tensors.retain(|t| !t.name.starts_with("volumenet."));
         let input = match self.below(3) {
@@ -356,11 +358,12 @@ pub struct Outcome {
     pub encoded: bool,
 }
 
-/// Opens a file and does with it what a host would: builds its networks, predicts one frame alone, in a batch and through
-/// the predictor, and encodes a volume where that is at most [`MOST_WORK`].
+/// Opens a file and does with it what a host would: builds its networks, predicts one frame alone, in a batch
+/// and through the predictor, and encodes a volume where that is at most [`MOST_WORK`].
 ///
 /// # Panics
-/// When something that was accepted cannot be run, a time is not finite and positive, or an error says nothing.
+/// When something that was accepted cannot be run, a time is not finite and positive, or an error says
+/// nothing.
 pub fn exercise(bytes: &[u8]) -> Outcome {
     let mut out = Outcome::default();
     let model = match Model::from_bytes(bytes) {

@@ -1,4 +1,5 @@
-//! No prediction is ever zero, negative, infinite or NaN: of models with hostile weights, and of the shipped ones.
+//! No prediction is ever zero, negative, infinite or NaN: of models with hostile weights, and of the shipped
+//! ones.
 
 use entire_core::ErrorKind;
 use entire_core::features::{Changes, FrameFeatures, Setting};

@@ -1,4 +1,5 @@
-//! The environment is asked for the level once: a host that changes it later, from another thread, disturbs nothing.
+//! The environment is asked for the level once: a host that changes it later, from another thread, disturbs
+//! nothing.
 
 use entire_core::kernels::{LEVEL_VARIABLE, Level};
 

@@ -1,4 +1,5 @@
-//! Hot calls allocate nothing once set-up is done: counted by the global allocator, on every level and storage.
+//! Hot calls allocate nothing once set-up is done: counted by the global allocator, on every level and
+//! storage.
 
 use entire_core::kernels::Level;
 use entire_core::nn::{

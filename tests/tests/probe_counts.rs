@@ -1,4 +1,5 @@
-//! The coarse ray probe's estimates against the exact counts of the CPU twin, on the volumes that are shipped.
+//! The coarse ray probe's estimates against the exact counts of the CPU twin, on the volumes that are
+//! shipped.
 
 use entire_cli::scenes::SceneDistribution;
 use entire_cli::volume::Volume;

@@ -1,6 +1,6 @@
-//! Devices that get lost and devices that hang: an error, never a panic, never a wait without end, and a new renderer can
-//! be opened. The device is a real one whose functions fail from a given call on. Where no Vulkan device exists every test
-//! is reported as ignored.
+//! Devices that get lost and devices that hang: an error, never a panic, never a wait without end, and a new
+//! renderer can be opened. The device is a real one whose functions fail from a given call on. Where no
+//! Vulkan device exists every test is reported as ignored.
 
 mod common;
 

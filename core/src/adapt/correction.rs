@@ -28,17 +28,18 @@ pub(crate) enum Standing {
     Past,
 }
 
-/// t = exp(b) · Σ exp(θ_i) · part_i, with θ and b learned together from observed times by a Kalman filter on ln t.
+/// t = exp(b) · Σ exp(θ_i) · part_i, with θ and b learned together from observed times by a Kalman filter on
+/// ln t.
 ///
-/// θ belongs to the machine: it drifts slowly and outlives a change of scene. b belongs to the scene at hand: what the
-/// prediction gets wrong about just this one. It follows the last few frames as closely as their noise allows, and a
-/// new scene begins with b = 0 and the spread that scenes have been found to have among each other. So what an
-/// expensive scene taught does not weigh on the cheap one after it.
+/// θ belongs to the machine: it drifts slowly and outlives a change of scene. b belongs to the scene at hand:
+/// what the prediction gets wrong about just this one. It follows the last few frames as closely as their
+/// noise allows, and a new scene begins with b = 0 and the spread that scenes have been found to have among
+/// each other. So what an expensive scene taught does not weigh on the cheap one after it.
 ///
-/// Costs stay positive because only their logarithms move. How fast b follows is found from the errors themselves: when
-/// successive errors have the same sign it follows faster, when they alternate slower. Errors beyond three standard
-/// deviations are clipped; two in a row on the same side mean that the machine has changed, and the filter opens up and
-/// takes the second one whole. The state is bounded for ever.
+/// Costs stay positive because only their logarithms move. How fast b follows is found from the errors
+/// themselves: when successive errors have the same sign it follows faster, when they alternate slower.
+/// Errors beyond three standard deviations are clipped; two in a row on the same side mean that the machine
+/// has changed, and the filter opens up and takes the second one whole. The state is bounded for ever.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Correction {
     /// θ, then b.
@@ -144,7 +145,8 @@ impl Correction {
         self.spread * (1.0 - self.gain)
     }
 
-    /// Moves on by a frame. `novelty` is 0 where the frame continues the one before, 1 where that says nothing about it.
+    /// Moves on by a frame. `novelty` is 0 where the frame continues the one before, 1 where that says
+    /// nothing about it.
     pub(crate) fn advance(&mut self, novelty: f64) {
         let novelty = if novelty.is_finite() { novelty.clamp(0.0, 1.0) } else { 1.0 };
         let keep = 1.0 - novelty;
@@ -172,8 +174,8 @@ impl Correction {
         (seconds, libm::sqrt(variance.clamp(1.0e-8, 4.0 * MAX_VARIANCE)))
     }
 
-    /// Learns from an observed time (finite and positive) of a frame that [`Correction::advance`] was called for.
-    /// `trust` in (0, 1] weakens an observation that may hold other work. Returns the error
+    /// Learns from an observed time (finite and positive) of a frame that [`Correction::advance`] was called
+    /// for. `trust` in (0, 1] weakens an observation that may hold other work. Returns the error
     /// ln(observed / corrected prediction) in standard deviations, before learning.
     pub(crate) fn observe(&mut self, terms: &CostTerms, seconds: f64, standing: Standing, trust: f64) -> f64 {
         let this_scene = standing != Standing::Past;

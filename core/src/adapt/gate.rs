@@ -13,7 +13,8 @@ pub enum Verdict {
     Learned = 0,
     /// Far from what was expected: its pull was clipped.
     Clipped = 1,
-    /// Taken note of, not learned from: the caller flagged it, or it was the first frame after a pipeline was built.
+    /// Taken note of, not learned from: the caller flagged it, or it was the first frame after a pipeline was
+    /// built.
     Ignored = 2,
 }
 
@@ -31,7 +32,8 @@ impl Verdict {
 /// What the caller knows about an observation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ObserveFlags {
-    /// The time holds work that is not the frame's (a compile, an upload, a stall): note it, do not learn from it.
+    /// The time holds work that is not the frame's (a compile, an upload, a stall): note it, do not learn
+    /// from it.
     pub unusual: bool,
     /// The frame was abandoned before it was complete; its time says only that it takes at least that long.
     pub cancelled: bool,

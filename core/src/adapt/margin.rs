@@ -3,8 +3,9 @@
 use super::state::{Reader, Writer};
 use crate::Result;
 
-/// Multiple of the expected error that an upper bound adds, moved after every frame so that the share of frames above
-/// the bound tends to the rate asked for (adaptive conformal inference: Gibbs and Candès 2021). O(1) state.
+/// Multiple of the expected error that an upper bound adds, moved after every frame so that the share of
+/// frames above the bound tends to the rate asked for (adaptive conformal inference: Gibbs and Candès 2021).
+/// O(1) state.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Margin {
     z: f64,

@@ -47,9 +47,10 @@ impl Model {
     ///
     /// # Errors
     ///
-    /// [`InvalidModel`](ErrorKind::InvalidModel) for bytes that are not such a file or metadata that does not fit;
-    /// [`InvalidTensor`](ErrorKind::InvalidTensor) for a tensor that is missing, misshapen or not finite. Nothing
-    /// half-loads.
+    /// [`InvalidModel`](ErrorKind::InvalidModel) for bytes that are not such a file or metadata that does not
+    /// fit;
+    /// [`InvalidTensor`](ErrorKind::InvalidTensor) for a tensor that is missing, misshapen or not finite.
+    /// Nothing half-loads.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let source = Source::parse(bytes)?;
         source.model()
@@ -370,7 +371,8 @@ impl Source<'_> {
                 keys::VOLUMENET
             );
         }
-        // Neither sum can overflow: the edge is at most MAX_VOLUMENET_INPUT plus paddings that existing weights bound.
+        // Neither sum can overflow: the edge is at most MAX_VOLUMENET_INPUT plus paddings that existing
+        // weights bound.
         let padded = input_edge + 2 * padding;
         if kernel > padded {
             bail!(

@@ -250,7 +250,8 @@ fn metadata_is_checked() {
     fails(&set(keys::VOLUMENET, &two(padded, good)), invalid, &["padding 3"]);
 }
 
-/// A file with an encoder of blocks of (outputs, kernel, stride, padding) whose dense layer gives `features` numbers.
+/// A file with an encoder of blocks of (outputs, kernel, stride, padding) whose dense layer gives `features`
+/// numbers.
 fn encoder_file(input: usize, blocks: &[(usize, usize, usize, usize)], features: usize) -> ModelFile {
     let mut file = ModelFile::new();
     let (mut edge, mut channels, mut layout) = (input, 1, Vec::new());
@@ -299,7 +300,8 @@ fn an_encoder_whose_memory_leaves_the_bound_is_refused_whatever_the_files_size()
         let file = encoder_file(512, blocks, 1);
         fails(&file, ErrorKind::InvalidModel, &says);
     }
-    // Rows and channels are padded to whole vectors: the dense layer's weights grow most where there is one of each.
+    // Rows and channels are padded to whole vectors: the dense layer's weights grow most where there is one
+    // of each.
     fails(&encoder_file(1, &[(1, 1, 1, 0)], 1 << 22), ErrorKind::InvalidModel, &says);
     assert!(encoder_file(512, &[(1, 1, 1, 0), (1, 1, 512, 0)], 1).to_model().is_ok());
 }

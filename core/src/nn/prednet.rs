@@ -68,8 +68,9 @@ impl PredNet {
     ///
     /// # Errors
     ///
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) or [`SizeMismatch`](crate::ErrorKind::SizeMismatch) for parts
-    /// that do not fit together, numbers that are not finite, or a standard deviation that is not positive.
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) or [`SizeMismatch`](crate::ErrorKind::SizeMismatch)
+    /// for parts that do not fit together, numbers that are not finite, or a standard deviation that is not
+    /// positive.
     pub fn new(parts: &PredNetParts) -> Result<Self> {
         let storage = parts.layers.first().map_or(Storage::F32, |layer| layer.dtype.into());
         Self::with(parts, Level::detect(), storage)

@@ -11,17 +11,17 @@ use crate::kernels::resample::{Affine, Raw, Scalar};
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
-/// Largest error of [`VolumeNet::encode`]'s features against a float64 evaluation of the same weights on the same
-/// volume, as a fraction of the feature vector's Euclidean norm.
+/// Largest error of [`VolumeNet::encode`]'s features against a float64 evaluation of the same weights on the
+/// same volume, as a fraction of the feature vector's Euclidean norm.
 pub const VOLUMENET_TOLERANCE: f64 = 1e-4;
 
-/// Most memory that an encoder may take, in bytes (2 GiB): its packed weights and the working memory of one thread. The
-/// cube that a volume is resampled to comes on top, at most 512 MiB. Sizes in a model file that ask for more are refused
-/// before anything is allocated for them, the same on every level.
+/// Most memory that an encoder may take, in bytes (2 GiB): its packed weights and the working memory of one
+/// thread. The cube that a volume is resampled to comes on top, at most 512 MiB. Sizes in a model file that
+/// ask for more are refused before anything is allocated for them, the same on every level.
 pub const MAX_ENCODER_MEMORY: u64 = 2 << 30;
 
-/// Working memory of an encoding, made by [`VolumeNet::scratch`]; one per thread that calls. Empty until the first
-/// encoding.
+/// Working memory of an encoding, made by [`VolumeNet::scratch`]; one per thread that calls. Empty until the
+/// first encoding.
 #[derive(Clone, Debug)]
 pub struct EncodeScratch {
     resampler: Resampler,
@@ -29,12 +29,13 @@ pub struct EncodeScratch {
     encoder: Scratch,
 }
 
-/// The encoder, ready to run: blocks of convolution (batch normalization folded in) and SELU, then one dense layer
-/// (paper, section on the volume network). Any number of blocks, kernel edges, strides and paddings.
+/// The encoder, ready to run: blocks of convolution (batch normalization folded in) and SELU, then one dense
+/// layer (paper, section on the volume network). Any number of blocks, kernel edges, strides and paddings.
 ///
-/// The input is the volume mapped to [0, 1] over its range, resampled to a cube of [`input_size`](Self::input_size)³
-/// voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W) = (z, y, x). A block maps a tensor `x` of
-/// `Cin × n³` numbers to `Cout × m³` numbers, m = (n + 2·padding − k) / stride + 1 rounded down:
+/// The input is the volume mapped to [0, 1] over its range, resampled to a cube of
+/// [`input_size`](Self::input_size)³ voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W)
+/// = (z, y, x). A block maps a tensor `x` of `Cin × n³` numbers to `Cout × m³` numbers, m = (n + 2·padding −
+/// k) / stride + 1 rounded down:
 ///
 /// ```text
 /// y[o, z, y, x] = SELU( bias[o] + Σ_{i, a, b, c} weight[o, i, a, b, c] · x[i, z·stride + a − padding,
@@ -42,8 +43,8 @@ pub struct EncodeScratch {
 ///                                                                           x·stride + c − padding] )
 /// ```
 ///
-/// where a, b, c run over 0 … k − 1 and x is 0 outside its edge. The last block's output, flattened in (C, D, H, W)
-/// order, goes through the dense layer, which no activation follows.
+/// where a, b, c run over 0 … k − 1 and x is 0 outside its edge. The last block's output, flattened in (C, D,
+/// H, W) order, goes through the dense layer, which no activation follows.
 #[derive(Clone, Debug)]
 pub struct VolumeNet {
     input: usize,
@@ -57,7 +58,8 @@ impl VolumeNet {
     ///
     /// # Errors
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) where blocks do not fit together;
-    /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for an encoder that needs more than [`MAX_ENCODER_MEMORY`];
+    /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for an encoder that needs more than
+    /// [`MAX_ENCODER_MEMORY`];
     /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where memory has no room for its weights.
     pub fn new(parts: &VolumeNetParts) -> Result<Self> {
         Self::with(parts, Level::detect())
@@ -105,23 +107,25 @@ impl VolumeNet {
         self.level
     }
 
-    /// Working memory for [`encode`](Self::encode), which allocates it at the first call and lets it grow where more
-    /// threads are used. A caller that never encodes pays nothing.
+    /// Working memory for [`encode`](Self::encode), which allocates it at the first call and lets it grow
+    /// where more threads are used. A caller that never encodes pays nothing.
     pub fn scratch(&self) -> EncodeScratch {
         EncodeScratch { resampler: Resampler::new(self.level), cube: Vec::new(), encoder: Scratch::default() }
     }
 
     /// Writes the volume's features to `features`.
     ///
-    /// A volume that has the input's size already, with its rows in one piece, is read in place; any other is resampled
-    /// to a cube of floats in the scratch. The same volume, range, network and level give the same bits, whatever the
-    /// executor. Allocates only in the first call with this scratch, where the volume has to be resampled for the first
-    /// time, its rows are longer, or the executor has more threads than in every earlier call with this scratch.
+    /// A volume that has the input's size already, with its rows in one piece, is read in place; any other is
+    /// resampled to a cube of floats in the scratch. The same volume, range, network and level give the same
+    /// bits, whatever the executor. Allocates only in the first call with this scratch, where the volume has
+    /// to be resampled for the first time, its rows are longer, or the executor has more threads than in
+    /// every earlier call with this scratch.
     ///
     /// # Errors
-    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) unless `features` holds [`feature_len`](Self::feature_len)
-    /// numbers, and where memory has no room for the working memory;
-    /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a volume that [`Resampler::resample`] refuses.
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) unless `features` holds
+    /// [`feature_len`](Self::feature_len) numbers, and where memory has no room for the working memory;
+    /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a volume that [`Resampler::resample`]
+    /// refuses.
     pub fn encode(
         &self,
         view: &VolumeView<'_>,
@@ -177,8 +181,8 @@ fn in_place<T: Scalar>(view: &VolumeView<'_>, scalars: &[T], z: usize, plane: &m
     }
 }
 
-/// Bytes of an encoder's packed weights and of one thread's working memory, at most: vectors are taken as wide as on the
-/// widest level. Sums saturate.
+/// Bytes of an encoder's packed weights and of one thread's working memory, at most: vectors are taken as
+/// wide as on the widest level. Sums saturate.
 fn memory(parts: &VolumeNetParts) -> u64 {
     /// Floats per vector and per cache line, and what rows of the first layer are rounded up to.
     const LANES: u128 = 16;
@@ -215,7 +219,8 @@ fn memory(parts: &VolumeNetParts) -> u64 {
     u64::try_from(bytes).unwrap_or(u64::MAX)
 }
 
-/// Checks that the blocks fit together and that the encoder can be built and run: what [`VolumeNet::new`] refuses.
+/// Checks that the blocks fit together and that the encoder can be built and run: what [`VolumeNet::new`]
+/// refuses.
 pub(crate) fn check(parts: &VolumeNetParts) -> Result<()> {
     let (mut edge, mut channels) = (parts.input, 1usize);
     if edge == 0 {

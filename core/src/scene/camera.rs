@@ -18,8 +18,8 @@ pub struct Arcball {
     pub dz: f32,
 }
 
-/// A perspective camera in scene space: origin at the volume's center, unit = bounding-sphere radius. It looks along
-/// −z of its own space, y up.
+/// A perspective camera in scene space: origin at the volume's center, unit = bounding-sphere radius. It
+/// looks along −z of its own space, y up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     view: Mat4,
@@ -27,11 +27,12 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// A camera on the arcball, with the default field of view. With all angles 0 the eye stands at (0, 0, dz) and
-    /// looks at the center.
+    /// A camera on the arcball, with the default field of view. With all angles 0 the eye stands at (0, 0,
+    /// dz) and looks at the center.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for values that are not finite, or a distance that is not positive.
+    /// [`crate::ErrorKind::InvalidArgument`] for values that are not finite, or a distance that is not
+    /// positive.
     pub fn from_arcball(pose: Arcball) -> Result<Self> {
         let Arcball { rx, ry, dz } = pose;
         if !(rx.is_finite() && ry.is_finite()) {
@@ -48,12 +49,12 @@ impl Camera {
         Ok(Self { view, fov_y: DEFAULT_FOV_Y_DEGREES.to_radians() })
     }
 
-    /// A camera from a rigid world-to-eye matrix (as OpenGL and VTK have it: column-major, looking along −z), the
-    /// world position of the volume's center and the world radius of its bounding sphere.
+    /// A camera from a rigid world-to-eye matrix (as OpenGL and VTK have it: column-major, looking along −z),
+    /// the world position of the volume's center and the world radius of its bounding sphere.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] when the matrix is not finite, not rigid (rotation and translation only,
-    /// to 1e-3), or the radius is not positive.
+    /// [`crate::ErrorKind::InvalidArgument`] when the matrix is not finite, not rigid (rotation and
+    /// translation only, to 1e-3), or the radius is not positive.
     pub fn from_world_view(view: Mat4, center: Vec3, radius: f32) -> Result<Self> {
         if !(radius.is_finite() && radius > 0.0) {
             bail!(InvalidArgument, "bounding-sphere radius is {radius}; it must be finite and positive");
@@ -109,8 +110,8 @@ impl Camera {
         -(r.transpose() * self.view.w_axis.truncate())
     }
 
-    /// The arcball pose that a model's `camera` group takes: angles from the eye's position about the center (pan and
-    /// roll have no place in it), angles in (−180, 180], the distance as it is.
+    /// The arcball pose that a model's `camera` group takes: angles from the eye's position about the center
+    /// (pan and roll have no place in it), angles in (−180, 180], the distance as it is.
     pub fn to_arcball(&self) -> Arcball {
         let eye = self.eye();
         let dz = eye.length();
@@ -122,8 +123,8 @@ impl Camera {
         Arcball { rx, ry, dz }
     }
 
-    /// The ray through the pixel position (`px`, `py`) of a `width` × `height` image, pixel centers at halves, y
-    /// down: origin and unit direction in scene space.
+    /// The ray through the pixel position (`px`, `py`) of a `width` × `height` image, pixel centers at
+    /// halves, y down: origin and unit direction in scene space.
     pub fn ray(&self, px: f32, py: f32, width: u32, height: u32) -> (Vec3, Vec3) {
         let (origin, right, up, forward) = self.ray_basis(width, height);
         let u = 2.0 * px / width as f32 - 1.0;
@@ -131,8 +132,9 @@ impl Camera {
         (origin, (forward + u * right + v * up).normalize())
     }
 
-    /// The basis that [`Camera::ray`] uses, for renderers: eye, then the image plane's half-width vector, half-height
-    /// vector and forward unit vector. A ray's direction is `forward + u·right + v·up`, u and v in [−1, 1].
+    /// The basis that [`Camera::ray`] uses, for renderers: eye, then the image plane's half-width vector,
+    /// half-height vector and forward unit vector. A ray's direction is `forward + u·right + v·up`, u and v
+    /// in [−1, 1].
     pub fn ray_basis(&self, width: u32, height: u32) -> (Vec3, Vec3, Vec3, Vec3) {
         let r = Mat3::from_mat4(self.view).transpose();
         let half_height = libm::tanf(0.5 * self.fov_y);
@@ -191,7 +193,8 @@ mod tests {
     fn world_view_matches_arcball() {
         let camera = arc(20.0, -40.0, 3.0).with_fov_y_degrees(30.0).unwrap();
         let (center, radius) = (Vec3::new(5.0, -7.0, 11.0), 40.0);
-        // World to scene: subtract the center, divide by the radius; eye space in world units is scene eye space x radius.
+        // World to scene: subtract the center, divide by the radius; eye space in world units is scene eye
+        // space x radius.
         let r = Mat4::from_mat3(Mat3::from_mat4(camera.view()));
         let view = Mat4::from_translation(camera.view().w_axis.truncate() * radius)
             * r

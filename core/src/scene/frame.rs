@@ -67,7 +67,8 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A frame with the reference step, no shading, block skipping, early ray termination at opacity 0.99, no jitter.
+    /// A frame with the reference step, no shading, block skipping, early ray termination at opacity 0.99, no
+    /// jitter.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a size of 0 or over [`MAX_IMAGE_SIDE`].

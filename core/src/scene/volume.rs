@@ -7,8 +7,8 @@ use glam::Vec3;
 /// Most voxels along one axis.
 pub const MAX_VOLUME_EDGE: usize = 1 << 20;
 
-/// Most voxels of a volume whose strides read elements more than once (a stride of 0, or axes that overlap). Other
-/// volumes are bounded by the elements that they have.
+/// Most voxels of a volume whose strides read elements more than once (a stride of 0, or axes that overlap).
+/// Other volumes are bounded by the elements that they have.
 pub const MAX_REPEATED_VOXELS: u64 = 1 << 27;
 
 /// The scalar types that volumes come in.
@@ -98,7 +98,8 @@ impl Scalars<'_> {
     }
 }
 
-/// A checked, borrowed scalar volume: voxels, sizes, strides, spacing and the scalar range that maps to [0, 1].
+/// A checked, borrowed scalar volume: voxels, sizes, strides, spacing and the scalar range that maps to
+/// [0, 1].
 ///
 /// Axis order is (x, y, z) everywhere; in the usual contiguous layout x runs fastest.
 #[derive(Clone, Copy, Debug)]
@@ -111,20 +112,21 @@ pub struct VolumeView<'a> {
 }
 
 impl<'a> VolumeView<'a> {
-    /// A contiguous volume (x fastest) with unit spacing and the default range: 0…255 for unsigned bytes, the finite
-    /// minimum…maximum for other types (a scan over the voxels).
+    /// A contiguous volume (x fastest) with unit spacing and the default range: 0…255 for unsigned bytes, the
+    /// finite minimum…maximum for other types (a scan over the voxels).
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for a size of 0, [`ErrorKind::SizeMismatch`] for one over [`MAX_VOLUME_EDGE`] or when
-    /// the slice is too short for the sizes or their product overflows. No voxel is read before all this is checked.
+    /// [`ErrorKind::InvalidArgument`] for a size of 0, [`ErrorKind::SizeMismatch`] for one over
+    /// [`MAX_VOLUME_EDGE`] or when the slice is too short for the sizes or their product overflows. No voxel
+    /// is read before all this is checked.
     pub fn new(scalars: Scalars<'a>, dims: [usize; 3]) -> Result<Self> {
         let row = dims[0];
         let slice = row.checked_mul(dims[1]).ok_or_else(|| overflow(dims))?;
         Self::with_strides(scalars, dims, [1, row, slice])
     }
 
-    /// As [`VolumeView::new`] with strides in elements. Strides may be zero (a broadcast axis) and may overlap, as long as
-    /// there are at most [`MAX_REPEATED_VOXELS`] voxels then.
+    /// As [`VolumeView::new`] with strides in elements. Strides may be zero (a broadcast axis) and may
+    /// overlap, as long as there are at most [`MAX_REPEATED_VOXELS`] voxels then.
     ///
     /// # Errors
     /// As [`VolumeView::new`], and [`ErrorKind::SizeMismatch`] for more voxels than that.
@@ -189,8 +191,8 @@ impl<'a> VolumeView<'a> {
     /// Sets the voxel spacing along x, y, z (any common unit of length).
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] unless all three are finite, positive, within 1e-30…1e30, and the largest is at most
-    /// 1e6 times the smallest.
+    /// [`ErrorKind::InvalidArgument`] unless all three are finite, positive, within 1e-30…1e30, and the
+    /// largest is at most 1e6 times the smallest.
     pub fn with_spacing(mut self, spacing: [f32; 3]) -> Result<Self> {
         self.spacing = check_spacing(spacing)?;
         Ok(self)
@@ -251,7 +253,8 @@ impl<'a> VolumeView<'a> {
         self.range
     }
 
-    /// World size of the volume's box: voxels × spacing (voxel-centered samples, the box reaches half a voxel beyond).
+    /// World size of the volume's box: voxels × spacing (voxel-centered samples, the box reaches half a voxel
+    /// beyond).
     pub fn extent(&self) -> Vec3 {
         Vec3::new(self.dims[0] as f32, self.dims[1] as f32, self.dims[2] as f32) * self.spacing
     }
@@ -363,8 +366,8 @@ pub(crate) fn check_edges(dims: [usize; 3]) -> Result<()> {
     Ok(())
 }
 
-/// The vector times the power of two that brings its largest component into 0.5…1, and that power's exponent. Squares of
-/// lengths in any unit stay within `f32` then, and nothing is rounded.
+/// The vector times the power of two that brings its largest component into 0.5…1, and that power's exponent.
+/// Squares of lengths in any unit stay within `f32` then, and nothing is rounded.
 fn normalized(v: Vec3) -> (Vec3, i32) {
     let (_, exponent) = libm::frexpf(v.max_element());
     (Vec3::from_array(v.to_array().map(|c| libm::ldexpf(c, -exponent))), exponent)

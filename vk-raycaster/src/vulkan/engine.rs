@@ -122,7 +122,8 @@ pub(crate) struct Engine {
     volume: Vec<Image>,
     skip_map: Option<Image>,
     staging: Option<Buffer>,
-    /// A failed submission may still be running: nothing is freed or submitted before every slot was waited for.
+    /// A failed submission may still be running: nothing is freed or submitted before every slot was waited
+    /// for.
     broken: bool,
     /// A submission ran longer than it may: nobody waits for the device again, only looks whether it is done.
     hangs: bool,
@@ -141,8 +142,8 @@ impl Slot {
             size(vk::DescriptorType::STORAGE_IMAGE, 3),
         ];
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(MAX_BRICKS as u32).pool_sizes(&sizes);
-        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes into an
-        // `Owned` that destroys it once.
+        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes
+        // into an `Owned` that destroys it once.
         let handle =
             unsafe { gpu.device.create_descriptor_pool(&info, None) }.on(gpu, "vkCreateDescriptorPool")?;
         let descriptors = Owned::new(gpu, handle, |d, h| {
@@ -223,8 +224,8 @@ impl Engine {
                 .stage_flags(vk::ShaderStageFlags::COMPUTE)
         };
         let bindings = [
-            // A storage buffer, not a uniform one: lavapipe compiles the shader anew for every set of uniform values that
-            // steer its control flow, some 60 ms for every camera.
+            // A storage buffer, not a uniform one: lavapipe compiles the shader anew for every set of uniform
+            // values that steer its control flow, some 60 ms for every camera.
             binding(0, vk::DescriptorType::STORAGE_BUFFER),
             binding(1, vk::DescriptorType::SAMPLED_IMAGE),
             binding(2, vk::DescriptorType::SAMPLED_IMAGE),
@@ -238,8 +239,8 @@ impl Engine {
             binding(10, vk::DescriptorType::STORAGE_BUFFER),
         ];
         let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
-        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes into an
-        // `Owned` that destroys it once.
+        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes
+        // into an `Owned` that destroys it once.
         let layout = unsafe { gpu.device.create_descriptor_set_layout(&info, None) }
             .on(&gpu, "vkCreateDescriptorSetLayout")?;
         let set_layout = Owned::new(&gpu, layout, |d, h| {
@@ -289,8 +290,8 @@ impl Engine {
         &self.gpu
     }
 
-    /// Makes the image behind `target`, unless it has this shape already. Its contents are undefined. Nothing may be
-    /// running.
+    /// Makes the image behind `target`, unless it has this shape already. Its contents are undefined. Nothing
+    /// may be running.
     pub(crate) fn reserve(&mut self, target: Target, shape: Shape) -> Result<()> {
         if self.image(target).is_ok_and(|i| i.shape == shape) {
             return Ok(());
@@ -458,7 +459,8 @@ impl Engine {
             .module(module.get())
             .name(c"main");
         let info = vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.pipeline_layout.get());
-        // SAFETY: module and layout are alive, the entry point `main` exists and its bindings are those of the layout.
+        // SAFETY: module and layout are alive, the entry point `main` exists and its bindings are those of
+        // the layout.
         let made =
             unsafe { self.gpu.device.create_compute_pipelines(vk::PipelineCache::null(), &[info], None) };
         let handle = made.map_err(|(_, r)| r).on(&self.gpu, "vkCreateComputePipelines")?[0];
@@ -480,8 +482,8 @@ impl Engine {
         let device = &self.gpu.device;
         let pool = slot.descriptors.get();
         if slot.sets.is_empty() {
-            // SAFETY: nothing that uses the pool's sets is running: sets are made for slots whose submission was waited
-            // for.
+            // SAFETY: nothing that uses the pool's sets is running: sets are made for slots whose submission
+            // was waited for.
             unsafe { device.reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty()) }
                 .on(&self.gpu, "vkResetDescriptorPool")?;
         }

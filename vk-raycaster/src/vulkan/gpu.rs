@@ -11,13 +11,13 @@ use std::time::Duration;
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
-/// How long a submission may run on a GPU before the device counts as hanging: 30 s. A submission is one tile or one copy
-/// of 64 MiB; tiles shrink once one takes half a second, and drivers reset a GPU that does not answer for 2 to 10 s, so
-/// that a sound device is far below this.
+/// How long a submission may run on a GPU before the device counts as hanging: 30 s. A submission is one tile
+/// or one copy of 64 MiB; tiles shrink once one takes half a second, and drivers reset a GPU that does not
+/// answer for 2 to 10 s, so that a sound device is far below this.
 pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
 
-/// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. They work through the largest tile in minutes,
-/// longer on a loaded host, and no driver ends them.
+/// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. They work through the largest
+/// tile in minutes, longer on a loaded host, and no driver ends them.
 pub const LONGEST_WAIT_SOFTWARE: Duration = Duration::from_secs(30 * 60);
 
 /// Puts functions of a test in the place of a device's.
@@ -115,7 +115,8 @@ pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) 
 pub(crate) trait NamedCall<T> {
     fn named(self, call: &str) -> Result<T>;
 
-    /// As [`NamedCall::named`] for a call on an open device, which is lost from then on where the call says so.
+    /// As [`NamedCall::named`] for a call on an open device, which is lost from then on where the call says
+    /// so.
     fn on(self, gpu: &Gpu, call: &str) -> Result<T>;
 }
 
@@ -150,7 +151,8 @@ impl Gpu {
         let debug = if options.validation {
             let loader = ash::ext::debug_utils::Instance::new(&entry, raw);
             let info = messenger_info(&messages);
-            // SAFETY: the instance was made with VK_EXT_debug_utils; `messages` is shared and outlives the messenger.
+            // SAFETY: the instance was made with VK_EXT_debug_utils; `messages` is shared and outlives the
+            // messenger.
             let messenger = unsafe { loader.create_debug_utils_messenger(&info, None) }
                 .named("vkCreateDebugUtilsMessengerEXT")?;
             Some((loader, messenger))
@@ -273,9 +275,9 @@ impl Drop for Gpu {
             std::mem::forget(Arc::clone(&self.messages));
             return;
         }
-        // SAFETY: everything made from the device holds an `Arc` of this and is gone, and whoever submitted has waited, or
-        // the device is lost and runs nothing. The allocator is dropped once, here, before its device; the instance goes
-        // after it, the library last.
+        // SAFETY: everything made from the device holds an `Arc` of this and is gone, and whoever submitted
+        // has waited, or the device is lost and runs nothing. The allocator is dropped once, here, before its
+        // device; the instance goes after it, the library last.
         unsafe {
             ManuallyDrop::drop(&mut self.allocator);
             self.device.destroy_device(None);
@@ -335,8 +337,8 @@ unsafe extern "system" fn on_message(
     data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
     user: *mut c_void,
 ) -> vk::Bool32 {
-    // SAFETY: `user` is the shared `Messages` given at creation, which outlives the messenger; it is shared, not
-    // mutated but through its lock. `data` and its text are valid for the length of the call.
+    // SAFETY: `user` is the shared `Messages` given at creation, which outlives the messenger; it is shared,
+    // not mutated but through its lock. `data` and its text are valid for the length of the call.
     unsafe {
         if let (Some(messages), Some(data)) = (user.cast::<Messages>().as_ref(), data.as_ref()) {
             let text = data.message_as_c_str().map(CStr::to_string_lossy).unwrap_or_default();

@@ -7,8 +7,8 @@ use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 use std::sync::{Arc, PoisonError};
 
-/// A handle that destroys itself. Whoever holds one makes sure that the device no longer uses it when it drops, or that the
-/// device is abandoned, in which case it stays.
+/// A handle that destroys itself. Whoever holds one makes sure that the device no longer uses it when it
+/// drops, or that the device is abandoned, in which case it stays.
 pub(crate) struct Owned<T: Copy> {
     gpu: Arc<Gpu>,
     handle: T,
@@ -137,7 +137,8 @@ impl Drop for Buffer {
             std::mem::forget(self.allocation.take());
             return;
         }
-        // SAFETY: made from this device, destroyed once; the holder makes sure that the device is done with it.
+        // SAFETY: made from this device, destroyed once; the holder makes sure that the device is done with
+        // it.
         unsafe { self.gpu.device.destroy_buffer(self.buffer, None) };
         free(&self.gpu, self.allocation.take());
     }
@@ -238,8 +239,8 @@ impl Drop for Image {
             std::mem::forget(self.allocation.take());
             return;
         }
-        // SAFETY: made from this device, destroyed once (destroying a null view does nothing); the holder makes sure
-        // that the device is done with it.
+        // SAFETY: made from this device, destroyed once (destroying a null view does nothing); the holder
+        // makes sure that the device is done with it.
         unsafe {
             self.gpu.device.destroy_image_view(self.view, None);
             self.gpu.device.destroy_image(self.image, None);

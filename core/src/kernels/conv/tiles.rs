@@ -254,11 +254,12 @@ wide!(one_by_sixteen: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4
 /// Computes a tile of `positions` positions and `vectors` vectors of channels.
 ///
 /// # Safety
-/// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] says so, `vectors` is 1 and positions p and p + 8
-/// lie at one distance. Where [`Tile::two_apart`] says so, position p lies 2·p floats from position 0. Where
-/// [`Tile::tap_triples`] says so, taps come in triples of neighbors. Every input pointer plus any tap plus any
-/// channel is readable, weights and biases are packed for the tile, and every output pointer has room for its
-/// vectors, which no other thread touches.
+/// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] says so, `vectors` is 1 and positions p and
+/// p + 8 lie at one distance. Where [`Tile::two_apart`] says so, position p lies 2·p floats from position 0.
+/// Where
+/// [`Tile::tap_triples`] says so, taps come in triples of neighbors. Every input pointer plus any tap plus
+/// any channel is readable, weights and biases are packed for the tile, and every output pointer has room for
+/// its vectors, which no other thread touches.
 #[inline(always)]
 pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vectors: usize) {
     const { assert!(MAX_POSITIONS >= 16) };

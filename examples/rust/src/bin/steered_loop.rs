@@ -1,5 +1,5 @@
-//! A render loop that holds a frame budget from its first frames on, without any model file: the session starts from
-//! default costs and learns from the times it observes.
+//! A render loop that holds a frame budget from its first frames on, without any model file: the session
+//! starts from default costs and learns from the times it observes.
 //!
 //! ```text
 //! cargo run --release -p entire-examples --bin steered_loop

@@ -10,8 +10,8 @@ use ash::vk;
 impl Engine {
     pub(super) fn try_submit(&self, slot: &Slot, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
         let device = &self.gpu.device;
-        // SAFETY: the one command buffer of the pool is not pending: the slot's submission was waited for, or `drain`
-        // has waited for the device.
+        // SAFETY: the one command buffer of the pool is not pending: the slot's submission was waited for, or
+        // `drain` has waited for the device.
         unsafe { device.reset_command_pool(slot.pool.get(), vk::CommandPoolResetFlags::empty()) }
             .on(&self.gpu, "vkResetCommandPool")?;
         let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
@@ -25,8 +25,8 @@ impl Engine {
         unsafe { device.end_command_buffer(slot.commands) }.on(&self.gpu, "vkEndCommandBuffer")?;
         let buffers = [slot.commands];
         let submit = [vk::SubmitInfo::default().command_buffers(&buffers)];
-        // SAFETY: the command buffer is complete, everything it uses is kept until the fence has signaled, the fence
-        // is unsignaled, and `&mut self` of the callers keeps other threads from the queue.
+        // SAFETY: the command buffer is complete, everything it uses is kept until the fence has signaled,
+        // the fence is unsignaled, and `&mut self` of the callers keeps other threads from the queue.
         unsafe { device.queue_submit(self.gpu.queue, &submit, slot.fence.get()) }
             .on(&self.gpu, "vkQueueSubmit")
     }
@@ -43,9 +43,9 @@ impl Engine {
     fn play(&self, slot: &Slot, shader: Option<Shader>, command: &Command) -> Result<()> {
         let device = &self.gpu.device;
         let commands = slot.commands;
-        // SAFETY: the command buffer is being recorded; every resource named by a command belongs to this engine and
-        // lives until the submission was waited for; ranges lie inside their buffers and images, because recordings
-        // are made from the same tile and image sizes that these were reserved with.
+        // SAFETY: the command buffer is being recorded; every resource named by a command belongs to this
+        // engine and lives until the submission was waited for; ranges lie inside their buffers and images,
+        // because recordings are made from the same tile and image sizes that these were reserved with.
         unsafe {
             match command {
                 Command::WriteSetup(setup) => {
@@ -198,7 +198,8 @@ impl Engine {
             return Ok(None);
         };
         let mut ticks = [0u64; 2];
-        // SAFETY: the submission that wrote both queries was waited for, so that both are there without waiting.
+        // SAFETY: the submission that wrote both queries was waited for, so that both are there without
+        // waiting.
         unsafe {
             self.gpu.device.get_query_pool_results(
                 queries.get(),

@@ -38,8 +38,8 @@ impl Engine {
         Ok(())
     }
 
-    /// Waits for a slot's fence, which stays signaled, for as long as a submission may run; once one ran longer it only
-    /// looks whether it is done by now.
+    /// Waits for a slot's fence, which stays signaled, for as long as a submission may run; once one ran
+    /// longer it only looks whether it is done by now.
     fn wait_for_fence(&mut self, slot: usize, pass: &str) -> Result<()> {
         let longest = self.gpu.longest_wait;
         let nanoseconds = if self.hangs { 0 } else { u64::try_from(longest.as_nanos()).unwrap_or(u64::MAX) };
