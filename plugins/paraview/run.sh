@@ -12,7 +12,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 what=${1:?build, test or screenshot}
-out=${PARAVIEW_OUT:-$PWD/${CARGO_TARGET_DIR:-target}/paraview}
+out=${PARAVIEW_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/paraview}
 sdk=$out/sdk
 arch=$(gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 cmake_dir=/usr/lib/$arch/cmake/paraview-5.11

@@ -15,7 +15,7 @@ case $what in
     *) echo "run.sh: found word \"$what\"; use wheel, test, bars or exec" >&2; exit 2 ;;
 esac
 here=plugins/python
-out=${PYTHON_OUT:-$PWD/${CARGO_TARGET_DIR:-target}/python}
+out=${PYTHON_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/python}
 python=${PYTHON:-python3}
 
 lacks() {

@@ -17,7 +17,7 @@ case $what in
     build | test | asan | exec) ;;
     *) echo "run.sh: found word \"$what\"; use build, test, asan or exec" >&2; exit 2 ;;
 esac
-out=${VTK_OUT:-$PWD/${CARGO_TARGET_DIR:-target}/vtk}
+out=${VTK_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/vtk}
 sdk=$out/sdk
 python=${VTK_PYTHON:-/usr/bin/python3}
 export PYTHONPATH=$out/build/lib/python3/site-packages

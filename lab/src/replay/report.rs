@@ -333,7 +333,7 @@ impl Results<'_> {
         }
         page.table(
             &predictors,
-            "SteeringModel to random scenes of other volumes on this machine, judged by scenes that were \
+            "Fitted to random scenes of other volumes on this machine, judged by scenes that were \
              held out.",
         );
         let wide = |p: (f32, f32)| (f64::from(p.0), f64::from(p.1));
