@@ -101,7 +101,8 @@ pub struct Options {
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// Which clock counts.
+    /// Which clock counts; `auto` is the one that --model predicts, where it says so, else the device's. A
+    /// model of another clock is refused.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
     /// Finest and coarsest step that may be chosen, reference steps.
@@ -150,7 +151,6 @@ pub fn run(options: &Options) -> Result<()> {
         options.calibrate,
         options.repeats
     );
-    let draw = DrawSettings::new(options.size, &options.render, options.clock);
     let hold = parse_hold(options.volumes.len(), options.hold)?;
     let retargets = options.retarget.iter().map(|t| parse_retarget(t)).collect::<Result<Vec<_>>>()?;
     ensure!(retargets.is_sorted_by_key(|t| t.0), "--retarget must be ordered by frame");
@@ -162,6 +162,9 @@ pub fn run(options: &Options) -> Result<()> {
         );
     }
     let model = options.model.as_deref().map(open_model).transpose()?;
+    let named = options.model.as_ref().map(|p| p.display().to_string());
+    let clock = crate::clock::agreed(options.clock, named.as_deref().zip(model.as_ref()))?;
+    let draw = DrawSettings::new(options.size, &options.render, clock);
     let volumes = options
         .volumes
         .iter()

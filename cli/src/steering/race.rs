@@ -63,6 +63,14 @@ pub struct Race<'a> {
 /// # Errors
 /// When it is there and no model.
 pub fn shipped_model(shading: Shading) -> Result<Option<(String, ModelFile)>> {
+    Ok(shipped_file(shading)?.map(|(path, file)| (format!("{}, calibrated", path.display()), file)))
+}
+
+/// As [`shipped_model`], with its file.
+///
+/// # Errors
+/// When it is there and no model.
+pub fn shipped_file(shading: Shading) -> Result<Option<(PathBuf, ModelFile)>> {
     let set = match shading {
         Shading::None => "unshaded",
         other => other.name(),
@@ -72,7 +80,7 @@ pub fn shipped_model(shading: Shading) -> Result<Option<(String, ModelFile)>> {
         return Ok(None);
     }
     let (file, _) = crate::files::read_model_file(&path)?;
-    Ok(Some((format!("{}, calibrated", path.display()), file)))
+    Ok(Some((path, file)))
 }
 
 /// What calibration gave.
