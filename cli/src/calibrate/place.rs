@@ -1,8 +1,9 @@
 //! Where the machine's model lies: in the user's data folder, one file per shading mode.
 
+use crate::collection::Job;
 use crate::dataset::Clock;
 use crate::files::read_model_file;
-use anyhow::Result;
+use anyhow::{Context, Result};
 use entire_core::model::ModelFile;
 use entire_core::scene::Shading;
 use std::path::{Path, PathBuf};
@@ -38,10 +39,32 @@ pub fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFile, Opt
     Ok(Some((path, file, clock)))
 }
 
+/// The machine's model for a shading mode, where it must be there.
+///
+/// # Errors
+/// When it is not; says how to make it.
+pub fn machine_file(shading: Shading) -> Result<PathBuf> {
+    file_of(shading).filter(|p| p.is_file()).with_context(|| {
+        let shading = shading.name();
+        format!(
+            "this machine has no model for shading {shading}; make one with `entire calibrate --shade {shading}`, \
+             or name a model with --model"
+        )
+    })
+}
+
 /// The folder that volumes are taken from where none are named, from the project's root.
 pub const DATA_FOLDER: &str = "data";
 
-/// Every volume below a folder, by name; timing tables and other files are passed over.
+/// Ensemble members that the shipped models were trained on.
+pub const TRAINING_MEMBERS: [&str; 2] = ["m01", "m02"];
+
+/// Endings of volume files that are looked for.
+const VOLUMES: [&str; 6] = ["nrrd", "nhdr", "mha", "mhd", "vti", "nii"];
+
+/// Every volume below a folder, by name; timing tables and other files are passed over. Of ensembles the
+/// members that models are trained on ([`TRAINING_MEMBERS`]): the figures of the others stay those of members
+/// that no model has seen.
 ///
 /// # Errors
 /// When a folder cannot be read.
@@ -53,8 +76,11 @@ pub fn volumes_in(folder: &Path) -> Result<Vec<PathBuf>> {
             let path = entry?.path();
             if path.is_dir() {
                 folders.push(path);
-            } else if path.extension().is_some_and(|e| e == "nrrd" || e == "vti" || e == "mha") {
-                out.push(path);
+            } else if path.extension().is_some_and(|e| VOLUMES.iter().any(|v| e == *v)) {
+                let member = Job::from_path(&path).member;
+                if member.is_empty() || TRAINING_MEMBERS.contains(&member.as_str()) {
+                    out.push(path);
+                }
             }
         }
     }

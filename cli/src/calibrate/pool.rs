@@ -16,7 +16,7 @@ use indicatif::ProgressBar;
 use std::path::PathBuf;
 
 /// Candidates per volume and size.
-const PER_VOLUME: u64 = 48;
+const PER_VOLUME: u64 = 36;
 
 /// Every so many candidates one is random: drawn as users draw, at any cost.
 const RANDOM_EVERY: u64 = 3;

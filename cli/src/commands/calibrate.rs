@@ -30,7 +30,7 @@ use std::path::{Path, PathBuf};
         one model for each shading mode, a minute and a half each
   entire calibrate skull.nrrd engine.vti --shade local --out here.safetensors")]
 pub struct Options {
-    /// Volume files; those in data/ unless given.
+    /// Volume files; unless given those in data/, of its ensembles the members that models are trained on.
     #[arg(value_name = "VOLUME")]
     pub volumes: Vec<PathBuf>,
     /// What each sample computes, or all modes one after another.

@@ -1,6 +1,8 @@
 //! `entire predict`: predict seconds for rows of model inputs.
 
+use crate::calibrate::place::machine_file;
 use crate::files::{digits, note, open_model};
+use crate::options::ShadeOption;
 use anyhow::{Context, Result, bail};
 use entire_core::model::{InputGroup, Model};
 use entire_core::nn::PredNet;
@@ -20,9 +22,12 @@ use std::path::{Path, PathBuf};
 
 A model lists its inputs in its metadata key entire.inputs; a wrong number of columns prints them.")]
 pub struct Options {
-    /// Model file with a PredNet.
+    /// Model file with a PredNet; the machine's own of --shade unless given (`entire calibrate` makes it).
     #[arg(long, value_name = "M.safetensors")]
-    pub model: PathBuf,
+    pub model: Option<PathBuf>,
+    /// The shading mode whose machine's model is taken where --model is not given.
+    #[arg(long, value_enum, default_value_t, conflicts_with = "model")]
+    pub shade: ShadeOption,
     /// Table of inputs; `-` for standard input.
     #[arg(long, value_name = "X.csv")]
     pub inputs: PathBuf,
@@ -30,11 +35,15 @@ pub struct Options {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<()> {
-    let model = open_model(&options.model)?;
-    let Some(parts) = model.prednet() else {
-        bail!("{}: has no PredNet (prednet.0.weight); give a model that predicts", options.model.display());
+    let path = match &options.model {
+        Some(path) => path.clone(),
+        None => machine_file(options.shade.into())?,
     };
-    let net = PredNet::new(parts).with_context(|| format!("{}", options.model.display()))?;
+    let model = open_model(&path)?;
+    let Some(parts) = model.prednet() else {
+        bail!("{}: has no PredNet (prednet.0.weight); give a model that predicts", path.display());
+    };
+    let net = PredNet::new(parts).with_context(|| format!("{}", path.display()))?;
     let seconds = if options.inputs == Path::new("-") {
         predict(&net, &model, std::io::stdin().lock()).context("standard input")
     } else {
