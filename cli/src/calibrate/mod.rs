@@ -99,7 +99,7 @@ pub fn calibrate(
         .iter()
         .map(|f| {
             let candidate = &pool.candidates[f.number as usize];
-            let seconds = f.seconds(settings.clock).with_context(|| {
+            let seconds = measuring::seconds_of(f, settings.clock).with_context(|| {
                 format!(
                     "the renderer has no clock {}; choose another --clock (every renderer has wall)",
                     settings.clock.name()
