@@ -111,9 +111,9 @@ impl Report {
         let mut out = Vec::new();
         if self.others.busy() {
             out.push(format!(
-                "the machine was busy: others used {:.1} processors on average, in {:.0} of {:.0} seconds more than \
-                 {}; frames that were seen undisturbed count by those repeats alone, every frame by the faster half of its repeats; \
-                 calibrate again on a quiet machine",
+                "the machine was busy: others used {:.1} processors on average, in {:.0} of {:.0} seconds more \
+                 than {}; frames that were seen undisturbed count by those repeats alone, all by the faster \
+                 half of their repeats; calibrate again on a quiet machine",
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
                 self.others.seconds,
@@ -122,15 +122,15 @@ impl Report {
         }
         if let Some(drift) = self.noise.and_then(|n| n.drift).filter(|d| d.exp_m1() > DRIFT) {
             out.push(format!(
-                "passes over the same frames differ by {:.0} %: something slowed the machine down or sped it up \
-                 meanwhile",
+                "passes over the same frames differ by {:.0} %: something slowed the machine down or sped it \
+                 up meanwhile",
                 100.0 * drift.exp_m1()
             ));
         }
         if self.folds == 0 {
             out.push(
-                "fewer than three volumes: nothing could be held out, and the error is that of frames that the \
-                 model was fitted to"
+                "fewer than three volumes: nothing could be held out, and the error is that of frames that \
+                 the model was fitted to"
                     .into(),
             );
         }
@@ -159,8 +159,8 @@ impl Report {
             &mut out,
             "fitted",
             format!(
-                "from {from}; cross-validation believes its unit costs within a factor of {:.2}, {:.0} % of its \
-                 learned factor within {:.1} times its weights",
+                "from {from}; cross-validation believes its unit costs within a factor of {:.2}, {:.0} % of \
+                 its learned factor within {:.1} times its weights",
                 self.belief.costs.exp(),
                 100.0 * self.belief.share,
                 self.belief.weights
@@ -173,8 +173,8 @@ impl Report {
             &mut out,
             "to expect",
             format!(
-                "on volumes not in it: median error {:.1} %{interval}, RMSE/SD {:.3} ({} frames, cross-validated \
-                 by volume in {} parts)",
+                "on volumes not in it: median error {:.1} %{interval}, RMSE/SD {:.3} ({} frames, \
+                 cross-validated by volume in {} parts)",
                 100.0 * self.median_error,
                 self.rmse_over_sd,
                 self.judged,

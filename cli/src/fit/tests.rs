@@ -192,3 +192,76 @@ fn what_a_recipe_cannot_take_is_said_before_anything_is_computed() {
     assert!(says(Recipe { scene_features: vec!["warp".into()], ..residual.clone() }).contains("warp"));
     assert!(says(residual).contains("nowhere.nrrd"));
 }
+
+#[test]
+fn a_posterior_finds_another_machines_unit_costs_and_keeps_the_rest() {
+    use entire_core::predict::{COSTS, UnitCosts};
+    let prior = blank_prior().unwrap();
+    let model = PriorModel::new(&prior).unwrap();
+    // Of each kind of work another amount, as frames hold it; three kinds cost something else here.
+    let mut machine = UnitCosts::SOFTWARE.0;
+    (machine[1], machine[4], machine[9]) = (4.0 * machine[1], 2.0 * machine[4], 0.5 * machine[9]);
+    let work = |i: usize| -> [f64; COSTS] {
+        std::array::from_fn(|k| match k {
+            0 => 1.0,
+            _ => 1e4 * ((i * (7 * k + 3) + k * k) % 29) as f64 + 1e3,
+        })
+    };
+    let width: usize = prior.to_model().unwrap().inputs().iter().map(|g| g.size).sum();
+    let row = |i: usize, costs: &[f64; COSTS]| -> Vec<f32> {
+        let estimate: f64 = costs.iter().zip(work(i)).map(|(c, w)| c * w).sum();
+        let mut row: Vec<f32> = (0..width).map(|k| ((i * (k + 2)) % 7) as f32).collect();
+        row[width - 1] = estimate.ln() as f32;
+        row
+    };
+    let seconds = |i: usize| 1.7 * machine.iter().zip(work(i)).map(|(c, w)| c * w).sum::<f64>();
+    let frames: Vec<Observed> = (0..80)
+        .map(|i| Observed {
+            row: row(i, model.costs()),
+            work: work(i),
+            seconds: seconds(i),
+            group: format!("v{}", i % 6),
+        })
+        .collect();
+    let chosen = model.choose(&frames, |_| true).unwrap();
+    assert_eq!(chosen.folds, 6);
+    // Costs must move for this, and cross-validation says so.
+    assert!(chosen.belief.costs > 0.0, "{:?}", chosen.belief);
+    let stored: std::collections::BTreeMap<String, f64> =
+        serde_json::from_str(&chosen.file.metadata()[UNIT_COSTS_KEY]).unwrap();
+    let costs: [f64; COSTS] = std::array::from_fn(|k| stored[UnitCosts::SOFTWARE.named().nth(k).unwrap().0]);
+    let rows: Vec<f32> = (100..160).flat_map(|i| row(i, &costs)).collect();
+    let there = predict_rows(&chosen.file.to_model().unwrap(), &rows, width).unwrap();
+    let mut errors: Vec<f64> =
+        there.iter().zip(100..160).map(|(p, i)| (p / seconds(i) - 1.0).abs()).collect();
+    let middle = crate::metrics::median(&mut errors).unwrap();
+    assert!(middle < 0.03 && errors[errors.len() - 1] < 0.2, "{middle} {errors:?}");
+    // Two volumes are too few to choose by: the prior's shape at this machine's speed.
+    let few: Vec<Observed> = frames.iter().filter(|f| f.group < *"v2").cloned().collect();
+    assert_eq!(model.choose(&few, |_| true).unwrap().folds, 0);
+    assert!(model.choose(&[], |_| true).is_err());
+}
+
+#[test]
+fn ten_frames_set_the_speed_and_no_model_but_a_residual_one_is_a_prior() {
+    let prior = blank_prior().unwrap();
+    let model = PriorModel::new(&prior).unwrap();
+    let width: usize = prior.to_model().unwrap().inputs().iter().map(|g| g.size).sum();
+    let frames: Vec<Observed> = (0..10)
+        .map(|i| {
+            let mut work = [1e4 * f64::from(1 + i % 4); entire_core::predict::COSTS];
+            work[0] = 1.0;
+            let estimate: f64 = model.costs().iter().zip(&work).map(|(c, w)| c * w).sum();
+            let mut row = vec![0.0; width];
+            row[width - 1] = estimate.ln() as f32;
+            Observed { row, work, seconds: 3.0 * estimate, group: format!("v{}", i % 3) }
+        })
+        .collect();
+    let chosen = model.choose(&frames, |_| true).unwrap();
+    for (p, f) in chosen.crossed.iter().zip(&frames) {
+        assert!((p / f.seconds - 1.0).abs() < 0.05, "{p} {}", f.seconds);
+    }
+    let analytic = AnalyticModel::new().to_model_file().unwrap();
+    let error = PriorModel::new(&analytic).err().unwrap().to_string();
+    assert!(error.contains("--model-kind residual"), "{error}");
+}

@@ -1,0 +1,104 @@
+//! `entire calibrate` on the CPU twin: a model of the machine where the other commands find it.
+
+mod support;
+
+use entire_core::model::Model;
+use entire_core::predict::load;
+use std::path::Path;
+use std::process::{Command, Output};
+use support::*;
+
+/// Small volumes of three kinds of content.
+fn volumes(folder: &Path) {
+    for (name, value) in [
+        ("a", (|i: usize| (i * 7 % 251) as u8) as fn(usize) -> u8),
+        ("b", |i| if i % 12 < 6 { 0 } else { (i % 200) as u8 }),
+        ("c", |i| (i / 97 % 256) as u8),
+    ] {
+        let mut bytes = b"NRRD0004\ntype: uint8\ndimension: 3\nsizes: 12 12 12\nencoding: raw\n\n".to_vec();
+        bytes.extend((0..12 * 12 * 12).map(value));
+        std::fs::write(folder.join(format!("{name}.nrrd")), bytes).unwrap();
+    }
+}
+
+fn run(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_entire"))
+        .args(arguments)
+        .current_dir(folder)
+        .env("XDG_DATA_HOME", folder.join("home"))
+        .output()
+        .unwrap()
+}
+
+const QUICK: [&str; 10] =
+    ["--device", "cpu", "--seconds", "9", "--frames", "30", "--max-size", "64", "--quiet", "--threads"];
+
+#[test]
+fn a_machines_model_is_made_found_and_says_its_clock() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    std::fs::create_dir(at.join("data")).unwrap();
+    volumes(&at.join("data"));
+    // Without it, `predict` says how to make it.
+    std::fs::write(at.join("rows.csv"), "1\n").unwrap();
+    let none = run(at, &["predict", "--inputs", "rows.csv"]);
+    assert!(!none.status.success() && stderr(&none).contains("entire calibrate --shade none"), "{none:?}");
+
+    let mut arguments = vec!["calibrate", "--table", "frames.csv"];
+    arguments.extend(QUICK);
+    arguments.push("1");
+    let made = run(at, &arguments);
+    assert!(made.status.success(), "{}", stderr(&made));
+    let said = stdout(&made);
+    for part in ["to expect", "median error", "RMSE/SD", "clock cpu", "3 volumes"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    let path = at.join("home/entire/machine-none.safetensors");
+    let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
+    assert_eq!(model.metadata()["entire.clock"], "cpu");
+    assert!(load(&model).is_ok());
+    let provenance: serde_json::Value = serde_json::from_str(model.provenance().unwrap()).unwrap();
+    assert_eq!((&provenance["clock"], &provenance["shading"]), (&"cpu".into(), &"none".into()));
+    let frames = provenance["calibration"]["frames"].as_u64().unwrap();
+    assert!((8..=30).contains(&frames), "{frames}");
+    for text in [model.provenance().unwrap(), &said] {
+        assert!(!text.contains(&format!("\"{}", at.display())), "a path of this machine: {text}");
+    }
+
+    // What was measured is a table; the model is judged on it by its own clock, and by no other.
+    let judged = run(at, &["evaluate", "--model", path.to_str().unwrap(), "--data", "frames.csv", "--quiet"]);
+    assert!(judged.status.success(), "{}", stderr(&judged));
+    let arguments =
+        ["evaluate", "--clock", "wall", "--model", path.to_str().unwrap(), "--data", "frames.csv", "--quiet"];
+    let refused = run(at, &arguments);
+    assert!(!refused.status.success() && stderr(&refused).contains("predicts cpu seconds"), "{refused:?}");
+
+    // `predict` takes it by itself.
+    let columns: usize = model.inputs().iter().map(|g| g.size).sum();
+    std::fs::write(at.join("rows.csv"), vec!["1.5"; columns].join(",") + "\n").unwrap();
+    let predicted = run(at, &["predict", "--inputs", "rows.csv"]);
+    assert!(predicted.status.success(), "{}", stderr(&predicted));
+    assert!(stdout(&predicted).trim().parse::<f64>().unwrap() > 0.0);
+}
+
+#[test]
+fn what_cannot_be_calibrated_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    volumes(at);
+    refuses(at, &["calibrate"], &["data/ is not here", "name volume files"]);
+    refuses(at, &["calibrate", "gone.nrrd", "--out", "m.safetensors"], &["gone.nrrd"]);
+    // The CPU twin has no time stamps.
+    let mut arguments = vec!["calibrate", "a.nrrd", "--clock", "device", "--out", "m.safetensors"];
+    arguments.extend(QUICK);
+    arguments.push("1");
+    refuses_after_output(at, &arguments, &["no clock device", "--clock"]);
+    assert!(!at.join("m.safetensors").exists());
+}
+
+/// As [`refuses`], where something may have been printed before.
+fn refuses_after_output(folder: &Path, arguments: &[&str], parts: &[&str]) {
+    let output = entire(folder, arguments);
+    assert_eq!(output.status.code(), Some(1), "{arguments:?}: {}", stderr(&output));
+    parts.iter().for_each(|p| assert!(stderr(&output).contains(p), "{p}: {}", stderr(&output)));
+}
