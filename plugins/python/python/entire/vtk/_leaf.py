@@ -24,6 +24,8 @@ log = logging.getLogger("entire.vtk")
 # Coarsening of the GPU mapper's step before its image shrinks: any smaller image is blurred by much.
 _GPU_STEP_ALONE = 2.1
 _NAN = math.nan
+# Where a volume keeps Python's wrapper of its mapper.
+_KEPT = "_entire_mapper"
 _NONE_DUE: tuple[Plan | None, float, bool] = (None, _NAN, False)
 
 
@@ -56,12 +58,12 @@ class Leaf:
     # Every page of memory that a frame touches costs as much as hundreds of instructions, because drawing has
     # emptied the caches: what a frame does is flat, and reads no more of VTK than it has to.
     __slots__ = (
-        "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper", "_gpu", "_grid",
-        "_held", "_image", "_image_time", "_key", "_limits", "_look", "_make_gpu", "_mapper", "_mapper_time",
-        "_other", "_own", "_pixels", "_plan", "_ready", "_reason", "_seen", "_session", "_shading", "_shown",
-        "_shown_time", "_stale", "_started", "_steered", "_steering", "_step", "_tags", "_termination", "_tf",
-        "_tf_key", "_volume", "_volume_tag", "_weight", "_wrote", "_wrote_time", "image_sample_distance",
-        "measured", "sample_distance", "status", "volume_time",
+        "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper", "_frame_volume",
+        "_gpu", "_grid", "_held", "_image", "_image_time", "_key", "_limits", "_look", "_make_gpu", "_mapper",
+        "_mapper_time", "_own", "_pixels", "_plain", "_plan", "_ready", "_reason", "_seen", "_session",
+        "_shading", "_shown", "_shown_time", "_stale", "_started", "_steered", "_steering", "_step", "_tags",
+        "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_weight", "_wrote",
+        "image_sample_distance", "measured", "sample_distance", "status", "volume_time",
     )  # fmt: skip
 
     def __init__(self, steering: Steering, volume: Any, make_gpu: Callable[[Any], Any]) -> None:
@@ -100,17 +102,21 @@ class Leaf:
         # The plan of the frame before with its seconds, which the session hears of with the next frame.
         self._due: tuple[Plan, float, bool] | None = None
         self._own: Any = None
-        self._image = self._shown = weak()
-        # Modification times of what was read last; -1 before.
+        # The first of several volumes that one mapper draws, else None.
+        self._shown: Callable[[], Any] | None = None
+        # The input that was read last, and modification times; -1 before.
+        self._image: Any = None
         self._mapper_time = self._image_time = self._shown_time = -1
-        self._other: Any = None
+        # Whether VTK's own rules are off, so that the distances alone are set.
+        self._plain = True
         self._pixels = self._finest = self._termination = self._step = 1.0
         self._shading: Literal["none", "local"] = "none"
         self._wrote = (_NAN, _NAN)
-        self._wrote_time = 0
         self._steered = self._ready = self._drawing = self._ended = self._stale = False
         self._started = 0.0
+        # Held while a frame is drawn, and no longer.
         self._frame_mapper: Any = None
+        self._frame_volume: Any = None
 
     @property
     def session(self) -> Session:
@@ -165,6 +171,9 @@ class Leaf:
             )
             mapper = gpu
         self._mapper = weak(mapper)
+        # Python's wrapper of the mapper lives as long as the volume: VTK makes and ends one for each event
+        # otherwise. The volume keeps the mapper itself alive anyway.
+        volume.__dict__[_KEPT] = mapper
         self._gpu = _mappers.is_gpu(mapper)
         self._tags = [
             mapper.AddObserver("VolumeMapperRenderStartEvent", self._start),
@@ -188,11 +197,14 @@ class Leaf:
         mapper = self._mapper()
         if mapper is not None:
             if self._steered:
-                self._restore(mapper)
+                self._restore()
             for tag in self._tags:
                 mapper.RemoveObserver(tag)
         self._tags = []
         self._mapper = weak()
+        drawn = self._volume()
+        if drawn is not None:
+            drawn.__dict__.pop(_KEPT, None)
         if self._exchanged is not None:
             smart, self._exchanged = self._exchanged, None
             volume = self._volume()
@@ -200,7 +212,7 @@ class Leaf:
                 # What was set meanwhile holds on.
                 _mappers.copy_changed(mapper, smart)
                 volume.SetMapper(smart)
-        self._grid = self._tf = None
+        self._grid = self._tf = self._image = None
 
     def _follow(self) -> None:
         """Listens to another mapper where the application has set one."""
@@ -247,7 +259,6 @@ class Leaf:
         elif not self._ready:
             return
         self._ready = False
-        self._frame_mapper = mapper
         if self._steered:
             steering.steered_frames += 1
         elif self._reason == "fallback":
@@ -265,9 +276,9 @@ class Leaf:
 
     def _finish(self) -> None:
         """Puts the mapper back as it was, and counts what it took."""
-        mapper, self._frame_mapper = self._frame_mapper, None
         if self._steered:
-            self._restore(self._mapper() if mapper is None else mapper)
+            self._restore()
+        self._frame_mapper = self._frame_volume = None
         plan, self._plan = self._plan, None
         self._drawing = False
         if not self._ended:
@@ -276,7 +287,7 @@ class Leaf:
         steering, seconds = self._steering, self.measured
         if plan is not None:
             # Handed on with the next frame's plan, or when somebody looks.
-            self._due = (plan, seconds, bool(steering._frame_window.GetAbortRender()))
+            self._due = (plan, seconds, steering._frame_window.GetAbortRender() != 0)
             # What the frame would have taken at full quality, roughly.
             whole = seconds * self._step
             self._weight = whole if self._weight == 0 else 0.7 * self._weight + 0.3 * whole
@@ -284,21 +295,30 @@ class Leaf:
         steering._drawn += 1
         steering._last = self
 
-    def _restore(self, mapper: Any) -> None:
+    def _restore(self) -> None:
+        mapper, own = self._frame_mapper, self._own
         self._steered = False
-        if mapper is None:
-            return
-        if mapper.GetMTime() != self._wrote_time:
-            # The application has set it since: only what it left is put back, and read anew.
-            self._own.restore(mapper, *self._wrote)
+        if mapper.GetMTime() != self._mapper_time:
+            # The application has set something since: only what it left is put back, and read anew.
+            own.restore(mapper, *self._wrote)
             self._mapper_time = -1
             return
-        self._own.write(mapper, self._wrote[1])
+        if self._plain:
+            mapper.SetSampleDistance(own.sample)
+            if self._wrote[1] != own.image:
+                mapper.SetImageSampleDistance(own.image)
+        else:
+            own.write(mapper, self._wrote[1])
         self._mapper_time = mapper.GetMTime()
+
+    def _several(self, together: Any) -> int:
+        """A number that grows with every change of several volumes in one mapper."""
+        shown = None if self._shown is None else self._shown()
+        return -1 if shown is None else int(together.GetMTime() + shown.GetMTime())
 
     def _prepare(self, mapper: Any) -> None:
         if self._steered:
-            self._restore(mapper)
+            self._restore()
         self._plan = self._explained = None
         try:
             self._choose(mapper)
@@ -321,9 +341,7 @@ class Leaf:
         settings."""
         self._mapper_time = -1
         self._settle()
-        steering, session, volume = self._steering, self._session, self._volume()
-        if volume is None:
-            raise _scene.Unreadable("the volume is gone")
+        steering, session, volume = self._steering, self._session, self._frame_volume
         shown = first_volume(volume)
         prop = shown.GetProperty()
         image = _scene.input_of(mapper)
@@ -364,32 +382,26 @@ class Leaf:
             skipping="none" if self._gpu else "blocks",
             termination=self._termination,
         )
-        # Several volumes in one mapper: that the first of them is another one shows in their prop.
-        self._other = None if shown is volume else weak(volume)
-        self._image, self._shown = weak(image), weak(shown)
-        self._image_time = image.GetMTime()
-        self._shown_time = shown.GetMTime() if shown is volume else shown.GetMTime() + volume.GetMTime()
+        self._plain = not (own.adjust or own.lock)
+        self._shown = None if shown is volume else weak(shown)
+        self._image, self._image_time = image, image.GetMTime()
+        self._shown_time = volume.GetMTime() if shown is volume else self._several(volume)
         self._mapper_time = mapper.GetMTime()
-
-    def _same(self, mapper: Any) -> bool:
-        """Whether nothing but the camera is another: each read costs much of a frame's overhead."""
-        if mapper.GetMTime() != self._mapper_time:
-            return False
-        image, shown = self._image(), self._shown()
-        if image is None or shown is None or image.GetMTime() != self._image_time:
-            return False
-        changed: int = shown.GetMTime()
-        if self._other is not None:
-            together = self._other()
-            changed += -1 if together is None else together.GetMTime()
-        return changed == self._shown_time
 
     def _choose(self, mapper: Any) -> None:
         steering = self._steering
         renderer, window = steering._frame_renderer, steering._frame_window
-        if renderer is None or window is None:
-            raise _scene.Unreadable("the renderer has no window")
-        if not self._same(mapper):
+        volume = self._volume()
+        if renderer is None or window is None or volume is None:
+            raise _scene.Unreadable("the renderer has no window, or the volume is gone")
+        self._frame_mapper, self._frame_volume = mapper, volume
+        # Modification times say whether anything but the camera is another; the volume's that of its
+        # functions, too.
+        if (
+            mapper.GetMTime() != self._mapper_time
+            or (volume.GetMTime() if self._shown is None else self._several(volume)) != self._shown_time
+            or self._image.GetMTime() != self._image_time
+        ):
             self._read_mapper(mapper)
         own, pixels, reference = self._own, self._pixels, self._grid.reference
         size = drawn = renderer.GetSize()
@@ -411,13 +423,26 @@ class Leaf:
             if limits != self._limits:
                 self._set_limits(self._finest if step is None else step)
                 self._limits = limits
-        fov, parallel, to_eye = _scene.eye(renderer, size)
+        camera = renderer.GetActiveCamera()
+        matrix = camera.GetViewTransformMatrix()
+        # Python's wrappers of both stay for the next frame.
+        steering._camera = camera, matrix
         due, self._due = self._due, None
         before, seconds, cancelled = _NONE_DUE if due is None else due
         n = len(steering.leaves)
         target = steering._left if n == 1 else steering._share(self)
         plan, coarse, image_distance = self._session.steer(
-            self._held, to_eye, fov, parallel, drawn, target, step, steered, before, seconds, cancelled
+            self._held,
+            matrix.GetData(),
+            _scene.vertical_angle(camera, size) if camera.GetUseHorizontalViewAngle() else camera.GetViewAngle(),
+            camera.GetParallelScale() if camera.GetParallelProjection() else None,
+            drawn,
+            target,
+            step,
+            steered,
+            before,
+            seconds,
+            cancelled,
         )
         self._plan = plan
         self._step = coarse * image_distance * image_distance
@@ -426,10 +451,15 @@ class Leaf:
             return
         sample = coarse * reference
         image = own.image if image_distance == 1 and not own.adjust else pixels * image_distance
-        _mappers.write(mapper, own, sample, image)
+        if self._plain:
+            mapper.SetSampleDistance(sample)
+            if image != own.image:
+                mapper.SetImageSampleDistance(image)
+        else:
+            _mappers.write(mapper, own, sample, image)
         self._wrote = (sample, image)
-        self._wrote_time = mapper.GetMTime()
         self._steered = True
+        self._mapper_time = mapper.GetMTime()
         self.sample_distance, self.image_sample_distance = sample, image
         self._reason = self.status = ""
         self._explained = plan

@@ -169,23 +169,28 @@ def transfer_function(prop: Any, span: tuple[float, float]) -> TransferFunction:
     )
 
 
-def eye(renderer: Any, size: tuple[int, int]) -> tuple[float, float | None, tuple[float, ...]]:
-    """The renderer's camera: vertical field of view in degrees, half of the height that a parallel projection
-    shows (None for a perspective one), and the rows of the world-to-eye matrix."""
-    active = renderer.GetActiveCamera()
-    angle = active.GetViewAngle()
-    if active.GetUseHorizontalViewAngle():
-        width, height = size
-        angle = 2 * math.degrees(math.atan(math.tan(math.radians(0.5 * angle)) * height / max(1, width)))
-    parallel = active.GetParallelScale() if active.GetParallelProjection() else None
-    return angle, parallel, active.GetViewTransformMatrix().GetData()
+def vertical_angle(active: Any, size: tuple[int, int]) -> float:
+    """Vertical field of view in degrees of a camera, in an image of this size."""
+    angle: float = active.GetViewAngle()
+    if not active.GetUseHorizontalViewAngle():
+        return angle
+    width, height = size
+    return 2 * math.degrees(math.atan(math.tan(math.radians(0.5 * angle)) * height / max(1, width)))
 
 
 def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:
     """The renderer's camera about a volume that a matrix (its 16 elements, row by row) places in the
     world."""
-    angle, parallel, to_eye = eye(renderer, renderer.GetSize())
-    return Camera.scene(grid.volume, to_eye, placed, grid.direction, grid.center, angle, parallel)
+    active = renderer.GetActiveCamera()
+    return Camera.scene(
+        grid.volume,
+        active.GetViewTransformMatrix().GetData(),
+        placed,
+        grid.direction,
+        grid.center,
+        vertical_angle(active, renderer.GetSize()),
+        active.GetParallelScale() if active.GetParallelProjection() else None,
+    )
 
 
 def look(prop: Any, mapper: Any) -> tuple[int, int, int, bool]:
@@ -204,10 +209,10 @@ __all__ = [
     "Grid",
     "Unreadable",
     "camera",
-    "eye",
     "input_of",
     "look",
     "transfer_function",
+    "vertical_angle",
     "vtkAbstractMapper",
     "vtkImageData",
 ]

@@ -31,8 +31,8 @@ log = logging.getLogger("entire.vtk")
 _PROBE_SIDE = 6
 # Least share of the target that a mapper is given, however much the rest of the frame takes.
 _LEAST_SHARE = 0.2
-# How many frames the time outside of the mappers is taken from.
-_REST_FRAMES = 5
+# How many times the one that passes outside of the window's drawing is taken from.
+_OUTSIDE_TIMES = 5
 _NAN = math.nan
 
 # Steering by the address of the volume that it holds. The scene's observers keep steerings alive, nothing
@@ -116,14 +116,16 @@ class Steering:
         self._make_gpu = make_gpu
         self._state: bytes | None = None
         self._still = 0
-        self._outside: deque[float] = deque(maxlen=_REST_FRAMES)
-        self._rests: deque[float] = deque(maxlen=_REST_FRAMES)
+        self._outside: deque[float] = deque(maxlen=_OUTSIDE_TIMES)
+        self._rests = (0.0, 0.0, 0.0)
         self._rest = self._outside_time = 0.0
         self.frames = 0
         self._rendering = self._in_frame = False
         # Held while a frame is drawn, and no longer.
         self._frame_window: Any = None
         self._frame_renderer: Any = None
+        # The camera of the last frame and its matrix, which hold nothing of the scene.
+        self._camera: Any = None
         # Of the frame at hand: seconds for the mappers, whether it is a still one, whether it is steered.
         self._left = _NAN
         self._still_frame = self._steers = False
@@ -197,7 +199,7 @@ class Steering:
         self._renderer_tags = []
         self._follow_window(None)
         self._rendering = False
-        self._frame_window = self._frame_renderer = None
+        self._frame_window = self._frame_renderer = self._camera = None
         if self._overlay is not None:
             self._overlay.remove()
             self._overlay = None
@@ -371,8 +373,12 @@ class Steering:
             return
         # The first frame holds what is done once.
         if self.frames > 0 and self._clean:
-            self._rests.append(max(0.0, seconds - self._mapper_seconds))
-            self._rest = sorted(self._rests)[len(self._rests) // 2]
+            _, a, b = self._rests
+            c = seconds - self._mapper_seconds
+            self._rests = a, b, c
+            # The median of three, without the sort's cold instructions.
+            middle = b if a <= b <= c or c <= b <= a else a if b <= a <= c or c <= a <= b else c
+            self._rest = middle if middle > 0 else 0.0
         self.frames += 1
         self.frame_time = seconds
         self.overhead = self._overhead + perf_counter() - before
@@ -397,7 +403,8 @@ class Steering:
         wanted = self.seconds
         if wanted is None:
             wanted = 1.0 / max(1.0 if window is None else window.GetDesiredUpdateRate(), 1e-4)
-        self._left = max(wanted - self._rest - self._outside_time, _LEAST_SHARE * wanted)
+        left, least = wanted - self._rest - self._outside_time, _LEAST_SHARE * wanted
+        self._left = left if left > least else least
         for leaf in self.leaves:
             if leaf._stale:
                 leaf._follow()
