@@ -41,12 +41,19 @@ environment() {
     fi
 }
 
+maturin() { # maturin WORD OPTION...
+    "$out/build/bin/maturin" "$1" --manifest-path $here/Cargo.toml "${@:2}" >"$out/maturin-$1.log" 2>&1 || {
+        tail -n 40 "$out/maturin-$1.log" >&2
+        exit 1
+    }
+}
+
 wheel() {
     environment build requirements-build.txt
     rm -f out/wheels/entire-*
     mkdir -p out/wheels
-    "$out/build/bin/maturin" build --release --locked --manifest-path $here/Cargo.toml --out out/wheels ${1:-} \
-        >"$out/wheel.log" 2>&1 || { tail -n 40 "$out/wheel.log" >&2; exit 1; }
+    # Not `build --sdist`: that builds the wheel from the sdist, whose lock file lacks the rest of the workspace.
+    maturin build --release --locked --out out/wheels
     ls -l out/wheels/entire-*
 }
 
@@ -63,7 +70,11 @@ display() { xvfb-run -a -s "-screen 0 1280x1024x24 -noreset" "$@"; }
 
 mkdir -p "$out"
 case $what in
-    wheel) wheel --sdist ;;
+    wheel)
+        wheel
+        maturin sdist --out out/wheels
+        ls -l out/wheels/entire-*.tar.gz
+        ;;
     test)
         command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): VTK needs a display"
         installed

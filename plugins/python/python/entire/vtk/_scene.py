@@ -169,23 +169,27 @@ def transfer_function(prop: Any, span: tuple[float, float]) -> TransferFunction:
     )
 
 
+def vertical_angle(active: Any, size: tuple[int, int]) -> float:
+    """Vertical field of view in degrees of a camera, in an image of this size."""
+    angle: float = active.GetViewAngle()
+    if not active.GetUseHorizontalViewAngle():
+        return angle
+    width, height = size
+    return 2 * math.degrees(math.atan(math.tan(math.radians(0.5 * angle)) * height / max(1, width)))
+
+
 def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:
     """The renderer's camera about a volume that a matrix (its 16 elements, row by row) places in the
     world."""
     active = renderer.GetActiveCamera()
-    angle = active.GetViewAngle()
-    if active.GetUseHorizontalViewAngle():
-        width, height = renderer.GetSize()
-        angle = 2 * math.degrees(math.atan(math.tan(math.radians(0.5 * angle)) * height / max(1, width)))
-    parallel = active.GetParallelScale() if active.GetParallelProjection() else None
     return Camera.scene(
         grid.volume,
         active.GetViewTransformMatrix().GetData(),
         placed,
         grid.direction,
         grid.center,
-        angle,
-        parallel,
+        vertical_angle(active, renderer.GetSize()),
+        active.GetParallelScale() if active.GetParallelProjection() else None,
     )
 
 
@@ -208,6 +212,7 @@ __all__ = [
     "input_of",
     "look",
     "transfer_function",
+    "vertical_angle",
     "vtkAbstractMapper",
     "vtkImageData",
 ]
