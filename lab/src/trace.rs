@@ -16,7 +16,7 @@ mod format;
 
 pub use format::{TRACE_FORMAT, Trace, TraceDraw, TracePoint, TraceVolume};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use entire_cli::dataset::Timing;
 use entire_cli::enlarge::enlarge;
 use entire_cli::machine::Provenance;
