@@ -18,6 +18,8 @@ struct Cli {
 enum Command {
     /// Render many random frames of volumes and write down how long each took.
     Collect(commands::collect::Options),
+    /// Fit a model to this machine in a minute and a half.
+    Calibrate(commands::calibrate::Options),
     /// Compute the scene features of collected frames and keep them beside the tables.
     Features(commands::features::Options),
     /// Train or fine-tune a predictor on collected frames.
@@ -51,6 +53,7 @@ impl Cli {
     fn run(&self) -> anyhow::Result<()> {
         match &self.command {
             Command::Collect(options) => commands::collect::run(options),
+            Command::Calibrate(options) => commands::calibrate::run(options),
             Command::Features(options) => commands::features::run(options),
             Command::Train(options) => commands::train::run(options),
             Command::Evaluate(options) => commands::evaluate::run(options),

@@ -1,5 +1,6 @@
 //! One module per subcommand: its options and what it does.
 
+pub mod calibrate;
 pub mod collect;
 pub mod demo;
 pub mod encode;

@@ -91,6 +91,12 @@ impl Table {
         })
     }
 
+    /// How many passes the repeats of its frames come in, as its manifest says; 1 where it says nothing.
+    pub fn passes(&self) -> usize {
+        let stated = self.manifest.as_ref().and_then(|m| m.settings.get("passes")?.as_u64());
+        stated.and_then(|p| usize::try_from(p).ok()).unwrap_or(1).max(1)
+    }
+
     /// Finds a frame's volume file: the name below the root where one is set, the name as it stands, else
     /// relative to the table's folder.
     pub fn resolve_volume(&self, name: &str) -> Option<PathBuf> {

@@ -6,7 +6,7 @@ use crate::bound;
 use crate::dataset::{Clock, TimedFrame, noise_floor, read_tables, timed};
 use crate::evaluation::{PROBE_SHARE, WarmLatency, by_kind, probe_means, warm_latency};
 use crate::files::{fnv1a, parse_model, read_model_bytes};
-use crate::fit::predict_rows;
+use crate::fit::{predict_rows, rows_by_network};
 use crate::inputs::Layout;
 use crate::machine;
 use crate::metrics::{Metrics, bootstrap_by_group};
@@ -38,7 +38,8 @@ pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
-    /// Which clock's seconds are compared with.
+    /// Which clock's seconds are compared with; `auto` is the clock that the models predict, where they say
+    /// so. Models of another clock are refused.
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
     pub clock: Clock,
     /// Only frames with this shading: none, local or scatter.
@@ -108,7 +109,8 @@ pub fn run(options: &Options) -> Result<()> {
     let pool = thread_pool(options.threads)?;
     let models: Vec<Loaded> = options.model.iter().map(|p| load(p)).collect::<Result<_>>()?;
     let tables = read_tables(&options.data)?;
-    let mut frames = timed(&tables, options.clock, options.shading)?;
+    let clock = crate::clock::agreed(options.clock, models.iter().map(|m| (m.name.as_str(), &m.model)))?;
+    let mut frames = timed(&tables, clock, options.shading)?;
     if options.unseen {
         for m in models.iter().filter(|m| m.split.is_none()) {
             eprintln!("note: {} does not say what it learned from; --unseen cannot leave that out", m.name);
@@ -121,7 +123,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let (refs, measured): (Vec<&TimedFrame>, Vec<f64>) = frames.into_iter().unzip();
     let groups: Vec<String> = refs.iter().map(|f| options.by.group(&f.scene)).collect();
-    let noise = noise_floor(refs.iter().copied(), options.clock);
+    let noise = noise_floor(refs.iter().copied(), clock, |f| tables[f.table].passes());
 
     let mut predictors = Vec::new();
     for m in &models {
@@ -153,11 +155,7 @@ pub fn run(options: &Options) -> Result<()> {
         let rows = m.layout.rows(&tables, &refs, &pool, &templated_bar(true, INPUTS_BAR))?;
         let parts = m.model.prednet().with_context(|| format!("{} holds no PredNet", m.name))?;
         let net = PredNet::with_storage(parts, storage)?;
-        let mut scratch = net.scratch()?;
-        let predicted = rows
-            .chunks_exact(m.layout.width())
-            .map(|row| f64::from(net.predict(row, &mut scratch)))
-            .collect();
+        let predicted = rows_by_network(&net, &rows, m.layout.width())?;
         predictors.push(assess(
             format!("{}, {} weights", m.name, storage.name()),
             None,
@@ -180,7 +178,7 @@ pub fn run(options: &Options) -> Result<()> {
         date: machine::now(),
         load_average: machine::load_average(),
         data: options.data.iter().map(|p| p.display().to_string()).collect(),
-        clock: options.clock.name(),
+        clock: clock.name(),
         shading: options.shading.map(|s| s.name()),
         unseen_only: options.unseen,
         frames: refs.len(),

@@ -52,11 +52,7 @@ pub(super) struct Evaluation<'a> {
 
 pub(super) fn noise_text(noise: Option<NoiseFloor>) -> String {
     match noise {
-        Some(n) => format!(
-            "noise floor: repeats of one frame scatter with a log-SD of {:.4} (median of repeats about \
-             {:.4}), {} repeated frames",
-            n.log_sd, n.log_sd_of_median, n.frames
-        ),
+        Some(n) => format!("noise floor: {}", n.describe()),
         None => "noise floor: not known, no frame was repeated".into(),
     }
 }
