@@ -151,7 +151,8 @@ mod tests {
 
     #[test]
     fn models_and_commands_that_disagree_are_refused_with_a_remedy() {
-        let (cpu, wall, none) = (model(Some(Clock::Cpu), None), model(Some(Clock::Wall), None), model(None, None));
+        let (cpu, wall, none) =
+            (model(Some(Clock::Cpu), None), model(Some(Clock::Wall), None), model(None, None));
         assert_eq!(agreed(Clock::Auto, [("a", &cpu), ("c", &none)]).unwrap(), Clock::Cpu);
         assert_eq!(agreed(Clock::Wall, [("b", &wall)]).unwrap(), Clock::Wall);
         assert_eq!(agreed(Clock::Wall, [("c", &none)]).unwrap(), Clock::Wall);
@@ -174,7 +175,10 @@ mod tests {
         let frames = [frame(&[both])];
         assert_eq!(for_training(None, None, &frames).unwrap(), Clock::Cpu);
         assert_eq!(for_training(None, Some(("m", Clock::Device)), &frames).unwrap(), Clock::Device);
-        assert_eq!(for_training(Some(Clock::Wall), Some(("m", Clock::Device)), &frames).unwrap(), Clock::Wall);
+        assert_eq!(
+            for_training(Some(Clock::Wall), Some(("m", Clock::Device)), &frames).unwrap(),
+            Clock::Wall
+        );
         assert_eq!(for_training(None, None, &[frame(&[wall])]).unwrap(), Clock::Wall);
     }
 }

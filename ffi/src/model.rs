@@ -3,6 +3,7 @@
 use crate::abi::{
     ByValue, check_output, check_pointer, no_padding, slice, slice_mut, text, write, write_struct,
 };
+use crate::frame::entire_shading;
 use crate::guard::{Outcome, freeing, guard, last_error_of, reading};
 use crate::handle::{Status, borrow, give, handle};
 use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
@@ -20,6 +21,7 @@ use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
 use std::io::ErrorKind;
 use std::mem::size_of;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 /// What a prediction network's output stands for: one of the `ENTIRE_TARGET_*` numbers.
@@ -263,23 +265,70 @@ pub unsafe extern "C" fn entire_model_open(
         check_pointer(model, "model (output)")?;
         reserve::check()?;
         let path = text(path, "path")?;
-        let io =
-            |why: String| Failure::new(ENTIRE_IO, format!("{path}: {why}; check the path of the model file"));
-        let found = std::fs::metadata(path).map_err(|e| io(e.to_string()))?;
-        if !found.is_file() {
-            return Err(io("not a regular file".into()));
-        }
-        let length = usize::try_from(found.len()).unwrap_or(usize::MAX);
-        at_most("the model file's size in bytes", length, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")
-            .map_err(|e| Failure::new(e.code, format!("{path}: {}", e.message)))?;
-        let bytes = std::fs::read(path).map_err(|e| match e.kind() {
-            ErrorKind::OutOfMemory => Failure::new(
-                ENTIRE_OUT_OF_MEMORY,
-                format!("{path}: there is no memory for the file's {length} bytes; free some"),
-            ),
-            _ => io(e.to_string()),
-        })?;
+        let bytes = read(Path::new(path), "check the path of the model file")?;
         load(&bytes, path, model)
+    })
+}
+
+/// Reads the model of this machine for a shading mode, as `entire calibrate` left it in the user's data
+/// folder: entire/machine-none.safetensors, machine-local.safetensors or machine-scatter.safetensors below
+/// XDG_DATA_HOME, else below LOCALAPPDATA on Windows and ~/.local/share elsewhere. Its metadata key
+/// entire.clock says whether it predicts cpu, wall or device seconds.
+///
+/// Fails with ENTIRE_IO (this machine was not calibrated for the mode; the text says how to), else as
+/// entire_model_open.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_open_machine(
+    shading: entire_shading,
+    model: *mut *mut entire_model,
+) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    guard(|| unsafe {
+        check_pointer(model, "model (output)")?;
+        let mode = crate::frame::shading(shading)?.name();
+        let path = data_folder()
+            .ok_or_else(|| {
+                Failure::new(
+                    ENTIRE_IO,
+                    "there is no home folder to look for the machine's model in; set XDG_DATA_HOME",
+                )
+            })?
+            .join("entire")
+            .join(format!("machine-{mode}.safetensors"));
+        let bytes = read(&path, &format!("make it with `entire calibrate --shade {mode}`"))?;
+        load(&bytes, &path.to_string_lossy(), model)
+    })
+}
+
+/// The user's data folder, as `entire calibrate` finds it.
+fn data_folder() -> Option<PathBuf> {
+    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
+    absolute("XDG_DATA_HOME").or_else(|| {
+        if cfg!(windows) {
+            absolute("LOCALAPPDATA")
+        } else {
+            std::env::home_dir().filter(|p| p.is_absolute()).map(|home| home.join(".local/share"))
+        }
+    })
+}
+
+/// The bytes of a model file. `remedy` ends what is said where it cannot be read.
+fn read(path: &Path, remedy: &str) -> Result<Vec<u8>, Failure> {
+    let shown = path.display();
+    let io = |why: String| Failure::new(ENTIRE_IO, format!("{shown}: {why}; {remedy}"));
+    let found = std::fs::metadata(path).map_err(|e| io(e.to_string()))?;
+    if !found.is_file() {
+        return Err(io("not a regular file".into()));
+    }
+    let length = usize::try_from(found.len()).unwrap_or(usize::MAX);
+    at_most("the model file's size in bytes", length, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")
+        .map_err(|e| Failure::new(e.code, format!("{shown}: {}", e.message)))?;
+    std::fs::read(path).map_err(|e| match e.kind() {
+        ErrorKind::OutOfMemory => Failure::new(
+            ENTIRE_OUT_OF_MEMORY,
+            format!("{shown}: there is no memory for the file's {length} bytes; free some"),
+        ),
+        _ => io(e.to_string()),
     })
 }
 

@@ -305,6 +305,12 @@ public:
         return model(handle);
     }
     static result<model> open(const std::string &path) { return open(path.c_str()); }
+    /// The model that `entire calibrate` made for this machine.
+    static result<model> open_machine(entire_shading shading) {
+        entire_model *handle = nullptr;
+        if (auto code = entire_model_open_machine(shading, &handle)) return failure::last(code);
+        return model(handle);
+    }
     static result<model> from_bytes(span<const std::uint8_t> bytes) {
         entire_model *handle = nullptr;
         if (auto code = entire_model_from_bytes(bytes.data(), bytes.size(), &handle)) return failure::last(code);

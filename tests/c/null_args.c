@@ -43,6 +43,7 @@ int main(int argc, char **argv) {
 
     NONE(entire_model_open(NULL, &made_model));
     NONE(entire_model_open(argv[1], NULL));
+    NONE(entire_model_open_machine(ENTIRE_SHADING_NONE, NULL));
     NONE(entire_model_from_bytes(NULL, 8, &made_model));
     NONE(entire_model_from_bytes(&byte, 1, NULL));
     NONE(entire_model_describe(NULL, &info));

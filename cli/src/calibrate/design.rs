@@ -68,11 +68,7 @@ impl Design {
         let random_order = random_order(pool);
         while out.len() < most && spent < budget {
             let free = |i: &usize| !self.taken[*i] && affordable(*i) && spent + seconds[*i] <= 1.05 * budget;
-            let next = if out.len() % 2 == 0 {
-                random_order.iter().copied().find(free)
-            } else {
-                None
-            };
+            let next = if out.len() % 2 == 0 { random_order.iter().copied().find(free) } else { None };
             let next = next.or_else(|| {
                 (0..self.vectors.len())
                     .filter(|i| free(i))
@@ -126,7 +122,9 @@ fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
                 if deviation > 1e-6 { (f64::from(x) - mean) / deviation } else { 0.0 }
             }));
             let total: f64 = dot(costs, &c.work);
-            v.extend(costs.iter().zip(&c.work).map(|(cost, w)| if total > 0.0 { cost * w / total } else { 0.0 }));
+            v.extend(
+                costs.iter().zip(&c.work).map(|(cost, w)| if total > 0.0 { cost * w / total } else { 0.0 }),
+            );
             v
         })
         .collect()
@@ -195,7 +193,8 @@ mod tests {
                 all.push(&vectors[i]);
                 log_det(&all)
             };
-            let best = (0..rows.len()).filter(|i| !chosen[..k].contains(i)).map(with).fold(f64::MIN, f64::max);
+            let best =
+                (0..rows.len()).filter(|i| !chosen[..k].contains(i)).map(with).fold(f64::MIN, f64::max);
             assert!(with(chosen[k]) > best - 1e-6, "{k}: {} {best}", with(chosen[k]));
         }
     }

@@ -124,7 +124,8 @@ impl<'a> Measuring<'a> {
     /// # Errors
     /// When a volume cannot be read or the renderer fails.
     pub fn run(&mut self) -> Result<()> {
-        let costs = crate::fit::PriorModel::new(&self.pool.prior).map_or(UnitCosts::SOFTWARE.0, |p| *p.costs());
+        let costs =
+            crate::fit::PriorModel::new(&self.pool.prior).map_or(UnitCosts::SOFTWARE.0, |p| *p.costs());
         let mut design = Design::new(self.pool, &costs);
         // What the prior expects is of another machine: a small batch says by how much it is off here.
         let mut share = 0.12;
@@ -147,7 +148,9 @@ impl<'a> Measuring<'a> {
             }
             self.rounds += 1;
             for pass in 0..PASSES.1 {
-                if pass >= PASSES.0 && (self.spread(&batch) < ENOUGH || self.left() < 0.1 * self.settings.seconds) {
+                if pass >= PASSES.0
+                    && (self.spread(&batch) < ENOUGH || self.left() < 0.1 * self.settings.seconds)
+                {
                     break;
                 }
                 self.pass(&batch, pass)?;
@@ -159,7 +162,8 @@ impl<'a> Measuring<'a> {
     }
 
     fn groups(&self) -> usize {
-        let mut groups: Vec<(usize, usize)> = self.pool.candidates.iter().map(|c| (c.volume, c.factor)).collect();
+        let mut groups: Vec<(usize, usize)> =
+            self.pool.candidates.iter().map(|c| (c.volume, c.factor)).collect();
         groups.dedup();
         groups.len()
     }

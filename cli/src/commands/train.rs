@@ -548,11 +548,7 @@ fn card(
     }
     match noise {
         Some(n) => {
-            let _ = writeln!(
-                md,
-                "\nNoise floor: {}. No predictor can do better than that.",
-                n.describe()
-            );
+            let _ = writeln!(md, "\nNoise floor: {}. No predictor can do better than that.", n.describe());
         }
         None => {
             let _ = writeln!(md, "\nNoise floor: not known, no frame was repeated.");

@@ -191,7 +191,8 @@ pub struct NoiseFloor {
 impl NoiseFloor {
     /// In words.
     pub fn describe(&self) -> String {
-        let drift = self.drift.map_or(String::new(), |d| format!(", passes drift by {:.1} %", 100.0 * d.exp_m1()));
+        let drift =
+            self.drift.map_or(String::new(), |d| format!(", passes drift by {:.1} %", 100.0 * d.exp_m1()));
         format!(
             "repeats of one frame scatter with a log-SD of {:.4} (median of repeats about {:.4}), the first \
              takes {:.1} % longer than the last{drift}; {} repeated frames",
@@ -252,10 +253,8 @@ pub fn noise_floor<'a>(
             .collect(),
     );
     let drift = drift(&logs);
-    let deviations = logs
-        .iter()
-        .flat_map(|l| l.repeats.iter().map(|r| (r - l.median).exp_m1().abs()))
-        .collect();
+    let deviations =
+        logs.iter().flat_map(|l| l.repeats.iter().map(|r| (r - l.median).exp_m1().abs())).collect();
     let median_relative_deviation = middle(deviations)?;
     logs.sort_by(|a, b| a.median.total_cmp(&b.median));
     without_trend(&mut logs);

@@ -20,8 +20,8 @@ mod tests;
 mod training;
 
 pub use adapt::{calibrate, calibrate_to_rows, transfer};
-pub use least_squares::solve;
 pub use blank::blank_prior;
+pub use least_squares::solve;
 pub use posterior::{Belief, Chosen, Observed, Posterior, Split as PriorModel};
 pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss};
 

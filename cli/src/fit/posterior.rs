@@ -128,18 +128,26 @@ impl Split {
         let weights: Vec<f64> = last.weight[..width].iter().map(|&w| f64::from(w)).collect();
         let square = weights.iter().map(|w| w * w).sum::<f64>() / width.max(1) as f64;
         let inputs = scale.input_mean.len();
-        let mut out =
-            Self { file: file.clone(), parts, scale, costs, weights, constant: 0.0, root_mean_square: square.sqrt(), inputs };
+        let mut out = Self {
+            file: file.clone(),
+            parts,
+            scale,
+            costs,
+            weights,
+            constant: 0.0,
+            root_mean_square: square.sqrt(),
+            inputs,
+        };
         if out.root_mean_square < 1e-6 {
             out.root_mean_square = 0.05;
         }
         // At the inputs' means every standardized input is 0, the estimate's too.
         let mean: Vec<f32> = out.scale.input_mean.clone();
         let psi = out.activations(&mean);
-        let total = f64::from(entire_core::nn::PredNet::new(&out.parts)?.predict(
-            &mean,
-            &mut entire_core::nn::PredNet::new(&out.parts)?.scratch(),
-        ))
+        let total = f64::from(
+            entire_core::nn::PredNet::new(&out.parts)?
+                .predict(&mean, &mut entire_core::nn::PredNet::new(&out.parts)?.scratch()),
+        )
         .ln();
         out.constant = total - f64::from(mean[inputs - 1]) - dot(&psi, &out.weights);
         Ok(out)
@@ -204,9 +212,15 @@ impl Split {
         let (k, width) = (active.len(), if belief.weights > 0.0 { self.weights.len() } else { 0 });
         let m = k + width + 1;
         let expected: Vec<f64> = self.weights.iter().map(|w| belief.share * w).collect();
-        let mut fitted = Posterior { costs: if k > 0 { *prior } else { self.costs }, weights: expected.clone(), bias: 0.0 };
-        let mut rest: Vec<f64> =
-            frames.iter().map(|f| f.log - dot(&fitted.costs, &f.work).ln() - dot(&f.psi, &expected)).collect();
+        let mut fitted = Posterior {
+            costs: if k > 0 { *prior } else { self.costs },
+            weights: expected.clone(),
+            bias: 0.0,
+        };
+        let mut rest: Vec<f64> = frames
+            .iter()
+            .map(|f| f.log - dot(&fitted.costs, &f.work).ln() - dot(&f.psi, &expected))
+            .collect();
         fitted.bias = median(&mut rest).unwrap_or(self.constant);
         let mut mean = 0.0;
         let importance: Vec<f64> = frames
@@ -289,7 +303,9 @@ impl Split {
         let folds = folds(frames);
         let beliefs: Vec<Belief> = COSTS_SD
             .iter()
-            .flat_map(|&costs| WEIGHTS_SD.iter().map(move |&(share, weights)| Belief { costs, share, weights }))
+            .flat_map(|&costs| {
+                WEIGHTS_SD.iter().map(move |&(share, weights)| Belief { costs, share, weights })
+            })
             .collect();
         let count = folds.iter().max().map_or(0, |m| m + 1);
         let measured: Vec<f64> = frames.iter().map(|f| f.seconds).collect();

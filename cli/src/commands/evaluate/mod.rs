@@ -4,7 +4,7 @@ mod report;
 
 use crate::bound;
 use crate::dataset::{Clock, TimedFrame, noise_floor, read_tables, timed};
-use crate::evaluation::{PROBE_SHARE, WarmLatency, by_kind, probe_means, warm_latency};
+use crate::evaluation::{PROBE_SHARE, WarmLatency, by_kind, in_session, probe_means, warm_latency};
 use crate::files::{fnv1a, parse_model, read_model_bytes};
 use crate::fit::{predict_rows, rows_by_network};
 use crate::inputs::Layout;
@@ -57,6 +57,10 @@ pub struct Options {
     /// Judge each model also with its weights held in memory as f32, f16, bf16 or int8.
     #[arg(long, num_args = 1.., value_name = "STORAGE", value_parser = parse_storage)]
     pub storage: Vec<Storage>,
+    /// Judge each model also in a session that hears of every frame after it was predicted, from the frame on
+    /// that follows so many observed ones. Opens the volumes.
+    #[arg(long, value_name = "FRAMES")]
+    pub observed: Option<usize>,
     /// Seed of the probes behind the constant baseline.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -172,6 +176,25 @@ pub fn run(options: &Options) -> Result<()> {
     let name = format!("mean of {:.0} % probes per volume", 100.0 * PROBE_SHARE);
     predictors.push(assess(name, None, constant, &measured, &groups, &refs, None, 0, None)?);
 
+    let mut sessions = BTreeMap::new();
+    if let Some(heard) = options.observed {
+        ensure!(heard < refs.len(), "--observed is {heard}; there are only {} frames", refs.len());
+        for m in &models {
+            let predicted =
+                in_session(&m.model, &tables, &refs, &measured).with_context(|| m.name.clone())?;
+            let metrics =
+                Metrics::new(&predicted[heard..], &measured[heard..]).context("no frames are left")?;
+            println!(
+                "{} in a session, after {heard} observed frames: RMSE/SD {:.3}, MdAPE {:.2} % on the other {}",
+                m.name,
+                metrics.rmse_over_sd,
+                100.0 * metrics.mdape,
+                metrics.frames
+            );
+            sessions.insert(m.name.clone(), metrics);
+        }
+    }
+
     let evaluation = Evaluation {
         program: format!("entire {}", machine::version()),
         machine: machine::machine(),
@@ -183,6 +206,7 @@ pub fn run(options: &Options) -> Result<()> {
         unseen_only: options.unseen,
         frames: refs.len(),
         noise_floor: noise,
+        in_session: &sessions,
         predictors: &predictors,
     };
     let (overall, bias, by_group) = tables_of(&predictors, options.by);

@@ -47,6 +47,8 @@ pub(super) struct Evaluation<'a> {
     pub(super) unseen_only: bool,
     pub(super) frames: usize,
     pub(super) noise_floor: Option<NoiseFloor>,
+    /// Errors in a session by the model's name, of the frames after the observed ones.
+    pub(super) in_session: &'a BTreeMap<String, Metrics>,
     pub(super) predictors: &'a [Predictor],
 }
 
