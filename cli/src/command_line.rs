@@ -38,6 +38,11 @@ enum Command {
     Steer(commands::steer::Options),
     /// Decide which node of a farm renders what, in which order.
     Schedule(commands::schedule::Options),
+    /// Render an image database on a farm, and say when it will be done.
+    Farm(commands::farm::Options),
+    /// A worker of `entire farm`; engines start it.
+    #[command(hide = true)]
+    FarmWorker(commands::farm::WorkerOptions),
     /// Calibrate, explore and report: the main job, end to end.
     Demo(commands::demo::Options),
 }
@@ -63,6 +68,8 @@ impl Cli {
             Command::Probe(options) => commands::probe::run(options),
             Command::Steer(options) => commands::steer::run(options),
             Command::Schedule(options) => commands::schedule::run(options),
+            Command::Farm(options) => commands::farm::run(options),
+            Command::FarmWorker(options) => commands::farm::work(options),
             Command::Demo(options) => commands::demo::run(options),
         }
     }

@@ -5,6 +5,7 @@ pub mod collect;
 pub mod demo;
 pub mod encode;
 pub mod evaluate;
+pub mod farm;
 pub mod features;
 pub mod predict;
 pub mod probe;
