@@ -4,14 +4,15 @@ use crate::files::{digits, open_model};
 use anyhow::{Context, Result, bail};
 use entire_core::model::{InputGroup, Model};
 use entire_core::nn::PredNet;
+use entire_core::predict::{LONGEST_PREDICTION, SHORTEST_PREDICTION, check_batch};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 /// Predict seconds for rows of model inputs.
 ///
 /// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the
-/// model's order. Prints one line per row: seconds, 9 significant digits. Nothing is printed when any row is
-/// wrong.
+/// model's order. Prints one line per row: seconds, 9 significant digits, at least 1e-6. Nothing is printed when
+/// any row is wrong.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire predict --model model.safetensors --inputs frames.csv
@@ -40,6 +41,14 @@ pub fn run(options: &Options) -> Result<()> {
         let stream = crate::volume::Stream::open(&options.inputs)?;
         predict(&net, &model, stream).with_context(|| format!("{}", options.inputs.display()))
     }?;
+    let (seconds, clamped) = seconds;
+    if clamped > 0 {
+        eprintln!(
+            "note: {clamped} of {} predictions were outside of {SHORTEST_PREDICTION} to {LONGEST_PREDICTION} seconds and \
+             are printed as the nearer end",
+            seconds.len()
+        );
+    }
     let mut out = BufWriter::new(std::io::stdout().lock());
     for value in seconds {
         writeln!(out, "{}", digits(value))?;
@@ -48,7 +57,8 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
+/// Seconds per row, and how many of them were brought into the range of predictions.
+fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<(Vec<f32>, usize)> {
     let mut reader =
         csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(table);
     let mut scratch = net.scratch()?;
@@ -99,7 +109,8 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
     if seconds.is_empty() {
         bail!("holds no row; one row per frame is expected, {} columns each", net.inputs());
     }
-    Ok(seconds)
+    let clamped = check_batch(&mut seconds)?;
+    Ok((seconds, clamped))
 }
 
 fn groups(groups: &[InputGroup]) -> String {

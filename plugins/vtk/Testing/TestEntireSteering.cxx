@@ -369,7 +369,7 @@ void KeepsState(Kind kind)
   CHECK(!steering->LoadState(file) && Says(steering->GetStatus(), "clock"));
   steering->SetClock(clock);
   {
-    Scene other(kind == Kind::Gpu ? Kind::FixedPoint : Kind::Gpu);
+    Scene other(kind == FIXED || kind == SMART_FIXED ? GPU : FIXED);
     vtkNew<vtkEntireSteering> elsewhere;
     CHECK(elsewhere->Attach(other.Renderer, other.Volume));
     CHECK(!elsewhere->LoadState(file) && Says(elsewhere->GetStatus(), "renderer"));
