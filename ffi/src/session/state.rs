@@ -65,8 +65,8 @@ pub unsafe extern "C" fn entire_session_save_state(
 
 /// Takes up what an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state; a state that was learned
-/// with another model, or of another renderer or clock: entire_session_set_timing_source), ENTIRE_SIZE_MISMATCH
+/// Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED (a
+/// whole state, but of another model, renderer or clock: entire_session_set_timing_source), ENTIRE_SIZE_MISMATCH
 /// (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_load_state(
