@@ -155,8 +155,7 @@ impl Viewpoint {
         let from_eye = point - self.eye();
         let depth = -from_eye.dot(z);
         let half = (0.5 * self.fov_y.to_radians()).tan();
-        (depth > 1e-3)
-            .then(|| [from_eye.dot(x) / (depth * half * aspect), from_eye.dot(y) / (depth * half)])
+        (depth > 1e-3).then(|| [from_eye.dot(x) / (depth * half * aspect), from_eye.dot(y) / (depth * half)])
     }
 }
 

@@ -94,15 +94,13 @@ pub(crate) fn to_own(curve: &Curve) -> Result<String> {
 pub(crate) fn to_paraview(curve: &Curve, range: (f32, f32)) -> Result<String> {
     let scalar = |s: f32| f64::from(range.0) + f64::from(s) * (f64::from(range.1) - f64::from(range.0));
     let Opacity::Points(points) = curve.to_points().opacity else { bail!("lobes that stay lobes") };
-    let opacity: Vec<f64> =
-        points.iter().flat_map(|p| [scalar(p[0]), f64::from(p[1]), 0.5, 0.0]).collect();
+    let opacity: Vec<f64> = points.iter().flat_map(|p| [scalar(p[0]), f64::from(p[1]), 0.5, 0.0]).collect();
     let colors: Vec<f64> = curve
         .colors
         .iter()
         .flat_map(|&(s, [r, g, b])| [scalar(s), f64::from(r), f64::from(g), f64::from(b)])
         .collect();
-    let preset =
-        json!([{"Name": "entire", "ColorSpace": "RGB", "RGBPoints": colors, "Points": opacity}]);
+    let preset = json!([{"Name": "entire", "ColorSpace": "RGB", "RGBPoints": colors, "Points": opacity}]);
     Ok(serde_json::to_string_pretty(&preset)? + "\n")
 }
 
@@ -142,7 +140,8 @@ fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
             .to_vec(),
     };
     // The core checks the nodes and evaluates those that are not straight.
-    let table = TransferFunction::Nodes(Nodes::new(opacity_nodes.clone(), color_nodes, low, high)?).to_table()?;
+    let table =
+        TransferFunction::Nodes(Nodes::new(opacity_nodes.clone(), color_nodes, low, high)?).to_table()?;
     let at = |s: f32| {
         let x = s.clamp(0.0, 1.0) * 255.0;
         let i = (x as usize).min(254);

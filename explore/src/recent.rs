@@ -24,8 +24,7 @@ impl Recent {
 
     fn read(file: Option<PathBuf>) -> Self {
         let text = file.as_ref().and_then(|f| std::fs::read_to_string(f).ok());
-        let mut paths: Vec<PathBuf> =
-            text.and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
+        let mut paths: Vec<PathBuf> = text.and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
         paths.truncate(MOST);
         Self { file, paths }
     }

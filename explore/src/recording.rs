@@ -27,6 +27,8 @@ pub struct RecordedFrame {
     pub camera_switched: bool,
     /// The transfer function, where it differs from the frame before.
     pub transfer: Option<RecordedTransfer>,
+    /// Whether it was replaced, not dragged.
+    pub transfer_switched: bool,
 }
 
 /// A recorded session.
@@ -59,7 +61,7 @@ impl Recorder {
     ///
     /// # Errors
     /// When the transfer function is none.
-    pub(crate) fn note(&mut self, view: &Viewpoint, curve: &Curve) -> Result<()> {
+    pub(crate) fn note(&mut self, view: &Viewpoint, curve: &Curve, replaced: bool) -> Result<()> {
         if self.recording.frames.len() >= MOST_FRAMES {
             return Ok(());
         }
@@ -75,7 +77,12 @@ impl Recorder {
         }
         let changed = self.last.as_ref().is_none_or(|(_, before)| before != curve);
         let transfer = if changed { Some(curve.recorded()?) } else { None };
-        self.recording.frames.push(RecordedFrame { camera, camera_switched: switched, transfer });
+        self.recording.frames.push(RecordedFrame {
+            camera,
+            camera_switched: switched,
+            transfer,
+            transfer_switched: changed && replaced,
+        });
         self.last = Some((camera, curve.clone()));
         Ok(())
     }
@@ -99,11 +106,11 @@ mod tests {
         let curve = |name| Curve::preset(name, &Histogram { counts: vec![5; 256] }).unwrap();
         let mut recorder = Recorder::new(45.0);
         let mut view = Viewpoint { ry: 350.0, ..Default::default() };
-        recorder.note(&view, &curve("shell")).unwrap();
+        recorder.note(&view, &curve("shell"), true).unwrap();
         view.ry = 5.0;
-        recorder.note(&view, &curve("shell")).unwrap();
+        recorder.note(&view, &curve("shell"), true).unwrap();
         view.ry = 60.0;
-        recorder.note(&view, &curve("core")).unwrap();
+        recorder.note(&view, &curve("core"), true).unwrap();
         let frames = recorder.finish().frames;
         assert_eq!(frames[1].camera.ry, 365.0);
         assert_eq!(frames.iter().map(|f| f.camera_switched).collect::<Vec<_>>(), [false, false, true]);

@@ -257,6 +257,12 @@ impl VulkanRaycaster {
         self.volume.as_ref().map(|v| v.fetch)
     }
 
+    /// Textures that hold the present volume: one, or the bricks of one that is larger than a texture can be;
+    /// 0 before there is a volume.
+    pub fn bricks(&self) -> usize {
+        self.volume.as_ref().map_or(0, |v| v.bricks.len())
+    }
+
     /// Blocks that are not empty under the present transfer function, and all blocks; `None` before both
     /// volume and transfer function were set.
     pub fn occupied_blocks(&self) -> Option<(usize, usize)> {
