@@ -36,6 +36,9 @@ enum Command {
     Probe(commands::probe::Options),
     /// Play a path against a target frame time under several controllers.
     Steer(commands::steer::Options),
+    /// Explore a volume in a window whose frame time stays where it is put.
+    #[cfg(feature = "explore")]
+    Explore(commands::explore::Options),
     /// Decide which node of a farm renders what, in which order.
     Schedule(commands::schedule::Options),
     /// Render an image database on a farm, and say when it will be done.
@@ -67,6 +70,8 @@ impl Cli {
             Command::Render(options) => commands::render::run(options),
             Command::Probe(options) => commands::probe::run(options),
             Command::Steer(options) => commands::steer::run(options),
+            #[cfg(feature = "explore")]
+            Command::Explore(options) => commands::explore::run(options),
             Command::Schedule(options) => commands::schedule::run(options),
             Command::Farm(options) => commands::farm::run(options),
             Command::FarmWorker(options) => commands::farm::work(options),

@@ -68,4 +68,7 @@ pub use renderer::{
     DeviceLimits, Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts,
 };
 pub use setup::{LIGHT_DIRECTION, SHADOW_STEP, SHADOW_TERMINATION};
-pub use vulkan::{LONGEST_WAIT, LONGEST_WAIT_SOFTWARE, VoxelFetch, VulkanOptions, VulkanRaycaster};
+pub use vulkan::{
+    LONGEST_WAIT, LONGEST_WAIT_SOFTWARE, Picture, Region, SharedDevice, VoxelFetch, VulkanOptions,
+    VulkanRaycaster,
+};
