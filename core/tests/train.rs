@@ -232,7 +232,7 @@ fn a_smooth_cost_is_learned_with_every_loss_and_target() {
         // The file's network gives the same seconds.
         let parts = trained.to_parts();
         let net = entire_core::nn::PredNet::new(&parts).unwrap();
-        let mut scratch = net.scratch();
+        let mut scratch = net.scratch().unwrap();
         for (row, p) in vx.chunks(2).zip(trained.predict(&pool(1), &vx).unwrap()) {
             let q = f64::from(net.predict(row, &mut scratch));
             assert!(

@@ -51,7 +51,7 @@ pub fn run(options: &Options) -> Result<()> {
 fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
     let mut reader =
         csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(table);
-    let mut scratch = net.scratch();
+    let mut scratch = net.scratch()?;
     let mut inputs = Vec::with_capacity(net.inputs());
     let mut seconds = Vec::new();
     let mut record = csv::ByteRecord::new();

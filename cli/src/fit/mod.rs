@@ -63,7 +63,7 @@ pub struct FittedModel {
 pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let parts = model.prednet().context("the model file holds no PredNet")?;
     let net = entire_core::nn::PredNet::new(parts)?;
-    let mut scratch = net.scratch();
+    let mut scratch = net.scratch()?;
     Ok(rows.chunks_exact(width).map(|row| f64::from(net.predict(row, &mut scratch))).collect())
 }
 

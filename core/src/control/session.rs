@@ -9,6 +9,7 @@ use crate::adapt::state::{Reader, Writer, seal, unseal};
 use crate::adapt::{ObserveFlags, Prior, Verdict, check_seconds};
 use crate::error::bail;
 use crate::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
+use crate::memory::{copied, reserve};
 use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Source, TERMS};
 use crate::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
 use crate::{Error, ErrorKind, Result};
@@ -159,8 +160,13 @@ impl Session {
     /// Sets the volume by its summary, and VolumeNet's output for it where the model takes one. The transfer
     /// function must be set again.
     pub fn set_volume(&mut self, volume: VolumeSummary, volume_features: Option<&[f32]>) {
+        self.set_volume_with(volume, volume_features.map(<[f32]>::to_vec));
+    }
+
+    /// As [`Session::set_volume`], the features handed over: nothing is allocated.
+    pub fn set_volume_with(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) {
         self.volume = Some(volume);
-        self.volume_features = volume_features.map(<[f32]>::to_vec);
+        self.volume_features = volume_features;
         self.transfer = None;
         self.changes.volume = true;
     }
@@ -168,21 +174,29 @@ impl Session {
     /// Sets the transfer function, and its Gaussian lobes where it has them.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before a volume was set.
+    /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::OutOfMemory`] where there is
+    /// no room for what is kept; nothing has changed then.
     pub fn set_transfer(&mut self, table: &TransferTable, lobes: Option<&[GaussianLobe]>) -> Result<()> {
         let Some(volume) = &self.volume else {
             bail!(NotReady, "no volume is set; set the volume before its transfer function");
         };
+        // Everything that can fail for want of memory comes first.
+        let mut fresh = None;
+        match (&mut self.lobes, lobes) {
+            (Some(kept), Some(new)) => reserve(kept, new.len())?,
+            (None, Some(new)) => fresh = Some(copied(new)?),
+            (_, None) => {}
+        }
         match &mut self.transfer {
-            Some(transfer) => transfer.update(volume, table),
-            None => self.transfer = Some(TransferSummary::new(volume, table)),
+            Some(transfer) => transfer.try_update(volume, table)?,
+            None => self.transfer = Some(TransferSummary::try_new(volume, table)?),
         }
         match (&mut self.lobes, lobes) {
             (Some(kept), Some(new)) => {
                 kept.clear();
                 kept.extend_from_slice(new);
             }
-            (kept, new) => *kept = new.map(<[GaussianLobe]>::to_vec),
+            (kept, _) => *kept = fresh,
         }
         self.changes.transfer = true;
         Ok(())
@@ -388,6 +402,19 @@ impl Session {
             unusual: flags.unusual,
         };
         Ok(self.controller.observe(&observed))
+    }
+
+    /// Takes the newest plan back, where the caller draws no frame with it: its id goes to the next plan, which
+    /// follows on the frame before it. Any other id changes nothing.
+    pub fn withdraw(&mut self, id: u64) {
+        if id == 0 || id.checked_add(1) != Some(self.next_id) {
+            return;
+        }
+        let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
+        if let Some(plan) = slot.take_if(|p| p.id == id && !p.observed) {
+            self.next_id = id;
+            self.mark(plan.changes);
+        }
     }
 
     /// Forgets every observation and every pending plan; volume and transfer function stay.

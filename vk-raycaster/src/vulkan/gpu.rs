@@ -91,19 +91,23 @@ pub(crate) struct Gpu {
 pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) -> Error {
     let remedy = match result {
         vk::Result::ERROR_OUT_OF_DEVICE_MEMORY => {
-            "the device's memory is full: use a smaller volume or image, or close other programs that use the device"
+            "the device's memory is full: use a smaller volume or image, or close other programs that use \
+             the device"
         }
         vk::Result::ERROR_OUT_OF_HOST_MEMORY => {
             "the host's memory is full: use a smaller volume or image, or close other programs"
         }
         vk::Result::ERROR_DEVICE_LOST => {
-            "the driver gave the device up, often because one dispatch ran too long: make a new renderer, with smaller tiles (ENTIRE_TILE) or a coarser step"
+            "the driver gave the device up, often because one dispatch ran too long: make a new renderer, \
+             with smaller tiles (ENTIRE_TILE) or a coarser step"
         }
         vk::Result::ERROR_INCOMPATIBLE_DRIVER | vk::Result::ERROR_INITIALIZATION_FAILED => {
-            "no working Vulkan driver was found: install one (Debian and Ubuntu: mesa-vulkan-drivers, which holds the software device llvmpipe too), or render on the CPU"
+            "no working Vulkan driver was found: install one (Debian and Ubuntu: mesa-vulkan-drivers, \
+             which holds the software device llvmpipe too), or render on the CPU"
         }
         vk::Result::ERROR_LAYER_NOT_PRESENT => {
-            "install the validation layer (Debian and Ubuntu: vulkan-validationlayers) or switch validation off (ENTIRE_VALIDATION=0)"
+            "install the validation layer (Debian and Ubuntu: vulkan-validationlayers) or switch \
+             validation off (ENTIRE_VALIDATION=0)"
         }
         _ => "update the graphics driver, choose another device (ENTIRE_DEVICE), or render on the CPU",
     };
@@ -141,7 +145,8 @@ impl Gpu {
         // SAFETY: loading the Vulkan loader runs its initializers; it is the system's own library.
         let entry = unsafe { ash::Entry::load() }.map_err(|e| {
             Error::new(format!(
-                "the Vulkan loader could not be opened ({e}); install it with a driver (Debian and Ubuntu: libvulkan1 mesa-vulkan-drivers), or render on the CPU"
+                "the Vulkan loader could not be opened ({e}); install it with a driver (Debian and Ubuntu: \
+                 libvulkan1 mesa-vulkan-drivers), or render on the CPU"
             ))
         })?;
         let messages = Arc::<Messages>::default();
@@ -355,7 +360,8 @@ fn create_instance(entry: &ash::Entry, validation: bool, messages: &Arc<Messages
         .unwrap_or(vk::API_VERSION_1_0);
     if version < vk::API_VERSION_1_1 {
         return Err(Error::new(
-            "the Vulkan loader is of version 1.0, at least 1.1 is needed; update it (Debian and Ubuntu: libvulkan1), or render on the CPU",
+            "the Vulkan loader is of version 1.0, at least 1.1 is needed; update it (Debian and Ubuntu: \
+             libvulkan1), or render on the CPU",
         ));
     }
     let application = vk::ApplicationInfo::default()
@@ -410,7 +416,8 @@ fn choose_device(instance: &ash::Instance, wanted: Option<&str>) -> Result<Chose
     let names = usable.iter().map(|(i, d)| format!("{i}: {}", d.name)).collect::<Vec<_>>().join(", ");
     if usable.is_empty() {
         return Err(Error::new(
-            "no Vulkan 1.1 device with a compute queue was found; install a driver (Debian and Ubuntu: mesa-vulkan-drivers, which holds the software device llvmpipe too), or render on the CPU",
+            "no Vulkan 1.1 device with a compute queue was found; install a driver (Debian and Ubuntu: \
+             mesa-vulkan-drivers, which holds the software device llvmpipe too), or render on the CPU",
         ));
     }
     let position = match wanted {

@@ -273,7 +273,8 @@ impl VulkanRaycaster {
         let tile = Tile { x: 0, y: 0, width, height };
         if width.max(height) > self.tile[plan.class] || plan.last_window > 0.0 || bricks != 1 {
             return Err(Error::new(format!(
-                "a frame of {width} x {height} pixels needs several dispatches here (tiles of {}, {bricks} bricks) and cannot be enqueued; render it",
+                "a frame of {width} x {height} pixels needs several dispatches here (tiles of {}, {bricks} \
+                 bricks) and cannot be enqueued; render it",
                 self.tile[plan.class]
             )));
         }
@@ -326,7 +327,8 @@ impl VulkanRaycaster {
         let bricked = volume.bricks.len() > 1;
         if bricked && frame.shading() == Shading::Scatter {
             return Err(Error::new(format!(
-                "single scattering needs the volume in one texture, on {} it takes {} bricks; crop or downsample it, or render on the CPU",
+                "single scattering needs the volume in one texture, on {} it takes {} bricks; crop or \
+                 downsample it, or render on the CPU",
                 self.engine.gpu().name,
                 volume.bricks.len()
             )));

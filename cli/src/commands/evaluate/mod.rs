@@ -153,7 +153,7 @@ pub fn run(options: &Options) -> Result<()> {
         let rows = m.layout.rows(&tables, &refs, &pool, &templated_bar(true, INPUTS_BAR))?;
         let parts = m.model.prednet().with_context(|| format!("{} holds no PredNet", m.name))?;
         let net = PredNet::with_storage(parts, storage)?;
-        let mut scratch = net.scratch();
+        let mut scratch = net.scratch()?;
         let predicted = rows
             .chunks_exact(m.layout.width())
             .map(|row| f64::from(net.predict(row, &mut scratch)))
