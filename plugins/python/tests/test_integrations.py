@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """trame, yt and the examples: each drawn for real, and what cannot be steered says why."""
 
+import asyncio
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -29,6 +31,16 @@ def test_example_of_vtk(tmp_path):
     pytest.importorskip("vtkmodules")
     assert "80 frames" in example("vtk_hold.py", tmp_path / "history.svg")
     assert (tmp_path / "history.svg").read_text().startswith("<svg")
+
+
+def test_examples_of_pyvista_and_trame(tmp_path):
+    """Each in the midst of a motion, steered; the script fails where one is not."""
+    for needed in ("pyvista", "trame_pyvista", "trame_vuetify"):
+        pytest.importorskip(needed)
+    example("pictures.py", "--environment", "test", "--only", "pyvista,trame", "--out", tmp_path)
+    pictures = sorted(tmp_path.iterdir())
+    assert [p.stem for p in pictures] == ["python-clip", "python-pyvista", "python-several", "python-trame"]
+    assert all(1000 < p.stat().st_size <= 60_000 for p in pictures)
 
 
 def test_trame_counts_the_encoding(voxels):
@@ -63,12 +75,79 @@ def test_trame_counts_the_encoding(voxels):
         reply = delivery.still_render({"view": "1", "mtime": 0, "quality": 90})
     assert reply["size"] == (400, 300)
     assert len(steering._outside) == 5
-    assert 0 < steering._outside_time < 10
+    assert 0 < steering.outside_time < 10
     before = steering.history.target[-1]
     for _ in range(5):
         steering.also(0.3)
     view.draw(1)
     assert steering.history.target[-1] < before
+
+
+def test_trame_end_to_end():
+    """The example's server, and a client that drags in its view as a browser does, over the web socket."""
+    for needed in ("trame_pyvista", "trame_vuetify", "aiohttp", "msgpack"):
+        pytest.importorskip(needed)
+    server = subprocess.Popen(
+        [sys.executable, "-u", EXAMPLES / "trame_hold.py", "--server", "--port", "0", "--timeout", "5"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        port = next(int(m[1]) for line in server.stdout if (m := re.search(r"localhost:(\d+)", line)))
+        pictures = asyncio.run(asyncio.wait_for(drag_in_a_browser(port), 60))
+        out, error = server.communicate(timeout=60)
+    finally:
+        server.kill()
+    assert len(pictures) >= 10, error[-2000:]
+    assert all(picture.startswith(b"\xff\xd8") for picture in pictures)
+    history = re.search(r"History\((\d+) frames", out)
+    assert history, error[-2000:]
+    assert int(history[1]) >= 10
+    encoding = re.search(r"encoding takes ([\d.]+) ms", out)
+    assert float(encoding[1]) > 0
+
+
+async def drag_in_a_browser(port):
+    import aiohttp
+    import msgpack
+    from wslink.chunking import UnChunker, generate_chunks
+
+    pictures, answers = [], {}
+    async with aiohttp.ClientSession() as session:
+        page = await session.get(f"http://localhost:{port}/")
+        assert page.status == 200
+        async with session.ws_connect(f"http://localhost:{port}/ws", max_msg_size=0) as socket:
+            chunks = UnChunker()
+            chunks.set_max_message_size(1 << 30)
+
+            async def call(name, *args):
+                key = f"{'system' if name == 'wslink.hello' else 'rpc'}:c0:{len(answers)}"
+                message = {"wslink": "1.0", "id": key, "method": name, "args": list(args), "kwargs": {}}
+                for chunk in generate_chunks(msgpack.packb(message), 0):
+                    await socket.send_bytes(chunk)
+                while key not in answers:
+                    whole = chunks.process_chunk((await socket.receive()).data)
+                    if whole is None:
+                        continue
+                    if "error" in whole:
+                        raise AssertionError(whole["error"])
+                    if whole.get("id", "").startswith("publish:viewport.image.push"):
+                        pictures.append(whole["result"]["image"])
+                    answers[whole["id"]] = whole.get("result")
+                return answers[key]
+
+            await call("wslink.hello", {"secret": "wslink-secret"})
+            state = await call("trame.state.get")
+            view = next(v for k, v in state["state"].items() if k.startswith("view_P_") and k.endswith("Id"))
+            await call("viewport.image.push.observer.add", view)
+            keys = dict.fromkeys(("shiftKey", "ctrlKey", "altKey", "metaKey", "buttonMiddle", "buttonRight"), 0)
+            for k in range(20):
+                mouse = {"view": view, "x": 0.3 + 0.02 * k, "y": 0.5, "buttonLeft": 1, **keys}
+                await call("viewport.mouse.interaction", {**mouse, "action": "move" if k else "down"})
+                await call("viewport.image.push", {"view": view})
+                await asyncio.sleep(0.05)
+    return pictures
 
 
 def test_yt(tmp_path):

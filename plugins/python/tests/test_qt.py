@@ -2,7 +2,10 @@
 """vispy and napari in windows of Qt: drawn for real, and what cannot be steered says why."""
 
 import os
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,6 +35,21 @@ def canvas(voxels):
     yield made, view, visual
     made.close()
     app.process_events()
+
+
+def test_examples_of_vispy_and_napari(tmp_path):
+    """Each in the midst of a motion, steered; the script fails where one is not."""
+    script = Path(__file__).parent.parent / "examples" / "pictures.py"
+    run = subprocess.run(
+        [sys.executable, script, "--environment", "qt", "--out", tmp_path],
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+    assert run.returncode == 0, run.stderr[-2000:]
+    pictures = sorted(tmp_path.iterdir())
+    assert [p.stem for p in pictures] == ["python-napari", "python-vispy"]
+    assert all(1000 < p.stat().st_size <= 60_000 for p in pictures)
 
 
 def show(canvas):
