@@ -96,7 +96,7 @@ class Leaf:
         self._tf_key: Any = None
         self._look: Any = None
         self._limits: Any = None
-        self._held: Held | None = None
+        self._held: Any = None
         self._plan: Plan | None = None
         self._explained: Plan | None = None
         # The plan of the frame before with its seconds, which the session hears of with the next frame.
@@ -374,7 +374,7 @@ class Leaf:
         self._finest = min(4096.0, max(1 / 64, finest / grid.reference))
         self._held = Held(
             grid.volume,
-            shown.GetMatrix().GetData(),
+            _scene.elements(shown.GetMatrix()),
             grid.direction,
             grid.center,
             step=self._finest,
@@ -433,7 +433,7 @@ class Leaf:
         target = steering._left if n == 1 else steering._share(self)
         plan, coarse, image_distance = self._session.steer(
             self._held,
-            matrix.GetData(),
+            _scene.elements(matrix),
             _scene.vertical_angle(camera, size) if camera.GetUseHorizontalViewAngle() else camera.GetViewAngle(),
             camera.GetParallelScale() if camera.GetParallelProjection() else None,
             drawn,

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonDataModel import vtkImageData
+from vtkmodules.vtkCommonMath import vtkMatrix4x4
 from vtkmodules.vtkRenderingCore import vtkAbstractMapper
 
 from .._native import Camera, TransferFunction, Volume
@@ -20,6 +22,18 @@ _COMPOSITE = 0
 #: Accumulated opacity at which the mappers stop a ray.
 GPU_TERMINATION = 0.996
 FIXED_POINT_TERMINATION = 0.99
+
+
+def _copied(matrix: Any) -> tuple[float, ...]:
+    out = [0.0] * (16 if matrix.IsA("vtkMatrix4x4") else 9)
+    matrix.DeepCopy(out, matrix)
+    return tuple(out)
+
+
+#: A matrix's elements, row by row. VTK before 9.4 gives Python no more than the address of its data.
+elements: Callable[[Any], tuple[float, ...]] = (
+    methodcaller("GetData") if isinstance(vtkMatrix4x4().GetData(), tuple) else _copied
+)
 
 
 class Unreadable(ValueError):
@@ -85,7 +99,7 @@ class Grid:
         center = [0.0, 0.0, 0.0]
         image.TransformContinuousIndexToPhysicalPoint(at, center)
         self.center = (center[0], center[1], center[2])
-        self.direction = image.GetDirectionMatrix().GetData()
+        self.direction = elements(image.GetDirectionMatrix())
 
 
 def _scalars(mapper: Any, image: Any) -> tuple[Any, int]:
@@ -184,7 +198,7 @@ def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:
     active = renderer.GetActiveCamera()
     return Camera.scene(
         grid.volume,
-        active.GetViewTransformMatrix().GetData(),
+        elements(active.GetViewTransformMatrix()),
         placed,
         grid.direction,
         grid.center,
@@ -209,6 +223,7 @@ __all__ = [
     "Grid",
     "Unreadable",
     "camera",
+    "elements",
     "input_of",
     "look",
     "transfer_function",

@@ -235,6 +235,12 @@ class Steering:
         self._outside.append(seconds)
         self._outside_time = statistics.median(self._outside)
 
+    @property
+    def outside_time(self) -> float:
+        """float : Seconds of a frame that pass outside of the window's drawing, as :meth:`also` was told: the
+        median of the last five; 0 before."""
+        return self._outside_time
+
     def reset(self) -> None:
         """Forgets what was learned."""
         self._state = None
