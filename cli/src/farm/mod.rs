@@ -28,4 +28,6 @@ pub mod spool;
 pub mod survey;
 pub mod worker;
 
-pub use list::{By, Farm, Method, Plan, Task, eta, plan, play, read_tasks, times, volume_numbers};
+pub use list::{
+    By, Farm, Method, Plan, Task, eta, parse_tasks, plan, play, read_tasks, times, volume_numbers,
+};
