@@ -37,7 +37,6 @@ enum Command {
     /// Play a path against a target frame time under several controllers.
     Steer(commands::steer::Options),
     /// Explore a volume in a window whose frame time stays where it is put.
-    #[cfg(feature = "explore")]
     Explore(commands::explore::Options),
     /// Decide which node of a farm renders what, in which order.
     Schedule(commands::schedule::Options),
@@ -70,7 +69,6 @@ impl Cli {
             Command::Render(options) => commands::render::run(options),
             Command::Probe(options) => commands::probe::run(options),
             Command::Steer(options) => commands::steer::run(options),
-            #[cfg(feature = "explore")]
             Command::Explore(options) => commands::explore::run(options),
             Command::Schedule(options) => commands::schedule::run(options),
             Command::Farm(options) => commands::farm::run(options),

@@ -115,6 +115,9 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
     let mut steer = Steer::new(controllers, controller, options.target);
     (steer.coarsest, steer.distance) = (options.coarsest, options.image_sample_distance);
     let script = options.script.as_deref().map(Script::open).transpose()?;
+    if script.is_some() && options.volumes.is_empty() {
+        bail!("a script needs a volume to begin with; give one");
+    }
     let log = options.log.as_deref().map(Log::create).transpose()?;
     let event_loop = EventLoop::<Wake>::with_user_event().build().map_err(|e| {
         anyhow!(
@@ -349,6 +352,9 @@ impl ApplicationHandler<Wake> for App {
     }
 
     fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        if self.state.quit {
+            event_loop.exit();
+        }
         if self.presenter.is_none() || event_loop.exiting() {
             return;
         }

@@ -145,6 +145,7 @@ pub(crate) struct State {
     /// The last thing that is to be said, and whether it is an error.
     pub(crate) said: Option<(String, bool)>,
 
+    pub(crate) quit: bool,
     pub(crate) changed: Changed,
     pub(crate) commands: Vec<Command>,
     pub(crate) texts: Texts,
@@ -190,9 +191,10 @@ impl State {
             recent: Recent::load(),
             loading: None,
             screenshot_share: None,
-            screenshot_size: [1920, 1080],
+            screenshot_size: [1280, 720],
             rest: None,
             said: None,
+            quit: false,
             changed: Changed::default(),
             commands: Vec::new(),
             texts: Texts {

@@ -5,7 +5,6 @@ pub mod collect;
 pub mod demo;
 pub mod encode;
 pub mod evaluate;
-#[cfg(feature = "explore")]
 pub mod explore;
 pub mod farm;
 pub mod features;

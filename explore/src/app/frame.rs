@@ -3,7 +3,7 @@
 use super::{App, FULL, Pictures, STEERED, Waiting};
 use crate::loading::{Loaded, warm};
 use crate::log::{Beside, thread_seconds};
-use crate::state::Shown;
+use crate::state::{Changed, Shown};
 use crate::steering::{FrameRecord, Planned};
 use crate::transfer::Edited;
 use crate::ui;
@@ -34,6 +34,9 @@ impl App {
         self.last_paint = begin;
         self.take_loaded()?;
         let Some(window) = &self.window else { return Ok(()) };
+        if window.is_minimized() == Some(true) {
+            return Ok(());
+        }
         let size = window.inner_size();
         let Some(presenter) = &mut self.presenter else { return Ok(()) };
         if !presenter.prepare([size.width, size.height])? {
@@ -168,6 +171,7 @@ impl App {
     /// Plans and casts a frame, where anything changed.
     fn draw_volume(&mut self, begin: Instant) -> Result<Option<Drawn>> {
         if self.scene.is_none() || self.state.viewport.contains(&0) {
+            self.state.changed = Changed::default();
             return Ok(None);
         }
         let resized = self.prepare_pictures()?;

@@ -83,6 +83,7 @@ fn bar(ui: &mut Ui, state: &mut State) {
 /// Keys that hold everywhere but in text that is typed.
 fn keys(ui: &Ui, state: &mut State) {
     use crate::camera::{Axis, Viewpoint};
+    use crate::state::Command;
     use egui::{Key, Modifiers};
     if ui.ctx().egui_wants_keyboard_input() {
         return;
@@ -91,6 +92,13 @@ fn keys(ui: &Ui, state: &mut State) {
     let with_command = |key| ui.input_mut(|i| i.consume_key(Modifiers::COMMAND, key));
     if with_command(Key::Z) && state.edited.undo() || with_command(Key::Y) && state.edited.redo() {
         state.changed.transfer = true;
+    }
+    if with_command(Key::Q) {
+        state.quit = true;
+    }
+    if with_command(Key::P) {
+        let file = state.texts.screenshot.trim().into();
+        state.commands.push(Command::Screenshot { file, size: state.screenshot_size });
     }
     let jumps = [(Key::Num1, Axis::Front), (Key::Num2, Axis::Side), (Key::Num3, Axis::Top)];
     for (key, axis) in jumps {
