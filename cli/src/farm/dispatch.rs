@@ -27,6 +27,8 @@ pub struct Ask<'a> {
     pub slots: usize,
     /// Expected seconds that a bundle may not exceed, unless it is a single task.
     pub limit: f64,
+    /// Whether nothing is known of how long tasks take: bundles are a share of their number then.
+    pub blind: bool,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -263,8 +265,11 @@ impl Dispatcher {
         let share = total / slots;
         let target =
             (share / CUTS).min(WORTH.0 * cost).max((WORTH.1 * cost).min(share.max(cost))).min(ask.limit);
+        let target = if ask.blind { f64::INFINITY } else { target };
+        let fair = (self.pending as f64 / (slots * CUTS)).ceil() as usize;
+        let most = if ask.blind { fair.min(MOST) } else { MOST };
         let (mut bundle, mut sum) = (Vec::new(), 0.0);
-        while bundle.len() < MOST {
+        while bundle.len() < most {
             while self.lanes[volume].last().is_some_and(|t| !self.waits[*t as usize]) {
                 self.lanes[volume].pop();
             }

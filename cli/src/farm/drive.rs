@@ -4,7 +4,7 @@ use super::cinema::{self, Row};
 use super::engine::{Bundle, Engine, Event};
 use super::job::Job;
 use super::journal::Journal;
-use super::learn::Shape;
+use super::learn::{Shape, TOLD, UNKNOWN};
 use super::load::Loads;
 use super::planner::{Planner, Setting, State, Straggler};
 use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, Order, parse_id, unix_now};
@@ -286,7 +286,9 @@ fn tells_loads(job: &Job) -> bool {
 /// The plan of a job for an engine of so many slots.
 pub fn planner(job: &Job, base: Vec<f32>, setting: Setting) -> Planner {
     let bytes = job.volumes.iter().map(|v| v.bytes as f64).collect();
-    Planner::new(Shape::of_job(job, base), Loads::new(bytes, tells_loads(job)), setting)
+    let told = job.predict.model.is_some() || job.predict.list.is_some();
+    let shape = Shape::of_job(job, base).with_constant(if told { TOLD } else { UNKNOWN });
+    Planner::new(shape, Loads::new(bytes, tells_loads(job)), setting)
 }
 
 /// Tasks in the order of stages: the preview's first where it is asked for.

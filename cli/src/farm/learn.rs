@@ -18,7 +18,11 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 /// of the view direction along x and y and their squares.
 const FIXED: usize = 9;
 /// Standard deviations of the priors of these terms.
-const PRIOR: [f64; FIXED] = [4.0, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
+const PRIOR: [f64; FIXED] = [UNKNOWN, 0.1, 0.2, 0.2, 0.3, 0.2, 0.2, 0.2, 0.2];
+/// Of the constant, where nothing is known of how long tasks take.
+pub const UNKNOWN: f64 = 4.0;
+/// Of the constant, where a model or a list tells, perhaps of another machine.
+pub const TOLD: f64 = 0.5;
 /// Of each transfer function.
 const PRIOR_TRANSFER: f64 = 0.3;
 /// More transfer functions have no term of their own.
@@ -44,9 +48,20 @@ pub struct Shape {
     terms: Vec<[f32; FIXED]>,
     volumes: usize,
     transfers: usize,
+    constant: f64,
 }
 
 impl Shape {
+    /// With another standard deviation of the constant: how well the base seconds are known as a whole.
+    pub fn with_constant(self, sd: f64) -> Self {
+        Self { constant: sd, ..self }
+    }
+
+    /// Whether the base seconds tell how long tasks take.
+    pub fn is_told(&self) -> bool {
+        self.constant < UNKNOWN
+    }
+
     /// The tasks of a job.
     pub fn of_job(job: &Job, base: Vec<f32>) -> Self {
         let (sizes, steps) = (job.sizes.len(), job.steps.len());
@@ -113,7 +128,7 @@ impl Shape {
         transfers: usize,
     ) -> Self {
         let transfers = if (2..=MAX_TRANSFERS).contains(&transfers) { transfers } else { 0 };
-        Self { base, volume, row, transfer, terms, volumes, transfers }
+        Self { base, volume, row, transfer, terms, volumes, transfers, constant: UNKNOWN }
     }
 
     /// Number of tasks.
@@ -322,7 +337,9 @@ impl Learner {
     ) {
         let d = self.beta.len();
         let n = self.seen.len() as f64;
-        let prior = |k: usize| PRIOR.get(k).copied().unwrap_or(PRIOR_TRANSFER).powi(2).recip();
+        let constant = self.shape.constant;
+        let sd = |k: usize| if k == 0 { constant } else { PRIOR.get(k).copied().unwrap_or(PRIOR_TRANSFER) };
+        let prior = |k: usize| sd(k).powi(2).recip();
         for _ in 0..if n > 0.0 { 12 } else { 1 } {
             let (s2, t2) = (self.sigma2, self.tau2);
             let precisions: Vec<f64> = counts.iter().map(|c| c / s2 + 1.0 / t2).collect();

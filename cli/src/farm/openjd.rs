@@ -50,15 +50,22 @@ pub fn export(job: &Job, places: &Places, bundles: &[Bundle], run: u64, file: &P
     let longest = bundles.iter().map(|b| b.upper_s).fold(1.0, f64::max).ceil() as u64;
     let text =
         |p: &Path| p.to_str().map(str::to_owned).with_context(|| format!("{} is not UTF-8", p.display()));
+    // A path's default must lie below the template; elsewhere whoever submits says where it is.
+    let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = std::fs::canonicalize(folder)
+        .with_context(|| format!("cannot find the folder {}", folder.display()))?;
+    let mut state = json!({
+        "name": "State", "type": "PATH", "objectType": "DIRECTORY", "dataFlow": "INOUT",
+        "description": "State folder of the image database, the same path on every host.",
+    });
+    if let Ok(below) = std::fs::canonicalize(&places.state)?.strip_prefix(&folder) {
+        state["default"] = text(below)?.into();
+    }
     let template = json!({
         "specificationVersion": "jobtemplate-2023-09",
         "name": job.name,
         "parameterDefinitions": [
-            {
-                "name": "State", "type": "PATH", "objectType": "DIRECTORY", "dataFlow": "INOUT",
-                "description": "State folder of the image database, the same path on every host.",
-                "default": text(&places.state)?,
-            },
+            state,
             {
                 "name": "Entire", "type": "STRING", "description": "The program `entire`.",
                 "default": text(&places.program)?,

@@ -270,6 +270,7 @@ impl Planner {
             overhead: self.overhead,
             slots: slots.iter().filter(|s| !s.gone).count(),
             limit: self.setting.limit.unwrap_or(f64::INFINITY) / 2.0,
+            blind: learner.observed() < 8 && !learner.shape().is_told(),
         };
         let tasks = self.dispatcher.next(&ask)?;
         let volume = learner.shape().volume(tasks[0] as usize);
