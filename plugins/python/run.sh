@@ -9,10 +9,12 @@
 #   test     the newest VTK and PyVista, trame, yt, notebooks, mypy
 #   oldest   the oldest PyVista that finds plotter.entire by itself, and the oldest VTK that it accepts
 #   qt       vispy and napari, on Qt
+#   host     that of VTK_PYTHON, a Python with a VTK of its own: a distribution's, ParaView's pvbatch
 #
 # PYTHON               the Python to make environments with (default python3)
 # PYTHON_OUT           where environments go (default target/python)
-# PYTHON_ENVIRONMENTS  those to test in (default "test oldest qt")
+# PYTHON_ENVIRONMENTS  those to test in (default "test oldest qt host")
+# VTK_PYTHON           default /usr/bin/python3
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 what=${1:-}
@@ -23,6 +25,7 @@ esac
 here=plugins/python
 out=${PYTHON_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/python}
 python=${PYTHON:-python3}
+vtk_python=${VTK_PYTHON:-/usr/bin/python3}
 
 skip() { # skip NAME REASON
     echo "$1: skipped: $2"
@@ -83,7 +86,7 @@ needs_display() {
 
 # tests NAME ARGUMENT...: pytest in an environment; what it skips is part of the list of what did not run.
 tests() {
-    local name=$1 status=0
+    local name=$1
     shift
     if ! installed "$name"; then
         if [[ $name == test ]]; then lacks "$why"; fi
@@ -92,8 +95,26 @@ tests() {
     fi
     printf '\n%s: %s\n' "$name" "$("$out/$name/bin/python" -m pip list --format freeze 2>/dev/null |
         grep -iE '^(numpy|vtk|pyvista|trame-vtk|yt|vispy|napari)=' | tr '\n' ' ')"
-    (cd $here && PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 display "$out/$name/bin/python" -m pytest -rs --durations 5 "$@") |
-        tee "$out/$name-pytest.log" || status=$?
+    run_pytest "$name" "$out/$name/bin/python" -m pytest "$@"
+}
+
+# The tests of VTK with another Python's VTK.
+host_tests() {
+    printf '\nhost: %s\n' "$vtk_python"
+    if ! "$vtk_python" -c 'import sys, numpy, vtkmodules; sys.exit(sys.version_info < (3, 10))' 2>/dev/null; then
+        skip "test-python, host" "$vtk_python has no VTK and NumPy, or is older than 3.10 (apt-get install python3-vtk9 python3-numpy)"
+    elif ! installed oldest; then
+        skip "test-python, host" "$why"
+    else
+        run_pytest host "$vtk_python" tests/host.py "$(echo "$out"/oldest/lib/python*/site-packages)" "$@"
+    fi
+}
+
+# run_pytest NAME COMMAND...
+run_pytest() {
+    local name=$1 status=0
+    shift
+    (cd $here && PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 display "$@" -rs --durations 5) | tee "$out/$name-pytest.log" || status=$?
     if [[ ${ENTIRE_SKIPPED:-} ]]; then
         sed -n "s/^SKIPPED \[[0-9]*\] \([^:]*\):[0-9]*: \(.*\)/test-python, $name: \1: \2/p" "$out/$name-pytest.log" >>"$ENTIRE_SKIPPED"
     fi
@@ -110,11 +131,13 @@ case $what in
     test)
         needs_display
         wheel
-        for name in ${PYTHON_ENVIRONMENTS:-test oldest qt}; do
+        for name in ${PYTHON_ENVIRONMENTS:-test oldest qt host}; do
             case $name in
                 test) tests test --ignore tests/test_qt.py "$@" ;;
                 oldest) tests oldest tests/test_volume.py tests/test_session.py tests/test_vtk.py tests/test_pyvista.py "$@" ;;
                 qt) tests qt tests/test_qt.py "$@" ;;
+                host) host_tests tests/test_vtk.py "$@" ;;
+                *) echo "run.sh: PYTHON_ENVIRONMENTS names \"$name\"; use test, oldest, qt and host" >&2; exit 2 ;;
             esac
         done
         ;;
