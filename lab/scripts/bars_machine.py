@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # Members that no model has seen, and of each every so many time steps from the first on.
 MEMBERS = ("castro_blast/m04", "castro_blast/m05", "nyx_cosmology/m04", "nyx_cosmology/m05", "maestroex_bubbles/m03")
-MEMBER_STEPS = (3, 7, 11, 14)
+MEMBER_STEPS = (3, 6, 9, 12)
 SCANS = ("ct_abdomen", "ct_bonsai", "ct_engine", "ct_head_stanford", "cta_avm", "mr_angio_head", "mr_icbm152",
          "mr_t1_head", "mr_t2_brain", "uct_iguana", "uct_mouse_skull", "xa_aneurism", "ed_rhodopsin_3pqr")
 MODES = ("none", "local", "scatter")
@@ -64,8 +64,10 @@ class Machine:
         (self.out / f"{split}-{mode}.done").touch()
 
     def calibrate(self, name, mode, *more):
+        frames = self.out / f"{name}.csv"
+        frames.unlink(missing_ok=True)
         begin = time.monotonic()
-        self.run("calibrate", "--shade", mode, "--out", self.out / f"{name}.safetensors", *more)
+        self.run("calibrate", "--shade", mode, "--out", self.out / f"{name}.safetensors", "--table", frames, *more)
         seconds = time.monotonic() - begin
         (self.out / f"{name}.json").write_text(json.dumps({"seconds": seconds, "load": os.getloadavg()}))
 

@@ -40,7 +40,8 @@ struct Visit {
 
 /// What was measured.
 pub struct Measured {
-    /// Every frame with its repeats; of frames that were seen undisturbed, those repeats alone.
+    /// Every frame with its repeats; of frames that were seen undisturbed, those repeats alone, of others the
+    /// faster half.
     pub frames: Vec<TimedFrame>,
     /// Passes that the repeats of each frame, by number, come in.
     pub passes: HashMap<u64, usize>,
@@ -278,19 +279,27 @@ impl<'a> Measuring<'a> {
         }
     }
 
-    /// The visits of a frame that count: the undisturbed ones, all where there is none.
-    fn counted(&self, i: usize) -> Vec<&Visit> {
-        let Some(visits) = self.visits.get(&i) else { return Vec::new() };
+    /// The repeats of a frame that count, and the passes that they come in: those of undisturbed visits. Where
+    /// there is none, the faster half: what others do makes a frame slower, never faster.
+    fn counted(&self, i: usize) -> (Vec<Timing>, usize) {
+        let Some(visits) = self.visits.get(&i) else { return (Vec::new(), 1) };
         let calm: Vec<&Visit> = visits.iter().filter(|v| !v.disturbed).collect();
-        if calm.is_empty() { visits.iter().collect() } else { calm }
+        if !calm.is_empty() {
+            return (calm.iter().flat_map(|v| v.repeats.iter().copied()).collect(), calm.len());
+        }
+        let mut repeats: Vec<Timing> = visits.iter().flat_map(|v| v.repeats.iter().copied()).collect();
+        let seconds = |t: &Timing| t.seconds(self.settings.clock).unwrap_or(f64::INFINITY);
+        repeats.sort_by(|a, b| seconds(a).total_cmp(&seconds(b)));
+        repeats.truncate(repeats.len().div_ceil(2));
+        (repeats, 1)
     }
 
     fn passes(&self, i: usize) -> usize {
-        self.counted(i).len().max(1)
+        self.counted(i).1.max(1)
     }
 
     fn frame(&self, i: usize) -> Option<TimedFrame> {
-        let repeats: Vec<Timing> = self.counted(i).iter().flat_map(|v| v.repeats.iter().copied()).collect();
+        let repeats = self.counted(i).0;
         let scene = self.pool.candidates[i].scene.clone();
         (!repeats.is_empty()).then_some(TimedFrame { table: 0, number: i as u64, scene, repeats })
     }

@@ -112,8 +112,8 @@ impl Report {
         if self.others.busy() {
             out.push(format!(
                 "the machine was busy: others used {:.1} processors on average, in {:.0} of {:.0} seconds more than \
-                 {}; frames that were seen undisturbed count by those repeats alone, but calibrate again on a \
-                 quiet machine",
+                 {}; frames that were seen undisturbed count by those repeats alone, others by their faster half; \
+                 calibrate again on a quiet machine",
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
                 self.others.seconds,
