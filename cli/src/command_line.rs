@@ -36,8 +36,15 @@ enum Command {
     Probe(commands::probe::Options),
     /// Play a path against a target frame time under several controllers.
     Steer(commands::steer::Options),
+    /// Explore a volume in a window whose frame time stays where it is put.
+    Explore(commands::explore::Options),
     /// Decide which node of a farm renders what, in which order.
     Schedule(commands::schedule::Options),
+    /// Render an image database on a farm, and say when it will be done.
+    Farm(commands::farm::Options),
+    /// A worker of `entire farm`; engines start it.
+    #[command(hide = true)]
+    FarmWorker(commands::farm::WorkerOptions),
     /// Calibrate, explore and report: the main job, end to end.
     Demo(commands::demo::Options),
 }
@@ -62,7 +69,10 @@ impl Cli {
             Command::Render(options) => commands::render::run(options),
             Command::Probe(options) => commands::probe::run(options),
             Command::Steer(options) => commands::steer::run(options),
+            Command::Explore(options) => commands::explore::run(options),
             Command::Schedule(options) => commands::schedule::run(options),
+            Command::Farm(options) => commands::farm::run(options),
+            Command::FarmWorker(options) => commands::farm::work(options),
             Command::Demo(options) => commands::demo::run(options),
         }
     }

@@ -107,7 +107,7 @@ pub fn warm_latency(
         .collect();
     let parts = model.prednet().context("the model file holds no PredNet")?;
     let net = PredNet::new(parts)?;
-    let mut scratch = net.scratch();
+    let mut scratch = net.scratch()?;
     let middle = |mut times: Vec<f64>| median(&mut times).unwrap_or(f64::NAN);
     let width = layout.width();
     let mut times = Vec::new();

@@ -77,7 +77,7 @@ fn every_prediction_is_a_positive_number_of_seconds() {
                 .map(|(mean, std)| mean + reach * std * (2.0 * rng.random::<f32>() - 1.0))
                 .collect();
             let mut raw = vec![0.0; rows];
-            net.predict_batch(&inputs, &mut raw, &mut net.batch_scratch(192)).unwrap();
+            net.predict_batch(&inputs, &mut raw, &mut net.batch_scratch(192).unwrap()).unwrap();
             for value in raw {
                 match checked_seconds(value) {
                     Ok((seconds, clamped)) => {

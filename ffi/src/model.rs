@@ -8,8 +8,9 @@ use crate::guard::{Outcome, freeing, guard, last_error_of, reading};
 use crate::handle::{Status, borrow, give, handle};
 use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
 use crate::pool::Pool;
+use crate::reserve;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, frame_time};
+use crate::result::{Failure, copied, frame_time};
 use crate::sink;
 use crate::volume::{Volume, entire_volume};
 use entire_core::kernels::{Level, Storage};
@@ -18,6 +19,7 @@ use entire_core::nn::{EncodeScratch, Executor, PredNet, PredNetParts, PredScratc
 use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
 use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
+use std::io::ErrorKind;
 use std::mem::size_of;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -130,13 +132,14 @@ impl Loaded {
     fn new(model: Model) -> Result<Self, Failure> {
         let (level, _) = level();
         let stored = |parts: &PredNetParts| parts.layers.first().map_or(Storage::F32, |l| l.dtype.into());
-        let prednet =
-            model.prednet().map(|parts| PredNet::with(parts, *level, stored(parts))).transpose()?.map(
-                |net| {
-                    let scratch = Pool::filled(|| net.scratch());
-                    (Arc::new(net), scratch)
-                },
-            );
+        let prednet = match model.prednet() {
+            Some(parts) => {
+                let net = PredNet::with(parts, *level, stored(parts))?;
+                let scratch = Pool::filled(|| net.scratch())?;
+                Some((Arc::new(net), scratch))
+            }
+            None => None,
+        };
         let volumenet = model
             .volumenet()
             .map(|parts| VolumeNet::with(parts, *level))
@@ -145,9 +148,13 @@ impl Loaded {
         Ok(Self {
             rows: Pool::lazy(),
             volumenet,
-            groups: model.inputs().iter().map(|g| sink::c_text(&g.name)).collect(),
-            scene_features: model.scene_features().iter().map(|name| sink::c_text(name)).collect(),
-            metadata: model.metadata().iter().map(|(k, v)| (k.clone(), sink::c_text(v))).collect(),
+            groups: model.inputs().iter().map(|g| kept_text(&g.name)).collect::<Result<_, _>>()?,
+            scene_features: model.scene_features().iter().map(|t| kept_text(t)).collect::<Result<_, _>>()?,
+            metadata: model
+                .metadata()
+                .iter()
+                .map(|(key, value)| Ok((key.clone(), kept_text(value)?)))
+                .collect::<Result<_, Failure>>()?,
             prednet,
             model,
         })
@@ -176,7 +183,7 @@ impl Loaded {
                     ),
                 ));
             }
-            return Ok(Some(ready.clone()));
+            return Ok(Some(copied(ready)?));
         }
         let mut features = Vec::new();
         features.try_reserve_exact(size)?;
@@ -188,7 +195,8 @@ impl Loaded {
     fn encode(&self, volume: &Volume, features: &mut [f32]) -> Outcome {
         let (net, pool) = self.volumenet()?;
         let view = volume.view()?;
-        pool.with(|| net.scratch(), |scratch| net.encode(view, scratch, Executor::serial(), features))?;
+        let scratch = || Ok::<_, Failure>(net.scratch());
+        pool.with(scratch, |scratch| net.encode(view, scratch, Executor::serial(), features))??;
         Ok(())
     }
 
@@ -210,6 +218,18 @@ impl Loaded {
             )
         })
     }
+}
+
+/// A text of the model for C, in memory that can be refused.
+fn kept_text(text: &str) -> Result<CString, Failure> {
+    if text.contains('\0') {
+        return Ok(sink::c_text(text));
+    }
+    let mut bytes = Vec::new();
+    bytes.try_reserve_exact(text.len() + 1)?;
+    bytes.extend_from_slice(text.as_bytes());
+    bytes.push(0);
+    Ok(CString::from_vec_with_nul(bytes).unwrap_or_default())
 }
 
 /// The instruction set that models are run with, and its name: found once, so that the environment is read
@@ -234,7 +254,7 @@ pub extern "C" fn entire_simd_level() -> *const c_char {
 ///
 /// Fails with ENTIRE_IO (the file cannot be read), ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR,
 /// ENTIRE_SIZE_MISMATCH (a file over ENTIRE_MAX_MODEL_BYTES), ENTIRE_INVALID_ARGUMENT (a path that is not
-/// UTF-8), ENTIRE_NULL_ARGUMENT.
+/// UTF-8), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_open(
     path: *const c_char,
@@ -243,6 +263,7 @@ pub unsafe extern "C" fn entire_model_open(
     // SAFETY: the pointers are as the crate's documentation demands.
     guard(|| unsafe {
         check_pointer(model, "model (output)")?;
+        reserve::check()?;
         let path = text(path, "path")?;
         let bytes = read(Path::new(path), "check the path of the model file")?;
         load(&bytes, path, model)
@@ -302,13 +323,19 @@ fn read(path: &Path, remedy: &str) -> Result<Vec<u8>, Failure> {
     let length = usize::try_from(found.len()).unwrap_or(usize::MAX);
     at_most("the model file's size in bytes", length, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")
         .map_err(|e| Failure::new(e.code, format!("{shown}: {}", e.message)))?;
-    std::fs::read(path).map_err(|e| io(e.to_string()))
+    std::fs::read(path).map_err(|e| match e.kind() {
+        ErrorKind::OutOfMemory => Failure::new(
+            ENTIRE_OUT_OF_MEMORY,
+            format!("{shown}: there is no memory for the file's {length} bytes; free some"),
+        ),
+        _ => io(e.to_string()),
+    })
 }
 
 /// Reads a model from the bytes of a model file; they may be freed when the call returns.
 ///
 /// Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_SIZE_MISMATCH (over
-/// ENTIRE_MAX_MODEL_BYTES), ENTIRE_NULL_ARGUMENT.
+/// ENTIRE_MAX_MODEL_BYTES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_from_bytes(
     bytes: *const u8,
@@ -318,6 +345,7 @@ pub unsafe extern "C" fn entire_model_from_bytes(
     // SAFETY: the pointers are as the crate's documentation demands.
     guard(|| unsafe {
         check_pointer(model, "model (output)")?;
+        reserve::check()?;
         at_most("byte_count", byte_count, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")?;
         load(slice(bytes, byte_count, "bytes")?, "model in memory", model)
     })
@@ -443,7 +471,8 @@ pub unsafe extern "C" fn entire_model_metadata(
 /// seconds; may run on several threads at once.
 ///
 /// Fails with ENTIRE_SIZE_MISMATCH (a capacity below the feature count), ENTIRE_UNSUPPORTED (a model without
-/// an encoder), ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_NULL_ARGUMENT.
+/// an encoder), ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_OUT_OF_MEMORY,
+/// ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_encode(
     model: *const entire_model,
@@ -492,7 +521,7 @@ pub unsafe extern "C" fn entire_model_predict(
             let inputs = slice(inputs, input_count, "inputs")?;
             let (net, pool) = loaded.prednet()?;
             check_inputs(inputs, net.inputs(), 1)?;
-            let predicted = pool.with(|| net.scratch(), |scratch| net.predict(inputs, scratch));
+            let predicted = pool.with(|| net.scratch(), |scratch| net.predict(inputs, scratch))?;
             write(seconds, frame_time(predicted)?, "seconds (output)")
         })
     }
@@ -534,7 +563,7 @@ pub unsafe extern "C" fn entire_model_predict_batch(
             let mut predicted = Vec::new();
             predicted.try_reserve_exact(rows)?;
             predicted.resize(rows, 0.0f32);
-            loaded.rows.with(scratch, |scratch| net.predict_batch(inputs, &mut predicted, scratch))?;
+            loaded.rows.with(scratch, |scratch| net.predict_batch(inputs, &mut predicted, scratch))??;
             for (row, answer) in predicted.iter_mut().enumerate() {
                 *answer = frame_time(*answer)
                     .map_err(|why| Failure::new(why.code, format!("row {row}: {}", why.message)))?;

@@ -412,6 +412,10 @@ public:
     }
     status reset() { return detail::done(entire_session_reset(get())); }
 
+    // What is observed, and by which clock: saved states are of one renderer and one clock.
+    status set_timing_source(const std::string &renderer, const std::string &clock) {
+        return detail::done(entire_session_set_timing_source(get(), renderer.c_str(), clock.c_str()));
+    }
     result<std::vector<std::uint8_t>> save_state() const {
         std::size_t count = 0;
         if (auto code = entire_session_save_state(get(), nullptr, 0, &count)) return failure::last(code);

@@ -27,6 +27,12 @@ enum Command {
     Stress(commands::stress::Options),
     /// Compare every way to balance a render farm.
     Farm(commands::farm::Options),
+    /// Measure the bars of render farms that need no engine.
+    FarmBars(commands::farm_bars::BarsOptions),
+    /// Simulate a farm on a task list.
+    FarmSimulate(commands::farm_bars::SimulateOptions),
+    /// Stand in for a renderer in `entire farm`.
+    FarmStandIn(commands::farm_bars::StandInOptions),
 }
 
 fn main() -> ExitCode {
@@ -37,5 +43,8 @@ fn main() -> ExitCode {
         Command::Replay(options) => commands::replay::run(options),
         Command::Stress(options) => commands::stress::run(options),
         Command::Farm(options) => commands::farm::run(options),
+        Command::FarmBars(options) => commands::farm_bars::run_bars(options),
+        Command::FarmSimulate(options) => commands::farm_bars::run_simulate(options),
+        Command::FarmStandIn(options) => commands::farm_bars::run_stand_in(options),
     })
 }

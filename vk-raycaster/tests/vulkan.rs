@@ -6,7 +6,8 @@ mod common;
 use common::{constant, field_bytes, field_voxels, frame, medium, opaque, transparent};
 use entire_core::scene::{Frame, Scalars, Shading, Skipping, TransferTable, VolumeView};
 use entire_vk_raycaster::{
-    BLOCK_EDGES, CpuRaycaster, Renderer, VoxelFetch, VulkanOptions, VulkanRaycaster, WorkCounts,
+    BLOCK_EDGES, CpuRaycaster, Picture, Region, Renderer, VoxelFetch, VulkanOptions, VulkanRaycaster,
+    WorkCounts,
 };
 use libtest_mimic::{Arguments, Failed, Trial};
 
@@ -324,6 +325,77 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
     expect_silence(&gpu)
 }
 
+/// Regions have the pixels of the whole frame, and what goes into a picture on the device says nothing.
+fn regions_are_parts_of_the_whole() -> Outcome {
+    let mut gpu = open_validated(None)?;
+    let data = field_bytes([40; 3]);
+    gpu.set_volume(&VolumeView::new(Scalars::U8(&data), [40; 3]).unwrap())?;
+    gpu.set_transfer(&medium())?;
+    let f = frame(25.0, 70.0, 2.2, 75, 61).with_jitter(true).with_shading(Shading::Local);
+    let whole = gpu.render(&f)?;
+    let mut picture = Picture::new(&gpu.shared_device(), 80, 64)?;
+    if !picture.is_fresh() {
+        return Err("a picture that nobody drew into".into());
+    }
+    let mut samples = 0;
+    for (x, y, width, height) in [(0, 0, 75, 20), (0, 20, 33, 41), (33, 20, 42, 41)] {
+        let region = Region { x, y, width, height };
+        let part = gpu.render_region(&f, region)?;
+        samples += part.counts.unwrap_or_default().samples;
+        for row in 0..height {
+            let bytes = |from: u32, width: u32| {
+                let start = 4 * from as usize;
+                start..start + 4 * width as usize
+            };
+            let found = &part.image.rgba[bytes(row * width, width)];
+            if found != &whole.image.rgba[bytes((y + row) * 75 + x, width)] {
+                return Err(format!("row {row} of {region:?}").into());
+            }
+        }
+        if gpu.render_to(&f, region, &mut picture)?.wall <= 0.0 || picture.is_fresh() {
+            return Err("nothing was drawn".into());
+        }
+    }
+    if samples != whole.counts.unwrap_or_default().samples {
+        return Err(format!("{samples} samples, {:?}", whole.counts).into());
+    }
+    let beyond = Region { x: 70, y: 0, width: 6, height: 1 };
+    if gpu.render_region(&f, beyond).is_ok() || gpu.render_to(&f, beyond, &mut picture).is_ok() {
+        return Err("a region beyond the frame".into());
+    }
+    let large = frame(25.0, 70.0, 2.2, 90, 61);
+    if gpu.render_to(&large, Region::whole(&large), &mut picture).is_ok() {
+        return Err("a frame beyond the picture".into());
+    }
+    expect_silence(&gpu)
+}
+
+/// Raycasters of one device draw from several threads what they draw alone.
+fn raycasters_share_a_device() -> Outcome {
+    let gpu = open_validated(None)?;
+    let device = gpu.shared_device();
+    let data = field_bytes([40; 3]);
+    let view = VolumeView::new(Scalars::U8(&data), [40; 3]).unwrap();
+    let draw = |table: &TransferTable| -> entire_vk_raycaster::Result<Vec<_>> {
+        let mut own = VulkanRaycaster::on_device(&device, VulkanOptions::default())?;
+        own.set_volume(&view)?;
+        own.set_transfer(table)?;
+        (0..6u8).map(|i| Ok(own.render(&frame(10.0, 30.0 * f32::from(i), 2.5, 60, 50))?.image)).collect()
+    };
+    let tables = [medium(), opaque()];
+    let alone = [draw(&tables[0])?, draw(&tables[1])?];
+    let together = std::thread::scope(|s| {
+        let threads = tables.each_ref().map(|t| s.spawn(|| draw(t)));
+        threads.map(|t| t.join().expect("a thread that draws"))
+    });
+    for (found, wanted) in together.into_iter().zip(alone) {
+        if found? != wanted {
+            return Err("other pictures than alone".into());
+        }
+    }
+    expect_silence(&gpu)
+}
+
 /// Frames in flight are the frames that `render` draws, in order, whatever changes meanwhile.
 fn frames_in_flight_are_the_rendered_ones() -> Outcome {
     let mut gpu = open_validated(None)?;
@@ -550,6 +622,8 @@ fn main() {
         ("skipping_changes_nothing_but_the_work", skipping_changes_nothing),
         ("bricks_of_texels_match_the_twin", || bricks_match_the_twin(VoxelFetch::Texels)),
         ("bricks_of_a_sampler_match_the_twin", || bricks_match_the_twin(VoxelFetch::Sampler)),
+        ("regions_are_parts_of_the_whole", regions_are_parts_of_the_whole),
+        ("raycasters_share_a_device", raycasters_share_a_device),
         ("frames_in_flight_are_the_rendered_ones", frames_in_flight_are_the_rendered_ones),
         ("counting_changes_no_picture", counting_changes_no_picture),
         ("long_rays_are_cast_in_windows", long_rays_are_cast_in_windows),

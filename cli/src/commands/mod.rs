@@ -5,6 +5,8 @@ pub mod collect;
 pub mod demo;
 pub mod encode;
 pub mod evaluate;
+pub mod explore;
+pub mod farm;
 pub mod features;
 pub mod predict;
 pub mod probe;

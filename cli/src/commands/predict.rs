@@ -6,15 +6,15 @@ use crate::options::ShadeOption;
 use anyhow::{Context, Result, bail};
 use entire_core::model::{InputGroup, Model};
 use entire_core::nn::PredNet;
-use entire_core::predict::{LONGEST_PREDICTION, SHORTEST_PREDICTION, checked_seconds};
+use entire_core::predict::{LONGEST_PREDICTION, SHORTEST_PREDICTION, check_batch};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 /// Predict seconds for rows of model inputs.
 ///
 /// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the
-/// model's order. Prints one line per row: seconds, finite and positive, 9 significant digits. Nothing is
-/// printed when any row is wrong.
+/// model's order. Prints one line per row: seconds, at least 1e-6, 9 significant digits. Nothing is printed when
+/// any row is wrong.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire predict --model model.safetensors --inputs frames.csv
@@ -61,10 +61,9 @@ pub fn run(options: &Options) -> Result<()> {
 fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
     let mut reader =
         csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(table);
-    let mut scratch = net.scratch();
+    let mut scratch = net.scratch()?;
     let mut inputs = Vec::with_capacity(net.inputs());
     let mut seconds = Vec::new();
-    let mut outside = 0;
     let mut record = csv::ByteRecord::new();
     loop {
         let row = seconds.len() + 1;
@@ -105,17 +104,16 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
                  on, check their units"
             );
         }
-        let (value, clamped) = checked_seconds(value)?;
-        outside += usize::from(clamped);
         seconds.push(value);
     }
     if seconds.is_empty() {
         bail!("holds no row; one row per frame is expected, {} columns each", net.inputs());
     }
+    let outside = check_batch(&mut seconds)?;
     if outside > 0 {
         note(&format!(
-            "the network gives no time for {outside} of {} rows; {SHORTEST_PREDICTION:e} to \
-             {LONGEST_PREDICTION:e} seconds are what a prediction is brought into",
+            "{outside} of {} predictions were outside of {SHORTEST_PREDICTION:e} to {LONGEST_PREDICTION:e} seconds \
+             and are printed as the nearer end",
             seconds.len()
         ));
     }

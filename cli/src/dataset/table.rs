@@ -127,7 +127,11 @@ pub fn read_tables(paths: &[PathBuf]) -> Result<Vec<Table>> {
     Ok(tables)
 }
 
-pub(super) fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
+/// Reads a timing table's bytes; `table` is stored in each frame.
+///
+/// # Errors
+/// Names line and column of what is wrong.
+pub fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
     let mut reader = csv::ReaderBuilder::new().from_reader(bytes);
     let headers = reader.headers().context("the header line cannot be read")?.clone();
     let mut at = [0usize; COLUMNS.len()];

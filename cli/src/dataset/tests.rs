@@ -108,6 +108,23 @@ fn resuming_repairs_any_cut_and_keeps_whole_frames() {
 }
 
 #[test]
+fn a_table_has_one_writer_at_a_time() {
+    let dir = folder();
+    let path = dir.path().join("t.csv");
+    let mut first = Writer::create(&path).unwrap();
+    first.append(0, &scene(), &[measured(0.1)]).unwrap();
+    let said = Writer::resume(&path, 1).unwrap_err().to_string();
+    assert!(said.contains("t.csv is being written by another process"), "{said}");
+    first.append(1, &scene(), &[measured(0.1)]).unwrap();
+    drop(first);
+    let mut second = Writer::resume(&path, 1).unwrap();
+    second.append(2, &scene(), &[measured(0.1)]).unwrap();
+    assert!(Writer::resume(&path, 1).is_err());
+    drop(second);
+    assert_eq!(Table::read(&path, 0).unwrap().frames.len(), 3);
+}
+
+#[test]
 fn every_wrong_field_is_named_with_its_line_and_column() {
     let dir = folder();
     let path = dir.path().join("t.csv");

@@ -76,7 +76,7 @@ pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64
 /// # Errors
 /// When it gives no number for a row.
 pub fn rows_by_network(net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
-    let mut scratch = net.scratch();
+    let mut scratch = net.scratch()?;
     let mut seconds: Vec<f32> = rows.chunks_exact(width).map(|row| net.predict(row, &mut scratch)).collect();
     check_batch(&mut seconds)?;
     Ok(seconds.into_iter().map(f64::from).collect())

@@ -146,7 +146,7 @@ impl Split {
         let psi = out.activations(&mean);
         let total = f64::from(
             entire_core::nn::PredNet::new(&out.parts)?
-                .predict(&mean, &mut entire_core::nn::PredNet::new(&out.parts)?.scratch()),
+                .predict(&mean, &mut entire_core::nn::PredNet::new(&out.parts)?.scratch()?),
         )
         .ln();
         out.constant = total - f64::from(mean[inputs - 1]) - dot(&psi, &out.weights);

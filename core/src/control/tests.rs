@@ -390,11 +390,35 @@ fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
         (None, "a renderer", "wall", "clock \"device\""),
     ] {
         let error = named(costs, renderer, clock).load_state(&state).unwrap_err();
-        assert_eq!(error.kind(), ErrorKind::InvalidArgument);
+        assert_eq!(error.kind(), ErrorKind::Unsupported);
         assert!(error.message().contains(says), "{error}");
     }
     let mut session = ready_session();
     assert!(session.set_timing_source(&"x".repeat(257), "").is_err());
+}
+
+#[test]
+fn a_plan_taken_back_leaves_its_id_to_the_next() {
+    let (f, flags) = (frame(20.0, 30.0, 2.0), ObserveFlags::default());
+    let mut session = ready_session();
+    let first = session.plan(&f, 0.02).unwrap();
+    session.withdraw(first.id);
+    assert_eq!(
+        session.observe(first.id, 0.01, flags).unwrap_err().kind(),
+        ErrorKind::RejectedObservation,
+        "a plan taken back is observed"
+    );
+    let again = session.plan(&f, 0.02).unwrap();
+    assert_eq!((again.id, again.step, again.reason), (first.id, first.step, first.reason));
+    session.observe(again.id, 0.01, flags).unwrap();
+    let next = session.plan(&f, 0.02).unwrap();
+    // Neither an observed plan, nor an older one, nor one that never was.
+    for id in [again.id, 0, next.id + 1, u64::MAX] {
+        session.withdraw(id);
+    }
+    session.observe(next.id, 0.01, flags).unwrap();
+    session.withdraw(next.id);
+    assert_eq!(session.plan(&f, 0.02).unwrap().id, next.id + 1);
 }
 
 #[test]

@@ -1,8 +1,9 @@
 //! What a transfer function makes of a volume: emptiness and extinction of each cell.
 
 use super::VolumeSummary;
+use crate::Result;
+use crate::memory::reserve;
 use crate::scene::{TABLE_LEN, TransferTable};
-use alloc::vec;
 use alloc::vec::Vec;
 
 /// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction
@@ -44,13 +45,22 @@ pub struct TransferSummary {
 
 impl TransferSummary {
     /// Applies a table to a volume.
+    ///
+    /// # Panics
+    /// Where there is no memory for two numbers per cell of the volume; see [`TransferSummary::try_new`].
     pub fn new(volume: &VolumeSummary, table: &TransferTable) -> Self {
-        let n = volume.stats().len();
-        let blank = Cell { extinction: 0.0, occupied: 0.0, visible: 0.0 };
+        Self::try_new(volume, table).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// As [`TransferSummary::new`].
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::OutOfMemory`] where there is no room for two numbers per cell of the volume.
+    pub fn try_new(volume: &VolumeSummary, table: &TransferTable) -> Result<Self> {
         let mut summary = Self {
-            cells: vec![blank; n],
+            cells: Vec::new(),
             grid: volume.cells(),
-            distance: vec![0; n],
+            distance: Vec::new(),
             distance_ready: false,
             line: Vec::new(),
             occupied_share: 0.0,
@@ -60,18 +70,35 @@ impl TransferSummary {
             visible_share: 0.0,
             max_opacity: 0.0,
         };
-        summary.update(volume, table);
-        summary
+        summary.try_update(volume, table)?;
+        Ok(summary)
     }
 
     /// Applies another table, or the table to another volume. Allocates only when the volume has more cells
     /// than any before it.
+    ///
+    /// # Panics
+    /// As [`TransferSummary::new`].
     pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) {
+        if let Err(error) = self.try_update(volume, table) {
+            panic!("{error}");
+        }
+    }
+
+    /// As [`TransferSummary::update`].
+    ///
+    /// # Errors
+    /// As [`TransferSummary::try_new`]; nothing has changed then.
+    pub fn try_update(&mut self, volume: &VolumeSummary, table: &TransferTable) -> Result<()> {
         let n = volume.stats().len();
+        let longest = volume.cells().into_iter().max().unwrap_or(1);
+        let line = 2 * longest.max(self.line.len() / 2);
+        reserve(&mut self.cells, n)?;
+        reserve(&mut self.distance, n)?;
+        reserve(&mut self.line, line)?;
         self.cells.resize(n, Cell { extinction: 0.0, occupied: 0.0, visible: 0.0 });
         self.distance.resize(n, 0);
-        let longest = volume.cells().into_iter().max().unwrap_or(1);
-        self.line.resize(2 * longest.max(self.line.len() / 2), 0);
+        self.line.resize(line, 0);
         self.grid = volume.cells();
         self.distance_ready = false;
 
@@ -127,6 +154,7 @@ impl TransferSummary {
             cell.extinction = -libm::logf(t) * (1.0 / CORRELATION_LENGTH);
         }
         self.occupied_share = (occupied_sum / n as f64) as f32;
+        Ok(())
     }
 
     /// Share of the volume's blocks that are not empty.

@@ -1,6 +1,7 @@
 //! One module per subcommand: its options and what it does.
 
 pub mod farm;
+pub mod farm_bars;
 pub mod record;
 pub mod replay;
 pub mod select;

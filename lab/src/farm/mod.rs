@@ -1,7 +1,11 @@
 //! Render farms in studies: tasks of recorded paths, and every way to balance them beside the others.
 
+pub mod bars;
 mod compare;
 mod factor;
+mod search;
+pub mod stand_in;
+mod tables;
 mod tasks;
 
 pub use compare::{Comparison, compare, second_measurement};

@@ -3,9 +3,9 @@
 mod scan;
 
 use crate::error::bail;
+use crate::memory::{copied, filled};
 use crate::scene::{ScalarType, Scalars, VolumeView, bounding_radius, check_edges, check_spacing};
 use crate::{Error, ErrorKind, Result};
-use alloc::vec;
 use alloc::vec::Vec;
 use glam::Vec3;
 use scan::{Entries, copy, entries, to_positions};
@@ -94,7 +94,7 @@ impl VolumeSummary {
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with
-    /// more blocks than can be indexed.
+    /// more blocks than can be indexed, [`ErrorKind::OutOfMemory`] where there is no room for what is kept.
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
         let mut summary = Self::layout(volume.dims(), volume.spacing(), volume.scalar_type(), options)?;
         match volume.scalars() {
@@ -109,12 +109,12 @@ impl VolumeSummary {
                     low.copy_from_slice(near);
                     high.copy_from_slice(near);
                     0
-                });
+                })?;
                 summary.remapped = total[0] == 0;
             }
-            Scalars::U16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from)),
-            Scalars::I16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from)),
-            Scalars::F32(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, |v| v)),
+            Scalars::U16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from))?,
+            Scalars::I16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from))?,
+            Scalars::F32(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, |v| v))?,
         }
         Ok(summary)
     }
@@ -126,7 +126,8 @@ impl VolumeSummary {
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with_spacing`]
     /// refuses, [`ErrorKind::SizeMismatch`] for a size over [`crate::scene::MAX_VOLUME_EDGE`] or when the
-    /// number of bricks is not the one that sizes and edge give.
+    /// number of bricks is not the one that sizes and edge give, [`ErrorKind::OutOfMemory`] where there is no
+    /// room for what is kept.
     pub fn from_bricks(
         dims: [usize; 3],
         spacing: [f32; 3],
@@ -170,6 +171,19 @@ impl VolumeSummary {
         summary.remapped = scalar_type == ScalarType::F32 || smallest > 0.0;
         summary.histogram_from_quantiles();
         Ok(summary)
+    }
+
+    /// A copy, as `clone` makes it.
+    ///
+    /// # Errors
+    /// [`ErrorKind::OutOfMemory`] where there is no room for it.
+    pub fn try_clone(&self) -> Result<Self> {
+        Ok(Self {
+            stats: copied(&self.stats)?,
+            blocks: copied(&self.blocks)?,
+            first_block: copied(&self.first_block)?,
+            ..*self
+        })
     }
 
     /// Voxels along x, y, z.
@@ -302,7 +316,7 @@ impl VolumeSummary {
             cells,
             edge,
             block: edge.map(|e| e.min((e / BLOCKS_PER_CELL_AXIS).max(BLOCK_EDGE))),
-            stats: vec![empty; n],
+            stats: filled(n, empty)?,
             blocks: Vec::new(),
             first_block: Vec::new(),
             histogram: [0.0; 256],

@@ -1,8 +1,9 @@
 //! The scan of a volume: bounds of blocks, quantiles of cells and the histogram, in one pass over the rows.
 
 use super::{LARGEST_INDEX, QUANTILES, VolumeSummary};
+use crate::Result;
+use crate::memory::{filled, reserve};
 use crate::scene::{ScalarType, VolumeView};
-use alloc::vec;
 use alloc::vec::Vec;
 
 impl VolumeSummary {
@@ -12,8 +13,8 @@ impl VolumeSummary {
         &mut self,
         volume: &VolumeView<'_>,
         read: impl Fn((usize, usize), &mut [f32]),
-    ) {
-        let mut row = vec![0.0f32; self.dims[0]];
+    ) -> Result<()> {
+        let mut row = filled(self.dims[0], 0.0f32)?;
         let same: [u8; 256] = core::array::from_fn(|v| v as u8);
         let (mut smallest, mut largest) = (f32::INFINITY, f32::NEG_INFINITY);
         self.scan(volume, &Entries { low: same, high: same, near: same }, |at, out| {
@@ -26,9 +27,10 @@ impl VolumeSummary {
             to_positions(volume, &mut row);
             entries(&row, out);
             non_finite
-        });
+        })?;
         self.remapped =
             self.scalar_type == ScalarType::F32 || smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
+        Ok(())
     }
 
     /// Reads every voxel once. `fetch((start, stride), [low, high, near])` writes three bytes per voxel of a
@@ -42,15 +44,16 @@ impl VolumeSummary {
         volume: &VolumeView<'_>,
         map: &Entries,
         mut fetch: impl FnMut((usize, usize), [&mut [u8]; 3]) -> u32,
-    ) -> [u64; 256] {
+    ) -> Result<[u64; 256]> {
         let (dims, edge, cells, block) = (self.dims, self.edge, self.cells, self.block);
         let n: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(block[a]));
-        let mut bounds = vec![[255u8, 0u8]; n[0] * n[1] * n[2]];
-        let [mut low, mut high] = [vec![0u8; dims[0]], vec![0u8; dims[0]]];
+        let mut bounds = filled(n[0] * n[1] * n[2], [255u8, 0u8])?;
+        let [mut low, mut high] = [filled(dims[0], 0u8)?, filled(dims[0], 0u8)?];
         // Own rows of one block row, and those that the blocks before it along y, z and both see of it.
-        let mut joined: [Joined; 4] = core::array::from_fn(|_| Joined::new(dims[0]));
+        let joined = || Joined::new(dims[0]);
+        let mut joined = [joined()?, joined()?, joined()?, joined()?];
         // The rows of one row of cells.
-        let mut near = vec![0u8; edge[2].min(dims[2]) * edge[1].min(dims[1]) * dims[0]];
+        let mut near = filled(edge[2].min(dims[2]) * edge[1].min(dims[1]) * dims[0], 0u8)?;
         let mut counts = [[0u32; 256]; 4];
         let mut total = [0u64; 256];
         let mut non_finite = 0u64;
@@ -101,7 +104,7 @@ impl VolumeSummary {
         for b in &mut bounds {
             *b = [map.low[usize::from(b[0])], map.high[usize::from(b[1])]];
         }
-        self.gather_blocks(&bounds, n);
+        self.gather_blocks(&bounds, n)?;
         let mut mapped = [0u64; 256];
         for (&entry, &t) in map.near.iter().zip(&total) {
             mapped[usize::from(entry)] += t;
@@ -111,17 +114,17 @@ impl VolumeSummary {
             *h = (t as f64 / voxels) as f32;
         }
         self.non_finite_share = (non_finite as f64 / voxels) as f32;
-        total
+        Ok(total)
     }
 
     /// Bounds of cells from those of their blocks, which are kept where a cell holds several.
-    fn gather_blocks(&mut self, bounds: &[[u8; 2]], n: [usize; 3]) {
+    fn gather_blocks(&mut self, bounds: &[[u8; 2]], n: [usize; 3]) -> Result<()> {
         let per_cell: [usize; 3] = core::array::from_fn(|a| self.edge[a] / self.block[a]);
         let split = self.block != self.edge;
         if split {
-            self.first_block.reserve_exact(self.stats.len() + 1);
+            reserve(&mut self.first_block, self.stats.len() + 1)?;
             self.first_block.push(0);
-            self.blocks.reserve_exact(bounds.len());
+            reserve(&mut self.blocks, bounds.len())?;
         }
         for (index, stats) in self.stats.iter_mut().enumerate() {
             let c = [
@@ -146,6 +149,7 @@ impl VolumeSummary {
                 self.first_block.push(self.blocks.len() as u32);
             }
         }
+        Ok(())
     }
 }
 
@@ -163,8 +167,8 @@ struct Joined {
 }
 
 impl Joined {
-    fn new(len: usize) -> Self {
-        Self { low: vec![255; len], high: vec![0; len] }
+    fn new(len: usize) -> Result<Self> {
+        Ok(Self { low: filled(len, 255)?, high: filled(len, 0)? })
     }
 
     fn clear(&mut self) {

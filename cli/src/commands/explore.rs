@@ -1,0 +1,142 @@
+//! `entire explore`: a window on a volume whose frame time stays where it is put.
+
+#[cfg(feature = "explore")]
+mod surroundings;
+
+use crate::options::{ShadeOption, SkipOption, parse_size};
+use crate::path::parse_target;
+use crate::steering::contenders::ControllerKind;
+use anyhow::{Context, Result, bail};
+use std::path::PathBuf;
+
+/// Explore a volume in a window whose frame time stays where it is put.
+///
+/// Every frame is planned before it is drawn and told to the predictor afterwards; a graph shows both beside
+/// the target. Whenever nothing changes the picture is refined to full quality, in slices that never take
+/// longer than the target. Without --model the shipped model steers where the working folder is the
+/// project's, else an untrained one; both learn from the frames. Drag to turn, shift-drag to pan, scroll to
+/// zoom, F to fly, 1 2 3 to look along an axis, R to reset, Ctrl+Z to take back.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire explore data/nyx_cosmology/m01/t0010.nrrd
+  entire explore ct.nii.gz --target 60fps --shade local --skip distance
+  entire explore t1.nrrd t2.nrrd t3.nrrd --model out/calibrated.safetensors
+  xvfb-run -s '-screen 0 1280x900x24' entire explore skull.nrrd --script events.jsonl --log frames.csv")]
+pub struct Options {
+    /// The volume file, or those of a time series in order; none for an empty window.
+    #[arg(value_name = "VOLUME")]
+    pub volumes: Vec<PathBuf>,
+    /// Time that frames should not exceed: 33ms, 0.033s or 30fps.
+    #[arg(long, default_value = "33ms", value_name = "TIME", allow_hyphen_values = true)]
+    pub target: String,
+    /// Steer by this model file, which was calibrated to this machine.
+    #[arg(long, value_name = "M.safetensors")]
+    pub model: Option<PathBuf>,
+    /// Who steers at first.
+    #[arg(long, value_enum, default_value_t = ControllerKind::Hybrid)]
+    pub controller: ControllerKind,
+    /// The coarsest ray step that may be chosen, reference steps.
+    #[arg(long, default_value_t = 16.0, value_name = "STEP")]
+    pub coarsest: f32,
+    /// The most pixels between rays along each side that may be chosen.
+    #[arg(long, default_value_t = 8.0, value_name = "PIXELS")]
+    pub image_sample_distance: f32,
+    /// What each sample computes.
+    #[arg(long, value_enum, default_value_t)]
+    pub shade: ShadeOption,
+    /// How empty space is skipped.
+    #[arg(long, value_enum, default_value_t)]
+    pub skip: SkipOption,
+    /// Accumulated opacity at which a ray stops; 1 for never.
+    #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
+    pub termination: f32,
+    /// Size of the window, pixels.
+    #[arg(long, default_value = "1280x800", value_name = "WxH", value_parser = parse_size)]
+    pub size: (u32, u32),
+    /// Play events from a file (JSON lines, see the book) instead of waiting for a person.
+    #[arg(long, value_name = "FILE.jsonl")]
+    pub script: Option<PathBuf>,
+    /// Write every frame as a row of CSV: seconds, prediction, step, memory.
+    #[arg(long, value_name = "FILE.csv")]
+    pub log: Option<PathBuf>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Without a display or a Vulkan device that shows pictures on it; a model that cannot be read.
+pub fn run(options: &Options) -> Result<()> {
+    let target = parse_target(&options.target).context("--target")?;
+    if !(1.0..=64.0).contains(&options.coarsest) {
+        bail!("--coarsest is {}; it must be 1 to 64 reference steps", options.coarsest);
+    }
+    if !(1.0..=64.0).contains(&options.image_sample_distance) {
+        bail!("--image-sample-distance is {}; it must be 1 to 64 pixels", options.image_sample_distance);
+    }
+    if !(options.termination > 0.0 && options.termination <= 1.0) {
+        bail!("--termination is {}; it must lie in (0, 1], 1 for never", options.termination);
+    }
+    open(options, target)
+}
+
+/// Without the feature `explore` there is no window.
+#[cfg(not(feature = "explore"))]
+fn open(_: &Options, _: f64) -> Result<()> {
+    bail!(
+        "this `entire` was built without its window; build it with `make explore`, or with `cargo install --path cli \
+         --features explore`"
+    )
+}
+
+#[cfg(feature = "explore")]
+fn open(options: &Options, target: f64) -> Result<()> {
+    let model = match &options.model {
+        Some(file) => Some((file.display().to_string(), crate::files::open_model(file)?)),
+        None => None,
+    };
+    let window = entire_explore::Options {
+        volumes: options.volumes.clone(),
+        target,
+        coarsest: options.coarsest,
+        image_sample_distance: options.image_sample_distance,
+        controller: options.controller.name().to_owned(),
+        shading: options.shade.into(),
+        skipping: options.skip.into(),
+        termination: options.termination,
+        size: options.size,
+        script: options.script.clone(),
+        log: options.log.clone(),
+    };
+    entire_explore::run(window, std::sync::Arc::new(surroundings::Surroundings { model }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        options: Options,
+    }
+
+    fn said(arguments: &[&str]) -> String {
+        let line = Line::try_parse_from([&["explore"], arguments].concat()).unwrap();
+        format!("{:#}", run(&line.options).unwrap_err())
+    }
+
+    #[test]
+    fn options_are_checked_before_a_window_opens() {
+        assert!(said(&["--target", "5 bananas"]).contains("--target"));
+        assert!(said(&["--coarsest", "0.5"]).contains("1 to 64 reference steps"));
+        assert!(said(&["--image-sample-distance", "100"]).contains("1 to 64 pixels"));
+        assert!(said(&["--termination", "0"]).contains("(0, 1]"));
+    }
+
+    #[cfg(not(feature = "explore"))]
+    #[test]
+    fn a_build_without_the_window_says_how_to_get_it() {
+        assert!(said(&[]).contains("--features explore"));
+    }
+}

@@ -1,0 +1,259 @@
+//! What the window needs of this program: readers of volumes, predictors, controllers, path files.
+
+use crate::files::write_json;
+use crate::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Point, Transfer};
+use crate::steering::contenders::{ControllerKind, controller};
+use crate::steering::fit::SteeringModel;
+use crate::steering::race::shipped_model;
+use crate::steering::rivals::StepResponse;
+use crate::volume::{Volume, Watcher};
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use entire_core::Session;
+use entire_core::adapt::Prior;
+use entire_core::model::Model;
+use entire_core::predict::AnalyticModel;
+use entire_core::scene::{Arcball, Shading, VolumeView};
+use entire_explore::{Host, Progress, RecordedTransfer, Recording, Steering, VolumeSource};
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Share of a frame that a coarser step does not save, as rivals take it that go by a response curve which
+/// nobody measured here.
+const FIXED_SHARE: f32 = 0.1;
+
+/// What the window needs, from this program.
+pub(super) struct Surroundings {
+    /// The model file that was given, by its name.
+    pub(super) model: Option<(String, Model)>,
+}
+
+/// A volume file in memory.
+struct Opened(Volume);
+
+impl VolumeSource for Opened {
+    fn view(&self) -> VolumeView<'_> {
+        self.0.view()
+    }
+}
+
+/// Follows a file's reading for the window.
+struct Follower(Arc<Progress>);
+
+impl Watcher for Follower {
+    fn expect(&self, bytes: u64) {
+        self.0.expect(bytes);
+    }
+
+    fn advance(&self, bytes: u64) -> io::Result<()> {
+        self.0.advance(bytes);
+        if self.0.is_cancelled() {
+            return Err(io::Error::other("cancelled"));
+        }
+        Ok(())
+    }
+}
+
+/// A predictor for one volume.
+struct Predicts {
+    /// None for the untrained analytic model.
+    model: Option<SteeringModel>,
+    /// Whether the model was calibrated to this machine, as a model that was given is taken to be.
+    calibrated: bool,
+}
+
+impl Steering for Predicts {
+    fn title(&self) -> String {
+        match &self.model {
+            Some(model) if self.calibrated => format!("predicted by {}", model.title()),
+            Some(model) => format!("predicted by {}, corrected by every frame", model.title()),
+            None => "predicted by an untrained analytic model, corrected by every frame".to_owned(),
+        }
+    }
+
+    fn volume_features(&self) -> Option<&[f32]> {
+        self.model.as_ref().and_then(SteeringModel::volume_features)
+    }
+
+    fn session(&self, name: &str) -> Result<Session> {
+        let kind = ControllerKind::from_name(name).with_context(|| format!("no controller {name:?}"))?;
+        let predictor = match &self.model {
+            Some(model) => model.predictor()?,
+            None => Box::new(AnalyticModel::new()),
+        };
+        // What a model knows of its errors holds on the machine that it was fitted on.
+        let prior = match predictor.log_sd() {
+            Some(log_sd) if self.calibrated => Prior::Fitted { log_sd },
+            _ => Prior::Unknown,
+        };
+        let steers = controller(kind, 4.0, &StepResponse::inverse_step(FIXED_SHARE), prior);
+        Ok(Session::with_controller(predictor, steers))
+    }
+}
+
+impl Host for Surroundings {
+    fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Arc<dyn VolumeSource>> {
+        let volume = Volume::open_watched(file, Some(Arc::new(Follower(Arc::clone(progress)))))?;
+        Ok(Arc::new(Opened(volume)))
+    }
+
+    fn steering(&self, volume: &VolumeView<'_>, shading: Shading) -> Result<Arc<dyn Steering>> {
+        let calibrated = self.model.is_some();
+        let model = match &self.model {
+            Some((title, model)) => Some(SteeringModel::new(title.clone(), model.clone(), volume)?),
+            None => match shipped_model(shading)? {
+                Some((title, file)) => {
+                    let title = title.trim_end_matches(", calibrated").to_owned();
+                    Some(SteeringModel::new(title, file.to_model()?, volume)?)
+                }
+                None => None,
+            },
+        };
+        Ok(Arc::new(Predicts { model, calibrated }))
+    }
+
+    fn controllers(&self) -> Vec<(&'static str, &'static str)> {
+        ControllerKind::value_variants().iter().map(|k| (k.name(), k.title())).collect()
+    }
+
+    fn save_recording(&self, file: &Path, recording: &Recording) -> Result<()> {
+        let path = path_file(recording);
+        // What could not be played is not written.
+        path.resolve().context("the recording cannot be played")?;
+        write_json(file, &path)
+    }
+
+    fn calibration(&self, volume: &Path, shading: Shading) -> String {
+        let set = match shading {
+            Shading::None => "unshaded",
+            other => other.name(),
+        };
+        let shown = volume.display();
+        format!(
+            "entire collect {shown} --shade {} --out timings.csv && entire train --data timings.csv --calibrate \
+             models/{set}-selected.safetensors --out calibrated.safetensors && entire explore {shown} --model \
+             calibrated.safetensors",
+            shading.name()
+        )
+    }
+}
+
+/// A recording as a path file. What did not change is held by a keyframe before what did.
+fn path_file(recording: &Recording) -> PathFile {
+    let frames = &recording.frames;
+    let mut keys: Vec<Keyframe> = (0..frames.len() as u32)
+        .map(|frame| Keyframe { frame, camera: None, transfer: None, switch: false })
+        .collect();
+    let pose = |i: usize| {
+        let Arcball { rx, ry, dz } = frames[i].camera;
+        CameraPose { rx_deg: rx, ry_deg: ry, dz_radii: dz }
+    };
+    let mut held: Option<Transfer> = None;
+    for (i, frame) in frames.iter().enumerate() {
+        if i == 0 || pose(i) != pose(i - 1) {
+            keys[i].camera = Some(pose(i));
+            keys[i].switch |= i > 0 && frame.camera_switched;
+            if i > 0 {
+                keys[i - 1].camera = Some(pose(i - 1));
+            }
+        }
+        if let Some(found) = frame.transfer.as_ref().map(transfer) {
+            let dragged = held.as_ref().filter(|h| !frame.transfer_switched && alike(h, &found)).cloned();
+            keys[i].switch |= i > 0 && dragged.is_none();
+            if let (Some(before), true) = (dragged, i > 0) {
+                keys[i - 1].transfer = Some(before);
+            }
+            keys[i].transfer = Some(found.clone());
+            held = Some(found);
+        }
+    }
+    keys.retain(|k| k.camera.is_some() || k.transfer.is_some());
+    PathFile {
+        format: PATH_FORMAT.into(),
+        name: "recorded".into(),
+        frames: frames.len() as u32,
+        fov_y_deg: recording.fov_y_degrees,
+        keyframes: keys,
+    }
+}
+
+/// Whether one can be interpolated to the other.
+fn alike(a: &Transfer, b: &Transfer) -> bool {
+    match (a, b) {
+        (Transfer::Lobes(a), Transfer::Lobes(b)) => a.len() == b.len(),
+        (Transfer::Points(a), Transfer::Points(b)) => a.len() == b.len(),
+        _ => false,
+    }
+}
+
+fn transfer(recorded: &RecordedTransfer) -> Transfer {
+    match recorded {
+        RecordedTransfer::Lobes(lobes) => Transfer::Lobes(
+            lobes.iter().map(|l| Lobe { center: l.center, width: l.width, height: l.height }).collect(),
+        ),
+        RecordedTransfer::Points(points) => Transfer::Points(
+            points
+                .iter()
+                .map(|p| Point { position: p.position, color: p.color, opacity: p.opacity })
+                .collect(),
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_core::GaussianLobe;
+    use entire_explore::RecordedFrame;
+
+    #[test]
+    fn a_recording_plays_as_it_was_made() {
+        let lobes =
+            |height| Some(RecordedTransfer::Lobes(vec![GaussianLobe { center: 0.5, width: 0.01, height }]));
+        let at = |ry| Arcball { rx: 10.0, ry, dz: 2.0 };
+        let frame = |ry, camera_switched, transfer| RecordedFrame {
+            camera: at(ry),
+            camera_switched,
+            transfer,
+            transfer_switched: false,
+        };
+        let recording = Recording {
+            fov_y_degrees: 40.0,
+            frames: vec![
+                frame(0.0, false, lobes(0.1)),
+                frame(0.0, false, None),
+                frame(0.0, false, None),
+                frame(4.0, false, None),
+                frame(90.0, true, None),
+                RecordedFrame { transfer_switched: true, ..frame(90.0, false, lobes(0.3)) },
+                frame(90.0, false, None),
+                frame(90.0, false, lobes(0.4)),
+            ],
+        };
+        let file = path_file(&recording);
+        let path = file.resolve().unwrap();
+        assert_eq!(path.fov_y_degrees, 40.0);
+        let angles: Vec<f32> = path.frames.iter().map(|f| f.camera.ry).collect();
+        assert_eq!(angles, [0.0, 0.0, 0.0, 4.0, 90.0, 90.0, 90.0, 90.0], "{file:?}");
+        assert_eq!(path.switches(), [4, 5], "the drag is no switch");
+        let heights: Vec<f32> = path.frames.iter().map(|f| f.transfer.lobes().unwrap()[0].height).collect();
+        assert_eq!(heights, [0.1, 0.1, 0.1, 0.1, 0.1, 0.3, 0.3, 0.4]);
+    }
+
+    #[test]
+    fn reading_is_followed_and_can_be_stopped() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("v.nrrd");
+        let header = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 64 64 64\nencoding: raw\n\n";
+        std::fs::write(&file, [header.as_bytes(), &[7; 64 * 64 * 64]].concat()).unwrap();
+        let host = Surroundings { model: None };
+        let progress = Arc::new(Progress::default());
+        let volume = host.open(&file, &progress).unwrap();
+        assert_eq!((volume.view().dims(), progress.share()), ([64; 3], 1.0));
+        let progress = Arc::new(Progress::default());
+        progress.cancel();
+        let error = host.open(&file, &progress).err().unwrap();
+        assert!(format!("{error:#}").contains("cancelled"), "{error:#}");
+    }
+}

@@ -1,0 +1,308 @@
+"""The window as a person uses it, under Xvfb with xdotool: open, drag, edit, switch, resize, screenshot, close.
+
+    python3 explore/tests/window.py ENTIRE [TEST…]
+    python3 explore/tests/window.py --can
+
+ENTIRE is the command, built with the feature `explore`. Says what it skips and why; fails when a test does.
+With --can only the exit status says whether the tests can run here.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+import window_tools as tools  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[2]
+BANANA = ROOT / "data/mr_banana.nrrd"
+LOBES = [[0.55, 0.01, 0.3]]
+
+
+def skip(name, reason):
+    print(f"{name}: skipped: {reason}")
+    if os.environ.get("ENTIRE_SKIPPED"):
+        with open(os.environ["ENTIRE_SKIPPED"], "a") as file:
+            file.write(f"{name}: {reason}\n")
+
+
+def at(frame, **action):
+    return json.dumps({"frame": frame, **action})
+
+
+class Person:
+    """A window with a person before it."""
+
+    def __init__(self, command, display, folder, volume):
+        self.display, self.folder = display, folder
+        self.log = folder / "frames.csv"
+        environment = {**display.environment, "XDG_STATE_HOME": str(folder / "state")}
+        if tools.has_validation():
+            environment["ENTIRE_VALIDATION"] = "1"
+        arguments = ["--target", "60ms", "--size", "1000x760", "--log", self.log]
+        self.program = subprocess.Popen(
+            list(map(str, [command, "explore", volume, *arguments])),
+            env=environment,
+            cwd=folder,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self.id = display.window("entire explore · ")
+        display.xdotool("windowmove", "--sync", self.id, 0, 0)
+        display.xdotool("windowfocus", "--sync", self.id)
+        self.settle()
+
+    def view(self):
+        """The pixels of the view's middle."""
+        return self.display.pixels((100, 120, 420, 320))
+
+    def settle(self, seconds=40):
+        """Waits until the picture stands still."""
+        end = time.monotonic() + seconds
+        before = self.view()
+        still = 0
+        while time.monotonic() < end and still < 4:
+            time.sleep(0.3)
+            now = self.view()
+            still = still + 1 if now == before else 0
+            before = now
+        assert still >= 4, "the picture does not come to rest"
+        return before
+
+    def drag(self, start, end, button=1, steps=8):
+        x = self.display.xdotool
+        x("mousemove", *start)
+        x("mousedown", button)
+        for i in range(1, steps + 1):
+            x("mousemove", *[round(a + (b - a) * i / steps) for a, b in zip(start, end)])
+            time.sleep(0.03)
+        x("mouseup", button)
+
+    def key(self, name):
+        self.display.xdotool("key", name)
+
+    def close(self):
+        self.key("ctrl+q")
+        _, said = self.program.communicate(timeout=60)
+        assert self.program.returncode == 0, f"the window ended with {self.program.returncode}: {said}"
+        return tools.read_log(self.log)
+
+
+def a_person_explores(command, display, folder):
+    """Open, turn, zoom, edit, take back, switch, resize, screenshot, close; nothing to say for the validation layer."""
+    person = Person(command, display, folder, BANANA)
+    first = person.view()
+    assert len(set(first[2])) > 20, "the view is empty"
+
+    person.drag((250, 300), (400, 340))
+    turned = person.settle()
+    assert tools.mean_difference(first, turned) > 1, "dragging turned nothing"
+
+    display.xdotool("mousemove", 300, 300)
+    for _ in range(4):
+        display.xdotool("click", 4)
+        time.sleep(0.05)
+    zoomed = person.settle()
+    assert tools.mean_difference(turned, zoomed) > 1, "scrolling zoomed nothing"
+
+    person.key("r")
+    start = person.settle()
+    # The editor stands in the upper right corner, 340 points wide: a handle for opacity is taken and pulled down,
+    # wherever it is along the curve.
+    before = tools.mean_difference(start, start)
+    for x in range(680, 985, 6):
+        person.drag((x, 70), (x, 170), steps=3)
+    edited = person.settle()
+    if tools.mean_difference(start, edited) <= before:
+        # No handle stood on that row: a new one does.
+        display.xdotool("mousemove", 900, 80, "click", "--repeat", 2, "--delay", 60, 1)
+        edited = person.settle()
+    assert tools.mean_difference(start, edited) > 0.2, "editing changed nothing"
+    for _ in range(60):
+        person.key("ctrl+z")
+    back = person.settle()
+    assert tools.largest_difference(start, back) <= 2, "what was edited is not taken back"
+
+    for key in "123":
+        person.key(key)
+        time.sleep(0.2)
+    top = person.settle()
+    assert tools.mean_difference(back, top) > 1, "keys switched nothing"
+
+    person.key("ctrl+p")
+    shot = folder / "screenshot.png"
+    end = time.monotonic() + 120
+    while not shot.exists() and time.monotonic() < end:
+        time.sleep(0.2)
+    time.sleep(0.5)
+    assert tools.read_png(shot)[:2] == (1280, 720)
+
+    display.xdotool("windowsize", "--sync", person.id, 1200, 880)
+    time.sleep(1.0)
+    person.settle()
+    for size in ((640, 480), (900, 700), (1000, 760)):
+        display.xdotool("windowsize", person.id, *size)
+        time.sleep(0.15)
+    person.settle()
+    log = person.close()
+    frames = log["frame"]
+    widths = {int(float(f["width"]) * float(f["image_sample_distance"]) + 0.5) // 20 for f in frames}
+    assert len(widths) > 2, f"the picture did not follow the window: {widths}"
+    late = max(int(f["input_frames"]) for f in frames)
+    assert late <= 1, f"an event's picture came {late} frames late"
+    assert any(int(f["input_frames"]) == 1 for f in frames), "no frame knows of an event"
+    assert "rest" in log, "the picture was never refined"
+
+
+def screenshots_are_those_of_render(command, display, folder):
+    """The same pixels as `entire render`, whatever the window does."""
+    camera, size = [20, 35, 2.5], [333, 257]
+    for shading in ("none", "local", "scatter"):
+        ours, theirs = folder / f"{shading}.png", folder / f"{shading}-render.png"
+        lines = [
+            at(0, lobes=LOBES),
+            at(0, camera=camera),
+            at(0, shading=shading),
+            at(4, screenshot={"file": str(ours), "size": size}),
+            at(5, quit=True),
+        ]
+        tools.run_script(command, display, lines, folder, [BANANA, "--size", "800x600"])
+        tf = ",".join(str(v) for lobe in LOBES for v in lobe)
+        arguments = ["--camera", ",".join(map(str, camera)), "--tf", tf, "--size", "x".join(map(str, size))]
+        subprocess.run(
+            [command, "render", BANANA, *arguments, "--shade", shading, "--device", "vulkan", "--out", theirs],
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
+        apart = tools.largest_difference(tools.read_png(ours), tools.read_png(theirs))
+        assert apart <= 2, f"{shading}: {apart} of 255"
+
+
+def a_script_switches_everything(command, display, folder):
+    """Controllers, modes, sizes, parts, files, a lost device: every frame is drawn, the layer says nothing."""
+    transfer, path = folder / "transfer.json", folder / "path.json"
+    lines = [at(0, record=True), at(0, spin=[1.5, 0.3])]
+    for i, name in enumerate(["hybrid", "olp", "algorithm1", "pid", "hybrid"]):
+        lines.append(at(4 * i, controller=name))
+    lines += [
+        at(20, shading="local"),
+        at(23, skipping="distance"),
+        at(26, shading="none"),
+        at(28, preset="core"),
+        at(29, drag=[0.002, 0.001]),
+        at(34, drag=[0, 0]),
+        at(35, save_transfer=str(transfer)),
+        at(36, preset="haze"),
+        at(37, undo=True),
+        at(38, load_transfer=str(transfer)),
+        at(40, size=[700, 500]),
+        at(44, steering=False),
+        at(46, steering=True),
+        at(47, save_recording=str(path)),
+        at(48, crop=[[40, 200], [40, 200], [2, 14]]),
+        at(52, map=True),
+        at(53, rest=True),
+        at(54, crop=None),
+        at(56, lose_device=True),
+        at(60, rest=True),
+        at(64, quit=True),
+    ]
+    validation = tools.has_validation()
+    log = tools.run_script(
+        command, display, lines, folder, [BANANA, "--size", "900x650", "--target", "50ms"], validation=validation
+    )
+    assert len(log["frame"]) >= 64 and len(log["rest"]) == 2
+    said = {f["controller"] for f in log["frame"]}
+    assert said == {"hybrid", "olp", "algorithm1", "pid"}, said
+    assert "off" in {f["reason"] for f in log["frame"]}
+    recorded = json.loads(path.read_text())
+    assert recorded["frames"] == 47 and len(recorded["keyframes"]) > 30
+    arguments = ["--target", "50ms", "--calibrate", "8", "--size", "48x48", "--controllers", "hybrid"]
+    subprocess.run(
+        [command, "steer", BANANA, "--path", path, *arguments, "--out", folder / "steer"],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    assert (folder / "steer/report.html").is_file()
+
+
+def a_series_plays_in_the_background(command, display, folder):
+    """Steps of a series come one after the other while the one before is shown."""
+    steps = sorted((ROOT / "data/nyx_cosmology/m01").glob("*.nrrd"))[:2]
+    if len(steps) < 2:
+        steps = [BANANA, BANANA]
+    lines = [at(0, spin=[1, 0]), at(5, open=str(steps[1])), at(10, open=str(steps[0])), at(15, quit=True)]
+    log = tools.run_script(command, display, lines, folder, [*steps, "--size", "700x500"])
+    assert len(log["open"]) == 3 and len(log["frame"]) >= 15
+
+
+def without_a_display_it_says_so(command, display, folder):
+    """One line with the remedy."""
+    environment = {k: v for k, v in display.environment.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run([command, "explore", BANANA], env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1 and "xvfb-run" in done.stderr and done.stderr.count("\n") == 1, done.stderr
+
+
+def what_is_wrong_is_said(command, display, folder):
+    """A missing file and a wrong script end a scripted window with one line."""
+    for volume, line, says in (
+        (folder / "none.nrrd", at(0, quit=True), "no such file"),
+        (BANANA, '{"frame": 0, "dance": true}', "line 1"),
+        (BANANA, at(0, preset="nothing"), "no preset"),
+    ):
+        try:
+            tools.run_script(command, display, [line], folder, [volume, "--size", "640x480"])
+        except AssertionError as error:
+            assert says in str(error), error
+        else:
+            raise AssertionError(f"{says}: nothing was said")
+
+
+TESTS = [
+    without_a_display_it_says_so,
+    what_is_wrong_is_said,
+    screenshots_are_those_of_render,
+    a_script_switches_everything,
+    a_series_plays_in_the_background,
+    a_person_explores,
+]
+
+
+def main():
+    if sys.argv[1:] == ["--can"]:
+        return 1 if tools.missing() else 0
+    command = Path(sys.argv[1]).resolve()
+    wanted = sys.argv[2:]
+    why = tools.missing()
+    if why:
+        skip("test-explore", why)
+        return 0
+    if not tools.has_validation():
+        skip("test-explore, validation", "the layer is not installed (apt-get install vulkan-validationlayers)")
+    failed = 0
+    with tools.Display() as display:
+        for test in TESTS:
+            if wanted and test.__name__ not in wanted:
+                continue
+            folder = Path(tempfile.mkdtemp(prefix="entire-explore-"))
+            begin = time.monotonic()
+            try:
+                test(command, display, folder)
+            except Exception as error:  # noqa: BLE001: every failure is told, and the next test runs
+                failed += 1
+                print(f"test {test.__name__} ... FAILED: {type(error).__name__}: {error}", flush=True)
+            else:
+                print(f"test {test.__name__} ... ok ({time.monotonic() - begin:.1f} s)", flush=True)
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

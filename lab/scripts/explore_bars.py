@@ -1,0 +1,199 @@
+"""The window's bars: `bar NAME VALUE LIMIT ok|short` for each; fails when one is short.
+
+    python3 lab/scripts/explore_bars.py ENTIRE [--out DIR] [--only NAME,…]
+
+ENTIRE is the command, built with the feature `explore`. Everything runs under Xvfb, with whatever Vulkan driver there is.
+The frame logs stay in DIR.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "explore/tests"))
+import window_tools as tools  # noqa: E402
+
+VOLUME = ROOT / "data/nyx_cosmology/m01/t0010.nrrd"
+PRESETS = ["layers", "core", "haze", "shell", "ramp", "solid"]
+FRAMES = 600
+SWITCHES = 12
+MANY_FRAMES = 10_000
+
+
+def at(frame, **action):
+    return json.dumps({"frame": frame, **action})
+
+
+def bar(name, value, limit, digits=4):
+    good = value <= limit
+    print(f"bar {name} {value:.{digits}f} {limit} {'ok' if good else 'short'}", flush=True)
+    return good
+
+
+def session():
+    """600 frames of turning with 12 switches: of the transfer function, and of camera and transfer function."""
+    lines = [at(0, spin=[1.2, 0.1])]
+    for i in range(1, SWITCHES + 1):
+        frame = i * FRAMES // (SWITCHES + 1)
+        lines.append(at(frame, preset=PRESETS[i % len(PRESETS)]))
+        if i % 3 == 0:
+            lines.append(at(frame, camera=[10 + 5 * i, 40 * i, 1.6 + 0.1 * i]))
+    return lines + [at(FRAMES, quit=True)]
+
+
+def numbers(rows, column):
+    return [float(row[column]) for row in rows if row[column]]
+
+
+def middle(values):
+    values = sorted(values)
+    return values[len(values) // 2]
+
+
+def steering(command, display, folder):
+    log = tools.run_script(command, display, session(), folder, [VOLUME])
+    rows = log["frame"]
+    assert len(rows) == FRAMES, f"{len(rows)} frames"
+    errors = [float(r["seconds"]) / float(r["target_seconds"]) - 1 for r in rows]
+    switched = sum(int(r["switched"]) for r in rows)
+    print(f"     {FRAMES} frames of 1280 x 800, {switched} switches, target {float(rows[0]['target_seconds']) * 1e3:.0f} ms")
+    good = bar("explore_missed_share", sum(e > 0.25 for e in errors) / FRAMES, 0.03)
+    good &= bar("explore_mean_error", sum(map(abs, errors)) / FRAMES, 0.12)
+    cpu = numbers(rows, "interface_cpu_seconds")
+    good &= bar("explore_interface_ms", middle(cpu) * 1e3, 2.0, 3)
+    shown = middle(numbers(rows, "shown_seconds"))
+    print(f"     the device draws the interface in {shown * 1e3:.1f} ms (median; part of the frame, not of that bar)")
+    return good
+
+
+def latency(command, display, folder):
+    log = folder / "frames.csv"
+    program = subprocess.Popen(
+        list(map(str, [command, "explore", VOLUME, "--log", log])),
+        env={**display.environment, "XDG_STATE_HOME": str(folder)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    window = display.window("entire explore · ")
+    display.xdotool("windowmove", "--sync", window, 0, 0)
+    display.xdotool("windowfocus", "--sync", window)
+    x = display.xdotool
+    for turn in range(6):
+        x("mousemove", 200, 300)
+        x("mousedown", 1)
+        for i in range(25):
+            x("mousemove", 200 + 8 * i, 300 + 3 * turn)
+        x("mouseup", 1)
+    x("key", "ctrl+q")
+    _, said = program.communicate(timeout=120)
+    assert program.returncode == 0, said
+    lags = [int(r["input_frames"]) for r in tools.read_log(log)["frame"] if int(r["input_frames"]) > 0]
+    print(f"     {len(lags)} frames drawn for events of the mouse")
+    assert len(lags) > 20
+    return bar("explore_input_frames", max(lags), 1, 0)
+
+
+def opening(command, display, folder):
+    volume = folder / "ball-256.nrrd"
+    tools.write_volume(volume, 256)
+    seconds = []
+    for _ in range(5):
+        log = tools.run_script(command, display, [at(3, quit=True)], folder, [volume])
+        seconds.append(float(log["open"][0]["seconds"]))
+    return bar("explore_open_seconds", middle(seconds), 0.6)
+
+
+def resting(command, display, folder):
+    lines = [at(0, preset="layers"), at(0, camera=[20, 30, 2.2])]
+    for i in range(5):
+        lines += [at(4 + 4 * i, full_frame=True), at(5 + 4 * i, rest=True), at(6 + 4 * i, full_frame=True)]
+    log = tools.run_script(command, display, lines + [at(30, quit=True)], folder, [VOLUME])
+    rest, full = numbers(log["rest"], "seconds"), numbers(log["full"], "seconds")
+    # Each rest against the full frames before and after it.
+    shares = [2 * r / (full[2 * i] + full[2 * i + 1]) - 1 for i, r in enumerate(rest)]
+    print(f"     full frame {middle(full):.3f} s, to rest {middle(rest):.3f} s")
+    good = bar("explore_rest_overhead", middle(shares), 0.15)
+    slices = numbers(log["rest"], "shown_seconds")
+    target = float(log["rest"][0]["target_seconds"])
+    return good & bar("explore_longest_slice_to_target", max(slices) / target, 1.0)
+
+
+def screenshot(command, display, folder):
+    camera, lobes, size = [20, 35, 2.5], [[0.4, 0.01, 0.6], [0.7, 0.02, 0.2]], [640, 400]
+    ours, theirs = folder / "ours.png", folder / "theirs.png"
+    lines = [
+        at(0, lobes=lobes),
+        at(0, camera=camera),
+        at(3, screenshot={"file": str(ours), "size": size}),
+        at(4, quit=True),
+    ]
+    tools.run_script(command, display, lines, folder, [VOLUME])
+    tf = ",".join(str(v) for lobe in lobes for v in lobe)
+    arguments = ["--camera", ",".join(map(str, camera)), "--tf", tf, "--size", "x".join(map(str, size))]
+    subprocess.run(
+        list(map(str, [command, "render", VOLUME, *arguments, "--device", "vulkan", "--out", theirs])),
+        check=True,
+        stdout=subprocess.DEVNULL,
+    )
+    apart = tools.largest_difference(tools.read_png(ours), tools.read_png(theirs))
+    return bar("explore_screenshot_difference", apart, 2, 0)
+
+
+def memory(command, display, folder):
+    lines = [at(0, spin=[1.0, 0.2]), at(0, target=0.008)]
+    for i, frame in enumerate(range(50, MANY_FRAMES, 97)):
+        lines.append(at(frame, preset=PRESETS[i % len(PRESETS)]))
+    lines.append(at(MANY_FRAMES, quit=True))
+    arguments = [ROOT / "data/mr_banana.nrrd", "--size", "480x400"]
+    log = tools.run_script(command, display, lines, folder, arguments, seconds=1500)
+    used = numbers(log["frame"], "resident_bytes")
+    assert len(used) == MANY_FRAMES
+    # Every preset has been there by then, and the graph is full.
+    tenth = MANY_FRAMES // 10
+    early, late = max(used[tenth : 2 * tenth]), max(used[-tenth:])
+    print(f"     {MANY_FRAMES} frames, {early / 2**20:.1f} MiB in use after the first tenth, {late / 2**20:.1f} at the end")
+    return bar("explore_memory_growth_mib", max(0.0, late - early) / 2**20, 4.0, 2)
+
+
+BARS = [steering, latency, opening, resting, screenshot, memory]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("entire")
+    parser.add_argument("--out", default="out/explore")
+    parser.add_argument("--only", default="", help=", ".join(b.__name__ for b in BARS))
+    options = parser.parse_args()
+    why = tools.missing()
+    if why:
+        print(f"bars-explore: {why}")
+        return 1
+    command, only = Path(options.entire).resolve(), [name for name in options.only.split(",") if name]
+    # The shipped models are found from the project's root.
+    os.chdir(ROOT)
+    out = Path(options.out)
+    out.mkdir(parents=True, exist_ok=True)
+    print(f"     load {' '.join(f'{v:.2f}' for v in os.getloadavg())} on {os.cpu_count()} logical processors")
+    good = True
+    with tools.Display() as display:
+        for measure in BARS:
+            if only and measure.__name__ not in only:
+                continue
+            folder = Path(tempfile.mkdtemp(prefix="entire-explore-"))
+            try:
+                good &= measure(command, display, folder)
+                if (folder / "frames.csv").is_file():
+                    shutil.copy(folder / "frames.csv", out / f"{measure.__name__}.csv")
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

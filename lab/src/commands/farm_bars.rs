@@ -1,0 +1,148 @@
+//! `entire-lab farm-bars`, `farm-simulate` and `farm-stand-in`: what `make bars-farm` is made of.
+
+use crate::bars;
+use crate::farm::{bars as studies, stand_in};
+use anyhow::{Result, ensure};
+use entire_cli::farm::dispatch::Order;
+use entire_cli::farm::load::Loads;
+use entire_cli::farm::planner::Setting;
+use entire_cli::farm::simulate::{World, simulate};
+use entire_cli::farm::{By, read_tasks, times, volume_numbers};
+use entire_core::schedule::lower_bound;
+use std::path::PathBuf;
+
+/// Measure the bars of render farms that need no engine.
+#[derive(Debug, clap::Args)]
+pub struct BarsOptions {
+    /// Folder of the timing tables.
+    #[arg(long, default_value = "data/timings", value_name = "DIR")]
+    pub data: PathBuf,
+    /// Folder of the shipped models.
+    #[arg(long, default_value = "models", value_name = "DIR")]
+    pub models: PathBuf,
+    /// Folder for the job of a million tasks.
+    #[arg(long, default_value = "out/farm-bars", value_name = "DIR")]
+    pub out: PathBuf,
+    /// Random starts of the local search.
+    #[arg(long, default_value_t = 1000, value_name = "N")]
+    pub starts: u64,
+    /// Simulated runs of which the end is foretold.
+    #[arg(long, default_value_t = 40, value_name = "N")]
+    pub runs: u64,
+    /// Print the bars, and fail when one is short.
+    #[arg(long)]
+    pub bars: bool,
+}
+
+/// Runs `entire-lab farm-bars`.
+///
+/// # Errors
+/// When data cannot be read; with --bars when a bar is short.
+pub fn run_bars(options: &BarsOptions) -> Result<()> {
+    ensure!(options.starts > 0 && options.runs > 0, "--starts and --runs must be at least 1");
+    let found = studies::all(&options.data, &options.models, &options.out, options.starts, options.runs)?;
+    if options.bars { bars::print(&found) } else { Ok(()) }
+}
+
+/// Simulate a farm on a task list with both times, and print what comes out as JSON.
+#[derive(Debug, clap::Args)]
+pub struct SimulateOptions {
+    /// The task list.
+    #[arg(value_name = "TASKS.csv")]
+    pub tasks: PathBuf,
+    /// Slots.
+    #[arg(long, value_name = "N")]
+    pub slots: usize,
+    /// Times by which these seconds are multiplied.
+    #[arg(long, default_value_t = 1.0, value_name = "X")]
+    pub scale: f64,
+    /// Seconds of a slot that each bundle costs.
+    #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
+    pub latency: f64,
+    /// Seconds of the engine that each bundle costs, one after the other.
+    #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
+    pub dispatch: f64,
+    /// Seconds of a bundle that the planner reckons with.
+    #[arg(long, value_name = "SECONDS")]
+    pub overhead: Option<f64>,
+    /// Tasks in the order of the list.
+    #[arg(long)]
+    pub arrival: bool,
+    /// All tasks taken for equally long.
+    #[arg(long)]
+    pub uniform: bool,
+    /// Slots keep their volume.
+    #[arg(long)]
+    pub bound: bool,
+}
+
+/// Runs `entire-lab farm-simulate`.
+///
+/// # Errors
+/// When the list lacks a time.
+pub fn run_simulate(options: &SimulateOptions) -> Result<()> {
+    ensure!(options.slots > 0, "--slots is 0; at least one is needed");
+    let tasks = read_tasks(&options.tasks)?;
+    let scaled = |by: By| -> Result<Vec<f64>> {
+        Ok(times(&tasks, by)?.into_iter().map(|t| t * options.scale).collect())
+    };
+    let (base, truth) = (scaled(By::Predicted)?, scaled(By::Measured)?);
+    let base = if options.uniform { vec![1.0; base.len()] } else { base };
+    let volume = volume_numbers(&tasks);
+    let volumes = volume.iter().max().map_or(1, |v| v + 1);
+    let mut load = vec![0.0; volumes];
+    for (task, v) in tasks.iter().zip(&volume) {
+        load[*v] = task.load_s * options.scale;
+    }
+    let plain = options.arrival || options.uniform;
+    let setting = Setting {
+        slots: options.slots,
+        bound: options.bound,
+        overhead: options.overhead.unwrap_or(options.latency + options.dispatch),
+        limit: None,
+        order: if plain { Order::Arrival } else { Order::LongestFirst },
+        learn: !options.uniform,
+    };
+    let mut planner = studies::plan(&base, &volume, Loads::known(load.clone()), setting);
+    if options.uniform {
+        planner.set_uniform();
+    }
+    let world = World {
+        seconds: truth.clone(),
+        volume,
+        load_cold: load.clone(),
+        load_warm: load,
+        speeds: vec![1.0; options.slots],
+        latency: options.latency,
+        dispatch: options.dispatch,
+        bound: options.bound,
+        ..World::default()
+    };
+    let out = simulate(&mut planner, &world, &[]);
+    let bound = lower_bound(&truth, &world.speeds)?;
+    let json = serde_json::json!({
+        "makespan_s": out.makespan, "lower_bound_s": bound, "bundles": out.bundles, "loads": out.loads,
+    });
+    println!("{json}");
+    Ok(())
+}
+
+/// Stand in for a renderer in `entire farm`: take as long as a list says.
+#[derive(Debug, clap::Args)]
+pub struct StandInOptions {
+    /// The task list, by the job's ids.
+    #[arg(value_name = "TASKS.csv")]
+    pub tasks: PathBuf,
+    /// Times by which its seconds are multiplied.
+    #[arg(long, default_value_t = 1.0, value_name = "X")]
+    pub scale: f64,
+}
+
+/// Runs `entire-lab farm-stand-in`.
+///
+/// # Errors
+/// When a task is not in the list.
+pub fn run_stand_in(options: &StandInOptions) -> Result<()> {
+    ensure!(options.scale.is_finite() && options.scale >= 0.0, "--scale is {}", options.scale);
+    stand_in::serve(&options.tasks, options.scale)
+}

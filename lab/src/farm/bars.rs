@@ -1,0 +1,276 @@
+//! The bars of `entire farm` that need no engine: schedules of recorded frames, loads, foretold ends, planning
+//! at scale. The simulator runs the planner that drives real engines.
+
+use super::search::{Problem, best_of};
+use super::tables::{HELD_OUT, tasks};
+use crate::bars::Bar;
+use anyhow::{Context, Result};
+use entire_cli::farm::dispatch::Order;
+use entire_cli::farm::drive;
+use entire_cli::farm::job::Job;
+use entire_cli::farm::learn::{Shape, TOLD};
+use entire_cli::farm::load::Loads;
+use entire_cli::farm::planner::{Planner, Setting};
+use entire_cli::farm::simulate::{World, simulate};
+use entire_cli::farm::{Task, predict, volume_numbers};
+use entire_cli::metrics::median;
+use entire_core::schedule::{assign_longest_first, lower_bound};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use std::path::Path;
+use std::time::Instant;
+
+/// Tasks of the paper's database.
+const PAPER: usize = 384;
+
+fn predicted(tasks: &[Task]) -> Vec<f64> {
+    tasks.iter().map(|t| t.predicted_s.unwrap_or(1.0)).collect()
+}
+
+fn measured(tasks: &[Task]) -> Vec<f64> {
+    tasks.iter().map(|t| t.measured_s.unwrap_or(1.0)).collect()
+}
+
+/// A plan of tasks whose predicted seconds a model told.
+pub fn plan(base: &[f64], volume: &[usize], loads: Loads, setting: Setting) -> Planner {
+    let shape = Shape::of_volumes(base, volume).with_constant(TOLD);
+    let mut planner = Planner::new(shape, loads, setting);
+    planner.add_stage((0..base.len() as u32).collect());
+    planner
+}
+
+/// How a plan of equal, named slots without costs is made.
+pub fn setting(slots: usize) -> Setting {
+    Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true }
+}
+
+/// Longest first on predicted over the same on measured times, no exchanges: the worst of 2 to 64 nodes.
+///
+/// # Errors
+/// When a time is not usable.
+pub fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
+    let (decide, judge) = (predicted(tasks), measured(tasks));
+    let mut worst = (0.0f64, 0);
+    for nodes in 2..=64 {
+        let speeds = vec![1.0; nodes];
+        let of = |times: &[f64]| assign_longest_first(times, &speeds)?.makespan(&judge, &speeds);
+        let ratio = of(&decide)? / of(&judge)?;
+        if ratio > worst.0 {
+            worst = (ratio, nodes);
+        }
+    }
+    Ok(worst)
+}
+
+/// Loading costs 4 mean frames, 8 nodes: the plan's end over the best that local search finds, which knows the
+/// measured times.
+///
+/// # Errors
+/// Never in practice.
+pub fn with_loads(tasks: &[Task], starts: u64) -> Result<f64> {
+    let tasks = &tasks[..tasks.len().min(PAPER)];
+    let (base, truth, volume) = (predicted(tasks), measured(tasks), volume_numbers(tasks));
+    let volumes = volume.iter().max().map_or(1, |v| v + 1);
+    let load = vec![4.0 * truth.iter().sum::<f64>() / truth.len() as f64; volumes];
+    let mut planner = plan(&base, &volume, Loads::known(load.clone()), setting(8));
+    let world = World {
+        seconds: truth.clone(),
+        volume: volume.clone(),
+        load_cold: load.clone(),
+        load_warm: load.clone(),
+        speeds: vec![1.0; 8],
+        bound: true,
+        ..World::default()
+    };
+    let out = simulate(&mut planner, &world, &[]);
+    let best = best_of(&Problem { seconds: &truth, volume: &volume, load: &load, nodes: 8 }, starts);
+    println!(
+        "loads: {} tasks of {volumes} volumes, 8 nodes: {:.3} s with {} loads; local search {best:.3} s",
+        tasks.len(),
+        out.makespan,
+        out.loads
+    );
+    Ok(out.makespan / best)
+}
+
+/// What was foretold after a tenth of the work, over runs: median error of the median, and the share of ends
+/// within the 90 % interval.
+///
+/// # Errors
+/// When there are no tasks.
+pub fn foretold(pools: &[(String, Vec<Task>)], runs: u64) -> Result<(f64, f64)> {
+    let (mut errors, mut hits) = (Vec::new(), 0);
+    for run in 0..runs {
+        let mut rng = ChaCha8Rng::seed_from_u64(1000 + run);
+        let (name, pool) = &pools[run as usize % pools.len()];
+        let mut chosen: Vec<usize> = (0..pool.len()).collect();
+        for i in (1..chosen.len()).rev() {
+            chosen.swap(i, (rng.next_u64() % (i as u64 + 1)) as usize);
+        }
+        chosen.truncate(PAPER);
+        let tasks: Vec<Task> = chosen.iter().map(|i| pool[*i].clone()).collect();
+        let (base, truth, volume) = (predicted(&tasks), measured(&tasks), volume_numbers(&tasks));
+        let slots = [4, 8, 16, 32][(run / pools.len() as u64) as usize % 4];
+        let volumes = volume.iter().max().map_or(1, |v| v + 1);
+        let mut planner = plan(&base, &volume, Loads::known(vec![0.0; volumes]), setting(slots));
+        let world = World {
+            seconds: truth,
+            volume,
+            load_cold: vec![0.0; volumes],
+            load_warm: vec![0.0; volumes],
+            speeds: vec![1.0; slots],
+            bound: true,
+            ..World::default()
+        };
+        let out = simulate(&mut planner, &world, &[0.1]);
+        let said = out.said.first().context("nothing was foretold")?.end;
+        let hit = (said[0]..=said[2]).contains(&out.makespan);
+        hits += u32::from(hit);
+        errors.push((said[1] / out.makespan - 1.0).abs());
+        println!(
+            "eta: run {run}, {name}, {slots} nodes: {:.3} ({:.3} to {:.3}) s, the end {:.3} s{}",
+            said[1],
+            said[0],
+            said[2],
+            out.makespan,
+            if hit { "" } else { ", missed" }
+        );
+    }
+    Ok((median(&mut errors).context("no runs")?, f64::from(hits) / runs as f64))
+}
+
+/// Seconds and peak memory (GB) of planning a job of 10⁶ tasks, from the job file to the last bundle.
+///
+/// # Errors
+/// When the folder cannot be written.
+pub fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
+    let volumes = folder.join("volumes");
+    entire_cli::files::make_folder(&volumes)?;
+    for i in 0..100 {
+        std::fs::write(volumes.join(format!("v{i}.raw")), vec![0u8; 1000 + i])?;
+    }
+    let transfers: String =
+        (0..10).map(|i| format!("[[transfer]]\nname = \"t{i}\"\nlobes = [[0.{i}5, 0.01, 0.5]]\n")).collect();
+    let text = format!(
+        "name = \"scale\"\nsizes = [\"256x256\", \"512x512\"]\n[[volumes]]\nfiles = [\"volumes/*.raw\"]\n\
+         [[cameras]]\nkind = \"semi-sphere\"\nviews = 500\ndistances_radii = [2.0]\n{transfers}\
+         [renderer]\nkind = \"command\"\ncommand = [\"draw\", \"{{volume}}\", \"{{out}}\"]\n"
+    );
+    let file = folder.join("scale.toml");
+    std::fs::write(&file, text)?;
+    let clock = Instant::now();
+    let job = Job::open(&file)?;
+    let base = predict::base(&job)?;
+    let how = Setting { overhead: 0.05, ..setting(1000) };
+    let mut planner = drive::planner(&job, base, how);
+    for stage in drive::stages(&job, false, |_| true) {
+        planner.add_stage(stage);
+    }
+    let eta = planner.eta(0.0);
+    let first = clock.elapsed().as_secs_f64();
+    let (mut tasks, mut bundles, mut slot) = (0, 0, 0);
+    // Tasks of which nothing is known are bundled by number; what is known makes bundles by time.
+    for task in 0..16 {
+        planner.done_before(task * 62_001, 0, 0.3);
+    }
+    while let Some(sent) = planner.next(Some(slot % 1000), 0.0) {
+        tasks += sent.tasks.len();
+        bundles += 1;
+        slot += 1;
+    }
+    let all = clock.elapsed().as_secs_f64();
+    println!(
+        "planning: {} tasks in {bundles} bundles: {first:.2} s to the first bundle and the expected end \
+         ({:.0} s), {all:.2} s to the last bundle",
+        tasks, eta[1]
+    );
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak = status.lines().find_map(|l| l.strip_prefix("VmHWM:"));
+    let kib: f64 = peak.and_then(|l| l.split_whitespace().next()?.parse().ok()).unwrap_or(f64::NAN);
+    Ok((first, all, kib / 1e6 * 1.024))
+}
+
+/// A farm of 1,000 nodes and 10⁶ tasks, simulated: end over lower bound, with and without predictions.
+///
+/// # Errors
+/// When a time is not usable.
+pub fn thousand_nodes(pool: &[Task]) -> Result<()> {
+    let n = 1_000_000;
+    let (p, m) = (predicted(pool), measured(pool));
+    // Recorded frames over and over, with loads, unequal nodes and failures.
+    let pick = |i: usize| i * 7919 % p.len();
+    let base: Vec<f64> = (0..n).map(|i| 60.0 * p[pick(i)]).collect();
+    let truth: Vec<f64> = (0..n).map(|i| 60.0 * m[pick(i)]).collect();
+    let volume: Vec<usize> = (0..n).map(|i| i / 1000).collect();
+    let speeds: Vec<f64> = (0..1000).map(|i| [0.8, 1.0, 1.0, 1.25][i % 4]).collect();
+    let load = vec![10.0; 1000];
+    let bound = lower_bound(&truth, &speeds)?;
+    for (name, order, learn) in
+        [("longest first, corrected", Order::LongestFirst, true), ("arrival order", Order::Arrival, false)]
+    {
+        let how = Setting { overhead: 0.1, order, learn, ..setting(1000) };
+        let clock = Instant::now();
+        let mut planner = plan(&base, &volume, Loads::known(load.clone()), how);
+        let world = World {
+            seconds: truth.clone(),
+            volume: volume.clone(),
+            load_cold: load.clone(),
+            load_warm: vec![2.0; 1000],
+            speeds: speeds.clone(),
+            latency: 0.1,
+            dispatch: 0.001,
+            bound: true,
+            failures_per_hour: 0.02,
+            repair: 300.0,
+            seed: 1,
+        };
+        let out = simulate(&mut planner, &world, &[]);
+        println!(
+            "simulated: 1000 nodes, 10^6 tasks, {name}: {:.0} s, {:.3} over the bound without loading, {} \
+             bundles, {} loads, {} lost (simulated in {:.1} s)",
+            out.makespan,
+            out.makespan / bound,
+            out.bundles,
+            out.loads,
+            out.lost,
+            clock.elapsed().as_secs_f64()
+        );
+    }
+    Ok(())
+}
+
+/// All bars that need no engine.
+///
+/// # Errors
+/// When data or models cannot be read.
+pub fn all(data: &Path, models: &Path, folder: &Path, starts: u64, runs: u64) -> Result<Vec<Bar>> {
+    // First: memory is that of the process at its largest.
+    let (first, last, peak) = at_scale(folder)?;
+    let mut pools = Vec::new();
+    for (table, model) in HELD_OUT {
+        pools.push((table.to_owned(), tasks(data, models, table, model)?));
+    }
+    for (name, pool) in &pools {
+        let (worst, nodes) = worst_static(pool)?;
+        println!("static: {name}, {} tasks: at worst {worst:.4} ({nodes} nodes)", pool.len());
+    }
+    let main = &pools[0].1;
+    let first_384 = &main[..main.len().min(PAPER)];
+    let (all_frames, paper) = (worst_static(main)?.0, worst_static(first_384)?.0);
+    println!("static: {PAPER} tasks of {}: at worst {paper:.4}", pools[0].0);
+    let loads = with_loads(&pools[1].1, starts)?;
+    let (error, share) = foretold(&pools, runs)?;
+    thousand_nodes(main)?;
+    println!("planning: {peak:.3} GB at most, {first:.2} s to the first bundle");
+    let mut bars = vec![
+        Bar::at_most("farm-static-longest-first-of-measured-worst", Some(all_frames.max(paper)), 1.04),
+        Bar::at_most("farm-loads-of-local-search", Some(loads), 1.05),
+        Bar::at_most("farm-eta-median-error", Some(error), 0.05),
+        Bar::at_least("farm-eta-interval-holds", Some(share), 0.85),
+        Bar::at_most("farm-eta-interval-holds-not-too-wide", Some(share), 0.95),
+        Bar::at_most("farm-plan-million-seconds", Some(last), 2.0),
+        Bar::at_most("farm-plan-million-gigabytes", Some(peak), 1.0),
+    ];
+    bars.sort_by(|a, b| a.name.cmp(&b.name));
+    Ok(bars)
+}

@@ -1,0 +1,181 @@
+//! What a scheduler could reach that knows the measured times and has time: local search from many random
+//! starts, with loading costs.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use rayon::prelude::*;
+
+/// Tasks with their volumes, and what loading costs.
+#[derive(Clone, Debug)]
+pub(super) struct Problem<'a> {
+    /// Seconds of each task.
+    pub(super) seconds: &'a [f64],
+    /// Volume of each task.
+    pub(super) volume: &'a [usize],
+    /// Seconds to load each volume.
+    pub(super) load: &'a [f64],
+    /// Equal nodes.
+    pub(super) nodes: usize,
+}
+
+struct State<'a> {
+    problem: &'a Problem<'a>,
+    node_of: Vec<usize>,
+    /// Tasks by node and volume.
+    count: Vec<u32>,
+    ends: Vec<f64>,
+}
+
+impl<'a> State<'a> {
+    fn new(problem: &'a Problem<'a>) -> Self {
+        let cells = problem.nodes * problem.load.len();
+        Self {
+            problem,
+            node_of: vec![usize::MAX; problem.seconds.len()],
+            count: vec![0; cells],
+            ends: vec![0.0; problem.nodes],
+        }
+    }
+
+    fn cell(&self, node: usize, task: usize) -> usize {
+        node * self.problem.load.len() + self.problem.volume[task]
+    }
+
+    /// What a task would add to a node.
+    fn adds(&self, node: usize, task: usize) -> f64 {
+        let load = self.problem.load[self.problem.volume[task]];
+        self.problem.seconds[task] + if self.count[self.cell(node, task)] == 0 { load } else { 0.0 }
+    }
+
+    /// What a task's leaving would take from its node.
+    fn frees(&self, task: usize) -> f64 {
+        let load = self.problem.load[self.problem.volume[task]];
+        let alone = self.count[self.cell(self.node_of[task], task)] == 1;
+        self.problem.seconds[task] + if alone { load } else { 0.0 }
+    }
+
+    fn put(&mut self, node: usize, task: usize) {
+        self.ends[node] += self.adds(node, task);
+        let cell = self.cell(node, task);
+        self.count[cell] += 1;
+        self.node_of[task] = node;
+    }
+
+    fn take(&mut self, task: usize) {
+        let node = self.node_of[task];
+        self.ends[node] -= self.frees(task);
+        let cell = self.cell(node, task);
+        self.count[cell] -= 1;
+    }
+
+    fn last(&self) -> usize {
+        (0..self.ends.len()).fold(0, |m, n| if self.ends[n] > self.ends[m] { n } else { m })
+    }
+
+    /// Moves and exchanges of tasks of the node that is done last, until none helps.
+    fn improve(&mut self) {
+        loop {
+            let last = self.last();
+            let longest = self.ends[last];
+            let mut best: Option<(f64, usize, usize, Option<usize>)> = None;
+            let tasks: Vec<usize> = (0..self.node_of.len()).filter(|t| self.node_of[*t] == last).collect();
+            for &task in &tasks {
+                let freed = self.frees(task);
+                for node in (0..self.ends.len()).filter(|n| *n != last) {
+                    let end = (longest - freed).max(self.ends[node] + self.adds(node, task));
+                    if end < longest - 1e-9 && best.is_none_or(|b| end < b.0) {
+                        best = Some((end, task, node, None));
+                    }
+                }
+                for other in (0..self.node_of.len()).filter(|t| self.node_of[*t] != last) {
+                    let node = self.node_of[other];
+                    // Volumes that both share make this a bound from above; what is taken is worked out anew.
+                    let there = self.ends[node] - self.frees(other) + self.adds(node, task);
+                    let here = longest - freed + self.adds(last, other);
+                    let end = here.max(there);
+                    if end < longest - 1e-9 && best.is_none_or(|b| end < b.0) {
+                        best = Some((end, task, node, Some(other)));
+                    }
+                }
+            }
+            let Some((_, task, node, other)) = best else { return };
+            let before = self.ends.clone();
+            self.take(task);
+            if let Some(other) = other {
+                self.take(other);
+                self.put(last, other);
+            }
+            self.put(node, task);
+            if self.ends[last].max(self.ends[node]) >= longest - 1e-9 {
+                // Shared volumes made it worse than it looked.
+                self.take(task);
+                if let Some(other) = other {
+                    self.take(other);
+                    self.put(node, other);
+                }
+                self.put(last, task);
+                self.ends = before;
+                return;
+            }
+        }
+    }
+}
+
+fn shuffled(n: usize, rng: &mut ChaCha8Rng) -> Vec<usize> {
+    let mut out: Vec<usize> = (0..n).collect();
+    for i in (1..n).rev() {
+        out.swap(i, (rng.next_u64() % (i as u64 + 1)) as usize);
+    }
+    out
+}
+
+/// The best end of so many random starts. Even ones wrap volumes in random order around the nodes, odd ones
+/// give tasks in random order each to the node that is done with it first.
+pub(super) fn best_of(problem: &Problem<'_>, starts: u64) -> f64 {
+    (0..starts)
+        .into_par_iter()
+        .map(|seed| {
+            let mut rng = ChaCha8Rng::seed_from_u64(seed);
+            let mut state = State::new(problem);
+            if seed.is_multiple_of(2) {
+                let rank = shuffled(problem.load.len(), &mut rng);
+                let mut tasks = shuffled(problem.seconds.len(), &mut rng);
+                tasks.sort_by_key(|t| rank[problem.volume[*t]]);
+                let loads: f64 = problem.load.iter().sum::<f64>()
+                    + problem.load.iter().sum::<f64>() / problem.load.len() as f64 * problem.nodes as f64;
+                let share = (problem.seconds.iter().sum::<f64>() + loads) / problem.nodes as f64;
+                let mut node = 0;
+                for task in tasks {
+                    if state.ends[node] + 0.5 * problem.seconds[task] > share && node + 1 < problem.nodes {
+                        node += 1;
+                    }
+                    state.put(node, task);
+                }
+            } else {
+                for task in shuffled(problem.seconds.len(), &mut rng) {
+                    let done = |n: &usize| state.ends[*n] + state.adds(*n, task);
+                    let node = (0..problem.nodes).min_by(|a, b| done(a).total_cmp(&done(b))).unwrap_or(0);
+                    state.put(node, task);
+                }
+            }
+            state.improve();
+            state.ends.iter().copied().fold(0.0, f64::max)
+        })
+        .reduce(|| f64::INFINITY, f64::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn small_problems_are_solved() {
+        // Two volumes, two nodes: each loads one.
+        let (seconds, volume) = (vec![3.0, 1.0, 2.0, 2.0, 1.0, 3.0], vec![0, 0, 0, 1, 1, 1]);
+        let p = Problem { seconds: &seconds, volume: &volume, load: &[5.0, 5.0], nodes: 2 };
+        assert_eq!(best_of(&p, 20), 11.0);
+        // Without loads: the work is even.
+        let p = Problem { load: &[0.0, 0.0], ..p };
+        assert_eq!(best_of(&p, 20), 6.0);
+    }
+}

@@ -1,0 +1,51 @@
+//! Tasks from timing tables: measured frames, predicted by a model that never saw their volumes.
+
+use anyhow::{Context, Result, ensure};
+use entire_cli::dataset::{Clock, read_tables, timed};
+use entire_cli::farm::Task;
+use entire_cli::files::open_model;
+use entire_cli::fit::{FitContext, predict};
+use entire_cli::options::thread_pool;
+use std::path::Path;
+
+/// Tables of frames whose volumes the model beside them was not made from (`data/timings/study.json`).
+pub(super) const HELD_OUT: [(&str, &str); 9] = [
+    ("none-members", "unshaded-selected"),
+    ("none-scans", "unshaded-selected"),
+    ("none-others", "unshaded-selected"),
+    ("none-timestep", "unshaded-selected"),
+    ("local-members", "local-selected"),
+    ("local-scans", "local-selected"),
+    ("local-others", "local-selected"),
+    ("scatter-members", "scatter-selected"),
+    ("scatter-scans", "scatter-selected"),
+];
+
+/// The frames of a table as tasks: predicted by a model, measured in process-CPU time, the median of the
+/// repeats.
+///
+/// # Errors
+/// When table or model cannot be read, or features are missing beside the table.
+pub(super) fn tasks(data: &Path, models: &Path, table: &str, model: &str) -> Result<Vec<Task>> {
+    let tables = read_tables(&[data.join(format!("{table}.csv.gz"))])?;
+    let model = open_model(&models.join(format!("{model}.safetensors")))?;
+    let pairs = timed(&tables, Clock::Cpu, None)?;
+    let frames: Vec<_> = pairs.iter().map(|(f, _)| *f).collect();
+    let pool = thread_pool(None)?;
+    let (bar, stop) = (indicatif::ProgressBar::hidden(), || false);
+    let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &stop };
+    let predicted = predict(&model, &context, &frames).with_context(|| format!("table {table}"))?;
+    let tasks: Vec<Task> = pairs
+        .iter()
+        .zip(predicted)
+        .map(|((frame, seconds), predicted)| Task {
+            task: format!("{table} {}", frame.number),
+            predicted_s: Some(predicted.max(1e-6)),
+            measured_s: Some(*seconds),
+            volume: frame.scene.volume.clone(),
+            load_s: 0.0,
+        })
+        .collect();
+    ensure!(!tasks.is_empty(), "the table {table} holds no frame");
+    Ok(tasks)
+}

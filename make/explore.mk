@@ -1,0 +1,20 @@
+# The window: `entire explore`, its tests under Xvfb with xdotool, its bars. VOLUME: what it opens. EXPLORE_FLAGS: more
+# options of `entire explore`. EXPLORE_OUT: where the bars leave their frame logs.
+EXPLORE_OUT ?= out/explore
+
+.PHONY: explore-build
+explore-build:
+	@$(CARGO) build --release --quiet --package entire-cli --bin entire --features explore
+
+.PHONY: explore
+explore: setup explore-build ## Explore a volume in a window whose frame time stays put (VOLUME=path for your own)
+	@target/release/entire explore $(or $(VOLUME),data/nyx_cosmology/m01/t0010.nrrd) $(EXPLORE_FLAGS)
+
+.PHONY: test-explore
+test-explore: ## Use the window under Xvfb as a person would (skipped where Xvfb, xdotool or a driver is missing)
+	@if python3 explore/tests/window.py --can; then $(MAKE) --no-print-directory explore-build; fi
+	@python3 explore/tests/window.py target/release/entire
+
+.PHONY: bars-explore
+bars-explore: explore-build ## Measure the window's bars under Xvfb; fails when one is short
+	@python3 lab/scripts/explore_bars.py target/release/entire --out "$(EXPLORE_OUT)"
