@@ -117,7 +117,7 @@ pub fn warm_latency(
         }
     }
     let network_seconds = middle(times);
-    let code = vec![0.0; model.volumenet().map_or(0, |v| v.features())];
+    let code = vec![0.0; model.volumenet().map_or(0, |v| v.fc.outputs)];
     let looks = layout.groups().any(|g| g == GroupKind::SceneFeatures);
     let serial = thread_pool(Some(1))?;
     let hidden = indicatif::ProgressBar::hidden();

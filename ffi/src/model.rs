@@ -11,9 +11,9 @@ use crate::result::entire_result::{self, *};
 use crate::result::{Failure, frame_time};
 use crate::sink;
 use crate::volume::{Volume, entire_volume};
-use entire_core::kernels::{Level, Storage};
-use entire_core::model::{Model, keys};
+use entire_core::model::{GroupKind, Model};
 use entire_core::nn::{EncodeScratch, Executor, PredNet, PredNetParts, PredScratch, Target, VolumeNet};
+use entire_core::nn::{Level, Storage};
 use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
 use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
@@ -163,7 +163,7 @@ impl Loaded {
     /// The volume features that the model's predictions take: ready ones, or the encoder's; `None` where it
     /// takes none.
     pub(crate) fn features_of(&self, volume: &Volume) -> Result<Option<Vec<f32>>, Failure> {
-        let Some(size) = self.model.input_size(keys::GROUP_VOLUME_FEATURES) else { return Ok(None) };
+        let Some(size) = self.model.input_size(GroupKind::VolumeFeatures.name()) else { return Ok(None) };
         if let Some(ready) = &volume.features {
             if ready.len() != size {
                 return Err(Failure::new(
@@ -186,7 +186,7 @@ impl Loaded {
     fn encode(&self, volume: &Volume, features: &mut [f32]) -> Outcome {
         let (net, pool) = self.volumenet()?;
         let view = volume.view()?;
-        pool.with(|| net.scratch(), |scratch| net.encode(view, scratch, Executor::serial(), features))?;
+        pool.with(|| net.scratch(), |scratch| net.encode(view, scratch, Executor::Serial, features))?;
         Ok(())
     }
 
@@ -309,7 +309,7 @@ pub unsafe extern "C" fn entire_model_describe(
                 feature_count: loaded.volumenet.as_ref().map_or(0, |(net, _)| net.feature_len()),
                 encoder_edge: loaded.volumenet.as_ref().map_or(0, |(net, _)| net.input_size()),
                 scene_feature_count: model.scene_features().len(),
-                target: match model.target() {
+                target: match model.prednet().map(|net| net.target) {
                     None => ENTIRE_TARGET_NONE,
                     Some(Target::Seconds) => ENTIRE_TARGET_SECONDS,
                     Some(Target::LogSeconds) => ENTIRE_TARGET_LOG_SECONDS,

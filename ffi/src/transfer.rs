@@ -164,8 +164,8 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
                 midpoint: n.midpoint,
                 sharpness: n.sharpness,
             });
-            let nodes = Nodes::new(opacity.collect(), color.collect(), low, high)?;
-            Ok(TransferFunction::Nodes(nodes.with_clamping(clamping != 0)))
+            let (opacity, color) = (opacity.collect(), color.collect());
+            Ok(TransferFunction::Nodes(Nodes { opacity, color, range: (low, high), clamp: clamping != 0 }))
         })
     }
 }

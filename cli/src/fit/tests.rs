@@ -4,10 +4,10 @@ use super::compose::{carry_past, side_by_side};
 use super::*;
 use crate::dataset::Timed;
 use crate::options::thread_pool;
+use crate::train::Network;
 use entire_core::features::{SceneFeature, SceneQuantity};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
-use entire_core::predict::{AnalyticModel, COST_QUANTITIES, GroupKind, UNIT_COSTS_KEY};
-use entire_core::train::Network;
+use entire_core::predict::{AnalyticModel, COST_QUANTITIES, GroupKind};
 
 fn network(widths: &[usize], seed: u64) -> PredNetParts {
     let net = Network::<f32>::random(widths, seed).unwrap();
@@ -93,7 +93,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
     let volume = crate::volume::Volume::new(data, [16, 12, 10], [1.0; 3], "v").unwrap();
     let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default()).unwrap();
     let analytic = AnalyticModel::from_costs(std::array::from_fn(|i| 1e-6 * (1.0 + i as f64))).unwrap();
-    let costs = analytic.unit_costs();
+    let costs = analytic.costs();
     let inputs = [SceneFeature::log(SceneQuantity::Pixels), SceneFeature::linear(SceneQuantity::MeanChord)];
     for widths in [&[2, 1][..], &[2, 4, 1], &[2, 6, 5, 1], &[2, 4, 4, 3, 1]] {
         let mut ratio = network(widths, 3);
@@ -101,9 +101,11 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
         let carried = carry_past(ratio.clone(), -3.0, 1.5);
         let mut features = inputs.to_vec();
         features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
-        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None).unwrap().with_probe_side(5);
-        let mut file = ModelFile::new();
-        file.set_metadata(UNIT_COSTS_KEY, costs.to_json().unwrap());
+        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)
+            .unwrap()
+            .with_probe_side(5)
+            .with_unit_costs(costs);
+        let mut file = ModelFile::default();
         Recipe::default().store(&mut file, carried, &wide).unwrap();
         let model = file.to_model().unwrap();
         let layout = Layout::of_model(&model).unwrap();
@@ -131,7 +133,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let work = measured.work(&setting);
             let quantity = |q| measured.quantity(q, &setting, &work, Changes::NONE);
             let x = [
-                SceneQuantity::Pixels.log(quantity(SceneQuantity::Pixels)),
+                (quantity(SceneQuantity::Pixels) + 1.0).ln() as f32,
                 quantity(SceneQuantity::MeanChord) as f32,
             ];
             let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
@@ -162,7 +164,7 @@ fn calibration_recovers_the_factor_of_another_machine() {
             parts.output = Some(Normalization { mean: vec![9.0], std: vec![0.2] });
         }
         let layout = Layout::new(&[GroupKind::Camera], Vec::new(), 0, None).unwrap();
-        let mut file = ModelFile::new();
+        let mut file = ModelFile::default();
         Recipe::default().store(&mut file, parts, &layout).unwrap();
         in_context(|context| {
             let predicted_by =

@@ -11,7 +11,7 @@ use crate::path::FlightPath;
 use crate::progress::progress_bar;
 use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result};
-use entire_core::adapt::Prior;
+use entire_core::control::Prior;
 use entire_core::control::StepLimits;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::model::{Model, ModelFile};
@@ -65,7 +65,7 @@ pub struct Race<'a> {
 pub fn shipped_model(shading: Shading) -> Result<Option<(String, ModelFile)>> {
     let set = match shading {
         Shading::None => "unshaded",
-        other => other.name(),
+        other => other.into(),
     };
     let path = PathBuf::from(format!("models/{set}-selected.safetensors"));
     if !path.is_file() {

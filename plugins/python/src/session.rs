@@ -8,7 +8,7 @@ use crate::lock::Guarded;
 use crate::model::{Loaded, Model};
 use crate::transfer::{Transfer, TransferFunction};
 use crate::volume::{Data, Volume};
-use entire_core::adapt::ObserveFlags;
+use entire_core::control::ObserveFlags;
 use entire_core::control::{HybridOptions, PENDING_PLANS, Plan as CorePlan, Session as Core, StepLimits};
 use entire_core::features::{Changes, Setting};
 use entire_core::predict::{AnalyticModel, Predictor, Source};
@@ -128,7 +128,7 @@ impl State {
             seconds: plan.seconds,
             upper: plan.upper,
             out_of_range: plan.out_of_range,
-            reason: plan.reason.name(),
+            reason: plan.reason.into(),
             target,
         }
     }
@@ -247,9 +247,7 @@ impl Session {
     /// ValueError
     ///     For other numbers.
     fn set_limits(&self, py: Python<'_>, finest: f32, coarsest: f32) -> PyResult<()> {
-        let limits = StepLimits::new(finest, coarsest).map_err(raise)?;
-        self.state(py)?.core.set_limits(limits);
-        Ok(())
+        self.state(py)?.core.set_limits(StepLimits { finest, coarsest }).map_err(raise)
     }
 
     /// Allows plans to shrink the image.
@@ -403,9 +401,9 @@ impl Session {
         if let Some(tf) = tf {
             state.take_transfer(tf)?;
         }
-        let choice = state.core.choose(&frame, &settings, target).map_err(raise)?;
-        let drawn = settings[choice.index];
-        Ok((choice.index, state.note(choice.plan, (drawn.width, drawn.height), target)))
+        let (index, plan) = state.core.choose(&frame, &settings, target).map_err(raise)?;
+        let drawn = settings[index];
+        Ok((index, state.note(plan, (drawn.width, drawn.height), target)))
     }
 
     /// Hears how long a planned frame took.
@@ -455,11 +453,11 @@ impl Session {
                 measured: seconds as f32,
                 step: core.step,
                 image_sample_distance: core.image_sample_distance,
-                reason: core.reason.name(),
-                verdict: verdict.name(),
+                reason: core.reason.into(),
+                verdict: verdict.into(),
             });
         }
-        Ok(verdict.name())
+        Ok(verdict.into())
     }
 
     /// Predicts a frame's seconds at its own step, corrected by what was observed; later plans do not depend
