@@ -19,4 +19,4 @@ CASES ?= 20000
 
 .PHONY: test-properties
 test-properties: ## Run the property tests on newly drawn cases, many of them (CASES=20000); `make test` always draws the same
-	PROPTEST_RNG_SEED=$$(date +%s%N) PROPTEST_CASES=$(CASES) $(CARGO) test --features entire-core/train -p entire-core -p entire-cli --lib --test train
+	PROPTEST_RNG_SEED=$$(date +%s%N) PROPTEST_CASES=$(CASES) $(CARGO) test -p entire-core -p entire-cli --lib --test train

@@ -2,8 +2,8 @@
 
 use crate::metrics::{BoundMetrics, SHORTEST};
 use anyhow::Result;
-use entire_core::model::{Model, ModelFile};
-use entire_core::predict::{CALIBRATION_KEY, Calibration, UPPER_LEVEL};
+use entire_core::model::{Key, Model, ModelFile};
+use entire_core::predict::{Calibration, UPPER_LEVEL};
 use serde_json::json;
 use std::collections::BTreeMap;
 
@@ -37,10 +37,10 @@ pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> Ca
     for (r, w) in &weighted {
         sum += w;
         if sum >= wanted * (1.0 - 1e-12) {
-            return Calibration::from_log_factor(*r as f32);
+            return Calibration { log_factor: *r as f32 };
         }
     }
-    weighted.last().map_or(Calibration::unknown(), |(r, _)| Calibration::from_log_factor(*r as f32))
+    weighted.last().map_or(Calibration::default(), |(r, _)| Calibration { log_factor: *r as f32 })
 }
 
 /// How often a bound holds.
@@ -51,8 +51,9 @@ pub fn judge(upper: &Calibration, predicted: &[f64], measured: &[f64]) -> Option
 
 /// The upper bound that a model file holds.
 pub fn of(model: &Model) -> Option<Calibration> {
-    let stored: serde_json::Value = serde_json::from_str(model.metadata().get(CALIBRATION_KEY)?).ok()?;
-    Some(Calibration::from_log_factor(stored.get("log_factor")?.as_f64()? as f32))
+    let stored: serde_json::Value =
+        serde_json::from_str(model.metadata().get(Key::Calibration.name())?).ok()?;
+    Some(Calibration { log_factor: stored.get("log_factor")?.as_f64()? as f32 })
 }
 
 /// Puts an upper bound into a model file, keeping what else its calibration holds; leaves the file as it is
@@ -61,16 +62,16 @@ pub fn of(model: &Model) -> Option<Calibration> {
 /// # Errors
 /// When what it holds is damaged.
 pub fn set(file: &mut ModelFile, upper: &Calibration) -> Result<()> {
-    if !upper.log_factor().is_finite() {
+    if !upper.log_factor.is_finite() {
         return Ok(());
     }
-    let mut stored: serde_json::Value = match file.metadata().get(CALIBRATION_KEY) {
+    let mut stored: serde_json::Value = match file.metadata.get(Key::Calibration.name()) {
         Some(text) => serde_json::from_str(text)?,
         None => json!({}),
     };
     stored["level"] = json!(UPPER_LEVEL);
-    stored["log_factor"] = json!(upper.log_factor());
-    file.set_metadata(CALIBRATION_KEY, stored.to_string());
+    stored["log_factor"] = json!(upper.log_factor);
+    file.metadata.insert(Key::Calibration.into(), stored.to_string());
     Ok(())
 }
 
@@ -104,20 +105,20 @@ mod tests {
         assert!((f64::from(upper.factor()) - 1.396).abs() < 1.5e-3, "{}", upper.factor());
         let few = from_groups(&predicted[..3], &measured[..3], &two[..3]);
         assert!((few.factor() - 1.003).abs() < 1e-6, "{}", few.factor());
-        assert!(from_groups(&[], &[], &[]).log_factor().is_nan());
+        assert!(from_groups(&[], &[], &[]).log_factor.is_nan());
     }
 
     #[test]
     fn a_bound_survives_the_file_beside_what_else_stands_there() {
-        let mut file = ModelFile::new();
-        file.set_metadata(CALIBRATION_KEY, r#"{"range":[1,2]}"#);
-        set(&mut file, &Calibration::from_log_factor(0.25)).unwrap();
-        let text = file.metadata().get(CALIBRATION_KEY).unwrap().clone();
+        let mut file = ModelFile::default();
+        file.metadata.insert(Key::Calibration.into(), r#"{"range":[1,2]}"#.into());
+        set(&mut file, &Calibration { log_factor: 0.25 }).unwrap();
+        let text = file.metadata.get(Key::Calibration.name()).unwrap().clone();
         assert!(text.contains("range") && text.contains("0.25"), "{text}");
-        set(&mut file, &Calibration::unknown()).unwrap();
-        assert_eq!(file.metadata().get(CALIBRATION_KEY), Some(&text));
-        file.set_metadata(CALIBRATION_KEY, "{");
-        assert!(set(&mut file, &Calibration::from_log_factor(0.1)).is_err());
+        set(&mut file, &Calibration::default()).unwrap();
+        assert_eq!(file.metadata.get(Key::Calibration.name()), Some(&text));
+        file.metadata.insert(Key::Calibration.into(), "{".into());
+        assert!(set(&mut file, &Calibration { log_factor: 0.1 }).is_err());
     }
 
     #[test]

@@ -4,7 +4,7 @@
 use crate::dataset::{Clock, TimedFrame};
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
-use entire_core::model::{Model, ModelFile};
+use entire_core::model::{Key, Model, ModelFile};
 
 /// Metadata key of the clock whose seconds a model predicts: `cpu`, `wall` or `device`.
 pub const CLOCK_KEY: &str = "entire.clock";
@@ -13,7 +13,8 @@ pub const CLOCK_KEY: &str = "entire.clock";
 /// where it says nothing.
 pub fn of(model: &Model) -> Option<Clock> {
     let of_provenance = || {
-        let provenance: serde_json::Value = serde_json::from_str(model.provenance()?).ok()?;
+        let provenance: serde_json::Value =
+            serde_json::from_str(model.metadata().get(Key::Provenance.name())?).ok()?;
         Some(provenance.get("clock")?.as_str()?.to_owned())
     };
     let name = model.metadata().get(CLOCK_KEY).cloned().or_else(of_provenance)?;
@@ -22,7 +23,7 @@ pub fn of(model: &Model) -> Option<Clock> {
 
 /// Writes the clock into a model file.
 pub fn set(file: &mut ModelFile, clock: Clock) {
-    file.set_metadata(CLOCK_KEY, clock.name());
+    file.metadata.insert(CLOCK_KEY.into(), clock.name().into());
 }
 
 /// The clock behind [`Clock::Auto`] for these frames: the device's where every repeat has it, wall time where
@@ -130,7 +131,7 @@ mod tests {
             set(&mut file, clock);
         }
         if let Some(text) = provenance {
-            file.set_metadata(entire_core::model::keys::PROVENANCE, text);
+            file.metadata.insert(Key::Provenance.into(), text.into());
         }
         file.to_model().unwrap()
     }

@@ -5,7 +5,7 @@ use crate::inputs::{Layout, measure, open_volume};
 use crate::metrics::{Metrics, median};
 use crate::options::thread_pool;
 use anyhow::{Context, Result};
-use entire_core::adapt::ObserveFlags;
+use entire_core::control::ObserveFlags;
 use entire_core::control::{HybridOptions, Session};
 use entire_core::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
@@ -119,7 +119,7 @@ pub fn warm_latency(
         }
     }
     let network_seconds = middle(times);
-    let code = vec![0.0; model.volumenet().map_or(0, |v| v.features())];
+    let code = vec![0.0; model.volumenet().map_or(0, |v| v.fc.outputs)];
     let looks = layout.groups().any(|g| g == GroupKind::SceneFeatures);
     let serial = thread_pool(Some(1))?;
     let hidden = indicatif::ProgressBar::hidden();
@@ -197,7 +197,7 @@ pub fn in_session(
             if let Some(parts) = model.volumenet() {
                 let net = VolumeNet::new(parts)?;
                 let mut code = vec![0.0; net.feature_len()];
-                net.encode(&volume.view(), &mut net.scratch(), Executor::serial(), &mut code)?;
+                net.encode(&volume.view(), &mut net.scratch(), Executor::Serial, &mut code)?;
                 features = Some(code);
             }
             let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
@@ -206,9 +206,9 @@ pub fn in_session(
         }
         session.set_transfer(&f.scene.to_table()?, Some(&f.scene.lobes))?;
         let frame = f.scene.to_frame()?;
-        let choice = session.choose(&frame, &[Setting::of(&frame)], NO_TARGET)?;
-        out.push(f64::from(choice.plan.seconds));
-        session.observe(choice.plan.id, seconds as f32, ObserveFlags::default())?;
+        let (_, plan) = session.choose(&frame, &[Setting::of(&frame)], NO_TARGET)?;
+        out.push(f64::from(plan.seconds));
+        session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
     }
     Ok(out)
 }

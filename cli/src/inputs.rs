@@ -10,8 +10,8 @@ use entire_core::features::{
     Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting, SummaryOptions, TransferSummary,
     VolumeSummary,
 };
-use entire_core::model::Model;
-use entire_core::nn::{Executor, VolumeNet, VolumeNetParts};
+use entire_core::model::{Model, ModelFile};
+use entire_core::nn::{Executor, PredNetParts, VolumeNet, VolumeNetParts};
 use entire_core::predict::{COST_QUANTITIES, GroupKind, InputLayout, InputValues, Inputs, UnitCosts};
 use entire_core::scene::{Arcball, GaussianLobe, Skipping};
 use indicatif::ProgressBar;
@@ -77,17 +77,17 @@ impl Layout {
 
     /// The same with another number of rays along each side of the probe.
     pub fn with_probe_side(self, probe_side: usize) -> Self {
-        Self { layout: self.layout.with_probe_side(probe_side), ..self }
+        Self { layout: InputLayout { probe_side, ..self.layout }, ..self }
     }
 
     /// The same, its Gaussian lobes by ascending center or as they are given.
     pub fn with_sorted_lobes(self, sorted_lobes: bool) -> Self {
-        Self { layout: self.layout.with_sorted_lobes(sorted_lobes), ..self }
+        Self { layout: InputLayout { sorted_lobes, ..self.layout }, ..self }
     }
 
     /// Whether Gaussian lobes go in by ascending center.
     pub fn sorted_lobes(&self) -> bool {
-        self.layout.sorted_lobes()
+        self.layout.sorted_lobes
     }
 
     /// Rays along each side of the probe; 0 where no input needs it.
@@ -100,19 +100,32 @@ impl Layout {
         self.layout.width()
     }
 
-    /// The groups as a model file states them.
-    pub fn to_model_groups(&self) -> Vec<entire_core::model::InputGroup> {
-        self.layout.to_model_groups()
+    /// The same with these unit costs behind `estimated_seconds`.
+    pub fn with_unit_costs(self, costs: UnitCosts) -> Self {
+        Self { layout: InputLayout { unit_costs: Some(costs), ..self.layout }, ..self }
+    }
+
+    /// Puts a network with this layout into a model file.
+    ///
+    /// # Errors
+    /// As [`InputLayout::store`].
+    pub fn store(&self, net: &PredNetParts, file: &mut ModelFile) -> Result<()> {
+        Ok(self.layout.store(net, file)?)
     }
 
     /// The groups, in order.
     pub fn groups(&self) -> impl Iterator<Item = GroupKind> {
-        self.layout.groups().iter().map(|(g, _)| *g)
+        self.layout.groups.iter().map(|(g, _)| *g)
+    }
+
+    /// The groups with their sizes, in order.
+    pub fn sizes(&self) -> impl Iterator<Item = (GroupKind, usize)> {
+        self.layout.groups.iter().copied()
     }
 
     /// The scene features, in order.
     pub fn scene_features(&self) -> &[SceneFeature] {
-        self.layout.scene_features()
+        &self.layout.scene_features
     }
 
     fn encoder(&self) -> Option<&Encoder> {
@@ -300,7 +313,7 @@ pub fn measure<T: Send>(
             if let (Some(encoder), Some(scratch)) = (encoder, &mut scratch) {
                 code = vec![0.0; encoder.feature_len()];
                 encoder
-                    .encode(&view, scratch, Executor::rayon(pool), &mut code)
+                    .encode(&view, scratch, Executor::Rayon(pool), &mut code)
                     .with_context(|| format!("volume {name}"))?;
             }
         }

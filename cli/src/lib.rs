@@ -29,6 +29,7 @@ mod scripted;
 pub mod split;
 pub mod steering;
 pub mod teacher;
+pub mod train;
 pub mod volume;
 
 pub use command_line::main_with_args;

@@ -131,7 +131,7 @@ mod tests {
         let layer =
             DenseParts { inputs: 3, outputs: 1, weight: vec![0.1; 3], bias: vec![1.0], dtype: Dtype::F32 };
         let parts = PredNetParts { layers: vec![layer], input: None, output: None, target: Target::Seconds };
-        let mut file = ModelFile::new();
+        let mut file = ModelFile::default();
         file.set_prednet(&parts, &[InputGroup { name: "camera".into(), size: 3 }]).unwrap();
         let error = Teacher::new("m", &file.to_model().unwrap()).err().unwrap().to_string();
         assert!(error.contains("camera") && error.contains("scene_features"), "{error}");

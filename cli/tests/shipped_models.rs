@@ -6,7 +6,7 @@ use entire_cli::inputs::Layout;
 use entire_cli::metrics::Metrics;
 use entire_cli::split::TimedFrames;
 use entire_cli::volume::Volume;
-use entire_core::model::Model;
+use entire_core::model::{Key, Model};
 use entire_core::nn::{Executor, VOLUMENET_TOLERANCE, VolumeNet};
 use entire_core::predict::ModelPredictor;
 use std::path::Path;
@@ -30,7 +30,7 @@ fn shipped_encoders_agree_with_pytorch_in_double_precision() {
         let net = VolumeNet::new(model_file.volumenet().unwrap()).unwrap();
         let volume_file = Volume::open(root.join("data").join(volume)).unwrap();
         let mut features = [0.0f32; 2];
-        net.encode(&volume_file.view(), &mut net.scratch(), Executor::serial(), &mut features).unwrap();
+        net.encode(&volume_file.view(), &mut net.scratch(), Executor::Serial, &mut features).unwrap();
         let norm = expected.iter().map(|e| e * e).sum::<f64>().sqrt();
         for (found, expected) in features.iter().zip(expected) {
             let error = (f64::from(*found) - expected).abs() / norm;
@@ -47,10 +47,11 @@ fn every_shipped_model_has_a_card_and_provenance() {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|e| e == "safetensors") {
             let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
-            let provenance: serde_json::Value = serde_json::from_str(model.provenance().unwrap()).unwrap();
+            let provenance: serde_json::Value =
+                serde_json::from_str(&model.metadata()[Key::Provenance.name()]).unwrap();
             assert!(provenance.is_object(), "{}", path.display());
             let card = std::fs::read_to_string(path.with_extension("md")).unwrap();
-            for text in [&card, model.provenance().unwrap()] {
+            for text in [&card, &model.metadata()[Key::Provenance.name()]] {
                 for start in ["\": \"/", "\":\"/", "`/"] {
                     assert!(!text.contains(start), "{}: a path of one machine", path.display());
                 }

@@ -1,7 +1,7 @@
 //! `entire train` and `entire evaluate` as a user runs them, on tables whose times follow a known law.
 
 use entire_cli::dataset::{MANIFEST_FORMAT, Manifest, Scene, Timing, Writer};
-use entire_core::model::{Model, ModelFile, keys};
+use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Dtype;
 use entire_core::scene::{Arcball, GaussianLobe, Shading, Skipping};
 use rand_chacha::ChaCha8Rng;
@@ -135,7 +135,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
     assert!(number_after(&text, "test", "MdAPE") < 3.0, "{text}");
     let m = model(&out);
     assert_eq!(m.inputs().iter().map(|g| g.size).collect::<Vec<_>>(), [3, 2]);
-    let provenance: serde_json::Value = serde_json::from_str(m.provenance().unwrap()).unwrap();
+    let provenance: serde_json::Value = serde_json::from_str(&m.metadata()[Key::Provenance.name()]).unwrap();
     assert_eq!(provenance["split"]["test"], serde_json::json!(["blobs/m04"]));
     assert_eq!(provenance["data"][0]["frames"], 480);
     let noise = provenance["noise_floor"]["log_sd"].as_f64().unwrap();
@@ -220,8 +220,8 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
 #[test]
 fn the_paper_configuration_writes_encoder_and_network_into_one_file() {
     let data = data(12);
-    let mut file = ModelFile::new();
-    file.set_metadata(keys::VOLUMENET, r#"{"input":8,"blocks":[{"stride":2,"padding":1}]}"#);
+    let mut file = ModelFile::default();
+    file.metadata.insert(Key::VolumeNet.into(), r#"{"input":8,"blocks":[{"stride":2,"padding":1}]}"#.into());
     let ramp = |n: usize| (0..n).map(|i| ((i * 7 % 11) as f32 - 5.0) * 0.05).collect::<Vec<f32>>();
     for (name, shape) in [
         ("encoder.0.conv.weight", &[2usize, 1, 3, 3, 3][..]),

@@ -22,12 +22,12 @@
 //! order, no header): their difference from f32, and with measured seconds (one number per line) their error
 //! beside that of f32.
 
-use entire_core::kernels::{Isa, Level};
 use entire_core::model::Model;
 use entire_core::nn::{
     ConvBlockParts, DenseParts, Dtype, Executor, Normalization, PredNet, PredNetParts, Resampler, Storage,
     Target, VolumeNet, VolumeNetParts,
 };
+use entire_core::nn::{Isa, Level};
 use entire_core::scene::{Scalars, VolumeView};
 use std::fmt::Write;
 use std::hint::black_box;
@@ -170,7 +170,7 @@ impl Row<'_> {
         println!(
             "{network:7} {:7} {storage:4} {rows:>4} {setup:>9} | {best:>9} {p50:>9} {p99:>9} {worst:>9} {calls:>8} | \
              {cold:>9} {flushed:>9} | {bytes:>9} {floor:>8} {ratio:>6}",
-            level.name()
+            level
         );
         let _ = writeln!(
             csv,
@@ -297,7 +297,7 @@ mod limits {
         let best = |f: &dyn Fn() -> f64| Some((0..600).map(|_| f()).fold(0.0, f64::max));
         match level.isa() {
             // SAFETY: the level proves the instructions, here and below.
-            Isa::Avx512 if int8 && level.has_vnni() => best(&|| unsafe { dot512(100_000) }),
+            Isa::Avx512 if int8 && level.to_string().contains("vnni") => best(&|| unsafe { dot512(100_000) }),
             _ if int8 => None,
             // SAFETY: as above.
             Isa::Avx512 => best(&|| unsafe { fma512(100_000) }),
@@ -480,7 +480,7 @@ fn main() {
             let parts = self::network(inputs, hidden);
             let macs: usize = parts.layers.iter().map(|l| l.inputs * l.outputs).sum();
             for storage in Storage::ALL {
-                if !wanted(network, storage.name()) {
+                if !wanted(network, &storage.to_string()) {
                     continue;
                 }
                 let start = Instant::now();
@@ -517,7 +517,7 @@ fn main() {
                 let line = Row {
                     network,
                     level,
-                    storage: storage.name(),
+                    storage: &storage.to_string(),
                     rows: 1,
                     setup: Some(setup),
                     warm,
@@ -533,7 +533,8 @@ fn main() {
                     .report(&mut csv);
             }
         }
-        let storage = Storage::F32.name();
+        let storage = Storage::F32.to_string();
+        let storage = storage.as_str();
         let cube = VolumeView::new(Scalars::U8(&small), [INPUT_EDGE; 3]).expect("a volume");
         for (network, channels) in VOLUME_NETWORKS {
             if !wanted(network, storage) {
@@ -549,7 +550,7 @@ fn main() {
             let mut scratch = net.scratch();
             let mut features = vec![0.0; net.feature_len()];
             let mut call = || {
-                net.encode(black_box(&cube), &mut scratch, Executor::serial(), &mut features)
+                net.encode(black_box(&cube), &mut scratch, Executor::Serial, &mut features)
                     .expect("sizes that fit");
             };
             call();
@@ -575,7 +576,7 @@ fn main() {
             let mut out = vec![0.0; INPUT_EDGE.pow(3)];
             let mut call = || {
                 resampler
-                    .resample(black_box(&view), INPUT_EDGE, &mut out, Executor::serial())
+                    .resample(black_box(&view), INPUT_EDGE, &mut out, Executor::Serial)
                     .expect("sizes that fit");
             };
             call();
@@ -629,7 +630,7 @@ fn accuracy(arguments: &[String]) {
     let x = numbers(inputs);
     let measured = rest.first().map(|path| numbers(path));
     let predict = |storage| {
-        let net = PredNet::with_storage(parts, storage).expect("a network");
+        let net = PredNet::with(parts, Level::detect(), storage).expect("a network");
         let mut scratch = net.scratch().expect("memory");
         x.chunks_exact(net.inputs()).map(|row| f64::from(net.predict(row, &mut scratch))).collect::<Vec<_>>()
     };
@@ -645,7 +646,7 @@ fn accuracy(arguments: &[String]) {
         let mut difference: Vec<_> = found.iter().zip(&exact).map(|(f, e)| ((f - e) / e).abs()).collect();
         difference.sort_by(f64::total_cmp);
         let [p50, p95, p100] = [50, 95, 100].map(|p| percentile(&difference, p));
-        print!("{:4}  {p50:9.2e} {p95:9.2e} {p100:9.2e}", storage.name());
+        print!("{:4}  {p50:9.2e} {p95:9.2e} {p100:9.2e}", storage);
         if let Some(measured) = &measured {
             let pairs = || found.iter().zip(measured).map(|(&f, &m)| (f, f64::from(m)));
             let count = pairs().count() as f64;

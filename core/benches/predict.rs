@@ -4,7 +4,7 @@
 //! cargo bench -p entire-core --bench predict
 //! ```
 
-use entire_core::adapt::ObserveFlags;
+use entire_core::control::ObserveFlags;
 use entire_core::control::Session;
 use entire_core::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
 use entire_core::predict::AnalyticModel;

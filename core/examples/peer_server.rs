@@ -11,7 +11,7 @@
 //! a byte volume (`vol_…:f32` on the floats that the peers take), `resample/N` resampling N³ bytes to 128³,
 //! with the time of reading them once as `read`.
 
-use entire_core::kernels::{Isa, Level};
+use entire_core::nn::Level;
 use entire_core::nn::{
     ConvBlockParts, DenseParts, Dtype, Executor, Helper, Normalization, PredNet, PredNetParts, Resampler,
     SELU_ALPHA, SELU_SCALE, Storage, Target, VolumeNet, VolumeNetParts,
@@ -40,9 +40,10 @@ fn options() -> Result<Options, Problem> {
         match argument.as_str() {
             "--storage" => {
                 let name = value()?;
-                storage = Storage::ALL.into_iter().find(|s| s.name() == name).ok_or("no such storage")?;
+                storage =
+                    Storage::ALL.into_iter().find(|s| s.to_string() == name).ok_or("no such storage")?;
             }
-            "--level" => level = Level::exactly(Isa::parse(&value()?)?).ok_or("this CPU lacks the level")?,
+            "--level" => level = Level::exactly(value()?.parse()?).ok_or("this CPU lacks the level")?,
             _ => models = Some(PathBuf::from(argument)),
         }
     }
@@ -92,7 +93,7 @@ fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -
     let parts = prednet(&options.models.join(format!("{name}.safetensors")))?;
     let net = PredNet::with(&parts, options.level, options.storage)?;
     let x = inputs(&options.models, rows)?;
-    let executor = if options.threads > 1 { Executor::helper(helper) } else { Executor::serial() };
+    let executor = if options.threads > 1 { Executor::Helper(helper) } else { Executor::Serial };
     if rows == 1 {
         let mut scratch = net.scratch()?;
         return Ok(match options.threads {
@@ -153,7 +154,7 @@ fn encoding<'a>(options: &'a Options, helper: &'a Helper, name: &str) -> Result<
     let file = std::fs::read(options.models.join("inputs.safetensors"))?;
     let (_, volume) = floats(&SafeTensors::deserialize(&file)?, "vol")?;
     let bytes: Vec<u8> = volume.iter().map(|v| (v * 255.0).round() as u8).collect();
-    let executor = if options.threads > 1 { Executor::helper(helper) } else { Executor::serial() };
+    let executor = if options.threads > 1 { Executor::Helper(helper) } else { Executor::Serial };
     let (mut scratch, mut features) = (net.scratch(), vec![0.0; net.feature_len()]);
     Ok(Box::new(move || {
         let view = if from_floats {
@@ -172,12 +173,12 @@ fn encoding<'a>(options: &'a Options, helper: &'a Helper, name: &str) -> Result<
 fn resampling(options: &Options, helper: &Helper, n: usize, seconds: f64) -> Result<String, Problem> {
     let bytes: Vec<u8> = (0..n * n * n).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
     let view = VolumeView::new(Scalars::U8(&bytes), [n; 3])?;
-    let executor = if options.threads > 1 { Executor::helper(helper) } else { Executor::serial() };
+    let executor = if options.threads > 1 { Executor::Helper(helper) } else { Executor::Serial };
     let (mut resampler, mut out) = (Resampler::new(options.level), vec![0.0; 128 * 128 * 128]);
     let (mut times, mut read) = (Vec::new(), f64::INFINITY);
     let end = Instant::now() + Duration::from_secs_f64(seconds);
     while Instant::now() < end || times.len() < 5 {
-        read = read.min(reading(&bytes, executor));
+        read = read.min(reading(&bytes, executor, options.threads));
         let begin = Instant::now();
         resampler.resample(&view, 128, &mut out, executor)?;
         times.push(begin.elapsed().as_nanos() as f64);
@@ -188,9 +189,9 @@ fn resampling(options: &Options, helper: &Helper, n: usize, seconds: f64) -> Res
 }
 
 /// Nanoseconds in which the executor's threads read all bytes once.
-fn reading(bytes: &[u8], executor: Executor<'_>) -> f64 {
+fn reading(bytes: &[u8], executor: Executor<'_>, threads: usize) -> f64 {
     let begin = Instant::now();
-    if executor.threads() > 1 {
+    if threads > 1 {
         let (left, right) = bytes.split_at(bytes.len() / 2);
         let read = |piece| move || _ = std::hint::black_box(mixed(piece));
         executor.join(read(left), read(right));

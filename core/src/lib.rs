@@ -17,7 +17,7 @@
 //! after it hears how long the frame took:
 //!
 //! ```
-//! use entire_core::adapt::ObserveFlags;
+//! use entire_core::control::ObserveFlags;
 //! use entire_core::features::SummaryOptions;
 //! use entire_core::scene::{Arcball, Camera, Scalars, TransferFunction};
 //! use entire_core::{Frame, GaussianLobe, Session, VolumeSummary, VolumeView};
@@ -74,19 +74,18 @@ extern crate alloc;
 #[cfg(all(test, not(feature = "std")))]
 extern crate std;
 
-pub mod adapt;
+mod adapt;
 pub mod control;
 mod error;
 pub mod features;
-pub mod kernels;
+mod kernels;
 mod memory;
 pub mod model;
+mod names;
 pub mod nn;
 pub mod predict;
 pub mod scene;
 pub mod schedule;
-#[cfg(feature = "train")]
-pub mod train;
 
 pub use control::{Plan, Session};
 pub use error::{Error, ErrorKind, Result};

@@ -1,12 +1,11 @@
 //! The calls of a render loop never allocate: the allocator aborts the process when they do.
 
 use assert_no_alloc::{AllocDisabler, assert_no_alloc};
-use entire_core::adapt::ObserveFlags;
-use entire_core::control::Session;
+use entire_core::control::{ObserveFlags, Session};
 use entire_core::features::{Setting, SummaryOptions, VolumeSummary};
-use entire_core::model::{InputGroup, ModelFile};
+use entire_core::model::{GroupKind, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
-use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
+use entire_core::predict::{AnalyticModel, InputLayout, ModelPredictor, Predictor};
 use entire_core::scene::{Arcball, Camera, Frame, Scalars, Shading, Skipping, TransferTable, VolumeView};
 
 #[global_allocator]
@@ -26,11 +25,13 @@ fn network() -> ModelPredictor {
         output: None,
         target: Target::LogSeconds,
     };
-    let group = |name: &str, size| InputGroup { name: name.into(), size };
-    let mut file = ModelFile::new();
-    file.set_prednet(&parts, &[group("camera", 3), group("step_size", 1), group("scene_features", 3)])
+    let features =
+        ["log_samples", "log_pixels", "occupied_share"].map(|name| name.parse().expect("a feature"));
+    let groups = [GroupKind::Camera, GroupKind::StepSize, GroupKind::SceneFeatures];
+    let mut file = ModelFile::default();
+    InputLayout::new(&groups, features.to_vec(), 0, 0)
+        .and_then(|layout| layout.store(&parts, &mut file))
         .expect("a network that fits");
-    file.set_scene_features(&["log_samples", "log_pixels", "occupied_share"]).expect("three names");
     ModelPredictor::new(&file.to_model().expect("a model")).expect("known inputs")
 }
 
@@ -63,7 +64,7 @@ fn plan_choose_predict_and_observe_never_allocate() {
                 let plan = if i % 2 == 0 {
                     session.plan(&frame, 0.02).expect("a plan")
                 } else {
-                    session.choose(&frame, &settings, 0.02).expect("a choice").plan
+                    session.choose(&frame, &settings, 0.02).expect("a choice").1
                 };
                 // Rejected, learned from, and rejected as told twice.
                 for (seconds, accepted) in [(f32::NAN, false), (0.01, true), (0.01, false)] {

@@ -51,10 +51,10 @@ mod child {
 
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod child {
-    use entire_core::adapt::ObserveFlags;
+    use entire_core::control::ObserveFlags;
     use entire_core::control::Session;
     use entire_core::features::{SummaryOptions, VolumeSummary};
-    use entire_core::kernels::Level;
+    use entire_core::nn::Level;
     use entire_core::nn::{
         ConvBlockParts, DenseParts, Dtype, Executor, PredNet, PredNetParts, Storage, Target, VolumeNet,
         VolumeNetParts,
@@ -207,7 +207,7 @@ mod child {
         let mut all = |fine: &mut bool| {
             for (net, scratch) in nets.iter().zip(&mut scratches) {
                 for view in &views {
-                    *fine &= net.encode(view, scratch, Executor::serial(), &mut features).is_ok();
+                    *fine &= net.encode(view, scratch, Executor::Serial, &mut features).is_ok();
                     *fine &= features.iter().all(|f| f.is_finite());
                 }
             }

@@ -42,8 +42,7 @@ fn tables_equal_those_of_vtk() {
             })
             .collect();
         let (low, high) = (number(&case["range"][0]), number(&case["range"][1]));
-        let nodes =
-            Nodes::new(opacity, color, low, high).unwrap().with_clamping(case["clamp"].as_bool().unwrap());
+        let nodes = Nodes { opacity, color, range: (low, high), clamp: case["clamp"].as_bool().unwrap() };
         let table = TransferFunction::Nodes(nodes).to_table().unwrap();
         for i in 0..TABLE_LEN {
             let [r, g, b, a] = table.rgba()[i].map(f64::from);

@@ -140,8 +140,13 @@ fn from_paraview(preset: &Value, range: (f32, f32)) -> Result<Curve> {
             .to_vec(),
     };
     // The core checks the nodes and evaluates those that are not straight.
-    let table =
-        TransferFunction::Nodes(Nodes::new(opacity_nodes.clone(), color_nodes, low, high)?).to_table()?;
+    let table = TransferFunction::Nodes(Nodes {
+        opacity: opacity_nodes.clone(),
+        color: color_nodes,
+        range: (low, high),
+        clamp: true,
+    })
+    .to_table()?;
     let at = |s: f32| {
         let x = s.clamp(0.0, 1.0) * 255.0;
         let i = (x as usize).min(254);

@@ -25,7 +25,7 @@ impl Histogram {
         let mut i = 0;
         while i < view.voxels() {
             let (x, rest) = (i as usize % nx, i as usize / nx);
-            let s = view.normalized(x, rest % ny, rest / ny);
+            let s = view.normalize(view.value(x, rest % ny, rest / ny));
             counts[((s * (BINS - 1) as f32 + 0.5) as usize).min(BINS - 1)] += 1;
             i += stride;
         }

@@ -61,7 +61,7 @@ impl Log {
             r.image_sample_distance,
             b.width,
             b.height,
-            r.reason.name(),
+            r.reason,
             u8::from(r.switched),
             b.controller,
             b.input_frames,

@@ -41,7 +41,7 @@ impl Facts {
     pub(crate) fn of(view: &VolumeView<'_>) -> Self {
         Self {
             dims: view.dims(),
-            kind: view.scalar_type().name(),
+            kind: view.scalar_type().into(),
             range: view.range(),
             spacing: view.spacing(),
             half_extent: view.half_extent(),
@@ -94,7 +94,7 @@ impl Part {
             Scalars::U16(v) => Voxels::U16(copy(v, view, crop)),
             Scalars::I16(v) => Voxels::I16(copy(v, view, crop)),
             Scalars::F32(v) => Voxels::F32(copy(v, view, crop)),
-            other => anyhow::bail!("voxels of type {} cannot be cropped", other.scalar_type().name()),
+            other => anyhow::bail!("voxels of type {} cannot be cropped", other.scalar_type()),
         };
         let part = Self { voxels, dims, spacing: view.spacing(), range: view.range() };
         let corners = Facts::of(view).corners(Some(crop));
@@ -146,7 +146,7 @@ mod tests {
             assert_eq!(cut.value(x, y, z), view.value(x + 1, y, z + 4));
         }
         // A voxel's corner is at one place of the world in both.
-        let world = |v: &VolumeView<'_>, at: Vec3| at * v.spacing() - 0.5 * v.extent();
+        let world = |v: &VolumeView<'_>, at: Vec3| at * v.spacing() - v.half_extent();
         let of_whole = world(&view, Vec3::new(1.0, 0.0, 4.0)) / view.bounding_radius();
         let of_part = world(&cut, Vec3::ZERO) / cut.bounding_radius() * placement.radius + placement.center;
         assert!((of_whole - of_part).length() < 1e-6, "{of_whole} {of_part}");

@@ -2,7 +2,7 @@
 
 use crate::host::Steering;
 use anyhow::{Context, Result};
-use entire_core::adapt::ObserveFlags;
+use entire_core::control::ObserveFlags;
 use entire_core::control::{Reason, StepLimits};
 use entire_core::features::Changes;
 use entire_core::scene::{Frame, Shading, TransferTable};
@@ -159,7 +159,7 @@ impl Steer {
     pub(crate) fn probe(&self, shading: Shading) -> Option<(usize, u32)> {
         let running = self.loops.get(&(self.controller, shading_index(shading)))?;
         let features = running.session.features();
-        Some((features.probe_side(), features.probe().rays()))
+        Some((features.probe_side(), features.probe_rays()))
     }
 
     /// The session that steers, told of everything.
@@ -210,11 +210,12 @@ impl Steer {
         let rest = self.other_work();
         let other = spent + rest;
         let target = (self.target - other).max(LEAST_SHARE * self.target);
-        let (enabled, limits, distance) = (self.enabled, StepLimits::new(1.0, self.coarsest)?, self.distance);
+        let (enabled, limits, distance) =
+            (self.enabled, StepLimits { finest: 1.0, coarsest: self.coarsest }, self.distance);
         let changes = std::mem::replace(&mut self.changes, Changes::NONE);
         let session = self.session(frame.shading())?;
         session.set_enabled(enabled);
-        session.set_limits(limits);
+        session.set_limits(limits)?;
         session.set_max_image_sample_distance(distance, STEP_ALONE)?;
         session.mark(changes);
         let plan = session.plan(frame, target as f32)?;
@@ -289,7 +290,7 @@ pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
         Reason::NoInformation => "the coarsest allowed: nothing is known yet".to_owned(),
         Reason::Off => "steering is off".to_owned(),
         Reason::Reactive => "a rule that knows past frames only".to_owned(),
-        _ => record.reason.name().to_owned(),
+        _ => record.reason.to_string(),
     };
     format!("{controller}: {drawn}; {why}. {expected}; it took {}.", ms(record.seconds))
 }

@@ -189,7 +189,7 @@ fn constant_model(log_seconds: f32) -> Vec<u8> {
         dtype: Dtype::F32,
     };
     let parts = PredNetParts { layers: vec![layer], input: None, output: None, target: Target::LogSeconds };
-    let mut file = ModelFile::new();
+    let mut file = ModelFile::default();
     file.set_prednet(&parts, &[InputGroup { name: "camera".into(), size: 3 }]).unwrap();
     file.to_bytes().unwrap()
 }

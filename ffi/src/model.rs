@@ -13,9 +13,9 @@ use crate::result::entire_result::{self, *};
 use crate::result::{Failure, copied, frame_time};
 use crate::sink;
 use crate::volume::{Volume, entire_volume};
-use entire_core::kernels::{Level, Storage};
-use entire_core::model::{Model, keys};
+use entire_core::model::{GroupKind, Model};
 use entire_core::nn::{EncodeScratch, Executor, PredNet, PredNetParts, PredScratch, Target, VolumeNet};
+use entire_core::nn::{Level, Storage};
 use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
 use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
@@ -172,7 +172,7 @@ impl Loaded {
     /// The volume features that the model's predictions take: ready ones, or the encoder's; `None` where it
     /// takes none.
     pub(crate) fn features_of(&self, volume: &Volume) -> Result<Option<Vec<f32>>, Failure> {
-        let Some(size) = self.model.input_size(keys::GROUP_VOLUME_FEATURES) else { return Ok(None) };
+        let Some(size) = self.model.input_size(GroupKind::VolumeFeatures.name()) else { return Ok(None) };
         if let Some(ready) = &volume.features {
             if ready.len() != size {
                 return Err(Failure::new(
@@ -196,7 +196,7 @@ impl Loaded {
         let (net, pool) = self.volumenet()?;
         let view = volume.view()?;
         let scratch = || Ok::<_, Failure>(net.scratch());
-        pool.with(scratch, |scratch| net.encode(view, scratch, Executor::serial(), features))??;
+        pool.with(scratch, |scratch| net.encode(view, scratch, Executor::Serial, features))??;
         Ok(())
     }
 
@@ -285,7 +285,7 @@ pub unsafe extern "C" fn entire_model_open_machine(
     // SAFETY: the pointer is as the crate's documentation demands.
     guard(|| unsafe {
         check_pointer(model, "model (output)")?;
-        let mode = crate::frame::shading(shading)?.name();
+        let mode = crate::frame::shading(shading)?;
         let path = data_folder()
             .ok_or_else(|| {
                 Failure::new(
@@ -386,7 +386,7 @@ pub unsafe extern "C" fn entire_model_describe(
                 feature_count: loaded.volumenet.as_ref().map_or(0, |(net, _)| net.feature_len()),
                 encoder_edge: loaded.volumenet.as_ref().map_or(0, |(net, _)| net.input_size()),
                 scene_feature_count: model.scene_features().len(),
-                target: match model.target() {
+                target: match model.prednet().map(|net| net.target) {
                     None => ENTIRE_TARGET_NONE,
                     Some(Target::Seconds) => ENTIRE_TARGET_SECONDS,
                     Some(Target::LogSeconds) => ENTIRE_TARGET_LOG_SECONDS,

@@ -166,8 +166,8 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
                 midpoint: n.midpoint,
                 sharpness: n.sharpness,
             });
-            let nodes = Nodes::new(collected(opacity)?, collected(color)?, low, high)?;
-            Ok(TransferFunction::Nodes(nodes.with_clamping(clamping != 0)))
+            let (opacity, color) = (collected(opacity)?, collected(color)?);
+            Ok(TransferFunction::Nodes(Nodes { opacity, color, range: (low, high), clamp: clamping != 0 }))
         })
     }
 }

@@ -314,7 +314,7 @@ pub unsafe extern "C" fn entire_volume_new(
 fn log_volume(view: &VolumeView<'_>) {
     if sink::enabled(sink::ENTIRE_LOG_INFO) {
         let ([x, y, z], (low, high)) = (view.dims(), view.range());
-        let name = view.scalar_type().name();
+        let name = view.scalar_type().to_string();
         sink::emit(
             sink::ENTIRE_LOG_INFO,
             &format!("volume of {x} x {y} x {z} {name} voxels, range {low} to {high}"),

@@ -105,8 +105,8 @@ fn documented_defaults_are_those_of_the_code() {
     let header = generate();
     let (hybrid, steps) = (HybridOptions::default(), StepLimits::default());
     let defaults = [
-        ("finest_step", steps.finest()),
-        ("coarsest_step", steps.coarsest()),
+        ("finest_step", steps.finest),
+        ("coarsest_step", steps.coarsest),
         ("miss_rate", hybrid.miss_rate),
         ("tolerance", hybrid.tolerance),
         ("trust_limit", hybrid.trust_limit),

@@ -71,7 +71,7 @@ fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
         VolumeView::new(Scalars::U8(&voxels), [5, 7, 11]).unwrap().with_spacing([1.0, 2.0, 7.0]).unwrap();
     let encoder = VolumeNet::new(model.volumenet().unwrap()).unwrap();
     let mut features = vec![0.0; encoder.feature_len()];
-    encoder.encode(&view, &mut encoder.scratch(), Executor::serial(), &mut features).unwrap();
+    encoder.encode(&view, &mut encoder.scratch(), Executor::Serial, &mut features).unwrap();
     wanted.extend_from_slice(&features);
 
     let lobes = [GaussianLobe { center: 0.5, width: 0.05, height: 0.3 }];

@@ -13,7 +13,7 @@ pub fn check_volume<E: std::fmt::Display>(read: Result<Volume, E>) {
             assert_eq!(view.voxels(), volume.data().len() as u64);
             assert!(view.half_extent().is_finite() && view.reference_step() > 0.0);
             let [x, y, z] = view.dims();
-            assert!((0.0..=1.0).contains(&view.normalized(x - 1, y - 1, z - 1)));
+            assert!((0.0..=1.0).contains(&view.normalize(view.value(x - 1, y - 1, z - 1))));
         }
         Err(error) => assert!(!format!("{error:#}").is_empty()),
     }
@@ -35,7 +35,7 @@ pub fn check_model<E: std::fmt::Display>(read: Result<Model, E>) {
         let voxels = [0, 100, 255, 7, 9, 11, 13, 200];
         let view = VolumeView::new(Scalars::U8(&voxels), [2, 2, 2]).expect("eight voxels");
         let mut features = vec![0.0; net.feature_len()];
-        net.encode(&view, &mut net.scratch(), Executor::serial(), &mut features)
+        net.encode(&view, &mut net.scratch(), Executor::Serial, &mut features)
             .expect("any volume can be encoded");
     }
 }

@@ -12,7 +12,7 @@ extern crate self as entire_cli;
 pub mod dataset;
 #[path = "../../cli/src/device.rs"]
 pub mod device;
-#[path = "../../cli/src/farm/list.rs"]
+#[path = "../../cli/src/farm/list/mod.rs"]
 pub mod farm;
 #[path = "../../cli/src/files.rs"]
 pub mod files;

@@ -75,7 +75,7 @@ def main():
         import torch
     except ImportError:
         sys.exit("PyTorch is not there; pip install torch numpy, or name a Python that has it: make bars-train PYTHON=…")
-    example = ["--package", "entire-core", "--features", "train", "--example", "train_speed", "--release"]
+    example = ["--package", "entire-cli", "--example", "train_speed", "--release"]
     subprocess.run(["cargo", "build", "--quiet", *example], cwd=ROOT, check=True)
     target = os.environ.get("CARGO_TARGET_DIR", ROOT / "target")
     program = Path(target) / "release" / "examples" / "train_speed"

@@ -88,7 +88,7 @@ impl Bench {
     fn round(&mut self, model: &Model) -> Result<Latency> {
         let mut predictor = load(model)?;
         let looks = model.inputs().iter().any(|g| g.name == GroupKind::SceneFeatures.name());
-        let codes = model.volumenet().map_or(0, |v| v.features());
+        let codes = model.volumenet().map_or(0, |v| v.fc.outputs);
         let side = predictor.probe_side();
         self.round_of(looks.then_some(side), codes, |inputs| {
             Ok(f64::from(predictor.predict(inputs)?.seconds))

@@ -8,7 +8,7 @@ use entire_cli::files::{make_folder, read_model_file, write_whole};
 use entire_cli::fit::{DtypeChoice, FitContext, predict};
 use entire_cli::metrics::{BoundMetrics, Metrics};
 use entire_cli::split::TimedFrames;
-use entire_core::model::{ModelFile, keys};
+use entire_core::model::{Key, ModelFile};
 use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -40,7 +40,7 @@ pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>)
                 .find(|f| f.0 == set.name && f.1 == ship.predictor)
                 .with_context(|| format!("{} was not made for {}", ship.predictor, set.name))?;
             let (mut file, model) = read_model_file(&made.2)?;
-            let judged_as = model.prednet().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.name());
+            let judged_as = model.prednet().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.into());
             store_as(&mut file, ship.dtype)?;
             let paths: Vec<PathBuf> =
                 set.training.iter().chain(set.splits.iter().flat_map(|s| &s.tables)).cloned().collect();
@@ -124,13 +124,14 @@ fn provenance(
     fit: Option<&Fit>,
     as_it_is: bool,
 ) -> Result<()> {
-    let mut stored: serde_json::Value = match file.metadata().get(keys::PROVENANCE) {
+    let mut stored: serde_json::Value = match file.metadata.get(Key::Provenance.name()) {
         Some(text) => serde_json::from_str(text)?,
         None => json!({}),
     };
     stored["paper"] = json!("ENTIRE: Learning-based Volume Rendering Time Prediction");
     stored["clock"] = json!(study.clock);
-    stored["shading"] = json!(training.iter().flat_map(|t| &t.frames).next().map(|f| f.scene.shading.name()));
+    stored["shading"] =
+        json!(training.iter().flat_map(|t| &t.frames).next().map(|f| f.scene.shading.to_string()));
     if !as_it_is || stored.get("data").is_none() {
         stored["data"] = training
             .iter()
@@ -155,13 +156,13 @@ fn provenance(
                 "coverage": f.bound.map(|b| b.coverage) })
         })
         .collect();
-    file.set_metadata(keys::PROVENANCE, stored.to_string());
+    file.metadata.insert(Key::Provenance.into(), stored.to_string());
     entire_cli::clock::set(file, clock(&study.clock)?);
-    file.remove_metadata("entire.study_key");
+    file.metadata.remove("entire.study_key");
     if let Some(manifest) = training.iter().find_map(|t| t.manifest.as_ref()) {
-        file.set_metadata(keys::RENDERER, manifest.renderer.clone());
-        file.set_metadata(keys::DEVICE, manifest.device.clone());
-        file.set_metadata(keys::STEP_REFERENCE, manifest.step_reference.clone());
+        file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
+        file.metadata.insert(Key::Device.into(), manifest.device.clone());
+        file.metadata.insert(Key::StepReference.into(), manifest.step_reference.clone());
     }
     Ok(())
 }
@@ -180,7 +181,8 @@ fn card(
 ) -> Result<String> {
     let model = file.to_model()?;
     let stored: serde_json::Value =
-        serde_json::from_str(model.provenance().unwrap_or("{}")).unwrap_or_default();
+        serde_json::from_str(model.metadata().get(Key::Provenance.name()).map_or("{}", String::as_str))
+            .unwrap_or_default();
     let text = |key: &str| stored.get(key).and_then(|v| v.as_str()).unwrap_or("not known").to_owned();
     let shading = text("shading");
     let mut md = String::new();
@@ -189,7 +191,7 @@ fn card(
         "# {name}\n\n{}; weights stored as {}. Predicts the seconds of one frame with shading `{shading}` \
          before it is drawn.\n",
         text("what"),
-        ship.dtype.storage().name()
+        ship.dtype.storage()
     );
     let _ = writeln!(
         md,

@@ -76,8 +76,8 @@ impl Recording<'_> {
             draw: TraceDraw {
                 width_px: self.draw.width,
                 height_px: self.draw.height,
-                shading: self.draw.shading.name().into(),
-                skipping: self.draw.skipping.name().into(),
+                shading: self.draw.shading.to_string(),
+                skipping: self.draw.skipping.to_string(),
                 termination: self.draw.termination,
                 clock: self.draw.clock.name().into(),
             },

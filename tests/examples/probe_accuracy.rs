@@ -11,7 +11,9 @@
 
 use entire_cli::scenes::SceneDistribution;
 use entire_cli::volume::Volume;
-use entire_core::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
+use entire_core::features::{
+    Changes, FrameFeatures, SceneQuantity, Setting, SummaryOptions, TransferSummary, VolumeSummary,
+};
 use entire_core::scene::{Camera, Frame, Shading, Skipping, TransferFunction};
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 
@@ -69,7 +71,11 @@ fn main() {
                 transfer.prepare_distance();
                 let mut features = FrameFeatures::new();
                 features.measure(&summary, &transfer, &frame);
-                let work = features.work(&Setting::of(&frame));
+                let setting = Setting::of(&frame);
+                let work = features.work(&setting);
+                let share = |q| features.quantity(q, &setting, &work, Changes::NONE);
+                let terminated = share(SceneQuantity::TerminatedShare);
+                let occupied = share(SceneQuantity::OccupiedShare);
                 // The twin counts shadow samples with the primary ones.
                 let pairs = [
                     (work.rays, counts.rays as f64),
@@ -88,11 +94,7 @@ fn main() {
                                 format!(
                                     "frame {index} estimate {estimate:.0} count {count:.0} rays {} \
                                      terminated {:.2} occupied {:.3} step {} {:?}",
-                                    counts.rays,
-                                    features.probe().terminated(),
-                                    transfer.occupied_share(),
-                                    scene.step,
-                                    scene.lobes
+                                    counts.rays, terminated, occupied, scene.step, scene.lobes
                                 ),
                             );
                         }
@@ -103,7 +105,7 @@ fn main() {
                 println!("  {path}: x{:.2} {}", f64::exp(worst.0), worst.1);
             }
         }
-        println!("{} / {}", shading.name(), skipping.name());
+        println!("{shading} / {skipping}");
         for (name, ratios) in names.iter().zip(&mut ratios) {
             if ratios.is_empty() {
                 continue;

@@ -3,7 +3,7 @@
 //! that a reader has to find.
 
 use entire_core::features::{Changes, FrameFeatures, Setting};
-use entire_core::model::{Model, keys};
+use entire_core::model::{GroupKind, Key, Model};
 use entire_core::nn::{Executor, PredNet, VolumeNet, VolumeNetParts};
 use entire_core::predict::{Inputs, check_batch, checked_seconds, load};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, VolumeView};
@@ -189,8 +189,8 @@ impl Mutants {
         put(self, "volumenet.fc.weight".into(), vec![features, flat.min(room)]);
         put(self, "volumenet.fc.bias".into(), vec![features]);
         let layout = json!({"input": input, "blocks": layout}).to_string();
-        parts.metadata.insert(keys::VOLUMENET.into(), layout.into());
-        parts.metadata.insert(keys::FORMAT_KEY.into(), keys::FORMAT.into());
+        parts.metadata.insert(Key::VolumeNet.into(), layout.into());
+        parts.metadata.insert(Key::Format.into(), "1".into());
     }
 
     /// A prediction network whose sizes fit together: deep, wide, or both.
@@ -226,9 +226,9 @@ impl Mutants {
             }
             width = outputs;
         }
-        parts.metadata.insert(keys::INPUTS.into(), groups.to_string().into());
-        parts.metadata.insert(keys::TARGET.into(), self.one(&["seconds", "log_seconds"]).into());
-        parts.metadata.insert(keys::FORMAT_KEY.into(), keys::FORMAT.into());
+        parts.metadata.insert(Key::Inputs.into(), groups.to_string().into());
+        parts.metadata.insert(Key::Target.into(), self.one(&["seconds", "log_seconds"]).into());
+        parts.metadata.insert(Key::Format.into(), "1".into());
     }
 
     fn groups(&mut self, parts: &mut Parts) {
@@ -240,7 +240,7 @@ impl Mutants {
                 json!({"name": if same && i > 0 { "g".into() } else { format!("g{i}") }, "size": size})
             })
             .collect();
-        parts.metadata.insert(keys::INPUTS.into(), Value::Array(list).to_string().into());
+        parts.metadata.insert(Key::Inputs.into(), Value::Array(list).to_string().into());
     }
 
     fn tensor(&mut self, parts: &mut Parts) {
@@ -282,8 +282,8 @@ impl Mutants {
     fn metadata(&mut self, parts: &mut Parts) {
         let known: Vec<String> = parts.metadata.keys().cloned().collect();
         let key = match self.below(3) {
-            0 => self.one(&[keys::INPUTS, keys::TARGET, keys::VOLUMENET, keys::SCENE_FEATURES]).to_owned(),
-            1 => self.one(&["entire.calibration", "entire.unit_costs", "entire.probe_side"]).to_owned(),
+            0 => self.one(&[Key::Inputs, Key::Target, Key::VolumeNet, Key::SceneFeatures]).into(),
+            1 => self.one(&[Key::Calibration, Key::UnitCosts, Key::ProbeSide]).into(),
             _ if known.is_empty() => "x".into(),
             _ => known[self.below(known.len())].clone(),
         };
@@ -399,7 +399,7 @@ pub fn exercise(bytes: &[u8]) -> Outcome {
             let voxels: Vec<u8> = (0..125).map(|i| i * 2).collect();
             let view = VolumeView::new(Scalars::U8(&voxels), [5; 3]).expect("125 voxels");
             let mut features = vec![0.0; net.feature_len()];
-            net.encode(&view, &mut net.scratch(), Executor::serial(), &mut features).expect("an encoding");
+            net.encode(&view, &mut net.scratch(), Executor::Serial, &mut features).expect("an encoding");
             out.encoded = true;
         }
     }
@@ -412,9 +412,9 @@ fn predict_one(model: &Model, usable: impl Fn(f32)) {
     let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).expect("a camera");
     let frame = Frame::new(camera, 640, 480).expect("a frame");
     let size = |group: &str| model.input_size(group).unwrap_or(0);
-    let volume_features = vec![0.5; size(keys::GROUP_VOLUME_FEATURES)];
+    let volume_features = vec![0.5; size(GroupKind::VolumeFeatures.name())];
     let lobe = GaussianLobe { center: 0.5, width: 0.1, height: 0.5 };
-    let lobes = vec![lobe; size(keys::GROUP_TRANSFER_FUNCTION) / 3];
+    let lobes = vec![lobe; size(GroupKind::TransferFunction.name()) / 3];
     let features = FrameFeatures::new();
     let inputs = Inputs {
         features: &features,

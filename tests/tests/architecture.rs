@@ -207,7 +207,6 @@ const CORE: &Rooms = &[
     ("adapt", &["predict", "features", "scene"]),
     ("control", &["adapt", "predict", "features", "scene"]),
     ("schedule", &[]),
-    ("train", &["predict", "model", "nn", "kernels", "features", "scene"]),
 ];
 
 /// A room is a folder or a file. Commands are what nobody else uses.
@@ -224,6 +223,7 @@ const CLI: &Rooms = &[
     ("progress", &[]),
     ("report", &["files"]),
     ("teacher", &[]),
+    ("train", &[]),
     ("bound", &["metrics"]),
     ("enlarge", &["volume"]),
     ("options", &["device", "machine"]),
@@ -232,11 +232,14 @@ const CLI: &Rooms = &[
     ("split", &["dataset"]),
     ("inputs", &["dataset", "enlarge", "volume"]),
     ("evaluation", &["dataset", "inputs", "metrics", "options"]),
-    ("fit", &["dataset", "files", "inputs", "metrics"]),
+    ("fit", &["dataset", "files", "inputs", "metrics", "train"]),
     ("collection", &["dataset", "enlarge", "scenes", "volume"]),
     (
         "steering",
-        &["dataset", "files", "fit", "machine", "metrics", "options", "path", "progress", "report", "scenes"],
+        &[
+            "dataset", "files", "fit", "machine", "metrics", "options", "path", "progress", "report",
+            "scenes", "train",
+        ],
     ),
     (
         "commands",
@@ -262,6 +265,7 @@ const CLI: &Rooms = &[
             "split",
             "steering",
             "teacher",
+            "train",
             "volume",
         ],
     ),

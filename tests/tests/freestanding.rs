@@ -1,7 +1,7 @@
 //! A program without libc, with a fixed arena for memory, loads a model and predicts with the same bits as
 //! this hosted build, at every level.
 
-use entire_core::model::{InputGroup, ModelFile, keys};
+use entire_core::model::{GroupKind, InputGroup, Key, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
 
 fn noise() -> impl FnMut() -> f32 {
@@ -36,19 +36,18 @@ fn model() -> Vec<u8> {
     };
     let group = |name: &str, size| InputGroup { name: name.into(), size };
     let groups = [
-        group(keys::GROUP_VOLUME_FEATURES, 4),
-        group(keys::GROUP_CAMERA, 3),
-        group(keys::GROUP_RESOLUTION, 2),
-        group(keys::GROUP_TRANSFER_FUNCTION, 9),
-        group(keys::GROUP_STEP_SIZE, 1),
+        group(GroupKind::VolumeFeatures.name(), 4),
+        group(GroupKind::Camera.name(), 3),
+        group(GroupKind::Resolution.name(), 2),
+        group(GroupKind::TransferFunction.name(), 9),
+        group(GroupKind::StepSize.name(), 1),
     ];
-    let mut file = ModelFile::new();
+    let mut file = ModelFile::default();
     file.set_prednet(&prednet, &groups).unwrap();
     let blocks = [(1usize, 10usize, 3usize), (10, 18, 3), (18, 24, 3)];
-    file.set_metadata(
-        keys::VOLUMENET,
-        r#"{"input":16,"blocks":[{"stride":2,"padding":1},{"stride":2,"padding":1},{"stride":1,"padding":0}]}"#,
-    );
+    let two = r#"{"stride":2,"padding":1}"#;
+    let layout = format!(r#"{{"input":16,"blocks":[{two},{two},{{"stride":1,"padding":0}}]}}"#);
+    file.metadata.insert(Key::VolumeNet.into(), layout);
     for (i, (inputs, outputs, k)) in blocks.into_iter().enumerate() {
         let mut tensor = |name: &str, shape: &[usize], scale: f32, offset: f32| {
             let values: Vec<f32> = (0..shape.iter().product()).map(|_| scale * next() + offset).collect();

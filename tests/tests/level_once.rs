@@ -1,7 +1,10 @@
 //! The environment is asked for the level once: a host that changes it later, from another thread, disturbs
 //! nothing.
 
-use entire_core::kernels::{LEVEL_VARIABLE, Level};
+use entire_core::nn::Level;
+
+/// What a user sets.
+const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
 #[test]
 #[allow(unsafe_code, reason = "setting the environment is unsafe; this test is alone in its process")]

@@ -1,12 +1,9 @@
 //! Networks against float64 evaluations by PyTorch (`tests/golden/make_golden.py`), stamped on every level. A
 //! level that this CPU lacks is reported as ignored.
 
-use entire_core::kernels::{Isa, Level};
 use entire_core::model::Model;
-use entire_core::nn::{
-    PREDNET_BF16_TOLERANCE, PREDNET_F16_TOLERANCE, PREDNET_F32_TOLERANCE, PREDNET_INT8_TOLERANCE, PredNet,
-    Storage,
-};
+use entire_core::nn::{Dtype, PredNet, Storage};
+use entire_core::nn::{Isa, Level};
 use entire_tests::levels::on_every_level;
 use libtest_mimic::{Arguments, Trial};
 use serde_json::Value;
@@ -37,16 +34,9 @@ fn rows(case: &Value) -> (Vec<Vec<f32>>, Vec<f64>) {
     (inputs, numbers(&case["seconds"]))
 }
 
-/// Storages that lose nothing of what the file holds, and the loss of the others.
-fn tolerance(stored: &str, storage: Storage) -> f64 {
-    match storage {
-        Storage::F32 => PREDNET_F32_TOLERANCE,
-        Storage::F16 if stored == "F16" => PREDNET_F32_TOLERANCE,
-        Storage::Bf16 if stored == "BF16" => PREDNET_F32_TOLERANCE,
-        Storage::F16 => PREDNET_F16_TOLERANCE,
-        Storage::Bf16 => PREDNET_BF16_TOLERANCE,
-        _ => PREDNET_INT8_TOLERANCE,
-    }
+/// The format that a file's weights have.
+fn stored(model: &Model) -> Dtype {
+    model.prednet().expect("a PredNet").layers[0].dtype
 }
 
 /// Exact storages are judged row by row, as the contract has it; rounded ones against the largest value,
@@ -58,9 +48,9 @@ fn prednets_agree(level: Level) {
         let scale = expected.iter().fold(0.0f64, |m, y| m.max(y.abs()));
         for storage in Storage::ALL {
             let net = PredNet::with(model.prednet().expect("a PredNet"), level, storage).expect("a network");
-            let tolerance = tolerance(case["dtype"].as_str().expect("a dtype"), storage);
-            let allowed =
-                |y: f64| tolerance * if tolerance == PREDNET_F32_TOLERANCE { y.abs() } else { scale };
+            let tolerance = PredNet::tolerance(storage, stored(&model));
+            let exact = tolerance == PredNet::tolerance(Storage::F32, stored(&model));
+            let allowed = |y: f64| tolerance * if exact { y.abs() } else { scale };
             let mut scratch = net.scratch().expect("memory");
             let single: Vec<f32> = inputs.iter().map(|row| net.predict(row, &mut scratch)).collect();
             for rows in [1, 2, 5, 192] {
@@ -74,7 +64,7 @@ fn prednets_agree(level: Level) {
                             error <= allowed(y),
                             "{name} row {i}, {} on {level}, {how} with {rows} rows at once: {found} instead of {y}, \
                              error {:.2e}",
-                            storage.name(),
+                            storage,
                             error / y.abs()
                         );
                     }
@@ -86,13 +76,16 @@ fn prednets_agree(level: Level) {
 
 fn storage_follows_the_file() {
     for case in cases("prednets") {
-        let net = PredNet::new(model(&case).prednet().expect("a PredNet")).expect("a network");
+        let model = model(&case);
+        let parts = model.prednet().expect("a PredNet");
         let expected = match case["dtype"].as_str().expect("a dtype") {
             "F16" => Storage::F16,
             "BF16" => Storage::Bf16,
             _ => Storage::F32,
         };
-        assert_eq!(net.storage(), expected);
+        let kept = PredNet::with(parts, Level::detect(), expected).expect("a network");
+        let net = PredNet::new(parts).expect("a network");
+        assert_eq!(net.memory(), kept.memory());
     }
 }
 
@@ -110,7 +103,7 @@ fn batches_do_not_depend_on_their_cut(level: Level) {
                 let mut found = vec![0.0; 401];
                 net.predict_batch(&many, &mut found, &mut net.batch_scratch(rows).expect("memory"))
                     .expect("a batch");
-                assert_eq!(found, expected, "{} rows at once, {}", rows, storage.name());
+                assert_eq!(found, expected, "{rows} rows at once, {storage}");
             }
             for (i, y) in expected.iter().enumerate() {
                 assert_eq!(y.to_bits(), expected[i % inputs.len()].to_bits(), "row {i}");

@@ -1,7 +1,7 @@
 //! Hot calls allocate nothing once set-up is done: counted by the global allocator, on every level and
 //! storage.
 
-use entire_core::kernels::Level;
+use entire_core::nn::Level;
 use entire_core::nn::{
     DenseParts, Dtype, Executor, Helper, Normalization, PredNet, PredNetParts, Storage, Target,
 };
@@ -106,15 +106,15 @@ fn predictions_allocate_nothing() {
                 let mut sum = 0.0;
                 for row in inputs.chunks_exact(16) {
                     sum += net.predict(row, &mut scratch);
-                    sum += net.predict_on(Executor::helper(&helper), row, &mut scratch);
+                    sum += net.predict_on(Executor::Helper(&helper), row, &mut scratch);
                 }
                 net.predict_batch(&inputs, &mut seconds, &mut scratches[0]).expect("a batch");
                 sum += seconds[99];
-                net.predict_batch_on(Executor::helper(&helper), &inputs, &mut seconds, &mut scratches)
+                net.predict_batch_on(Executor::Helper(&helper), &inputs, &mut seconds, &mut scratches)
                     .expect("a batch in two parts");
                 assert!((sum + seconds[0]).is_finite());
             });
-            assert_eq!(calls, 0, "{level}, {}", storage.name());
+            assert_eq!(calls, 0, "{level}, {}", storage);
         }
     }
 }

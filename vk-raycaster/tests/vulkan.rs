@@ -128,7 +128,7 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
             for shading in SHADINGS {
                 for skipping in SKIPPINGS {
                     let frame = scene.frame.with_shading(shading).with_skipping(skipping);
-                    let name = format!("{kind}, {}, {}, {}", scene.name, shading.name(), skipping.name());
+                    let name = format!("{kind}, {}, {}, {}", scene.name, shading, skipping);
                     let (a, b) = (gpu.render(&frame)?, twin.render(&frame)?);
                     let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
                     if largest > LARGEST || mean > MEAN {
@@ -177,7 +177,7 @@ fn odd_volumes() -> Outcome {
                     let (a, b) = (gpu.render(&f)?, twin.render(&f)?);
                     let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
                     if largest > LARGEST || mean > MEAN {
-                        return Err(format!("{kind} {dims:?} {}: {largest} {mean}", shading.name()).into());
+                        return Err(format!("{kind} {dims:?} {}: {largest} {mean}", shading).into());
                     }
                 }
             }
@@ -204,13 +204,7 @@ fn blocks_of_every_edge_match_the_twin() -> Outcome {
                 let (a, b) = (gpu.render(&f)?, twin.render(&f)?);
                 let (largest, _) = difference(&a.image.rgba, &b.image.rgba);
                 if largest > LARGEST || gpu.is_software() && a.counts != b.counts {
-                    return Err(format!(
-                        "{edge}, {kind}, {}: {:?} {:?}",
-                        skipping.name(),
-                        a.counts,
-                        b.counts
-                    )
-                    .into());
+                    return Err(format!("{edge}, {kind}, {}: {:?} {:?}", skipping, a.counts, b.counts).into());
                 }
                 if kind == "u8" {
                     pictures.push(a.image);
@@ -293,7 +287,7 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
             for shading in [Shading::None, Shading::Local] {
                 for skipping in SKIPPINGS {
                     let frame = scene.frame.with_shading(shading).with_skipping(skipping);
-                    let name = format!("{kind}, {}, {}, {}", scene.name, shading.name(), skipping.name());
+                    let name = format!("{kind}, {}, {}, {}", scene.name, shading, skipping);
                     let (a, b) = (gpu.render(&frame)?, twin.render(&frame)?);
                     let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
                     if largest > LARGEST || mean > MEAN {
@@ -484,7 +478,7 @@ fn counting_changes_no_picture() -> Outcome {
                 });
                 let (counted, timed) = (counted?, timed?);
                 if counted.image != timed.image || timed.counts.is_some() {
-                    let name = format!("{}, {}, {}", scene.name, shading.name(), skipping.name());
+                    let name = format!("{}, {}, {}", scene.name, shading, skipping);
                     return Err(
                         format!("{name}: {:?}", difference(&counted.image.rgba, &timed.image.rgba)).into()
                     );
@@ -501,7 +495,7 @@ fn counting_changes_no_picture() -> Outcome {
             gpu.render(&frame.with_skipping(skipping))
         });
         if counted?.image != timed?.image {
-            return Err(format!("windows, {}", skipping.name()).into());
+            return Err(format!("windows, {}", skipping).into());
         }
     }
     expect_silence(&gpu)
@@ -524,7 +518,7 @@ fn long_rays_are_cast_in_windows() -> Outcome {
         let (largest, _) = difference(&a.image.rgba, &b.image.rgba);
         let exact = !gpu.is_software() || a.counts == b.counts;
         if largest > LARGEST || !exact {
-            return Err(format!("{}: {largest}, {:?}, {:?}", skipping.name(), a.counts, b.counts).into());
+            return Err(format!("{}: {largest}, {:?}, {:?}", skipping, a.counts, b.counts).into());
         }
     }
     expect_silence(&gpu)

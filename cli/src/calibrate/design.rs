@@ -171,7 +171,7 @@ mod tests {
         Pool {
             volumes: Vec::new(),
             candidates: rows.iter().map(candidate).collect(),
-            prior: ModelFile::new(),
+            prior: ModelFile::default(),
             expected: vec![1.0; rows.len()],
         }
     }

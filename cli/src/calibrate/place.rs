@@ -24,7 +24,7 @@ pub fn data_folder() -> Option<PathBuf> {
 
 /// The file of the machine's model for a shading mode.
 pub fn file_of(shading: Shading) -> Option<PathBuf> {
-    Some(data_folder()?.join("entire").join(format!("machine-{}.safetensors", shading.name())))
+    Some(data_folder()?.join("entire").join(format!("machine-{shading}.safetensors")))
 }
 
 /// The machine's model for a shading mode, with its file and the clock that it predicts; `None` where `entire
@@ -45,7 +45,7 @@ pub fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFile, Opt
 /// When it is not; says how to make it.
 pub fn machine_file(shading: Shading) -> Result<PathBuf> {
     file_of(shading).filter(|p| p.is_file()).with_context(|| {
-        let shading = shading.name();
+        let shading: &str = shading.into();
         format!(
             "this machine has no model for shading {shading}; make one with `entire calibrate --shade {shading}`, \
              or name a model with --model"

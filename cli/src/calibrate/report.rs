@@ -8,7 +8,7 @@ use crate::fit::{Belief, Chosen, Observed};
 use crate::machine;
 use crate::metrics::{Metrics, bootstrap_by_group};
 use anyhow::{Context, Result};
-use entire_core::model::{ModelFile, keys};
+use entire_core::model::{Key, ModelFile};
 use entire_core::predict::Calibration;
 use entire_vk_raycaster::Renderer;
 use serde::Serialize;
@@ -87,7 +87,7 @@ impl Report {
         volumes.sort_unstable();
         volumes.dedup();
         Ok(Self {
-            shading: settings.shading.name(),
+            shading: settings.shading.into(),
             clock: settings.clock.name(),
             frames: observed.len(),
             volumes: volumes.len(),
@@ -200,13 +200,13 @@ impl Report {
         let mut upper = bound::from_groups(crossed, &measured, &groups);
         if self.others.busy() {
             // What a busy machine's frames say of a quiet one is open: a session believes what it observes.
-            upper = Calibration::from_log_factor(upper.log_factor().max(BUSY_LOG_FACTOR));
+            upper = Calibration { log_factor: upper.log_factor.max(BUSY_LOG_FACTOR) };
         }
         bound::set(file, &upper)?;
-        file.set_metadata(crate::clock::CLOCK_KEY, self.clock);
-        file.set_metadata(keys::RENDERER, renderer.backend());
-        file.set_metadata(keys::DEVICE, renderer.device());
-        file.set_metadata(keys::STEP_REFERENCE, "smallest voxel spacing");
+        file.metadata.insert(crate::clock::CLOCK_KEY.into(), self.clock.into());
+        file.metadata.insert(Key::Renderer.into(), renderer.backend().into());
+        file.metadata.insert(Key::Device.into(), renderer.device());
+        file.metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());
         let prior = self.prior.as_deref().map(|p| {
             std::path::Path::new(p)
                 .file_name()
@@ -225,7 +225,7 @@ impl Report {
             "program": format!("entire {}", machine::version()),
             "date": machine::now(),
         });
-        file.set_metadata(keys::PROVENANCE, provenance.to_string());
+        file.metadata.insert(Key::Provenance.into(), provenance.to_string());
         Ok(())
     }
 }

@@ -144,8 +144,8 @@ impl Protocol {
         let mut settings = json!({
             "frames_per_volume": self.frames,
             "warm_up_frames_discarded_per_volume": self.warm_up,
-            "shading": self.shading.name(),
-            "skipping": self.skipping.name(),
+            "shading": self.shading.to_string(),
+            "skipping": self.skipping.to_string(),
             "termination": self.termination,
             "fov_y_deg": DEFAULT_FOV_Y_DEGREES,
             "enlarged_trilinearly_by": self.enlarge,

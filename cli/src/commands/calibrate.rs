@@ -125,7 +125,7 @@ fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
         ),
         Some(out) if options.shade == ShadeOrAll::All => {
             let stem = out.file_stem().context("--out names no file")?.to_string_lossy().into_owned();
-            Ok(out.with_file_name(format!("{stem}-{}.safetensors", shading.name())))
+            Ok(out.with_file_name(format!("{stem}-{shading}.safetensors")))
         }
         Some(out) => Ok(out.clone()),
     }

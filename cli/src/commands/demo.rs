@@ -216,7 +216,7 @@ pub fn run(options: &Options) -> Result<()> {
         seed: options.seed,
         draw,
         calibration: (options.calibrate, 1),
-        limits: StepLimits::new(1.0, 16.0)?,
+        limits: StepLimits::default(),
         controllers: &CONTROLLERS,
         fixed_step: None,
         target: None,

@@ -50,7 +50,7 @@ pub fn run(options: &Options) -> Result<()> {
         .build()
         .context("cannot start threads; try --threads 1")?;
     let mut features = vec![0.0; net.feature_len()];
-    net.encode(&volume.view(), &mut net.scratch(), Executor::rayon(&pool), &mut features)
+    net.encode(&volume.view(), &mut net.scratch(), Executor::Rayon(&pool), &mut features)
         .with_context(|| format!("{}", options.volume.display()))?;
     if let Some(at) = features.iter().position(|f| !f.is_finite()) {
         bail!(

@@ -138,7 +138,7 @@ pub fn run(options: &Options) -> Result<()> {
         let json = json!({
             "volume": options.volume.to_string_lossy(),
             "dims": view.dims(),
-            "scalar_type": view.scalar_type().name(),
+            "scalar_type": view.scalar_type().to_string(),
             "range": [short(range.0), short(range.1)],
             "camera": {
                 "rx_deg": short(options.camera.rx),
@@ -150,8 +150,8 @@ pub fn run(options: &Options) -> Result<()> {
             "width": image.width,
             "height": image.height,
             "step": short(frame.step()),
-            "shade": Shading::from(options.render.shade).name(),
-            "skip": Skipping::from(options.render.skip).name(),
+            "shade": Shading::from(options.render.shade).to_string(),
+            "skip": Skipping::from(options.render.skip).to_string(),
             "block_edge": options.block_edge,
             "termination": short(frame.termination()),
             "backend": renderer.backend(),

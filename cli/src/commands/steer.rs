@@ -141,7 +141,8 @@ fn parse_retarget(text: &str) -> Result<(u32, f64)> {
 /// Bad options or files, a device that fails, interruption.
 pub fn run(options: &Options) -> Result<()> {
     let target = parse_target(&options.target)?;
-    let limits = StepLimits::new(options.limits.0, options.limits.1)?;
+    let limits = StepLimits { finest: options.limits.0, coarsest: options.limits.1 };
+    limits.check()?;
     ensure!(!options.controllers.is_empty(), "--controllers names nobody");
     for (i, kind) in options.controllers.iter().enumerate() {
         ensure!(!options.controllers[..i].contains(kind), "--controllers names {} twice", kind.name());

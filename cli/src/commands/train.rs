@@ -13,7 +13,7 @@ use crate::progress::{INPUTS_BAR, templated_bar};
 use crate::split::{GroupBy, Part, Split};
 use crate::{bound, interrupt, machine};
 use anyhow::{Result, ensure};
-use entire_core::model::keys;
+use entire_core::model::Key;
 use entire_core::predict::{Calibration, UPPER_LEVEL};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -275,7 +275,7 @@ pub fn run(options: &Options) -> Result<()> {
     // Metrics come from what the file holds, stored format and all.
     let model = trained.fitted.file.to_model()?;
     let mut results = Vec::new();
-    let mut upper = Calibration::unknown();
+    let mut upper = Calibration::default();
     let mut covered = BTreeMap::new();
     for p in [Part::Validation, Part::Training, Part::Test] {
         let bar = templated_bar(options.quiet, INPUTS_BAR);
@@ -286,7 +286,7 @@ pub fn run(options: &Options) -> Result<()> {
         if let Some(metrics) = Metrics::new(&predicted, &measured) {
             results.push((p, metrics));
             // The bound comes from frames that the weights were not fitted to, where there are any.
-            if upper.log_factor().is_nan() {
+            if upper.log_factor.is_nan() {
                 upper = bound::from_predictions(&predicted, &measured);
             }
             covered.insert(p.name(), bound::judge(&upper, &predicted, &measured).map(|b| b.coverage));
@@ -316,26 +316,26 @@ pub fn run(options: &Options) -> Result<()> {
             "seed": t.manifest.as_ref().map(|m| m.seed),
         })).collect::<Vec<_>>(),
         "clock": clock.name(),
-        "shading": options.shading.map(|s| s.name()),
+        "shading": options.shading.map(|s| s.to_string()),
         "split": split,
         "training_frames": count(Part::Training),
         "settings": trained.fitted.settings,
         "outcome": trained.fitted.outcome,
         "metrics": results.iter().map(|(p, m)| (p.name(), m)).collect::<BTreeMap<_, _>>(),
         "upper_bound": {
-            "level": UPPER_LEVEL, "log_factor": f64::from(upper.log_factor()), "coverage": covered,
+            "level": UPPER_LEVEL, "log_factor": f64::from(upper.log_factor), "coverage": covered,
         },
         "noise_floor": noise,
         "trained_on": machine::machine(),
         "program": format!("entire {}", machine::version()),
         "date": machine::now(),
     });
-    trained.fitted.file.set_metadata(keys::PROVENANCE, provenance.to_string());
+    trained.fitted.file.metadata.insert(Key::Provenance.into(), provenance.to_string());
     crate::clock::set(&mut trained.fitted.file, clock);
     if let Some(manifest) = tables.iter().find_map(|t| t.manifest.as_ref()) {
-        trained.fitted.file.set_metadata(keys::RENDERER, manifest.renderer.clone());
-        trained.fitted.file.set_metadata(keys::DEVICE, manifest.device.clone());
-        trained.fitted.file.set_metadata(keys::STEP_REFERENCE, manifest.step_reference.clone());
+        trained.fitted.file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
+        trained.fitted.file.metadata.insert(Key::Device.into(), manifest.device.clone());
+        trained.fitted.file.metadata.insert(Key::StepReference.into(), manifest.step_reference.clone());
     }
     write_whole(&options.out, &trained.fitted.file.to_bytes()?)?;
     let held = covered.get(Part::Test.name()).or(covered.get(Part::Validation.name())).copied().flatten();
@@ -449,14 +449,8 @@ fn card(
          --data FRAMES.csv`\n"
     );
     let _ = writeln!(md, "## Inputs\n");
-    for group in trained.layout.to_model_groups() {
-        let _ = writeln!(
-            md,
-            "- `{}`, {} number{}",
-            group.name,
-            group.size,
-            if group.size == 1 { "" } else { "s" }
-        );
+    for (group, size) in trained.layout.sizes() {
+        let _ = writeln!(md, "- `{}`, {} number{}", group.name(), size, if size == 1 { "" } else { "s" });
     }
     if !trained.layout.scene_features().is_empty() {
         let _ = writeln!(md, "\nScene features, in order: {}.", names(&trained.layout).join(", "));
@@ -492,7 +486,7 @@ fn card(
     }
     let _ = writeln!(md, "\nClock: {}. A frame's time is the median of its repeats.", trained.clock.name());
     if let Some(s) = options.shading {
-        let _ = writeln!(md, "Only frames with shading {}.", s.name());
+        let _ = writeln!(md, "Only frames with shading {s}.");
     }
     let _ = writeln!(md, "\n## Split\n\nBy {}, never by frame; seed {}.\n", split.by.name(), options.seed);
     for (part, groups) in
@@ -536,7 +530,7 @@ fn card(
             m.r2_log
         );
     }
-    if upper.log_factor().is_finite() {
+    if upper.log_factor.is_finite() {
         let _ = writeln!(
             md,
             "\nUpper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames \

@@ -86,7 +86,7 @@ impl Scene {
 pub fn parse_shading(name: &str) -> Result<Shading> {
     [Shading::None, Shading::Local, Shading::Scatter]
         .into_iter()
-        .find(|s| s.name() == name)
+        .find(|s| s.to_string() == name)
         .ok_or_else(|| anyhow!("shading is {name:?}; none, local or scatter is expected"))
 }
 
@@ -97,7 +97,7 @@ pub fn parse_shading(name: &str) -> Result<Shading> {
 pub fn parse_skipping(name: &str) -> Result<Skipping> {
     [Skipping::None, Skipping::Blocks, Skipping::Distance]
         .into_iter()
-        .find(|s| s.name() == name)
+        .find(|s| s.to_string() == name)
         .ok_or_else(|| anyhow!("skipping is {name:?}; none, blocks or distance is expected"))
 }
 

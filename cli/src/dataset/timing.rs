@@ -158,7 +158,7 @@ pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result
         !frames.is_empty(),
         "none of {} frames has {} and a time by the clock {:?}; choose another --clock{}",
         all().count(),
-        shading.map_or("any shading".to_owned(), |s| format!("shading {}", s.name())),
+        shading.map_or("any shading".to_owned(), |s| format!("shading {s}")),
         clock.name(),
         if shading.is_some() { " or --shading" } else { "" },
     );

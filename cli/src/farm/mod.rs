@@ -29,5 +29,6 @@ pub mod survey;
 pub mod worker;
 
 pub use list::{
-    By, Farm, Method, Plan, Task, eta, parse_tasks, plan, play, read_tasks, times, volume_numbers,
+    AffinityTask, By, Farm, Method, Plan, Span, Task, Timeline, eta, parse_tasks, plan, play, read_tasks,
+    simulate_affinity, simulate_queue, times, volume_numbers,
 };

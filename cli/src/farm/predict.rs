@@ -113,7 +113,7 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
         let code = match &encoder {
             Some(net) => {
                 let mut code = vec![0.0; net.feature_len()];
-                net.encode(&view, &mut net.scratch(), Executor::serial(), &mut code)?;
+                net.encode(&view, &mut net.scratch(), Executor::Serial, &mut code)?;
                 Some(code)
             }
             None => None,

@@ -1,9 +1,10 @@
 use super::*;
 use crate::farm::dispatch::Order;
 use crate::farm::learn::Shape;
+use crate::farm::list::simulate_queue;
 use crate::farm::load::Loads;
 use crate::farm::planner::Setting;
-use entire_core::schedule::{lower_bound, simulate_queue};
+use entire_core::schedule::lower_bound;
 
 fn times(n: usize) -> Vec<f64> {
     (0..n).map(|i| 0.5 + (i * 7919 % 1000) as f64 / 250.0).collect()

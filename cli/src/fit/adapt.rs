@@ -6,12 +6,12 @@ use super::{FitContext, predict_rows};
 use crate::dataset::Timed;
 use crate::inputs::Layout;
 use crate::metrics::median;
+use crate::train::Standardization;
 use anyhow::{Context, Result, ensure};
 use entire_core::features::{SceneFeature, SceneQuantity};
-use entire_core::model::ModelFile;
+use entire_core::model::{Key, ModelFile};
 use entire_core::nn::{PredNetParts, SELU_SCALE, Target};
-use entire_core::predict::{UNIT_COSTS_KEY, UnitCosts};
-use entire_core::train::Standardization;
+use entire_core::predict::UnitCosts;
 use indicatif::ProgressBar;
 
 /// Share of a learned factor's weights that is expected to hold for another renderer, and what that weighs
@@ -100,14 +100,13 @@ pub fn transfer(file: &ModelFile, context: &FitContext<'_>, frames: Timed<'_>) -
     let carried = layout.scene_features().last() == Some(&SceneFeature::log(SceneQuantity::EstimatedSeconds));
     let parts = model.prednet().context("the model file holds no PredNet")?;
     ensure!(
-        carried && parts.target == Target::LogSeconds && model.metadata().contains_key(UNIT_COSTS_KEY),
+        carried && parts.target == Target::LogSeconds && model.metadata().contains_key(Key::UnitCosts.name()),
         "only an analytic model times a learned factor (--model-kind residual) can be transferred; calibrate \
          or fine-tune this one"
     );
     let (analytic, _) = fit_analytic(context, frames, layout.probe_side(), &UnitCosts::CONVERTING)?;
     let mut out = file.clone();
-    out.set_metadata(UNIT_COSTS_KEY, analytic.unit_costs().to_json()?);
-    let layout = Layout::of_model(&out.to_model()?)?;
+    let layout = layout.with_unit_costs(analytic.costs());
     let rows = layout.rows(context.tables, frames.frames, context.pool, &ProgressBar::hidden())?;
     let scale = Standardization::of(parts);
     let mut parts = parts.clone();
@@ -142,7 +141,7 @@ pub fn transfer(file: &ModelFile, context: &FitContext<'_>, frames: Timed<'_>) -
         layer.weight[..width].copy_from_slice(&fitted.weight);
         layer.bias = fitted.bias;
     }
-    out.set_prednet(&parts, model.inputs())?;
+    layout.store(&parts, &mut out)?;
     Ok(out)
 }
 

@@ -20,7 +20,7 @@ pub(super) fn fit_analytic(
         .map(|(row, &seconds)| Measurement::from_work(row, seconds))
         .collect();
     let mut model = AnalyticModel::new();
-    let report = model.fit_towards(default, &measurements)?;
+    let report = model.fit(default, &measurements)?;
     let text = format!(
         "fitted to {} frames, {} refused, median error {:.2} %",
         report.used,

@@ -7,7 +7,7 @@ use anyhow::Result;
 use entire_core::features::{SceneFeature, SceneQuantity};
 use entire_core::model::ModelFile;
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
-use entire_core::predict::{GroupKind, UNIT_COSTS_KEY, UnitCosts};
+use entire_core::predict::{GroupKind, UnitCosts};
 
 /// Mean and standard deviation of what the factor takes, of the order that random scenes have; the fit only
 /// needs numbers of like size.
@@ -50,9 +50,9 @@ pub fn blank_prior() -> Result<ModelFile> {
     };
     let mut features: Vec<SceneFeature> = INPUTS.iter().map(|i| i.0).collect();
     features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
-    let layout = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?;
-    let mut file = ModelFile::new();
-    file.set_metadata(UNIT_COSTS_KEY, UnitCosts::SOFTWARE.to_json()?);
+    let layout =
+        Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?.with_unit_costs(UnitCosts::SOFTWARE);
+    let mut file = ModelFile::default();
     Recipe::default().store(&mut file, carry_past(factor, -3.5, 1.8), &layout)?;
     Ok(file)
 }

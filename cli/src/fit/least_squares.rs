@@ -1,8 +1,8 @@
 //! Linear least squares on standardized inputs: robust, drawn towards a prior, weighted.
 
 use crate::metrics::median;
+use crate::train::Standardization;
 use entire_core::nn::{DenseParts, Dtype};
-use entire_core::train::Standardization;
 
 pub(super) fn standardized(rows: &[f32], scale: &Standardization) -> Vec<f64> {
     let width = scale.input_mean.len();

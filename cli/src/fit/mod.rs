@@ -27,11 +27,11 @@ pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss};
 
 use crate::dataset::{Table, TimedFrame};
 use crate::inputs::Layout;
+use crate::train::EpochRecord;
 use anyhow::{Context as _, Result};
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::PredNet;
 use entire_core::predict::check_batch;
-use entire_core::train::EpochRecord;
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
 

@@ -9,12 +9,12 @@
 use super::adapt::hidden_activations;
 use super::least_squares::{solve, standardized};
 use crate::metrics::{Metrics, median};
+use crate::train::Standardization;
 use anyhow::{Context, Result, ensure};
 use entire_core::features::{SceneFeature, SceneQuantity};
 use entire_core::model::ModelFile;
 use entire_core::nn::{PredNetParts, Target};
-use entire_core::predict::{COSTS, InputLayout, UNIT_COSTS_KEY, UnitCosts};
-use entire_core::train::Standardization;
+use entire_core::predict::{COSTS, InputLayout, UnitCosts};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -107,21 +107,16 @@ impl Split {
         let model = file.to_model()?;
         let layout = InputLayout::of_model(&model)?;
         let carried =
-            layout.scene_features().last() == Some(&SceneFeature::log(SceneQuantity::EstimatedSeconds));
+            layout.scene_features.last() == Some(&SceneFeature::log(SceneQuantity::EstimatedSeconds));
         let parts = model.prednet().context("the model file holds no PredNet")?.clone();
-        let stored = model.metadata().get(UNIT_COSTS_KEY);
-        let (Some(stored), true) = (stored, carried && parts.target == Target::LogSeconds) else {
+        let (Some(UnitCosts(costs)), true) =
+            (layout.unit_costs, carried && parts.target == Target::LogSeconds)
+        else {
             anyhow::bail!(
                 "only an analytic model times a learned factor (--model-kind residual) can be the prior of a \
                  calibration; give another, or leave it away"
             )
         };
-        let named: BTreeMap<String, f64> = serde_json::from_str(stored)?;
-        let known = UnitCosts::SOFTWARE;
-        let mut costs = [0.0; COSTS];
-        for (slot, (name, _)) in costs.iter_mut().zip(known.named()) {
-            *slot = named.get(name).copied().unwrap_or(0.0);
-        }
         let scale = Standardization::of(&parts);
         let last = parts.layers.last().context("the PredNet has no layer")?;
         let width = last.inputs - 1;
@@ -198,9 +193,11 @@ impl Split {
             }
             layer.bias[0] = (f64::from(layer.bias[0]) + (fitted.bias - self.constant) / deviation) as f32;
         }
-        let model = self.file.to_model()?;
-        file.set_prednet(&parts, model.inputs())?;
-        file.set_metadata(UNIT_COSTS_KEY, UnitCosts(fitted.costs).to_json()?);
+        let layout = InputLayout {
+            unit_costs: Some(UnitCosts(fitted.costs)),
+            ..InputLayout::of_model(&self.file.to_model()?)?
+        };
+        layout.store(&parts, &mut file)?;
         Ok(file)
     }
 

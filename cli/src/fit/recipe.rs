@@ -8,14 +8,12 @@ use super::{FitContext, FittedModel};
 use crate::dataset::Timed;
 use crate::files::read_model_file;
 use crate::inputs::{Encoder, Layout};
+use crate::train::{EpochRecord, Loss, Network, Samples, Settings, Standardization, preset_widths};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
-use entire_core::model::ModelFile;
+use entire_core::model::{GroupKind, ModelFile};
 use entire_core::nn::{Dtype, Normalization, PredNetParts, Target};
-use entire_core::predict::{
-    GroupKind, InputLayout, LOBE_ORDER_KEY, PROBE_SIDE_KEY, UNIT_COSTS_KEY, UnitCosts,
-};
-use entire_core::train::{EpochRecord, Loss, Network, Samples, Settings, Standardization, preset_widths};
+use entire_core::predict::{InputLayout, UnitCosts};
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -191,10 +189,6 @@ fn ratios_of(seconds: &[f64], estimates: &[f64]) -> Vec<f64> {
     seconds.iter().zip(estimates).map(|(t, e)| t / e).collect()
 }
 
-fn names(features: &[SceneFeature]) -> Vec<String> {
-    features.iter().map(ToString::to_string).collect()
-}
-
 impl Recipe {
     /// The scene features that are asked for.
     ///
@@ -204,7 +198,7 @@ impl Recipe {
         if self.scene_features.is_empty() {
             return Ok(SceneFeature::STANDARD.to_vec());
         }
-        self.scene_features.iter().map(|n| Ok(SceneFeature::from_name(n.trim())?)).collect()
+        self.scene_features.iter().map(|n| Ok(n.trim().parse()?)).collect()
     }
 
     /// Makes the predictor. Validation frames decide when a network stops; the other kinds do not look at
@@ -280,7 +274,7 @@ impl Recipe {
         let groups = self
             .inputs
             .iter()
-            .map(|n| GroupKind::from_name(n.trim()))
+            .map(|n| n.trim().parse::<GroupKind>())
             .collect::<Result<Vec<_>, entire_core::Error>>()?;
         let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
         // The sizes of other groups say nothing of the step.
@@ -298,7 +292,7 @@ impl Recipe {
     /// For names that are not known, or when the VolumeNet's file cannot be read.
     pub fn layout(&self, training: Timed<'_>) -> Result<(ModelFile, Layout)> {
         let groups: Vec<GroupKind> =
-            self.inputs.iter().map(|n| Ok(GroupKind::from_name(n.trim())?)).collect::<Result<_>>()?;
+            self.inputs.iter().map(|n| Ok(n.trim().parse::<GroupKind>()?)).collect::<Result<_>>()?;
         let (file, encoder) = match &self.volumenet {
             Some(path) => {
                 let (file, model) = read_model_file(path)?;
@@ -306,7 +300,7 @@ impl Recipe {
                     model.volumenet().with_context(|| format!("{} holds no VolumeNet", path.display()))?;
                 (file, Some(Encoder::new(parts)?))
             }
-            None => (ModelFile::new(), None),
+            None => (ModelFile::default(), None),
         };
         let lobes = training.frames.first().map_or(0, |f| f.scene.lobes.len());
         let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
@@ -354,7 +348,7 @@ impl Recipe {
 
     fn analytic(&self, context: &FitContext<'_>, training: Timed<'_>) -> Result<FittedModel> {
         let (model, report) = fit_analytic(context, training, self.side(), &self.default_costs())?;
-        let costs: BTreeMap<String, f64> = model.unit_costs().named().map(|(n, c)| (n.into(), c)).collect();
+        let costs: BTreeMap<String, f64> = model.costs().named().map(|(n, c)| (n.into(), c)).collect();
         Ok(FittedModel {
             file: model.to_model_file()?,
             what:
@@ -401,7 +395,7 @@ impl Recipe {
     ) -> Result<FittedModel> {
         let (mut file, layout) = self.layout(training)?;
         let (model, report) = fit_analytic(context, training, self.side(), &self.default_costs())?;
-        let costs = model.unit_costs();
+        let costs = model.costs();
         let estimated = estimates(context, training, &costs, self.side())?;
         let ratios = ratios_of(training.seconds, &estimated);
         let judged = ratios_of(validation.seconds, &estimates(context, validation, &costs, self.side())?);
@@ -424,8 +418,9 @@ impl Recipe {
         let mean = logs.iter().sum::<f64>() / n;
         let sd = (logs.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n).sqrt().max(0.1);
         let parts = carry_past(parts, mean as f32, sd as f32);
-        file.set_metadata(UNIT_COSTS_KEY, costs.to_json()?);
-        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?.with_probe_side(self.side());
+        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?
+            .with_probe_side(self.side())
+            .with_unit_costs(costs);
         self.store(&mut file, parts, &wide)?;
         let costs: BTreeMap<String, f64> = costs.named().map(|(n, c)| (n.into(), c)).collect();
         Ok(FittedModel {
@@ -552,16 +547,6 @@ impl Recipe {
         for layer in &mut parts.layers {
             layer.dtype = self.dtype.storage();
         }
-        file.set_prednet(&parts, &layout.to_model_groups())?;
-        if layout.sorted_lobes() {
-            file.set_metadata(LOBE_ORDER_KEY, "center");
-        }
-        if !layout.scene_features().is_empty() {
-            file.set_scene_features(&names(layout.scene_features()))?;
-            if ![0, PROBE_SIDE].contains(&layout.probe_side()) {
-                file.set_metadata(PROBE_SIDE_KEY, layout.probe_side().to_string());
-            }
-        }
-        Ok(())
+        layout.store(&parts, file)
     }
 }

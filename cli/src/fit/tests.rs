@@ -4,10 +4,10 @@ use super::compose::{carry_past, side_by_side};
 use super::*;
 use crate::dataset::Timed;
 use crate::options::thread_pool;
+use crate::train::Network;
 use entire_core::features::{SceneFeature, SceneQuantity};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
-use entire_core::predict::{AnalyticModel, COST_QUANTITIES, GroupKind, UNIT_COSTS_KEY};
-use entire_core::train::Network;
+use entire_core::predict::{AnalyticModel, COST_QUANTITIES, GroupKind};
 
 fn network(widths: &[usize], seed: u64) -> PredNetParts {
     let net = Network::<f32>::random(widths, seed).unwrap();
@@ -94,7 +94,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
     let volume = crate::volume::Volume::new(data, [16, 12, 10], [1.0; 3], "v").unwrap();
     let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default()).unwrap();
     let analytic = AnalyticModel::from_costs(std::array::from_fn(|i| 1e-6 * (1.0 + i as f64))).unwrap();
-    let costs = analytic.unit_costs();
+    let costs = analytic.costs();
     let inputs = [SceneFeature::log(SceneQuantity::Pixels), SceneFeature::linear(SceneQuantity::MeanChord)];
     for widths in [&[2, 1][..], &[2, 4, 1], &[2, 6, 5, 1], &[2, 4, 4, 3, 1]] {
         let mut ratio = network(widths, 3);
@@ -102,9 +102,11 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
         let carried = carry_past(ratio.clone(), -3.0, 1.5);
         let mut features = inputs.to_vec();
         features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
-        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None).unwrap().with_probe_side(5);
-        let mut file = ModelFile::new();
-        file.set_metadata(UNIT_COSTS_KEY, costs.to_json().unwrap());
+        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)
+            .unwrap()
+            .with_probe_side(5)
+            .with_unit_costs(costs);
+        let mut file = ModelFile::default();
         Recipe::default().store(&mut file, carried, &wide).unwrap();
         let model = file.to_model().unwrap();
         let layout = Layout::of_model(&model).unwrap();
@@ -132,7 +134,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let work = measured.work(&setting);
             let quantity = |q| measured.quantity(q, &setting, &work, Changes::NONE);
             let x = [
-                SceneQuantity::Pixels.log(quantity(SceneQuantity::Pixels)),
+                (quantity(SceneQuantity::Pixels) + 1.0).ln() as f32,
                 quantity(SceneQuantity::MeanChord) as f32,
             ];
             let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
@@ -163,7 +165,7 @@ fn calibration_recovers_the_factor_of_another_machine() {
             parts.output = Some(Normalization { mean: vec![9.0], std: vec![0.2] });
         }
         let layout = Layout::new(&[GroupKind::Camera], Vec::new(), 0, None).unwrap();
-        let mut file = ModelFile::new();
+        let mut file = ModelFile::default();
         Recipe::default().store(&mut file, parts, &layout).unwrap();
         in_context(|context| {
             let predicted_by =
@@ -229,7 +231,7 @@ fn a_posterior_finds_another_machines_unit_costs_and_keeps_the_rest() {
     // Costs must move for this, and cross-validation says so.
     assert!(chosen.belief.costs > 0.0, "{:?}", chosen.belief);
     let stored: std::collections::BTreeMap<String, f64> =
-        serde_json::from_str(&chosen.file.metadata()[UNIT_COSTS_KEY]).unwrap();
+        serde_json::from_str(&chosen.file.metadata[entire_core::model::Key::UnitCosts.name()]).unwrap();
     let costs: [f64; COSTS] = std::array::from_fn(|k| stored[UnitCosts::SOFTWARE.named().nth(k).unwrap().0]);
     let rows: Vec<f32> = (100..160).flat_map(|i| row(i, &costs)).collect();
     let there = predict_rows(&chosen.file.to_model().unwrap(), &rows, width).unwrap();
@@ -238,7 +240,7 @@ fn a_posterior_finds_another_machines_unit_costs_and_keeps_the_rest() {
     let middle = crate::metrics::median(&mut errors).unwrap();
     assert!(middle < 0.03 && errors[errors.len() - 1] < 0.2, "{middle} {errors:?}");
     // Two volumes are too few to choose by: the prior's shape at this machine's speed.
-    let few: Vec<Observed> = frames.iter().filter(|f| f.group < *"v2").cloned().collect();
+    let few: Vec<Observed> = frames.iter().filter(|f| f.group.as_str() < "v2").cloned().collect();
     assert_eq!(model.choose(&few, |_| true).unwrap().folds, 0);
     assert!(model.choose(&[], |_| true).is_err());
 }

@@ -1,9 +1,9 @@
 //! A network by gradient descent, its progress shown.
 
 use super::FitContext;
+use crate::train::{EpochRecord, Network, Progress, Samples, Settings, Standardization, Stop, train};
 use anyhow::{Result, bail};
 use entire_core::nn::PredNetParts;
-use entire_core::train::{EpochRecord, Network, Progress, Samples, Settings, Standardization, Stop, train};
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -45,7 +45,6 @@ pub(super) fn run_training(
         Stop::Early => format!("stopped early after {ran} epochs"),
         Stop::Interrupted => format!("interrupted after {ran} whole epochs"),
         Stop::Diverged => format!("diverged after {ran} epochs (the weights before are kept)"),
-        _ => format!("ended after {ran} epochs"),
     };
     let frames = training.seconds.len() as f64 * ran as f64;
     let outcome = format!(

@@ -110,7 +110,7 @@ impl Values {
             .step_by(stride as usize)
             .map(|i| {
                 let (x, rest) = (i as usize % nx, i as usize / nx);
-                volume.normalized(x, rest % ny, (rest / ny).min(nz - 1))
+                volume.normalize(volume.value(x, rest % ny, (rest / ny).min(nz - 1)))
             })
             .filter(|v| v.is_finite())
             .collect();

@@ -7,7 +7,7 @@ use crate::metrics::median;
 use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result, ensure};
 use entire_core::features::{Changes, FrameFeatures, SceneFeature, Setting, TransferSummary, VolumeSummary};
-use entire_core::predict::{AnalyticModel, FitReport, Inputs, Measurement};
+use entire_core::predict::{AnalyticModel, FitReport, Inputs, Measurement, UnitCosts};
 use entire_core::scene::{
     Arcball, Camera, DEFAULT_FOV_Y_DEGREES, GaussianLobe, TransferFunction, VolumeView,
 };
@@ -159,7 +159,7 @@ pub fn fit_analytic(samples: &[Sample]) -> Result<(AnalyticModel, FitReport)> {
         .map(|s| Measurement::new(&s.features, &s.setting, s.seconds))
         .collect();
     let mut model = AnalyticModel::new();
-    let report = model.fit(&measurements)?;
+    let report = model.fit(&UnitCosts::SOFTWARE, &measurements)?;
     Ok((model, report))
 }
 

@@ -1,10 +1,12 @@
 //! The controllers that commands can name.
 
 use super::play::Contender;
-use super::rivals::{Algorithm1, Filament, Olp, Pid, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
+use super::rivals::{
+    Algorithm1, Filament, Fixed, Olp, Pid, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs,
+};
 use clap::ValueEnum;
-use entire_core::adapt::Prior;
-use entire_core::control::{Controller, Fixed, Hybrid, HybridOptions, Session};
+use entire_core::control::Prior;
+use entire_core::control::{Controller, Hybrid, HybridOptions, Session};
 use entire_core::predict::Predictor;
 
 /// A controller by name.

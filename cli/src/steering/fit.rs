@@ -2,14 +2,14 @@
 
 use super::calibrate::{HOLD_OUT_EVERY, Quality, Sample, fit_analytic};
 use crate::fit::calibrate_to_rows;
+use crate::train::{Network, Samples, Settings, train};
 use anyhow::{Context, Result};
-use entire_core::adapt::Prior;
+use entire_core::control::Prior;
 use entire_core::features::SceneFeature;
-use entire_core::model::{InputGroup, Model, ModelFile};
+use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{Executor, Target, VolumeNet};
-use entire_core::predict::{GroupKind, ModelPredictor, Predictor, load};
+use entire_core::predict::{GroupKind, InputLayout, ModelPredictor, Predictor, load};
 use entire_core::scene::VolumeView;
-use entire_core::train::{Network, Samples, Settings, train};
 use serde::Serialize;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -39,7 +39,7 @@ impl SteeringModel {
         {
             let net = VolumeNet::new(parts)?;
             let mut out = vec![0.0; net.feature_len()];
-            net.encode(volume, &mut net.scratch(), Executor::serial(), &mut out)?;
+            net.encode(volume, &mut net.scratch(), Executor::Serial, &mut out)?;
             volume_features = Some(out);
         }
         load(&model)?;
@@ -135,10 +135,9 @@ pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
         &settings,
         |_| ControlFlow::Continue(()),
     )?;
-    let names: Vec<String> = features.iter().map(ToString::to_string).collect();
-    let group = InputGroup { name: GroupKind::SceneFeatures.name().into(), size: features.len() };
-    let mut file = ModelFile::new();
-    file.set_prednet(&trained.to_parts(), &[group])?.set_scene_features(&names)?;
+    let mut file = ModelFile::default();
+    InputLayout::new(&[GroupKind::SceneFeatures], features.to_vec(), 0, 0)?
+        .store(&trained.to_parts(), &mut file)?;
     Ok(file)
 }
 

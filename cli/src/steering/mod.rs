@@ -6,6 +6,7 @@ pub mod contenders;
 pub mod fit;
 pub mod metrics;
 pub mod play;
+pub mod quality;
 pub mod race;
 pub mod report;
 pub mod rivals;

@@ -1,13 +1,14 @@
 //! Playing a path: every frame under every controller.
 
 use super::metrics::{Metrics, Played, psnr};
+use super::quality::QualityModel;
 use super::sizes::{resized, scale_at, scaled_size, volume_at};
 use crate::dataset::{Clock, Timing};
 use crate::options::RenderArgs;
 use crate::path::FlightPath;
 use anyhow::{Context, Result, ensure};
-use entire_core::adapt::ObserveFlags;
-use entire_core::control::{QualityModel, Reason, Session, StepLimits};
+use entire_core::control::ObserveFlags;
+use entire_core::control::{Reason, Session, StepLimits};
 use entire_core::features::{Changes, Setting, VolumeSummary};
 use entire_core::scene::{Camera, Frame, Shading, Skipping, VolumeView};
 use entire_vk_raycaster::{Image, Renderer};
@@ -140,8 +141,8 @@ impl Playback {
                 seconds: r.seconds,
                 target: self.targets[i],
                 step: f64::from(r.step),
-                finest: f64::from(self.limits.finest()),
-                coarsest: f64::from(self.limits.coarsest()),
+                finest: f64::from(self.limits.finest),
+                coarsest: f64::from(self.limits.coarsest),
                 psnr: Some(r.psnr),
                 switched: self.switches.contains(&i),
             })
@@ -200,7 +201,7 @@ const STEP_CHOICES: usize = 24;
 
 /// What a contender that chooses the size may draw a frame with, best picture first.
 fn settings(frame: &Frame, distances: &[f32], limits: StepLimits) -> Vec<(Setting, f32)> {
-    let (low, high) = (limits.finest().ln(), limits.coarsest().ln());
+    let (low, high) = (limits.finest.ln(), limits.coarsest.ln());
     let model = QualityModel::default();
     let error = |s: &(Setting, f32)| model.error(s.0.step, 1.0 / s.1);
     let mut out: Vec<(Setting, f32)> = Vec::new();
@@ -234,7 +235,7 @@ pub fn play(
     ensure!(!contenders.is_empty(), "there is no controller to play");
     ensure!(!task.volumes.is_empty(), "there is no volume to show");
     for contender in contenders.iter_mut() {
-        contender.session.set_limits(task.limits);
+        contender.session.set_limits(task.limits)?;
     }
     let frames = task.path.frames.len();
     let volume_of = |i: usize| volume_at(task.hold, task.volumes.len(), i);
@@ -299,9 +300,9 @@ pub fn play(
             let (plan, drawn, image_sample_distance) = if chooses && !task.image_sample_distances.is_empty() {
                 let settings = settings(&frame, task.image_sample_distances, task.limits);
                 let only: Vec<Setting> = settings.iter().map(|s| s.0).collect();
-                let choice = session.choose(&frame, &only, target).with_context(place)?;
-                let (Setting { width, height, .. }, distance) = settings[choice.index];
-                (choice.plan, DrawSettings { width, height, ..*draw }.frame(camera)?, distance)
+                let (index, plan) = session.choose(&frame, &only, target).with_context(place)?;
+                let (Setting { width, height, .. }, distance) = settings[index];
+                (plan, DrawSettings { width, height, ..*draw }.frame(camera)?, distance)
             } else {
                 (session.plan(&frame, target).with_context(place)?, frame, 1.0)
             };
@@ -338,7 +339,7 @@ mod tests {
     use crate::scripted::ScriptedRenderer;
     use crate::steering::contenders::{ControllerKind, contender};
     use crate::steering::rivals::StepResponse;
-    use entire_core::adapt::Prior;
+    use entire_core::control::Prior;
     use entire_core::features::SummaryOptions;
     use entire_core::predict::{Inputs, Prediction, Predictor, Source};
     use entire_core::scene::{Scalars, TransferFunction};

@@ -13,7 +13,7 @@ use crate::path::FlightPath;
 use crate::progress::progress_bar;
 use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result};
-use entire_core::adapt::Prior;
+use entire_core::control::Prior;
 use entire_core::control::StepLimits;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::model::{Model, ModelFile};
@@ -76,7 +76,7 @@ pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(Stri
             path.display(),
             stated.map_or("no stated clock's", Clock::name),
             asked.name(),
-            shading.name(),
+            shading,
             asked.name()
         ));
         return Ok((None, asked));
@@ -100,7 +100,7 @@ pub fn shipped_model(shading: Shading) -> Result<Option<(String, ModelFile)>> {
 pub fn shipped_file(shading: Shading) -> Result<Option<(PathBuf, ModelFile)>> {
     let set = match shading {
         Shading::None => "unshaded",
-        other => other.name(),
+        other => other.into(),
     };
     let path = PathBuf::from(format!("models/{set}-selected.safetensors"));
     if !path.is_file() {

@@ -451,6 +451,6 @@ mod tests {
         assert!(v.set_range(Some((2.0, 1.0))).is_err());
         assert_eq!(v.range(), None);
         v.set_range(Some((0.0, 8.0))).unwrap();
-        assert_eq!(v.view().normalized(1, 1, 0), 0.5);
+        assert_eq!(v.view().normalize(v.view().value(1, 1, 0)), 0.5);
     }
 }

@@ -1,8 +1,9 @@
 //! Which timings are believed.
 
+use crate::names::names;
 use crate::{Error, ErrorKind, Result};
 
-pub use crate::predict::LONGEST_FRAME;
+use crate::predict::LONGEST_FRAME;
 
 /// What became of an observation. Stable numbers: they are part of the C ABI.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -18,15 +19,10 @@ pub enum Verdict {
     Ignored = 2,
 }
 
-impl Verdict {
-    /// A short name.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Learned => "learned",
-            Self::Clipped => "clipped",
-            Self::Ignored => "ignored",
-        }
-    }
+names! { Verdict:
+    Learned "learned",
+    Clipped "clipped",
+    Ignored "ignored",
 }
 
 /// What the caller knows about an observation.
@@ -43,7 +39,7 @@ pub struct ObserveFlags {
 ///
 /// # Errors
 /// [`crate::ErrorKind::RejectedObservation`] unless it is finite, positive and at most [`LONGEST_FRAME`].
-pub fn check_seconds(seconds: f32) -> Result<()> {
+pub(crate) fn check_seconds(seconds: f32) -> Result<()> {
     let text = if !seconds.is_finite() {
         "the frame time is not finite; report the seconds that the frame took"
     } else if seconds <= 0.0 {

@@ -11,5 +11,6 @@ mod tests;
 
 pub use correction::Prior;
 pub(crate) use correction::{Correction, Standing};
-pub use gate::{LONGEST_FRAME, ObserveFlags, Verdict, check_seconds};
+pub(crate) use gate::check_seconds;
+pub use gate::{ObserveFlags, Verdict};
 pub(crate) use margin::Margin;

@@ -109,7 +109,10 @@ fn values_that_are_no_times_change_nothing() {
     }
     assert_eq!(correction, before);
     assert!(check_seconds(f32::MIN_POSITIVE).is_ok());
-    assert_eq!(check_seconds(LONGEST_FRAME * 1.1).unwrap_err().kind(), ErrorKind::RejectedObservation);
+    assert_eq!(
+        check_seconds(crate::predict::LONGEST_FRAME * 1.1).unwrap_err().kind(),
+        ErrorKind::RejectedObservation
+    );
 }
 
 #[test]

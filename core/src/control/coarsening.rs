@@ -42,6 +42,7 @@ impl Coarsening {
         Self { steps, levels: 0, first: 1, alone: 1.0, last: 0 }
     }
 
+    #[cfg(test)]
     pub(super) fn steps(&self) -> StepLimits {
         self.steps
     }
@@ -66,7 +67,7 @@ impl Coarsening {
     /// The values of c that may be chosen.
     pub(super) fn limits(&self) -> StepLimits {
         let distance = self.distance_of(self.levels);
-        let coarsest = f64::from(self.steps.coarsest()) * distance * distance;
+        let coarsest = f64::from(self.steps.coarsest) * distance * distance;
         StepLimits { coarsest: coarsest as f32, ..self.steps }
     }
 
@@ -76,7 +77,7 @@ impl Coarsening {
             return (c, 0, 1.0);
         }
         let c = f64::from(c);
-        let (finest, coarsest) = (f64::from(self.steps.finest()), f64::from(self.steps.coarsest()));
+        let (finest, coarsest) = (f64::from(self.steps.finest), f64::from(self.steps.coarsest));
         let alone = c / finest;
         let together = libm::log((alone / TOGETHER).max(1.0e-30)) / (3.0 * libm::log(RATIO));
         let mut level = libm::round(together) as i32 + 1 - self.first;
@@ -130,7 +131,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn path(finest: f32, coarsest: f32, distance: f32, step_alone: f32) -> Coarsening {
-        let mut path = Coarsening::of_step(StepLimits::new(finest, coarsest).unwrap());
+        let mut path = Coarsening::of_step(StepLimits { finest, coarsest });
         path.set_max_distance(distance, step_alone);
         path
     }
@@ -147,8 +148,8 @@ mod tests {
     #[test]
     fn its_ends_are_full_quality_and_the_coarsest_of_both() {
         let mut path = path(0.5, 8.0, 4.0, 1.0);
-        assert_eq!(path.take(path.limits().finest()), (0.5, 1.0));
-        let (step, distance) = path.take(path.limits().coarsest());
+        assert_eq!(path.take(path.limits().finest), (0.5, 1.0));
+        let (step, distance) = path.take(path.limits().coarsest);
         assert!((step - 8.0).abs() < 1e-4 && distance > 3.5 && distance <= 4.0, "{step} {distance}");
     }
 
@@ -185,14 +186,14 @@ mod tests {
             finest in 0.1f32..2.0, coarsening in 1.0f32..20.0, distance in 1.0f32..8.0, alone in 1.0f32..4.0, from in 0.0f32..1.0) {
             let mut path = path(finest, finest * coarsening, distance, alone);
             let limits = path.limits();
-            let c_at = |u: f32| limits.clamp(limits.finest() * (limits.coarsest() / limits.finest()).powf(u));
+            let c_at = |u: f32| limits.clamp(limits.finest * (limits.coarsest / limits.finest).powf(u));
             path.take(c_at(from));
             let full = Setting { step: 1.0, width: 4096, height: 4096, shading: Shading::None, skipping: Skipping::None };
             let mut before = (f64::INFINITY, f64::INFINITY);
             for i in 0..=60 {
                 let c = c_at(i as f32 / 60.0);
                 let (step, _, by) = path.at(c);
-                prop_assert!(step >= finest && step <= path.steps().coarsest());
+                prop_assert!(step >= finest && step <= path.steps().coarsest);
                 prop_assert!(by <= f64::from(distance) * 1.0001);
                 let off = f64::from(step) * by * by / f64::from(c) - 1.0;
                 prop_assert!(off.abs() < if coarsening > 2.0 * alone { 1e-5 } else { 7.0 }, "{off}");

@@ -1,7 +1,7 @@
 //! Feed-forward prediction, corrected online, with a margin that keeps its promise.
 
 use super::smoothing::Smoothing;
-use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepCost, StepLimits};
+use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
 use crate::adapt::{Correction, Margin, Prior, Standing, Verdict};
@@ -10,23 +10,23 @@ use crate::predict::{CostTerms, Prediction, TERMS};
 use alloc::vec::Vec;
 
 /// Default share of calm frames that may exceed their upper bound.
-pub const DEFAULT_MISS_RATE: f32 = 0.05;
+const DEFAULT_MISS_RATE: f32 = 0.05;
 
 /// Share of the first frames of new scenes that may exceed their upper bound, at least.
-pub const NEW_SCENE_MISS_RATE: f32 = 0.07;
+const NEW_SCENE_MISS_RATE: f32 = 0.07;
 
 /// Default share of the target by which an upper bound may exceed it.
-pub const DEFAULT_TOLERANCE: f32 = 0.1;
+const DEFAULT_TOLERANCE: f32 = 0.1;
 
 /// Settings of [`Hybrid`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridOptions {
-    /// Share of calm frames that may exceed their upper bound, over 0 and under 1; [`DEFAULT_MISS_RATE`].
+    /// Share of calm frames that may exceed their upper bound, over 0 and under 1; 0.05 by default.
     /// Fewer exceed the target plus `tolerance`, since not every bound reaches so far. Of the first frames of
-    /// new scenes, at least [`NEW_SCENE_MISS_RATE`] may.
+    /// new scenes, at least 0.07 may.
     pub miss_rate: f32,
-    /// How far over the target a frame's upper bound may reach, as a share of the target;
-    /// [`DEFAULT_TOLERANCE`].
+    /// How far over the target a frame's upper bound may reach, as a share of the target; 0.1
+    /// by default.
     pub tolerance: f32,
     /// What is known of the prediction before the first frame.
     pub prior: Prior,
@@ -134,11 +134,6 @@ impl Hybrid {
         }
     }
 
-    /// The settings.
-    pub fn options(&self) -> &HybridOptions {
-        &self.options
-    }
-
     /// What has been learned of the cost parts.
     #[cfg(test)]
     pub(crate) fn correction(&self) -> &Correction {
@@ -166,9 +161,9 @@ impl Hybrid {
     }
 
     /// How little the frame before says about this one, 0 to 1.
-    fn novelty(&self, changes: Changes, cost: &mut dyn StepCost) -> f64 {
+    fn novelty(&self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) -> f64 {
         let Some(last) = self.last.filter(|_| !changes.first) else { return 1.0 };
-        let d = distance(&last.terms, &cost.at(last.step));
+        let d = distance(&last.terms, &cost(last.step));
         if d.is_nan() {
             return if changes.any() { 1.0 } else { 0.0 };
         }
@@ -187,17 +182,17 @@ impl Hybrid {
     /// search (Illinois) needs four or five evaluations. It is taken to fall with the step; where a network
     /// says otherwise, the answer still fits.
     fn finest(limits: StepLimits, mut excess: impl FnMut(f32) -> f64) -> Option<f32> {
-        let mut f_high = excess(limits.coarsest());
+        let mut f_high = excess(limits.coarsest);
         if f_high > 0.0 {
             return None;
         }
-        let mut f_low = excess(limits.finest());
+        let mut f_low = excess(limits.finest);
         if f_low <= 0.0 {
-            return Some(limits.finest());
+            return Some(limits.finest);
         }
         let (mut low, mut high) =
-            (libm::log(f64::from(limits.finest())), libm::log(f64::from(limits.coarsest())));
-        let mut best = limits.coarsest();
+            (libm::log(f64::from(limits.finest)), libm::log(f64::from(limits.coarsest)));
+        let mut best = limits.coarsest;
         let mut side = 0;
         for _ in 0..EVALUATIONS {
             let width = high - low;
@@ -238,7 +233,7 @@ impl Controller for Hybrid {
         let target = f64::from(request.target);
         let ceiling = target * (1.0 + f64::from(self.options.tolerance.max(0.0)));
         let changes = request.changes;
-        let first = request.cost.at(limits.coarsest());
+        let first = (request.cost)(limits.coarsest);
         let known = first.seconds().is_finite() && first.seconds() > 0.0;
         let out_of_range = first.out_of_range;
         let distrusted = !known || out_of_range > self.options.trust_limit || self.history.leads();
@@ -246,14 +241,14 @@ impl Controller for Hybrid {
         let by_history = distrusted && !self.history.is_empty() && !(changes.any() && self.scene.first);
         if !known && !by_history {
             self.last = Some(Last {
-                step: limits.coarsest(),
+                step: limits.coarsest,
                 target: request.target,
                 terms: first,
                 seconds: None,
                 late: 0,
             });
             return Decision {
-                step: limits.coarsest(),
+                step: limits.coarsest,
                 seconds: f32::NAN,
                 upper: f32::NAN,
                 out_of_range,
@@ -261,7 +256,7 @@ impl Controller for Hybrid {
             };
         }
         let moved = self.last.map_or(f64::NAN, |last| {
-            libm::log(f64::from(request.cost.at(last.step).seconds()) / f64::from(last.terms.seconds()))
+            libm::log(f64::from((request.cost)(last.step).seconds()) / f64::from(last.terms.seconds()))
         });
         let history = self.history;
         let margin = self.calm.multiple();
@@ -270,7 +265,7 @@ impl Controller for Hybrid {
             if by_history {
                 history.forecast(step, margin)
             } else {
-                this.judge_at(&request.cost.at(step), f64::from(step))
+                this.judge_at(&(request.cost)(step), f64::from(step))
             }
         };
         let excess = |step: f32| {
@@ -284,7 +279,7 @@ impl Controller for Hybrid {
         // better.
         let best = best.or_else(|| {
             let lost = by_history || self.scene.first || history.is_empty();
-            if lost || judge(limits.coarsest()).0 > target {
+            if lost || judge(limits.coarsest).0 > target {
                 return None;
             }
             reason = Reason::History;
@@ -297,10 +292,10 @@ impl Controller for Hybrid {
             Some(step) => step,
             None => {
                 reason = Reason::TargetUnreachable;
-                limits.coarsest()
+                limits.coarsest
             }
         };
-        if reason == Reason::Fits && step <= limits.finest() {
+        if reason == Reason::Fits && step <= limits.finest {
             reason = Reason::FinestAllowed;
         }
         let steady = |last: &Last| {
@@ -355,7 +350,7 @@ impl Controller for Hybrid {
         }
         let (seconds, upper) = judge(step);
         self.last =
-            Some(Last { step, target: request.target, terms: request.cost.at(step), seconds: None, late });
+            Some(Last { step, target: request.target, terms: (request.cost)(step), seconds: None, late });
         Decision { step, seconds: seconds as f32, upper: upper as f32, out_of_range, reason }
     }
 
@@ -418,12 +413,12 @@ impl Controller for Hybrid {
         self.smoothing = Smoothing::new();
     }
 
-    fn begin(&mut self, changes: Changes, cost: &mut dyn StepCost) {
+    fn begin(&mut self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) {
         let novelty = self.novelty(changes, cost);
         let first = novelty >= NEW;
         self.correction.advance(novelty);
         let moved = self.last.map_or(f64::NAN, |last| {
-            libm::log(f64::from(cost.at(last.step).seconds()) / f64::from(last.terms.seconds()))
+            libm::log(f64::from(cost(last.step).seconds()) / f64::from(last.terms.seconds()))
         });
         let offset = self.smoothing.advance(moved, if first { 1.0 } else { novelty });
         self.scene = SceneMark { number: self.scene.number + u64::from(first), first, offset };

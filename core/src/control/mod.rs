@@ -1,44 +1,44 @@
 //! Step choice under a budget.
 //!
 //! A [`Controller`] sees one frame at a time: the target, the limits of the step, what the caller knows to
-//! have changed, and the predicted cost of any step ([`StepCost`]). It answers with a step and a [`Reason`],
+//! have changed, and the predicted cost of any step. It answers with a step and a [`Reason`],
 //! and later hears how long the frame took. None of them allocates after construction. [`Session`] joins a
 //! controller with a predictor and the scene's features for one render loop.
 
 mod coarsening;
-mod fixed;
 mod hybrid;
-mod quality;
 mod session;
 mod smoothing;
 #[cfg(test)]
 mod tests;
 
-pub use fixed::Fixed;
-pub use hybrid::{DEFAULT_MISS_RATE, DEFAULT_TOLERANCE, Hybrid, HybridOptions, NEW_SCENE_MISS_RATE};
-pub use quality::{QualityModel, QualitySample};
-pub use session::{Choice, PENDING_PLANS, Plan, Session};
+pub use crate::adapt::{ObserveFlags, Prior, Verdict};
+pub use hybrid::{Hybrid, HybridOptions};
+pub use session::{PENDING_PLANS, Plan, Session};
 
 use crate::Result;
-use crate::adapt::Verdict;
 use crate::error::bail;
 use crate::features::Changes;
+use crate::names::names;
 use crate::predict::{CostTerms, Prediction};
 use alloc::vec::Vec;
 
 /// The steps that a controller may choose, in multiples of the reference step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepLimits {
-    finest: f32,
-    coarsest: f32,
+    /// The finest step; at least 1/64.
+    pub finest: f32,
+    /// The coarsest step; not below the finest, at most 4096.
+    pub coarsest: f32,
 }
 
 impl StepLimits {
-    /// Limits from `finest` to `coarsest`.
+    /// Checks the limits; [`Session::set_limits`] does so too.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless 1/64 ≤ finest ≤ coarsest ≤ 4096.
-    pub fn new(finest: f32, coarsest: f32) -> Result<Self> {
+    pub fn check(&self) -> Result<()> {
+        let Self { finest, coarsest } = *self;
         if !(finest >= 1.0 / 64.0 && finest <= coarsest && coarsest <= 4096.0) {
             bail!(
                 InvalidArgument,
@@ -46,22 +46,12 @@ impl StepLimits {
                  <= coarsest <= 4096"
             );
         }
-        Ok(Self { finest, coarsest })
-    }
-
-    /// The finest step.
-    pub fn finest(&self) -> f32 {
-        self.finest
-    }
-
-    /// The coarsest step.
-    pub fn coarsest(&self) -> f32 {
-        self.coarsest
+        Ok(())
     }
 
     /// The nearest step within the limits; the coarsest for NaN.
     pub fn clamp(&self, step: f32) -> f32 {
-        if step.is_nan() { self.coarsest } else { step.clamp(self.finest, self.coarsest) }
+        if step.is_nan() { self.coarsest } else { step.max(self.finest).min(self.coarsest) }
     }
 }
 
@@ -97,34 +87,16 @@ pub enum Reason {
     Reactive = 9,
 }
 
-impl Reason {
-    /// A short name.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Fits => "fits",
-            Self::Damped => "damped",
-            Self::Held => "held",
-            Self::FinestAllowed => "finest allowed",
-            Self::TargetUnreachable => "target unreachable",
-            Self::History => "history",
-            Self::NoInformation => "no information",
-            Self::Off => "off",
-            Self::Reactive => "reactive",
-        }
-    }
-}
-
-/// The predicted cost of a frame as a function of the ray step, uncorrected. A cost of NaN means that nothing
-/// is known.
-pub trait StepCost {
-    /// The cost at a step.
-    fn at(&mut self, step: f32) -> CostTerms;
-}
-
-impl<F: FnMut(f32) -> CostTerms> StepCost for F {
-    fn at(&mut self, step: f32) -> CostTerms {
-        self(step)
-    }
+names! { Reason:
+    Fits "fits",
+    Damped "damped",
+    Held "held",
+    FinestAllowed "finest allowed",
+    TargetUnreachable "target unreachable",
+    History "history",
+    NoInformation "no information",
+    Off "off",
+    Reactive "reactive",
 }
 
 /// One frame as a controller sees it before it is drawn.
@@ -135,8 +107,8 @@ pub struct PlanRequest<'a> {
     pub limits: StepLimits,
     /// What differs from the frame before.
     pub changes: Changes,
-    /// The predicted cost.
-    pub cost: &'a mut dyn StepCost,
+    /// The predicted cost of the frame at a ray step, uncorrected; NaN where nothing is known.
+    pub cost: &'a mut dyn FnMut(f32) -> CostTerms,
 }
 
 /// A controller's answer.
@@ -200,7 +172,7 @@ pub trait Controller {
     fn reset(&mut self);
 
     /// Tells that a frame begins whose setting is chosen elsewhere; [`Controller::plan`] needs no such call.
-    fn begin(&mut self, changes: Changes, cost: &mut dyn StepCost) {
+    fn begin(&mut self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) {
         let _ = (changes, cost);
     }
 

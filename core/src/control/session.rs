@@ -4,8 +4,7 @@ mod state;
 
 use super::coarsening::Coarsening;
 use super::{
-    Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, SceneMark, StepCost,
-    StepLimits,
+    Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, SceneMark, StepLimits,
 };
 use crate::adapt::{ObserveFlags, Prior, Verdict, check_seconds};
 use crate::error::bail;
@@ -41,15 +40,6 @@ pub struct Plan {
     pub reason: Reason,
 }
 
-/// The answer to [`Session::choose`].
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Choice {
-    /// Index of the setting to draw with.
-    pub index: usize,
-    /// Its plan; `step` is the setting's.
-    pub plan: Plan,
-}
-
 #[derive(Clone, Copy)]
 struct Pending {
     id: u64,
@@ -75,7 +65,7 @@ pub struct Session {
     transfer: Option<TransferSummary>,
     volume_features: Option<Vec<f32>>,
     lobes: Option<Vec<GaussianLobe>>,
-    features: FrameFeatures,
+    pub(super) features: FrameFeatures,
     coarsening: Coarsening,
     enabled: bool,
     changes: Changes,
@@ -197,8 +187,13 @@ impl Session {
     }
 
     /// Sets the steps that may be chosen.
-    pub fn set_limits(&mut self, limits: StepLimits) {
+    ///
+    /// # Errors
+    /// As [`StepLimits::check`].
+    pub fn set_limits(&mut self, limits: StepLimits) -> Result<()> {
+        limits.check()?;
         self.coarsening.set_steps(limits);
+        Ok(())
     }
 
     /// Allows plans to coarsen the image: neighboring rays stand up to `distance` pixels apart along each
@@ -219,11 +214,6 @@ impl Session {
         }
         self.coarsening.set_max_distance(distance, step_alone);
         Ok(())
-    }
-
-    /// The steps that may be chosen.
-    pub fn limits(&self) -> StepLimits {
-        self.coarsening.steps()
     }
 
     /// Switches steering off (every plan answers the frame's own step, unclamped) or on again. Observations
@@ -288,21 +278,21 @@ impl Session {
         }
         let limits = self.coarsening.limits();
         let (controller, mut cost) = self.costing(changes, setting)?;
-        let mut request = PlanRequest { target, limits, changes, cost: &mut cost };
-        let decision = controller.plan(&mut request);
+        let mut at = |step| cost.at(step);
+        let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut at });
         let terms = cost.at(decision.step);
         let drawn = self.coarsening.take(decision.step);
         Ok(self.note(frame, target, changes, terms, decision, drawn))
     }
 
-    /// Chooses among settings, best quality first ([`super::QualityModel::sort`] puts them so): the first
+    /// Chooses among settings, best quality first: the index and the plan of the first
     /// that is expected to meet the target ([`Controller::fits`]), else the one expected to be fastest. The
     /// image shape must be the frame's for its features to hold; other sizes of that shape are free.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for no settings, a step that is not finite and positive, or an
     /// empty image; else as [`Session::plan`].
-    pub fn choose(&mut self, frame: &Frame, settings: &[Setting], target: f32) -> Result<Choice> {
+    pub fn choose(&mut self, frame: &Frame, settings: &[Setting], target: f32) -> Result<(usize, Plan)> {
         check_target(target)?;
         if settings.is_empty() {
             bail!(InvalidArgument, "no settings to choose from; pass at least one, best quality first");
@@ -356,15 +346,15 @@ impl Session {
             reason,
         };
         let drawn = (decision.step, 1.0);
-        Ok(Choice { index, plan: self.note(frame, target, changes, terms, decision, drawn) })
+        Ok((index, self.note(frame, target, changes, terms, decision, drawn)))
     }
 
     /// Hears how long a planned frame took.
     ///
     /// # Errors
     /// [`crate::ErrorKind::RejectedObservation`] for a plan that is unknown, forgotten or observed before,
-    /// and for a time that is not finite, not positive or over [`crate::adapt::LONGEST_FRAME`]. It leaves no
-    /// trace. Only the error's text allocates.
+    /// and for a time that is not finite, not positive or over [`crate::predict::LONGEST_FRAME`]. It leaves
+    /// no trace. Only the error's text allocates.
     pub fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> Result<Verdict> {
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
         let Some(pending) = slot.as_mut().filter(|p| p.id == id) else {
@@ -434,7 +424,7 @@ impl Session {
     /// Lets the controller know of a frame whose setting it does not choose.
     fn begin(&mut self, changes: Changes, setting: Setting) -> Result<()> {
         let (controller, mut cost) = self.costing(changes, setting)?;
-        controller.begin(changes, &mut cost);
+        controller.begin(changes, &mut |step| cost.at(step));
         Ok(())
     }
 
@@ -556,7 +546,7 @@ struct Cost<'a> {
     inputs: Inputs<'a>,
 }
 
-impl StepCost for Cost<'_> {
+impl Cost<'_> {
     fn at(&mut self, step: f32) -> CostTerms {
         if let Some((known, terms)) = self.last
             && known == step
@@ -567,9 +557,7 @@ impl StepCost for Cost<'_> {
         self.last = Some((step, terms));
         terms
     }
-}
 
-impl Cost<'_> {
     fn evaluate(&mut self, step: f32) -> CostTerms {
         let unknown =
             CostTerms { parts: [f32::NAN; TERMS], out_of_range: f32::NAN, source: Source::Analytic };

@@ -26,7 +26,7 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
 
 /// The first of [`COST_QUANTITIES`] are what every renderer may pay for; those beyond are for renderers that
 /// convert each stored value or wait for memory ([`UnitCosts::CONVERTING`]), and cost others nothing.
-pub const COMMON_COSTS: usize = 12;
+pub(crate) const COMMON_COSTS: usize = 12;
 
 /// Seconds of a frame and of each of [`COST_QUANTITIES`].
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,7 +5,7 @@ use glam::Vec3;
 
 /// What a perspective image sees of a box, in image coordinates u, v in [−1, 1] (u to the right, v up).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Footprint {
+pub(crate) struct Footprint {
     /// Share of the image's area that the box covers, 0…1.
     pub share: f32,
     /// Lower corner of the covered region's bounding rectangle.
@@ -20,7 +20,7 @@ pub struct Footprint {
 
 impl Footprint {
     /// A footprint that covers nothing.
-    pub const NOTHING: Self =
+    pub(crate) const NOTHING: Self =
         Self { share: 0.0, low: [0.0; 2], high: [0.0; 2], center: [0.0; 2], inside: false };
 
     /// Projects a box of half size `half_extent` about the origin into a `width` × `height` image.

@@ -94,7 +94,7 @@ impl Changes {
         Self { first: false, transfer: false, volume: false, size: false, mode: false, camera: false };
 
     /// Whether anything did that makes the frames before a bad guide.
-    pub fn any(&self) -> bool {
+    pub(crate) fn any(&self) -> bool {
         self.first || self.transfer || self.volume || self.size || self.mode || self.camera
     }
 }
@@ -132,10 +132,10 @@ impl Work {
 }
 
 /// Voxels of a volume of which a cache holds half, for [`SceneQuantity::FarX`] and the like.
-pub const CACHED_VOXELS: f64 = 2.0e6;
+pub(crate) const CACHED_VOXELS: f64 = 2.0e6;
 
 /// Ray spacing in reference steps at which half of what a sample reads is shared with no other ray.
-pub const UNSHARED_SPACING: f64 = 2.0;
+pub(crate) const UNSHARED_SPACING: f64 = 2.0;
 
 /// What a camera sees of a volume under a transfer function, measured once per frame.
 ///
@@ -222,8 +222,14 @@ impl FrameFeatures {
         self.probe_side
     }
 
+    /// Rays of the probe that met the volume in the frame that was measured last.
+    pub fn probe_rays(&self) -> u32 {
+        self.probe.rays
+    }
+
     /// The probe behind the numbers.
-    pub fn probe(&self) -> &Probe {
+    #[cfg(test)]
+    pub(crate) fn probe(&self) -> &Probe {
         &self.probe
     }
 

@@ -18,12 +18,13 @@ mod tests;
 mod transfer;
 mod volume;
 
-pub use cost::{COMMON_COSTS, COST_QUANTITIES, COSTS, UnitCosts};
-pub use footprint::Footprint;
-pub use frame::{CACHED_VOXELS, Changes, FrameFeatures, Setting, UNSHARED_SPACING, Work};
-pub use probe::{MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_DIRECTION, SHADOW_OPACITY, SHADOW_STEP};
+pub(crate) use cost::COMMON_COSTS;
+pub use cost::{COST_QUANTITIES, COSTS, UnitCosts};
+pub(crate) use footprint::Footprint;
+pub use frame::{Changes, FrameFeatures, Setting, Work};
+pub use probe::{MAX_PROBE_SIDE, PROBE_SIDE};
+pub(crate) use probe::{Probe, SHADOW_STEP};
 pub use schema::{SceneFeature, SceneQuantity};
-pub use transfer::{CORRELATION_LENGTH, TransferSummary};
-pub use volume::{
-    BLOCK_EDGE, DEFAULT_CELLS_PER_AXIS, Geometry, LARGEST_INDEX, QUANTILES, SummaryOptions, VolumeSummary,
-};
+pub use transfer::TransferSummary;
+pub(crate) use volume::{Geometry, QUANTILES};
+pub use volume::{SummaryOptions, VolumeSummary};

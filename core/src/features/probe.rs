@@ -12,13 +12,13 @@ pub const PROBE_SIDE: usize = 11;
 pub const MAX_PROBE_SIDE: usize = 24;
 
 /// Direction towards the light of single scattering in scene space, not normalized.
-pub const SHADOW_DIRECTION: [f32; 3] = [0.4, 0.8, 0.45];
+pub(crate) const SHADOW_DIRECTION: [f32; 3] = [0.4, 0.8, 0.45];
 
 /// Step of shadow rays in steps of the frame.
-pub const SHADOW_STEP: f32 = 2.0;
+pub(crate) const SHADOW_STEP: f32 = 2.0;
 
 /// Opacity at which a shadow ray stops.
-pub const SHADOW_OPACITY: f32 = 0.75;
+pub(crate) const SHADOW_OPACITY: f32 = 0.75;
 
 const MAX_RAYS: usize = MAX_PROBE_SIDE * MAX_PROBE_SIDE;
 
@@ -29,7 +29,7 @@ const FIRST_BIN_EXPONENT: u32 = 127 - 4;
 /// Work of an average ray that meets the box, as lengths in reference steps; [`super::FrameFeatures::work`]
 /// turns it into counts for a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Probe {
+pub(crate) struct Probe {
     pub(super) footprint: Footprint,
     /// Share of the probe's rays that met the box (of those in the bounding rectangle).
     pub(super) rays: u32,
@@ -66,7 +66,7 @@ pub struct Probe {
 
 impl Probe {
     /// A probe that met nothing.
-    pub const NOTHING: Self = Self {
+    pub(crate) const NOTHING: Self = Self {
         footprint: Footprint::NOTHING,
         rays: 0,
         mean_chord: 0.0,
@@ -225,16 +225,6 @@ impl Probe {
     #[cfg(test)]
     pub(crate) fn mean_chord(&self) -> f32 {
         self.mean_chord
-    }
-
-    /// Share of rays that end before they leave the box.
-    pub fn terminated(&self) -> f32 {
-        self.terminated
-    }
-
-    /// Number of probe rays that met the box.
-    pub fn rays(&self) -> u32 {
-        self.rays
     }
 
     /// Expected jumps per ray at a step, with block skipping or with the distance map.

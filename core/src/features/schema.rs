@@ -4,6 +4,7 @@ use crate::Result;
 use crate::error::bail;
 use alloc::string::String;
 use core::fmt;
+use core::str::FromStr;
 
 /// The words of the table's last two columns.
 macro_rules! flag {
@@ -42,18 +43,13 @@ macro_rules! quantities {
                 match self { $(Self::$variant => $name,)* }
             }
 
-            /// The unit.
-            pub const fn unit(self) -> &'static str {
-                match self { $(Self::$variant => $unit,)* }
-            }
-
             /// What the log variant adds before it takes the natural logarithm.
-            pub const fn log_floor(self) -> f64 {
+            pub(crate) const fn log_floor(self) -> f64 {
                 match self { $(Self::$variant => $floor,)* }
             }
 
             /// Whether the ray step of the setting enters it.
-            pub const fn depends_on_step(self) -> bool {
+            pub(crate) const fn depends_on_step(self) -> bool {
                 match self { $(Self::$variant => flag!($step),)* }
             }
 
@@ -144,7 +140,7 @@ quantities! {
 
 impl SceneQuantity {
     /// The log variant of a value: ln(value + floor), −69 where that is not positive.
-    pub fn log(self, value: f64) -> f32 {
+    pub(crate) fn log(self, value: f64) -> f32 {
         libm::log((value + self.log_floor()).max(1.0e-30)) as f32
     }
 }
@@ -191,13 +187,17 @@ impl SceneFeature {
         Self::log(SceneQuantity::Step),
         Self::log(SceneQuantity::Voxels),
     ];
+}
+
+impl FromStr for SceneFeature {
+    type Err = crate::Error;
 
     /// Reads a name as [`SceneFeature`]'s `Display` writes it.
     ///
     /// # Errors
     /// [`crate::ErrorKind::Unsupported`] for a name that this version does not compute; the message lists
     /// all.
-    pub fn from_name(name: &str) -> Result<Self> {
+    fn from_str(name: &str) -> Result<Self> {
         let (bare, log) = match name.strip_prefix("log_") {
             Some(rest) => (rest, true),
             None => (name, false),

@@ -368,10 +368,10 @@ fn thin_flat_and_tiny_volumes_give_finite_features() {
 fn names_round_trip_and_unknown_ones_are_refused() {
     for &q in SceneQuantity::ALL {
         for feature in [SceneFeature::linear(q), SceneFeature::log(q)] {
-            assert_eq!(SceneFeature::from_name(&std::format!("{feature}")).unwrap(), feature);
+            assert_eq!(std::format!("{feature}").parse::<SceneFeature>().unwrap(), feature);
         }
     }
-    let e = SceneFeature::from_name("log_mood").unwrap_err();
+    let e = "log_mood".parse::<SceneFeature>().unwrap_err();
     assert!(e.kind() == ErrorKind::Unsupported && e.message().contains("lane_samples"));
 }
 

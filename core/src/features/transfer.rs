@@ -9,7 +9,7 @@ use alloc::vec::Vec;
 /// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction
 /// is that of its mean transmittance over this length: with 0 it would be the mean extinction, which
 /// overrates cells that hold a few opaque voxels among transparent ones.
-pub const CORRELATION_LENGTH: f32 = 2.0;
+pub(crate) const CORRELATION_LENGTH: f32 = 2.0;
 
 /// Opacities are capped here where extinction (−ln(1 − α)) is formed.
 const MAX_OPACITY: f32 = 1.0 - 1.0e-6;
@@ -158,7 +158,7 @@ impl TransferSummary {
     }
 
     /// Share of the volume's blocks that are not empty.
-    pub fn occupied_share(&self) -> f32 {
+    pub(crate) fn occupied_share(&self) -> f32 {
         self.occupied_share
     }
 
@@ -191,7 +191,8 @@ impl TransferSummary {
     ///
     /// # Panics
     /// When the cell lies outside the grid.
-    pub fn is_empty(&self, x: usize, y: usize, z: usize) -> bool {
+    #[cfg(test)]
+    pub(crate) fn is_empty(&self, x: usize, y: usize, z: usize) -> bool {
         let g = self.grid;
         assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
         self.cells[x + g[0] * (y + g[1] * z)].occupied == 0.0

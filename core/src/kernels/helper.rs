@@ -44,7 +44,7 @@ pub(crate) trait Join {
 /// let helper = entire_core::nn::Helper::new();
 /// std::thread::scope(|scope| {
 ///     scope.spawn(|| helper.serve());
-///     // … predict with Executor::helper(&helper) …
+///     // … predict with Executor::Helper(&helper) …
 ///     helper.stop();
 /// });
 /// ```

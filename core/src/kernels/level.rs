@@ -3,13 +3,14 @@
 use crate::Result;
 use crate::error::bail;
 use core::fmt;
+use core::str::FromStr;
 use core::sync::atomic::{AtomicU32, Ordering};
 
 /// Environment variable that caps the level chosen by [`Level::detect`]: `scalar`, `avx2` or `avx512`.
 ///
 /// Read only with the feature `std`, and once: at the first [`Level::detect`] or [`Level::check_override`] of
 /// the process. It can lower the level, never raise it above what the CPU has.
-pub const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
+pub(crate) const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
 /// The instruction set a kernel is written for, in rising order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -28,20 +29,24 @@ impl Isa {
     pub const ALL: [Isa; 3] = [Isa::Scalar, Isa::Avx2, Isa::Avx512];
 
     /// The name used by [`LEVEL_VARIABLE`] and in reports.
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Isa::Scalar => "scalar",
             Isa::Avx2 => "avx2",
             Isa::Avx512 => "avx512",
         }
     }
+}
 
-    /// Reads a name as [`Isa::name`] writes it.
+impl FromStr for Isa {
+    type Err = crate::Error;
+
+    /// Reads a name as `Display` writes it.
     ///
     /// # Errors
     ///
     /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) when the text is none of the three names.
-    pub fn parse(text: &str) -> Result<Self> {
+    fn from_str(text: &str) -> Result<Self> {
         match Self::ALL.iter().find(|isa| isa.name() == text) {
             Some(&isa) => Ok(isa),
             None => bail!(
@@ -77,9 +82,10 @@ pub struct Level {
 
 impl Level {
     /// The portable level, which every machine has.
-    pub const SCALAR: Level = Level { isa: Isa::Scalar, extras: 0 };
+    pub(crate) const SCALAR: Level = Level { isa: Isa::Scalar, extras: 0 };
 
-    /// The highest level of this CPU, capped by [`LEVEL_VARIABLE`] where the feature `std` is on. An unknown
+    /// The highest level of this CPU, capped by the environment variable `ENTIRE_LEVEL` (`scalar`, `avx2` or
+    /// `avx512`) where the feature `std` is on. An unknown
     /// value there is ignored here and reported by [`Level::check_override`].
     pub fn detect() -> Self {
         #[cfg(feature = "std")]
@@ -112,7 +118,7 @@ impl Level {
         Isa::ALL.into_iter().filter_map(Self::exactly)
     }
 
-    /// Checks [`LEVEL_VARIABLE`], for programs that want to refuse a misspelled override. Always `Ok` without
+    /// Checks `ENTIRE_LEVEL`, for programs that want to refuse a misspelled override. Always `Ok` without
     /// `std`.
     ///
     /// # Errors
@@ -140,9 +146,9 @@ impl Level {
         static SAID: std::sync::OnceLock<Result<Option<Isa>>> = std::sync::OnceLock::new();
         SAID.get_or_init(|| match std::env::var(LEVEL_VARIABLE) {
             Ok(text) if text.is_empty() => Ok(None),
-            Ok(text) => Isa::parse(&text).map(Some),
+            Ok(text) => text.parse().map(Some),
             Err(std::env::VarError::NotPresent) => Ok(None),
-            Err(std::env::VarError::NotUnicode(text)) => Isa::parse(&text.to_string_lossy()).map(Some),
+            Err(std::env::VarError::NotUnicode(text)) => text.to_string_lossy().parse().map(Some),
         })
     }
 
@@ -152,7 +158,7 @@ impl Level {
     }
 
     /// Whether the level includes AVX512_VNNI (8-bit integer dot products).
-    pub const fn has_vnni(self) -> bool {
+    pub(crate) const fn has_vnni(self) -> bool {
         self.extras & HAS_VNNI != 0
     }
 
@@ -258,9 +264,9 @@ mod tests {
     #[test]
     fn names_are_read_back_and_others_refused() {
         for isa in Isa::ALL {
-            assert_eq!(Isa::parse(isa.name()).unwrap(), isa);
+            assert_eq!(isa.name().parse::<Isa>().unwrap(), isa);
         }
-        let error = Isa::parse("AVX-512").unwrap_err();
+        let error = "AVX-512".parse::<Isa>().unwrap_err();
         assert_eq!(error.kind(), ErrorKind::InvalidArgument);
         assert!(error.message().contains("avx512"), "{error}");
     }

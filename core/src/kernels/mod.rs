@@ -10,17 +10,16 @@ mod dispatch;
 mod executor;
 pub(crate) mod helper;
 mod level;
-#[cfg(feature = "train")]
-pub(crate) mod matmul;
 pub(crate) mod mlp;
+mod plain;
 pub(crate) mod resample;
 mod scalar;
 mod simd;
 #[cfg(target_arch = "x86_64")]
 mod x86_64;
 
-pub use activation::{SELU_ALPHA, SELU_SCALE, SELU_TOLERANCE, selu};
+pub use activation::{SELU_ALPHA, SELU_SCALE, selu};
 pub use executor::Executor;
 pub use helper::Helper;
-pub use level::{Isa, LEVEL_VARIABLE, Level};
+pub use level::{Isa, Level};
 pub use mlp::Storage;

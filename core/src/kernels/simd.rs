@@ -93,7 +93,7 @@ pub(crate) trait Simd: Copy + 'static {
     unsafe fn store_u8(self, p: *mut u8, v: Self::F);
 
     /// SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise, within
-    /// [`SELU_TOLERANCE`](super::SELU_TOLERANCE). NaN stays NaN.
+    /// the tolerance of [`selu`](super::selu). NaN stays NaN.
     ///
     /// eˣ − 1 = 2ⁿ·(eʳ − 1) + (2ⁿ − 1) with n = round(x / ln 2): exact near zero, where eˣ − 1 cancels.
     #[inline(always)]

@@ -1,6 +1,6 @@
 //! The container: tensors and metadata, read from and written to safetensors bytes.
 
-use super::keys;
+use super::key::{FORMAT, Key};
 use super::read::{InputGroup, Model, Source};
 use crate::Result;
 use crate::error::bail;
@@ -9,7 +9,7 @@ use crate::nn::{Dtype, Normalization, PredNetParts};
 use alloc::borrow::{Cow, ToOwned};
 use alloc::collections::BTreeMap;
 use alloc::format;
-use alloc::string::String;
+use alloc::string::{String, ToString};
 use alloc::vec::Vec;
 use safetensors::Dtype as Stored;
 use serde::ser::{Serialize, SerializeMap, Serializer};
@@ -83,20 +83,21 @@ impl<'a> Source<'a> {
 /// fine-tuning a file loses nothing (training's decoder tensors, notes, …).
 ///
 /// The bytes depend on the content alone, never on the order in which it was put in.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ModelFile {
     tensors: BTreeMap<String, TensorData<'static>>,
-    metadata: BTreeMap<String, String>,
+    /// All metadata: what [`Key`] names, and anything else.
+    pub metadata: BTreeMap<String, String>,
+}
+
+impl Default for ModelFile {
+    /// An empty file: nothing but the format's version.
+    fn default() -> Self {
+        Self { tensors: BTreeMap::new(), metadata: BTreeMap::from([(Key::Format.into(), FORMAT.into())]) }
+    }
 }
 
 impl ModelFile {
-    /// An empty file: nothing but the format's version.
-    pub fn new() -> Self {
-        let mut file = Self::default();
-        file.set_metadata(keys::FORMAT_KEY, keys::FORMAT);
-        file
-    }
-
     /// Reads any safetensors file, a model or not.
     ///
     /// # Errors
@@ -108,22 +109,6 @@ impl ModelFile {
             (name, TensorData { dtype: t.dtype, shape: t.shape, data: Cow::Owned(t.data.into_owned()) })
         };
         Ok(Self { tensors: source.tensors.into_iter().map(own).collect(), metadata: source.metadata })
-    }
-
-    /// All metadata.
-    pub fn metadata(&self) -> &BTreeMap<String, String> {
-        &self.metadata
-    }
-
-    /// Sets one metadata entry (see [`keys`]).
-    pub fn set_metadata(&mut self, key: impl Into<String>, value: impl Into<String>) -> &mut Self {
-        self.metadata.insert(key.into(), value.into());
-        self
-    }
-
-    /// Removes one metadata entry and returns its value.
-    pub fn remove_metadata(&mut self, key: &str) -> Option<String> {
-        self.metadata.remove(key)
     }
 
     /// Names of the tensors in alphabetical order.
@@ -207,16 +192,17 @@ impl ModelFile {
                 self.set_tensor(&format!("prednet.{name}.std"), Dtype::F32, &[std.len()], std)?;
             }
         }
-        self.set_metadata(keys::TARGET, net.target.name());
-        self.set_metadata(keys::INPUTS, json(inputs)?);
+        self.metadata.insert(Key::Target.into(), net.target.name().into());
+        self.metadata.insert(Key::Inputs.into(), json(inputs)?);
         Ok(self)
     }
 
     /// Names the scene features, in order.
-    pub fn set_scene_features<S: AsRef<str>>(&mut self, names: &[S]) -> Result<&mut Self> {
-        let names: Vec<&str> = names.iter().map(AsRef::as_ref).collect();
+    pub(crate) fn set_scene_features<S: ToString>(&mut self, names: &[S]) -> Result<&mut Self> {
+        let names: Vec<String> = names.iter().map(ToString::to_string).collect();
         let text = json(&names)?;
-        Ok(self.set_metadata(keys::SCENE_FEATURES, text))
+        self.metadata.insert(Key::SceneFeatures.into(), text);
+        Ok(self)
     }
 
     /// Checks the content as [`Model::from_bytes`] would.

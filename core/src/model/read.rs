@@ -1,7 +1,7 @@
 //! From bytes to a checked [`Model`].
 
 use super::file::TensorData;
-use super::keys;
+use super::key::{FORMAT, GroupKind, Key};
 use crate::error::bail;
 use crate::memory::{collected, room};
 use crate::nn::{
@@ -16,10 +16,10 @@ use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
 /// Largest edge of VolumeNet's input that is accepted, in voxels (512³ voxels are 512 MiB as f32).
-pub const MAX_VOLUMENET_INPUT: usize = 512;
+pub(crate) const MAX_VOLUMENET_INPUT: usize = 512;
 
 /// Most input groups that a model may name.
-pub const MAX_INPUT_GROUPS: usize = 1024;
+pub(crate) const MAX_INPUT_GROUPS: usize = 1024;
 
 /// Variance offset of batch normalization.
 const BATCH_NORM_EPSILON: f64 = 1e-5;
@@ -67,11 +67,6 @@ impl Model {
         self.inputs.iter().find(|group| group.name == name).map(|group| group.size)
     }
 
-    /// What PredNet's output stands for; `None` where the file has no PredNet.
-    pub fn target(&self) -> Option<Target> {
-        self.prednet.as_ref().map(|net| net.target)
-    }
-
     /// PredNet's weights, or `None` where the file lacks one.
     pub fn prednet(&self) -> Option<&PredNetParts> {
         self.prednet.as_ref()
@@ -87,29 +82,9 @@ impl Model {
         &self.scene_features
     }
 
-    /// Everything under `__metadata__`, known or not (see [`keys`]).
+    /// Everything under `__metadata__`, known ([`Key`]) or not.
     pub fn metadata(&self) -> &BTreeMap<String, String> {
         &self.metadata
-    }
-
-    /// What rendered the frames that the timings come from, where the file says it.
-    pub fn renderer(&self) -> Option<&str> {
-        self.metadata.get(keys::RENDERER).map(String::as_str)
-    }
-
-    /// The device that the timings come from, where the file says it.
-    pub fn device(&self) -> Option<&str> {
-        self.metadata.get(keys::DEVICE).map(String::as_str)
-    }
-
-    /// What a step of 1 meant in the timings, where the file says it.
-    pub fn step_reference(&self) -> Option<&str> {
-        self.metadata.get(keys::STEP_REFERENCE).map(String::as_str)
-    }
-
-    /// Where the weights come from, where the file says it.
-    pub fn provenance(&self) -> Option<&str> {
-        self.metadata.get(keys::PROVENANCE).map(String::as_str)
     }
 }
 
@@ -121,19 +96,19 @@ pub(super) struct Source<'a> {
 
 impl Source<'_> {
     pub(super) fn model(self) -> Result<Model> {
-        match self.metadata.get(keys::FORMAT_KEY).map(String::as_str) {
-            Some(keys::FORMAT) => {}
+        match self.metadata.get(Key::Format.name()).map(String::as_str) {
+            Some(FORMAT) => {}
             Some(other) => bail!(
                 InvalidModel,
                 "{} is {other:?}, this version reads {:?}: use a newer version of the library",
-                keys::FORMAT_KEY,
-                keys::FORMAT
+                Key::Format,
+                FORMAT
             ),
             None => bail!(
                 InvalidModel,
                 "the metadata lacks {:?}, expected {:?}: this is not a model of ours, or it was saved without metadata",
-                keys::FORMAT_KEY,
-                keys::FORMAT
+                Key::Format,
+                FORMAT
             ),
         }
         let volumenet = if self.has_volumenet() { Some(self.volumenet()?) } else { None };
@@ -153,10 +128,10 @@ impl Source<'_> {
         Ok(Model { inputs, scene_features, prednet, volumenet, metadata: self.metadata })
     }
 
-    fn required(&self, key: &str, example: &str) -> Result<&str> {
-        match self.metadata.get(key) {
+    fn required(&self, key: Key, example: &str) -> Result<&str> {
+        match self.metadata.get(key.name()) {
             Some(text) => Ok(text),
-            None => bail!(InvalidModel, "the metadata lacks {key:?}, for example {example}"),
+            None => bail!(InvalidModel, "the metadata lacks {:?}, for example {example}", key.name()),
         }
     }
 
@@ -176,11 +151,11 @@ impl Source<'_> {
     }
 
     fn prednet(&self, layers: usize) -> Result<PredNetParts> {
-        let target = match self.required(keys::TARGET, "\"seconds\"")? {
+        let target = match self.required(Key::Target, "\"seconds\"")? {
             "seconds" => Target::Seconds,
             "log_seconds" => Target::LogSeconds,
             other => {
-                bail!(InvalidModel, "{} is {other:?}, expected \"seconds\" or \"log_seconds\"", keys::TARGET)
+                bail!(InvalidModel, "{} is {other:?}, expected \"seconds\" or \"log_seconds\"", Key::Target)
             }
         };
         // A number in a name bounds nothing; the tensors that exist do.
@@ -201,7 +176,7 @@ impl Source<'_> {
     }
 
     fn input_groups(&self, width: usize, volumenet: Option<&VolumeNetParts>) -> Result<Vec<InputGroup>> {
-        let key = keys::INPUTS;
+        let key = Key::Inputs;
         let text = self.required(key, "[{\"name\":\"camera\",\"size\":3}]")?;
         let groups: Vec<InputGroup> = match serde_json::from_str(text) {
             Ok(groups) => groups,
@@ -223,11 +198,11 @@ impl Source<'_> {
             if !seen.insert(name) {
                 bail!(InvalidModel, "{key} names the group {name:?} twice");
             }
-            let (fits, expected) = match name {
-                keys::GROUP_CAMERA => (group.size == 3, "3"),
-                keys::GROUP_RESOLUTION => (group.size == 2, "2"),
-                keys::GROUP_STEP_SIZE => (group.size == 1, "1"),
-                keys::GROUP_TRANSFER_FUNCTION => {
+            let (fits, expected) = match GroupKind::find(name) {
+                Some(GroupKind::Camera) => (group.size == 3, "3"),
+                Some(GroupKind::Resolution) => (group.size == 2, "2"),
+                Some(GroupKind::StepSize) => (group.size == 1, "1"),
+                Some(GroupKind::TransferFunction) => {
                     (group.size > 0 && group.size % 3 == 0, "a multiple of 3 (c, w, h per lobe)")
                 }
                 _ => (group.size > 0, "at least 1"),
@@ -235,7 +210,7 @@ impl Source<'_> {
             if !fits {
                 bail!(InvalidModel, "{key}: the group {name:?} has size {}, expected {expected}", group.size);
             }
-            if let (keys::GROUP_VOLUME_FEATURES, Some(net)) = (name, volumenet)
+            if let (Some(GroupKind::VolumeFeatures), Some(net)) = (GroupKind::find(name), volumenet)
                 && group.size != net.features()
             {
                 bail!(
@@ -257,10 +232,10 @@ impl Source<'_> {
     }
 
     fn scene_features(&self, inputs: &[InputGroup]) -> Result<Vec<String>> {
-        let Some(group) = inputs.iter().find(|group| group.name == keys::GROUP_SCENE_FEATURES) else {
+        let Some(group) = inputs.iter().find(|group| group.name == GroupKind::SceneFeatures.name()) else {
             return Ok(Vec::new());
         };
-        let key = keys::SCENE_FEATURES;
+        let key = Key::SceneFeatures;
         let names: Vec<String> = match serde_json::from_str(self.required(key, "[\"footprint\"]")?) {
             Ok(names) => names,
             Err(e) => bail!(InvalidModel, "{key} is not a JSON array of names: {e}"),
@@ -300,7 +275,7 @@ impl Source<'_> {
             stride: usize,
             padding: usize,
         }
-        let key = keys::VOLUMENET;
+        let key = Key::VolumeNet;
         let example = "{\"input\":128,\"blocks\":[{\"stride\":2,\"padding\":1}]}";
         let layout: Layout = match serde_json::from_str(self.required(key, example)?) {
             Ok(layout) => layout,
@@ -369,7 +344,7 @@ impl Source<'_> {
                 InvalidModel,
                 "{}: block {i} has stride {stride} and padding {padding}, expected a stride of at least 1 and a \
                  padding below the kernel's size {kernel}",
-                keys::VOLUMENET
+                Key::VolumeNet
             );
         }
         // Neither sum can overflow: the edge is at most MAX_VOLUMENET_INPUT plus paddings that existing
@@ -387,7 +362,7 @@ impl Source<'_> {
                 InvalidModel,
                 "{}: block {i} has stride {stride}, but its padded input is only {padded} wide: expected a stride of 1 \
                  to {padded}",
-                keys::VOLUMENET
+                Key::VolumeNet
             );
         }
         let output_edge = (padded - kernel) / stride + 1;

@@ -1,5 +1,6 @@
 //! Round trips, and every way in which a model file can be wrong.
 
+use super::read::MAX_INPUT_GROUPS;
 use super::*;
 use crate::ErrorKind;
 use crate::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
@@ -35,7 +36,7 @@ fn groups() -> Vec<InputGroup> {
 }
 
 fn file() -> ModelFile {
-    let mut file = ModelFile::new();
+    let mut file = ModelFile::default();
     file.set_prednet(&prednet(Dtype::F32), &groups()).unwrap();
     file
 }
@@ -61,9 +62,9 @@ fn with_volumenet() -> ModelFile {
         let n = shape.iter().product();
         file.set_tensor(name, Dtype::F32, &shape, &ones(n)).unwrap();
     }
-    file.set_metadata(
-        keys::VOLUMENET,
-        r#"{"input":8,"blocks":[{"stride":2,"padding":1},{"stride":2,"padding":0}]}"#,
+    file.metadata.insert(
+        Key::VolumeNet.into(),
+        r#"{"input":8,"blocks":[{"stride":2,"padding":1},{"stride":2,"padding":0}]}"#.into(),
     );
     file
 }
@@ -80,16 +81,16 @@ fn fails(file: &ModelFile, kind: ErrorKind, says: &[&str]) {
 #[test]
 fn what_is_written_is_read_back() {
     for dtype in [Dtype::F32, Dtype::F16, Dtype::Bf16] {
-        let mut file = ModelFile::new();
+        let mut file = ModelFile::default();
         file.set_prednet(&prednet(dtype), &groups()).unwrap();
-        file.set_metadata(keys::DEVICE, "a device").set_metadata("notes", "kept");
+        file.metadata.insert(Key::Device.into(), "a device".into());
+        file.metadata.insert("notes".into(), "kept".into());
         let model = Model::from_bytes(&file.to_bytes().unwrap()).unwrap();
         assert_eq!(model.prednet(), Some(&prednet(dtype)));
         assert_eq!(model.inputs(), groups());
-        assert_eq!(model.target(), Some(Target::LogSeconds));
-        assert_eq!(model.device(), Some("a device"));
+        assert_eq!(model.metadata()[Key::Device.name()], "a device");
         assert_eq!(model.metadata()["notes"], "kept");
-        assert!(model.volumenet().is_none() && model.renderer().is_none());
+        assert!(model.volumenet().is_none());
         assert_eq!(PredNet::new(model.prednet().unwrap()).unwrap().inputs(), 6);
     }
 }
@@ -118,7 +119,7 @@ fn unknown_tensors_and_metadata_survive_fine_tuning() {
     for name in &kept {
         assert!(tuned.tensor_names().any(|n| n == *name), "{name} was lost");
     }
-    assert_eq!(tuned.metadata(), before.metadata());
+    assert_eq!(tuned.metadata, before.metadata);
     assert_eq!(tuned.to_model().unwrap().volumenet(), before.to_model().unwrap().volumenet());
 }
 
@@ -186,74 +187,74 @@ fn a_flipped_byte_never_panics() {
 
 #[test]
 fn metadata_is_checked() {
-    let remove = |key: &str| {
+    let remove = |key: Key| {
         let mut f = file();
-        f.remove_metadata(key);
+        f.metadata.remove(key.name());
         f
     };
-    let set = |key: &str, value: &str| {
+    let set = |key: Key, value: &str| {
         let mut f = with_volumenet();
-        f.set_metadata(key, value);
+        f.metadata.insert(key.into(), value.into());
         f
     };
     let invalid = ErrorKind::InvalidModel;
-    for key in [keys::FORMAT_KEY, keys::INPUTS, keys::TARGET] {
-        fails(&remove(key), invalid, &[key]);
+    for key in [Key::Format, Key::Inputs, Key::Target] {
+        fails(&remove(key), invalid, &[key.name()]);
     }
-    fails(&set(keys::FORMAT_KEY, "2"), invalid, &["\"2\"", "\"1\""]);
-    fails(&set(keys::TARGET, "ms"), invalid, &["\"ms\"", "log_seconds"]);
-    fails(&set(keys::INPUTS, "camera"), invalid, &[keys::INPUTS, "JSON"]);
+    fails(&set(Key::Format, "2"), invalid, &["\"2\"", "\"1\""]);
+    fails(&set(Key::Target, "ms"), invalid, &["\"ms\"", "log_seconds"]);
+    fails(&set(Key::Inputs, "camera"), invalid, &[Key::Inputs.name(), "JSON"]);
     fails(
-        &set(keys::INPUTS, r#"[{"name":"camera","size":4},{"name":"x","size":2}]"#),
+        &set(Key::Inputs, r#"[{"name":"camera","size":4},{"name":"x","size":2}]"#),
         invalid,
         &["camera", "4", "3"],
     );
-    fails(&set(keys::INPUTS, r#"[{"name":"x","size":3},{"name":"x","size":3}]"#), invalid, &["twice"]);
-    fails(&set(keys::INPUTS, r#"[{"name":"x","size":5}]"#), invalid, &["5", "6"]);
-    fails(&set(keys::INPUTS, r#"[{"name":"x","size":6},{"name":"y","size":0}]"#), invalid, &["\"y\""]);
+    fails(&set(Key::Inputs, r#"[{"name":"x","size":3},{"name":"x","size":3}]"#), invalid, &["twice"]);
+    fails(&set(Key::Inputs, r#"[{"name":"x","size":5}]"#), invalid, &["5", "6"]);
+    fails(&set(Key::Inputs, r#"[{"name":"x","size":6},{"name":"y","size":0}]"#), invalid, &["\"y\""]);
     fails(
-        &set(keys::INPUTS, r#"[{"name":"x","size":18446744073709551615},{"name":"y","size":7}]"#),
+        &set(Key::Inputs, r#"[{"name":"x","size":18446744073709551615},{"name":"y","size":7}]"#),
         invalid,
         &["adds up"],
     );
     fails(
-        &set(keys::INPUTS, r#"[{"name":"transfer_function","size":4},{"name":"x","size":2}]"#),
+        &set(Key::Inputs, r#"[{"name":"transfer_function","size":4},{"name":"x","size":2}]"#),
         invalid,
         &["lobe"],
     );
     fails(
-        &set(keys::INPUTS, r#"[{"name":"volume_features","size":5},{"name":"x","size":1}]"#),
+        &set(Key::Inputs, r#"[{"name":"volume_features","size":5},{"name":"x","size":1}]"#),
         invalid,
         &["volume_features", "5", "4"],
     );
     let scene = r#"[{"name":"scene_features","size":6}]"#;
-    fails(&set(keys::INPUTS, scene), invalid, &[keys::SCENE_FEATURES]);
+    fails(&set(Key::Inputs, scene), invalid, &[Key::SceneFeatures.name()]);
     for (names, says) in
         [("[\"a\"]", "1 features"), ("[\"a\",\"b\",\"c\",\"d\",\"e\",\"a\"]", "twice"), ("{}", "JSON")]
     {
-        let mut f = set(keys::INPUTS, scene);
-        f.set_metadata(keys::SCENE_FEATURES, names);
+        let mut f = set(Key::Inputs, scene);
+        f.metadata.insert(Key::SceneFeatures.into(), names.into());
         fails(&f, invalid, &[says]);
     }
-    let mut f = set(keys::INPUTS, scene);
+    let mut f = set(Key::Inputs, scene);
     f.set_scene_features(&["a", "b", "c", "d", "e", "f"]).unwrap();
     assert_eq!(f.to_model().unwrap().scene_features(), ["a", "b", "c", "d", "e", "f"].map(String::from));
     let one = r#"{"input":8,"blocks":[{"stride":2,"padding":1}]}"#;
-    fails(&set(keys::VOLUMENET, one), invalid, &["1 blocks", "2"]);
-    fails(&set(keys::VOLUMENET, &one.replace('8', "0")), invalid, &["input is 0"]);
-    fails(&set(keys::VOLUMENET, &one.replace('8', "100000")), invalid, &["100000", "512"]);
-    fails(&set(keys::VOLUMENET, "8"), invalid, &["form"]);
+    fails(&set(Key::VolumeNet, one), invalid, &["1 blocks", "2"]);
+    fails(&set(Key::VolumeNet, &one.replace('8', "0")), invalid, &["input is 0"]);
+    fails(&set(Key::VolumeNet, &one.replace('8', "100000")), invalid, &["100000", "512"]);
+    fails(&set(Key::VolumeNet, "8"), invalid, &["form"]);
     let two = |a: &str, b: &str| format!(r#"{{"input":8,"blocks":[{a},{b}]}}"#);
     let (good, zero, padded) =
         (r#"{"stride":2,"padding":1}"#, r#"{"stride":0,"padding":1}"#, r#"{"stride":2,"padding":3}"#);
-    fails(&set(keys::VOLUMENET, &two(zero, good)), invalid, &["stride 0"]);
-    fails(&set(keys::VOLUMENET, &two(padded, good)), invalid, &["padding 3"]);
+    fails(&set(Key::VolumeNet, &two(zero, good)), invalid, &["stride 0"]);
+    fails(&set(Key::VolumeNet, &two(padded, good)), invalid, &["padding 3"]);
 }
 
 /// A file with an encoder of blocks of (outputs, kernel, stride, padding) whose dense layer gives `features`
 /// numbers.
 fn encoder_file(input: usize, blocks: &[(usize, usize, usize, usize)], features: usize) -> ModelFile {
-    let mut file = ModelFile::new();
+    let mut file = ModelFile::default();
     let (mut edge, mut channels, mut layout) = (input, 1, Vec::new());
     for (i, &(outputs, kernel, stride, padding)) in blocks.iter().enumerate() {
         let name = format!("volumenet.encoder.{i}");
@@ -271,7 +272,8 @@ fn encoder_file(input: usize, blocks: &[(usize, usize, usize, usize)], features:
     file.set_tensor("volumenet.fc.weight", Dtype::F32, &[features, flat], &vec![0.1; features * flat])
         .unwrap();
     file.set_tensor("volumenet.fc.bias", Dtype::F32, &[features], &vec![0.0; features]).unwrap();
-    file.set_metadata(keys::VOLUMENET, format!(r#"{{"input":{input},"blocks":[{}]}}"#, layout.join(",")));
+    file.metadata
+        .insert(Key::VolumeNet.into(), format!(r#"{{"input":{input},"blocks":[{}]}}"#, layout.join(",")));
     file
 }
 
@@ -312,15 +314,15 @@ fn the_number_of_groups_and_their_check_are_bounded() {
         let all: Vec<String> = (0..n).map(|i| format!(r#"{{"name":"g{i}","size":1}}"#)).collect();
         format!("[{}]", all.join(","))
     };
-    let mut file = ModelFile::new();
+    let mut file = ModelFile::default();
     let mut net = prednet(Dtype::F32);
     net.layers[0] = layer(MAX_INPUT_GROUPS, 5, Dtype::F32);
     net.input = None;
     file.set_prednet(&net, &[InputGroup { name: "x".to_string(), size: MAX_INPUT_GROUPS }]).unwrap();
-    file.set_metadata(keys::INPUTS, groups(MAX_INPUT_GROUPS));
+    file.metadata.insert(Key::Inputs.into(), groups(MAX_INPUT_GROUPS));
     assert_eq!(file.to_model().unwrap().inputs().len(), MAX_INPUT_GROUPS);
     for n in [MAX_INPUT_GROUPS + 1, 100_000] {
-        file.set_metadata(keys::INPUTS, groups(n));
+        file.metadata.insert(Key::Inputs.into(), groups(n));
         fails(&file, ErrorKind::InvalidModel, &[&format!("{n} groups"), "1024"]);
     }
 }
@@ -366,7 +368,7 @@ fn tensors_are_checked() {
         &["volumenet.fc.weight", "[4, 23]", "[out, 24]"],
     );
     fails(&set("prednet.7.weight", &[3, 3], 1.0), invalid, &["prednet.3.weight", "missing"]);
-    let mut f = ModelFile::new();
+    let mut f = ModelFile::default();
     fails(&f, ErrorKind::InvalidModel, &["neither"]);
     f.set_tensor("prednet.input.mean", Dtype::F32, &[1], &[1.0]).unwrap();
     fails(&f, invalid, &["prednet.0.weight"]);

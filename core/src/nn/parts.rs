@@ -2,6 +2,7 @@
 
 use crate::Result;
 use crate::error::bail;
+use crate::names::names;
 use alloc::vec::Vec;
 
 /// Number format in which weights are stored in a file.
@@ -16,15 +17,6 @@ pub enum Dtype {
 }
 
 impl Dtype {
-    /// The name that safetensors headers use.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Dtype::F32 => "F32",
-            Dtype::F16 => "F16",
-            Dtype::Bf16 => "BF16",
-        }
-    }
-
     /// Bytes per number.
     pub(crate) const fn bytes(self) -> usize {
         match self {
@@ -32,6 +24,12 @@ impl Dtype {
             Dtype::F16 | Dtype::Bf16 => 2,
         }
     }
+}
+
+names! { Dtype:
+    F32 "F32",
+    F16 "F16",
+    Bf16 "BF16",
 }
 
 /// What PredNet's last layer stands for.
@@ -248,7 +246,7 @@ pub struct VolumeNetParts {
 
 impl VolumeNetParts {
     /// Number of features.
-    pub fn features(&self) -> usize {
+    pub(crate) fn features(&self) -> usize {
         self.fc.outputs
     }
 }

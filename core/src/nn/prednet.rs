@@ -8,19 +8,6 @@ use crate::kernels::mlp::{Dense, Mlp, MlpScratch};
 use crate::kernels::{Level, Storage};
 use crate::memory::collected;
 
-/// Largest relative error of [`PredNet::predict`] against a float64 evaluation of the same stored weights:
-/// for [`Storage::F32`], and for [`Storage::F16`] and [`Storage::Bf16`] where the file stores its weights so.
-pub const PREDNET_F32_TOLERANCE: f64 = 1e-5;
-/// Largest error of [`Storage::F16`] on a network whose file holds F32, relative to the largest output over
-/// the inputs.
-pub const PREDNET_F16_TOLERANCE: f64 = 5e-3;
-/// Largest error of [`Storage::Bf16`] on a network whose file holds F32, relative to the largest output over
-/// the inputs.
-pub const PREDNET_BF16_TOLERANCE: f64 = 5e-2;
-/// Largest error of [`Storage::Int8`], relative to the largest output over the inputs. Judge it on frames of
-/// your own before choosing it: it depends on the network.
-pub const PREDNET_INT8_TOLERANCE: f64 = 1e-1;
-
 impl From<Dtype> for Storage {
     fn from(dtype: Dtype) -> Self {
         match dtype {
@@ -37,13 +24,6 @@ pub struct PredScratch {
     mlp: MlpScratch,
 }
 
-impl PredScratch {
-    /// Rows that a batch works on at once.
-    pub fn rows(&self) -> usize {
-        self.mlp.rows()
-    }
-}
-
 /// A prediction network ready to run: dense layers with SELU after every layer but the last, then the
 /// target's transform (paper, section on the prediction network).
 ///
@@ -57,7 +37,6 @@ impl PredScratch {
 #[derive(Clone, Debug)]
 pub struct PredNet {
     mlp: Mlp,
-    storage: Storage,
     target: Target,
     /// Mean and std of the output.
     output: (f64, f64),
@@ -76,17 +55,25 @@ impl PredNet {
         Self::with(parts, Level::detect(), storage)
     }
 
-    /// Builds the network with another storage than the file's. Storing wider than the file costs memory and
-    /// changes nothing; storing narrower rounds the weights.
+    /// Largest error of a prediction with weights kept in `storage` that the file holds as `file`, against a
+    /// float64 evaluation of the same file.
     ///
-    /// # Errors
-    ///
-    /// As [`with`](Self::with).
-    pub fn with_storage(parts: &PredNetParts, storage: Storage) -> Result<Self> {
-        Self::with(parts, Level::detect(), storage)
+    /// Where nothing is rounded ([`Storage::F32`], or the file's own format), relative to the prediction:
+    /// 1e-5. Else relative to the largest output over the inputs: 5e-3 for [`Storage::F16`], 5e-2 for
+    /// [`Storage::Bf16`], 1e-1 for [`Storage::Int8`]. Judge the last on frames of your own before choosing
+    /// it: it depends on the network.
+    pub fn tolerance(storage: Storage, file: Dtype) -> f64 {
+        match storage {
+            Storage::F32 => 1e-5,
+            exact if exact == file.into() => 1e-5,
+            Storage::F16 => 5e-3,
+            Storage::Bf16 => 5e-2,
+            Storage::Int8 => 1e-1,
+        }
     }
 
-    /// Builds the network for a given level and storage.
+    /// Builds the network for a given level and storage. Storing wider than the file costs memory and changes
+    /// nothing; storing narrower rounds the weights.
     ///
     /// # Errors
     ///
@@ -121,27 +108,12 @@ impl PredNet {
         let norm = parts.input.as_ref().map(|n| (n.mean.as_slice(), n.std.as_slice()));
         let output =
             parts.output.as_ref().map_or((0.0, 1.0), |n| (f64::from(n.mean[0]), f64::from(n.std[0])));
-        Ok(Self { mlp: Mlp::new(level, storage, &layers, norm)?, storage, target: parts.target, output })
+        Ok(Self { mlp: Mlp::new(level, storage, &layers, norm)?, target: parts.target, output })
     }
 
     /// Number of inputs.
     pub fn inputs(&self) -> usize {
         self.mlp.inputs()
-    }
-
-    /// The level the network was built for.
-    pub fn level(&self) -> Level {
-        self.mlp.level()
-    }
-
-    /// How the weights are kept.
-    pub fn storage(&self) -> Storage {
-        self.storage
-    }
-
-    /// What the raw output stands for.
-    pub fn target(&self) -> Target {
-        self.target
     }
 
     /// Bytes of weights that one prediction reads.
@@ -350,18 +322,14 @@ mod tests {
             let inputs: Vec<f32> = (0..rows * sizes[0]).map(|i| (i * 7919 % 1000) as f32 / 250.0 - 2.0).collect();
             let exact: Vec<f64> = inputs.chunks(sizes[0]).map(|row| plain(&parts, row)).collect();
             for level in Level::available() {
-                for (storage, tolerance) in [
-                    (Storage::F32, PREDNET_F32_TOLERANCE),
-                    (Storage::F16, PREDNET_F16_TOLERANCE),
-                    (Storage::Bf16, PREDNET_BF16_TOLERANCE),
-                    (Storage::Int8, PREDNET_INT8_TOLERANCE),
-                ] {
+                for storage in Storage::ALL {
+                    let tolerance = PredNet::tolerance(storage, Dtype::F32);
                     let net = PredNet::with(&parts, level, storage).unwrap();
                     let mut scratch = net.scratch().unwrap();
                     let mut batch = vec![0.0; rows];
                     net.predict_batch(&inputs, &mut batch, &mut net.batch_scratch(rows).unwrap()).unwrap();
                     for (i, row) in inputs.chunks(sizes[0]).enumerate() {
-                        let split = net.predict_on(Executor::serial(), row, &mut scratch);
+                        let split = net.predict_on(Executor::Serial, row, &mut scratch);
                         let single = net.predict(row, &mut scratch);
                         prop_assert_eq!(single.to_bits(), split.to_bits());
                         for found in [single, batch[i]] {
@@ -395,7 +363,11 @@ mod tests {
                     for (row, &in_batch) in inputs.chunks(sizes[0]).zip(&batch) {
                         let exact = plain(&parts, row);
                         let single = net.predict(row, &mut net.scratch().unwrap());
-                        let tolerance = if storage == Storage::F32 { PREDNET_F32_TOLERANCE } else { 0.3 };
+                        let tolerance = if storage == Storage::F32 {
+                            PredNet::tolerance(storage, Dtype::F32)
+                        } else {
+                            0.3
+                        };
                         for found in [single, in_batch] {
                             let error = (f64::from(found) - exact).abs() / exact;
                             assert!(
@@ -421,7 +393,7 @@ mod tests {
                     let net = PredNet::with(&parts, level, storage).unwrap();
                     let (mut one, mut two) = (net.scratch().unwrap(), net.scratch().unwrap());
                     for row in x.chunks_exact(16).take(5) {
-                        let split = net.predict_on(Executor::helper(&helper), row, &mut two);
+                        let split = net.predict_on(Executor::Helper(&helper), row, &mut two);
                         assert_eq!(net.predict(row, &mut one).to_bits(), split.to_bits(), "{level}");
                     }
                     let (mut whole, mut parted) = ([0.0; 50], [0.0; 50]);
@@ -431,7 +403,7 @@ mod tests {
                         net.batch_scratch(9).unwrap(),
                         net.batch_scratch(9).unwrap(),
                     ];
-                    net.predict_batch_on(Executor::helper(&helper), &x, &mut parted, &mut scratches).unwrap();
+                    net.predict_batch_on(Executor::Helper(&helper), &x, &mut parted, &mut scratches).unwrap();
                     assert_eq!(whole, parted, "{level}");
                 }
             }
@@ -458,18 +430,18 @@ mod tests {
     fn weights_that_overflow_half_precision_are_refused_by_name() {
         let mut parts = parts(&[4, 8, 1], Target::Seconds, 3);
         parts.layers[1].weight[5] = 1e6;
-        let error = PredNet::with_storage(&parts, Storage::F16).unwrap_err();
+        let error = PredNet::with(&parts, Level::detect(), Storage::F16).unwrap_err();
         assert!(error.message().contains("prednet.1.weight[5]"), "{error}");
-        assert!(PredNet::with_storage(&parts, Storage::Bf16).is_ok());
+        assert!(PredNet::with(&parts, Level::detect(), Storage::Bf16).is_ok());
     }
 
     #[test]
     fn a_batch_without_scratch_or_with_wrong_sizes_is_refused() {
         let net = PredNet::new(&parts(&[4, 8, 1], Target::Seconds, 3)).unwrap();
         let mut y = [0.0; 3];
-        assert!(net.predict_batch_on(Executor::serial(), &[0.0; 12], &mut y, &mut []).is_err());
+        assert!(net.predict_batch_on(Executor::Serial, &[0.0; 12], &mut y, &mut []).is_err());
         let mut scratches = [net.scratch().unwrap(), net.scratch().unwrap()];
-        assert!(net.predict_batch_on(Executor::serial(), &[0.0; 11], &mut y, &mut scratches).is_err());
-        assert!(net.predict_batch_on(Executor::serial(), &[0.0; 1], &mut y, &mut scratches).is_err());
+        assert!(net.predict_batch_on(Executor::Serial, &[0.0; 11], &mut y, &mut scratches).is_err());
+        assert!(net.predict_batch_on(Executor::Serial, &[0.0; 1], &mut y, &mut scratches).is_err());
     }
 }

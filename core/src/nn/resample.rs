@@ -20,13 +20,10 @@ use crate::nn::Executor;
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
+#[cfg(test)]
 /// Largest absolute difference between [`Resampler::resample`]'s values and the exact average of the exactly
-/// normalized voxels, for at most [`RESAMPLE_MAX_RATIO`] input voxels per output voxel and axis.
-pub const RESAMPLE_TOLERANCE: f32 = 2e-6;
-
-/// The shrinking ratio per axis up to which [`RESAMPLE_TOLERANCE`] holds. Beyond, the error grows with the
-/// ratio.
-pub const RESAMPLE_MAX_RATIO: usize = 64;
+/// normalized voxels, for at most 64 input voxels per output voxel and axis.
+const RESAMPLE_TOLERANCE: f32 = 2e-6;
 
 /// Longest axis that [`Resampler::resample`] takes.
 const MAX_AXIS: u64 = 1 << 31;
@@ -55,6 +52,8 @@ impl Resampler {
     /// Resamples a volume to `n`³ values in [0, 1], written to `out` with x fastest, then y, then z.
     ///
     /// The result depends on the volume, its range and `n` alone: neither on the executor nor on the level.
+    /// Up to 64 input voxels per output voxel and axis, values are within 2e-6 of the exact average of the
+    /// exactly normalized voxels; beyond, the error grows with the ratio.
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`](crate::ErrorKind) when `n` is 0 or an axis is longer than 2³¹ voxels,
@@ -289,7 +288,7 @@ mod tests {
         let mut bits: Option<Vec<u32>> = None;
         for level in Level::available() {
             let mut out = vec![f32::NAN; n * n * n];
-            Resampler::new(level).resample(view, n, &mut out, Executor::serial()).unwrap();
+            Resampler::new(level).resample(view, n, &mut out, Executor::Serial).unwrap();
             for (i, (&o, &e)) in out.iter().zip(&expected).enumerate() {
                 let error = (f64::from(o) - e).abs();
                 assert!(
@@ -334,7 +333,7 @@ mod tests {
             let view = VolumeView::new(Scalars::U8(&bytes), dims).unwrap();
             let resampled = |level| {
                 let mut out = vec![f32::NAN; n * n * n];
-                Resampler::new(level).resample(&view, n, &mut out, Executor::serial()).unwrap();
+                Resampler::new(level).resample(&view, n, &mut out, Executor::Serial).unwrap();
                 out.iter().map(|v| v.to_bits()).collect::<Vec<u32>>()
             };
             let standard = resampled(Level::SCALAR);
@@ -417,12 +416,11 @@ mod tests {
             let floats = vec![value; 128 * 128 * 128];
             let view = VolumeView::new(Scalars::F32(&floats), dims).unwrap().with_range(0.0, 1.0).unwrap();
             let mut out = [0.0; 8];
-            Resampler::default().resample(&view, 2, &mut out, Executor::serial()).unwrap();
+            Resampler::default().resample(&view, 2, &mut out, Executor::Serial).unwrap();
             for o in out {
                 assert!((o - value).abs() <= RESAMPLE_TOLERANCE, "{o} for {value}");
             }
         }
-        assert_eq!(RESAMPLE_MAX_RATIO, 64);
     }
 
     #[test]
@@ -430,14 +428,14 @@ mod tests {
         let bytes: Vec<u8> = (0..64).map(|v| v * 4).collect();
         let view = VolumeView::new(Scalars::U8(&bytes), [4, 4, 4]).unwrap();
         let mut out = [0.0; 64];
-        Resampler::default().resample(&view, 4, &mut out, Executor::serial()).unwrap();
+        Resampler::default().resample(&view, 4, &mut out, Executor::Serial).unwrap();
         for (o, &b) in out.iter().zip(&bytes) {
             assert!((o - f32::from(b) / 255.0).abs() <= 6e-8);
         }
         let ramp: Vec<f32> = (0..8).map(|x| x as f32).collect();
         let view = VolumeView::new(Scalars::F32(&ramp), [8, 1, 1]).unwrap();
         let mut out = [0.0; 8];
-        Resampler::default().resample(&view, 2, &mut out, Executor::serial()).unwrap();
+        Resampler::default().resample(&view, 2, &mut out, Executor::Serial).unwrap();
         for (o, e) in out.iter().zip([1.5 / 7.0, 5.5 / 7.0].iter().cycle()) {
             assert!((o - e).abs() < 1e-6);
         }
@@ -455,8 +453,8 @@ mod tests {
             for scalars in [Scalars::U8(&bytes), Scalars::F32(&floats)] {
                 let view = VolumeView::new(scalars, dims).unwrap();
                 let (mut one, mut many) = (vec![0.0f32; n * n * n], vec![0.0f32; n * n * n]);
-                Resampler::default().resample(&view, n, &mut one, Executor::serial()).unwrap();
-                Resampler::default().resample(&view, n, &mut many, Executor::rayon(&pool)).unwrap();
+                Resampler::default().resample(&view, n, &mut one, Executor::Serial).unwrap();
+                Resampler::default().resample(&view, n, &mut many, Executor::Rayon(&pool)).unwrap();
                 assert!(one.iter().zip(&many).all(|(a, b)| a.to_bits() == b.to_bits()), "{dims:?}");
             }
         }
@@ -469,7 +467,7 @@ mod tests {
         for (dims, n) in [([3, 9, 64], 4), ([64, 9, 3], 2), ([1, 1, 1], 5), ([1728, 1, 1], 3)] {
             let view = VolumeView::new(Scalars::U8(&bytes), dims).unwrap();
             let mut out = vec![0.0; n * n * n];
-            resampler.resample(&view, n, &mut out, Executor::serial()).unwrap();
+            resampler.resample(&view, n, &mut out, Executor::Serial).unwrap();
             assert!(out.iter().all(|o| (o - 9.0 / 255.0).abs() < 1e-6), "{dims:?}");
         }
     }
@@ -478,12 +476,12 @@ mod tests {
     fn bad_sizes_are_refused() {
         let view = VolumeView::new(Scalars::U8(&[1, 2]), [2, 1, 1]).unwrap();
         let mut resampler = Resampler::default();
-        let e = resampler.resample(&view, 0, &mut [], Executor::serial()).unwrap_err();
+        let e = resampler.resample(&view, 0, &mut [], Executor::Serial).unwrap_err();
         assert_eq!(e.kind(), ErrorKind::InvalidArgument);
-        let e = resampler.resample(&view, 2, &mut [0.0; 7], Executor::serial()).unwrap_err();
+        let e = resampler.resample(&view, 2, &mut [0.0; 7], Executor::Serial).unwrap_err();
         assert_eq!(e.kind(), ErrorKind::SizeMismatch);
         assert!(e.message().contains("2 x 2 x 2") && e.message().contains('7'));
-        let e = resampler.resample(&view, usize::MAX, &mut [0.0; 7], Executor::serial()).unwrap_err();
+        let e = resampler.resample(&view, usize::MAX, &mut [0.0; 7], Executor::Serial).unwrap_err();
         assert_eq!(e.kind(), ErrorKind::InvalidArgument);
     }
 }

@@ -19,7 +19,7 @@ pub const VOLUMENET_TOLERANCE: f64 = 1e-4;
 /// Most memory that an encoder may take, in bytes (2 GiB): its packed weights and the working memory of one
 /// thread. The cube that a volume is resampled to comes on top, at most 512 MiB. Sizes in a model file that
 /// ask for more are refused before anything is allocated for them, the same on every level.
-pub const MAX_ENCODER_MEMORY: u64 = 2 << 30;
+pub(crate) const MAX_ENCODER_MEMORY: u64 = 2 << 30;
 
 /// Working memory of an encoding, made by [`VolumeNet::scratch`]; one per thread that calls. Empty until the
 /// first encoding.
@@ -60,7 +60,7 @@ impl VolumeNet {
     /// # Errors
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) where blocks do not fit together;
     /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for an encoder that needs more than
-    /// [`MAX_ENCODER_MEMORY`];
+    /// 2 GiB;
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for its weights.
     pub fn new(parts: &VolumeNetParts) -> Result<Self> {
         Self::with(parts, Level::detect())
@@ -97,11 +97,6 @@ impl VolumeNet {
     /// Number of features.
     pub fn feature_len(&self) -> usize {
         self.features
-    }
-
-    /// The level the network was built for.
-    pub fn level(&self) -> Level {
-        self.level
     }
 
     /// Working memory for [`encode`](Self::encode), which allocates it at the first call and lets it grow
@@ -368,7 +363,7 @@ mod tests {
 
     fn encode(net: &VolumeNet, view: &VolumeView<'_>) -> Vec<f32> {
         let mut features = vec![f32::NAN; net.feature_len()];
-        net.encode(view, &mut net.scratch(), Executor::serial(), &mut features).unwrap();
+        net.encode(view, &mut net.scratch(), Executor::Serial, &mut features).unwrap();
         features
     }
 
@@ -399,7 +394,7 @@ mod tests {
             let expected = exact(&parts, bytes.iter().map(|&b| f64::from(b) / 255.0));
             for level in Level::available() {
                 let net = VolumeNet::with(&parts, level).unwrap();
-                assert_eq!((net.input_size(), net.feature_len(), net.level()), (input, 3, level));
+                assert_eq!((net.input_size(), net.feature_len(), net.level), (input, 3, level));
                 assert_close(&encode(&net, &view), &expected, &alloc::format!("{input} {blocks:?} {level}"));
             }
         }
@@ -477,7 +472,7 @@ mod tests {
         let bytes: Vec<u8> = (0..5 * 7 * 31).map(|_| (next() * 127.5 + 127.5) as u8).collect();
         let view = VolumeView::new(Scalars::U8(&bytes), [5, 7, 31]).unwrap();
         let mut cube = vec![0.0; 512];
-        Resampler::default().resample(&view, 8, &mut cube, Executor::serial()).unwrap();
+        Resampler::default().resample(&view, 8, &mut cube, Executor::Serial).unwrap();
         let expected = exact(&parts, cube.iter().map(|&v| f64::from(v)));
         assert_close(&encode(&VolumeNet::new(&parts).unwrap(), &view), &expected, "resampled");
     }
@@ -518,7 +513,7 @@ mod tests {
                         let net = VolumeNet::with(&parts, level).unwrap();
                         let alone = encode(&net, &view);
                         let mut scratch = net.scratch();
-                        for executor in [Executor::rayon(&pool), Executor::serial(), Executor::rayon(&pool)] {
+                        for executor in [Executor::Rayon(&pool), Executor::Serial, Executor::Rayon(&pool)] {
                             let mut features = [0.0; 3];
                             net.encode(&view, &mut scratch, executor, &mut features).unwrap();
                             let bits = |f: &[f32]| f.iter().map(|f| f.to_bits()).collect::<Vec<_>>();
@@ -547,7 +542,7 @@ mod tests {
         for net in nets.iter().chain(nets.iter().rev()) {
             let view = VolumeView::new(Scalars::U8(&bytes), [net.input_size(); 3]).unwrap();
             let mut features = [0.0; 2];
-            net.encode(&view, &mut shared, Executor::serial(), &mut features).unwrap();
+            net.encode(&view, &mut shared, Executor::Serial, &mut features).unwrap();
             assert_eq!(features.as_slice(), encode(net, &view));
         }
     }
@@ -597,7 +592,7 @@ mod tests {
         refused(&|p| p.fc.bias[1] = f32::NAN, "volumenet.fc.bias[1]");
         let net = VolumeNet::new(&good).unwrap();
         let view = VolumeView::new(Scalars::U8(&[0; 512]), [8; 3]).unwrap();
-        let error = net.encode(&view, &mut net.scratch(), Executor::serial(), &mut [0.0; 3]).unwrap_err();
+        let error = net.encode(&view, &mut net.scratch(), Executor::Serial, &mut [0.0; 3]).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::SizeMismatch);
     }
 }

@@ -3,15 +3,15 @@
 use super::network::Stored;
 use super::nnls::nnls;
 use super::{
-    CALIBRATION_KEY, Calibration, CostTerms, FeatureRange, GroupKind, Inputs, LONGEST_FRAME, Prediction,
+    Calibration, CostTerms, FeatureRange, GroupKind, InputLayout, Inputs, LONGEST_FRAME, Prediction,
     Predictor, Source, UPPER_LEVEL,
 };
 use crate::Result;
 use crate::error::bail;
 use crate::features::{
-    COMMON_COSTS, COST_QUANTITIES, COSTS, FrameFeatures, SceneQuantity, Setting, UnitCosts,
+    COMMON_COSTS, COST_QUANTITIES, COSTS, FrameFeatures, SceneFeature, Setting, UnitCosts,
 };
-use crate::model::{InputGroup, Model, ModelFile};
+use crate::model::{Key, Model, ModelFile};
 use crate::nn::{DenseParts, Dtype, PredNetParts, Target};
 use alloc::collections::BTreeMap;
 use alloc::string::String;
@@ -23,17 +23,12 @@ pub const TERMS: usize = 9;
 /// The part that each unit cost belongs to: work that goes together on every machine is corrected together.
 const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 3, 3, 5, 4, 5, 5, 5];
 
-/// Metadata key under which a model file that takes `estimated_seconds` holds the unit costs behind it: a
-/// JSON object of seconds by name, `frame` and those of [`COST_QUANTITIES`]; names that are missing cost
-/// nothing.
-pub const UNIT_COSTS_KEY: &str = "entire.unit_costs";
-
 impl UnitCosts {
-    /// What [`UNIT_COSTS_KEY`] holds.
+    /// What [`Key::UnitCosts`] holds.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for costs that JSON cannot hold.
-    pub fn to_json(&self) -> Result<String> {
+    pub(crate) fn to_json(self) -> Result<String> {
         let costs: BTreeMap<&str, f64> = self.named().collect();
         match serde_json::to_string(&costs) {
             Ok(text) => Ok(text),
@@ -47,23 +42,27 @@ impl UnitCosts {
     /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is
     /// negative or not finite, or when all are zero.
     pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
-        let Some(text) = model.metadata().get(UNIT_COSTS_KEY) else { return Ok(None) };
+        let Some(text) = model.metadata().get(Key::UnitCosts.name()) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
             Ok(named) => named,
-            Err(e) => bail!(InvalidModel, "{UNIT_COSTS_KEY} is not an object of seconds by name: {e}"),
+            Err(e) => bail!(InvalidModel, "{} is not an object of seconds by name: {e}", Key::UnitCosts),
         };
         let mut out = Self([0.0; COSTS]);
         for (name, &cost) in &named {
             let Some(at) = out.named().position(|(n, _)| n == name) else {
-                bail!(InvalidModel, "{UNIT_COSTS_KEY} names {name:?}, which this version does not count");
+                bail!(InvalidModel, "{} names {name:?}, which this version does not count", Key::UnitCosts);
             };
             if !(cost.is_finite() && cost >= 0.0) {
-                bail!(InvalidModel, "{UNIT_COSTS_KEY}: {name} is {cost}; it must be finite and not negative");
+                bail!(
+                    InvalidModel,
+                    "{}: {name} is {cost}; it must be finite and not negative",
+                    Key::UnitCosts
+                );
             }
             out.0[at] = cost;
         }
         if out.0.iter().all(|&c| c == 0.0) {
-            bail!(InvalidModel, "{UNIT_COSTS_KEY} holds no positive cost");
+            bail!(InvalidModel, "{} holds no positive cost", Key::UnitCosts);
         }
         Ok(Some(out))
     }
@@ -124,7 +123,8 @@ pub struct FitReport {
 pub struct AnalyticModel {
     costs: [f64; COSTS],
     fitted: bool,
-    calibration: Calibration,
+    /// The calibration behind [`Prediction::upper`].
+    pub(super) calibration: Calibration,
     range: FeatureRange,
 }
 
@@ -140,7 +140,7 @@ impl AnalyticModel {
         Self {
             costs: UnitCosts::SOFTWARE.0,
             fitted: false,
-            calibration: Calibration::unknown(),
+            calibration: Calibration::default(),
             range: FeatureRange::unknown(),
         }
     }
@@ -165,36 +165,14 @@ impl AnalyticModel {
         Ok(Self { costs, fitted: true, ..Self::new() })
     }
 
-    /// Unit costs in seconds.
-    pub fn costs(&self) -> &[f64; COSTS] {
-        &self.costs
-    }
-
-    /// The calibration behind [`Prediction::upper`].
-    pub fn calibration(&self) -> &Calibration {
-        &self.calibration
-    }
-
-    /// Replaces the calibration.
-    pub fn set_calibration(&mut self, calibration: Calibration) {
-        self.calibration = calibration;
-    }
-
     /// Fits the unit costs to measured frames by non-negative least squares, reweighted in rounds until it
     /// minimizes errors of ln(seconds), outliers down-weighted (Huber), and calibrates the upper bound on the
-    /// same frames. Costs of work that no measurement holds keep their default ratio to the others.
+    /// same frames. Costs of work that no measurement holds keep their ratio to the others in
+    /// `default`; costs that are 0 there stay 0.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] when no measurement is usable.
-    pub fn fit(&mut self, measurements: &[Measurement]) -> Result<FitReport> {
-        self.fit_towards(&UnitCosts::SOFTWARE, measurements)
-    }
-
-    /// As [`AnalyticModel::fit`], with other default ratios: costs that are 0 there stay 0.
-    ///
-    /// # Errors
-    /// As [`AnalyticModel::fit`].
-    pub fn fit_towards(&mut self, default: &UnitCosts, measurements: &[Measurement]) -> Result<FitReport> {
+    pub fn fit(&mut self, default: &UnitCosts, measurements: &[Measurement]) -> Result<FitReport> {
         let usable: Vec<&Measurement> = measurements
             .iter()
             .filter(|m| {
@@ -281,14 +259,14 @@ impl AnalyticModel {
         })
     }
 
-    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without those beyond [`COMMON_COSTS`]
-    /// where they cost nothing) as scene features, target seconds, calibration and range beside it under
-    /// [`CALIBRATION_KEY`].
+    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without the last
+    /// four where they cost nothing) as scene features, target seconds, calibration and range beside it under
+    /// [`Key::Calibration`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidTensor`] when a cost does not fit single precision.
     pub fn to_model_file(&self) -> Result<ModelFile> {
-        let mut file = ModelFile::new();
+        let mut file = ModelFile::default();
         let used = if self.costs[COMMON_COSTS..].iter().all(|&c| c == 0.0) { COMMON_COSTS } else { COSTS };
         let parts = PredNetParts {
             layers: alloc::vec![DenseParts {
@@ -302,16 +280,15 @@ impl AnalyticModel {
             output: None,
             target: Target::Seconds,
         };
-        let group = InputGroup { name: GroupKind::SceneFeatures.name().into(), size: used - 1 };
-        file.set_prednet(&parts, &[group])?;
-        file.set_scene_features(&COST_QUANTITIES.map(SceneQuantity::name)[..used - 1])?;
+        let features = COST_QUANTITIES[..used - 1].iter().map(|&q| SceneFeature::linear(q)).collect();
+        InputLayout::new(&[GroupKind::SceneFeatures], features, 0, 0)?.store(&parts, &mut file)?;
         let stored = Stored {
             level: UPPER_LEVEL,
-            log_factor: Some(self.calibration.log_factor()).filter(|f| f.is_finite()),
+            log_factor: Some(self.calibration.log_factor).filter(|f| f.is_finite()),
             low: self.range.ends().map(|(low, _)| low.to_vec()),
             high: self.range.ends().map(|(_, high)| high.to_vec()),
         };
-        file.set_metadata(CALIBRATION_KEY, stored.to_json()?);
+        file.metadata.insert(Key::Calibration.into(), stored.to_json()?);
         Ok(file)
     }
 
@@ -343,7 +320,7 @@ impl AnalyticModel {
         }
         let mut out = Self::from_costs(costs)?;
         if let Some(stored) = Stored::of(model)? {
-            out.calibration = Calibration::from_log_factor(stored.log_factor.unwrap_or(f32::NAN));
+            out.calibration = Calibration { log_factor: stored.log_factor.unwrap_or(f32::NAN) };
             if let (Some(low), Some(high)) = (stored.low, stored.high)
                 && let (Ok(low), Ok(high)) = (low.try_into(), high.try_into())
             {
@@ -354,12 +331,13 @@ impl AnalyticModel {
     }
 
     /// Predicts from work that is already counted: a leading 1, then [`COST_QUANTITIES`].
-    pub fn seconds_of(&self, work: &[f64; COSTS]) -> f64 {
+    #[cfg(test)]
+    pub(crate) fn seconds_of(&self, work: &[f64; COSTS]) -> f64 {
         dot(&self.costs, work)
     }
 
     /// The unit costs.
-    pub fn unit_costs(&self) -> UnitCosts {
+    pub fn costs(&self) -> UnitCosts {
         UnitCosts(self.costs)
     }
 
@@ -489,13 +467,13 @@ mod tests {
     #[test]
     fn exact_times_give_back_their_costs() {
         let mut model = AnalyticModel::new();
-        let report = model.fit(&measurements(200, 0.0, false)).unwrap();
+        let report = model.fit(&UnitCosts::SOFTWARE, &measurements(200, 0.0, false)).unwrap();
         assert!(report.median_error < 2e-3 && report.p95_error < 1e-2, "{report:?}");
-        for (i, (&c, &t)) in model.costs().iter().zip(&TRUTH).enumerate().take(7) {
+        for (i, (&c, &t)) in model.costs().0.iter().zip(&TRUTH).enumerate().take(7) {
             assert!((c - t).abs() < 0.05 * t + 1e-9, "{i}: {c} {t}");
         }
         // Never seen: their default ratio to the rest, not zero.
-        assert!(model.costs()[7] > 0.0 && model.costs()[8] > 0.0);
+        assert!(model.costs().0[7] > 0.0 && model.costs().0[8] > 0.0);
     }
 
     #[test]
@@ -507,18 +485,18 @@ mod tests {
             m.seconds = dot(&truth, &m.work);
         }
         let (mut plain, mut asked) = (AnalyticModel::new(), AnalyticModel::new());
-        let report = plain.fit(&rows).unwrap();
-        assert!(plain.costs()[COMMON_COSTS..].iter().all(|&c| c == 0.0) && report.median_error > 0.02);
-        assert!(asked.fit_towards(&UnitCosts::CONVERTING, &rows).unwrap().median_error < 3e-3);
+        let report = plain.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
+        assert!(plain.costs().0[COMMON_COSTS..].iter().all(|&c| c == 0.0) && report.median_error > 0.02);
+        assert!(asked.fit(&UnitCosts::CONVERTING, &rows).unwrap().median_error < 3e-3);
         for (i, t) in [(12, 7e-9), (13, 3e-8)] {
-            assert!((asked.costs()[i] / t - 1.0).abs() < 0.05, "{i}: {}", asked.costs()[i]);
+            assert!((asked.costs().0[i] / t - 1.0).abs() < 0.05, "{i}: {}", asked.costs().0[i]);
         }
         // The file names what costs something, and reads back.
         for (model, names) in [(&plain, COMMON_COSTS - 1), (&asked, COSTS - 1)] {
             let file = model.to_model_file().unwrap().to_model().unwrap();
             assert_eq!(file.scene_features().len(), names);
             let back = AnalyticModel::from_model(&file).unwrap().unwrap();
-            for (a, b) in back.costs().iter().zip(model.costs()) {
+            for (a, b) in back.costs().0.iter().zip(&model.costs().0) {
                 assert_eq!(*a, f64::from(*b as f32));
             }
         }
@@ -527,21 +505,21 @@ mod tests {
     #[test]
     fn noise_and_outliers_do_not_carry_it_away() {
         let mut model = AnalyticModel::new();
-        let report = model.fit(&measurements(200, 0.1, true)).unwrap();
+        let report = model.fit(&UnitCosts::SOFTWARE, &measurements(200, 0.1, true)).unwrap();
         assert!(report.median_error < 0.06, "{report:?}");
         let clean = measurements(50, 0.0, false);
         for m in &clean {
             let error = model.seconds_of(&m.work) / m.seconds - 1.0;
             assert!(error.abs() < 0.15, "{error}");
         }
-        assert!(model.calibration().factor() > 1.0);
+        assert!(model.calibration.factor() > 1.0);
     }
 
     #[test]
     fn a_handful_of_equal_frames_is_enough_to_set_the_scale() {
         let one = measurements(1, 0.0, false)[0];
         let mut model = AnalyticModel::new();
-        model.fit(&[one; 3]).unwrap();
+        model.fit(&UnitCosts::SOFTWARE, &[one; 3]).unwrap();
         assert!((model.seconds_of(&one.work) / one.seconds - 1.0).abs() < 0.02);
         let mut double = one.work;
         double.iter_mut().skip(1).for_each(|w| *w *= 2.0);
@@ -557,16 +535,22 @@ mod tests {
         }
         rows.push(Measurement { work: [f64::NAN; COSTS], seconds: 1.0 });
         let mut model = AnalyticModel::new();
-        let report = model.fit(&rows).unwrap();
+        let report = model.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
         assert_eq!((report.used, report.refused), (20, 5));
         // A time that no frame takes teaches nothing, the longest that one takes does.
         let longest = f64::from(LONGEST_FRAME);
-        let report = model.fit(&[rows[0], Measurement { seconds: longest, ..rows[1] }]).unwrap();
+        let report =
+            model.fit(&UnitCosts::SOFTWARE, &[rows[0], Measurement { seconds: longest, ..rows[1] }]).unwrap();
         assert_eq!((report.used, report.refused), (2, 0));
-        let report = model.fit(&[rows[0], Measurement { seconds: longest * 1.001, ..rows[1] }]).unwrap();
+        let report = model
+            .fit(&UnitCosts::SOFTWARE, &[rows[0], Measurement { seconds: longest * 1.001, ..rows[1] }])
+            .unwrap();
         assert_eq!((report.used, report.refused), (1, 1));
         let before = model.clone();
-        assert!(model.fit(&rows[20..]).is_err() && model.fit(&[]).is_err());
+        assert!(
+            model.fit(&UnitCosts::SOFTWARE, &rows[20..]).is_err()
+                && model.fit(&UnitCosts::SOFTWARE, &[]).is_err()
+        );
         assert_eq!(model, before);
         assert!(AnalyticModel::from_costs([0.0; COSTS]).is_err());
         assert!(AnalyticModel::from_costs([-1.0; COSTS]).unwrap_err().message().contains("frame"));
@@ -577,7 +561,7 @@ mod tests {
         let mut model = AnalyticModel::new();
         let rows = measurements(100, 0.0, false);
         assert!(model.range.score(&range_point(&rows[0].work)).is_nan());
-        model.fit(&rows).unwrap();
+        model.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
         assert_eq!(model.range.score(&range_point(&rows[0].work)), 0.0);
         let mut far = rows[0].work;
         far[4] *= 1e5;

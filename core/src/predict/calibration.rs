@@ -4,25 +4,26 @@
 pub const UPPER_LEVEL: f64 = 0.95;
 
 /// A multiplicative upper bound: with probability [`UPPER_LEVEL`] a frame like the calibration frames takes
-/// at most `factor` times its prediction.
+/// at most [`factor`](Calibration::factor) times its prediction. The default was never calibrated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Calibration {
-    /// ln of the factor; NaN when never calibrated.
-    log_factor: f32,
+    /// ln of the factor; never calibrated where it is not finite.
+    pub log_factor: f32,
+}
+
+impl Default for Calibration {
+    fn default() -> Self {
+        Self { log_factor: f32::NAN }
+    }
 }
 
 impl Calibration {
-    /// Never calibrated: the bound is NaN.
-    pub const fn unknown() -> Self {
-        Self { log_factor: f32::NAN }
-    }
-
     /// From ln(measured / predicted) of frames that were not used for fitting (or so many that it does not
     /// matter): the ⌈(n + 1)·level⌉-th smallest, the largest where there are too few. Sorts the slice; NaN
     /// residuals count as misses.
     pub fn from_residuals(log_residuals: &mut [f64]) -> Self {
         if log_residuals.is_empty() {
-            return Self::unknown();
+            return Self::default();
         }
         for r in log_residuals.iter_mut() {
             if r.is_nan() {
@@ -32,40 +33,29 @@ impl Calibration {
         log_residuals.sort_unstable_by(f64::total_cmp);
         let n = log_residuals.len();
         let rank = libm::ceil((n as f64 + 1.0) * UPPER_LEVEL) as usize;
-        let log_factor = log_residuals[rank.clamp(1, n) - 1];
-        if log_factor.is_finite() { Self { log_factor: log_factor as f32 } } else { Self::unknown() }
-    }
-
-    /// With a given ln of the factor; NaN for never calibrated.
-    pub fn from_log_factor(log_factor: f32) -> Self {
-        Self { log_factor: if log_factor.is_finite() { log_factor } else { f32::NAN } }
-    }
-
-    /// ln of the factor; NaN when never calibrated.
-    pub fn log_factor(&self) -> f32 {
-        self.log_factor
+        Self { log_factor: log_residuals[rank.clamp(1, n) - 1] as f32 }
     }
 
     /// The factor; NaN when never calibrated.
     pub fn factor(&self) -> f32 {
-        libm::expf(self.log_factor)
+        if self.log_factor.is_finite() { libm::expf(self.log_factor) } else { f32::NAN }
     }
 
     /// Standard deviation of ln(measured / predicted) that a normal distribution with this bound has, at
     /// least 0.02; `None` when never calibrated.
     pub(crate) fn log_sd(&self) -> Option<f32> {
-        (!self.log_factor.is_nan()).then_some((self.log_factor / 1.645).max(0.02))
+        self.log_factor.is_finite().then_some((self.log_factor / 1.645).max(0.02))
     }
 
     /// The bound for a prediction; never below the prediction itself.
     pub fn upper(&self, seconds: f32) -> f32 {
-        if self.log_factor.is_nan() { f32::NAN } else { seconds * self.factor().max(1.0) }
+        if self.log_factor.is_finite() { seconds * self.factor().max(1.0) } else { f32::NAN }
     }
 }
 
 /// The box of what was seen in training, in up to `N` numbers, with a margin.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FeatureRange<const N: usize = 5> {
+pub(crate) struct FeatureRange<const N: usize = 5> {
     low: [f32; N],
     high: [f32; N],
     known: bool,

@@ -2,7 +2,6 @@
 
 use super::TERMS;
 use crate::Result;
-use crate::error::bail;
 use crate::features::{Changes, FrameFeatures, PROBE_SIDE, Setting};
 use crate::scene::{Arcball, GaussianLobe};
 
@@ -128,62 +127,5 @@ pub trait Predictor {
     /// Whether the ray step enters the prediction. Where it does not, callers scale by the analytic model.
     fn knows_step(&self) -> bool {
         true
-    }
-}
-
-/// The input groups of the model file contract.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum GroupKind {
-    /// `volume_features`.
-    VolumeFeatures,
-    /// `camera`.
-    Camera,
-    /// `resolution`.
-    Resolution,
-    /// `transfer_function`.
-    TransferFunction,
-    /// `step_size`.
-    StepSize,
-    /// `scene_features`.
-    SceneFeatures,
-}
-
-impl GroupKind {
-    /// Every group.
-    pub const ALL: [Self; 6] = [
-        Self::VolumeFeatures,
-        Self::Camera,
-        Self::Resolution,
-        Self::TransferFunction,
-        Self::StepSize,
-        Self::SceneFeatures,
-    ];
-
-    /// The name used in model files.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::VolumeFeatures => "volume_features",
-            Self::Camera => "camera",
-            Self::Resolution => "resolution",
-            Self::TransferFunction => "transfer_function",
-            Self::StepSize => "step_size",
-            Self::SceneFeatures => "scene_features",
-        }
-    }
-
-    /// Reads a name.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::MissingInput`] for a group that this version cannot supply.
-    pub fn from_name(name: &str) -> Result<Self> {
-        match Self::ALL.into_iter().find(|g| g.name() == name) {
-            Some(group) => Ok(group),
-            None => bail!(
-                MissingInput,
-                "the model takes an input group {name:?} that this version does not supply; known are \
-                 volume_features, camera, resolution, transfer_function, step_size, scene_features"
-            ),
-        }
     }
 }

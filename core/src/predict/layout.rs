@@ -4,18 +4,11 @@ use super::{GroupKind, Inputs, UnitCosts};
 use crate::Result;
 use crate::error::bail;
 use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, Work};
-use crate::model::{InputGroup, Model};
+use crate::model::{InputGroup, Key, Model, ModelFile};
+use crate::nn::PredNetParts;
 use crate::scene::{Arcball, GaussianLobe};
+use alloc::string::ToString;
 use alloc::vec::Vec;
-
-/// Metadata key of the number of rays along each side of the probe behind a model's scene features, 1 to
-/// [`MAX_PROBE_SIDE`] in decimal; [`PROBE_SIDE`] where it is missing.
-pub const PROBE_SIDE_KEY: &str = "entire.probe_side";
-
-/// Metadata key under which a model file names the order in which it takes Gaussian lobes: `center` for
-/// ascending centers. Without it, lobes go in as they are given. A sum of lobes does not depend on their
-/// order; a network that always sees the same order need not learn so.
-pub const LOBE_ORDER_KEY: &str = "entire.lobe_order";
 
 /// What a row is written from. `None` stands for what is not known of the frame.
 pub trait InputValues {
@@ -78,12 +71,17 @@ impl InputValues for FrameValues<'_> {
 /// What a model takes: its input groups in order with their sizes, and what is needed to compute them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InputLayout {
-    groups: Vec<(GroupKind, usize)>,
-    scene_features: Vec<SceneFeature>,
+    /// The groups with their sizes, in order.
+    pub groups: Vec<(GroupKind, usize)>,
+    /// The scene features, in order: as many as their group has room for.
+    pub scene_features: Vec<SceneFeature>,
     /// Behind `estimated_seconds`, where the model file holds them.
-    unit_costs: Option<UnitCosts>,
-    sorted_lobes: bool,
-    probe_side: usize,
+    pub unit_costs: Option<UnitCosts>,
+    /// Whether Gaussian lobes go in by ascending center, or as they are given.
+    pub sorted_lobes: bool,
+    /// Rays along each side of the probe behind scene features that need one, 1 to [`MAX_PROBE_SIDE`]; see
+    /// [`InputLayout::probe_side`].
+    pub probe_side: usize,
 }
 
 impl InputLayout {
@@ -142,10 +140,9 @@ impl InputLayout {
         let groups = model
             .inputs()
             .iter()
-            .map(|group| Ok((GroupKind::from_name(&group.name)?, group.size)))
+            .map(|group| Ok((group.name.parse::<GroupKind>()?, group.size)))
             .collect::<Result<Vec<_>>>()?;
-        let scene_features =
-            model.scene_features().iter().map(|n| SceneFeature::from_name(n)).collect::<Result<Vec<_>>>()?;
+        let scene_features = model.scene_features().iter().map(|n| n.parse()).collect::<Result<Vec<_>>>()?;
         let mut layout = Self {
             groups,
             scene_features,
@@ -157,21 +154,6 @@ impl InputLayout {
             layout.probe_side = stated_probe_side(model)?;
         }
         Ok(layout)
-    }
-
-    /// The same with another number of rays along each side of the probe, 1 to [`MAX_PROBE_SIDE`].
-    pub fn with_probe_side(self, probe_side: usize) -> Self {
-        Self { probe_side, ..self }
-    }
-
-    /// The same, its Gaussian lobes by ascending center or as they are given.
-    pub fn with_sorted_lobes(self, sorted_lobes: bool) -> Self {
-        Self { sorted_lobes, ..self }
-    }
-
-    /// Whether Gaussian lobes go in by ascending center.
-    pub fn sorted_lobes(&self) -> bool {
-        self.sorted_lobes
     }
 
     /// Rays along each side of the probe behind the inputs; 0 where none needs the probe.
@@ -190,24 +172,32 @@ impl InputLayout {
         self.groups.iter().map(|(_, size)| size).sum()
     }
 
-    /// The groups with their sizes, in order.
-    pub fn groups(&self) -> &[(GroupKind, usize)] {
-        &self.groups
-    }
-
     /// Whether a group is among them.
     pub fn takes(&self, group: GroupKind) -> bool {
         self.groups.iter().any(|g| g.0 == group)
     }
 
-    /// The groups as a model file states them.
-    pub fn to_model_groups(&self) -> Vec<InputGroup> {
-        self.groups.iter().map(|(g, size)| InputGroup { name: g.name().into(), size: *size }).collect()
-    }
-
-    /// The scene features, in order.
-    pub fn scene_features(&self) -> &[SceneFeature] {
-        &self.scene_features
+    /// Puts a network with this layout into a model file: the network's tensors and what its inputs are.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidTensor`] when the parts do not fit together or a weight overflows its
+    /// format.
+    pub fn store(&self, net: &PredNetParts, file: &mut ModelFile) -> Result<()> {
+        let group = |&(kind, size): &(GroupKind, usize)| InputGroup { name: kind.name().into(), size };
+        file.set_prednet(net, &self.groups.iter().map(group).collect::<Vec<_>>())?;
+        if self.sorted_lobes {
+            file.metadata.insert(Key::LobeOrder.into(), "center".into());
+        }
+        if let Some(costs) = &self.unit_costs {
+            file.metadata.insert(Key::UnitCosts.into(), costs.to_json()?);
+        }
+        if !self.scene_features.is_empty() {
+            file.set_scene_features(&self.scene_features)?;
+            if ![0, PROBE_SIDE].contains(&self.probe_side()) {
+                file.metadata.insert(Key::ProbeSide.into(), self.probe_side().to_string());
+            }
+        }
+        Ok(())
     }
 
     /// Writes a frame's row of [`InputLayout::width`] numbers.
@@ -331,24 +321,26 @@ fn copy(group: GroupKind, values: &[f32], out: &mut [f32]) -> Result<()> {
 }
 
 fn stated_probe_side(model: &Model) -> Result<usize> {
-    let Some(text) = model.metadata().get(PROBE_SIDE_KEY) else { return Ok(PROBE_SIDE) };
+    let Some(text) = model.metadata().get(Key::ProbeSide.name()) else { return Ok(PROBE_SIDE) };
     match text.parse::<usize>() {
         Ok(side) if (1..=MAX_PROBE_SIDE).contains(&side) => Ok(side),
         _ => bail!(
             InvalidModel,
-            "{PROBE_SIDE_KEY} is {text:?}; a whole number from 1 to {MAX_PROBE_SIDE} is expected"
+            "{} is {text:?}; a whole number from 1 to {MAX_PROBE_SIDE} is expected",
+            Key::ProbeSide
         ),
     }
 }
 
 fn takes_sorted_lobes(model: &Model) -> Result<bool> {
-    match model.metadata().get(LOBE_ORDER_KEY).map(|s| s.as_str()) {
+    match model.metadata().get(Key::LobeOrder.name()).map(|s| s.as_str()) {
         None => Ok(false),
         Some("center") => Ok(true),
         Some(other) => {
             bail!(
                 Unsupported,
-                "{LOBE_ORDER_KEY} is {other:?}; this version knows center, and none for lobes as given"
+                "{} is {other:?}; this version knows center, and none for lobes as given",
+                Key::LobeOrder
             )
         }
     }

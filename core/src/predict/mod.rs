@@ -13,12 +13,13 @@ mod network;
 mod nnls;
 mod seconds;
 
-pub use crate::features::{COMMON_COSTS, COST_QUANTITIES, COSTS, UnitCosts};
-pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS, UNIT_COSTS_KEY};
-pub use calibration::{Calibration, FeatureRange, UPPER_LEVEL};
-pub use inputs::{CostTerms, GroupKind, Inputs, Prediction, Predictor, Source};
-pub use layout::{InputLayout, InputValues, LOBE_ORDER_KEY, PROBE_SIDE_KEY};
-pub use network::{CALIBRATION_KEY, ModelPredictor, load};
-pub use seconds::{
-    CLAMPED_SCORE, LONGEST_FRAME, LONGEST_PREDICTION, SHORTEST_PREDICTION, check_batch, checked_seconds,
-};
+pub use crate::features::{COST_QUANTITIES, COSTS, UnitCosts};
+pub use crate::model::GroupKind;
+pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS};
+pub(crate) use calibration::FeatureRange;
+pub use calibration::{Calibration, UPPER_LEVEL};
+pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
+pub use layout::{InputLayout, InputValues};
+pub use network::{ModelPredictor, load};
+pub(crate) use seconds::CLAMPED_SCORE;
+pub use seconds::{LONGEST_FRAME, LONGEST_PREDICTION, SHORTEST_PREDICTION, check_batch, checked_seconds};

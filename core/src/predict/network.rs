@@ -7,7 +7,7 @@ use super::{
 use crate::Result;
 use crate::error::bail;
 use crate::memory::filled;
-use crate::model::Model;
+use crate::model::{Key, Model};
 use crate::nn::{PredNet, PredScratch};
 use alloc::boxed::Box;
 use alloc::string::String;
@@ -15,15 +15,10 @@ use alloc::sync::Arc;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95),
-/// `log_factor` (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of
-/// their work). Optional.
-pub const CALIBRATION_KEY: &str = "entire.calibration";
-
 /// Distance from the training mean, in standard deviations, up to which an input counts as inside.
 const INSIDE: f32 = 2.5;
 
-/// What [`CALIBRATION_KEY`] holds.
+/// What [`Key::Calibration`] holds.
 #[derive(Serialize, Deserialize)]
 pub(super) struct Stored {
     pub(super) level: f64,
@@ -44,10 +39,10 @@ impl Stored {
     }
 
     pub(super) fn of(model: &Model) -> Result<Option<Self>> {
-        let Some(text) = model.metadata().get(CALIBRATION_KEY) else { return Ok(None) };
+        let Some(text) = model.metadata().get(Key::Calibration.name()) else { return Ok(None) };
         match serde_json::from_str::<Self>(text) {
             Ok(stored) => Ok(Some(stored)),
-            Err(e) => bail!(InvalidModel, "{CALIBRATION_KEY} is not a calibration object: {e}"),
+            Err(e) => bail!(InvalidModel, "{} is not a calibration object: {e}", Key::Calibration),
         }
     }
 }
@@ -117,7 +112,7 @@ impl ModelPredictor {
         let mut spread = filled(width, (f32::NAN, 1.0))?;
         if let Some(norm) = model.prednet().and_then(|p| p.input.as_ref()) {
             let mut at = 0;
-            for &(kind, size) in layout.groups() {
+            for &(kind, size) in &layout.groups {
                 if kind != GroupKind::VolumeFeatures {
                     let ends = norm.mean[at..at + size].iter().zip(&norm.std[at..at + size]);
                     for (slot, (&mean, &std)) in spread[at..at + size].iter_mut().zip(ends) {
@@ -129,7 +124,7 @@ impl ModelPredictor {
         }
         let calibration = Stored::of(model)?
             .and_then(|s| s.log_factor)
-            .map_or(Calibration::unknown(), Calibration::from_log_factor);
+            .map_or(Calibration::default(), |log_factor| Calibration { log_factor });
         let scratch = net.scratch()?;
         Ok(Self {
             knows_step: layout.knows_step(),
@@ -142,11 +137,6 @@ impl ModelPredictor {
             calibration,
             identity: identity_of(model),
         })
-    }
-
-    /// What the model takes.
-    pub fn layout(&self) -> &InputLayout {
-        &self.layout
     }
 
     /// The input row of a frame, in the model's order.
@@ -251,7 +241,7 @@ mod tests {
         norm: Option<Normalization>,
     ) -> Model {
         let n: usize = groups.iter().map(|g| g.1).sum();
-        let mut file = ModelFile::new();
+        let mut file = ModelFile::default();
         let parts = PredNetParts {
             layers: vec![DenseParts {
                 inputs: n,
@@ -330,10 +320,10 @@ mod tests {
             };
             let parts =
                 PredNetParts { layers: vec![layer], input: None, output: None, target: Target::Seconds };
-            let mut file = ModelFile::new();
+            let mut file = ModelFile::default();
             file.set_prednet(&parts, &[InputGroup { name: "transfer_function".into(), size: 6 }]).unwrap();
             if let Some(order) = order {
-                file.set_metadata(crate::predict::LOBE_ORDER_KEY, order);
+                file.metadata.insert(Key::LobeOrder.into(), order.into());
             }
             ModelPredictor::new(&file.to_model().unwrap())
         };
@@ -377,12 +367,12 @@ mod tests {
         let of = |features: &[&str], side: Option<&str>| {
             let mut file = ModelFile::from_bytes(&bytes(features)).unwrap();
             if let Some(side) = side {
-                file.set_metadata(crate::predict::PROBE_SIDE_KEY, side);
+                file.metadata.insert(Key::ProbeSide.into(), side.into());
             }
             ModelPredictor::new(&file.to_model().unwrap()).map(|p| p.probe_side())
         };
         fn bytes(features: &[&str]) -> Vec<u8> {
-            let mut file = ModelFile::new();
+            let mut file = ModelFile::default();
             let n = features.len();
             let layer = DenseParts {
                 inputs: n,
@@ -419,7 +409,7 @@ mod tests {
         i.setting.width = 164;
         assert!((p.predict(&i).unwrap().out_of_range - 3.0).abs() < 1e-6);
         let negative = {
-            let mut file = ModelFile::new();
+            let mut file = ModelFile::default();
             let parts = PredNetParts {
                 layers: vec![DenseParts {
                     inputs: 2,
@@ -445,13 +435,13 @@ mod tests {
             1e-3, 2e-9, 0.0, 4e-9, 5e-8, 0.0, 7e-8, 0.0, 9e-8, 1e-8, 0.0, 2e-8, 0.0, 3e-9, 0.0, 0.0,
         ])
         .unwrap();
-        analytic.set_calibration(Calibration::from_log_factor(0.25));
+        analytic.calibration = Calibration { log_factor: 0.25 };
         let model = analytic.to_model_file().unwrap().to_model().unwrap();
         let back = AnalyticModel::from_model(&model).unwrap().unwrap();
-        for (a, b) in analytic.costs().iter().zip(back.costs()) {
+        for (a, b) in analytic.costs().0.iter().zip(&back.costs().0) {
             assert!((a - b).abs() <= 1e-7 * a);
         }
-        assert_eq!(back.calibration().log_factor(), 0.25);
+        assert_eq!(back.calibration.log_factor, 0.25);
         // The same file through the network's path gives the same seconds.
         let features = FrameFeatures::new();
         let inputs = inputs(&features, &[], &[]);

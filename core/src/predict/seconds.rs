@@ -16,10 +16,10 @@ pub const LONGEST_FRAME: f32 = 10_000.0;
 
 /// Least out-of-range score of a prediction that had to be brought into [`SHORTEST_PREDICTION`] to
 /// [`LONGEST_PREDICTION`]: far beyond any edge of trust.
-pub const CLAMPED_SCORE: f32 = 1000.0;
+pub(crate) const CLAMPED_SCORE: f32 = 1000.0;
 
 /// A network's output as a time: its seconds, and whether they had to be brought into [`SHORTEST_PREDICTION`]
-/// to [`LONGEST_PREDICTION`]; [`CLAMPED_SCORE`] is the least out-of-range score then.
+/// to [`LONGEST_PREDICTION`]; the least out-of-range score is 1000 then.
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidModel`] for NaN or an infinity: weights so large that sums of them leave `f32`.

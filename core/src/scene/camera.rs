@@ -125,14 +125,15 @@ impl Camera {
 
     /// The ray through the pixel position (`px`, `py`) of a `width` × `height` image, pixel centers at
     /// halves, y down: origin and unit direction in scene space.
-    pub fn ray(&self, px: f32, py: f32, width: u32, height: u32) -> (Vec3, Vec3) {
+    #[cfg(test)]
+    pub(crate) fn ray(&self, px: f32, py: f32, width: u32, height: u32) -> (Vec3, Vec3) {
         let (origin, right, up, forward) = self.ray_basis(width, height);
         let u = 2.0 * px / width as f32 - 1.0;
         let v = 1.0 - 2.0 * py / height as f32;
         (origin, (forward + u * right + v * up).normalize())
     }
 
-    /// The basis that [`Camera::ray`] uses, for renderers: eye, then the image plane's half-width vector,
+    /// The basis of primary rays, for renderers: eye, then the image plane's half-width vector,
     /// half-height vector and forward unit vector. A ray's direction is `forward + u·right + v·up`, u and v
     /// in [−1, 1].
     pub fn ray_basis(&self, width: u32, height: u32) -> (Vec3, Vec3, Vec3, Vec3) {

@@ -3,6 +3,7 @@
 use super::Camera;
 use crate::Result;
 use crate::error::bail;
+use crate::names::names;
 
 /// Largest image width or height that a frame may have.
 pub const MAX_IMAGE_SIDE: u32 = 16384;
@@ -19,15 +20,10 @@ pub enum Shading {
     Scatter,
 }
 
-impl Shading {
-    /// The name used in files and options.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Local => "local",
-            Self::Scatter => "scatter",
-        }
-    }
+names! { Shading:
+    None "none",
+    Local "local",
+    Scatter "scatter",
 }
 
 /// How empty space is skipped.
@@ -42,15 +38,10 @@ pub enum Skipping {
     Distance,
 }
 
-impl Skipping {
-    /// The name used in files and options.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::None => "none",
-            Self::Blocks => "blocks",
-            Self::Distance => "distance",
-        }
-    }
+names! { Skipping:
+    None "none",
+    Blocks "blocks",
+    Distance "distance",
 }
 
 /// A frame to draw, beside its volume and transfer function.

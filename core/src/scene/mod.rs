@@ -12,7 +12,6 @@ pub use frame::{Frame, MAX_IMAGE_SIDE, Shading, Skipping};
 pub use nodes::{ColorNode, Nodes, OpacityNode};
 pub use transfer::{
     COLOR_RAMP, ControlPoint, GaussianLobe, OPACITY_FLOOR, TABLE_LEN, TransferFunction, TransferTable,
-    corrected_opacity,
 };
 pub use volume::{MAX_REPEATED_VOXELS, MAX_VOLUME_EDGE, ScalarType, Scalars, VolumeView};
 pub(crate) use volume::{bounding_radius, check_edges, check_spacing, ratios};

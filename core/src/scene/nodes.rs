@@ -39,58 +39,42 @@ pub struct ColorNode {
 }
 
 /// Opacity and color nodes with the scalar range that maps to [0, 1].
+///
+/// [`TransferFunction::to_table`](super::TransferFunction::to_table) refuses nodes that are not in ascending
+/// order or hold numbers out of range, naming the node. Two nodes at one position make a step. No opacity
+/// node means transparent everywhere; no color node means the ramp of Gaussian transfer functions.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Nodes {
-    opacity: Vec<OpacityNode>,
-    color: Vec<ColorNode>,
-    range: (f64, f64),
-    clamp: bool,
+    /// The opacity nodes, in ascending position.
+    pub opacity: Vec<OpacityNode>,
+    /// The color nodes, in ascending position.
+    pub color: Vec<ColorNode>,
+    /// The scalar range that maps to [0, 1], which should be the volume's: both ends finite, the low end not
+    /// above the high one.
+    pub range: (f64, f64),
+    /// Whether the outermost nodes' values go on beyond them (as in VTK, unless told otherwise) or end there:
+    /// opacity 0, black.
+    pub clamp: bool,
 }
 
 impl Nodes {
-    /// Nodes in ascending position over the scalar range `low`…`high`, which should be the volume's. Two
-    /// nodes at one position make a step. No opacity node means transparent everywhere; no color node means
-    /// [`super::COLOR_RAMP`]. Beyond the outermost nodes their value goes on (see [`Nodes::with_clamping`]).
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`], naming the node, what is wrong with it and what is accepted.
-    pub fn new(opacity: Vec<OpacityNode>, color: Vec<ColorNode>, low: f64, high: f64) -> Result<Self> {
+    fn check(&self) -> Result<()> {
+        let (low, high) = self.range;
         if !(low.is_finite() && high.is_finite() && low <= high) {
             bail!(
                 InvalidArgument,
                 "transfer function range is {low}…{high}; both ends must be finite and the low end not above the high one"
             );
         }
+        let (opacity, color) = (&self.opacity, &self.color);
         let shapes = opacity.iter().map(|n| (n.position, n.midpoint, n.sharpness));
         check_nodes("opacity", shapes, opacity.iter().map(|n| [n.opacity; 3]))?;
         let shapes = color.iter().map(|n| (n.position, n.midpoint, n.sharpness));
-        check_nodes("color", shapes, color.iter().map(|n| n.color))?;
-        Ok(Self { opacity, color, range: (low, high), clamp: true })
-    }
-
-    /// Whether the outermost nodes' values go on beyond them (the default, as in VTK) or end there: opacity
-    /// 0, black.
-    pub fn with_clamping(mut self, clamp: bool) -> Self {
-        self.clamp = clamp;
-        self
-    }
-
-    /// The opacity nodes.
-    pub fn opacity(&self) -> &[OpacityNode] {
-        &self.opacity
-    }
-
-    /// The color nodes.
-    pub fn color(&self) -> &[ColorNode] {
-        &self.color
-    }
-
-    /// The scalar range that maps to [0, 1].
-    pub fn range(&self) -> (f64, f64) {
-        self.range
+        check_nodes("color", shapes, color.iter().map(|n| n.color))
     }
 
     pub(super) fn to_table(&self) -> Result<TransferTable> {
+        self.check()?;
         let (low, high) = self.range;
         let (mut next_opacity, mut next_color) = (0, 0);
         let mut rgba = [[0.0; 4]; TABLE_LEN];
@@ -206,10 +190,12 @@ mod tests {
         OpacityNode { position, opacity, midpoint, sharpness }
     }
 
+    fn table(opacity: Vec<OpacityNode>, color: Vec<ColorNode>, low: f64, high: f64) -> Result<TransferTable> {
+        TransferFunction::Nodes(Nodes { opacity, color, range: (low, high), clamp: true }).to_table()
+    }
+
     fn opacities(nodes: Vec<OpacityNode>, low: f64, high: f64) -> Vec<f32> {
-        let table =
-            TransferFunction::Nodes(Nodes::new(nodes, vec![], low, high).unwrap()).to_table().unwrap();
-        table.rgba().iter().map(|e| e[3]).collect()
+        table(nodes, vec![], low, high).unwrap().rgba().iter().map(|e| e[3]).collect()
     }
 
     #[test]
@@ -220,10 +206,9 @@ mod tests {
 
     #[test]
     fn without_colors_the_ramp_is_used() {
-        let nodes = Nodes::new(vec![node(0.0, 0.5, 0.5, 0.0)], vec![], 0.0, 1.0).unwrap();
-        let table = TransferFunction::Nodes(nodes).to_table().unwrap();
-        assert_eq!(table.rgba()[0][..3], super::super::COLOR_RAMP[0].1);
-        assert_eq!(table.rgba()[255][..3], super::super::COLOR_RAMP[5].1);
+        let table = table(vec![node(0.0, 0.5, 0.5, 0.0)], vec![], 0.0, 1.0).unwrap();
+        assert_eq!(table.rgba()[0][..3], super::super::transfer::COLOR_RAMP[0].1);
+        assert_eq!(table.rgba()[255][..3], super::super::transfer::COLOR_RAMP[5].1);
     }
 
     #[test]
@@ -244,7 +229,7 @@ mod tests {
     #[test]
     fn bad_nodes_are_refused_by_name() {
         let refuse = |nodes: Vec<OpacityNode>, words: &str| {
-            let e = Nodes::new(nodes, vec![], 0.0, 1.0).unwrap_err();
+            let e = table(nodes, vec![], 0.0, 1.0).unwrap_err();
             assert_eq!(e.kind(), crate::ErrorKind::InvalidArgument);
             assert!(e.message().contains(words), "{e}");
         };
@@ -255,10 +240,8 @@ mod tests {
         refuse(vec![node(0.0, 0.5, -0.1, 0.0)], "midpoint");
         refuse(vec![node(0.0, 0.5, 0.5, f64::NAN)], "sharpness");
         let color = ColorNode { position: 0.0, color: [0.0, 2.0, 0.0], midpoint: 0.5, sharpness: 0.0 };
-        assert!(
-            Nodes::new(vec![], vec![color], 0.0, 1.0).unwrap_err().message().contains("color node 0: value")
-        );
-        assert!(Nodes::new(vec![], vec![], 1.0, 0.0).is_err());
-        assert!(Nodes::new(vec![], vec![], f64::NAN, 0.0).is_err());
+        assert!(table(vec![], vec![color], 0.0, 1.0).unwrap_err().message().contains("color node 0: value"));
+        assert!(table(vec![], vec![], 1.0, 0.0).is_err());
+        assert!(table(vec![], vec![], f64::NAN, 0.0).is_err());
     }
 }

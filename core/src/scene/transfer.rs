@@ -7,7 +7,6 @@ use crate::error::bail;
 use crate::memory::collected;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
-use glam::Vec3;
 
 /// Entries of a [`TransferTable`].
 pub const TABLE_LEN: usize = 256;
@@ -44,7 +43,8 @@ pub struct ControlPoint {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum TransferFunction {
-    /// Gaussian opacity lobes; colors come from [`COLOR_RAMP`].
+    /// Gaussian opacity lobes; colors come from a ramp from dark blue over green and
+    /// yellow to near white.
     Gaussian(Vec<GaussianLobe>),
     /// Piecewise-linear control points in ascending position; constant beyond the first and last. Two points
     /// at one position make a step.
@@ -124,7 +124,9 @@ impl TransferTable {
         Ok(Self { rgba: Box::new(rgba), unit_distance: 1.0 })
     }
 
-    /// Sets the distance over which the table's opacities hold, in multiples of the reference step.
+    /// Sets the distance over which the table's opacities hold, in multiples of the reference step. Of a
+    /// world distance (VTK's scalar opacity unit distance, ANARI's `unitDistance`) that is the distance over
+    /// the smallest voxel spacing.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless finite and positive.
@@ -139,15 +141,6 @@ impl TransferTable {
         Ok(self)
     }
 
-    /// Sets the distance over which the table's opacities hold, in the unit of the volume's voxel `spacing`
-    /// (VTK's scalar opacity unit distance, ANARI's `unitDistance`).
-    ///
-    /// # Errors
-    /// As [`TransferTable::with_unit_distance`].
-    pub fn with_world_unit_distance(self, distance: f32, spacing: Vec3) -> Result<Self> {
-        self.with_unit_distance(distance / spacing.min_element())
-    }
-
     /// The entries.
     pub fn rgba(&self) -> &[[f32; 4]; TABLE_LEN] {
         &self.rgba
@@ -159,7 +152,7 @@ impl TransferTable {
     }
 
     /// The table for a ray step of `step` reference steps: same colors, opacities corrected
-    /// (see [`corrected_opacity`]).
+    /// to 1 − (1 − α)^ratio over `step` reference steps.
     pub fn corrected(&self, step: f32) -> Box<[[f32; 4]; TABLE_LEN]> {
         let mut out = self.rgba.clone();
         for entry in out.iter_mut() {
@@ -185,7 +178,7 @@ impl TransferTable {
 
 /// Opacity over `ratio` unit distances of a medium with opacity `alpha` over one: 1 − (1 − α)^ratio.
 #[inline]
-pub fn corrected_opacity(alpha: f32, ratio: f32) -> f32 {
+pub(crate) fn corrected_opacity(alpha: f32, ratio: f32) -> f32 {
     if alpha >= 1.0 {
         return 1.0;
     }
@@ -344,11 +337,10 @@ mod tests {
 
     #[test]
     fn unit_distance_in_world_units_counts_reference_steps() {
-        let spacing = Vec3::new(2.0, 0.5, 7.0);
         let table = TransferTable::new([[0.5; 4]; TABLE_LEN]).unwrap();
-        assert_eq!(table.clone().with_world_unit_distance(3.0, spacing).unwrap().unit_distance(), 6.0);
-        assert!(table.clone().with_world_unit_distance(f32::NAN, spacing).is_err());
-        assert!(table.with_world_unit_distance(0.0, spacing).is_err());
+        assert_eq!(table.clone().with_unit_distance(6.0).unwrap().unit_distance(), 6.0);
+        assert!(table.clone().with_unit_distance(f32::NAN).is_err());
+        assert!(table.with_unit_distance(0.0).is_err());
     }
 
     #[test]

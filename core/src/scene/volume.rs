@@ -1,6 +1,7 @@
 //! A borrowed view of a scalar volume.
 
 use crate::error::bail;
+use crate::names::names;
 use crate::{Error, ErrorKind, Result};
 use glam::Vec3;
 
@@ -34,16 +35,13 @@ impl ScalarType {
             Self::F32 => 4,
         }
     }
+}
 
-    /// The name used in files, options and messages.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::U8 => "u8",
-            Self::U16 => "u16",
-            Self::I16 => "i16",
-            Self::F32 => "f32",
-        }
-    }
+names! { ScalarType:
+    U8 "u8",
+    U16 "u16",
+    I16 "i16",
+    F32 "f32",
 }
 
 /// Borrowed voxels.
@@ -234,7 +232,8 @@ impl<'a> VolumeView<'a> {
     }
 
     /// Whether voxels lie in one block with x fastest.
-    pub fn is_contiguous(&self) -> bool {
+    #[cfg(test)]
+    pub(crate) fn is_contiguous(&self) -> bool {
         self.strides == [1, self.dims[0], self.dims[0] * self.dims[1]]
     }
 
@@ -255,7 +254,7 @@ impl<'a> VolumeView<'a> {
 
     /// World size of the volume's box: voxels × spacing (voxel-centered samples, the box reaches half a voxel
     /// beyond).
-    pub fn extent(&self) -> Vec3 {
+    pub(crate) fn extent(&self) -> Vec3 {
         Vec3::new(self.dims[0] as f32, self.dims[1] as f32, self.dims[2] as f32) * self.spacing
     }
 
@@ -289,7 +288,8 @@ impl<'a> VolumeView<'a> {
 
     /// The value of a voxel mapped to [0, 1] over the range.
     #[inline]
-    pub fn normalized(&self, x: usize, y: usize, z: usize) -> f32 {
+    #[cfg(test)]
+    pub(crate) fn normalized(&self, x: usize, y: usize, z: usize) -> f32 {
         self.normalize(self.value(x, y, z))
     }
 

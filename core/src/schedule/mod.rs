@@ -1,14 +1,9 @@
-//! Longest-processing-time-first and queue orders for render farms (paper, section "Load Balancing").
+//! Longest-processing-time-first for render farms (paper, section "Load Balancing").
 //!
 //! Tasks are given by their times on a node of speed 1; a node of speed 2 takes half of them. An assignment
 //! is made from *predicted* times and judged by *measured* ones: [`Assignment::makespan`] takes any times.
 
-mod affinity;
 mod exchange;
-mod queue;
-
-pub use affinity::{AffinityTask, simulate_affinity};
-pub use queue::{Span, Timeline, simulate_queue};
 
 use crate::Result;
 use crate::error::bail;

@@ -206,13 +206,13 @@ impl App {
             }
             Action::Shading(name) => {
                 let modes = [Shading::None, Shading::Local, Shading::Scatter];
-                let found = modes.into_iter().find(|m| m.name() == name);
+                let found = modes.into_iter().find(|m| <&str>::from(*m) == name);
                 state.shading = found.with_context(|| format!("there is no shading {name:?}"))?;
                 state.changed.settings = true;
             }
             Action::Skipping(name) => {
                 let modes = [Skipping::None, Skipping::Blocks, Skipping::Distance];
-                let found = modes.into_iter().find(|m| m.name() == name);
+                let found = modes.into_iter().find(|m| <&str>::from(*m) == name);
                 state.skipping = found.with_context(|| format!("there is no skipping {name:?}"))?;
                 state.changed.settings = true;
             }

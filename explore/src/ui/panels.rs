@@ -74,13 +74,15 @@ fn modes(ui: &mut Ui, state: &mut State) {
     ui.horizontal(|ui| {
         ui.label("shading");
         for mode in [Shading::None, Shading::Local, Shading::Scatter] {
-            state.changed.settings |= ui.selectable_value(&mut state.shading, mode, mode.name()).clicked();
+            state.changed.settings |=
+                ui.selectable_value(&mut state.shading, mode, mode.to_string()).clicked();
         }
     });
     ui.horizontal(|ui| {
         ui.label("skipping");
         for mode in [Skipping::None, Skipping::Blocks, Skipping::Distance] {
-            state.changed.settings |= ui.selectable_value(&mut state.skipping, mode, mode.name()).clicked();
+            state.changed.settings |=
+                ui.selectable_value(&mut state.skipping, mode, mode.to_string()).clicked();
         }
     });
     ui.horizontal(|ui| {

@@ -63,7 +63,8 @@ pub unsafe extern "C" fn entire_session_new(
         check_pointer(session, "session (output)")?;
         reserve::check()?;
         let options = if options.is_null() { ByValue::defaults() } else { read_struct(options)? };
-        let limits = StepLimits::new(options.finest_step, options.coarsest_step)?;
+        let limits = StepLimits { finest: options.finest_step, coarsest: options.coarsest_step };
+        limits.check()?;
         let hybrid = hybrid_options(&options)?;
         let predicts: Box<dyn Predictor + Send> =
             if model.is_null() { Box::new(AnalyticModel::new()) } else { borrow(model)?.predictor()? };
@@ -72,7 +73,7 @@ pub unsafe extern "C" fn entire_session_new(
         if options.probe_side != 0 {
             made = made.with_probe_side(options.probe_side as usize)?;
         }
-        made.set_limits(limits);
+        made.set_limits(limits)?;
         write(session, give(Loop { session: made, model, volume: None }), "session (output)")
     })
 }

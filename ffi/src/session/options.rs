@@ -42,8 +42,8 @@ unsafe impl ByValue for entire_session_options {
         let (hybrid, limits) = (HybridOptions::default(), StepLimits::default());
         Self {
             struct_size: size_of::<Self>(),
-            finest_step: limits.finest(),
-            coarsest_step: limits.coarsest(),
+            finest_step: limits.finest,
+            coarsest_step: limits.coarsest,
             miss_rate: hybrid.miss_rate,
             tolerance: hybrid.tolerance,
             trust_limit: hybrid.trust_limit,

@@ -292,9 +292,9 @@ pub unsafe extern "C" fn entire_session_choose(
             for (slot, setting) in settings.iter_mut().zip(given) {
                 *slot = setting.checked()?;
             }
-            let choice = state.session.choose(&frame, &settings[..setting_count], target_seconds)?;
-            let made = kept(&mut state.session, choice.plan)?;
-            write(index, choice.index, "index (output)")?;
+            let (chosen, made) = state.session.choose(&frame, &settings[..setting_count], target_seconds)?;
+            let made = kept(&mut state.session, made)?;
+            write(index, chosen, "index (output)")?;
             write_struct(plan, &made)
         })
     }

@@ -72,7 +72,7 @@ pub unsafe extern "C" fn entire_session_set_transfer_function(
             let table = match (transfer.unit, state.volume) {
                 (UnitDistance::ReferenceSteps(distance), _) => table.with_unit_distance(distance)?,
                 (UnitDistance::World(distance), Some((spacing, _))) => {
-                    table.with_world_unit_distance(distance, spacing)?
+                    table.with_unit_distance(distance / spacing.min_element())?
                 }
                 // The session says that the volume comes first.
                 (UnitDistance::World(_), None) => table,
@@ -98,8 +98,7 @@ pub unsafe extern "C" fn entire_session_set_limits(
     // SAFETY: the pointer is as the crate's documentation demands.
     unsafe {
         changing(session, |state| {
-            state.session.set_limits(StepLimits::new(finest_step, coarsest_step)?);
-            Ok(())
+            Ok(state.session.set_limits(StepLimits { finest: finest_step, coarsest: coarsest_step })?)
         })
     }
 }

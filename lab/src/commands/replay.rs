@@ -72,7 +72,8 @@ pub struct Options {
 /// # Errors
 /// Bad options or files; with --bars when one is short.
 pub fn run(options: &Options) -> Result<()> {
-    let limits = StepLimits::new(options.limits.0, options.limits.1)?;
+    let limits = StepLimits { finest: options.limits.0, coarsest: options.limits.1 };
+    limits.check()?;
     ensure!(options.rounds >= 1, "--rounds is 0; everything is played at least once");
     let mut targets =
         options.targets.iter().map(|t| Ok((parse_target(t)?, t.trim()))).collect::<Result<Vec<_>>>()?;

@@ -13,7 +13,7 @@ use entire_cli::report::{Column, Table};
 use entire_cli::split::TimedFrames;
 use entire_cli::{bound, interrupt, machine};
 use entire_core::features::SceneFeature;
-use entire_core::model::keys;
+use entire_core::model::Key;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -239,8 +239,8 @@ pub fn run(options: &Options) -> Result<()> {
     let mut file = current.fitted.file;
     let predicted = predict(&file.to_model()?, &context, &judged.frames)?;
     bound::set(&mut file, &bound::from_predictions(&predicted, &judged.seconds))?;
-    file.set_metadata(
-        keys::PROVENANCE,
+    file.metadata.insert(
+        Key::Provenance.into(),
         json!({ "what": current.fitted.what, "chosen": name, "dropped": dropped, "recipe": current.recipe,
             "metrics_on_groups_it_was_chosen_by": current.metrics, "groups": by.name(),
             "cold_seconds": current.cold,

@@ -3,14 +3,14 @@
 use crate::bars::Bar;
 use crate::trace::Trace;
 use anyhow::{Context, Result};
-use entire_cli::farm::{By, Farm, Method, Task, plan, play, times, volume_numbers};
+use entire_cli::farm::{
+    AffinityTask, By, Farm, Method, Task, plan, play, simulate_affinity, times, volume_numbers,
+};
 use entire_cli::files::make_folder;
 use entire_cli::machine::Provenance;
 use entire_cli::metrics::median;
 use entire_cli::report::{Axis, Chart, Column, Mark, Page, Series, Table};
-use entire_core::schedule::{
-    AffinityTask, assign_longest_first, longest_first, lower_bound, simulate_affinity,
-};
+use entire_core::schedule::{assign_longest_first, longest_first, lower_bound};
 use std::collections::HashMap;
 use std::path::Path;
 

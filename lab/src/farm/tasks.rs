@@ -9,7 +9,7 @@ use entire_cli::metrics::median;
 use entire_cli::steering::calibrate::{Quality, Sample};
 use entire_cli::steering::fit::{Calibrated, SteeringModel};
 use entire_core::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary};
-use entire_core::predict::{AnalyticModel, Inputs, Measurement, Predictor};
+use entire_core::predict::{AnalyticModel, Inputs, Measurement, Predictor, UnitCosts};
 use entire_core::scene::{Scalars, Skipping, VolumeView};
 use std::path::PathBuf;
 
@@ -68,7 +68,7 @@ impl Recorded {
         let measured: Vec<Measurement> =
             kept.iter().map(|s| Measurement::new(&s.features, &s.setting, s.seconds)).collect();
         let mut model = AnalyticModel::new();
-        model.fit(&measured)?;
+        model.fit(&UnitCosts::SOFTWARE, &measured)?;
         let pairs = kept.iter().map(|s| Ok((*s, predicted(&mut model, s)?))).collect::<Result<Vec<_>>>()?;
         Ok((model, Factor::fit(&pairs)))
     }

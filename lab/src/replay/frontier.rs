@@ -3,7 +3,7 @@
 use super::Replayable;
 use crate::trace::TracePoint;
 use entire_cli::metrics::median;
-use entire_core::control::{QualityModel, QualitySample};
+use entire_cli::steering::quality::{QualityModel, QualitySample};
 
 /// What choosing among steps and image sizes by the quality model gives, on traces that it was not fitted to:
 /// mean structural similarity of what each way picks among settings that meet the target.

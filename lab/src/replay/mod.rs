@@ -15,7 +15,7 @@ use crate::trace::{Curve, Trace};
 use anyhow::{Context, Result, ensure};
 use entire_cli::path::FlightPath;
 use entire_cli::steering::play::Contender;
-use entire_core::adapt::ObserveFlags;
+use entire_core::control::ObserveFlags;
 use entire_core::control::{Reason, StepLimits};
 use entire_core::features::{Changes, VolumeSummary};
 use serde::Serialize;
@@ -96,7 +96,7 @@ pub struct Replayed {
 }
 
 fn reason_name<S: serde::Serializer>(reason: &Reason, s: S) -> std::result::Result<S::Ok, S::Error> {
-    s.serialize_str(reason.name())
+    s.collect_str(reason)
 }
 
 /// A number that depends on two others and on nothing else.
@@ -124,8 +124,8 @@ pub fn replay(
     ensure!(targets.len() == n, "{} targets for {n} frames", targets.len());
     let draw = recorded.trace.draw_settings()?;
     let session = &mut contender.session;
-    session.set_limits(limits);
-    let (finest, coarsest) = (f64::from(limits.finest()), f64::from(limits.coarsest()));
+    session.set_limits(limits)?;
+    let (finest, coarsest) = (f64::from(limits.finest), f64::from(limits.coarsest));
     let mut out: Vec<Replayed> = Vec::with_capacity(n);
     let mut shown = usize::MAX;
     let mut since_switch = 0;
@@ -180,7 +180,7 @@ pub fn replay(
 /// A target that is worth playing on a trace: some allowed step meets it exactly in at least half of the
 /// frames.
 pub fn worth_playing(recorded: &Replayable, target: f64, limits: StepLimits) -> bool {
-    let (finest, coarsest) = (f64::from(limits.finest()), f64::from(limits.coarsest()));
+    let (finest, coarsest) = (f64::from(limits.finest), f64::from(limits.coarsest));
     let reachable = recorded.curves.iter().filter(|c| c.reaches(target, finest, coarsest)).count();
     2 * reachable >= recorded.curves.len()
 }

@@ -177,7 +177,7 @@ impl Results<'_> {
                         f.oracle_ssim.to_string(),
                         u8::from(f.switched).to_string(),
                         u8::from(f.calm).to_string(),
-                        f.reason.name().into(),
+                        f.reason.to_string(),
                     ])?;
                 }
             }

@@ -5,7 +5,7 @@ use anyhow::Result;
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::fit::Calibrated;
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::adapt::Prior;
+use entire_core::control::Prior;
 use entire_core::control::StepLimits;
 
 /// One trace against one target or series of targets.
@@ -67,7 +67,7 @@ pub fn play(
     let mean = trial.targets.iter().sum::<f64>() / trial.targets.len() as f64;
     // The step that a user would set once: what the middle frame needs.
     let middle = &trace.curves[trace.curves.len() / 2];
-    let fixed = middle.oracle(mean, f64::from(limits.finest()), f64::from(limits.coarsest())) as f32;
+    let fixed = middle.oracle(mean, f64::from(limits.finest), f64::from(limits.coarsest)) as f32;
     let mut outcome =
         Outcome { trial: index, frames: Vec::new(), tallies: vec![Tally::default(); kinds.len()] };
     for (k, kind) in kinds.iter().enumerate() {

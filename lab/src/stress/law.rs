@@ -3,10 +3,10 @@
 use super::{Limits, Noise, Seen, Verdict, judge};
 use entire_cli::steering::contenders::{ControllerKind, controller};
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::adapt::{Prior, check_seconds};
+use entire_core::control::Prior;
 use entire_core::control::{Controller, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use entire_core::features::Changes;
-use entire_core::predict::{CostTerms, Source, TERMS};
+use entire_core::predict::{CostTerms, LONGEST_FRAME, Source, TERMS};
 
 const EXPONENT: f64 = 0.9;
 const FINEST: f32 = 1.0;
@@ -98,7 +98,7 @@ fn play_script(
     let mut noise = Noise::new(seed);
     let mut waiting: Vec<Waiting> = Vec::new();
     let (finest, coarsest) = (f64::from(FINEST), f64::from(COARSEST));
-    let limits = StepLimits::new(FINEST, COARSEST).unwrap_or_default();
+    let limits = StepLimits { finest: FINEST, coarsest: COARSEST };
     for i in 0..script.frames {
         let shot = (script.shot)(i, &mut noise);
         let mut cost = |step: f32| {
@@ -129,7 +129,7 @@ fn play_script(
             feasible: clean(coarsest) <= shot.target,
             upper: f64::from(decision.upper),
             predicted: f64::from(decision.seconds),
-            first: shot.changes.any(),
+            first: shot.changes != Changes::NONE,
             excused: shot.excused,
             part: shot.part,
         };
@@ -156,7 +156,7 @@ fn play_script(
                 return true;
             }
             // As a session does: times that cannot be are refused before a controller hears of them.
-            if check_seconds(w.observed.seconds).is_ok() {
+            if w.observed.seconds > 0.0 && w.observed.seconds <= LONGEST_FRAME {
                 controller.observe(&w.observed);
             }
             false
@@ -275,7 +275,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
             let mut seen = Vec::new();
             let mut noise = Noise::new(20);
             let mut c = new(method);
-            let limits = StepLimits::new(FINEST, COARSEST).unwrap_or_default();
+            let limits = StepLimits { finest: FINEST, coarsest: COARSEST };
             for i in 0..frames {
                 let shot = Shot { wrong: wrong.next(i == 0, &mut noise), ..Shot::PLAIN };
                 let mut cost = |step: f32| {

@@ -77,7 +77,7 @@ pub(super) fn kept(path: &Path, identity: &str, upper: Option<Calibration>) -> R
         return Ok(None);
     }
     let (mut file, model) = read_model_file(path)?;
-    if file.metadata().get(STUDY_KEY).is_none_or(|key| key != identity) {
+    if file.metadata.get(STUDY_KEY).is_none_or(|key| key != identity) {
         return Ok(None);
     }
     if let Some(upper) = upper.filter(|u| bound::of(&model) != Some(*u)) {

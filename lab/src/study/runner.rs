@@ -17,7 +17,7 @@ use entire_cli::fit::{FitContext, Recipe, predict};
 use entire_cli::metrics::Metrics;
 use entire_cli::split::TimedFrames;
 use entire_cli::volume::Volume;
-use entire_core::model::{Model, ModelFile, keys};
+use entire_core::model::{Key, Model, ModelFile};
 use entire_core::predict::Calibration;
 use indicatif::ProgressBar;
 use serde_json::json;
@@ -143,10 +143,10 @@ impl Runner<'_> {
             let predicted = predict(&file.to_model()?, context, &judged.frames)?;
             bound::set(&mut file, &bound::from_predictions(&predicted, &judged.seconds))?;
         }
-        file.set_metadata(STUDY_KEY, mark);
-        if recipe.file.is_none() || !file.metadata().contains_key(keys::PROVENANCE) {
-            file.set_metadata(
-                keys::PROVENANCE,
+        file.metadata.insert(STUDY_KEY.into(), mark);
+        if recipe.file.is_none() || !file.metadata.contains_key(Key::Provenance.name()) {
+            file.metadata.insert(
+                Key::Provenance.into(),
                 json!({ "what": fitted.what, "settings": fitted.settings, "outcome": fitted.outcome,
                     "training_frames": training.frames.len(), "program": entire_cli::machine::version() })
                 .to_string(),

@@ -7,7 +7,7 @@ use crate::lock::Guarded;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
 use entire_core::features::{FrameFeatures, Setting, TransferSummary};
-use entire_core::predict::{AnalyticModel, Measurement};
+use entire_core::predict::{AnalyticModel, Measurement, UnitCosts};
 use entire_core::scene::Skipping;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -94,7 +94,7 @@ impl Calibration {
         let (bytes, error) = py
             .detach(|| {
                 let mut model = AnalyticModel::new();
-                let report = model.fit(measurements)?;
+                let report = model.fit(&UnitCosts::SOFTWARE, measurements)?;
                 Ok((model.to_model_file()?.to_bytes()?, report.median_error))
             })
             .map_err(raise)?;

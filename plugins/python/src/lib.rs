@@ -54,6 +54,6 @@ mod _native {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-        module.add("simd_level", entire_core::kernels::Level::detect().to_string())
+        module.add("simd_level", entire_core::nn::Level::detect().to_string())
     }
 }

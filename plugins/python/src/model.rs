@@ -3,8 +3,8 @@
 use crate::errors::{ModelError, raise};
 use crate::lock::Guarded;
 use crate::volume::{Data, Volume};
-use entire_core::kernels::Executor;
-use entire_core::model::{Model as File, keys};
+use entire_core::model::{GroupKind, Model as File};
+use entire_core::nn::Executor;
 use entire_core::nn::{EncodeScratch, PredNet, VolumeNet};
 use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
 use numpy::PyArray1;
@@ -37,7 +37,7 @@ impl Loaded {
 
     /// VolumeNet's output for a volume, where predictions take it.
     pub(crate) fn features_of(&self, py: Python<'_>, volume: &Data) -> PyResult<Option<Vec<f32>>> {
-        if self.file.input_size(keys::GROUP_VOLUME_FEATURES).is_none() {
+        if self.file.input_size(GroupKind::VolumeFeatures.name()).is_none() {
             return Ok(None);
         }
         self.encode(py, volume).map(Some)
@@ -55,7 +55,7 @@ impl Loaded {
         py.detach(|| {
             let mut features = vec![0.0; encoder.feature_len()];
             let scratch = scratch.get_or_insert_with(|| encoder.scratch());
-            encoder.encode(volume.view(), scratch, Executor::serial(), &mut features)?;
+            encoder.encode(volume.view(), scratch, Executor::Serial, &mut features)?;
             Ok(features)
         })
         .map_err(raise)

@@ -38,7 +38,7 @@ impl Plan {
             seconds: plan.seconds,
             upper: plan.upper,
             out_of_range: plan.out_of_range,
-            reason: plan.reason.name(),
+            reason: plan.reason.into(),
             target,
         }
     }

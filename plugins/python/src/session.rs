@@ -11,7 +11,7 @@ use crate::plan::{Plan, Prediction};
 use crate::state::State;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
-use entire_core::adapt::ObserveFlags;
+use entire_core::control::ObserveFlags;
 use entire_core::control::{HybridOptions, Session as Core, StepLimits};
 use entire_core::features::{Changes, Setting};
 use entire_core::predict::{AnalyticModel, Predictor};
@@ -150,9 +150,7 @@ impl Session {
     /// ValueError
     ///     For other numbers.
     fn set_limits(&self, py: Python<'_>, finest: f32, coarsest: f32) -> PyResult<()> {
-        let limits = StepLimits::new(finest, coarsest).map_err(raise)?;
-        self.state(py)?.core.set_limits(limits);
-        Ok(())
+        self.state(py)?.core.set_limits(StepLimits { finest, coarsest }).map_err(raise)
     }
 
     /// Allows plans to shrink the image.
@@ -367,9 +365,9 @@ impl Session {
             .into_iter()
             .map(|(step, (width, height))| Setting { step, width, height, ..Setting::of(&frame) })
             .collect();
-        let choice = state.core.choose(&frame, &settings, target).map_err(raise)?;
-        let drawn = settings[choice.index];
-        Ok((choice.index, state.note(choice.plan, (drawn.width, drawn.height), target)))
+        let (index, plan) = state.core.choose(&frame, &settings, target).map_err(raise)?;
+        let drawn = settings[index];
+        Ok((index, state.note(plan, (drawn.width, drawn.height), target)))
     }
 
     /// Hears how long a planned frame took.
@@ -405,7 +403,7 @@ impl Session {
         cancelled: bool,
     ) -> PyResult<&'static str> {
         let flags = ObserveFlags { unusual, cancelled };
-        Ok(self.state(py)?.observe(plan.id(), seconds as f32, flags)?.name())
+        Ok(self.state(py)?.observe(plan.id(), seconds as f32, flags)?.into())
     }
 
     /// Predicts a frame's seconds at its own step, corrected by what was observed; later plans do not depend

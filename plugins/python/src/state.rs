@@ -5,7 +5,7 @@ use crate::history::{Entry, History};
 use crate::plan::Plan;
 use crate::transfer::{Transfer, TransferFunction};
 use crate::volume::Data;
-use entire_core::adapt::{ObserveFlags, Verdict};
+use entire_core::control::{ObserveFlags, Verdict};
 use entire_core::control::{PENDING_PLANS, Plan as CorePlan, Session as Core};
 use entire_core::features::Changes;
 use entire_core::scene::{Camera as CoreCamera, Frame};
@@ -100,8 +100,8 @@ impl State {
                 measured: seconds,
                 step: plan.step,
                 image_sample_distance: plan.image_sample_distance,
-                reason: plan.reason.name(),
-                verdict: verdict.name(),
+                reason: plan.reason.into(),
+                verdict: verdict.into(),
             });
         }
         Ok(verdict)

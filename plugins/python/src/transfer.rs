@@ -29,7 +29,7 @@ impl Transfer {
         let table = self.table.clone();
         match self.unit {
             Unit::ReferenceSteps(distance) => table.with_unit_distance(distance),
-            Unit::World(distance) => table.with_world_unit_distance(distance, volume.spacing()),
+            Unit::World(distance) => table.with_unit_distance(distance / volume.spacing().min_element()),
         }
         .map_err(raise)
     }
@@ -190,9 +190,7 @@ impl TransferFunction {
                 ColorNode { position, color: [r, g, b], midpoint: 0.5, sharpness: 0.0 }
             }
         });
-        let nodes = Nodes::new(opacity.collect(), color.collect(), range.0, range.1)
-            .map_err(raise)?
-            .with_clamping(clamp);
+        let nodes = Nodes { opacity: opacity.collect(), color: color.collect(), range, clamp };
         made(Description::Nodes(nodes), unit_distance, unit_length)
     }
 
@@ -246,7 +244,7 @@ impl TransferFunction {
             Description::Gaussian(lobes) => format!("{} Gaussian lobes", lobes.len()),
             Description::Points(points) => format!("{} points", points.len()),
             Description::Nodes(nodes) => {
-                format!("{} opacity nodes, {} color nodes", nodes.opacity().len(), nodes.color().len())
+                format!("{} opacity nodes, {} color nodes", nodes.opacity.len(), nodes.color.len())
             }
             _ => "a function".to_owned(),
         };

@@ -280,7 +280,7 @@ impl Volume {
     fn __repr__(&self) -> String {
         let ([x, y, z], s) = (self.0.view.dims(), self.0.spacing());
         let (low, high) = self.0.view.range();
-        let kind = self.0.view.scalar_type().name();
+        let kind = self.0.view.scalar_type().to_string();
         format!("Volume({x} x {y} x {z} {kind}, spacing ({}, {}, {}), range {low} to {high})", s.x, s.y, s.z)
     }
 }

@@ -8,8 +8,8 @@ use alloc::string::String;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::fmt::Write;
-use entire_core::kernels::Level;
 use entire_core::model::Model;
+use entire_core::nn::Level;
 use entire_core::nn::{Executor, PredNet, Storage, VolumeNet};
 use entire_core::scene::{Scalars, VolumeView};
 
@@ -53,7 +53,7 @@ pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
             let floats: Vec<f32> = bytes.iter().map(|&b| f32::from(b) * 0.37 - 11.0).collect();
             for scalars in [Scalars::U8(&bytes), Scalars::F32(&floats)] {
                 let view = VolumeView::new(scalars, dims).map_err(text)?;
-                net.encode(&view, &mut scratch, Executor::serial(), &mut features).map_err(text)?;
+                net.encode(&view, &mut scratch, Executor::Serial, &mut features).map_err(text)?;
                 write!(out, "volumenet {} {:?} {dims:?}", level.isa(), view.scalar_type()).map_err(failed)?;
                 for f in &features {
                     write!(out, " {:08x}", f.to_bits()).map_err(failed)?;

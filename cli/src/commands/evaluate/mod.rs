@@ -14,8 +14,8 @@ use crate::options::thread_pool;
 use crate::progress::{INPUTS_BAR, templated_bar};
 use crate::split::{GroupBy, Part, Split};
 use anyhow::{Context, Result, ensure};
-use entire_core::model::Model;
-use entire_core::nn::{PredNet, Storage};
+use entire_core::model::{Key, Model};
+use entire_core::nn::{Level, PredNet, Storage};
 use entire_core::predict::Calibration;
 use report::{Evaluation, Predictor, detail_table, noise_text, tables_of, write_report};
 use std::collections::BTreeMap;
@@ -73,8 +73,8 @@ pub struct Options {
 }
 
 fn parse_storage(text: &str) -> Result<Storage, String> {
-    Storage::ALL.into_iter().find(|s| s.name() == text).ok_or_else(|| {
-        format!("no storage of weights; there are {}", Storage::ALL.map(Storage::name).join(", "))
+    Storage::ALL.into_iter().find(|s| s.to_string() == text).ok_or_else(|| {
+        format!("no storage of weights; there are {}", Storage::ALL.map(|s| s.to_string()).join(", "))
     })
 }
 
@@ -91,7 +91,8 @@ fn load(path: &Path) -> Result<Loaded> {
     let model = parse_model(path, &bytes)?;
     let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
     let split = model
-        .provenance()
+        .metadata()
+        .get(Key::Provenance.name())
         .and_then(|text| serde_json::from_str::<serde_json::Value>(text).ok())
         .and_then(|p| serde_json::from_value(p.get("split")?.clone()).ok());
     let name =
@@ -158,10 +159,10 @@ pub fn run(options: &Options) -> Result<()> {
     for (m, storage) in models.iter().flat_map(|m| options.storage.iter().map(move |&s| (m, s))) {
         let rows = m.layout.rows(&tables, &refs, &pool, &templated_bar(true, INPUTS_BAR))?;
         let parts = m.model.prednet().with_context(|| format!("{} holds no PredNet", m.name))?;
-        let net = PredNet::with_storage(parts, storage)?;
+        let net = PredNet::with(parts, Level::detect(), storage)?;
         let predicted = rows_by_network(&net, &rows, m.layout.width())?;
         predictors.push(assess(
-            format!("{}, {} weights", m.name, storage.name()),
+            format!("{}, {} weights", m.name, storage),
             None,
             predicted,
             &measured,
@@ -202,7 +203,7 @@ pub fn run(options: &Options) -> Result<()> {
         load_average: machine::load_average(),
         data: options.data.iter().map(|p| p.display().to_string()).collect(),
         clock: clock.name(),
-        shading: options.shading.map(|s| s.name()),
+        shading: options.shading.map(Into::into),
         unseen_only: options.unseen,
         frames: refs.len(),
         noise_floor: noise,

@@ -1,7 +1,7 @@
 //! The paper's Algorithm 1 and the baselines that it is compared with there: OLP and PID.
 
 use super::StepResponse;
-use entire_core::adapt::Verdict;
+use entire_core::control::Verdict;
 use entire_core::control::{Controller, Decision, Observed, PlanRequest, Reason};
 
 fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decision {
@@ -27,10 +27,10 @@ impl Controller for Algorithm1 {
     }
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
-        let terms = request.cost.at(1.0);
+        let terms = (request.cost)(1.0);
         let at_reference = terms.seconds();
         if !(at_reference.is_finite() && at_reference > 0.0) {
-            return decision(request.limits.coarsest(), f32::NAN, f32::NAN, Reason::NoInformation);
+            return decision(request.limits.coarsest, f32::NAN, f32::NAN, Reason::NoInformation);
         }
         let step = request.limits.clamp(self.response.step_ratio(request.target / at_reference));
         decision(step, at_reference * self.response.time_ratio(step), terms.out_of_range, Reason::Fits)

@@ -4,7 +4,7 @@
 //! Where the original scales image resolution, its resolution fraction f (work ∝ f²) or image sample distance
 //! is mapped to the step by equal assumed work: work ∝ 1 / step.
 
-use entire_core::adapt::Verdict;
+use entire_core::control::Verdict;
 use entire_core::control::{Controller, Decision, Observed, PlanRequest, Reason};
 
 fn reactive(step: f32) -> Decision {

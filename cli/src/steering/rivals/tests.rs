@@ -1,8 +1,7 @@
 //! Closed loops with a scripted clock: no renderer, a known cost law, every controller beside the hybrid.
 
 use super::*;
-use entire_core::adapt::Prior;
-use entire_core::control::{Controller, Fixed, Hybrid, HybridOptions, Observed, PlanRequest, StepLimits};
+use entire_core::control::{Controller, Hybrid, HybridOptions, Observed, PlanRequest, Prior, StepLimits};
 use entire_core::features::Changes;
 use entire_core::predict::{CostTerms, Source, TERMS};
 
@@ -42,7 +41,7 @@ fn every_controller_survives_any_observation() {
             let base = (noise.normal() * 2.0).exp() as f32 * 0.02;
             let mut cost = |step: f32| CostTerms::whole(base / step, 0.0, Source::Analytic);
             let changes = Changes { transfer: i % 50 == 0, first: i == 0, ..Changes::NONE };
-            let limits = StepLimits::new(0.5, 20.0).unwrap();
+            let limits = StepLimits { finest: 0.5, coarsest: 20.0 };
             let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost });
             assert!((0.5..=20.0).contains(&decision.step), "{} {i} {decision:?}", controller.name());
             let seconds = match i % 11 {
@@ -86,7 +85,7 @@ impl Plant {
             bias: 1.0,
             speed: |_| 1.0,
             target: |_| 25e-3,
-            limits: StepLimits::new(1.0, 32.0).unwrap(),
+            limits: StepLimits { finest: 1.0, coarsest: 32.0 },
         }
     }
 }
@@ -144,7 +143,7 @@ fn play(controller: &mut dyn Controller, plant: &Plant, frames: usize, seed: u64
         // The oracle: the step whose clean time is the target.
         let room = f64::from(target) / speed - fixed;
         let oracle = if room > 0.0 { (work / room).powf(1.0 / EXPONENT) } else { f64::INFINITY };
-        let (finest, coarsest) = (f64::from(plant.limits.finest()), f64::from(plant.limits.coarsest()));
+        let (finest, coarsest) = (f64::from(plant.limits.finest), f64::from(plant.limits.coarsest));
         if oracle > finest && oracle < coarsest {
             feasible += 1.0;
             out.deviation += (relative - 1.0).abs();

@@ -11,16 +11,16 @@ use glam::Vec3;
 use scan::{Entries, copy, entries, to_positions};
 
 /// Edge of the blocks that renderers skip by, in voxels.
-pub const BLOCK_EDGE: usize = 8;
+pub(crate) const BLOCK_EDGE: usize = 8;
 
 /// Most cells along an axis unless [`SummaryOptions`] says otherwise.
-pub const DEFAULT_CELLS_PER_AXIS: usize = 48;
+pub(crate) const DEFAULT_CELLS_PER_AXIS: usize = 48;
 
 /// Quantile intervals kept per cell; the `QUANTILES + 1` bounds split its voxels into shares of equal size.
-pub const QUANTILES: usize = 8;
+pub(crate) const QUANTILES: usize = 8;
 
 /// Largest stored integer that indexes a table of 15 bits as it stands.
-pub const LARGEST_INDEX: i16 = i16::MAX;
+pub(crate) const LARGEST_INDEX: i16 = i16::MAX;
 
 /// Most blocks kept inside one cell along an axis; beyond that a kept block is a run of blocks.
 const BLOCKS_PER_CELL_AXIS: usize = 8;
@@ -41,7 +41,7 @@ impl Default for SummaryOptions {
 
 /// The box that rays meet, in scene space (origin at its center, unit = bounding-sphere radius).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Geometry {
+pub(crate) struct Geometry {
     /// Half the box.
     pub half_extent: Vec3,
     /// The reference ray step.
@@ -63,7 +63,7 @@ pub(super) struct CellStats {
 /// What is kept of a volume: about 12 bytes per cell of 8³ voxels, never the voxels.
 ///
 /// Cell (i, j, k) with edge e holds the samples between the centers of voxels e·i and e·(i + 1) along each
-/// axis; so one voxel beyond its far side enters its bounds. The edge is [`BLOCK_EDGE`] voxels along each
+/// axis; so one voxel beyond its far side enters its bounds. The edge is 8 voxels along each
 /// axis, coarser by powers of two where the volume is larger than the options allow; then the value bounds of
 /// the blocks inside each cell are kept too, so that emptiness is still judged by the blocks that a renderer
 /// skips.

@@ -84,12 +84,6 @@ pub(crate) struct MlpScratch {
     panel: Vec<Line>,
 }
 
-impl MlpScratch {
-    pub(crate) fn rows(&self) -> usize {
-        self.rows
-    }
-}
-
 impl Mlp {
     /// Packs the layers, first to last. `norm` is the mean and the std of each input.
     ///
@@ -143,10 +137,6 @@ impl Mlp {
 
     pub(crate) fn inputs(&self) -> usize {
         self.inputs
-    }
-
-    pub(crate) fn level(&self) -> Level {
-        self.level
     }
 
     /// Bytes read by one prediction.

@@ -5,7 +5,7 @@
 //! cargo run --release -p entire-examples --bin steered_loop
 //! ```
 
-use entire_core::adapt::ObserveFlags;
+use entire_core::control::ObserveFlags;
 use entire_core::control::{Session, StepLimits};
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{
@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     renderer.set_volume(&volume)?;
     let mut session = Session::untrained();
     session.set_volume(VolumeSummary::new(&volume, SummaryOptions::default())?, None);
-    session.set_limits(StepLimits::new(0.5, 8.0)?);
+    session.set_limits(StepLimits { finest: 0.5, coarsest: 8.0 })?;
 
     // The budget: two thirds of what the first view takes at the reference step.
     renderer.set_transfer(&thin.to_table()?)?;
@@ -55,7 +55,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             plan.step,
             plan.seconds * 1e3,
             seconds * 1e3,
-            plan.reason.name()
+            plan.reason
         );
     }
     println!("\n{over} of {FRAMES} frames took more than 1.25 times the budget");

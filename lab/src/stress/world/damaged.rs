@@ -6,7 +6,7 @@ use super::{Machine, fitted};
 use anyhow::Result;
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::adapt::Prior;
+use entire_core::control::Prior;
 use entire_core::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };

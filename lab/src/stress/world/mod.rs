@@ -11,12 +11,12 @@ use entire_cli::dataset::Clock;
 use entire_cli::steering::contenders::{ControllerKind, contender};
 use entire_cli::steering::play::Contender;
 use entire_cli::steering::rivals::StepResponse;
-use entire_core::adapt::{ObserveFlags, Prior};
 use entire_core::control::StepLimits;
+use entire_core::control::{ObserveFlags, Prior};
 use entire_core::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
-use entire_core::predict::{AnalyticModel, Measurement};
+use entire_core::predict::{AnalyticModel, Measurement, UnitCosts};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction, TransferTable, VolumeView};
 use entire_vk_raycaster::{CpuRaycaster, Renderer, WorkCounts};
 use scenes::{Block, Shot, World, lobes, scene};
@@ -111,7 +111,7 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
         }
     }
     let mut model = AnalyticModel::new();
-    model.fit(&rows)?;
+    model.fit(&UnitCosts::SOFTWARE, &rows)?;
     Ok(model)
 }
 
@@ -158,8 +158,8 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
     let response = StepResponse::inverse_step(0.1);
     let mut who: Contender =
         contender(method, 2.0, Box::new(model), &response, Prior::Fitted { log_sd: 0.2 });
-    let limits = StepLimits::new(FINEST, COARSEST)?;
-    who.session.set_limits(limits);
+    let limits = StepLimits { finest: FINEST, coarsest: COARSEST };
+    who.session.set_limits(limits)?;
     let views: Vec<VolumeView<'_>> = world.blocks.iter().map(Block::view).collect::<Result<_>>()?;
     let summaries: Vec<VolumeSummary> =
         views.iter().map(|v| Ok(VolumeSummary::new(v, SummaryOptions::default())?)).collect::<Result<_>>()?;

@@ -1,9 +1,7 @@
 //! How far a picture lies from the best one, as a function of ray step and image scale.
 
-use crate::Result;
-use crate::error::bail;
-use crate::features::Setting;
-use alloc::vec::Vec;
+use anyhow::{Result, bail};
+use entire_core::features::Setting;
 
 /// A picture that was compared with the one at the reference step and full size.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,7 +18,7 @@ pub struct QualitySample {
 ///
 /// What a coarser step costs and what a smaller image costs are measured apart and added. Among settings that
 /// take the same time the one with the smallest error is the one to draw: [`QualityModel::sort`] brings
-/// settings into the order that [`super::Session::choose`] wants.
+/// settings into the order that [`entire_core::Session::choose`] wants.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct QualityModel {
     step: Law,
@@ -74,14 +72,13 @@ impl QualityModel {
     /// costs.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for numbers that are not finite, steps or scales that are not
+    /// For numbers that are not finite, steps or scales that are not
     /// positive, a negative error, or when one of the two kinds is missing.
     pub fn from_samples(samples: &[QualitySample]) -> Result<Self> {
         for (i, s) in samples.iter().enumerate() {
             let sound = s.step.is_finite() && s.step > 0.0 && s.scale.is_finite() && s.scale > 0.0;
             if !(sound && s.error.is_finite() && s.error >= 0.0) {
                 bail!(
-                    InvalidArgument,
                     "quality sample {i} has step {}, scale {} and error {}; step and scale must be positive, \
                      the error not negative",
                     s.step,
@@ -98,7 +95,6 @@ impl QualityModel {
         let scale = of(&|s| close(s.step) && s.scale < 0.999, &|s| 1.0 / f64::from(s.scale) - 1.0);
         let (Some(step), Some(scale)) = (step, scale) else {
             bail!(
-                InvalidArgument,
                 "the samples must hold coarser steps at full size as well as smaller images at the reference \
                  step"
             );

@@ -1,11 +1,7 @@
 //! A dynamic queue whose tasks need a volume that takes time to load.
 
-use super::check;
-use super::queue::{Span, Timeline, check_order, first_free};
-use crate::Result;
-use crate::error::bail;
-use alloc::vec;
-use alloc::vec::Vec;
+use super::queue::{Span, Timeline, check, check_order, first_free};
+use anyhow::{Result, bail};
 
 /// A task that needs a volume.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,7 +19,7 @@ pub struct AffinityTask {
 /// [`super::simulate_queue`] with loading times.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] for unusable times or speeds, a window of 0, or an order that is not
+/// For unusable times or speeds, a window of 0, or an order that is not
 /// a permutation of the tasks.
 pub fn simulate_affinity(
     order: &[usize],
@@ -37,7 +33,7 @@ pub fn simulate_affinity(
     check(&loads, speeds)?;
     check_order(order, tasks.len())?;
     if window == 0 {
-        bail!(InvalidArgument, "a window of 0 tasks was given; at least the next task must be looked at");
+        bail!("a window of 0 tasks was given; at least the next task must be looked at");
     }
     let mut free = vec![0.0f64; speeds.len()];
     let mut holds: Vec<Option<usize>> = vec![None; speeds.len()];

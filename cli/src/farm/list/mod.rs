@@ -1,11 +1,16 @@
-//! Render farms: a list of tasks, and which node does what in which order.
+//! Task lists, and which node does what in which order.
+
+mod affinity;
+mod queue;
+#[cfg(test)]
+mod tests;
+
+pub use affinity::{AffinityTask, simulate_affinity};
+pub use queue::{Span, Timeline, simulate_queue};
 
 use crate::files::read_bytes;
 use anyhow::{Context, Result, ensure};
-use entire_core::schedule::{
-    AffinityTask, Assignment, Span, Timeline, assign_longest_first, longest_first, simulate_affinity,
-    simulate_queue,
-};
+use entire_core::schedule::{Assignment, assign_longest_first, longest_first};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::{Deserialize, Serialize};
@@ -176,7 +181,7 @@ pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result
             }
             Ok(Timeline { spans, makespan: free.into_iter().fold(0.0, f64::max) })
         }
-        Plan::Queued(order) => Ok(simulate_queue(order, seconds, speeds, farm.dispatch)?),
+        Plan::Queued(order) => simulate_queue(order, seconds, speeds, farm.dispatch),
         Plan::Near(order) => {
             let volumes = volume_numbers(tasks);
             let near: Vec<AffinityTask> = tasks
@@ -189,7 +194,7 @@ pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result
                     load: t.load_s,
                 })
                 .collect();
-            Ok(simulate_affinity(order, &near, speeds, farm.window)?)
+            simulate_affinity(order, &near, speeds, farm.window)
         }
     }
 }
@@ -255,40 +260,4 @@ pub fn eta(plan: &Plan, expected: &[f64], tasks: &[Task], farm: &Farm, log_sd: f
     }
     ends.sort_by(f64::total_cmp);
     Ok([ends[DRAWS / 20], ends[DRAWS / 2], ends[DRAWS - 1 - DRAWS / 20]])
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn list(text: &str, name: &str) -> Result<Vec<Task>> {
-        let dir = tempfile::tempdir().unwrap();
-        let file = dir.path().join(name);
-        std::fs::write(&file, text).unwrap();
-        read_tasks(&file)
-    }
-
-    #[test]
-    fn lists_are_read_in_both_forms_and_every_mistake_is_named() {
-        let csv = list("task,predicted_s,measured_s,volume,load_s\na,1,2,v,0.5\n,3,,,0\n", "t.csv").unwrap();
-        assert_eq!((csv[0].predicted_s, csv[0].measured_s, csv[0].load_s), (Some(1.0), Some(2.0), 0.5));
-        assert_eq!((csv[1].task.as_str(), csv[1].measured_s), ("1", None));
-        let few = list("predicted_s\n1\n2\n", "t.csv").unwrap();
-        assert_eq!(few.len(), 2);
-        let json = list(r#"[{"predicted_s": 1.5, "volume": "v"}]"#, "t.json").unwrap();
-        assert_eq!((json[0].predicted_s, json[0].volume.as_str()), (Some(1.5), "v"));
-        for (text, name, expected) in [
-            ("predicted_s\n-1\n", "t.csv", "predicted_s is -1"),
-            ("predicted_s\nNaN\n", "t.csv", "predicted_s is NaN"),
-            ("predicted_s\nx\n", "t.csv", "invalid float"),
-            ("task\na\n", "t.csv", "neither predicted_s nor measured_s"),
-            ("predicted_s,speed\n1,2\n", "t.csv", "unknown field"),
-            ("predicted_s\n", "t.csv", "no task"),
-            ("[]", "t.json", "no task"),
-            ("{", "t.json", "task list"),
-        ] {
-            let message = format!("{:#}", list(text, name).unwrap_err());
-            assert!(message.contains(expected), "{text:?}: {message}");
-        }
-    }
 }

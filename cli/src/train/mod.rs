@@ -5,6 +5,7 @@
 //! cut into the same parts whatever the pool, and sums are taken in the same order.
 
 mod loss;
+mod matmul;
 mod network;
 mod optimizer;
 mod real;

@@ -1,7 +1,6 @@
 //! The controller that steers nothing: one step for every frame.
 
-use super::{Controller, Decision, Observed, PlanRequest, Reason};
-use crate::adapt::Verdict;
+use entire_core::control::{Controller, Decision, Observed, PlanRequest, Reason, Verdict};
 
 /// Always the same step.
 #[derive(Clone, Copy, Debug, PartialEq)]

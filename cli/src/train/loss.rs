@@ -1,8 +1,7 @@
 //! What training makes small.
 
 use super::Real;
-use crate::Result;
-use crate::error::bail;
+use anyhow::{Result, bail};
 
 /// The loss of one frame, on standardized targets. Its mean over the batch is made small.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,13 +29,10 @@ impl Loss {
     pub(crate) fn check(self) -> Result<()> {
         match self {
             Self::Huber { delta } if !(delta.is_finite() && delta > 0.0) => {
-                bail!(InvalidArgument, "Huber delta is {delta}; it must be finite and positive")
+                bail!("Huber delta is {delta}; it must be finite and positive")
             }
             Self::Pinball { quantile } if !(quantile > 0.0 && quantile < 1.0) => {
-                bail!(
-                    InvalidArgument,
-                    "pinball quantile is {quantile}; it must lie between 0 and 1, both excluded"
-                )
+                bail!("pinball quantile is {quantile}; it must lie between 0 and 1, both excluded")
             }
             _ => Ok(()),
         }

@@ -2,12 +2,9 @@
 //! passes.
 
 use super::Real;
-use crate::Result;
-use crate::error::bail;
-use crate::kernels::matmul::{Matrix, vectorized};
-use crate::nn::{PredNetParts, SELU_ALPHA, SELU_SCALE};
-use alloc::vec;
-use alloc::vec::Vec;
+use super::matmul::{matrix, multiply, vectorized};
+use anyhow::{Result, bail};
+use entire_core::nn::{PredNetParts, SELU_ALPHA, SELU_SCALE};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
@@ -32,11 +29,11 @@ pub(crate) struct Span {
 }
 
 impl Span {
-    fn weight(self) -> core::ops::Range<usize> {
+    fn weight(self) -> std::ops::Range<usize> {
         self.weight..self.weight + self.inputs * self.outputs
     }
 
-    fn bias(self) -> core::ops::Range<usize> {
+    fn bias(self) -> std::ops::Range<usize> {
         let start = self.weight + self.inputs * self.outputs;
         start..start + self.outputs
     }
@@ -47,7 +44,7 @@ impl<T: Real> Network<T> {
     /// 0. `widths` runs from the input's to the output's.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for fewer than two widths, a width of 0 or over [`MAX_WIDTH`],
+    /// For fewer than two widths, a width of 0 or over [`MAX_WIDTH`],
     /// or too many layers.
     pub fn random(widths: &[usize], seed: u64) -> Result<Self> {
         check_widths(widths)?;
@@ -64,7 +61,7 @@ impl<T: Real> Network<T> {
     /// A network from its layers: (weights \[out, in\] by rows, biases \[out\]).
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidTensor`] when sizes do not fit together or a number is not finite.
+    /// When sizes do not fit together or a number is not finite.
     pub fn from_layers(inputs: usize, layers: &[(&[T], &[T])]) -> Result<Self> {
         let mut widths = vec![inputs];
         let mut parameters = Vec::new();
@@ -72,14 +69,13 @@ impl<T: Real> Network<T> {
             let (before, width) = (widths[i], bias.len());
             if before.checked_mul(width) != Some(weight.len()) {
                 bail!(
-                    InvalidTensor,
                     "layer {i} has {} weights and {width} biases for {before} inputs; {width} x {before} \
                      weights are needed",
                     weight.len()
                 );
             }
             if let Some(at) = weight.iter().chain(*bias).position(|v| !v.is_finite()) {
-                bail!(InvalidTensor, "layer {i} holds a NaN or an infinity (element {at})");
+                bail!("layer {i} holds a NaN or an infinity (element {at})");
             }
             parameters.extend_from_slice(weight);
             parameters.extend_from_slice(bias);
@@ -92,13 +88,12 @@ impl<T: Real> Network<T> {
     /// The network of a model file, to be fine-tuned.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidTensor`] when the parts do not fit together.
+    /// When the parts do not fit together.
     pub fn from_parts(parts: &PredNetParts) -> Result<Self> {
-        parts.check()?;
         let real = |values: &[f32]| values.iter().map(|v| T::of(f64::from(*v))).collect::<Vec<T>>();
         let layers: Vec<_> = parts.layers.iter().map(|l| (real(&l.weight), real(&l.bias))).collect();
         let borrowed: Vec<(&[T], &[T])> = layers.iter().map(|(w, b)| (&w[..], &b[..])).collect();
-        Self::from_layers(parts.inputs(), &borrowed)
+        Self::from_layers(parts.layers.first().map_or(0, |layer| layer.inputs), &borrowed)
     }
 
     /// Widths from the input's to the output's.
@@ -145,10 +140,10 @@ impl<T: Real> Network<T> {
     /// Outputs for rows of inputs, [rows, output width] by rows, in one thread.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::SizeMismatch`] when the inputs are no whole number of rows.
+    /// When the inputs are no whole number of rows.
     pub fn forward(&self, inputs: &[T]) -> Result<Vec<T>> {
         if !inputs.len().is_multiple_of(self.widths[0]) {
-            bail!(SizeMismatch, "{} inputs are no whole number of rows of {}", inputs.len(), self.widths[0]);
+            bail!("{} inputs are no whole number of rows of {}", inputs.len(), self.widths[0]);
         }
         let mut pass = Pass::new(self, inputs.len() / self.widths[0], false);
         pass.forward(self, inputs);
@@ -158,14 +153,10 @@ impl<T: Real> Network<T> {
 
 fn check_widths(widths: &[usize]) -> Result<()> {
     if widths.len() < 2 || widths.len() > MAX_LAYERS + 1 {
-        bail!(
-            InvalidArgument,
-            "{} layers; between 1 and {MAX_LAYERS} are accepted",
-            widths.len().saturating_sub(1)
-        );
+        bail!("{} layers; between 1 and {MAX_LAYERS} are accepted", widths.len().saturating_sub(1));
     }
     if let Some(bad) = widths.iter().find(|&&w| w == 0 || w > MAX_WIDTH) {
-        bail!(InvalidArgument, "layer width {bad}; widths between 1 and {MAX_WIDTH} are accepted");
+        bail!("layer width {bad}; widths between 1 and {MAX_WIDTH} are accepted");
     }
     Ok(())
 }
@@ -174,7 +165,7 @@ fn check_widths(widths: &[usize]) -> Result<()> {
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let unit = |bits: u64| ((bits >> 11) as f64 + 0.5) * (1.0 / (1u64 << 53) as f64);
     let (u, v) = (unit(rng.next_u64()), unit(rng.next_u64()));
-    libm::sqrt(-2.0 * libm::log(u)) * libm::cos(core::f64::consts::TAU * v)
+    libm::sqrt(-2.0 * libm::log(u)) * libm::cos(std::f64::consts::TAU * v)
 }
 
 /// Buffers for some rows going through a network, and the gradient of their part of the loss.
@@ -221,9 +212,9 @@ impl<T: Real> Pass<T> {
             let x = before.last().map_or(inputs, Vec::as_slice);
             let y = &mut here[0];
             let weight = &network.parameters[span.weight()];
-            T::multiply(
-                Matrix::new(x, self.rows, span.inputs),
-                Matrix::new(weight, span.outputs, span.inputs).transposed(),
+            multiply(
+                matrix(x, self.rows, span.inputs),
+                matrix(weight, span.outputs, span.inputs).reversed_axes(),
                 y,
             );
             let bias = &network.parameters[span.bias()];
@@ -248,9 +239,9 @@ impl<T: Real> Pass<T> {
             let span = network.span(i);
             let x = if i == 0 { inputs } else { &self.activations[i - 1] };
             let delta = &self.delta[..self.rows * span.outputs];
-            T::multiply(
-                Matrix::new(delta, self.rows, span.outputs).transposed(),
-                Matrix::new(x, self.rows, span.inputs),
+            multiply(
+                matrix(delta, self.rows, span.outputs).reversed_axes(),
+                matrix(x, self.rows, span.inputs),
                 &mut self.gradient[span.weight()],
             );
             let bias = &mut self.gradient[span.bias()];
@@ -264,9 +255,9 @@ impl<T: Real> Pass<T> {
             });
             if i > 0 {
                 let next = &mut self.next_delta[..self.rows * span.inputs];
-                T::multiply(
-                    Matrix::new(delta, self.rows, span.outputs),
-                    Matrix::new(&network.parameters[span.weight()], span.outputs, span.inputs),
+                multiply(
+                    matrix(delta, self.rows, span.outputs),
+                    matrix(&network.parameters[span.weight()], span.outputs, span.inputs),
                     next,
                 );
                 // SELU's slope from its output y: λ where y > 0, else y + λα.
@@ -276,7 +267,7 @@ impl<T: Real> Pass<T> {
                         *d *= if *y > T::ZERO { scale } else { *y + floor };
                     }
                 });
-                core::mem::swap(&mut self.delta, &mut self.next_delta);
+                std::mem::swap(&mut self.delta, &mut self.next_delta);
             }
         }
     }

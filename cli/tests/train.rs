@@ -1,13 +1,11 @@
 //! Training against finite differences, against PyTorch, and as a whole.
-#![cfg(feature = "train")]
 
-use entire_core::ErrorKind;
-use entire_core::nn::Target;
-use entire_core::predict::LONGEST_FRAME;
-use entire_core::train::{
+use entire_cli::train::{
     Loss, Network, Progress, Samples, Settings, Standardization, Stop, Trainer, cosine_learning_rate,
     preset_widths, train,
 };
+use entire_core::nn::Target;
+use entire_core::predict::LONGEST_FRAME;
 use proptest::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::ops::ControlFlow;
@@ -221,8 +219,7 @@ fn times_that_no_frame_takes_are_refused() {
         let bad = Samples { inputs: &x, seconds: &t };
         for error in [trained(bad, NONE), trained(Samples { inputs: &vx, seconds: &vt }, bad)] {
             let error = error.unwrap_err();
-            assert_eq!(error.kind(), ErrorKind::InvalidArgument);
-            assert!(error.message().contains("frame 5"), "{error}");
+            assert!(error.to_string().contains("frame 5"), "{error}");
         }
     }
 }
@@ -427,7 +424,7 @@ fn presets_are_the_papers() {
     let big = preset_widths("12C256", 16).unwrap();
     assert_eq!(Network::<f32>::random(&big, 1).unwrap().parameters().len(), 837_633);
     for bad in ["", "C", "12", "xC256", "12C255", "12C16", "-1C256", "9999C256"] {
-        assert!(preset_widths(bad, 16).unwrap_err().message().contains("12C256"), "{bad}");
+        assert!(preset_widths(bad, 16).unwrap_err().to_string().contains("12C256"), "{bad}");
     }
 }
 
@@ -480,10 +477,11 @@ fn bad_input_is_refused_with_a_reason() {
     ];
     for (training, validation, change, expected) in cases {
         let error = attempt(training, validation, change);
-        assert!(error.message().contains(expected), "{expected}: {error}");
+        assert!(error.to_string().contains(expected), "{expected}: {error}");
     }
     for widths in [&[][..], &[3], &[3, 0, 1], &[70_000, 1]] {
-        assert_eq!(Network::<f32>::random(widths, 1).unwrap_err().kind(), ErrorKind::InvalidArgument);
+        let error = Network::<f32>::random(widths, 1).unwrap_err().to_string();
+        assert!(error.contains("are accepted"), "{error}");
     }
     assert!(Trainer::new(Network::<f32>::random(&[2, 2], 1).unwrap(), Loss::SquaredError, 1.0).is_err());
     assert!(Network::from_layers(2, &[(&[1.0f32; 5][..], &[0.0; 2][..])]).is_err());

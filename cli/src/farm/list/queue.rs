@@ -1,10 +1,7 @@
 //! A dynamic queue: whichever node is free takes the next task.
 
-use super::check;
-use crate::Result;
-use crate::error::bail;
-use alloc::vec;
-use alloc::vec::Vec;
+use anyhow::{Result, bail, ensure};
+use entire_core::schedule::longest_first;
 
 /// When and where a task ran.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,17 +27,17 @@ pub struct Timeline {
 
 /// Plays a queue: tasks leave it in `order`, each to the node that is free first (of several, the fastest).
 /// `times` are the true ones; the order is all that prediction decides. Arrival order is `0..n`,
-/// predicted-longest-first comes from [`super::longest_first`]. Every dispatch costs `dispatch` seconds of
+/// predicted-longest-first comes from [`longest_first`]. Every dispatch costs `dispatch` seconds of
 /// the node.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] for unusable times, speeds or dispatch cost, or an order that is not
+/// For unusable times, speeds or dispatch cost, or an order that is not
 /// a permutation of the tasks.
 pub fn simulate_queue(order: &[usize], times: &[f64], speeds: &[f64], dispatch: f64) -> Result<Timeline> {
     check(times, speeds)?;
     check_order(order, times.len())?;
     if !(dispatch.is_finite() && dispatch >= 0.0) {
-        bail!(InvalidArgument, "the dispatch cost is {dispatch} seconds; it must be finite and not negative");
+        bail!("the dispatch cost is {dispatch} seconds; it must be finite and not negative");
     }
     let mut free = vec![0.0f64; speeds.len()];
     let mut spans = Vec::with_capacity(order.len());
@@ -55,6 +52,17 @@ pub fn simulate_queue(order: &[usize], times: &[f64], speeds: &[f64], dispatch: 
     Ok(Timeline { spans, makespan })
 }
 
+/// Times must be finite and not negative, speeds finite and positive.
+pub(super) fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
+    ensure!(!speeds.is_empty(), "there are no nodes; at least one is needed");
+    if let Some((node, speed)) = speeds.iter().enumerate().find(|(_, s)| !(s.is_finite() && **s > 0.0)) {
+        bail!("the speed of node {node} is {speed}; it must be finite and positive");
+    }
+    // The order itself is not asked for, what it says of a time that cannot be one is.
+    longest_first(times)?;
+    Ok(())
+}
+
 pub(super) fn first_free(free: &[f64], speeds: &[f64]) -> usize {
     let earlier = |&a: &usize, &b: &usize| free[a].total_cmp(&free[b]).then(speeds[b].total_cmp(&speeds[a]));
     (0..free.len()).min_by(earlier).unwrap_or(0)
@@ -65,12 +73,12 @@ pub(super) fn check_order(order: &[usize], tasks: usize) -> Result<()> {
     for &task in order {
         match seen.get_mut(task) {
             Some(slot) if !*slot => *slot = true,
-            Some(_) => bail!(InvalidArgument, "the order holds task {task} twice"),
-            None => bail!(InvalidArgument, "the order holds task {task}, there are {tasks} tasks"),
+            Some(_) => bail!("the order holds task {task} twice"),
+            None => bail!("the order holds task {task}, there are {tasks} tasks"),
         }
     }
     if order.len() != tasks {
-        bail!(InvalidArgument, "the order holds {} of {tasks} tasks; it must hold each once", order.len());
+        bail!("the order holds {} of {tasks} tasks; it must hold each once", order.len());
     }
     Ok(())
 }

@@ -1,20 +1,14 @@
 //! The numbers a network is trained in: `f32` for use, `f64` to check it.
 
-use crate::nn::{SELU_ALPHA, SELU_SCALE};
-use core::fmt::{Debug, Display};
-use core::iter::Sum;
-use core::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
-
-mod sealed {
-    pub trait Sealed: crate::kernels::matmul::MatrixElement {}
-    impl Sealed for f32 {}
-    impl Sealed for f64 {}
-}
+use super::matmul::level;
+use entire_core::nn::{SELU_ALPHA, SELU_SCALE, selu};
+use std::fmt::{Debug, Display};
+use std::iter::Sum;
+use std::ops::{AddAssign, MulAssign, Neg, SubAssign};
 
 /// `f32` or `f64`.
 pub trait Real:
-    sealed::Sealed
-    + Copy
+    ndarray::LinalgScalar
     + Default
     + PartialOrd
     + Debug
@@ -23,14 +17,9 @@ pub trait Real:
     + Sync
     + Sum
     + Neg<Output = Self>
-    + Add<Output = Self>
-    + Sub<Output = Self>
-    + Mul<Output = Self>
-    + Div<Output = Self>
     + AddAssign
     + SubAssign
     + MulAssign
-    + 'static
 {
     /// 0.
     const ZERO: Self;
@@ -86,7 +75,7 @@ impl Real for f32 {
         self.is_finite()
     }
     fn selu(values: &mut [Self]) {
-        crate::kernels::matmul::selu_f32(values);
+        selu(level(), values);
     }
 }
 

@@ -1,12 +1,9 @@
 //! One step of training: gradients over the batch in parallel, clipping, Adam, the cosine learning rate.
 
+use super::matmul::vectorized;
 use super::network::{Network, Pass};
 use super::{Loss, Real};
-use crate::Result;
-use crate::error::bail;
-use crate::kernels::matmul::vectorized;
-use alloc::vec;
-use alloc::vec::Vec;
+use anyhow::{Result, bail};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
@@ -26,7 +23,7 @@ const PARAMETERS_PER_TASK: usize = 8192;
 /// The learning rate after `step` of `steps` steps: a half cosine from `first` to `last`.
 pub fn cosine_learning_rate(first: f64, last: f64, step: u64, steps: u64) -> f64 {
     let t = if steps == 0 { 1.0 } else { (step as f64 / steps as f64).min(1.0) };
-    last + 0.5 * (first - last) * (1.0 + libm::cos(core::f64::consts::PI * t))
+    last + 0.5 * (first - last) * (1.0 + libm::cos(std::f64::consts::PI * t))
 }
 
 /// What one step did.
@@ -56,22 +53,15 @@ impl<T: Real> Trainer<T> {
     /// clipping.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] when the network has more than one output, or a setting is out
+    /// When the network has more than one output, or a setting is out
     /// of range.
     pub fn new(network: Network<T>, loss: Loss, clip_norm: f64) -> Result<Self> {
         loss.check()?;
         if network.widths().last() != Some(&1) {
-            bail!(
-                InvalidArgument,
-                "the network has {:?} widths; the last must be 1 (seconds)",
-                network.widths()
-            );
+            bail!("the network has {:?} widths; the last must be 1 (seconds)", network.widths());
         }
         if clip_norm.is_nan() || clip_norm <= 0.0 {
-            bail!(
-                InvalidArgument,
-                "gradient clipping norm is {clip_norm}; it must be positive (infinity for none)"
-            );
+            bail!("gradient clipping norm is {clip_norm}; it must be positive (infinity for none)");
         }
         let n = network.parameters().len();
         Ok(Self {
@@ -100,7 +90,7 @@ impl<T: Real> Trainer<T> {
     /// weight a row. Equal bits for any number of threads.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::SizeMismatch`] when the numbers of inputs, targets and weights do not fit, or are
+    /// When the numbers of inputs, targets and weights do not fit, or are
     /// 0.
     pub fn evaluate(
         &mut self,
@@ -112,7 +102,6 @@ impl<T: Real> Trainer<T> {
         let (width, rows) = (self.network.widths()[0], targets.len());
         if rows == 0 || inputs.len() != rows * width || weights.len() != rows {
             bail!(
-                SizeMismatch,
                 "batch of {} inputs, {rows} targets and {} weights; {width} inputs, 1 target and 1 weight \
                  per row are needed",
                 inputs.len(),

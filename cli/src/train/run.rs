@@ -3,16 +3,13 @@
 
 use super::optimizer::{cosine_learning_rate, predict};
 use super::{Loss, Network, Real, Trainer};
-use crate::Result;
-use crate::error::bail;
-use crate::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
-use crate::predict::LONGEST_FRAME;
-use alloc::vec;
-use alloc::vec::Vec;
-use core::ops::ControlFlow;
+use anyhow::{Result, bail};
+use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
+use entire_core::predict::LONGEST_FRAME;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::ThreadPool;
+use std::ops::ControlFlow;
 
 /// The target of a frame that took this long.
 fn target_of(target: Target, seconds: f64) -> f64 {
@@ -43,7 +40,6 @@ impl Samples<'_> {
     fn check(&self, what: &str, width: usize) -> Result<()> {
         if self.inputs.len() != self.seconds.len() * width {
             bail!(
-                SizeMismatch,
                 "{what}: {} inputs for {} frames; {width} per frame are needed",
                 self.inputs.len(),
                 self.seconds.len()
@@ -51,7 +47,6 @@ impl Samples<'_> {
         }
         if let Some(i) = self.inputs.iter().position(|v| !v.is_finite()) {
             bail!(
-                InvalidArgument,
                 "{what}: input {} of frame {} is {}; inputs must be finite",
                 i % width,
                 i / width,
@@ -61,7 +56,6 @@ impl Samples<'_> {
         let longest = f64::from(LONGEST_FRAME);
         if let Some(i) = self.seconds.iter().position(|t| !(*t > 0.0 && *t <= longest)) {
             bail!(
-                InvalidArgument,
                 "{what}: frame {i} took {} seconds; times must be positive and at most {longest}: check their unit, or leave \
                  the frame out",
                 self.seconds[i]
@@ -115,20 +109,18 @@ impl Settings {
     fn check(&self) -> Result<()> {
         for (name, value) in [("epochs", self.epochs), ("batch", self.batch), ("patience", self.patience)] {
             if value == 0 {
-                bail!(InvalidArgument, "{name} is 0; it must be at least 1");
+                bail!("{name} is 0; it must be at least 1");
             }
         }
         let (first, last) = (self.learning_rate, self.final_learning_rate);
         if !(first.is_finite() && first > 0.0 && last.is_finite() && last >= 0.0) {
             bail!(
-                InvalidArgument,
                 "learning rate goes from {first} to {last}; both must be finite, the first positive, the \
                  last not negative"
             );
         }
         if self.loss == Loss::Relative && self.target == Target::LogSeconds {
             bail!(
-                InvalidArgument,
                 "the relative loss needs the target seconds; with log_seconds the squared error is relative \
                  already"
             );
@@ -184,7 +176,7 @@ impl Standardization {
 
     /// What a model brings: its normalization where it has one, else none.
     pub fn of(parts: &PredNetParts) -> Self {
-        let mut out = Self::identity(parts.inputs());
+        let mut out = Self::identity(parts.layers.first().map_or(0, |layer| layer.inputs));
         if let Some(Normalization { mean, std }) = &parts.input {
             out.input_mean.clone_from(mean);
             out.input_std.clone_from(std);
@@ -212,7 +204,6 @@ impl Standardization {
     fn check(&self, width: usize) -> Result<()> {
         if self.input_mean.len() != width || self.input_std.len() != width {
             bail!(
-                SizeMismatch,
                 "standardization of {} means and {} deviations for {width} inputs",
                 self.input_mean.len(),
                 self.input_std.len()
@@ -222,10 +213,7 @@ impl Standardization {
         if all.into_iter().any(|v| !v.is_finite())
             || self.input_std.iter().chain([&self.output_std]).any(|s| *s <= 0.0)
         {
-            bail!(
-                InvalidArgument,
-                "standardization holds a mean that is not finite or a deviation that is not positive"
-            );
+            bail!("standardization holds a mean that is not finite or a deviation that is not positive");
         }
         Ok(())
     }
@@ -242,19 +230,18 @@ fn deviation(variance: f64, mean: f64) -> f32 {
 /// to 16 is taken.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] for any other text.
+/// For any other text.
 pub fn preset_widths(preset: &str, inputs: usize) -> Result<Vec<usize>> {
     let parts = preset.split_once(['C', 'c']).and_then(|(n, w)| Some((n.parse().ok()?, w.parse().ok()?)));
     let Some((layers, width)): Option<(usize, usize)> = parts
         .filter(|&(n, w): &(usize, usize)| n <= 1000 && (32..=65_536).contains(&w) && w.is_power_of_two())
     else {
         bail!(
-            InvalidArgument,
             "preset {preset:?}; <layers>C<width> is expected, width a power of two from 32 on, as in 12C256"
         );
     };
     let mut widths = vec![inputs];
-    widths.extend(core::iter::repeat_n(width, layers + 1));
+    widths.extend(std::iter::repeat_n(width, layers + 1));
     let mut next = width / 2;
     while next >= 16 {
         widths.push(next);
@@ -357,11 +344,11 @@ impl<T: Real> Trained<T> {
     /// Seconds for rows of inputs (not standardized), in parallel.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::SizeMismatch`] when the inputs are no whole number of rows.
+    /// When the inputs are no whole number of rows.
     pub fn predict(&self, pool: &ThreadPool, inputs: &[f32]) -> Result<Vec<f64>> {
         let width = self.network.widths()[0];
         if !inputs.len().is_multiple_of(width) {
-            bail!(SizeMismatch, "{} inputs are no whole number of rows of {width}", inputs.len());
+            bail!("{} inputs are no whole number of rows of {width}", inputs.len());
         }
         let s = &self.standardization;
         Ok(predict(pool, &self.network, &s.inputs::<T>(inputs))
@@ -401,8 +388,7 @@ fn prepare<T: Real>(samples: Samples<'_>, s: &Standardization, settings: &Settin
 /// the run by [`ControlFlow::Break`]; the weights at that moment then take part in the choice of the best.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] for settings out of range, frames that are not finite, or no frame
-/// at all; [`crate::ErrorKind::SizeMismatch`] where sizes do not fit.
+/// For settings out of range, frames that are not finite, no frame at all, or where sizes do not fit.
 pub fn train<T: Real>(
     pool: &ThreadPool,
     network: Network<T>,
@@ -418,7 +404,7 @@ pub fn train<T: Real>(
     validation.check("validation frames", width)?;
     let frames = training.seconds.len();
     if frames == 0 {
-        bail!(InvalidArgument, "there are no training frames");
+        bail!("there are no training frames");
     }
     let standardization = match standardization {
         Some(given) => {

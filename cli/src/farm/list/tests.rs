@@ -1,0 +1,119 @@
+//! Task lists, and what the simulated queues promise.
+
+use super::*;
+use entire_core::schedule::lower_bound;
+use proptest::prelude::*;
+
+fn ones(n: usize) -> Vec<f64> {
+    vec![1.0; n]
+}
+
+fn list(text: &str, name: &str) -> Result<Vec<Task>> {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join(name);
+    std::fs::write(&file, text).unwrap();
+    read_tasks(&file)
+}
+
+#[test]
+fn lists_are_read_in_both_forms_and_every_mistake_is_named() {
+    let csv = list("task,predicted_s,measured_s,volume,load_s\na,1,2,v,0.5\n,3,,,0\n", "t.csv").unwrap();
+    assert_eq!((csv[0].predicted_s, csv[0].measured_s, csv[0].load_s), (Some(1.0), Some(2.0), 0.5));
+    assert_eq!((csv[1].task.as_str(), csv[1].measured_s), ("1", None));
+    let few = list("predicted_s\n1\n2\n", "t.csv").unwrap();
+    assert_eq!(few.len(), 2);
+    let json = list(r#"[{"predicted_s": 1.5, "volume": "v"}]"#, "t.json").unwrap();
+    assert_eq!((json[0].predicted_s, json[0].volume.as_str()), (Some(1.5), "v"));
+    for (text, name, expected) in [
+        ("predicted_s\n-1\n", "t.csv", "predicted_s is -1"),
+        ("predicted_s\nNaN\n", "t.csv", "predicted_s is NaN"),
+        ("predicted_s\nx\n", "t.csv", "invalid float"),
+        ("task\na\n", "t.csv", "neither predicted_s nor measured_s"),
+        ("predicted_s,speed\n1,2\n", "t.csv", "unknown field"),
+        ("predicted_s\n", "t.csv", "no task"),
+        ("[]", "t.json", "no task"),
+        ("{", "t.json", "task list"),
+    ] {
+        let message = format!("{:#}", list(text, name).unwrap_err());
+        assert!(message.contains(expected), "{text:?}: {message}");
+    }
+}
+
+#[test]
+fn a_queue_is_as_long_as_its_longest_task_where_that_goes_first() {
+    let mut times = vec![1.0; 20];
+    times[19] = 100.0;
+    let arrival: Vec<usize> = (0..20).collect();
+    assert!(simulate_queue(&arrival, &times, &ones(8), 0.0).unwrap().makespan > 100.0);
+    let order = longest_first(&times).unwrap();
+    assert_eq!(simulate_queue(&order, &times, &ones(8), 0.0).unwrap().makespan, 100.0);
+}
+
+#[test]
+fn affinity_saves_loads() {
+    let tasks: Vec<AffinityTask> =
+        (0..24).map(|i| AffinityTask { volume: i % 3, seconds: 1.0, load: 10.0 }).collect();
+    let order: Vec<usize> = (0..24).collect();
+    let plain = simulate_affinity(&order, &tasks, &ones(3), 1).unwrap().makespan;
+    let near = simulate_affinity(&order, &tasks, &ones(3), 24).unwrap().makespan;
+    assert!(near <= 18.0 && plain >= near, "{plain} {near}");
+    let loaded = [AffinityTask { volume: 0, seconds: 2.0, load: 5.0 }];
+    assert_eq!(simulate_affinity(&[0], &loaded, &[2.0], 1).unwrap().makespan, 6.0);
+}
+
+#[test]
+fn nonsense_is_refused() {
+    for order in [&[0, 0][..], &[0][..], &[0, 2][..]] {
+        assert!(simulate_queue(order, &[1.0, 2.0], &[1.0], 0.0).is_err(), "{order:?}");
+    }
+    assert!(simulate_queue(&[0], &[1.0], &[1.0], f64::NAN).is_err());
+    let task = AffinityTask { volume: 0, seconds: 1.0, load: f64::INFINITY };
+    assert!(simulate_affinity(&[0], &[task], &[1.0], 1).is_err());
+    assert!(simulate_affinity(&[0], &[AffinityTask { load: 0.0, ..task }], &[1.0], 0).is_err());
+    for (times, speeds) in [(&[f64::NAN][..], &[1.0][..]), (&[-1.0], &[1.0]), (&[1.0], &[0.0]), (&[1.0], &[])]
+    {
+        assert!(simulate_queue(&[0], times, speeds, 0.0).is_err(), "{times:?} {speeds:?}");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn queues_keep_their_promises(
+        times in prop::collection::vec(0.0f64..10.0, 0..60),
+        guesses in prop::collection::vec(0.0f64..10.0, 60),
+        speeds in prop::collection::vec(0.2f64..4.0, 1..8),
+        dispatch in 0.0f64..0.5,
+    ) {
+        let order = longest_first(&guesses[..times.len()]).unwrap();
+        let line = simulate_queue(&order, &times, &speeds, dispatch).unwrap();
+        let bound = lower_bound(&times, &speeds).unwrap();
+        prop_assert!(line.makespan >= bound * (1.0 - 1e-12));
+        // Every task once, no node in two places, none idle while tasks wait.
+        let mut seen = vec![false; times.len()];
+        for s in &line.spans {
+            prop_assert!(!std::mem::replace(&mut seen[s.task], true));
+            prop_assert!((s.end - s.start - dispatch - times[s.task] / speeds[s.node]).abs() < 1e-9);
+        }
+        for node in 0..speeds.len() {
+            let mut at = 0.0;
+            for s in line.spans.iter().filter(|s| s.node == node) {
+                prop_assert!(s.start == at);
+                at = s.end;
+            }
+        }
+        // Doubling the queue never shortens it.
+        let doubled: Vec<f64> = times.iter().chain(&times).copied().collect();
+        let twice: Vec<usize> = order.iter().copied().chain(order.iter().map(|t| t + times.len())).collect();
+        prop_assert!(simulate_queue(&twice, &doubled, &speeds, dispatch).unwrap().makespan >= line.makespan);
+    }
+
+    #[test]
+    fn more_equal_nodes_never_take_longer(times in prop::collection::vec(0.0f64..10.0, 1..60), nodes in 1usize..12) {
+        let order = longest_first(&times).unwrap();
+        let few = simulate_queue(&order, &times, &ones(nodes), 0.0).unwrap().makespan;
+        let more = simulate_queue(&order, &times, &ones(nodes + 1), 0.0).unwrap().makespan;
+        prop_assert!(more <= few * (1.0 + 1e-12));
+    }
+}

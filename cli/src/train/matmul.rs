@@ -1,0 +1,58 @@
+//! Matrix products over slices, and plain loops compiled for this CPU.
+
+use entire_core::nn::Level;
+use ndarray::{ArrayView2, ArrayViewMut2, LinalgScalar, linalg::general_mat_mul};
+use std::sync::OnceLock;
+
+/// This CPU's best level, asked for once.
+pub(super) fn level() -> Level {
+    static LEVEL: OnceLock<Level> = OnceLock::new();
+    *LEVEL.get_or_init(Level::detect)
+}
+
+/// Runs a small closure of plain loops (see [`Level::vectorize`]).
+#[inline(always)]
+pub(super) fn vectorized<R>(loops: impl FnOnce() -> R) -> R {
+    level().vectorize(loops)
+}
+
+/// A matrix in a slice: `rows` × `columns`, rows one after the other.
+///
+/// # Panics
+/// When the slice is shorter than that.
+pub(super) fn matrix<T>(data: &[T], rows: usize, columns: usize) -> ArrayView2<'_, T> {
+    ArrayView2::from_shape((rows, columns), &data[..rows * columns]).expect("as many elements as the shape")
+}
+
+/// out ← a · b, `out` by rows.
+///
+/// # Panics
+/// When the inner sizes differ or `out` is not rows(a) × columns(b) long.
+pub(super) fn multiply<T: LinalgScalar>(a: ArrayView2<'_, T>, b: ArrayView2<'_, T>, out: &mut [T]) {
+    let mut product =
+        ArrayViewMut2::from_shape((a.nrows(), b.ncols()), out).expect("as many elements as the product");
+    general_mat_mul(T::one(), &a, &b, T::zero(), &mut product);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn products_of_plain_and_transposed_matrices() {
+        let a = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0f64]; // 2 x 3
+        let b = [1.0, 0.0, -1.0, 2.0, 0.5, 1.0]; // 3 x 2
+        let mut out = [f64::NAN; 4];
+        multiply(matrix(&a, 2, 3), matrix(&b, 3, 2), &mut out);
+        assert_eq!(out, [0.5, 7.0, 2.0, 16.0]);
+        let mut out = [f64::NAN; 9];
+        multiply(matrix(&a, 2, 3).reversed_axes(), matrix(&b, 3, 2).reversed_axes(), &mut out);
+        assert_eq!(out, [1.0, 7.0, 4.5, 2.0, 8.0, 6.0, 3.0, 9.0, 7.5]);
+    }
+
+    #[test]
+    #[should_panic(expected = "as many elements as the product")]
+    fn sizes_must_fit() {
+        multiply(matrix(&[0.0f32; 4], 2, 2), matrix(&[0.0; 2], 2, 1), &mut [0.0; 3]);
+    }
+}

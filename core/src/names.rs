@@ -1,0 +1,24 @@
+//! Names of the variants of an enum: the one table behind `Display` and `&'static str`.
+
+macro_rules! names {
+    ($type:ty: $($variant:ident $name:literal,)*) => {
+        impl $type {
+            pub(crate) const fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name,)* }
+            }
+        }
+
+        impl From<$type> for &'static str {
+            fn from(value: $type) -> Self {
+                value.name()
+            }
+        }
+
+        impl core::fmt::Display for $type {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+                f.write_str(self.name())
+            }
+        }
+    };
+}
+pub(crate) use names;
