@@ -91,9 +91,9 @@ mod tests {
     fn cold_and_warm_loads_are_told_apart() {
         let bytes = vec![1e6, 2e6, 5e6, 9e6];
         let mut loads = Loads::new(bytes.clone(), true);
-        for v in 0..3 {
-            loads.observe(v, false, 0.5 + 2e-7 * bytes[v]);
-            loads.observe(v, true, 1e-8 * bytes[v]);
+        for (v, size) in bytes.iter().enumerate().take(3) {
+            loads.observe(v, false, 0.5 + 2e-7 * size);
+            loads.observe(v, true, 1e-8 * size);
         }
         // The fourth volume was never loaded.
         assert!((loads.seconds(3, false) - (0.5 + 1.8)).abs() < 1e-9);

@@ -116,14 +116,16 @@ pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
         (inputs, seconds)
     };
     let ((inputs, seconds), (judge_inputs, judge_seconds)) = (collect(false), collect(true));
-    let mut settings = Settings::default();
-    settings.epochs = 600;
-    settings.batch = 32;
-    settings.learning_rate = 3e-3;
-    settings.final_learning_rate = 3e-5;
-    settings.patience = 120;
-    settings.target = Target::LogSeconds;
-    settings.seed = seed;
+    let settings = Settings {
+        epochs: 600,
+        batch: 32,
+        learning_rate: 3e-3,
+        final_learning_rate: 3e-5,
+        patience: 120,
+        target: Target::LogSeconds,
+        seed,
+        ..Settings::default()
+    };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().context("cannot start a thread")?;
     let widths = [features.len(), HIDDEN[0], HIDDEN[1], 1];
     let trained = train(
