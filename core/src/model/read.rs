@@ -107,7 +107,7 @@ impl Source<'_> {
             None => bail!(
                 InvalidModel,
                 "the metadata lacks {:?}, expected {:?}: this is not a model of ours, or it was saved without metadata",
-                Key::Format,
+                Key::Format.name(),
                 FORMAT
             ),
         }
