@@ -13,26 +13,66 @@ pub const CORRELATION_LENGTH: f32 = 2.0;
 /// Opacities are capped here where extinction (−ln(1 − α)) is formed.
 const MAX_OPACITY: f32 = 1.0 - 1.0e-6;
 
-/// A cell as the ray probe meets it.
+/// What a cell does to a ray that crosses it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Cell {
+pub(super) struct Optics {
     /// Extinction per reference step.
     pub(super) extinction: f32,
-    /// Share of the cell's blocks that are not empty; 0 where a renderer skips it whole.
-    pub(super) occupied: f32,
     /// Share of the cell's values with any opacity.
     pub(super) visible: f32,
+    /// Share of the cell's blocks that are not empty.
+    pub(super) occupied: f32,
+    /// The edit that the three were computed for; those of another edit are stale.
+    edit: u32,
 }
 
+/// Numbers of an [`Optics`]: extinction, visible, occupied, edit, each as its bits.
+pub(super) const OPTICS_WORDS: usize = 4;
+
+type OpticsWords = [u32; OPTICS_WORDS];
+
+impl Optics {
+    fn from_words(words: OpticsWords) -> Self {
+        Self {
+            extinction: f32::from_bits(words[0]),
+            visible: f32::from_bits(words[1]),
+            occupied: f32::from_bits(words[2]),
+            edit: words[3],
+        }
+    }
+
+    fn words(self) -> OpticsWords {
+        [self.extinction.to_bits(), self.visible.to_bits(), self.occupied.to_bits(), self.edit]
+    }
+}
+
+/// Runs of visible table entries up to which cells are compared with each run, many cells at a time; with more, each
+/// cell is looked up in a prefix table.
+const MAX_RANGES: usize = 8;
+
 /// Emptiness and extinction of each cell of a volume under a transfer function.
-#[derive(Clone, Debug, PartialEq)]
+///
+/// An edit decides at once which cells are empty. What a cell that is not empty does to a ray is computed when a ray first
+/// meets the cell, and kept until the next edit: an edit costs what its frame looks at, not what the volume holds.
+#[derive(Clone, Debug)]
 pub struct TransferSummary {
-    cells: Vec<Cell>,
+    /// A bit per cell, 32 in a word: 0 where a renderer skips the cell whole.
+    bits: Vec<u32>,
+    /// Share of each cell's blocks that are not empty, where cells hold several blocks; else nothing.
+    occupied: Vec<f32>,
+    /// An [`Optics`] per cell, as words: packets of rays gather from them.
+    optics: Vec<OpticsWords>,
+    edit: u32,
+    /// Table entries with opacity below each entry.
+    opaque: [u16; TABLE_LEN + 1],
+    /// Sum of transmittances over the correlation length below each entry. In double precision: differences of sums near
+    /// 256 must resolve transmittances near 1e-12.
+    transmittance: [f64; TABLE_LEN + 1],
     grid: [usize; 3],
     /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
     distance: Vec<u8>,
     distance_ready: bool,
-    /// Working memory for two lines of cells.
+    /// Working memory: flags of blocks, or two lines of cells.
     line: Vec<u8>,
     occupied_share: f32,
     mean_opacity: f32,
@@ -45,12 +85,15 @@ pub struct TransferSummary {
 impl TransferSummary {
     /// Applies a table to a volume.
     pub fn new(volume: &VolumeSummary, table: &TransferTable) -> Self {
-        let n = volume.stats().len();
-        let blank = Cell { extinction: 0.0, occupied: 0.0, visible: 0.0 };
         let mut summary = Self {
-            cells: vec![blank; n],
+            bits: Vec::new(),
+            occupied: Vec::new(),
+            optics: Vec::new(),
+            edit: 0,
+            opaque: [0; TABLE_LEN + 1],
+            transmittance: [0.0; TABLE_LEN + 1],
             grid: volume.cells(),
-            distance: vec![0; n],
+            distance: Vec::new(),
             distance_ready: false,
             line: Vec::new(),
             occupied_share: 0.0,
@@ -67,27 +110,44 @@ impl TransferSummary {
     /// Applies another table, or the table to another volume. Allocates only when the volume has more cells than any
     /// before it.
     pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) {
-        let n = volume.stats().len();
-        self.cells.resize(n, Cell { extinction: 0.0, occupied: 0.0, visible: 0.0 });
+        let n = volume.cell_count();
+        self.bits.resize(n.div_ceil(32), 0);
+        self.occupied.resize(if volume.first_blocks().is_some() { n } else { 0 }, 0.0);
+        self.optics.resize(n, [0; OPTICS_WORDS]);
         self.distance.resize(n, 0);
         let longest = volume.cells().into_iter().max().unwrap_or(1);
-        self.line.resize(2 * longest.max(self.line.len() / 2), 0);
+        let room = (2 * longest).max(n).max(volume.block_bounds().0.len());
+        if self.line.len() < room {
+            self.line.resize(room, 0);
+        }
         self.grid = volume.cells();
         self.distance_ready = false;
+        self.edit = self.edit.wrapping_add(1);
+        if self.edit == 0 {
+            // The count of edits began anew: whatever is kept could be taken for present.
+            self.optics.fill([0; OPTICS_WORDS]);
+            self.edit = 1;
+        }
+        self.read_table(volume, table);
+        self.classify(volume);
+    }
 
-        // Prefix tables: entries with opacity, and transmittance over the correlation length.
-        let mut opaque = [0u16; TABLE_LEN + 1];
-        // In double precision: differences of sums near 256 must resolve transmittances near 1e-12.
-        let mut transmittance = [0.0f64; TABLE_LEN + 1];
+    /// Prefix tables, and what follows from the table and the volume's histogram alone.
+    fn read_table(&mut self, volume: &VolumeSummary, table: &TransferTable) {
         let ratio = CORRELATION_LENGTH / table.unit_distance();
         let (mut mean, mut square, mut extinction, mut shown) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
         self.max_opacity = 0.0;
         for (i, entry) in table.rgba().iter().enumerate() {
             let counts = table.is_visible(i);
             let alpha = if counts { entry[3] } else { 0.0 };
-            let log = libm::log1pf(-alpha.min(MAX_OPACITY));
-            opaque[i + 1] = opaque[i] + u16::from(counts);
-            transmittance[i + 1] = transmittance[i] + f64::from(libm::expf(ratio * log));
+            let (log, through) = if counts {
+                let log = libm::log1pf(-alpha.min(MAX_OPACITY));
+                (log, libm::expf(ratio * log))
+            } else {
+                (0.0, 1.0)
+            };
+            self.opaque[i + 1] = self.opaque[i] + u16::from(counts);
+            self.transmittance[i + 1] = self.transmittance[i] + f64::from(through);
             let share = f64::from(volume.histogram()[i]);
             mean += share * f64::from(alpha);
             square += share * f64::from(alpha) * f64::from(alpha);
@@ -99,34 +159,122 @@ impl TransferSummary {
         self.mean_square_opacity = square as f32;
         self.mean_extinction = extinction as f32;
         self.visible_share = shown as f32;
+    }
 
-        let mut occupied_sum = 0.0f64;
-        for (index, (cell, stats)) in self.cells.iter_mut().zip(volume.stats()).enumerate() {
-            let is_empty = |low: u8, high: u8| opaque[usize::from(high) + 1] == opaque[usize::from(low)];
-            if is_empty(stats.low, stats.high) {
-                *cell = Cell { extinction: 0.0, occupied: 0.0, visible: 0.0 };
-                continue;
+    /// Which cells are empty, and what share of the others' blocks is not.
+    fn classify(&mut self, volume: &VolumeSummary) {
+        let (low, high) = volume.cell_ranges();
+        let n = low.len();
+        let mut ranges = [(0u8, 0u8); MAX_RANGES];
+        let ranges = self.visible_ranges(&mut ranges);
+        let mut sum = 0.0f64;
+        match volume.first_blocks() {
+            None => {
+                let flags = &mut self.line[..n];
+                flag(low, high, ranges, &self.opaque, flags);
+                // 128 flags at most: their sum fits a byte.
+                let count: u64 = flags.chunks(128).map(|f| u64::from(f.iter().copied().sum::<u8>())).sum();
+                sum = count as f64;
+                pack(flags, &mut self.bits);
             }
-            cell.occupied = match volume.blocks_of(index) {
-                None => 1.0,
-                Some(blocks) => {
-                    let full = blocks.iter().filter(|b| !is_empty(b[0], b[1])).count();
-                    full as f32 / blocks.len() as f32
+            Some(first) => {
+                let (block_low, block_high) = volume.block_bounds();
+                let flags = &mut self.line[..block_low.len()];
+                flag(block_low, block_high, ranges, &self.opaque, flags);
+                for (occupied, range) in self.occupied.iter_mut().zip(first.windows(2)) {
+                    let flags = &flags[range[0] as usize..range[1] as usize];
+                    let full = match <[u8; 8]>::try_from(flags) {
+                        // Eight flags of 0 or 1: the product's highest byte is their sum.
+                        Ok(eight) => {
+                            (u64::from_le_bytes(eight).wrapping_mul(0x0101_0101_0101_0101) >> 56) as usize
+                        }
+                        Err(_) => flags.iter().map(|&f| usize::from(f)).sum(),
+                    };
+                    *occupied = if full == 0 { 0.0 } else { full as f32 / flags.len() as f32 };
+                    sum += f64::from(*occupied);
                 }
-            };
-            occupied_sum += f64::from(cell.occupied);
-            let (mut t, mut v) = (0.0f32, 0.0f32);
-            for pair in stats.quantiles.windows(2) {
-                let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
-                let inverse = RECIPROCAL[b - a];
-                t += (transmittance[b + 1] - transmittance[a]) as f32 * inverse;
-                v += f32::from(opaque[b + 1] - opaque[a]) * inverse;
+                let flags = &mut self.line[..n];
+                for (flag, &occupied) in flags.iter_mut().zip(&self.occupied) {
+                    *flag = u8::from(occupied > 0.0);
+                }
+                pack(flags, &mut self.bits);
             }
-            let t = (t * (1.0 / super::QUANTILES as f32)).clamp(1.0e-12, 1.0);
-            cell.visible = (v * (1.0 / super::QUANTILES as f32)).clamp(0.0, 1.0);
-            cell.extinction = -libm::logf(t) * (1.0 / CORRELATION_LENGTH);
         }
-        self.occupied_share = (occupied_sum / n as f64) as f32;
+        self.occupied_share = (sum / n as f64) as f32;
+    }
+
+    /// The runs of visible entries as (first, last), or `None` where there are more than [`MAX_RANGES`].
+    fn visible_ranges<'a>(&self, out: &'a mut [(u8, u8); MAX_RANGES]) -> Option<&'a [(u8, u8)]> {
+        let mut len = 0;
+        let mut open = false;
+        for i in 0..TABLE_LEN {
+            let visible = self.opaque[i + 1] > self.opaque[i];
+            if visible && !open {
+                if len == MAX_RANGES {
+                    return None;
+                }
+                out[len] = (i as u8, i as u8);
+                len += 1;
+            } else if visible {
+                out[len - 1].1 = i as u8;
+            }
+            open = visible;
+        }
+        Some(&out[..len])
+    }
+
+    /// What a cell that is not empty does to a ray.
+    #[inline(always)]
+    pub(super) fn optics(&mut self, volume: &VolumeSummary, cell: usize) -> Optics {
+        let known = Optics::from_words(self.optics[cell]);
+        if known.edit == self.edit { known } else { self.compute(volume, cell) }
+    }
+
+    /// The same, computed anew and kept.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn compute(&mut self, volume: &VolumeSummary, cell: usize) -> Optics {
+        let (mut t, mut v) = (0.0f32, 0.0f32);
+        for pair in volume.quantiles(cell).windows(2) {
+            let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
+            let inverse = RECIPROCAL[b - a];
+            t += (self.transmittance[b + 1] - self.transmittance[a]) as f32 * inverse;
+            v += f32::from(self.opaque[b + 1] - self.opaque[a]) * inverse;
+        }
+        let t = (t * (1.0 / super::QUANTILES as f32)).clamp(1.0e-12, 1.0);
+        let optics = Optics {
+            visible: (v * (1.0 / super::QUANTILES as f32)).clamp(0.0, 1.0),
+            extinction: -libm::logf(t) * (1.0 / CORRELATION_LENGTH),
+            occupied: self.occupied.get(cell).copied().unwrap_or(1.0),
+            edit: self.edit,
+        };
+        self.optics[cell] = optics.words();
+        optics
+    }
+
+    /// What is kept of all cells, for packets of rays: [`OPTICS_WORDS`] words per cell, good where the last is
+    /// [`TransferSummary::edit`].
+    #[inline(always)]
+    pub(super) fn optics_words(&self) -> &[u32] {
+        self.optics.as_flattened()
+    }
+
+    /// The number of the present edit.
+    #[inline(always)]
+    pub(super) fn edit(&self) -> u32 {
+        self.edit
+    }
+
+    /// A bit per cell, 32 in a word: whether it is not empty.
+    #[inline(always)]
+    pub(super) fn bits(&self) -> &[u32] {
+        &self.bits
+    }
+
+    /// Whether a cell is not empty; what lies outside the grid is.
+    #[inline(always)]
+    pub(super) fn is_occupied(&self, cell: usize) -> bool {
+        self.bits.get(cell / 32).is_some_and(|word| word >> (cell % 32) & 1 != 0)
     }
 
     /// Share of the volume's blocks that are not empty.
@@ -166,21 +314,19 @@ impl TransferSummary {
     pub fn is_empty(&self, x: usize, y: usize, z: usize) -> bool {
         let g = self.grid;
         assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
-        self.cells[x + g[0] * (y + g[1] * z)].occupied == 0.0
+        !self.is_occupied(x + g[0] * (y + g[1] * z))
     }
 
-    /// Extinction of a cell per reference step.
+    /// Extinction of a cell per reference step; 0 where it is empty.
     ///
     /// # Panics
     /// When the cell lies outside the grid.
-    pub fn extinction(&self, x: usize, y: usize, z: usize) -> f32 {
+    #[cfg(test)]
+    pub(super) fn extinction(&mut self, volume: &VolumeSummary, [x, y, z]: [usize; 3]) -> f32 {
         let g = self.grid;
         assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
-        self.cells[x + g[0] * (y + g[1] * z)].extinction
-    }
-
-    pub(super) fn cells(&self) -> &[Cell] {
-        &self.cells
+        let cell = x + g[0] * (y + g[1] * z);
+        if self.is_occupied(cell) { self.optics(volume, cell).extinction } else { 0.0 }
     }
 
     pub(super) fn grid(&self) -> [usize; 3] {
@@ -193,8 +339,10 @@ impl TransferSummary {
             return;
         }
         let [nx, ny, _] = self.grid;
-        for (d, c) in self.distance.iter_mut().zip(&self.cells) {
-            *d = if c.occupied > 0.0 { 0 } else { u8::MAX };
+        for (cells, &word) in self.distance.chunks_mut(32).zip(&self.bits) {
+            for (i, d) in cells.iter_mut().enumerate() {
+                *d = if word >> i & 1 != 0 { 0 } else { u8::MAX };
+            }
         }
         // One pass per axis, each exact because the Chebyshev ball is a product of intervals:
         // d(x) becomes the least max(d(x'), |x − x'|) along the axis.
@@ -222,6 +370,46 @@ impl TransferSummary {
     /// Chebyshev distances in cells to the nearest occupied cell (255 where there is none), once prepared.
     pub(super) fn distance(&self) -> Option<&[u8]> {
         self.distance_ready.then_some(&self.distance)
+    }
+}
+
+/// Writes 1 for each pair of bounds between which a table entry is visible, else 0.
+fn flag(
+    low: &[u8],
+    high: &[u8],
+    ranges: Option<&[(u8, u8)]>,
+    opaque: &[u16; TABLE_LEN + 1],
+    out: &mut [u8],
+) {
+    let Some(ranges) = ranges else {
+        for ((&low, &high), out) in low.iter().zip(high).zip(out) {
+            *out = u8::from(opaque[usize::from(high) + 1] != opaque[usize::from(low)]);
+        }
+        return;
+    };
+    /// Pairs at a time: small enough that they stay in the nearest cache from range to range.
+    const BATCH: usize = 4096;
+    for ((low, high), out) in low.chunks(BATCH).zip(high.chunks(BATCH)).zip(out.chunks_mut(BATCH)) {
+        out.fill(0);
+        for &(first, last) in ranges {
+            for ((&low, &high), out) in low.iter().zip(high).zip(&mut *out) {
+                *out |= u8::from(low <= last) & u8::from(high >= first);
+            }
+        }
+    }
+}
+
+/// Packs flags of 0 and 1 into bits.
+fn pack(flags: &[u8], bits: &mut [u32]) {
+    for (flags, word) in flags.chunks(32).zip(bits) {
+        *word = 0;
+        for (i, eight) in flags.chunks(8).enumerate() {
+            let mut bytes = [0; 8];
+            bytes[..eight.len()].copy_from_slice(eight);
+            // Bit 8k of the flags goes to bit 56 + k of the product; nothing else reaches those bits.
+            let byte = u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+            *word |= (byte as u32) << (8 * i);
+        }
     }
 }
 
