@@ -1,26 +1,23 @@
 //! Model inputs for measured frames: opens the volumes that a timing table names, one at a time, and computes what a
 //! model's input groups ask for.
 
-use crate::dataset::{Table, TimedFrame};
+use crate::dataset::{Scene, Table, TimedFrame};
 use crate::enlarge::{MAX_FACTOR, enlarge};
-use crate::feature_table::{code_column, encoder_id, quantity_column};
+use crate::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::features::{
-    Changes, FrameFeatures, PROBE_SIDE, SceneFeature, SceneQuantity, Setting, SummaryOptions,
-    TransferSummary, VolumeSummary,
+    Changes, FrameFeatures, SceneFeature, SceneQuantity, Setting, SummaryOptions, TransferSummary,
+    VolumeSummary,
 };
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VolumeNet, VolumeNetParts};
-use entire_core::predict::{
-    COST_QUANTITIES, GroupKind, Inputs, UnitCosts, probe_side_of, sort_lobes, takes_sorted_lobes,
-    write_estimate, write_group,
-};
-use entire_core::scene::Skipping;
+use entire_core::predict::{COST_QUANTITIES, GroupKind, InputLayout, InputValues, Inputs, UnitCosts};
+use entire_core::scene::{Arcball, GaussianLobe, Skipping};
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 /// A VolumeNet and the name of its weights in feature tables.
 #[derive(Debug)]
@@ -39,15 +36,11 @@ impl Encoder {
     }
 }
 
-/// What a model takes: its input groups in order with their sizes, and what is needed to compute them.
+/// What a model takes, and the encoder of its volume features.
 #[derive(Debug)]
 pub struct Layout {
-    groups: Vec<(GroupKind, usize)>,
-    scene_features: Vec<SceneFeature>,
+    layout: InputLayout,
     encoder: Option<Encoder>,
-    unit_costs: Option<UnitCosts>,
-    probe_side: usize,
-    sorted_lobes: bool,
 }
 
 impl Layout {
@@ -62,40 +55,8 @@ impl Layout {
         lobes: usize,
         encoder: Option<Encoder>,
     ) -> Result<Self> {
-        ensure!(!groups.is_empty(), "a model needs at least one input group");
-        let mut sized = Vec::new();
-        for (i, &group) in groups.iter().enumerate() {
-            ensure!(!groups[..i].contains(&group), "input group {} is named twice", group.name());
-            let size = match group {
-                GroupKind::VolumeFeatures => match &encoder {
-                    Some(encoder) => encoder.net.feature_len(),
-                    None => bail!(
-                        "the input group volume_features needs an encoder; name a model file that holds a VolumeNet"
-                    ),
-                },
-                GroupKind::Camera => 3,
-                GroupKind::Resolution => 2,
-                GroupKind::TransferFunction => {
-                    ensure!(lobes > 0, "the input group transfer_function needs at least one Gaussian lobe");
-                    3 * lobes
-                }
-                GroupKind::StepSize => 1,
-                GroupKind::SceneFeatures => {
-                    ensure!(!scene_features.is_empty(), "the input group scene_features names no feature");
-                    scene_features.len()
-                }
-                other => bail!("the input group {} cannot be computed from a timing table", other.name()),
-            };
-            sized.push((group, size));
-        }
-        Ok(Self {
-            groups: sized,
-            scene_features,
-            encoder,
-            unit_costs: None,
-            probe_side: PROBE_SIDE,
-            sorted_lobes: false,
-        })
+        let volume_features = encoder.as_ref().map_or(0, |e| e.net.feature_len());
+        Ok(Self { layout: InputLayout::new(groups, scene_features, lobes, volume_features)?, encoder })
     }
 
     /// The layout of a model file.
@@ -104,80 +65,61 @@ impl Layout {
     /// When it holds no PredNet, an input group is unknown, or volume features are needed and the file has no VolumeNet.
     pub fn of_model(model: &Model) -> Result<Self> {
         ensure!(model.prednet().is_some(), "the model file holds no PredNet");
-        let groups: Vec<(GroupKind, usize)> = model
-            .inputs()
-            .iter()
-            .map(|g| Ok((GroupKind::from_name(&g.name)?, g.size)))
-            .collect::<Result<_>>()?;
-        let scene_features = model
-            .scene_features()
-            .iter()
-            .map(|name| Ok(SceneFeature::from_name(name)?))
-            .collect::<Result<_>>()?;
+        let layout = InputLayout::of_model(model)?;
         let encoder = model.volumenet().map(Encoder::new).transpose()?;
         ensure!(
-            encoder.is_some() || groups.iter().all(|(g, _)| *g != GroupKind::VolumeFeatures),
+            encoder.is_some() || !layout.takes(GroupKind::VolumeFeatures),
             "the model takes volume_features and its file holds no VolumeNet; write both into one file"
         );
-        Ok(Self {
-            groups,
-            scene_features,
-            encoder,
-            unit_costs: UnitCosts::of(model)?,
-            probe_side: probe_side_of(model)?,
-            sorted_lobes: takes_sorted_lobes(model)?,
-        })
+        Ok(Self { layout, encoder })
     }
 
     /// The same with another number of rays along each side of the probe.
     pub fn with_probe_side(self, probe_side: usize) -> Self {
-        Self { probe_side, ..self }
+        Self { layout: self.layout.with_probe_side(probe_side), ..self }
     }
 
     /// The same, its Gaussian lobes by ascending center or as they are given.
     pub fn with_sorted_lobes(self, sorted_lobes: bool) -> Self {
-        Self { sorted_lobes, ..self }
+        Self { layout: self.layout.with_sorted_lobes(sorted_lobes), ..self }
     }
 
     /// Whether Gaussian lobes go in by ascending center.
     pub fn sorted_lobes(&self) -> bool {
-        self.sorted_lobes
+        self.layout.sorted_lobes()
     }
 
-    /// Rays along each side of the probe.
+    /// Rays along each side of the probe; 0 where no input needs it.
     pub fn probe_side(&self) -> usize {
-        self.probe_side
+        self.layout.probe_side()
     }
 
     /// Numbers per frame.
     pub fn width(&self) -> usize {
-        self.groups.iter().map(|(_, size)| size).sum()
+        self.layout.width()
     }
 
     /// The groups as a model file states them.
     pub fn to_model_groups(&self) -> Vec<entire_core::model::InputGroup> {
-        self.groups
-            .iter()
-            .map(|(g, size)| entire_core::model::InputGroup { name: g.name().into(), size: *size })
-            .collect()
+        self.layout.to_model_groups()
     }
 
     /// The groups, in order.
     pub fn groups(&self) -> impl Iterator<Item = GroupKind> {
-        self.groups.iter().map(|(g, _)| *g)
+        self.layout.groups().iter().map(|(g, _)| *g)
     }
 
     /// The scene features, in order.
     pub fn scene_features(&self) -> &[SceneFeature] {
-        &self.scene_features
+        self.layout.scene_features()
     }
 
     fn encoder(&self) -> Option<&Encoder> {
-        self.encoder.as_ref().filter(|_| self.groups().any(|g| g == GroupKind::VolumeFeatures))
+        self.encoder.as_ref().filter(|_| self.layout.takes(GroupKind::VolumeFeatures))
     }
 
     fn needs_summary(&self) -> bool {
-        self.groups().any(|g| g == GroupKind::SceneFeatures)
+        self.layout.takes(GroupKind::SceneFeatures)
     }
 
     /// Writes one frame's inputs.
@@ -185,21 +127,7 @@ impl Layout {
     /// # Errors
     /// When a group's size is not the model's (another number of lobes, for example).
     pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
-        let mut rest = row;
-        for (group, size) in &self.groups {
-            let (here, after) = std::mem::take(&mut rest).split_at_mut(*size);
-            write_group(*group, &self.scene_features, inputs, here)?;
-            if *group == GroupKind::TransferFunction && self.sorted_lobes {
-                sort_lobes(here);
-            }
-            if *group == GroupKind::SceneFeatures
-                && let Some(costs) = &self.unit_costs
-            {
-                write_estimate(costs, &self.scene_features, inputs, here);
-            }
-            rest = after;
-        }
-        Ok(())
+        Ok(self.layout.write(inputs, row)?)
     }
 
     /// Inputs of frames, one row each, in their order.
@@ -219,7 +147,7 @@ impl Layout {
         let rows = measure(
             tables,
             frames,
-            self.needs_summary().then_some(self.probe_side),
+            self.needs_summary().then_some(self.probe_side()),
             self.encoder().map(|e| &e.net),
             pool,
             bar,
@@ -236,84 +164,100 @@ impl Layout {
 impl Layout {
     /// Rows from the features that are kept beside the tables; `None` where any is missing.
     fn rows_beside(&self, tables: &[Table], frames: &[&TimedFrame]) -> Option<Vec<f32>> {
-        let code_id = self.encoder().map(|e| &e.id);
-        let mut out = Vec::with_capacity(frames.len() * self.width());
-        let mut plan: Vec<usize> = Vec::new();
-        let mut planned = None;
-        for frame in frames {
-            let features = tables.get(frame.table)?.features.as_ref()?;
-            if planned != Some(frame.table) {
-                plan.clear();
-                for (group, size) in &self.groups {
-                    match group {
-                        GroupKind::SceneFeatures => {
-                            for f in &self.scene_features {
-                                plan.push(features.column(&quantity_column(f.quantity, self.probe_side))?);
-                            }
-                        }
-                        GroupKind::VolumeFeatures => {
-                            for i in 0..*size {
-                                plan.push(features.column(&code_column(code_id?, i))?);
-                            }
-                        }
-                        _ => {}
-                    }
-                }
-                planned = Some(frame.table);
+        let mut out = vec![0.0; frames.len() * self.width()];
+        let mut current: Option<(usize, KeptColumns<'_>)> = None;
+        for (frame, row) in frames.iter().zip(out.chunks_exact_mut(self.width())) {
+            if current.as_ref().is_none_or(|(table, _)| *table != frame.table) {
+                current = Some((frame.table, self.kept_columns(tables.get(frame.table)?)?));
             }
-            let row = features.row(frame.number)?;
-            let mut columns = plan.iter();
-            let scene = &frame.scene;
-            for (group, size) in &self.groups {
-                let start = out.len();
-                match group {
-                    GroupKind::SceneFeatures => {
-                        for f in &self.scene_features {
-                            let column = *columns.next()?;
-                            let value = match &self.unit_costs {
-                                Some(costs) if f.quantity == SceneQuantity::EstimatedSeconds => {
-                                    // What costs nothing need not be kept.
-                                    let work: Option<Vec<f32>> = COST_QUANTITIES
-                                        .iter()
-                                        .zip(&costs.0[1..])
-                                        .map(|(q, &cost)| {
-                                            let name = quantity_column(*q, self.probe_side);
-                                            if cost == 0.0 {
-                                                Some(0.0)
-                                            } else {
-                                                Some(row[features.column(&name)?])
-                                            }
-                                        })
-                                        .collect();
-                                    costs.seconds_of_quantities(&work?) as f32
-                                }
-                                _ => row[column],
-                            };
-                            out.push(if f.log { f.quantity.log(f64::from(value)) } else { value });
-                        }
-                    }
-                    GroupKind::VolumeFeatures => {
-                        for _ in 0..*size {
-                            out.push(row[*columns.next()?]);
-                        }
-                    }
-                    GroupKind::Camera => out.extend([scene.camera.rx, scene.camera.ry, scene.camera.dz]),
-                    GroupKind::Resolution => out.extend([scene.width as f32, scene.height as f32]),
-                    GroupKind::TransferFunction => {
-                        out.extend(scene.lobes.iter().flat_map(|l| [l.center, l.width, l.height]));
-                        if self.sorted_lobes {
-                            sort_lobes(&mut out[start..]);
-                        }
-                    }
-                    GroupKind::StepSize => out.push(scene.step),
-                    _ => return None,
-                }
-                if out.len() - start != *size {
-                    return None;
-                }
-            }
+            let (_, columns) = current.as_ref()?;
+            self.layout.write_from(&mut columns.values(frame)?, row).ok()?;
         }
         Some(out)
+    }
+
+    /// Where the features of a table are kept; `None` where any is missing.
+    fn kept_columns<'a>(&self, table: &'a Table) -> Option<KeptColumns<'a>> {
+        let features = table.features.as_ref()?;
+        let column = |q: SceneQuantity| features.column(&quantity_column(q, self.probe_side()));
+        let mut quantities = HashMap::new();
+        for feature in self.scene_features() {
+            quantities.insert(feature.quantity, column(feature.quantity)?);
+        }
+        // What costs nothing need not be kept.
+        quantities.extend(COST_QUANTITIES.iter().filter_map(|&q| Some((q, column(q)?))));
+        let code = match self.encoder() {
+            Some(e) => (0..e.net.feature_len())
+                .map(|i| features.column(&code_column(&e.id, i)))
+                .collect::<Option<_>>()?,
+            None => Vec::new(),
+        };
+        Some(KeptColumns { features, quantities, code })
+    }
+}
+
+/// Where a feature table holds what a model takes.
+struct KeptColumns<'a> {
+    features: &'a FeatureTable,
+    quantities: HashMap<SceneQuantity, usize>,
+    code: Vec<usize>,
+}
+
+impl KeptColumns<'_> {
+    fn values<'a>(&'a self, frame: &'a TimedFrame) -> Option<KeptValues<'a>> {
+        let row = self.features.row(frame.number)?;
+        let code = self.code.iter().map(|&column| row[column]).collect();
+        Some(KeptValues { columns: self, row, scene: &frame.scene, code })
+    }
+}
+
+/// The values of a frame that a feature table holds.
+struct KeptValues<'a> {
+    columns: &'a KeptColumns<'a>,
+    row: &'a [f32],
+    scene: &'a Scene,
+    code: Vec<f32>,
+}
+
+impl KeptValues<'_> {
+    fn kept(&self, quantity: SceneQuantity) -> Option<f32> {
+        self.columns.quantities.get(&quantity).map(|&column| self.row[column])
+    }
+}
+
+impl InputValues for KeptValues<'_> {
+    fn volume_features(&self) -> Option<&[f32]> {
+        Some(&self.code)
+    }
+
+    fn camera(&self) -> Arcball {
+        self.scene.camera
+    }
+
+    fn image_size(&self) -> [u32; 2] {
+        [self.scene.width, self.scene.height]
+    }
+
+    fn step(&self) -> f32 {
+        self.scene.step
+    }
+
+    fn lobes(&self) -> Option<&[GaussianLobe]> {
+        Some(&self.scene.lobes)
+    }
+
+    fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64> {
+        self.kept(quantity).map(f64::from)
+    }
+
+    fn seconds(&mut self, costs: &UnitCosts) -> Option<f64> {
+        let work: Option<Vec<f32>> = COST_QUANTITIES
+            .iter()
+            .zip(&costs.0[1..])
+            .map(|(q, &cost)| if cost == 0.0 { Some(0.0) } else { self.kept(*q) })
+            .collect();
+        // In single precision, as the table holds it of other costs.
+        Some(f64::from(costs.seconds_of_quantities(&work?) as f32))
     }
 }
 
@@ -426,8 +370,9 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
 mod tests {
     use super::*;
     use crate::commands::{features, train::thread_pool};
-    use crate::dataset::{Measurement, Scene, Writer, parse_lobes, read_tables};
-    use entire_core::scene::{Arcball, Shading};
+    use crate::dataset::{Measurement, Writer, parse_lobes, read_tables};
+    use entire_core::features::PROBE_SIDE;
+    use entire_core::scene::Shading;
 
     #[test]
     fn kept_features_give_what_the_volumes_give() {

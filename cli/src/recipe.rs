@@ -15,8 +15,8 @@ use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuant
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, SELU_SCALE, Target};
 use entire_core::predict::{
-    AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, LOBE_ORDER_KEY, Measurement, PROBE_SIDE_KEY,
-    UNIT_COSTS_KEY, UnitCosts,
+    AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, InputLayout, LOBE_ORDER_KEY, Measurement,
+    PROBE_SIDE_KEY, UNIT_COSTS_KEY, UnitCosts,
 };
 use entire_core::train::{
     EpochRecord, Loss, Network, Progress, Samples, Settings, Standardization, Stop, preset_widths, train,
@@ -311,9 +311,18 @@ impl Recipe {
     }
 
     /// Whether the ray step is among what it is made from, by itself or in counts of samples.
-    pub fn knows_step(&self) -> bool {
-        let named = [GroupKind::SceneFeatures, GroupKind::StepSize].map(GroupKind::name);
-        self.inputs.iter().any(|g| named.contains(&g.trim()))
+    ///
+    /// # Errors
+    /// For a group or feature that is not known.
+    pub fn knows_step(&self) -> Result<bool> {
+        if matches!(self.kind, Kind::Analytic | Kind::Residual) {
+            return Ok(true);
+        }
+        let groups =
+            self.inputs.iter().map(|n| GroupKind::from_name(n.trim())).collect::<Result<Vec<_>, _>>()?;
+        let features = if groups.contains(&GroupKind::SceneFeatures) { self.features()? } else { Vec::new() };
+        // The sizes of other groups say nothing of the step.
+        Ok(InputLayout::new(&groups, features, 1, 1)?.knows_step())
     }
 
     fn side(&self) -> usize {
@@ -585,7 +594,7 @@ impl Recipe {
         }
         if !layout.scene_features().is_empty() {
             file.set_scene_features(&names(layout.scene_features()))?;
-            if layout.probe_side() != PROBE_SIDE {
+            if ![0, PROBE_SIDE].contains(&layout.probe_side()) {
                 file.set_metadata(PROBE_SIDE_KEY, layout.probe_side().to_string());
             }
         }

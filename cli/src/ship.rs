@@ -202,7 +202,7 @@ fn card(
             md,
             "\nScene features, in order: {}. Rays along each side of the probe: {}.",
             model.scene_features().join(", "),
-            entire_core::predict::probe_side_of(&model)?
+            entire_core::predict::InputLayout::of_model(&model)?.probe_side()
         );
     }
     let _ = writeln!(md, "\n## Data\n");

@@ -714,7 +714,7 @@ impl Runner<'_> {
                 let key = format!("{}-{}", set.name, named.name);
                 let recipe = named.recipe_for(&set.name);
                 let (whole, (validation, training)) =
-                    if recipe.knows_step() { (&every, &every_step) } else { (&all, &one_step) };
+                    if recipe.knows_step()? { (&every, &every_step) } else { (&all, &one_step) };
                 let made = || -> Result<_> {
                     let crossed = if named.cross_validated && named.panel == main_panel() {
                         self.crossed(&key, recipe, &kitchen, whole, &all)?

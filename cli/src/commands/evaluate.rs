@@ -421,8 +421,7 @@ fn latency(m: &Loaded, tables: &[TimingTable], frames: &[&TimedFrame], rows: &[f
     }
     let volume = open_volume(&tables[first.table], &first.scene.volume, first.scene.dims)?;
     let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
-    let probed = m.layout.scene_features().iter().any(|f| f.quantity.needs_probe());
-    let mut features = FrameFeatures::with_probe_side(if probed { m.layout.probe_side() } else { 0 });
+    let mut features = FrameFeatures::with_probe_side(m.layout.probe_side());
     let (mut all, mut transfer_times) = (Vec::new(), Vec::new());
     for f in of_volume {
         let (frame, table) = (f.scene.to_frame()?, f.scene.to_table()?);

@@ -5,13 +5,26 @@ use crate::error::bail;
 use alloc::string::String;
 use core::fmt;
 
+/// The words of the table's last two columns.
+macro_rules! flag {
+    (yes) => {
+        true
+    };
+    (no) => {
+        false
+    };
+}
+
 macro_rules! quantities {
-    ($($variant:ident, $name:literal, $unit:literal, $floor:literal, $doc:literal;)*) => {
+    ($($variant:ident, $name:literal, $unit:literal, $floor:literal, $step:ident, $probe:ident, $doc:literal;)*) => {
         /// A physical quantity of a scene that the core computes.
         ///
-        /// | name | unit | log floor | meaning |
-        /// |---|---|---|---|
-        $(#[doc = concat!("| `", $name, "` | ", $unit, " | ", $floor, " | ", $doc, " |")])*
+        /// | name | unit | log floor | depends on the step | needs the probe | meaning |
+        /// |---|---|---|---|---|---|
+        $(#[doc = concat!(
+            "| `", $name, "` | ", $unit, " | ", $floor, " | ", stringify!($step), " | ", stringify!($probe), " | ",
+            $doc, " |"
+        )])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         #[non_exhaustive]
         pub enum SceneQuantity {
@@ -36,100 +49,98 @@ macro_rules! quantities {
             pub const fn log_floor(self) -> f64 {
                 match self { $(Self::$variant => $floor,)* }
             }
+
+            /// Whether the ray step of the setting enters it.
+            pub const fn depends_on_step(self) -> bool {
+                match self { $(Self::$variant => flag!($step),)* }
+            }
+
+            /// Whether rays must be cast to know it. The others follow from camera, image size, transfer function and
+            /// volume at once.
+            pub const fn needs_probe(self) -> bool {
+                match self { $(Self::$variant => flag!($probe),)* }
+            }
         }
     };
 }
 
+// Variant, name, unit, log floor, depends on the step, needs the probe, meaning.
 quantities! {
-    Pixels, "pixels", "pixels", 1.0, "pixels of the image";
-    Rays, "rays", "rays", 1.0, "pixels whose ray meets the volume's box";
-    Samples, "samples", "samples", 1.0, "expected samples of the frame up to early termination";
-    Skips, "skips", "jumps", 1.0, "expected jumps over empty blocks";
-    LaneSamples, "lane_samples", "samples", 1.0, "samples where a tile of 8 x 8 pixels runs until its longest ray ends";
-    LocalSamples, "local_samples", "samples", 1.0, "visible samples, with local shading; else 0";
-    ScatterSamples, "scatter_samples", "samples", 1.0, "visible samples, with single scattering; else 0";
-    ShadowSamples, "shadow_samples", "samples", 1.0, "samples along shadow rays, with single scattering; else 0";
-    Runs, "runs", "runs", 1.0, "expected runs of samples between jumps over empty blocks";
-    SpreadSamples, "spread_samples", "samples", 1.0, "lane samples, each weighted by how little neighboring rays share";
-    SpreadRuns, "spread_runs", "runs", 1.0, "runs, each weighted by how little neighboring rays share";
-    ShadedPerPixel, "shaded_per_pixel", "samples/pixel", 0.01, "visible samples over pixels of the image, with shading; else 0";
-    ShadowPerPixel, "shadow_per_pixel", "samples/pixel", 0.01, "samples along shadow rays over pixels of the image";
-    RunsPerRay, "runs_per_ray", "runs/ray", 0.1, "runs over rays that meet the volume's box";
-    EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, "work times the unit costs that the model file holds, or those of a software renderer";
-    RaySpacing, "ray_spacing", "reference steps", 0.01, "distance of neighboring rays at the mean depth of the samples";
-    SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, "samples over pixels of the image";
-    SkipsPerPixel, "skips_per_pixel", "jumps/pixel", 0.01, "jumps over pixels of the image";
-    FootprintShare, "footprint_share", "1", 1.0e-6, "share of the image that the volume's box covers";
-    MeanChord, "mean_chord", "reference steps", 1.0, "mean length of the box along the rays that meet it";
-    MaxChord, "max_chord", "reference steps", 1.0, "largest such length";
-    TerminatedShare, "terminated_share", "1", 0.01, "share of rays that end early";
-    Divergence, "divergence", "1", 0.01, "lane samples over samples, less one";
-    OccupiedShare, "occupied_share", "1", 0.0001, "share of blocks that are not empty under the transfer function";
-    VisibleShare, "visible_share", "1", 0.001, "share of voxels with any opacity";
-    MeanOpacity, "mean_opacity", "1", 1.0e-6, "opacity averaged over voxels";
-    MeanSquareOpacity, "mean_square_opacity", "1", 1.0e-9, "squared opacity averaged over voxels";
-    MeanExtinction, "mean_extinction", "1/reference step", 1.0e-4, "extinction averaged over voxels";
-    MaxOpacity, "max_opacity", "1", 1.0e-6, "largest opacity of the transfer function";
-    Step, "step", "reference steps", 0.0, "ray step";
-    Distance, "distance", "bounding-sphere radii", 0.001, "distance of the eye from the volume's center";
-    FieldOfView, "field_of_view", "radians", 0.0, "vertical field of view";
-    Tilt, "tilt", "1", 0.001, "|sin R_x|";
-    Turn, "turn", "1", 0.001, "|sin 2 R_y|";
-    Inside, "inside", "flag", 1.0, "1 with the eye inside the box";
-    Voxels, "voxels", "voxels", 1.0, "voxels of the volume";
-    BytesPerVoxel, "bytes_per_voxel", "bytes", 1.0, "size of a scalar";
-    Anisotropy, "anisotropy", "1", 1.0e-6, "smallest over largest voxel spacing";
-    Local, "shading_local", "flag", 1.0, "1 with local shading";
-    Scatter, "shading_scatter", "flag", 1.0, "1 with single scattering";
-    SkippingBlocks, "skipping_blocks", "flag", 1.0, "1 with block skipping";
-    SkippingDistance, "skipping_distance", "flag", 1.0, "1 with the distance map";
-    FirstFrame, "first_frame", "flag", 1.0, "1 for the first frame";
-    TransferChanged, "transfer_changed", "flag", 1.0, "1 when the transfer function is new";
-    VolumeChanged, "volume_changed", "flag", 1.0, "1 when the volume is new";
-    SizeChanged, "size_changed", "flag", 1.0, "1 when the image size is new";
-    Remapped, "remapped", "flag", 1.0, "1 unless the voxels are integers from 0 (which is among them) to at most 32767: a renderer that looks values up in a table must shift or scale each";
-    AlongX, "along_x", "1", 0.01, "share of the voxel borders crossed by rays that lie across x: where voxels are far apart in memory along an axis, rays along it read slowly";
-    AlongZ, "along_z", "1", 0.01, "the same across z";
-    RemappedSamples, "remapped_samples", "samples", 1.0, "samples of a volume whose values are remapped; else 0";
-    FarX, "far_x", "samples", 1.0, "samples read far from the one before: those that no ray beside shares, times the share of the volume beyond a cache, times `along_x`";
-    FarY, "far_y", "samples", 1.0, "the same across y";
-    FarZ, "far_z", "samples", 1.0, "the same across z";
+    Pixels, "pixels", "pixels", 1.0, no, no, "pixels of the image";
+    Rays, "rays", "rays", 1.0, no, no, "pixels whose ray meets the volume's box";
+    Samples, "samples", "samples", 1.0, yes, yes, "expected samples of the frame up to early termination";
+    Skips, "skips", "jumps", 1.0, yes, yes, "expected jumps over empty blocks";
+    LaneSamples, "lane_samples", "samples", 1.0, yes, yes,
+        "samples where a tile of 8 x 8 pixels runs until its longest ray ends";
+    LocalSamples, "local_samples", "samples", 1.0, yes, yes, "visible samples, with local shading; else 0";
+    ScatterSamples, "scatter_samples", "samples", 1.0, yes, yes,
+        "visible samples, with single scattering; else 0";
+    ShadowSamples, "shadow_samples", "samples", 1.0, yes, yes,
+        "samples along shadow rays, with single scattering; else 0";
+    Runs, "runs", "runs", 1.0, no, yes, "expected runs of samples between jumps over empty blocks";
+    SpreadSamples, "spread_samples", "samples", 1.0, yes, yes,
+        "lane samples, each weighted by how little neighboring rays share";
+    SpreadRuns, "spread_runs", "runs", 1.0, no, yes,
+        "runs, each weighted by how little neighboring rays share";
+    ShadedPerPixel, "shaded_per_pixel", "samples/pixel", 0.01, yes, yes,
+        "visible samples over pixels of the image, with shading; else 0";
+    ShadowPerPixel, "shadow_per_pixel", "samples/pixel", 0.01, yes, yes,
+        "samples along shadow rays over pixels of the image";
+    RunsPerRay, "runs_per_ray", "runs/ray", 0.1, no, yes, "runs over rays that meet the volume's box";
+    EstimatedSeconds, "estimated_seconds", "seconds", 1.0e-9, yes, yes,
+        "work times the unit costs that the model file holds, or those of a software renderer";
+    RaySpacing, "ray_spacing", "reference steps", 0.01, no, yes,
+        "distance of neighboring rays at the mean depth of the samples";
+    SamplesPerPixel, "samples_per_pixel", "samples/pixel", 0.01, yes, yes, "samples over pixels of the image";
+    SkipsPerPixel, "skips_per_pixel", "jumps/pixel", 0.01, yes, yes, "jumps over pixels of the image";
+    FootprintShare, "footprint_share", "1", 1.0e-6, no, no, "share of the image that the volume's box covers";
+    MeanChord, "mean_chord", "reference steps", 1.0, no, yes,
+        "mean length of the box along the rays that meet it";
+    MaxChord, "max_chord", "reference steps", 1.0, no, yes, "largest such length";
+    TerminatedShare, "terminated_share", "1", 0.01, no, yes, "share of rays that end early";
+    Divergence, "divergence", "1", 0.01, yes, yes, "lane samples over samples, less one";
+    OccupiedShare, "occupied_share", "1", 0.0001, no, no,
+        "share of blocks that are not empty under the transfer function";
+    VisibleShare, "visible_share", "1", 0.001, no, no, "share of voxels with any opacity";
+    MeanOpacity, "mean_opacity", "1", 1.0e-6, no, no, "opacity averaged over voxels";
+    MeanSquareOpacity, "mean_square_opacity", "1", 1.0e-9, no, no, "squared opacity averaged over voxels";
+    MeanExtinction, "mean_extinction", "1/reference step", 1.0e-4, no, no, "extinction averaged over voxels";
+    MaxOpacity, "max_opacity", "1", 1.0e-6, no, no, "largest opacity of the transfer function";
+    Step, "step", "reference steps", 0.0, yes, no, "ray step";
+    Distance, "distance", "bounding-sphere radii", 0.001, no, no,
+        "distance of the eye from the volume's center";
+    FieldOfView, "field_of_view", "radians", 0.0, no, no, "vertical field of view";
+    Tilt, "tilt", "1", 0.001, no, no, "|sin R_x|";
+    Turn, "turn", "1", 0.001, no, no, "|sin 2 R_y|";
+    Inside, "inside", "flag", 1.0, no, no, "1 with the eye inside the box";
+    Voxels, "voxels", "voxels", 1.0, no, no, "voxels of the volume";
+    BytesPerVoxel, "bytes_per_voxel", "bytes", 1.0, no, no, "size of a scalar";
+    Anisotropy, "anisotropy", "1", 1.0e-6, no, no, "smallest over largest voxel spacing";
+    Local, "shading_local", "flag", 1.0, no, no, "1 with local shading";
+    Scatter, "shading_scatter", "flag", 1.0, no, no, "1 with single scattering";
+    SkippingBlocks, "skipping_blocks", "flag", 1.0, no, no, "1 with block skipping";
+    SkippingDistance, "skipping_distance", "flag", 1.0, no, no, "1 with the distance map";
+    FirstFrame, "first_frame", "flag", 1.0, no, no, "1 for the first frame";
+    TransferChanged, "transfer_changed", "flag", 1.0, no, no, "1 when the transfer function is new";
+    VolumeChanged, "volume_changed", "flag", 1.0, no, no, "1 when the volume is new";
+    SizeChanged, "size_changed", "flag", 1.0, no, no, "1 when the image size is new";
+    Remapped, "remapped", "flag", 1.0, no, no,
+        "1 unless the voxels are integers from 0 (which is among them) to at most 32767: a renderer that \
+         looks values up in a table must shift or scale each";
+    AlongX, "along_x", "1", 0.01, no, no,
+        "share of the voxel borders crossed by rays that lie across x: where voxels are far apart in \
+         memory along an axis, rays along it read slowly";
+    AlongZ, "along_z", "1", 0.01, no, no, "the same across z";
+    RemappedSamples, "remapped_samples", "samples", 1.0, yes, yes,
+        "samples of a volume whose values are remapped; else 0";
+    FarX, "far_x", "samples", 1.0, yes, yes,
+        "samples read far from the one before: those that no ray beside shares, times the share of the \
+         volume beyond a cache, times `along_x`";
+    FarY, "far_y", "samples", 1.0, yes, yes, "the same across y";
+    FarZ, "far_z", "samples", 1.0, yes, yes, "the same across z";
 }
 
 impl SceneQuantity {
-    /// Whether rays must be cast to know it. The others follow from camera, image size, transfer function and volume
-    /// at once.
-    pub const fn needs_probe(self) -> bool {
-        use SceneQuantity as Q;
-        matches!(
-            self,
-            Q::Samples
-                | Q::Skips
-                | Q::LaneSamples
-                | Q::LocalSamples
-                | Q::ScatterSamples
-                | Q::ShadowSamples
-                | Q::Runs
-                | Q::SpreadSamples
-                | Q::SpreadRuns
-                | Q::ShadedPerPixel
-                | Q::ShadowPerPixel
-                | Q::RunsPerRay
-                | Q::EstimatedSeconds
-                | Q::RaySpacing
-                | Q::SamplesPerPixel
-                | Q::SkipsPerPixel
-                | Q::MeanChord
-                | Q::MaxChord
-                | Q::TerminatedShare
-                | Q::Divergence
-                | Q::RemappedSamples
-                | Q::FarX
-                | Q::FarY
-                | Q::FarZ
-        )
-    }
-
     /// The log variant of a value: ln(value + floor), −69 where that is not positive.
     pub fn log(self, value: f64) -> f32 {
         libm::log((value + self.log_floor()).max(1.0e-30)) as f32
@@ -199,7 +210,8 @@ impl SceneFeature {
                 }
                 bail!(
                     Unsupported,
-                    "scene feature {name:?} is not one that this version computes; known are {known}, each also with log_ before it"
+                    "scene feature {name:?} is not one that this version computes; known are {known}, each \
+                     also with log_ before it"
                 )
             }
         }

@@ -464,6 +464,53 @@ fn what_needs_no_probe_is_known_without_one() {
 }
 
 #[test]
+fn quantities_depend_on_the_step_where_the_table_says_so() {
+    // Dense and sparse, integers that are remapped and not, seen from outside and inside.
+    let dims = [40, 40, 40];
+    let n = dims.iter().product::<usize>();
+    let blob = |i: usize| {
+        let r = [i % 40, i / 40 % 40, i / 1600].map(|c| (c as f32 - 19.5) / 20.0);
+        (1.0 - r.iter().map(|c| c * c).sum::<f32>()).max(0.02)
+    };
+    let bytes: Vec<u8> = (0..n).map(|i| (255.0 * blob(i)) as u8).collect();
+    let shorts: Vec<i16> = (0..n).map(|i| (3000.0 * blob(i)) as i16 - 1000).collect();
+    let volumes = [Scalars::U8(&bytes), Scalars::I16(&shorts)].map(|scalars| {
+        let view = VolumeView::new(scalars, dims).unwrap();
+        VolumeSummary::new(&view, SummaryOptions::default()).unwrap()
+    });
+    let tables = [100, 0].map(|first| table(|i| if i > first { 0.3 } else { 0.0 }));
+    let mut changed = std::vec![false; SceneQuantity::ALL.len()];
+    for (volume, table) in volumes.iter().zip(&tables).chain(volumes.iter().zip(tables.iter().rev())) {
+        for dz in [0.4, 1.7] {
+            for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+                for skipping in [Skipping::None, Skipping::Blocks, Skipping::Distance] {
+                    let frame = frame(20.0, 30.0, dz, 200).with_shading(shading).with_skipping(skipping);
+                    let of = |frame: &Frame, step: f32| {
+                        let features = measured(volume, table, frame);
+                        let setting = Setting::of(frame).with_step(step);
+                        let work = features.work(&setting);
+                        SceneQuantity::ALL
+                            .iter()
+                            .map(|&q| features.quantity(q, &setting, &work, Changes::NONE).to_bits())
+                            .collect::<Vec<u64>>()
+                    };
+                    let at_one = of(&frame, 1.0);
+                    let at_three = of(&frame, 3.0);
+                    // What is measured depends on the step of the setting alone, not on that of the measured frame.
+                    assert_eq!(at_three, of(&frame.with_step(2.0).unwrap(), 3.0));
+                    for (changed, (a, b)) in changed.iter_mut().zip(at_one.iter().zip(&at_three)) {
+                        *changed |= a != b;
+                    }
+                }
+            }
+        }
+    }
+    for (quantity, changed) in SceneQuantity::ALL.iter().zip(changed) {
+        assert_eq!(changed, quantity.depends_on_step(), "{}", quantity.name());
+    }
+}
+
+#[test]
 fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
     let dims = [20, 9, 10];
     let n = dims.iter().product::<usize>();

@@ -6,6 +6,7 @@
 
 mod activation;
 pub(crate) mod conv;
+mod dispatch;
 mod executor;
 pub(crate) mod helper;
 mod level;

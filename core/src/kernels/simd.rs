@@ -1,11 +1,10 @@
 //! The few vector operations that the kernels are written in, once for every instruction set.
 //!
-//! A kernel implements [`Kernel`]: one generic body, everything in it `#[inline(always)]`. [`Level::run`] enters a
-//! function that has the level's instructions enabled and hands the body that level's [`Simd`] token, so a network is
+//! A kernel implements [`Kernel`]: one generic body, everything in it `#[inline(always)]`. The module `dispatch` enters
+//! a function that has a level's instructions enabled and hands the body that level's [`Simd`] token, so a network is
 //! dispatched once and compiled once per instruction set.
 
 use super::activation::{SELU_ALPHA, SELU_SCALE};
-use super::{Isa, Level};
 
 /// Work that can run on any level. `run` must be `#[inline(always)]`, and so must every generic function it calls:
 /// what is not inlined is compiled without the level's instructions.
@@ -13,45 +12,6 @@ pub(crate) trait Kernel {
     type Output;
 
     fn run<S: Simd>(self, simd: S) -> Self::Output;
-}
-
-impl Level {
-    /// Runs a kernel with this level's instructions.
-    #[inline]
-    pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
-        match self.isa() {
-            #[cfg(target_arch = "x86_64")]
-            Isa::Avx512 => {
-                // SAFETY: the level proves AVX-512 F, BW, DQ and VL.
-                unsafe { super::x86_64::avx512::enter(kernel) }
-            }
-            #[cfg(target_arch = "x86_64")]
-            Isa::Avx2 => {
-                // SAFETY: the level proves AVX2, FMA and F16C.
-                unsafe { super::x86_64::avx2::enter(kernel) }
-            }
-            _ => kernel.run(super::scalar::Scalar),
-        }
-    }
-
-    /// Runs a kernel that lives on [`Simd::dot4`]: AVX-512 only together with VNNI, since without it twice the width
-    /// gains nothing.
-    #[inline]
-    pub(crate) fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
-        match self.isa() {
-            #[cfg(target_arch = "x86_64")]
-            Isa::Avx512 if self.has_vnni() => {
-                // SAFETY: the level proves AVX-512 F, BW, DQ, VL and VNNI.
-                unsafe { super::x86_64::avx512::enter_vnni(kernel) }
-            }
-            #[cfg(target_arch = "x86_64")]
-            Isa::Avx2 | Isa::Avx512 => {
-                // SAFETY: both levels prove AVX2, FMA and F16C.
-                unsafe { super::x86_64::avx2::enter(kernel) }
-            }
-            _ => kernel.run(super::scalar::Scalar),
-        }
-    }
 }
 
 /// The token of one instruction set: whoever holds one may use its instructions, so its methods are safe except for

@@ -3,8 +3,7 @@
 use super::TERMS;
 use crate::Result;
 use crate::error::bail;
-use crate::features::{Changes, FrameFeatures, PROBE_SIDE, SceneFeature, Setting};
-use crate::model::Model;
+use crate::features::{Changes, FrameFeatures, PROBE_SIDE, Setting};
 use crate::scene::{Arcball, GaussianLobe};
 
 /// Where a prediction came from.
@@ -179,127 +178,5 @@ impl GroupKind {
                 "the model takes an input group {name:?} that this version does not supply; known are volume_features, camera, resolution, transfer_function, step_size, scene_features"
             ),
         }
-    }
-}
-
-/// Metadata key under which a model file names the order in which it takes Gaussian lobes: `center` for ascending centers.
-/// Without it, lobes go in as they are given. A sum of lobes does not depend on their order; a network that always sees the
-/// same order need not learn so.
-pub const LOBE_ORDER_KEY: &str = "entire.lobe_order";
-
-/// Whether a model takes its Gaussian lobes by ascending center.
-///
-/// # Errors
-/// [`crate::ErrorKind::Unsupported`] for an order that this version does not know.
-pub fn takes_sorted_lobes(model: &Model) -> Result<bool> {
-    match model.metadata().get(LOBE_ORDER_KEY).map(|s| s.as_str()) {
-        None => Ok(false),
-        Some("center") => Ok(true),
-        Some(other) => {
-            bail!(
-                Unsupported,
-                "{LOBE_ORDER_KEY} is {other:?}; this version knows center, and none for lobes as given"
-            )
-        }
-    }
-}
-
-/// Puts the lobes of a `transfer_function` group, (c, w, h) each, in the order of their centers; equal centers keep theirs.
-pub fn sort_lobes(group: &mut [f32]) {
-    let count = group.len() / 3;
-    for end in 1..count {
-        let mut at = end;
-        while at > 0 && group[3 * at] < group[3 * (at - 1)] {
-            for k in 0..3 {
-                group.swap(3 * at + k, 3 * (at - 1) + k);
-            }
-            at -= 1;
-        }
-    }
-}
-
-/// Writes one input group into its place in a model's input vector.
-///
-/// # Errors
-/// [`crate::ErrorKind::MissingInput`] when the caller did not supply the group, or supplied another size.
-pub fn write_group(
-    group: GroupKind,
-    scene_features: &[SceneFeature],
-    inputs: &Inputs<'_>,
-    out: &mut [f32],
-) -> Result<()> {
-    let size = out.len();
-    let fixed = |out: &mut [f32], values: &[f32]| {
-        if out.len() != values.len() {
-            bail!(
-                MissingInput,
-                "the model's input group {} has size {}, this version supplies {}",
-                group.name(),
-                out.len(),
-                values.len()
-            );
-        }
-        out.copy_from_slice(values);
-        Ok(())
-    };
-    match group {
-        GroupKind::VolumeFeatures => match inputs.volume_features {
-            Some(x) => fixed(out, x),
-            None => bail!(
-                MissingInput,
-                "the model takes {size} volume features and none were supplied; encode the volume first"
-            ),
-        },
-        GroupKind::Camera => fixed(out, &[inputs.camera.rx, inputs.camera.ry, inputs.camera.dz]),
-        GroupKind::Resolution => fixed(out, &[inputs.setting.width as f32, inputs.setting.height as f32]),
-        GroupKind::TransferFunction => {
-            let Some(lobes) = inputs.lobes else {
-                bail!(
-                    MissingInput,
-                    "the model takes Gaussian transfer-function parameters and none were supplied; describe the transfer function by {} lobes, or use a model on scene features, which takes any transfer function",
-                    size / 3
-                );
-            };
-            if lobes.len() * 3 != size {
-                bail!(
-                    MissingInput,
-                    "the model takes {} Gaussian lobes, the transfer function has {}; supply as many as the model was trained with",
-                    size / 3,
-                    lobes.len()
-                );
-            }
-            for (slot, lobe) in out.chunks_exact_mut(3).zip(lobes) {
-                slot.copy_from_slice(&[lobe.center, lobe.width, lobe.height]);
-            }
-            Ok(())
-        }
-        GroupKind::StepSize => fixed(out, &[inputs.setting.step]),
-        GroupKind::SceneFeatures => {
-            if scene_features.len() != size {
-                bail!(
-                    MissingInput,
-                    "the model takes {size} scene features and names {}; its file must name each",
-                    scene_features.len()
-                );
-            }
-            inputs.features.write(scene_features, &inputs.setting, inputs.changes, out);
-            Ok(())
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn lobes_are_sorted_by_center_whole_and_stably() {
-        let mut group = [0.7, 1.0, 2.0, 0.1, 3.0, 4.0, 0.7, 5.0, 6.0, -0.2, 7.0, 8.0];
-        sort_lobes(&mut group);
-        assert_eq!(group, [-0.2, 7.0, 8.0, 0.1, 3.0, 4.0, 0.7, 1.0, 2.0, 0.7, 5.0, 6.0]);
-        sort_lobes(&mut []);
-        let mut one = [0.5, 0.1, 0.2];
-        sort_lobes(&mut one);
-        assert_eq!(one, [0.5, 0.1, 0.2]);
     }
 }

@@ -6,6 +6,7 @@ mod analytic;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod calibration;
 mod inputs;
+mod layout;
 mod network;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod nnls;
@@ -13,9 +14,7 @@ mod nnls;
 pub use crate::features::{COMMON_COSTS, COST_QUANTITIES, COSTS, UnitCosts};
 pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS, UNIT_COSTS_KEY};
 pub use calibration::{Calibration, FeatureRange, UPPER_LEVEL};
-pub use inputs::{
-    CostTerms, GroupKind, Inputs, LOBE_ORDER_KEY, Prediction, Predictor, Source, sort_lobes,
-    takes_sorted_lobes, write_group,
-};
-pub use network::{CALIBRATION_KEY, ModelPredictor, PROBE_SIDE_KEY, load, probe_side_of, write_estimate};
+pub use inputs::{CostTerms, GroupKind, Inputs, Prediction, Predictor, Source};
+pub use layout::{InputLayout, InputValues, LOBE_ORDER_KEY, PROBE_SIDE_KEY};
+pub use network::{CALIBRATION_KEY, ModelPredictor, load};
 pub use nnls::nnls;

@@ -1,12 +1,8 @@
 //! A network from a model file as a predictor.
 
-use super::{
-    AnalyticModel, Calibration, GroupKind, Inputs, Prediction, Predictor, Source, UnitCosts, sort_lobes,
-    takes_sorted_lobes, write_group,
-};
+use super::{AnalyticModel, Calibration, GroupKind, InputLayout, Inputs, Prediction, Predictor, Source};
 use crate::Result;
 use crate::error::bail;
-use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
 use crate::model::Model;
 use crate::nn::{PredNet, PredScratch};
 use alloc::boxed::Box;
@@ -19,25 +15,6 @@ use serde::{Deserialize, Serialize};
 /// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95), `log_factor`
 /// (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of their work). Optional.
 pub const CALIBRATION_KEY: &str = "entire.calibration";
-
-/// Metadata key of the number of rays along each side of the probe behind a model's scene features, 1 to
-/// [`MAX_PROBE_SIDE`] in decimal; [`PROBE_SIDE`] where it is missing.
-pub const PROBE_SIDE_KEY: &str = "entire.probe_side";
-
-/// Reads [`PROBE_SIDE_KEY`].
-///
-/// # Errors
-/// [`crate::ErrorKind::InvalidModel`] for anything but a number in range.
-pub fn probe_side_of(model: &Model) -> Result<usize> {
-    let Some(text) = model.metadata().get(PROBE_SIDE_KEY) else { return Ok(PROBE_SIDE) };
-    match text.parse::<usize>() {
-        Ok(side) if (1..=MAX_PROBE_SIDE).contains(&side) => Ok(side),
-        _ => bail!(
-            InvalidModel,
-            "{PROBE_SIDE_KEY} is {text:?}; a whole number from 1 to {MAX_PROBE_SIDE} is expected"
-        ),
-    }
-}
 
 /// Shortest time that a network's prediction is taken for, seconds. Networks trained on seconds go below zero for cheap
 /// frames.
@@ -96,16 +73,12 @@ pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
 #[derive(Clone, Debug)]
 pub struct ModelPredictor {
     net: Arc<PredNet>,
-    groups: Vec<(GroupKind, usize)>,
-    scene_features: Vec<SceneFeature>,
+    layout: InputLayout,
     /// Mean and standard deviation per input; NaN mean where an input takes no part in the score.
     spread: Vec<(f32, f32)>,
     scratch: PredScratch,
     row: Vec<f32>,
-    /// Behind `estimated_seconds`, where the file holds them.
-    unit_costs: Option<UnitCosts>,
     knows_step: bool,
-    sorted_lobes: bool,
     probe_side: usize,
     calibration: Calibration,
 }
@@ -133,13 +106,8 @@ impl ModelPredictor {
     /// # Errors
     /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network of another input size.
     pub fn with_net(net: Arc<PredNet>, model: &Model) -> Result<Self> {
-        let mut groups = Vec::with_capacity(model.inputs().len());
-        for group in model.inputs() {
-            groups.push((GroupKind::from_name(&group.name)?, group.size));
-        }
-        let scene_features =
-            model.scene_features().iter().map(|n| SceneFeature::from_name(n)).collect::<Result<Vec<_>>>()?;
-        let width: usize = groups.iter().map(|g| g.1).sum();
+        let layout = InputLayout::of_model(model)?;
+        let width = layout.width();
         if width != net.inputs() {
             bail!(
                 SizeMismatch,
@@ -150,7 +118,7 @@ impl ModelPredictor {
         let mut spread = vec![(f32::NAN, 1.0); width];
         if let Some(norm) = model.prednet().and_then(|p| p.input.as_ref()) {
             let mut at = 0;
-            for &(kind, size) in &groups {
+            for &(kind, size) in layout.groups() {
                 if kind != GroupKind::VolumeFeatures {
                     let ends = norm.mean[at..at + size].iter().zip(&norm.std[at..at + size]);
                     for (slot, (&mean, &std)) in spread[at..at + size].iter_mut().zip(ends) {
@@ -160,40 +128,18 @@ impl ModelPredictor {
                 at += size;
             }
         }
-        let knows_step = groups.iter().any(|g| g.0 == GroupKind::StepSize)
-            || scene_features.iter().any(|f| {
-                matches!(
-                    f.quantity,
-                    SceneQuantity::Step
-                        | SceneQuantity::EstimatedSeconds
-                        | SceneQuantity::SpreadSamples
-                        | SceneQuantity::ShadedPerPixel
-                        | SceneQuantity::ShadowPerPixel
-                        | SceneQuantity::Samples
-                        | SceneQuantity::LaneSamples
-                        | SceneQuantity::LocalSamples
-                        | SceneQuantity::ScatterSamples
-                        | SceneQuantity::SamplesPerPixel
-                        | SceneQuantity::ShadowSamples
-                )
-            });
         let calibration = Stored::of(model)?
             .and_then(|s| s.log_factor)
             .map_or(Calibration::unknown(), Calibration::from_log_factor);
-        let probe_side =
-            if scene_features.iter().any(|f| f.quantity.needs_probe()) { probe_side_of(model)? } else { 0 };
         let scratch = net.scratch();
         Ok(Self {
+            knows_step: layout.knows_step(),
+            probe_side: layout.probe_side(),
+            layout,
             net,
-            groups,
-            scene_features,
             spread,
             scratch,
             row: vec![0.0; width],
-            unit_costs: UnitCosts::of(model)?,
-            knows_step,
-            sorted_lobes: takes_sorted_lobes(model)?,
-            probe_side,
             calibration,
         })
     }
@@ -203,9 +149,9 @@ impl ModelPredictor {
         self.calibration = calibration;
     }
 
-    /// The scene features that the model takes, in order.
-    pub fn scene_features(&self) -> &[SceneFeature] {
-        &self.scene_features
+    /// What the model takes.
+    pub fn layout(&self) -> &InputLayout {
+        &self.layout
     }
 
     /// The input row of a frame, in the model's order.
@@ -213,20 +159,7 @@ impl ModelPredictor {
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for a group that was not supplied.
     pub fn row(&mut self, inputs: &Inputs<'_>) -> Result<&[f32]> {
-        let mut rest = &mut self.row[..];
-        for &(kind, size) in &self.groups {
-            let (head, tail) = rest.split_at_mut(size);
-            write_group(kind, &self.scene_features, inputs, head)?;
-            if kind == GroupKind::TransferFunction && self.sorted_lobes {
-                sort_lobes(head);
-            }
-            if kind == GroupKind::SceneFeatures
-                && let Some(costs) = &self.unit_costs
-            {
-                write_estimate(costs, &self.scene_features, inputs, head);
-            }
-            rest = tail;
-        }
+        self.layout.write(inputs, &mut self.row)?;
         Ok(&self.row)
     }
 
@@ -242,18 +175,6 @@ impl ModelPredictor {
             worst = worst.max(if z.is_nan() { f32::INFINITY } else { z });
         }
         if known { (worst / INSIDE - 1.0).max(0.0) } else { f32::NAN }
-    }
-}
-
-/// Writes the feature `estimated_seconds` by a model's own unit costs over what the group holds in its place.
-pub fn write_estimate(costs: &UnitCosts, features: &[SceneFeature], inputs: &Inputs<'_>, group: &mut [f32]) {
-    let mut seconds = None;
-    for (slot, feature) in group.iter_mut().zip(features) {
-        if feature.quantity == SceneQuantity::EstimatedSeconds {
-            let value =
-                *seconds.get_or_insert_with(|| costs.seconds(&inputs.features.cost_work(&inputs.setting)));
-            *slot = if feature.log { feature.quantity.log(value) } else { value as f32 };
-        }
     }
 }
 
@@ -296,7 +217,7 @@ impl Predictor for ModelPredictor {
 mod tests {
     use super::*;
     use crate::ErrorKind;
-    use crate::features::{Changes, FrameFeatures, Setting};
+    use crate::features::{Changes, FrameFeatures, PROBE_SIDE, Setting};
     use crate::model::{InputGroup, ModelFile};
     use crate::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
     use crate::scene::{Arcball, Camera, Frame, GaussianLobe};
@@ -434,7 +355,7 @@ mod tests {
         let of = |features: &[&str], side: Option<&str>| {
             let mut file = ModelFile::from_bytes(&bytes(features)).unwrap();
             if let Some(side) = side {
-                file.set_metadata(PROBE_SIDE_KEY, side);
+                file.set_metadata(crate::predict::PROBE_SIDE_KEY, side);
             }
             ModelPredictor::new(&file.to_model().unwrap()).map(|p| p.probe_side())
         };

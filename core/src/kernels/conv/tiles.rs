@@ -1,7 +1,52 @@
 //! The inner loops: every accumulator is a variable of its own, so that none leaves its register.
 
-use super::{MAX_POSITIONS, Row, Tile};
 use crate::kernels::simd::Simd;
+
+/// Output positions per tile at most.
+pub(super) const MAX_POSITIONS: usize = 16;
+
+/// One tile of a later layer: a few output positions times one block of channels.
+pub(super) struct Tile {
+    /// Per position: the input number that tap 0 and channel 0 take.
+    pub(super) input: [*const f32; MAX_POSITIONS],
+    /// Per position: the first channel of the block.
+    pub(super) output: [*mut f32; MAX_POSITIONS],
+    /// How many positions from the first on are not repetitions of the one before.
+    pub(super) distinct: usize,
+    /// Whether the positions lie two floats apart.
+    pub(super) two_apart: bool,
+    /// Whether the taps come in tap_triples that lie one float apart.
+    pub(super) tap_triples: bool,
+    /// As `input[0]`, of the tile after this one.
+    pub(super) next: *const f32,
+    /// Offset of each tap from `input`, in floats.
+    pub(super) taps: *const usize,
+    pub(super) tap_count: usize,
+    pub(super) channels: usize,
+    /// Floats from one input channel to the next.
+    pub(super) channel_stride: usize,
+    /// `tap_count` × `channels` × block of channels.
+    pub(super) weights: *const f32,
+    pub(super) bias: *const f32,
+}
+
+/// One output row of the first layer, for one group of channels.
+pub(super) struct Row {
+    /// The prepared number that tap 0 takes for x = 0.
+    pub(super) input: *const f32,
+    pub(super) taps: *const usize,
+    pub(super) tap_count: usize,
+    /// `tap_count` × group of channels.
+    pub(super) weights: *const f32,
+    pub(super) bias: *const f32,
+    /// x = 0 of the group's first channel.
+    pub(super) output: *mut f32,
+    /// Floats from one output channel to the next.
+    pub(super) channel_stride: usize,
+    /// Channels of the group.
+    pub(super) channels: usize,
+    pub(super) width: usize,
+}
 
 /// How far ahead weights are asked for, in floats: what a core works on while the last cache answers.
 const WEIGHTS_AHEAD: usize = 1024;
@@ -38,10 +83,10 @@ impl Cut {
 macro_rules! two_vectors {
     ($name:ident: $($p:literal $x:ident $a:ident $b:ident),*) => {
         /// A tile of two vectors of channels. Integer instructions compete with the sums for their ports, so there are
-        /// few: with `NEAR`, positions lie two floats apart and share a pointer; with `RUNS`, channels lie side by side
+        /// few: with `TWO_APART`, positions lie two floats apart and share a pointer; with `CONTIGUOUS_CHANNELS`, channels lie side by side
         /// and are taken four at a time.
         #[inline(always)]
-        unsafe fn $name<S: Simd, const NEAR: bool, const RUNS: bool>(s: S, tile: &Tile) {
+        unsafe fn $name<S: Simd, const TWO_APART: bool, const CONTIGUOUS_CHANNELS: bool>(s: S, tile: &Tile) {
             // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
             unsafe {
                 let origin = tile.input[0];
@@ -56,7 +101,7 @@ macro_rules! two_vectors {
                     let mut at = *tap;
                     let mut left = tile.channels;
                     while left > 0 {
-                        let run = if RUNS { 4 } else { 1 };
+                        let run = if CONTIGUOUS_CHANNELS { 4 } else { 1 };
                         for _ in 0..run {
                         let (w0, w1) = (s.load(w), s.load(w.add(S::LANES)));
                         s.prefetch_near(w.wrapping_add(WEIGHTS_AHEAD));
@@ -64,12 +109,12 @@ macro_rules! two_vectors {
                             s.prefetch_near(w.wrapping_add(WEIGHTS_AHEAD + 16));
                         }
                         $(
-                            let x = s.splat(if NEAR { *origin.add(at + 2 * $p) } else { *$x.add(at) });
+                            let x = s.splat(if TWO_APART { *origin.add(at + 2 * $p) } else { *$x.add(at) });
                             $a = s.mul_add(x, w0, $a);
                             $b = s.mul_add(x, w1, $b);
                         )*
                         w = w.add(2 * S::LANES);
-                        at += if RUNS { 1 } else { stride };
+                        at += if CONTIGUOUS_CHANNELS { 1 } else { stride };
                         }
                         left -= run;
                     }
@@ -156,7 +201,7 @@ macro_rules! wide {
 /// A tile of 16 positions, two floats apart, and one vector, for rows of three taps: each channel's three are added
 /// together, so that an input that two neighbours share is read once.
 #[inline(always)]
-unsafe fn sixteen_by_threes<S: Simd>(s: S, tile: &Tile) {
+unsafe fn sixteen_by_tap_triples<S: Simd>(s: S, tile: &Tile) {
     macro_rules! body {
         ($first:ident, $($p:literal $a:ident $before:ident),*; $last:ident) => {{
             // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
@@ -209,23 +254,25 @@ wide!(one_by_sixteen: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4
 ///
 /// # Safety
 /// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] says so, `vectors` is 1 and positions p and p + 8 lie at one
-/// distance; where [`Tile::near`] says so, position p lies 2·p floats from position 0, and where
-/// [`Tile::threes`] does, taps come in threes of neighbours. Every input pointer plus any tap plus any channel is readable, weights and biases are packed for the tile,
+/// distance; where [`Tile::two_apart`] says so, position p lies 2·p floats from position 0, and where
+/// [`Tile::tap_triples`] does, taps come in tap_triples of neighbours. Every input pointer plus any tap plus any channel is readable, weights and biases are packed for the tile,
 /// and every output pointer has room for its vectors, which no other thread touches.
 #[inline(always)]
 pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vectors: usize) {
     const { assert!(MAX_POSITIONS >= 16) };
     // SAFETY: passed on to the caller.
     unsafe {
-        let runs = tile.channel_stride == 1 && tile.channels.is_multiple_of(4);
+        let contiguous_channels = tile.channel_stride == 1 && tile.channels.is_multiple_of(4);
         match (vectors, S::LANES == 16) {
-            (2, true) if tile.near => two_by_eight::<S, true, false>(s, tile),
-            (2, true) if runs => two_by_eight::<S, false, true>(s, tile),
+            (2, true) if tile.two_apart => two_by_eight::<S, true, false>(s, tile),
+            (2, true) if contiguous_channels => two_by_eight::<S, false, true>(s, tile),
             (2, true) => two_by_eight::<S, false, false>(s, tile),
-            (2, false) if tile.near => two_by_six::<S, true, false>(s, tile),
-            (2, false) if runs => two_by_six::<S, false, true>(s, tile),
+            (2, false) if tile.two_apart => two_by_six::<S, true, false>(s, tile),
+            (2, false) if contiguous_channels => two_by_six::<S, false, true>(s, tile),
             (2, false) => two_by_six::<S, false, false>(s, tile),
-            (_, true) if positions == 16 && tile.near && tile.threes => sixteen_by_threes(s, tile),
+            (_, true) if positions == 16 && tile.two_apart && tile.tap_triples => {
+                sixteen_by_tap_triples(s, tile)
+            }
             (_, true) if positions == 16 => one_by_sixteen(s, tile),
             (_, true) => one_by_eight(s, tile),
             (_, false) => one_by_six(s, tile),

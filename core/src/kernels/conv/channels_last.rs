@@ -1,0 +1,214 @@
+//! The layers after the first: vectors along output channels, channels-last output.
+
+use super::layout::{Block, Buffer, Output, Shape, Taps, cut};
+use super::tiles::{self, Cut, MAX_POSITIONS, Tile};
+use crate::kernels::Level;
+use crate::kernels::simd::{Kernel, Simd};
+use alloc::vec::Vec;
+use core::ops::Range;
+
+/// Output positions after which the next block of channels is taken, so that inputs stay in the cache.
+const CHUNK: usize = 256;
+
+#[derive(Clone, Debug)]
+pub(super) struct ChannelsLast {
+    pub(super) level: Level,
+    pub(super) cut: Cut,
+    pub(super) shape: Shape,
+    pub(super) inputs: usize,
+    /// Floats between input channels, columns, rows and planes (planes only where the input is whole).
+    pub(super) channel_stride: usize,
+    pub(super) column: usize,
+    pub(super) row: usize,
+    pub(super) plane: usize,
+    /// Offsets of the taps where the input is whole.
+    pub(super) taps: Vec<usize>,
+    /// Planar channel, vectors, and place of the weights of each block of channels.
+    pub(super) blocks: Vec<(usize, usize, usize)>,
+    pub(super) weights: Buffer,
+    pub(super) bias: Buffer,
+    /// Of the output: borders, floats per position, size.
+    pub(super) border: usize,
+    pub(super) out_channels: usize,
+    pub(super) out_len: usize,
+}
+
+impl ChannelsLast {
+    /// Place of an output position, channel 0.
+    pub(super) fn place(&self, z: usize, y: usize, x: usize) -> usize {
+        let edge = self.shape.output + 2 * self.border;
+        (((z + self.border) * edge + y + self.border) * edge + x + self.border) * self.out_channels
+    }
+}
+
+impl ChannelsLast {
+    pub(super) fn new(
+        block: &Block<'_>,
+        [channel_stride, column, row, plane]: [usize; 4],
+        border: usize,
+        level: Level,
+    ) -> Self {
+        let cut = cut(level);
+        let shape = Shape::of(block);
+        let k = shape.kernel;
+        let all = k.pow(3);
+        let out_channels = block.outputs.next_multiple_of(cut.lanes);
+        let mut taps = Vec::with_capacity(all);
+        for a in 0..k {
+            for b in 0..k {
+                taps.extend((0..k).map(|c| a * plane + b * row + c * column));
+            }
+        }
+        let mut blocks = Vec::new();
+        let (mut channel, mut place) = (0, 0);
+        while channel < out_channels {
+            let vectors = ((out_channels - channel) / cut.lanes).min(2);
+            blocks.push((channel, vectors, place));
+            channel += vectors * cut.lanes;
+            place += all * block.inputs * vectors * cut.lanes;
+        }
+        let mut weights = Buffer::zeroed(place);
+        let packed = weights.as_mut_slice();
+        for &(channel, vectors, place) in &blocks {
+            let wide = vectors * cut.lanes;
+            for o in channel..(channel + wide).min(block.outputs) {
+                for i in 0..block.inputs {
+                    for tap in 0..all {
+                        packed[place + (tap * block.inputs + i) * wide + o - channel] =
+                            block.weight[(o * block.inputs + i) * all + tap];
+                    }
+                }
+            }
+        }
+        let mut bias = Buffer::zeroed(out_channels);
+        bias.as_mut_slice()[..block.outputs].copy_from_slice(block.bias);
+        let out_len = (shape.output + 2 * border).pow(3) * out_channels;
+        Self {
+            level,
+            cut,
+            shape,
+            inputs: block.inputs,
+            channel_stride,
+            column,
+            row,
+            plane,
+            taps,
+            blocks,
+            weights,
+            bias,
+            border,
+            out_channels,
+            out_len,
+        }
+    }
+
+    fn positions(&self) -> usize {
+        self.shape.output.pow(3)
+    }
+
+    /// Number of tasks that a layer with its whole input at hand falls into: chunks of positions, then blocks of
+    /// channels, then tiles.
+    pub(super) fn tasks(&self) -> usize {
+        self.positions().div_ceil(CHUNK) * self.blocks.len() * CHUNK.div_ceil(self.cut.positions)
+    }
+
+    /// Runs tasks; the input has its borders in every direction.
+    pub(super) fn whole(&self, input: &[f32], target: Output, tasks: Range<usize>) {
+        let tiles = CHUNK.div_ceil(self.cut.positions);
+        let taps = Taps { offsets: &self.taps, first: 0 };
+        let mut task = tasks.start;
+        while task < tasks.end {
+            // A run of tiles in one block of channels and one chunk.
+            let (chunk, block, tile) =
+                (task / tiles / self.blocks.len(), task / tiles % self.blocks.len(), task % tiles);
+            let run = (tiles - tile).min(tasks.end - task);
+            let low = chunk * CHUNK;
+            let high = (low + CHUNK).min(self.positions());
+            let at = |tile: usize| (low + tile * self.cut.positions).min(high);
+            self.tiles(input, &taps, target, block, at(tile)..at(tile + run), self.shape.stride * self.plane);
+            task += run;
+        }
+    }
+
+    /// Computes one block of channels at a range of positions, whose inputs lie `plane` floats apart from one output
+    /// plane to the next (0 where the taps say where the planes lie).
+    pub(super) fn tiles(
+        &self,
+        input: &[f32],
+        taps: &Taps<'_>,
+        target: Output,
+        block: usize,
+        positions: Range<usize>,
+        plane: usize,
+    ) {
+        self.level.run(Tiles { layer: self, input, taps, target, block, positions, plane });
+    }
+}
+
+/// One block of channels at a range of positions.
+struct Tiles<'a> {
+    layer: &'a ChannelsLast,
+    input: &'a [f32],
+    taps: &'a Taps<'a>,
+    target: Output,
+    block: usize,
+    positions: Range<usize>,
+    plane: usize,
+}
+
+impl Kernel for Tiles<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, s: S) {
+        let Self { layer, input, taps, target, block, positions, plane } = self;
+        let (channel, vectors, place) = layer.blocks[block];
+        let skipped = taps.first * layer.inputs * vectors * layer.cut.lanes;
+        let mut tile = Tile {
+            input: [core::ptr::null(); MAX_POSITIONS],
+            output: [core::ptr::null_mut(); MAX_POSITIONS],
+            distinct: 0,
+            two_apart: false,
+            tap_triples: layer.shape.kernel == 3 && layer.column == 1,
+            next: core::ptr::null(),
+            taps: taps.offsets.as_ptr(),
+            tap_count: taps.offsets.len(),
+            channels: layer.inputs,
+            channel_stride: layer.channel_stride,
+            weights: layer.weights.as_slice()[place + skipped..].as_ptr(),
+            bias: layer.bias.as_slice()[channel..].as_ptr(),
+        };
+        let Shape { output: edge, stride, .. } = layer.shape;
+        // Sixteen positions of one row lie at equal distances.
+        let rows_of_16 = edge.is_multiple_of(16) && positions.start.is_multiple_of(16);
+        let step = if layer.cut.wide && vectors == 1 && rows_of_16 { 16 } else { layer.cut.positions };
+        let (mut z, mut y, mut x) =
+            (positions.start / (edge * edge), positions.start / edge % edge, positions.start % edge);
+        let mut p = positions.start;
+        while p < positions.end {
+            tile.distinct = step.min(positions.end - p);
+            tile.two_apart = stride * layer.column == 2 && x + step <= edge && tile.distinct == step;
+            for i in 0..step {
+                let from = z * plane + stride * (y * layer.row + x * layer.column);
+                tile.input[i] = input[from..].as_ptr();
+                // SAFETY: the place lies inside the layer's output, and so does the block of channels after it.
+                tile.output[i] = unsafe { target.0.add(layer.place(z, y, x) + channel) };
+                // The last tile repeats its last position: the same numbers go to the same places.
+                if p + i + 1 < positions.end {
+                    x += 1;
+                    if x == edge {
+                        (x, y) = (0, y + 1);
+                    }
+                    if y == edge {
+                        (y, z) = (0, z + 1);
+                    }
+                }
+            }
+            tile.next = input.as_ptr().wrapping_add(z * plane + stride * (y * layer.row + x * layer.column));
+            // SAFETY: a position's place plus any tap and channel lies inside the bordered input; weights and biases
+            // are packed for whole blocks; no other thread has these positions and channels.
+            unsafe { tiles::run_tile(s, &tile, step, vectors) };
+            p += step;
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Sizes, aligned memory and places that the layers share.
+
+use super::tiles::Cut;
+use crate::kernels::Level;
+use crate::kernels::simd::{Kernel, Simd};
+use alloc::vec;
+use alloc::vec::Vec;
+use core::ops::Range;
+
+/// Floats per cache line, the widest vector, and the unit that rows are padded to.
+pub(super) const LINE: usize = 16;
+
+/// Floats on a cache line boundary, zero at first.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Buffer(Vec<Line>);
+
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C, align(64))]
+struct Line([f32; LINE]);
+
+impl Buffer {
+    pub(super) fn zeroed(len: usize) -> Self {
+        Self(vec![Line([0.0; LINE]); len.div_ceil(LINE)])
+    }
+
+    pub(super) fn as_slice(&self) -> &[f32] {
+        bytemuck::cast_slice(&self.0)
+    }
+
+    pub(super) fn as_mut_slice(&mut self) -> &mut [f32] {
+        bytemuck::cast_slice_mut(&mut self.0)
+    }
+}
+
+pub(super) fn cut(level: Level) -> Cut {
+    struct CutOfLevel;
+    impl Kernel for CutOfLevel {
+        type Output = Cut;
+
+        #[inline(always)]
+        fn run<S: Simd>(self, _: S) -> Cut {
+            Cut::of::<S>()
+        }
+    }
+    level.run(CutOfLevel)
+}
+
+/// One block's sizes and weights (outputs × inputs × kernel³, one bias per output).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Block<'a> {
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    pub(crate) kernel: usize,
+    pub(crate) stride: usize,
+    pub(crate) padding: usize,
+    pub(crate) input_edge: usize,
+    pub(crate) output_edge: usize,
+    pub(crate) weight: &'a [f32],
+    pub(crate) bias: &'a [f32],
+}
+
+/// The dense layer's weights (outputs × inputs) and biases.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Head<'a> {
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    pub(crate) weight: &'a [f32],
+    pub(crate) bias: &'a [f32],
+}
+
+/// Cubic kernel, stride and padding, and edges in and out.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Shape {
+    pub(super) input: usize,
+    pub(super) output: usize,
+    pub(super) kernel: usize,
+    pub(super) stride: usize,
+    pub(super) padding: usize,
+}
+
+impl Shape {
+    pub(super) fn of(block: &Block<'_>) -> Self {
+        Self {
+            input: block.input_edge,
+            output: block.output_edge,
+            kernel: block.kernel,
+            stride: block.stride,
+            padding: block.padding,
+        }
+    }
+
+    /// The input planes that output plane `z` needs, and the first kernel plane among them: the rest is padding.
+    pub(super) fn planes(&self, z: usize) -> (Range<usize>, usize) {
+        let low = z * self.stride;
+        let first = low.max(self.padding);
+        let end = (low + self.kernel).min(self.padding + self.input).max(first);
+        (first - self.padding..end - self.padding, (first - low).min(self.kernel))
+    }
+}
+
+/// Which taps a tile adds: offsets in the input, and how many of the packed ones come before them.
+pub(super) struct Taps<'a> {
+    pub(super) offsets: &'a [usize],
+    pub(super) first: usize,
+}
+
+/// Where several threads write, each its own positions and channels.
+#[derive(Clone, Copy)]
+pub(super) struct Output(pub(super) *mut f32);
+
+// SAFETY: the tasks of one layer write disjoint floats, and whoever owns the buffer waits for all of them.
+unsafe impl Send for Output {}
+// SAFETY: as above.
+unsafe impl Sync for Output {}

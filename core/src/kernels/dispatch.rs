@@ -1,0 +1,43 @@
+//! From a level to a kernel compiled for it: the only place that knows every instruction set.
+
+use super::simd::Kernel;
+use super::{Isa, Level};
+
+impl Level {
+    /// Runs a kernel with this level's instructions.
+    #[inline]
+    pub(crate) fn run<K: Kernel>(self, kernel: K) -> K::Output {
+        match self.isa() {
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx512 => {
+                // SAFETY: the level proves AVX-512 F, BW, DQ and VL.
+                unsafe { super::x86_64::avx512::enter(kernel) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx2 => {
+                // SAFETY: the level proves AVX2, FMA and F16C.
+                unsafe { super::x86_64::avx2::enter(kernel) }
+            }
+            _ => kernel.run(super::scalar::Scalar),
+        }
+    }
+
+    /// Runs a kernel that lives on [`Simd::dot4`]: AVX-512 only together with VNNI, since without it twice the width
+    /// gains nothing.
+    #[inline]
+    pub(crate) fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
+        match self.isa() {
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx512 if self.has_vnni() => {
+                // SAFETY: the level proves AVX-512 F, BW, DQ, VL and VNNI.
+                unsafe { super::x86_64::avx512::enter_vnni(kernel) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx2 | Isa::Avx512 => {
+                // SAFETY: both levels prove AVX2, FMA and F16C.
+                unsafe { super::x86_64::avx2::enter(kernel) }
+            }
+            _ => kernel.run(super::scalar::Scalar),
+        }
+    }
+}

@@ -1,0 +1,262 @@
+//! Dense layers packed for streaming, and the networks made of them.
+//!
+//! A layer's outputs are padded to a multiple of 16 and cut into panels of 64, 32 and 16. A panel lies in memory in
+//! the order in which it is read: its biases, then for each input the weights of all its outputs. So a matrix-vector
+//! product is one sequential stream with all sums in registers, and the same panel serves a tile of several rows. The
+//! last layer, which has one output, stays a plain row. Padding is zero, and SELU(0) = 0 keeps it so.
+//!
+//! | module | what |
+//! |---|---|
+//! | `packing` | storage formats and the panels of a layer |
+//! | `weights` | packed weights as vectors |
+//! | `row` | one row of inputs through the layers |
+//! | `batch` | blocks of rows, in tiles |
+//! | `int8` | the byte arithmetic of both |
+
+/// Writes out every row and vector of a tile with literal indices, so that each sum has a register of its own: in loops
+/// the compiler keeps arrays of sums in memory. Rows beyond `ROWS` and vectors beyond `VECTORS` vanish.
+#[rustfmt::skip]
+macro_rules! unrolled {
+    ($do:ident!) => {
+        $do!(0, 0); $do!(0, 1); $do!(0, 2); $do!(0, 3);
+        $do!(1, 0); $do!(1, 1); $do!(1, 2); $do!(1, 3);
+        $do!(2, 0); $do!(2, 1); $do!(2, 2); $do!(2, 3);
+        $do!(3, 0); $do!(3, 1); $do!(3, 2); $do!(3, 3);
+        $do!(4, 0); $do!(4, 1); $do!(4, 2); $do!(4, 3);
+        $do!(5, 0); $do!(5, 1); $do!(5, 2); $do!(5, 3);
+    };
+}
+
+mod batch;
+mod int8;
+mod packing;
+mod row;
+mod weights;
+
+use super::Level;
+use super::helper::Join;
+use alloc::vec;
+use alloc::vec::Vec;
+use batch::ForwardRows;
+pub use packing::Storage;
+pub(crate) use packing::{Dense, Line};
+use packing::{LINE_BYTES, Layer, pack};
+use row::{Forward, LastRow, LayerPart, LoadInputs};
+
+/// Rows that a batch works on at once: two buffers of them and a layer's weights stay in a second-level cache.
+pub(crate) const BLOCK_ROWS: usize = 384;
+
+/// Lines of weights from which on a layer is worth splitting over two threads: 64 KiB.
+const SPLIT_LINES: usize = 1024;
+
+/// A network of dense layers with SELU after every layer but the last, which has one output.
+#[derive(Clone, Debug)]
+pub(crate) struct Mlp {
+    level: Level,
+    /// Whether the layers between the first and the last are [`Storage::Int8`].
+    int8: bool,
+    inputs: usize,
+    layers: Vec<Layer>,
+    /// Inputs of the last layer, and where its row starts.
+    last: (usize, usize),
+    last_bias: f32,
+    /// Mean, then reciprocal of std, each padded to whole lines; empty without normalisation.
+    norm: Vec<Line>,
+    data: Vec<Line>,
+    /// Widest activation, in numbers.
+    width: usize,
+    /// Numbers in the largest panel, for widening.
+    panel: usize,
+}
+
+/// Working memory: activations of one or more rows, and room for one widened panel.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct MlpScratch {
+    rows: usize,
+    a: Vec<Line>,
+    b: Vec<Line>,
+    quantized: Vec<Line>,
+    ranges: Vec<[f32; 2]>,
+    panel: Vec<Line>,
+}
+
+impl MlpScratch {
+    pub(crate) fn rows(&self) -> usize {
+        self.rows
+    }
+}
+
+impl Mlp {
+    /// Packs the layers, first to last. `norm` is the mean and the std of each input.
+    ///
+    /// Sizes must agree, the last layer must have one output, and nothing may be empty: callers have checked that.
+    pub(crate) fn new(
+        level: Level,
+        storage: Storage,
+        layers: &[Dense<'_>],
+        norm: Option<(&[f32], &[f32])>,
+    ) -> Self {
+        let (last, hidden) = layers.split_last().expect("callers have checked that there is a layer");
+        let inputs = layers[0].inputs;
+        let mut data = Vec::new();
+        let mut packed = Vec::with_capacity(hidden.len());
+        for (i, layer) in hidden.iter().enumerate() {
+            // The first layer sees inputs of any scale, and it is small.
+            let storage = if i == 0 && storage == Storage::Int8 { Storage::F32 } else { storage };
+            packed.push(pack(layer, storage, &mut data));
+        }
+        let last_start = data.len();
+        data.resize(last_start + last.inputs.div_ceil(16), Line::default());
+        bytemuck::cast_slice_mut::<_, f32>(&mut data[last_start..])[..last.inputs]
+            .copy_from_slice(last.weight);
+        let lines = inputs.div_ceil(16);
+        let mut normal = Vec::new();
+        if let Some((mean, std)) = norm {
+            normal = vec![Line::default(); 2 * lines];
+            let (first, second) = bytemuck::cast_slice_mut::<_, f32>(&mut normal).split_at_mut(lines * 16);
+            first[..inputs].copy_from_slice(mean);
+            second.iter_mut().zip(std).for_each(|(to, s)| *to = 1.0 / s);
+        }
+        let widest = packed.iter().map(|l: &Layer| l.inputs.max(l.width)).max().unwrap_or(0);
+        let panel = packed.iter().map(|l: &Layer| l.inputs * l.width.min(64)).max().unwrap_or(0);
+        Self {
+            level,
+            int8: storage == Storage::Int8,
+            inputs,
+            layers: packed,
+            last: (last.inputs, last_start),
+            last_bias: last.bias[0],
+            norm: normal,
+            data,
+            width: widest.max(inputs).next_multiple_of(16),
+            panel: if matches!(storage, Storage::F16 | Storage::Bf16) { panel } else { 0 },
+        }
+    }
+
+    pub(crate) fn inputs(&self) -> usize {
+        self.inputs
+    }
+
+    pub(crate) fn level(&self) -> Level {
+        self.level
+    }
+
+    /// Bytes read by one prediction.
+    pub(crate) fn bytes(&self) -> usize {
+        (self.data.len() + self.norm.len()) * LINE_BYTES
+    }
+
+    /// The weights as the caches see them, for benchmarks that evict them.
+    pub(crate) fn memory(&self) -> &[u8] {
+        bytemuck::cast_slice(&self.data)
+    }
+
+    pub(crate) fn scratch(&self, rows: usize) -> MlpScratch {
+        let rows = rows.clamp(1, BLOCK_ROWS);
+        let lines = vec![Line::default(); rows * self.width / 16];
+        // Bytes per row, padded to 32 for the int8 layers.
+        let bytes = rows * self.width.next_multiple_of(32);
+        let int8 = self.int8;
+        MlpScratch {
+            rows,
+            a: lines.clone(),
+            b: lines,
+            quantized: vec![Line::default(); if int8 { bytes.div_ceil(LINE_BYTES) } else { 0 }],
+            ranges: vec![[0.0; 2]; if int8 { rows } else { 0 }],
+            panel: vec![Line::default(); self.panel.div_ceil(16)],
+        }
+    }
+
+    /// Whether the scratch was made by a network of these sizes.
+    fn fits(&self, scratch: &MlpScratch) -> bool {
+        let numbers = scratch.rows * self.width;
+        let int8 = self.int8;
+        scratch.rows > 0
+            && scratch.a.len() * 16 >= numbers
+            && scratch.b.len() * 16 >= numbers
+            && scratch.panel.len() * 16 >= self.panel
+            && (!int8
+                || (scratch.ranges.len() >= scratch.rows
+                    && scratch.quantized.len() * LINE_BYTES
+                        >= scratch.rows * self.width.next_multiple_of(32)))
+    }
+
+    /// The last layer's output for one row of inputs, or `None` for a wrong number of inputs or a foreign scratch.
+    #[inline]
+    pub(crate) fn forward(&self, inputs: &[f32], scratch: &mut MlpScratch) -> Option<f32> {
+        if inputs.len() != self.inputs || !self.fits(scratch) {
+            return None;
+        }
+        Some(self.run_row(inputs, scratch))
+    }
+
+    /// One row whose sizes have been checked.
+    #[inline]
+    fn run_row(&self, inputs: &[f32], scratch: &mut MlpScratch) -> f32 {
+        if self.int8 {
+            self.level.run_dot4(Forward::<true> { net: self, inputs, scratch })
+        } else {
+            self.level.run(Forward::<false> { net: self, inputs, scratch })
+        }
+    }
+
+    /// As [`forward`](Self::forward), the outputs of each large layer split in two: same bits.
+    pub(crate) fn forward_split<J: Join>(
+        &self,
+        threads: &J,
+        inputs: &[f32],
+        scratch: &mut MlpScratch,
+    ) -> Option<f32> {
+        if inputs.len() != self.inputs || !self.fits(scratch) {
+            return None;
+        }
+        // Int8 is faster alone: what a core gains from its half is less than the two cores' talk.
+        if self.int8 || self.layers.iter().all(|layer| layer.lines() < SPLIT_LINES) {
+            return Some(self.run_row(inputs, scratch));
+        }
+        let MlpScratch { a, b, .. } = scratch;
+        let (mut x, mut y): (&mut [f32], &mut [f32]) =
+            (bytemuck::cast_slice_mut(a), bytemuck::cast_slice_mut(b));
+        self.level.run(LoadInputs { net: self, inputs, x });
+        for layer in &self.layers {
+            let whole = LayerPart { net: self, layer, from: 0, to: layer.width, x, y };
+            if layer.lines() < SPLIT_LINES || layer.width < 128 {
+                self.level.run(whole);
+            } else {
+                let half = layer.width / 128 * 64;
+                let (low, high) = y.split_at_mut(half);
+                let x = &*x;
+                threads.join(
+                    || self.level.run(LayerPart { net: self, layer, from: 0, to: half, x, y: low }),
+                    || {
+                        let to = layer.width;
+                        self.level.run(LayerPart { net: self, layer, from: half, to, x, y: high });
+                    },
+                );
+            }
+            core::mem::swap(&mut x, &mut y);
+        }
+        Some(self.level.run(LastRow { net: self, x }))
+    }
+
+    /// The last layer's output for as many rows as `outputs` has elements; `None` as in [`forward`](Self::forward).
+    pub(crate) fn forward_rows(
+        &self,
+        inputs: &[f32],
+        outputs: &mut [f32],
+        scratch: &mut MlpScratch,
+    ) -> Option<()> {
+        if self.inputs.checked_mul(outputs.len()) != Some(inputs.len()) || !self.fits(scratch) {
+            return None;
+        }
+        let block = scratch.rows;
+        for (inputs, outputs) in inputs.chunks(block * self.inputs).zip(outputs.chunks_mut(block)) {
+            if self.int8 {
+                self.level.run_dot4(ForwardRows::<true> { net: self, inputs, outputs, scratch });
+            } else {
+                self.level.run(ForwardRows::<false> { net: self, inputs, outputs, scratch });
+            }
+        }
+        Some(())
+    }
+}

@@ -1,0 +1,156 @@
+//! Storage formats, and the panels that a layer is packed into.
+
+use alloc::vec::Vec;
+use bytemuck::{Pod, Zeroable};
+
+/// How a network keeps its weights in memory. Sums and activations are f32 throughout, except for
+/// [`Int8`](Storage::Int8).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum Storage {
+    /// Single precision.
+    F32,
+    /// Half precision, widened when it is used.
+    F16,
+    /// bfloat16, widened when it is used.
+    Bf16,
+    /// Signed bytes with one scale per output; a layer's inputs become unsigned bytes with a scale and a zero point found
+    /// at each call, sums are exact 32-bit integers. The first and the last layer stay F32.
+    Int8,
+}
+
+impl Storage {
+    /// Every storage, widest first.
+    pub const ALL: [Storage; 4] = [Storage::F32, Storage::F16, Storage::Bf16, Storage::Int8];
+
+    /// A short lower-case name, as reports print it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Storage::F32 => "f32",
+            Storage::F16 => "f16",
+            Storage::Bf16 => "bf16",
+            Storage::Int8 => "int8",
+        }
+    }
+}
+
+/// One cache line.
+#[derive(Clone, Copy, Debug, Default, Pod, Zeroable)]
+#[repr(C, align(64))]
+pub(crate) struct Line([f32; 16]);
+
+pub(super) const LINE_BYTES: usize = size_of::<Line>();
+
+/// Outputs of the panels that `width` (a multiple of 16) is cut into, in order.
+pub(super) fn panels(width: usize) -> impl Iterator<Item = usize> {
+    core::iter::repeat_n(64, width / 64).chain([32, 16].into_iter().filter(move |n| (width % 64) & n != 0))
+}
+
+/// One dense layer followed by SELU.
+#[derive(Clone, Debug)]
+pub(super) struct Layer {
+    pub(super) storage: Storage,
+    /// Inputs padded with zero weights: to 8, or to 32 with [`Storage::Int8`].
+    pub(super) inputs: usize,
+    /// Inputs padded to 16: how far the layer before has written.
+    pub(super) filled: usize,
+    /// Outputs padded to 16.
+    pub(super) width: usize,
+    /// Where the first panel starts, in lines.
+    pub(super) start: usize,
+}
+
+impl Layer {
+    /// Lines of one panel of `n` outputs.
+    pub(super) fn panel_lines(&self, n: usize) -> usize {
+        let weights = self.inputs * n;
+        let (numbers, bytes) = match self.storage {
+            Storage::F32 => (n, weights * 4),
+            Storage::F16 | Storage::Bf16 => (n, weights * 2),
+            Storage::Int8 => (3 * n, weights),
+        };
+        (numbers * 4 + bytes) / LINE_BYTES
+    }
+
+    pub(super) fn lines(&self) -> usize {
+        panels(self.width).map(|n| self.panel_lines(n)).sum()
+    }
+}
+
+/// Row-major weights and biases of one layer, as the packing reads them.
+pub(crate) struct Dense<'a> {
+    pub(crate) inputs: usize,
+    pub(crate) outputs: usize,
+    pub(crate) weight: &'a [f32],
+    pub(crate) bias: &'a [f32],
+}
+
+/// Appends the panels of one layer.
+pub(super) fn pack(layer: &Dense<'_>, storage: Storage, data: &mut Vec<Line>) -> Layer {
+    let pad = if storage == Storage::Int8 { 32 } else { 8 };
+    let packed = Layer {
+        storage,
+        inputs: layer.inputs.next_multiple_of(pad),
+        filled: layer.inputs.next_multiple_of(16),
+        width: layer.outputs.next_multiple_of(16),
+        start: data.len(),
+    };
+    data.resize(packed.start + packed.lines(), Line::default());
+    let at = |o: usize, k: usize| {
+        if o < layer.outputs && k < layer.inputs { layer.weight[o * layer.inputs + k] } else { 0.0 }
+    };
+    let (mut line, mut first) = (packed.start, 0);
+    for n in panels(packed.width) {
+        let end = line + packed.panel_lines(n);
+        let numbers: &mut [f32] = bytemuck::cast_slice_mut(&mut data[line..end]);
+        let (bias, rest) = numbers.split_at_mut(n);
+        for (o, b) in bias.iter_mut().enumerate() {
+            *b = layer.bias.get(first + o).copied().unwrap_or(0.0);
+        }
+        match storage {
+            Storage::F32 => {
+                for (k, row) in rest.chunks_exact_mut(n).enumerate() {
+                    row.iter_mut().enumerate().for_each(|(o, w)| *w = at(first + o, k));
+                }
+            }
+            Storage::F16 => {
+                for (k, row) in bytemuck::cast_slice_mut::<_, u16>(rest).chunks_exact_mut(n).enumerate() {
+                    row.iter_mut().enumerate().for_each(|(o, w)| {
+                        *w = half::f16::from_f32_const(at(first + o, k)).to_bits();
+                    });
+                }
+            }
+            Storage::Bf16 => {
+                // One word per output and pair of inputs: the even input in the lower half.
+                for (k, row) in bytemuck::cast_slice_mut::<_, u32>(rest).chunks_exact_mut(n).enumerate() {
+                    let bits = |o, k| u32::from(half::bf16::from_f32_const(at(first + o, k)).to_bits());
+                    row.iter_mut().enumerate().for_each(|(o, w)| {
+                        *w = bits(o, 2 * k) | bits(o, 2 * k + 1) << 16;
+                    });
+                }
+            }
+            Storage::Int8 => {
+                let (scales, rest) = rest.split_at_mut(n);
+                let (sums, rest) = rest.split_at_mut(n);
+                let weights: &mut [i8] = bytemuck::cast_slice_mut(rest);
+                for o in 0..n {
+                    let row = |k| at(first + o, k);
+                    let largest = (0..layer.inputs).fold(0.0f32, |m, k| m.max(row(k).abs()));
+                    let scale = largest / 127.0;
+                    let inverse = if scale >= f32::MIN_POSITIVE { 1.0 / f64::from(scale) } else { 0.0 };
+                    let mut sum = 0;
+                    for k in 0..packed.inputs {
+                        let w = libm::rint(f64::from(row(k)) * inverse) as i8;
+                        sum += i32::from(w);
+                        weights[(k / 4 * n + o) * 4 + k % 4] = w;
+                    }
+                    scales[o] = scale;
+                    sums[o] = sum as f32 * scale;
+                }
+            }
+        }
+        line = end;
+        first += n;
+    }
+    packed
+}

@@ -1,0 +1,267 @@
+//! One row of inputs through the layers: matrix-vector products.
+
+use super::int8::{panel_row_int8, quantize};
+use super::packing::Layer;
+use super::weights::{AsBf16, AsF16, AsF32, Format};
+use super::{Mlp, MlpScratch, Storage};
+use crate::kernels::simd::{Kernel, Simd};
+
+/// One row through one panel of `N` outputs: y = SELU(W·x + b).
+///
+/// # Safety
+/// `panel` must be the packed panel (bias first), `x` hold `inputs` numbers, `y` have room for `N`.
+#[inline(always)]
+unsafe fn panel_row<S: Simd, W: Format, const N: usize>(
+    simd: S,
+    panel: *const f32,
+    inputs: usize,
+    x: *const f32,
+    y: *mut f32,
+) {
+    // Eight sums: `vectors` outputs at a time, even and odd inputs apart, 4 / `vectors` pairs of inputs at a time.
+    let vectors = if N / S::LANES < 4 { N / S::LANES } else { 4 };
+    let pairs = 4 / vectors;
+    let mut from = 0;
+    while from < N {
+        // SAFETY: all offsets stay below `inputs`·N in the weights, `inputs` in x and N in bias and y; `inputs` is a
+        // multiple of 8 = 2·max(pairs).
+        unsafe {
+            let weights = panel.add(N);
+            let zero = simd.splat(0.0);
+            let bias = |j: usize| if j < vectors { simd.load(panel.add(from + j * S::LANES)) } else { zero };
+            let (mut e0, mut e1, mut e2, mut e3) = (bias(0), bias(1), bias(2), bias(3));
+            let (mut o0, mut o1, mut o2, mut o3) = (zero, zero, zero, zero);
+            let mut k = 0;
+            while k < inputs {
+                macro_rules! step {
+                    ($j:literal, $even:ident, $odd:ident) => {
+                        let at = k + 2 * ($j / vectors);
+                        let (even, odd) = W::pair(simd, weights, N, at, from + $j % vectors * S::LANES);
+                        $even = simd.mul_add(even, simd.splat(*x.add(at)), $even);
+                        $odd = simd.mul_add(odd, simd.splat(*x.add(at + 1)), $odd);
+                    };
+                }
+                step!(0, e0, o0);
+                step!(1, e1, o1);
+                step!(2, e2, o2);
+                step!(3, e3, o3);
+                k += 2 * pairs;
+            }
+            let (mut s0, mut s1, s2, s3) =
+                (simd.add(e0, o0), simd.add(e1, o1), simd.add(e2, o2), simd.add(e3, o3));
+            if vectors == 2 {
+                s0 = simd.add(s0, s2);
+                s1 = simd.add(s1, s3);
+            }
+            if vectors == 1 {
+                s0 = simd.add(simd.add(s0, s1), simd.add(s2, s3));
+            }
+            simd.store(y.add(from), simd.selu(s0));
+            if vectors > 1 {
+                simd.store(y.add(from + S::LANES), simd.selu(s1));
+            }
+            if vectors > 2 {
+                simd.store(y.add(from + 2 * S::LANES), simd.selu(s2));
+                simd.store(y.add(from + 3 * S::LANES), simd.selu(s3));
+            }
+        }
+        from += vectors * S::LANES;
+    }
+}
+
+pub(super) struct Forward<'a, const INT8: bool> {
+    pub(super) net: &'a Mlp,
+    pub(super) inputs: &'a [f32],
+    pub(super) scratch: &'a mut MlpScratch,
+}
+
+impl<const INT8: bool> Kernel for Forward<'_, INT8> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> f32 {
+        let Self { net, inputs, scratch } = self;
+        let mut x: *mut f32 = scratch.a.as_mut_ptr().cast();
+        let mut y: *mut f32 = scratch.b.as_mut_ptr().cast();
+        let q: *mut u8 = scratch.quantized.as_mut_ptr().cast();
+        // SAFETY: `fits` has checked that both buffers hold the widest activation, padded to 16 (and `quantized` to
+        // 32), and packing has laid the panels out as the loops below walk them.
+        unsafe {
+            net.load_inputs(simd, inputs, x);
+            for layer in &net.layers {
+                net.layer_row::<S, INT8>(simd, layer, 0, layer.width, x, q, y);
+                core::mem::swap(&mut x, &mut y);
+            }
+            net.last_row(simd, x)
+        }
+    }
+}
+
+pub(super) struct LoadInputs<'a> {
+    pub(super) net: &'a Mlp,
+    pub(super) inputs: &'a [f32],
+    pub(super) x: &'a mut [f32],
+}
+
+impl Kernel for LoadInputs<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        // SAFETY: `fits` has checked the length of `x`, `forward_split` that of `inputs`.
+        unsafe { self.net.load_inputs(simd, self.inputs, self.x.as_mut_ptr()) };
+    }
+}
+
+/// Outputs `from` to `to` of one layer, written to the start of `y`.
+pub(super) struct LayerPart<'a> {
+    pub(super) net: &'a Mlp,
+    pub(super) layer: &'a Layer,
+    pub(super) from: usize,
+    pub(super) to: usize,
+    pub(super) x: &'a [f32],
+    pub(super) y: &'a mut [f32],
+}
+
+impl Kernel for LayerPart<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self { net, layer, from, to, x, y } = self;
+        assert!(x.len() >= layer.inputs.min(net.width) && y.len() >= to - from && to <= layer.width);
+        // SAFETY: `x` and `y` are long enough; `q` is not used without int8 layers.
+        unsafe {
+            net.layer_row::<S, false>(
+                simd,
+                layer,
+                from,
+                to,
+                x.as_ptr(),
+                core::ptr::null_mut(),
+                y.as_mut_ptr(),
+            );
+        }
+    }
+}
+
+pub(super) struct LastRow<'a> {
+    pub(super) net: &'a Mlp,
+    pub(super) x: &'a [f32],
+}
+
+impl Kernel for LastRow<'_> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> f32 {
+        // SAFETY: `fits` has checked the length of `x`.
+        unsafe { self.net.last_row(simd, self.x.as_ptr()) }
+    }
+}
+
+impl Mlp {
+    /// Copies one row of inputs, normalised, and clears the padding behind it.
+    ///
+    /// # Safety
+    /// `inputs` must have the network's length and `x` room for it, padded to 16.
+    #[inline(always)]
+    pub(super) unsafe fn load_inputs<S: Simd>(&self, simd: S, inputs: &[f32], x: *mut f32) {
+        let padded = self.inputs.next_multiple_of(16);
+        // SAFETY: the caller vouches for `x`; `norm` holds two runs of `padded` numbers or none.
+        unsafe {
+            core::ptr::copy_nonoverlapping(inputs.as_ptr(), x, self.inputs);
+            for i in self.inputs..padded {
+                *x.add(i) = 0.0;
+            }
+            if !self.norm.is_empty() {
+                let mean: *const f32 = self.norm.as_ptr().cast();
+                for i in (0..padded).step_by(S::LANES) {
+                    let centered = simd.sub(simd.load(x.add(i)), simd.load(mean.add(i)));
+                    simd.store(x.add(i), simd.mul(centered, simd.load(mean.add(padded + i))));
+                }
+            }
+        }
+    }
+
+    /// Outputs `from` to `to` (multiples of 64, or the layer's width) of one layer for one row, written to the start
+    /// of `y`.
+    ///
+    /// # Safety
+    /// `x` must hold the layer's padded inputs, `y` have room for its width, `q` (int8 only) for its padded inputs in
+    /// bytes.
+    #[inline(always)]
+    #[allow(clippy::too_many_arguments, reason = "one row's buffers")]
+    unsafe fn layer_row<S: Simd, const INT8: bool>(
+        &self,
+        simd: S,
+        layer: &Layer,
+        from: usize,
+        to: usize,
+        x: *const f32,
+        q: *mut u8,
+        y: *mut f32,
+    ) {
+        macro_rules! walk {
+            ($panel:ident, $($arg:tt)*) => {{
+                // SAFETY: panels follow one another in `data`; the caller vouches for the buffers.
+                unsafe {
+                    let mut panel = self.data.as_ptr().add(layer.start + from / 64 * layer.panel_lines(64)).cast::<f32>();
+                    let mut o = from;
+                    while to - o >= 64 {
+                        walk!(@ $panel, 64, panel, y.add(o - from), $($arg)*);
+                        panel = panel.add(layer.panel_lines(64) * 16);
+                        o += 64;
+                    }
+                    if to - o >= 32 {
+                        walk!(@ $panel, 32, panel, y.add(o - from), $($arg)*);
+                        panel = panel.add(layer.panel_lines(32) * 16);
+                        o += 32;
+                    }
+                    if to - o >= 16 {
+                        walk!(@ $panel, 16, panel, y.add(o - from), $($arg)*);
+                    }
+                }
+            }};
+            (@ panel_row, $n:literal, $p:ident, $y:expr, $format:ty) => {
+                panel_row::<S, $format, $n>(simd, $p, layer.inputs, x, $y)
+            };
+            (@ panel_row_int8, $n:literal, $p:ident, $y:expr, $range:ident) => {
+                panel_row_int8::<S, $n>(simd, $p, layer.inputs, q, $range, $y)
+            };
+        }
+        // The first and the last layer of an int8 network are F32, the rest of it Int8.
+        match layer.storage {
+            Storage::F32 => walk!(panel_row, AsF32),
+            Storage::F16 if !INT8 => walk!(panel_row, AsF16),
+            Storage::Bf16 if !INT8 => walk!(panel_row, AsBf16),
+            _ if !INT8 => {}
+            _ => {
+                // SAFETY: the caller vouches for the buffers; what lies in `q` beyond `filled` meets zero weights.
+                let range = unsafe { quantize(simd, x, layer.filled, q) };
+                walk!(panel_row_int8, range);
+            }
+        }
+    }
+
+    /// The last layer for one row.
+    ///
+    /// # Safety
+    /// `x` must hold the layer's inputs padded to 16.
+    #[inline(always)]
+    pub(super) unsafe fn last_row<S: Simd>(&self, simd: S, x: *const f32) -> f32 {
+        let (inputs, start) = self.last;
+        let padded = inputs.next_multiple_of(16);
+        // SAFETY: the packed row is padded to 16 as well; 16 is a multiple of LANES.
+        unsafe {
+            let row = self.data.as_ptr().add(start).cast::<f32>();
+            let mut sum = simd.splat(0.0);
+            let mut i = 0;
+            while i < padded {
+                sum = simd.mul_add(simd.load(row.add(i)), simd.load(x.add(i)), sum);
+                i += S::LANES;
+            }
+            simd.sum(sum) + self.last_bias
+        }
+    }
+}

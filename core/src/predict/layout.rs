@@ -1,0 +1,414 @@
+//! The input row of a model: which groups it holds, in which order, and how they are written.
+
+use super::{GroupKind, Inputs, UnitCosts};
+use crate::Result;
+use crate::error::bail;
+use crate::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity, Work};
+use crate::model::{InputGroup, Model};
+use crate::scene::{Arcball, GaussianLobe};
+use alloc::vec::Vec;
+
+/// Metadata key of the number of rays along each side of the probe behind a model's scene features, 1 to
+/// [`MAX_PROBE_SIDE`] in decimal; [`PROBE_SIDE`] where it is missing.
+pub const PROBE_SIDE_KEY: &str = "entire.probe_side";
+
+/// Metadata key under which a model file names the order in which it takes Gaussian lobes: `center` for ascending
+/// centers. Without it, lobes go in as they are given. A sum of lobes does not depend on their order; a network that
+/// always sees the same order need not learn so.
+pub const LOBE_ORDER_KEY: &str = "entire.lobe_order";
+
+/// What a row is written from. `None` stands for what is not known of the frame.
+pub trait InputValues {
+    /// The output of VolumeNet for the volume.
+    fn volume_features(&self) -> Option<&[f32]>;
+    /// The camera, degrees and bounding-sphere radii.
+    fn camera(&self) -> Arcball;
+    /// Width and height of the image, pixels.
+    fn image_size(&self) -> [u32; 2];
+    /// The ray step, reference steps.
+    fn step(&self) -> f32;
+    /// The transfer function as Gaussian lobes.
+    fn lobes(&self) -> Option<&[GaussianLobe]>;
+    /// A quantity of the scene, in its unit.
+    fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64>;
+    /// Seconds of the frame's work under unit costs.
+    fn seconds(&mut self, costs: &UnitCosts) -> Option<f64>;
+}
+
+/// The values of a measured frame.
+struct FrameValues<'a> {
+    inputs: &'a Inputs<'a>,
+    work: Option<Work>,
+    seconds: Option<f64>,
+}
+
+impl InputValues for FrameValues<'_> {
+    fn volume_features(&self) -> Option<&[f32]> {
+        self.inputs.volume_features
+    }
+
+    fn camera(&self) -> Arcball {
+        self.inputs.camera
+    }
+
+    fn image_size(&self) -> [u32; 2] {
+        [self.inputs.setting.width, self.inputs.setting.height]
+    }
+
+    fn step(&self) -> f32 {
+        self.inputs.setting.step
+    }
+
+    fn lobes(&self) -> Option<&[GaussianLobe]> {
+        self.inputs.lobes
+    }
+
+    fn quantity(&mut self, quantity: SceneQuantity) -> Option<f64> {
+        let Inputs { features, setting, changes, .. } = self.inputs;
+        let work = self.work.get_or_insert_with(|| features.work(setting));
+        Some(features.quantity(quantity, setting, work, *changes))
+    }
+
+    fn seconds(&mut self, costs: &UnitCosts) -> Option<f64> {
+        let Inputs { features, setting, .. } = self.inputs;
+        Some(*self.seconds.get_or_insert_with(|| costs.seconds(&features.cost_work(setting))))
+    }
+}
+
+/// What a model takes: its input groups in order with their sizes, and what is needed to compute them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InputLayout {
+    groups: Vec<(GroupKind, usize)>,
+    scene_features: Vec<SceneFeature>,
+    /// Behind `estimated_seconds`, where the model file holds them.
+    unit_costs: Option<UnitCosts>,
+    sorted_lobes: bool,
+    probe_side: usize,
+}
+
+impl InputLayout {
+    /// The layout of a new model. `lobes` is the number of Gaussian lobes of the transfer functions, `volume_features`
+    /// the number of outputs of the VolumeNet; groups that are not asked for do not look at them.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] where a group stands there twice, none does, or one would be empty.
+    pub fn new(
+        groups: &[GroupKind],
+        scene_features: Vec<SceneFeature>,
+        lobes: usize,
+        volume_features: usize,
+    ) -> Result<Self> {
+        if groups.is_empty() {
+            bail!(InvalidArgument, "a model needs at least one input group");
+        }
+        let mut sized = Vec::with_capacity(groups.len());
+        for (i, &group) in groups.iter().enumerate() {
+            if groups[..i].contains(&group) {
+                bail!(InvalidArgument, "input group {} is named twice", group.name());
+            }
+            let (size, missing) = match group {
+                GroupKind::VolumeFeatures => {
+                    (volume_features, "needs an encoder; name a model file that holds a VolumeNet")
+                }
+                GroupKind::Camera => (3, ""),
+                GroupKind::Resolution => (2, ""),
+                GroupKind::TransferFunction => (3 * lobes, "needs at least one Gaussian lobe"),
+                GroupKind::StepSize => (1, ""),
+                GroupKind::SceneFeatures => (scene_features.len(), "names no feature"),
+            };
+            if size == 0 {
+                bail!(InvalidArgument, "the input group {} {missing}", group.name());
+            }
+            sized.push((group, size));
+        }
+        Ok(Self {
+            groups: sized,
+            scene_features,
+            unit_costs: None,
+            sorted_lobes: false,
+            probe_side: PROBE_SIDE,
+        })
+    }
+
+    /// The layout that a model file names.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::MissingInput`] for an input group that this version does not know,
+    /// [`crate::ErrorKind::Unsupported`] for such a scene feature or order of lobes,
+    /// [`crate::ErrorKind::InvalidModel`] for a damaged probe side or damaged unit costs.
+    pub fn of_model(model: &Model) -> Result<Self> {
+        let groups = model
+            .inputs()
+            .iter()
+            .map(|group| Ok((GroupKind::from_name(&group.name)?, group.size)))
+            .collect::<Result<Vec<_>>>()?;
+        let scene_features =
+            model.scene_features().iter().map(|n| SceneFeature::from_name(n)).collect::<Result<Vec<_>>>()?;
+        let mut layout = Self {
+            groups,
+            scene_features,
+            unit_costs: UnitCosts::of(model)?,
+            sorted_lobes: takes_sorted_lobes(model)?,
+            probe_side: PROBE_SIDE,
+        };
+        if layout.probe_side() > 0 {
+            layout.probe_side = stated_probe_side(model)?;
+        }
+        Ok(layout)
+    }
+
+    /// The same with another number of rays along each side of the probe, 1 to [`MAX_PROBE_SIDE`].
+    pub fn with_probe_side(self, probe_side: usize) -> Self {
+        Self { probe_side, ..self }
+    }
+
+    /// The same, its Gaussian lobes by ascending center or as they are given.
+    pub fn with_sorted_lobes(self, sorted_lobes: bool) -> Self {
+        Self { sorted_lobes, ..self }
+    }
+
+    /// Whether Gaussian lobes go in by ascending center.
+    pub fn sorted_lobes(&self) -> bool {
+        self.sorted_lobes
+    }
+
+    /// Rays along each side of the probe behind the inputs; 0 where none needs the probe.
+    pub fn probe_side(&self) -> usize {
+        if self.scene_features.iter().any(|f| f.quantity.needs_probe()) { self.probe_side } else { 0 }
+    }
+
+    /// Whether the ray step enters any input.
+    pub fn knows_step(&self) -> bool {
+        self.groups.iter().any(|g| g.0 == GroupKind::StepSize)
+            || self.scene_features.iter().any(|f| f.quantity.depends_on_step())
+    }
+
+    /// Numbers per row.
+    pub fn width(&self) -> usize {
+        self.groups.iter().map(|(_, size)| size).sum()
+    }
+
+    /// The groups with their sizes, in order.
+    pub fn groups(&self) -> &[(GroupKind, usize)] {
+        &self.groups
+    }
+
+    /// Whether a group is among them.
+    pub fn takes(&self, group: GroupKind) -> bool {
+        self.groups.iter().any(|g| g.0 == group)
+    }
+
+    /// The groups as a model file states them.
+    pub fn to_model_groups(&self) -> Vec<InputGroup> {
+        self.groups.iter().map(|(g, size)| InputGroup { name: g.name().into(), size: *size }).collect()
+    }
+
+    /// The scene features, in order.
+    pub fn scene_features(&self) -> &[SceneFeature] {
+        &self.scene_features
+    }
+
+    /// Writes a frame's row of [`InputLayout::width`] numbers.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::MissingInput`] when a group was not supplied or has another size than the model's,
+    /// [`crate::ErrorKind::SizeMismatch`] for a row of another width.
+    pub fn write(&self, inputs: &Inputs<'_>, row: &mut [f32]) -> Result<()> {
+        self.write_from(&mut FrameValues { inputs, work: None, seconds: None }, row)
+    }
+
+    /// As [`InputLayout::write`] from values that are kept elsewhere.
+    ///
+    /// # Errors
+    /// As [`InputLayout::write`].
+    pub fn write_from(&self, values: &mut impl InputValues, row: &mut [f32]) -> Result<()> {
+        if row.len() != self.width() {
+            bail!(
+                SizeMismatch,
+                "a row of {} numbers; the model takes {}, see InputLayout::width",
+                row.len(),
+                self.width()
+            );
+        }
+        let mut rest = row;
+        for &(group, size) in &self.groups {
+            let (here, after) = rest.split_at_mut(size);
+            self.write_group(group, values, here)?;
+            rest = after;
+        }
+        Ok(())
+    }
+
+    fn write_group(&self, group: GroupKind, values: &mut impl InputValues, out: &mut [f32]) -> Result<()> {
+        let size = out.len();
+        match group {
+            GroupKind::VolumeFeatures => match values.volume_features() {
+                Some(x) => copy(group, x, out),
+                None => bail!(
+                    MissingInput,
+                    "the model takes {size} volume features and none were supplied; encode the volume first"
+                ),
+            },
+            GroupKind::Camera => {
+                let Arcball { rx, ry, dz } = values.camera();
+                copy(group, &[rx, ry, dz], out)
+            }
+            GroupKind::Resolution => copy(group, &values.image_size().map(|n| n as f32), out),
+            GroupKind::TransferFunction => {
+                let Some(lobes) = values.lobes() else {
+                    bail!(
+                        MissingInput,
+                        "the model takes Gaussian transfer-function parameters and none were supplied; describe \
+                         the transfer function by {} lobes, or use a model on scene features, which takes any \
+                         transfer function",
+                        size / 3
+                    );
+                };
+                if lobes.len() * 3 != size {
+                    bail!(
+                        MissingInput,
+                        "the model takes {} Gaussian lobes, the transfer function has {}; supply as many as the \
+                         model was trained with",
+                        size / 3,
+                        lobes.len()
+                    );
+                }
+                for (slot, lobe) in out.chunks_exact_mut(3).zip(lobes) {
+                    slot.copy_from_slice(&[lobe.center, lobe.width, lobe.height]);
+                }
+                if self.sorted_lobes {
+                    sort_lobes(out);
+                }
+                Ok(())
+            }
+            GroupKind::StepSize => copy(group, &[values.step()], out),
+            GroupKind::SceneFeatures => {
+                if self.scene_features.len() != size {
+                    bail!(
+                        MissingInput,
+                        "the model takes {size} scene features and names {}; its file must name each",
+                        self.scene_features.len()
+                    );
+                }
+                for (slot, feature) in out.iter_mut().zip(&self.scene_features) {
+                    *slot = self.scene_feature(*feature, values)?;
+                }
+                Ok(())
+            }
+        }
+    }
+
+    fn scene_feature(&self, feature: SceneFeature, values: &mut impl InputValues) -> Result<f32> {
+        let SceneFeature { quantity, log } = feature;
+        let value = match &self.unit_costs {
+            Some(costs) if quantity == SceneQuantity::EstimatedSeconds => values.seconds(costs),
+            _ => values.quantity(quantity),
+        };
+        match value {
+            Some(value) => Ok(if log { quantity.log(value) } else { value as f32 }),
+            None => bail!(
+                MissingInput,
+                "the model takes the scene feature {feature}, which was not supplied; measure the frame"
+            ),
+        }
+    }
+}
+
+fn copy(group: GroupKind, values: &[f32], out: &mut [f32]) -> Result<()> {
+    if out.len() != values.len() {
+        bail!(
+            MissingInput,
+            "the model's input group {} has size {}, this version supplies {}",
+            group.name(),
+            out.len(),
+            values.len()
+        );
+    }
+    out.copy_from_slice(values);
+    Ok(())
+}
+
+fn stated_probe_side(model: &Model) -> Result<usize> {
+    let Some(text) = model.metadata().get(PROBE_SIDE_KEY) else { return Ok(PROBE_SIDE) };
+    match text.parse::<usize>() {
+        Ok(side) if (1..=MAX_PROBE_SIDE).contains(&side) => Ok(side),
+        _ => bail!(
+            InvalidModel,
+            "{PROBE_SIDE_KEY} is {text:?}; a whole number from 1 to {MAX_PROBE_SIDE} is expected"
+        ),
+    }
+}
+
+fn takes_sorted_lobes(model: &Model) -> Result<bool> {
+    match model.metadata().get(LOBE_ORDER_KEY).map(|s| s.as_str()) {
+        None => Ok(false),
+        Some("center") => Ok(true),
+        Some(other) => {
+            bail!(
+                Unsupported,
+                "{LOBE_ORDER_KEY} is {other:?}; this version knows center, and none for lobes as given"
+            )
+        }
+    }
+}
+
+/// Puts the lobes of a `transfer_function` group, (c, w, h) each, in the order of their centers; equal centers keep
+/// theirs.
+fn sort_lobes(group: &mut [f32]) {
+    let count = group.len() / 3;
+    for end in 1..count {
+        let mut at = end;
+        while at > 0 && group[3 * at] < group[3 * (at - 1)] {
+            for k in 0..3 {
+                group.swap(3 * at + k, 3 * (at - 1) + k);
+            }
+            at -= 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ErrorKind;
+    use alloc::vec;
+
+    #[test]
+    fn lobes_are_sorted_by_center_whole_and_stably() {
+        let mut group = [0.7, 1.0, 2.0, 0.1, 3.0, 4.0, 0.7, 5.0, 6.0, -0.2, 7.0, 8.0];
+        sort_lobes(&mut group);
+        assert_eq!(group, [-0.2, 7.0, 8.0, 0.1, 3.0, 4.0, 0.7, 1.0, 2.0, 0.7, 5.0, 6.0]);
+        sort_lobes(&mut []);
+        let mut one = [0.5, 0.1, 0.2];
+        sort_lobes(&mut one);
+        assert_eq!(one, [0.5, 0.1, 0.2]);
+    }
+
+    #[test]
+    fn a_layout_knows_the_step_by_its_group_or_by_any_feature_that_depends_on_it() {
+        let of = |groups: &[GroupKind], quantity| {
+            InputLayout::new(groups, vec![SceneFeature::log(quantity)], 1, 1).unwrap().knows_step()
+        };
+        for &quantity in SceneQuantity::ALL {
+            assert_eq!(of(&[GroupKind::SceneFeatures], quantity), quantity.depends_on_step());
+            assert!(of(&[GroupKind::SceneFeatures, GroupKind::StepSize], quantity));
+        }
+    }
+
+    #[test]
+    fn groups_that_cannot_be_laid_out_are_refused_by_name() {
+        let says = |groups: &[GroupKind]| {
+            let e = InputLayout::new(groups, Vec::new(), 0, 0).unwrap_err();
+            assert_eq!(e.kind(), ErrorKind::InvalidArgument);
+            e.message().to_owned()
+        };
+        assert!(says(&[]).contains("at least one input group"));
+        assert!(says(&[GroupKind::Camera, GroupKind::Camera]).contains("camera is named twice"));
+        assert!(says(&[GroupKind::VolumeFeatures]).contains("volume_features needs an encoder"));
+        assert!(says(&[GroupKind::TransferFunction]).contains("at least one Gaussian lobe"));
+        assert!(says(&[GroupKind::SceneFeatures]).contains("scene_features names no feature"));
+        let layout = InputLayout::new(&[GroupKind::StepSize, GroupKind::Camera], Vec::new(), 0, 0).unwrap();
+        assert_eq!((layout.width(), layout.probe_side()), (4, 0));
+        assert!(layout.takes(GroupKind::Camera) && !layout.takes(GroupKind::Resolution));
+    }
+}
