@@ -1,6 +1,7 @@
 //! The summaries against plain loops, and the probe's invariants.
 
 use super::*;
+use crate::kernels::Level;
 use crate::scene::*;
 use crate::{ErrorKind, Result};
 use proptest::prelude::*;
@@ -33,7 +34,7 @@ fn measured(volume: &VolumeSummary, table: &TransferTable, frame: &Frame) -> Fra
     let mut transfer = TransferSummary::new(volume, table);
     transfer.prepare_distance();
     let mut features = FrameFeatures::new();
-    features.measure(volume, &transfer, frame);
+    features.measure(volume, &mut transfer, frame);
     features
 }
 
@@ -94,13 +95,10 @@ fn uniform_volumes_have_the_tables_extinction() {
             let table = table(|i| if (90..=110).contains(&i) { alpha } else { 0.0 })
                 .with_unit_distance(unit)
                 .unwrap();
-            let t = TransferSummary::new(&s, &table);
+            let mut t = TransferSummary::new(&s, &table);
             let expected = -(1.0 - alpha).ln() / unit;
-            assert!(
-                (t.extinction(1, 1, 1) / expected - 1.0).abs() < 1e-2,
-                "{alpha} {unit}: {}",
-                t.extinction(1, 1, 1)
-            );
+            let found = t.extinction(&s, [1, 1, 1]);
+            assert!((found / expected - 1.0).abs() < 1e-2, "{alpha} {unit}: {found}");
             assert_eq!((t.occupied_share(), t.visible_share()), (1.0, 1.0));
         }
     }
@@ -433,25 +431,25 @@ fn what_needs_no_probe_is_known_without_one() {
     let table = table(|i| if i > 100 { 0.3 } else { 0.0 });
     let mut transfer = TransferSummary::new(&volume, &table);
     transfer.prepare_distance();
-    let of = |side: usize, shading: Shading| {
+    let mut of = |side: usize, shading: Shading| {
         let frame = frame(20.0, 30.0, 1.7, 200).with_shading(shading);
         let setting = Setting::of(&frame);
         let mut features = FrameFeatures::with_probe_side(side);
-        features.measure(&volume, &transfer, &frame);
+        features.measure(&volume, &mut transfer, &frame);
         let work = features.work(&setting);
         SceneQuantity::ALL
             .iter()
             .map(|&q| features.quantity(q, &setting, &work, Changes::NONE))
             .collect::<Vec<f64>>()
     };
-    let both = |side| [of(side, Shading::Local), of(side, Shading::Scatter)].concat();
+    let mut both = |side| [of(side, Shading::Local), of(side, Shading::Scatter)].concat();
     let (without, with) = (both(0), both(PROBE_SIDE));
     for (k, q) in SceneQuantity::ALL.iter().enumerate() {
         let at = [k, k + SceneQuantity::ALL.len()];
         let same = at.iter().all(|&i| without[i] == with[i]);
         assert_eq!(same, !q.needs_probe(), "{}", q.name());
     }
-    let of = |side| of(side, Shading::None);
+    let mut of = |side| of(side, Shading::None);
     // Finer probes estimate the same thing with less scatter; beyond the finest there is nothing.
     let samples = SceneQuantity::ALL.iter().position(|q| *q == SceneQuantity::Samples).unwrap();
     let finest = of(MAX_PROBE_SIDE)[samples];
@@ -600,5 +598,67 @@ fn shares_of_borders_are_those_that_rays_count() {
                 q.name()
             );
         }
+    }
+}
+
+#[test]
+fn packets_of_rays_find_what_single_rays_find_on_every_level() {
+    // Cells of one block and of several, cameras outside, inside and looking past, thin and opaque tables.
+    let data = noise(64 * 48 * 40, 7);
+    for (cells, dims) in [(48, [64, 48, 40]), (3, [64, 48, 40]), (48, [1, 48, 40])] {
+        let s = summary(&data[..dims[0] * dims[1] * dims[2]], dims, cells);
+        for cut in [255usize, 250, 128, 0] {
+            let table = table(|i| if i >= cut { 0.02 + 0.5 * (i as f32 / 255.0) } else { 0.0 });
+            let mut transfer = TransferSummary::new(&s, &table);
+            for (rx, ry, dz) in [(0.0, 0.0, 2.0), (33.0, 71.0, 1.3), (-80.0, 10.0, 0.2), (10.0, 200.0, 9.0)] {
+                let camera = Camera::from_arcball(Arcball { rx, ry, dz }).unwrap();
+                let frame = Frame::new(camera, 320, 200).unwrap();
+                for shading in [Shading::None, Shading::Scatter] {
+                    let frame = frame.with_shading(shading);
+                    for side in [1, 4, 11, 24] {
+                        let single = Probe::by_single_rays(&s, &mut transfer, &frame, side);
+                        for level in Level::available() {
+                            let packets = Probe::on(level, &s, &mut transfer, &frame, side);
+                            assert_eq!(packets, single, "{dims:?} {cut} {rx} {shading:?} {side} {level:?}");
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn cells_are_classified_alike_by_ranges_and_by_lookup() {
+    let data = noise(40 * 24 * 24, 3);
+    for cells in [48, 2] {
+        let s = summary(&data, [40, 24, 24], cells);
+        // One run of visible entries, some, and more than are compared run by run.
+        for period in [256usize, 64, 16, 2] {
+            let table = table(|i| if i % period == period / 2 { 0.3 } else { 0.0 });
+            let t = TransferSummary::new(&s, &table);
+            let [nx, ny, nz] = s.cells();
+            for (x, y, z) in (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| (x, y, z)))) {
+                if s.block_edge() == s.cell_edge() {
+                    let (low, high) = s.cell_bounds(x, y, z);
+                    let empty = !(low..=high).any(|i| table.is_visible(usize::from(i)));
+                    assert_eq!(t.is_empty(x, y, z), empty, "{period} {x} {y} {z}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn an_edit_forgets_what_cells_were() {
+    let data = noise(24 * 24 * 24, 5);
+    let s = summary(&data, [24; 3], 48);
+    let (thin, thick) = (table(|_| 0.001), table(|_| 0.6));
+    let frame = Frame::new(Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 1.8 }).unwrap(), 64, 64).unwrap();
+    let mut edited = TransferSummary::new(&s, &thin);
+    for table in [&thick, &thin, &thick] {
+        edited.update(&s, table);
+        let found = Probe::new(&s, &mut edited, &frame, 11);
+        assert_eq!(found, Probe::new(&s, &mut TransferSummary::new(&s, table), &frame, 11));
     }
 }

@@ -2,7 +2,6 @@
 
 use super::VolumeSummary;
 use crate::scene::{TABLE_LEN, TransferTable};
-use alloc::vec;
 use alloc::vec::Vec;
 
 /// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction is that
@@ -116,7 +115,7 @@ impl TransferSummary {
         self.optics.resize(n, [0; OPTICS_WORDS]);
         self.distance.resize(n, 0);
         let longest = volume.cells().into_iter().max().unwrap_or(1);
-        let room = (2 * longest).max(n).max(volume.block_bounds().0.len());
+        let room = (2 * longest).max(n).max(volume.block_ranges().0.len());
         if self.line.len() < room {
             self.line.resize(room, 0);
         }
@@ -178,7 +177,7 @@ impl TransferSummary {
                 pack(flags, &mut self.bits);
             }
             Some(first) => {
-                let (block_low, block_high) = volume.block_bounds();
+                let (block_low, block_high) = volume.block_ranges();
                 let flags = &mut self.line[..block_low.len()];
                 flag(block_low, block_high, ranges, &self.opaque, flags);
                 for (occupied, range) in self.occupied.iter_mut().zip(first.windows(2)) {
@@ -257,6 +256,11 @@ impl TransferSummary {
     #[inline(always)]
     pub(super) fn optics_words(&self) -> &[u32] {
         self.optics.as_flattened()
+    }
+
+    /// Number of cells.
+    pub(super) fn cell_count(&self) -> usize {
+        self.optics.len()
     }
 
     /// The number of the present edit.

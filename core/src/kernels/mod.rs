@@ -24,3 +24,4 @@ pub use executor::Executor;
 pub use helper::Helper;
 pub use level::{Isa, LEVEL_VARIABLE, Level};
 pub use mlp::Storage;
+pub(crate) use simd::{Kernel, Simd};

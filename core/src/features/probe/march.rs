@@ -169,13 +169,12 @@ impl<'a> March<'a> {
         self.transfer.distance().is_some()
     }
 
-    /// Marches the first `count` rays, side by side where the level has the instructions. Jumps of the distance map are
-    /// followed ray by ray.
-    pub(super) fn all(&mut self, level: Level, rays: &mut [&mut [f32]; FIELDS], count: usize) {
-        if self.maps_distance() {
-            self.one_by_one(rays, count);
-        } else {
-            super::packet::march(level, self, rays, count);
+    /// Marches the first `count` rays, side by side where there is a level. Jumps of the distance map are followed ray by
+    /// ray.
+    pub(super) fn all(&mut self, level: Option<Level>, rays: &mut [&mut [f32]; FIELDS], count: usize) {
+        match level {
+            Some(level) if !self.maps_distance() => super::packet::march(level, self, rays, count),
+            _ => self.one_by_one(rays, count),
         }
     }
 

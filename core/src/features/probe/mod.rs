@@ -107,6 +107,17 @@ impl Probe {
         frame: &Frame,
         side: usize,
     ) -> Self {
+        Self::measured(Some(level), volume, transfer, frame, side)
+    }
+
+    /// With no level, one ray after another.
+    fn measured(
+        level: Option<Level>,
+        volume: &VolumeSummary,
+        transfer: &mut TransferSummary,
+        frame: &Frame,
+        side: usize,
+    ) -> Self {
         let geometry = volume.geometry();
         let footprint = Footprint::new(geometry.half_extent, frame.camera(), frame.width(), frame.height());
         if side == 0 || footprint.share <= 0.0 || transfer.grid() != volume.cells() {
@@ -126,7 +137,7 @@ impl Probe {
 
     /// As [`Probe::new`], with room for side² ≤ `ROOM` rays.
     fn cast<const ROOM: usize>(
-        level: Level,
+        level: Option<Level>,
         volume: &VolumeSummary,
         transfer: &mut TransferSummary,
         frame: &Frame,
@@ -194,6 +205,17 @@ impl Probe {
             block_skips,
             distance_skips: if mapped { distance_skips.mean(inv) } else { block_skips },
         }
+    }
+
+    /// As [`Probe::new`], one ray after another.
+    #[cfg(test)]
+    pub(super) fn by_single_rays(
+        volume: &VolumeSummary,
+        transfer: &mut TransferSummary,
+        frame: &Frame,
+        side: usize,
+    ) -> Self {
+        Self::measured(None, volume, transfer, frame, side)
     }
 
     /// Share of the image that the box covers.

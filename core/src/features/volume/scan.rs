@@ -93,8 +93,8 @@ impl VolumeSummary {
                 let histogram: [u64; 256] =
                     core::array::from_fn(|i| [a, b, c, d].iter().map(|c| u64::from(c[i])).sum());
                 total.iter_mut().zip(&histogram).for_each(|(t, &h)| *t += h);
-                let stats = &mut self.stats[cx + cells[0] * (cy + cells[1] * cz)];
-                stats.quantiles = quantiles(&histogram).map(|q| map.near[usize::from(q)]);
+                self.quantiles[cx + cells[0] * (cy + cells[1] * cz)] =
+                    quantiles(&histogram).map(|q| map.near[usize::from(q)]);
             }
         }
         for b in &mut bounds {
@@ -118,11 +118,12 @@ impl VolumeSummary {
         let per_cell: [usize; 3] = core::array::from_fn(|a| self.edge[a] / self.block[a]);
         let split = self.block != self.edge;
         if split {
-            self.first_block.reserve_exact(self.stats.len() + 1);
+            self.first_block.reserve_exact(self.low.len() + 1);
             self.first_block.push(0);
-            self.blocks.reserve_exact(bounds.len());
+            self.block_low.reserve_exact(bounds.len());
+            self.block_high.reserve_exact(bounds.len());
         }
-        for (index, stats) in self.stats.iter_mut().enumerate() {
+        for index in 0..self.low.len() {
             let c = [
                 index % self.cells[0],
                 index / self.cells[0] % self.cells[1],
@@ -133,16 +134,17 @@ impl VolumeSummary {
                 for by in range(1) {
                     for bx in range(0) {
                         let b = bounds[bx + n[0] * (by + n[1] * bz)];
-                        stats.low = stats.low.min(b[0]);
-                        stats.high = stats.high.max(b[1]);
+                        self.low[index] = self.low[index].min(b[0]);
+                        self.high[index] = self.high[index].max(b[1]);
                         if split {
-                            self.blocks.push(b);
+                            self.block_low.push(b[0]);
+                            self.block_high.push(b[1]);
                         }
                     }
                 }
             }
             if split {
-                self.first_block.push(self.blocks.len() as u32);
+                self.first_block.push(self.block_low.len() as u32);
             }
         }
     }
