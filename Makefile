@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 
 CARGO ?= cargo
-# Colours on a terminal, none in logs.
+# Colors on a terminal, none in logs.
 export CARGO_TERM_COLOR ?= auto
 
 # Each make/*.mk may add names to EXTRA_TESTS; `make test` runs those targets after the cargo tests.

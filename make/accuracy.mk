@@ -5,20 +5,20 @@ STUDY_OUT ?= out/study
 
 .PHONY: study
 study: ## Make and judge every predictor of STUDY: out/study/report.html
-	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study "$(STUDY)" --out "$(STUDY_OUT)"
+	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)"
 
 .PHONY: bars-accuracy
 bars-accuracy: ## As study, and print every accuracy bar (fails when one is short): bar NAME VALUE LIMIT ok|short
-	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '
+	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '
 
 .PHONY: tables
 tables: build ## Collect timing tables anew on this machine: make tables DATA=FOLDER-WITH-ensembles TABLES="scatter-members scatter-train"
-	DATA="$(DATA)" bash scripts/tables.sh $(TABLES)
+	DATA="$(DATA)" bash lab/scripts/tables.sh $(TABLES)
 
-.PHONY: teach
-teach: build ## Teach the paper's network by the selected predictors, an hour or two: make teach DATA=FOLDER-WITH-ensembles
-	DATA="$(DATA)" bash scripts/teach.sh $(SETS)
+.PHONY: distill
+distill: build ## Distill the selected predictors into the paper's network, an hour or two: make distill DATA=FOLDER-WITH-ensembles
+	DATA="$(DATA)" bash lab/scripts/distill.sh $(SETS)
 
 .PHONY: models
 models: ## Make the shipped predictors and their cards anew from the timing tables: models/
-	$(CARGO) run --release --quiet --package entire-cli --bin entire -- chart --study "$(STUDY)" --out "$(STUDY_OUT)" --ship models
+	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --ship models

@@ -20,4 +20,8 @@ test-ffi: ## Test the installed C library: compilers, sanitizers, valgrind, pari
 bars-ffi: ## Measure the C SDK's bars: call overhead, sizes, symbols, sanitizers
 	CARGO="$(CARGO)" tests/c/bars.sh
 
+.PHONY: test-sanitizers
+test-sanitizers: ## Run the C library's Rust code under Miri and the address and thread sanitizers; check the 32-bit build
+	tests/c/sanitizers.sh
+
 EXTRA_TESTS += test-ffi

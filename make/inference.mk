@@ -1,6 +1,6 @@
-# Benchmarks and bars of the inference core. PEERS holds the peers' scripts (see CONTRIBUTING.md); PYTHON needs the
+# Benchmarks and bars of the inference core. PEERS holds the other libraries' servers (see lab/peers/README.md); PYTHON needs the
 # libraries that are to be compared: torch, onnx, onnxruntime, openvino, safetensors. What is missing is named and skipped.
-PEERS ?= ../shared/bench/peers
+PEERS ?= lab/peers
 PYTHON ?= python3
 BENCH_OUT ?= out/bench
 # Raises the priority while measuring (needs root); without it, other work on the machine shows in every long call.
@@ -32,5 +32,5 @@ bench-rust-peers: ## Build the Rust libraries that bench-peers compares with (ma
 
 .PHONY: bars-inference
 bars-inference: peer-server $(BENCH_OUT)/models/inputs.safetensors ## Measure the inference bars; fails when one is short
-	$(PYTHON) core/benches/bars.py --server target/release/examples/peer_server --peers $(PEERS) \
+	$(PYTHON) lab/scripts/bars_inference.py --server target/release/examples/peer_server --peers $(PEERS) \
 		--models $(BENCH_OUT)/models --rust $(BENCH_OUT)/peers/release --nice $(BENCH_NICE) $(BARS_INFERENCE_ALSO)

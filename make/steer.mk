@@ -8,22 +8,22 @@ STRESS_OUT ?= out/stress
 
 .PHONY: steer-build
 steer-build:
-	@$(CARGO) build --release --quiet --package entire-cli --bin entire
+	@$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
 
 .PHONY: steer-traces
 steer-traces: setup steer-build ## Record the cost curves that the steering bars are taken from (what is there stays)
-	@CARGO="$(CARGO)" bash scripts/steer-traces.sh "$(STEER_OUT)" "$(STEER_CLOCK)" "$(STEER_FRAMES)" "$(STEER_DATA)"
+	@CARGO="$(CARGO)" bash lab/scripts/steer-traces.sh "$(STEER_OUT)" "$(STEER_CLOCK)" "$(STEER_FRAMES)" "$(STEER_DATA)"
 
 .PHONY: bars-steer
 bars-steer: steer-traces ## Hold every controller against an oracle, the farm against its lower bound, all against the stress scenes; fails when short
 	@status=0; \
-	target/release/entire replay "$(STEER_OUT)"/traces/*.json --calibration "$(STEER_OUT)/calibration.csv" \
+	target/release/entire-lab replay "$(STEER_OUT)"/traces/*.json --calibration "$(STEER_OUT)/calibration.csv" \
 		--out "$(STEER_OUT)" --bars || status=1; \
-	target/release/entire schedule --trace "$(STEER_OUT)/farm.json" --training "$(STEER_OUT)/farm-training.json" \
+	target/release/entire-lab farm --trace "$(STEER_OUT)/farm.json" --training "$(STEER_OUT)/farm-training.json" \
 		--probe-side 24 --save-tasks "$(STEER_OUT)/farm-tasks.csv" --report "$(STEER_OUT)/farm" --bars || status=1; \
-	target/release/entire stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)" || status=1; \
+	target/release/entire-lab stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)" || status=1; \
 	exit $$status
 
 .PHONY: stress
 stress: steer-build ## Play the 28 scenes in which methods break, with a run of a million frames: out/stress/report.html
-	@target/release/entire stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)"
+	@target/release/entire-lab stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)"

@@ -3,4 +3,4 @@ PYTHON ?= python3
 
 .PHONY: bars-train
 bars-train: ## Training speed and final loss against PyTorch on this machine
-	$(PYTHON) scripts/bars_train.py
+	$(PYTHON) lab/scripts/bars_train.py

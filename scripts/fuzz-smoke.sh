@@ -8,6 +8,7 @@ seconds=${1:-60}
 
 plain() { # plain WHY
     echo "note: $1; replaying the corpus and mutations of it without coverage feedback"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "fuzz-smoke: coverage-guided fuzzing: $1" >>"$ENTIRE_SKIPPED"
     exec cargo test --package entire-cli --test hostile_files
 }
 

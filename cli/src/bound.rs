@@ -18,8 +18,8 @@ pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> Calibration {
     Calibration::from_residuals(&mut log_residuals(predicted, measured))
 }
 
-/// As [`from_predictions`] where frames come in groups (ensemble members) and new frames are of new groups: every group
-/// counts alike, however many frames it has.
+/// As [`from_predictions`] where frames come in groups (ensemble members) and new frames are of new groups:
+/// every group counts alike, however many frames it has.
 pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> Calibration {
     let mut sizes: BTreeMap<&str, f64> = BTreeMap::new();
     for g in groups {
@@ -55,8 +55,8 @@ pub fn of(model: &Model) -> Option<Calibration> {
     Some(Calibration::from_log_factor(stored.get("log_factor")?.as_f64()? as f32))
 }
 
-/// Puts an upper bound into a model file, keeping what else its calibration holds; leaves the file as it is where the
-/// bound is not known.
+/// Puts an upper bound into a model file, keeping what else its calibration holds; leaves the file as it is
+/// where the bound is not known.
 ///
 /// # Errors
 /// When what it holds is damaged.
@@ -97,7 +97,8 @@ mod tests {
         let predicted = vec![1.0; 399];
         let one = vec!["a".to_owned(); 399];
         assert_eq!(from_groups(&predicted, &measured, &one), from_predictions(&predicted, &measured));
-        // The slow 39 frames are a group of their own: half of all, so that the bound is their 90 % and not the whole's 95 %.
+        // The slow 39 frames are a group of their own: half of all, so that the bound is their 90 % and not
+        // the whole's 95 %.
         let two: Vec<String> = (1..=399).map(|i| if i > 360 { "slow" } else { "quick" }.to_owned()).collect();
         let upper = from_groups(&predicted, &measured, &two);
         assert!((f64::from(upper.factor()) - 1.396).abs() < 1.5e-3, "{}", upper.factor());

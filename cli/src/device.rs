@@ -16,8 +16,8 @@ pub enum Device {
     Cpu,
 }
 
-/// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). Falling back to
-/// the CPU twin is said on standard error.
+/// Opens a renderer; the environment chooses among Vulkan devices (see [`VulkanOptions::from_env`]). Falling
+/// back to the CPU twin is said on standard error.
 ///
 /// # Errors
 /// When Vulkan was asked for and there is none; says how to get a driver.

@@ -8,9 +8,10 @@ use rayon::prelude::*;
 /// Largest enlargement that is accepted, per axis.
 pub const MAX_FACTOR: usize = 8;
 
-/// Enlarges a volume by a whole factor along every axis, trilinearly, voxel centres at halves and the edge held; the
-/// spacing shrinks by the same factor, so that the box stays the same. Whole-number types round to the nearest value.
-/// A scalar range that was set stays; else the enlarged volume keeps its source's default range.
+/// Enlarges a volume by a whole factor along every axis, trilinearly, voxel centers at halves and the edge
+/// held; the spacing shrinks by the same factor, so that the box stays the same. Whole-number types round to
+/// the nearest value. A scalar range that was set stays; else the enlarged volume keeps its source's default
+/// range.
 ///
 /// # Errors
 /// A factor of 0 or over [`MAX_FACTOR`].
@@ -35,8 +36,9 @@ pub fn enlarge(volume: &Volume, factor: usize) -> Result<Volume> {
     Ok(enlarged)
 }
 
-/// Resamples a volume to `edge` voxels along every axis, trilinearly at the new voxels' centers, as single-precision
-/// numbers; the box and the scalar range stay. The low-resolution proxy of a frame is drawn from it.
+/// Resamples a volume to `edge` voxels along every axis, trilinearly at the new voxels' centers, as
+/// single-precision numbers; the box and the scalar range stay. The low-resolution proxy of a frame is drawn
+/// from it.
 ///
 /// # Errors
 /// An edge of 0 or over 512.
@@ -87,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_lie_between_their_neighbours_and_the_box_stays() {
+    fn values_lie_between_their_neighbors_and_the_box_stays() {
         let v = Volume::new(VolumeData::U8(vec![0, 100, 200, 40]), [2, 2, 1], [1.0, 2.0, 3.0], "v").unwrap();
         let e = enlarge(&v, 2).unwrap();
         assert_eq!(e.dims(), [4, 4, 2]);

@@ -1,28 +1,195 @@
-//! What several commands read and print.
+//! Files as commands read and write them: models, volumes, whole files, and what is said about them.
 
 use crate::volume::{Stream, Volume};
-use anyhow::{Context, Result, bail};
-use entire_core::model::Model;
-use std::io::Write;
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use entire_core::model::{Model, ModelFile};
+use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};
+use std::fs::File;
+use std::io::{BufWriter, Read, Write};
 use std::path::Path;
 
 /// Largest model file that is read, in bytes.
 const MAX_MODEL_BYTES: u64 = 4 << 30;
 
-/// Reads a model file.
+/// Most bytes that a compressed table may decompress to.
+const MAX_TABLE_BYTES: u64 = 4 << 30;
+
+/// The bytes of a model file.
+///
+/// # Errors
+/// When it cannot be read, or is larger than 4 GiB.
+pub fn read_model_bytes(path: &Path) -> Result<Vec<u8>> {
+    let shown = path.display();
+    ensure!(
+        path.exists(),
+        "cannot read {shown}: no such file; check the path, or make a model with `entire train`"
+    );
+    Stream::open(path)?.all(MAX_MODEL_BYTES).with_context(|| format!("{shown}"))
+}
+
+/// The model in the bytes of a file.
 ///
 /// # Errors
 /// One line that names the file, and the tensor or metadata key where one is wrong.
+pub fn parse_model(path: &Path, bytes: &[u8]) -> Result<Model> {
+    Model::from_bytes(bytes).map_err(|error| anyhow!("{}: {error}", path.display()))
+}
+
+/// Reads a model file.
+///
+/// # Errors
+/// As [`read_model_bytes`] and [`parse_model`].
 pub fn open_model(path: &Path) -> Result<Model> {
-    let bytes = Stream::open(path)?.all(MAX_MODEL_BYTES).with_context(|| format!("{}", path.display()))?;
-    match Model::from_bytes(&bytes) {
-        Ok(model) => Ok(model),
+    parse_model(path, &read_model_bytes(path)?)
+}
+
+/// Reads a model file twice over: as what is kept of it, and checked.
+///
+/// # Errors
+/// As [`open_model`].
+pub fn read_model_file(path: &Path) -> Result<(ModelFile, Model)> {
+    let bytes = read_model_bytes(path)?;
+    let model = parse_model(path, &bytes)?;
+    match ModelFile::from_bytes(&bytes) {
+        Ok(file) => Ok((file, model)),
         Err(error) => bail!("{}: {error}", path.display()),
     }
 }
 
-/// Reads a volume and sets the range that maps to [0, 1], where one is given. Voxels that are not finite are noted on
-/// standard error.
+/// Whether a model file can be written there; makes its folder.
+///
+/// # Errors
+/// When its name does not end in `.safetensors`, or the folder cannot be made.
+pub fn check_model_out(out: &Path) -> Result<()> {
+    ensure!(
+        out.extension().is_some_and(|e| e == "safetensors"),
+        "--out is {}; the model file's name must end in .safetensors",
+        out.display()
+    );
+    make_folder_of(out)
+}
+
+/// Makes the folder of a file, where it is not there.
+///
+/// # Errors
+/// When it cannot be made.
+pub fn make_folder_of(file: &Path) -> Result<()> {
+    match file.parent().filter(|f| !f.as_os_str().is_empty()) {
+        Some(folder) => make_folder(folder),
+        None => Ok(()),
+    }
+}
+
+/// Makes a folder and those above it, where they are not there.
+///
+/// # Errors
+/// When it cannot be made.
+pub fn make_folder(folder: &Path) -> Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))
+}
+
+/// Writes a file, whole or not at all: under a name beside it that nobody can foresee, flushed to the disk,
+/// then put in its place. A link that stood there is replaced, not followed. What is there and is no regular
+/// file (a device, a pipe) is written to as it stands.
+///
+/// # Errors
+/// Names the file that cannot be written.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
+    write_whole_with(path, |file| Ok(file.write_all(bytes)?))
+}
+
+/// As [`write_whole`], by `fill`, which writes the file's content.
+///
+/// # Errors
+/// As [`write_whole`], and those of `fill`.
+pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
+    let fail = || format!("cannot write {}", path.display());
+    let fill = |file: &mut File| -> Result<()> {
+        let mut buffered = BufWriter::new(&*file);
+        fill(&mut buffered)?;
+        Ok(buffered.flush()?)
+    };
+    if std::fs::metadata(path).is_ok_and(|there| !there.is_file()) {
+        let mut there = File::options().write(true).open(path).with_context(fail)?;
+        return fill(&mut there).with_context(fail);
+    }
+    let folder = path.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".").suffix(".part");
+    // As any file that a program makes: what the user's mask leaves.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let mut part = builder.tempfile_in(folder).with_context(fail)?;
+    fill(part.as_file_mut()).with_context(fail)?;
+    part.as_file().sync_all().with_context(fail)?;
+    part.persist(path).map_err(|e| e.error).with_context(fail)?;
+    Ok(())
+}
+
+/// As [`write_whole`], a value as indented JSON with a line break at its end.
+///
+/// # Errors
+/// As [`write_whole`].
+pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
+    write_whole(path, (serde_json::to_string_pretty(value)? + "\n").as_bytes())
+}
+
+/// A whole file, decompressed where its name ends in `.gz`.
+///
+/// # Errors
+/// When it cannot be read, is damaged, or decompresses to more than 4 GiB.
+pub fn read_decompressed(path: &Path) -> Result<Vec<u8>> {
+    let bytes = read_bytes(path)?;
+    if path.extension().is_none_or(|e| e != "gz") {
+        return Ok(bytes);
+    }
+    let mut out = Vec::new();
+    MultiGzDecoder::new(&bytes[..])
+        .take(MAX_TABLE_BYTES + 1)
+        .read_to_end(&mut out)
+        .map_err(|e| anyhow!("the gzip stream is damaged: {e}"))?;
+    ensure!(
+        out.len() as u64 <= MAX_TABLE_BYTES,
+        "it decompresses to more than {} GiB",
+        MAX_TABLE_BYTES >> 30
+    );
+    Ok(out)
+}
+
+/// The bytes of a regular file, a table's at most.
+///
+/// # Errors
+/// When it is no regular file, is larger than 4 GiB, or cannot be read.
+pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    Stream::open(path)?.all(MAX_TABLE_BYTES)
+}
+
+/// The text of a regular file of at most `most` bytes.
+///
+/// # Errors
+/// When it is no regular file, is larger, cannot be read, or is not UTF-8.
+pub fn read_text(path: &Path, most: u64) -> Result<String> {
+    let bytes = Stream::open(path)?.all(most)?;
+    String::from_utf8(bytes).map_err(|e| anyhow!("byte {} is not UTF-8", e.utf8_error().valid_up_to()))
+}
+
+/// Compresses bytes as gzip; the same bytes give the same file.
+///
+/// # Errors
+/// Never in practice: memory is written to.
+pub fn gzip(bytes: &[u8]) -> Result<Vec<u8>> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+    encoder.write_all(bytes)?;
+    Ok(encoder.finish()?)
+}
+
+/// 64-bit FNV-1a.
+pub fn fnv1a(bytes: &[u8]) -> u64 {
+    bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
+}
+
+/// Reads a volume and sets the range that maps to [0, 1], where one is given. Voxels that are not finite are
+/// noted on standard error.
 ///
 /// # Errors
 /// As [`Volume::open`], and for a range whose low end is above its high one.
@@ -32,7 +199,8 @@ pub fn open_volume(path: &Path, range: Option<(f32, f32)>) -> Result<Volume> {
     let broken = volume.data().non_finite();
     if broken > 0 {
         note(&format!(
-            "{}: {broken} of {} voxels are NaN or infinite; they count as the ends of the range (NaN as the low end)",
+            "{}: {broken} of {} voxels are NaN or infinite; they count as the ends of the range (NaN as the \
+             low end)",
             path.display(),
             volume.data().len()
         ));
@@ -78,4 +246,42 @@ pub fn parse_list(text: &str) -> Result<Vec<f32>, String> {
 /// A number with 9 significant digits, which say which `f32` it is: `1.23456789e-3`.
 pub fn digits(value: f32) -> String {
     format!("{value:.8e}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_is_written_whole_and_nothing_is_left_beside_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("f.txt");
+        write_whole(&path, b"first, and longer").unwrap();
+        write_whole(&path, b"second").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"second");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+        let nowhere = folder.path().join("none").join("f.txt");
+        let said = format!("{:#}", write_whole(&nowhere, b"x").unwrap_err());
+        assert!(said.contains(&format!("cannot write {}", nowhere.display())), "{said}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_is_replaced_and_what_it_led_to_stays() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let (target, link) = (folder.path().join("target"), folder.path().join("link"));
+        std::fs::write(&target, "kept").unwrap();
+        std::os::unix::fs::symlink(&target, &link).unwrap();
+        write_whole(&link, b"new").unwrap();
+        assert_eq!(std::fs::read_to_string(&target).unwrap(), "kept");
+        assert_eq!(std::fs::read_to_string(&link).unwrap(), "new");
+        assert!(std::fs::symlink_metadata(&link).unwrap().is_file());
+        // Others may read it as they may read any file that this user makes.
+        let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode();
+        assert_eq!(mode(&link), mode(&target));
+        // A device is written to, not replaced.
+        write_whole(Path::new("/dev/null"), b"gone").unwrap();
+        assert!(!std::fs::metadata("/dev/null").unwrap().is_file());
+    }
 }

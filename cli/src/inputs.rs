@@ -1,9 +1,9 @@
-//! Model inputs for measured frames: opens the volumes that a timing table names, one at a time, and computes what a
-//! model's input groups ask for.
+//! Model inputs for measured frames: opens the volumes that a timing table names, one at a time, and computes
+//! what a model's input groups ask for.
 
+use crate::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use crate::dataset::{Scene, Table, TimedFrame};
 use crate::enlarge::{MAX_FACTOR, enlarge};
-use crate::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::features::{
@@ -47,8 +47,8 @@ impl Layout {
     /// A layout for a new model. `lobes` is the number of Gaussian lobes of the transfer functions.
     ///
     /// # Errors
-    /// When a group stands there twice or none does, volume features are asked for without an encoder, or there are no
-    /// lobes to take.
+    /// When a group stands there twice or none does, volume features are asked for without an encoder, or
+    /// there are no lobes to take.
     pub fn new(
         groups: &[GroupKind],
         scene_features: Vec<SceneFeature>,
@@ -62,7 +62,8 @@ impl Layout {
     /// The layout of a model file.
     ///
     /// # Errors
-    /// When it holds no PredNet, an input group is unknown, or volume features are needed and the file has no VolumeNet.
+    /// When it holds no PredNet, an input group is unknown, or volume features are needed and the file has no
+    /// VolumeNet.
     pub fn of_model(model: &Model) -> Result<Self> {
         ensure!(model.prednet().is_some(), "the model file holds no PredNet");
         let layout = InputLayout::of_model(model)?;
@@ -261,10 +262,10 @@ impl InputValues for KeptValues<'_> {
     }
 }
 
-/// Calls `f` with everything that is known about each frame before it is drawn, in parallel over the frames of a
-/// volume, one volume after another; returns what it gave in the frames' order. `probe_side` goes to
-/// [`FrameFeatures::with_probe_side`]; without it the scene features are those of nothing, and volumes are opened only
-/// where there is an encoder.
+/// Calls `f` with everything that is known about each frame before it is drawn, in parallel over the frames
+/// of a volume, one volume after another; returns what it gave in the frames' order. `probe_side` goes to
+/// [`FrameFeatures::with_probe_side`]; without it the scene features are those of nothing, and volumes are
+/// opened only where there is an encoder.
 ///
 /// # Errors
 /// When a volume is not found or has another size than the table says, or `f` fails.
@@ -315,7 +316,7 @@ pub fn measure<T: Send>(
                         if scene.skipping == Skipping::Distance {
                             transfer.prepare_distance();
                         }
-                        features.measure(summary, &transfer, &frame);
+                        features.measure(summary, &mut transfer, &frame);
                     }
                     let inputs = Inputs {
                         features: &features,
@@ -346,7 +347,9 @@ pub fn measure<T: Send>(
 pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> {
     let path = table.resolve_volume(name).with_context(|| {
         format!(
-            "volume {name} of {} is not there, neither from the working folder nor beside the table; run where it was collected, put it there, or keep the features beside the table with `entire features`",
+            "volume {name} of {} is not there, neither from the working folder nor beside the table; run \
+             where it was collected, put it there, or keep the features beside the table with `entire \
+             features`",
             table.path.display()
         )
     })?;
@@ -369,8 +372,9 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commands::{features, train::thread_pool};
-    use crate::dataset::{Measurement, Writer, parse_lobes, read_tables};
+    use crate::commands::features;
+    use crate::dataset::{Timing, Writer, parse_lobes, read_tables};
+    use crate::options::thread_pool;
     use entire_core::features::PROBE_SIDE;
     use entire_core::scene::Shading;
 
@@ -402,7 +406,7 @@ mod tests {
                 termination: 0.95,
                 lobes: parse_lobes("0.8 0.01 0.9;0.3 0.05 0.4").unwrap(),
             };
-            let repeat = Measurement { wall: Some(0.1), ..Measurement::default() };
+            let repeat = Timing { wall: Some(0.1), ..Timing::default() };
             writer.append(u64::from(i), &scene, &[repeat]).unwrap();
         }
         drop(writer);
@@ -437,7 +441,8 @@ mod tests {
                 let ascending = [0.3, 0.05, 0.4, 0.8, 0.01, 0.9];
                 assert_eq!(lobes, if log { ascending } else { [0.8, 0.01, 0.9, 0.3, 0.05, 0.4] });
                 for (i, (a, b)) in kept.iter().zip(&measured).enumerate() {
-                    // Quantities are kept in single precision, bit for bit; a logarithm is taken of the rounded one.
+                    // Quantities are kept in single precision, bit for bit; a logarithm is taken of the
+                    // rounded one.
                     let close = (a - b).abs() <= f32::EPSILON * b.abs().max(1.0);
                     assert!(
                         if log { close } else { a.to_bits() == b.to_bits() },

@@ -6,8 +6,8 @@ use std::sync::{Arc, OnceLock};
 
 static REQUESTED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
-/// Takes over Ctrl-C (and SIGTERM, SIGHUP): the first one raises the returned flag, a second one ends the program at
-/// once with exit status 1. Later calls return the same flag.
+/// Takes over Ctrl-C (and SIGTERM, SIGHUP): the first one raises the returned flag, a second one ends the
+/// program at once with exit status 1. Later calls return the same flag.
 ///
 /// # Errors
 /// When the system refuses a handler.

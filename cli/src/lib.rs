@@ -1,29 +1,32 @@
-//! Files, progress bars and plots around `entire-core`: everything behind the `entire` command, as a library so that
-//! tests and fuzz targets reach it.
+//! Files, progress bars and plots around `entire-core`: everything behind the `entire` command, as a library
+//! so that tests and fuzz targets reach it.
 
 pub mod bound;
+pub mod collection;
+mod command_line;
 pub mod commands;
 pub mod dataset;
 pub mod device;
 pub mod enlarge;
-pub mod feature_table;
+pub mod evaluation;
+pub mod farm;
 pub mod files;
+pub mod fit;
 pub mod inputs;
 pub mod interrupt;
-pub mod latency;
 pub mod machine;
 pub mod metrics;
+pub mod options;
 pub mod path;
-pub mod recipe;
+pub mod program;
+pub mod progress;
 pub mod report;
 pub mod scenes;
 #[cfg(test)]
 mod scripted;
-pub mod ship;
 pub mod split;
 pub mod steering;
-pub mod stress;
-pub mod study;
 pub mod teacher;
-pub mod trees;
 pub mod volume;
+
+pub use command_line::main_with_args;

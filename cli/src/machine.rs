@@ -73,7 +73,8 @@ impl Provenance {
     }
 }
 
-/// Processor model, logical processors, operating system and architecture. No host name: tables get published.
+/// Processor model, logical processors, operating system and architecture. No host name: tables get
+/// published.
 pub fn machine() -> String {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let processor = cpuinfo

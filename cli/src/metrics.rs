@@ -1,13 +1,24 @@
 //! How well predicted seconds fit measured ones.
 
-use crate::dataset::median;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// The shortest prediction that counts as one; anything at or below it, and NaN, is taken as this many seconds.
+/// The shortest prediction that counts as one; anything at or below it, and NaN, is taken as this many
+/// seconds.
 pub const SHORTEST: f64 = 1e-6;
+
+/// Median of some numbers, the mean of the middle two where their number is even; reorders them. `None` when
+/// empty.
+pub fn median(values: &mut [f64]) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    values.sort_by(f64::total_cmp);
+    let mid = values.len() / 2;
+    Some(if values.len() % 2 == 1 { values[mid] } else { 0.5 * (values[mid - 1] + values[mid]) })
+}
 
 /// Errors of predictions over some frames.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -85,7 +96,8 @@ pub struct BoundMetrics {
     pub coverage: f64,
     /// The same among the slowest tenth of the frames.
     pub slowest_coverage: f64,
-    /// Mean quantile loss, seconds, over the mean of the measured seconds: small for bounds that are tight and hold.
+    /// Mean quantile loss, seconds, over the mean of the measured seconds: small for bounds that are tight
+    /// and hold.
     pub pinball: f64,
 }
 
@@ -114,8 +126,8 @@ impl BoundMetrics {
     }
 }
 
-/// The 95 % interval of a metric when whole groups (volumes, say) are drawn anew with replacement: how much it owes to
-/// which groups happened to be tested. `None` with fewer than two groups.
+/// The 95 % interval of a metric when whole groups (volumes, say) are drawn anew with replacement: how much
+/// it owes to which groups happened to be tested. `None` with fewer than two groups.
 pub fn bootstrap_by_group(
     predicted: &[f64],
     measured: &[f64],
@@ -148,7 +160,7 @@ pub fn bootstrap_by_group(
     Some((percentile(&values, 0.025), percentile(&values, 0.975)))
 }
 
-/// A percentile of ascending numbers, interpolated between neighbours; NaN without any.
+/// A percentile of ascending numbers, interpolated between neighbors; NaN without any.
 pub fn percentile(ascending: &[f64], share: f64) -> f64 {
     let Some(last) = ascending.len().checked_sub(1) else { return f64::NAN };
     let at = share.clamp(0.0, 1.0) * last as f64;

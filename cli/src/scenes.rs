@@ -1,5 +1,5 @@
-//! Random scenes for timing collections (paper, section "Data collection"): cameras on semi-spheres of several radii,
-//! random Gaussian transfer functions, random square and other image sizes.
+//! Random scenes for timing collections (paper, section "Data collection"): cameras on semi-spheres of
+//! several radii, random Gaussian transfer functions, random square and other image sizes.
 
 use anyhow::{Result, ensure};
 use entire_core::scene::{Arcball, GaussianLobe, MAX_IMAGE_SIDE};
@@ -9,13 +9,13 @@ use serde::{Deserialize, Serialize};
 
 /// What random scenes are drawn from. Every draw is independent of all others.
 ///
-/// | quantity | distribution |
-/// |---|---|
-/// | distance of the eye | one of `radii` (bounding-sphere radii), each equally likely |
-/// | direction of the eye | uniform over the area of the upper semi-sphere: R_y uniform in [−180°, 180°), sin R_x uniform in [0, 1) |
-/// | image size | sides log-uniform in `[min_size, max_size]`; half of the images are square |
-/// | lobes | a number uniform in `lobes`; centre uniform in [0, 1); width w log-uniform in [0.0005, 0.05] (falls to 1/e within 0.022 to 0.22); height log-uniform in [0.005, 1] |
-/// | ray step | one of `steps` (reference steps), each equally likely |
+/// * Distance of the eye: one of `radii` (bounding-sphere radii), each equally likely.
+/// * Direction of the eye: uniform over the area of the upper semi-sphere. R_y uniform in [−180°, 180°), sin
+///   R_x uniform in [0, 1).
+/// * Image size: sides log-uniform in `[min_size, max_size]`; half of the images are square.
+/// * Lobes: a number uniform in `lobes`; center uniform in [0, 1); width w log-uniform in [0.0005, 0.05]
+///   (falls to 1/e within 0.022 to 0.22); height log-uniform in [0.005, 1].
+/// * Ray step: one of `steps` (reference steps), each equally likely.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 pub struct SceneDistribution {
     /// Radii of the semi-spheres, bounding-sphere radii.
@@ -75,7 +75,8 @@ impl SceneDistribution {
         );
         ensure!(
             self.min_size >= 1 && self.min_size <= self.max_size && self.max_size <= MAX_IMAGE_SIDE,
-            "image sides of {} to {} pixels were asked for; 1 to {MAX_IMAGE_SIDE} are accepted, the smaller first",
+            "image sides of {} to {} pixels were asked for; 1 to {MAX_IMAGE_SIDE} are accepted, the smaller \
+             first",
             self.min_size,
             self.max_size
         );
@@ -87,10 +88,10 @@ impl SceneDistribution {
         Ok(())
     }
 
-    /// Scene `index` of the volume named `volume` under `seed`. Depends on nothing else: neither on other volumes nor
-    /// on scenes drawn before.
+    /// Scene `index` of the volume named `volume` under `seed`. Depends on nothing else: neither on other
+    /// volumes nor on scenes drawn before.
     pub fn draw(&self, seed: u64, volume: &str, index: u64) -> RandomScene {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ crate::dataset::fnv1a(volume.as_bytes()));
+        let mut rng = ChaCha8Rng::seed_from_u64(seed ^ crate::files::fnv1a(volume.as_bytes()));
         rng.set_stream(index);
         let mut unit = || (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
         let dz = *pick(&self.radii, unit());
@@ -147,7 +148,8 @@ mod tests {
         assert_eq!((s.width, s.height, s.step), (36, 312, 1.0));
         assert_eq!(
             crate::dataset::format_lobes(&s.lobes),
-            "0.3575599 0.0110967215 0.017436543;0.91632026 0.0006550259 0.5698056;0.05813787 0.010394635 0.07989768"
+            "0.3575599 0.0110967215 0.017436543;0.91632026 0.0006550259 0.5698056;0.05813787 0.010394635 \
+             0.07989768"
         );
     }
 

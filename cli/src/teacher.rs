@@ -1,5 +1,5 @@
-//! A predictor in a renderer's place: frames cost nothing but their prediction, so that a model which needs very many can
-//! be taught by one that needs few.
+//! A predictor in a renderer's place: frames cost nothing but their prediction, so that a model which needs
+//! very many can be distilled from one that needs few.
 
 use entire_core::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
@@ -22,12 +22,14 @@ impl Teacher {
     /// A teacher by the name of `name` from a model on scene features alone.
     ///
     /// # Errors
-    /// When the model holds no PredNet, or needs inputs that a renderer is not given (volume features, Gaussian lobes).
+    /// When the model holds no PredNet, or needs inputs that a renderer is not given (volume features,
+    /// Gaussian lobes).
     pub fn new(name: &str, model: &Model) -> anyhow::Result<Self> {
         let predictor = load(model)?;
         if let Some(group) = model.inputs().iter().find(|g| g.name != "scene_features") {
             anyhow::bail!(
-                "the model takes {}; a teacher must be a model on scene_features alone, such as models/unshaded-selected.safetensors",
+                "the model takes {}; a teacher must be a model on scene_features alone, such as \
+                 models/unshaded-selected.safetensors",
                 group.name
             );
         }

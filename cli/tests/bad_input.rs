@@ -1,5 +1,5 @@
-//! Bad input: every command answers with status 1 and one line that says why and what to do, or with the defined
-//! result where the input is merely extreme.
+//! Bad input: every command answers with status 1 and one line that says why and what to do, or with the
+//! defined result where the input is merely extreme.
 
 mod support;
 

@@ -1,5 +1,5 @@
-//! Arbitrary bytes in place of volumes and models: the committed corpus as it is, and mutations of it. Never a panic,
-//! never more memory than the bytes at hand call for.
+//! Arbitrary bytes in place of volumes and models: the committed corpus as it is, and mutations of it. Never
+//! a panic, never more memory than the bytes at hand call for.
 
 // The fuzz targets' own checks.
 #[allow(unreachable_pub, reason = "a library of its own for the fuzz targets")]
@@ -65,8 +65,8 @@ fn peak_of(target: Target, input: &[u8]) -> usize {
     MEMORY.peak_usage().saturating_sub(before)
 }
 
-/// Bytes that a reader may take for an input: buffers, the input's own text and numbers a few times over, and what a
-/// deflate stream of that length can unpack to at most.
+/// Bytes that a reader may take for an input: buffers, the input's own text and numbers a few times over, and
+/// what a deflate stream of that length can unpack to at most.
 fn bound(input: &[u8]) -> usize {
     let packed = input.windows(2).any(|w| w == [0x1f, 0x8b])
         || [

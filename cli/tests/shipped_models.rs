@@ -1,17 +1,17 @@
 //! The encoders in `models/` give what PyTorch gives for the same files, the predictors what their cards say.
 
 use entire_cli::dataset::{Clock, Table};
+use entire_cli::fit::{FitContext, predict};
 use entire_cli::inputs::Layout;
 use entire_cli::metrics::Metrics;
-use entire_cli::recipe::Kitchen;
-use entire_cli::study::{Part, predict};
+use entire_cli::split::TimedFrames;
 use entire_cli::volume::Volume;
 use entire_core::model::Model;
 use entire_core::nn::{Executor, VOLUMENET_TOLERANCE, VolumeNet};
 use entire_core::predict::ModelPredictor;
 use std::path::Path;
 
-/// Features by `examples/volumenet/encode.py --double`.
+/// Features by `lab/volumenet/encode.py --double`.
 const GOLDEN: [(&str, &str, [f64; 2]); 6] = [
     ("volumenet-64f2", "castro_blast/m05/t0012.nrrd", [-0.890949843, 2.90556979]),
     ("volumenet-64f2", "maestroex_bubbles/m03/t0015.nrrd", [2.42874764, -7.57150944]),
@@ -76,14 +76,14 @@ fn figures_on_card(card: &str, split: &str) -> [f64; 2] {
 fn shipped_predictors_reach_the_figures_on_their_cards() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    // The paper's network is there for comparison; taught, it is no worse than this.
+    // The paper's network is there for comparison; distilled, it is no worse than this.
     for (set, table, kind, worst) in [
         ("unshaded", "none", "selected", 0.08),
         ("local", "local", "selected", 0.08),
         ("scatter", "scatter", "selected", 0.15),
-        ("unshaded", "none", "taught", 0.25),
-        ("local", "local", "taught", 0.25),
-        ("scatter", "scatter", "taught", 0.35),
+        ("unshaded", "none", "distilled", 0.25),
+        ("local", "local", "distilled", 0.25),
+        ("scatter", "scatter", "distilled", 0.35),
     ] {
         let path = root.join("models").join(format!("{set}-{kind}.safetensors"));
         let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
@@ -91,10 +91,10 @@ fn shipped_predictors_reach_the_figures_on_their_cards() {
         for (split, name) in [("member", "members"), ("modality", "scans")] {
             let table = root.join("data/timings").join(format!("{table}-{name}.csv.gz"));
             let tables = [Table::read(&table, 0).unwrap()];
-            let part = Part::of(&tables[0].frames, Clock::Cpu);
+            let part = TimedFrames::of(&tables[0].frames, Clock::Cpu);
             let bar = indicatif::ProgressBar::hidden();
-            let kitchen = Kitchen { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
-            let predicted = predict(&model, &kitchen, &part.frames).unwrap();
+            let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
+            let predicted = predict(&model, &context, &part.frames).unwrap();
             let found = Metrics::new(&predicted, &part.seconds).unwrap();
             let [rmse_over_sd, mdape] = figures_on_card(&card, split);
             let what = format!("{set}-{kind}, {split}: {} {}", found.rmse_over_sd, found.mdape);
@@ -120,8 +120,8 @@ fn scans_are_told_from_simulations_by_the_out_of_range_score() {
         let out = rows.chunks_exact(layout.width()).filter(|r| predictor.out_of_range(r) > 0.0).count();
         out as f64 / frames.len() as f64
     };
-    // Members never seen of codes that it knows are familiar; CT and angiography volumes, on which an encoder gives
-    // familiar codes, are not.
+    // Members never seen of codes that it knows are familiar; CT and angiography volumes, on which an encoder
+    // gives familiar codes, are not.
     for known in ["castro_blast/m04", "castro_blast/m05", "nyx_cosmology/m04", "nyx_cosmology/m05"] {
         let share = share_out("none-members.csv.gz", known);
         assert!(share < 0.2, "{known}: {share}");

@@ -114,8 +114,8 @@ fn steer_chooses_image_sizes_and_logs_them() {
         "8",
         "--controllers",
         "olp,hybrid",
-        "--choose-scales",
-        "0.7,0.5",
+        "--image-sample-distances",
+        "1.4,2",
         "--log",
         log_text,
         "--out",
@@ -124,14 +124,14 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let frames = std::fs::read_to_string(out.join("frames.csv")).unwrap();
     let at = |name: &str| frames.lines().next().unwrap().split(',').position(|c| c == name).unwrap();
-    let (who, scale) = (at("controller"), at("image_scale"));
+    let (who, distance) = (at("controller"), at("image_sample_distance"));
     let mut chosen = BTreeSet::new();
     for row in frames.lines().skip(1).map(|l| l.split(',').collect::<Vec<_>>()) {
-        assert!(row[who] == "hybrid" || row[scale] == "1", "{row:?}");
-        chosen.insert(row[scale].to_owned());
+        assert!(row[who] == "hybrid" || row[distance] == "1", "{row:?}");
+        chosen.insert(row[distance].to_owned());
     }
-    assert!(chosen.contains("0.5"), "{chosen:?}");
-    assert!(chosen.iter().all(|s| ["1", "0.7", "0.5"].contains(&s.as_str())), "{chosen:?}");
+    assert!(chosen.contains("2"), "{chosen:?}");
+    assert!(chosen.iter().all(|s| ["1", "1.4", "2"].contains(&s.as_str())), "{chosen:?}");
     // The log holds the sizes that were drawn: 60 x 48 is half of either side.
     let table = std::fs::read_to_string(&log).unwrap();
     let columns: Vec<&str> = table.lines().next().unwrap().split(',').collect();
@@ -140,7 +140,7 @@ fn steer_chooses_image_sizes_and_logs_them() {
     assert!(widths.contains("120") && widths.contains("60"), "{widths:?}");
     assert_eq!(table.lines().count(), 1 + 2 * 12);
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
-    assert!(page.contains("Image size"), "the report does not show the sizes");
+    assert!(page.contains("Image sample distance"), "the report does not show the distances");
 }
 
 #[test]
@@ -206,7 +206,7 @@ fn bad_input_is_one_line_and_status_1() {
         (&["--target", "9ms", "--retarget", "5"], "FRAME:TIME"),
         (&["--target", "9ms", "--retarget", "9:8ms,3:9ms"], "ordered by frame"),
         (&["--target", "9ms", "--scales", "9:1,3:0.5"], "ordered by frame"),
-        (&["--target", "9ms", "--choose-scales", "1.5"], "below 1"),
+        (&["--target", "9ms", "--image-sample-distances", "0.5"], "above 1"),
         (&["--target", "9ms", "--hold", "3"], "several volumes"),
         (&["--target", "9ms", "--limits", "4,2"], "step limits"),
         (&["--target", "9ms", "--calibrate", "3"], "at least 8 scenes"),
@@ -242,57 +242,4 @@ fn example_paths_are_paths() {
         }
     }
     assert!(seen >= 2);
-}
-
-#[test]
-fn farms_are_scheduled_from_recorded_frames_of_other_volumes() {
-    let (dir, volume, _) = setting();
-    let file = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
-    let (volume, before, tasks) = (volume.to_str().unwrap(), file("before.json"), file("tasks.json"));
-    let second = file("second.nrrd");
-    std::fs::copy(volume, &second).unwrap();
-    let record = |volumes: &[&str], frames: &str, out: &str| {
-        let common =
-            ["--generate", "orbit", "--device", "cpu", "--size", "24x24", "--steps", "1,2", "--repeats", "2"];
-        let output =
-            entire(&[&["record"][..], volumes, &common, &["--frames", frames, "--out", out]].concat());
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    };
-    record(&[volume, &second, "--hold", "20"], "40", &before);
-    record(&[volume], "16", &tasks);
-    let (list, plan) = (file("tasks.csv"), file("plan.csv"));
-    let run = |more: &[&str]| {
-        let output =
-            entire(&[&["schedule", "--trace", &tasks, "--nodes", "4", "--out", &plan][..], more].concat());
-        let text = String::from_utf8_lossy(&output.stdout).into_owned();
-        (output.status.code(), text + &String::from_utf8_lossy(&output.stderr))
-    };
-    let (code, text) = run(&["--training", &before, "--probe-side", "16", "--save-tasks", &list]);
-    assert_eq!(code, Some(0), "{text}");
-    for word in ["16 x 16 rays; each volume left out in turn", "factor learned from the view", "ms per task"]
-    {
-        assert!(text.contains(word), "{word}: {text}");
-    }
-    let rows = std::fs::read_to_string(&list).unwrap();
-    assert_eq!(rows.lines().count(), 17);
-    for row in rows.lines().skip(1) {
-        let cells: Vec<&str> = row.split(',').collect();
-        assert!(cells[1].parse::<f64>().unwrap() > 0.0 && cells[2].parse::<f64>().unwrap() > 0.0, "{row}");
-    }
-    // Every task once, on one of the four nodes.
-    let rows = std::fs::read_to_string(&plan).unwrap();
-    let names: BTreeSet<&str> = rows.lines().skip(1).map(|l| l.split(',').nth(1).unwrap()).collect();
-    assert_eq!((names.len(), rows.lines().count()), (16, 17));
-    assert!(rows.lines().skip(1).all(|l| l.split(',').nth(2).unwrap().parse::<u32>().unwrap() < 4));
-
-    // Longest first alone is another method, and the comparison says what repeats say of each other.
-    let report = file("report");
-    let (code, text) = run(&["--training", &before, "--method", "longest", "--report", &report]);
-    assert_eq!(code, Some(0), "{text}");
-    assert!(text.contains("static with exchanges, predicted") && text.contains("a second time"), "{text}");
-
-    let (code, text) = run(&["--training", &before, "--probe-side", "25"]);
-    assert!(code == Some(1) && text.contains("1 to 24"), "{text}");
-    let (code, text) = run(&[]);
-    assert!(code == Some(1) && text.contains("--training"), "{text}");
 }

@@ -1,6 +1,6 @@
 //! `entire train` and `entire evaluate` as a user runs them, on tables whose times follow a known law.
 
-use entire_cli::dataset::{MANIFEST_FORMAT, Manifest, Measurement, Scene, Writer};
+use entire_cli::dataset::{MANIFEST_FORMAT, Manifest, Scene, Timing, Writer};
 use entire_core::model::{Model, ModelFile, keys};
 use entire_core::nn::Dtype;
 use entire_core::scene::{Arcball, GaussianLobe, Shading, Skipping};
@@ -44,8 +44,8 @@ impl Data {
     }
 }
 
-/// Four members with two volumes each and `frames` frames per volume; seconds are a fixed cost, one per pixel and one
-/// that depends on the distance, each repeat 1 % above or below.
+/// Four members with two volumes each and `frames` frames per volume; seconds are a fixed cost, one per pixel
+/// and one that depends on the distance, each repeat 1 % above or below.
 fn data(frames: usize) -> Data {
     let folder = tempfile::tempdir().unwrap();
     let csv = folder.path().join("t.csv");
@@ -77,8 +77,7 @@ fn data(frames: usize) -> Data {
                     lobes: vec![GaussianLobe { center: unit(), width: 0.05, height: unit() }],
                 };
                 let seconds = 1e-3 + 2e-8 * f64::from(side * side) * f64::from(3.5 / dz);
-                let repeats =
-                    [0.99, 1.01].map(|f| Measurement { wall: Some(seconds * f), ..Measurement::default() });
+                let repeats = [0.99, 1.01].map(|f| Timing { wall: Some(seconds * f), ..Timing::default() });
                 writer.append(number, &scene, &repeats).unwrap();
                 number += 1;
             }
@@ -177,7 +176,7 @@ fn a_small_network_learns_the_law_on_members_never_seen() {
         assert!(std::fs::metadata(format!("{folder}/{name}")).unwrap().len() > 500, "{name}");
     }
 
-    // Fine-tuning keeps layers, inputs and standardisation; on times twice as long it learns the factor.
+    // Fine-tuning keeps layers, inputs and standardization; on times twice as long it learns the factor.
     let tuned = data.path("tuned.safetensors");
     works(&[
         "train",
@@ -357,12 +356,6 @@ fn what_cannot_be_done_is_said() {
         "takes scene_features alone",
     );
     fails(&["train", "--data", data.csv(), "--out", "m.bin"], 1, ".safetensors");
-    // Said before any candidate is made: the volume for latencies is not even looked for.
-    let select = ["select", "--clock", "wall", "--data", data.csv(), "--volume", "nowhere.nrrd", "--out"];
-    fails(&[&select[..], &["m.bin"]].concat(), 1, ".safetensors");
-    let below_a_file = format!("{}/m.safetensors", data.csv());
-    fails(&[&select[..], &[below_a_file.as_str()]].concat(), 1, "cannot make");
-    fails(&[&select[..], &[out.as_str()]].concat(), 1, "nowhere.nrrd");
     fails(&["train", "--data", "nowhere.csv", "--out", &out], 1, "cannot read nowhere.csv");
     fails(&["train", "--out", &out], 2, "--data");
     fails(

@@ -1,9 +1,9 @@
 //! A model of one renderer is taken to another with a few frames.
 
-use entire_cli::dataset::{Clock, Table};
+use entire_cli::dataset::{Clock, Table, Timed};
+use entire_cli::fit::{FitContext, Kind, Recipe, predict, transfer};
 use entire_cli::metrics::Metrics;
-use entire_cli::recipe::{Kind, Kitchen, Recipe, Timed, transfer};
-use entire_cli::study::{Part, predict};
+use entire_cli::split::TimedFrames;
 use std::path::Path;
 
 /// Tables of data/timings, numbered in their order.
@@ -16,10 +16,10 @@ fn tables(names: &[&str]) -> Vec<Table> {
 #[test]
 fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
     let tables = tables(&["none-others", "vtk-gpu-train", "vtk-gpu-test"]);
-    let [here, there, unseen] = [0, 1, 2].map(|i: usize| Part::of(&tables[i].frames, Clock::Cpu));
+    let [here, there, unseen] = [0, 1, 2].map(|i: usize| TimedFrames::of(&tables[i].frames, Clock::Cpu));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let bar = indicatif::ProgressBar::hidden();
-    let kitchen = Kitchen { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
+    let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
     let recipe = |kind| Recipe {
         kind,
         layers: vec![8],
@@ -29,40 +29,40 @@ fn a_model_of_the_raycaster_learns_vtk_from_a_few_frames() {
         ..Recipe::default()
     };
     let nothing = Timed { frames: &[], seconds: &[] };
-    let base = recipe(Kind::Residual).make(&kitchen, here.timed(), nothing).unwrap().file;
+    let base = recipe(Kind::Residual).make(&context, here.timed(), nothing).unwrap().file;
     let few: Vec<usize> = (0..there.frames.len()).step_by(20).collect();
     let frames: Vec<_> = few.iter().map(|&i| there.frames[i]).collect();
     let seconds: Vec<f64> = few.iter().map(|&i| there.seconds[i]).collect();
     let few = Timed { frames: &frames, seconds: &seconds };
-    let tuned = transfer(&base, &kitchen, few).unwrap();
+    let tuned = transfer(&base, &context, few).unwrap();
     let error = |file: &entire_core::model::ModelFile| {
-        let predicted = predict(&file.to_model().unwrap(), &kitchen, &unseen.frames).unwrap();
+        let predicted = predict(&file.to_model().unwrap(), &context, &unseen.frames).unwrap();
         Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
     };
     let (before, after) = (error(&base), error(&tuned));
     assert!(after < 0.25 && after < 0.5 * before, "{before} as it is, {after} transferred");
 
-    let analytic = recipe(Kind::Analytic).make(&kitchen, here.timed(), nothing).unwrap().file;
-    let refused = transfer(&analytic, &kitchen, few).unwrap_err().to_string();
+    let analytic = recipe(Kind::Analytic).make(&context, here.timed(), nothing).unwrap().file;
+    let refused = transfer(&analytic, &context, few).unwrap_err().to_string();
     assert!(refused.contains("--model-kind residual"), "{refused}");
 }
 
 #[test]
 fn what_converting_stored_values_costs_is_told_from_the_volume() {
     let tables = tables(&["vtk-fixed-train", "vtk-fixed-test"]);
-    let [train, unseen] = [0, 1].map(|i: usize| Part::of(&tables[i].frames, Clock::Cpu));
+    let [train, unseen] = [0, 1].map(|i: usize| TimedFrames::of(&tables[i].frames, Clock::Cpu));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let bar = indicatif::ProgressBar::hidden();
-    let kitchen = Kitchen { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
+    let context = FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| false };
     let nothing = Timed { frames: &[], seconds: &[] };
     let [plain, converting] = [false, true].map(|converting| {
         let recipe = Recipe { kind: Kind::Analytic, converting, ..Recipe::default() };
-        let file = recipe.make(&kitchen, train.timed(), nothing).unwrap().file;
-        let predicted = predict(&file.to_model().unwrap(), &kitchen, &unseen.frames).unwrap();
+        let file = recipe.make(&context, train.timed(), nothing).unwrap().file;
+        let predicted = predict(&file.to_model().unwrap(), &context, &unseen.frames).unwrap();
         Metrics::new(&predicted, &unseen.seconds).unwrap().rmse_over_sd
     });
     let elsewhere = Recipe { converting: true, ..Recipe::default() };
-    let refused = elsewhere.make(&kitchen, train.timed(), nothing).unwrap_err().to_string();
+    let refused = elsewhere.make(&context, train.timed(), nothing).unwrap_err().to_string();
     assert!(refused.contains("--model-kind"), "{refused}");
     assert!(converting < 0.15 && converting < 0.75 * plain, "{converting}, {plain} without");
 }

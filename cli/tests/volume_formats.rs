@@ -152,8 +152,57 @@ fn several_components_and_missing_files_are_refused() {
     assert_eq!(message, "no/such.nrrd: no such file; check the path");
     let message = format!("{:#}", Volume::open(fixtures()).unwrap_err());
     assert!(message.contains("is a folder"), "{message}");
-    #[cfg(unix)]
-    assert!(format!("{:#}", Volume::open("/dev/zero").unwrap_err()).contains("not a regular file"));
+}
+
+/// Opens in a thread of its own, so that a reader that waits for ever fails the test.
+#[cfg(unix)]
+fn refused_at_once(path: &Path) -> String {
+    let (send, receive) = std::sync::mpsc::channel();
+    let owned = path.to_owned();
+    std::thread::spawn(move || {
+        send.send(Volume::open(&owned).map(|_| ()).map_err(|error| format!("{error:#}")))
+    });
+    let answer = receive.recv_timeout(std::time::Duration::from_secs(60));
+    answer.unwrap_or_else(|_| panic!("{} is read for ever", path.display())).expect_err("not a volume")
+}
+
+#[cfg(unix)]
+#[test]
+fn what_is_no_regular_file_is_refused_and_never_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let fifo = folder.path().join("pipe");
+    assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    let socket = folder.path().join("socket");
+    let _listener = std::os::unix::net::UnixListener::bind(&socket).unwrap();
+    for (path, kind) in
+        [(fifo.as_path(), "a FIFO"), (&socket, "a socket"), (Path::new("/dev/zero"), "a device")]
+    {
+        // Under its own name, under the ending of every format, and as the voxels that a header names.
+        for ending in ["", ".nrrd", ".mha", ".vti", ".nii.gz", ".json", ".raw"] {
+            let link = folder.path().join(format!("link{ending}"));
+            std::os::unix::fs::symlink(path, &link).unwrap();
+            let message = refused_at_once(&link);
+            assert!(message.contains(kind) && message.contains("save its content to a file"), "{message}");
+            std::fs::remove_file(&link).unwrap();
+        }
+        let shown = path.display();
+        let header = folder.path().join("a.mhd");
+        let text = format!("NDims = 3\nDimSize = 2 2 2\nElementType = MET_CHAR\nElementDataFile = {shown}\n");
+        std::fs::write(&header, text).unwrap();
+        let message = refused_at_once(&header);
+        assert!(message.contains(kind) && message.contains("a.mhd"), "{message}");
+        let header = folder.path().join("a.nhdr");
+        let text = format!(
+            "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 2 2 2\nencoding: raw\ndata file: {shown}\n\n"
+        );
+        std::fs::write(&header, text).unwrap();
+        let message = refused_at_once(&header);
+        assert!(message.contains(kind) && message.contains("a.nhdr"), "{message}");
+        let header = folder.path().join("a.json");
+        let text = format!("{{\"size\": [2, 2, 2], \"type\": \"uint8\", \"file\": \"{shown}\"}}");
+        std::fs::write(&header, text).unwrap();
+        assert!(refused_at_once(&header).contains("no voxels beside the description"));
+    }
 }
 
 #[test]
@@ -186,7 +235,8 @@ fn truncated_files_say_what_is_missing() {
 fn lying_headers_do_not_allocate() {
     let mha = |sizes: &str, more: &str| {
         format!(
-            "ObjectType = Image\nNDims = 3\n{more}DimSize = {sizes}\nElementType = MET_SHORT\nElementDataFile = LOCAL\n"
+            "ObjectType = Image\nNDims = 3\n{more}DimSize = {sizes}\nElementType = \
+             MET_SHORT\nElementDataFile = LOCAL\n"
         )
     };
     let hundred = "x".repeat(100);

@@ -1,5 +1,5 @@
-//! Times PredNet per network, level and storage, VolumeNet and resampling per level, on one thread, against the machine's
-//! limits, measured in the same run.
+//! Times PredNet per network, level and storage, VolumeNet and resampling per level, on one thread, against
+//! the machine's limits, measured in the same run.
 //!
 //! ```text
 //! cargo bench -p entire-core --bench inference [-- --record] [--only TEXT] [--calls N]
@@ -15,11 +15,12 @@
 //! | bytes | weights (VolumeNet: and voxels; resampling: voxels) read by one call |
 //! | floor | the larger of bytes / bandwidth at that size and FLOP / peak, by the same level's instructions |
 //!
-//! VolumeNet `vol A` has the channels 1-8-16-32-64-128-256, `vol B` 1-16-32-64-128-256-256 (kernel 3, stride 2, two
-//! features), both on a volume of 128³ bytes; `512 u8` resamples 512³ bytes to 128³.
+//! VolumeNet `vol A` has the channels 1-8-16-32-64-128-256, `vol B` 1-16-32-64-128-256-256 (kernel 3, stride
+//! 2, two features), both on a volume of 128³ bytes; `512 u8` resamples 512³ bytes to 128³.
 //!
-//! The second form judges storages on a trained model and real inputs (one row per frame, in the model's order, no
-//! header): their difference from f32, and with measured seconds (one number per line) their error beside that of f32.
+//! The second form judges storages on a trained model and real inputs (one row per frame, in the model's
+//! order, no header): their difference from f32, and with measured seconds (one number per line) their error
+//! beside that of f32.
 
 use entire_core::kernels::{Isa, Level};
 use entire_core::model::Model;
@@ -308,7 +309,8 @@ mod limits {
 
     /// Bytes per second when `bytes` are read over and over.
     pub(super) fn bandwidth(level: super::Level, bytes: usize) -> Option<f64> {
-        // Whole cache lines, as packed weights lie; written, since memory that never was is one page of zeros.
+        // Whole cache lines, as packed weights lie; written, since memory that never was is one page of
+        // zeros.
         let all = vec![1f32; bytes.next_multiple_of(256) / 4 + 16];
         let data = &all[all.as_ptr().align_offset(64)..][..bytes.next_multiple_of(256) / 4];
         let rounds = (1 << 22) / bytes + 1;

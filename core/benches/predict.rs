@@ -81,7 +81,11 @@ fn main() {
                 transfer.prepare_distance();
             });
             report(&format!("{name}: frame features with distance map"), 2000, |i| {
-                features.measure(&volume, &mut transfer, black_box(&frame(i).with_skipping(Skipping::Distance)));
+                features.measure(
+                    &volume,
+                    &mut transfer,
+                    black_box(&frame(i).with_skipping(Skipping::Distance)),
+                );
             });
             let model = AnalyticModel::new();
             let setting = Setting::of(&frame(0));
@@ -97,7 +101,9 @@ fn main() {
         session.set_transfer(&tables[1], None).expect("a volume is set");
         report("session: plan and observe", 2000, |i| {
             let plan = session.plan(&frame(i), 0.02).expect("a plan");
-            black_box(session.observe(plan.id, 0.019 + 1e-5 * (i % 7) as f32, ObserveFlags::default()));
+            black_box(
+                session.observe(plan.id, 0.019 + 1e-5 * (i % 7) as f32, ObserveFlags::default()).is_ok(),
+            );
         });
     }
 }

@@ -1,14 +1,15 @@
-//! This crate's inference behind the protocol of the peer benchmark: a line `NAME BATCH SECONDS` in, a line `@@{json}`
-//! out, so that it is timed interleaved with other libraries.
+//! This crate's inference behind the protocol of the peer benchmark: a line `NAME BATCH SECONDS` in, a line
+//! `@@{json}` out, so that it is timed interleaved with other libraries.
 //!
 //! usage: peer_server [--storage f32|f16|bf16|int8] [--level scalar|avx2|avx512] MODELS
 //!
-//! `MODELS` is a folder of networks as the peers read them (`NAME.safetensors` with `l0.weight`, …, `inputs.safetensors`).
-//! Threads come from the environment variable `PEER_THREADS` (1 or 2). Some names answer something else:
-//! `accuracy/NAME` the largest relative error against a float64 evaluation, the output taken as the logarithm of
-//! seconds; `small/warm` and `small/cold` the times of a 2×64 network on 24 inputs, cold with its weights evicted from
-//! the first two cache levels before each call. `vol_…` is a VolumeNet on a byte volume (`vol_…:f32` on the floats that
-//! the peers take), `resample/N` resampling N³ bytes to 128³, with the time of reading them once as `read`.
+//! `MODELS` is a folder of networks as the peers read them (`NAME.safetensors` with `l0.weight`, …,
+//! `inputs.safetensors`). Threads come from the environment variable `PEER_THREADS` (1 or 2). Some names
+//! answer something else: `accuracy/NAME` the largest relative error against a float64 evaluation, the output
+//! taken as the logarithm of seconds; `small/warm` and `small/cold` the times of a 2×64 network on 24 inputs,
+//! cold with its weights evicted from the first two cache levels before each call. `vol_…` is a VolumeNet on
+//! a byte volume (`vol_…:f32` on the floats that the peers take), `resample/N` resampling N³ bytes to 128³,
+//! with the time of reading them once as `read`.
 
 use entire_core::kernels::{Isa, Level};
 use entire_core::nn::{
@@ -108,7 +109,7 @@ fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -
     }))
 }
 
-/// A VolumeNet as the peers read it, batch normalisation folded in.
+/// A VolumeNet as the peers read it, batch normalization folded in.
 fn volumenet(path: &Path) -> Result<VolumeNetParts, Problem> {
     let bytes = std::fs::read(path).map_err(|e| format!("{}: {e}", path.display()))?;
     let file = SafeTensors::deserialize(&bytes)?;
@@ -248,7 +249,7 @@ fn accuracy(options: &Options, name: &str, rows: usize) -> Result<f64, Problem> 
     Ok(error(&single).max(error(&batch)))
 }
 
-/// Times of whole `predict` calls of a 2×64 network on 24 inputs with normalisation, target log-seconds.
+/// Times of whole `predict` calls of a 2×64 network on 24 inputs with normalization, target log-seconds.
 fn small(options: &Options, cold: bool, seconds: f64) -> Result<String, Problem> {
     let number = |i: usize| ((i * 2_654_435_761) % 2000) as f32 / 10_000.0 - 0.1;
     let layer = |inputs: usize, outputs: usize| DenseParts {

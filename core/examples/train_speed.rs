@@ -1,8 +1,8 @@
 //! Trains a PredNet on made-up frames and prints the seconds it took, for comparison with another trainer.
 //!
 //! `train_speed FOLDER PRESET FRAMES BATCH EPOCHS THREADS` writes the frames and the first weights to FOLDER
-//! (`inputs.bin`, `seconds.bin`, `weights.bin`: little-endian f32, standardised and in the order of the layers), trains, and
-//! prints one JSON object.
+//! (`inputs.bin`, `seconds.bin`, `weights.bin`: little-endian f32, standardized and in the order of the
+//! layers), trains, and prints one JSON object.
 
 use entire_core::train::{Network, Samples, Settings, train};
 use std::io::Write;

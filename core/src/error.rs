@@ -1,6 +1,6 @@
 //! The one error type: what went wrong, where, and what to change.
 
-use alloc::string::String;
+use alloc::borrow::Cow;
 use core::fmt;
 
 /// What kind of mistake an [`Error`] reports. The numbers are stable and are the C ABI's result codes.
@@ -14,13 +14,13 @@ pub enum ErrorKind {
     SizeMismatch = 2,
     /// The bytes are not a model file that this version reads.
     InvalidModel = 3,
-    /// A tensor is missing or has another shape than its neighbours require.
+    /// A tensor is missing or has another shape than its neighbors require.
     InvalidTensor = 4,
     /// The model needs an input group that the caller did not supply, or the reverse.
     MissingInput = 5,
     /// The call needs something that was not set before it (volume, transfer function, model).
     NotReady = 6,
-    /// An observation was refused (unknown plan, non-positive time, duplicate).
+    /// An observation was rejected (unknown plan, a time that is not positive, duplicate).
     RejectedObservation = 7,
     /// A feature that this build or this model does not have.
     Unsupported = 8,
@@ -30,7 +30,7 @@ pub enum ErrorKind {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
     kind: ErrorKind,
-    message: String,
+    message: Cow<'static, str>,
 }
 
 /// Shorthand used throughout the crate.
@@ -38,7 +38,8 @@ pub type Result<T> = core::result::Result<T, Error>;
 
 impl Error {
     /// Makes an error; `message` names the thing, what was expected, what was found, and the remedy.
-    pub fn new(kind: ErrorKind, message: impl Into<String>) -> Self {
+    /// A text that stands in the program allocates nothing.
+    pub fn new(kind: ErrorKind, message: impl Into<Cow<'static, str>>) -> Self {
         Self { kind, message: message.into() }
     }
 

@@ -8,14 +8,65 @@
 //! | time | seconds (`f32`, or `f64` where they are accumulated) |
 //! | ray step | multiples of the *reference step*, which is the volume's smallest voxel spacing |
 //! | angles | degrees at the door (`Arcball`), radians inside |
-//! | scene space | origin at the volume's centre, unit length = radius of its bounding sphere |
+//! | scene space | origin at the volume's center, unit length = radius of its bounding sphere |
 //! | image sizes | pixels |
+//!
+//! # Steering a render loop
+//!
+//! A [`Session`] knows the volume and the transfer function. Before each frame it plans the ray step, and
+//! after it hears how long the frame took:
+//!
+//! ```
+//! use entire_core::adapt::ObserveFlags;
+//! use entire_core::features::SummaryOptions;
+//! use entire_core::scene::{Arcball, Camera, Scalars, TransferFunction};
+//! use entire_core::{Frame, GaussianLobe, Session, VolumeSummary, VolumeView};
+//!
+//! let voxels = vec![100u8; 32 * 32 * 32];
+//! let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32])?;
+//! let lobe = GaussianLobe { center: 0.4, width: 0.1, height: 0.8 };
+//! let table = TransferFunction::Gaussian(vec![lobe]).to_table()?;
+//!
+//! let mut session = Session::untrained();
+//! session.set_volume(VolumeSummary::new(&view, SummaryOptions::default())?, None);
+//! session.set_transfer(&table, None)?;
+//!
+//! let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.0 })?;
+//! let frame = Frame::new(camera, 640, 480)?;
+//! let plan = session.plan(&frame, 0.016)?;
+//! // … draw with plan.step and measure the seconds it took …
+//! let seconds = 0.012;
+//! session.observe(plan.id, seconds, ObserveFlags::default())?;
+//!
+//! // What a frame will take, corrected by what was observed:
+//! let expected = session.predict(&frame)?;
+//! assert!(expected.seconds > 0.0 && expected.upper >= expected.seconds);
+//! # Ok::<(), entire_core::Error>(())
+//! ```
+//!
+//! # Loading a model
+//!
+//! [`predict::load`] makes the predictor that a model file holds; [`Session::new`] steers by it:
+//!
+//! ```
+//! use entire_core::control::HybridOptions;
+//! use entire_core::predict::{AnalyticModel, load};
+//! use entire_core::{Model, Session};
+//!
+//! // Bytes of a model file; here those of an analytic model.
+//! let bytes = AnalyticModel::new().to_model_file()?.to_bytes()?;
+//! let model = Model::from_bytes(&bytes)?;
+//! let session = Session::new(load(&model)?, HybridOptions::default());
+//! # let _ = session;
+//! # Ok::<(), entire_core::Error>(())
+//! ```
 //!
 //! # Contract
 //!
-//! The crate is `no_std` with `alloc`. It knows no files, no GPU and no threads that the caller did not give. Hot calls
-//! (predict, plan, observe) never allocate, lock or call the system once set-up is done. A prediction is a pure
-//! function: same model, same inputs, same SIMD level, same bits, with and without the feature `std`.
+//! The crate is `no_std` with `alloc`. It knows no files, no GPU and no threads that the caller did not give.
+//! Hot calls (predict, plan, observe) never allocate, lock or call the system once set-up is done. A
+//! prediction is a pure function: same model, same inputs, same SIMD level, same bits, with and without the
+//! feature `std`.
 #![cfg_attr(not(feature = "std"), no_std)]
 #![deny(unsafe_code)]
 
@@ -36,4 +87,9 @@ pub mod schedule;
 #[cfg(feature = "train")]
 pub mod train;
 
+pub use control::{Plan, Session};
 pub use error::{Error, ErrorKind, Result};
+pub use features::VolumeSummary;
+pub use model::Model;
+pub use predict::{Prediction, Predictor};
+pub use scene::{Frame, GaussianLobe, VolumeView};

@@ -65,8 +65,10 @@ fn plan_choose_predict_and_observe_never_allocate() {
                 } else {
                     session.choose(&frame, &settings, 0.02).expect("a choice").plan
                 };
-                for seconds in [f32::NAN, 0.01, 0.01] {
-                    session.observe(plan.id, seconds, ObserveFlags::default());
+                // Rejected, learned from, and rejected as told twice.
+                for (seconds, accepted) in [(f32::NAN, false), (0.01, true), (0.01, false)] {
+                    let verdict = session.observe(plan.id, seconds, ObserveFlags::default());
+                    assert!(verdict.is_ok() == accepted);
                 }
             });
         }

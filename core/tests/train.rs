@@ -11,7 +11,8 @@ use proptest::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::ops::ControlFlow;
 
-/// Largest relative difference between a gradient and its central difference in float64, of the gradient's norm.
+/// Largest relative difference between a gradient and its central difference in float64, of the gradient's
+/// norm.
 const FINITE_DIFFERENCE_TOLERANCE: f64 = 1e-7;
 /// Largest difference from PyTorch's float64 run, relative to the largest number compared.
 const TORCH_F64_TOLERANCE: f64 = 1e-12;
@@ -133,7 +134,7 @@ struct Batch {
 }
 
 fn golden() -> Golden {
-    serde_json::from_str(include_str!("../../tests/golden/train.json")).unwrap()
+    serde_json::from_str(include_str!("golden/train.json")).unwrap()
 }
 
 fn initial(golden: &Golden) -> Network<f64> {

@@ -1,4 +1,4 @@
-//! Node transfer functions against tables that VTK itself computed (`tests/golden/vtk_transfer/make.py`).
+//! Node transfer functions against tables that VTK itself computed (`golden/vtk_transfer/make.py`).
 
 use entire_core::scene::{ColorNode, Nodes, OpacityNode, TABLE_LEN, TransferFunction};
 use serde_json::Value;
@@ -12,7 +12,7 @@ fn number(v: &Value) -> f64 {
 
 #[test]
 fn tables_equal_those_of_vtk() {
-    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/golden/vtk_transfer/values.json");
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/vtk_transfer/values.json");
     let golden: Value = serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap();
     let cases = golden["cases"].as_array().unwrap();
     assert!(cases.len() >= 12);

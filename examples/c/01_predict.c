@@ -34,7 +34,7 @@ int main(int argc, char **argv) {
     printf("model for %s, run with %s\n", device ? device : "an unnamed device", entire_simd_level());
 
     entire_model_info info = {.struct_size = sizeof info};
-    check(entire_model_get_info(model, &info));
+    check(entire_model_describe(model, &info));
     if (info.input_count == 0) return fprintf(stderr, "the file has no prediction network\n"), 1;
 
     enum { ROWS = 4 };
@@ -43,7 +43,7 @@ int main(int argc, char **argv) {
     for (size_t row = 0; row < ROWS; ++row)
         for (size_t i = 0; i < info.group_count; ++i) {
             entire_input_group group = {.struct_size = sizeof group};
-            check(entire_model_get_input(model, i, &group));
+            check(entire_model_input_group(model, i, &group));
             if (row == 0) printf("  inputs %2zu..%-2zu %s\n", group.offset, group.offset + group.size - 1, group.name);
             fill(&group, inputs + row * info.input_count + group.offset, (float)(1u << row));
         }

@@ -46,14 +46,14 @@ int main(int argc, char **argv) {
     check(entire_volume_new(&desc, &volume));
 
     entire_volume_info about = {.struct_size = sizeof about};
-    check(entire_volume_get_info(volume, &about));
+    check(entire_volume_describe(volume, &about));
     printf("%zu x %zu x %zu voxels, bounding radius %g, reference step %g\n", about.dims[0], about.dims[1],
            about.dims[2], about.bounding_radius, about.reference_step);
 
     entire_model *model = NULL;
     check(entire_model_open(argv[1], &model));
     entire_model_info info = {.struct_size = sizeof info};
-    check(entire_model_get_info(model, &info));
+    check(entire_model_describe(model, &info));
     if (info.feature_count == 0) return fprintf(stderr, "the file has no volume encoder\n"), 1;
 
     float *features = malloc(info.feature_count * sizeof *features);
@@ -64,7 +64,7 @@ int main(int argc, char **argv) {
     for (size_t i = 0; i < count; ++i) printf(" %.6g", features[i]);
     printf("\n");
 
-    /* In a later run: no voxels are looked at again when a predictor is given this volume. */
+    /* In a later run: no voxels are looked at again when a session is given this volume. */
     check(entire_volume_set_features(volume, features, count));
 
     free(features);

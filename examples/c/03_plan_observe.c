@@ -1,5 +1,5 @@
 /* A render loop that is steered: plan, draw with the plan's step, observe how long it took. No model is needed: the
- * predictor starts from a cost model and learns this "renderer" (a formula here) from its first frames. At frame 20 the
+ * session starts from a cost model and learns this "renderer" (a formula here) from its first frames. At frame 20 the
  * transfer function changes abruptly.
  *
  *   03_plan_observe
@@ -24,12 +24,12 @@ static float draw(float step, int dense) {
     return 0.004f + (dense ? 0.05f : 0.2f) / step;
 }
 
-static void set_lobe(entire_predictor *predictor, float height) {
+static void set_lobe(entire_session *session, float height) {
     entire_gaussian_lobe lobe = {.center = 0.5f, .width = 0.05f, .height = height};
     entire_transfer_function *tf = NULL;
     check(entire_transfer_function_from_lobes(&lobe, 1, &tf));
-    check(entire_predictor_set_transfer_function(predictor, tf));
-    entire_transfer_function_free(tf); /* the predictor keeps what it needs */
+    check(entire_session_set_transfer_function(session, tf));
+    entire_transfer_function_free(tf); /* the session keeps what it needs */
 }
 
 int main(void) {
@@ -43,28 +43,28 @@ int main(void) {
     entire_volume *volume = NULL;
     check(entire_volume_new(&desc, &volume));
 
-    entire_predictor *predictor = NULL;
-    check(entire_predictor_new(NULL, NULL, &predictor));
-    check(entire_predictor_set_volume(predictor, volume));
-    set_lobe(predictor, 0.9f);
+    entire_session *session = NULL;
+    check(entire_session_new(NULL, NULL, &session));
+    check(entire_session_set_volume(session, volume));
+    set_lobe(session, 0.9f);
 
     entire_frame frame;
     check(entire_frame_init(&frame, sizeof frame));
     frame.width = frame.height = 512;
     for (int i = 0; i < FRAMES; ++i) {
         int dense = i < FRAMES / 2;
-        if (i == FRAMES / 2) set_lobe(predictor, 0.01f);
+        if (i == FRAMES / 2) set_lobe(session, 0.01f);
         frame.arcball[1] = 3.0f * (float)i;
         entire_plan plan = {.struct_size = sizeof plan};
-        check(entire_predictor_plan(predictor, &frame, 0.04f, &plan));
+        check(entire_session_plan(session, &frame, 0.04f, &plan));
         float seconds = draw(plan.step, dense);
-        check(entire_predictor_observe(predictor, plan.id, seconds, 0, NULL));
+        check(entire_session_observe(session, plan.id, seconds, 0, NULL));
         printf("frame %2d  step %5.2f  predicted ", i, plan.step);
         if (plan.absent & ENTIRE_ABSENT_SECONDS) printf("   unknown");
         else printf("%7.1f ms", 1e3 * plan.seconds);
         printf("  took %6.1f ms  reason %u\n", 1e3 * seconds, plan.reason);
     }
-    entire_predictor_free(predictor);
+    entire_session_free(session);
     entire_volume_free(volume);
     return 0;
 }

@@ -49,14 +49,14 @@ int main(int argc, char **argv) try {
     const int frames = argc > 2 ? std::atoi(argv[2]) : 60;
     const auto voxels = make_voxels();
 
-    auto predictor = entire::predictor::untrained().value();
+    auto session = entire::session::untrained().value();
     const entire::volume_desc desc(entire::span<const float>(voxels), N, N, N);
-    predictor.set_volume(entire::volume::create(desc).value()).value();
+    session.set_volume(entire::volume::create(desc).value()).value();
     std::vector<float> rgba;
     auto set_lobe = [&](entire_gaussian_lobe lobe) {
         auto tf = entire::transfer_function::from_lobes({&lobe, 1}).value();
         rgba = tf.table().value();
-        predictor.set_transfer_function(tf).value();
+        session.set_transfer_function(tf).value();
     };
     set_lobe({0.5f, 0.3f, 0.01f});
 
@@ -65,11 +65,11 @@ int main(int argc, char **argv) try {
     for (int i = 0; i < frames; ++i) {
         if (i == frames / 2) set_lobe({0.6f, 0.005f, 0.8f});
         frame.orbit(0, 4.0f * i, 3);
-        const entire_plan plan = predictor.plan(frame, target).value();
+        const entire_plan plan = session.plan(frame, target).value();
         const auto start = std::chrono::steady_clock::now();
         const float opacity = draw(voxels, rgba, 4.0f * i, plan.step);
         const std::chrono::duration<float> took = std::chrono::steady_clock::now() - start;
-        predictor.observe(plan.id, took.count()).value();
+        session.observe(plan.id, took.count()).value();
         std::printf("frame %2d  step %5.2f  predicted %7.2f ms  took %7.2f ms  mean opacity %.2f\n", i, plan.step,
                     1e3f * plan.seconds, 1e3f * took.count(), opacity);
     }

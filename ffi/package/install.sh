@@ -70,10 +70,12 @@ without_symbolizer() { # without_symbolizer ARCHIVE
         cd "$work" && ar x whole.a 2>/dev/null
         found=$(grep -l 'BacktraceLock.*DisplayBacktrace.*Display3fmt' ./*.o) && [[ $(wc -l <<<"$found") == 1 ]] || exit 1
         object=$(basename "$found")
-        readelf -hW "$object" | grep -q 'X86-64' || exit 1
-        section=$(readelf -SW "$object" | grep -o ' \.text\.[^ ]*BacktraceLock[^ ]*DisplayBacktrace[^ ]*Display3fmt ' | tr -d ' ')
+        # Into files: grep -q leaves early, and readelf would fail of the closed pipe.
+        readelf -hW "$object" >header && grep -q 'X86-64' header || exit 1
+        readelf -SW "$object" >sections || exit 1
+        section=$(grep -o ' \.text\.[^ ]*BacktraceLock[^ ]*DisplayBacktrace[^ ]*Display3fmt ' sections | tr -d ' ')
         [[ $section && $(wc -l <<<"$section") == 1 ]] || exit 1
-        bytes=$((16#$(readelf -SW "$object" | sed 's/^ *\[ *[0-9]*\] *//' | awk -v s="$section" '$1 == s { print $5 }')))
+        bytes=$((16#$(sed 's/^ *\[ *[0-9]*\] *//' sections | awk -v s="$section" '$1 == s { print $5 }')))
         ((bytes > 3)) || exit 1
         # `xor eax, eax; ret`, the Ok(()) of core::fmt::Result; traps behind it.
         { printf '\x31\xc0\xc3'; head -c $((bytes - 3)) /dev/zero | tr '\0' '\314'; } >stub

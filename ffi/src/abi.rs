@@ -5,19 +5,38 @@ use crate::result::entire_result::*;
 use std::ffi::{CStr, c_char};
 use std::mem::size_of;
 
-/// No struct of this ABI comes near this size; a larger `struct_size` is memory that was never initialised.
+/// Checks at compile time that a by-value struct, all of whose fields are listed, has no padding on 64-bit
+/// targets: a later version adds fields behind, and bytes of padding would already count in `struct_size`.
+macro_rules! no_padding {
+    ($noun:ident { $($field:ident),+ $(,)? }) => {
+        #[cfg(target_pointer_width = "64")]
+        const _: () = {
+            const fn size<T, F>(_: fn(&T) -> &F) -> usize {
+                size_of::<F>()
+            }
+            // Does not compile where a field is missing from the list.
+            const _: fn($noun) = |value| {
+                let $noun { $($field: _),+ } = value;
+            };
+            assert!(0 $(+ size::<$noun, _>(|value| &value.$field))+ == size_of::<$noun>());
+        };
+    };
+}
+pub(crate) use no_padding;
+
+/// No struct of this ABI comes near this size; a larger `struct_size` is memory that was never initialized.
 const LARGEST_STRUCT: usize = 1 << 16;
 
 /// A by-value struct whose first field is `struct_size: usize`, the size that the caller was compiled with.
 ///
-/// # Safety
-/// `repr(C)`, first field `struct_size: usize`, no padding that matters, and every bit pattern of every field is a value
-/// (integers, floats, pointers).
+/// # Safety `repr(C)`, first field `struct_size: usize`, no padding that matters, and every bit pattern of
+/// every field is a value (integers, floats, pointers).
 pub(crate) unsafe trait ByValue: Copy {
     /// Its name in messages.
     const NAME: &'static str;
-    /// Its size when it was first released; a smaller one never existed.
-    const FIRST_SIZE: usize;
+    /// Its size when it was first released; a smaller one never existed. A struct that has grown since states
+    /// it.
+    const FIRST_SIZE: usize = size_of::<Self>();
     /// What fields hold that the caller's older struct does not have, and what `_init` writes.
     fn defaults() -> Self;
 }
@@ -27,7 +46,8 @@ fn check_size<T: ByValue>(size: usize) -> Result<(), Failure> {
         return Err(Failure::new(
             ENTIRE_STRUCT_SIZE,
             format!(
-                "{name}.struct_size is {size}, the struct has {} bytes; set it to sizeof({name}) or call {name}_init",
+                "{name}.struct_size is {size}, the struct has {} bytes; set it to sizeof({name}) \
+                 or call {name}_init",
                 size_of::<T>(),
                 name = T::NAME
             ),
@@ -36,8 +56,8 @@ fn check_size<T: ByValue>(size: usize) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Reads the caller's struct: missing fields of an older caller get their defaults, unknown fields of a newer one must
-/// be zero.
+/// Reads the caller's struct: missing fields of an older caller get their defaults, unknown fields of a newer
+/// one must be zero.
 ///
 /// # Safety
 /// `at` is NULL or valid for reads of the bytes that its `struct_size` states.
@@ -50,8 +70,8 @@ pub(crate) unsafe fn read_struct<T: ByValue>(at: *const T) -> Result<T, Failure>
     check_size::<T>(size)?;
     let known = size.min(size_of::<T>());
     let mut value = T::defaults();
-    // SAFETY: the caller promises `size` readable bytes, `value` has `known` writable ones, and by the trait's contract
-    // any bytes are a value.
+    // SAFETY: the caller promises `size` readable bytes, `value` has `known` writable ones, and by the
+    // trait's contract any bytes are a value.
     let unknown = unsafe {
         std::ptr::copy_nonoverlapping(at.cast::<u8>(), (&raw mut value).cast::<u8>(), known);
         std::slice::from_raw_parts(at.cast::<u8>().add(known), size - known)
@@ -100,7 +120,8 @@ pub(crate) unsafe fn write_struct<T: ByValue>(at: *mut T, value: &T) -> Result<(
     Ok(())
 }
 
-/// Fills a struct of `size` bytes with its defaults, zero beyond what this library knows, and sets its `struct_size`.
+/// Fills a struct of `size` bytes with its defaults, zero beyond what this library knows, and sets its
+/// `struct_size`.
 ///
 /// # Safety
 /// `at` is NULL or valid for writes of `size` bytes.
@@ -135,8 +156,8 @@ pub(crate) unsafe fn slice<'a, T>(at: *const T, len: usize, what: &str) -> Resul
 
 /// The caller's output array. It is not touched here: what the caller left in it is some value of a number.
 ///
-/// # Safety
-/// `at` is NULL or valid for reads and writes of `len` elements, by nobody else, for as long as the result lives.
+/// # Safety `at` is NULL or valid for reads and writes of `len` elements, by nobody else, for as long as the
+/// result lives.
 pub(crate) unsafe fn slice_mut<'a, T: Number>(
     at: *mut T,
     len: usize,
@@ -146,8 +167,8 @@ pub(crate) unsafe fn slice_mut<'a, T: Number>(
         return Ok(&mut []);
     }
     check_array(at, len, what)?;
-    // SAFETY: not NULL, aligned, not longer than an object can be, writable as the caller promises; any bytes that come
-    // over the C boundary are a value of a number.
+    // SAFETY: not NULL, aligned, not longer than an object can be, writable as the caller promises; any bytes
+    // that come over the C boundary are a value of a number.
     Ok(unsafe { std::slice::from_raw_parts_mut(at, len) })
 }
 
@@ -209,8 +230,9 @@ pub(crate) unsafe fn write<T>(at: *mut T, value: T, what: &str) -> Result<(), Fa
     Ok(())
 }
 
-/// Copies `text` with a closing NUL into a buffer that may be too short (the text is then cut at a character) or NULL
-/// with capacity 0 (to ask for the length). `length`, where not NULL, receives the whole text's bytes without the NUL.
+/// Copies `text` with a closing NUL into a buffer that may be too short (the text is then cut at a character)
+/// or NULL with capacity 0 (to ask for the length). `length`, where not NULL, receives the whole text's bytes
+/// without the NUL.
 ///
 /// # Safety
 /// `buffer` is NULL or valid for writes of `capacity` bytes; `length` is NULL or valid for one write.

@@ -1,13 +1,13 @@
 //! `entire_frame`: what is about to be drawn, and the settings that a caller can choose between.
 
-use crate::abi::{ByValue, init_struct};
+use crate::abi::{ByValue, init_struct, no_padding};
 use crate::guard::guard;
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use entire_core::features::Setting;
 use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping};
 use glam::{Mat4, Vec3};
-use std::mem::{offset_of, size_of};
+use std::mem::size_of;
 
 /// How a frame's camera is given: one of the two `ENTIRE_CAMERA_*` numbers.
 pub type entire_camera = u32;
@@ -48,19 +48,19 @@ pub struct entire_frame {
     pub camera: entire_camera,
     /// Vertical field of view in degrees, over 0 and up to 179; default 45.
     pub fov_y: f32,
-    /// Rotation about x and y in degrees (positive raises the eye, moves it to the right), and the eye's distance from
-    /// the volume's center in multiples of its bounding-sphere radius. Default 0, 0, 3.
+    /// Rotation about x and y in degrees (positive raises the eye, moves it to the right), and the eye's
+    /// distance from the volume's center in multiples of its bounding-sphere radius. Default 0, 0, 3.
     pub arcball: [f32; 3],
-    /// World-to-eye matrix as OpenGL has it: column-major, rotation and translation only, the eye looks along -z. Default
-    /// identity.
+    /// World-to-eye matrix as OpenGL has it: column-major, rotation and translation only, the eye looks along
+    /// -z. Default identity.
     pub view: [f32; 16],
     /// World position of the volume's center, for ENTIRE_CAMERA_VIEW; default 0, 0, 0.
     pub volume_center: [f32; 3],
-    /// World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: the predictor's volume knows it
-    /// (entire_volume_info.bounding_radius), with world units equal to those of its spacing.
+    /// World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: the session's
+    /// volume knows it (entire_volume_info.bounding_radius), with world units equal to those of its spacing.
     pub volume_radius: f32,
-    /// Ray step in multiples of the reference step, from 1/64 to 4096; default 1. Predicted for as it is, answered by
-    /// entire_predictor_plan when steering is off.
+    /// Ray step in multiples of the reference step, from 1/64 to 4096; default 1. Predicted for as it is,
+    /// answered by entire_session_plan when steering is off.
     pub step: f32,
     /// Accumulated opacity at which a ray stops, over 0 and up to 1; 1 for never. Default 0.99.
     pub termination: f32,
@@ -70,14 +70,11 @@ pub struct entire_frame {
     pub skipping: entire_skipping,
     /// Not 0 where ray starts are jittered; default 0.
     pub jitter: u32,
-    /// Must be 0.
-    pub reserved: u32,
 }
 
 // SAFETY: repr(C), struct_size first, integers and floats only.
 unsafe impl ByValue for entire_frame {
     const NAME: &'static str = "entire_frame";
-    const FIRST_SIZE: usize = size_of::<Self>();
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>(),
@@ -94,12 +91,11 @@ unsafe impl ByValue for entire_frame {
             shading: ENTIRE_SHADING_NONE,
             skipping: ENTIRE_SKIPPING_BLOCKS,
             jitter: 0,
-            reserved: 0,
         }
     }
 }
 
-/// One of the settings that entire_predictor_choose may pick.
+/// One of the settings that entire_session_choose may pick.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_setting {
@@ -115,16 +111,24 @@ pub struct entire_setting {
     pub skipping: entire_skipping,
 }
 
-// The layouts of ABI 1 on 64-bit targets; a field may be added behind, never moved.
-#[cfg(target_pointer_width = "64")]
-const _: () = {
-    assert!(size_of::<entire_frame>() == 144);
-    assert!(offset_of!(entire_frame, fov_y) == 20);
-    assert!(offset_of!(entire_frame, view) == 36);
-    assert!(offset_of!(entire_frame, volume_radius) == 112);
-    assert!(offset_of!(entire_frame, shading) == 124);
-    assert!(size_of::<entire_setting>() == 20);
-};
+no_padding!(entire_frame {
+    struct_size,
+    width,
+    height,
+    camera,
+    fov_y,
+    arcball,
+    view,
+    volume_center,
+    volume_radius,
+    step,
+    termination,
+    shading,
+    skipping,
+    jitter
+});
+// An element of arrays: it never changes.
+const _: () = assert!(size_of::<entire_setting>() == 20);
 
 /// Fills a frame with its defaults; `struct_size` is sizeof(entire_frame).
 #[unsafe(no_mangle)]
@@ -155,7 +159,8 @@ fn skipping(number: u32) -> Result<Skipping, Failure> {
         other => Err(Failure::new(
             ENTIRE_INVALID_ARGUMENT,
             format!(
-                "skipping is {other}; it must be one of ENTIRE_SKIPPING_NONE (1) to ENTIRE_SKIPPING_DISTANCE (3)"
+                "skipping is {other}; it must be one of ENTIRE_SKIPPING_NONE (1) \
+                 to ENTIRE_SKIPPING_DISTANCE (3)"
             ),
         )),
     }
@@ -189,12 +194,6 @@ impl entire_frame {
                 ));
             }
         };
-        if self.reserved != 0 {
-            return Err(Failure::new(
-                ENTIRE_INVALID_ARGUMENT,
-                "entire_frame.reserved must be 0; call entire_frame_init",
-            ));
-        }
         Ok(Frame::new(camera.with_fov_y_degrees(self.fov_y)?, self.width, self.height)?
             .with_step(self.step)?
             .with_termination(self.termination)?

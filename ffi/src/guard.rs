@@ -1,11 +1,12 @@
 //! The one way into the library: every entry point runs its body in here. Handles are checked, panics become
-//! [`ENTIRE_PANIC`] and mark their handle unusable, and the text of a failure is kept for this thread and for the handle.
+//! [`ENTIRE_PANIC`] and mark their handle unusable, and the text of a failure is kept for this thread and for
+//! the handle.
 
 use crate::abi::write_text;
 use crate::handle::{Handle, Owner};
-use crate::log;
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
+use crate::sink;
 use std::any::Any;
 use std::cell::{Cell, RefCell};
 use std::ffi::{CString, c_char};
@@ -25,8 +26,8 @@ thread_local! {
     static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
 }
 
-/// Why the calling thread's last call failed, as a sentence that names what was wrong and what to do; empty after a
-/// call that succeeded. Never NULL; valid until the thread's next call of any function but this one.
+/// Why the calling thread's last call failed, as a sentence that names what was wrong and what to do; empty
+/// after a call that succeeded. Never NULL; valid until the thread's next call of any function but this one.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_last_error() -> *const c_char {
     if FAILED.try_with(Cell::get).unwrap_or(false) {
@@ -165,8 +166,8 @@ fn failed(failure: Failure) -> entire_result {
     let code = failure.code;
     // A second net: a log callback or an allocation that unwinds here must not reach C either.
     let _ = catch_unwind(AssertUnwindSafe(|| {
-        log::emit(log::ENTIRE_LOG_ERROR, &failure.message);
-        let text = log::c_text(&failure.message);
+        sink::emit(sink::ENTIRE_LOG_ERROR, &failure.message);
+        let text = sink::c_text(&failure.message);
         let _ = TEXT.try_with(|slot| *slot.borrow_mut() = text);
         let _ = FAILED.try_with(|failed| failed.set(true));
     }));
@@ -175,8 +176,11 @@ fn failed(failure: Failure) -> entire_result {
 
 #[cold]
 fn panicked(payload: Box<dyn Any + Send>) -> Failure {
-    // Dropping a foreign payload could panic again; leaking it in a process that met a bug harms nobody.
-    std::mem::forget(payload);
+    // A payload whose drop panics in turn leaves another, which is given up: leaking it in a process that met
+    // a bug harms nobody.
+    if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
+        std::mem::forget(second);
+    }
     let place = PANIC.try_with(|text| text.take()).unwrap_or_default();
     Failure::new(
         ENTIRE_PANIC,
@@ -184,8 +188,9 @@ fn panicked(payload: Box<dyn Any + Send>) -> Failure {
     )
 }
 
-/// Installs, once, a panic hook that keeps the text of panics inside a guard instead of printing it; all others go to
-/// the hook that was there before. The hook belongs to this library's own copy of the Rust runtime.
+/// Installs, once, a panic hook that keeps the text of panics inside a guard instead of printing it; all
+/// others go to the hook that was there before. The hook belongs to this library's own copy of the Rust
+/// runtime.
 #[inline]
 fn keep_panics_quiet() {
     static HOOK: Once = Once::new();

@@ -1,7 +1,7 @@
 //! Opaque handles: what each noun owns, how C holds it, and the state that every handle carries.
 //!
-//! A type says once how its pointers are owned ([`Boxed`] or [`Counted`]); making, borrowing and freeing all go through
-//! that statement, so freeing a handle in another way than it was made does not compile.
+//! A type says once how its pointers are owned ([`Boxed`] or [`Counted`]); making, borrowing and freeing all
+//! go through that statement, so freeing a handle in another way than it was made does not compile.
 
 use crate::result::Failure;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -112,8 +112,8 @@ pub(crate) fn give<H: Handle>(value: H::Value) -> *mut H {
 
 /// The value of a handle that a call takes beside its own, for reading.
 ///
-/// # Safety
-/// `handle` is NULL or a live handle of this library that no thread is changing, for as long as the result lives.
+/// # Safety `handle` is NULL or a live handle of this library that no thread is changing, for as long as the
+/// result lives.
 pub(crate) unsafe fn borrow<'a, H: Handle + 'a>(handle: *const H) -> Result<&'a H::Value, Failure> {
     // SAFETY: NULL or live, as the caller promises.
     let handle = unsafe { handle.as_ref() }.ok_or_else(|| Failure::null(H::NAME))?;
@@ -128,8 +128,8 @@ pub(crate) unsafe fn borrow<'a, H: Handle + 'a>(handle: *const H) -> Result<&'a 
 /// # Safety
 /// `handle` is a live handle of this library.
 pub(crate) unsafe fn share<H: Handle<Owner = Counted>>(handle: *const H) -> Arc<H> {
-    // SAFETY: the pointer comes from Arc::into_raw (Counted::into_raw) and its owner still holds it, so the count is
-    // at least one; it is raised before the new Arc takes its share.
+    // SAFETY: the pointer comes from Arc::into_raw (Counted::into_raw) and its owner still holds it, so the
+    // count is at least one; it is raised before the new Arc takes its share.
     unsafe {
         Arc::increment_strong_count(handle);
         Arc::from_raw(handle)

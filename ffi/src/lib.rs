@@ -1,13 +1,12 @@
 //! libentire: the C ABI over `entire-core`. One file per C noun; conversions only, no arithmetic.
 //!
-//! Every entry point goes through [`guard`], which checks handles and pointers, turns panics into a result code and
-//! keeps the error text. The conventions that callers rely on stand at the top of `include/entire/entire.h`
-//! (`ffi/header.h`), which `ffi/tests/header.rs` generates from this crate.
+//! Every entry point goes through [`guard`], which checks handles and pointers, turns panics into a result
+//! code and keeps the error text. The conventions that callers rely on stand at the top of
+//! `include/entire/entire.h` (`ffi/header.h`), which `ffi/tests/header.rs` generates from this crate.
 //!
-//! # Safety of all entry points
-//! A pointer is NULL or valid for the access that the function's documentation states, for the length that stands
-//! beside it; a handle comes from this library and was not freed; a handle that is not `const` is used by one thread
-//! at a time. Functions state only what goes beyond this.
+//! # Safety of all entry points A pointer is NULL or valid for the access that the function's documentation
+//! states, for the length that stands beside it; a handle comes from this library and was not freed; a handle
+//! that is not `const` is used by one thread at a time. Functions state only what goes beyond this.
 #![allow(non_camel_case_types, reason = "C names, written here as the header has them")]
 #![allow(unreachable_pub, reason = "C reaches what Rust cannot; the header generator takes what is pub")]
 #![allow(
@@ -20,16 +19,21 @@ compile_error!("libentire promises that no panic takes the host down; build it w
 
 mod abi;
 mod handle;
-mod pool;
 
 // The nouns, in the order in which the header has them.
 mod version;
 
 mod result;
 
+mod limits;
+
 mod guard;
 
+mod sink;
+
 mod log;
+
+mod pool;
 
 mod model;
 
@@ -39,6 +43,9 @@ mod transfer;
 
 mod frame;
 
-mod predictor;
+mod session;
 
 mod schedule;
+
+#[cfg(test)]
+mod calls;

@@ -1,20 +1,23 @@
 //! `entire_model`: a model file, read once, shared by all who predict with it.
 
-use crate::abi::{ByValue, check_output, check_pointer, slice, slice_mut, text, write, write_struct};
+use crate::abi::{
+    ByValue, check_output, check_pointer, no_padding, slice, slice_mut, text, write, write_struct,
+};
 use crate::guard::{Outcome, freeing, guard, last_error_of, reading};
 use crate::handle::{Status, borrow, give, handle};
-use crate::log;
+use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
 use crate::pool::Pool;
-use crate::result::Failure;
 use crate::result::entire_result::{self, *};
+use crate::result::{Failure, frame_time};
+use crate::sink;
 use crate::volume::{Volume, entire_volume};
-use entire_core::kernels::Level;
+use entire_core::kernels::{Level, Storage};
 use entire_core::model::{Model, keys};
-use entire_core::nn::{EncodeScratch, Executor, PredNet, PredScratch, Target, VolumeNet};
+use entire_core::nn::{EncodeScratch, Executor, PredNet, PredNetParts, PredScratch, Target, VolumeNet};
 use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
 use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
-use std::mem::{offset_of, size_of};
+use std::mem::size_of;
 use std::sync::{Arc, OnceLock};
 
 /// What a prediction network's output stands for: one of the `ENTIRE_TARGET_*` numbers.
@@ -34,7 +37,7 @@ pub struct entire_model_info {
     pub struct_size: usize,
     /// How many numbers entire_model_predict takes; 0 where the file has no prediction network.
     pub input_count: usize,
-    /// How many groups these numbers come in (entire_model_get_input).
+    /// How many groups these numbers come in (entire_model_input_group).
     pub group_count: usize,
     /// How many scene features the model names (entire_model_scene_feature).
     pub scene_feature_count: usize,
@@ -51,7 +54,6 @@ pub struct entire_model_info {
 // SAFETY: repr(C), struct_size first, integers only.
 unsafe impl ByValue for entire_model_info {
     const NAME: &'static str = "entire_model_info";
-    const FIRST_SIZE: usize = size_of::<Self>();
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>(),
@@ -74,35 +76,36 @@ pub struct entire_input_group {
     pub struct_size: usize,
     /// Its name, such as "camera"; valid as long as the model.
     pub name: *const c_char,
-    /// How many numbers.
-    pub size: usize,
     /// Index of its first number among the model's inputs.
     pub offset: usize,
+    /// How many numbers.
+    pub size: usize,
 }
 
 // SAFETY: repr(C), struct_size first, integers and a raw pointer only.
 unsafe impl ByValue for entire_input_group {
     const NAME: &'static str = "entire_input_group";
-    const FIRST_SIZE: usize = size_of::<Self>();
     fn defaults() -> Self {
-        Self { struct_size: size_of::<Self>(), name: std::ptr::null(), size: 0, offset: 0 }
+        Self { struct_size: size_of::<Self>(), name: std::ptr::null(), offset: 0, size: 0 }
     }
 }
 
-// The layouts of ABI 1 on 64-bit targets; a field may be added behind, never moved.
-#[cfg(target_pointer_width = "64")]
-const _: () = {
-    assert!(size_of::<entire_model_info>() == 56);
-    assert!(offset_of!(entire_model_info, feature_count) == 32);
-    assert!(offset_of!(entire_model_info, target) == 48);
-    assert!(size_of::<entire_input_group>() == 32);
-    assert!(offset_of!(entire_input_group, size) == 16);
-};
+no_padding!(entire_model_info {
+    struct_size,
+    input_count,
+    group_count,
+    scene_feature_count,
+    feature_count,
+    encoder_edge,
+    target,
+    reserved
+});
+no_padding!(entire_input_group { struct_size, name, offset, size });
 
 /// Rows of a batch that are worked on at once.
 const ROWS_AT_ONCE: usize = 192;
 
-/// A model file in memory. Immutable: any number of threads and predictors may use one model at the same time.
+/// A model file in memory. Immutable: any number of threads and sessions may use one model at the same time.
 pub struct entire_model {
     status: Status,
     value: Loaded,
@@ -123,26 +126,32 @@ handle!(entire_model, Loaded, Counted);
 
 impl Loaded {
     fn new(model: Model) -> Result<Self, Failure> {
-        let prednet = model.prednet().map(PredNet::new).transpose()?.map(|net| {
-            let scratch = Pool::with_first(net.scratch());
-            (Arc::new(net), scratch)
-        });
-        let volumenet = model.volumenet().map(VolumeNet::new).transpose()?.map(|net| {
-            let scratch = Pool::with_first(net.scratch());
-            (net, scratch)
-        });
+        let (level, _) = level();
+        let stored = |parts: &PredNetParts| parts.layers.first().map_or(Storage::F32, |l| l.dtype.into());
+        let prednet =
+            model.prednet().map(|parts| PredNet::with(parts, *level, stored(parts))).transpose()?.map(
+                |net| {
+                    let scratch = Pool::filled(|| net.scratch());
+                    (Arc::new(net), scratch)
+                },
+            );
+        let volumenet = model
+            .volumenet()
+            .map(|parts| VolumeNet::with(parts, *level))
+            .transpose()?
+            .map(|net| (net, Pool::lazy()));
         Ok(Self {
-            rows: Pool::new(),
+            rows: Pool::lazy(),
             volumenet,
-            groups: model.inputs().iter().map(|g| log::c_text(&g.name)).collect(),
-            scene_features: model.scene_features().iter().map(|name| log::c_text(name)).collect(),
-            metadata: model.metadata().iter().map(|(k, v)| (k.clone(), log::c_text(v))).collect(),
+            groups: model.inputs().iter().map(|g| sink::c_text(&g.name)).collect(),
+            scene_features: model.scene_features().iter().map(|name| sink::c_text(name)).collect(),
+            metadata: model.metadata().iter().map(|(k, v)| (k.clone(), sink::c_text(v))).collect(),
             prednet,
             model,
         })
     }
 
-    /// The model as a predictor's source of predictions.
+    /// The model as a source of predictions.
     pub(crate) fn predictor(&self) -> Result<Box<dyn Predictor + Send>, Failure> {
         let (net, _) = self.prednet()?;
         Ok(match AnalyticModel::from_model(&self.model)? {
@@ -151,7 +160,8 @@ impl Loaded {
         })
     }
 
-    /// The volume features that the model's predictions take: ready ones, or the encoder's; `None` where it takes none.
+    /// The volume features that the model's predictions take: ready ones, or the encoder's; `None` where it
+    /// takes none.
     pub(crate) fn features_of(&self, volume: &Volume) -> Result<Option<Vec<f32>>, Failure> {
         let Some(size) = self.model.input_size(keys::GROUP_VOLUME_FEATURES) else { return Ok(None) };
         if let Some(ready) = &volume.features {
@@ -166,7 +176,9 @@ impl Loaded {
             }
             return Ok(Some(ready.clone()));
         }
-        let mut features = vec![0.0; size];
+        let mut features = Vec::new();
+        features.try_reserve_exact(size)?;
+        features.resize(size, 0.0);
         self.encode(volume, &mut features)?;
         Ok(Some(features))
     }
@@ -198,18 +210,29 @@ impl Loaded {
     }
 }
 
-/// The instruction set that models are run with on this CPU, such as "avx512": "scalar", "avx2" or "avx512", with
-/// extensions behind a plus sign. The environment variable ENTIRE_LEVEL lowers it. Static.
+/// The instruction set that models are run with, and its name: found once, so that the environment is read
+/// once.
+fn level() -> &'static (Level, CString) {
+    static FOUND: OnceLock<(Level, CString)> = OnceLock::new();
+    FOUND.get_or_init(|| {
+        let level = Level::detect();
+        (level, sink::c_text(&level.to_string()))
+    })
+}
+
+/// The instruction set that models are run with on this CPU, such as "avx512": "scalar", "avx2" or "avx512",
+/// with extensions behind a plus sign. The environment variable ENTIRE_LEVEL lowers it; it is read once, at
+/// the first call that needs it. Static.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_simd_level() -> *const c_char {
-    static NAME: OnceLock<CString> = OnceLock::new();
-    NAME.get_or_init(|| log::c_text(&Level::detect().to_string())).as_ptr()
+    level().1.as_ptr()
 }
 
 /// Reads a model file.
 ///
 /// Fails with ENTIRE_IO (the file cannot be read), ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR,
-/// ENTIRE_INVALID_ARGUMENT (a path that is not UTF-8), ENTIRE_NULL_ARGUMENT.
+/// ENTIRE_SIZE_MISMATCH (a file over ENTIRE_MAX_MODEL_BYTES), ENTIRE_INVALID_ARGUMENT (a path that is not
+/// UTF-8), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_open(
     path: *const c_char,
@@ -225,6 +248,9 @@ pub unsafe extern "C" fn entire_model_open(
         if !found.is_file() {
             return Err(io("not a regular file".into()));
         }
+        let length = usize::try_from(found.len()).unwrap_or(usize::MAX);
+        at_most("the model file's size in bytes", length, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")
+            .map_err(|e| Failure::new(e.code, format!("{path}: {}", e.message)))?;
         let bytes = std::fs::read(path).map_err(|e| io(e.to_string()))?;
         load(&bytes, path, model)
     })
@@ -232,7 +258,8 @@ pub unsafe extern "C" fn entire_model_open(
 
 /// Reads a model from the bytes of a model file; they may be freed when the call returns.
 ///
-/// Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_SIZE_MISMATCH (over
+/// ENTIRE_MAX_MODEL_BYTES), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_from_bytes(
     bytes: *const u8,
@@ -242,6 +269,7 @@ pub unsafe extern "C" fn entire_model_from_bytes(
     // SAFETY: the pointers are as the crate's documentation demands.
     guard(|| unsafe {
         check_pointer(model, "model (output)")?;
+        at_most("byte_count", byte_count, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")?;
         load(slice(bytes, byte_count, "bytes")?, "model in memory", model)
     })
 }
@@ -254,9 +282,9 @@ unsafe fn load(bytes: &[u8], name: &str, out: *mut *mut entire_model) -> Outcome
         Failure::new(failure.code, format!("{name}: {}", failure.message))
     };
     let loaded = Loaded::new(Model::from_bytes(bytes).map_err(named)?)?;
-    if log::enabled(log::ENTIRE_LOG_INFO) {
+    if sink::enabled(sink::ENTIRE_LOG_INFO) {
         let inputs = loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs());
-        log::emit(log::ENTIRE_LOG_INFO, &format!("{name}: {inputs} inputs, level {}", Level::detect()));
+        sink::emit(sink::ENTIRE_LOG_INFO, &format!("{name}: {inputs} inputs, level {}", level().0));
     }
     // SAFETY: as the caller promises.
     unsafe { write(out, give(loaded), "model (output)") }
@@ -266,7 +294,7 @@ unsafe fn load(bytes: &[u8], name: &str, out: *mut *mut entire_model) -> Outcome
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn entire_model_get_info(
+pub unsafe extern "C" fn entire_model_describe(
     model: *const entire_model,
     info: *mut entire_model_info,
 ) -> entire_result {
@@ -297,7 +325,7 @@ pub unsafe extern "C" fn entire_model_get_info(
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (no such group), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn entire_model_get_input(
+pub unsafe extern "C" fn entire_model_input_group(
     model: *const entire_model,
     index: usize,
     group: *mut entire_input_group,
@@ -315,8 +343,8 @@ pub unsafe extern "C" fn entire_model_get_input(
             };
             let out = entire_input_group {
                 name: name.as_ptr(),
-                size: found.size,
                 offset: groups[..index].iter().map(|g| g.size).sum(),
+                size: found.size,
                 ..ByValue::defaults()
             };
             write_struct(group, &out)
@@ -324,7 +352,8 @@ pub unsafe extern "C" fn entire_model_get_input(
     }
 }
 
-/// The name of the model's scene feature `index`, NULL where there is no such feature. Valid as long as the model.
+/// The name of the model's scene feature `index`, NULL where there is no such feature. Valid as long as the
+/// model.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_scene_feature(
     model: *const entire_model,
@@ -360,12 +389,12 @@ pub unsafe extern "C" fn entire_model_metadata(
     found
 }
 
-/// Encodes a volume's voxels into the features that the model's predictions take. `capacity` counts floats; `feature_count`
-/// receives how many were written (entire_model_info.feature_count). Takes milliseconds to seconds; may run on several
-/// threads at once.
+/// Encodes a volume's voxels into the features that the model's predictions take. `capacity` counts floats;
+/// `feature_count` receives how many were written (entire_model_info.feature_count). Takes milliseconds to
+/// seconds; may run on several threads at once.
 ///
-/// Fails with ENTIRE_SIZE_MISMATCH (a capacity below the feature count), ENTIRE_UNSUPPORTED (a model without an encoder),
-/// ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_SIZE_MISMATCH (a capacity below the feature count), ENTIRE_UNSUPPORTED (a model without
+/// an encoder), ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_encode(
     model: *const entire_model,
@@ -392,11 +421,14 @@ pub unsafe extern "C" fn entire_model_encode(
     }
 }
 
-/// Predicts one frame's time from the model's inputs in the file's order: the network alone, without a predictor's
-/// correction. May run on several threads at once; does not allocate.
+/// Predicts one frame's time from the model's inputs in the file's order: the network alone, without a
+/// session's correction. May run on several threads at once; does not allocate as long as no more than
+/// ENTIRE_CONCURRENT_PREDICTIONS calls run on the model at the same time. An answer below 1e-6 s, as networks
+/// give for cheap frames, comes back as 1e-6 s.
 ///
-/// Fails with ENTIRE_SIZE_MISMATCH (another number of inputs than the model takes), ENTIRE_INVALID_ARGUMENT (an input
-/// that is not finite), ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_SIZE_MISMATCH (another number of inputs than the model takes), ENTIRE_INVALID_ARGUMENT
+/// (an input that is not finite), ENTIRE_INVALID_MODEL (the model's answer is no frame time),
+/// ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_predict(
     model: *const entire_model,
@@ -412,15 +444,16 @@ pub unsafe extern "C" fn entire_model_predict(
             let (net, pool) = loaded.prednet()?;
             check_inputs(inputs, net.inputs(), 1)?;
             let predicted = pool.with(|| net.scratch(), |scratch| net.predict(inputs, scratch));
-            write(seconds, predicted, "seconds (output)")
+            write(seconds, frame_time(predicted)?, "seconds (output)")
         })
     }
 }
 
-/// Predicts many frames at once: `inputs` holds `rows` rows of `input_count` numbers, `seconds` receives `rows` numbers.
-/// Equal to entire_model_predict on each row, up to rounding.
+/// Predicts many frames at once: `inputs` holds `rows` rows of `input_count` numbers, `seconds` receives
+/// `rows` numbers. Equal to entire_model_predict on each row, up to rounding. Takes memory for `rows` numbers
+/// while it runs.
 ///
-/// Fails as entire_model_predict does.
+/// Fails as entire_model_predict does, for the first row that does, and with ENTIRE_OUT_OF_MEMORY.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_predict_batch(
     model: *const entire_model,
@@ -448,7 +481,16 @@ pub unsafe extern "C" fn entire_model_predict_batch(
             }
             check_inputs(inputs, net.inputs(), rows)?;
             let scratch = || net.batch_scratch(ROWS_AT_ONCE);
-            loaded.rows.with(scratch, |scratch| net.predict_batch(inputs, seconds, scratch))?;
+            // Apart from the caller's memory, which a failed call leaves as it was.
+            let mut predicted = Vec::new();
+            predicted.try_reserve_exact(rows)?;
+            predicted.resize(rows, 0.0f32);
+            loaded.rows.with(scratch, |scratch| net.predict_batch(inputs, &mut predicted, scratch))?;
+            for (row, answer) in predicted.iter_mut().enumerate() {
+                *answer = frame_time(*answer)
+                    .map_err(|why| Failure::new(why.code, format!("row {row}: {}", why.message)))?;
+            }
+            seconds.copy_from_slice(&predicted);
             Ok(())
         })
     }
@@ -459,7 +501,7 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
         return Err(Failure::new(
             ENTIRE_SIZE_MISMATCH,
             format!(
-                "{} inputs in {rows} row(s); the model takes {expected} in each (entire_model_get_info)",
+                "{} inputs in {rows} row(s); the model takes {expected} in each (entire_model_describe)",
                 inputs.len()
             ),
         ));
@@ -473,10 +515,10 @@ fn check_inputs(inputs: &[f32], expected: usize, rows: usize) -> Outcome {
     Ok(())
 }
 
-/// Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to `capacity`
-/// bytes with its closing NUL; empty where none failed. `length`, where not NULL, receives the whole text's length
-/// without the NUL; `buffer` may be NULL with capacity 0 to ask for it. entire_last_error is the simpler way where the
-/// thread that failed asks itself.
+/// Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
+/// `capacity` bytes with its closing NUL; empty where none failed. `length`, where not NULL, receives the
+/// whole text's length without the NUL; `buffer` may be NULL with capacity 0 to ask for it. entire_last_error
+/// is the simpler way where the thread that failed asks itself.
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
@@ -490,8 +532,8 @@ pub unsafe extern "C" fn entire_model_last_error(
     unsafe { last_error_of(model, buffer, capacity, length) }
 }
 
-/// Gives the caller's share of a model back; NULL is nothing to do. Predictors made from it keep theirs, so a model may
-/// be freed before they are.
+/// Gives the caller's share of a model back; NULL is nothing to do. Predictors made from it keep theirs, so a
+/// model may be freed before they are.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_free(model: *mut entire_model) {
     // SAFETY: the pointer is as the crate's documentation demands.

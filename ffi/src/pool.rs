@@ -1,108 +1,197 @@
 //! Working memory for calls that may run on several threads at once with one shared, immutable handle.
 
-use std::ptr;
-use std::sync::atomic::{AtomicPtr, Ordering};
+use std::cell::UnsafeCell;
+use std::sync::atomic::{AtomicU32, Ordering};
 
-/// How many pieces are kept; further concurrent callers allocate theirs.
-const SLOTS: usize = 16;
+/// How many calls of entire_model_predict may run on one model at the same time without allocating; each
+/// further one allocates working memory of its own.
+pub const ENTIRE_CONCURRENT_PREDICTIONS: usize = 16;
 
-/// A few pieces of working memory that callers take and put back; no lock, and no allocation once as many exist as calls
-/// run at the same time.
+const SLOTS: usize = ENTIRE_CONCURRENT_PREDICTIONS;
+const ALL_FREE: u32 = ((1u64 << SLOTS) - 1) as u32;
+
+/// A fixed number of slots with a piece of working memory each. Taking a slot is lock-free, and succeeds as
+/// long as fewer than [`SLOTS`] calls hold one: a bit says which are free, so none is overlooked.
 pub(crate) struct Pool<T> {
-    slots: [AtomicPtr<T>; SLOTS],
+    /// A bit per slot that nobody holds.
+    free: AtomicU32,
+    slots: [UnsafeCell<Option<T>>; SLOTS],
 }
+
+// SAFETY: a slot is touched only by the thread that cleared its bit in `free`, until that thread sets the bit
+// again; clearing acquires what setting released. A piece may so move between threads, hence `Send`.
+unsafe impl<T: Send> Sync for Pool<T> {}
 
 impl<T> Pool<T> {
-    /// A pool that holds nothing yet.
-    pub(crate) fn new() -> Self {
-        Self { slots: [const { AtomicPtr::new(ptr::null_mut()) }; SLOTS] }
+    /// A pool whose pieces are made at their first use.
+    pub(crate) fn lazy() -> Self {
+        Self { free: AtomicU32::new(ALL_FREE), slots: [const { UnsafeCell::new(None) }; SLOTS] }
     }
 
-    /// A pool that holds `first` alone.
-    pub(crate) fn with_first(first: T) -> Self {
-        let pool = Self::new();
-        pool.put(Box::new(first));
-        pool
+    /// A pool whose pieces are all made now: calls that find a slot allocate nothing.
+    pub(crate) fn filled(mut make: impl FnMut() -> T) -> Self {
+        Self { free: AtomicU32::new(ALL_FREE), slots: std::array::from_fn(|_| UnsafeCell::new(Some(make()))) }
     }
 
-    /// Runs `body` with a piece that nobody else is using; `make` makes one where all are taken.
+    /// Runs `body` with a piece that nobody else is using; `make` makes one where the slot has none yet, or
+    /// where all slots are held (that one is dropped afterwards).
     pub(crate) fn with<R>(&self, make: impl FnOnce() -> T, body: impl FnOnce(&mut T) -> R) -> R {
-        let mut piece = self.take().unwrap_or_else(|| Box::new(make()));
-        let result = body(&mut piece);
-        self.put(piece);
-        result
-    }
-
-    fn take(&self) -> Option<Box<T>> {
-        self.slots.iter().find_map(|slot| {
-            if slot.load(Ordering::Relaxed).is_null() {
-                return None;
+        match self.take() {
+            Some(held) => {
+                // SAFETY: this thread cleared the slot's bit and holds it until `held` is dropped.
+                let piece = unsafe { &mut *self.slots[held.slot].get() };
+                body(piece.get_or_insert_with(make))
             }
-            let taken = slot.swap(ptr::null_mut(), Ordering::Acquire);
-            // SAFETY: every pointer in a slot comes from Box::into_raw in `new` or `put`, and the swap gave it to this
-            // thread alone.
-            (!taken.is_null()).then(|| unsafe { Box::from_raw(taken) })
-        })
+            None => body(&mut make()),
+        }
     }
 
-    fn put(&self, piece: Box<T>) {
-        let raw = Box::into_raw(piece);
-        for slot in &self.slots {
-            if slot.compare_exchange(ptr::null_mut(), raw, Ordering::Release, Ordering::Relaxed).is_ok() {
-                return;
+    fn take(&self) -> Option<Held<'_>> {
+        let mut free = self.free.load(Ordering::Relaxed);
+        while free != 0 {
+            let slot = free.trailing_zeros();
+            let rest = free & !(1 << slot);
+            match self.free.compare_exchange_weak(free, rest, Ordering::Acquire, Ordering::Relaxed) {
+                Ok(_) => return Some(Held { free: &self.free, slot: slot as usize }),
+                Err(now) => free = now,
             }
         }
-        // SAFETY: just made from a box, and no slot took it.
-        drop(unsafe { Box::from_raw(raw) });
+        None
     }
 }
 
-impl<T> Drop for Pool<T> {
+/// A slot that this thread holds; given back when dropped, by a panic too.
+struct Held<'a> {
+    free: &'a AtomicU32,
+    slot: usize,
+}
+
+impl Drop for Held<'_> {
     fn drop(&mut self) {
-        while self.take().is_some() {}
+        self.free.fetch_or(1 << self.slot, Ordering::Release);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::sync::Barrier;
     use std::sync::atomic::AtomicUsize;
 
-    #[test]
-    fn pieces_are_reused_and_never_shared() {
-        let made = AtomicUsize::new(1);
-        let pool = Pool::with_first(0u64);
-        let make = || {
-            made.fetch_add(1, Ordering::Relaxed);
-            0u64
-        };
-        for _ in 0..100 {
-            pool.with(make, |piece| *piece += 1);
-        }
-        assert_eq!(made.load(Ordering::Relaxed), 1);
-        assert_eq!(pool.with(make, |piece| *piece), 100);
+    const ROUNDS: usize = if cfg!(miri) { 5 } else { 500 };
 
+    /// How many pieces were made, exist, and existed at most at one time.
+    #[derive(Default)]
+    struct Count {
+        made: AtomicUsize,
+        live: AtomicUsize,
+        most: AtomicUsize,
+    }
+
+    struct Piece<'a> {
+        count: &'a Count,
+        value: u64,
+    }
+
+    impl Count {
+        fn piece(&self) -> Piece<'_> {
+            self.made.fetch_add(1, Ordering::SeqCst);
+            let live = self.live.fetch_add(1, Ordering::SeqCst) + 1;
+            self.most.fetch_max(live, Ordering::SeqCst);
+            Piece { count: self, value: 0 }
+        }
+    }
+
+    impl Drop for Piece<'_> {
+        fn drop(&mut self) {
+            self.count.live.fetch_sub(1, Ordering::SeqCst);
+        }
+    }
+
+    /// Many calls from `callers` threads at once; whether a piece was ever seen by two of them.
+    fn hammer(pool: &Pool<Piece<'_>>, callers: usize) {
+        let start = Barrier::new(callers);
         std::thread::scope(|scope| {
-            for _ in 0..24 {
+            for _ in 0..callers {
                 scope.spawn(|| {
-                    for _ in 0..500 {
-                        pool.with(make, |piece| {
-                            let before = *piece;
-                            std::hint::spin_loop();
-                            *piece = before + 1;
-                            assert_eq!(*piece, before + 1);
-                        });
+                    start.wait();
+                    for _ in 0..ROUNDS {
+                        pool.with(
+                            || panic!("a slot has no piece"),
+                            |piece| {
+                                let before = piece.value;
+                                std::hint::spin_loop();
+                                piece.value = before + 1;
+                                assert_eq!(piece.value, before + 1);
+                            },
+                        );
                     }
                 });
             }
         });
-        assert!(made.load(Ordering::Relaxed) <= 25);
     }
 
     #[test]
-    fn nested_use_makes_further_pieces() {
-        let pool = Pool::with_first(1);
-        let depth = pool.with(|| 2, |a| pool.with(|| 2, |b| *a + *b));
-        assert_eq!(depth, 3);
+    fn as_many_callers_as_slots_make_no_piece() {
+        let count = Count::default();
+        let pool = Pool::filled(|| count.piece());
+        assert_eq!(count.made.load(Ordering::SeqCst), SLOTS);
+        hammer(&pool, SLOTS);
+        assert_eq!(count.made.load(Ordering::SeqCst), SLOTS);
+        drop(pool);
+        assert_eq!(count.live.load(Ordering::SeqCst), 0);
+    }
+
+    #[test]
+    fn more_callers_than_slots_make_one_piece_each_at_most() {
+        const CALLERS: usize = SLOTS + 8;
+        let count = Count::default();
+        let pool = Pool::filled(|| count.piece());
+        // All callers are inside at once: the slots serve the first of them, the others get pieces of their
+        // own.
+        let inside = Barrier::new(CALLERS);
+        std::thread::scope(|scope| {
+            for _ in 0..CALLERS {
+                scope.spawn(|| {
+                    pool.with(
+                        || count.piece(),
+                        |_| {
+                            inside.wait();
+                        },
+                    );
+                    for _ in 0..ROUNDS {
+                        pool.with(|| count.piece(), |piece| piece.value += 1);
+                    }
+                });
+            }
+        });
+        assert_eq!(count.most.load(Ordering::SeqCst), CALLERS);
+        assert_eq!(count.live.load(Ordering::SeqCst), SLOTS);
+    }
+
+    #[test]
+    fn pieces_are_made_at_first_use_and_reused() {
+        let count = Count::default();
+        let pool = Pool::lazy();
+        for round in 0..20 {
+            assert_eq!(
+                pool.with(|| count.piece(), |piece| std::mem::replace(&mut piece.value, round + 1)),
+                round
+            );
+        }
+        assert_eq!(count.made.load(Ordering::SeqCst), 1);
+        let depth = pool.with(|| count.piece(), |a| pool.with(|| count.piece(), |b| a.value + b.value));
+        assert_eq!((depth, count.made.load(Ordering::SeqCst)), (20, 2));
+    }
+
+    #[test]
+    fn a_panic_gives_the_slot_back() {
+        let pool = Pool::filled(|| 0);
+        for _ in 0..2 * SLOTS {
+            let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+                pool.with(|| panic!("a slot was lost"), |_: &mut i32| std::panic::resume_unwind(Box::new(7)))
+            }));
+            assert_eq!(*caught.unwrap_err().downcast::<i32>().unwrap(), 7);
+        }
     }
 }

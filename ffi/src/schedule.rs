@@ -2,16 +2,18 @@
 
 use crate::abi::{check_pointer, slice, slice_mut, write};
 use crate::guard::guard;
+use crate::limits::{ENTIRE_MAX_NODES, ENTIRE_MAX_TASKS, ENTIRE_MAX_TASKS_TIMES_NODES, at_most};
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use entire_core::schedule::assign_longest_first;
 
-/// Assigns tasks to nodes, the longest first, each to the node that would finish it earliest. `seconds` holds each task's
-/// time on a node of speed 1 and `speeds` each node's speed (2: half the time); `speeds` may be NULL for nodes of speed 1.
-/// `node_of_task` receives a node number, from 0, per task, and `makespan`, which may be NULL, the seconds until the last
-/// node is done.
+/// Assigns tasks to nodes, the longest first, each to the node that would finish it earliest. `seconds` holds
+/// each task's time on a node of speed 1 and `speeds` each node's speed (2: half the time); `speeds` may be
+/// NULL for nodes of speed 1. `node_of_task` receives a node number, from 0, per task, and `makespan`, which
+/// may be NULL, the seconds until the last node is done.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range), ENTIRE_SIZE_MISMATCH,
+/// Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range), ENTIRE_SIZE_MISMATCH
+/// (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or ENTIRE_MAX_TASKS_TIMES_NODES), ENTIRE_OUT_OF_MEMORY,
 /// ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_schedule(
@@ -24,6 +26,7 @@ pub unsafe extern "C" fn entire_schedule(
 ) -> entire_result {
     // SAFETY: the pointers are as the crate's documentation demands.
     guard(|| unsafe {
+        check_counts(task_count, node_count)?;
         let times = slice(seconds, task_count, "seconds")?;
         let equal;
         let speeds = if speeds.is_null() {
@@ -46,14 +49,26 @@ pub unsafe extern "C" fn entire_schedule(
     })
 }
 
-fn equal_speeds(nodes: usize) -> Result<Vec<f64>, Failure> {
-    let mut speeds = Vec::new();
-    if speeds.try_reserve_exact(nodes).is_err() {
+fn check_counts(tasks: usize, nodes: usize) -> Result<(), Failure> {
+    at_most("task_count", tasks, ENTIRE_MAX_TASKS, "ENTIRE_MAX_TASKS")?;
+    at_most("node_count", nodes, ENTIRE_MAX_NODES, "ENTIRE_MAX_NODES")?;
+    // Both are small by now: the product fits.
+    if tasks as u64 * nodes as u64 > ENTIRE_MAX_TASKS_TIMES_NODES {
         return Err(Failure::new(
             ENTIRE_SIZE_MISMATCH,
-            format!("{nodes} nodes are more than memory can hold; check node_count"),
+            format!(
+                "{tasks} tasks on {nodes} nodes are too many together: tasks times nodes is at most \
+                 {ENTIRE_MAX_TASKS_TIMES_NODES} (ENTIRE_MAX_TASKS_TIMES_NODES); \
+                 schedule groups of tasks or of nodes"
+            ),
         ));
     }
+    Ok(())
+}
+
+fn equal_speeds(nodes: usize) -> Result<Vec<f64>, Failure> {
+    let mut speeds = Vec::new();
+    speeds.try_reserve_exact(nodes)?;
     speeds.resize(nodes, 1.0);
     Ok(speeds)
 }

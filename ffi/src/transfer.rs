@@ -3,6 +3,7 @@
 use crate::abi::{check_pointer, slice, slice_mut, write};
 use crate::guard::{changing, freeing, guard, last_error_of, reading};
 use crate::handle::{Status, give, handle};
+use crate::limits::{ENTIRE_MAX_TRANSFER_POINTS, at_most};
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use entire_core::scene::{
@@ -61,8 +62,8 @@ pub const ENTIRE_UNIT_WORLD: entire_unit = 2;
 pub const ENTIRE_TABLE_ENTRIES: usize = 256;
 const _: () = assert!(ENTIRE_TABLE_ENTRIES == TABLE_LEN);
 
-/// Colors and opacities over normalized scalar values. Immutable but for its unit distance; a predictor copies what it
-/// needs.
+/// Colors and opacities over normalized scalar values. Immutable but for its unit distance; a session copies
+/// what it needs.
 pub struct entire_transfer_function {
     status: Status,
     value: Transfer,
@@ -82,6 +83,10 @@ pub(crate) struct Transfer {
 
 handle!(entire_transfer_function, Transfer, Boxed);
 
+fn at_most_points(what: &str, found: usize) -> Result<(), Failure> {
+    at_most(what, found, ENTIRE_MAX_TRANSFER_POINTS, "ENTIRE_MAX_TRANSFER_POINTS")
+}
+
 /// # Safety
 /// `out` is NULL or valid for one write.
 unsafe fn create(
@@ -99,11 +104,11 @@ unsafe fn create(
     })
 }
 
-/// Makes a transfer function of Gaussian opacity lobes; none is transparent everywhere. Colors come from a built-in
-/// ramp, since they do not change what a frame costs. The unit distance is one reference step.
+/// Makes a transfer function of Gaussian opacity lobes; none is transparent everywhere. Colors come from a
+/// built-in ramp, since they do not change what a frame costs. The unit distance is one reference step.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive),
-/// ENTIRE_NULL_ARGUMENT, ENTIRE_SIZE_MISMATCH.
+/// ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_from_lobes(
     lobes: *const entire_gaussian_lobe,
@@ -113,6 +118,7 @@ pub unsafe extern "C" fn entire_transfer_function_from_lobes(
     // SAFETY: the pointers are as the crate's documentation demands.
     unsafe {
         create(transfer_function, || {
+            at_most_points("lobe_count", lobe_count)?;
             let lobes = slice(lobes, lobe_count, "lobes")?;
             let lobes =
                 lobes.iter().map(|l| GaussianLobe { center: l.center, width: l.width, height: l.height });
@@ -121,14 +127,15 @@ pub unsafe extern "C" fn entire_transfer_function_from_lobes(
     }
 }
 
-/// Makes a transfer function of opacity and color nodes as VTK and ParaView have them, with the same values as
-/// vtkPiecewiseFunction and vtkColorTransferFunction (RGB) to 1e-6. `low` and `high` are the scalar values that map to 0
-/// and 1: pass the volume's range. Nodes stand in ascending position; two at one position make a step. Without opacity
-/// nodes all is transparent; without color nodes the built-in ramp is used. `clamping` not 0: the outermost nodes'
-/// values go on beyond them, as is VTK's default. The unit distance is one reference step until
-/// entire_transfer_function_set_unit_distance.
+/// Makes a transfer function of opacity and color nodes as VTK and ParaView have them, with the same values
+/// as vtkPiecewiseFunction and vtkColorTransferFunction (RGB) to 1e-6. `low` and `high` are the scalar values
+/// that map to 0 and 1: pass the volume's range. Nodes stand in ascending position; two at one position make
+/// a step. Without opacity nodes all is transparent; without color nodes the built-in ramp is used.
+/// `clamping` not 0: the outermost nodes' values go on beyond them, as is VTK's default. The unit distance is
+/// one reference step until entire_transfer_function_set_unit_distance.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_NULL_ARGUMENT, ENTIRE_SIZE_MISMATCH.
+/// Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_SIZE_MISMATCH (over
+/// ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_from_nodes(
     opacity: *const entire_opacity_node,
@@ -143,6 +150,8 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
     // SAFETY: the pointers are as the crate's documentation demands.
     unsafe {
         create(transfer_function, || {
+            at_most_points("opacity_count", opacity_count)?;
+            at_most_points("color_count", color_count)?;
             let opacity = slice(opacity, opacity_count, "opacity")?.iter().map(|n| OpacityNode {
                 position: n.position,
                 opacity: n.opacity,
@@ -161,11 +170,12 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
     }
 }
 
-/// Makes a transfer function of a table: `entries` times red, green, blue, opacity in [0, 1], not premultiplied, the
-/// first entry at scalar value 0 and the last at 1, linear in between. The unit distance is one reference step.
+/// Makes a transfer function of a table: `entries` times red, green, blue, opacity in [0, 1], not
+/// premultiplied, the first entry at scalar value 0 and the last at 1, linear in between. The unit distance
+/// is one reference step.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (fewer than 2 entries, a value outside [0, 1]), ENTIRE_NULL_ARGUMENT,
-/// ENTIRE_SIZE_MISMATCH.
+/// Fails with ENTIRE_INVALID_ARGUMENT (fewer than 2 entries, a value outside [0, 1]), ENTIRE_SIZE_MISMATCH
+/// (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_from_table(
     rgba: *const f32,
@@ -175,6 +185,7 @@ pub unsafe extern "C" fn entire_transfer_function_from_table(
     // SAFETY: the pointers are as the crate's documentation demands; four floats have the alignment of one.
     unsafe {
         create(transfer_function, || {
+            at_most_points("entries", entries)?;
             let rgba = slice(rgba.cast::<[f32; 4]>(), entries, "rgba")?;
             Ok(TransferFunction::uniform(rgba)?)
         })
@@ -202,7 +213,8 @@ pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
                     return Err(Failure::new(
                         ENTIRE_INVALID_ARGUMENT,
                         format!(
-                            "unit is {other}; it must be ENTIRE_UNIT_REFERENCE_STEP (1) or ENTIRE_UNIT_WORLD (2)"
+                            "unit is {other}; it must be ENTIRE_UNIT_REFERENCE_STEP (1) \
+                             or ENTIRE_UNIT_WORLD (2)"
                         ),
                     ));
                 }
@@ -212,8 +224,8 @@ pub unsafe extern "C" fn entire_transfer_function_set_unit_distance(
     }
 }
 
-/// Copies the table that predictions are made from: ENTIRE_TABLE_ENTRIES times red, green, blue, opacity over one unit
-/// distance. `capacity` counts floats.
+/// Copies the table that predictions are made from: ENTIRE_TABLE_ENTRIES times red, green, blue, opacity over
+/// one unit distance. `capacity` counts floats.
 ///
 /// Fails with ENTIRE_SIZE_MISMATCH (fewer than 4 * ENTIRE_TABLE_ENTRIES floats), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]

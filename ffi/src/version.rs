@@ -27,15 +27,15 @@ pub extern "C" fn entire_version() -> *const c_char {
     VERSION.as_ptr()
 }
 
-/// The library's version as one number: MAJOR * 1000000 + MINOR * 1000 + PATCH. Compare with `ENTIRE_VERSION_NUMBER`
-/// of the header that you compiled with.
+/// The library's version as one number: MAJOR * 1000000 + MINOR * 1000 + PATCH. Compare with
+/// `ENTIRE_VERSION_NUMBER` of the header that you compiled with.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_version_number() -> u32 {
     MAJOR * 1_000_000 + MINOR * 1000 + PATCH
 }
 
-/// The number that changes when, and only when, programs must be compiled anew: MAJOR * 1000, or MINOR before 1.0. A
-/// library that was loaded at run time fits when it equals `ENTIRE_ABI_VERSION` of the header.
+/// The number that changes when, and only when, programs must be compiled anew: MAJOR * 1000, or MINOR before
+/// 1.0. A library that was loaded at run time fits when it equals `ENTIRE_ABI_VERSION` of the header.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_abi_version() -> u32 {
     if MAJOR == 0 { MINOR } else { MAJOR * 1000 }

@@ -1,17 +1,18 @@
 //! `entire_volume`: voxels of any scalar type, or bounds of bricks; with or without ready features.
 
 use crate::abi::{
-    ByValue, check_output, check_pointer, init_struct, read_struct, slice, write, write_struct,
+    ByValue, check_output, check_pointer, init_struct, no_padding, read_struct, slice, write, write_struct,
 };
 use crate::guard::{Outcome, changing, freeing, guard, last_error_of, reading};
 use crate::handle::{Status, give, handle};
-use crate::log;
+use crate::limits::{ENTIRE_MAX_BRICKS, ENTIRE_MAX_FEATURES, at_most, check_dims};
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
+use crate::sink;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{ScalarType, Scalars, VolumeView};
 use std::ffi::{c_char, c_void};
-use std::mem::{offset_of, size_of};
+use std::mem::size_of;
 use std::sync::OnceLock;
 
 /// What a voxel is: one of the `ENTIRE_SCALAR_*` numbers.
@@ -41,8 +42,8 @@ pub const ENTIRE_SCALAR_I64: entire_scalar_type = 10;
 pub type entire_voxels_ownership = u32;
 /// The library copies the voxels; the caller's memory is free again when the call returns.
 pub const ENTIRE_VOXELS_COPY: entire_voxels_ownership = 1;
-/// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed. For scalar
-/// types U8, U16, I16 and F32, aligned to their size.
+/// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed. For
+/// scalar types U8, U16, I16 and F32, aligned to their size.
 pub const ENTIRE_VOXELS_BORROW: entire_voxels_ownership = 2;
 
 /// In `strides`: x runs fastest, then y, then z, without gaps. All three strides or none.
@@ -54,85 +55,82 @@ pub const ENTIRE_STRIDE_CONTIGUOUS: usize = usize::MAX;
 pub struct entire_volume_desc {
     /// sizeof(entire_volume_desc).
     pub struct_size: usize,
-    /// One of ENTIRE_SCALAR_*. No default.
-    pub scalar_type: entire_scalar_type,
-    /// ENTIRE_VOXELS_COPY (default) or ENTIRE_VOXELS_BORROW.
-    pub ownership: entire_voxels_ownership,
     /// The voxels. No default.
     pub voxels: *const c_void,
     /// How many elements of the scalar type `voxels` points at. No default.
     pub voxel_count: usize,
-    /// Voxels along x, y, z. No default.
+    /// One of ENTIRE_SCALAR_*. No default.
+    pub scalar_type: entire_scalar_type,
+    /// ENTIRE_VOXELS_COPY (default) or ENTIRE_VOXELS_BORROW.
+    pub ownership: entire_voxels_ownership,
+    /// Voxels along x, y, z, each 1 to ENTIRE_MAX_SIDE. No default. Where strides of zero or overlapping
+    /// strides make their product larger than `voxel_count`, it is at most ENTIRE_MAX_REPEATED_VOXELS.
     pub dims: [usize; 3],
-    /// Elements from one voxel to the next along x, y, z; default ENTIRE_STRIDE_CONTIGUOUS.
+    /// Elements from one voxel to the next along x, y, z; default ENTIRE_STRIDE_CONTIGUOUS. Zero repeats a
+    /// voxel.
     pub strides: [usize; 3],
-    /// Voxel spacing along x, y, z in any unit; default 1, 1, 1.
+    /// Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
     pub spacing: [f32; 3],
-    /// Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and maximum of the
-    /// voxels.
+    /// Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
+    /// maximum of the voxels.
     pub range: [f32; 2],
+    /// Must be 0.
+    pub reserved: u32,
 }
 
 // SAFETY: repr(C), struct_size first, integers, floats and a raw pointer only.
 unsafe impl ByValue for entire_volume_desc {
     const NAME: &'static str = "entire_volume_desc";
-    const FIRST_SIZE: usize = size_of::<Self>();
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>(),
-            scalar_type: 0,
-            ownership: ENTIRE_VOXELS_COPY,
             voxels: std::ptr::null(),
             voxel_count: 0,
+            scalar_type: 0,
+            ownership: ENTIRE_VOXELS_COPY,
             dims: [0; 3],
             strides: [ENTIRE_STRIDE_CONTIGUOUS; 3],
             spacing: [1.0; 3],
             range: [f32::NAN; 2],
+            reserved: 0,
         }
     }
 }
 
-/// A volume of which only the bounds of its bricks are known, as renderers keep them for empty-space skipping. Fill with
-/// entire_brick_desc_init, then set what differs.
+/// A volume of which only the bounds of its bricks are known, as renderers keep them for empty-space
+/// skipping. Fill with entire_brick_desc_init, then set what differs.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub struct entire_brick_desc {
     /// sizeof(entire_brick_desc).
     pub struct_size: usize,
+    /// Voxels of the whole volume along x, y, z, each 1 to ENTIRE_MAX_SIDE. No default.
+    pub dims: [usize; 3],
+    /// Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
+    pub spacing: [f32; 3],
     /// The voxels' scalar type, one of ENTIRE_SCALAR_*. No default.
     pub scalar_type: entire_scalar_type,
-    /// Must be 0.
-    pub reserved: u32,
-    /// Voxels of the whole volume along x, y, z. No default.
-    pub dims: [usize; 3],
     /// Voxels of a brick along x, y, z. No default.
     pub brick_edge: [usize; 3],
-    /// Lowest and highest normalized scalar value (0 to 1 over the volume's range) of each brick, x fastest, the voxels
-    /// that interpolation reaches into included: two floats per brick. No default.
+    /// Lowest and highest normalized scalar value (0 to 1 over the volume's range) of each brick, x fastest,
+    /// the voxels that interpolation reaches into included: two floats per brick. No default.
     pub bounds: *const f32,
-    /// Number of bricks: dims / brick_edge rounded up, multiplied.
+    /// Number of bricks: dims / brick_edge rounded up, multiplied. At most ENTIRE_MAX_BRICKS.
     pub brick_count: usize,
-    /// Voxel spacing along x, y, z in any unit; default 1, 1, 1.
-    pub spacing: [f32; 3],
-    /// Must be 0.
-    pub reserved_tail: u32,
 }
 
 // SAFETY: repr(C), struct_size first, integers, floats and a raw pointer only.
 unsafe impl ByValue for entire_brick_desc {
     const NAME: &'static str = "entire_brick_desc";
-    const FIRST_SIZE: usize = size_of::<Self>();
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>(),
-            scalar_type: 0,
-            reserved: 0,
             dims: [0; 3],
+            spacing: [1.0; 3],
+            scalar_type: 0,
             brick_edge: [0; 3],
             bounds: std::ptr::null(),
             brick_count: 0,
-            spacing: [1.0; 3],
-            reserved_tail: 0,
         }
     }
 }
@@ -145,59 +143,67 @@ pub struct entire_volume_info {
     pub struct_size: usize,
     /// Voxels along x, y, z.
     pub dims: [usize; 3],
-    /// Scalar type that the caller gave.
-    pub scalar_type: entire_scalar_type,
-    /// Number of ready features (entire_volume_set_features); 0 where there are none.
-    pub feature_count: u32,
     /// Voxel spacing along x, y, z.
     pub spacing: [f32; 3],
-    /// Scalar values that map to 0 and 1; NaN where only bricks are known.
-    pub range: [f32; 2],
     /// Radius of the bounding sphere in the unit of the spacing: the unit of entire_frame.arcball[2].
     pub bounding_radius: f32,
     /// Length of the reference step in the unit of the spacing.
     pub reference_step: f32,
+    /// Scalar values that map to 0 and 1; NaN where only bricks are known.
+    pub range: [f32; 2],
+    /// Scalar type that the caller gave.
+    pub scalar_type: entire_scalar_type,
     /// Not 0 where the volume has voxels (it can be encoded), 0 where only bricks are known.
     pub has_voxels: u32,
+    /// Number of ready features (entire_volume_set_features); 0 where there are none.
+    pub feature_count: u32,
 }
 
 // SAFETY: repr(C), struct_size first, integers and floats only.
 unsafe impl ByValue for entire_volume_info {
     const NAME: &'static str = "entire_volume_info";
-    const FIRST_SIZE: usize = size_of::<Self>();
     fn defaults() -> Self {
         Self {
             struct_size: size_of::<Self>(),
             dims: [0; 3],
-            scalar_type: 0,
-            feature_count: 0,
             spacing: [f32::NAN; 3],
-            range: [f32::NAN; 2],
             bounding_radius: f32::NAN,
             reference_step: f32::NAN,
+            range: [f32::NAN; 2],
+            scalar_type: 0,
             has_voxels: 0,
+            feature_count: 0,
         }
     }
 }
 
-// The layouts of ABI 1 on 64-bit targets; a field may be added behind, never moved.
-#[cfg(target_pointer_width = "64")]
-const _: () = {
-    assert!(size_of::<entire_volume_desc>() == 104);
-    assert!(offset_of!(entire_volume_desc, voxels) == 16);
-    assert!(offset_of!(entire_volume_desc, dims) == 32);
-    assert!(offset_of!(entire_volume_desc, strides) == 56);
-    assert!(offset_of!(entire_volume_desc, spacing) == 80);
-    assert!(offset_of!(entire_volume_desc, range) == 92);
-    assert!(size_of::<entire_brick_desc>() == 96);
-    assert!(offset_of!(entire_brick_desc, bounds) == 64);
-    assert!(offset_of!(entire_brick_desc, spacing) == 80);
-    assert!(size_of::<entire_volume_info>() == 72);
-    assert!(offset_of!(entire_volume_info, spacing) == 40);
-    assert!(offset_of!(entire_volume_info, has_voxels) == 68);
-};
+no_padding!(entire_volume_desc {
+    struct_size,
+    voxels,
+    voxel_count,
+    scalar_type,
+    ownership,
+    dims,
+    strides,
+    spacing,
+    range,
+    reserved
+});
+no_padding!(entire_brick_desc { struct_size, dims, spacing, scalar_type, brick_edge, bounds, brick_count });
+no_padding!(entire_volume_info {
+    struct_size,
+    dims,
+    spacing,
+    bounding_radius,
+    reference_step,
+    range,
+    scalar_type,
+    has_voxels,
+    feature_count
+});
 
-/// Voxels, or what stands for them. Immutable but for its ready features; may be used by any number of predictors.
+/// Voxels, or what stands for them. Immutable but for its ready features; may be used by any number of
+/// sessions.
 pub struct entire_volume {
     status: Status,
     value: Volume,
@@ -245,8 +251,8 @@ impl Volume {
         }
         let summary = VolumeSummary::new(self.view()?, SummaryOptions::default())?;
         if summary.non_finite_share() > 0.0 {
-            log::emit(
-                log::ENTIRE_LOG_WARNING,
+            sink::emit(
+                sink::ENTIRE_LOG_WARNING,
                 "the volume has voxels that are NaN or infinite; they count as the ends of the range",
             );
         }
@@ -276,16 +282,18 @@ pub unsafe extern "C" fn entire_brick_desc_init(
 
 /// Makes a volume of voxels. NaN voxels count as the low end of the range, infinities as its ends.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type, a zero size, a spacing that is not positive, borrowed
-/// voxels that are not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need),
-/// ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type, a zero size, a spacing that is not positive,
+/// borrowed voxels that are not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or
+/// sizes over the limits of entire_volume_desc), ENTIRE_OUT_OF_MEMORY (for a copy; ENTIRE_VOXELS_BORROW needs
+/// none), ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
+/// ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_new(
     desc: *const entire_volume_desc,
     volume: *mut *mut entire_volume,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands, and `desc.voxels` is valid for `voxel_count`
-    // elements, until the volume is freed where they are borrowed.
+    // SAFETY: the pointers are as the crate's documentation demands, and `desc.voxels` is valid for
+    // `voxel_count` elements, until the volume is freed where they are borrowed.
     guard(|| unsafe {
         check_pointer(volume, "volume (output)")?;
         let desc = read_struct(desc)?;
@@ -302,23 +310,29 @@ pub unsafe extern "C" fn entire_volume_new(
 }
 
 fn log_volume(view: &VolumeView<'_>) {
-    if log::enabled(log::ENTIRE_LOG_INFO) {
+    if sink::enabled(sink::ENTIRE_LOG_INFO) {
         let ([x, y, z], (low, high)) = (view.dims(), view.range());
         let name = view.scalar_type().name();
-        log::emit(
-            log::ENTIRE_LOG_INFO,
+        sink::emit(
+            sink::ENTIRE_LOG_INFO,
             &format!("volume of {x} x {y} x {z} {name} voxels, range {low} to {high}"),
         );
     }
 }
 
-/// # Safety
-/// `desc.voxels` is NULL or valid for reads of `desc.voxel_count` elements, for as long as the result lives where they
-/// are borrowed.
+/// # Safety `desc.voxels` is NULL or valid for reads of `desc.voxel_count` elements, for as long as the
+/// result lives where they are borrowed.
 unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
     if desc.voxels.is_null() {
         return Err(Failure::null("entire_volume_desc.voxels"));
     }
+    if desc.reserved != 0 {
+        return Err(Failure::new(
+            ENTIRE_INVALID_ARGUMENT,
+            "entire_volume_desc.reserved must be 0; call entire_volume_desc_init",
+        ));
+    }
+    check_dims(desc.dims, Some(desc.voxel_count))?;
     let (at, count) = (desc.voxels, desc.voxel_count);
     let borrow = match desc.ownership {
         ENTIRE_VOXELS_COPY => false,
@@ -371,7 +385,8 @@ unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
                 return Err(Failure::new(
                     ENTIRE_UNSUPPORTED,
                     format!(
-                        "voxels of scalar type {kind} cannot be borrowed, only U8, U16, I16 and F32 can; use ENTIRE_VOXELS_COPY"
+                        "voxels of scalar type {kind} cannot be borrowed, only U8, U16, I16 and F32 can; \
+                         use ENTIRE_VOXELS_COPY"
                     ),
                 ));
             }
@@ -408,12 +423,19 @@ unsafe fn convert<T: Copy, U>(
 ) -> Result<Vec<U>, Failure> {
     let fits =
         count.checked_mul(size_of::<T>().max(size_of::<U>())).is_some_and(|b| b <= isize::MAX as usize);
-    let mut copy = Vec::new();
-    if !fits || copy.try_reserve_exact(count).is_err() {
+    if !fits {
         return Err(Failure::new(
             ENTIRE_SIZE_MISMATCH,
+            format!("voxel_count is {count}, more than memory can hold; check the count"),
+        ));
+    }
+    let mut copy = Vec::new();
+    if copy.try_reserve_exact(count).is_err() {
+        return Err(Failure::new(
+            ENTIRE_OUT_OF_MEMORY,
             format!(
-                "there is no memory for a copy of {count} voxels; check voxel_count, or use ENTIRE_VOXELS_BORROW"
+                "there is no memory for a copy of {count} voxels; check voxel_count, \
+                 or use ENTIRE_VOXELS_BORROW"
             ),
         ));
     }
@@ -442,23 +464,20 @@ fn unknown_scalar(found: u32) -> Failure {
 /// Makes a volume of brick bounds. Without voxels it cannot be encoded: a model with volume features needs
 /// entire_volume_set_features beside it.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that sizes and edge do not give),
-/// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that sizes and edge do not give,
+/// or sizes over the limits of entire_brick_desc), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_from_bricks(
     desc: *const entire_brick_desc,
     volume: *mut *mut entire_volume,
 ) -> entire_result {
-    // SAFETY: the pointers are as the crate's documentation demands, and `desc.bounds` is valid for two floats per brick.
+    // SAFETY: the pointers are as the crate's documentation demands, and `desc.bounds` is valid for two
+    // floats per brick.
     guard(|| unsafe {
         check_pointer(volume, "volume (output)")?;
         let desc = read_struct(desc)?;
-        if desc.reserved != 0 || desc.reserved_tail != 0 {
-            return Err(Failure::new(
-                ENTIRE_INVALID_ARGUMENT,
-                "entire_brick_desc.reserved and reserved_tail must be 0; call entire_brick_desc_init",
-            ));
-        }
+        check_dims(desc.dims, None)?;
+        at_most("brick_count", desc.brick_count, ENTIRE_MAX_BRICKS, "ENTIRE_MAX_BRICKS")?;
         let kept_as = match desc.scalar_type {
             ENTIRE_SCALAR_U8 => ScalarType::U8,
             ENTIRE_SCALAR_U16 => ScalarType::U16,
@@ -478,10 +497,11 @@ pub unsafe extern "C" fn entire_volume_from_bricks(
     })
 }
 
-/// Hands over ready volume features, from entire_model_encode with the same model, now or in an earlier run; they are
-/// used instead of encoding the voxels. A count of 0 removes them.
+/// Hands over ready volume features, from entire_model_encode with the same model, now or in an earlier run;
+/// they are used instead of encoding the voxels. A count of 0 removes them.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (a feature that is not finite), ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (a feature that is not finite), ENTIRE_SIZE_MISMATCH (over
+/// ENTIRE_MAX_FEATURES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_set_features(
     volume: *mut entire_volume,
@@ -491,6 +511,7 @@ pub unsafe extern "C" fn entire_volume_set_features(
     // SAFETY: the pointers are as the crate's documentation demands.
     unsafe {
         changing(volume, |volume| {
+            at_most("feature_count", feature_count, ENTIRE_MAX_FEATURES, "ENTIRE_MAX_FEATURES")?;
             let features = slice(features, feature_count, "features")?;
             if let Some(i) = features.iter().position(|f| !f.is_finite()) {
                 return Err(Failure::new(
@@ -498,7 +519,10 @@ pub unsafe extern "C" fn entire_volume_set_features(
                     format!("feature {i} is {}; all must be finite", features[i]),
                 ));
             }
-            volume.features = (!features.is_empty()).then(|| features.to_vec());
+            let mut kept = Vec::new();
+            kept.try_reserve_exact(features.len())?;
+            kept.extend_from_slice(features);
+            volume.features = (!kept.is_empty()).then_some(kept);
             Ok(())
         })
     }
@@ -508,7 +532,7 @@ pub unsafe extern "C" fn entire_volume_set_features(
 ///
 /// Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn entire_volume_get_info(
+pub unsafe extern "C" fn entire_volume_describe(
     volume: *const entire_volume,
     info: *mut entire_volume_info,
 ) -> entire_result {

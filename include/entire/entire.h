@@ -1,5 +1,5 @@
-/* entire.h - predicts how long a volume-rendered frame will take, before it is drawn, and picks the ray step that keeps
- * the frame inside its budget.
+/* entire.h - predicts how long a volume-rendered frame will take, before it is drawn, and picks the ray step
+ * that keeps the frame inside its budget.
  *
  * SPDX-License-Identifier: MIT OR Apache-2.0
  *
@@ -7,44 +7,64 @@
  *
  * CONVENTIONS
  *
- * Results. A call that can fail returns an entire_result: ENTIRE_OK (0) or why it failed, with explicit numbers that
- * never change. entire_last_error() gives the text for the calling thread, entire_<noun>_last_error() that of a handle:
- * what is wrong, what was found, what is accepted and what to do. The few functions that return something else return
- * NULL or a neutral value on failure and leave the same texts.
+ * Results. A call that can fail returns an entire_result: ENTIRE_OK (0) or why it failed, with explicit
+ * numbers that never change. entire_last_error() gives the text for the calling thread,
+ * entire_<noun>_last_error() that of a handle: what is wrong, what was found, what is accepted and what to
+ * do. The few functions that return something else return NULL or a neutral value on failure and leave the
+ * same texts.
  *
- * Arguments. Inputs first, then outputs. Outputs are written only when the call returns ENTIRE_OK; a failed call changes
- * nothing, in the caller's memory as in the library's. Every pointer is checked for NULL; an array may be NULL where its
- * count is 0. Counts are of elements, never of bytes, unless they are called byte_count.
+ * Arguments. Inputs first, then outputs. Outputs are written only when the call returns ENTIRE_OK; a failed
+ * call changes nothing, in the caller's memory as in the library's. Every pointer is checked for NULL; an
+ * array may be NULL where its count is 0. Counts are of elements, never of bytes, unless they are called
+ * byte_count.
  *
- * Handles. entire_model, entire_volume, entire_transfer_function and entire_predictor are opaque. The call that makes
- * one writes it into its last argument; the caller frees it, once, with entire_<noun>_free, which takes NULL too. Strings
- * that the library returns belong to the library: they are valid as long as their documentation says and are never freed.
- * What a handle is made from may be freed as soon as it is made, except voxels that were borrowed on purpose
- * (ENTIRE_VOXELS_BORROW).
+ * Handles. entire_model, entire_volume, entire_transfer_function and entire_session are opaque. The call that
+ * makes one writes it into its last argument; the caller frees it, once, with entire_<noun>_free, which takes
+ * NULL too. Strings that the library returns belong to the library: they are valid as long as their
+ * documentation says and are never freed. What a handle is made from may be freed as soon as it is made,
+ * except voxels that were borrowed on purpose (ENTIRE_VOXELS_BORROW).
  *
- * Threads. The library starts no thread and has no global state but the log callback. Calls with a `const` handle may
- * run at the same time on several threads with the same handle; all other calls need the handle for themselves. In other
- * words: share models, volumes and transfer functions once they are made; give every render loop a predictor of its own.
+ * Threads. The library starts no thread and has no global state but the log callback. Calls with a `const`
+ * handle may run at the same time on several threads with the same handle; all other calls need the handle
+ * for themselves. In other words: share models, volumes and transfer functions once they are made; give every
+ * render loop a session of its own.
  *
- * Structs by value. Each starts with `size_t struct_size`, set to its sizeof (the entire_<struct>_init functions do it,
- * and set defaults). Later versions only add fields at the end: older programs go on working with newer libraries, and a
- * newer program works with an older library as long as it leaves the fields that are unknown there zero; otherwise the
- * call returns ENTIRE_STRUCT_SIZE. Elements of arrays (entire_gaussian_lobe, entire_opacity_node, entire_color_node) have
- * no struct_size and never change.
+ * Names. Functions are entire_<noun>_<what they do>. A function that only reads is called after what it
+ * gives, without "get": entire_model_metadata, entire_model_input_group, entire_transfer_function_table.
+ * entire_<noun>_describe fills the struct entire_<noun>_info with all that is known of a handle. A function
+ * that makes a handle is entire_<noun>_new, or says from what: entire_model_open, entire_volume_from_bricks.
+ * Setters are entire_<noun>_set_<what>.
  *
- * Units. Time in seconds. Ray steps in multiples of the reference step, which is the volume's smallest voxel spacing.
- * Angles in degrees. Camera distance in multiples of the radius of the volume's bounding sphere. Images in pixels.
- * Strings are UTF-8. Axis order is x, y, z; x runs fastest.
+ * Structs by value. Each starts with `size_t struct_size`, set to its sizeof (the entire_<struct>_init
+ * functions do it, and set defaults). Later versions only add fields at the end: older programs go on working
+ * with newer libraries, and a newer program works with an older library as long as it leaves the fields that
+ * are unknown there zero; otherwise the call returns ENTIRE_STRUCT_SIZE. Elements of arrays
+ * (entire_gaussian_lobe, entire_opacity_node, entire_color_node, entire_setting) have no struct_size and
+ * never change.
  *
- * Absent values. A number that the library does not know is NaN and, where a struct has flags, a flag says so; it is
- * never zero. Zero, negative, infinite and NaN inputs have a documented answer.
+ * Units. Time in seconds. Ray steps in multiples of the reference step, which is the volume's smallest voxel
+ * spacing. Angles in degrees. Camera distance in multiples of the radius of the volume's bounding sphere.
+ * Images in pixels. Strings are UTF-8. Axis order is x, y, z; x runs fastest.
  *
- * Hot calls. entire_predictor_plan, entire_predictor_observe, entire_predictor_choose and entire_model_predict do not
- * allocate, lock or call the system when they succeed and nobody listens to the log. Same model, inputs, correction and
- * SIMD level (entire_simd_level): same bits.
+ * Absent values. A number that the library does not know is NaN and, where a struct has flags, a flag says
+ * so; it is never zero. Zero, negative, infinite and NaN inputs have a documented answer.
  *
- * Bugs. No exception and no panic crosses this boundary. A bug in the library comes back as ENTIRE_PANIC, with its place
- * in the error text; the handle then refuses every call but free.
+ * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits before anything
+ * is allocated or read; a larger one gives ENTIRE_SIZE_MISMATCH. Memory for what the caller declares (copies,
+ * features, batches) is asked for in a way that can fail: ENTIRE_OUT_OF_MEMORY. Where the system
+ * refuses even the little memory that a call needs for its own bookkeeping (handles, error texts, a model's
+ * tables), the process ends, as Rust programs do; hot calls ask for none.
+ *
+ * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
+ * whose `absent` says so. A model whose answer is anything else gives ENTIRE_INVALID_MODEL.
+ *
+ * Hot calls. entire_session_plan, entire_session_observe, entire_session_choose and entire_model_predict do
+ * not allocate, lock or call the system when they succeed and nobody listens to the log; entire_model_predict
+ * as long as no more than ENTIRE_CONCURRENT_PREDICTIONS calls run on one model at the same time, further ones
+ * allocate. Same model, inputs, correction and SIMD level (entire_simd_level): same bits.
+ *
+ * Bugs. No exception and no panic crosses this boundary. A bug in the library comes back as ENTIRE_PANIC,
+ * with its place in the error text; the handle then refuses every call but free.
  */
 
 
@@ -67,9 +87,75 @@
 
 
 /**
+ * Most voxels along one axis of a volume.
+ */
+#define ENTIRE_MAX_SIDE 1048576
+
+/**
+ * Most voxels of a volume that has fewer in memory: one whose strides are zero or overlap.
+ */
+#define ENTIRE_MAX_REPEATED_VOXELS 134217728
+
+/**
+ * Most bricks of a volume.
+ */
+#define ENTIRE_MAX_BRICKS 134217728
+
+/**
+ * Most ready features of a volume.
+ */
+#define ENTIRE_MAX_FEATURES 1048576
+
+/**
+ * Most Gaussian lobes, opacity nodes, color nodes or table entries of a transfer function.
+ */
+#define ENTIRE_MAX_TRANSFER_POINTS 1048576
+
+/**
+ * Most bytes of a model file.
+ */
+#define ENTIRE_MAX_MODEL_BYTES 2147483647
+
+/**
+ * Most bytes of a saved state.
+ */
+#define ENTIRE_MAX_STATE_BYTES 16777216
+
+/**
+ * Most tasks that entire_schedule takes.
+ */
+#define ENTIRE_MAX_TASKS 16777216
+
+/**
+ * Most nodes that entire_schedule takes.
+ */
+#define ENTIRE_MAX_NODES 1048576
+
+/**
+ * Most tasks times nodes that entire_schedule takes: each task is compared on every node.
+ */
+#define ENTIRE_MAX_TASKS_TIMES_NODES 4294967296
+
+/**
+ * How many calls of entire_model_predict may run on one model at the same time without allocating; each
+ * further one allocates working memory of its own.
+ */
+#define ENTIRE_CONCURRENT_PREDICTIONS 16
+
+/**
  * Entries of the table that every transfer function becomes.
  */
 #define ENTIRE_TABLE_ENTRIES 256
+
+/**
+ * Observation flag: the time holds work that is not the frame's (a compile, an upload, a stall).
+ */
+#define ENTIRE_OBSERVE_UNUSUAL 1
+
+/**
+ * Observation flag: the frame was abandoned; its time says only that it takes at least that long.
+ */
+#define ENTIRE_OBSERVE_CANCELLED 2
 
 /**
  * In `absent`: nothing is known of the seconds; they are NaN.
@@ -87,14 +173,9 @@
 #define ENTIRE_ABSENT_OUT_OF_RANGE 4
 
 /**
- * Observation flag: the time holds work that is not the frame's (a compile, an upload, a stall).
+ * How many settings entire_session_choose takes at most.
  */
-#define ENTIRE_OBSERVE_UNUSUAL 1
-
-/**
- * Observation flag: the frame was abandoned; its time says only that it takes at least that long.
- */
-#define ENTIRE_OBSERVE_CANCELLED 2
+#define ENTIRE_MAX_SETTINGS 64
 
 /**
  * Change flag: a pipeline was built, or the device is another.
@@ -127,11 +208,6 @@
 #define ENTIRE_CHANGE_CAMERA 32
 
 /**
- * How many settings entire_predictor_choose takes at most.
- */
-#define ENTIRE_MAX_SETTINGS 64
-
-/**
  * What a call came to. The numbers never change; a retired one stays reserved.
  */
 enum entire_result
@@ -152,11 +228,11 @@ enum entire_result
      */
     ENTIRE_SIZE_MISMATCH = 2,
     /**
-     * The bytes are not a model file that this version reads.
+     * The bytes are not a model file that this version reads, or what the model answers is no frame time.
      */
     ENTIRE_INVALID_MODEL = 3,
     /**
-     * A tensor of the model is missing or has another shape than its neighbours require.
+     * A tensor of the model is missing or has another shape than its neighbors require.
      */
     ENTIRE_INVALID_TENSOR = 4,
     /**
@@ -168,7 +244,7 @@ enum entire_result
      */
     ENTIRE_NOT_READY = 6,
     /**
-     * An observation was refused (unknown plan, non-positive time, duplicate); nothing was learnt from it.
+     * An observation was refused (unknown plan, non-positive time, duplicate); nothing was learned from it.
      */
     ENTIRE_REJECTED_OBSERVATION = 7,
     /**
@@ -180,7 +256,8 @@ enum entire_result
      */
     ENTIRE_NULL_ARGUMENT = 100,
     /**
-     * `struct_size` is not set, too small, or the caller's newer struct asks for what this library does not know.
+     * `struct_size` is not set, too small, or the caller's newer struct asks for what this library does not
+     * know.
      */
     ENTIRE_STRUCT_SIZE = 101,
     /**
@@ -188,9 +265,14 @@ enum entire_result
      */
     ENTIRE_IO = 102,
     /**
-     * The library met a bug of its own. The handle refuses all further calls with this code and can only be freed.
+     * The library met a bug of its own. The handle refuses all further calls with this code and can only be
+     * freed.
      */
     ENTIRE_PANIC = 103,
+    /**
+     * There is no memory for what was asked for.
+     */
+    ENTIRE_OUT_OF_MEMORY = 104,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L
@@ -201,23 +283,24 @@ typedef uint32_t entire_result;
 #endif // __cplusplus
 
 /**
- * A model file in memory. Immutable: any number of threads and predictors may use one model at the same time.
+ * A model file in memory. Immutable: any number of threads and sessions may use one model at the same time.
  */
 typedef struct entire_model entire_model;
 
 /**
  * Predicts and steers one render loop. For one thread at a time; give every loop its own.
  */
-typedef struct entire_predictor entire_predictor;
+typedef struct entire_session entire_session;
 
 /**
- * Colors and opacities over normalized scalar values. Immutable but for its unit distance; a predictor copies what it
- * needs.
+ * Colors and opacities over normalized scalar values. Immutable but for its unit distance; a session copies
+ * what it needs.
  */
 typedef struct entire_transfer_function entire_transfer_function;
 
 /**
- * Voxels, or what stands for them. Immutable but for its ready features; may be used by any number of predictors.
+ * Voxels, or what stands for them. Immutable but for its ready features; may be used by any number of
+ * sessions.
  */
 typedef struct entire_volume entire_volume;
 
@@ -227,8 +310,9 @@ typedef struct entire_volume entire_volume;
 typedef uint32_t entire_log_level;
 
 /**
- * Receives log messages. `message` is UTF-8 and valid during the call only. Called by whichever thread made the call
- * that logs, by several at once. Must return normally (no exception, no longjmp) and call nothing of this library.
+ * Receives log messages. `message` is UTF-8 and valid during the call only. Called by whichever thread made
+ * the call that logs, by several at once. Must return normally (no exception, no longjmp) and call nothing
+ * of this library.
  */
 typedef void (*entire_log_callback)(void *user_data, entire_log_level level, const char *message);
 
@@ -250,7 +334,7 @@ typedef struct entire_model_info {
      */
     size_t input_count;
     /**
-     * How many groups these numbers come in (entire_model_get_input).
+     * How many groups these numbers come in (entire_model_input_group).
      */
     size_t group_count;
     /**
@@ -288,13 +372,13 @@ typedef struct entire_input_group {
      */
     const char *name;
     /**
-     * How many numbers.
-     */
-    size_t size;
-    /**
      * Index of its first number among the model's inputs.
      */
     size_t offset;
+    /**
+     * How many numbers.
+     */
+    size_t size;
 } entire_input_group;
 
 /**
@@ -316,14 +400,6 @@ typedef struct entire_volume_desc {
      */
     size_t struct_size;
     /**
-     * One of ENTIRE_SCALAR_*. No default.
-     */
-    entire_scalar_type scalar_type;
-    /**
-     * ENTIRE_VOXELS_COPY (default) or ENTIRE_VOXELS_BORROW.
-     */
-    entire_voxels_ownership ownership;
-    /**
      * The voxels. No default.
      */
     const void *voxels;
@@ -332,27 +408,41 @@ typedef struct entire_volume_desc {
      */
     size_t voxel_count;
     /**
-     * Voxels along x, y, z. No default.
+     * One of ENTIRE_SCALAR_*. No default.
+     */
+    entire_scalar_type scalar_type;
+    /**
+     * ENTIRE_VOXELS_COPY (default) or ENTIRE_VOXELS_BORROW.
+     */
+    entire_voxels_ownership ownership;
+    /**
+     * Voxels along x, y, z, each 1 to ENTIRE_MAX_SIDE. No default. Where strides of zero or overlapping
+     * strides make their product larger than `voxel_count`, it is at most ENTIRE_MAX_REPEATED_VOXELS.
      */
     size_t dims[3];
     /**
-     * Elements from one voxel to the next along x, y, z; default ENTIRE_STRIDE_CONTIGUOUS.
+     * Elements from one voxel to the next along x, y, z; default ENTIRE_STRIDE_CONTIGUOUS. Zero repeats a
+     * voxel.
      */
     size_t strides[3];
     /**
-     * Voxel spacing along x, y, z in any unit; default 1, 1, 1.
+     * Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
      */
     float spacing[3];
     /**
-     * Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and maximum of the
-     * voxels.
+     * Scalar values that map to 0 and 1. Default NaN, NaN: 0 and 255 for U8, else the finite minimum and
+     * maximum of the voxels.
      */
     float range[2];
+    /**
+     * Must be 0.
+     */
+    uint32_t reserved;
 } entire_volume_desc;
 
 /**
- * A volume of which only the bounds of its bricks are known, as renderers keep them for empty-space skipping. Fill with
- * entire_brick_desc_init, then set what differs.
+ * A volume of which only the bounds of its bricks are known, as renderers keep them for empty-space
+ * skipping. Fill with entire_brick_desc_init, then set what differs.
  */
 typedef struct entire_brick_desc {
     /**
@@ -360,38 +450,30 @@ typedef struct entire_brick_desc {
      */
     size_t struct_size;
     /**
+     * Voxels of the whole volume along x, y, z, each 1 to ENTIRE_MAX_SIDE. No default.
+     */
+    size_t dims[3];
+    /**
+     * Voxel spacing along x, y, z in any unit, 1e-30 to 1e30; default 1, 1, 1.
+     */
+    float spacing[3];
+    /**
      * The voxels' scalar type, one of ENTIRE_SCALAR_*. No default.
      */
     entire_scalar_type scalar_type;
-    /**
-     * Must be 0.
-     */
-    uint32_t reserved;
-    /**
-     * Voxels of the whole volume along x, y, z. No default.
-     */
-    size_t dims[3];
     /**
      * Voxels of a brick along x, y, z. No default.
      */
     size_t brick_edge[3];
     /**
-     * Lowest and highest normalized scalar value (0 to 1 over the volume's range) of each brick, x fastest, the voxels
-     * that interpolation reaches into included: two floats per brick. No default.
+     * Lowest and highest normalized scalar value (0 to 1 over the volume's range) of each brick, x fastest,
+     * the voxels that interpolation reaches into included: two floats per brick. No default.
      */
     const float *bounds;
     /**
-     * Number of bricks: dims / brick_edge rounded up, multiplied.
+     * Number of bricks: dims / brick_edge rounded up, multiplied. At most ENTIRE_MAX_BRICKS.
      */
     size_t brick_count;
-    /**
-     * Voxel spacing along x, y, z in any unit; default 1, 1, 1.
-     */
-    float spacing[3];
-    /**
-     * Must be 0.
-     */
-    uint32_t reserved_tail;
 } entire_brick_desc;
 
 /**
@@ -407,21 +489,9 @@ typedef struct entire_volume_info {
      */
     size_t dims[3];
     /**
-     * Scalar type that the caller gave.
-     */
-    entire_scalar_type scalar_type;
-    /**
-     * Number of ready features (entire_volume_set_features); 0 where there are none.
-     */
-    uint32_t feature_count;
-    /**
      * Voxel spacing along x, y, z.
      */
     float spacing[3];
-    /**
-     * Scalar values that map to 0 and 1; NaN where only bricks are known.
-     */
-    float range[2];
     /**
      * Radius of the bounding sphere in the unit of the spacing: the unit of entire_frame.arcball[2].
      */
@@ -431,9 +501,21 @@ typedef struct entire_volume_info {
      */
     float reference_step;
     /**
+     * Scalar values that map to 0 and 1; NaN where only bricks are known.
+     */
+    float range[2];
+    /**
+     * Scalar type that the caller gave.
+     */
+    entire_scalar_type scalar_type;
+    /**
      * Not 0 where the volume has voxels (it can be encoded), 0 where only bricks are known.
      */
     uint32_t has_voxels;
+    /**
+     * Number of ready features (entire_volume_set_features); 0 where there are none.
+     */
+    uint32_t feature_count;
 } entire_volume_info;
 
 /**
@@ -543,13 +625,13 @@ typedef struct entire_frame {
      */
     float fov_y;
     /**
-     * Rotation about x and y in degrees (positive raises the eye, moves it to the right), and the eye's distance from
-     * the volume's center in multiples of its bounding-sphere radius. Default 0, 0, 3.
+     * Rotation about x and y in degrees (positive raises the eye, moves it to the right), and the eye's
+     * distance from the volume's center in multiples of its bounding-sphere radius. Default 0, 0, 3.
      */
     float arcball[3];
     /**
-     * World-to-eye matrix as OpenGL has it: column-major, rotation and translation only, the eye looks along -z. Default
-     * identity.
+     * World-to-eye matrix as OpenGL has it: column-major, rotation and translation only, the eye looks along
+     * -z. Default identity.
      */
     float view[16];
     /**
@@ -557,13 +639,13 @@ typedef struct entire_frame {
      */
     float volume_center[3];
     /**
-     * World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: the predictor's volume knows it
-     * (entire_volume_info.bounding_radius), with world units equal to those of its spacing.
+     * World radius of the volume's bounding sphere, for ENTIRE_CAMERA_VIEW. Default NaN: the session's
+     * volume knows it (entire_volume_info.bounding_radius), with world units equal to those of its spacing.
      */
     float volume_radius;
     /**
-     * Ray step in multiples of the reference step, from 1/64 to 4096; default 1. Predicted for as it is, answered by
-     * entire_predictor_plan when steering is off.
+     * Ray step in multiples of the reference step, from 1/64 to 4096; default 1. Predicted for as it is,
+     * answered by entire_session_plan when steering is off.
      */
     float step;
     /**
@@ -582,18 +664,14 @@ typedef struct entire_frame {
      * Not 0 where ray starts are jittered; default 0.
      */
     uint32_t jitter;
-    /**
-     * Must be 0.
-     */
-    uint32_t reserved;
 } entire_frame;
 
 /**
- * How a predictor steers. Fill with entire_predictor_options_init, then set what differs.
+ * How a session steers. Fill with entire_session_options_init, then set what differs.
  */
-typedef struct entire_predictor_options {
+typedef struct entire_session_options {
     /**
-     * sizeof(entire_predictor_options).
+     * sizeof(entire_session_options).
      */
     size_t struct_size;
     /**
@@ -605,12 +683,13 @@ typedef struct entire_predictor_options {
      */
     float coarsest_step;
     /**
-     * Share of frames that may exceed the target by more than `tolerance`, over 0 and under 1; default 0.03.
+     * Share of frames that may exceed their upper bound, over 0 and under 1; default 0.05. Fewer exceed the
+     * target by more than `tolerance`, since not every bound reaches so far.
      */
     float miss_rate;
     /**
-     * How far over the target a frame may be before it counts as missed, as a share of the target, not negative; default
-     * 0.1.
+     * How far over the target a frame may be before it counts as missed, as a share of the target, not
+     * negative; default 0.1.
      */
     float tolerance;
     /**
@@ -622,16 +701,21 @@ typedef struct entire_predictor_options {
      */
     uint32_t damping;
     /**
-     * Rays along each side of the probe that measures frames for a linear cost model (no model, or an analytic one), 1 to
-     * 24. Fewer make plans cheaper and what they are made from rougher, with the square of the side. Default 0: 11. A
-     * network keeps the side that its file names, which it was trained with.
+     * Rays along each side of the probe that measures frames for a linear cost model (no model, or an
+     * analytic one), 1 to 24. Fewer make plans cheaper and what they are made from rougher, with the square
+     * of the side. Default 0: 11. A network keeps the side that its file names, which it was trained with.
      */
     uint32_t probe_side;
     /**
      * Must be 0.
      */
     uint32_t reserved;
-} entire_predictor_options;
+} entire_session_options;
+
+/**
+ * What became of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
+ */
+typedef uint32_t entire_verdict;
 
 /**
  * Where a prediction comes from: one of the `ENTIRE_SOURCE_*` numbers.
@@ -647,7 +731,7 @@ typedef struct entire_prediction {
      */
     size_t struct_size;
     /**
-     * Expected seconds.
+     * Expected seconds, finite and positive.
      */
     float seconds;
     /**
@@ -659,13 +743,13 @@ typedef struct entire_prediction {
      */
     float out_of_range;
     /**
-     * One of ENTIRE_SOURCE_*.
-     */
-    entire_source source;
-    /**
-     * Which of the numbers above are not known: ENTIRE_ABSENT_* flags.
+     * Which of the three numbers above are not known: ENTIRE_ABSENT_* flags.
      */
     uint32_t absent;
+    /**
+     * Where it comes from: one of ENTIRE_SOURCE_*.
+     */
+    entire_source source;
     /**
      * Must be ignored.
      */
@@ -686,7 +770,7 @@ typedef struct entire_plan {
      */
     size_t struct_size;
     /**
-     * Names this plan in entire_predictor_observe; never 0.
+     * Names this plan in entire_session_observe; never 0.
      */
     uint64_t id;
     /**
@@ -694,7 +778,12 @@ typedef struct entire_plan {
      */
     float step;
     /**
-     * Expected seconds.
+     * Pixels of the frame between neighboring rays along each side of the image: divide its sides by this,
+     * rounded down. 1 unless entire_session_set_max_image_sample_distance allows more.
+     */
+    float image_sample_distance;
+    /**
+     * Expected seconds: finite and positive, or NaN where ENTIRE_ABSENT_SECONDS says so.
      */
     float seconds;
     /**
@@ -706,18 +795,13 @@ typedef struct entire_plan {
      */
     float out_of_range;
     /**
-     * One of ENTIRE_REASON_*.
-     */
-    entire_reason reason;
-    /**
-     * Which of the numbers above are not known: ENTIRE_ABSENT_* flags.
+     * Which of the three numbers above are not known: ENTIRE_ABSENT_* flags.
      */
     uint32_t absent;
     /**
-     * What to divide the sides of the frame's image by, rounded down; 1 unless entire_predictor_set_coarsest_pixel allows
-     * more.
+     * Why this step: one of ENTIRE_REASON_*.
      */
-    float pixel;
+    entire_reason reason;
     /**
      * Must be ignored.
      */
@@ -725,7 +809,7 @@ typedef struct entire_plan {
 } entire_plan;
 
 /**
- * One of the settings that entire_predictor_choose may pick.
+ * One of the settings that entire_session_choose may pick.
  */
 typedef struct entire_setting {
     /**
@@ -749,11 +833,6 @@ typedef struct entire_setting {
      */
     entire_skipping skipping;
 } entire_setting;
-
-/**
- * What became of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
- */
-typedef uint32_t entire_verdict;
 
 /**
  * Nothing is logged.
@@ -846,8 +925,8 @@ typedef uint32_t entire_verdict;
 #define ENTIRE_VOXELS_COPY 1
 
 /**
- * The library reads the caller's memory, which must stay valid and unchanged until the volume is freed. For scalar
- * types U8, U16, I16 and F32, aligned to their size.
+ * The library reads the caller's memory, which must stay valid and unchanged until the volume is freed. For
+ * scalar types U8, U16, I16 and F32, aligned to their size.
  */
 #define ENTIRE_VOXELS_BORROW 2
 
@@ -900,6 +979,21 @@ typedef uint32_t entire_verdict;
  * As blocks, with a distance map so that a run of empty blocks costs one jump.
  */
 #define ENTIRE_SKIPPING_DISTANCE 3
+
+/**
+ * Learned from.
+ */
+#define ENTIRE_VERDICT_LEARNED 0
+
+/**
+ * Far from what was expected: its pull was clipped.
+ */
+#define ENTIRE_VERDICT_CLIPPED 1
+
+/**
+ * Taken note of, not learned from: flagged, or the first frame.
+ */
+#define ENTIRE_VERDICT_IGNORED 2
 
 /**
  * The finest step whose upper bound fits the target.
@@ -961,21 +1055,6 @@ typedef uint32_t entire_verdict;
  */
 #define ENTIRE_SOURCE_HISTORY 3
 
-/**
- * Learned from.
- */
-#define ENTIRE_VERDICT_LEARNED 0
-
-/**
- * Far from what was expected: its pull was clipped.
- */
-#define ENTIRE_VERDICT_CLIPPED 1
-
-/**
- * Taken note of, not learned from: flagged, or the first frame.
- */
-#define ENTIRE_VERDICT_IGNORED 2
-
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
@@ -986,40 +1065,40 @@ extern "C" {
 const char *entire_version(void);
 
 /**
- * The library's version as one number: MAJOR * 1000000 + MINOR * 1000 + PATCH. Compare with `ENTIRE_VERSION_NUMBER`
- * of the header that you compiled with.
+ * The library's version as one number: MAJOR * 1000000 + MINOR * 1000 + PATCH. Compare with
+ * `ENTIRE_VERSION_NUMBER` of the header that you compiled with.
  */
 uint32_t entire_version_number(void);
 
 /**
- * The number that changes when, and only when, programs must be compiled anew: MAJOR * 1000, or MINOR before 1.0. A
- * library that was loaded at run time fits when it equals `ENTIRE_ABI_VERSION` of the header.
+ * The number that changes when, and only when, programs must be compiled anew: MAJOR * 1000, or MINOR before
+ * 1.0. A library that was loaded at run time fits when it equals `ENTIRE_ABI_VERSION` of the header.
  */
 uint32_t entire_abi_version(void);
 
 /**
- * The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for a number that is none. Static, never
- * NULL.
+ * The name of a result code, such as "ENTIRE_INVALID_MODEL"; "unknown result" for a number that is none.
+ * Static, never NULL.
  */
 const char *entire_result_name(uint32_t result);
 
 /**
- * Why the calling thread's last call failed, as a sentence that names what was wrong and what to do; empty after a
- * call that succeeded. Never NULL; valid until the thread's next call of any function but this one.
+ * Why the calling thread's last call failed, as a sentence that names what was wrong and what to do; empty
+ * after a call that succeeded. Never NULL; valid until the thread's next call of any function but this one.
  */
 const char *entire_last_error(void);
 
 /**
- * Sets or, with NULL or `ENTIRE_LOG_OFF`, removes the callback that receives log messages up to `level`. When the call
- * returns, the earlier callback is no longer running and its `user_data` may be freed. Not from within a callback.
+ * Sets or, with NULL or `ENTIRE_LOG_OFF`, removes the callback that receives log messages up to `level`.
+ * When the call returns, the earlier callback runs nowhere any more and its `user_data` may be freed. Not
+ * from within a callback.
  */
-entire_result entire_set_log(entire_log_callback callback,
-                             void *user_data,
-                             entire_log_level level);
+entire_result entire_set_log(entire_log_callback callback, void *user_data, entire_log_level level);
 
 /**
- * The instruction set that models are run with on this CPU, such as "avx512": "scalar", "avx2" or "avx512", with
- * extensions behind a plus sign. The environment variable ENTIRE_LEVEL lowers it. Static.
+ * The instruction set that models are run with on this CPU, such as "avx512": "scalar", "avx2" or "avx512",
+ * with extensions behind a plus sign. The environment variable ENTIRE_LEVEL lowers it; it is read once, at
+ * the first call that needs it. Static.
  */
 const char *entire_simd_level(void);
 
@@ -1027,14 +1106,16 @@ const char *entire_simd_level(void);
  * Reads a model file.
  *
  * Fails with ENTIRE_IO (the file cannot be read), ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR,
- * ENTIRE_INVALID_ARGUMENT (a path that is not UTF-8), ENTIRE_NULL_ARGUMENT.
+ * ENTIRE_SIZE_MISMATCH (a file over ENTIRE_MAX_MODEL_BYTES), ENTIRE_INVALID_ARGUMENT (a path that is not
+ * UTF-8), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_model_open(const char *path, struct entire_model **model);
 
 /**
  * Reads a model from the bytes of a model file; they may be freed when the call returns.
  *
- * Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_SIZE_MISMATCH (over
+ * ENTIRE_MAX_MODEL_BYTES), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_model_from_bytes(const uint8_t *bytes, size_t byte_count, struct entire_model **model);
 
@@ -1043,22 +1124,22 @@ entire_result entire_model_from_bytes(const uint8_t *bytes, size_t byte_count, s
  *
  * Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
-entire_result entire_model_get_info(const struct entire_model *model, struct entire_model_info *info);
+entire_result entire_model_describe(const struct entire_model *model, struct entire_model_info *info);
 
 /**
  * Reads the name, size and place of the model's input group `index`; set group->struct_size first.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (no such group), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
-entire_result entire_model_get_input(const struct entire_model *model,
-                                     size_t index,
-                                     struct entire_input_group *group);
+entire_result entire_model_input_group(const struct entire_model *model,
+                                       size_t index,
+                                       struct entire_input_group *group);
 
 /**
- * The name of the model's scene feature `index`, NULL where there is no such feature. Valid as long as the model.
+ * The name of the model's scene feature `index`, NULL where there is no such feature. Valid as long as the
+ * model.
  */
-const char *entire_model_scene_feature(const struct entire_model *model,
-                                       size_t index);
+const char *entire_model_scene_feature(const struct entire_model *model, size_t index);
 
 /**
  * A metadata value of the model file, such as "entire.renderer", "entire.device", "entire.step_reference" or
@@ -1067,12 +1148,12 @@ const char *entire_model_scene_feature(const struct entire_model *model,
 const char *entire_model_metadata(const struct entire_model *model, const char *key);
 
 /**
- * Encodes a volume's voxels into the features that the model's predictions take. `capacity` counts floats; `feature_count`
- * receives how many were written (entire_model_info.feature_count). Takes milliseconds to seconds; may run on several
- * threads at once.
+ * Encodes a volume's voxels into the features that the model's predictions take. `capacity` counts floats;
+ * `feature_count` receives how many were written (entire_model_info.feature_count). Takes milliseconds to
+ * seconds; may run on several threads at once.
  *
- * Fails with ENTIRE_SIZE_MISMATCH (a capacity below the feature count), ENTIRE_UNSUPPORTED (a model without an encoder),
- * ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_SIZE_MISMATCH (a capacity below the feature count), ENTIRE_UNSUPPORTED (a model without
+ * an encoder), ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_model_encode(const struct entire_model *model,
                                   const struct entire_volume *volume,
@@ -1081,11 +1162,14 @@ entire_result entire_model_encode(const struct entire_model *model,
                                   size_t *feature_count);
 
 /**
- * Predicts one frame's time from the model's inputs in the file's order: the network alone, without a predictor's
- * correction. May run on several threads at once; does not allocate.
+ * Predicts one frame's time from the model's inputs in the file's order: the network alone, without a
+ * session's correction. May run on several threads at once; does not allocate as long as no more than
+ * ENTIRE_CONCURRENT_PREDICTIONS calls run on the model at the same time. An answer below 1e-6 s, as networks
+ * give for cheap frames, comes back as 1e-6 s.
  *
- * Fails with ENTIRE_SIZE_MISMATCH (another number of inputs than the model takes), ENTIRE_INVALID_ARGUMENT (an input
- * that is not finite), ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_SIZE_MISMATCH (another number of inputs than the model takes), ENTIRE_INVALID_ARGUMENT
+ * (an input that is not finite), ENTIRE_INVALID_MODEL (the model's answer is no frame time),
+ * ENTIRE_UNSUPPORTED (a model without a prediction network), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_model_predict(const struct entire_model *model,
                                    const float *inputs,
@@ -1093,10 +1177,11 @@ entire_result entire_model_predict(const struct entire_model *model,
                                    float *seconds);
 
 /**
- * Predicts many frames at once: `inputs` holds `rows` rows of `input_count` numbers, `seconds` receives `rows` numbers.
- * Equal to entire_model_predict on each row, up to rounding.
+ * Predicts many frames at once: `inputs` holds `rows` rows of `input_count` numbers, `seconds` receives
+ * `rows` numbers. Equal to entire_model_predict on each row, up to rounding. Takes memory for `rows` numbers
+ * while it runs.
  *
- * Fails as entire_model_predict does.
+ * Fails as entire_model_predict does, for the first row that does, and with ENTIRE_OUT_OF_MEMORY.
  */
 entire_result entire_model_predict_batch(const struct entire_model *model,
                                          const float *inputs,
@@ -1105,10 +1190,10 @@ entire_result entire_model_predict_batch(const struct entire_model *model,
                                          float *seconds);
 
 /**
- * Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to `capacity`
- * bytes with its closing NUL; empty where none failed. `length`, where not NULL, receives the whole text's length
- * without the NUL; `buffer` may be NULL with capacity 0 to ask for it. entire_last_error is the simpler way where the
- * thread that failed asks itself.
+ * Copies the text of the most recent failure of a call on this model, by any thread, into `buffer`, cut to
+ * `capacity` bytes with its closing NUL; empty where none failed. `length`, where not NULL, receives the
+ * whole text's length without the NUL; `buffer` may be NULL with capacity 0 to ask for it. entire_last_error
+ * is the simpler way where the thread that failed asks itself.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
@@ -1118,8 +1203,8 @@ entire_result entire_model_last_error(const struct entire_model *model,
                                       size_t *length);
 
 /**
- * Gives the caller's share of a model back; NULL is nothing to do. Predictors made from it keep theirs, so a model may
- * be freed before they are.
+ * Gives the caller's share of a model back; NULL is nothing to do. Predictors made from it keep theirs, so a
+ * model may be freed before they are.
  */
 void entire_model_free(struct entire_model *model);
 
@@ -1136,27 +1221,29 @@ entire_result entire_brick_desc_init(struct entire_brick_desc *desc, size_t stru
 /**
  * Makes a volume of voxels. NaN voxels count as the low end of the range, infinities as its ends.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type, a zero size, a spacing that is not positive, borrowed
- * voxels that are not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need),
- * ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * Fails with ENTIRE_INVALID_ARGUMENT (an unknown scalar type, a zero size, a spacing that is not positive,
+ * borrowed voxels that are not aligned), ENTIRE_SIZE_MISMATCH (fewer voxels than sizes and strides need, or
+ * sizes over the limits of entire_volume_desc), ENTIRE_OUT_OF_MEMORY (for a copy; ENTIRE_VOXELS_BORROW needs
+ * none), ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
+ * ENTIRE_STRUCT_SIZE.
  */
-entire_result entire_volume_new(const struct entire_volume_desc *desc,
-                                struct entire_volume **volume);
+entire_result entire_volume_new(const struct entire_volume_desc *desc, struct entire_volume **volume);
 
 /**
  * Makes a volume of brick bounds. Without voxels it cannot be encoded: a model with volume features needs
  * entire_volume_set_features beside it.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that sizes and edge do not give),
- * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that sizes and edge do not give,
+ * or sizes over the limits of entire_brick_desc), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_volume_from_bricks(const struct entire_brick_desc *desc, struct entire_volume **volume);
 
 /**
- * Hands over ready volume features, from entire_model_encode with the same model, now or in an earlier run; they are
- * used instead of encoding the voxels. A count of 0 removes them.
+ * Hands over ready volume features, from entire_model_encode with the same model, now or in an earlier run;
+ * they are used instead of encoding the voxels. A count of 0 removes them.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (a feature that is not finite), ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (a feature that is not finite), ENTIRE_SIZE_MISMATCH (over
+ * ENTIRE_MAX_FEATURES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_volume_set_features(struct entire_volume *volume,
                                          const float *features,
@@ -1167,7 +1254,7 @@ entire_result entire_volume_set_features(struct entire_volume *volume,
  *
  * Fails with ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
-entire_result entire_volume_get_info(const struct entire_volume *volume, struct entire_volume_info *info);
+entire_result entire_volume_describe(const struct entire_volume *volume, struct entire_volume_info *info);
 
 /**
  * Copies the text of the volume's last failure, as entire_model_last_error does.
@@ -1183,25 +1270,26 @@ entire_result entire_volume_last_error(const struct entire_volume *volume,
 void entire_volume_free(struct entire_volume *volume);
 
 /**
- * Makes a transfer function of Gaussian opacity lobes; none is transparent everywhere. Colors come from a built-in
- * ramp, since they do not change what a frame costs. The unit distance is one reference step.
+ * Makes a transfer function of Gaussian opacity lobes; none is transparent everywhere. Colors come from a
+ * built-in ramp, since they do not change what a frame costs. The unit distance is one reference step.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive),
- * ENTIRE_NULL_ARGUMENT, ENTIRE_SIZE_MISMATCH.
+ * ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_transfer_function_from_lobes(const struct entire_gaussian_lobe *lobes,
                                                   size_t lobe_count,
                                                   struct entire_transfer_function **transfer_function);
 
 /**
- * Makes a transfer function of opacity and color nodes as VTK and ParaView have them, with the same values as
- * vtkPiecewiseFunction and vtkColorTransferFunction (RGB) to 1e-6. `low` and `high` are the scalar values that map to 0
- * and 1: pass the volume's range. Nodes stand in ascending position; two at one position make a step. Without opacity
- * nodes all is transparent; without color nodes the built-in ramp is used. `clamping` not 0: the outermost nodes'
- * values go on beyond them, as is VTK's default. The unit distance is one reference step until
- * entire_transfer_function_set_unit_distance.
+ * Makes a transfer function of opacity and color nodes as VTK and ParaView have them, with the same values
+ * as vtkPiecewiseFunction and vtkColorTransferFunction (RGB) to 1e-6. `low` and `high` are the scalar values
+ * that map to 0 and 1: pass the volume's range. Nodes stand in ascending position; two at one position make
+ * a step. Without opacity nodes all is transparent; without color nodes the built-in ramp is used.
+ * `clamping` not 0: the outermost nodes' values go on beyond them, as is VTK's default. The unit distance is
+ * one reference step until entire_transfer_function_set_unit_distance.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_NULL_ARGUMENT, ENTIRE_SIZE_MISMATCH.
+ * Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_SIZE_MISMATCH (over
+ * ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_transfer_function_from_nodes(const struct entire_opacity_node *opacity,
                                                   size_t opacity_count,
@@ -1213,11 +1301,12 @@ entire_result entire_transfer_function_from_nodes(const struct entire_opacity_no
                                                   struct entire_transfer_function **transfer_function);
 
 /**
- * Makes a transfer function of a table: `entries` times red, green, blue, opacity in [0, 1], not premultiplied, the
- * first entry at scalar value 0 and the last at 1, linear in between. The unit distance is one reference step.
+ * Makes a transfer function of a table: `entries` times red, green, blue, opacity in [0, 1], not
+ * premultiplied, the first entry at scalar value 0 and the last at 1, linear in between. The unit distance
+ * is one reference step.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (fewer than 2 entries, a value outside [0, 1]), ENTIRE_NULL_ARGUMENT,
- * ENTIRE_SIZE_MISMATCH.
+ * Fails with ENTIRE_INVALID_ARGUMENT (fewer than 2 entries, a value outside [0, 1]), ENTIRE_SIZE_MISMATCH
+ * (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_transfer_function_from_table(const float *rgba,
                                                   size_t entries,
@@ -1233,8 +1322,8 @@ entire_result entire_transfer_function_set_unit_distance(struct entire_transfer_
                                                          entire_unit unit);
 
 /**
- * Copies the table that predictions are made from: ENTIRE_TABLE_ENTRIES times red, green, blue, opacity over one unit
- * distance. `capacity` counts floats.
+ * Copies the table that predictions are made from: ENTIRE_TABLE_ENTRIES times red, green, blue, opacity over
+ * one unit distance. `capacity` counts floats.
  *
  * Fails with ENTIRE_SIZE_MISMATCH (fewer than 4 * ENTIRE_TABLE_ENTRIES floats), ENTIRE_NULL_ARGUMENT.
  */
@@ -1261,186 +1350,190 @@ void entire_transfer_function_free(struct entire_transfer_function *transfer_fun
 entire_result entire_frame_init(struct entire_frame *frame, size_t struct_size);
 
 /**
- * Fills predictor options with their defaults; `struct_size` is sizeof(entire_predictor_options).
+ * Makes a session for one render loop. `model` may be NULL: then a linear cost model, which knows no device
+ * until the first frames are observed, predicts. `options` may be NULL for the defaults. The session keeps
+ * its own share of the model.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe side), ENTIRE_UNSUPPORTED (a model without a
+ * prediction network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know),
+ * ENTIRE_PANIC (a model handle that is unusable), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
  */
-entire_result entire_predictor_options_init(struct entire_predictor_options *options, size_t struct_size);
+entire_result entire_session_new(const struct entire_model *model,
+                                 const struct entire_session_options *options,
+                                 struct entire_session **session);
 
 /**
- * Makes a predictor for one render loop. `model` may be NULL: then a linear cost model, which knows no device until the
- * first frames are observed, predicts. `options` may be NULL for the defaults. The predictor keeps its own share of the
- * model.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe side), ENTIRE_UNSUPPORTED (a model without a prediction
- * network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know), ENTIRE_PANIC (a model
- * handle that is unusable), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * Copies the text of the session's last call where it failed, as entire_model_last_error does; empty after a
+ * call that succeeded.
  */
-entire_result entire_predictor_new(const struct entire_model *model,
-                                   const struct entire_predictor_options *options,
-                                   struct entire_predictor **predictor);
+entire_result entire_session_last_error(const struct entire_session *session,
+                                        char *buffer,
+                                        size_t capacity,
+                                        size_t *length);
 
 /**
- * Sets the volume. Its first use by any predictor scans its voxels once; where the model takes volume features, they are
- * the volume's ready ones (entire_volume_set_features), else the voxels are encoded by the model's own encoder, which
- * takes milliseconds to seconds. The transfer function must be set again.
- *
- * Fails with ENTIRE_SIZE_MISMATCH (ready features of another number than the model takes), ENTIRE_NOT_READY (features
- * are needed, and there are neither ready ones nor voxels), ENTIRE_UNSUPPORTED (features are needed, and the model has
- * no encoder), ENTIRE_NULL_ARGUMENT.
+ * Frees a session; NULL is nothing to do.
  */
-entire_result entire_predictor_set_volume(struct entire_predictor *predictor,
-                                          const struct entire_volume *volume);
+void entire_session_free(struct entire_session *session);
 
 /**
- * Sets the transfer function; the volume comes first.
+ * Tells how long a planned frame took. Late observations are welcome as long as their plan is among the last
+ * 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
  *
- * Fails with ENTIRE_NOT_READY (no volume), ENTIRE_INVALID_ARGUMENT (a unit distance that is out of range for this
- * volume), ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, one observed before, a time that is
+ * not finite and positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an unknown flag),
+ * ENTIRE_NULL_ARGUMENT.
  */
-entire_result entire_predictor_set_transfer_function(struct entire_predictor *predictor,
-                                                     const struct entire_transfer_function *transfer_function);
-
-/**
- * Sets the steps that may be chosen, in multiples of the reference step.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT unless 1/64 <= finest <= coarsest <= 4096; ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_predictor_set_limits(struct entire_predictor *predictor,
-                                          float finest_step,
-                                          float coarsest_step);
-
-/**
- * Allows plans to shrink the image, so that a side of its pixels is up to `coarsest_pixel` pixels of the frame's long, 1 to
- * 64: ray step and image are then coarsened together, which changes the picture less than one of them alone (`pixel` in
- * entire_plan). Up to `step_alone` times the finest step, 1 to 64, the image stays whole: 1, or some 2 where any smaller image
- * is blurred by much. A `coarsest_pixel` of 1, where predictors start, leaves the image alone. For linear cost models and networks that take the image
- * size. One plan serves all sizes: this is cheaper, and learns better, than planning for one size after the other.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT for another number; ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_predictor_set_coarsest_pixel(struct entire_predictor *predictor,
-                                                  float coarsest_pixel,
-                                                  float step_alone);
-
-/**
- * Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or on again.
- * Observations are learned from either way.
- *
- * Fails with ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_predictor_set_enabled(struct entire_predictor *predictor,
-                                           uint32_t enabled);
-
-/**
- * Tells that the next frame does not follow smoothly on the one before, in ways that the predictor cannot see: flags
- * ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are noticed without it.
- *
- * Fails with ENTIRE_INVALID_ARGUMENT (an unknown flag), ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_predictor_mark(struct entire_predictor *predictor,
-                                    uint32_t changes);
-
-/**
- * Predicts a frame's time at the frame's own step, corrected by what was observed; changes nothing that later plans
- * depend on. Set prediction->struct_size first.
- *
- * Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs an input that
- * was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame), ENTIRE_NULL_ARGUMENT,
- * ENTIRE_STRUCT_SIZE.
- */
-entire_result entire_predictor_predict(struct entire_predictor *predictor,
-                                       const struct entire_frame *frame,
-                                       struct entire_prediction *prediction);
-
-/**
- * Chooses the ray step of the next frame, so that it takes at most `target_seconds`: the finest step whose upper bound
- * fits. Draw with plan->step, then tell entire_predictor_observe how long it took. Set plan->struct_size first. Does not
- * allocate.
- *
- * Fails as entire_predictor_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and positive.
- */
-entire_result entire_predictor_plan(struct entire_predictor *predictor,
-                                    const struct entire_frame *frame,
-                                    float target_seconds,
-                                    struct entire_plan *plan);
-
-/**
- * Chooses among the caller's settings, best quality first: the first whose upper bound fits the target, else the one
- * expected to be fastest. At most ENTIRE_MAX_SETTINGS. `index` receives which one, `plan` its plan, to be observed like
- * any other. The frame's own step, size and modes do not count. Does not allocate.
- *
- * Fails as entire_predictor_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of range, and with
- * ENTIRE_SIZE_MISMATCH for too many.
- */
-entire_result entire_predictor_choose(struct entire_predictor *predictor,
-                                      const struct entire_frame *frame,
-                                      const struct entire_setting *settings,
-                                      size_t setting_count,
-                                      float target_seconds,
-                                      size_t *index,
-                                      struct entire_plan *plan);
-
-/**
- * Tells how long a planned frame took. Late observations are welcome as long as their plan is among the last 64.
- * `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
- *
- * Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, one observed before, a time that is not finite
- * and positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an unknown flag), ENTIRE_NULL_ARGUMENT.
- */
-entire_result entire_predictor_observe(struct entire_predictor *predictor,
-                                       uint64_t plan_id,
-                                       float seconds,
-                                       uint32_t flags,
-                                       entire_verdict *verdict);
+entire_result entire_session_observe(struct entire_session *session,
+                                     uint64_t plan_id,
+                                     float seconds,
+                                     uint32_t flags,
+                                     entire_verdict *verdict);
 
 /**
  * Forgets every observation and every pending plan; volume, transfer function and limits stay.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
  */
-entire_result entire_predictor_reset(struct entire_predictor *predictor);
+entire_result entire_session_reset(struct entire_session *session);
 
 /**
- * Saves what was learned, for entire_predictor_load_state in a later run: `byte_count` receives how many bytes it is, and
- * `buffer` the bytes where `capacity` suffices. `buffer` may be NULL with capacity 0 to ask for the size.
+ * Fills session options with their defaults; `struct_size` is sizeof(entire_session_options).
+ */
+entire_result entire_session_options_init(struct entire_session_options *options, size_t struct_size);
+
+/**
+ * Predicts a frame's time at the frame's own step, corrected by what was observed; changes nothing that
+ * later plans depend on. Set prediction->struct_size first.
+ *
+ * Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
+ * an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
+ * ENTIRE_INVALID_MODEL (the model's answer is no frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ */
+entire_result entire_session_predict(struct entire_session *session,
+                                     const struct entire_frame *frame,
+                                     struct entire_prediction *prediction);
+
+/**
+ * Chooses the ray step of the next frame, so that it takes at most `target_seconds`: the finest step whose
+ * upper bound fits. Draw with plan->step, then tell entire_session_observe how long it took. Set
+ * plan->struct_size first. Does not allocate.
+ *
+ * Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
+ * positive.
+ */
+entire_result entire_session_plan(struct entire_session *session,
+                                  const struct entire_frame *frame,
+                                  float target_seconds,
+                                  struct entire_plan *plan);
+
+/**
+ * Chooses among the caller's settings, best quality first: the first whose upper bound fits the target, else
+ * the one expected to be fastest. At most ENTIRE_MAX_SETTINGS. `index` receives which one, `plan` its plan,
+ * to be observed like any other. The frame's own step, size and modes do not count. Does not allocate.
+ *
+ * Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
+ * range, and with ENTIRE_SIZE_MISMATCH for too many.
+ */
+entire_result entire_session_choose(struct entire_session *session,
+                                    const struct entire_frame *frame,
+                                    const struct entire_setting *settings,
+                                    size_t setting_count,
+                                    float target_seconds,
+                                    size_t *index,
+                                    struct entire_plan *plan);
+
+/**
+ * Sets the volume. Its first use by any session scans its voxels once; where the model takes volume
+ * features, they are the volume's ready ones (entire_volume_set_features), else the voxels are encoded by
+ * the model's own encoder, which takes milliseconds to seconds. The transfer function must be set again.
+ *
+ * Fails with ENTIRE_SIZE_MISMATCH (ready features of another number than the model takes), ENTIRE_NOT_READY
+ * (features are needed, and there are neither ready ones nor voxels), ENTIRE_UNSUPPORTED (features are
+ * needed, and the model has no encoder), ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_set_volume(struct entire_session *session, const struct entire_volume *volume);
+
+/**
+ * Sets the transfer function; the volume comes first.
+ *
+ * Fails with ENTIRE_NOT_READY (no volume), ENTIRE_INVALID_ARGUMENT (a unit distance that is out of range for
+ * this volume), ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_set_transfer_function(struct entire_session *session,
+                                                   const struct entire_transfer_function *transfer_function);
+
+/**
+ * Sets the steps that may be chosen, in multiples of the reference step.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT unless 1/64 <= finest <= coarsest <= 4096; ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_set_limits(struct entire_session *session,
+                                        float finest_step,
+                                        float coarsest_step);
+
+/**
+ * Allows plans to coarsen the image: neighboring rays stand up to `max_image_sample_distance` pixels apart
+ * along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Ray step and image are then coarsened
+ * together, which changes the picture less than coarsening one of them alone (`image_sample_distance` in
+ * entire_plan). Up to `step_alone` times the finest step, 1 to 64, the image stays whole: 1, or about 2
+ * where a smaller image is blurred strongly. A `max_image_sample_distance` of 1, where sessions start,
+ * leaves the image alone. For linear cost models and networks that take the image size. One plan serves all
+ * sizes: this is cheaper, and learns better, than planning for one size after the other.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT for another number; ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_set_max_image_sample_distance(struct entire_session *session,
+                                                           float max_image_sample_distance,
+                                                           float step_alone);
+
+/**
+ * Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or
+ * on again. Observations are learned from either way.
+ *
+ * Fails with ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_set_enabled(struct entire_session *session, uint32_t enabled);
+
+/**
+ * Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot see:
+ * flags ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are noticed without it.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT (an unknown flag), ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_mark(struct entire_session *session, uint32_t changes);
+
+/**
+ * Saves what was learned, for entire_session_load_state in a later run: `byte_count` receives how many bytes
+ * it is, and `buffer` the bytes where `capacity` suffices. `buffer` may be NULL with capacity 0 to ask for
+ * the size.
  *
  * Fails with ENTIRE_SIZE_MISMATCH (a capacity that is too small and not 0; the size is in the error text),
  * ENTIRE_NULL_ARGUMENT.
  */
-entire_result entire_predictor_save_state(const struct entire_predictor *predictor,
-                                          uint8_t *buffer,
-                                          size_t capacity,
-                                          size_t *byte_count);
+entire_result entire_session_save_state(const struct entire_session *session,
+                                        uint8_t *buffer,
+                                        size_t capacity,
+                                        size_t *byte_count);
 
 /**
- * Takes up what an earlier predictor saved. Pending plans are forgotten.
+ * Takes up what an earlier session saved. Pending plans are forgotten.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state),
+ * ENTIRE_NULL_ARGUMENT.
  */
-entire_result entire_predictor_load_state(struct entire_predictor *predictor,
-                                          const uint8_t *bytes,
-                                          size_t byte_count);
+entire_result entire_session_load_state(struct entire_session *session,
+                                        const uint8_t *bytes,
+                                        size_t byte_count);
 
 /**
- * Copies the text of the predictor's last call where it failed, as entire_model_last_error does; empty after a call that
- * succeeded.
- */
-entire_result entire_predictor_last_error(const struct entire_predictor *predictor,
-                                          char *buffer,
-                                          size_t capacity,
-                                          size_t *length);
-
-/**
- * Frees a predictor; NULL is nothing to do.
- */
-void entire_predictor_free(struct entire_predictor *predictor);
-
-/**
- * Assigns tasks to nodes, the longest first, each to the node that would finish it earliest. `seconds` holds each task's
- * time on a node of speed 1 and `speeds` each node's speed (2: half the time); `speeds` may be NULL for nodes of speed 1.
- * `node_of_task` receives a node number, from 0, per task, and `makespan`, which may be NULL, the seconds until the last
- * node is done.
+ * Assigns tasks to nodes, the longest first, each to the node that would finish it earliest. `seconds` holds
+ * each task's time on a node of speed 1 and `speeds` each node's speed (2: half the time); `speeds` may be
+ * NULL for nodes of speed 1. `node_of_task` receives a node number, from 0, per task, and `makespan`, which
+ * may be NULL, the seconds until the last node is done.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range), ENTIRE_SIZE_MISMATCH,
+ * Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range), ENTIRE_SIZE_MISMATCH
+ * (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or ENTIRE_MAX_TASKS_TIMES_NODES), ENTIRE_OUT_OF_MEMORY,
  * ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_schedule(const double *seconds,

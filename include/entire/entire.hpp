@@ -222,9 +222,9 @@ struct brick_desc : entire_brick_desc {
     brick_desc() : entire_brick_desc() { entire_brick_desc_init(this, sizeof(entire_brick_desc)); }
 };
 
-struct predictor_options : entire_predictor_options {
-    predictor_options() : entire_predictor_options() {
-        entire_predictor_options_init(this, sizeof(entire_predictor_options));
+struct session_options : entire_session_options {
+    session_options() : entire_session_options() {
+        entire_session_options_init(this, sizeof(entire_session_options));
     }
 };
 
@@ -246,7 +246,7 @@ public:
     }
     plain_result<entire_volume_info> info() const {
         auto out = detail::sized<entire_volume_info>();
-        if (auto code = entire_volume_get_info(get(), &out)) return failure::last(code);
+        if (auto code = entire_volume_describe(get(), &out)) return failure::last(code);
         return out;
     }
     entire_volume *get() const noexcept { return handle_.get(); }
@@ -313,12 +313,12 @@ public:
 
     plain_result<entire_model_info> info() const {
         auto out = detail::sized<entire_model_info>();
-        if (auto code = entire_model_get_info(get(), &out)) return failure::last(code);
+        if (auto code = entire_model_describe(get(), &out)) return failure::last(code);
         return out;
     }
     plain_result<entire_input_group> input(std::size_t index) const {
         auto out = detail::sized<entire_input_group>();
-        if (auto code = entire_model_get_input(get(), index, &out)) return failure::last(code);
+        if (auto code = entire_model_input_group(get(), index, &out)) return failure::last(code);
         return out;
     }
     // NULL where the file does not have the key.
@@ -352,81 +352,81 @@ private:
     detail::owned<entire_model, entire_model_free> handle_;
 };
 
-// What entire_predictor_choose picked.
+// What entire_session_choose picked.
 struct choice {
     std::size_t index;
     entire_plan plan;
 };
 
-class predictor {
+class session {
 public:
     // Around a model.
-    static result<predictor> create(const model &with, const entire_predictor_options &options = predictor_options()) {
+    static result<session> create(const model &with, const entire_session_options &options = session_options()) {
         return make(with.get(), options);
     }
     // Without a model: a linear cost model that learns from the frames it observes.
-    static result<predictor> untrained(const entire_predictor_options &options = predictor_options()) {
+    static result<session> untrained(const entire_session_options &options = session_options()) {
         return make(nullptr, options);
     }
 
-    status set_volume(const volume &of) { return detail::done(entire_predictor_set_volume(get(), of.get())); }
+    status set_volume(const volume &of) { return detail::done(entire_session_set_volume(get(), of.get())); }
     status set_transfer_function(const transfer_function &to) {
-        return detail::done(entire_predictor_set_transfer_function(get(), to.get()));
+        return detail::done(entire_session_set_transfer_function(get(), to.get()));
     }
     status set_limits(float finest_step, float coarsest_step) {
-        return detail::done(entire_predictor_set_limits(get(), finest_step, coarsest_step));
+        return detail::done(entire_session_set_limits(get(), finest_step, coarsest_step));
     }
-    status set_coarsest_pixel(float pixel, float step_alone = 1) {
-        return detail::done(entire_predictor_set_coarsest_pixel(get(), pixel, step_alone));
+    status set_max_image_sample_distance(float distance, float step_alone = 1) {
+        return detail::done(entire_session_set_max_image_sample_distance(get(), distance, step_alone));
     }
-    status set_enabled(bool enabled) { return detail::done(entire_predictor_set_enabled(get(), enabled)); }
-    status mark(std::uint32_t changes) { return detail::done(entire_predictor_mark(get(), changes)); }
+    status set_enabled(bool enabled) { return detail::done(entire_session_set_enabled(get(), enabled)); }
+    status mark(std::uint32_t changes) { return detail::done(entire_session_mark(get(), changes)); }
 
     plain_result<entire_prediction> predict(const entire_frame &of) {
         auto out = detail::sized<entire_prediction>();
-        if (auto code = entire_predictor_predict(get(), &of, &out)) return failure::last(code);
+        if (auto code = entire_session_predict(get(), &of, &out)) return failure::last(code);
         return out;
     }
     plain_result<entire_plan> plan(const entire_frame &of, float target_seconds) {
         auto out = detail::sized<entire_plan>();
-        if (auto code = entire_predictor_plan(get(), &of, target_seconds, &out)) return failure::last(code);
+        if (auto code = entire_session_plan(get(), &of, target_seconds, &out)) return failure::last(code);
         return out;
     }
     plain_result<choice> choose(const entire_frame &of, span<const entire_setting> settings, float target_seconds) {
         choice out{0, detail::sized<entire_plan>()};
-        if (auto code = entire_predictor_choose(get(), &of, settings.data(), settings.size(), target_seconds, &out.index,
+        if (auto code = entire_session_choose(get(), &of, settings.data(), settings.size(), target_seconds, &out.index,
                                                 &out.plan))
             return failure::last(code);
         return out;
     }
     plain_result<entire_verdict> observe(std::uint64_t plan_id, float seconds, std::uint32_t flags = 0) {
         entire_verdict verdict = ENTIRE_VERDICT_LEARNED;
-        if (auto code = entire_predictor_observe(get(), plan_id, seconds, flags, &verdict)) return failure::last(code);
+        if (auto code = entire_session_observe(get(), plan_id, seconds, flags, &verdict)) return failure::last(code);
         return verdict;
     }
-    status reset() { return detail::done(entire_predictor_reset(get())); }
+    status reset() { return detail::done(entire_session_reset(get())); }
 
     result<std::vector<std::uint8_t>> save_state() const {
         std::size_t count = 0;
-        if (auto code = entire_predictor_save_state(get(), nullptr, 0, &count)) return failure::last(code);
+        if (auto code = entire_session_save_state(get(), nullptr, 0, &count)) return failure::last(code);
         std::vector<std::uint8_t> bytes(count);
-        if (auto code = entire_predictor_save_state(get(), bytes.data(), bytes.size(), &count))
+        if (auto code = entire_session_save_state(get(), bytes.data(), bytes.size(), &count))
             return failure::last(code);
         return bytes;
     }
     status load_state(span<const std::uint8_t> bytes) {
-        return detail::done(entire_predictor_load_state(get(), bytes.data(), bytes.size()));
+        return detail::done(entire_session_load_state(get(), bytes.data(), bytes.size()));
     }
-    entire_predictor *get() const noexcept { return handle_.get(); }
+    entire_session *get() const noexcept { return handle_.get(); }
 
 private:
-    explicit predictor(entire_predictor *handle) : handle_(handle) {}
-    static result<predictor> make(const entire_model *with, const entire_predictor_options &options) {
-        entire_predictor *handle = nullptr;
-        if (auto code = entire_predictor_new(with, &options, &handle)) return failure::last(code);
-        return predictor(handle);
+    explicit session(entire_session *handle) : handle_(handle) {}
+    static result<session> make(const entire_model *with, const entire_session_options &options) {
+        entire_session *handle = nullptr;
+        if (auto code = entire_session_new(with, &options, &handle)) return failure::last(code);
+        return session(handle);
     }
-    detail::owned<entire_predictor, entire_predictor_free> handle_;
+    detail::owned<entire_session, entire_session_free> handle_;
 };
 
 } // namespace entire

@@ -87,17 +87,17 @@ static inline entire_frame toy_frame(void) {
     return frame;
 }
 
-/* A predictor with volume and transfer function set; `model` may be NULL. */
-static inline entire_predictor *toy_predictor(const entire_model *model) {
+/* A session with volume and transfer function set; `model` may be NULL. */
+static inline entire_session *toy_session(const entire_model *model) {
     entire_volume *volume = toy_volume();
     entire_transfer_function *tf = toy_transfer_function();
-    entire_predictor *predictor = NULL;
-    OK(entire_predictor_new(model, NULL, &predictor));
-    OK(entire_predictor_set_volume(predictor, volume));
-    OK(entire_predictor_set_transfer_function(predictor, tf));
+    entire_session *session = NULL;
+    OK(entire_session_new(model, NULL, &session));
+    OK(entire_session_set_volume(session, volume));
+    OK(entire_session_set_transfer_function(session, tf));
     entire_transfer_function_free(tf);
     entire_volume_free(volume);
-    return predictor;
+    return session;
 }
 
 #endif

@@ -34,7 +34,7 @@ int main(int argc, char **argv) {
     const long rounds = strtol(argv[2], NULL, 10);
     entire_model *model = NULL;
     OK(entire_model_open(argv[1], &model));
-    entire_predictor *predictor = toy_predictor(model);
+    entire_session *session = toy_session(model);
     entire_frame frame = toy_frame();
     frame.width = frame.height = 16;
     long pages = 0;
@@ -42,8 +42,8 @@ int main(int argc, char **argv) {
     for (long i = 0; i < rounds; ++i) {
         entire_plan plan = {.struct_size = sizeof plan};
         frame.arcball[1] = (float)(i % 360);
-        entire_result planned = entire_predictor_plan(predictor, &frame, 0.01f, &plan);
-        entire_result observed = entire_predictor_observe(predictor, plan.id, 0.001f + 0.02f / plan.step, 0, NULL);
+        entire_result planned = entire_session_plan(session, &frame, 0.01f, &plan);
+        entire_result observed = entire_session_observe(session, plan.id, 0.001f + 0.02f / plan.step, 0, NULL);
         CHECK(planned == ENTIRE_OK && observed == ENTIRE_OK);
         if (i == rounds / 10) {
             pages = resident_pages();
@@ -58,7 +58,7 @@ int main(int argc, char **argv) {
         CHECK(heap == heap_now);
         CHECK(grown <= 16);
     }
-    entire_predictor_free(predictor);
+    entire_session_free(session);
     entire_model_free(model);
     return 0;
 }

@@ -50,6 +50,17 @@ static size_t count_near(size_t right) {
     return one_in(10) ? odd[below(6)] : right;
 }
 
+/* Of any magnitude: 10^-38 to 10^38. */
+static float magnitude(void) {
+    return powf(10, uniform(-38, 38)) * (one_in(20) ? -1.0f : 1.0f);
+}
+
+/* Zero, one, or of any magnitude up to the largest. */
+static size_t any_size(void) {
+    const size_t any = (size_t)bits() >> below(sizeof(size_t) * 8);
+    return one_in(3) ? below(2) : any;
+}
+
 /* For counts that the library may read as far as: never more than there is. */
 static size_t count_within(size_t there) {
     return one_in(6) ? below(there + 1) : there;
@@ -67,7 +78,7 @@ static size_t struct_size(size_t right) {
 static entire_model *models[SLOTS];
 static entire_volume *volumes[SLOTS];
 static entire_transfer_function *tfs[SLOTS];
-static entire_predictor *predictors[SLOTS];
+static entire_session *sessions[SLOTS];
 static uint64_t failures[128], successes;
 
 /* The first slot most of the time: it holds what most sequences start with. */
@@ -101,6 +112,20 @@ static void new_volume(entire_volume **out) {
         desc.spacing[i] = number(0.1f, 9);
         if (one_in(8)) desc.strides[i] = count_near(below(20));
     }
+    if (one_in(6)) { /* one scale for all axes, or another for each */
+        const float unit = magnitude();
+        const int apart = one_in(3);
+        for (int i = 0; i < 3; ++i) desc.spacing[i] = apart ? magnitude() : unit * uniform(0.5f, 2);
+    }
+    if (one_in(6))
+        for (int i = 0; i < 3; ++i) desc.strides[i] = any_size();
+    /* Repeated voxels: sizes of all magnitudes, few of which are scanned. */
+    if (one_in(12))
+        for (int i = 0; i < 3; ++i) {
+            desc.strides[i] = 0;
+            desc.dims[i] = one_in(20) ? 1 + below(200) : one_in(2) ? any_size() : 1 + below(20);
+            if (desc.dims[i] < 4000 && desc.dims[i] > 200) desc.dims[i] = 200;
+        }
     if (one_in(3)) desc.range[0] = number(-10, 10), desc.range[1] = number(-10, 1000);
     note(entire_volume_new(&desc, out));
 }
@@ -117,9 +142,11 @@ static void new_bricks(entire_volume **out) {
         const size_t n = 1 + below(3), edge = 1 + below(9);
         desc.brick_edge[i] = count_near(edge);
         desc.dims[i] = count_near(n * edge - below(edge));
-        desc.spacing[i] = number(0.1f, 9);
+        desc.spacing[i] = one_in(6) ? magnitude() : number(0.1f, 9);
         bricks *= n;
     }
+    if (one_in(12))
+        for (int i = 0; i < 3; ++i) desc.dims[i] = any_size(), desc.brick_edge[i] = any_size();
     desc.bounds = one_in(30) ? NULL : bounds;
     desc.brick_count = one_in(10) ? below(33) : bricks;
     note(entire_volume_from_bricks(&desc, out));
@@ -174,7 +201,6 @@ static entire_frame any_frame(void) {
     frame.shading = kind(3);
     frame.skipping = kind(3);
     frame.jitter = (uint32_t)below(2);
-    if (one_in(50)) frame.reserved = 1;
     return frame;
 }
 
@@ -185,7 +211,7 @@ static void call(void) {
     entire_model *model = PICK(models);
     entire_volume *volume = PICK(volumes);
     entire_transfer_function *tf = PICK(tfs);
-    entire_predictor *predictor = PICK(predictors);
+    entire_session *session = PICK(sessions);
     entire_frame frame = any_frame();
     entire_plan plan = {.struct_size = struct_size(sizeof plan), .id = 777};
     const size_t slot = one_in(6) ? 0 : below(SLOTS);
@@ -223,8 +249,8 @@ static void call(void) {
         new_transfer_function(&tfs[slot]);
         break;
     case 4: {
-        entire_predictor_options options;
-        OK(entire_predictor_options_init(&options, sizeof options));
+        entire_session_options options;
+        OK(entire_session_options_init(&options, sizeof options));
         options.struct_size = struct_size(sizeof options);
         options.finest_step = number(0.02f, 2);
         options.coarsest_step = number(2, 100);
@@ -233,19 +259,19 @@ static void call(void) {
         options.trust_limit = number(0.1f, 5);
         options.damping = (uint32_t)below(2);
         options.probe_side = one_in(3) ? (uint32_t)below(26) : 0;
-        entire_predictor_free(predictors[slot]);
-        predictors[slot] = NULL;
-        note(entire_predictor_new(one_in(2) ? NULL : model, one_in(2) ? NULL : &options, &predictors[slot]));
+        entire_session_free(sessions[slot]);
+        sessions[slot] = NULL;
+        note(entire_session_new(one_in(2) ? NULL : model, one_in(2) ? NULL : &options, &sessions[slot]));
         break;
     }
     case 5: {
         entire_model_info info = {.struct_size = struct_size(sizeof info)};
-        note(entire_model_get_info(model, &info));
+        note(entire_model_describe(model, &info));
         break;
     }
     case 6: {
         entire_input_group group = {.struct_size = struct_size(sizeof group)};
-        note(entire_model_get_input(model, count_near(below(6)), &group));
+        note(entire_model_input_group(model, count_near(below(6)), &group));
         break;
     }
     case 7:
@@ -273,26 +299,26 @@ static void call(void) {
         break;
     case 12: {
         entire_volume_info info = {.struct_size = struct_size(sizeof info)};
-        note(entire_volume_get_info(volume, &info));
+        note(entire_volume_describe(volume, &info));
         break;
     }
     case 13:
         note(entire_transfer_function_set_unit_distance(tf, number(0.01f, 50), kind(2)));
         break;
     case 14: /* the calls that a render loop makes come most often */
-        if (note(entire_predictor_plan(predictor, &frame, number(1e-4f, 0.1f), &plan)) != ENTIRE_OK) CHECK(plan.id == 777);
-        else if (one_in(2)) note(entire_predictor_observe(predictor, plan.id, number(1e-4f, 0.2f), kind(4) - 1, NULL));
+        if (note(entire_session_plan(session, &frame, number(1e-4f, 0.1f), &plan)) != ENTIRE_OK) CHECK(plan.id == 777);
+        else if (one_in(2)) note(entire_session_observe(session, plan.id, number(1e-4f, 0.2f), kind(4) - 1, NULL));
         break;
     case 15:
-        note(entire_predictor_set_volume(predictor, volume));
+        note(entire_session_set_volume(session, volume));
         break;
     case 16:
-        note(entire_predictor_set_transfer_function(predictor, tf));
+        note(entire_session_set_transfer_function(session, tf));
         break;
     case 17: {
         entire_prediction prediction = {.struct_size = struct_size(sizeof prediction), .seconds = 0.5f};
-        if (note(entire_predictor_predict(predictor, &frame, &prediction)) != ENTIRE_OK) CHECK(prediction.seconds == 0.5f);
-        else CHECK(prediction.seconds >= 0 || isnan(prediction.seconds));
+        if (note(entire_session_predict(session, &frame, &prediction)) != ENTIRE_OK) CHECK(prediction.seconds == 0.5f);
+        else CHECK(prediction.seconds > 0 && prediction.seconds < 1e9f);
         break;
     }
     case 18: {
@@ -302,32 +328,32 @@ static void call(void) {
                                            1 + (uint32_t)below(3), 1 + (uint32_t)below(3)};
         if (one_in(5)) settings[0] = (entire_setting){number(0.1f, 20), (uint32_t)below(9), (uint32_t)bits(), kind(3), kind(3)};
         const size_t count = one_in(9) ? below(ENTIRE_MAX_SETTINGS + 2) : 4;
-        if (note(entire_predictor_choose(predictor, &frame, settings, count, number(1e-4f, 0.1f), &n, &plan)) != ENTIRE_OK)
+        if (note(entire_session_choose(session, &frame, settings, count, number(1e-4f, 0.1f), &n, &plan)) != ENTIRE_OK)
             CHECK(n == 12345 && plan.id == 777);
         else CHECK(n < count);
         break;
     }
     case 19:
-        note(entire_predictor_observe(predictor, one_in(2) ? bits() : below(200), number(1e-4f, 1), (uint32_t)below(5), NULL));
+        note(entire_session_observe(session, one_in(2) ? bits() : below(200), number(1e-4f, 1), (uint32_t)below(5), NULL));
         break;
     case 20:
-        note(entire_predictor_set_limits(predictor, number(0.02f, 4), number(4, 100)));
-        note(entire_predictor_set_coarsest_pixel(predictor, number(0.5f, 70), number(0.5f, 5)));
+        note(entire_session_set_limits(session, number(0.02f, 4), number(4, 100)));
+        note(entire_session_set_max_image_sample_distance(session, number(0.5f, 70), number(0.5f, 5)));
         break;
     case 21:
-        note(entire_predictor_set_enabled(predictor, (uint32_t)below(3)));
+        note(entire_session_set_enabled(session, (uint32_t)below(3)));
         break;
     case 22:
-        note(entire_predictor_mark(predictor, (uint32_t)below(70)));
+        note(entire_session_mark(session, (uint32_t)below(70)));
         break;
     case 23:
-        note(entire_predictor_reset(predictor));
+        note(entire_session_reset(session));
         break;
     case 24: {
         size_t size = 0;
-        if (note(entire_predictor_save_state(predictor, bytes, sizeof bytes, &size)) == ENTIRE_OK) {
+        if (note(entire_session_save_state(session, bytes, sizeof bytes, &size)) == ENTIRE_OK) {
             if (one_in(2) && size > 0) bytes[below(size)] ^= (uint8_t)(1u << below(8));
-            note(entire_predictor_load_state(PICK(predictors), bytes, count_within(size)));
+            note(entire_session_load_state(PICK(sessions), bytes, count_within(size)));
         }
         break;
     }
@@ -336,7 +362,7 @@ static void call(void) {
         break;
     case 26:
         note(entire_model_last_error(model, text, below(33), &n));
-        note(entire_predictor_last_error(predictor, text, below(33), NULL));
+        note(entire_session_last_error(session, text, below(33), NULL));
         break;
     case 27:
         note(entire_volume_last_error(volume, NULL, 0, &n));
@@ -369,15 +395,15 @@ int main(int argc, char **argv) {
             OK(entire_model_from_bytes(model_bytes, model_size, &models[0]));
             volumes[0] = toy_volume();
             tfs[0] = toy_transfer_function();
-            predictors[0] = toy_predictor(one_in(2) ? NULL : models[0]);
+            sessions[0] = toy_session(one_in(2) ? NULL : models[0]);
         }
         for (int k = 0; k < CALLS; ++k) call();
         for (int k = 0; k < SLOTS; ++k) {
-            entire_predictor_free(predictors[k]);
+            entire_session_free(sessions[k]);
             entire_model_free(models[k]);
             entire_volume_free(volumes[k]);
             entire_transfer_function_free(tfs[k]);
-            predictors[k] = NULL, models[k] = NULL, volumes[k] = NULL, tfs[k] = NULL;
+            sessions[k] = NULL, models[k] = NULL, volumes[k] = NULL, tfs[k] = NULL;
         }
     }
     free(model_bytes);

@@ -8,7 +8,7 @@ int main(int argc, char **argv) {
     entire_model *m = NULL;
     entire_volume *v = toy_volume();
     entire_transfer_function *t = toy_transfer_function();
-    entire_predictor *p = toy_predictor(NULL);
+    entire_session *p = toy_session(NULL);
     OK(entire_model_open(argv[1], &m));
 
     float f[16] = {0};
@@ -30,7 +30,7 @@ int main(int argc, char **argv) {
     entire_model *made_model = NULL;
     entire_volume *made_volume = NULL;
     entire_transfer_function *made_tf = NULL;
-    entire_predictor *made_predictor = NULL;
+    entire_session *made_session = NULL;
 
     /* Nothing to be NULL. */
     entire_version();
@@ -45,10 +45,10 @@ int main(int argc, char **argv) {
     NONE(entire_model_open(argv[1], NULL));
     NONE(entire_model_from_bytes(NULL, 8, &made_model));
     NONE(entire_model_from_bytes(&byte, 1, NULL));
-    NONE(entire_model_get_info(NULL, &info));
-    NONE(entire_model_get_info(m, NULL));
-    NONE(entire_model_get_input(NULL, 0, &group));
-    NONE(entire_model_get_input(m, 0, NULL));
+    NONE(entire_model_describe(NULL, &info));
+    NONE(entire_model_describe(m, NULL));
+    NONE(entire_model_input_group(NULL, 0, &group));
+    NONE(entire_model_input_group(m, 0, NULL));
     CHECK(entire_model_scene_feature(NULL, 0) == NULL);
     CHECK(entire_model_metadata(NULL, "entire.device") == NULL);
     CHECK(entire_model_metadata(m, NULL) == NULL);
@@ -74,8 +74,8 @@ int main(int argc, char **argv) {
     NONE(entire_volume_from_bricks(&bricks, NULL));
     NONE(entire_volume_set_features(NULL, f, 1));
     NONE(entire_volume_set_features(v, NULL, 1));
-    NONE(entire_volume_get_info(NULL, &volume_info));
-    NONE(entire_volume_get_info(v, NULL));
+    NONE(entire_volume_describe(NULL, &volume_info));
+    NONE(entire_volume_describe(v, NULL));
     NONE(entire_volume_last_error(NULL, NULL, 0, &n));
     entire_volume_free(NULL);
 
@@ -93,36 +93,36 @@ int main(int argc, char **argv) {
     entire_transfer_function_free(NULL);
 
     NONE(entire_frame_init(NULL, sizeof frame));
-    NONE(entire_predictor_options_init(NULL, sizeof(entire_predictor_options)));
-    NONE(entire_predictor_new(NULL, NULL, NULL));
-    NONE(entire_predictor_set_volume(NULL, v));
-    NONE(entire_predictor_set_volume(p, NULL));
-    NONE(entire_predictor_set_transfer_function(NULL, t));
-    NONE(entire_predictor_set_transfer_function(p, NULL));
-    NONE(entire_predictor_set_limits(NULL, 1, 2));
-    NONE(entire_predictor_set_coarsest_pixel(NULL, 2, 1));
-    NONE(entire_predictor_set_enabled(NULL, 1));
-    NONE(entire_predictor_mark(NULL, 0));
-    NONE(entire_predictor_predict(NULL, &frame, &prediction));
-    NONE(entire_predictor_predict(p, NULL, &prediction));
-    NONE(entire_predictor_predict(p, &frame, NULL));
-    NONE(entire_predictor_plan(NULL, &frame, 1, &plan));
-    NONE(entire_predictor_plan(p, NULL, 1, &plan));
-    NONE(entire_predictor_plan(p, &frame, 1, NULL));
-    NONE(entire_predictor_choose(NULL, &frame, &setting, 1, 1, &n, &plan));
-    NONE(entire_predictor_choose(p, NULL, &setting, 1, 1, &n, &plan));
-    NONE(entire_predictor_choose(p, &frame, NULL, 1, 1, &n, &plan));
-    NONE(entire_predictor_choose(p, &frame, &setting, 1, 1, NULL, &plan));
-    NONE(entire_predictor_choose(p, &frame, &setting, 1, 1, &n, NULL));
-    NONE(entire_predictor_observe(NULL, 1, 1, 0, NULL));
-    NONE(entire_predictor_reset(NULL));
-    NONE(entire_predictor_save_state(NULL, &byte, 1, &n));
-    NONE(entire_predictor_save_state(p, NULL, 1, &n));
-    NONE(entire_predictor_save_state(p, &byte, 1, NULL));
-    NONE(entire_predictor_load_state(NULL, &byte, 1));
-    NONE(entire_predictor_load_state(p, NULL, 1));
-    NONE(entire_predictor_last_error(NULL, NULL, 0, &n));
-    entire_predictor_free(NULL);
+    NONE(entire_session_options_init(NULL, sizeof(entire_session_options)));
+    NONE(entire_session_new(NULL, NULL, NULL));
+    NONE(entire_session_set_volume(NULL, v));
+    NONE(entire_session_set_volume(p, NULL));
+    NONE(entire_session_set_transfer_function(NULL, t));
+    NONE(entire_session_set_transfer_function(p, NULL));
+    NONE(entire_session_set_limits(NULL, 1, 2));
+    NONE(entire_session_set_max_image_sample_distance(NULL, 2, 1));
+    NONE(entire_session_set_enabled(NULL, 1));
+    NONE(entire_session_mark(NULL, 0));
+    NONE(entire_session_predict(NULL, &frame, &prediction));
+    NONE(entire_session_predict(p, NULL, &prediction));
+    NONE(entire_session_predict(p, &frame, NULL));
+    NONE(entire_session_plan(NULL, &frame, 1, &plan));
+    NONE(entire_session_plan(p, NULL, 1, &plan));
+    NONE(entire_session_plan(p, &frame, 1, NULL));
+    NONE(entire_session_choose(NULL, &frame, &setting, 1, 1, &n, &plan));
+    NONE(entire_session_choose(p, NULL, &setting, 1, 1, &n, &plan));
+    NONE(entire_session_choose(p, &frame, NULL, 1, 1, &n, &plan));
+    NONE(entire_session_choose(p, &frame, &setting, 1, 1, NULL, &plan));
+    NONE(entire_session_choose(p, &frame, &setting, 1, 1, &n, NULL));
+    NONE(entire_session_observe(NULL, 1, 1, 0, NULL));
+    NONE(entire_session_reset(NULL));
+    NONE(entire_session_save_state(NULL, &byte, 1, &n));
+    NONE(entire_session_save_state(p, NULL, 1, &n));
+    NONE(entire_session_save_state(p, &byte, 1, NULL));
+    NONE(entire_session_load_state(NULL, &byte, 1));
+    NONE(entire_session_load_state(p, NULL, 1));
+    NONE(entire_session_last_error(NULL, NULL, 0, &n));
+    entire_session_free(NULL);
 
     const double times[2] = {1, 2};
     size_t nodes[2] = {9, 9};
@@ -131,8 +131,8 @@ int main(int argc, char **argv) {
     NONE(entire_schedule(times, 2, NULL, 2, NULL, &makespan));
     OK(entire_schedule(times, 2, NULL, 2, nodes, NULL));
 
-    CHECK(!made_model && !made_volume && !made_tf && !made_predictor && n == 0 && f[0] == 0);
-    entire_predictor_free(p);
+    CHECK(!made_model && !made_volume && !made_tf && !made_session && n == 0 && f[0] == 0);
+    entire_session_free(p);
     entire_transfer_function_free(t);
     entire_volume_free(v);
     entire_model_free(m);

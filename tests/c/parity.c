@@ -1,4 +1,4 @@
-/* The C door to a model and a predictor, for comparison with the Rust door (tests/tests/c_sdk.rs): reads rows of inputs
+/* The C door to a model and a session, for comparison with the Rust door (tests/tests/c_sdk.rs): reads rows of inputs
  * as raw floats from standard input, writes raw floats: a prediction per row, then the volume's features, then the
  * seconds and the step of plans around an orbit.
  *
@@ -27,18 +27,18 @@ int main(int argc, char **argv) {
     CHECK(fwrite(features, sizeof features[0], count, stdout) == count);
     entire_volume_free(volume);
 
-    entire_predictor *predictor = toy_predictor(model);
+    entire_session *session = toy_session(model);
     entire_frame frame = toy_frame();
     for (int i = 0; i < 50; ++i) {
         entire_plan plan = {.struct_size = sizeof plan};
         frame.arcball[0] = (float)i;
         frame.arcball[1] = 7 * (float)i;
-        OK(entire_predictor_plan(predictor, &frame, 0.004f, &plan));
+        OK(entire_session_plan(session, &frame, 0.004f, &plan));
         const float out[2] = {plan.seconds, plan.step};
         CHECK(fwrite(out, sizeof out[0], 2, stdout) == 2);
-        OK(entire_predictor_observe(predictor, plan.id, 0.001f + 0.01f / plan.step, 0, NULL));
+        OK(entire_session_observe(session, plan.id, 0.001f + 0.01f / plan.step, 0, NULL));
     }
-    entire_predictor_free(predictor);
+    entire_session_free(session);
     entire_model_free(model);
     return 0;
 }

@@ -18,9 +18,14 @@ say() { printf '\n==> %s\n' "$*"; }
 fail() { printf 'FAILED: %s\n' "$*" >&2; exit 1; }
 have() { command -v "$1" >/dev/null 2>&1; }
 ok() { passed+=("$*"); }
-skip() { printf 'skipped: %s\n' "$*"; skipped+=("$*"); }
+# Also into the list that `make test` ends with.
+skip() {
+    printf 'skipped: %s\n' "$*"
+    skipped+=("$*")
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || printf 'test-ffi: %s\n' "$*" >>"$ENTIRE_SKIPPED"
+}
 
-have cmake || { printf 'skipped: the installed C library is not tested, cmake is missing (apt-get install cmake)\n'; exit 0; }
+have cmake || { skip "the installed C library is not tested, cmake is not installed (apt-get install cmake)"; exit 0; }
 generator=()
 if have ninja; then generator=(-G Ninja); fi
 
@@ -70,7 +75,7 @@ if have pkg-config; then
     "$work/by_pkg_config_static" "$toy" >/dev/null || fail "a program built by pkg-config's static flags"
     ok "pkg-config: shared and static"
 else
-    skip "pkg-config is not installed"
+    skip "programs built by pkg-config: it is not installed (apt-get install pkg-config)"
 fi
 
 say "examples as projects of their own"
@@ -96,7 +101,7 @@ if [[ ! $quick ]]; then
                 -DCMAKE_CXX_STANDARD=$standard
         done
     else
-        skip "clang is not installed"
+        skip "tests with clang: it is not installed (apt-get install clang)"
     fi
 fi
 
@@ -144,12 +149,12 @@ if [[ ! $quick ]]; then
         TSAN_OPTIONS="exitcode=99:suppressions=$root/tests/c/tsan.supp" "$work/tsan-threads" "$toy" || fail "thread sanitizer"
         ok "thread sanitizer: eight threads, one model, no report"
     else
-        skip "gcc has no thread sanitizer here"
+        skip "thread sanitizer: gcc has none here"
     fi
 
     say "valgrind"
     if have valgrind; then
-        for test in library model volume transfer_function predictor; do
+        for test in library model volume transfer_function session limits; do
             valgrind --quiet --error-exitcode=99 --leak-check=full --show-leak-kinds=definite,possible \
                 "$work/gcc-c++17/test_$test" "$toy" || fail "valgrind: test_$test"
         done
@@ -158,7 +163,7 @@ if [[ ! $quick ]]; then
         valgrind --quiet --error-exitcode=99 --leak-check=full "$work/gcc-c++17/test_hpp" "$toy" || fail "valgrind: test_hpp"
         ok "valgrind: no error, no leak"
     else
-        skip "valgrind is not installed"
+        skip "tests under valgrind: it is not installed (apt-get install valgrind)"
     fi
 fi
 

@@ -19,7 +19,7 @@
 
 static_assert(!std::is_copy_constructible_v<entire::model> && std::is_nothrow_move_constructible_v<entire::model>);
 static_assert(!std::is_copy_constructible_v<entire::volume> && std::is_nothrow_move_constructible_v<entire::volume>);
-static_assert(std::is_nothrow_move_constructible_v<entire::predictor>);
+static_assert(std::is_nothrow_move_constructible_v<entire::session>);
 static_assert(std::is_nothrow_move_constructible_v<entire::transfer_function>);
 
 static entire::volume make_volume() {
@@ -35,9 +35,9 @@ static void failures() {
     CHECK(!missing && missing.code() == ENTIRE_IO && missing.message().find("/no/such/file") == 0);
     const auto junk = std::array<std::uint8_t, 5>{1, 2, 3, 4, 5};
     CHECK(entire::model::from_bytes(junk).code() == ENTIRE_INVALID_MODEL);
-    auto predictor = entire::predictor::untrained().value();
-    CHECK(predictor.plan(entire::frame(8, 8), 0.01f).code() == ENTIRE_NOT_READY);
-    CHECK(!predictor.set_limits(3, 2) && predictor.set_limits(2, 3));
+    auto session = entire::session::untrained().value();
+    CHECK(session.plan(entire::frame(8, 8), 0.01f).code() == ENTIRE_NOT_READY);
+    CHECK(!session.set_limits(3, 2) && session.set_limits(2, 3));
 #ifndef ENTIRE_NO_EXCEPTIONS
     bool caught = false;
     try {
@@ -48,7 +48,7 @@ static void failures() {
     CHECK(caught);
     caught = false;
     try {
-        (void)predictor.plan(entire::frame(8, 8), 0.01f).value();
+        (void)session.plan(entire::frame(8, 8), 0.01f).value();
     } catch (const std::runtime_error &) {
         caught = true;
     }
@@ -83,33 +83,33 @@ int main(int argc, char **argv) {
     CHECK(model.predict(std::span<const float>(inputs).first(11)).value() == alone);
 #endif
 
-    auto predictor = entire::predictor::create(model).value();
-    predictor.set_volume(volume).value();
+    auto session = entire::session::create(model).value();
+    session.set_volume(volume).value();
     const entire_gaussian_lobe lobe = {0.5f, 0.01f, 0.5f};
     auto lobes = entire::transfer_function::from_lobes({&lobe, 1}).value();
     CHECK(lobes.table().value().size() == 1024 && lobes.set_unit_distance(2, ENTIRE_UNIT_WORLD));
-    CHECK(predictor.set_transfer_function(lobes));
+    CHECK(session.set_transfer_function(lobes));
     const entire_opacity_node nodes[] = {{0, 0, 0.5, 0}, {4095, 0.8, 0.5, 0.3}};
     const entire_color_node colors[] = {{0, {0, 0, 1}, 0.5, 0}, {4095, {1, 0, 0}, 0.5, 0}};
     CHECK(entire::transfer_function::from_nodes(nodes, colors, 0, 4095));
     CHECK(entire::transfer_function::from_table(lobes.table().value()));
 
     entire::frame frame(64, 64);
-    const auto plan = predictor.plan(frame.orbit(10, 20, 3), 0.02f).value();
+    const auto plan = session.plan(frame.orbit(10, 20, 3), 0.02f).value();
     CHECK(plan.id != 0);
-    CHECK(predictor.observe(plan.id, 0.015f));
-    CHECK(predictor.observe(plan.id, 0.015f).code() == ENTIRE_REJECTED_OBSERVATION);
+    CHECK(session.observe(plan.id, 0.015f));
+    CHECK(session.observe(plan.id, 0.015f).code() == ENTIRE_REJECTED_OBSERVATION);
     const float identity[16] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, -100, 1};
-    CHECK(predictor.predict(frame.look(identity, 0, 0, 0)).value().seconds > 0);
+    CHECK(session.predict(frame.look(identity, 0, 0, 0)).value().seconds > 0);
     const std::array<entire_setting, 2> settings = {{{1, 64, 64, ENTIRE_SHADING_NONE, ENTIRE_SKIPPING_BLOCKS},
                                                      {2, 64, 64, ENTIRE_SHADING_NONE, ENTIRE_SKIPPING_BLOCKS}}};
-    CHECK(predictor.choose(frame, settings, 1000).value().index == 0);
-    const auto state = predictor.save_state().value();
-    CHECK(!state.empty() && predictor.load_state(state) && predictor.reset() && predictor.mark(ENTIRE_CHANGE_CAMERA));
-    CHECK(predictor.set_enabled(false) && predictor.plan(frame, 0.02f).value().reason == ENTIRE_REASON_OFF);
+    CHECK(session.choose(frame, settings, 1000).value().index == 0);
+    const auto state = session.save_state().value();
+    CHECK(!state.empty() && session.load_state(state) && session.reset() && session.mark(ENTIRE_CHANGE_CAMERA));
+    CHECK(session.set_enabled(false) && session.plan(frame, 0.02f).value().reason == ENTIRE_REASON_OFF);
 
-    entire::predictor moved = std::move(predictor);
-    CHECK(predictor.get() == nullptr && moved.get() != nullptr);
-    CHECK(predictor.reset().code() == ENTIRE_NULL_ARGUMENT);
+    entire::session moved = std::move(session);
+    CHECK(session.get() == nullptr && moved.get() != nullptr);
+    CHECK(session.reset().code() == ENTIRE_NULL_ARGUMENT);
     return 0;
 }

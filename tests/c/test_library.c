@@ -4,7 +4,7 @@
 _Static_assert(ENTIRE_OK == 0 && ENTIRE_INVALID_ARGUMENT == 1 && ENTIRE_SIZE_MISMATCH == 2 && ENTIRE_INVALID_MODEL == 3 &&
                    ENTIRE_INVALID_TENSOR == 4 && ENTIRE_MISSING_INPUT == 5 && ENTIRE_NOT_READY == 6 &&
                    ENTIRE_REJECTED_OBSERVATION == 7 && ENTIRE_UNSUPPORTED == 8 && ENTIRE_NULL_ARGUMENT == 100 &&
-                   ENTIRE_STRUCT_SIZE == 101 && ENTIRE_IO == 102 && ENTIRE_PANIC == 103,
+                   ENTIRE_STRUCT_SIZE == 101 && ENTIRE_IO == 102 && ENTIRE_PANIC == 103 && ENTIRE_OUT_OF_MEMORY == 104,
                "result numbers never change");
 _Static_assert(ENTIRE_STRIDE_CONTIGUOUS == SIZE_MAX, "the library takes it for SIZE_MAX");
 
@@ -12,10 +12,10 @@ _Static_assert(ENTIRE_STRIDE_CONTIGUOUS == SIZE_MAX, "the library takes it for S
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_model_info) == 56, "entire_model_info");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_input_group) == 32, "entire_input_group");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_volume_desc) == 104, "entire_volume_desc");
-_Static_assert(sizeof(void *) != 8 || sizeof(entire_brick_desc) == 96, "entire_brick_desc");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_brick_desc) == 88, "entire_brick_desc");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_volume_info) == 72, "entire_volume_info");
-_Static_assert(sizeof(void *) != 8 || sizeof(entire_frame) == 144, "entire_frame");
-_Static_assert(sizeof(void *) != 8 || sizeof(entire_predictor_options) == 40, "entire_predictor_options");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_frame) == 136, "entire_frame");
+_Static_assert(sizeof(void *) != 8 || sizeof(entire_session_options) == 40, "entire_session_options");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_plan) == 48, "entire_plan");
 _Static_assert(sizeof(void *) != 8 || sizeof(entire_prediction) == 32, "entire_prediction");
 _Static_assert(sizeof(entire_gaussian_lobe) == 12 && sizeof(entire_opacity_node) == 32 &&
@@ -25,11 +25,14 @@ _Static_assert(offsetof(entire_frame, view) == 36 && offsetof(entire_frame, volu
                    offsetof(entire_frame, shading) == 124,
                "entire_frame's fields");
 _Static_assert(sizeof(void *) != 8 || (offsetof(entire_plan, id) == 8 && offsetof(entire_plan, step) == 16 &&
-                                       offsetof(entire_plan, reason) == 32 && offsetof(entire_plan, absent) == 36),
+                                       offsetof(entire_plan, image_sample_distance) == 20 &&
+                                       offsetof(entire_plan, seconds) == 24 && offsetof(entire_plan, absent) == 36 &&
+                                       offsetof(entire_plan, reason) == 40),
                "entire_plan's fields");
 _Static_assert(sizeof(void *) != 8 ||
-                   (offsetof(entire_volume_desc, voxels) == 16 && offsetof(entire_volume_desc, dims) == 32 &&
-                    offsetof(entire_volume_desc, strides) == 56 && offsetof(entire_volume_desc, spacing) == 80),
+                   (offsetof(entire_volume_desc, voxels) == 8 && offsetof(entire_volume_desc, scalar_type) == 24 &&
+                    offsetof(entire_volume_desc, dims) == 32 && offsetof(entire_volume_desc, strides) == 56 &&
+                    offsetof(entire_volume_desc, spacing) == 80 && offsetof(entire_volume_desc, range) == 92),
                "entire_volume_desc's fields");
 
 typedef struct {
@@ -82,12 +85,12 @@ static void struct_sizes(void) {
     OK(entire_frame_init(&newer.frame, sizeof newer));
     CHECK(newer.frame.struct_size == sizeof newer && newer.later_field == 0);
 
-    entire_predictor *predictor = toy_predictor(NULL);
+    entire_session *session = toy_session(NULL);
     entire_plan plan = {.struct_size = sizeof plan};
     newer.frame.width = newer.frame.height = 32;
-    OK(entire_predictor_plan(predictor, &newer.frame, 0.02f, &plan));
+    OK(entire_session_plan(session, &newer.frame, 0.02f, &plan));
     newer.later_field = 1;
-    EXPECT(ENTIRE_STRUCT_SIZE, entire_predictor_plan(predictor, &newer.frame, 0.02f, &plan));
+    EXPECT(ENTIRE_STRUCT_SIZE, entire_session_plan(session, &newer.frame, 0.02f, &plan));
     SAYS("entire_frame.struct_size");
 
     const size_t bad[] = {0, 1, sizeof(size_t), sizeof(entire_frame) - 1, (size_t)1 << 16, SIZE_MAX};
@@ -95,7 +98,7 @@ static void struct_sizes(void) {
         entire_frame frame = toy_frame();
         EXPECT(ENTIRE_STRUCT_SIZE, entire_frame_init(&frame, bad[i]));
         frame.struct_size = bad[i];
-        EXPECT(ENTIRE_STRUCT_SIZE, entire_predictor_plan(predictor, &frame, 0.02f, &plan));
+        EXPECT(ENTIRE_STRUCT_SIZE, entire_session_plan(session, &frame, 0.02f, &plan));
     }
     /* An output struct of a newer caller is filled as far as the library knows it. */
     struct {
@@ -103,9 +106,9 @@ static void struct_sizes(void) {
         uint64_t later_field;
     } newer_plan = {.plan = {.struct_size = sizeof newer_plan}, .later_field = 77};
     entire_frame frame = toy_frame();
-    OK(entire_predictor_plan(predictor, &frame, 0.02f, &newer_plan.plan));
+    OK(entire_session_plan(session, &frame, 0.02f, &newer_plan.plan));
     CHECK(newer_plan.plan.struct_size == sizeof newer_plan && newer_plan.plan.id != 0 && newer_plan.later_field == 77);
-    entire_predictor_free(predictor);
+    entire_session_free(session);
 }
 
 static void schedule(void) {

@@ -11,7 +11,7 @@ static entire_model *open_toy(const char *path) {
 
 static entire_model_info info_of(const entire_model *model) {
     entire_model_info info = {.struct_size = sizeof info};
-    OK(entire_model_get_info(model, &info));
+    OK(entire_model_describe(model, &info));
     return info;
 }
 
@@ -24,18 +24,18 @@ static void descriptions(const entire_model *model) {
     size_t offset = 0;
     for (size_t i = 0; i < info.group_count; ++i) {
         entire_input_group group = {.struct_size = sizeof group};
-        OK(entire_model_get_input(model, i, &group));
+        OK(entire_model_input_group(model, i, &group));
         CHECK(strcmp(group.name, names[i]) == 0 && group.offset == offset);
         offset += group.size;
     }
     CHECK(offset == info.input_count);
     entire_input_group group = {.struct_size = sizeof group, .size = 99};
-    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_model_get_input(model, info.group_count, &group));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_model_input_group(model, info.group_count, &group));
     CHECK(group.size == 99);
     group.struct_size = 3;
-    EXPECT(ENTIRE_STRUCT_SIZE, entire_model_get_input(model, 0, &group));
+    EXPECT(ENTIRE_STRUCT_SIZE, entire_model_input_group(model, 0, &group));
     info.struct_size = 0;
-    EXPECT(ENTIRE_STRUCT_SIZE, entire_model_get_info(model, &info));
+    EXPECT(ENTIRE_STRUCT_SIZE, entire_model_describe(model, &info));
 
     CHECK(strcmp(entire_model_metadata(model, "entire.target"), "log_seconds") == 0);
     CHECK(strstr(entire_model_metadata(model, "entire.renderer"), "toy") != NULL);
@@ -157,29 +157,29 @@ static void hostile_files(const char *path) {
 
     /* A file without networks for the call. */
     OK(altered(path, "\"prednet.", "\"predmet.", &model));
-    entire_predictor *predictor = NULL;
+    entire_session *session = NULL;
     float seconds = 0;
     EXPECT(ENTIRE_UNSUPPORTED, entire_model_predict(model, &seconds, 1, &seconds));
-    EXPECT(ENTIRE_UNSUPPORTED, entire_predictor_new(model, NULL, &predictor));
-    CHECK(predictor == NULL && info_of(model).input_count == 0 && info_of(model).target == ENTIRE_TARGET_NONE);
+    EXPECT(ENTIRE_UNSUPPORTED, entire_session_new(model, NULL, &session));
+    CHECK(session == NULL && info_of(model).input_count == 0 && info_of(model).target == ENTIRE_TARGET_NONE);
     entire_model_free(model);
 
     OK(altered(path, "\"volumenet.", "\"volumemet.", &model));
     entire_volume *volume = toy_volume();
     size_t count = 0;
     EXPECT(ENTIRE_UNSUPPORTED, entire_model_encode(model, volume, &seconds, 1, &count));
-    OK(entire_predictor_new(model, NULL, &predictor));
-    EXPECT(ENTIRE_UNSUPPORTED, entire_predictor_set_volume(predictor, volume));
-    entire_predictor_free(predictor);
-    predictor = NULL;
+    OK(entire_session_new(model, NULL, &session));
+    EXPECT(ENTIRE_UNSUPPORTED, entire_session_set_volume(session, volume));
+    entire_session_free(session);
+    session = NULL;
     entire_volume_free(volume);
     entire_model_free(model);
 
-    /* An input group that the library cannot supply: plain predictions work, predictors say why they do not. */
+    /* An input group that the library cannot supply: plain predictions work, sessions say why they do not. */
     OK(altered(path, "\"camera", "\"camfra", &model));
-    EXPECT(ENTIRE_MISSING_INPUT, entire_predictor_new(model, NULL, &predictor));
+    EXPECT(ENTIRE_MISSING_INPUT, entire_session_new(model, NULL, &session));
     SAYS("camfra");
-    CHECK(predictor == NULL);
+    CHECK(session == NULL);
     entire_model_free(model);
 }
 

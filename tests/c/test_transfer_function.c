@@ -133,16 +133,16 @@ static void unit_distances(void) {
         entire_transfer_function *tf = toy_transfer_function();
         if (i == 1) OK(entire_transfer_function_set_unit_distance(tf, 2, ENTIRE_UNIT_WORLD));
         if (i == 2) OK(entire_transfer_function_set_unit_distance(tf, 4, ENTIRE_UNIT_REFERENCE_STEP));
-        entire_predictor *predictor = NULL;
-        OK(entire_predictor_new(NULL, NULL, &predictor));
-        EXPECT(ENTIRE_NOT_READY, entire_predictor_set_transfer_function(predictor, tf));
-        OK(entire_predictor_set_volume(predictor, volume));
-        OK(entire_predictor_set_transfer_function(predictor, tf));
+        entire_session *session = NULL;
+        OK(entire_session_new(NULL, NULL, &session));
+        EXPECT(ENTIRE_NOT_READY, entire_session_set_transfer_function(session, tf));
+        OK(entire_session_set_volume(session, volume));
+        OK(entire_session_set_transfer_function(session, tf));
         entire_frame frame = toy_frame();
         entire_prediction prediction = {.struct_size = sizeof prediction};
-        OK(entire_predictor_predict(predictor, &frame, &prediction));
+        OK(entire_session_predict(session, &frame, &prediction));
         seconds[i] = prediction.seconds;
-        entire_predictor_free(predictor);
+        entire_session_free(session);
         entire_transfer_function_free(tf);
         entire_volume_free(volume);
     }

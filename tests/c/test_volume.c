@@ -16,7 +16,7 @@ static entire_volume_desc desc_of(entire_scalar_type type, const void *voxels) {
 
 static entire_volume_info info_of(const entire_volume *volume) {
     entire_volume_info info = {.struct_size = sizeof info};
-    OK(entire_volume_get_info(volume, &info));
+    OK(entire_volume_describe(volume, &info));
     return info;
 }
 
@@ -145,7 +145,7 @@ static void descriptions(void) {
     OK(entire_volume_last_error(volume, text, sizeof text, NULL));
     CHECK(text[0] == '\0');
     info.struct_size = 5;
-    EXPECT(ENTIRE_STRUCT_SIZE, entire_volume_get_info(volume, &info));
+    EXPECT(ENTIRE_STRUCT_SIZE, entire_volume_describe(volume, &info));
     entire_volume_free(volume);
     entire_volume_free(NULL);
 }
@@ -173,6 +173,7 @@ static void refusals(void) {
     REFUSE(ENTIRE_SIZE_MISMATCH, (desc.voxel_count = SIZE_MAX, desc.ownership = ENTIRE_VOXELS_BORROW), "memory");
     REFUSE(ENTIRE_SIZE_MISMATCH, desc.dims[0] = desc.dims[1] = desc.dims[2] = SIZE_MAX, "too large");
     REFUSE(ENTIRE_SIZE_MISMATCH, desc.strides[0] = desc.strides[1] = desc.strides[2] = SIZE_MAX / 2, "too large");
+    REFUSE(ENTIRE_INVALID_ARGUMENT, desc.reserved = 1, "reserved");
     REFUSE(ENTIRE_INVALID_ARGUMENT, desc.spacing[0] = 0, "spacing");
     REFUSE(ENTIRE_INVALID_ARGUMENT, desc.spacing[1] = NAN, "spacing");
     REFUSE(ENTIRE_INVALID_ARGUMENT, desc.range[0] = 1, "range");
@@ -199,16 +200,16 @@ static void bricks(void) {
     CHECK(info.dims[1] == 9 && !info.has_voxels && isnan(info.range[0]) && info.scalar_type == ENTIRE_SCALAR_F64);
     CHECK(info.reference_step == 1 && fabsf(info.bounding_radius - 0.5f * sqrtf(256 + 81 + 72 * 72)) < 1e-4f);
 
-    entire_predictor *predictor = NULL;
+    entire_session *session = NULL;
     entire_transfer_function *tf = toy_transfer_function();
-    OK(entire_predictor_new(NULL, NULL, &predictor));
-    OK(entire_predictor_set_volume(predictor, volume));
-    OK(entire_predictor_set_transfer_function(predictor, tf));
+    OK(entire_session_new(NULL, NULL, &session));
+    OK(entire_session_set_volume(session, volume));
+    OK(entire_session_set_transfer_function(session, tf));
     entire_frame frame = toy_frame();
     entire_plan plan = {.struct_size = sizeof plan};
-    OK(entire_predictor_plan(predictor, &frame, 0.01f, &plan));
+    OK(entire_session_plan(session, &frame, 0.01f, &plan));
     CHECK(plan.id != 0 && plan.step >= 1 && plan.step <= 16);
-    entire_predictor_free(predictor);
+    entire_session_free(session);
     entire_transfer_function_free(tf);
     entire_volume_free(volume);
     volume = NULL;
@@ -226,7 +227,6 @@ static void bricks(void) {
     REFUSE_BRICKS(ENTIRE_INVALID_ARGUMENT, desc.brick_edge[2] = 0);
     REFUSE_BRICKS(ENTIRE_INVALID_ARGUMENT, desc.spacing[0] = -1);
     REFUSE_BRICKS(ENTIRE_INVALID_ARGUMENT, desc.scalar_type = 77);
-    REFUSE_BRICKS(ENTIRE_INVALID_ARGUMENT, desc.reserved = 1);
     REFUSE_BRICKS(ENTIRE_SIZE_MISMATCH, desc.dims[0] = desc.dims[1] = desc.dims[2] = SIZE_MAX);
     REFUSE_BRICKS(ENTIRE_SIZE_MISMATCH, desc.brick_count = SIZE_MAX);
     REFUSE_BRICKS(ENTIRE_STRUCT_SIZE, desc.struct_size = 1);

@@ -1,4 +1,4 @@
-/* Eight threads share one model, one volume and one transfer function; each has a predictor of its own. Predictions of all
+/* Eight threads share one model, one volume and one transfer function; each has a session of its own. Predictions of all
  * threads are the same bits; a failing thread reads its own error. */
 #include "check.h"
 #include <pthread.h>
@@ -23,12 +23,12 @@ static void listen(void *user_data, entire_log_level level, const char *message)
 
 static void *work(void *argument) {
     const int me = *(const int *)argument;
-    entire_predictor *predictor = NULL;
+    entire_session *session = NULL;
     entire_frame frame = toy_frame();
     frame.arcball[1] = (float)me * 20;
-    OK(entire_predictor_new(model, NULL, &predictor));
-    OK(entire_predictor_set_volume(predictor, volume));
-    OK(entire_predictor_set_transfer_function(predictor, tf));
+    OK(entire_session_new(model, NULL, &session));
+    OK(entire_session_set_volume(session, volume));
+    OK(entire_session_set_transfer_function(session, tf));
     for (int round = 0; round < ROUNDS; ++round) {
         float inputs[COLUMNS], seconds = 0;
         inputs_of(round % 64, inputs);
@@ -36,8 +36,8 @@ static void *work(void *argument) {
         CHECK(seconds == wanted[round % 64]);
         if (round % 16 == 0) {
             entire_plan plan = {.struct_size = sizeof plan};
-            OK(entire_predictor_plan(predictor, &frame, 0.02f, &plan));
-            OK(entire_predictor_observe(predictor, plan.id, 0.01f + 0.001f * (float)(round % 7), 0, NULL));
+            OK(entire_session_plan(session, &frame, 0.02f, &plan));
+            OK(entire_session_observe(session, plan.id, 0.01f + 0.001f * (float)(round % 7), 0, NULL));
             EXPECT(ENTIRE_SIZE_MISMATCH, entire_model_predict(model, inputs, (size_t)me, &seconds));
             char mine[40], text[400];
             snprintf(mine, sizeof mine, "%d inputs in 1 row", me);
@@ -52,7 +52,7 @@ static void *work(void *argument) {
             OK(entire_set_log(round % 1000 ? listen : NULL, &logged[me], ENTIRE_LOG_ERROR));
         }
     }
-    entire_predictor_free(predictor);
+    entire_session_free(session);
     return NULL;
 }
 

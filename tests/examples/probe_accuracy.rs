@@ -4,10 +4,10 @@
 //! cargo run --release -p entire-tests --example probe_accuracy -- [--frames N] [--max-size N] VOLUME…
 //! ```
 //!
-//! Draws random scenes as `entire collect` does (seed 1), for every volume with steps 1, 2 and 4, and prints for each
-//! shading mode the median and 90th percentile of |estimate / count − 1| and the median of estimate / count, over the
-//! frames in which the counted work is not negligible. With `WORST` in the environment it also prints, for each volume,
-//! the frame whose samples were estimated worst.
+//! Draws random scenes as `entire collect` does (seed 1), for every volume with steps 1, 2 and 4, and prints
+//! for each shading mode the median and 90th percentile of |estimate / count − 1| and the median of estimate
+//! / count, over the frames in which the counted work is not negligible. With `WORST` in the environment it
+//! also prints, for each volume, the frame whose samples were estimated worst.
 
 use entire_cli::scenes::SceneDistribution;
 use entire_cli::volume::Volume;
@@ -68,7 +68,7 @@ fn main() {
                 let mut transfer = TransferSummary::new(&summary, &table);
                 transfer.prepare_distance();
                 let mut features = FrameFeatures::new();
-                features.measure(&summary, &transfer, &frame);
+                features.measure(&summary, &mut transfer, &frame);
                 let work = features.work(&Setting::of(&frame));
                 // The twin counts shadow samples with the primary ones.
                 let pairs = [

@@ -1,15 +1,26 @@
-//! The house rules that a compiler does not check: arrows between rooms never point back, and `unsafe` stays fenced.
+//! The house rules that a compiler does not check: arrows between rooms never point back, and `unsafe` stays
+//! fenced.
 
+use proc_macro2::{TokenStream, TokenTree};
+use quote::ToTokens;
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use syn::visit_mut::{
+    VisitMut, visit_file_mut, visit_item_impl_mut, visit_item_mod_mut, visit_item_trait_mut,
+};
 
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace root").to_path_buf()
 }
 
-fn rust_files(folder: &Path) -> Vec<PathBuf> {
+/// Rust files of a folder and those below it, or the one file.
+fn rust_files(place: &Path) -> Vec<PathBuf> {
+    if place.is_file() {
+        return vec![place.to_path_buf()];
+    }
     let mut found = Vec::new();
-    let mut stack = vec![folder.to_path_buf()];
+    let mut stack = vec![place.to_path_buf()];
     while let Some(path) = stack.pop() {
         let entries = fs::read_dir(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         for entry in entries {
@@ -22,19 +33,171 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
         }
     }
     found.sort();
-    assert!(!found.is_empty(), "no Rust file under {}", folder.display());
+    assert!(!found.is_empty(), "no Rust file under {}", place.display());
     found
 }
 
-/// The code of a file without comments and without its unit tests (which stand last, behind `#[cfg(test)]`).
-fn product_code(path: &Path) -> String {
-    let text = fs::read_to_string(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
-    let product = text.split("#[cfg(test)]").next().unwrap_or_default();
-    product.lines().map(|line| line.split("//").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
+/// Removes what is compiled for tests alone, exactly, wherever it stands, and notes which files hold only
+/// that.
+#[derive(Default)]
+struct WithoutTests {
+    test_modules: BTreeSet<String>,
 }
 
-/// Which rooms of `core` each room may use. Everyone may use the error type and itself.
-const ROOMS: &[(&str, &[&str])] = &[
+fn for_tests(attributes: &[syn::Attribute]) -> bool {
+    attributes.iter().any(|a| {
+        a.path().is_ident("cfg") && a.parse_args::<syn::Ident>().is_ok_and(|condition| condition == "test")
+    })
+}
+
+fn attributes(item: &syn::Item) -> &[syn::Attribute] {
+    use syn::Item;
+    match item {
+        Item::Const(i) => &i.attrs,
+        Item::Enum(i) => &i.attrs,
+        Item::ExternCrate(i) => &i.attrs,
+        Item::Fn(i) => &i.attrs,
+        Item::ForeignMod(i) => &i.attrs,
+        Item::Impl(i) => &i.attrs,
+        Item::Macro(i) => &i.attrs,
+        Item::Mod(i) => &i.attrs,
+        Item::Static(i) => &i.attrs,
+        Item::Struct(i) => &i.attrs,
+        Item::Trait(i) => &i.attrs,
+        Item::TraitAlias(i) => &i.attrs,
+        Item::Type(i) => &i.attrs,
+        Item::Union(i) => &i.attrs,
+        Item::Use(i) => &i.attrs,
+        _ => &[],
+    }
+}
+
+impl WithoutTests {
+    fn filter(&mut self, items: &mut Vec<syn::Item>) {
+        items.retain(|item| {
+            let test = for_tests(attributes(item));
+            if let syn::Item::Mod(module) = item
+                && test
+                && module.content.is_none()
+            {
+                self.test_modules.insert(module.ident.to_string());
+            }
+            !test
+        });
+    }
+}
+
+impl VisitMut for WithoutTests {
+    fn visit_file_mut(&mut self, file: &mut syn::File) {
+        self.filter(&mut file.items);
+        visit_file_mut(self, file);
+    }
+
+    fn visit_item_mod_mut(&mut self, module: &mut syn::ItemMod) {
+        if let Some((_, items)) = &mut module.content {
+            self.filter(items);
+        }
+        visit_item_mod_mut(self, module);
+    }
+
+    fn visit_item_impl_mut(&mut self, item: &mut syn::ItemImpl) {
+        item.items.retain(|i| match i {
+            syn::ImplItem::Fn(f) => !for_tests(&f.attrs),
+            syn::ImplItem::Const(c) => !for_tests(&c.attrs),
+            _ => true,
+        });
+        visit_item_impl_mut(self, item);
+    }
+
+    fn visit_item_trait_mut(&mut self, item: &mut syn::ItemTrait) {
+        item.items.retain(|i| !matches!(i, syn::TraitItem::Fn(f) if for_tests(&f.attrs)));
+        visit_item_trait_mut(self, item);
+    }
+}
+
+/// The tokens of a text without what is compiled for tests alone, and the names of modules that are so.
+fn product_tokens(text: &str) -> syn::Result<(TokenStream, BTreeSet<String>)> {
+    let mut file = syn::parse_file(text)?;
+    let mut without = WithoutTests::default();
+    without.visit_file_mut(&mut file);
+    Ok((file.into_token_stream(), without.test_modules))
+}
+
+/// The code of a place, file by file, without tests: neither test items nor files that are test modules.
+fn product(place: &Path) -> Vec<(PathBuf, TokenStream)> {
+    let mut code = Vec::new();
+    let mut tests: BTreeSet<PathBuf> = BTreeSet::new();
+    for path in rust_files(place) {
+        let text = fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        let (tokens, modules) = product_tokens(&text).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        let folder = match path.file_name().and_then(|n| n.to_str()) {
+            Some("mod.rs" | "lib.rs" | "main.rs") => path.parent().expect("a folder").to_path_buf(),
+            _ => path.with_extension(""),
+        };
+        for module in modules {
+            tests.insert(folder.join(format!("{module}.rs")));
+            tests.insert(folder.join(module));
+        }
+        code.push((path, tokens));
+    }
+    code.retain(|(path, _)| !tests.iter().any(|test| path.starts_with(test)));
+    code
+}
+
+/// What follows `root::` anywhere in the tokens, macros and grouped imports included.
+fn names_below(root: &str, tokens: &TokenStream) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    collect_names(root, tokens.clone(), &mut found);
+    found
+}
+
+fn collect_names(root: &str, tokens: TokenStream, found: &mut BTreeSet<String>) {
+    let all: Vec<TokenTree> = tokens.into_iter().collect();
+    let is_colon = |t: Option<&TokenTree>| matches!(t, Some(TokenTree::Punct(p)) if p.as_char() == ':');
+    for (i, token) in all.iter().enumerate() {
+        if let TokenTree::Group(group) = token {
+            collect_names(root, group.stream(), found);
+        }
+        let here = matches!(token, TokenTree::Ident(ident) if ident == root);
+        if !(here && is_colon(all.get(i + 1)) && is_colon(all.get(i + 2))) {
+            continue;
+        }
+        match all.get(i + 3) {
+            Some(TokenTree::Ident(name)) => {
+                found.insert(name.to_string());
+            }
+            // `use root::{a, b::c}`: the first name of every branch.
+            Some(TokenTree::Group(group)) => {
+                let mut first = true;
+                for t in group.stream() {
+                    match t {
+                        TokenTree::Ident(name) if first => {
+                            found.insert(name.to_string());
+                            first = false;
+                        }
+                        TokenTree::Punct(p) if p.as_char() == ',' => first = true,
+                        _ => {}
+                    }
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+fn says(word: &str, tokens: TokenStream) -> bool {
+    tokens.into_iter().any(|t| match t {
+        TokenTree::Ident(ident) => ident == word,
+        TokenTree::Group(group) => says(word, group.stream()),
+        _ => false,
+    })
+}
+
+/// Rooms of a crate, and which other rooms each may use.
+type Rooms = [(&'static str, &'static [&'static str])];
+
+/// Everyone may use the error type and itself.
+const CORE: &Rooms = &[
     ("scene", &[]),
     ("kernels", &[]),
     ("features", &["scene"]),
@@ -47,27 +210,135 @@ const ROOMS: &[(&str, &[&str])] = &[
     ("train", &["predict", "model", "nn", "kernels", "features", "scene"]),
 ];
 
-#[test]
-fn arrows_between_the_rooms_of_core_never_point_back() {
-    let core = root().join("core/src");
+/// A room is a folder or a file. Commands are what nobody else uses.
+const CLI: &Rooms = &[
+    ("device", &[]),
+    ("volume", &[]),
+    ("files", &["volume"]),
+    ("farm", &["files"]),
+    ("interrupt", &[]),
+    ("machine", &[]),
+    ("metrics", &[]),
+    ("path", &["files"]),
+    ("program", &[]),
+    ("progress", &[]),
+    ("report", &["files"]),
+    ("teacher", &[]),
+    ("bound", &["metrics"]),
+    ("enlarge", &["volume"]),
+    ("options", &["device", "machine"]),
+    ("scenes", &["files"]),
+    ("dataset", &["files", "metrics"]),
+    ("split", &["dataset"]),
+    ("inputs", &["dataset", "enlarge", "volume"]),
+    ("evaluation", &["dataset", "inputs", "metrics", "options"]),
+    ("fit", &["dataset", "files", "inputs", "metrics"]),
+    ("collection", &["dataset", "enlarge", "scenes", "volume"]),
+    (
+        "steering",
+        &["dataset", "files", "fit", "machine", "metrics", "options", "path", "progress", "report", "scenes"],
+    ),
+    (
+        "commands",
+        &[
+            "bound",
+            "collection",
+            "dataset",
+            "device",
+            "enlarge",
+            "evaluation",
+            "farm",
+            "files",
+            "fit",
+            "inputs",
+            "interrupt",
+            "machine",
+            "metrics",
+            "options",
+            "path",
+            "progress",
+            "report",
+            "scenes",
+            "split",
+            "steering",
+            "teacher",
+            "volume",
+        ],
+    ),
+    ("command_line", &["commands", "program"]),
+];
+
+const LAB: &Rooms = &[
+    ("bars", &[]),
+    ("calibration", &[]),
+    ("latency", &[]),
+    ("stress", &[]),
+    ("trace", &[]),
+    ("trees", &[]),
+    ("farm", &["bars", "calibration", "trace"]),
+    ("replay", &["bars", "trace"]),
+    ("study", &["bars", "latency", "trees"]),
+    ("ship", &["latency", "study"]),
+    ("commands", &["bars", "calibration", "farm", "latency", "replay", "ship", "stress", "study", "trace"]),
+];
+
+/// The rooms that a crate's source folder has: its folders, and its files but for the two that open it; those
+/// for tests alone are none.
+fn rooms_of(source: &Path) -> Vec<String> {
+    let text = fs::read_to_string(source.join("lib.rs")).expect("lib.rs");
+    let (_, tests) = product_tokens(&text).expect("Rust");
+    let mut found: Vec<String> = fs::read_dir(source)
+        .expect("a source folder")
+        .map(|entry| entry.expect("a directory entry").path())
+        .filter_map(|path| path.file_stem()?.to_str().map(str::to_owned))
+        .filter(|name| name != "lib" && name != "main" && !tests.contains(name))
+        .collect();
+    found.sort();
+    found
+}
+
+/// What in a crate points back.
+fn arrows_that_point_back(source: &Path, rooms: &Rooms) -> Vec<String> {
     let mut wrong = Vec::new();
-    for (room, allowed) in ROOMS {
-        for file in rust_files(&core.join(room)) {
-            let code = product_code(&file);
-            for (other, _) in ROOMS {
-                let used =
-                    code.contains(&format!("crate::{other}::")) || code.contains(&format!("crate::{other};"));
-                if used && other != room && !allowed.contains(other) {
-                    wrong.push(format!("{} uses crate::{other}", file.display()));
+    for (room, allowed) in rooms {
+        let folder = source.join(room);
+        let place = if folder.is_dir() { folder } else { source.join(format!("{room}.rs")) };
+        for (file, code) in product(&place) {
+            for used in names_below("crate", &code) {
+                let other = rooms.iter().any(|r| r.0 == used);
+                if other && used != *room && !allowed.contains(&used.as_str()) {
+                    wrong.push(format!("{} uses crate::{used}", file.display()));
                 }
             }
         }
     }
-    let listed: Vec<_> = ROOMS.iter().map(|r| r.0).collect();
+    wrong
+}
+
+/// A table of rooms that has a circle would allow anything: each may use those above it alone.
+fn rooms_in_a_circle(rooms: &Rooms) -> Vec<String> {
+    let place = |room: &str| rooms.iter().position(|r| r.0 == room);
+    rooms
+        .iter()
+        .enumerate()
+        .flat_map(|(i, (room, allowed))| {
+            allowed
+                .iter()
+                .filter(move |other| place(other).is_none_or(|at| at >= i))
+                .map(move |other| format!("{room} may use {other}, which does not stand above it"))
+        })
+        .collect()
+}
+
+#[test]
+fn arrows_between_the_rooms_of_core_never_point_back() {
+    let core = root().join("core/src");
+    let mut wrong = arrows_that_point_back(&core, CORE);
+    wrong.extend(rooms_in_a_circle(CORE));
     for entry in fs::read_dir(&core).expect("core/src") {
         let entry = entry.expect("a directory entry");
         let name = entry.file_name().into_string().expect("a UTF-8 name");
-        if entry.path().is_dir() && !listed.contains(&name.as_str()) {
+        if entry.path().is_dir() && !CORE.iter().any(|r| r.0 == name) {
             wrong.push(format!("core/src/{name} is a room that this test does not know"));
         }
     }
@@ -75,12 +346,39 @@ fn arrows_between_the_rooms_of_core_never_point_back() {
 }
 
 #[test]
+fn arrows_between_the_rooms_of_command_and_laboratory_never_point_back() {
+    let mut wrong = Vec::new();
+    for (folder, rooms) in [("cli/src", CLI), ("lab/src", LAB)] {
+        let source = root().join(folder);
+        wrong.extend(arrows_that_point_back(&source, rooms));
+        wrong.extend(rooms_in_a_circle(rooms));
+        for room in rooms_of(&source) {
+            if !rooms.iter().any(|r| r.0 == room) {
+                wrong.push(format!("{folder}/{room} is a room that this test does not know"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn the_product_knows_nothing_of_the_laboratory() {
+    let root = root();
+    for product in ["core", "ffi", "vk-raycaster", "cli"] {
+        let manifest = fs::read_to_string(root.join(product).join("Cargo.toml")).expect("a manifest");
+        for study in ["entire-lab", "forust", "image-compare"] {
+            assert!(!manifest.contains(study), "{product}/Cargo.toml names {study}");
+        }
+    }
+}
+
+#[test]
 fn the_raycaster_knows_nothing_of_prediction() {
     let mut wrong = Vec::new();
-    for file in rust_files(&root().join("vk-raycaster/src")) {
-        for part in product_code(&file).split("entire_core::").skip(1) {
-            if !part.starts_with("scene") {
-                wrong.push(format!("{} uses entire_core::{}", file.display(), &part[..part.len().min(20)]));
+    for (file, code) in product(&root().join("vk-raycaster/src")) {
+        for used in names_below("entire_core", &code) {
+            if used != "scene" {
+                wrong.push(format!("{} uses entire_core::{used}", file.display()));
             }
         }
     }
@@ -92,12 +390,10 @@ fn unsafe_stays_behind_its_fences() {
     let root = root();
     let fences = ["core/src/kernels", "ffi/src", "vk-raycaster/src/vulkan"];
     let mut wrong = Vec::new();
-    for folder in ["core/src", "ffi/src", "vk-raycaster/src", "cli/src"] {
-        for file in rust_files(&root.join(folder)) {
+    for folder in ["core/src", "ffi/src", "vk-raycaster/src", "cli/src", "lab/src"] {
+        for (file, code) in product(&root.join(folder)) {
             let fenced = fences.iter().any(|fence| file.starts_with(root.join(fence)));
-            let code = product_code(&file);
-            let uses = code.split(|c: char| !c.is_alphanumeric() && c != '_').any(|word| word == "unsafe");
-            if uses && !fenced {
+            if !fenced && says("unsafe", code) {
                 wrong.push(file.display().to_string());
             }
         }
@@ -107,4 +403,36 @@ fn unsafe_stays_behind_its_fences() {
         "unsafe outside core/src/kernels, ffi/src and vk-raycaster/src/vulkan:\n{}",
         wrong.join("\n")
     );
+}
+
+/// What stands behind a test module counts, tests do not, and no way of naming a room escapes.
+#[test]
+fn the_rules_read_all_of_a_file_and_nothing_but_the_product() {
+    let text = r#"
+        #[cfg(test)]
+        mod tests;
+        #[cfg(test)]
+        use crate::of_tests::Thing;
+        use crate::{first, second::deep::Thing as Other};
+        //! crate::in_a_comment
+        mod inner {
+            #[cfg(test)]
+            mod tests { use crate::of_inner_tests; unsafe fn f() {} }
+            fn g() { let text = "crate::in_a_string"; println!("{}", crate::in_a_macro::f()); }
+        }
+        impl A {
+            #[cfg(test)]
+            fn only_for_tests(&self) { crate::of_a_test_method::f() }
+        }
+        #[cfg(not(test))]
+        fn h() { unsafe { crate::behind::f() } }
+    "#
+    .replace("//! crate::in_a_comment", "// crate::in_a_comment");
+    let (tokens, modules) = product_tokens(&text).expect("Rust");
+    assert_eq!(modules.into_iter().collect::<Vec<_>>(), ["tests"]);
+    let names: Vec<String> = names_below("crate", &tokens).into_iter().collect();
+    assert_eq!(names, ["behind", "first", "in_a_macro", "second"]);
+    assert!(says("unsafe", tokens));
+    let (tokens, _) = product_tokens("#[cfg(test)] mod t { unsafe fn f() {} } fn g() {}").expect("Rust");
+    assert!(!says("unsafe", tokens));
 }

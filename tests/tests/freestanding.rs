@@ -1,5 +1,5 @@
-//! A program without libc, with a fixed arena for memory, loads a model and predicts with the same bits as this hosted
-//! build, at every level.
+//! A program without libc, with a fixed arena for memory, loads a model and predicts with the same bits as
+//! this hosted build, at every level.
 
 use entire_core::model::{InputGroup, ModelFile, keys};
 use entire_core::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};

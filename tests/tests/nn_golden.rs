@@ -1,5 +1,5 @@
-//! Networks against float64 evaluations by PyTorch (`tests/golden/make_golden.py`), stamped on every level. A level that
-//! this CPU lacks is reported as ignored.
+//! Networks against float64 evaluations by PyTorch (`tests/golden/make_golden.py`), stamped on every level. A
+//! level that this CPU lacks is reported as ignored.
 
 use entire_core::kernels::{Isa, Level};
 use entire_core::model::Model;
@@ -49,8 +49,8 @@ fn tolerance(stored: &str, storage: Storage) -> f64 {
     }
 }
 
-/// Exact storages are judged row by row, as the contract has it; rounded ones against the largest value, since what a
-/// rounded weight does to a sum that nearly cancels is no matter of the arithmetic.
+/// Exact storages are judged row by row, as the contract has it; rounded ones against the largest value,
+/// since what a rounded weight does to a sum that nearly cancels is no matter of the arithmetic.
 fn prednets_agree(level: Level) {
     for case in cases("prednets") {
         let (model, (inputs, expected)) = (model(&case), rows(&case));

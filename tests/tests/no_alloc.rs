@@ -1,4 +1,5 @@
-//! Hot calls allocate nothing once set-up is done: counted by the global allocator, on every level and storage.
+//! Hot calls allocate nothing once set-up is done: counted by the global allocator, on every level and
+//! storage.
 
 use entire_core::kernels::Level;
 use entire_core::nn::{
@@ -69,6 +70,26 @@ fn network() -> PredNetParts {
 #[test]
 fn the_counter_counts() {
     assert!(allocations(|| drop(std::hint::black_box(vec![1u8; 100]))) >= 2);
+}
+
+#[test]
+fn an_encoder_that_never_runs_has_no_working_memory() {
+    use entire_core::nn::{ConvBlockParts, VolumeNet, VolumeNetParts};
+    let block = ConvBlockParts {
+        inputs: 1,
+        outputs: 1,
+        kernel: 1,
+        stride: 128,
+        padding: 0,
+        weight: vec![1.0],
+        bias: vec![0.0],
+        input_edge: 128,
+        output_edge: 1,
+        dtype: Dtype::F32,
+    };
+    let fc = DenseParts { inputs: 1, outputs: 1, weight: vec![1.0], bias: vec![0.0], dtype: Dtype::F32 };
+    let net = VolumeNet::new(&VolumeNetParts { input: 128, blocks: vec![block], fc }).expect("an encoder");
+    assert_eq!(allocations(|| drop(std::hint::black_box(net.scratch()))), 0);
 }
 
 #[test]

@@ -1,5 +1,6 @@
-//! Renders frames on request, so that a script can time them beside those of other renderers in one run. Reads one
-//! command per line and answers each with one line, `@@` and a JSON object (`{"err": …}` where it failed):
+//! Renders frames on request, so that a script can time them beside those of other renderers in one run.
+//! Reads one command per line and answers each with one line, `@@` and a JSON object (`{"err": …}` where it
+//! failed):
 //!
 //! ```text
 //! make noise|vessels N FILE             writes a generated volume of N³ raw bytes

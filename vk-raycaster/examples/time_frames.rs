@@ -1,8 +1,8 @@
 //! Times frames of one scene: `time_frames [key=value]…`
 //!
-//! volume=noise|vessels|FILE (raw bytes, with dims=XxYxZ)  n=256  tf=transparent|medium|opaque  size=512  step=1
-//! shade=none|local|scatter  skip=none|blocks|distance  device=vulkan|cpu  fetch=sampler|texels|packed  repeat=10
-//! rx=20 ry=30 dz=3.8637  termination=0.99  out=IMAGE.png
+//! volume=noise|vessels|FILE (raw bytes, with dims=XxYxZ)  n=256  tf=transparent|medium|opaque  size=512
+//! step=1 shade=none|local|scatter  skip=none|blocks|distance  device=vulkan|cpu  fetch=sampler|texels|packed
+//!  repeat=10 rx=20 ry=30 dz=3.8637  termination=0.99  out=IMAGE.png
 
 mod common;
 

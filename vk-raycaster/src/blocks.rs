@@ -1,4 +1,5 @@
-//! Min–max blocks, which of them are empty under a transfer function, and how far each is from the other kind.
+//! Min–max blocks, which of them are empty under a transfer function, and how far each is from the other
+//! kind.
 
 use crate::renderer::{Error, Result};
 use crate::table::Classifier;
@@ -8,7 +9,8 @@ use rayon::prelude::*;
 /// Cells along a block's edge, unless another of [`BLOCK_EDGES`] was chosen.
 pub const BLOCK_EDGE: usize = 8;
 
-/// The edges that blocks may have, in cells. Small ones leave less that is sampled in vain, large ones make a smaller map.
+/// The edges that blocks may have, in cells. Small ones leave less that is sampled in vain, large ones make a
+/// smaller map.
 pub const BLOCK_EDGES: [usize; 3] = [4, 8, 16];
 
 /// Checks an edge that somebody chose.
@@ -25,8 +27,8 @@ const MAX_DISTANCE: u8 = 127;
 /// Bit of a [`SkipMap`] entry that marks an empty block.
 pub(crate) const EMPTY_BIT: u8 = 128;
 
-/// Smallest and largest table position (0…255) among the voxels that samples in a block touch: the block's voxels
-/// and one more along each axis.
+/// Smallest and largest table position (0…255) among the voxels that samples in a block touch: the block's
+/// voxels and one more along each axis.
 pub(crate) struct BlockMap {
     /// Cells along a block's edge.
     pub(crate) edge: usize,
@@ -73,8 +75,8 @@ fn ranges<V: Voxel>(voxels: &[V], volume: &PreparedVolume, dims: [usize; 3], edg
     out
 }
 
-/// One byte per block: bit 7 set for an empty block; below it the Chebyshev distance in blocks to the nearest block
-/// of the other kind, 1…127. Everything closer than that distance is of the block's own kind.
+/// One byte per block: bit 7 set for an empty block; below it the Chebyshev distance in blocks to the nearest
+/// block of the other kind, 1…127. Everything closer than that distance is of the block's own kind.
 pub(crate) struct SkipMap {
     /// Cells along a block's edge.
     pub(crate) edge: usize,
@@ -93,7 +95,8 @@ impl SkipMap {
         Self { edge: blocks.edge, dims: blocks.dims, bytes }
     }
 
-    /// Fills in the distances: three passes, one per axis, each exact (the Chebyshev ball is a product of intervals).
+    /// Fills in the distances: three passes, one per axis, each exact (the Chebyshev ball is a product of
+    /// intervals).
     pub(crate) fn add_distances(&mut self) {
         let to_occupied = distances(&self.bytes, self.dims, 0);
         let to_empty = distances(&self.bytes, self.dims, EMPTY_BIT);
@@ -111,7 +114,8 @@ impl SkipMap {
 
 /// Chebyshev distance of every block to the nearest whose bit 7 equals `kind`, at most [`MAX_DISTANCE`].
 ///
-/// With d(x) the distances so far, a pass replaces d(x) by the minimum over x' of max(d(x'), |x − x'|) along one axis.
+/// With d(x) the distances so far, a pass replaces d(x) by the minimum over x' of max(d(x'), |x − x'|) along
+/// one axis.
 fn distances(bytes: &[u8], dims: [usize; 3], kind: u8) -> Vec<u8> {
     let mut d: Vec<u8> = bytes.iter().map(|b| if b & EMPTY_BIT == kind { 0 } else { MAX_DISTANCE }).collect();
     let strides = [1, dims[0], dims[0] * dims[1]];

@@ -14,8 +14,8 @@ use crate::voxels::{PreparedVolume, Voxel, with_voxels};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
 use rayon::prelude::*;
 
-/// The CPU twin: renders the picture that the crate documentation defines, with exact counts, on all threads of the
-/// current rayon pool.
+/// The CPU twin: renders the picture that the crate documentation defines, with exact counts, on all threads
+/// of the current rayon pool.
 pub struct CpuRaycaster {
     block_edge: usize,
     volume: Option<(PreparedVolume, BlockMap)>,
@@ -36,8 +36,8 @@ impl CpuRaycaster {
         Self::default()
     }
 
-    /// Renders a frame and returns its premultiplied colors and opacities before they are rounded to 8 bits, row by
-    /// row from the top, with the counts.
+    /// Renders a frame and returns its premultiplied colors and opacities before they are rounded to 8 bits,
+    /// row by row from the top, with the counts.
     ///
     /// # Errors
     /// When volume or transfer function were not set.
@@ -57,8 +57,8 @@ impl CpuRaycaster {
         Ok((pixels, counts))
     }
 
-    /// Makes the skip map of the present volume and transfer function; the two times are those of its occupancy and
-    /// of its distances.
+    /// Makes the skip map of the present volume and transfer function; the two times are those of its
+    /// occupancy and of its distances.
     fn update_skip_map(&mut self, preparation: &mut Preparation) {
         if let (Some((_, blocks)), Some(classifier)) = (&self.volume, &self.classifier) {
             let watch = Stopwatch::start();
@@ -232,7 +232,8 @@ impl<V: Voxel> Caster<'_, V> {
         sum
     }
 
-    /// The run of samples from `k` on that are treated alike: whether they are skipped, and the first one after them.
+    /// The run of samples from `k` on that are treated alike: whether they are skipped, and the first one
+    /// after them.
     fn segment(
         &self,
         first: &[f32; 3],

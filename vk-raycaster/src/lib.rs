@@ -1,45 +1,50 @@
-//! The reference volume raycaster whose frame times entire predicts: a compute shader on Vulkan, and a CPU twin of it
-//! that renders the same picture and counts every sample.
+//! The reference volume raycaster whose frame times entire predicts: a compute shader on Vulkan, and a CPU
+//! twin of it that renders the same picture and counts every sample.
 //!
-//! Both stand behind [`Renderer`]. This crate depends on `entire_core::scene` alone and knows nothing of prediction:
-//! it is an honest judge of the predictor.
+//! Both stand behind [`Renderer`]. This crate depends on `entire_core::scene` alone and knows nothing of
+//! prediction: it is an honest judge of the predictor.
 //!
 //! # Definition of the picture
 //!
 //! Both renderers follow this text, in 32-bit floats and with the operations in the same order.
 //!
-//! *Space.* Voxel coordinates p: the box spans 0…n along each axis (n voxels), voxel i is centered at i + 0.5. A ray
-//! goes through a pixel's center. With the frame's step δ (multiples of the reference step, the smallest spacing),
-//! D is the ray's advance per step in voxel coordinates.
+//! *Space.* Voxel coordinates p: the box spans 0…n along each axis (n voxels), voxel i is centered at i +
+//! 0.5. A ray goes through a pixel's center. With the frame's step δ (multiples of the reference step, the
+//! smallest spacing), D is the ray's advance per step in voxel coordinates.
 //!
-//! *Samples.* The ray meets the box in \[t_in, t_out), in steps from the eye and not before it. Sample k = 0, 1, …
-//! lies at t_k = t_in + ½ + k while t_k < t_out. With jitter, ½ is replaced by a hash of the pixel in \[0, 1).
+//! *Samples.* The ray meets the box in
+//! \[t_in, t_out), in steps from the eye and not before it. Sample k = 0, 1, … lies at t_k = t_in + ½ + k while t_k < t_out. With jitter, ½ is replaced by a hash of the pixel in \[0, 1).
 //!
-//! *Value.* Voxels are mapped to \[0, 1] over the volume's range (clamped; NaN is the low end) and interpolated
-//! trilinearly between voxel centers, clamped to the edge: the normalized scalar s. Integer voxels keep their stored
-//! precision; where the range is narrower than the data they are requantized to 16 bits over the range.
+//! *Value.* Voxels are mapped to \[0, 1] over the volume's range (clamped; NaN is the low end) and
+//! interpolated trilinearly between voxel centers, clamped to the edge: the normalized scalar s. Integer
+//! voxels keep their stored precision; where the range is narrower than the data they are requantized to 16
+//! bits over the range.
 //!
-//! *Classification.* The 256-entry table is looked up at 255·s, linear between neighbors. Its opacities are corrected
-//! to the step, α′ = 1 − (1 − α)^(δ / unit distance). Opacities below
-//! [`OPACITY_FLOOR`](entire_core::scene::OPACITY_FLOOR) per reference step count as zero, so that the tails of a Gaussian lobe leave empty space to skip.
+//! *Classification.* The 256-entry table is looked up at 255·s, linear between neighbors. Its opacities are
+//! corrected to the step, α′ = 1 − (1 − α)^(δ / unit distance). Opacities below
+//! [`OPACITY_FLOOR`](entire_core::scene::OPACITY_FLOOR) per reference step count as zero, so that the tails
+//! of a Gaussian lobe leave empty space to skip.
 //!
 //! *Compositing.* Front to back, C += (1 − A)·α′·c, A += (1 − A)·α′. The ray stops once A reaches the frame's
 //! termination opacity; 1 means never. The image holds C and A, 8 bits each, over black.
 //!
-//! *Local shading.* Samples with α′ > 0 are lit by a head light: gradient g by central differences over one voxel
-//! along each axis (in world proportions), N·L = |g·v| / |g| with v the ray's direction,
-//! c ← c·(0.3 + 0.7·N·L) + 0.2·(N·L)³², at most 1 (Blinn–Phong, the half vector being v). Where the gradient vanishes c stays.
+//! *Local shading.* Samples with α′ > 0 are lit by a head light: gradient g by central differences over one
+//! voxel along each axis (in world proportions), N·L = |g·v| / |g| with v the ray's direction,
+//! c ← c·(0.3 + 0.7·N·L) + 0.2·(N·L)³², at most 1 (Blinn–Phong, the half vector being v). Where the gradient
+//! vanishes c stays.
 //!
-//! *Single scattering.* Per sample with α′ > 0, a shadow ray towards a directional light fixed in scene space at
+//! *Single scattering.* Per sample with α′ > 0, a shadow ray towards a directional light fixed in scene space
+//! at
 //! [`LIGHT_DIRECTION`], sampled every [`SHADOW_STEP`] steps, the first sample one such distance away:
 //! T ← T·(1 − α′)^[`SHADOW_STEP`], until the box is left or T falls below [`SHADOW_TERMINATION`].
 //! c ← c·(0.25 + 0.75·T).
 //!
-//! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells, or of another of the [`BLOCK_EDGES`], (a cell lies between eight voxel centers) know the smallest and
-//! largest value that their samples can take; a block is empty when the table is transparent over that interval. A
-//! sample that would fall into an empty block is not taken: the ray goes on with the first sample beyond it
-//! (`blocks`), or beyond all blocks that the Chebyshev distance map shows to be empty as well (`distance`). Sample
-//! positions are the same with every skipping mode, and so is the picture. Shadow rays skip as well.
+//! *Skipping.* Blocks of [`BLOCK_EDGE`]³ cells, or of another of the [`BLOCK_EDGES`], (a cell lies between
+//! eight voxel centers) know the smallest and largest value that their samples can take; a block is empty
+//! when the table is transparent over that interval. A sample that would fall into an empty block is not
+//! taken: the ray goes on with the first sample beyond it (`blocks`), or beyond all blocks that the Chebyshev
+//! distance map shows to be empty as well (`distance`). Sample positions are the same with every skipping
+//! mode, and so is the picture. Shadow rays skip as well.
 //!
 //! *Counts.* See [`WorkCounts`].
 
@@ -62,4 +67,4 @@ pub use renderer::{
     DeviceLimits, Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts,
 };
 pub use setup::{LIGHT_DIRECTION, SHADOW_STEP, SHADOW_TERMINATION};
-pub use vulkan::{VoxelFetch, VulkanOptions, VulkanRaycaster};
+pub use vulkan::{LONGEST_WAIT, LONGEST_WAIT_SOFTWARE, VoxelFetch, VulkanOptions, VulkanRaycaster};

@@ -50,7 +50,8 @@ pub struct Probe {
     pub rays_per_second: f64,
     /// Samples per second of parallel rays of equal length, none of which skips or stops.
     pub coherent_samples_per_second: f64,
-    /// Samples per second of rays that leave in all directions, start at random offsets and stop at random depths.
+    /// Samples per second of rays that leave in all directions, start at random offsets and stop at random
+    /// depths.
     pub divergent_samples_per_second: f64,
     /// Jumps per second over empty blocks, block by block.
     pub skips_per_second: f64,

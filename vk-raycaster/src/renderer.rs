@@ -85,8 +85,8 @@ pub struct Rendered {
     pub counts: Option<WorkCounts>,
 }
 
-/// Time of a preparation (volume or transfer-function change), apart from any frame: the whole and its parts, wall
-/// seconds. A part that the change did not need is `None`.
+/// Time of a preparation (volume or transfer-function change), apart from any frame: the whole and its parts,
+/// wall seconds. A part that the change did not need is `None`.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Preparation {
     /// Everything that the change needed.
@@ -134,8 +134,9 @@ pub trait Renderer {
     /// `vulkan` or `cpu`.
     fn backend(&self) -> &'static str;
 
-    /// Chooses the edge of the blocks that are skipped, in cells: one of [`BLOCK_EDGES`](crate::BLOCK_EDGES). It holds
-    /// for the volumes that are set from then on; until it is called it is [`BLOCK_EDGE`](crate::BLOCK_EDGE).
+    /// Chooses the edge of the blocks that are skipped, in cells: one of [`BLOCK_EDGES`](crate::BLOCK_EDGES).
+    /// It holds for the volumes that are set from then on; until it is called it is
+    /// [`BLOCK_EDGE`](crate::BLOCK_EDGE).
     ///
     /// # Errors
     /// For another edge, and from renderers whose blocks have one size.
@@ -171,11 +172,12 @@ pub trait Renderer {
     /// Renders a frame and reads it back.
     ///
     /// # Errors
-    /// When volume or transfer function were not set, or the device fails; after an error nothing is half done.
+    /// When volume or transfer function were not set, or the device fails; after an error nothing is half
+    /// done.
     fn render(&mut self, frame: &Frame) -> Result<Rendered>;
 
-    /// Asks for [`Rendered::counts`] in the frames that follow, which may make them a little slower; renderers that
-    /// always count, or never can, ignore it.
+    /// Asks for [`Rendered::counts`] in the frames that follow, which may make them a little slower;
+    /// renderers that always count, or never can, ignore it.
     fn count_work(&mut self, on: bool) {
         let _ = on;
     }

@@ -1,4 +1,5 @@
-//! What a frame hands to its rays: the numbers that the shader reads as its uniform block and the twin as a struct.
+//! What a frame hands to its rays: the numbers that the shader reads as its uniform block and the twin as a
+//! struct.
 
 use crate::voxels::Geometry;
 use entire_core::scene::{Frame, Shading};
@@ -127,7 +128,8 @@ impl FrameSetup {
         }
     }
 
-    /// Confines the dispatch to a brick: its first and last cell, the first voxel of its texture and the texture's size.
+    /// Confines the dispatch to a brick: its first and last cell, the first voxel of its texture and the
+    /// texture's size.
     pub(crate) fn set_brick(
         &mut self,
         low: [usize; 3],

@@ -1,4 +1,5 @@
-//! A volume's voxels in the form that both renderers keep: contiguous, clamped to the range, of one of three types.
+//! A volume's voxels in the form that both renderers keep: contiguous, clamped to the range, of one of three
+//! types.
 
 use entire_core::scene::{ScalarType, Scalars, VolumeView};
 use rayon::prelude::*;
@@ -62,8 +63,8 @@ impl Geometry {
     }
 }
 
-/// Integer voxels where the range covers them, less an offset; else 16 bits over the range. Returns the voxels, the
-/// scale and the bias of a table position.
+/// Integer voxels where the range covers them, less an offset; else 16 bits over the range. Returns the
+/// voxels, the scale and the bias of a table position.
 fn integers<T: Copy + Default + Send + Sync + Ord + Into<f32> + Into<i32>>(
     view: &VolumeView<'_>,
     stored: &[T],

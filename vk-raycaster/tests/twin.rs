@@ -61,7 +61,8 @@ fn unit_distance_scales_the_optical_depth() {
 
 #[test]
 fn linear_ramp_integrates_to_its_closed_form() {
-    // Voxel z holds z, the table's opacity rises linearly with small slope: τ = Σ −ln(1 − a·s) ≈ ∫ along the ray.
+    // Voxel z holds z, the table's opacity rises linearly with small slope: τ = Σ −ln(1 − a·s) ≈ ∫ along the
+    // ray.
     let n = 64;
     let data: Vec<u8> = (0..n).flat_map(|z| vec![(4 * z) as u8; n * n]).collect();
     let mut rgba = [[1.0, 1.0, 1.0, 0.0]; TABLE_LEN];

@@ -1,5 +1,5 @@
-//! The Vulkan renderer against its CPU twin, under the validation layer where that is installed. Where no Vulkan
-//! device exists every test is reported as ignored.
+//! The Vulkan renderer against its CPU twin, under the validation layer where that is installed. Where no
+//! Vulkan device exists every test is reported as ignored.
 
 mod common;
 
@@ -147,7 +147,8 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Where the device's arithmetic differs, a few samples at box and block borders and some barely visible ones may too.
+/// Where the device's arithmetic differs, a few samples at box and block borders and some barely visible ones
+/// may too.
 fn check_counts(name: &str, (device, twin): (WorkCounts, WorkCounts)) -> Outcome {
     let close = |a: u64, b: u64, share: f64| a.abs_diff(b) as f64 <= 4.0 + share * b as f64;
     if close(device.rays, twin.rays, 0.01)
@@ -392,8 +393,8 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
     expect_silence(&gpu)
 }
 
-/// Frames that are timed may take another way than frames that are counted: rays of a subgroup skip together. The
-/// pictures are the same bits.
+/// Frames that are timed may take another way than frames that are counted: rays of a subgroup skip together.
+/// The pictures are the same bits.
 fn counting_changes_no_picture() -> Outcome {
     let mut gpu = open_validated(Some(VoxelFetch::Packed))?;
     let data = Data::new([37, 53, 29]);

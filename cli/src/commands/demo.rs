@@ -1,12 +1,13 @@
 //! `entire demo`: calibrate, explore and report: the main job, end to end.
 
-use crate::commands::collect::{ShadeOption, SkipOption};
-use crate::commands::steer::{describe, parse_size};
+use crate::commands::steer::describe;
 use crate::dataset::Clock;
-use crate::device::{self, Device};
+use crate::device;
 use crate::enlarge::enlarge;
+use crate::files::{write_json, write_whole};
 use crate::interrupt;
 use crate::machine::{self, Provenance};
+use crate::options::{RenderArgs, parse_size};
 use crate::path::Generated;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
@@ -43,9 +44,9 @@ const CONTROLLERS: [ControllerKind; 5] = [
 
 /// Calibrate, explore and report: the main job, end to end.
 ///
-/// Renders calibration frames of the volume, fits a predictor to this machine, plays an exploration with three abrupt
-/// transfer-function switches under five controllers (fixed step, OLP, PID, Algorithm 1, ours), prints how well each
-/// held the target frame time, and writes a report. Takes a few minutes on two cores.
+/// Renders calibration frames of the volume, fits a predictor to this machine, plays an exploration with
+/// three abrupt transfer-function switches under five controllers (fixed step, OLP, PID, Algorithm 1, ours),
+/// prints how well each held the target frame time, and writes a report. Takes a few minutes on two cores.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire demo
@@ -66,16 +67,11 @@ pub struct Options {
     /// Random scenes rendered to calibrate, at six steps each.
     #[arg(long, default_value_t = 80, value_name = "N")]
     pub calibrate: usize,
-    /// What each sample computes.
-    #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOption,
-    /// How empty space is skipped.
-    #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
-    /// What renders.
-    #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
-    /// Which clock counts. `auto` is the device's, or the process's CPU time where software renders on a busy machine.
+    /// How frames are rendered.
+    #[command(flatten)]
+    pub render: RenderArgs,
+    /// Which clock counts. `auto` is the device's, or the process's CPU time where software renders on a busy
+    /// machine.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
     /// Enlarge the volume by this factor at load, trilinearly; else 2 for small volumes, 1 for others.
@@ -86,8 +82,8 @@ pub struct Options {
     pub seed: u64,
 }
 
-/// The clock that `auto` stands for: on a machine with over twice as much to do as it has cores, a software renderer's
-/// elapsed time tells more of the others' work than of its own.
+/// The clock that `auto` stands for: on a machine with over twice as much to do as it has cores, a software
+/// renderer's elapsed time tells more of the others' work than of its own.
 fn choose_clock(clock: Clock, renderer: &dyn Renderer) -> (Clock, Option<String>) {
     let device = renderer.device().to_ascii_lowercase();
     let software = renderer.backend() == "cpu"
@@ -95,7 +91,8 @@ fn choose_clock(clock: Clock, renderer: &dyn Renderer) -> (Clock, Option<String>
     match machine::load_average() {
         Some([load, _, _]) if clock == Clock::Auto && software && load > 2.0 * machine::cores() as f64 => {
             let why = format!(
-                "The machine is busy (load {load:.1} on {} cores): frame times are this process's CPU time, all threads, not elapsed time.",
+                "The machine is busy (load {load:.1} on {} cores): frame times are this process's CPU time, \
+                 all threads, not elapsed time.",
                 machine::cores()
             );
             (Clock::Cpu, Some(why))
@@ -104,7 +101,8 @@ fn choose_clock(clock: Clock, renderer: &dyn Renderer) -> (Clock, Option<String>
     }
 }
 
-/// Shrinks the image until all rendering fits the budget, judged by a frame that stands for the mean, rendered a few times.
+/// Shrinks the image until all rendering fits the budget, judged by a frame that stands for the mean,
+/// rendered a few times.
 fn fit_size(
     mut draw: DrawSettings,
     view: &VolumeView<'_>,
@@ -151,7 +149,9 @@ fn verdict(names: &[String], metrics: &[Metrics]) -> String {
         "prediction did not beat reaction in this run"
     };
     format!(
-        "In the {SWITCH_FRAMES} frames from each abrupt switch on, frames were off the target by {hybrid:.0} % (hybrid) and {algorithm1:.0} % (Algorithm 1) on average, against {olp:.0} % (OLP) and {pid:.0} % (PID): {outcome}."
+        "In the {SWITCH_FRAMES} frames from each abrupt switch on, frames were off the target by {hybrid:.0} \
+         % (hybrid) and {algorithm1:.0} % (Algorithm 1) on average, against {olp:.0} % (OLP) and {pid:.0} % \
+         (PID): {outcome}."
     )
 }
 
@@ -185,20 +185,13 @@ pub fn run(options: &Options) -> Result<()> {
 
     let stop = interrupt::flag()?;
     let stop = || interrupt::requested(&stop);
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = device::open(options.render.device)?;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
     let (clock, busy) = choose_clock(options.clock, renderer.as_ref());
     if let Some(busy) = &busy {
         println!("clock      {busy}");
     }
-    let asked = DrawSettings {
-        width: options.size.0,
-        height: options.size.1,
-        shading: options.shade.into(),
-        skipping: options.skip.into(),
-        termination: 0.99,
-        clock,
-    };
+    let asked = DrawSettings::new(options.size, &options.render, clock);
     let renderings = (7 * options.calibrate + (CONTROLLERS.len() + 1) * options.frames as usize) as f64;
     let draw = fit_size(asked, &view, renderings, renderer.as_mut())?;
     let shrunk = draw != asked;
@@ -216,7 +209,7 @@ pub fn run(options: &Options) -> Result<()> {
         hold: 0,
         retargets: &[],
         scales: &[],
-        choices: &[],
+        image_sample_distances: &[],
         seed_name: &seed_name,
         seed: options.seed,
         draw,
@@ -249,14 +242,24 @@ pub fn run(options: &Options) -> Result<()> {
     let playback = play(&race, &prepared, &path, &keep, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
     let verdict = verdict(&playback.names, &playback.metrics());
     let mut remarks = vec![
-        "Every frame was drawn under every controller before the next one began, in rotating order, so that whatever else the machine did hit all of them alike. The picture at the reference step was drawn beside them, outside of the race. Changes of the transfer function are not part of frame times.".to_owned(),
+        "Every frame was drawn under every controller before the next one began, in rotating order, so that \
+         whatever else the machine did hit all of them alike. The picture at the reference step was drawn \
+         beside them, outside of the race. Changes of the transfer function are not part of frame \
+         times."
+            .to_owned(),
         format!(
-            "The fixed step ({:.2}) is the one that the median calibration scene needs for the target. OLP takes the mean of the last three frames, brought to the reference step by G; PID has the gains 0.3, 0.05, 0.1; Algorithm 1 sends the prediction at the reference step through G; the hybrid predicts every step, corrects the prediction by what it observed, and keeps a margin.",
+            "The fixed step ({:.2}) is the one that the median calibration scene needs for the target. OLP \
+             takes the mean of the last three frames, brought to the reference step by G; PID has the gains \
+             0.3, 0.05, 0.1; Algorithm 1 sends the prediction at the reference step through G; the hybrid \
+             predicts every step, corrects the prediction by what it observed, and keeps a margin.",
             prepared.fixed_step
         ),
     ];
     if factor != 1 {
-        remarks.push(format!("The volume was enlarged trilinearly by {factor} along every axis at load, so that its frames cost what larger volumes' do."));
+        remarks.push(format!(
+            "The volume was enlarged trilinearly by {factor} along every axis at load, so \
+            that its frames cost what larger volumes' do."
+        ));
     }
     remarks.extend(busy);
     let story = Story {
@@ -275,13 +278,9 @@ pub fn run(options: &Options) -> Result<()> {
         provenance: Provenance::of(renderer.device()),
     };
     let metrics = write(&options.out, &story, &draw, &playback)?;
-    let save = |name: &str, bytes: &[u8]| {
-        let to = options.out.join(name);
-        std::fs::write(&to, bytes).with_context(|| format!("cannot write {}", to.display()))
-    };
-    save("path.json", (serde_json::to_string_pretty(&path_file)? + "\n").as_bytes())?;
+    write_json(&options.out.join("path.json"), &path_file)?;
     if let Some(bytes) = prepared.chosen()?.fitted.file() {
-        save("model.safetensors", bytes)?;
+        write_whole(&options.out.join("model.safetensors"), bytes)?;
     }
     println!("\n{}", table(&playback.names, &metrics).to_text());
     println!(

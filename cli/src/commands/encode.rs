@@ -8,9 +8,9 @@ use std::path::PathBuf;
 
 /// Turn a volume into its feature vector.
 ///
-/// The volume is mapped to [0, 1] over its range (0…255 for unsigned bytes, else the finite minimum…maximum; --range
-/// sets another, such as an ensemble's), resampled to the network's input and encoded. Prints the features on one
-/// line, comma-separated, 9 significant digits.
+/// The volume is mapped to [0, 1] over its range (0…255 for unsigned bytes, else the finite minimum…maximum;
+/// --range sets another, such as an ensemble's), resampled to the network's input and encoded. Prints the
+/// features on one line, comma-separated, 9 significant digits.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire encode --model volumenet.safetensors data/mr_banana.nrrd
@@ -25,7 +25,12 @@ pub struct Options {
     #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
     pub range: Option<(f32, f32)>,
     /// Threads to use; 0 for as many as the machine has.
-    #[arg(long, default_value_t = 0, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=1024))]
+    #[arg(
+        long,
+        default_value_t = 0,
+        value_name = "N",
+        value_parser = clap::value_parser!(u16).range(0..=1024)
+    )]
     pub threads: u16,
 }
 

@@ -1,10 +1,11 @@
 //! `entire features`: what the core computes about the frames of timing tables, kept beside them.
 
-use super::train::{INPUTS_BAR, progress_bar, thread_pool};
+use crate::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use crate::dataset::{Table, TimedFrame};
-use crate::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
 use crate::files::open_model;
 use crate::inputs::measure;
+use crate::options::thread_pool;
+use crate::progress::{INPUTS_BAR, templated_bar};
 use anyhow::{Context, Result, ensure};
 use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneQuantity};
 use entire_core::nn::VolumeNet;
@@ -12,8 +13,8 @@ use std::path::PathBuf;
 
 /// Compute the scene features of collected frames and keep them beside the tables.
 ///
-/// `NAME.csv` gets `NAME.features.csv.gz`; training and evaluation then need the volumes no more. Made anew for every
-/// version that changes the features.
+/// `NAME.csv` gets `NAME.features.csv.gz`; training and evaluation then need the volumes no more. Made anew
+/// for every version that changes the features.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire features --data frames.csv
@@ -28,7 +29,8 @@ pub struct Options {
     /// Rays along each side of further probes, for models on cheaper or finer ones than the standard 11.
     #[arg(long, value_delimiter = ',', value_name = "SIDES")]
     pub probe_sides: Vec<usize>,
-    /// Folder that the tables' volume names start from, where it is neither the working folder nor the table's.
+    /// Folder that the tables' volume names start from, where it is neither the working folder nor the
+    /// table's.
     #[arg(long, value_name = "FOLDER")]
     pub root: Option<PathBuf>,
     /// Threads; all logical processors unless given.
@@ -47,7 +49,8 @@ pub fn run(options: &Options) -> Result<()> {
     for &side in &options.probe_sides {
         ensure!(
             (1..=MAX_PROBE_SIDE).contains(&side) && side != PROBE_SIDE,
-            "--probe-sides names {side}; accepted are 1 to {MAX_PROBE_SIDE}, without {PROBE_SIDE}, which is always there"
+            "--probe-sides names {side}; accepted are 1 to {MAX_PROBE_SIDE}, without {PROBE_SIDE}, which is \
+             always there"
         );
     }
     let pool = thread_pool(options.threads)?;
@@ -64,7 +67,7 @@ pub fn run(options: &Options) -> Result<()> {
         let frames: Vec<&TimedFrame> = tables[0].frames.iter().collect();
         ensure!(!frames.is_empty(), "{} has no frames; collect some with `entire collect`", path.display());
         let mut columns: Vec<String> = SceneQuantity::ALL.iter().map(|q| q.name().to_owned()).collect();
-        let bar = progress_bar(options.quiet, INPUTS_BAR);
+        let bar = templated_bar(options.quiet, INPUTS_BAR);
         let mut rows = measure(&tables, &frames, Some(PROBE_SIDE), None, &pool, &bar, |_, inputs| {
             let work = inputs.features.work(&inputs.setting);
             Ok(SceneQuantity::ALL

@@ -9,8 +9,9 @@ use std::path::{Path, PathBuf};
 
 /// Predict seconds for rows of model inputs.
 ///
-/// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the model's
-/// order. Prints one line per row: seconds, 9 significant digits. Nothing is printed when any row is wrong.
+/// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the
+/// model's order. Prints one line per row: seconds, 9 significant digits. Nothing is printed when any row is
+/// wrong.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire predict --model model.safetensors --inputs frames.csv
@@ -89,7 +90,8 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
         let value = net.predict(&inputs, &mut scratch);
         if !value.is_finite() {
             bail!(
-                "row {row}: the model answers {value} seconds; the inputs are far from what it was trained on, check their units"
+                "row {row}: the model answers {value} seconds; the inputs are far from what it was trained \
+                 on, check their units"
             );
         }
         seconds.push(value);

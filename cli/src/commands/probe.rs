@@ -9,9 +9,10 @@ use std::io::Write;
 
 /// Measure what this machine needs for each part of a frame.
 ///
-/// Renders known scenes, compares one with the CPU twin, and prints the device, its limits, how good its timestamps are, and
-/// five numbers that describe the machine to a predictor: what a frame costs by itself, rays, samples of rays that go
-/// together and of rays that do not, and jumps over empty blocks, per second. Exit status is 1 when the picture is wrong.
+/// Renders known scenes, compares one with the CPU twin, and prints the device, its limits, how good its
+/// timestamps are, and five numbers that describe the machine to a predictor: what a frame costs by itself,
+/// rays, samples of rays that go together and of rays that do not, and jumps over empty blocks, per second.
+/// Exit status is 1 when the picture is wrong.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire probe
@@ -25,7 +26,12 @@ pub struct Options {
     #[arg(long, default_value_t = 20.0, value_name = "MS", value_parser = parse_milliseconds)]
     pub frame_ms: f64,
     /// Frames of which the median counts.
-    #[arg(long, default_value_t = 9, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(
+        long,
+        default_value_t = 9,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(1..=1000)
+    )]
     pub repeat: u32,
     /// Print a JSON object.
     #[arg(long)]
@@ -54,7 +60,8 @@ pub fn run(options: &Options) -> Result<()> {
     let (largest, mean) = (found.agreement.largest, found.agreement.mean);
     anyhow::ensure!(
         largest <= LARGEST && mean <= MEAN,
-        "{} draws another picture than the CPU twin: up to {largest}/255 apart, {mean:.3}/255 in the mean; update its driver, choose another device (ENTIRE_DEVICE), or render with --device cpu",
+        "{} draws another picture than the CPU twin: up to {largest}/255 apart, {mean:.3}/255 in the mean; \
+         update its driver, choose another device (ENTIRE_DEVICE), or render with --device cpu",
         found.device
     );
     Ok(())
@@ -86,14 +93,18 @@ fn as_json(found: &Probe) -> String {
         "backend": found.backend,
         "clock": found.clock,
         "limits": limits,
-        "timestamps": found.timestamps.map(|t| json!({ "device_to_wall": t.device_to_wall, "spread": t.spread })),
+        "timestamps": found
+                .timestamps
+                .map(|t| json!({ "device_to_wall": t.device_to_wall, "spread": t.spread })),
         "agreement": {
             "largest_of_255": agreement.largest,
             "mean_of_255": agreement.mean,
             "counts": agreement.counts.as_ref().map(counts),
             "counts_of_twin": counts(&agreement.twin),
         },
-        "numbers": serde_json::Map::from_iter(found.numbers().map(|(name, value)| (name.to_owned(), json!(value)))),
+        "numbers": serde_json::Map::from_iter(
+                found.numbers().map(|(name, value)| (name.to_owned(), json!(value))),
+            ),
     })
     .to_string()
 }

@@ -1,21 +1,24 @@
 //! `entire render`: render one frame and time it.
 
-use crate::commands::collect::{ShadeOption, SkipOption};
-use crate::device::{self, Device};
-use crate::files::{open_volume, parse_list, parse_numbers, parse_range};
-use anyhow::{Context, Result, anyhow};
+use crate::device;
+use crate::files::{open_volume, parse_list, parse_numbers, parse_range, write_whole};
+use crate::metrics::median;
+use crate::options::RenderArgs;
+use crate::report::encode_png;
+use anyhow::{Context, Result};
 use entire_core::scene::{
     Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
 };
-use entire_vk_raycaster::{Image, Rendered};
+use entire_vk_raycaster::Rendered;
 use serde_json::json;
-use std::io::{BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::io::Write;
+use std::path::PathBuf;
 
 /// Render one frame and time it.
 ///
-/// Writes the picture over black as PNG (8-bit RGB) and prints how long it took: a line, or with --json a JSON object with the
-/// seconds of every repeat, the samples taken (null where the renderer does not count), device and step.
+/// Writes the picture over black as PNG (8-bit RGB) and prints how long it took: a line, or with --json a
+/// JSON object with the seconds of every repeat, the samples taken (null where the renderer does not count),
+/// device and step.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire render data/mr_banana.nrrd --camera 20,35,2.5 --tf 0.4,0.01,0.6 --size 512x512 --out banana.png
@@ -36,29 +39,26 @@ pub struct Options {
     /// Ray step in reference steps (the smallest voxel spacing).
     #[arg(long, default_value_t = 1.0, value_name = "S", allow_hyphen_values = true)]
     pub step: f32,
-    /// What each sample computes.
-    #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOption,
-    /// How empty space is skipped.
-    #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
+    /// How frames are rendered.
+    #[command(flatten)]
+    pub render: RenderArgs,
     /// Edge of the blocks that are skipped, in cells: 4, 8 or 16.
     #[arg(long, default_value_t = entire_vk_raycaster::BLOCK_EDGE, value_name = "CELLS")]
     pub block_edge: usize,
-    /// Accumulated opacity at which a ray stops; 1 for never.
-    #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
-    pub termination: f32,
     /// Vertical field of view in degrees.
     #[arg(long, default_value_t = DEFAULT_FOV_Y_DEGREES, value_name = "DEGREES", allow_hyphen_values = true)]
     pub fov: f32,
-    /// Scalar range that maps to [0, 1]; else 0…255 for unsigned bytes, the finite minimum…maximum for other types.
+    /// Scalar range that maps to [0, 1]; else 0…255 for unsigned bytes, the finite minimum…maximum for other
+    /// types.
     #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
     pub range: Option<(f32, f32)>,
-    /// What renders.
-    #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
     /// How often the frame is rendered.
-    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(
+        long,
+        default_value_t = 1,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(1..=100_000)
+    )]
     pub repeat: u32,
     /// The picture to write.
     #[arg(long, value_name = "IMG.png")]
@@ -103,12 +103,12 @@ pub fn run(options: &Options) -> Result<()> {
     let camera = Camera::from_arcball(options.camera)?.with_fov_y_degrees(options.fov)?;
     let frame = Frame::new(camera, options.size.0, options.size.1)?
         .with_step(options.step)?
-        .with_termination(options.termination)?
-        .with_shading(options.shade.into())
-        .with_skipping(options.skip.into());
+        .with_termination(options.render.termination)?
+        .with_shading(options.render.shade.into())
+        .with_skipping(options.render.skip.into());
     let table = TransferFunction::Gaussian(options.tf.0.clone()).to_table()?;
     let volume = open_volume(&options.volume, options.range)?;
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = device::open(options.render.device)?;
     renderer.set_block_edge(options.block_edge).context("--block-edge")?;
     let view = volume.view();
     let volume_time = renderer.set_volume(&view).with_context(|| format!("{}", options.volume.display()))?;
@@ -126,11 +126,12 @@ pub fn run(options: &Options) -> Result<()> {
         renderer.count_work(true);
         counts = renderer.render(&frame)?.counts;
     }
-    write_png(&options.out, &image)?;
+    // What is seen over black, which premultiplied colors already are.
+    write_whole(&options.out, &encode_png(&image)?).context("check --out")?;
 
     let seconds: Vec<f64> = repeats.iter().map(|time| time.seconds()).collect();
     let clock = repeats.first().map_or("wall", |time| time.source());
-    let median = median(&seconds);
+    let median = median(&mut seconds.clone()).unwrap_or(f64::NAN);
     let mut out = std::io::stdout().lock();
     if options.json {
         let range = view.range();
@@ -139,13 +140,18 @@ pub fn run(options: &Options) -> Result<()> {
             "dims": view.dims(),
             "scalar_type": view.scalar_type().name(),
             "range": [short(range.0), short(range.1)],
-            "camera": { "rx_deg": short(options.camera.rx), "ry_deg": short(options.camera.ry), "dz_radii": short(options.camera.dz), "fov_y_deg": short(options.fov) },
+            "camera": {
+                "rx_deg": short(options.camera.rx),
+                "ry_deg": short(options.camera.ry),
+                "dz_radii": short(options.camera.dz),
+                "fov_y_deg": short(options.fov),
+            },
             "tf": options.tf.0.iter().map(|l| [l.center, l.width, l.height].map(short)).collect::<Vec<_>>(),
             "width": image.width,
             "height": image.height,
             "step": short(frame.step()),
-            "shade": Shading::from(options.shade).name(),
-            "skip": Skipping::from(options.skip).name(),
+            "shade": Shading::from(options.render.shade).name(),
+            "skip": Skipping::from(options.render.skip).name(),
             "block_edge": options.block_edge,
             "termination": short(frame.termination()),
             "backend": renderer.backend(),
@@ -185,33 +191,4 @@ pub fn run(options: &Options) -> Result<()> {
 /// The shortest decimal that is this number, as JSON's double: 0.35, not 0.3499999940395355.
 fn short(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
-}
-
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    match sorted.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => sorted[n / 2],
-        n => 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]),
-    }
-}
-
-/// Writes a picture as PNG: what is seen over black, which premultiplied colors already are.
-fn write_png(path: &Path, image: &Image) -> Result<()> {
-    let rgb: Vec<u8> = image.rgba.as_chunks::<4>().0.iter().flat_map(|&[r, g, b, _]| [r, g, b]).collect();
-    let file = std::fs::File::create(path)
-        .map_err(|error| anyhow!("{}: cannot be written: {error}; check --out", path.display()))?;
-    let mut out = BufWriter::new(file);
-    let encoder = image::codecs::png::PngEncoder::new(&mut out);
-    image::ImageEncoder::write_image(
-        encoder,
-        &rgb,
-        image.width,
-        image.height,
-        image::ExtendedColorType::Rgb8,
-    )
-    .with_context(|| format!("{}: cannot be written", path.display()))?;
-    out.flush().with_context(|| format!("{}: cannot be written", path.display()))?;
-    Ok(())
 }

@@ -1,36 +1,40 @@
 //! `entire steer`: play a path against a target frame time under several controllers.
 
-use crate::commands::collect::{ShadeOption, SkipOption};
 use crate::dataset::{Clock, Scene, Writer};
-use crate::device::{self, Device};
+use crate::device;
 use crate::enlarge::enlarge;
-use crate::files::open_model;
+use crate::files::{open_model, write_json};
 use crate::interrupt;
 use crate::machine::Provenance;
+use crate::options::{RenderArgs, parse_hold, parse_limits, parse_scale, parse_size};
 use crate::path::{FlightPath, Generated, parse_target};
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{DrawSettings, Playback};
 use crate::steering::race::{Race, prepare, run as play, shipped_model};
 use crate::steering::report::{Story, table, write};
-use crate::steering::trace::scaled_size;
+use crate::steering::sizes::scaled_size;
 use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::control::StepLimits;
-use entire_core::scene::{MAX_IMAGE_SIDE, VolumeView};
+use entire_core::scene::VolumeView;
 use std::path::{Path, PathBuf};
 
 /// Play a path against a target frame time under several controllers.
 ///
-/// First some random frames of the volume are rendered to fit the predictor to this machine and to measure G, the
-/// saving of a coarser step. Then the path is played: every frame is drawn under every controller before the next one
-/// begins, in rotating order, beside a reference picture outside of the race. DIR gets frames.csv (every frame under
-/// every controller), summary.json and report.html.
+/// First some random frames of the volume are rendered to fit the predictor to this machine and to measure G,
+/// the saving of a coarser step. Then the path is played: every frame is drawn under every controller before
+/// the next one begins, in rotating order, beside a reference picture outside of the race. DIR gets
+/// frames.csv (every frame under every controller), summary.json and report.html.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire steer data/nyx_cosmology/m01/t0010.nrrd --generate switches --target 30fps --out out/steer
-  entire steer skull.nrrd --path examples/paths/switches.json --target 33ms --controllers olp,hybrid --out out/skull
-  entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit --target 30fps --retarget 30:60fps,60:15fps --out out/series
-  entire steer skull.nrrd --generate fly-in --target 60fps --choose-scales 0.7,0.5 --log observed.csv --out out/skull")]
+  entire steer skull.nrrd --path examples/paths/switches.json --target 33ms --controllers olp,hybrid --out \
+  out/skull
+  entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit --target 30fps --retarget \
+  30:60fps,60:15fps --out out/series
+  entire steer skull.nrrd --generate fly-in --target 60fps --image-sample-distances 1.4,2 --log observed.csv \
+  --out \
+  out/skull")]
 pub struct Options {
     /// The volume file; several are the volumes of a series (see --hold), the first of which calibrates.
     #[arg(value_name = "VOLUME", required = true)]
@@ -59,10 +63,11 @@ pub struct Options {
     /// Image scale from a frame on, as FRAME:SCALE, comma-separated: what a resized window does.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub scales: Vec<(u32, f32)>,
-    /// Shares of the image side, beside 1, that the hybrid may choose together with the step, whichever promises the better
-    /// picture; smaller images are brought back to full size before pictures are compared.
-    #[arg(long, value_delimiter = ',', value_name = "SCALE,…")]
-    pub choose_scales: Vec<f32>,
+    /// Pixels between rays along each image side, beside 1, that the hybrid may choose together with the
+    /// step, whichever promises the better picture; coarser images are brought back to full size before
+    /// pictures are compared.
+    #[arg(long, value_delimiter = ',', value_name = "PIXELS,…")]
+    pub image_sample_distances: Vec<f32>,
     /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "TABLE.csv")]
     pub log: Option<PathBuf>,
@@ -93,18 +98,9 @@ pub struct Options {
     /// Image size, pixels.
     #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
     pub size: (u32, u32),
-    /// What each sample computes.
-    #[arg(long, value_enum, default_value_t)]
-    pub shade: ShadeOption,
-    /// How empty space is skipped.
-    #[arg(long, value_enum, default_value_t)]
-    pub skip: SkipOption,
-    /// Accumulated opacity at which a ray stops; 1 for never.
-    #[arg(long, default_value_t = 0.99, value_name = "OPACITY")]
-    pub termination: f32,
-    /// What renders.
-    #[arg(long, value_enum, default_value_t)]
-    pub device: Device,
+    /// How frames are rendered.
+    #[command(flatten)]
+    pub render: RenderArgs,
     /// Which clock counts.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
@@ -123,40 +119,6 @@ pub struct Options {
     /// Frames whose pictures go into the report, beside those of switches.
     #[arg(long, value_delimiter = ',', value_name = "FRAME,…")]
     pub pictures: Vec<usize>,
-}
-
-/// Reads `WxH`.
-pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
-    let wrong = || format!("{text:?} is not WIDTHxHEIGHT with sides of 1 to {MAX_IMAGE_SIDE} pixels");
-    let (w, h) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
-    match (w.trim().parse(), h.trim().parse()) {
-        (Ok(w), Ok(h)) if (1..=MAX_IMAGE_SIDE).contains(&w) && (1..=MAX_IMAGE_SIDE).contains(&h) => {
-            Ok((w, h))
-        }
-        _ => Err(wrong()),
-    }
-}
-
-pub(crate) fn parse_limits(text: &str) -> std::result::Result<(f32, f32), String> {
-    let pair = text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
-    pair.ok_or_else(|| format!("{text:?} is not two numbers like 1,16"))
-}
-
-pub(crate) fn parse_scale(text: &str) -> std::result::Result<(u32, f32), String> {
-    let pair = text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
-    pair.filter(|(_, s): &(u32, f32)| (0.01..=4.0).contains(s))
-        .ok_or_else(|| format!("{text:?} is not FRAME:SCALE like 40:0.5 with a scale of 0.01 to 4"))
-}
-
-/// Frames per volume of a series; 0 for a single volume.
-pub(crate) fn parse_hold(volumes: usize, hold: Option<u32>) -> Result<u32> {
-    match (volumes, hold) {
-        (1, None) => Ok(0),
-        (1, Some(_)) => bail!("--hold is for several volumes; one was given"),
-        (_, Some(0)) => bail!("--hold is 0; each volume is shown for at least one frame"),
-        (_, Some(n)) => Ok(n),
-        (n, None) => bail!("{n} volumes were given; say for how many frames each is shown (--hold N)"),
-    }
 }
 
 fn parse_retarget(text: &str) -> Result<(u32, f64)> {
@@ -188,22 +150,15 @@ pub fn run(options: &Options) -> Result<()> {
         options.calibrate,
         options.repeats
     );
-    let draw = DrawSettings {
-        width: options.size.0,
-        height: options.size.1,
-        shading: options.shade.into(),
-        skipping: options.skip.into(),
-        termination: options.termination,
-        clock: options.clock,
-    };
+    let draw = DrawSettings::new(options.size, &options.render, options.clock);
     let hold = parse_hold(options.volumes.len(), options.hold)?;
     let retargets = options.retarget.iter().map(|t| parse_retarget(t)).collect::<Result<Vec<_>>>()?;
     ensure!(retargets.is_sorted_by_key(|t| t.0), "--retarget must be ordered by frame");
     ensure!(options.scales.is_sorted_by_key(|s| s.0), "--scales must be ordered by frame");
-    for s in &options.choose_scales {
+    for d in &options.image_sample_distances {
         ensure!(
-            s.is_finite() && *s >= 0.05 && *s < 1.0,
-            "--choose-scales holds {s}; give shares of the image side from 0.05 to below 1"
+            *d > 1.0 && *d <= 20.0,
+            "--image-sample-distances holds {d}; give pixels between rays from above 1 to 20"
         );
     }
     let model = options.model.as_deref().map(open_model).transpose()?;
@@ -228,8 +183,7 @@ pub fn run(options: &Options) -> Result<()> {
         (None, Some(kind)) => {
             let file = kind.path(&view, options.frames)?;
             if let Some(to) = &options.save_path {
-                std::fs::write(to, serde_json::to_string_pretty(&file)? + "\n")
-                    .with_context(|| format!("cannot write {}", to.display()))?;
+                write_json(to, &file)?;
             }
             (file.resolve()?, format!("{} (generated, {} frames)", kind.name(), options.frames))
         }
@@ -237,7 +191,7 @@ pub fn run(options: &Options) -> Result<()> {
     };
     let stop = interrupt::flag()?;
     let stop = || interrupt::requested(&stop);
-    let mut renderer = device::open(options.device)?;
+    let mut renderer = device::open(options.render.device)?;
     let seed_name = volume.name().to_owned();
     let shipped = shipped_model(draw.shading)?;
     let race = Race {
@@ -246,7 +200,7 @@ pub fn run(options: &Options) -> Result<()> {
         hold,
         retargets: &retargets,
         scales: &options.scales,
-        choices: &options.choose_scales,
+        image_sample_distances: &options.image_sample_distances,
         seed_name: &seed_name,
         seed: options.seed,
         draw,
@@ -312,13 +266,14 @@ fn write_log(
     for (i, at) in path.frames.iter().enumerate() {
         let Some(lobes) = at.transfer.lobes() else {
             bail!(
-                "--log needs transfer functions made of lobes; frame {i} has control points, which timing tables do not hold"
+                "--log needs transfer functions made of lobes; frame {i} has control points, which timing \
+                 tables do not hold"
             )
         };
         let volume = playback.volumes[i];
         for records in &playback.records {
             let r = &records[i];
-            let (width, height) = scaled_size(playback.sizes[i], r.scale);
+            let (width, height) = scaled_size(playback.sizes[i], 1.0 / r.image_sample_distance);
             let scene = Scene {
                 volume: options.volumes[volume].display().to_string(),
                 member: String::new(),

@@ -1,24 +1,27 @@
 //! `entire train`: train or fine-tune a predictor on collected frames.
 
-use crate::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor, read_tables};
+use crate::dataset::{Clock, NoiseFloor, Table, Timed, TimedFrame, noise_floor, read_tables, timed};
+use crate::files::{check_model_out, read_model_file, write_whole};
+use crate::fit::{
+    DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, calibrate, parse_loss, predict_rows,
+    transfer,
+};
 use crate::inputs::Layout;
 use crate::metrics::Metrics;
-pub use crate::recipe::{DtypeChoice, Kind, TargetChoice};
-use crate::recipe::{Fitted, Kitchen, Recipe, Timed, calibrate, parse_loss, read_model_file, transfer};
+use crate::options::thread_pool;
+use crate::progress::{INPUTS_BAR, templated_bar};
 use crate::split::{GroupBy, Part, Split};
 use crate::{bound, interrupt, machine};
-use anyhow::{Context, Result, ensure};
-use entire_core::model::{Model, keys};
+use anyhow::{Result, ensure};
+use entire_core::model::keys;
 use entire_core::predict::{Calibration, UPPER_LEVEL};
-use indicatif::{ProgressBar, ProgressStyle};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 /// Train or fine-tune a predictor on collected frames.
@@ -28,9 +31,11 @@ Examples:
   entire train --data frames.csv --out model.safetensors
         a small network on scene features, log seconds, split by ensemble member
   entire train --data frames.csv --out paper.safetensors --preset 12C256 --target seconds \\
-        --inputs volume_features,camera,resolution,transfer_function --volumenet models/volumenet-128f2.safetensors
+        --inputs volume_features,camera,resolution,transfer_function --volumenet \
+        models/volumenet-128f2.safetensors
         the paper's configuration
-  entire train --data new-machine.csv --out tuned.safetensors --fine-tune model.safetensors --learning-rate 1e-4
+  entire train --data new-machine.csv --out tuned.safetensors --fine-tune model.safetensors --learning-rate \
+  1e-4
   entire train --data frames.csv --out costs.safetensors --model-kind analytic
         unit costs by non-negative least squares: fits from a few frames on
   entire train --data frames.csv --out residual.safetensors --model-kind residual --layers 32
@@ -49,12 +54,20 @@ pub struct Options {
     #[arg(long, value_enum, default_value_t = Kind::Prednet)]
     pub model_kind: Kind,
     /// Hidden layer widths.
-    #[arg(long, value_delimiter = ',', value_name = "WIDTHS", conflicts_with_all = ["preset", "fine_tune"], default_value = "64,64")]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "WIDTHS",
+        conflicts_with_all = ["preset", "fine_tune"],
+        default_value = "64,64"
+    )]
     pub layers: Vec<usize>,
-    /// Layers of the paper, such as 0C256, 12C256 or 4C64: inputs → 256, 12 × (256 → 256), halved down to 16, 1.
+    /// Layers of the paper, such as 0C256, 12C256 or 4C64: inputs → 256, 12 × (256 → 256), halved down to 16,
+    /// 1.
     #[arg(long, conflicts_with = "fine_tune")]
     pub preset: Option<String>,
-    /// Input groups, in order: volume_features, camera, resolution, transfer_function, step_size, scene_features.
+    /// Input groups, in order: volume_features, camera, resolution, transfer_function, step_size,
+    /// scene_features.
     #[arg(
         long,
         value_delimiter = ',',
@@ -66,16 +79,17 @@ pub struct Options {
     /// Scene features, in order, where `--inputs` names that group; the standard ones unless given.
     #[arg(long, value_delimiter = ',', value_name = "NAMES", conflicts_with = "fine_tune")]
     pub scene_features: Vec<String>,
-    /// Take the Gaussian lobes of `transfer_function` by ascending center instead of as they are given: their sum is the
-    /// same in every order, and a network that sees one order need not learn so.
+    /// Take the Gaussian lobes of `transfer_function` by ascending center instead of as they are given: their
+    /// sum is the same in every order, and a network that sees one order need not learn so.
     #[arg(long)]
     pub sorted_lobes: bool,
-    /// Rays along each side of the probe behind scene features, 1 to 24; the standard 11 unless given. Fewer rays take less
-    /// time for every prediction.
+    /// Rays along each side of the probe behind scene features, 1 to 24; the standard 11 unless given. Fewer
+    /// rays take less time for every prediction.
     #[arg(long, value_name = "SIDE", conflicts_with = "fine_tune")]
     pub probe_side: Option<usize>,
-    /// Solve the analytic part for what converting stored values and waiting for memory cost, too: for renderers on the CPU
-    /// that look values up in tables or read large volumes voxel by voxel, such as VTK's fixed-point mapper and yt.
+    /// Solve the analytic part for what converting stored values and waiting for memory cost, too: for
+    /// renderers on the CPU that look values up in tables or read large volumes voxel by voxel, such as VTK's
+    /// fixed-point mapper and yt.
     #[arg(long)]
     pub converting: bool,
     /// Take the mean of so many networks of other seeds, stored as one.
@@ -84,7 +98,8 @@ pub struct Options {
     /// What the network gives.
     #[arg(long, value_enum, default_value_t = TargetChoice::LogSeconds, conflicts_with = "fine_tune")]
     pub target: TargetChoice,
-    /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile; the last gives an upper bound.
+    /// mse, relative (with --target seconds), huber, huber:delta or pinball:quantile; the last gives an upper
+    /// bound.
     #[arg(long, default_value = "mse", value_parser = check_loss)]
     pub loss: String,
     /// Passes over the training frames at most.
@@ -93,7 +108,8 @@ pub struct Options {
     /// Frames per step.
     #[arg(long, default_value_t = 256)]
     pub batch: usize,
-    /// First learning rate; it falls by a half cosine. Unless given, 1e-4 with --preset (as the paper) and --fine-tune, else 1e-3.
+    /// First learning rate; it falls by a half cosine. Unless given, 1e-4 with --preset (as the paper) and
+    /// --fine-tune, else 1e-3.
     #[arg(long)]
     pub learning_rate: Option<f64>,
     /// Last learning rate. Unless given, a hundredth of the first.
@@ -108,15 +124,19 @@ pub struct Options {
     /// Seed of the split, the weights and the order of frames.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Start from this model: its layers, inputs, target and standardisation stay, its weights learn on.
+    /// Start from this model: its layers, inputs, target and standardization stay, its weights learn on.
     #[arg(long, value_name = "SAFETENSORS")]
     pub fine_tune: Option<PathBuf>,
-    /// Adapt this model to the frames in closed form, its last layer drawn towards its weights: some ten frames will do.
+    /// Adapt this model to the frames in closed form, its last layer drawn towards its weights: some ten
+    /// frames will do.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["fine_tune", "model_kind"])]
     pub calibrate: Option<PathBuf>,
-    /// Take this model (of kind residual) to another renderer in closed form: unit costs are solved anew (as with `--converting`),
-    /// and the factor's last layer is fitted towards a quarter of its weights. All frames are learned from; some fifty will do.
-    #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = ["fine_tune", "calibrate", "model_kind", "validation_groups", "test_groups"])]
+    /// Take this model (of kind residual) to another renderer in closed form: unit costs are solved anew (as
+    /// with `--converting`), and the factor's last layer is fitted towards a quarter of its weights. All
+    /// frames are learned from; some fifty will do.
+    #[arg(long, value_name = "SAFETENSORS", conflicts_with_all = [
+        "fine_tune", "calibrate", "model_kind", "validation_groups", "test_groups",
+    ])]
     pub transfer: Option<PathBuf>,
     /// Model file with the VolumeNet that encodes volumes; it is written into the new file too.
     #[arg(long, value_name = "SAFETENSORS", conflicts_with = "fine_tune")]
@@ -160,49 +180,6 @@ fn check_loss(text: &str) -> Result<String> {
     parse_loss(text).map(|_| text.to_owned())
 }
 
-/// A pool of so many threads, all logical processors without a number.
-pub(crate) fn thread_pool(threads: Option<usize>) -> Result<ThreadPool> {
-    ensure!(threads != Some(0), "0 threads; at least 1 is needed");
-    ThreadPoolBuilder::new()
-        .num_threads(threads.unwrap_or_else(machine::cores))
-        .build()
-        .context("cannot start the threads")
-}
-
-/// A bar that shows itself unless told to be quiet.
-pub(crate) fn progress_bar(quiet: bool, template: &str) -> ProgressBar {
-    if quiet {
-        return ProgressBar::hidden();
-    }
-    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(0).with_style(style.progress_chars("=> "))
-}
-
-/// The template of the bar for computing inputs.
-pub(crate) const INPUTS_BAR: &str = "computing inputs [{bar:30}] {pos}/{len} frames, {eta} left";
-
-/// Frames that have seconds by the clock (and the shading asked for), with those seconds.
-pub(crate) fn timed(
-    tables: &[Table],
-    clock: Clock,
-    shading: Option<entire_core::scene::Shading>,
-) -> Result<Vec<(&TimedFrame, f64)>> {
-    let all = || tables.iter().flat_map(|t| &t.frames);
-    let frames: Vec<(&TimedFrame, f64)> = all()
-        .filter(|f| shading.is_none_or(|s| f.scene.shading == s))
-        .filter_map(|f| Some((f, f.seconds(clock)?)))
-        .collect();
-    ensure!(
-        !frames.is_empty(),
-        "none of {} frames has {} and a time by the clock {:?}; choose another --clock{}",
-        all().count(),
-        shading.map_or("any shading".to_owned(), |s| format!("shading {}", s.name())),
-        clock.name(),
-        if shading.is_some() { " or --shading" } else { "" },
-    );
-    Ok(frames)
-}
-
 /// Log-SD of a frame's median from which on the data themselves are the problem.
 const NOISY: f64 = 0.2;
 
@@ -212,7 +189,7 @@ const NOISY: f64 = 0.2;
 /// When the data cannot be read or do not fit, a setting is out of range, or the model cannot be written.
 pub fn run(options: &Options) -> Result<()> {
     let started = Instant::now();
-    check_out(&options.out)?;
+    check_model_out(&options.out)?;
     let pool = thread_pool(options.threads)?;
     let tables = read_tables(&options.data)?;
     let frames = timed(&tables, options.clock, options.shading)?;
@@ -261,16 +238,17 @@ pub fn run(options: &Options) -> Result<()> {
     let part = |p: Part| parts.get(&p).unwrap_or(&none);
 
     let stop = interrupt::flag()?;
-    let bar = progress_bar(options.quiet, "epoch {msg} [{bar:30}] {eta} left");
-    let kitchen = Kitchen { tables: &tables, pool: &pool, bar: &bar, stop: &|| interrupt::requested(&stop) };
+    let bar = templated_bar(options.quiet, "epoch {msg} [{bar:30}] {eta} left");
+    let context =
+        FitContext { tables: &tables, pool: &pool, bar: &bar, stop: &|| interrupt::requested(&stop) };
     let (training, validation) = (part_seconds(Part::Training), part_seconds(Part::Validation));
     let training = Timed { frames: part(Part::Training), seconds: &training };
     let validation = Timed { frames: part(Part::Validation), seconds: &validation };
     let fitted = match (&options.calibrate, &options.transfer) {
         (None, Some(path)) => {
             let (file, _) = read_model_file(path)?;
-            Fitted {
-                file: transfer(&file, &kitchen, training)?,
+            FittedModel {
+                file: transfer(&file, &context, training)?,
                 what: "Analytic cost model times a learned factor, taken to another renderer".into(),
                 settings: json!({ "transferred_from": path.file_name().map(|n| n.to_string_lossy()) }),
                 history: Vec::new(),
@@ -279,29 +257,29 @@ pub fn run(options: &Options) -> Result<()> {
         }
         (Some(path), _) => {
             let (file, _) = read_model_file(path)?;
-            Fitted {
-                file: calibrate(&file, &kitchen, training)?,
+            FittedModel {
+                file: calibrate(&file, &context, training)?,
                 what: "PredNet, its last layer calibrated".into(),
                 settings: json!({ "calibrated_from": path.file_name().map(|n| n.to_string_lossy()) }),
                 history: Vec::new(),
                 outcome: format!("calibrated on {} frames", training.frames.len()),
             }
         }
-        (None, None) => options.recipe().make(&kitchen, training, validation)?,
+        (None, None) => options.recipe().make(&context, training, validation)?,
     };
     bar.finish_and_clear();
-    let mut fitted = Made { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted };
+    let mut trained = Trained { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted };
 
     // Metrics come from what the file holds, stored format and all.
-    let model = fitted.fitted.file.to_model()?;
+    let model = trained.fitted.file.to_model()?;
     let mut results = Vec::new();
     let mut upper = Calibration::unknown();
     let mut covered = BTreeMap::new();
     for p in [Part::Validation, Part::Training, Part::Test] {
-        let bar = progress_bar(options.quiet, INPUTS_BAR);
-        let rows = fitted.layout.rows(&tables, part(p), &pool, &bar)?;
+        let bar = templated_bar(options.quiet, INPUTS_BAR);
+        let rows = trained.layout.rows(&tables, part(p), &pool, &bar)?;
         bar.finish_and_clear();
-        let predicted = predict_rows(&model, &rows, fitted.layout.width())?;
+        let predicted = predict_rows(&model, &rows, trained.layout.width())?;
         let measured = part_seconds(p);
         if let Some(metrics) = Metrics::new(&predicted, &measured) {
             results.push((p, metrics));
@@ -313,16 +291,17 @@ pub fn run(options: &Options) -> Result<()> {
         }
     }
     results.sort_by_key(|r| r.0);
-    bound::set(&mut fitted.fitted.file, &upper)?;
+    bound::set(&mut trained.fitted.file, &upper)?;
     let noise = noise_floor(refs.iter().copied(), options.clock);
     if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
         eprintln!(
-            "note: repeats of one frame scatter by {:.0} %; collect on a quieter machine, with more --repeats, or try --clock cpu",
+            "note: repeats of one frame scatter by {:.0} %; collect on a quieter machine, with more \
+             --repeats, or try --clock cpu",
             100.0 * (n.log_sd.exp() - 1.0)
         );
     }
     let provenance = json!({
-        "what": fitted.fitted.what,
+        "what": trained.fitted.what,
         "paper": "ENTIRE: Learning-based Volume Rendering Time Prediction",
         "data": tables.iter().map(|t| json!({
             "file": t.path.file_name().map(|n| n.to_string_lossy()),
@@ -338,28 +317,31 @@ pub fn run(options: &Options) -> Result<()> {
         "shading": options.shading.map(|s| s.name()),
         "split": split,
         "training_frames": count(Part::Training),
-        "settings": fitted.fitted.settings,
-        "outcome": fitted.fitted.outcome,
+        "settings": trained.fitted.settings,
+        "outcome": trained.fitted.outcome,
         "metrics": results.iter().map(|(p, m)| (p.name(), m)).collect::<BTreeMap<_, _>>(),
-        "upper_bound": { "level": UPPER_LEVEL, "log_factor": f64::from(upper.log_factor()), "coverage": covered },
+        "upper_bound": {
+            "level": UPPER_LEVEL, "log_factor": f64::from(upper.log_factor()), "coverage": covered,
+        },
         "noise_floor": noise,
         "trained_on": machine::machine(),
         "program": format!("entire {}", machine::version()),
         "date": machine::now(),
     });
-    fitted.fitted.file.set_metadata(keys::PROVENANCE, provenance.to_string());
+    trained.fitted.file.set_metadata(keys::PROVENANCE, provenance.to_string());
     if let Some(manifest) = tables.iter().find_map(|t| t.manifest.as_ref()) {
-        fitted.fitted.file.set_metadata(keys::RENDERER, manifest.renderer.clone());
-        fitted.fitted.file.set_metadata(keys::DEVICE, manifest.device.clone());
-        fitted.fitted.file.set_metadata(keys::STEP_REFERENCE, manifest.step_reference.clone());
+        trained.fitted.file.set_metadata(keys::RENDERER, manifest.renderer.clone());
+        trained.fitted.file.set_metadata(keys::DEVICE, manifest.device.clone());
+        trained.fitted.file.set_metadata(keys::STEP_REFERENCE, manifest.step_reference.clone());
     }
-    write_whole(&options.out, &fitted.fitted.file.to_bytes()?)?;
+    write_whole(&options.out, &trained.fitted.file.to_bytes()?)?;
     let held = covered.get(Part::Test.name()).or(covered.get(Part::Validation.name())).copied().flatten();
-    let card = card(options, &fitted, &split, &tables, &results, (upper, held), noise.as_ref());
+    let card = card(options, &trained, &split, &tables, &results, (upper, held), noise.as_ref());
     write_whole(&options.out.with_extension("md"), card.as_bytes())?;
     for (p, m) in &results {
         println!(
-            "{:<10} {:>6} frames  RMSE {:.3e} s ({:.3} SD)  MAE {:.3e} s  MdAPE {:.2} %  p95 {:.1} %  R2(log) {:.4}",
+            "{:<10} {:>6} frames  RMSE {:.3e} s ({:.3} SD)  MAE {:.3e} s  MdAPE {:.2} %  p95 {:.1} \
+             %  R2(log) {:.4}",
             p.name(),
             m.frames,
             m.rmse,
@@ -378,7 +360,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     println!(
         "{}; wrote {} in {:.1} s",
-        fitted.fitted.outcome,
+        trained.fitted.outcome,
         options.out.display(),
         started.elapsed().as_secs_f64()
     );
@@ -386,9 +368,9 @@ pub fn run(options: &Options) -> Result<()> {
 }
 
 /// A predictor with the layout of its inputs.
-struct Made {
+struct Trained {
     layout: Layout,
-    fitted: Fitted,
+    fitted: FittedModel,
 }
 
 impl Options {
@@ -420,44 +402,13 @@ impl Options {
     }
 }
 
-/// Whether a model file can be written there; makes its folder.
-pub(crate) fn check_out(out: &Path) -> Result<()> {
-    ensure!(
-        out.extension().is_some_and(|e| e == "safetensors"),
-        "--out is {}; the model file's name must end in .safetensors",
-        out.display()
-    );
-    if let Some(folder) = out.parent().filter(|p| !p.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    }
-    Ok(())
-}
-
-/// Writes a file, whole or not at all.
-pub(crate) fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
-    let mut part = path.as_os_str().to_owned();
-    part.push(".part");
-    let part = PathBuf::from(part);
-    std::fs::write(&part, bytes)
-        .and_then(|()| std::fs::rename(&part, path))
-        .with_context(|| format!("cannot write {}", path.display()))
-}
-
-/// Seconds for rows of inputs, by the network as it will be used.
-pub(crate) fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64>> {
-    let parts = model.prednet().context("the model file holds no PredNet")?;
-    let net = entire_core::nn::PredNet::new(parts)?;
-    let mut scratch = net.scratch();
-    Ok(rows.chunks_exact(width).map(|row| f64::from(net.predict(row, &mut scratch))).collect())
-}
-
 fn names(layout: &Layout) -> Vec<String> {
     layout.scene_features().iter().map(ToString::to_string).collect()
 }
 
 fn card(
     options: &Options,
-    fitted: &Made,
+    trained: &Trained,
     split: &Split,
     tables: &[Table],
     results: &[(Part, Metrics)],
@@ -466,16 +417,19 @@ fn card(
 ) -> String {
     let mut md = String::new();
     let name = options.out.file_stem().map_or("model".into(), |n| n.to_string_lossy());
-    let _ = writeln!(md, "# {name}\n\n{}.\n", fitted.fitted.what);
+    let _ = writeln!(md, "# {name}\n\n{}.\n", trained.fitted.what);
     let _ = writeln!(
         md,
-        "## Use\n\nPredicts the seconds that one volume-rendered frame takes, before it is drawn, on the machine and with the \
-         renderer that it was measured on. On another machine, fine-tune it first:\n\n```\nentire train --data FRAMES.csv \
-         --fine-tune {name}.safetensors --out tuned.safetensors\n```\n\nEvaluate it: `entire evaluate --model {name}.safetensors \
+        "## Use\n\nPredicts the seconds that one volume-rendered frame takes, before it is drawn, on the \
+         machine and with the \
+         renderer that it was measured on. On another machine, fine-tune it first:\n\n```\nentire train \
+         --data FRAMES.csv \
+         --fine-tune {name}.safetensors --out tuned.safetensors\n```\n\nEvaluate it: `entire evaluate \
+         --model {name}.safetensors \
          --data FRAMES.csv`\n"
     );
     let _ = writeln!(md, "## Inputs\n");
-    for group in fitted.layout.to_model_groups() {
+    for group in trained.layout.to_model_groups() {
         let _ = writeln!(
             md,
             "- `{}`, {} number{}",
@@ -484,8 +438,8 @@ fn card(
             if group.size == 1 { "" } else { "s" }
         );
     }
-    if !fitted.layout.scene_features().is_empty() {
-        let _ = writeln!(md, "\nScene features, in order: {}.", names(&fitted.layout).join(", "));
+    if !trained.layout.scene_features().is_empty() {
+        let _ = writeln!(md, "\nScene features, in order: {}.", names(&trained.layout).join(", "));
     }
     let _ = writeln!(md, "\n## Data\n");
     for t in tables {
@@ -508,7 +462,8 @@ fn card(
             None => {
                 let _ = writeln!(
                     md,
-                    "- `{file}` ({} frames, FNV-1a {:016x}); no manifest, so machine and renderer are not known",
+                    "- `{file}` ({} frames, FNV-1a {:016x}); no manifest, so machine and renderer are not \
+                     known",
                     t.frames.len(),
                     t.hash
                 );
@@ -532,10 +487,10 @@ fn card(
     let _ = writeln!(
         md,
         "\n## Training\n\n{}.\n\n```json\n{}\n```\n",
-        fitted.fitted.outcome,
-        serde_json::to_string_pretty(&fitted.fitted.settings).unwrap_or_default()
+        trained.fitted.outcome,
+        serde_json::to_string_pretty(&trained.fitted.settings).unwrap_or_default()
     );
-    if let (Some(first), Some(last)) = (fitted.fitted.history.first(), fitted.fitted.history.last()) {
+    if let (Some(first), Some(last)) = (trained.fitted.history.first(), trained.fitted.history.last()) {
         let _ = writeln!(
             md,
             "Loss (training, validation): {:.4e}, {:.4e} after epoch 1; {:.4e}, {:.4e} after epoch {}.\n",
@@ -544,7 +499,8 @@ fn card(
     }
     let _ = writeln!(
         md,
-        "## Metrics\n\n| frames of | number | RMSE, s | RMSE/SD | MAE, s | MdAPE | p95 error | R² in log |\n|---|---|---|---|---|---|---|---|"
+        "## Metrics\n\n| frames of | number | RMSE, s | RMSE/SD | MAE, s | MdAPE | p95 error | R² in log \
+         |\n|---|---|---|---|---|---|---|---|"
     );
     for (p, m) in results {
         let _ = writeln!(
@@ -563,7 +519,8 @@ fn card(
     if upper.log_factor().is_finite() {
         let _ = writeln!(
             md,
-            "\nUpper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames (training frames where \
+            "\nUpper bound of level {UPPER_LEVEL}: {:.2} times the prediction, from the validation frames \
+             (training frames where \
              there are none){}.",
             upper.factor().max(1.0),
             covered.map_or(String::new(), |c| format!("; it held for {:.1} % of held-out frames", 100.0 * c))
@@ -573,7 +530,8 @@ fn card(
         Some(n) => {
             let _ = writeln!(
                 md,
-                "\nNoise floor: repeats of one frame scatter with a log-SD of {:.4} (the median of a frame's repeats: about \
+                "\nNoise floor: repeats of one frame scatter with a log-SD of {:.4} (the median of a frame's \
+                 repeats: about \
                  {:.4}), over {} repeated frames. No predictor can do better than that.",
                 n.log_sd, n.log_sd_of_median, n.frames
             );
@@ -584,8 +542,10 @@ fn card(
     }
     let _ = writeln!(
         md,
-        "\n## Limits\n\nMeasured with one renderer on one machine: another machine, driver or renderer has other unit costs. \
-         Scenes unlike the training data (other modalities, sizes, shading modes, steps) may be far off; check the \
+        "\n## Limits\n\nMeasured with one renderer on one machine: another machine, driver or renderer has \
+         other unit costs. \
+         Scenes unlike the training data (other modalities, sizes, shading modes, steps) may be far off; \
+         check the \
          prediction's out-of-range score. {}",
         if split.test.is_empty() {
             "Nothing was held out for testing, so the numbers above are those of frames it has seen."

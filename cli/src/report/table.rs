@@ -1,6 +1,6 @@
 //! Tables that print on a terminal, in an HTML page and in Markdown from one description.
 
-use super::escape;
+use askama::Template;
 use std::fmt::Write as _;
 
 /// Where a column's texts stand.
@@ -28,6 +28,10 @@ impl Column {
     /// A column of numbers.
     pub fn number(name: impl Into<String>) -> Self {
         Self { name: name.into(), align: Align::Right }
+    }
+
+    fn is_number(&self) -> bool {
+        self.align == Align::Right
     }
 }
 
@@ -60,6 +64,13 @@ pub struct Table {
     rows: Vec<Vec<Cell>>,
 }
 
+#[derive(Template)]
+#[template(path = "table.html")]
+struct Html<'a> {
+    columns: &'a [Column],
+    rows: &'a [Vec<(&'a Column, &'a Cell)>],
+}
+
 impl Table {
     /// An empty table.
     pub fn new(columns: Vec<Column>) -> Self {
@@ -71,8 +82,8 @@ impl Table {
         self.rows.push(cells);
     }
 
-    /// Marks the best cell of a numeric column (several where equal): the lowest value, or the highest. `values` has
-    /// one entry per row; those that are not finite take no part.
+    /// Marks the best cell of a numeric column (several where equal): the lowest value, or the highest.
+    /// `values` has one entry per row; those that are not finite take no part.
     pub fn mark_best(&mut self, column: usize, values: &[f64], lowest: bool) {
         let sign = if lowest { 1.0 } else { -1.0 };
         let best = values.iter().filter(|v| v.is_finite()).map(|v| v * sign).fold(f64::INFINITY, f64::min);
@@ -124,27 +135,13 @@ impl Table {
 
     /// For an HTML page; best cells are bold.
     pub fn to_html(&self) -> String {
-        let class = |c: usize| if self.columns[c].align == Align::Right { " class=\"n\"" } else { "" };
-        let wide = if self.columns.len() > WIDE { " class=\"wide\"" } else { "" };
-        let mut out = format!("<div class=\"scroll\"><table{wide}><thead><tr>");
-        for (c, column) in self.columns.iter().enumerate() {
-            let _ = write!(out, "<th{}>{}</th>", class(c), escape(&column.name));
-        }
-        out += "</tr></thead><tbody>";
-        for row in &self.rows {
-            out += "<tr>";
-            for c in 0..self.columns.len() {
-                let text = escape(&self.text_of(row, c));
-                let best = row.get(c).is_some_and(|cell| cell.best);
-                let _ = if best {
-                    write!(out, "<td{}><b>{text}</b></td>", class(c))
-                } else {
-                    write!(out, "<td{}>{text}</td>", class(c))
-                };
-            }
-            out += "</tr>";
-        }
-        out + "</tbody></table></div>"
+        let blank = Cell::from("");
+        let rows: Vec<Vec<(&Column, &Cell)>> = self
+            .rows
+            .iter()
+            .map(|row| self.columns.iter().zip(row.iter().chain(std::iter::repeat(&blank))).collect())
+            .collect();
+        Html { columns: &self.columns, rows: &rows }.render().expect("writing into memory does not fail")
     }
 
     /// For a Markdown file; best cells are bold.
@@ -190,7 +187,7 @@ mod tests {
             table().to_text(),
             "who    misses / %\n-----  ----------\nfixed        50.0\na|<b>        2.5*\nshort\n"
         );
-        assert!(table().to_html().contains("<td>a|&lt;b&gt;</td><td class=\"n\"><b>2.5</b></td>"));
+        assert!(table().to_html().contains("<td>a|&#60;b&#62;</td><td class=\"n\"><b>2.5</b></td>"));
         assert!(table().to_markdown().contains("| a\\|<b> | **2.5** |"));
     }
 

@@ -1,10 +1,11 @@
 //! Fitting predictors to this machine: a few random frames of the volume, each at several ray steps.
 
 use super::play::DrawSettings;
-use crate::dataset::{Measurement as Timing, median};
+use super::rivals::StepResponse;
+use crate::dataset::Timing;
+use crate::metrics::median;
 use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result, ensure};
-use entire_core::control::StepResponse;
 use entire_core::features::{Changes, FrameFeatures, SceneFeature, Setting, TransferSummary, VolumeSummary};
 use entire_core::predict::{AnalyticModel, FitReport, Inputs, Measurement};
 use entire_core::scene::{
@@ -62,9 +63,9 @@ impl Sample {
     }
 }
 
-/// Renders `scenes` random scenes at every step of [`CALIBRATION_STEPS`], each `repeats` times (the median counts).
-/// Scenes come from `distribution` (its sizes and steps are not used) under `seed` and `name`; the transfer functions
-/// are random, so that none of a path's is among them but by chance.
+/// Renders `scenes` random scenes at every step of [`CALIBRATION_STEPS`], each `repeats` times (the median
+/// counts). Scenes come from `distribution` (its sizes and steps are not used) under `seed` and `name`; the
+/// transfer functions are random, so that none of a path's is among them but by chance.
 ///
 /// Answers `None` when `stop` said so.
 ///
@@ -97,7 +98,7 @@ pub fn measure(
         transfer.prepare_distance();
         let camera = Camera::from_arcball(drawn.camera)?.with_fov_y_degrees(DEFAULT_FOV_Y_DEGREES)?;
         let frame = draw.frame(camera).with_context(place)?;
-        features.measure(summary, &transfer, &frame);
+        features.measure(summary, &mut transfer, &frame);
         // First-use work of the device, and of caches after the change of scene.
         for _ in 0..if scene == 0 { 2 } else { 1 } {
             renderer.render(&frame).with_context(place)?;
@@ -132,7 +133,7 @@ pub fn measure(
 /// # Errors
 /// When no scene was timed at two steps.
 pub fn response(samples: &[Sample]) -> Result<StepResponse> {
-    Ok(StepResponse::from_samples(&response_pairs(samples))?)
+    StepResponse::from_samples(&response_pairs(samples))
 }
 
 /// The (step, time ratio) pairs behind [`response`], scene after scene.

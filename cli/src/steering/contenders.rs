@@ -1,12 +1,10 @@
 //! The controllers that commands can name.
 
 use super::play::Contender;
+use super::rivals::{Algorithm1, Filament, Olp, Pid, StepResponse, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
 use clap::ValueEnum;
 use entire_core::adapt::Prior;
-use entire_core::control::{
-    Algorithm1, Controller, Filament, Fixed, Hybrid, HybridOptions, Olp, Pid, Session, StepResponse, Unreal,
-    VtkFixedPoint, VtkGpu, VtkJs,
-};
+use entire_core::control::{Controller, Fixed, Hybrid, HybridOptions, Session};
 use entire_core::predict::Predictor;
 
 /// A controller by name.
@@ -73,8 +71,8 @@ impl ControllerKind {
     }
 }
 
-/// A controller that has seen nothing. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is G; `prior`
-/// says how well the predictor is known on this machine.
+/// A controller that has seen nothing. `fixed_step` is the step of [`ControllerKind::Fixed`]; `response` is
+/// G; `prior` says how well the predictor is known on this machine.
 pub fn controller(
     kind: ControllerKind,
     fixed_step: f32,
@@ -107,7 +105,7 @@ pub fn contender(
     Contender {
         name: kind.name().into(),
         session: Session::with_controller(predictor, controller),
-        sizes: kind == ControllerKind::Hybrid,
+        chooses_image_sample_distance: kind == ControllerKind::Hybrid,
     }
 }
 

@@ -1,7 +1,7 @@
 //! Predictors fitted to this machine, and the choice between them.
 
 use super::calibrate::{HOLD_OUT_EVERY, Quality, Sample, fit_analytic};
-use crate::recipe::calibrate_to_rows;
+use crate::fit::calibrate_to_rows;
 use anyhow::{Context, Result};
 use entire_core::adapt::Prior;
 use entire_core::features::SceneFeature;
@@ -19,15 +19,16 @@ pub const HIDDEN: [usize; 2] = [24, 24];
 
 /// A fitted predictor that any number of contenders can be given.
 #[derive(Clone, Debug)]
-pub struct Fitted {
+pub struct SteeringModel {
     title: String,
     model: Arc<Model>,
     volume_features: Option<Vec<f32>>,
     file: Option<Vec<u8>>,
 }
 
-impl Fitted {
-    /// A model that was made or read. A VolumeNet in it encodes `volume` at once where its inputs call for that.
+impl SteeringModel {
+    /// A model that was made or read. A VolumeNet in it encodes `volume` at once where its inputs call for
+    /// that.
     ///
     /// # Errors
     /// When the model holds no predictor, or the volume cannot be encoded.
@@ -48,7 +49,7 @@ impl Fitted {
     /// A model that was made here; its bytes are kept.
     ///
     /// # Errors
-    /// As [`Fitted::new`].
+    /// As [`SteeringModel::new`].
     pub fn made(title: String, file: &ModelFile, volume: &VolumeView<'_>) -> Result<Self> {
         let bytes = file.to_bytes()?;
         Ok(Self { file: Some(bytes), ..Self::new(title, file.to_model()?, volume)? })
@@ -77,7 +78,8 @@ impl Fitted {
         self.volume_features.as_deref()
     }
 
-    /// How well it does on the held-out samples. Models that do not know the step are judged at the reference step.
+    /// How well it does on the held-out samples. Models that do not know the step are judged at the reference
+    /// step.
     ///
     /// # Errors
     /// When none is held out, or the model needs an input that calibration frames do not have.
@@ -97,8 +99,8 @@ impl Fitted {
     }
 }
 
-/// A small network on [`SceneFeature::STANDARD`], trained on ln(seconds) of the samples that are not held out; a fifth
-/// of those decides when to stop. Single-threaded: the frames are few.
+/// A small network on [`SceneFeature::STANDARD`], trained on ln(seconds) of the samples that are not held
+/// out; a fifth of those decides when to stop. Single-threaded: the frames are few.
 ///
 /// # Errors
 /// When there are too few samples.
@@ -151,15 +153,15 @@ pub struct Candidate {
     pub chosen: bool,
     /// The predictor.
     #[serde(skip)]
-    pub fitted: Fitted,
+    pub fitted: SteeringModel,
 }
 
 impl Candidate {
     /// Judges a predictor; it is not chosen yet.
     ///
     /// # Errors
-    /// As [`Fitted::quality`].
-    pub fn of(fitted: Fitted, samples: &[Sample]) -> Result<Self> {
+    /// As [`SteeringModel::quality`].
+    pub fn of(fitted: SteeringModel, samples: &[Sample]) -> Result<Self> {
         let held_out = fitted.quality(samples)?;
         Ok(Self { title: fitted.title().to_owned(), held_out, chosen: false, fitted })
     }
@@ -173,8 +175,8 @@ pub struct Calibrated {
 }
 
 impl Calibrated {
-    /// Fits the analytic model and the small network and chooses the one with the smaller scatter of ln(seconds) on the
-    /// held-out frames.
+    /// Fits the analytic model and the small network and chooses the one with the smaller scatter of
+    /// ln(seconds) on the held-out frames.
     ///
     /// # Errors
     /// When there are too few usable samples.
@@ -187,7 +189,7 @@ impl Calibrated {
             ("analytic cost model (non-negative least squares on estimated work)".to_owned(), analytic),
             (format!("small network on scene features ({hidden} neurons, log time)"), network),
         ] {
-            let fitted = Fitted::made(title, &model, volume)?;
+            let fitted = SteeringModel::made(title, &model, volume)?;
             candidates.push(Candidate::of(fitted, samples)?);
         }
         let mut out = Self { candidates };
@@ -195,8 +197,8 @@ impl Calibrated {
         Ok(out)
     }
 
-    /// Adds a model that was made on another machine, its last layer calibrated to the samples that are not held out, and
-    /// chooses anew.
+    /// Adds a model that was made on another machine, its last layer calibrated to the samples that are not
+    /// held out, and chooses anew.
     ///
     /// # Errors
     /// When the model needs an input that calibration frames do not have.
@@ -213,7 +215,7 @@ impl Calibrated {
             seconds.push(s.seconds);
         }
         let file = calibrate_to_rows(file, &rows, &seconds)?;
-        self.candidates.push(Candidate::of(Fitted::made(title.to_owned(), &file, volume)?, samples)?);
+        self.candidates.push(Candidate::of(SteeringModel::made(title.to_owned(), &file, volume)?, samples)?);
         self.choose();
         Ok(self)
     }

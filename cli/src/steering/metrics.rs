@@ -33,8 +33,8 @@ impl Played {
         (self.seconds - self.target) / self.target
     }
 
-    /// Whether the frame is where it should be: within a quarter of the target; or faster than that with the finest
-    /// step, or slower with the coarsest, where nothing more could be done.
+    /// Whether the frame is where it should be: within a quarter of the target; or faster than that with the
+    /// finest step, or slower with the coarsest, where nothing more could be done.
     pub fn on_target(&self) -> bool {
         let (finest, coarsest) = (self.step <= self.finest * 1.001, self.step >= self.coarsest * 0.999);
         (self.error() <= 0.25 || coarsest) && (self.error() >= -0.25 || finest)
@@ -56,8 +56,8 @@ pub struct Metrics {
     pub mean_error_at_switches: Option<f64>,
     /// The same over all other frames but the path's first [`SWITCH_FRAMES`].
     pub mean_error_in_calm: Option<f64>,
-    /// Frames from each switch on until two in a row are on target (see [`Played::on_target`]); 0 when the switch's own
-    /// frame is the first of them. Up to the next switch or the end, where that never happens.
+    /// Frames from each switch on until two in a row are on target (see [`Played::on_target`]); 0 when the
+    /// switch's own frame is the first of them. Up to the next switch or the end, where that never happens.
     pub recovery_frames: Vec<usize>,
     /// 95th percentile of the frame time (nearest rank).
     pub p95_seconds: f64,
@@ -122,8 +122,8 @@ impl Metrics {
     }
 }
 
-/// Peak signal-to-noise ratio of two 8-bit RGBA pictures over red, green and blue, decibels; infinite when they are
-/// equal. `None` when they differ in size.
+/// Peak signal-to-noise ratio of two 8-bit RGBA pictures over red, green and blue, decibels; infinite when
+/// they are equal. `None` when they differ in size.
 pub fn psnr(a: &[u8], b: &[u8]) -> Option<f64> {
     if a.len() != b.len() || a.is_empty() {
         return None;

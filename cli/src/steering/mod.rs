@@ -1,12 +1,12 @@
-//! Steering as commands play it: calibration, a path under several controllers, what came of it, and the report.
+//! Steering as commands play it: calibration, a path under several controllers, what came of it, and the
+//! report.
 
 pub mod calibrate;
 pub mod contenders;
-pub mod factor;
 pub mod fit;
 pub mod metrics;
 pub mod play;
 pub mod race;
-pub mod replay;
 pub mod report;
-pub mod trace;
+pub mod rivals;
+pub mod sizes;

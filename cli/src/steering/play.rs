@@ -1,8 +1,9 @@
 //! Playing a path: every frame under every controller.
 
 use super::metrics::{Metrics, Played, psnr};
-use super::trace::{resized, scale_at, scaled_size, volume_at};
-use crate::dataset::{Clock, Measurement};
+use super::sizes::{resized, scale_at, scaled_size, volume_at};
+use crate::dataset::{Clock, Timing};
+use crate::options::RenderArgs;
 use crate::path::FlightPath;
 use anyhow::{Context, Result, ensure};
 use entire_core::adapt::ObserveFlags;
@@ -30,6 +31,18 @@ pub struct DrawSettings {
 }
 
 impl DrawSettings {
+    /// What the options say.
+    pub fn new((width, height): (u32, u32), render: &RenderArgs, clock: Clock) -> Self {
+        Self {
+            width,
+            height,
+            shading: render.shade.into(),
+            skipping: render.skip.into(),
+            termination: render.termination,
+            clock,
+        }
+    }
+
     /// A frame with these settings at the reference step.
     ///
     /// # Errors
@@ -45,7 +58,7 @@ impl DrawSettings {
     ///
     /// # Errors
     /// When the renderer has no such clock.
-    pub fn seconds(&self, measurement: &Measurement) -> Result<f64> {
+    pub fn seconds(&self, measurement: &Timing) -> Result<f64> {
         measurement.seconds(self.clock).with_context(|| {
             format!("the renderer has no {} clock; choose another with --clock", self.clock.name())
         })
@@ -58,8 +71,8 @@ pub struct Contender {
     pub name: String,
     /// Its render loop.
     pub session: Session,
-    /// Whether it may choose the image size beside the step, where the task allows any.
-    pub sizes: bool,
+    /// Whether it may choose the image sample distance beside the step, where the task allows any.
+    pub chooses_image_sample_distance: bool,
 }
 
 /// One frame under one controller.
@@ -67,8 +80,8 @@ pub struct Contender {
 pub struct Record {
     /// Ray step, reference steps.
     pub step: f32,
-    /// Image side over the frame's full side; 1 where the size is not for the controller to choose.
-    pub scale: f32,
+    /// Pixels between rays along each side; 1 where that is not for the controller to choose.
+    pub image_sample_distance: f32,
     /// Predicted seconds; NaN from controllers that predict nothing.
     pub predicted: f32,
     /// Upper bound, seconds; NaN where there is none.
@@ -78,7 +91,7 @@ pub struct Record {
     /// Why this step.
     pub reason: Reason,
     /// All clocks.
-    pub measured: Measurement,
+    pub measured: Timing,
     /// Seconds by the clock that counts.
     pub seconds: f64,
     /// Likeness to the reference picture, decibels.
@@ -167,8 +180,8 @@ pub struct Task<'a> {
     pub retargets: &'a [(u32, f64)],
     /// Other image sizes from a frame on, as shares of the full side, ascending.
     pub scales: &'a [(u32, f32)],
-    /// Shares of the frame's side, beside 1, at which contenders that choose the size may draw.
-    pub choices: &'a [f32],
+    /// Pixels between rays along each side, beside 1, that contenders which choose them may draw with.
+    pub image_sample_distances: &'a [f32],
     /// Steps that may be chosen.
     pub limits: StepLimits,
     /// Frames whose pictures are kept.
@@ -182,28 +195,29 @@ impl Task<'_> {
     }
 }
 
-/// Steps per scale among which a contender that chooses the size has its choice.
+/// Steps per image sample distance among which a contender that chooses both has its choice.
 const STEP_CHOICES: usize = 24;
 
 /// What a contender that chooses the size may draw a frame with, best picture first.
-fn settings(frame: &Frame, choices: &[f32], limits: StepLimits) -> Vec<(Setting, f32)> {
+fn settings(frame: &Frame, distances: &[f32], limits: StepLimits) -> Vec<(Setting, f32)> {
     let (low, high) = (limits.finest().ln(), limits.coarsest().ln());
     let model = QualityModel::default();
+    let error = |s: &(Setting, f32)| model.error(s.0.step, 1.0 / s.1);
     let mut out: Vec<(Setting, f32)> = Vec::new();
-    for &scale in std::iter::once(&1.0).chain(choices) {
-        let (width, height) = scaled_size((frame.width(), frame.height()), scale);
+    for &distance in std::iter::once(&1.0).chain(distances) {
+        let (width, height) = scaled_size((frame.width(), frame.height()), 1.0 / distance);
         for i in 0..STEP_CHOICES {
             let step = limits.clamp((low + (high - low) * i as f32 / (STEP_CHOICES - 1) as f32).exp());
-            out.push((Setting { step, width, height, ..Setting::of(frame) }, scale));
+            out.push((Setting { step, width, height, ..Setting::of(frame) }, distance));
         }
     }
-    out.sort_by(|a, b| model.error(a.0.step, a.1).total_cmp(&model.error(b.0.step, b.1)));
+    out.sort_by(|a, b| error(a).total_cmp(&error(b)));
     out
 }
 
-/// Plays a path under all contenders. Per frame: the reference picture is drawn first, outside of the race; then the
-/// frame is drawn under every contender, each with its own step, so that the machine's noise hits all alike; who comes
-/// first moves on from frame to frame. Changes of the transfer function are not timed.
+/// Plays a path under all contenders. Per frame: the reference picture is drawn first, outside of the race;
+/// then the frame is drawn under every contender, each with its own step, so that the machine's noise hits
+/// all alike; who comes first moves on from frame to frame. Changes of the transfer function are not timed.
 ///
 /// Answers `None` when `stop` said so.
 ///
@@ -276,30 +290,30 @@ pub fn play(
         let keep = task.keep.contains(&index);
         for turn in 0..contenders.len() {
             let c = (index + turn) % contenders.len();
-            let sizes = contenders[c].sizes;
+            let chooses = contenders[c].chooses_image_sample_distance;
             let session = &mut contenders[c].session;
             if at.camera_switched {
                 session.mark(Changes { camera: true, ..Changes::NONE });
             }
             let target = playback.targets[index] as f32;
-            let (plan, drawn, scale) = if sizes && !task.choices.is_empty() {
-                let settings = settings(&frame, task.choices, task.limits);
+            let (plan, drawn, image_sample_distance) = if chooses && !task.image_sample_distances.is_empty() {
+                let settings = settings(&frame, task.image_sample_distances, task.limits);
                 let only: Vec<Setting> = settings.iter().map(|s| s.0).collect();
                 let choice = session.choose(&frame, &only, target).with_context(place)?;
-                let (Setting { width, height, .. }, scale) = settings[choice.index];
-                (choice.plan, DrawSettings { width, height, ..*draw }.frame(camera)?, scale)
+                let (Setting { width, height, .. }, distance) = settings[choice.index];
+                (choice.plan, DrawSettings { width, height, ..*draw }.frame(camera)?, distance)
             } else {
                 (session.plan(&frame, target).with_context(place)?, frame, 1.0)
             };
             let rendered = renderer.render(&drawn.with_step(plan.step)?).with_context(place)?;
             let picture =
                 resized(&rendered.image, frame.width(), frame.height()).context("an image without pixels")?;
-            let measured = Measurement::new(rendered.time, rendered.counts);
+            let measured = Timing::new(rendered.time, rendered.counts);
             let seconds = draw.seconds(&measured)?;
-            session.observe(plan.id, seconds as f32, ObserveFlags::default());
+            session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
             playback.records[c].push(Record {
                 step: plan.step,
-                scale,
+                image_sample_distance,
                 predicted: plan.seconds,
                 upper: plan.upper,
                 out_of_range: plan.out_of_range,
@@ -310,7 +324,7 @@ pub fn play(
                 image: keep.then_some(picture),
             });
         }
-        let seconds = draw.seconds(&Measurement::new(reference.time, reference.counts))?;
+        let seconds = draw.seconds(&Timing::new(reference.time, reference.counts))?;
         playback.references.push(Reference { seconds, image: keep.then_some(reference.image) });
         progress.inc(1);
     }
@@ -323,8 +337,8 @@ mod tests {
     use crate::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Transfer};
     use crate::scripted::ScriptedRenderer;
     use crate::steering::contenders::{ControllerKind, contender};
+    use crate::steering::rivals::StepResponse;
     use entire_core::adapt::Prior;
-    use entire_core::control::StepResponse;
     use entire_core::features::SummaryOptions;
     use entire_core::predict::{Inputs, Prediction, Predictor, Source};
     use entire_core::scene::{Scalars, TransferFunction};
@@ -379,7 +393,12 @@ mod tests {
         play_scripted_with(noise, bias, stop_at, &[])
     }
 
-    fn play_scripted_with(noise: f64, bias: f64, stop_at: Option<u64>, choices: &[f32]) -> Option<Playback> {
+    fn play_scripted_with(
+        noise: f64,
+        bias: f64,
+        stop_at: Option<u64>,
+        distances: &[f32],
+    ) -> Option<Playback> {
         let voxels = vec![128u8; 32 * 32 * 32];
         let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32]).unwrap();
         let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
@@ -411,7 +430,7 @@ mod tests {
             target: 1.4e-3,
             retargets: &[],
             scales: &[],
-            choices,
+            image_sample_distances: distances,
             limits: StepLimits::default(),
             keep: &[20],
         };
@@ -462,23 +481,31 @@ mod tests {
 
     #[test]
     fn who_chooses_the_size_meets_the_target_with_a_better_picture() {
-        let choices = [0.7f32, 0.5];
+        let distances = [1.4f32, 2.0];
         let plain = play_scripted(0.02, 1.1, None).unwrap();
-        let sized = play_scripted_with(0.02, 1.1, None, &choices).unwrap();
+        let sized = play_scripted_with(0.02, 1.1, None, &distances).unwrap();
         let hybrid = 4;
-        // Nobody else chooses a size, nor does anybody without choices.
-        assert!(plain.records.iter().flatten().all(|r| r.scale == 1.0));
+        // Nobody else chooses a size, nor does anybody without distances to choose from.
+        assert!(plain.records.iter().flatten().all(|r| r.image_sample_distance == 1.0));
         for (k, records) in sized.records.iter().enumerate() {
             for r in records {
-                assert!(r.scale == 1.0 || (k == hybrid && choices.contains(&r.scale)), "{k}: {}", r.scale);
+                assert!(
+                    r.image_sample_distance == 1.0
+                        || (k == hybrid && distances.contains(&r.image_sample_distance)),
+                    "{k}: {r:?}"
+                );
             }
         }
-        let smaller = sized.records[hybrid].iter().filter(|r| r.scale < 1.0).count();
+        let smaller = sized.records[hybrid].iter().filter(|r| r.image_sample_distance > 1.0).count();
         assert!((1..80).contains(&smaller), "{smaller} smaller pictures");
-        // By the quality model the choice among both is never worse than the step alone, and the target is met as well.
+        // By the quality model the choice among both is never worse than the step alone, and the target is
+        // met as well.
         let model = QualityModel::default();
         let error = |p: &Playback| -> f64 {
-            p.records[hybrid][3..].iter().map(|r| f64::from(model.error(r.step, r.scale))).sum()
+            p.records[hybrid][3..]
+                .iter()
+                .map(|r| f64::from(model.error(r.step, 1.0 / r.image_sample_distance)))
+                .sum()
         };
         assert!(error(&sized) < error(&plain), "{} {}", error(&sized), error(&plain));
         let missed = |p: &Playback| {

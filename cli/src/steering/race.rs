@@ -2,16 +2,17 @@
 
 use super::calibrate::{Sample, measure, response, response_pairs};
 use super::contenders::{ControllerKind, contender};
-use super::fit::{Calibrated, Candidate, Fitted};
+use super::fit::{Calibrated, Candidate, SteeringModel};
 use super::play::{Contender, DrawSettings, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
-use crate::commands::collect::progress_bar;
-use crate::dataset::median;
+use super::rivals::StepResponse;
+use crate::metrics::median;
 use crate::path::FlightPath;
+use crate::progress::progress_bar;
 use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result};
 use entire_core::adapt::Prior;
-use entire_core::control::{StepLimits, StepResponse};
+use entire_core::control::StepLimits;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::model::{Model, ModelFile};
 use entire_core::scene::{Shading, VolumeView};
@@ -31,8 +32,8 @@ pub struct Race<'a> {
     pub retargets: &'a [(u32, f64)],
     /// Other image sizes from a frame on, as shares of the full side, ascending.
     pub scales: &'a [(u32, f32)],
-    /// Shares of a frame's side, beside 1, that ours may choose.
-    pub choices: &'a [f32],
+    /// Pixels between rays along each side, beside 1, that the hybrid may choose.
+    pub image_sample_distances: &'a [f32],
     /// The name under which random calibration scenes are drawn.
     pub seed_name: &'a str,
     /// Seed of calibration scenes and training.
@@ -51,11 +52,13 @@ pub struct Race<'a> {
     pub target: Option<f64>,
     /// A model that steers instead of what is fitted here; what is fitted is still reported.
     pub model: Option<&'a Model>,
-    /// A model of other machines' times, by what it is called, that is calibrated to this one and takes part in the choice.
+    /// A model of other machines' times, by what it is called, that is calibrated to this one and takes part
+    /// in the choice.
     pub shipped: Option<(&'a str, &'a ModelFile)>,
 }
 
-/// The model in `models/` that was selected for a shading mode; `None` where the working folder is not the project's.
+/// The model in `models/` that was selected for a shading mode; `None` where the working folder is not the
+/// project's.
 ///
 /// # Errors
 /// When it is there and no model.
@@ -68,7 +71,7 @@ pub fn shipped_model(shading: Shading) -> Result<Option<(String, ModelFile)>> {
     if !path.is_file() {
         return Ok(None);
     }
-    let (file, _) = crate::recipe::read_model_file(&path)?;
+    let (file, _) = crate::files::read_model_file(&path)?;
     Ok(Some((format!("{}, calibrated", path.display()), file)))
 }
 
@@ -115,18 +118,19 @@ fn times_at(samples: &[Sample], step: f32) -> Vec<f64> {
     times
 }
 
-/// A target under which the step matters: this share of the median of the calibration scenes' times at the reference
-/// step. Most scenes must then be drawn coarser, few of them at the coarsest step.
+/// A target under which the step matters: this share of the median of the calibration scenes' times at the
+/// reference step. Most scenes must then be drawn coarser, few of them at the coarsest step.
 pub const TARGET_SHARE: f64 = 0.5;
 
-/// [`TARGET_SHARE`] of the median time at the reference step, rounded to a tenth of a millisecond where it is longer.
+/// [`TARGET_SHARE`] of the median time at the reference step, rounded to a tenth of a millisecond where it is
+/// longer.
 pub fn sane_target(samples: &[Sample]) -> Option<f64> {
     let target = TARGET_SHARE * median(&mut times_at(samples, 1.0))?;
     Some(if target > 1e-3 { (target * 1e4).round() / 1e4 } else { target })
 }
 
-/// What calibration scenes are drawn from: as collections are, with one to three lobes, so that volumes that are nearly
-/// empty under the transfer function are among them.
+/// What calibration scenes are drawn from: as collections are, with one to three lobes, so that volumes that
+/// are nearly empty under the transfer function are among them.
 pub fn calibration_scenes() -> SceneDistribution {
     SceneDistribution { lobes: (1, 3), ..SceneDistribution::default() }
 }
@@ -163,7 +167,7 @@ pub fn prepare(
         calibrated = calibrated.with_shipped(shipped, &samples, race.volume)?;
     }
     if let Some(model) = race.model {
-        let fitted = Fitted::new("the model file that was given".into(), model.clone(), race.volume)?;
+        let fitted = SteeringModel::new("the model file that was given".into(), model.clone(), race.volume)?;
         let given =
             Candidate::of(fitted, &samples).context("the model cannot predict the calibration frames")?;
         for c in &mut calibrated.candidates {
@@ -235,7 +239,7 @@ pub fn run(
         target: prepared.target,
         retargets: race.retargets,
         scales: race.scales,
-        choices: race.choices,
+        image_sample_distances: race.image_sample_distances,
         limits: race.limits,
         keep,
     };

@@ -4,9 +4,10 @@ use super::contenders::ControllerKind;
 use super::fit::Candidate;
 use super::metrics::{BEST_PSNR, Metrics, SWITCH_FRAMES};
 use super::play::{DrawSettings, Playback};
+use crate::files::{make_folder, write_json, write_whole};
 use crate::machine::Provenance;
 use crate::report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
-use anyhow::{Context, Result};
+use anyhow::Result;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -46,8 +47,8 @@ fn title(name: &str) -> String {
     ControllerKind::from_name(name).map_or(name.to_owned(), |k| k.title().to_owned())
 }
 
-/// One colour per controller throughout, whichever of them play.
-pub(crate) fn color(name: &str) -> usize {
+/// One color per controller throughout, whichever of them play.
+pub fn color(name: &str) -> usize {
     match name {
         "fixed" => 5,
         "olp" => 1,
@@ -119,12 +120,17 @@ pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
 /// What the table's columns mean.
 pub fn table_caption() -> String {
     format!(
-        "T is the target. The first two columns are shares of frames over 1.1 and 1.25 T, the third is the mean of |t - T| / T over all frames; \"at switches\" over the {SWITCH_FRAMES} frames from each abrupt switch on, \"calm\" over all others but the first {SWITCH_FRAMES}. Best of each column in bold. Recovery: frames from a switch on until two in a row are on target (within a quarter, or at the end of the allowed steps), mean over the switches; 0 means the switch's own frame was. PSNR against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB."
+        "T is the target. The first two columns are shares of frames over 1.1 and 1.25 T, the third is the \
+         mean of |t - T| / T over all frames; \"at switches\" over the {SWITCH_FRAMES} frames from each \
+         abrupt switch on, \"calm\" over all others but the first {SWITCH_FRAMES}. Best of each column in \
+         bold. Recovery: frames from a switch on until two in a row are on target (within a quarter, or at \
+         the end of the allowed steps), mean over the switches; 0 means the switch's own frame was. PSNR \
+         against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB."
     )
 }
 
 fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
-    let mut out = csv::Writer::from_path(path).with_context(|| format!("cannot write {}", path.display()))?;
+    let mut out = csv::Writer::from_writer(Vec::new());
     out.write_record([
         "frame",
         "controller",
@@ -141,7 +147,7 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
         "reference_seconds",
         "out_of_range",
         "reason",
-        "image_scale",
+        "image_sample_distance",
         "width_px",
         "height_px",
         "volume",
@@ -167,14 +173,14 @@ fn write_csv(path: &Path, playback: &Playback) -> Result<()> {
                 playback.references[frame].seconds.to_string(),
                 known(f64::from(r.out_of_range)),
                 r.reason.name().to_owned(),
-                r.scale.to_string(),
+                r.image_sample_distance.to_string(),
                 playback.sizes[frame].0.to_string(),
                 playback.sizes[frame].1.to_string(),
                 playback.volumes[frame].to_string(),
             ])?;
         }
     }
-    out.flush().with_context(|| format!("cannot write {}", path.display()))
+    write_whole(path, &out.into_inner()?)
 }
 
 fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[Metrics]) -> Value {
@@ -199,8 +205,8 @@ fn summary(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[M
     })
 }
 
-/// Frame times as multiples of the target around the switches: per controller, the mean of |t − target| / target at
-/// each distance from a switch.
+/// Frame times as multiples of the target around the switches: per controller, the mean of |t − target| /
+/// target at each distance from a switch.
 fn around_switches(playback: &Playback, controller: usize, before: usize, after: usize) -> Vec<(f64, f64)> {
     let played = playback.played(controller);
     (0..=before + after)
@@ -273,7 +279,9 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     });
     page.chart(
         &chart,
-        "Measured time of every frame under every controller. The shaded area reaches from the target to what the frame costs at the reference step: what there is to save. All controllers draw the same frame before the next one begins, in rotating order.",
+        "Measured time of every frame under every controller. The shaded area reaches from the target to \
+         what the frame costs at the reference step: what there is to save. All controllers draw the same \
+         frame before the next one begins, in rotating order.",
     );
 
     if !playback.switches.is_empty() {
@@ -287,7 +295,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         let chart = per_controller(chart, playback, |c| Mark::Line(around_switches(playback, c, 3, 10)));
         page.chart(
             &chart,
-            "Mean over the switches. What reacts sees a switch one frame late; what predicts plans its first frame already.",
+            "Mean over the switches. What reacts sees a switch one frame late; what predicts plans its first \
+             frame already.",
         );
     }
 
@@ -298,19 +307,20 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     });
     page.chart(&chart, "The step that each controller chose: coarser is faster and less exact.");
 
-    if playback.records.iter().flatten().any(|r| r.scale != 1.0) {
+    if playback.records.iter().flatten().any(|r| r.image_sample_distance != 1.0) {
         let chart = Chart::new(
-            "Image size",
+            "Image sample distance",
             Axis::linear("frame"),
-            Axis::linear("image side over the frame's full side").from(0.0).to(1.05),
+            Axis::linear("pixels between rays along each side").from(0.0),
         )
         .size(900.0, 220.0);
         let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
-            Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].scale)))
+            Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].image_sample_distance)))
         });
         page.chart(
             &chart,
-            "The image size that each controller chose; only the hybrid may choose it here, by predicted image error.",
+            "The image sample distance that each controller chose; only the hybrid may choose it here, by \
+             predicted image error.",
         );
     }
 
@@ -343,7 +353,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     if !story.candidates.is_empty() {
         page.table(
             &predictors,
-            "Fitted to random frames of this volume on this machine, judged by others that were held out. None shows a transfer function of the path.",
+            "Fitted to random frames of this volume on this machine, judged by others that were held out. \
+             None shows a transfer function of the path.",
         );
     }
     let predicting: Vec<usize> = (0..playback.names.len())
@@ -363,7 +374,9 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         }
         page.chart(
             &chart,
-            "What was predicted for each frame before it was drawn, over what it took. Algorithm 1 takes the prediction as it is; the hybrid corrects it by what it observed, and aims below the target where its upper bound would not fit.",
+            "What was predicted for each frame before it was drawn, over what it took. Algorithm 1 takes the \
+             prediction as it is; the hybrid corrects it by what it observed, and aims below the target \
+             where its upper bound would not fit.",
         );
     }
     let ResponseCurve { samples, points: curve } = &story.response;
@@ -387,7 +400,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         );
         page.chart(
             &chart,
-            "Algorithm 1 and OLP use this one curve for all scenes. How far the scenes scatter about it is what that costs them; the hybrid predicts each scene's own curve.",
+            "Algorithm 1 and OLP use this one curve for all scenes. How far the scenes scatter about it is \
+             what that costs them; the hybrid predicts each scene's own curve.",
         );
     }
 
@@ -444,18 +458,16 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     Ok(page)
 }
 
-/// Writes `frames.csv`, `summary.json` and `report.html` into a folder, which is made where it does not exist.
+/// Writes `frames.csv`, `summary.json` and `report.html` into a folder, which is made where it does not
+/// exist.
 ///
 /// # Errors
 /// When a file cannot be written; names it.
 pub fn write(folder: &Path, story: &Story, draw: &DrawSettings, playback: &Playback) -> Result<Vec<Metrics>> {
-    std::fs::create_dir_all(folder)
-        .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    make_folder(folder)?;
     let metrics = playback.metrics();
     write_csv(&folder.join("frames.csv"), playback)?;
-    let text = serde_json::to_string_pretty(&summary(story, draw, playback, &metrics))? + "\n";
-    let json = folder.join("summary.json");
-    std::fs::write(&json, text).with_context(|| format!("cannot write {}", json.display()))?;
+    write_json(&folder.join("summary.json"), &summary(story, draw, playback, &metrics))?;
     page(story, draw, playback, &metrics)?.write(&folder.join("report.html"))?;
     Ok(metrics)
 }

@@ -71,7 +71,8 @@ pub(crate) fn read_voxels(
     let expected = byte_count(dims, element)?;
     match stream.remaining() {
         Remaining::Exact(found) if found < expected => bail!(
-            "{}{} x {} x {} voxels of {} byte{} need {expected} bytes, the file has {found}; it is cut short or its header is wrong",
+            "{}{} x {} x {} voxels of {} byte{} need {expected} bytes, the file has {found}; it is cut short \
+             or its header is wrong",
             stream.prefix(),
             dims[0],
             dims[1],
@@ -80,7 +81,8 @@ pub(crate) fn read_voxels(
             if element.bytes() == 1 { "" } else { "s" }
         ),
         Remaining::AtMost(most) if most < expected => bail!(
-            "{}{} x {} x {} voxels of {} byte{} need {expected} bytes, the compressed data can hold {most} at most; it is cut short or its header is wrong",
+            "{}{} x {} x {} voxels of {} byte{} need {expected} bytes, the compressed data can hold {most} \
+             at most; it is cut short or its header is wrong",
             stream.prefix(),
             dims[0],
             dims[1],
@@ -132,7 +134,8 @@ pub(crate) fn expect_end(stream: &mut Stream<'_>, dims: [usize; 3], element: Ele
             Remaining::AtMost(_) => "more".to_owned(),
         };
         bail!(
-            "{}{} x {} x {} voxels of {} bytes need {expected} bytes, the data has {found}; check sizes and type in the header",
+            "{}{} x {} x {} voxels of {} bytes need {expected} bytes, the data has {found}; check sizes and \
+             type in the header",
             stream.prefix(),
             dims[0],
             dims[1],
@@ -244,10 +247,12 @@ fn broken(stream: &Stream<'_>, error: &io::Error, at: usize, voxels: usize, byte
     )
 }
 
-/// Voxels from numbers in text, separated by whitespace (or commas). A whole-number type takes whole numbers only.
+/// Voxels from numbers in text, separated by whitespace (or commas). A whole-number type takes whole numbers
+/// only.
 ///
 /// # Errors
-/// Fewer or more numbers than voxels, one that cannot be read or is outside the type's range; names its index.
+/// Fewer or more numbers than voxels, one that cannot be read or is outside the type's range; names its
+/// index.
 pub(crate) fn parse_voxels(
     stream: &mut Stream<'_>,
     dims: [usize; 3],
@@ -258,7 +263,8 @@ pub(crate) fn parse_voxels(
     let (Remaining::Exact(most) | Remaining::AtMost(most)) = stream.remaining();
     if most.saturating_add(1) / 2 < voxels as u64 {
         bail!(
-            "{}{} x {} x {} voxels as text need at least {} bytes, the data has {most}; it is cut short or its header is wrong",
+            "{}{} x {} x {} voxels as text need at least {} bytes, the data has {most}; it is cut short or \
+             its header is wrong",
             stream.prefix(),
             dims[0],
             dims[1],
@@ -327,7 +333,8 @@ fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Opt
         if !token.is_empty() {
             if out.len() == voxels {
                 bail!(
-                    "{}there are more than the {voxels} numbers that the sizes call for; check the sizes in the header",
+                    "{}there are more than the {voxels} numbers that the sizes call for; check the sizes in \
+                     the header",
                     stream.prefix()
                 );
             }
@@ -350,7 +357,8 @@ fn parse<T>(stream: &mut Stream<'_>, voxels: usize, number: impl Fn(&str) -> Opt
     }
     if out.len() < voxels {
         bail!(
-            "{}there are {} of the {voxels} numbers that the sizes call for; the file is cut short or its header is wrong",
+            "{}there are {} of the {voxels} numbers that the sizes call for; the file is cut short or its \
+             header is wrong",
             stream.prefix(),
             out.len()
         );

@@ -1,4 +1,5 @@
-//! Readers over arbitrary bytes: the one door of the fuzz targets and of the tests that replay what they found.
+//! Readers over arbitrary bytes: the one door of the fuzz targets and of the tests that replay what they
+//! found.
 
 use super::stream::{Companions, Stream};
 use super::{Format, Volume};
@@ -24,8 +25,8 @@ impl Companions for AnyName<'_> {
     }
 }
 
-/// Reads a volume from arbitrary bytes. What follows the first line `--data--`, if there is one, is the content of
-/// any other file that the format asks for.
+/// Reads a volume from arbitrary bytes. What follows the first line `--data--`, if there is one, is the
+/// content of any other file that the format asks for.
 ///
 /// # Errors
 /// As [`Volume::read`].

@@ -1,5 +1,8 @@
-//! MetaImage: lines of `Key = Value` that end with `ElementDataFile`, which names the file of the voxels (`.mhd`) or
-//! says `LOCAL`, the voxels then follow (`.mha`).
+//! MetaImage: lines of `Key = Value` that end with `ElementDataFile`, which names the file of the voxels
+//! (`.mhd`) or says `LOCAL`, the voxels then follow (`.mha`).
+//!
+//! The project's own reader: the crate that reads MetaImage, `bioformats`, has neither voxels in text nor
+//! 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::stream::{Companions, Remaining, Stream};
@@ -141,7 +144,8 @@ impl Header {
                     "MET_FLOAT" => Element::F32,
                     "MET_DOUBLE" => Element::F64,
                     other => bail!(
-                        "ElementType {other:?} is not read; accepted are MET_CHAR to MET_ULONG_LONG, MET_FLOAT and MET_DOUBLE"
+                        "ElementType {other:?} is not read; accepted are MET_CHAR to MET_ULONG_LONG, \
+                         MET_FLOAT and MET_DOUBLE"
                     ),
                 });
             }

@@ -1,9 +1,10 @@
-//! Scalar volumes in files: NRRD, MetaImage, VTK XML image data, NIfTI, and raw voxels beside a JSON description.
+//! Scalar volumes in files: NRRD, MetaImage, VTK XML image data, NIfTI, and raw voxels beside a JSON
+//! description.
 //!
 //! [`Volume::open`] picks the format by the file name's ending, else by the first bytes. Readers work on any
-//! [`Stream`], so they read files, memory and decompressed data alike, and never allocate more than the bytes that
-//! are really there call for: a header that claims a huge volume over a few bytes of data is an error, not an
-//! allocation.
+//! [`Stream`], so they read files, memory and decompressed data alike, and never allocate more than the bytes
+//! that are really there call for: a header that claims a huge volume over a few bytes of data is an error,
+//! not an allocation.
 //!
 //! # What becomes of the stored types
 //!
@@ -11,13 +12,13 @@
 //! |---|---|
 //! | unsigned 8, 16 bit; signed 16 bit; 32-bit float | the same |
 //! | signed 8 bit | signed 16 bit, exactly |
-//! | signed and unsigned 32 and 64 bit | 32-bit float, rounded to nearest (whole numbers up to 2^24 exactly) |
+//! | signed and unsigned 32 and 64 bit | 32-bit float, rounded to nearest (whole numbers to 2^24 exactly) |
 //! | 64-bit float | 32-bit float, rounded to nearest (beyond its range: an infinity) |
-//! | any type with a slope or intercept other than 1, 0 (NIfTI) | 32-bit float of value × slope + intercept |
+//! | any type with a NIfTI slope, intercept other than 1, 0 | 32-bit float of value × slope + intercept |
 //!
 //! NaN and infinite voxels are kept; they count as the ends of the range when a view normalizes them (see
-//! [`VolumeView::normalize`]). Axes stay in the file's order, the fastest is x; positions and directions in space are
-//! not used, voxel spacings are.
+//! [`VolumeView::normalize`]). Axes stay in the file's order, the fastest is x; positions and directions in
+//! space are not used, voxel spacings are.
 
 mod element;
 pub mod hostile;
@@ -29,7 +30,6 @@ mod stream;
 mod vti;
 
 pub use element::{Element, Endian};
-pub use nrrd::write as write_nrrd;
 pub use stream::{Companions, Folder, NoCompanions, Stream};
 
 use anyhow::{Context, Result, bail};
@@ -203,9 +203,9 @@ impl Volume {
     /// Reads a volume file. The format follows from the name's ending, else from the first bytes.
     ///
     /// # Errors
-    /// One line that names the file, what was expected, what was found and what to do: a missing or unreadable file,
-    /// an unknown format, a broken header, a zero size, more or fewer bytes of voxels than the header calls for,
-    /// several components or time steps.
+    /// One line that names the file, what was expected, what was found and what to do: a missing or
+    /// unreadable file, an unknown format, a broken header, a zero size, more or fewer bytes of voxels than
+    /// the header calls for, several components or time steps.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let shown = path.display();
@@ -229,8 +229,8 @@ impl Volume {
         Ok(volume)
     }
 
-    /// Reads a volume of a known format from a stream. `file_name` is what the file is called (raw and JSON files find
-    /// each other by it); files that belong to it come from `companions`.
+    /// Reads a volume of a known format from a stream. `file_name` is what the file is called (raw and JSON
+    /// files find each other by it); files that belong to it come from `companions`.
     ///
     /// # Errors
     /// As [`Volume::open`], without the file's name.
@@ -337,8 +337,8 @@ pub(crate) fn checked_dims(sizes: [u64; 3]) -> Result<[usize; 3]> {
     }
 }
 
-/// Brings sizes and spacings of any number of axes to three: fewer than three axes are refused, further ones must
-/// have one element.
+/// Brings sizes and spacings of any number of axes to three: fewer than three axes are refused, further ones
+/// must have one element.
 ///
 /// # Errors
 /// Names the axis that makes the data multi-component, time-varying or flat.
@@ -354,7 +354,8 @@ pub(crate) fn three_axes<T: Copy>(
         );
     }
     let mut keep: Vec<usize> = (0..sizes.len()).collect();
-    // Axes of one element carry nothing: drop those first that the file does not place in space, then the last ones.
+    // Axes of one element carry nothing: drop those first that the file does not place in space, then the
+    // last ones.
     while keep.len() > 3 {
         let dropped = keep
             .iter()
@@ -380,7 +381,8 @@ fn not_a_volume(sizes: &[u64], spatial: &[bool]) -> anyhow::Error {
         .or_else(|| (sizes[0] <= 4).then_some(0))
         .unwrap_or(sizes.len() - 1);
     anyhow::anyhow!(
-        "the data has {} axes ({list}); axis {culprit} holds {} components or time steps, one is accepted: save one component of one time step",
+        "the data has {} axes ({list}); axis {culprit} holds {} components or time steps, one is accepted: \
+         save one component of one time step",
         sizes.len(),
         sizes[culprit]
     )

@@ -1,5 +1,8 @@
-//! NIfTI-1 and NIfTI-2 in one file (`.nii`, `.nii.gz`), either byte order. The header's slope and intercept are
-//! applied; its orientation is not used.
+//! NIfTI-1 and NIfTI-2 in one file (`.nii`, `.nii.gz`), either byte order. The header's slope and intercept
+//! are applied; its orientation is not used.
+//!
+//! The project's own reader: `nifti` reads NIfTI-1 alone and panics where a header's sizes contradict each
+//! other (`lab/scripts/readers`).
 
 use super::element::read_voxels;
 use super::stream::Stream;

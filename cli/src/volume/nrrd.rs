@@ -1,14 +1,13 @@
-//! NRRD ("nearly raw raster data"): a text header of `field: value` lines, a blank line, the voxels; or the voxels in
-//! the file that `data file` names. Encodings raw, gzip and ascii are read, gzip is written.
+//! NRRD ("nearly raw raster data"): a text header of `field: value` lines, a blank line, the voxels; or the
+//! voxels in the file that `data file` names. Encodings raw, gzip and ascii are read.
+//!
+//! The project's own reader: the crate that reads NRRD, `bioformats`, reserves as much memory as a header
+//! asks for, and has no 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
 use super::stream::{Companions, Remaining, Stream};
-use super::{Element, Endian, Parts, Volume, VolumeData, checked_dims, three_axes};
+use super::{Element, Endian, Parts, checked_dims, three_axes};
 use anyhow::{Context, Result, bail};
-use flate2::{Compression, write::GzEncoder};
-use std::fs::File;
-use std::io::{BufWriter, Write};
-use std::path::Path;
 
 const MAX_LINE: usize = 1 << 16;
 const MAX_LINES: usize = 1 << 14;
@@ -70,7 +69,8 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
     let (sizes, spacing) = three_axes(&sizes, &spacings, &spatial)?;
     if spacing.iter().any(|s| s.is_nan()) {
         bail!(
-            "NRRD spacing is {spacing:?}; all three must be positive numbers (write 1 where the spacing is unknown)"
+            "NRRD spacing is {spacing:?}; all three must be positive numbers (write 1 where the spacing is \
+             unknown)"
         );
     }
     let dims = checked_dims(sizes)?;
@@ -78,7 +78,8 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
         Some(endian) => endian,
         None if element.bytes() == 1 || encoding == Encoding::Text => Endian::Little,
         None => bail!(
-            "NRRD header has no \"endian\" field, which {} bytes per voxel need; add \"endian: little\" or \"endian: big\"",
+            "NRRD header has no \"endian\" field, which {} bytes per voxel need; add \"endian: little\" or \
+             \"endian: big\"",
             element.bytes()
         ),
     };
@@ -140,7 +141,8 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         if line.starts_with('#') {
             continue;
         }
-        // "field: value" describes the data, "key:=value" is the writer's own; whichever separator comes first decides.
+        // "field: value" describes the data, "key:=value" is the writer's own; whichever separator comes
+        // first decides.
         let (field, value) = match (line.find(": "), line.find(":=")) {
             (Some(at), pair) if pair.is_none_or(|p| at < p) => (&line[..at], line[at + 2..].trim()),
             (_, Some(_)) => continue,
@@ -287,63 +289,12 @@ fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(&bytes[..bytes.len().min(40)]).into_owned()
 }
 
-/// Writes a volume as one `.nrrd` file, gzip encoding, little endian, with its spacing. The file appears under its
-/// name when it is complete.
-///
-/// # Errors
-/// Names the path when it cannot be written.
-pub fn write(path: impl AsRef<Path>, volume: &Volume) -> Result<()> {
-    let path = path.as_ref();
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".part");
-    let partial = Path::new(&partial);
-    let written = write_to(partial, volume).and_then(|()| Ok(std::fs::rename(partial, path)?));
-    if written.is_err() {
-        // The first error is the one to report.
-        let _ = std::fs::remove_file(partial);
-    }
-    written.with_context(|| format!("{}: cannot be written", path.display()))
-}
-
-fn write_to(path: &Path, volume: &Volume) -> Result<()> {
-    let mut out = BufWriter::new(File::create(path)?);
-    let [x, y, z] = volume.dims();
-    let [sx, sy, sz] = volume.spacing();
-    let kind = match volume.data() {
-        VolumeData::U8(_) => "uint8",
-        VolumeData::U16(_) => "uint16",
-        VolumeData::I16(_) => "int16",
-        VolumeData::F32(_) => "float",
-    };
-    write!(
-        out,
-        "NRRD0004\ntype: {kind}\ndimension: 3\nsizes: {x} {y} {z}\nspacings: {sx} {sy} {sz}\nendian: little\nencoding: gzip\n\n"
-    )?;
-    let mut packed = GzEncoder::new(out, Compression::default());
-    let mut chunk = Vec::with_capacity(1 << 16);
-    macro_rules! numbers {
-        ($values:expr) => {
-            for part in $values.chunks(1 << 14) {
-                chunk.clear();
-                part.iter().for_each(|v| chunk.extend_from_slice(&v.to_le_bytes()));
-                packed.write_all(&chunk)?;
-            }
-        };
-    }
-    match volume.data() {
-        VolumeData::U8(v) => packed.write_all(v)?,
-        VolumeData::U16(v) => numbers!(v),
-        VolumeData::I16(v) => numbers!(v),
-        VolumeData::F32(v) => numbers!(v),
-    }
-    packed.finish()?.flush()?;
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::{Format, NoCompanions};
+    use super::super::{Format, NoCompanions, Volume, VolumeData};
     use super::*;
+    use flate2::{Compression, write::GzEncoder};
+    use std::io::Write;
 
     fn open(bytes: &[u8]) -> Result<Volume> {
         Volume::read(Format::Nrrd, Stream::from_bytes(bytes), "v.nrrd", &NoCompanions)
@@ -360,35 +311,18 @@ mod tests {
     const PLAIN: &str = "type: uint8\ndimension: 3\nsizes: 2 3 4\nencoding: raw\n";
 
     #[test]
-    fn every_type_comes_back_from_what_is_written() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("v.nrrd");
-        for data in [
-            VolumeData::U8((0..=255).cycle().take(385).collect()),
-            VolumeData::U16((0..385).map(|v| v * 170).collect()),
-            VolumeData::I16((0..385).map(|v| v * 85 - 16000).collect()),
-            VolumeData::F32((0..385).map(|v| v as f32 * 0.37 - 50.0).collect()),
-        ] {
-            let volume = Volume::new(data.clone(), [5, 7, 11], [0.5, 1.25, 3.0], "v").unwrap();
-            write(&path, &volume).unwrap();
-            let back = Volume::open(&path).unwrap();
-            assert_eq!(back.data(), &data);
-            assert_eq!((back.dims(), back.spacing(), back.name()), ([5, 7, 11], [0.5, 1.25, 3.0], "v"));
-        }
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
-    }
-
-    #[test]
     fn comments_pairs_line_ends_and_spelling_are_taken_as_the_format_allows() {
         let data: Vec<u8> = (0..24).collect();
-        let fields = "# made by hand\r\nType: unsigned   char\r\ndimension: 3\r\nsizes: 2 3 4\r\nkey: of=x\r\nmy:=own: pair\r\nspace directions: (0,3,4) (1,0,0) (0,0,-2)\r\nencoding: RAW\r\ncontent:\r\n\r";
+        let fields = "# made by hand\r\nType: unsigned   char\r\ndimension: 3\r\nsizes: 2 3 4\r\nkey: \
+         of=x\r\nmy:=own: pair\r\nspace directions: (0,3,4) (1,0,0) (0,0,-2)\r\nencoding: \
+         RAW\r\ncontent:\r\n\r";
         let volume = open(&with(fields, &data)).unwrap();
         assert_eq!((volume.dims(), volume.spacing()), ([2, 3, 4], [5.0, 1.0, 2.0]));
         assert_eq!(volume.data(), &VolumeData::U8(data));
     }
 
     #[test]
-    fn skips_and_text_are_honoured() {
+    fn skips_and_text_are_honored() {
         let data: Vec<u8> = (0..24).collect();
         let junk = [b"two\nlines\n###".as_slice(), &data].concat();
         let volume = open(&with(&format!("{PLAIN}line skip: 2\nbyte skip: 3\n"), &junk)).unwrap();

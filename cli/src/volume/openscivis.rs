@@ -1,10 +1,11 @@
 //! Raw voxels beside a JSON description, in the manner of the Open SciVis data sets:
-//! `{"name": "…", "size": [x, y, z], "type": "uint8", "spacing": [x, y, z]}`.
 //!
-//! Either file may be named. A `.json` finds its voxels by `"file"`, by the last part of `"url"`, or as the `.raw`
-//! file of its own name; a `.raw` finds the `.json` of its own name, with or without the `_256x256x256_uint8` behind
-//! the name. A `.raw` file without a description is read when its name has that part.
-//! `"endian"` (or `"byte_order"`) is `little` where it is not stated; `.raw.gz` is unpacked.
+//! `{"name": "…", "size": [x, y, z], "type": "uint8", "spacing": [x, y, z]}`
+//!
+//! Either file may be named. A `.json` finds its voxels by `"file"`, by the last part of `"url"`, or as the
+//! `.raw` file of its own name; a `.raw` finds the `.json` of its own name, with or without the
+//! `_256x256x256_uint8` behind the name. A `.raw` file without a description is read when its name has that
+//! part. `"endian"` (or `"byte_order"`) is `little` where it is not stated; `.raw.gz` is decompressed.
 
 use super::element::{expect_end, read_voxels};
 use super::stream::{Companions, Stream};
@@ -69,7 +70,8 @@ pub(super) fn read_raw(stream: Stream<'_>, file_name: &str, companions: &dyn Com
     }
     let Some((name, sizes, element)) = from_name else {
         bail!(
-            "raw voxels need a description beside them: looked for {}; write one like {{\"size\": [x, y, z], \"type\": \"uint8\", \"spacing\": [1, 1, 1]}}",
+            "raw voxels need a description beside them: looked for {}; write one like {{\"size\": [x, y, z], \
+             \"type\": \"uint8\", \"spacing\": [1, 1, 1]}}",
             candidates.join(", ")
         );
     };
@@ -123,7 +125,8 @@ fn describe(stream: &mut Stream<'_>) -> Result<Description> {
         .context("the description has no \"type\": \"uint8\" or the like")?;
     let Some(element) = element(kind) else {
         bail!(
-            "type {kind:?} is not read; accepted are int8, uint8, int16, uint16, int32, uint32, int64, uint64, float32, float64"
+            "type {kind:?} is not read; accepted are int8, uint8, int16, uint16, int32, uint32, int64, \
+             uint64, float32, float64"
         );
     };
     let endian = match text("endian").or_else(|| text("byte_order")).map(str::to_ascii_lowercase).as_deref() {

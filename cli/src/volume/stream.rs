@@ -1,14 +1,14 @@
 //! Byte streams that know how much they can hold, whatever they come from.
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, anyhow, bail};
 use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 use std::fmt;
-use std::fs::File;
+use std::fs::{File, Metadata};
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-/// No deflate stream grows by more than this factor when it is unpacked (RFC 1951: 258 bytes from 2 bits, less the
-/// block's own cost).
+/// No deflate stream grows by more than this factor when it is decompressed (RFC 1951: 258 bytes from 2 bits,
+/// less the block's own cost).
 const DEFLATE_GROWTH: u64 = 1032;
 
 /// How many bytes a stream still holds.
@@ -35,29 +35,25 @@ impl fmt::Debug for Stream<'_> {
 }
 
 impl<'a> Stream<'a> {
-    /// Opens a regular file.
+    /// Opens a regular file. Bytes that are appended to it later are not read.
     ///
     /// # Errors
     /// Names the path when it is missing, unreadable or not a regular file.
     pub fn open(path: &Path) -> Result<Stream<'static>> {
         let shown = path.display();
-        let file = match File::open(path) {
-            Ok(file) => file,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                bail!("{shown}: no such file; check the path")
-            }
-            Err(error) => bail!("{shown}: cannot be opened: {error}"),
+        let refused = |error: io::Error| match error.kind() {
+            io::ErrorKind::NotFound => anyhow!("{shown}: no such file; check the path"),
+            _ => anyhow!("{shown}: cannot be opened: {error}"),
         };
+        // Opening a FIFO waits for its writer: its kind is asked for first.
+        check_regular(path, &std::fs::metadata(path).map_err(refused)?)?;
+        let file = File::open(path).map_err(refused)?;
         let metadata = file.metadata().with_context(|| format!("{shown}"))?;
-        if metadata.is_dir() {
-            bail!("{shown}: is a folder; name a volume file in it");
-        }
-        if !metadata.is_file() {
-            bail!("{shown}: is not a regular file; save the volume to a file first");
-        }
+        check_regular(path, &metadata)?;
+        let length = metadata.len();
         Ok(Stream {
-            reader: Box::new(BufReader::with_capacity(1 << 16, file)),
-            remaining: Remaining::Exact(metadata.len()),
+            reader: Box::new(BufReader::with_capacity(1 << 16, file.take(length))),
+            remaining: Remaining::Exact(length),
             read: 0,
             label: String::new(),
         })
@@ -74,7 +70,7 @@ impl<'a> Stream<'a> {
     }
 
     /// Gives the stream a name for messages, for a file other than the one that was asked for.
-    pub fn labelled(mut self, label: impl Into<String>) -> Self {
+    pub fn labeled(mut self, label: impl Into<String>) -> Self {
         self.label = label.into();
         self
     }
@@ -117,7 +113,8 @@ impl<'a> Stream<'a> {
             }
         } else if line.len() > limit {
             bail!(
-                "{}header line at byte {} is longer than {limit} bytes; this is not the text header that its first bytes announce",
+                "{}header line at byte {} is longer than {limit} bytes; this is not the text header that its \
+                 first bytes announce",
                 self.prefix(),
                 self.read - line.len() as u64
             );
@@ -170,12 +167,12 @@ impl<'a> Stream<'a> {
         Ok(bytes)
     }
 
-    /// The rest of the stream unpacked as gzip (one or several members).
+    /// The rest of the stream decompressed as gzip (one or several members).
     pub(crate) fn gunzip(self) -> Stream<'a> {
-        self.unpacked(|reader| Box::new(BufReader::with_capacity(1 << 16, MultiGzDecoder::new(reader))))
+        self.decompressed(|reader| Box::new(BufReader::with_capacity(1 << 16, MultiGzDecoder::new(reader))))
     }
 
-    /// The rest of the stream unpacked as zlib, or as gzip where it starts like that.
+    /// The rest of the stream decompressed as zlib, or as gzip where it starts like that.
     ///
     /// # Errors
     /// When the stream cannot be read.
@@ -183,18 +180,54 @@ impl<'a> Stream<'a> {
         if self.peek()?.starts_with(&[0x1f, 0x8b]) {
             return Ok(self.gunzip());
         }
-        Ok(self.unpacked(|reader| Box::new(BufReader::with_capacity(1 << 16, ZlibDecoder::new(reader)))))
+        Ok(self.decompressed(|reader| Box::new(BufReader::with_capacity(1 << 16, ZlibDecoder::new(reader)))))
     }
 
-    fn unpacked(self, unpack: impl FnOnce(Box<dyn BufRead + 'a>) -> Box<dyn BufRead + 'a>) -> Stream<'a> {
+    fn decompressed(
+        self,
+        decompress: impl FnOnce(Box<dyn BufRead + 'a>) -> Box<dyn BufRead + 'a>,
+    ) -> Stream<'a> {
         let (Remaining::Exact(packed) | Remaining::AtMost(packed)) = self.remaining;
         Stream {
-            reader: unpack(self.reader),
+            reader: decompress(self.reader),
             remaining: Remaining::AtMost(packed.saturating_mul(DEFLATE_GROWTH)),
             read: 0,
             label: self.label,
         }
     }
+}
+
+/// Refuses what has no end, or waits for somebody else: folders, FIFOs, sockets, devices.
+fn check_regular(path: &Path, metadata: &Metadata) -> Result<()> {
+    let shown = path.display();
+    if metadata.is_dir() {
+        bail!("{shown}: is a folder; name a file in it");
+    }
+    if metadata.is_file() {
+        return Ok(());
+    }
+    let kind = kind_of(metadata);
+    bail!("{shown}: is {kind}, not a regular file; save its content to a file and name that")
+}
+
+#[cfg(unix)]
+fn kind_of(metadata: &Metadata) -> &'static str {
+    use std::os::unix::fs::FileTypeExt;
+    let kind = metadata.file_type();
+    if kind.is_fifo() {
+        "a FIFO"
+    } else if kind.is_socket() {
+        "a socket"
+    } else if kind.is_char_device() || kind.is_block_device() {
+        "a device"
+    } else {
+        "something else"
+    }
+}
+
+#[cfg(not(unix))]
+fn kind_of(_: &Metadata) -> &'static str {
+    "something else"
 }
 
 impl Read for Stream<'_> {
@@ -256,7 +289,7 @@ impl Companions for Folder {
     fn open(&self, name: &str) -> Result<Stream<'_>> {
         let path = self.path.join(name);
         let stream = Stream::open(&path).context("the data file that the header names")?;
-        Ok(stream.labelled(path.display().to_string()))
+        Ok(stream.labeled(path.display().to_string()))
     }
 
     fn exists(&self, name: &str) -> bool {

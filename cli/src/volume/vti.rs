@@ -1,7 +1,10 @@
 //! VTK XML image data (`.vti`): ascii, base64 in place, appended raw or base64, with or without zlib blocks.
 //!
-//! The active scalar array of the point data is read, else the first array with one component; where there is no
-//! point data, the same of the cell data. Direction and origin are not used.
+//! The active scalar array of the point data is read, else the first array with one component; where there is
+//! no point data, the same of the cell data. Direction and origin are not used.
+//!
+//! The project's own reader: `vtkio` reads no appended raw data, which is what VTK writes by default
+//! (`lab/scripts/readers`).
 
 use super::element::{byte_count, parse_voxels, read_voxels};
 use super::stream::Stream;
@@ -69,7 +72,8 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
     let dims = checked_dims(sizes)?;
     let Some(element) = array.element else {
         bail!(
-            "array {shown:?} has type {:?}, which is not read; accepted are Int8 to UInt64, Float32 and Float64",
+            "array {shown:?} has type {:?}, which is not read; accepted are Int8 to UInt64, Float32 and \
+             Float64",
             array.kind
         );
     };
@@ -86,19 +90,24 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
                     let Some((base64, start)) = file.appended else {
                         bail!("array {shown:?} is appended, the file has no AppendedData; is it cut short?");
                     };
-                    let rest = usize::try_from(*offset).ok().and_then(|offset| bytes.get(start.checked_add(offset)?..));
+                    let rest = usize::try_from(*offset)
+                        .ok()
+                        .and_then(|offset| bytes.get(start.checked_add(offset)?..));
                     let Some(rest) = rest else {
                         bail!(
-                            "array {shown:?} begins at byte {offset} of the appended data, which has {}; is the file cut short?",
+                            "array {shown:?} begins at byte {offset} of the appended data, which has {}; is \
+                             the file cut short?",
                             bytes.len() - start
                         );
                     };
                     if base64 { Cow::Owned(decode_base64(rest)?) } else { Cow::Borrowed(rest) }
                 }
-                Place::Inline(range) | Place::Ascii(range) => Cow::Owned(decode_base64(&bytes[range.clone()])?),
+                Place::Inline(range) | Place::Ascii(range) => {
+                    Cow::Owned(decode_base64(&bytes[range.clone()])?)
+                }
             };
             let voxels = if file.compressed {
-                unpack(&stored, &file, expected)?
+                decompress(&stored, &file, expected)?
             } else {
                 let (header, rest) = word(&stored, &file)?;
                 if header != expected {
@@ -125,7 +134,8 @@ fn choose(section: &Section) -> Result<&Array> {
         match section.arrays.iter().find(|array| array.name.as_ref() == Some(active)) {
             Some(array) if array.components == 1 => return Ok(array),
             Some(array) => bail!(
-                "the active scalar array {active:?} has {} components per voxel; one is accepted, save one component or its magnitude",
+                "the active scalar array {active:?} has {} components per voxel; one is accepted, save one \
+                 component or its magnitude",
                 array.components
             ),
             None => bail!("the active scalar array {active:?} is not in the file"),
@@ -135,7 +145,8 @@ fn choose(section: &Section) -> Result<&Array> {
         Some(array) => Ok(array),
         None => match section.arrays.first() {
             Some(array) => bail!(
-                "array {:?} has {} components per voxel; one is accepted, save one component or its magnitude",
+                "array {:?} has {} components per voxel; one is accepted, save one component or its \
+                 magnitude",
                 array.name.as_deref().unwrap_or("unnamed"),
                 array.components
             ),
@@ -337,8 +348,8 @@ fn numbers<T: std::str::FromStr, const N: usize>(name: &str, text: &str) -> Resu
     }
 }
 
-/// Bytes from base64 text: blanks are passed over, padding may end one part and another follow, and the text ends at
-/// the first `<`. Within a part, header and data may share a group or not.
+/// Bytes from base64 text: blanks are passed over, padding may end one part and another follow, and the text
+/// ends at the first `<`. Within a part, header and data may share a group or not.
 fn decode_base64(text: &[u8]) -> Result<Vec<u8>> {
     let end = text.iter().position(|&b| b == b'<').unwrap_or(text.len());
     let clean: Cow<'_, [u8]> = if text[..end].iter().any(u8::is_ascii_whitespace) {
@@ -375,9 +386,9 @@ fn word<'a>(bytes: &'a [u8], file: &File) -> Result<(u64, &'a [u8])> {
     })
 }
 
-/// Unpacks zlib blocks: a header of block count, block size, size of the last block (0: a full one) and the packed
-/// sizes, then the blocks.
-fn unpack<'a>(bytes: &[u8], file: &File, expected: u64) -> Result<Cow<'a, [u8]>> {
+/// Decompresses zlib blocks: a header of block count, block size, size of the last block (0: a full one) and
+/// the packed sizes, then the blocks.
+fn decompress<'a>(bytes: &[u8], file: &File, expected: u64) -> Result<Cow<'a, [u8]>> {
     let (blocks, rest) = word(bytes, file)?;
     let (block, rest) = word(rest, file)?;
     let (last, mut sizes) = word(rest, file)?;
@@ -413,7 +424,8 @@ fn unpack<'a>(bytes: &[u8], file: &File, expected: u64) -> Result<Cow<'a, [u8]>>
         let got = out.len() as u64 - before;
         if got != wanted {
             bail!(
-                "compressed block {index} of {blocks} unpacks to {got} or more bytes, its header says {wanted}"
+                "compressed block {index} of {blocks} decompresses to {got} or more bytes, its header says \
+                 {wanted}"
             );
         }
     }

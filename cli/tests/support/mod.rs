@@ -25,8 +25,8 @@ pub(crate) fn succeeds(folder: &Path, arguments: &[&str]) -> String {
     stdout(&output)
 }
 
-/// A run that must end with status 1, nothing on standard output and one line on standard error that contains every
-/// one of `parts`.
+/// A run that must end with status 1, nothing on standard output and one line on standard error that contains
+/// every one of `parts`.
 pub(crate) fn refuses(folder: &Path, arguments: &[&str], parts: &[&str]) {
     let output = entire(folder, arguments);
     let told = stderr(&output);

@@ -2,6 +2,7 @@
 
 use super::state::{Reader, Writer};
 use crate::Result;
+use crate::error::bail;
 use crate::predict::{CostTerms, TERMS};
 
 /// How well the prediction is known before the first observation.
@@ -18,7 +19,7 @@ pub enum Prior {
 
 /// How an observed frame stands to the scene at hand.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Standing {
+pub(crate) enum Standing {
     /// The first frame of this scene.
     First,
     /// A later frame of this scene.
@@ -27,19 +28,20 @@ pub enum Standing {
     Past,
 }
 
-/// t = exp(b) · Σ exp(θ_i) · part_i, with θ and b learned together from observed times by a Kalman filter on ln t.
+/// t = exp(b) · Σ exp(θ_i) · part_i, with θ and b learned together from observed times by a Kalman filter on
+/// ln t.
 ///
-/// θ belongs to the machine: it drifts slowly and outlives a change of scene. b belongs to the scene at hand: what the
-/// prediction gets wrong about just this one. It follows the last few frames as closely as their noise allows, and a
-/// new scene begins with b = 0 and the spread that scenes have been found to have among each other. So what an
-/// expensive scene taught does not weigh on the cheap one after it.
+/// θ belongs to the machine: it drifts slowly and outlives a change of scene. b belongs to the scene at hand:
+/// what the prediction gets wrong about just this one. It follows the last few frames as closely as their
+/// noise allows, and a new scene begins with b = 0 and the spread that scenes have been found to have among
+/// each other. So what an expensive scene taught does not weigh on the cheap one after it.
 ///
-/// Costs stay positive because only their logarithms move. How fast b follows is found from the errors themselves: when
-/// successive errors have the same sign it follows faster, when they alternate slower. Errors beyond three standard
-/// deviations are clipped; two in a row on the same side mean that the machine has changed, and the filter opens up and
-/// takes the second one whole. The state is bounded for ever.
+/// Costs stay positive because only their logarithms move. How fast b follows is found from the errors
+/// themselves: when successive errors have the same sign it follows faster, when they alternate slower.
+/// Errors beyond three standard deviations are clipped; two in a row on the same side mean that the machine
+/// has changed, and the filter opens up and takes the second one whole. The state is bounded for ever.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Correction {
+pub(crate) struct Correction {
     /// θ, then b.
     state: [f64; STATES],
     covariance: [[f64; STATES]; STATES],
@@ -76,7 +78,7 @@ const CLIP_BELOW: f64 = 2.0;
 
 impl Correction {
     /// A correction that has seen nothing.
-    pub fn new(prior: Prior) -> Self {
+    pub(crate) fn new(prior: Prior) -> Self {
         let mut out = Self {
             state: [0.0; STATES],
             covariance: [[0.0; STATES]; STATES],
@@ -95,7 +97,7 @@ impl Correction {
     }
 
     /// Forgets everything.
-    pub fn reset(&mut self) {
+    pub(crate) fn reset(&mut self) {
         let (common, single, change) = match self.prior {
             Prior::Unknown => (9.0, 1.0, 0.04),
             Prior::Fitted { log_sd } => {
@@ -122,38 +124,30 @@ impl Correction {
         self.age = 0;
     }
 
-    /// Observations learned from since the last reset.
-    pub fn observations(&self) -> u64 {
-        self.observations
-    }
-
     /// The factor that each part is corrected by in every scene.
-    pub fn factors(&self) -> [f64; TERMS] {
+    #[cfg(test)]
+    pub(crate) fn factors(&self) -> [f64; TERMS] {
         core::array::from_fn(|i| libm::exp(self.state[i]))
     }
 
-    /// The factor of the scene at hand.
-    pub fn scene_factor(&self) -> f64 {
-        libm::exp(self.state[LOCAL])
-    }
-
     /// Whether the scene at hand has been seen for some frames.
-    pub fn settled(&self) -> bool {
+    pub(crate) fn settled(&self) -> bool {
         self.age > 4
     }
 
     /// Whether the observation before was the second in a row that only another machine explains.
-    pub fn machine_changed(&self) -> bool {
+    pub(crate) fn machine_changed(&self) -> bool {
         self.jumped
     }
 
     /// Variance of ln t between equal frames.
-    pub fn noise(&self) -> f64 {
+    pub(crate) fn noise(&self) -> f64 {
         self.spread * (1.0 - self.gain)
     }
 
-    /// Moves on by a frame. `novelty` is 0 where the frame continues the one before, 1 where that says nothing about it.
-    pub fn advance(&mut self, novelty: f64) {
+    /// Moves on by a frame. `novelty` is 0 where the frame continues the one before, 1 where that says
+    /// nothing about it.
+    pub(crate) fn advance(&mut self, novelty: f64) {
         let novelty = if novelty.is_finite() { novelty.clamp(0.0, 1.0) } else { 1.0 };
         let keep = 1.0 - novelty;
         self.state[LOCAL] *= keep;
@@ -170,19 +164,20 @@ impl Correction {
             self.before = 0.0;
         }
         self.age = self.age.saturating_add(1);
+        self.recover();
     }
 
     /// The corrected time of a prediction in parts: seconds, and the standard deviation of ln(time).
-    pub fn apply(&self, terms: &CostTerms) -> (f64, f64) {
+    pub(crate) fn apply(&self, terms: &CostTerms) -> (f64, f64) {
         let (seconds, shares) = self.shares(terms, true);
         let variance = self.model_variance(&shares) + self.noise();
         (seconds, libm::sqrt(variance.clamp(1.0e-8, 4.0 * MAX_VARIANCE)))
     }
 
-    /// Learns from an observed time (finite and positive) of a frame that [`Correction::advance`] was called for.
-    /// `trust` in (0, 1] weakens an observation that may hold other work. Returns the error
+    /// Learns from an observed time (finite and positive) of a frame that [`Correction::advance`] was called
+    /// for. `trust` in (0, 1] weakens an observation that may hold other work. Returns the error
     /// ln(observed / corrected prediction) in standard deviations, before learning.
-    pub fn observe(&mut self, terms: &CostTerms, seconds: f64, standing: Standing, trust: f64) -> f64 {
+    pub(crate) fn observe(&mut self, terms: &CostTerms, seconds: f64, standing: Standing, trust: f64) -> f64 {
         let this_scene = standing != Standing::Past;
         let (predicted, shares) = self.shares(terms, this_scene);
         if !(seconds.is_finite() && seconds > 0.0 && predicted.is_finite() && predicted > 0.0) {
@@ -245,6 +240,7 @@ impl Correction {
         }
         self.tidy();
         self.observations = self.observations.saturating_add(1);
+        self.recover();
         normalized
     }
 
@@ -312,6 +308,34 @@ impl Correction {
         }
     }
 
+    /// Forgets everything where a number is not finite: no observation brings such a filter back.
+    fn recover(&mut self) {
+        let rest = [self.spread, self.gain, self.change, self.before];
+        let mut numbers = self.state.iter().chain(self.covariance.iter().flatten()).chain(&rest);
+        if !numbers.all(|v| v.is_finite()) {
+            self.reset();
+        }
+    }
+
+    /// Whether the covariance is one: positive definite, to a millionth of its diagonal (Cholesky).
+    fn is_definite(&self) -> bool {
+        const TOLERANCE: f64 = 1.0e-6;
+        let mut low = self.covariance;
+        for j in 0..STATES {
+            let own: f64 = (0..j).map(|k| low[j][k] * low[j][k]).sum();
+            let pivot = low[j][j] * (1.0 + TOLERANCE) - own;
+            if !(pivot > 0.0) {
+                return false;
+            }
+            low[j][j] = libm::sqrt(pivot);
+            for i in j + 1..STATES {
+                let shared: f64 = (0..j).map(|k| low[i][k] * low[j][k]).sum();
+                low[i][j] = (low[i][j] - shared) / low[j][j];
+            }
+        }
+        true
+    }
+
     pub(crate) fn save(&self, w: &mut Writer<'_>) {
         w.f64s(&self.state);
         for row in &self.covariance {
@@ -343,6 +367,92 @@ impl Correction {
         self.observations = r.u64()?;
         self.age = r.u64()?;
         self.tidy();
+        if !self.is_definite() {
+            bail!(
+                InvalidArgument,
+                "the saved state's covariance is not positive definite; it is damaged, start without it"
+            );
+        }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ErrorKind;
+    use crate::predict::Source;
+    use alloc::vec::Vec;
+
+    fn saved(correction: &Correction) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        correction.save(&mut Writer(&mut bytes));
+        bytes
+    }
+
+    fn terms(seed: u64) -> CostTerms {
+        let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+        let parts = core::array::from_fn(|_| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            1.0e-4 * (1 + state % 1000) as f32
+        });
+        CostTerms { parts, out_of_range: 0.0, source: Source::Analytic }
+    }
+
+    #[test]
+    fn a_filter_that_is_not_finite_starts_anew_by_itself() {
+        for prior in [Prior::Unknown, Prior::Fitted { log_sd: 0.1 }] {
+            let poisons: [fn(&mut Correction, f64); 6] = [
+                |c, v| c.state[2] = v,
+                |c, v| c.state[LOCAL] = v,
+                |c, v| (c.covariance[1][3], c.covariance[3][1]) = (v, v),
+                |c, v| c.covariance[LOCAL][LOCAL] = v,
+                |c, v| c.spread = v,
+                |c, v| c.gain = v,
+            ];
+            for (i, poison) in poisons.into_iter().enumerate() {
+                for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+                    let mut correction = Correction::new(prior);
+                    poison(&mut correction, value);
+                    for frame in 0..60 {
+                        correction.advance(0.0);
+                        correction.observe(&terms(frame), 0.02, Standing::Same, 1.0);
+                    }
+                    let (seconds, sd) = correction.apply(&terms(7));
+                    assert!(seconds > 0.0 && seconds.is_finite() && sd.is_finite(), "{prior:?} {i} {value}");
+                    assert!(correction.observations > 50, "{prior:?} {i} {value}: it learns again");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn every_state_that_is_reached_is_loaded_and_indefinite_ones_are_not() {
+        for prior in [Prior::Unknown, Prior::Fitted { log_sd: 0.01 }, Prior::Fitted { log_sd: 1.0 }] {
+            let mut correction = Correction::new(prior);
+            for frame in 0..3000u64 {
+                correction.advance([0.0, 0.0, 0.0, 0.3, 1.0][frame as usize % 5]);
+                let seconds = if frame / 400 % 2 == 0 { 0.01 } else { 3.0 } * (1.0 + (frame % 7) as f64);
+                let standing = if frame % 5 == 4 { Standing::First } else { Standing::Same };
+                // The same make-up for long: the filter becomes sure of one direction alone.
+                correction.observe(&terms(frame / 1000), seconds, standing, 1.0);
+                let bytes = saved(&correction);
+                let mut other = Correction::new(prior);
+                other.load(&mut Reader(&bytes)).unwrap();
+                assert_eq!(other.observations, correction.observations, "frame {frame}");
+            }
+            // Every variance stays as it is; two states are more than fully correlated.
+            for sign in [-1.0, 1.0] {
+                let mut broken = correction.clone();
+                let bound = libm::sqrt(broken.covariance[0][0] * broken.covariance[4][4]);
+                broken.covariance[0][4] = sign * 1.01 * bound;
+                broken.covariance[4][0] = sign * 1.01 * bound;
+                let error = Correction::new(prior).load(&mut Reader(&saved(&broken))).unwrap_err();
+                assert_eq!(error.kind(), ErrorKind::InvalidArgument);
+                assert!(error.message().contains("positive definite"), "{error}");
+            }
+        }
     }
 }

@@ -1,7 +1,8 @@
 //! Which timings are believed.
 
-/// Longest frame time that is believed, seconds.
-pub const LONGEST_FRAME: f32 = 10_000.0;
+use crate::{Error, ErrorKind, Result};
+
+pub use crate::predict::LONGEST_FRAME;
 
 /// What became of an observation. Stable numbers: they are part of the C ABI.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -12,37 +13,18 @@ pub enum Verdict {
     Learned = 0,
     /// Far from what was expected: its pull was clipped.
     Clipped = 1,
-    /// Taken note of, not learned from: the caller flagged it, or it was the first frame after a pipeline was built.
+    /// Taken note of, not learned from: the caller flagged it, or it was the first frame after a pipeline was
+    /// built.
     Ignored = 2,
-    /// Refused: NaN or infinite.
-    NotFinite = 3,
-    /// Refused: zero or negative.
-    NotPositive = 4,
-    /// Refused: over [`LONGEST_FRAME`].
-    TooLong = 5,
-    /// Refused: no plan has this id, or it is so old that it was forgotten.
-    UnknownPlan = 6,
-    /// Refused: this plan was observed before.
-    Duplicate = 7,
 }
 
 impl Verdict {
-    /// Whether the observation was refused and left no trace.
-    pub const fn is_refused(self) -> bool {
-        (self as u32) >= (Self::NotFinite as u32)
-    }
-
     /// A short name.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Learned => "learned",
             Self::Clipped => "clipped",
             Self::Ignored => "ignored",
-            Self::NotFinite => "not finite",
-            Self::NotPositive => "not positive",
-            Self::TooLong => "too long",
-            Self::UnknownPlan => "unknown plan",
-            Self::Duplicate => "duplicate",
         }
     }
 }
@@ -50,21 +32,26 @@ impl Verdict {
 /// What the caller knows about an observation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ObserveFlags {
-    /// The time holds work that is not the frame's (a compile, an upload, a stall): note it, do not learn from it.
+    /// The time holds work that is not the frame's (a compile, an upload, a stall): note it, do not learn
+    /// from it.
     pub unusual: bool,
     /// The frame was abandoned before it was complete; its time says only that it takes at least that long.
     pub cancelled: bool,
 }
 
-/// Whether a time can be a frame's.
-pub fn check_seconds(seconds: f32) -> Option<Verdict> {
-    if !seconds.is_finite() {
-        Some(Verdict::NotFinite)
+/// Checks that a time can be a frame's.
+///
+/// # Errors
+/// [`crate::ErrorKind::RejectedObservation`] unless it is finite, positive and at most [`LONGEST_FRAME`].
+pub fn check_seconds(seconds: f32) -> Result<()> {
+    let text = if !seconds.is_finite() {
+        "the frame time is not finite; report the seconds that the frame took"
     } else if seconds <= 0.0 {
-        Some(Verdict::NotPositive)
+        "the frame time is not positive; report the seconds that the frame took"
     } else if seconds > LONGEST_FRAME {
-        Some(Verdict::TooLong)
+        "the frame time is over 10000 s; report the seconds that the frame took, not milliseconds"
     } else {
-        None
-    }
+        return Ok(());
+    };
+    Err(Error::new(ErrorKind::RejectedObservation, text))
 }

@@ -3,10 +3,11 @@
 use super::state::{Reader, Writer};
 use crate::Result;
 
-/// Multiple of the expected error that an upper bound adds, moved after every frame so that the share of frames above
-/// the bound tends to the rate asked for (adaptive conformal inference: Gibbs and Candès 2021). O(1) state.
+/// Multiple of the expected error that an upper bound adds, moved after every frame so that the share of
+/// frames above the bound tends to the rate asked for (adaptive conformal inference: Gibbs and Candès 2021).
+/// O(1) state.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Margin {
+pub(crate) struct Margin {
     z: f64,
     rate: f64,
     pace: f64,
@@ -17,12 +18,12 @@ const HIGH: f64 = 8.0;
 
 impl Margin {
     /// A margin that aims at a miss rate in (0, 0.5]; out-of-range rates are clamped.
-    pub fn new(rate: f32, pace: f32) -> Self {
+    pub(crate) fn new(rate: f32, pace: f32) -> Self {
         Self::starting_at(2.0, rate, pace)
     }
 
     /// As [`Margin::new`], with a multiple to start from, clamped to 0.5…8.
-    pub fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
+    pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
         let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
         let pace = if pace.is_finite() { f64::from(pace).clamp(1.0e-3, 1.0) } else { 0.1 };
         let z = if multiple.is_finite() { multiple.clamp(LOW, HIGH) } else { 2.0 };
@@ -30,12 +31,12 @@ impl Margin {
     }
 
     /// The multiple.
-    pub fn multiple(&self) -> f64 {
+    pub(crate) fn multiple(&self) -> f64 {
         self.z
     }
 
     /// Takes note of an error in units of what was expected of it (positive: slower than predicted).
-    pub fn observe(&mut self, normalized_error: f64) {
+    pub(crate) fn observe(&mut self, normalized_error: f64) {
         if normalized_error.is_nan() {
             return;
         }

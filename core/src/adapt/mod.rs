@@ -1,5 +1,5 @@
-//! Observations and what they teach: correction of each part of the cost, margin, drift, and the refusal of broken
-//! timings.
+//! Observations and what they teach: correction of each part of the cost, margin, drift, and the refusal of
+//! broken timings.
 
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod correction;
@@ -9,6 +9,7 @@ pub(crate) mod state;
 #[cfg(test)]
 mod tests;
 
-pub use correction::{Correction, Prior, Standing};
+pub use correction::Prior;
+pub(crate) use correction::{Correction, Standing};
 pub use gate::{LONGEST_FRAME, ObserveFlags, Verdict, check_seconds};
-pub use margin::Margin;
+pub(crate) use margin::Margin;

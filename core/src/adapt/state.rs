@@ -23,6 +23,36 @@ impl Writer<'_> {
     pub(crate) fn f64s(&mut self, v: &[f64]) {
         v.iter().for_each(|&v| self.f64(v));
     }
+
+    pub(crate) fn text(&mut self, text: &str) {
+        self.u64(text.len() as u64);
+        self.0.extend_from_slice(text.as_bytes());
+    }
+}
+
+/// Appends the checksum of everything before it (CRC-32).
+pub(crate) fn seal(bytes: &mut Vec<u8>) {
+    let sum = crc32fast::hash(bytes);
+    bytes.extend_from_slice(&sum.to_le_bytes());
+}
+
+/// The bytes without the checksum that [`seal`] appended.
+///
+/// # Errors
+/// [`ErrorKind::InvalidArgument`] for a checksum that does not fit.
+pub(crate) fn unseal(bytes: &[u8]) -> Result<&[u8]> {
+    let Some((body, sum)) = bytes.split_last_chunk::<4>() else {
+        bail!(InvalidArgument, "the saved state is cut short: it has {} bytes", bytes.len());
+    };
+    let (stated, found) = (u32::from_le_bytes(*sum), crc32fast::hash(body));
+    if stated != found {
+        bail!(
+            InvalidArgument,
+            "the saved state is damaged or cut short: its checksum is {stated:08x}, its bytes give {found:08x}; start \
+             without it"
+        );
+    }
+    Ok(body)
 }
 
 /// Reads them back.
@@ -56,6 +86,21 @@ impl Reader<'_> {
 
     pub(crate) fn u64(&mut self) -> Result<u64> {
         Ok(u64::from_le_bytes(self.take()?))
+    }
+
+    /// Text of at most `limit` bytes.
+    pub(crate) fn text(&mut self, limit: usize) -> Result<&str> {
+        let length = self.u64()?;
+        let split =
+            usize::try_from(length).ok().filter(|&n| n <= limit).and_then(|n| self.0.split_at_checked(n));
+        let Some((head, rest)) = split else {
+            bail!(InvalidArgument, "the saved state holds a name of {length} bytes; it is damaged");
+        };
+        self.0 = rest;
+        match core::str::from_utf8(head) {
+            Ok(text) => Ok(text),
+            Err(_) => bail!(InvalidArgument, "the saved state holds a name that is not UTF-8; it is damaged"),
+        }
     }
 
     /// A finite number within bounds.

@@ -1,4 +1,4 @@
-//! Ours: feed-forward prediction, corrected online, with a margin that keeps its promise.
+//! Feed-forward prediction, corrected online, with a margin that keeps its promise.
 
 use super::smoothing::Smoothing;
 use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepCost, StepLimits};
@@ -9,13 +9,24 @@ use crate::features::Changes;
 use crate::predict::{CostTerms, Prediction, TERMS};
 use alloc::vec::Vec;
 
+/// Default share of calm frames that may exceed their upper bound.
+pub const DEFAULT_MISS_RATE: f32 = 0.05;
+
+/// Share of the first frames of new scenes that may exceed their upper bound, at least.
+pub const NEW_SCENE_MISS_RATE: f32 = 0.07;
+
+/// Default share of the target by which an upper bound may exceed it.
+pub const DEFAULT_TOLERANCE: f32 = 0.1;
+
 /// Settings of [`Hybrid`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridOptions {
-    /// Share of frames that may exceed their upper bound. Of the target plus `tolerance` fewer do, since not every
-    /// bound reaches so far.
+    /// Share of calm frames that may exceed their upper bound, over 0 and under 1; [`DEFAULT_MISS_RATE`].
+    /// Fewer exceed the target plus `tolerance`, since not every bound reaches so far. Of the first frames of
+    /// new scenes, at least [`NEW_SCENE_MISS_RATE`] may.
     pub miss_rate: f32,
-    /// How far over the target a frame may be before it counts as missed, as a share of the target.
+    /// How far over the target a frame's upper bound may reach, as a share of the target;
+    /// [`DEFAULT_TOLERANCE`].
     pub tolerance: f32,
     /// What is known of the prediction before the first frame.
     pub prior: Prior,
@@ -27,26 +38,33 @@ pub struct HybridOptions {
 
 impl Default for HybridOptions {
     fn default() -> Self {
-        Self { miss_rate: 0.05, tolerance: 0.1, prior: Prior::Unknown, damping: true, trust_limit: 2.0 }
+        Self {
+            miss_rate: DEFAULT_MISS_RATE,
+            tolerance: DEFAULT_TOLERANCE,
+            prior: Prior::Unknown,
+            damping: true,
+            trust_limit: 2.0,
+        }
     }
 }
 
-/// Feed-forward prediction × online correction × adaptive-conformal margin → the finest step that is expected to meet
-/// the target and whose upper bound stays within the tolerance.
+/// Feed-forward prediction × online correction × adaptive-conformal margin → the finest step that is expected
+/// to meet the target and whose upper bound stays within the tolerance.
 ///
-/// * Novelty: how much of the predicted cost of the step drawn last changed since that frame, in amount and make-up, says
-///   how little the frames before are worth for this one ([`Correction::advance`]). A change that the caller announces
-///   after calm frames counts as half new at least; one in a row of announced changes (a drag) counts by what it does.
-/// * Calm phases: the correction follows this very scene, so the margin shrinks to the noise from frame to frame and the
-///   target is met on average. Of what the prediction says to differ from the frame before, as much is taken as has
-///   proved true (smoothing). The step is kept while it is close to the best; finer moves that no prediction
-///   calls for are bounded per frame.
-/// * A new scene: nothing is damped, what was learned about the scene before is put away, and the margin is the one
-///   that new scenes have been found to need.
+/// * Novelty: how much of the predicted cost of the step drawn last changed since that frame, in amount and
+///   make-up, says how little the frames before are worth for this one. A change that the caller announces
+///   after calm frames counts as half new at least; one in a row of announced changes (a drag) counts by what
+///   it does.
+/// * Calm phases: the correction follows this very scene, so the margin shrinks to the noise from frame to
+///   frame and the target is met on average. Of what the prediction says to differ from the frame before, as
+///   much is taken as has proved true (smoothing). The step is kept while it is close to the best; finer
+///   moves that no prediction calls for are bounded per frame.
+/// * A new scene: nothing is damped, what was learned about the scene before is put away, and the margin is
+///   the one that new scenes have been found to need.
 /// * Limits: there is no integral, so nothing winds up; the plan says which limit was met.
-/// * Fallback: a second forecast from the last three frames alone (brought to a common step by a plain rule) runs in
-///   its shadow and takes over when the prediction is out of range or has lately been clearly worse. Without either, the
-///   coarsest step is chosen.
+/// * Fallback: a second forecast from the last three frames alone (brought to a common step by a plain rule)
+///   runs in its shadow and takes over when the prediction is out of range or has lately been clearly worse.
+///   Without either, the coarsest step is chosen.
 #[derive(Clone, Debug)]
 pub struct Hybrid {
     options: HybridOptions,
@@ -75,7 +93,8 @@ struct Last {
 
 /// Most evaluations of the cost in a step search, beside those at the limits.
 const EVALUATIONS: usize = 12;
-/// Relative changes of the step, or distances of the expected time from the target, below which the step is kept.
+/// Relative changes of the step, or distances of the expected time from the target, below which the step is
+/// kept.
 const DEAD_BAND: f64 = 0.01;
 /// Largest move to a finer step in a calm frame, in ln(step), beside what the prediction calls for.
 const FINER: f64 = 0.16;
@@ -96,8 +115,6 @@ const NEAR: f64 = 0.12;
 const NEW: f64 = 0.3;
 /// How fast the margin of calm frames moves.
 const CALM_PACE: f32 = 0.05;
-/// Share of new scenes whose first frame may exceed its bound.
-const CHANGED_RATE: f32 = 0.07;
 /// Margin of new scenes before any was seen: errors among scenes have heavy tails.
 const CHANGED_START: f64 = 2.5;
 
@@ -108,7 +125,7 @@ impl Hybrid {
             options,
             correction: Correction::new(options.prior),
             calm: Margin::new(options.miss_rate, CALM_PACE),
-            changed: Margin::starting_at(CHANGED_START, options.miss_rate.max(CHANGED_RATE), 0.3),
+            changed: Margin::starting_at(CHANGED_START, options.miss_rate.max(NEW_SCENE_MISS_RATE), 0.3),
             history: History::new(),
             last: None,
             announced: false,
@@ -123,15 +140,9 @@ impl Hybrid {
     }
 
     /// What has been learned of the cost parts.
-    pub fn correction(&self) -> &Correction {
+    #[cfg(test)]
+    pub(crate) fn correction(&self) -> &Correction {
         &self.correction
-    }
-
-    /// Replaces what is known of the prediction before the first frame, and forgets every frame.
-    pub fn set_prior(&mut self, prior: Prior) {
-        self.options.prior = prior;
-        self.correction = Correction::new(prior);
-        self.reset();
     }
 
     /// Corrected time and upper bound of a prediction for the frame at hand, at the step drawn last.
@@ -139,8 +150,9 @@ impl Hybrid {
         self.judge_at(terms, f64::NAN)
     }
 
-    /// Corrected time and upper bound of a prediction for the frame at hand, at `step`. Within a scene the bound is wider
-    /// the further the step is from the one drawn last: the predicted step curve has an error of its own.
+    /// Corrected time and upper bound of a prediction for the frame at hand, at `step`. Within a scene the
+    /// bound is wider the further the step is from the one drawn last: the predicted step curve has an error
+    /// of its own.
     fn judge_at(&self, terms: &CostTerms, step: f64) -> (f64, f64) {
         let (seconds, sd) = self.correction.apply(terms);
         let seconds = seconds * libm::exp(self.scene.offset);
@@ -170,10 +182,10 @@ impl Hybrid {
         }
     }
 
-    /// The finest step within the limits whose `excess` is not positive, to about half a percent; `None` when there is
-    /// none. The excess (ln of time over target) is nearly linear in ln(step), so a bracketed secant search (Illinois)
-    /// needs four or five evaluations. It is taken to fall with the step; where a network says otherwise, the answer
-    /// still fits.
+    /// The finest step within the limits whose `excess` is not positive, to about half a percent; `None` when
+    /// there is none. The excess (ln of time over target) is nearly linear in ln(step), so a bracketed secant
+    /// search (Illinois) needs four or five evaluations. It is taken to fall with the step; where a network
+    /// says otherwise, the answer still fits.
     fn finest(limits: StepLimits, mut excess: impl FnMut(f32) -> f64) -> Option<f32> {
         let mut f_high = excess(limits.coarsest());
         if f_high > 0.0 {
@@ -268,7 +280,8 @@ impl Controller for Hybrid {
         };
         let best = Self::finest(limits, excess);
         let mut reason = if by_history { Reason::History } else { Reason::Fits };
-        // Where the coarsest step should fit and only its bound does not, recent frames of the scene know better.
+        // Where the coarsest step should fit and only its bound does not, recent frames of the scene know
+        // better.
         let best = best.or_else(|| {
             let lost = by_history || self.scene.first || history.is_empty();
             if lost || judge(limits.coarsest()).0 > target {
@@ -327,7 +340,8 @@ impl Controller for Hybrid {
         }
         let mut late = 0;
         if let Some((last, took)) = self.last.filter(steady).and_then(|l| Some((l, l.seconds?))) {
-            // Whatever is predicted: after a late frame none is finer, and after two half of the excess is taken back.
+            // Whatever is predicted: after a late frame none is finer, and after two half of the excess is
+            // taken back.
             let now = took / target * libm::exp(if moved.is_finite() { moved.clamp(-0.5, 0.0) } else { 0.0 });
             if now > LATE {
                 late = last.late + 1;
@@ -355,7 +369,8 @@ impl Controller for Hybrid {
             SceneMark { first: true, .. } => Standing::First,
             _ => Standing::Same,
         };
-        // The first frame may hold a compile or an upload: it sets the order of magnitude where nothing else does.
+        // The first frame may hold a compile or an upload: it sets the order of magnitude where nothing else
+        // does.
         let trust = if observed.changes.first { 0.01 } else { 1.0 };
         let factor = libm::exp(observed.scene.offset);
         let corrected = self.correction.apply(&observed.terms).0 * factor;
@@ -394,7 +409,8 @@ impl Controller for Hybrid {
     fn reset(&mut self) {
         self.correction.reset();
         self.calm = Margin::new(self.options.miss_rate, CALM_PACE);
-        self.changed = Margin::starting_at(CHANGED_START, self.options.miss_rate.max(CHANGED_RATE), 0.3);
+        self.changed =
+            Margin::starting_at(CHANGED_START, self.options.miss_rate.max(NEW_SCENE_MISS_RATE), 0.3);
         self.history = History::new();
         self.last = None;
         self.announced = false;
@@ -465,8 +481,8 @@ impl Controller for Hybrid {
     }
 }
 
-/// How far two predictions for one step lie apart: the difference of their logarithms, and half of what changed place
-/// among their parts. NaN where one is not known.
+/// How far two predictions for one step lie apart: the difference of their logarithms, and half of what
+/// changed place among their parts. NaN where one is not known.
 fn distance(a: &CostTerms, b: &CostTerms) -> f64 {
     let (sum_a, sum_b) = (f64::from(a.seconds()), f64::from(b.seconds()));
     if !(sum_a > 0.0 && sum_b > 0.0 && sum_a.is_finite() && sum_b.is_finite()) {
@@ -514,8 +530,8 @@ impl History {
         self.leads
     }
 
-    /// Time of a frame like the last three at another step: mean and upper bound. A tenth of a frame's time is taken
-    /// as fixed and the rest as falling with 1/step: flatter than 1/step, as every renderer is.
+    /// Time of a frame like the last three at another step: mean and upper bound. A tenth of a frame's time
+    /// is taken as fixed and the rest as falling with 1/step: flatter than 1/step, as every renderer is.
     fn forecast(&self, step: f32, margin: f64) -> (f64, f64) {
         let step = f64::from(step);
         let mut sum = 0.0;

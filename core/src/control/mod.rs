@@ -1,26 +1,22 @@
-//! Step choice under a budget: ours, the paper's, and the reactive rules in use elsewhere.
+//! Step choice under a budget.
 //!
-//! A [`Controller`] sees one frame at a time: the target, the limits of the step, what the caller knows to have changed,
-//! and the predicted cost of any step ([`StepCost`]). It answers with a step and a [`Reason`], and later hears how long
-//! the frame took. None of them allocates after construction. [`Session`] joins a controller with a predictor and the
-//! scene's features for one render loop.
+//! A [`Controller`] sees one frame at a time: the target, the limits of the step, what the caller knows to
+//! have changed, and the predicted cost of any step ([`StepCost`]). It answers with a step and a [`Reason`],
+//! and later hears how long the frame took. None of them allocates after construction. [`Session`] joins a
+//! controller with a predictor and the scene's features for one render loop.
 
-mod algorithm1;
 mod coarsening;
+mod fixed;
 mod hybrid;
 mod quality;
-mod reactive;
-mod response;
 mod session;
 mod smoothing;
 #[cfg(test)]
 mod tests;
 
-pub use algorithm1::{Algorithm1, Fixed, Olp, Pid};
-pub use hybrid::{Hybrid, HybridOptions};
+pub use fixed::Fixed;
+pub use hybrid::{DEFAULT_MISS_RATE, DEFAULT_TOLERANCE, Hybrid, HybridOptions, NEW_SCENE_MISS_RATE};
 pub use quality::{QualityModel, QualitySample};
-pub use reactive::{Filament, Unreal, VtkFixedPoint, VtkGpu, VtkJs};
-pub use response::StepResponse;
 pub use session::{Choice, PENDING_PLANS, Plan, Session};
 
 use crate::Result;
@@ -46,7 +42,8 @@ impl StepLimits {
         if !(finest >= 1.0 / 64.0 && finest <= coarsest && coarsest <= 4096.0) {
             bail!(
                 InvalidArgument,
-                "step limits are {finest}…{coarsest} reference steps; they must satisfy 0.015625 <= finest <= coarsest <= 4096"
+                "step limits are {finest}…{coarsest} reference steps; they must satisfy 0.015625 <= finest \
+                 <= coarsest <= 4096"
             );
         }
         Ok(Self { finest, coarsest })
@@ -117,7 +114,8 @@ impl Reason {
     }
 }
 
-/// The predicted cost of a frame as a function of the ray step, uncorrected. A cost of NaN means that nothing is known.
+/// The predicted cost of a frame as a function of the ray step, uncorrected. A cost of NaN means that nothing
+/// is known.
 pub trait StepCost {
     /// The cost at a step.
     fn at(&mut self, step: f32) -> CostTerms;
@@ -182,7 +180,8 @@ pub struct SceneMark {
     pub number: u64,
     /// Whether the frame is the scene's first.
     pub first: bool,
-    /// What the controller adds to ln of this frame's prediction because of the frames before it in the scene.
+    /// What the controller adds to ln of this frame's prediction because of the frames before it in the
+    /// scene.
     pub offset: f64,
 }
 
@@ -216,8 +215,8 @@ pub trait Controller {
         bound <= target
     }
 
-    /// A prediction as this controller corrects it; as it is, where the controller corrects nothing. `changes` are those
-    /// of a frame that has not begun yet; none for the frame at hand.
+    /// A prediction as this controller corrects it; as it is, where the controller corrects nothing.
+    /// `changes` are those of a frame that has not begun yet; none for the frame at hand.
     fn correct(&self, terms: &CostTerms, changes: Changes) -> Prediction {
         let _ = changes;
         Prediction {

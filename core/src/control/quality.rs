@@ -18,9 +18,9 @@ pub struct QualitySample {
 
 /// error = a · (step − 1)^p + b · (1/scale − 1)^q for steps of at least 1 and scales of at most 1; 0 beyond.
 ///
-/// What a coarser step costs and what a smaller image costs are measured apart and added. Among settings that take the
-/// same time the one with the smallest error is the one to draw: [`QualityModel::sort`] brings settings into the order
-/// that [`super::Session::choose`] wants.
+/// What a coarser step costs and what a smaller image costs are measured apart and added. Among settings that
+/// take the same time the one with the smallest error is the one to draw: [`QualityModel::sort`] brings
+/// settings into the order that [`super::Session::choose`] wants.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct QualityModel {
     step: Law,
@@ -70,18 +70,20 @@ impl Default for QualityModel {
 }
 
 impl QualityModel {
-    /// From compared pictures: those at scale 1 tell what the step costs, those at step 1 what the scale costs.
+    /// From compared pictures: those at scale 1 tell what the step costs, those at step 1 what the scale
+    /// costs.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for numbers that are not finite, steps or scales that are not positive, a
-    /// negative error, or when one of the two kinds is missing.
+    /// [`crate::ErrorKind::InvalidArgument`] for numbers that are not finite, steps or scales that are not
+    /// positive, a negative error, or when one of the two kinds is missing.
     pub fn from_samples(samples: &[QualitySample]) -> Result<Self> {
         for (i, s) in samples.iter().enumerate() {
             let sound = s.step.is_finite() && s.step > 0.0 && s.scale.is_finite() && s.scale > 0.0;
             if !(sound && s.error.is_finite() && s.error >= 0.0) {
                 bail!(
                     InvalidArgument,
-                    "quality sample {i} has step {}, scale {} and error {}; step and scale must be positive, the error not negative",
+                    "quality sample {i} has step {}, scale {} and error {}; step and scale must be positive, \
+                     the error not negative",
                     s.step,
                     s.scale,
                     s.error
@@ -97,7 +99,8 @@ impl QualityModel {
         let (Some(step), Some(scale)) = (step, scale) else {
             bail!(
                 InvalidArgument,
-                "the samples must hold coarser steps at full size as well as smaller images at the reference step"
+                "the samples must hold coarser steps at full size as well as smaller images at the reference \
+                 step"
             );
         };
         Ok(Self { step, scale })

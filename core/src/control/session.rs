@@ -5,18 +5,26 @@ use super::{
     Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, SceneMark, StepCost,
     StepLimits,
 };
-use crate::Result;
-use crate::adapt::state::{Reader, Writer};
+use crate::adapt::state::{Reader, Writer, seal, unseal};
 use crate::adapt::{ObserveFlags, Prior, Verdict, check_seconds};
 use crate::error::bail;
 use crate::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
 use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Source, TERMS};
 use crate::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
+use crate::{Error, ErrorKind, Result};
+use alloc::borrow::ToOwned;
 use alloc::boxed::Box;
+use alloc::string::String;
 use alloc::vec::Vec;
 
 /// Plans that may wait for their observation at a time; older ones are forgotten.
 pub const PENDING_PLANS: usize = 64;
+
+/// What saved states begin with: kind and version.
+const TAG: [u8; 4] = *b"ENS2";
+
+/// Longest name of a renderer or clock, bytes.
+const MAX_NAME: usize = 256;
 
 /// What to draw, and what to expect of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,9 +33,9 @@ pub struct Plan {
     pub id: u64,
     /// Ray step in multiples of the reference step.
     pub step: f32,
-    /// How much smaller than the frame's the image is to be along each side: its sides divided by this, rounded down. 1
-    /// unless [`Session::set_coarsest_pixel`] allows more.
-    pub pixel: f32,
+    /// Pixels of the frame between neighboring rays along each side: the image is drawn with the frame's
+    /// sides divided by this, rounded down. 1 unless [`Session::set_max_image_sample_distance`] allows more.
+    pub image_sample_distance: f32,
     /// Expected seconds; NaN from controllers that expect nothing.
     pub seconds: f32,
     /// Upper bound in seconds; NaN where there is none.
@@ -60,9 +68,9 @@ struct Pending {
 
 /// Predicts and steers one render loop.
 ///
-/// Set the volume and the transfer function, then for every frame [`Session::plan`], draw with the plan's step, and
-/// [`Session::observe`] the time it took; late observations are welcome as long as their plan is among the last
-/// [`PENDING_PLANS`]. Plan, choose, predict and observe never allocate.
+/// Set the volume and the transfer function, then for every frame [`Session::plan`], draw with the plan's
+/// step, and [`Session::observe`] the time it took; late observations are welcome as long as their plan is
+/// among the last [`PENDING_PLANS`]. Plan, choose, predict and observe never allocate.
 pub struct Session {
     predictor: Box<dyn Predictor + Send>,
     controller: Box<dyn Controller + Send>,
@@ -80,11 +88,13 @@ pub struct Session {
     last_termination: f32,
     pending: Box<[Option<Pending>; PENDING_PLANS]>,
     next_id: u64,
+    /// Whose times are observed, and by which clock; empty where nobody said.
+    timing: [String; 2],
 }
 
 impl Session {
-    /// With the default controller: [`Hybrid`] around the given predictor. A prior of [`Prior::Unknown`] gives way to
-    /// what the predictor knows of its own errors.
+    /// With the default controller: [`Hybrid`] around the given predictor. A prior of [`Prior::Unknown`]
+    /// gives way to what the predictor knows of its own errors.
     pub fn new(predictor: Box<dyn Predictor + Send>, mut options: HybridOptions) -> Self {
         if let (Prior::Unknown, Some(log_sd)) = (options.prior, predictor.log_sd()) {
             options.prior = Prior::Fitted { log_sd };
@@ -123,12 +133,13 @@ impl Session {
             last_termination: f32::NAN,
             pending: Box::new([None; PENDING_PLANS]),
             next_id: 1,
+            timing: [String::new(), String::new()],
         }
     }
 
     /// Measures frames with `side`² probe rays: fewer cost less time and scatter more (see
-    /// [`FrameFeatures::with_probe_side`]). For linear cost models ([`Predictor::any_probe_side`]); a network keeps the
-    /// side that it was trained with.
+    /// [`FrameFeatures::with_probe_side`]). For linear cost models ([`Predictor::any_probe_side`]); a network
+    /// keeps the side that it was trained with.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`].
@@ -145,8 +156,8 @@ impl Session {
         Ok(self)
     }
 
-    /// Sets the volume by its summary, and VolumeNet's output for it where the model takes one. The transfer function
-    /// must be set again.
+    /// Sets the volume by its summary, and VolumeNet's output for it where the model takes one. The transfer
+    /// function must be set again.
     pub fn set_volume(&mut self, volume: VolumeSummary, volume_features: Option<&[f32]>) {
         self.volume = Some(volume);
         self.volume_features = volume_features.map(<[f32]>::to_vec);
@@ -182,19 +193,23 @@ impl Session {
         self.coarsening.set_steps(limits);
     }
 
-    /// Allows plans to shrink the image, so that a side of its pixels is up to `pixel` pixels of the frame's long: ray step and
-    /// image are then coarsened together ([`Plan::pixel`]), from `step_alone` times the finest step on; 1 is from the start. A
-    /// `pixel` of 1, where sessions start, leaves the image alone. For predictors that know the image size.
+    /// Allows plans to coarsen the image: neighboring rays stand up to `distance` pixels apart along each
+    /// side (VTK's ImageSampleDistance). Ray step and image are then coarsened together
+    /// ([`Plan::image_sample_distance`]), from `step_alone` times the finest step on; 1 is from the start. A
+    /// `distance` of 1, where sessions start, leaves the image alone. For predictors that know the image
+    /// size.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `pixel` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
-    pub fn set_coarsest_pixel(&mut self, pixel: f32, step_alone: f32) -> Result<()> {
-        for (what, v) in [("coarsest pixel", pixel), ("coarsening of the step alone", step_alone)] {
+    /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `distance` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
+    pub fn set_max_image_sample_distance(&mut self, distance: f32, step_alone: f32) -> Result<()> {
+        for (what, v) in
+            [("largest image sample distance", distance), ("coarsening of the step alone", step_alone)]
+        {
             if !(1.0..=64.0).contains(&v) {
                 bail!(InvalidArgument, "the {what} is {v}; it must be 1 to 64");
             }
         }
-        self.coarsening.set_coarsest_pixel(pixel, step_alone);
+        self.coarsening.set_max_distance(distance, step_alone);
         Ok(())
     }
 
@@ -203,14 +218,15 @@ impl Session {
         self.coarsening.steps()
     }
 
-    /// Switches steering off (every plan answers the frame's own step, clamped to nothing) or on again. Observations
+    /// Switches steering off (every plan answers the frame's own step, unclamped) or on again. Observations
     /// are learned from either way.
     pub fn set_enabled(&mut self, enabled: bool) {
         self.enabled = enabled;
     }
 
-    /// Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot see
-    /// (a camera cut, a new pipeline). Volume, transfer function, size and mode changes are noticed by themselves.
+    /// Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot
+    /// see (a camera cut, a new pipeline). Volume, transfer function, size and mode changes are noticed by
+    /// themselves.
     pub fn mark(&mut self, changes: Changes) {
         let c = &mut self.changes;
         c.first |= changes.first;
@@ -221,21 +237,17 @@ impl Session {
         c.camera |= changes.camera;
     }
 
-    /// The controller's name.
-    pub fn controller_name(&self) -> &'static str {
-        self.controller.name()
-    }
-
     /// The features of the frame that was planned or predicted last.
     pub fn features(&self) -> &FrameFeatures {
         &self.features
     }
 
-    /// Predicts a frame at its own step, corrected by what was observed. Leaves no trace in the session's state.
+    /// Predicts a frame at its own step, corrected by what was observed. Leaves no trace in the session's
+    /// state.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before volume and transfer function are set, [`crate::ErrorKind::MissingInput`]
-    /// when the model needs an input that was not supplied.
+    /// [`crate::ErrorKind::NotReady`] before volume and transfer function are set,
+    /// [`crate::ErrorKind::MissingInput`] when the model needs an input that was not supplied.
     pub fn predict(&mut self, frame: &Frame) -> Result<Prediction> {
         self.measure(frame)?;
         let changes = self.changes_for(frame);
@@ -275,13 +287,13 @@ impl Session {
         Ok(self.note(frame, target, changes, terms, decision, drawn))
     }
 
-    /// Chooses among settings, best quality first ([`super::QualityModel::sort`] puts them so): the first that is expected
-    /// to meet the target ([`Controller::fits`]), else the one expected to be fastest. The image shape must be the frame's for its
-    /// features to hold; other sizes of that shape are free.
+    /// Chooses among settings, best quality first ([`super::QualityModel::sort`] puts them so): the first
+    /// that is expected to meet the target ([`Controller::fits`]), else the one expected to be fastest. The
+    /// image shape must be the frame's for its features to hold; other sizes of that shape are free.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for no settings, a step that is not finite and positive, or an empty
-    /// image; else as [`Session::plan`].
+    /// [`crate::ErrorKind::InvalidArgument`] for no settings, a step that is not finite and positive, or an
+    /// empty image; else as [`Session::plan`].
     pub fn choose(&mut self, frame: &Frame, settings: &[Setting], target: f32) -> Result<Choice> {
         check_target(target)?;
         if settings.is_empty() {
@@ -339,20 +351,32 @@ impl Session {
         Ok(Choice { index, plan: self.note(frame, target, changes, terms, decision, drawn) })
     }
 
-    /// Hears how long a planned frame took. Refused observations (see [`Verdict::is_refused`]) leave no trace.
-    pub fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> Verdict {
+    /// Hears how long a planned frame took.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::RejectedObservation`] for a plan that is unknown, forgotten or observed before,
+    /// and for a time that is not finite, not positive or over [`crate::adapt::LONGEST_FRAME`]. It leaves no
+    /// trace. Only the error's text allocates.
+    pub fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> Result<Verdict> {
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
-        let Some(pending) = slot.as_mut().filter(|p| p.id == id) else { return Verdict::UnknownPlan };
+        let Some(pending) = slot.as_mut().filter(|p| p.id == id) else {
+            return Err(Error::new(
+                ErrorKind::RejectedObservation,
+                "no plan has this id, or too many plans came after it; report each frame with its plan's \
+                 id, sooner",
+            ));
+        };
         if pending.observed {
-            return Verdict::Duplicate;
+            return Err(Error::new(
+                ErrorKind::RejectedObservation,
+                "this plan was observed before; report each plan once",
+            ));
         }
-        if let Some(verdict) = check_seconds(seconds) {
-            return verdict;
-        }
+        check_seconds(seconds)?;
         pending.observed = true;
         if flags.cancelled && seconds <= pending.terms.seconds() {
             // It would have taken longer: that says nothing.
-            return Verdict::Ignored;
+            return Ok(Verdict::Ignored);
         }
         let observed = Observed {
             seconds,
@@ -363,7 +387,7 @@ impl Session {
             scene: pending.scene,
             unusual: flags.unusual,
         };
-        self.controller.observe(&observed)
+        Ok(self.controller.observe(&observed))
     }
 
     /// Forgets every observation and every pending plan; volume and transfer function stay.
@@ -374,21 +398,69 @@ impl Session {
         self.last = None;
     }
 
-    /// What was learned, as bytes for [`Session::load_state`].
+    /// Names the renderer whose frames are observed and the clock that times them. What was learned of one
+    /// does not hold for another: saved states carry both names, and [`Session::load_state`] refuses those of
+    /// others. Sessions start with empty names.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for a name of more than 256 bytes.
+    pub fn set_timing_source(&mut self, renderer: &str, clock: &str) -> Result<()> {
+        for (what, name) in [("renderer", renderer), ("clock", clock)] {
+            if name.len() > MAX_NAME {
+                bail!(
+                    InvalidArgument,
+                    "the {what}'s name has {} bytes, at most {MAX_NAME} are accepted; shorten it",
+                    name.len()
+                );
+            }
+        }
+        self.timing = [renderer.to_owned(), clock.to_owned()];
+        Ok(())
+    }
+
+    /// What was learned, as bytes for [`Session::load_state`]: little-endian numbers behind a tag and
+    /// version, bound to the model and the timing source, with a checksum at the end.
+    #[must_use]
     pub fn save_state(&self) -> Vec<u8> {
         let mut out = Vec::new();
-        Writer(&mut out).tag(*b"ENS1");
+        let mut w = Writer(&mut out);
+        w.tag(TAG);
+        w.u64(u64::from(self.predictor.identity()));
+        self.timing.iter().for_each(|name| w.text(name));
         self.controller.save(&mut out);
+        seal(&mut out);
         out
     }
 
-    /// Takes up what an earlier session with the same kind of controller learned; on an error nothing changes.
+    /// Takes up what an earlier session with the same model, timing source and kind of controller learned; on
+    /// an error nothing changes.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for bytes that are cut short, damaged, or another controller's.
+    /// [`crate::ErrorKind::InvalidArgument`] for bytes that are cut short, damaged, or another version's,
+    /// model's, timing source's or controller's.
     pub fn load_state(&mut self, bytes: &[u8]) -> Result<()> {
-        let mut r = Reader(bytes);
-        r.tag(*b"ENS1")?;
+        // The tag first: bytes of another kind are not called damaged.
+        Reader(bytes).tag(TAG)?;
+        let mut r = Reader(unseal(bytes)?);
+        r.tag(TAG)?;
+        let (found, own) = (r.u64()?, u64::from(self.predictor.identity()));
+        if found != own {
+            bail!(
+                InvalidArgument,
+                "the saved state was learned with another model (its checksum is {found:08x}, this one's {own:08x}); load it \
+                 into a session with that model, or start without it"
+            );
+        }
+        for (what, own) in ["renderer", "clock"].into_iter().zip(&self.timing) {
+            let found = r.text(MAX_NAME)?;
+            if found != own {
+                bail!(
+                    InvalidArgument,
+                    "the saved state was learned from the {what} {found:?}, this session's is {own:?}; name the timing \
+                     source before loading, or start without the state"
+                );
+            }
+        }
         self.controller.load(r.0)?;
         self.pending.fill(None);
         Ok(())
@@ -413,8 +485,8 @@ impl Session {
         Ok(())
     }
 
-    /// The controller, and what it asks for the costs of the measured frame. That every input is there is checked here, so
-    /// that no question fails for want of one.
+    /// The controller, and what it asks for the costs of the measured frame. That every input is there is
+    /// checked here, so that no question fails for want of one.
     fn costing(
         &mut self,
         changes: Changes,
@@ -476,7 +548,7 @@ impl Session {
         changes: Changes,
         terms: CostTerms,
         decision: Decision,
-        (step, pixel): (f32, f32),
+        (step, image_sample_distance): (f32, f32),
     ) -> Plan {
         let id = self.next_id;
         self.next_id += 1;
@@ -495,7 +567,7 @@ impl Session {
         Plan {
             id,
             step,
-            pixel,
+            image_sample_distance,
             seconds: decision.seconds,
             upper: decision.upper,
             out_of_range: decision.out_of_range,
@@ -523,7 +595,8 @@ struct Cost<'a> {
     coarsening: Coarsening,
     /// The frame's own setting.
     full: Setting,
-    /// An image width and the prediction at the reference step there, for predictors that do not know the step.
+    /// An image width and the prediction at the reference step there, for predictors that do not know the
+    /// step.
     reference: Option<(u32, CostTerms)>,
     /// The step asked for last, and its cost.
     last: Option<(f32, CostTerms)>,
@@ -569,7 +642,8 @@ fn check_target(target: f32) -> Result<()> {
     if !(target.is_finite() && target > 0.0) {
         bail!(
             InvalidArgument,
-            "target frame time is {target} seconds; it must be finite and positive (0.025 for 40 frames per second)"
+            "target frame time is {target} seconds; it must be finite and positive (0.025 for 40 frames per \
+             second)"
         );
     }
     Ok(())

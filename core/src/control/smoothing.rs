@@ -5,10 +5,10 @@ use crate::adapt::state::{Reader, Writer};
 
 /// Smooths ln of the prediction over the frames of one scene: s_i = s_{i-1} + w · (p_i − s_{i-1}).
 ///
-/// A prediction that is worked out anew for every frame has an error of its own in every frame, which no correction can
-/// follow; small changes of it are in part such errors. The weight w is the share of a predicted change that
-/// has proved true: it is learned by normalized least mean squares from the sign and size of what is left to explain. 1
-/// leaves the prediction as it is.
+/// A prediction that is worked out anew for every frame has an error of its own in every frame, which no
+/// correction can follow; small changes of it are in part such errors. The weight w is the share of a
+/// predicted change that has proved true: it is learned by normalized least mean squares from the sign and
+/// size of what is left to explain. 1 leaves the prediction as it is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Smoothing {
     weight: f64,
@@ -32,8 +32,9 @@ impl Smoothing {
         Self { weight: START, offset: 0.0, change: 0.0, power: 4.0e-4 }
     }
 
-    /// Moves on by a frame whose prediction differs from the one before by `moved` in ln(seconds) at one step; NaN where
-    /// that is not known. `novelty` is 1 where the frame begins a scene. Returns what to add to ln of its prediction.
+    /// Moves on by a frame whose prediction differs from the one before by `moved` in ln(seconds) at one
+    /// step; NaN where that is not known. `novelty` is 1 where the frame begins a scene. Returns what to add
+    /// to ln of its prediction.
     pub(super) fn advance(&mut self, moved: f64, novelty: f64) -> f64 {
         if !moved.is_finite() || novelty >= 1.0 {
             self.offset = 0.0;
@@ -74,8 +75,8 @@ impl Smoothing {
 mod tests {
     use super::*;
 
-    /// Drives with a true change per frame and a prediction error per frame; returns the weight and the mean square
-    /// error relative to taking the prediction as it is.
+    /// Drives with a true change per frame and a prediction error per frame; returns the weight and the mean
+    /// square error relative to taking the prediction as it is.
     fn drive(truth: impl Fn(usize) -> f64, jitter: f64) -> (f64, f64) {
         let mut s = Smoothing::new();
         let mut state = 7u64;

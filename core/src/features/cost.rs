@@ -24,8 +24,8 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::FarZ,
 ];
 
-/// The first of [`COST_QUANTITIES`] are what every renderer may pay for; those beyond are for renderers that convert each
-/// stored value or wait for memory ([`UnitCosts::CONVERTING`]), and cost others nothing.
+/// The first of [`COST_QUANTITIES`] are what every renderer may pay for; those beyond are for renderers that
+/// convert each stored value or wait for memory ([`UnitCosts::CONVERTING`]), and cost others nothing.
 pub const COMMON_COSTS: usize = 12;
 
 /// Seconds of a frame and of each of [`COST_QUANTITIES`].
@@ -33,15 +33,15 @@ pub const COMMON_COSTS: usize = 12;
 pub struct UnitCosts(pub [f64; COSTS]);
 
 impl UnitCosts {
-    /// Of the order of a software renderer on a few cores; what matters are their ratios, since the first observations
-    /// set the scale.
+    /// Of the order of a software renderer on a few cores; what matters are their ratios, since the first
+    /// observations set the scale.
     pub const SOFTWARE: Self = Self([
         2.0e-4, 3.5e-8, 1.0e-8, 1.1e-8, 2.0e-9, 7.0e-9, 1.2e-8, 8.0e-8, 4.0e-8, 3.5e-8, 1.6e-7, 1.2e-8, 0.0,
         0.0, 0.0, 0.0,
     ]);
 
-    /// [`UnitCosts::SOFTWARE`] of a renderer on the CPU that looks stored values up in tables and reads volumes larger than
-    /// its caches voxel by voxel, as VTK's fixed-point mapper and yt do.
+    /// [`UnitCosts::SOFTWARE`] of a renderer on the CPU that looks stored values up in tables and reads
+    /// volumes larger than its caches voxel by voxel, as VTK's fixed-point mapper and yt do.
     pub const CONVERTING: Self = {
         let mut costs = Self::SOFTWARE.0;
         let mut i = COMMON_COSTS;
@@ -58,7 +58,7 @@ impl UnitCosts {
     }
 
     /// Seconds for work: a leading 1 for the frame, then the quantities' values.
-    pub fn seconds(&self, work: &[f64; COSTS]) -> f64 {
+    pub(crate) fn seconds(&self, work: &[f64; COSTS]) -> f64 {
         self.0.iter().zip(work).map(|(c, w)| c * w).sum()
     }
 
@@ -70,7 +70,7 @@ impl UnitCosts {
 
 impl FrameFeatures {
     /// Work as unit costs count it: a leading 1 for the frame, then the quantities.
-    pub fn cost_work(&self, setting: &Setting) -> [f64; COSTS] {
+    pub(crate) fn cost_work(&self, setting: &Setting) -> [f64; COSTS] {
         let work = self.work(setting);
         let mut out = [1.0; COSTS];
         for (slot, &quantity) in out[1..].iter_mut().zip(&COST_QUANTITIES) {

@@ -25,9 +25,10 @@ impl Footprint {
 
     /// Projects a box of half size `half_extent` about the origin into a `width` × `height` image.
     ///
-    /// The faces that the eye sees from inside (or would see through the box) project one to one onto the covered
-    /// region, from outside as from inside; each is clipped to the frustum and its area summed. Pixels are not rounded.
-    pub fn new(half_extent: Vec3, camera: &Camera, width: u32, height: u32) -> Self {
+    /// The faces that the eye sees from inside (or would see through the box) project one to one onto the
+    /// covered region, from outside as from inside; each is clipped to the frustum and its area summed.
+    /// Pixels are not rounded.
+    pub(crate) fn new(half_extent: Vec3, camera: &Camera, width: u32, height: u32) -> Self {
         let (eye, right, up, forward) = camera.ray_basis(width, height);
         let (inv_u, inv_v) = (1.0 / right.length_squared(), 1.0 / up.length_squared());
         let inside = eye.abs().cmple(half_extent).all();
@@ -70,8 +71,8 @@ impl Footprint {
     }
 }
 
-/// A convex polygon in homogeneous image coordinates (x, y, w): the image is |x| ≤ w, |y| ≤ w. A quadrilateral clipped
-/// by four planes has at most eight corners.
+/// A convex polygon in homogeneous image coordinates (x, y, w): the image is |x| ≤ w, |y| ≤ w. A
+/// quadrilateral clipped by four planes has at most eight corners.
 #[derive(Clone, Copy)]
 struct Polygon {
     corners: [[f32; 3]; 8],

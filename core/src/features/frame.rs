@@ -5,17 +5,19 @@ use super::{
     UnitCosts, VolumeSummary,
 };
 use crate::kernels::Level;
-use crate::scene::{Arcball, Frame, Shading, Skipping};
+use crate::scene::{Arcball, Frame, Shading, Skipping, ratios};
 use glam::Vec3;
 
 /// Rays along each side of the footprint's rectangle from which [`along`] takes its mean.
 const ALONG_SIDE: usize = 3;
 
-/// Shares of the voxel borders crossed by rays that lie across x, y and z: those of ALONG_SIDE² rays through the footprint's
-/// rectangle, averaged, or of the central ray where the box is not seen.
+/// Shares of the voxel borders crossed by rays that lie across x, y and z: those of ALONG_SIDE² rays through
+/// the footprint's rectangle, averaged, or of the central ray where the box is not seen.
 fn along(frame: &Frame, spacing: Vec3, footprint: &Footprint) -> Vec3 {
     let (_, right, up, forward) = frame.camera().ray_basis(frame.width(), frame.height());
-    // A ray of direction d crosses |d| / spacing borders per unit of length along each axis.
+    // A ray of direction d crosses |d| / spacing borders per unit of length along each axis, whatever the
+    // unit.
+    let spacing = ratios(spacing);
     let share = |direction: Vec3| {
         let crossed = direction.abs() / spacing;
         crossed / crossed.element_sum()
@@ -122,9 +124,9 @@ pub struct Work {
 }
 
 impl Work {
-    /// How little neighboring rays share of what they read, 0…1: s²/(s² + [`UNSHARED_SPACING`]²) at ray spacing s.
-    /// Rays closer than a voxel read the same memory, rays far apart read each their own.
-    pub fn unshared(&self) -> f64 {
+    /// How little neighboring rays share of what they read, 0…1: s²/(s² + [`UNSHARED_SPACING`]²) at ray
+    /// spacing s. Rays closer than a voxel read the same memory, rays far apart read each their own.
+    pub(crate) fn unshared(&self) -> f64 {
         let square = self.ray_spacing * self.ray_spacing;
         square / (square + UNSHARED_SPACING * UNSHARED_SPACING)
     }
@@ -138,9 +140,9 @@ pub const UNSHARED_SPACING: f64 = 2.0;
 
 /// What a camera sees of a volume under a transfer function, measured once per frame.
 ///
-/// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::work`] and [`FrameFeatures::write`] then evaluate any
-/// step, skipping and size (of the same shape) without marching again, and other shadings too except that single
-/// scattering must be the measured frame's. Nothing here allocates.
+/// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::work`] and [`FrameFeatures::write`] then
+/// evaluate any step, skipping and size (of the same shape) without marching again, and other shadings too
+/// except that single scattering must be the measured frame's. Nothing here allocates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
     probe_side: usize,
@@ -173,9 +175,10 @@ impl FrameFeatures {
         Self::with_probe_side(PROBE_SIDE)
     }
 
-    /// As [`FrameFeatures::new`], to be measured with `side`² rays, `side` at most [`MAX_PROBE_SIDE`]: the time that a
-    /// measurement takes and the variance of what it estimates both go with the number of rays. With 0 no ray is cast,
-    /// and quantities that [need the probe](SceneQuantity::needs_probe) are those of nothing.
+    /// As [`FrameFeatures::new`], to be measured with `side`² rays, `side` at most [`MAX_PROBE_SIDE`]: the
+    /// time that a measurement takes and the variance of what it estimates both go with the number of rays.
+    /// With 0 no ray is cast, and quantities that [need the probe](SceneQuantity::needs_probe) are those of
+    /// nothing.
     pub fn with_probe_side(side: usize) -> Self {
         Self {
             probe_side: side.min(MAX_PROBE_SIDE),
@@ -197,8 +200,8 @@ impl FrameFeatures {
         }
     }
 
-    /// Measures a frame. For [`Skipping::Distance`], call [`TransferSummary::prepare_distance`] first; without it,
-    /// jumps are counted as with [`Skipping::Blocks`].
+    /// Measures a frame. For [`Skipping::Distance`], call [`TransferSummary::prepare_distance`] first;
+    /// without it, jumps are counted as with [`Skipping::Blocks`].
     pub fn measure(&mut self, volume: &VolumeSummary, transfer: &mut TransferSummary, frame: &Frame) {
         self.probe = Probe::on(self.level, volume, transfer, frame, self.probe_side);
         self.pose = frame.camera().to_arcball();
@@ -232,8 +235,8 @@ impl FrameFeatures {
         self.pose
     }
 
-    /// Estimated work of the frame at a setting. Never decreases when the step gets finer or the image of the same
-    /// shape larger.
+    /// Estimated work of the frame at a setting. Never decreases when the step gets finer or the image of the
+    /// same shape larger.
     pub fn work(&self, setting: &Setting) -> Work {
         let p = &self.probe;
         let pixels = f64::from(setting.width) * f64::from(setting.height);
@@ -247,15 +250,16 @@ impl FrameFeatures {
         let per_ray = length * inv + crossing;
         let skips =
             if skipping { p.skips(setting.step, setting.skipping == Skipping::Distance) } else { 0.0 };
-        // Within a tile, the longest ray is about as far from the mean as the probe's neighbors are, scaled to the
-        // tile's size.
+        // Within a tile, the longest ray is about as far from the mean as the probe's neighbors are, scaled
+        // to the tile's size.
         let tile = (0.5 * TILE_SIDE / (p.spacing * setting.height as f32)).min(1.0);
         let per_lane = per_ray + tile * (longest - length).max(0.0) * inv;
         let shaded = if setting.shading == Shading::None { 0.0 } else { p.visible * inv };
         let (mut shadow, mut shadow_skips) = (0.0, 0.0);
         if setting.shading == Shading::Scatter {
             let length = if skipping { p.shadow } else { p.shadow_all };
-            // Shadow rays begin one of their steps away from the sample, and take the sample that crosses the threshold.
+            // Shadow rays begin one of their steps away from the sample, and take the sample that crosses the
+            // threshold.
             shadow = (inv * (length * inv * (1.0 / SHADOW_STEP) - 0.25 * p.visible)).max(0.0);
             shadow_skips = if skipping { p.shadow_skips * inv } else { 0.0 };
         }

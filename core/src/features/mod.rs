@@ -1,9 +1,11 @@
-//! Numbers about the scene: names, order and units, once per volume, once per transfer function and once per frame.
+//! Numbers about the scene: names, order and units, once per volume, once per transfer function and once per
+//! frame.
 //!
 //! * [`VolumeSummary`]: a grid of cells with value bounds and quantiles, made once per volume.
-//! * [`TransferSummary`]: emptiness and extinction of each cell under a transfer function, remade in place at each edit.
-//! * [`FrameFeatures`]: what a camera sees of it: footprint, ray lengths and the coarse ray probe, measured once per
-//!   frame and then evaluated for any ray step and image size.
+//! * [`TransferSummary`]: emptiness and extinction of each cell under a transfer function, remade in place at
+//!   each edit.
+//! * [`FrameFeatures`]: what a camera sees of it: footprint, ray lengths and the coarse ray probe, measured
+//!   once per frame and then evaluated for any ray step and image size.
 //! * [`SceneFeature`]: the names under which a model file asks for these numbers.
 
 mod cost;

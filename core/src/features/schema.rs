@@ -16,14 +16,16 @@ macro_rules! flag {
 }
 
 macro_rules! quantities {
-    ($($variant:ident, $name:literal, $unit:literal, $floor:literal, $step:ident, $probe:ident, $doc:literal;)*) => {
+    ($(
+        $variant:ident, $name:literal, $unit:literal, $floor:literal, $step:ident, $probe:ident, $doc:literal;
+    )*) => {
         /// A physical quantity of a scene that the core computes.
         ///
         /// | name | unit | log floor | depends on the step | needs the probe | meaning |
         /// |---|---|---|---|---|---|
         $(#[doc = concat!(
-            "| `", $name, "` | ", $unit, " | ", $floor, " | ", stringify!($step), " | ", stringify!($probe), " | ",
-            $doc, " |"
+            "| `", $name, "` | ", $unit, " | ", $floor, " | ", stringify!($step), " | ",
+            stringify!($probe), " | ", $doc, " |"
         )])*
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         #[non_exhaustive]
@@ -55,8 +57,8 @@ macro_rules! quantities {
                 match self { $(Self::$variant => flag!($step),)* }
             }
 
-            /// Whether rays must be cast to know it. The others follow from camera, image size, transfer function and
-            /// volume at once.
+            /// Whether rays must be cast to know it. The others follow from camera, image size, transfer
+            /// function and volume at once.
             pub const fn needs_probe(self) -> bool {
                 match self { $(Self::$variant => flag!($probe),)* }
             }
@@ -167,7 +169,8 @@ impl SceneFeature {
         Self { quantity, log: true }
     }
 
-    /// The features that a small model takes unless told otherwise: logarithms of counts and lengths, shares, modes.
+    /// The features that a small model takes unless told otherwise: logarithms of counts and lengths, shares,
+    /// modes.
     pub const STANDARD: &'static [Self] = &[
         Self::log(SceneQuantity::Pixels),
         Self::log(SceneQuantity::SamplesPerPixel),
@@ -192,7 +195,8 @@ impl SceneFeature {
     /// Reads a name as [`SceneFeature`]'s `Display` writes it.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::Unsupported`] for a name that this version does not compute; the message lists all.
+    /// [`crate::ErrorKind::Unsupported`] for a name that this version does not compute; the message lists
+    /// all.
     pub fn from_name(name: &str) -> Result<Self> {
         let (bare, log) = match name.strip_prefix("log_") {
             Some(rest) => (rest, true),

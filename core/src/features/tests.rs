@@ -1,13 +1,12 @@
 //! The summaries against plain loops, and the probe's invariants.
 
 use super::*;
-use crate::kernels::Level;
 use crate::scene::*;
 use crate::{ErrorKind, Result};
 use proptest::prelude::*;
 use std::vec::Vec;
 
-fn noise(n: usize, seed: u64) -> Vec<u8> {
+pub(super) fn noise(n: usize, seed: u64) -> Vec<u8> {
     let mut state = seed;
     (0..n)
         .map(|_| {
@@ -17,12 +16,12 @@ fn noise(n: usize, seed: u64) -> Vec<u8> {
         .collect()
 }
 
-fn summary(data: &[u8], dims: [usize; 3], cells_per_axis: usize) -> VolumeSummary {
+pub(super) fn summary(data: &[u8], dims: [usize; 3], cells_per_axis: usize) -> VolumeSummary {
     let view = VolumeView::new(Scalars::U8(data), dims).unwrap();
     VolumeSummary::new(&view, SummaryOptions { cells_per_axis }).unwrap()
 }
 
-fn table(opacity: impl Fn(usize) -> f32) -> TransferTable {
+pub(super) fn table(opacity: impl Fn(usize) -> f32) -> TransferTable {
     TransferTable::new(core::array::from_fn(|i| [0.5, 0.5, 0.5, opacity(i)])).unwrap()
 }
 
@@ -180,10 +179,12 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
         [lo.floor() as u8, hi.ceil() as u8]
     };
     let mut total = [0u64; 256];
-    for (i, stats) in s.stats().iter().enumerate() {
+    let (low, high) = s.cell_ranges();
+    let (block_low, block_high) = s.block_ranges();
+    for i in 0..s.cell_count() {
         let c = [i % cells[0], i / cells[0] % cells[1], i / cells[0] / cells[1]];
         let from: [usize; 3] = std::array::from_fn(|a| c[a] * edge[a]);
-        assert_eq!([stats.low, stats.high], bounds(from, edge), "{what} {c:?}");
+        assert_eq!([low[i], high[i]], bounds(from, edge), "{what} {c:?}");
         let mut sorted = Vec::new();
         for z in from[2]..(from[2] + edge[2]).min(dims[2]) {
             for y in from[1]..(from[1] + edge[1]).min(dims[1]) {
@@ -194,18 +195,19 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
         }
         sorted.sort();
         sorted.iter().for_each(|&e| total[usize::from(e)] += 1);
-        for (k, &q) in stats.quantiles.iter().enumerate() {
-            // The smallest entry with more than k/QUANTILES of the voxels at or below it; the last bound is the largest.
+        for (k, &q) in s.quantiles(i).iter().enumerate() {
+            // The smallest entry with more than k/QUANTILES of the voxels at or below it; the last bound is
+            // the largest.
             let rank = (k * sorted.len() / QUANTILES).min(sorted.len() - 1);
             assert_eq!(q, sorted[rank], "{what} {c:?} bound {k}");
         }
-        if let Some(kept) = s.blocks_of(i) {
-            let mut kept = kept.iter();
+        if let Some(first) = s.first_blocks() {
+            let mut kept = (first[i] as usize..first[i + 1] as usize).map(|b| [block_low[b], block_high[b]]);
             let firsts = |a: usize| (from[a]..(from[a] + edge[a]).min(dims[a])).step_by(block[a]);
             for z in firsts(2) {
                 for y in firsts(1) {
                     for x in firsts(0) {
-                        assert_eq!(kept.next(), Some(&bounds([x, y, z], block)), "{what} {c:?}");
+                        assert_eq!(kept.next(), Some(bounds([x, y, z], block)), "{what} {c:?}");
                     }
                 }
             }
@@ -494,7 +496,8 @@ fn quantities_depend_on_the_step_where_the_table_says_so() {
                     };
                     let at_one = of(&frame, 1.0);
                     let at_three = of(&frame, 3.0);
-                    // What is measured depends on the step of the setting alone, not on that of the measured frame.
+                    // What is measured depends on the step of the setting alone, not on that of the measured
+                    // frame.
                     assert_eq!(at_three, of(&frame.with_step(2.0).unwrap(), 3.0));
                     for (changed, (a, b)) in changed.iter_mut().zip(at_one.iter().zip(&at_three)) {
                         *changed |= a != b;
@@ -552,7 +555,8 @@ fn stored_values_are_remapped_unless_they_index_a_table_as_they_stand() {
     assert_eq!(features.quantity(SceneQuantity::Remapped, &Setting::of(&f), &work, Changes::NONE), 1.0);
 }
 
-/// Greatest difference of the shares of borders from those that all rays of an image count: nine rays stand for all of them.
+/// Greatest difference of the shares of borders from those that all rays of an image count: nine rays stand
+/// for all of them.
 const ALONG_TOLERANCE: f64 = 0.06;
 
 #[test]
@@ -598,67 +602,5 @@ fn shares_of_borders_are_those_that_rays_count() {
                 q.name()
             );
         }
-    }
-}
-
-#[test]
-fn packets_of_rays_find_what_single_rays_find_on_every_level() {
-    // Cells of one block and of several, cameras outside, inside and looking past, thin and opaque tables.
-    let data = noise(64 * 48 * 40, 7);
-    for (cells, dims) in [(48, [64, 48, 40]), (3, [64, 48, 40]), (48, [1, 48, 40])] {
-        let s = summary(&data[..dims[0] * dims[1] * dims[2]], dims, cells);
-        for cut in [255usize, 250, 128, 0] {
-            let table = table(|i| if i >= cut { 0.02 + 0.5 * (i as f32 / 255.0) } else { 0.0 });
-            let mut transfer = TransferSummary::new(&s, &table);
-            for (rx, ry, dz) in [(0.0, 0.0, 2.0), (33.0, 71.0, 1.3), (-80.0, 10.0, 0.2), (10.0, 200.0, 9.0)] {
-                let camera = Camera::from_arcball(Arcball { rx, ry, dz }).unwrap();
-                let frame = Frame::new(camera, 320, 200).unwrap();
-                for shading in [Shading::None, Shading::Scatter] {
-                    let frame = frame.with_shading(shading);
-                    for side in [1, 4, 11, 24] {
-                        let single = Probe::by_single_rays(&s, &mut transfer, &frame, side);
-                        for level in Level::available() {
-                            let packets = Probe::on(level, &s, &mut transfer, &frame, side);
-                            assert_eq!(packets, single, "{dims:?} {cut} {rx} {shading:?} {side} {level:?}");
-                        }
-                    }
-                }
-            }
-        }
-    }
-}
-
-#[test]
-fn cells_are_classified_alike_by_ranges_and_by_lookup() {
-    let data = noise(40 * 24 * 24, 3);
-    for cells in [48, 2] {
-        let s = summary(&data, [40, 24, 24], cells);
-        // One run of visible entries, some, and more than are compared run by run.
-        for period in [256usize, 64, 16, 2] {
-            let table = table(|i| if i % period == period / 2 { 0.3 } else { 0.0 });
-            let t = TransferSummary::new(&s, &table);
-            let [nx, ny, nz] = s.cells();
-            for (x, y, z) in (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| (x, y, z)))) {
-                if s.block_edge() == s.cell_edge() {
-                    let (low, high) = s.cell_bounds(x, y, z);
-                    let empty = !(low..=high).any(|i| table.is_visible(usize::from(i)));
-                    assert_eq!(t.is_empty(x, y, z), empty, "{period} {x} {y} {z}");
-                }
-            }
-        }
-    }
-}
-
-#[test]
-fn an_edit_forgets_what_cells_were() {
-    let data = noise(24 * 24 * 24, 5);
-    let s = summary(&data, [24; 3], 48);
-    let (thin, thick) = (table(|_| 0.001), table(|_| 0.6));
-    let frame = Frame::new(Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 1.8 }).unwrap(), 64, 64).unwrap();
-    let mut edited = TransferSummary::new(&s, &thin);
-    for table in [&thick, &thin, &thick] {
-        edited.update(&s, table);
-        let found = Probe::new(&s, &mut edited, &frame, 11);
-        assert_eq!(found, Probe::new(&s, &mut TransferSummary::new(&s, table), &frame, 11));
     }
 }

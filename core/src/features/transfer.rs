@@ -4,9 +4,9 @@ use super::VolumeSummary;
 use crate::scene::{TABLE_LEN, TransferTable};
 use alloc::vec::Vec;
 
-/// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction is that
-/// of its mean transmittance over this length: with 0 it would be the mean extinction, which overrates cells that hold
-/// a few opaque voxels among transparent ones.
+/// Length over which neighboring values along a ray are taken as one, in reference steps. A cell's extinction
+/// is that of its mean transmittance over this length: with 0 it would be the mean extinction, which
+/// overrates cells that hold a few opaque voxels among transparent ones.
 pub const CORRELATION_LENGTH: f32 = 2.0;
 
 /// Opacities are capped here where extinction (−ln(1 − α)) is formed.
@@ -106,8 +106,8 @@ impl TransferSummary {
         summary
     }
 
-    /// Applies another table, or the table to another volume. Allocates only when the volume has more cells than any
-    /// before it.
+    /// Applies another table, or the table to another volume. Allocates only when the volume has more cells
+    /// than any before it.
     pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) {
         let n = volume.cell_count();
         self.bits.resize(n.div_ceil(32), 0);
@@ -287,27 +287,27 @@ impl TransferSummary {
     }
 
     /// Opacity of the table averaged over the volume's voxels.
-    pub fn mean_opacity(&self) -> f32 {
+    pub(crate) fn mean_opacity(&self) -> f32 {
         self.mean_opacity
     }
 
     /// Squared opacity averaged over the volume's voxels.
-    pub fn mean_square_opacity(&self) -> f32 {
+    pub(crate) fn mean_square_opacity(&self) -> f32 {
         self.mean_square_opacity
     }
 
     /// Extinction per reference step averaged over the volume's voxels.
-    pub fn mean_extinction(&self) -> f32 {
+    pub(crate) fn mean_extinction(&self) -> f32 {
         self.mean_extinction
     }
 
     /// Share of voxels with any opacity.
-    pub fn visible_share(&self) -> f32 {
+    pub(crate) fn visible_share(&self) -> f32 {
         self.visible_share
     }
 
     /// Largest opacity in the table.
-    pub fn max_opacity(&self) -> f32 {
+    pub(crate) fn max_opacity(&self) -> f32 {
         self.max_opacity
     }
 
@@ -326,7 +326,7 @@ impl TransferSummary {
     /// # Panics
     /// When the cell lies outside the grid.
     #[cfg(test)]
-    pub(super) fn extinction(&mut self, volume: &VolumeSummary, [x, y, z]: [usize; 3]) -> f32 {
+    pub(crate) fn extinction(&mut self, volume: &VolumeSummary, [x, y, z]: [usize; 3]) -> f32 {
         let g = self.grid;
         assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
         let cell = x + g[0] * (y + g[1] * z);
@@ -337,7 +337,8 @@ impl TransferSummary {
         self.grid
     }
 
-    /// Makes the distance map that [`crate::scene::Skipping::Distance`] needs, unless it is there. Never allocates.
+    /// Makes the distance map that [`crate::scene::Skipping::Distance`] needs, unless it is there. Never
+    /// allocates.
     pub fn prepare_distance(&mut self) {
         if self.distance_ready {
             return;
@@ -378,13 +379,7 @@ impl TransferSummary {
 }
 
 /// Writes 1 for each pair of bounds between which a table entry is visible, else 0.
-fn flag(
-    low: &[u8],
-    high: &[u8],
-    ranges: Option<&[(u8, u8)]>,
-    opaque: &[u16; TABLE_LEN + 1],
-    out: &mut [u8],
-) {
+fn flag(low: &[u8], high: &[u8], ranges: Option<&[(u8, u8)]>, opaque: &[u16; TABLE_LEN + 1], out: &mut [u8]) {
     let Some(ranges) = ranges else {
         for ((&low, &high), out) in low.iter().zip(high).zip(out) {
             *out = u8::from(opaque[usize::from(high) + 1] != opaque[usize::from(low)]);

@@ -7,8 +7,8 @@ use super::simd::{Kernel, Simd};
 pub const SELU_SCALE: f64 = 1.050_700_987_355_480_5;
 /// SELU's α: SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise.
 pub const SELU_ALPHA: f64 = 1.673_263_242_354_377_2;
-/// Largest relative error of [`selu`] against float64, wherever the result is a normal number; subnormal results
-/// are within one unit in the last place. Holds for every finite f32.
+/// Largest relative error of [`selu`] against float64, wherever the result is a normal number; subnormal
+/// results are within one unit in the last place. Holds for every finite f32.
 pub const SELU_TOLERANCE: f64 = 2e-7;
 
 /// Applies SELU to every element, within [`SELU_TOLERANCE`](SELU_TOLERANCE). NaN stays NaN.

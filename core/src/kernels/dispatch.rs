@@ -22,8 +22,8 @@ impl Level {
         }
     }
 
-    /// Runs a kernel that lives on [`Simd::dot4`]: AVX-512 only together with VNNI, since without it twice the width
-    /// gains nothing.
+    /// Runs a kernel that lives on [`Simd::dot4`]: AVX-512 only together with VNNI, since without it twice
+    /// the width gains nothing.
     #[inline]
     pub(crate) fn run_dot4<K: Kernel>(self, kernel: K) -> K::Output {
         match self.isa() {

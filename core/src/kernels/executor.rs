@@ -3,11 +3,11 @@
 use super::Helper;
 use super::helper::Join;
 
-/// Where encoding and resampling run: on the calling thread alone ([`Executor::serial`], the default), or split over
-/// a rayon pool that the caller gives.
+/// Where encoding and resampling run: on the calling thread alone ([`Executor::serial`], the default), or
+/// split over a rayon pool that the caller gives.
 ///
-/// The result never depends on it: every output is computed by one thread, with the same operations in the same
-/// order, whatever the split.
+/// The result never depends on it: every output is computed by one thread, with the same operations in the
+/// same order, whatever the split.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Executor<'a> {
     #[cfg(feature = "rayon")]

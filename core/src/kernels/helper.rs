@@ -33,11 +33,12 @@ pub(crate) trait Join {
     fn join<A: FnOnce() + Send, B: FnOnce() + Send>(&self, a: A, b: B);
 }
 
-/// A thread that the caller gives, for networks whose weights outgrow one core's cache: each core then keeps its half.
+/// A thread that the caller gives, for networks whose weights outgrow one core's cache: each core then keeps
+/// its half.
 ///
-/// The thread calls [`serve`](Self::serve) and spins there until [`stop`](Self::stop): it burns a core for as long as
-/// it serves. Whenever no thread serves, or it is busy for another caller, work is simply done by the caller, with
-/// the same result.
+/// The thread calls [`serve`](Self::serve) and spins there until [`stop`](Self::stop): it burns a core for as
+/// long as it serves. Whenever no thread serves, or it is busy for another caller, work is simply done by the
+/// caller, with the same result.
 ///
 /// ```
 /// let helper = entire_core::nn::Helper::new();
@@ -55,8 +56,8 @@ pub struct Helper {
     job: UnsafeCell<Option<Job>>,
 }
 
-// SAFETY: `job` is written only by the caller that moved `state` from IDLE to CLAIMED, and read only by the serving
-// thread after it has seen POSTED; `data` points to closures that are Send.
+// SAFETY: `job` is written only by the caller that moved `state` from IDLE to CLAIMED, and read only by the
+// serving thread after it has seen POSTED; `data` points to closures that are Send.
 unsafe impl Sync for Helper {}
 // SAFETY: as above; between calls `job` holds nothing that belongs to a thread.
 unsafe impl Send for Helper {}
@@ -80,11 +81,12 @@ impl Helper {
     }
 
     /// Whether a thread serves.
-    pub fn is_served(&self) -> bool {
+    pub(crate) fn is_served(&self) -> bool {
         self.state.load(Ordering::Relaxed) != ABSENT
     }
 
-    /// Does the posted work until [`stop`](Self::stop) is called. Returns at once where another thread serves already.
+    /// Does the posted work until [`stop`](Self::stop) is called. Returns at once where another thread serves
+    /// already.
     pub fn serve(&self) {
         if self.state.compare_exchange(ABSENT, IDLE, Ordering::Relaxed, Ordering::Relaxed).is_err() {
             return;
@@ -95,8 +97,8 @@ impl Helper {
                 POSTED => {
                     waited = 0;
                     let guard = Outcome(&self.state, FAILED);
-                    // SAFETY: POSTED means that the caller has written the job and waits for DONE before it touches
-                    // the job or leaves the frame that `data` points into.
+                    // SAFETY: POSTED means that the caller has written the job and waits for DONE before it
+                    // touches the job or leaves the frame that `data` points into.
                     if let Some(job) = unsafe { *self.job.get() } {
                         // SAFETY: `call` is the function that `join` wrote for exactly this `data`.
                         unsafe { (job.call)(job.data) };
@@ -116,8 +118,8 @@ impl Helper {
         }
     }
 
-    /// Ends [`serve`](Self::serve) once the work in flight is done; a helper that no thread serves yet will not serve
-    /// longer than a moment.
+    /// Ends [`serve`](Self::serve) once the work in flight is done; a helper that no thread serves yet will
+    /// not serve longer than a moment.
     pub fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }

@@ -7,14 +7,15 @@ use core::sync::atomic::{AtomicU32, Ordering};
 
 /// Environment variable that caps the level chosen by [`Level::detect`]: `scalar`, `avx2` or `avx512`.
 ///
-/// Read only with the feature `std`. It can lower the level, never raise it above what the CPU has.
+/// Read only with the feature `std`, and once: at the first [`Level::detect`] or [`Level::check_override`] of
+/// the process. It can lower the level, never raise it above what the CPU has.
 pub const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
 /// The instruction set a kernel is written for, in rising order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[non_exhaustive]
 pub enum Isa {
-    /// Portable Rust, vectorised by the compiler; the standard that the others are tested against.
+    /// Portable Rust, vectorized by the compiler; the standard that the others are tested against.
     Scalar,
     /// x86-64 with AVX2, FMA and F16C.
     Avx2,
@@ -45,7 +46,8 @@ impl Isa {
             Some(&isa) => Ok(isa),
             None => bail!(
                 InvalidArgument,
-                "unknown level {text:?}: use \"scalar\", \"avx2\" or \"avx512\" (or leave {LEVEL_VARIABLE} unset)"
+                "unknown level {text:?}: use \"scalar\", \"avx2\" or \"avx512\" (or leave {LEVEL_VARIABLE} \
+                 unset)"
             ),
         }
     }
@@ -77,18 +79,19 @@ impl Level {
     /// The portable level, which every machine has.
     pub const SCALAR: Level = Level { isa: Isa::Scalar, extras: 0 };
 
-    /// The highest level of this CPU, capped by [`LEVEL_VARIABLE`] where the feature `std` is on. An unknown value there
-    /// is ignored here and reported by [`Level::check_override`].
+    /// The highest level of this CPU, capped by [`LEVEL_VARIABLE`] where the feature `std` is on. An unknown
+    /// value there is ignored here and reported by [`Level::check_override`].
     pub fn detect() -> Self {
         #[cfg(feature = "std")]
         if let Ok(Some(cap)) = Self::override_isa() {
-            return Self::at_most(cap);
+            return Self::at_most(*cap);
         }
         Self::at_most(Isa::Avx512)
     }
 
-    /// The highest level of this CPU that is not above `cap`, whatever the environment says: the override for programs.
-    pub fn at_most(cap: Isa) -> Self {
+    /// The highest level of this CPU that is not above `cap`, whatever the environment says: the override for
+    /// programs.
+    pub(crate) fn at_most(cap: Isa) -> Self {
         let best = Isa::ALL.into_iter().rev().filter(|&isa| isa <= cap).find_map(Self::exactly);
         best.unwrap_or(Self::SCALAR)
     }
@@ -109,15 +112,16 @@ impl Level {
         Isa::ALL.into_iter().filter_map(Self::exactly)
     }
 
-    /// Checks [`LEVEL_VARIABLE`], for programs that want to refuse a misspelled override. Always `Ok` without `std`.
+    /// Checks [`LEVEL_VARIABLE`], for programs that want to refuse a misspelled override. Always `Ok` without
+    /// `std`.
     ///
     /// # Errors
     ///
-    /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a value that names no level, [`Unsupported`](crate::ErrorKind::Unsupported) for a level that this
-    /// CPU does not have.
+    /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a value that names no level,
+    /// [`Unsupported`](crate::ErrorKind::Unsupported) for a level that this CPU does not have.
     pub fn check_override() -> Result<()> {
         #[cfg(feature = "std")]
-        if let Some(isa) = Self::override_isa()?
+        if let Some(isa) = Self::override_isa().clone()?
             && Self::exactly(isa).is_none()
         {
             bail!(
@@ -129,14 +133,17 @@ impl Level {
         Ok(())
     }
 
+    /// What [`LEVEL_VARIABLE`] says, asked once: reading the environment while another thread changes it is
+    /// not safe in C.
     #[cfg(feature = "std")]
-    fn override_isa() -> Result<Option<Isa>> {
-        match std::env::var(LEVEL_VARIABLE) {
+    fn override_isa() -> &'static Result<Option<Isa>> {
+        static SAID: std::sync::OnceLock<Result<Option<Isa>>> = std::sync::OnceLock::new();
+        SAID.get_or_init(|| match std::env::var(LEVEL_VARIABLE) {
             Ok(text) if text.is_empty() => Ok(None),
             Ok(text) => Isa::parse(&text).map(Some),
             Err(std::env::VarError::NotPresent) => Ok(None),
             Err(std::env::VarError::NotUnicode(text)) => Isa::parse(&text.to_string_lossy()).map(Some),
-        }
+        })
     }
 
     /// The instruction set.
@@ -150,12 +157,12 @@ impl Level {
     }
 
     /// Whether the level includes AVX512_BF16.
-    pub const fn has_bf16(self) -> bool {
+    pub(crate) const fn has_bf16(self) -> bool {
         self.extras & HAS_BF16 != 0
     }
 
     /// Whether the level includes AVX512_FP16.
-    pub const fn has_fp16(self) -> bool {
+    pub(crate) const fn has_fp16(self) -> bool {
         self.extras & HAS_FP16 != 0
     }
 }
@@ -190,14 +197,15 @@ fn features() -> u32 {
     found
 }
 
-#[cfg(not(target_arch = "x86_64"))]
+// Miri has no such instructions: under it, everything runs on the portable level.
+#[cfg(any(not(target_arch = "x86_64"), miri))]
 fn probe() -> u32 {
     0
 }
 
-/// Asks `cpuid` for the instructions and `xgetbv` whether the operating system saves the wide registers; the same code
-/// with and without `std`, so that both choose the same level.
-#[cfg(target_arch = "x86_64")]
+/// Asks `cpuid` for the instructions and `xgetbv` whether the operating system saves the wide registers; the
+/// same code with and without `std`, so that both choose the same level.
+#[cfg(all(target_arch = "x86_64", not(miri)))]
 fn probe() -> u32 {
     use core::arch::x86_64::{__cpuid, __cpuid_count, _xgetbv};
 
@@ -272,7 +280,7 @@ mod tests {
         }
     }
 
-    #[cfg(all(target_arch = "x86_64", feature = "std"))]
+    #[cfg(all(target_arch = "x86_64", feature = "std", not(miri)))]
     #[test]
     fn agrees_with_the_standard_library() {
         let avx2 = std::is_x86_feature_detected!("avx2")

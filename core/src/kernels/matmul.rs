@@ -1,5 +1,5 @@
-//! What training needs of the CPU: matrix products over the crate `matrixmultiply` (the one place that hands it
-//! pointers), and plain loops compiled for this CPU's best level.
+//! What training needs of the CPU: matrix products over the crate `matrixmultiply` (the one place that hands
+//! it pointers), and plain loops compiled for this CPU's best level.
 
 use super::simd::{Kernel, Simd};
 use super::{Level, selu};
@@ -22,8 +22,8 @@ impl<R, F: FnOnce() -> R> Kernel for Plain<F> {
     }
 }
 
-/// Runs a small closure of plain loops, compiled with the instructions of this CPU's best level. Additions and
-/// multiplications are never fused, so the results do not depend on the level.
+/// Runs a small closure of plain loops, compiled with the instructions of this CPU's best level. Additions
+/// and multiplications are never fused, so the results do not depend on the level.
 #[inline(always)]
 pub(crate) fn vectorized<R>(f: impl FnOnce() -> R) -> R {
     level().run(Plain(f))
@@ -81,9 +81,10 @@ macro_rules! matrix_element {
             fn multiply(a: Matrix<'_, Self>, b: Matrix<'_, Self>, out: &mut [Self]) {
                 assert_eq!(a.columns, b.rows, "inner sizes of a matrix product");
                 assert_eq!(out.len(), a.rows * b.columns, "size of a matrix product");
-                // SAFETY: `Matrix::new` checked that the slices of `a` and `b` hold rows × columns elements at these
-                // strides (transposing keeps the set of offsets), the assertion above that `out` does; `out` is borrowed
-                // exclusively, so it overlaps neither. Strides are below isize::MAX because slices are.
+                // SAFETY: `Matrix::new` checked that the slices of `a` and `b` hold rows × columns elements
+                // at these strides (transposing keeps the set of offsets), the assertion above that `out`
+                // does; `out` is borrowed exclusively, so it overlaps neither. Strides are below isize::MAX
+                // because slices are.
                 unsafe {
                     $gemm(
                         a.rows,

@@ -1,7 +1,7 @@
 //! Vector kernels behind a level token: the only module of this crate with `unsafe`.
 //!
-//! A [`Level`] can only be had by asking the CPU, so holding one proves that the instructions of its ISA may be used.
-//! Networks keep the level they were built for and dispatch once per call, never once per layer.
+//! A [`Level`] can only be had by asking the CPU, so holding one proves that the instructions of its ISA may
+//! be used. Networks keep the level they were built for and dispatch once per call, never once per layer.
 #![allow(unsafe_code, reason = "SIMD intrinsics and packed storage; every block states why it is sound")]
 
 mod activation;

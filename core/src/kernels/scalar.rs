@@ -1,4 +1,5 @@
-//! The portable level: four lanes of plain Rust, laid out so that compilers turn them into whatever vectors they have.
+//! The portable level: four lanes of plain Rust, laid out so that compilers turn them into whatever vectors
+//! they have.
 
 use super::simd::Simd;
 
@@ -246,7 +247,8 @@ mod tests {
 
     #[test]
     fn every_half_widens_exactly() {
-        for bits in 0..=u16::MAX {
+        // Miri takes some of them.
+        for bits in (0..=u16::MAX).step_by(if cfg!(miri) { 97 } else { 1 }) {
             let expected = half::f16::from_bits(bits).to_f32_const();
             let found = f16_to_f32(bits);
             assert!(

@@ -1,21 +1,21 @@
 //! The few vector operations that the kernels are written in, once for every instruction set.
 //!
-//! A kernel implements [`Kernel`]: one generic body, everything in it `#[inline(always)]`. The module `dispatch` enters
-//! a function that has a level's instructions enabled and hands the body that level's [`Simd`] token, so a network is
-//! dispatched once and compiled once per instruction set.
+//! A kernel implements [`Kernel`]: one generic body, everything in it `#[inline(always)]`. The module
+//! `dispatch` enters a function that has a level's instructions enabled and hands the body that level's
+//! [`Simd`] token, so a network is dispatched once and compiled once per instruction set.
 
 use super::activation::{SELU_ALPHA, SELU_SCALE};
 
-/// Work that can run on any level. `run` must be `#[inline(always)]`, and so must every generic function it calls:
-/// what is not inlined is compiled without the level's instructions.
+/// Work that can run on any level. `run` must be `#[inline(always)]`, and so must every generic function it
+/// calls: what is not inlined is compiled without the level's instructions.
 pub(crate) trait Kernel {
     type Output;
 
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
 
-/// The token of one instruction set: whoever holds one may use its instructions, so its methods are safe except for
-/// those that take pointers.
+/// The token of one instruction set: whoever holds one may use its instructions, so its methods are safe
+/// except for those that take pointers.
 ///
 /// Pointers need no alignment beyond that of their element.
 #[allow(dead_code, reason = "one vocabulary for all kernels, whichever of them are compiled in")]
@@ -85,8 +85,8 @@ pub(crate) trait Simd: Copy + 'static {
     /// # Safety
     /// `p` must be valid for reading 4·`LANES` bytes.
     unsafe fn load_bytes(self, p: *const i8) -> Self::I;
-    /// Adds to each 32-bit lane of `sum` the four products of unsigned bytes of `a` with signed bytes of `w`. Never
-    /// saturates.
+    /// Adds to each 32-bit lane of `sum` the four products of unsigned bytes of `a` with signed bytes of `w`.
+    /// Never saturates.
     fn dot4(self, sum: Self::I, a: Self::I, w: Self::I) -> Self::I;
     fn add_i(self, a: Self::I, b: Self::I) -> Self::I;
     /// Rounds to the nearest integers, clamps to 0…255 and stores `LANES` bytes.

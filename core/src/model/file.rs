@@ -27,8 +27,8 @@ pub(super) struct TensorData<'a> {
 }
 
 impl<'a> Source<'a> {
-    /// Splits the bytes into tensors and metadata. Every size is checked against the bytes that are there before
-    /// anything is allocated for it.
+    /// Splits the bytes into tensors and metadata. Every size is checked against the bytes that are there
+    /// before anything is allocated for it.
     pub(super) fn parse(bytes: &'a [u8]) -> Result<Self> {
         let Some((prefix, rest)) = bytes.split_first_chunk::<PREFIX>() else {
             bail!(InvalidModel, "not a safetensors file: {} bytes, expected at least {PREFIX}", bytes.len());
@@ -130,8 +130,8 @@ impl ModelFile {
     ///
     /// # Errors
     ///
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when the shape and the number of values disagree or a value
-    /// is not finite in `dtype`.
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when the shape and the number of values disagree or
+    /// a value is not finite in `dtype`.
     pub fn set_tensor(
         &mut self,
         name: &str,
@@ -175,16 +175,18 @@ impl ModelFile {
     }
 
     /// Removes one tensor; says whether it was there.
-    pub fn remove_tensor(&mut self, name: &str) -> bool {
+    #[cfg(test)]
+    pub(crate) fn remove_tensor(&mut self, name: &str) -> bool {
         self.tensors.remove(name).is_some()
     }
 
-    /// Replaces every tensor under `prednet.`, the target and the input groups. Weights are stored in each layer's
+    /// Replaces every tensor under `prednet.`, the target and the input groups. Weights are stored in each
+    /// layer's
     /// [`dtype`](crate::nn::DenseParts::dtype), everything else of PredNet as F32.
     ///
     /// # Errors
     ///
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when the parts do not pass [`PredNetParts::check`] or a
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when the parts do not fit together or a
     /// weight overflows its format.
     pub fn set_prednet(&mut self, net: &PredNetParts, inputs: &[InputGroup]) -> Result<&mut Self> {
         net.check()?;
@@ -229,7 +231,8 @@ impl ModelFile {
     /// As [`Model::from_bytes`].
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
         self.to_model()?;
-        // Widest numbers first keeps every tensor aligned to its own size, as the format's other writers do it.
+        // Widest numbers first keeps every tensor aligned to its own size, as the format's other writers do
+        // it.
         let mut order: Vec<_> = self.tensors.iter().collect();
         order.sort_by(|(name, t), (other, o)| o.dtype.cmp(&t.dtype).then_with(|| name.cmp(other)));
         let mut header = json(&Header { metadata: &self.metadata, tensors: &order })?.into_bytes();

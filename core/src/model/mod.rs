@@ -1,7 +1,8 @@
 //! The safetensors model file, read all or nothing.
 //!
-//! [`Model::from_bytes`] checks everything there is to check; what it returns can be run. [`ModelFile`] is the writing
-//! side: it keeps the tensors and the metadata that it does not know, so that a fine-tuned file loses nothing.
+//! [`Model::from_bytes`] checks everything there is to check; what it returns can be run. [`ModelFile`] is
+//! the writing side: it keeps the tensors and the metadata that it does not know, so that a fine-tuned file
+//! loses nothing.
 
 mod file;
 mod read;
@@ -9,7 +10,7 @@ mod read;
 mod tests;
 
 pub use file::ModelFile;
-pub use read::{InputGroup, MAX_VOLUMENET_INPUT, Model};
+pub use read::{InputGroup, MAX_INPUT_GROUPS, MAX_VOLUMENET_INPUT, Model};
 
 /// Metadata keys and fixed names of the model file, each stated once.
 pub mod keys {

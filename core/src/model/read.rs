@@ -3,10 +3,12 @@
 use super::file::TensorData;
 use super::keys;
 use crate::error::bail;
-use crate::nn::{ConvBlockParts, DenseParts, Dtype, Normalization, PredNetParts, Target, VolumeNetParts};
+use crate::nn::{
+    ConvBlockParts, DenseParts, Dtype, Normalization, PredNetParts, Target, VolumeNetParts, check_volumenet,
+};
 use crate::{Error, ErrorKind, Result};
 use alloc::borrow::ToOwned;
-use alloc::collections::BTreeMap;
+use alloc::collections::{BTreeMap, BTreeSet};
 use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
@@ -15,7 +17,10 @@ use serde::{Deserialize, Serialize};
 /// Largest edge of VolumeNet's input that is accepted, in voxels (512³ voxels are 512 MiB as f32).
 pub const MAX_VOLUMENET_INPUT: usize = 512;
 
-/// Variance offset of batch normalisation.
+/// Most input groups that a model may name.
+pub const MAX_INPUT_GROUPS: usize = 1024;
+
+/// Variance offset of batch normalization.
 const BATCH_NORM_EPSILON: f64 = 1e-5;
 
 /// A named run of inputs: the model's inputs are the groups one after another.
@@ -42,9 +47,10 @@ impl Model {
     ///
     /// # Errors
     ///
-    /// [`InvalidModel`](ErrorKind::InvalidModel) for bytes that are not such a file or metadata that does not fit;
-    /// [`InvalidTensor`](ErrorKind::InvalidTensor) for a tensor that is missing, misshapen or not finite. Nothing
-    /// half-loads.
+    /// [`InvalidModel`](ErrorKind::InvalidModel) for bytes that are not such a file or metadata that does not
+    /// fit;
+    /// [`InvalidTensor`](ErrorKind::InvalidTensor) for a tensor that is missing, misshapen or not finite.
+    /// Nothing half-loads.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let source = Source::parse(bytes)?;
         source.model()
@@ -70,7 +76,7 @@ impl Model {
         self.prednet.as_ref()
     }
 
-    /// The encoder's weights with batch normalisation folded in, or `None` where the file lacks one.
+    /// The encoder's weights with batch normalization folded in, or `None` where the file lacks one.
     pub fn volumenet(&self) -> Option<&VolumeNetParts> {
         self.volumenet.as_ref()
     }
@@ -203,10 +209,17 @@ impl Source<'_> {
                 "{key} is not a JSON array of {{\"name\": text, \"size\": whole number}}: {e}"
             ),
         };
-        let mut total = 0usize;
-        for (i, group) in groups.iter().enumerate() {
+        if groups.len() > MAX_INPUT_GROUPS {
+            bail!(
+                InvalidModel,
+                "{key} lists {} groups, at most {MAX_INPUT_GROUPS} are accepted: join them into larger ones",
+                groups.len()
+            );
+        }
+        let (mut total, mut seen) = (0usize, BTreeSet::new());
+        for group in &groups {
             let name = group.name.as_str();
-            if groups[..i].iter().any(|other| other.name == name) {
+            if !seen.insert(name) {
                 bail!(InvalidModel, "{key} names the group {name:?} twice");
             }
             let (fits, expected) = match name {
@@ -260,8 +273,9 @@ impl Source<'_> {
                 group.size
             );
         }
-        for (i, name) in names.iter().enumerate() {
-            if names[..i].contains(name) {
+        let mut seen = BTreeSet::new();
+        for name in &names {
+            if !seen.insert(name.as_str()) {
                 bail!(InvalidModel, "{key} names {name:?} twice");
             }
         }
@@ -319,8 +333,9 @@ impl Source<'_> {
             bail!(InvalidTensor, "the last block gives {channels} x {edge}^3 numbers: too many to flatten");
         };
         let fc = self.dense("volumenet.fc", Some(flat), None)?;
-        fc.check("volumenet.fc")?;
-        Ok(VolumeNetParts { input: layout.input, blocks, fc })
+        let parts = VolumeNetParts { input: layout.input, blocks, fc };
+        check_volumenet(&parts)?;
+        Ok(parts)
     }
 
     fn conv_block(
@@ -356,13 +371,22 @@ impl Source<'_> {
                 keys::VOLUMENET
             );
         }
-        // Neither sum can overflow: the edge is at most MAX_VOLUMENET_INPUT plus paddings that existing weights bound.
+        // Neither sum can overflow: the edge is at most MAX_VOLUMENET_INPUT plus paddings that existing
+        // weights bound.
         let padded = input_edge + 2 * padding;
         if kernel > padded {
             bail!(
                 InvalidTensor,
                 "{conv} has kernel {kernel}, but block {i}'s padded input is only {padded} wide: fewer blocks, a \
                  larger input or more padding"
+            );
+        }
+        if stride > padded {
+            bail!(
+                InvalidModel,
+                "{}: block {i} has stride {stride}, but its padded input is only {padded} wide: expected a stride of 1 \
+                 to {padded}",
+                keys::VOLUMENET
             );
         }
         let output_edge = (padded - kernel) / stride + 1;

@@ -123,7 +123,7 @@ fn unknown_tensors_and_metadata_survive_fine_tuning() {
 }
 
 #[test]
-fn volumenet_shapes_are_followed_and_batch_normalisation_is_folded() {
+fn volumenet_shapes_are_followed_and_batch_normalization_is_folded() {
     let model = with_volumenet().to_model().unwrap();
     let net = model.volumenet().unwrap();
     assert_eq!((net.input, net.features(), net.blocks.len()), (8, 4, 2));
@@ -248,6 +248,81 @@ fn metadata_is_checked() {
         (r#"{"stride":2,"padding":1}"#, r#"{"stride":0,"padding":1}"#, r#"{"stride":2,"padding":3}"#);
     fails(&set(keys::VOLUMENET, &two(zero, good)), invalid, &["stride 0"]);
     fails(&set(keys::VOLUMENET, &two(padded, good)), invalid, &["padding 3"]);
+}
+
+/// A file with an encoder of blocks of (outputs, kernel, stride, padding) whose dense layer gives `features`
+/// numbers.
+fn encoder_file(input: usize, blocks: &[(usize, usize, usize, usize)], features: usize) -> ModelFile {
+    let mut file = ModelFile::new();
+    let (mut edge, mut channels, mut layout) = (input, 1, Vec::new());
+    for (i, &(outputs, kernel, stride, padding)) in blocks.iter().enumerate() {
+        let name = format!("volumenet.encoder.{i}");
+        let count = outputs * channels * kernel * kernel * kernel;
+        let shape = [outputs, channels, kernel, kernel, kernel];
+        file.set_tensor(&format!("{name}.conv.weight"), Dtype::F32, &shape, &vec![0.01; count]).unwrap();
+        for part in ["weight", "bias", "running_mean", "running_var"] {
+            file.set_tensor(&format!("{name}.bn.{part}"), Dtype::F32, &[outputs], &vec![1.0; outputs])
+                .unwrap();
+        }
+        layout.push(format!(r#"{{"stride":{stride},"padding":{padding}}}"#));
+        (edge, channels) = ((edge + 2 * padding - kernel) / stride + 1, outputs);
+    }
+    let flat = channels * edge * edge * edge;
+    file.set_tensor("volumenet.fc.weight", Dtype::F32, &[features, flat], &vec![0.1; features * flat])
+        .unwrap();
+    file.set_tensor("volumenet.fc.bias", Dtype::F32, &[features], &vec![0.0; features]).unwrap();
+    file.set_metadata(keys::VOLUMENET, format!(r#"{{"input":{input},"blocks":[{}]}}"#, layout.join(",")));
+    file
+}
+
+#[test]
+fn a_stride_beyond_the_padded_input_is_refused() {
+    for stride in [6, 1 << 31, 1 << 40, (1 << 59) + 7, 1 << 60, (1 << 60) + 7, 1 << 62, usize::MAX] {
+        let says = format!("stride {stride}");
+        fails(&encoder_file(3, &[(1, 3, stride, 1)], 1), ErrorKind::InvalidModel, &[&says, "1 to 5"]);
+    }
+    let widest = encoder_file(3, &[(1, 3, 5, 1)], 1).to_model().unwrap();
+    assert_eq!(widest.volumenet().unwrap().blocks[0].output_edge, 1);
+}
+
+#[test]
+fn an_encoder_whose_memory_leaves_the_bound_is_refused_whatever_the_files_size() {
+    let says = ["bytes", "2147483648", "smaller"];
+    for blocks in [
+        // The second layer gives 64 x 512³ numbers: 34 GB.
+        &[(1, 1, 1, 0), (64, 1, 1, 0), (1, 1, 512, 0)][..],
+        &[(1, 1, 1, 0), (4096, 1, 1, 0), (1, 1, 512, 0)],
+        // The first layer's planes, kept as wide as the second kernel spans.
+        &[(4096, 1, 1, 0), (1, 1, 512, 0)],
+        // Prepared planes: 80 of 512 rows of 440 phases.
+        &[(1, 80, 440, 0)],
+    ] {
+        let file = encoder_file(512, blocks, 1);
+        fails(&file, ErrorKind::InvalidModel, &says);
+    }
+    // Rows and channels are padded to whole vectors: the dense layer's weights grow most where there is one
+    // of each.
+    fails(&encoder_file(1, &[(1, 1, 1, 0)], 1 << 22), ErrorKind::InvalidModel, &says);
+    assert!(encoder_file(512, &[(1, 1, 1, 0), (1, 1, 512, 0)], 1).to_model().is_ok());
+}
+
+#[test]
+fn the_number_of_groups_and_their_check_are_bounded() {
+    let groups = |n: usize| {
+        let all: Vec<String> = (0..n).map(|i| format!(r#"{{"name":"g{i}","size":1}}"#)).collect();
+        format!("[{}]", all.join(","))
+    };
+    let mut file = ModelFile::new();
+    let mut net = prednet(Dtype::F32);
+    net.layers[0] = layer(MAX_INPUT_GROUPS, 5, Dtype::F32);
+    net.input = None;
+    file.set_prednet(&net, &[InputGroup { name: "x".to_string(), size: MAX_INPUT_GROUPS }]).unwrap();
+    file.set_metadata(keys::INPUTS, groups(MAX_INPUT_GROUPS));
+    assert_eq!(file.to_model().unwrap().inputs().len(), MAX_INPUT_GROUPS);
+    for n in [MAX_INPUT_GROUPS + 1, 100_000] {
+        file.set_metadata(keys::INPUTS, groups(n));
+        fails(&file, ErrorKind::InvalidModel, &[&format!("{n} groups"), "1024"]);
+    }
 }
 
 #[test]

@@ -1,7 +1,8 @@
 //! Networks in plain meaning: dense layers, activation, PredNet, VolumeNet. Speed lives in `kernels`.
 //!
-//! [`PredNetParts`] and [`VolumeNetParts`] are checked weights without any layout: what a model file holds, what training
-//! writes. [`PredNet`] is built from them for one [`Level`](crate::kernels::Level) and one [`Storage`].
+//! [`PredNetParts`] and [`VolumeNetParts`] are checked weights without any layout: what a model file holds,
+//! what training writes. [`PredNet`] is built from them for one [`Level`](crate::kernels::Level) and one
+//! [`Storage`].
 
 #[cfg(test)]
 mod conv3d;
@@ -17,6 +18,7 @@ pub use prednet::{
     PredScratch,
 };
 pub use resample::{RESAMPLE_MAX_RATIO, RESAMPLE_TOLERANCE, Resampler};
-pub use volumenet::{EncodeScratch, VOLUMENET_TOLERANCE, VolumeNet};
+pub(crate) use volumenet::check as check_volumenet;
+pub use volumenet::{EncodeScratch, MAX_ENCODER_MEMORY, VOLUMENET_TOLERANCE, VolumeNet};
 
 pub use crate::kernels::{Helper, SELU_ALPHA, SELU_SCALE, SELU_TOLERANCE, Storage};

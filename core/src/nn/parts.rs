@@ -26,7 +26,7 @@ impl Dtype {
     }
 
     /// Bytes per number.
-    pub const fn bytes(self) -> usize {
+    pub(crate) const fn bytes(self) -> usize {
         match self {
             Dtype::F32 => 4,
             Dtype::F16 | Dtype::Bf16 => 2,
@@ -45,7 +45,7 @@ pub enum Target {
 
 impl Target {
     /// The name in the model file's metadata.
-    pub const fn name(self) -> &'static str {
+    pub(crate) const fn name(self) -> &'static str {
         match self {
             Target::Seconds => "seconds",
             Target::LogSeconds => "log_seconds",
@@ -74,7 +74,7 @@ impl DenseParts {
     /// # Errors
     ///
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming `name` and the first index at fault.
-    pub fn check(&self, name: &str) -> Result<()> {
+    pub(crate) fn check(&self, name: &str) -> Result<()> {
         if self.inputs == 0 || self.outputs == 0 {
             bail!(
                 InvalidTensor,
@@ -115,7 +115,7 @@ impl Normalization {
     /// # Errors
     ///
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming `name` and the first index at fault.
-    pub fn check(&self, name: &str, length: usize) -> Result<()> {
+    pub(crate) fn check(&self, name: &str, length: usize) -> Result<()> {
         for (part, values) in [("mean", &self.mean), ("std", &self.std)] {
             if values.len() != length {
                 bail!(InvalidTensor, "{name}.{part} holds {} numbers, expected {length}", values.len());
@@ -150,9 +150,9 @@ fn check_finite(values: &[f32], name: &str, part: &str) -> Result<()> {
 pub struct PredNetParts {
     /// The layers, first to last; the last has one output.
     pub layers: Vec<DenseParts>,
-    /// Normalisation of the inputs, if any.
+    /// Normalization of the inputs, if any.
     pub input: Option<Normalization>,
-    /// De-normalisation of the output, if any (length 1).
+    /// De-normalization of the output, if any (length 1).
     pub output: Option<Normalization>,
     /// What the output stands for.
     pub target: Target,
@@ -160,7 +160,7 @@ pub struct PredNetParts {
 
 impl PredNetParts {
     /// Number of inputs; 0 where there is no layer.
-    pub fn inputs(&self) -> usize {
+    pub(crate) fn inputs(&self) -> usize {
         self.layers.first().map_or(0, |layer| layer.inputs)
     }
 
@@ -168,8 +168,9 @@ impl PredNetParts {
     ///
     /// # Errors
     ///
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming the tensor, what was expected and what was found.
-    pub fn check(&self) -> Result<()> {
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor), naming the tensor, what was expected and what was
+    /// found.
+    pub(crate) fn check(&self) -> Result<()> {
         let Some(last) = self.layers.last() else {
             bail!(InvalidTensor, "PredNet has no layer: expected at least prednet.0.weight");
         };
@@ -178,7 +179,8 @@ impl PredNetParts {
             if i > 0 && layer.inputs != self.layers[i - 1].outputs {
                 bail!(
                     InvalidTensor,
-                    "prednet.{i}.weight has shape [{}, {}], expected [{}, {}]: the layer before it has {} outputs",
+                    "prednet.{i}.weight has shape [{}, {}], expected [{}, {}]: the layer before it has {} \
+                     outputs",
                     layer.outputs,
                     layer.inputs,
                     layer.outputs,
@@ -207,7 +209,7 @@ impl PredNetParts {
     }
 }
 
-/// One block of VolumeNet's encoder with batch normalisation folded in: SELU(conv(x, weight) + bias).
+/// One block of VolumeNet's encoder with batch normalization folded in: SELU(conv(x, weight) + bias).
 #[derive(Clone, Debug, PartialEq)]
 pub struct ConvBlockParts {
     /// Input channels.
@@ -232,7 +234,8 @@ pub struct ConvBlockParts {
     pub dtype: Dtype,
 }
 
-/// VolumeNet's encoder (paper, section on the volume network): blocks, then one dense layer without activation.
+/// VolumeNet's encoder (paper, section on the volume network): blocks, then one dense layer without
+/// activation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeNetParts {
     /// Edge of the cubic input volume, in voxels.

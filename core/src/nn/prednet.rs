@@ -8,15 +8,17 @@ use crate::kernels::mlp::{Dense, Mlp, MlpScratch};
 use crate::kernels::{Level, Storage};
 use alloc::vec::Vec;
 
-/// Largest relative error of [`PredNet::predict`] against a float64 evaluation of the same stored weights: for
-/// [`Storage::F32`], and for [`Storage::F16`] and [`Storage::Bf16`] where the file stores its weights so.
+/// Largest relative error of [`PredNet::predict`] against a float64 evaluation of the same stored weights:
+/// for [`Storage::F32`], and for [`Storage::F16`] and [`Storage::Bf16`] where the file stores its weights so.
 pub const PREDNET_F32_TOLERANCE: f64 = 1e-5;
-/// Largest error of [`Storage::F16`] on a network whose file holds F32, relative to the largest output over the inputs.
+/// Largest error of [`Storage::F16`] on a network whose file holds F32, relative to the largest output over
+/// the inputs.
 pub const PREDNET_F16_TOLERANCE: f64 = 5e-3;
-/// Largest error of [`Storage::Bf16`] on a network whose file holds F32, relative to the largest output over the inputs.
+/// Largest error of [`Storage::Bf16`] on a network whose file holds F32, relative to the largest output over
+/// the inputs.
 pub const PREDNET_BF16_TOLERANCE: f64 = 5e-2;
-/// Largest error of [`Storage::Int8`], relative to the largest output over the inputs. Judge it on frames of your own
-/// before choosing it: it depends on the network.
+/// Largest error of [`Storage::Int8`], relative to the largest output over the inputs. Judge it on frames of
+/// your own before choosing it: it depends on the network.
 pub const PREDNET_INT8_TOLERANCE: f64 = 1e-1;
 
 impl From<Dtype> for Storage {
@@ -42,14 +44,16 @@ impl PredScratch {
     }
 }
 
-/// A prediction network ready to run: dense layers with SELU after every layer but the last, then the target's
-/// transform (paper, section on the prediction network).
+/// A prediction network ready to run: dense layers with SELU after every layer but the last, then the
+/// target's transform (paper, section on the prediction network).
 ///
-/// Weights are packed when it is built. A prediction is a pure function of the inputs, the level and the storage.
+/// Weights are packed when it is built. A prediction is a pure function of the inputs, the level and the
+/// storage.
 ///
-/// Nothing is kept from one prediction to the next. The only work that unchanged input groups could save is the first
-/// layer's share of them: 0.5 % of a 12C256, and tens of nanoseconds of the smallest networks, less than it takes to find
-/// out what has changed. What changes once per volume or transfer function is kept where it is dear: in the features.
+/// Nothing is kept from one prediction to the next. The only work that unchanged input groups could save is
+/// the first layer's share of them: 0.5 % of a 12C256, and tens of nanoseconds of the smallest networks, less
+/// than it takes to find out what has changed. What changes once per volume or transfer function is kept
+/// where it is dear: in the features.
 #[derive(Clone, Debug)]
 pub struct PredNet {
     mlp: Mlp,
@@ -64,14 +68,16 @@ impl PredNet {
     ///
     /// # Errors
     ///
-    /// As [`PredNetParts::check`].
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) or [`SizeMismatch`](crate::ErrorKind::SizeMismatch)
+    /// for parts that do not fit together, numbers that are not finite, or a standard deviation that is not
+    /// positive.
     pub fn new(parts: &PredNetParts) -> Result<Self> {
         let storage = parts.layers.first().map_or(Storage::F32, |layer| layer.dtype.into());
         Self::with(parts, Level::detect(), storage)
     }
 
-    /// Builds the network with another storage than the file's. Storing wider than the file costs memory and changes
-    /// nothing; storing narrower rounds the weights.
+    /// Builds the network with another storage than the file's. Storing wider than the file costs memory and
+    /// changes nothing; storing narrower rounds the weights.
     ///
     /// # Errors
     ///
@@ -84,8 +90,8 @@ impl PredNet {
     ///
     /// # Errors
     ///
-    /// As [`PredNetParts::check`]; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when a weight overflows half
-    /// precision.
+    /// As [`PredNet::new`]; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when a weight overflows
+    /// half precision.
     pub fn with(parts: &PredNetParts, level: Level, storage: Storage) -> Result<Self> {
         parts.check()?;
         if matches!(storage, Storage::F16 | Storage::Bf16) {
@@ -97,7 +103,8 @@ impl PredNet {
                 if let Some(at) = layer.weight.iter().position(|&w| !finite(w)) {
                     bail!(
                         InvalidTensor,
-                        "prednet.{i}.weight[{at}] (flat index) is {}, too large for {} storage: choose another storage",
+                        "prednet.{i}.weight[{at}] (flat index) is {}, too large for {} storage: choose \
+                         another storage",
                         layer.weight[at],
                         storage.name()
                     );
@@ -145,8 +152,8 @@ impl PredNet {
         self.mlp.memory()
     }
 
-    /// Working memory for [`predict`](Self::predict). [`predict_batch`](Self::predict_batch) works with it too, row
-    /// by row.
+    /// Working memory for [`predict`](Self::predict). [`predict_batch`](Self::predict_batch) works with it
+    /// too, row by row.
     pub fn scratch(&self) -> PredScratch {
         self.batch_scratch(1)
     }
@@ -158,9 +165,9 @@ impl PredNet {
 
     /// Predicts one frame's time in seconds from [`inputs`](Self::inputs) numbers in the model's order.
     ///
-    /// The result is the network's own: it may be zero, negative (target `seconds`) or infinite. NaN in, NaN out
-    /// (with [`Storage::Int8`], anything not finite in, NaN out); a wrong number of inputs or another network's scratch
-    /// gives NaN as well. Never allocates.
+    /// The result is the network's own: it may be zero, negative (target `seconds`) or infinite. NaN in, NaN
+    /// out (with [`Storage::Int8`], anything not finite in, NaN out); a wrong number of inputs or another
+    /// network's scratch gives NaN as well. Never allocates.
     #[inline]
     pub fn predict(&self, inputs: &[f32], scratch: &mut PredScratch) -> f32 {
         match self.mlp.forward(inputs, &mut scratch.mlp) {
@@ -169,9 +176,10 @@ impl PredNet {
         }
     }
 
-    /// As [`predict`](Self::predict), each large layer split between the caller and one more thread: same bits. Worth it
-    /// where the weights outgrow one core's cache and the executor is a [`Helper`](super::Helper); a pool's hand-over
-    /// takes longer than it saves. A helper adds no allocation, lock or system call.
+    /// As [`predict`](Self::predict), each large layer split between the caller and one more thread: same
+    /// bits. Worth it where the weights outgrow one core's cache and the executor is a
+    /// [`Helper`](super::Helper); a pool's hand-over takes longer than it saves. A helper adds no allocation,
+    /// lock or system call.
     pub fn predict_on(&self, executor: Executor<'_>, inputs: &[f32], scratch: &mut PredScratch) -> f32 {
         match self.mlp.forward_split(&executor, inputs, &mut scratch.mlp) {
             Some(y) => self.seconds(y),
@@ -179,12 +187,13 @@ impl PredNet {
         }
     }
 
-    /// As [`predict_batch`](Self::predict_batch), the rows split over as many parts as there are `scratches`: same bits.
+    /// As [`predict_batch`](Self::predict_batch), the rows split over as many parts as there are `scratches`:
+    /// same bits.
     ///
     /// # Errors
     ///
-    /// As [`predict_batch`](Self::predict_batch), and [`InvalidArgument`](crate::ErrorKind::InvalidArgument) without any
-    /// scratch.
+    /// As [`predict_batch`](Self::predict_batch), and [`InvalidArgument`](crate::ErrorKind::InvalidArgument)
+    /// without any scratch.
     pub fn predict_batch_on(
         &self,
         executor: Executor<'_>,
@@ -214,13 +223,14 @@ impl PredNet {
         }
     }
 
-    /// Predicts many frames: `inputs` holds one row of [`inputs`](Self::inputs) numbers per element of `seconds`.
-    /// Rows are as in [`predict`](Self::predict), up to the order of summation; a row's result does not depend on the
-    /// others, nor on the scratch's size. Never allocates on success.
+    /// Predicts many frames: `inputs` holds one row of [`inputs`](Self::inputs) numbers per element of
+    /// `seconds`. Rows are as in [`predict`](Self::predict), up to the order of summation; a row's result
+    /// does not depend on the others, nor on the scratch's size. Never allocates on success.
     ///
     /// # Errors
     ///
-    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) when the lengths disagree or the scratch is another network's.
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) when the lengths disagree or the scratch is another
+    /// network's.
     pub fn predict_batch(
         &self,
         inputs: &[f32],
@@ -315,8 +325,8 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(48))]
 
-        /// Every width, whatever panels and padding it needs, on every level: all sizes that are not multiples of
-        /// anything, and any number of rows.
+        /// Every width, whatever panels and padding it needs, on every level: all sizes that are not
+        /// multiples of anything, and any number of rows.
         #[test]
         fn any_shape_agrees_with_plain_loops(
             sizes in prop::collection::vec(1usize..150, 1..5),
@@ -344,12 +354,44 @@ mod tests {
                         let single = net.predict(row, &mut scratch);
                         prop_assert_eq!(single.to_bits(), split.to_bits());
                         for found in [single, batch[i]] {
-                            // Rounded weights are judged against the size of the output, whose logarithm this is.
+                            // Rounded weights are judged against the size of the output, whose logarithm this
+                            // is.
                             let size = ((libm::log(exact[i]) + 4.0) / 0.5).abs().max(1.0);
                             let size = if storage == Storage::F32 { 1.0 } else { size };
                             let error = (f64::from(found) - exact[i]).abs() / exact[i] / size;
                             let what: String = format!("{sizes:?} {level} {} row {i}", storage.name());
                             prop_assert!(error <= tolerance, "{}: {} for {}", what, found, exact[i]);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Small enough for Miri: every storage of the portable kernels, alone and in batches, with whole and cut
+    /// panels.
+    #[test]
+    fn small_networks_agree_with_plain_loops() {
+        for (sizes, rows) in [(&[3, 5, 1][..], 2), (&[7, 17, 4, 1], 7), (&[2, 1], 1)] {
+            let parts = parts(sizes, Target::LogSeconds, 11);
+            let inputs: Vec<f32> =
+                (0..rows * sizes[0]).map(|i| (i * 7919 % 1000) as f32 / 250.0 - 2.0).collect();
+            for level in Level::available() {
+                for storage in Storage::ALL {
+                    let net = PredNet::with(&parts, level, storage).unwrap();
+                    let mut batch = vec![0.0; rows];
+                    net.predict_batch(&inputs, &mut batch, &mut net.batch_scratch(rows)).unwrap();
+                    for (row, &in_batch) in inputs.chunks(sizes[0]).zip(&batch) {
+                        let exact = plain(&parts, row);
+                        let single = net.predict(row, &mut net.scratch());
+                        let tolerance = if storage == Storage::F32 { PREDNET_F32_TOLERANCE } else { 0.3 };
+                        for found in [single, in_batch] {
+                            let error = (f64::from(found) - exact).abs() / exact;
+                            assert!(
+                                error <= tolerance,
+                                "{sizes:?} {level} {}: {found} {exact}",
+                                storage.name()
+                            );
                         }
                     }
                 }

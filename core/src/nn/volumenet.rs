@@ -11,11 +11,17 @@ use crate::kernels::resample::{Affine, Raw, Scalar};
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
-/// Largest error of [`VolumeNet::encode`]'s features against a float64 evaluation of the same weights on the same
-/// volume, as a fraction of the feature vector's Euclidean norm.
+/// Largest error of [`VolumeNet::encode`]'s features against a float64 evaluation of the same weights on the
+/// same volume, as a fraction of the feature vector's Euclidean norm.
 pub const VOLUMENET_TOLERANCE: f64 = 1e-4;
 
-/// Working memory of an encoding, made once by [`VolumeNet::scratch`]; one per thread that calls.
+/// Most memory that an encoder may take, in bytes (2 GiB): its packed weights and the working memory of one
+/// thread. The cube that a volume is resampled to comes on top, at most 512 MiB. Sizes in a model file that
+/// ask for more are refused before anything is allocated for them, the same on every level.
+pub const MAX_ENCODER_MEMORY: u64 = 2 << 30;
+
+/// Working memory of an encoding, made by [`VolumeNet::scratch`]; one per thread that calls. Empty until the
+/// first encoding.
 #[derive(Clone, Debug)]
 pub struct EncodeScratch {
     resampler: Resampler,
@@ -23,12 +29,13 @@ pub struct EncodeScratch {
     encoder: Scratch,
 }
 
-/// The encoder, ready to run: blocks of convolution (batch normalisation folded in) and SELU, then one dense layer
-/// (paper, section on the volume network). Any number of blocks, kernel edges, strides and paddings.
+/// The encoder, ready to run: blocks of convolution (batch normalization folded in) and SELU, then one dense
+/// layer (paper, section on the volume network). Any number of blocks, kernel edges, strides and paddings.
 ///
-/// The input is the volume mapped to [0, 1] over its range, resampled to a cube of [`input_size`](Self::input_size)³
-/// voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W) = (z, y, x). A block maps a tensor `x` of
-/// `Cin × n³` numbers to `Cout × m³` numbers, m = (n + 2·padding − k) / stride + 1 rounded down:
+/// The input is the volume mapped to [0, 1] over its range, resampled to a cube of
+/// [`input_size`](Self::input_size)³ voxels (see [`Resampler`]) and mapped to [-1, 1]; its axes are (D, H, W)
+/// = (z, y, x). A block maps a tensor `x` of `Cin × n³` numbers to `Cout × m³` numbers, m = (n + 2·padding −
+/// k) / stride + 1 rounded down:
 ///
 /// ```text
 /// y[o, z, y, x] = SELU( bias[o] + Σ_{i, a, b, c} weight[o, i, a, b, c] · x[i, z·stride + a − padding,
@@ -36,8 +43,8 @@ pub struct EncodeScratch {
 ///                                                                           x·stride + c − padding] )
 /// ```
 ///
-/// where a, b, c run over 0 … k − 1 and x is 0 outside its edge. The last block's output, flattened in (C, D, H, W)
-/// order, goes through the dense layer, which no activation follows.
+/// where a, b, c run over 0 … k − 1 and x is 0 outside its edge. The last block's output, flattened in (C, D,
+/// H, W) order, goes through the dense layer, which no activation follows.
 #[derive(Clone, Debug)]
 pub struct VolumeNet {
     input: usize,
@@ -50,7 +57,10 @@ impl VolumeNet {
     /// Builds the network for this CPU's best level.
     ///
     /// # Errors
-    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) where blocks do not fit together.
+    /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) where blocks do not fit together;
+    /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for an encoder that needs more than
+    /// [`MAX_ENCODER_MEMORY`];
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where memory has no room for its weights.
     pub fn new(parts: &VolumeNetParts) -> Result<Self> {
         Self::with(parts, Level::detect())
     }
@@ -78,7 +88,7 @@ impl VolumeNet {
             .collect();
         let fc = &parts.fc;
         let head = Head { inputs: fc.inputs, outputs: fc.outputs, weight: &fc.weight, bias: &fc.bias };
-        let encoder = Encoder::new(&blocks, &head, level);
+        let encoder = Encoder::new(&blocks, &head, level)?;
         Ok(Self { input: parts.input, features: parts.fc.outputs, level, encoder })
     }
 
@@ -97,25 +107,25 @@ impl VolumeNet {
         self.level
     }
 
-    /// Working memory for [`encode`](Self::encode) on one thread; it grows when more are used.
+    /// Working memory for [`encode`](Self::encode), which allocates it at the first call and lets it grow
+    /// where more threads are used. A caller that never encodes pays nothing.
     pub fn scratch(&self) -> EncodeScratch {
-        EncodeScratch {
-            resampler: Resampler::new(self.level),
-            cube: Vec::new(),
-            encoder: self.encoder.scratch(1),
-        }
+        EncodeScratch { resampler: Resampler::new(self.level), cube: Vec::new(), encoder: Scratch::default() }
     }
 
     /// Writes the volume's features to `features`.
     ///
-    /// A volume that has the input's size already, with its rows in one piece, is read in place; any other is resampled
-    /// to a cube of floats in the scratch. The same volume, range, network and level give the same bits, whatever the
-    /// executor. Allocates only where the volume has to be resampled for the first time, its rows are longer, or the
-    /// executor has more threads than in every earlier call with this scratch.
+    /// A volume that has the input's size already, with its rows in one piece, is read in place; any other is
+    /// resampled to a cube of floats in the scratch. The same volume, range, network and level give the same
+    /// bits, whatever the executor. Allocates only in the first call with this scratch, where the volume has
+    /// to be resampled for the first time, its rows are longer, or the executor has more threads than in
+    /// every earlier call with this scratch.
     ///
     /// # Errors
-    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) unless `features` holds [`feature_len`](Self::feature_len)
-    /// numbers; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a volume that [`Resampler::resample`] refuses.
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) unless `features` holds
+    /// [`feature_len`](Self::feature_len) numbers, and where memory has no room for the working memory;
+    /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a volume that [`Resampler::resample`]
+    /// refuses.
     pub fn encode(
         &self,
         view: &VolumeView<'_>,
@@ -136,23 +146,29 @@ impl VolumeNet {
         if view.dims() == [n; 3] && view.strides()[0] == 1 {
             let mut run = |prepare: &(dyn Fn(usize, &mut PreparedPlane<'_>) + Sync),
                            encoder: &mut Scratch| {
-                self.encoder.run(prepare, encoder, executor, features);
+                self.encoder.run(prepare, encoder, executor, features)
             };
-            match view.scalars() {
+            return match view.scalars() {
                 Scalars::U8(s) => run(&|z, plane| in_place(view, s, z, plane), encoder),
                 Scalars::U16(s) => run(&|z, plane| in_place(view, s, z, plane), encoder),
                 Scalars::I16(s) => run(&|z, plane| in_place(view, s, z, plane), encoder),
                 Scalars::F32(s) => run(&|z, plane| in_place(view, s, z, plane), encoder),
-            }
-            return Ok(());
+            };
         }
         if scratch.cube.len() != n * n * n {
+            scratch.cube.clear();
+            if scratch.cube.try_reserve_exact(n * n * n).is_err() {
+                bail!(
+                    SizeMismatch,
+                    "the encoder takes a cube of {n}³ voxels, and memory has no room for it: use a model with a smaller \
+                     input, or give the process more memory"
+                );
+            }
             scratch.cube.resize(n * n * n, 0.0);
         }
         scratch.resampler.resample(view, n, &mut scratch.cube, executor)?;
         let cube = scratch.cube.as_slice();
-        self.encoder.run(&|z, plane| plane.fill(cube, z * n * n, n, Raw), encoder, executor, features);
-        Ok(())
+        self.encoder.run(&|z, plane| plane.fill(cube, z * n * n, n, Raw), encoder, executor, features)
     }
 }
 
@@ -165,7 +181,47 @@ fn in_place<T: Scalar>(view: &VolumeView<'_>, scalars: &[T], z: usize, plane: &m
     }
 }
 
-fn check(parts: &VolumeNetParts) -> Result<()> {
+/// Bytes of an encoder's packed weights and of one thread's working memory, at most: vectors are taken as
+/// wide as on the widest level. Sums saturate.
+fn memory(parts: &VolumeNetParts) -> u64 {
+    /// Floats per vector and per cache line, and what rows of the first layer are rounded up to.
+    const LANES: u128 = 16;
+    const ROW: u128 = 2 * LANES;
+    let wide = |n: usize| n as u128;
+    let product = |factors: &[u128]| factors.iter().fold(1u128, |p, &f| p.saturating_mul(f));
+    let cube = |edge: u128| product(&[edge; 3]);
+    let (mut floats, mut last) = (0u128, 0u128);
+    for (i, block) in parts.blocks.iter().enumerate() {
+        let (input, output) = (wide(block.input_edge), wide(block.output_edge));
+        let (kernel, stride) = (wide(block.kernel), wide(block.stride).max(1));
+        let border = parts.blocks.get(i + 1).map_or(0, |next| wide(next.padding));
+        let channels = wide(block.outputs).next_multiple_of(LANES);
+        let weights = product(&[cube(kernel), wide(block.inputs), channels]);
+        // The offsets of the taps, and the bias.
+        floats = floats.saturating_add(weights).saturating_add(4 * cube(kernel)).saturating_add(channels);
+        if i == 0 {
+            let padded = input + 2 * wide(block.padding);
+            let phase = padded.div_ceil(stride).max(output.next_multiple_of(ROW) + (kernel - 1) / stride);
+            let prepared = product(&[kernel, padded, stride, phase.next_multiple_of(LANES)]);
+            let row = (output + border).next_multiple_of(LANES);
+            let plane = product(&[output + 2 * border, channels, row]);
+            let planes = parts.blocks.get(1).map_or(output, |second| wide(second.kernel));
+            let kept = product(&[planes, plane]).saturating_add(border + 3 * LANES);
+            floats = floats.saturating_add(prepared).saturating_add(kept);
+            last = product(&[output, plane]);
+        } else {
+            last = product(&[cube(output + 2 * border), channels]);
+            floats = floats.saturating_add(last).saturating_add(LANES);
+        }
+    }
+    let dense = product(&[last.saturating_add(LANES), wide(parts.fc.outputs)]);
+    let bytes = floats.saturating_add(dense).saturating_mul(size_of::<f32>() as u128);
+    u64::try_from(bytes).unwrap_or(u64::MAX)
+}
+
+/// Checks that the blocks fit together and that the encoder can be built and run: what [`VolumeNet::new`]
+/// refuses.
+pub(crate) fn check(parts: &VolumeNetParts) -> Result<()> {
     let (mut edge, mut channels) = (parts.input, 1usize);
     if edge == 0 {
         bail!(InvalidTensor, "VolumeNet's input edge is 0: it must be at least 1 voxel");
@@ -186,7 +242,7 @@ fn check(parts: &VolumeNetParts) -> Result<()> {
         }
         let padded = block.padding.checked_mul(2).and_then(|p| p.checked_add(edge));
         let output = match padded {
-            Some(padded) if block.stride > 0 && (1..=padded).contains(&block.kernel) => {
+            Some(padded) if (1..=padded).contains(&block.stride) && (1..=padded).contains(&block.kernel) => {
                 (padded - block.kernel) / block.stride + 1
             }
             _ => 0,
@@ -225,7 +281,19 @@ fn check(parts: &VolumeNetParts) -> Result<()> {
             parts.fc.inputs
         );
     }
-    parts.fc.check("volumenet.fc")
+    parts.fc.check("volumenet.fc")?;
+    let bytes = memory(parts);
+    if bytes > MAX_ENCODER_MEMORY {
+        bail!(
+            InvalidModel,
+            "an encoder of input {}, {} blocks and {} features takes {bytes} bytes, at most {MAX_ENCODER_MEMORY} are \
+             accepted: use a smaller input, fewer channels or earlier strides",
+            parts.input,
+            parts.blocks.len(),
+            parts.fc.outputs
+        );
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -341,6 +409,28 @@ mod tests {
             for level in Level::available() {
                 let net = VolumeNet::with(&parts, level).unwrap();
                 assert_eq!((net.input_size(), net.feature_len(), net.level()), (input, 3, level));
+                assert_close(&encode(&net, &view), &expected, &alloc::format!("{input} {blocks:?} {level}"));
+            }
+        }
+    }
+
+    /// Small enough for Miri: every path of the portable kernels, one, two and three layers.
+    #[test]
+    fn small_networks_meet_the_definition() {
+        let small: [(usize, &[Layer]); 5] = [
+            (1, &[(3, 1, 1, 0)]),
+            (3, &[(2, 2, 5, 6), (2, 3, 4, 3)]),
+            (5, &[(2, 3, 2, 1), (17, 3, 1, 1)]),
+            (4, &[(3, 3, 2, 1), (5, 2, 1, 0), (2, 1, 1, 0)]),
+            (4, &[(2, 2, 3, 1), (3, 1, 2, 0)]),
+        ];
+        for (seed, (input, blocks)) in small.into_iter().enumerate() {
+            let parts = network(input, blocks, 2, seed as u64 + 1);
+            let bytes: Vec<u8> = (0..input * input * input).map(|i| (i * 37 % 251) as u8).collect();
+            let view = VolumeView::new(Scalars::U8(&bytes), [input; 3]).unwrap();
+            let expected = exact(&parts, bytes.iter().map(|&b| f64::from(b) / 255.0));
+            for level in Level::available() {
+                let net = VolumeNet::with(&parts, level).unwrap();
                 assert_close(&encode(&net, &view), &expected, &alloc::format!("{input} {blocks:?} {level}"));
             }
         }
@@ -472,6 +562,24 @@ mod tests {
     }
 
     #[test]
+    fn the_memory_that_is_refused_by_is_no_less_than_what_is_taken() {
+        for (seed, (input, blocks)) in NETWORKS.into_iter().enumerate() {
+            for features in [1, 3] {
+                let parts = network(input, blocks, features, seed as u64);
+                for level in Level::available() {
+                    let taken = VolumeNet::with(&parts, level).unwrap().encoder.memory() as u64;
+                    assert!(
+                        taken <= memory(&parts),
+                        "{input} {blocks:?} {level}: {taken} {}",
+                        memory(&parts)
+                    );
+                    assert!(memory(&parts) <= 16 * taken + 100_000, "{input} {blocks:?} {level}");
+                }
+            }
+        }
+    }
+
+    #[test]
     fn parts_that_do_not_fit_are_refused() {
         let good = network(8, &[(4, 3, 2, 1), (8, 3, 2, 1)], 2, 1);
         assert!(VolumeNet::new(&good).is_ok());
@@ -486,6 +594,8 @@ mod tests {
         refused(&|p| p.blocks.clear(), "no block");
         refused(&|p| p.blocks[1].inputs = 5, "volumenet.encoder.1.conv");
         refused(&|p| p.blocks[0].stride = 0, "stride 0");
+        refused(&|p| p.blocks[0].stride = 11, "stride 11");
+        refused(&|p| p.blocks[0].stride = usize::MAX, &alloc::format!("stride {}", usize::MAX));
         refused(&|p| p.blocks[0].kernel = 0, "kernel 0");
         refused(&|p| p.blocks[0].kernel = 11, "kernel 11");
         refused(&|p| p.blocks[0].padding = usize::MAX, "padding");

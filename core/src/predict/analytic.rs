@@ -1,9 +1,10 @@
 //! The analytic cost model: unit costs times estimated work.
 
 use super::network::Stored;
+use super::nnls::nnls;
 use super::{
-    CALIBRATION_KEY, Calibration, CostTerms, FeatureRange, GroupKind, Inputs, Prediction, Predictor, Source,
-    UPPER_LEVEL, nnls,
+    CALIBRATION_KEY, Calibration, CostTerms, FeatureRange, GroupKind, Inputs, LONGEST_FRAME, Prediction,
+    Predictor, Source, UPPER_LEVEL,
 };
 use crate::Result;
 use crate::error::bail;
@@ -22,8 +23,9 @@ pub const TERMS: usize = 9;
 /// The part that each unit cost belongs to: work that goes together on every machine is corrected together.
 const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 3, 3, 5, 4, 5, 5, 5];
 
-/// Metadata key under which a model file that takes `estimated_seconds` holds the unit costs behind it: a JSON object of
-/// seconds by name, `frame` and those of [`COST_QUANTITIES`]; names that are missing cost nothing.
+/// Metadata key under which a model file that takes `estimated_seconds` holds the unit costs behind it: a
+/// JSON object of seconds by name, `frame` and those of [`COST_QUANTITIES`]; names that are missing cost
+/// nothing.
 pub const UNIT_COSTS_KEY: &str = "entire.unit_costs";
 
 impl UnitCosts {
@@ -42,9 +44,9 @@ impl UnitCosts {
     /// The unit costs of a model file; `None` where it holds none.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is negative or not
-    /// finite, or when all are zero.
-    pub fn of(model: &Model) -> Result<Option<Self>> {
+    /// [`crate::ErrorKind::InvalidModel`] for a name that this version does not count, a cost that is
+    /// negative or not finite, or when all are zero.
+    pub(crate) fn of(model: &Model) -> Result<Option<Self>> {
         let Some(text) = model.metadata().get(UNIT_COSTS_KEY) else { return Ok(None) };
         let named: BTreeMap<String, f64> = match serde_json::from_str(text) {
             Ok(named) => named,
@@ -107,7 +109,8 @@ impl Measurement {
 pub struct FitReport {
     /// Measurements used.
     pub used: usize,
-    /// Measurements refused: a time or a count that is not finite and positive.
+    /// Measurements refused: a time that is not positive or over [`LONGEST_FRAME`](super::LONGEST_FRAME), or
+    /// a count that is not finite and positive.
     pub refused: usize,
     /// Median of |predicted / measured − 1|.
     pub median_error: f64,
@@ -115,7 +118,8 @@ pub struct FitReport {
     pub p95_error: f64,
 }
 
-/// t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer step or more pixels.
+/// t = c_frame + Σ c_i · work_i with all c ≥ 0: never negative, never faster with a finer step or more
+/// pixels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnalyticModel {
     costs: [f64; COSTS],
@@ -166,11 +170,6 @@ impl AnalyticModel {
         &self.costs
     }
 
-    /// Whether the costs were measured.
-    pub fn is_fitted(&self) -> bool {
-        self.fitted
-    }
-
     /// The calibration behind [`Prediction::upper`].
     pub fn calibration(&self) -> &Calibration {
         &self.calibration
@@ -181,9 +180,9 @@ impl AnalyticModel {
         self.calibration = calibration;
     }
 
-    /// Fits the unit costs to measured frames by non-negative least squares, reweighted in rounds until it minimizes
-    /// errors of ln(seconds), outliers down-weighted (Huber), and calibrates the upper bound on the same frames. Costs of work that no
-    /// measurement holds keep their default ratio to the others.
+    /// Fits the unit costs to measured frames by non-negative least squares, reweighted in rounds until it
+    /// minimizes errors of ln(seconds), outliers down-weighted (Huber), and calibrates the upper bound on the
+    /// same frames. Costs of work that no measurement holds keep their default ratio to the others.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] when no measurement is usable.
@@ -199,8 +198,8 @@ impl AnalyticModel {
         let usable: Vec<&Measurement> = measurements
             .iter()
             .filter(|m| {
-                m.seconds.is_finite()
-                    && m.seconds > 0.0
+                m.seconds > 0.0
+                    && m.seconds <= f64::from(LONGEST_FRAME)
                     && m.work.iter().all(|w| w.is_finite() && *w >= 0.0)
                     && m.work.iter().any(|w| *w > 0.0)
             })
@@ -208,7 +207,8 @@ impl AnalyticModel {
         if usable.is_empty() {
             bail!(
                 InvalidArgument,
-                "none of {} measurements has a finite positive time and finite work; measure some frames first",
+                "none of {} measurements has a positive time of at most {LONGEST_FRAME} seconds and finite work; measure \
+                 some frames first",
                 measurements.len()
             );
         }
@@ -281,8 +281,9 @@ impl AnalyticModel {
         })
     }
 
-    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without those beyond [`COMMON_COSTS`] where they cost nothing) as scene features, target seconds, calibration and
-    /// range beside it under [`CALIBRATION_KEY`].
+    /// The model as a file: one dense layer on [`COST_QUANTITIES`] (without those beyond [`COMMON_COSTS`]
+    /// where they cost nothing) as scene features, target seconds, calibration and range beside it under
+    /// [`CALIBRATION_KEY`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidTensor`] when a cost does not fit single precision.
@@ -399,6 +400,10 @@ impl Predictor for AnalyticModel {
 
     fn check(&mut self, _: &Inputs<'_>) -> Result<()> {
         Ok(())
+    }
+
+    fn identity(&self) -> u32 {
+        crc32fast::hash(bytemuck::cast_slice(&self.costs))
     }
 
     fn log_sd(&self) -> Option<f32> {

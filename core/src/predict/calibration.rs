@@ -3,8 +3,8 @@
 /// Level of the upper bound.
 pub const UPPER_LEVEL: f64 = 0.95;
 
-/// A multiplicative upper bound: with probability [`UPPER_LEVEL`] a frame like the calibration frames takes at most
-/// `factor` times its prediction.
+/// A multiplicative upper bound: with probability [`UPPER_LEVEL`] a frame like the calibration frames takes
+/// at most `factor` times its prediction.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Calibration {
     /// ln of the factor; NaN when never calibrated.
@@ -17,9 +17,9 @@ impl Calibration {
         Self { log_factor: f32::NAN }
     }
 
-    /// From ln(measured / predicted) of frames that were not used for fitting (or so many that it does not matter):
-    /// the ⌈(n + 1)·level⌉-th smallest, the largest where there are too few. Sorts the slice; NaN residuals count as
-    /// misses.
+    /// From ln(measured / predicted) of frames that were not used for fitting (or so many that it does not
+    /// matter): the ⌈(n + 1)·level⌉-th smallest, the largest where there are too few. Sorts the slice; NaN
+    /// residuals count as misses.
     pub fn from_residuals(log_residuals: &mut [f64]) -> Self {
         if log_residuals.is_empty() {
             return Self::unknown();
@@ -51,9 +51,9 @@ impl Calibration {
         libm::expf(self.log_factor)
     }
 
-    /// Standard deviation of ln(measured / predicted) that a normal distribution with this bound has, at least 0.02;
-    /// `None` when never calibrated.
-    pub fn log_sd(&self) -> Option<f32> {
+    /// Standard deviation of ln(measured / predicted) that a normal distribution with this bound has, at
+    /// least 0.02; `None` when never calibrated.
+    pub(crate) fn log_sd(&self) -> Option<f32> {
         (!self.log_factor.is_nan()).then_some((self.log_factor / 1.645).max(0.02))
     }
 
@@ -73,23 +73,23 @@ pub struct FeatureRange<const N: usize = 5> {
 
 impl<const N: usize> FeatureRange<N> {
     /// Knows nothing: scores are NaN.
-    pub const fn unknown() -> Self {
+    pub(crate) const fn unknown() -> Self {
         Self { low: [0.0; N], high: [0.0; N], known: false }
     }
 
     /// With given ends; unknown when any is not finite.
-    pub fn from_ends(low: [f32; N], high: [f32; N]) -> Self {
+    pub(crate) fn from_ends(low: [f32; N], high: [f32; N]) -> Self {
         let known = low.iter().chain(&high).all(|v| v.is_finite());
         if known { Self { low, high, known } } else { Self::unknown() }
     }
 
     /// Low and high ends, or `None` where nothing is known.
-    pub fn ends(&self) -> Option<(&[f32; N], &[f32; N])> {
+    pub(crate) fn ends(&self) -> Option<(&[f32; N], &[f32; N])> {
         self.known.then_some((&self.low, &self.high))
     }
 
     /// The range of the rows; values that are not finite are passed over.
-    pub fn from_rows(rows: &[[f32; N]]) -> Self {
+    pub(crate) fn from_rows(rows: &[[f32; N]]) -> Self {
         if rows.is_empty() {
             return Self::unknown();
         }
@@ -110,9 +110,10 @@ impl<const N: usize> FeatureRange<N> {
         out
     }
 
-    /// 0 inside the range; outside, the largest distance of any number from it, in units of half the range's width
-    /// (at least 0.7, a factor of two in logarithms). 1 is the edge of trust. NaN where nothing is known.
-    pub fn score(&self, row: &[f32; N]) -> f32 {
+    /// 0 inside the range; outside, the largest distance of any number from it, in units of half the range's
+    /// width (at least 0.7, a factor of two in logarithms). 1 is the edge of trust. NaN where nothing is
+    /// known.
+    pub(crate) fn score(&self, row: &[f32; N]) -> f32 {
         if !self.known {
             return f32::NAN;
         }

@@ -26,8 +26,8 @@ pub struct Prediction {
     pub seconds: f32,
     /// Upper bound of the calibrated level, seconds; NaN where the predictor was never calibrated.
     pub upper: f32,
-    /// How far outside its training range the inputs lie: 0 inside, 1 at the edge of trust, growing beyond; NaN
-    /// where the predictor knows no range.
+    /// How far outside its training range the inputs lie: 0 inside, 1 at the edge of trust, growing beyond;
+    /// NaN where the predictor knows no range.
     pub out_of_range: f32,
     /// Where it came from.
     pub source: Source,
@@ -101,22 +101,28 @@ pub trait Predictor {
         self.predict(inputs).map(drop)
     }
 
-    /// Standard deviation of ln(measured / predicted) on the machine that the model was measured on; `None` for a
-    /// model that was never measured.
+    /// Standard deviation of ln(measured / predicted) on the machine that the model was measured on; `None`
+    /// for a model that was never measured.
     fn log_sd(&self) -> Option<f32> {
         None
     }
 
-    /// Rays along each side of the probe that the predictor was made with: what [`FrameFeatures::with_probe_side`]
-    /// takes. 0 where no input needs the probe.
+    /// Rays along each side of the probe that the predictor was made with: what
+    /// [`FrameFeatures::with_probe_side`] takes. 0 where no input needs the probe.
     fn probe_side(&self) -> usize {
         PROBE_SIDE
     }
 
-    /// Whether a probe of another side than [`Predictor::probe_side`] serves as well: what is linear in counts that every
-    /// probe estimates was not trained with one.
+    /// Whether a probe of another side than [`Predictor::probe_side`] serves as well: what is linear in
+    /// counts that every probe estimates was not trained with one.
     fn any_probe_side(&self) -> bool {
         false
+    }
+
+    /// A number that tells predictors apart whose corrections must not be mixed up: what was learned of one
+    /// says nothing about another. 0, the default, for predictors that do not tell.
+    fn identity(&self) -> u32 {
+        0
     }
 
     /// Whether the ray step enters the prediction. Where it does not, callers scale by the analytic model.
@@ -175,7 +181,8 @@ impl GroupKind {
             Some(group) => Ok(group),
             None => bail!(
                 MissingInput,
-                "the model takes an input group {name:?} that this version does not supply; known are volume_features, camera, resolution, transfer_function, step_size, scene_features"
+                "the model takes an input group {name:?} that this version does not supply; known are \
+                 volume_features, camera, resolution, transfer_function, step_size, scene_features"
             ),
         }
     }

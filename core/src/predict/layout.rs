@@ -12,9 +12,9 @@ use alloc::vec::Vec;
 /// [`MAX_PROBE_SIDE`] in decimal; [`PROBE_SIDE`] where it is missing.
 pub const PROBE_SIDE_KEY: &str = "entire.probe_side";
 
-/// Metadata key under which a model file names the order in which it takes Gaussian lobes: `center` for ascending
-/// centers. Without it, lobes go in as they are given. A sum of lobes does not depend on their order; a network that
-/// always sees the same order need not learn so.
+/// Metadata key under which a model file names the order in which it takes Gaussian lobes: `center` for
+/// ascending centers. Without it, lobes go in as they are given. A sum of lobes does not depend on their
+/// order; a network that always sees the same order need not learn so.
 pub const LOBE_ORDER_KEY: &str = "entire.lobe_order";
 
 /// What a row is written from. `None` stands for what is not known of the frame.
@@ -87,11 +87,13 @@ pub struct InputLayout {
 }
 
 impl InputLayout {
-    /// The layout of a new model. `lobes` is the number of Gaussian lobes of the transfer functions, `volume_features`
-    /// the number of outputs of the VolumeNet; groups that are not asked for do not look at them.
+    /// The layout of a new model. `lobes` is the number of Gaussian lobes of the transfer functions,
+    /// `volume_features` the number of outputs of the VolumeNet; groups that are not asked for do not look at
+    /// them.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] where a group stands there twice, none does, or one would be empty.
+    /// [`crate::ErrorKind::InvalidArgument`] where a group stands there twice, none does, or one would be
+    /// empty.
     pub fn new(
         groups: &[GroupKind],
         scene_features: Vec<SceneFeature>,
@@ -258,17 +260,17 @@ impl InputLayout {
                 let Some(lobes) = values.lobes() else {
                     bail!(
                         MissingInput,
-                        "the model takes Gaussian transfer-function parameters and none were supplied; describe \
-                         the transfer function by {} lobes, or use a model on scene features, which takes any \
-                         transfer function",
+                        "the model takes Gaussian transfer-function parameters and none were supplied; \
+                         describe the transfer function by {} lobes, or use a model on scene features, \
+                         which takes any transfer function",
                         size / 3
                     );
                 };
                 if lobes.len() * 3 != size {
                     bail!(
                         MissingInput,
-                        "the model takes {} Gaussian lobes, the transfer function has {}; supply as many as the \
-                         model was trained with",
+                        "the model takes {} Gaussian lobes, the transfer function has {}; supply as many as \
+                         the model was trained with",
                         size / 3,
                         lobes.len()
                     );
@@ -352,8 +354,8 @@ fn takes_sorted_lobes(model: &Model) -> Result<bool> {
     }
 }
 
-/// Puts the lobes of a `transfer_function` group, (c, w, h) each, in the order of their centers; equal centers keep
-/// theirs.
+/// Puts the lobes of a `transfer_function` group, (c, w, h) each, in the order of their centers; equal
+/// centers keep theirs.
 fn sort_lobes(group: &mut [f32]) {
     let count = group.len() / 3;
     for end in 1..count {
@@ -400,13 +402,13 @@ mod tests {
         let says = |groups: &[GroupKind]| {
             let e = InputLayout::new(groups, Vec::new(), 0, 0).unwrap_err();
             assert_eq!(e.kind(), ErrorKind::InvalidArgument);
-            e.message().to_owned()
+            e
         };
-        assert!(says(&[]).contains("at least one input group"));
-        assert!(says(&[GroupKind::Camera, GroupKind::Camera]).contains("camera is named twice"));
-        assert!(says(&[GroupKind::VolumeFeatures]).contains("volume_features needs an encoder"));
-        assert!(says(&[GroupKind::TransferFunction]).contains("at least one Gaussian lobe"));
-        assert!(says(&[GroupKind::SceneFeatures]).contains("scene_features names no feature"));
+        assert!(says(&[]).message().contains("at least one input group"));
+        assert!(says(&[GroupKind::Camera, GroupKind::Camera]).message().contains("camera is named twice"));
+        assert!(says(&[GroupKind::VolumeFeatures]).message().contains("volume_features needs an encoder"));
+        assert!(says(&[GroupKind::TransferFunction]).message().contains("at least one Gaussian lobe"));
+        assert!(says(&[GroupKind::SceneFeatures]).message().contains("scene_features names no feature"));
         let layout = InputLayout::new(&[GroupKind::StepSize, GroupKind::Camera], Vec::new(), 0, 0).unwrap();
         assert_eq!((layout.width(), layout.probe_side()), (4, 0));
         assert!(layout.takes(GroupKind::Camera) && !layout.takes(GroupKind::Resolution));

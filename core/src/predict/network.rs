@@ -1,6 +1,9 @@
 //! A network from a model file as a predictor.
 
-use super::{AnalyticModel, Calibration, GroupKind, InputLayout, Inputs, Prediction, Predictor, Source};
+use super::{
+    AnalyticModel, CLAMPED_SCORE, Calibration, GroupKind, InputLayout, Inputs, Prediction, Predictor, Source,
+    checked_seconds,
+};
 use crate::Result;
 use crate::error::bail;
 use crate::model::Model;
@@ -12,16 +15,10 @@ use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95), `log_factor`
-/// (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of their work). Optional.
+/// Metadata key under which a model file may hold its calibration: a JSON object with `level` (0.95),
+/// `log_factor` (ln of upper bound / prediction), and for analytic models `low` and `high` (the range of
+/// their work). Optional.
 pub const CALIBRATION_KEY: &str = "entire.calibration";
-
-/// Shortest time that a network's prediction is taken for, seconds. Networks trained on seconds go below zero for cheap
-/// frames.
-const SHORTEST: f32 = 1.0e-6;
-
-/// Longest time, seconds; also what a network says whose output is not a number.
-const LONGEST: f32 = 1.0e9;
 
 /// Distance from the training mean, in standard deviations, up to which an input counts as inside.
 const INSIDE: f32 = 2.5;
@@ -68,8 +65,8 @@ pub fn load(model: &Model) -> Result<Box<dyn Predictor + Send>> {
 
 /// A model file's PredNet, its inputs assembled from named groups in the file's order.
 ///
-/// The out-of-range score looks at the inputs' distance from their training means, where the file holds them; volume
-/// features take no part in it, since an encoder maps any volume to familiar codes.
+/// The out-of-range score looks at the inputs' distance from their training means, where the file holds them;
+/// volume features take no part in it, since an encoder maps any volume to familiar codes.
 #[derive(Clone, Debug)]
 pub struct ModelPredictor {
     net: Arc<PredNet>,
@@ -81,6 +78,7 @@ pub struct ModelPredictor {
     knows_step: bool,
     probe_side: usize,
     calibration: Calibration,
+    identity: u32,
 }
 
 impl ModelPredictor {
@@ -88,8 +86,8 @@ impl ModelPredictor {
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for an input group that this version does not know,
-    /// [`crate::ErrorKind::Unsupported`] for such a scene feature, [`crate::ErrorKind::InvalidModel`] for a file
-    /// without PredNet or with a damaged calibration.
+    /// [`crate::ErrorKind::Unsupported`] for such a scene feature, [`crate::ErrorKind::InvalidModel`] for a
+    /// file without PredNet or with a damaged calibration.
     pub fn new(model: &Model) -> Result<Self> {
         let Some(parts) = model.prednet() else {
             bail!(
@@ -100,11 +98,12 @@ impl ModelPredictor {
         Self::with_net(Arc::new(PredNet::new(parts)?), model)
     }
 
-    /// As [`ModelPredictor::new`] with a network that was built from the same model before, so that several predictors
-    /// share its weights.
+    /// As [`ModelPredictor::new`] with a network that was built from the same model before, so that several
+    /// predictors share its weights.
     ///
     /// # Errors
-    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network of another input size.
+    /// As [`ModelPredictor::new`], and [`crate::ErrorKind::SizeMismatch`] for a network of another input
+    /// size.
     pub fn with_net(net: Arc<PredNet>, model: &Model) -> Result<Self> {
         let layout = InputLayout::of_model(model)?;
         let width = layout.width();
@@ -141,12 +140,8 @@ impl ModelPredictor {
             scratch,
             row: vec![0.0; width],
             calibration,
+            identity: identity_of(model),
         })
-    }
-
-    /// Replaces the calibration behind [`Prediction::upper`].
-    pub fn set_calibration(&mut self, calibration: Calibration) {
-        self.calibration = calibration;
     }
 
     /// What the model takes.
@@ -178,15 +173,38 @@ impl ModelPredictor {
     }
 }
 
+/// A checksum of everything behind a model's predictions: the weights, what goes in, and the metadata, which
+/// names the renderer, the device and the clock where they are known.
+fn identity_of(model: &Model) -> u32 {
+    let mut hash = crc32fast::Hasher::new();
+    for (key, value) in model.metadata() {
+        for text in [key, value] {
+            hash.update(&(text.len() as u64).to_le_bytes());
+            hash.update(text.as_bytes());
+        }
+    }
+    if let Some(net) = model.prednet() {
+        for layer in &net.layers {
+            hash.update(&(layer.inputs as u64).to_le_bytes());
+            hash.update(bytemuck::cast_slice(&layer.weight));
+            hash.update(bytemuck::cast_slice(&layer.bias));
+        }
+        for norm in [&net.input, &net.output].into_iter().flatten() {
+            hash.update(bytemuck::cast_slice(&norm.mean));
+            hash.update(bytemuck::cast_slice(&norm.std));
+        }
+    }
+    hash.finalize()
+}
+
 impl Predictor for ModelPredictor {
     fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
         self.row(inputs)?;
         let seconds = self.net.predict(&self.row, &mut self.scratch);
-        let (seconds, out_of_range) = if seconds.is_nan() {
-            (LONGEST, f32::INFINITY)
-        } else {
-            (seconds.clamp(SHORTEST, LONGEST), self.out_of_range(&self.row))
-        };
+        let (seconds, clamped) = checked_seconds(seconds)?;
+        let out_of_range = self.out_of_range(&self.row);
+        // A score that is NaN, where no range is known, gives way as well.
+        let out_of_range = if clamped { out_of_range.max(CLAMPED_SCORE) } else { out_of_range };
         Ok(Prediction {
             seconds,
             upper: self.calibration.upper(seconds),
@@ -202,6 +220,10 @@ impl Predictor for ModelPredictor {
     fn log_sd(&self) -> Option<f32> {
         // A network without calibration was still trained on times of some machine.
         Some(self.calibration.log_sd().unwrap_or(0.5))
+    }
+
+    fn identity(&self) -> u32 {
+        self.identity
     }
 
     fn knows_step(&self) -> bool {

@@ -3,14 +3,16 @@
 /// Most unknowns that [`nnls`] takes.
 const MAX_UNKNOWNS: usize = 16;
 
-/// Minimizes ‖A·x − b‖² over x ≥ 0, given the normal equations `gram` = AᵀA (row-major n × n) and `rhs` = Aᵀb, by the
-/// active-set method of Lawson and Hanson. Returns x; unknowns whose column is zero (or not finite) stay 0.
+/// Minimizes ‖A·x − b‖² over x ≥ 0, given the normal equations `gram` = AᵀA (row-major n × n) and `rhs` =
+/// Aᵀb, by the active-set method of Lawson and Hanson. Returns x; unknowns whose column is zero (or not
+/// finite) stay 0.
 ///
-/// The columns are scaled to unit length inside and a ridge of 1e-12 of that length keeps collinear columns solvable.
+/// The columns are scaled to unit length inside and a ridge of 1e-12 of that length keeps collinear columns
+/// solvable.
 ///
 /// # Panics
 /// When n is over 16 or `gram` is not n × n.
-pub fn nnls(gram: &[f64], rhs: &[f64], x: &mut [f64]) {
+pub(super) fn nnls(gram: &[f64], rhs: &[f64], x: &mut [f64]) {
     let n = rhs.len();
     assert!(n <= MAX_UNKNOWNS && gram.len() == n * n && x.len() == n, "nnls takes up to 16 unknowns");
     let mut scale = [0.0f64; MAX_UNKNOWNS];

@@ -7,19 +7,19 @@ use glam::{Mat3, Mat4, Vec3};
 /// Vertical field of view used where none is given, in degrees.
 pub const DEFAULT_FOV_Y_DEGREES: f32 = 45.0;
 
-/// Arcball pose about the volume's centre (paper, section "PredNet: Rendering Time Prediction").
+/// Arcball pose about the volume's center (paper, section "PredNet: Rendering Time Prediction").
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Arcball {
     /// Rotation about the x axis, degrees. Positive raises the eye above the volume.
     pub rx: f32,
     /// Rotation about the y axis, degrees. Positive moves the eye to the volume's right (+x).
     pub ry: f32,
-    /// Distance of the eye from the centre along z, in multiples of the bounding-sphere radius.
+    /// Distance of the eye from the center along z, in multiples of the bounding-sphere radius.
     pub dz: f32,
 }
 
-/// A perspective camera in scene space: origin at the volume's centre, unit = bounding-sphere radius. It looks along
-/// −z of its own space, y up.
+/// A perspective camera in scene space: origin at the volume's center, unit = bounding-sphere radius. It
+/// looks along −z of its own space, y up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     view: Mat4,
@@ -27,11 +27,12 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// A camera on the arcball, with the default field of view. With all angles 0 the eye stands at (0, 0, dz) and
-    /// looks at the centre.
+    /// A camera on the arcball, with the default field of view. With all angles 0 the eye stands at (0, 0,
+    /// dz) and looks at the center.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for values that are not finite, or a distance that is not positive.
+    /// [`crate::ErrorKind::InvalidArgument`] for values that are not finite, or a distance that is not
+    /// positive.
     pub fn from_arcball(pose: Arcball) -> Result<Self> {
         let Arcball { rx, ry, dz } = pose;
         if !(rx.is_finite() && ry.is_finite()) {
@@ -48,18 +49,18 @@ impl Camera {
         Ok(Self { view, fov_y: DEFAULT_FOV_Y_DEGREES.to_radians() })
     }
 
-    /// A camera from a rigid world-to-eye matrix (as OpenGL and VTK have it: column-major, looking along −z), the
-    /// world position of the volume's centre and the world radius of its bounding sphere.
+    /// A camera from a rigid world-to-eye matrix (as OpenGL and VTK have it: column-major, looking along −z),
+    /// the world position of the volume's center and the world radius of its bounding sphere.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] when the matrix is not finite, not rigid (rotation and translation only,
-    /// to 1e-3), or the radius is not positive.
-    pub fn from_world_view(view: Mat4, centre: Vec3, radius: f32) -> Result<Self> {
+    /// [`crate::ErrorKind::InvalidArgument`] when the matrix is not finite, not rigid (rotation and
+    /// translation only, to 1e-3), or the radius is not positive.
+    pub fn from_world_view(view: Mat4, center: Vec3, radius: f32) -> Result<Self> {
         if !(radius.is_finite() && radius > 0.0) {
             bail!(InvalidArgument, "bounding-sphere radius is {radius}; it must be finite and positive");
         }
-        if !(view.is_finite() && centre.is_finite()) {
-            bail!(InvalidArgument, "the view matrix or the volume's centre holds a NaN or an infinity");
+        if !(view.is_finite() && center.is_finite()) {
+            bail!(InvalidArgument, "the view matrix or the volume's center holds a NaN or an infinity");
         }
         let r = Mat3::from_mat4(view);
         let gram = r.transpose() * r - Mat3::IDENTITY;
@@ -71,12 +72,12 @@ impl Camera {
                 "the view matrix is not a rotation and a translation; pass world-to-eye in column-major order, without scale or projection"
             );
         }
-        let eye_of_centre = view.transform_point3(centre) / radius;
+        let eye_of_center = view.transform_point3(center) / radius;
         let view = Mat4::from_cols(
             r.x_axis.extend(0.0),
             r.y_axis.extend(0.0),
             r.z_axis.extend(0.0),
-            eye_of_centre.extend(1.0),
+            eye_of_center.extend(1.0),
         );
         Ok(Self { view, fov_y: DEFAULT_FOV_Y_DEGREES.to_radians() })
     }
@@ -99,18 +100,18 @@ impl Camera {
     }
 
     /// Vertical field of view in radians.
-    pub fn fov_y(&self) -> f32 {
+    pub(crate) fn fov_y(&self) -> f32 {
         self.fov_y
     }
 
     /// The eye in scene space.
-    pub fn eye(&self) -> Vec3 {
+    pub(crate) fn eye(&self) -> Vec3 {
         let r = Mat3::from_mat4(self.view);
         -(r.transpose() * self.view.w_axis.truncate())
     }
 
-    /// The arcball pose that a model's `camera` group takes: angles from the eye's position about the centre (pan and
-    /// roll have no place in it), angles in (−180, 180], the distance as it is.
+    /// The arcball pose that a model's `camera` group takes: angles from the eye's position about the center
+    /// (pan and roll have no place in it), angles in (−180, 180], the distance as it is.
     pub fn to_arcball(&self) -> Arcball {
         let eye = self.eye();
         let dz = eye.length();
@@ -122,8 +123,8 @@ impl Camera {
         Arcball { rx, ry, dz }
     }
 
-    /// The ray through the pixel position (`px`, `py`) of a `width` × `height` image, pixel centres at halves, y
-    /// down: origin and unit direction in scene space.
+    /// The ray through the pixel position (`px`, `py`) of a `width` × `height` image, pixel centers at
+    /// halves, y down: origin and unit direction in scene space.
     pub fn ray(&self, px: f32, py: f32, width: u32, height: u32) -> (Vec3, Vec3) {
         let (origin, right, up, forward) = self.ray_basis(width, height);
         let u = 2.0 * px / width as f32 - 1.0;
@@ -131,8 +132,9 @@ impl Camera {
         (origin, (forward + u * right + v * up).normalize())
     }
 
-    /// The basis that [`Camera::ray`] uses, for renderers: eye, then the image plane's half-width vector, half-height
-    /// vector and forward unit vector. A ray's direction is `forward + u·right + v·up`, u and v in [−1, 1].
+    /// The basis that [`Camera::ray`] uses, for renderers: eye, then the image plane's half-width vector,
+    /// half-height vector and forward unit vector. A ray's direction is `forward + u·right + v·up`, u and v
+    /// in [−1, 1].
     pub fn ray_basis(&self, width: u32, height: u32) -> (Vec3, Vec3, Vec3, Vec3) {
         let r = Mat3::from_mat4(self.view).transpose();
         let half_height = libm::tanf(0.5 * self.fov_y);
@@ -179,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn central_ray_looks_at_the_centre() {
+    fn central_ray_looks_at_the_center() {
         let camera = arc(25.0, 130.0, 2.5);
         let (origin, direction) = camera.ray(32.0, 16.0, 64, 32);
         assert!((origin + direction * 2.5).length() < 1e-4);
@@ -190,17 +192,18 @@ mod tests {
     #[test]
     fn world_view_matches_arcball() {
         let camera = arc(20.0, -40.0, 3.0).with_fov_y_degrees(30.0).unwrap();
-        let (centre, radius) = (Vec3::new(5.0, -7.0, 11.0), 40.0);
-        // World to scene: subtract the centre, divide by the radius; eye space in world units is scene eye space x radius.
+        let (center, radius) = (Vec3::new(5.0, -7.0, 11.0), 40.0);
+        // World to scene: subtract the center, divide by the radius; eye space in world units is scene eye
+        // space x radius.
         let r = Mat4::from_mat3(Mat3::from_mat4(camera.view()));
         let view = Mat4::from_translation(camera.view().w_axis.truncate() * radius)
             * r
-            * Mat4::from_translation(-centre);
-        let back = Camera::from_world_view(view, centre, radius).unwrap();
+            * Mat4::from_translation(-center);
+        let back = Camera::from_world_view(view, center, radius).unwrap();
         assert!((back.eye() - camera.eye()).length() < 1e-4);
-        assert!(Camera::from_world_view(view * 2.0, centre, radius).is_err());
-        assert!(Camera::from_world_view(Mat4::NAN, centre, radius).is_err());
-        assert!(Camera::from_world_view(view, centre, 0.0).is_err());
+        assert!(Camera::from_world_view(view * 2.0, center, radius).is_err());
+        assert!(Camera::from_world_view(Mat4::NAN, center, radius).is_err());
+        assert!(Camera::from_world_view(view, center, 0.0).is_err());
     }
 
     #[test]

@@ -11,7 +11,7 @@ pub const MAX_IMAGE_SIDE: u32 = 16384;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum Shading {
-    /// Colour and opacity of the transfer function alone.
+    /// Color and opacity of the transfer function alone.
     None,
     /// Local lighting with gradients by central differences (six more fetches where the sample is visible).
     Local,
@@ -67,7 +67,8 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// A frame with the reference step, no shading, block skipping, early ray termination at opacity 0.99, no jitter.
+    /// A frame with the reference step, no shading, block skipping, early ray termination at opacity 0.99, no
+    /// jitter.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a size of 0 or over [`MAX_IMAGE_SIDE`].

@@ -1,5 +1,5 @@
-//! What is drawn: the volume, the camera, the transfer function and the frame. Everything is checked here, at the
-//! door, so that the rest of the library never meets a zero size, a NaN or a product that overflows.
+//! What is drawn: the volume, the camera, the transfer function and the frame. Everything is checked here, at
+//! the door, so that the rest of the library never meets a zero size, a NaN or a product that overflows.
 
 mod camera;
 mod frame;
@@ -14,4 +14,5 @@ pub use transfer::{
     COLOR_RAMP, ControlPoint, GaussianLobe, OPACITY_FLOOR, TABLE_LEN, TransferFunction, TransferTable,
     corrected_opacity,
 };
-pub use volume::{ScalarType, Scalars, VolumeView};
+pub use volume::{MAX_REPEATED_VOXELS, MAX_VOLUME_EDGE, ScalarType, Scalars, VolumeView};
+pub(crate) use volume::{bounding_radius, check_edges, check_spacing, ratios};

@@ -1,11 +1,11 @@
 //! Transfer functions given as nodes with midpoint and sharpness: the description of VTK and ParaView
-//! (`vtkPiecewiseFunction` for opacity, `vtkColorTransferFunction` in RGB for colour), evaluated as they do.
+//! (`vtkPiecewiseFunction` for opacity, `vtkColorTransferFunction` in RGB for color), evaluated as they do.
 //!
-//! Between two nodes the left one's midpoint says where the value is half way, and its sharpness how abrupt the change
-//! is: under 0.01 it is linear on both sides of the midpoint; from there on the position is first bent by the power
-//! 1 + 10·sharpness towards the midpoint and then fed to a cubic Hermite curve whose end slopes are (1 − sharpness)
-//! times the rise. Colours alone become a step at the midpoint over 0.99; opacity keeps the curve, as VTK's two
-//! classes differ in this. Agreement with VTK 9.7: 1e-6 on every table entry.
+//! Between two nodes the left one's midpoint says where the value is half way, and its sharpness how abrupt
+//! the change is: under 0.01 it is linear on both sides of the midpoint; from there on the position is first
+//! bent by the power 1 + 10·sharpness towards the midpoint and then fed to a cubic Hermite curve whose end
+//! slopes are (1 − sharpness) times the rise. Colors alone become a step at the midpoint over 0.99; opacity
+//! keeps the curve, as VTK's two classes differ in this. Agreement with VTK 9.7: 1e-6 on every table entry.
 
 use super::transfer::{TABLE_LEN, TransferTable, ramp};
 use crate::Result;
@@ -25,7 +25,7 @@ pub struct OpacityNode {
     pub sharpness: f64,
 }
 
-/// A node of a colour function.
+/// A node of a color function.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColorNode {
     /// Scalar value, in the unit of the function's range.
@@ -38,7 +38,7 @@ pub struct ColorNode {
     pub sharpness: f64,
 }
 
-/// Opacity and colour nodes with the scalar range that maps to [0, 1].
+/// Opacity and color nodes with the scalar range that maps to [0, 1].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Nodes {
     opacity: Vec<OpacityNode>,
@@ -48,8 +48,8 @@ pub struct Nodes {
 }
 
 impl Nodes {
-    /// Nodes in ascending position over the scalar range `low`…`high`, which should be the volume's. Two nodes at one
-    /// position make a step. No opacity node means transparent everywhere; no colour node means
+    /// Nodes in ascending position over the scalar range `low`…`high`, which should be the volume's. Two
+    /// nodes at one position make a step. No opacity node means transparent everywhere; no color node means
     /// [`super::COLOR_RAMP`]. Beyond the outermost nodes their value goes on (see [`Nodes::with_clamping`]).
     ///
     /// # Errors
@@ -68,7 +68,8 @@ impl Nodes {
         Ok(Self { opacity, color, range: (low, high), clamp: true })
     }
 
-    /// Whether the outermost nodes' values go on beyond them (the default, as in VTK) or end there: opacity 0, black.
+    /// Whether the outermost nodes' values go on beyond them (the default, as in VTK) or end there: opacity
+    /// 0, black.
     pub fn with_clamping(mut self, clamp: bool) -> Self {
         self.clamp = clamp;
         self
@@ -79,7 +80,7 @@ impl Nodes {
         &self.opacity
     }
 
-    /// The colour nodes.
+    /// The color nodes.
     pub fn color(&self) -> &[ColorNode] {
         &self.color
     }
@@ -146,8 +147,8 @@ fn check_nodes(
     Ok(())
 }
 
-/// The function's value at `x`, of which `next` is the first node not before it; `steps`: whether a sharpness over 0.99
-/// means a step.
+/// The function's value at `x`, of which `next` is the first node not before it; `steps`: whether a sharpness
+/// over 0.99 means a step.
 fn evaluate<N>(
     nodes: &[N],
     next: usize,
@@ -166,7 +167,8 @@ fn evaluate<N>(
     let ((x0, midpoint, sharpness), (x1, ..)) = (shape(left), shape(right));
     let (from, to) = (value(left), value(right));
 
-    // Halved, so that the distance between the largest floats stays finite. The midpoint is kept off the ends.
+    // Halved, so that the distance between the largest floats stays finite. The midpoint is kept off the
+    // ends.
     let s = (0.5 * x - 0.5 * x0) / (0.5 * x1 - 0.5 * x0);
     let m = midpoint.clamp(1e-5, 1.0 - 1e-5);
     let s = if s < m { 0.5 * s / m } else { 0.5 + 0.5 * (s - m) / (1.0 - m) };

@@ -11,15 +11,16 @@ use glam::Vec3;
 /// Entries of a [`TransferTable`].
 pub const TABLE_LEN: usize = 256;
 
-/// Opacities below this, per reference step, count as zero, so that the tails of a Gaussian lobe leave empty space to
-/// skip. A ray of 1000 reference steps through such a medium would gather an opacity of at most 0.03.
+/// Opacities below this, per reference step, count as zero, so that the tails of a Gaussian lobe leave empty
+/// space to skip. A ray of 1000 reference steps through such a medium would gather an opacity of at most
+/// 0.03.
 pub const OPACITY_FLOOR: f32 = 1.0 / 32768.0;
 
-/// A Gaussian lobe of the opacity function O(s) = Σ h·exp(−(s − c)²/w) (paper, section "PredNet: Rendering Time
-/// Prediction").
+/// A Gaussian lobe of the opacity function O(s) = Σ h·exp(−(s − c)²/w) (paper, section "PredNet: Rendering
+/// Time Prediction").
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GaussianLobe {
-    /// c: where the lobe peaks, in normalised scalar values [0, 1].
+    /// c: where the lobe peaks, in normalized scalar values [0, 1].
     pub center: f32,
     /// w: its width, positive; the squared distance at which it has fallen to 1/e.
     pub width: f32,
@@ -30,7 +31,7 @@ pub struct GaussianLobe {
 /// A point of a piecewise-linear transfer function.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ControlPoint {
-    /// Normalised scalar value in [0, 1].
+    /// Normalized scalar value in [0, 1].
     pub position: f32,
     /// Red, green, blue in [0, 1].
     pub color: [f32; 3],
@@ -42,17 +43,17 @@ pub struct ControlPoint {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum TransferFunction {
-    /// Gaussian opacity lobes; colours come from [`COLOR_RAMP`].
+    /// Gaussian opacity lobes; colors come from [`COLOR_RAMP`].
     Gaussian(Vec<GaussianLobe>),
-    /// Piecewise-linear control points in ascending position; constant beyond the first and last. Two points at one
-    /// position make a step.
+    /// Piecewise-linear control points in ascending position; constant beyond the first and last. Two points
+    /// at one position make a step.
     Points(Vec<ControlPoint>),
-    /// Opacity and colour nodes with midpoint and sharpness, as VTK and ParaView have them.
+    /// Opacity and color nodes with midpoint and sharpness, as VTK and ParaView have them.
     Nodes(Nodes),
 }
 
-/// Colours of Gaussian transfer functions: (position, red, green, blue), linear in between. Dark blue over green and
-/// yellow to near white, lightness rising all the way.
+/// Colors of Gaussian transfer functions: (position, red, green, blue), linear in between. Dark blue over
+/// green and yellow to near white, lightness rising all the way.
 pub const COLOR_RAMP: [(f32, [f32; 3]); 6] = [
     (0.0, [0.09, 0.11, 0.35]),
     (0.2, [0.11, 0.34, 0.60]),
@@ -63,8 +64,8 @@ pub const COLOR_RAMP: [(f32, [f32; 3]); 6] = [
 ];
 
 impl TransferFunction {
-    /// A function through evenly spaced samples, the first at 0 and the last at 1: red, green, blue and opacity each,
-    /// linear in between.
+    /// A function through evenly spaced samples, the first at 0 and the last at 1: red, green, blue and
+    /// opacity each, linear in between.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for fewer than two samples, or one outside [0, 1].
@@ -86,7 +87,8 @@ impl TransferFunction {
     /// Checks the description and samples it into a table, entry i at s = i/255.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`], naming the lobe or point, what is wrong with it and what is accepted.
+    /// [`crate::ErrorKind::InvalidArgument`], naming the lobe or point, what is wrong with it and what is
+    /// accepted.
     pub fn to_table(&self) -> Result<TransferTable> {
         match self {
             Self::Gaussian(lobes) => gaussian_table(lobes),
@@ -96,8 +98,8 @@ impl TransferFunction {
     }
 }
 
-/// A 256-entry RGBA table over normalised scalar values. Entry i belongs to s = i/255; opacity is that of one unit
-/// distance along the ray. Colours are not premultiplied.
+/// A 256-entry RGBA table over normalized scalar values. Entry i belongs to s = i/255; opacity is that of one
+/// unit distance along the ray. Colors are not premultiplied.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransferTable {
     rgba: Box<[[f32; 4]; TABLE_LEN]>,
@@ -136,8 +138,8 @@ impl TransferTable {
         Ok(self)
     }
 
-    /// Sets the distance over which the table's opacities hold, in the unit of the volume's voxel `spacing` (VTK's
-    /// scalar opacity unit distance, ANARI's `unitDistance`).
+    /// Sets the distance over which the table's opacities hold, in the unit of the volume's voxel `spacing`
+    /// (VTK's scalar opacity unit distance, ANARI's `unitDistance`).
     ///
     /// # Errors
     /// As [`TransferTable::with_unit_distance`].
@@ -151,11 +153,11 @@ impl TransferTable {
     }
 
     /// The distance over which the opacities hold, in multiples of the reference step.
-    pub fn unit_distance(&self) -> f32 {
+    pub(crate) fn unit_distance(&self) -> f32 {
         self.unit_distance
     }
 
-    /// The table for a ray step of `step` reference steps: same colours, opacities corrected
+    /// The table for a ray step of `step` reference steps: same colors, opacities corrected
     /// (see [`corrected_opacity`]).
     pub fn corrected(&self, step: f32) -> Box<[[f32; 4]; TABLE_LEN]> {
         let mut out = self.rgba.clone();
@@ -174,7 +176,8 @@ impl TransferTable {
     }
 
     /// Largest opacity in the table.
-    pub fn max_opacity(&self) -> f32 {
+    #[cfg(test)]
+    pub(crate) fn max_opacity(&self) -> f32 {
         self.rgba.iter().fold(0.0, |m, e| m.max(e[3]))
     }
 }
@@ -198,7 +201,7 @@ pub(super) fn ramp(s: f32) -> [f32; 3] {
 fn gaussian_table(lobes: &[GaussianLobe]) -> Result<TransferTable> {
     for (i, &GaussianLobe { center, width, height }) in lobes.iter().enumerate() {
         if !center.is_finite() {
-            bail!(InvalidArgument, "Gaussian lobe {i}: centre is {center}; it must be finite (usually 0…1)");
+            bail!(InvalidArgument, "Gaussian lobe {i}: center is {center}; it must be finite (usually 0…1)");
         }
         if !(width.is_finite() && width > 0.0) {
             bail!(InvalidArgument, "Gaussian lobe {i}: width is {width}; it must be finite and positive");
@@ -243,7 +246,7 @@ fn check_points(points: &[ControlPoint]) -> Result<()> {
             );
         }
         if !(0.0..=1.0).contains(&p.opacity) || p.color.iter().any(|c| !(0.0..=1.0).contains(c)) {
-            bail!(InvalidArgument, "control point {i}: colour and opacity must lie in [0, 1]");
+            bail!(InvalidArgument, "control point {i}: color and opacity must lie in [0, 1]");
         }
     }
     Ok(())

@@ -4,6 +4,13 @@ use crate::error::bail;
 use crate::{Error, ErrorKind, Result};
 use glam::Vec3;
 
+/// Most voxels along one axis.
+pub const MAX_VOLUME_EDGE: usize = 1 << 20;
+
+/// Most voxels of a volume whose strides read elements more than once (a stride of 0, or axes that overlap).
+/// Other volumes are bounded by the elements that they have.
+pub const MAX_REPEATED_VOXELS: u64 = 1 << 27;
+
 /// The scalar types that volumes come in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
@@ -20,7 +27,7 @@ pub enum ScalarType {
 
 impl ScalarType {
     /// Bytes per voxel.
-    pub const fn bytes(self) -> usize {
+    pub(crate) const fn bytes(self) -> usize {
         match self {
             Self::U8 => 1,
             Self::U16 | Self::I16 => 2,
@@ -91,7 +98,8 @@ impl Scalars<'_> {
     }
 }
 
-/// A checked, borrowed scalar volume: voxels, sizes, strides, spacing and the scalar range that maps to [0, 1].
+/// A checked, borrowed scalar volume: voxels, sizes, strides, spacing and the scalar range that maps to
+/// [0, 1].
 ///
 /// Axis order is (x, y, z) everywhere; in the usual contiguous layout x runs fastest.
 #[derive(Clone, Copy, Debug)]
@@ -104,22 +112,24 @@ pub struct VolumeView<'a> {
 }
 
 impl<'a> VolumeView<'a> {
-    /// A contiguous volume (x fastest) with unit spacing and the default range: 0…255 for unsigned bytes, the finite
-    /// minimum…maximum for other types (a scan over the voxels).
+    /// A contiguous volume (x fastest) with unit spacing and the default range: 0…255 for unsigned bytes, the
+    /// finite minimum…maximum for other types (a scan over the voxels).
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for a zero size, [`ErrorKind::SizeMismatch`] when the slice is too short for
-    /// the sizes or their product overflows.
+    /// [`ErrorKind::InvalidArgument`] for a size of 0, [`ErrorKind::SizeMismatch`] for one over
+    /// [`MAX_VOLUME_EDGE`] or when the slice is too short for the sizes or their product overflows. No voxel
+    /// is read before all this is checked.
     pub fn new(scalars: Scalars<'a>, dims: [usize; 3]) -> Result<Self> {
         let row = dims[0];
         let slice = row.checked_mul(dims[1]).ok_or_else(|| overflow(dims))?;
         Self::with_strides(scalars, dims, [1, row, slice])
     }
 
-    /// As [`VolumeView::new`] with strides in elements. Strides may be zero (a broadcast axis) and may overlap.
+    /// As [`VolumeView::new`] with strides in elements. Strides may be zero (a broadcast axis) and may
+    /// overlap, as long as there are at most [`MAX_REPEATED_VOXELS`] voxels then.
     ///
     /// # Errors
-    /// As [`VolumeView::new`].
+    /// As [`VolumeView::new`], and [`ErrorKind::SizeMismatch`] for more voxels than that.
     pub fn with_strides(scalars: Scalars<'a>, dims: [usize; 3], strides: [usize; 3]) -> Result<Self> {
         let mut view = Self::unranged(scalars, dims, strides)?;
         view.range = view.default_range();
@@ -143,9 +153,8 @@ impl<'a> VolumeView<'a> {
             }
         }
         let voxels = (dims[0] as u64).checked_mul(dims[1] as u64).and_then(|p| p.checked_mul(dims[2] as u64));
-        if voxels.is_none() {
-            return Err(overflow(dims));
-        }
+        let Some(voxels) = voxels else { return Err(overflow(dims)) };
+        check_edges(dims)?;
         let mut last = 0u64;
         for axis in 0..3 {
             last = (dims[axis] as u64 - 1)
@@ -165,32 +174,27 @@ impl<'a> VolumeView<'a> {
                 last + 1
             );
         }
+        if voxels > last + 1 && voxels > MAX_REPEATED_VOXELS {
+            bail!(
+                SizeMismatch,
+                "volume of {} x {} x {} voxels with strides {strides:?} reads {} elements over and over, {voxels} times in \
+                 all; at most {MAX_REPEATED_VOXELS} voxels are accepted where strides repeat elements",
+                dims[0],
+                dims[1],
+                dims[2],
+                last + 1
+            );
+        }
         Ok(Self { scalars, dims, strides, spacing: Vec3::ONE, range: (0.0, 1.0) })
     }
 
     /// Sets the voxel spacing along x, y, z (any common unit of length).
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] unless all three are finite, positive and within 1e-30…1e30.
+    /// [`ErrorKind::InvalidArgument`] unless all three are finite, positive, within 1e-30…1e30, and the
+    /// largest is at most 1e6 times the smallest.
     pub fn with_spacing(mut self, spacing: [f32; 3]) -> Result<Self> {
-        if spacing.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
-            bail!(
-                InvalidArgument,
-                "voxel spacing is {spacing:?}; all three must be finite and positive (use 1, 1, 1 when unknown)"
-            );
-        }
-        if spacing.iter().any(|s| !(1e-30..=1e30).contains(s)) {
-            bail!(
-                InvalidArgument,
-                "voxel spacing is {spacing:?}; all three must lie in 1e-30…1e30, choose another unit of length"
-            );
-        }
-        let (lo, hi) =
-            (spacing.iter().copied().fold(f32::MAX, f32::min), spacing.iter().copied().fold(0.0, f32::max));
-        if hi / lo > 1e6 {
-            bail!(InvalidArgument, "voxel spacing {spacing:?} has a ratio over 1e6; check its units");
-        }
-        self.spacing = Vec3::from_array(spacing);
+        self.spacing = check_spacing(spacing)?;
         Ok(self)
     }
 
@@ -249,17 +253,15 @@ impl<'a> VolumeView<'a> {
         self.range
     }
 
-    /// World size of the volume's box: voxels × spacing (voxel-centred samples, the box reaches half a voxel beyond).
+    /// World size of the volume's box: voxels × spacing (voxel-centered samples, the box reaches half a voxel
+    /// beyond).
     pub fn extent(&self) -> Vec3 {
         Vec3::new(self.dims[0] as f32, self.dims[1] as f32, self.dims[2] as f32) * self.spacing
     }
 
     /// Radius of the bounding sphere in world units: the unit of length of scene space.
     pub fn bounding_radius(&self) -> f32 {
-        // Scaled first: the square of a spacing in centimetres of a galaxy, or of metres of an atom, leaves f32's range.
-        let extent = self.extent();
-        let longest = extent.max_element();
-        0.5 * (extent / longest).length() * longest
+        bounding_radius(self.extent())
     }
 
     /// Half the box in scene space (unit = bounding-sphere radius), so its length is 1.
@@ -328,6 +330,60 @@ impl<'a> VolumeView<'a> {
     }
 }
 
+/// The checks of [`VolumeView::with_spacing`], for everything that has a spacing.
+pub(crate) fn check_spacing(spacing: [f32; 3]) -> Result<Vec3> {
+    if spacing.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
+        bail!(
+            InvalidArgument,
+            "voxel spacing is {spacing:?}; all three must be finite and positive (use 1, 1, 1 when unknown)"
+        );
+    }
+    if spacing.iter().any(|s| !(1e-30..=1e30).contains(s)) {
+        bail!(
+            InvalidArgument,
+            "voxel spacing is {spacing:?}; all three must lie in 1e-30…1e30, choose another unit of length"
+        );
+    }
+    let (lo, hi) =
+        (spacing.iter().copied().fold(f32::MAX, f32::min), spacing.iter().copied().fold(0.0, f32::max));
+    if hi / lo > 1e6 {
+        bail!(InvalidArgument, "voxel spacing {spacing:?} has a ratio over 1e6; check its units");
+    }
+    Ok(Vec3::from_array(spacing))
+}
+
+/// Refuses sizes over [`MAX_VOLUME_EDGE`].
+pub(crate) fn check_edges(dims: [usize; 3]) -> Result<()> {
+    if dims.iter().any(|&n| n > MAX_VOLUME_EDGE) {
+        bail!(
+            SizeMismatch,
+            "volume of {} x {} x {} voxels; an axis has at most {MAX_VOLUME_EDGE}, check the sizes",
+            dims[0],
+            dims[1],
+            dims[2]
+        );
+    }
+    Ok(())
+}
+
+/// The vector times the power of two that brings its largest component into 0.5…1, and that power's exponent.
+/// Squares of lengths in any unit stay within `f32` then, and nothing is rounded.
+fn normalized(v: Vec3) -> (Vec3, i32) {
+    let (_, exponent) = libm::frexpf(v.max_element());
+    (Vec3::from_array(v.to_array().map(|c| libm::ldexpf(c, -exponent))), exponent)
+}
+
+/// Radius of the sphere around a box of a given size.
+pub(crate) fn bounding_radius(extent: Vec3) -> f32 {
+    let (scaled, exponent) = normalized(extent);
+    libm::ldexpf(0.5 * scaled.length(), exponent)
+}
+
+/// Ratios of a spacing that are the same bits in any unit of length which is a power of two times another.
+pub(crate) fn ratios(spacing: Vec3) -> Vec3 {
+    normalized(spacing).0
+}
+
 #[cold]
 fn overflow(dims: [usize; 3]) -> Error {
     Error::new(
@@ -368,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn constant_and_non_finite_volumes_normalise_to_zero() {
+    fn constant_and_non_finite_volumes_normalize_to_zero() {
         let constant = [7i16; 4];
         let v = VolumeView::new(Scalars::I16(&constant), [4, 1, 1]).unwrap();
         assert_eq!(v.normalized(3, 0, 0), 0.0);
@@ -415,6 +471,28 @@ mod tests {
             assert_eq!(v.with_spacing(bad).unwrap_err().kind(), ErrorKind::InvalidArgument);
         }
         assert!(v.with_range(2.0, 1.0).is_err() && v.with_range(f32::NAN, 1.0).is_err());
+    }
+
+    #[test]
+    fn declared_sizes_are_refused_before_a_voxel_is_read() {
+        let one = [0.0f32];
+        let strided = |n: [usize; 3], strides| VolumeView::with_strides(Scalars::F32(&one), n, strides);
+        for (n, says) in [
+            (200_000, "at most 134217728 voxels"),
+            (1 << 21, "an axis has at most 1048576"),
+            (1 << 24, "too large to address"),
+        ] {
+            let error = strided([n; 3], [0; 3]).unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::SizeMismatch, "{n}");
+            assert!(error.message().contains(says), "{error}");
+        }
+        // Axes that overlap repeat elements as well.
+        let voxels = [0u8; 3 * 512 + 1];
+        let overlapping = |n: usize| VolumeView::with_strides(Scalars::U8(&voxels), [n; 3], [1; 3]);
+        assert!(overlapping(512).is_ok(), "2^27 voxels are accepted");
+        assert!(overlapping(513).is_err());
+        // A volume that repeats nothing is bounded by its own elements alone.
+        assert!(VolumeView::with_strides(Scalars::U8(&voxels), [512, 1, 1], [3, 9, 9]).is_ok());
     }
 
     #[test]

@@ -18,12 +18,13 @@ pub struct AffinityTask {
     pub load: f64,
 }
 
-/// Plays a queue in which a node keeps the last volume it loaded and looks for work on it among the next `window` tasks
-/// of the order; where there is none it takes the first. A window of 1 is [`super::simulate_queue`] with loading times.
+/// Plays a queue in which a node keeps the last volume it loaded and looks for work on it among the next
+/// `window` tasks of the order; where there is none it takes the first. A window of 1 is
+/// [`super::simulate_queue`] with loading times.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] for unusable times or speeds, a window of 0, or an order that is not a
-/// permutation of the tasks.
+/// [`crate::ErrorKind::InvalidArgument`] for unusable times or speeds, a window of 0, or an order that is not
+/// a permutation of the tasks.
 pub fn simulate_affinity(
     order: &[usize],
     tasks: &[AffinityTask],

@@ -19,15 +19,15 @@ struct Change {
 }
 
 impl Assignment {
-    /// Lets the node that is done last give a task to another node, or exchange one with it, whichever leaves the shorter
-    /// longest load of the two, until nothing of that kind helps (or 40 rounds per node are over). The makespan for `times`
-    /// never grows; each round takes O(tasks · log tasks).
+    /// Lets the node that is done last give a task to another node, or exchange one with it, whichever leaves
+    /// the shorter longest load of the two, until nothing of that kind helps (or 40 rounds per node are
+    /// over). The makespan for `times` never grows; each round takes O(tasks · log tasks).
     ///
-    /// Longest processing time first leaves loads that differ by about a short task; where tasks per node are few that is
-    /// several percent, which exchanges take away. What errors of predicted times add stays.
+    /// Longest processing time first leaves loads that differ by about a short task; where tasks per node are
+    /// few that is several percent, which exchanges take away. What errors of predicted times add stays.
     ///
     /// # Errors
-    /// As [`Assignment::loads`].
+    /// As [`Assignment::makespan`].
     pub fn exchange(&mut self, times: &[f64], speeds: &[f64]) -> Result<()> {
         check(times, speeds)?;
         if let Some(&node) = self.node_of.iter().find(|&&n| n >= speeds.len()) {

@@ -1,7 +1,7 @@
 //! Longest-processing-time-first and queue orders for render farms (paper, section "Load Balancing").
 //!
-//! Tasks are given by their times on a node of speed 1; a node of speed 2 takes half of them. An assignment is made from
-//! *predicted* times and judged by *measured* ones: [`Assignment::makespan`] takes any times.
+//! Tasks are given by their times on a node of speed 1; a node of speed 2 takes half of them. An assignment
+//! is made from *predicted* times and judged by *measured* ones: [`Assignment::makespan`] takes any times.
 
 mod affinity;
 mod exchange;
@@ -14,6 +14,9 @@ use crate::Result;
 use crate::error::bail;
 use alloc::vec;
 use alloc::vec::Vec;
+
+/// Most nodes of a schedule.
+pub const MAX_NODES: usize = 1 << 20;
 
 /// Which node runs each task.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -28,9 +31,9 @@ impl Assignment {
     /// Total time of each node for given task times and node speeds.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::SizeMismatch`] when `times` or `speeds` have another length than this assignment has tasks
-    /// or nodes; [`crate::ErrorKind::InvalidArgument`] for a time or speed that is not usable.
-    pub fn loads(&self, times: &[f64], speeds: &[f64]) -> Result<Vec<f64>> {
+    /// [`crate::ErrorKind::SizeMismatch`] when `times` or `speeds` have another length than this assignment
+    /// has tasks or nodes; [`crate::ErrorKind::InvalidArgument`] for a time or speed that is not usable.
+    pub(crate) fn loads(&self, times: &[f64], speeds: &[f64]) -> Result<Vec<f64>> {
         check(times, speeds)?;
         if times.len() != self.node_of.len() || speeds.len() != self.nodes {
             bail!(
@@ -52,7 +55,8 @@ impl Assignment {
     /// Time until the last node is done.
     ///
     /// # Errors
-    /// As [`Assignment::loads`].
+    /// [`crate::ErrorKind::SizeMismatch`] when `times` or `speeds` have another length than this assignment
+    /// has tasks or nodes; [`crate::ErrorKind::InvalidArgument`] for a time or speed that is not usable.
     pub fn makespan(&self, times: &[f64], speeds: &[f64]) -> Result<f64> {
         Ok(self.loads(times, speeds)?.into_iter().fold(0.0, f64::max))
     }
@@ -69,12 +73,12 @@ pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
     Ok(order)
 }
 
-/// Longest processing time first (Graham 1969): tasks in descending time, each to the node that would finish it first.
-/// For uniform times pass equal numbers: tasks are then dealt out in turn.
+/// Longest processing time first (Graham 1969): tasks in descending time, each to the node that would finish
+/// it first. For uniform times pass equal numbers: tasks are then dealt out in turn.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] without nodes, for a speed that is not finite and positive, or a time that is
-/// negative or not finite.
+/// [`crate::ErrorKind::InvalidArgument`] without nodes, for more than [`MAX_NODES`], for a speed that is not
+/// finite and positive, or a time that is negative or not finite.
 pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment> {
     check(times, speeds)?;
     let mut loads = vec![0.0f64; speeds.len()];
@@ -88,8 +92,8 @@ pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment>
     Ok(Assignment { node_of, nodes: speeds.len() })
 }
 
-/// No schedule without preemption ends before this: all work over all speed, and for every k the k longest tasks over
-/// the k fastest nodes.
+/// No schedule without preemption ends before this: all work over all speed, and for every k the k longest
+/// tasks over the k fastest nodes.
 ///
 /// # Errors
 /// As [`assign_longest_first`].
@@ -111,6 +115,13 @@ pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
 fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
     if speeds.is_empty() {
         bail!(InvalidArgument, "there are no nodes; at least one is needed");
+    }
+    if speeds.len() > MAX_NODES {
+        bail!(
+            InvalidArgument,
+            "there are {} nodes, at most {MAX_NODES} are accepted; check the number of nodes",
+            speeds.len()
+        );
     }
     for (i, &s) in speeds.iter().enumerate() {
         if !(s.is_finite() && s > 0.0) {

@@ -28,13 +28,14 @@ pub struct Timeline {
     pub makespan: f64,
 }
 
-/// Plays a queue: tasks leave it in `order`, each to the node that is free first (of several, the fastest). `times` are
-/// the true ones; the order is all that prediction decides. Arrival order is `0..n`, predicted-longest-first comes from
-/// [`super::longest_first`]. Every dispatch costs `dispatch` seconds of the node.
+/// Plays a queue: tasks leave it in `order`, each to the node that is free first (of several, the fastest).
+/// `times` are the true ones; the order is all that prediction decides. Arrival order is `0..n`,
+/// predicted-longest-first comes from [`super::longest_first`]. Every dispatch costs `dispatch` seconds of
+/// the node.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] for unusable times, speeds or dispatch cost, or an order that is not a
-/// permutation of the tasks.
+/// [`crate::ErrorKind::InvalidArgument`] for unusable times, speeds or dispatch cost, or an order that is not
+/// a permutation of the tasks.
 pub fn simulate_queue(order: &[usize], times: &[f64], speeds: &[f64], dispatch: f64) -> Result<Timeline> {
     check(times, speeds)?;
     check_order(order, times.len())?;

@@ -95,6 +95,9 @@ fn nonsense_is_refused_with_the_culprit_named() {
     assert!(kind(assign_longest_first(&[1.0, f64::NAN], &[1.0])).message().contains("task 1"));
     assert!(kind(assign_longest_first(&[-1.0], &[1.0])).message().contains("task 0"));
     assert!(kind(assign_longest_first(&[1.0], &[1.0, 0.0])).message().contains("node 1"));
+    let many = alloc::vec![1.0; MAX_NODES + 1];
+    assert!(assign_longest_first(&[1.0], &many[1..]).is_ok());
+    assert!(kind(assign_longest_first(&[1.0], &many)).message().contains("1048577 nodes, at most 1048576"));
     let a = assign_longest_first(&[1.0, 2.0], &[1.0]).unwrap();
     assert_eq!(a.makespan(&[1.0], &[1.0]).unwrap_err().kind(), ErrorKind::SizeMismatch);
     for order in [&[0, 0][..], &[0][..], &[0, 2][..]] {

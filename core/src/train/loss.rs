@@ -4,13 +4,14 @@ use super::Real;
 use crate::Result;
 use crate::error::bail;
 
-/// The loss of one frame, on standardised targets. Its mean over the batch is made small.
+/// The loss of one frame, on standardized targets. Its mean over the batch is made small.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Loss {
     /// (prediction − target)² (paper, section "Loss Functions").
     SquaredError,
-    /// ((prediction − target) / target)² in seconds, scaled to a mean weight of 1. Only with the target `seconds`.
+    /// ((prediction − target) / target)² in seconds, scaled to a mean weight of 1. Only with the target
+    /// `seconds`.
     Relative,
     /// Half the squared error up to `delta` standard deviations, linear beyond, times two: equal to
     /// [`Loss::SquaredError`] for small errors.

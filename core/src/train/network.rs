@@ -1,4 +1,5 @@
-//! The trainable network: dense layers with SELU between them, parameters in one vector, forward and backward passes.
+//! The trainable network: dense layers with SELU between them, parameters in one vector, forward and backward
+//! passes.
 
 use super::Real;
 use crate::Result;
@@ -42,12 +43,12 @@ impl Span {
 }
 
 impl<T: Real> Network<T> {
-    /// A network with random weights: normal with mean 0 and variance 1/inputs (LeCun), as SELU needs; biases 0.
-    /// `widths` runs from the input's to the output's.
+    /// A network with random weights: normal with mean 0 and variance 1/inputs (LeCun), as SELU needs; biases
+    /// 0. `widths` runs from the input's to the output's.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for fewer than two widths, a width of 0 or over [`MAX_WIDTH`], or too many
-    /// layers.
+    /// [`crate::ErrorKind::InvalidArgument`] for fewer than two widths, a width of 0 or over [`MAX_WIDTH`],
+    /// or too many layers.
     pub fn random(widths: &[usize], seed: u64) -> Result<Self> {
         check_widths(widths)?;
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -72,7 +73,8 @@ impl<T: Real> Network<T> {
             if before.checked_mul(width) != Some(weight.len()) {
                 bail!(
                     InvalidTensor,
-                    "layer {i} has {} weights and {width} biases for {before} inputs; {width} x {before} weights are needed",
+                    "layer {i} has {} weights and {width} biases for {before} inputs; {width} x {before} \
+                     weights are needed",
                     weight.len()
                 );
             }
@@ -100,7 +102,7 @@ impl<T: Real> Network<T> {
     }
 
     /// Widths from the input's to the output's.
-    pub fn widths(&self) -> &[usize] {
+    pub(crate) fn widths(&self) -> &[usize] {
         &self.widths
     }
 

@@ -17,7 +17,8 @@ pub const ADAM_BETA2: f64 = 0.999;
 /// Added to the root of Adam's second moment.
 pub const ADAM_EPSILON: f64 = 1e-8;
 
-/// Rows that one task works on at least. Tasks do not depend on the number of threads, so results do not either.
+/// Rows that one task works on at least. Tasks do not depend on the number of threads, so results do not
+/// either.
 const ROWS_PER_TASK: usize = 64;
 const MAX_TASKS: usize = 16;
 const PARAMETERS_PER_TASK: usize = 8192;
@@ -51,10 +52,12 @@ pub struct Trainer<T> {
 }
 
 impl<T: Real> Trainer<T> {
-    /// Starts training a network. `clip_norm` is the largest norm of the whole gradient; infinity for no clipping.
+    /// Starts training a network. `clip_norm` is the largest norm of the whole gradient; infinity for no
+    /// clipping.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] when the network has more than one output, or a setting is out of range.
+    /// [`crate::ErrorKind::InvalidArgument`] when the network has more than one output, or a setting is out
+    /// of range.
     pub fn new(network: Network<T>, loss: Loss, clip_norm: f64) -> Result<Self> {
         loss.check()?;
         if network.widths().last() != Some(&1) {
@@ -88,21 +91,17 @@ impl<T: Real> Trainer<T> {
         &self.network
     }
 
-    /// The network, its training over.
-    pub fn into_network(self) -> Network<T> {
-        self.network
-    }
-
     /// Gradient of the last step's mean loss, before clipping.
     pub fn gradient(&self) -> &[T] {
         &self.gradient
     }
 
-    /// Loss and gradient over a batch, without a step. Inputs [rows, width] by rows, one target and one weight a row.
-    /// Equal bits for any number of threads.
+    /// Loss and gradient over a batch, without a step. Inputs [rows, width] by rows, one target and one
+    /// weight a row. Equal bits for any number of threads.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::SizeMismatch`] when the numbers of inputs, targets and weights do not fit, or are 0.
+    /// [`crate::ErrorKind::SizeMismatch`] when the numbers of inputs, targets and weights do not fit, or are
+    /// 0.
     pub fn evaluate(
         &mut self,
         pool: &ThreadPool,
@@ -114,7 +113,8 @@ impl<T: Real> Trainer<T> {
         if rows == 0 || inputs.len() != rows * width || weights.len() != rows {
             bail!(
                 SizeMismatch,
-                "batch of {} inputs, {rows} targets and {} weights; {width} inputs, 1 target and 1 weight per row are needed",
+                "batch of {} inputs, {rows} targets and {} weights; {width} inputs, 1 target and 1 weight \
+                 per row are needed",
                 inputs.len(),
                 weights.len()
             );
@@ -179,8 +179,8 @@ impl<T: Real> Trainer<T> {
         })
     }
 
-    /// One step on a batch: gradient, clipping by its global norm, Adam with the given learning rate. A batch whose
-    /// gradient is not finite changes nothing; its [`Step`] tells.
+    /// One step on a batch: gradient, clipping by its global norm, Adam with the given learning rate. A batch
+    /// whose gradient is not finite changes nothing; its [`Step`] tells.
     ///
     /// # Errors
     /// As [`Trainer::evaluate`].

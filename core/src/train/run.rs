@@ -1,10 +1,12 @@
-//! A whole training run: standardisation, shuffled mini-batches, validation, early stopping, the best weights.
+//! A whole training run: standardization, shuffled mini-batches, validation, early stopping, the best
+//! weights.
 
 use super::optimizer::{cosine_learning_rate, predict};
 use super::{Loss, Network, Real, Trainer};
 use crate::Result;
 use crate::error::bail;
 use crate::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
+use crate::predict::LONGEST_FRAME;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::ops::ControlFlow;
@@ -31,7 +33,7 @@ fn seconds_of(target: Target, value: f64) -> f64 {
 /// Frames to learn from.
 #[derive(Clone, Copy, Debug)]
 pub struct Samples<'a> {
-    /// One row per frame, [frames, width] by rows, as the model's input groups order them; not standardised.
+    /// One row per frame, [frames, width] by rows, as the model's input groups order them; not standardized.
     pub inputs: &'a [f32],
     /// Seconds of each frame, finite and positive.
     pub seconds: &'a [f64],
@@ -56,10 +58,12 @@ impl Samples<'_> {
                 self.inputs[i]
             );
         }
-        if let Some(i) = self.seconds.iter().position(|t| !(t.is_finite() && *t > 0.0)) {
+        let longest = f64::from(LONGEST_FRAME);
+        if let Some(i) = self.seconds.iter().position(|t| !(*t > 0.0 && *t <= longest)) {
             bail!(
                 InvalidArgument,
-                "{what}: frame {i} took {} seconds; times must be finite and positive",
+                "{what}: frame {i} took {} seconds; times must be positive and at most {longest}: check their unit, or leave \
+                 the frame out",
                 self.seconds[i]
             );
         }
@@ -118,13 +122,15 @@ impl Settings {
         if !(first.is_finite() && first > 0.0 && last.is_finite() && last >= 0.0) {
             bail!(
                 InvalidArgument,
-                "learning rate goes from {first} to {last}; both must be finite, the first positive, the last not negative"
+                "learning rate goes from {first} to {last}; both must be finite, the first positive, the \
+                 last not negative"
             );
         }
         if self.loss == Loss::Relative && self.target == Target::LogSeconds {
             bail!(
                 InvalidArgument,
-                "the relative loss needs the target seconds; with log_seconds the squared error is relative already"
+                "the relative loss needs the target seconds; with log_seconds the squared error is relative \
+                 already"
             );
         }
         self.loss.check()
@@ -172,11 +178,11 @@ impl Standardization {
     }
 
     /// None: means 0, deviations 1.
-    pub fn identity(width: usize) -> Self {
+    pub(crate) fn identity(width: usize) -> Self {
         Self { input_mean: vec![0.0; width], input_std: vec![1.0; width], output_mean: 0.0, output_std: 1.0 }
     }
 
-    /// What a model brings: its normalisation where it has one, else none.
+    /// What a model brings: its normalization where it has one, else none.
     pub fn of(parts: &PredNetParts) -> Self {
         let mut out = Self::identity(parts.inputs());
         if let Some(Normalization { mean, std }) = &parts.input {
@@ -207,7 +213,7 @@ impl Standardization {
         if self.input_mean.len() != width || self.input_std.len() != width {
             bail!(
                 SizeMismatch,
-                "standardisation of {} means and {} deviations for {width} inputs",
+                "standardization of {} means and {} deviations for {width} inputs",
                 self.input_mean.len(),
                 self.input_std.len()
             );
@@ -218,7 +224,7 @@ impl Standardization {
         {
             bail!(
                 InvalidArgument,
-                "standardisation holds a mean that is not finite or a deviation that is not positive"
+                "standardization holds a mean that is not finite or a deviation that is not positive"
             );
         }
         Ok(())
@@ -231,8 +237,9 @@ fn deviation(variance: f64, mean: f64) -> f32 {
     if deviation > 1e-7 * mean.abs() && deviation > 1e-30 { deviation as f32 } else { 1.0 }
 }
 
-/// Layer widths of a paper preset such as `12C256`: inputs → 256, 12 × (256 → 256), then halved down to 16, then 1
-/// (paper, section "Architecture"). Any number of layers and any width of 32 or more that halves down to 16 is taken.
+/// Layer widths of a paper preset such as `12C256`: inputs → 256, 12 × (256 → 256), then halved down to 16,
+/// then 1 (paper, section "Architecture"). Any number of layers and any width of 32 or more that halves down
+/// to 16 is taken.
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] for any other text.
@@ -347,7 +354,7 @@ impl<T: Real> Trained<T> {
         }
     }
 
-    /// Seconds for rows of inputs (not standardised), in parallel.
+    /// Seconds for rows of inputs (not standardized), in parallel.
     ///
     /// # Errors
     /// [`crate::ErrorKind::SizeMismatch`] when the inputs are no whole number of rows.
@@ -386,15 +393,16 @@ fn prepare<T: Real>(samples: Samples<'_>, s: &Standardization, settings: &Settin
     }
 }
 
-/// Trains a network (random, or given to be fine-tuned) and returns the weights with the lowest validation loss.
+/// Trains a network (random, or given to be fine-tuned) and returns the weights with the lowest validation
+/// loss.
 ///
-/// `standardization` is fitted to the training frames where it is `None`; a model being fine-tuned brings its own.
-/// Without validation frames the training loss decides. `progress` is called after every step and stops the run by
-/// [`ControlFlow::Break`]; the weights at that moment then take part in the choice of the best.
+/// `standardization` is fitted to the training frames where it is `None`; a model being fine-tuned brings its
+/// own. Without validation frames the training loss decides. `progress` is called after every step and stops
+/// the run by [`ControlFlow::Break`]; the weights at that moment then take part in the choice of the best.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] for settings out of range, frames that are not finite, or no frame at all;
-/// [`crate::ErrorKind::SizeMismatch`] where sizes do not fit.
+/// [`crate::ErrorKind::InvalidArgument`] for settings out of range, frames that are not finite, or no frame
+/// at all; [`crate::ErrorKind::SizeMismatch`] where sizes do not fit.
 pub fn train<T: Real>(
     pool: &ThreadPool,
     network: Network<T>,

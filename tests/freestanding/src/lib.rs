@@ -1,4 +1,5 @@
-//! What the freestanding program computes and prints, shared with the test that compares it with a hosted build.
+//! What the freestanding program computes and prints, shared with the test that compares it with a hosted
+//! build.
 #![no_std]
 
 extern crate alloc;

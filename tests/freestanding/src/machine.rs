@@ -1,5 +1,5 @@
-//! All that the program has instead of an operating system's library: an entry point, two system calls, an arena, the
-//! memory functions that compilers call, and a panic handler.
+//! All that the program has instead of an operating system's library: an entry point, two system calls, an
+//! arena, the memory functions that compilers call, and a panic handler.
 
 use core::alloc::{GlobalAlloc, Layout};
 use core::arch::{asm, global_asm};
@@ -108,7 +108,8 @@ unsafe impl GlobalAlloc for Arena {
     }
 }
 
-// The compiler turns copies and fills into calls of these. `rep` keeps it from turning their own loops into calls.
+// The compiler turns copies and fills into calls of these. `rep` keeps it from turning their own loops into
+// calls.
 
 /// # Safety
 /// As in C.
@@ -127,11 +128,12 @@ unsafe extern "C" fn memcpy(to: *mut u8, from: *const u8, count: usize) -> *mut 
 #[unsafe(no_mangle)]
 unsafe extern "C" fn memmove(to: *mut u8, from: *const u8, count: usize) -> *mut u8 {
     if (to as usize).wrapping_sub(from as usize) >= count {
-        // SAFETY: the caller vouches for both pieces; going up is safe when the target does not begin inside the source.
+        // SAFETY: the caller vouches for both pieces; going up is safe when the target does not begin inside
+        // the source.
         return unsafe { memcpy(to, from, count) };
     }
-    // SAFETY: the caller vouches for both pieces; going down reads every byte before it is overwritten. The direction
-    // flag is put back.
+    // SAFETY: the caller vouches for both pieces; going down reads every byte before it is overwritten. The
+    // direction flag is put back.
     unsafe {
         asm!("std", "rep movsb", "cld", inout("rcx") count => _,
              inout("rdi") to.wrapping_add(count).wrapping_sub(1) => _,

@@ -1,8 +1,9 @@
 //! Loads a model and predicts with no libc under it, and prints the bits of the results.
 //!
-//! Built with the profile `freestanding` on x86-64 Linux, with `ENTIRE_FREESTANDING_MODEL` naming a model file to embed, it
-//! has its own entry point, a fixed arena as its only memory, its own panic handler, and two system calls (write, exit).
-//! Built in any other way it is an ordinary program that takes the model file as its argument and prints the same.
+//! Built with the profile `freestanding` on x86-64 Linux, with `ENTIRE_FREESTANDING_MODEL` naming a model
+//! file to embed, it has its own entry point, a fixed arena as its only memory, its own panic handler, and
+//! two system calls (write, exit). Built in any other way it is an ordinary program that takes the model file
+//! as its argument and prints the same.
 #![cfg_attr(freestanding, no_std)]
 #![cfg_attr(freestanding, no_main)]
 

@@ -81,8 +81,8 @@ pub(crate) fn vessels(n: usize) -> Vec<u8> {
     out
 }
 
-/// The transfer functions by name: `transparent` (no ray terminates), `medium`, `opaque`, and `scan` (contrast-filled
-/// vessels).
+/// The transfer functions by name: `transparent` (no ray terminates), `medium`, `opaque`, and `scan`
+/// (contrast-filled vessels).
 pub(crate) fn transfer(name: &str) -> Option<TransferTable> {
     let list: &[(f32, [f32; 3], f32)] = match name {
         "transparent" => {

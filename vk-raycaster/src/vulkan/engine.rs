@@ -1,8 +1,11 @@
-//! Plays recordings on a device.
+//! Plays recordings on a device: what it owns, and when a submission begins and ends.
+
+mod play;
+mod waiting;
 
 use super::gpu::{Gpu, NamedCall};
-use super::recording::{Command, Hazard, IMAGE_BYTES, Target, Tile, WORK_BYTES, record_slices};
-use super::resources::{Buffer, COLOR_RANGE, Image, Owned, Shape};
+use super::recording::{Command, IMAGE_BYTES, Target, Tile, WORK_BYTES, record_slices};
+use super::resources::{Buffer, Image, Owned, Shape};
 use crate::renderer::{Error, Result};
 use crate::setup::FrameSetup;
 use ash::vk;
@@ -77,6 +80,8 @@ struct Slot {
     setup: Buffer,
     table_staging: Buffer,
     tile: Option<TileBuffers>,
+    /// Whether the fence was submitted and not reset since.
+    pending: bool,
     running: Option<Running>,
 }
 
@@ -117,8 +122,11 @@ pub(crate) struct Engine {
     volume: Vec<Image>,
     skip_map: Option<Image>,
     staging: Option<Buffer>,
-    /// A failed submission may still be running: nothing is freed or submitted before the device is idle again.
+    /// A failed submission may still be running: nothing is freed or submitted before every slot was waited
+    /// for.
     broken: bool,
+    /// A submission ran longer than it may: nobody waits for the device again, only looks whether it is done.
+    hangs: bool,
     /// Casts so far.
     casts: u64,
 }
@@ -134,10 +142,10 @@ impl Slot {
             size(vk::DescriptorType::STORAGE_IMAGE, 3),
         ];
         let info = vk::DescriptorPoolCreateInfo::default().max_sets(MAX_BRICKS as u32).pool_sizes(&sizes);
-        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes into an
-        // `Owned` that destroys it once.
+        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes
+        // into an `Owned` that destroys it once.
         let handle =
-            unsafe { gpu.device.create_descriptor_pool(&info, None) }.named("vkCreateDescriptorPool")?;
+            unsafe { gpu.device.create_descriptor_pool(&info, None) }.on(gpu, "vkCreateDescriptorPool")?;
         let descriptors = Owned::new(gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_descriptor_pool(h, None) }
@@ -146,7 +154,7 @@ impl Slot {
             .queue_family_index(gpu.family)
             .flags(vk::CommandPoolCreateFlags::TRANSIENT);
         // SAFETY: as above.
-        let handle = unsafe { gpu.device.create_command_pool(&info, None) }.named("vkCreateCommandPool")?;
+        let handle = unsafe { gpu.device.create_command_pool(&info, None) }.on(gpu, "vkCreateCommandPool")?;
         let pool = Owned::new(gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_command_pool(h, None) }
@@ -157,10 +165,10 @@ impl Slot {
             .command_buffer_count(1);
         // SAFETY: the pool is alive.
         let commands =
-            unsafe { gpu.device.allocate_command_buffers(&info) }.named("vkAllocateCommandBuffers")?[0];
+            unsafe { gpu.device.allocate_command_buffers(&info) }.on(gpu, "vkAllocateCommandBuffers")?[0];
         // SAFETY: as above.
         let handle = unsafe { gpu.device.create_fence(&vk::FenceCreateInfo::default(), None) }
-            .named("vkCreateFence")?;
+            .on(gpu, "vkCreateFence")?;
         let fence = Owned::new(gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_fence(h, None) }
@@ -168,7 +176,7 @@ impl Slot {
         let queries = if gpu.timestamps.is_some() {
             let info = vk::QueryPoolCreateInfo::default().query_type(vk::QueryType::TIMESTAMP).query_count(2);
             // SAFETY: as above.
-            let handle = unsafe { gpu.device.create_query_pool(&info, None) }.named("vkCreateQueryPool")?;
+            let handle = unsafe { gpu.device.create_query_pool(&info, None) }.on(gpu, "vkCreateQueryPool")?;
             Some(Owned::new(gpu, handle, |d, h| {
                 // SAFETY: see `Owned`.
                 unsafe { d.destroy_query_pool(h, None) }
@@ -200,6 +208,7 @@ impl Slot {
             setup,
             table_staging,
             tile: None,
+            pending: false,
             running: None,
         })
     }
@@ -215,8 +224,8 @@ impl Engine {
                 .stage_flags(vk::ShaderStageFlags::COMPUTE)
         };
         let bindings = [
-            // A storage buffer, not a uniform one: lavapipe compiles the shader anew for every set of uniform values that
-            // steer its control flow, some 60 ms for every camera.
+            // A storage buffer, not a uniform one: lavapipe compiles the shader anew for every set of uniform
+            // values that steer its control flow, some 60 ms for every camera.
             binding(0, vk::DescriptorType::STORAGE_BUFFER),
             binding(1, vk::DescriptorType::SAMPLED_IMAGE),
             binding(2, vk::DescriptorType::SAMPLED_IMAGE),
@@ -230,10 +239,10 @@ impl Engine {
             binding(10, vk::DescriptorType::STORAGE_BUFFER),
         ];
         let info = vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings);
-        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes into an
-        // `Owned` that destroys it once.
+        // SAFETY: the device is alive, pointers in `info` live until the call returns, and the handle goes
+        // into an `Owned` that destroys it once.
         let layout = unsafe { gpu.device.create_descriptor_set_layout(&info, None) }
-            .named("vkCreateDescriptorSetLayout")?;
+            .on(&gpu, "vkCreateDescriptorSetLayout")?;
         let set_layout = Owned::new(&gpu, layout, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_descriptor_set_layout(h, None) }
@@ -242,7 +251,7 @@ impl Engine {
         let info = vk::PipelineLayoutCreateInfo::default().set_layouts(&layouts);
         // SAFETY: as above.
         let handle =
-            unsafe { gpu.device.create_pipeline_layout(&info, None) }.named("vkCreatePipelineLayout")?;
+            unsafe { gpu.device.create_pipeline_layout(&info, None) }.on(&gpu, "vkCreatePipelineLayout")?;
         let pipeline_layout = Owned::new(&gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_pipeline_layout(h, None) }
@@ -254,7 +263,7 @@ impl Engine {
             .address_mode_v(vk::SamplerAddressMode::CLAMP_TO_EDGE)
             .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE);
         // SAFETY: as above.
-        let handle = unsafe { gpu.device.create_sampler(&info, None) }.named("vkCreateSampler")?;
+        let handle = unsafe { gpu.device.create_sampler(&info, None) }.on(&gpu, "vkCreateSampler")?;
         let sampler = Owned::new(&gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_sampler(h, None) }
@@ -271,6 +280,7 @@ impl Engine {
             skip_map: None,
             staging: None,
             broken: false,
+            hangs: false,
             casts: 0,
             gpu,
         })
@@ -280,8 +290,8 @@ impl Engine {
         &self.gpu
     }
 
-    /// Makes the image behind `target`, unless it has this shape already. Its contents are undefined. Nothing may be
-    /// running.
+    /// Makes the image behind `target`, unless it has this shape already. Its contents are undefined. Nothing
+    /// may be running.
     pub(crate) fn reserve(&mut self, target: Target, shape: Shape) -> Result<()> {
         if self.image(target).is_ok_and(|i| i.shape == shape) {
             return Ok(());
@@ -319,24 +329,6 @@ impl Engine {
 
     fn forget_sets(&mut self) {
         self.slots.iter_mut().for_each(|s| s.sets.clear());
-    }
-
-    /// Waits until nothing is running; what was cast can still be finished.
-    pub(crate) fn drain(&mut self) -> Result<()> {
-        if self.broken || self.slots.iter().any(|s| s.running.is_some()) {
-            // SAFETY: the device is alive; the queue is used by this thread alone (`&mut self`).
-            unsafe { self.gpu.device.device_wait_idle() }.named("vkDeviceWaitIdle")?;
-        }
-        if self.broken {
-            for slot in &mut self.slots {
-                let fences = [slot.fence.get()];
-                // SAFETY: the device is idle, so the fence is in no pending submission.
-                unsafe { self.gpu.device.reset_fences(&fences) }.named("vkResetFences")?;
-                slot.running = None;
-            }
-            self.broken = false;
-        }
-        Ok(())
     }
 
     /// Fills a reserved image slice by slice: `fill` gets the first slice of a run and the bytes to write.
@@ -384,6 +376,7 @@ impl Engine {
 
     /// Starts to cast the rays of a tile.
     pub(crate) fn start(&mut self, slot: usize, cast: &Cast<'_>, commands: &[Command]) -> Result<Ticket> {
+        self.gpu.check()?;
         if self.broken {
             self.drain()?;
         }
@@ -455,8 +448,8 @@ impl Engine {
             bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         let info = vk::ShaderModuleCreateInfo::default().code(&words);
         // SAFETY: `words` is a whole SPIR-V module made by the build script.
-        let handle =
-            unsafe { self.gpu.device.create_shader_module(&info, None) }.named("vkCreateShaderModule")?;
+        let handle = unsafe { self.gpu.device.create_shader_module(&info, None) }
+            .on(&self.gpu, "vkCreateShaderModule")?;
         let module = Owned::new(&self.gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_shader_module(h, None) }
@@ -466,10 +459,11 @@ impl Engine {
             .module(module.get())
             .name(c"main");
         let info = vk::ComputePipelineCreateInfo::default().stage(stage).layout(self.pipeline_layout.get());
-        // SAFETY: module and layout are alive, the entry point `main` exists and its bindings are those of the layout.
+        // SAFETY: module and layout are alive, the entry point `main` exists and its bindings are those of
+        // the layout.
         let made =
             unsafe { self.gpu.device.create_compute_pipelines(vk::PipelineCache::null(), &[info], None) };
-        let handle = made.map_err(|(_, r)| r).named("vkCreateComputePipelines")?[0];
+        let handle = made.map_err(|(_, r)| r).on(&self.gpu, "vkCreateComputePipelines")?[0];
         let pipeline = Owned::new(&self.gpu, handle, |d, h| {
             // SAFETY: see `Owned`.
             unsafe { d.destroy_pipeline(h, None) }
@@ -488,15 +482,16 @@ impl Engine {
         let device = &self.gpu.device;
         let pool = slot.descriptors.get();
         if slot.sets.is_empty() {
-            // SAFETY: nothing that uses the pool's sets is running: sets are made for slots whose submission was waited
-            // for.
+            // SAFETY: nothing that uses the pool's sets is running: sets are made for slots whose submission
+            // was waited for.
             unsafe { device.reset_descriptor_pool(pool, vk::DescriptorPoolResetFlags::empty()) }
-                .named("vkResetDescriptorPool")?;
+                .on(&self.gpu, "vkResetDescriptorPool")?;
         }
         let layouts = [self.set_layout.get()];
         let info = vk::DescriptorSetAllocateInfo::default().descriptor_pool(pool).set_layouts(&layouts);
         // SAFETY: the pool has room for a set of each brick.
-        let set = unsafe { device.allocate_descriptor_sets(&info) }.named("vkAllocateDescriptorSets")?[0];
+        let set =
+            unsafe { device.allocate_descriptor_sets(&info) }.on(&self.gpu, "vkAllocateDescriptorSets")?[0];
         let write = |write: vk::WriteDescriptorSet<'_>| {
             // SAFETY: the set is new, so nothing uses it, and the resource is alive.
             unsafe { device.update_descriptor_sets(&[write.dst_set(set)], &[]) };
@@ -557,266 +552,16 @@ impl Engine {
         commands: &[Command],
     ) -> Result<()> {
         self.broken = true;
-        self.try_submit(&self.slots[slot], shader, commands).map_err(|e| self.with_pass(&e, pass))?;
+        self.try_submit(&self.slots[slot], shader, commands).map_err(|e| with_pass(&e, pass))?;
+        self.slots[slot].pending = true;
         self.broken = false;
         Ok(())
     }
-
-    /// Waits for the end of a submission.
-    fn wait(&mut self, slot: usize, pass: &str) -> Result<()> {
-        self.broken = true;
-        let fences = [self.slots[slot].fence.get()];
-        // SAFETY: the fence was submitted, and nothing else waits for it.
-        unsafe { self.gpu.device.wait_for_fences(&fences, true, u64::MAX) }
-            .named("vkWaitForFences")
-            .map_err(|e| self.with_pass(&e, pass))?;
-        // SAFETY: the fence has signaled and is in no pending submission.
-        unsafe { self.gpu.device.reset_fences(&fences) }.named("vkResetFences")?;
-        self.broken = false;
-        Ok(())
-    }
-
-    fn with_pass(&self, e: &Error, pass: &str) -> Error {
-        Error::new(format!("{e} (last pass: {pass}, on {})", self.gpu.name))
-    }
-
-    fn try_submit(&self, slot: &Slot, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
-        let device = &self.gpu.device;
-        // SAFETY: the one command buffer of the pool is not pending: the slot's submission was waited for, or `drain`
-        // has waited for the device.
-        unsafe { device.reset_command_pool(slot.pool.get(), vk::CommandPoolResetFlags::empty()) }
-            .named("vkResetCommandPool")?;
-        let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
-        // SAFETY: the command buffer is in its initial state.
-        unsafe { device.begin_command_buffer(slot.commands, &begin) }.named("vkBeginCommandBuffer")?;
-        for command in commands {
-            self.play(slot, shader, command)?;
-        }
-        // SAFETY: recording was begun above.
-        unsafe { device.end_command_buffer(slot.commands) }.named("vkEndCommandBuffer")?;
-        let buffers = [slot.commands];
-        let submit = [vk::SubmitInfo::default().command_buffers(&buffers)];
-        // SAFETY: the command buffer is complete, everything it uses is kept until the fence has signaled, the fence
-        // is unsignaled, and `&mut self` of the callers keeps other threads from the queue.
-        unsafe { device.queue_submit(self.gpu.queue, &submit, slot.fence.get()) }.named("vkQueueSubmit")
-    }
-
-    fn image(&self, target: Target) -> Result<&Image> {
-        match target {
-            Target::Volume(brick) => self.volume.get(brick),
-            Target::SkipMap => self.skip_map.as_ref(),
-            Target::Table => self.table.as_ref(),
-        }
-        .ok_or_else(|| Error::new("an image that a command names was not reserved"))
-    }
-
-    fn play(&self, slot: &Slot, shader: Option<Shader>, command: &Command) -> Result<()> {
-        let device = &self.gpu.device;
-        let commands = slot.commands;
-        // SAFETY: the command buffer is being recorded; every resource named by a command belongs to this engine and
-        // lives until the submission was waited for; ranges lie inside their buffers and images, because recordings
-        // are made from the same tile and image sizes that these were reserved with.
-        unsafe {
-            match command {
-                Command::WriteSetup(setup) => {
-                    device.cmd_update_buffer(commands, slot.setup.get(), 0, bytemuck::bytes_of(&**setup));
-                }
-                Command::WriteTable(table) => {
-                    device.cmd_update_buffer(commands, slot.table_staging.get(), 0, table);
-                }
-                Command::PrepareCopy { target, keep } => self.image_barrier(
-                    commands,
-                    self.image(*target)?,
-                    if *keep { vk::ImageLayout::TRANSFER_DST_OPTIMAL } else { vk::ImageLayout::UNDEFINED },
-                    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                    (
-                        vk::PipelineStageFlags::COMPUTE_SHADER | vk::PipelineStageFlags::TRANSFER,
-                        vk::AccessFlags::TRANSFER_WRITE,
-                    ),
-                    (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
-                ),
-                Command::FinishCopy { target } => self.image_barrier(
-                    commands,
-                    self.image(*target)?,
-                    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                    self.image(*target)?.layout(),
-                    (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
-                    (vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_READ),
-                ),
-                Command::CopySlices { target, first_slice, slices } => {
-                    let image = self.image(*target)?;
-                    let Some(staging) = &self.staging else {
-                        return Err(Error::new("a copy without staging buffer"));
-                    };
-                    let region = copy_region(&image.shape, *first_slice, *slices);
-                    device.cmd_copy_buffer_to_image(
-                        commands,
-                        staging.get(),
-                        image.get(),
-                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                        &[region],
-                    );
-                }
-                Command::CopyTable => {
-                    let image = self.image(Target::Table)?;
-                    device.cmd_copy_buffer_to_image(
-                        commands,
-                        slot.table_staging.get(),
-                        image.get(),
-                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
-                        &[copy_region(&image.shape, 0, image.shape.slices().0)],
-                    );
-                }
-                Command::BufferBarrier(hazard) => {
-                    let (source, target) = barrier_masks(*hazard);
-                    let barrier =
-                        [vk::MemoryBarrier::default().src_access_mask(source.1).dst_access_mask(target.1)];
-                    device.cmd_pipeline_barrier(
-                        commands,
-                        source.0,
-                        target.0,
-                        vk::DependencyFlags::empty(),
-                        &barrier,
-                        &[],
-                        &[],
-                    );
-                }
-                Command::ResetTimestamps => {
-                    if let Some(queries) = &slot.queries {
-                        device.cmd_reset_query_pool(commands, queries.get(), 0, 2);
-                    }
-                }
-                Command::Timestamp(index) => {
-                    if let Some(queries) = &slot.queries {
-                        // At the bottom of the pipe: once all work recorded before is done.
-                        let stage = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
-                        device.cmd_write_timestamp(commands, stage, queries.get(), *index);
-                    }
-                }
-                Command::Dispatch { groups } => {
-                    let Some((pipeline, set)) = shader else {
-                        return Err(Error::new("a dispatch without pipeline"));
-                    };
-                    let point = vk::PipelineBindPoint::COMPUTE;
-                    device.cmd_bind_pipeline(commands, point, pipeline);
-                    device.cmd_bind_descriptor_sets(
-                        commands,
-                        point,
-                        self.pipeline_layout.get(),
-                        0,
-                        &[set],
-                        &[],
-                    );
-                    device.cmd_dispatch(commands, groups[0], groups[1], 1);
-                }
-                Command::ReadBack { image_bytes, work_bytes } => {
-                    let Some(tile) = &slot.tile else {
-                        return Err(Error::new("a read-back without tile buffers"));
-                    };
-                    let region = [vk::BufferCopy { src_offset: 0, dst_offset: 0, size: *image_bytes }];
-                    device.cmd_copy_buffer(commands, tile.image.get(), tile.read_back.get(), &region);
-                    if let (Some(work), 1..) = (&tile.work, *work_bytes) {
-                        let region =
-                            [vk::BufferCopy { src_offset: 0, dst_offset: *image_bytes, size: *work_bytes }];
-                        device.cmd_copy_buffer(commands, work.get(), tile.read_back.get(), &region);
-                    }
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Records a layout change of a whole image.
-    ///
-    /// # Safety
-    /// The command buffer is being recorded, and `old` is the image's layout by then (or undefined).
-    unsafe fn image_barrier(
-        &self,
-        commands: vk::CommandBuffer,
-        image: &Image,
-        old: vk::ImageLayout,
-        new: vk::ImageLayout,
-        source: (vk::PipelineStageFlags, vk::AccessFlags),
-        target: (vk::PipelineStageFlags, vk::AccessFlags),
-    ) {
-        let barrier = [vk::ImageMemoryBarrier::default()
-            .image(image.get())
-            .old_layout(old)
-            .new_layout(new)
-            .src_access_mask(source.1)
-            .dst_access_mask(target.1)
-            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
-            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
-            .subresource_range(COLOR_RANGE)];
-        // SAFETY: the caller's contract.
-        unsafe {
-            self.gpu.device.cmd_pipeline_barrier(
-                commands,
-                source.0,
-                target.0,
-                vk::DependencyFlags::empty(),
-                &[],
-                &[],
-                &barrier,
-            );
-        }
-    }
-
-    /// Seconds between the two timestamps of the last submission.
-    fn read_seconds(&self, slot: usize) -> Result<Option<f64>> {
-        let (Some(queries), Some(clock)) = (&self.slots[slot].queries, &self.gpu.timestamps) else {
-            return Ok(None);
-        };
-        let mut ticks = [0u64; 2];
-        // SAFETY: the submission that wrote both queries was waited for.
-        unsafe {
-            self.gpu.device.get_query_pool_results(
-                queries.get(),
-                0,
-                &mut ticks,
-                vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT,
-            )
-        }
-        .named("vkGetQueryPoolResults")?;
-        Ok(Some(clock.seconds(ticks[0], ticks[1])))
-    }
 }
 
-impl Drop for Engine {
-    fn drop(&mut self) {
-        // SAFETY: the device is alive. An error means that the device is lost: then nothing runs on it.
-        let _ = unsafe { self.gpu.device.device_wait_idle() };
-    }
-}
-
-/// Slices, or rows of a 2-D image, from `first` on.
-fn copy_region(shape: &Shape, first: u32, count: u32) -> vk::BufferImageCopy {
-    let [width, height, _] = shape.extent;
-    let (y, z, height, depth) =
-        if shape.is_flat() { (first, 0, count, 1) } else { (0, first, height, count) };
-    vk::BufferImageCopy::default()
-        .image_subresource(vk::ImageSubresourceLayers {
-            aspect_mask: vk::ImageAspectFlags::COLOR,
-            mip_level: 0,
-            base_array_layer: 0,
-            layer_count: 1,
-        })
-        .image_offset(vk::Offset3D { x: 0, y: y as i32, z: z as i32 })
-        .image_extent(vk::Extent3D { width, height, depth })
-}
-
-type Access = (vk::PipelineStageFlags, vk::AccessFlags);
-
-fn barrier_masks(hazard: Hazard) -> (Access, Access) {
-    let written = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
-    let transfer = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_READ);
-    let shader = vk::PipelineStageFlags::COMPUTE_SHADER;
-    match hazard {
-        Hazard::TransferToTransfer => (written, transfer),
-        Hazard::TransferToShader => (written, (shader, vk::AccessFlags::SHADER_READ)),
-        Hazard::ShaderToTransfer => ((shader, vk::AccessFlags::SHADER_WRITE), transfer),
-        Hazard::TransferToHost => (written, (vk::PipelineStageFlags::HOST, vk::AccessFlags::HOST_READ)),
-    }
+/// An error with what the device was doing.
+fn with_pass(e: &Error, pass: &str) -> Error {
+    Error::new(format!("{e} (last pass: {pass})"))
 }
 
 /// Bytes of a texel.

@@ -5,12 +5,28 @@ use ash::vk;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
 use std::ffi::{CStr, c_void};
 use std::mem::ManuallyDrop;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
 
+/// How long a submission may run on a GPU before the device counts as hanging: 30 s. A submission is one tile
+/// or one copy of 64 MiB; tiles shrink once one takes half a second, and drivers reset a GPU that does not
+/// answer for 2 to 10 s, so that a sound device is far below this.
+pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
+
+/// As [`LONGEST_WAIT`] for software devices (llvmpipe, SwiftShader): 30 min. They work through the largest
+/// tile in minutes, longer on a loaded host, and no driver ends them.
+pub const LONGEST_WAIT_SOFTWARE: Duration = Duration::from_secs(30 * 60);
+
+/// Puts functions of a test in the place of a device's.
+pub(crate) type WrapDevice<'a> = &'a dyn Fn(ash::Device) -> ash::Device;
+
 /// Which device, and whether under the validation layer.
 pub(crate) struct GpuOptions<'a> {
+    /// How long a submission may run; `None` is [`LONGEST_WAIT`] or [`LONGEST_WAIT_SOFTWARE`].
+    pub(crate) longest_wait: Option<Duration>,
     /// Part of a device's name, in any case, or its index among all devices.
     pub(crate) device: Option<&'a str>,
     pub(crate) validation: bool,
@@ -58,15 +74,21 @@ pub(crate) struct Gpu {
     pub(crate) memory: u64,
     pub(crate) name: String,
     pub(crate) driver: String,
+    /// How long a submission may run.
+    pub(crate) longest_wait: Duration,
+    /// Whether a call has answered that the device is lost: nothing runs on it, and nothing can be submitted.
+    lost: AtomicBool,
+    /// Whether a submission never ended: what the device may still use is never freed.
+    abandoned: AtomicBool,
     pub(crate) allocator: ManuallyDrop<Mutex<Allocator>>,
     debug: Option<(ash::ext::debug_utils::Instance, vk::DebugUtilsMessengerEXT)>,
     messages: Arc<Messages>,
     /// Keeps the loader's library open.
-    _entry: ash::Entry,
+    entry: ManuallyDrop<ash::Entry>,
 }
 
-/// Makes an error of a failed Vulkan call.
-pub(crate) fn call_failed(call: &str, result: vk::Result) -> Error {
+/// Makes an error of a failed Vulkan call, on a device where there is one already.
+pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) -> Error {
     let remedy = match result {
         vk::Result::ERROR_OUT_OF_DEVICE_MEMORY => {
             "the device's memory is full: use a smaller volume or image, or close other programs that use the device"
@@ -85,22 +107,37 @@ pub(crate) fn call_failed(call: &str, result: vk::Result) -> Error {
         }
         _ => "update the graphics driver, choose another device (ENTIRE_DEVICE), or render on the CPU",
     };
-    Error::new(format!("{call} failed with {result:?}; {remedy}"))
+    let on = device.map(|name| format!(" on {name}")).unwrap_or_default();
+    Error::new(format!("{call} failed with {result:?}{on}; {remedy}"))
 }
 
 /// Maps the error of a Vulkan call, naming it.
 pub(crate) trait NamedCall<T> {
     fn named(self, call: &str) -> Result<T>;
+
+    /// As [`NamedCall::named`] for a call on an open device, which is lost from then on where the call says
+    /// so.
+    fn on(self, gpu: &Gpu, call: &str) -> Result<T>;
 }
 
 impl<T> NamedCall<T> for ash::prelude::VkResult<T> {
     fn named(self, call: &str) -> Result<T> {
-        self.map_err(|r| call_failed(call, r))
+        self.map_err(|r| call_failed(call, r, None))
+    }
+
+    fn on(self, gpu: &Gpu, call: &str) -> Result<T> {
+        self.map_err(|r| {
+            if r == vk::Result::ERROR_DEVICE_LOST {
+                gpu.lost.store(true, Ordering::Relaxed);
+            }
+            call_failed(call, r, Some(&gpu.name))
+        })
     }
 }
 
 impl Gpu {
-    pub(crate) fn open(options: &GpuOptions<'_>) -> Result<Self> {
+    /// `wrap` stands between this crate and the device's functions.
+    pub(crate) fn open(options: &GpuOptions<'_>, wrap: WrapDevice<'_>) -> Result<Self> {
         // SAFETY: loading the Vulkan loader runs its initializers; it is the system's own library.
         let entry = unsafe { ash::Entry::load() }.map_err(|e| {
             Error::new(format!(
@@ -114,7 +151,8 @@ impl Gpu {
         let debug = if options.validation {
             let loader = ash::ext::debug_utils::Instance::new(&entry, raw);
             let info = messenger_info(&messages);
-            // SAFETY: the instance was made with VK_EXT_debug_utils; `messages` is shared and outlives the messenger.
+            // SAFETY: the instance was made with VK_EXT_debug_utils; `messages` is shared and outlives the
+            // messenger.
             let messenger = unsafe { loader.create_debug_utils_messenger(&info, None) }
                 .named("vkCreateDebugUtilsMessengerEXT")?;
             Some((loader, messenger))
@@ -130,7 +168,7 @@ impl Gpu {
             }
         };
         let device = match create_device(raw, &chosen) {
-            Ok(device) => device,
+            Ok(device) => wrap(device),
             Err(e) => {
                 destroy_messenger(debug.as_ref());
                 return Err(e);
@@ -155,6 +193,7 @@ impl Gpu {
         };
         // SAFETY: the family index is the one that the device was made with, and it has one queue.
         let queue = unsafe { device.get_device_queue(chosen.family, 0) };
+        let is_cpu = chosen.kind == vk::PhysicalDeviceType::CPU;
         Ok(Self {
             instance: instance.take(),
             physical: chosen.physical,
@@ -164,7 +203,14 @@ impl Gpu {
             timestamps: chosen.timestamps,
             limits: chosen.limits,
             max_allocation: chosen.max_allocation,
-            is_cpu: chosen.kind == vk::PhysicalDeviceType::CPU,
+            is_cpu,
+            longest_wait: options.longest_wait.unwrap_or(if is_cpu {
+                LONGEST_WAIT_SOFTWARE
+            } else {
+                LONGEST_WAIT
+            }),
+            lost: AtomicBool::new(false),
+            abandoned: AtomicBool::new(false),
             subgroup_arithmetic: chosen.subgroup_arithmetic,
             subgroup_size: chosen.subgroup_size,
             api_version: chosen.api_version,
@@ -174,13 +220,39 @@ impl Gpu {
             allocator: ManuallyDrop::new(Mutex::new(allocator)),
             debug,
             messages,
-            _entry: entry,
+            entry: ManuallyDrop::new(entry),
         })
     }
 
     /// What the validation layer has said so far, warnings and errors.
     pub(crate) fn messages(&self) -> Vec<String> {
         self.messages.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Refuses a device that is lost.
+    pub(crate) fn check(&self) -> Result<()> {
+        if self.is_lost() {
+            return Err(Error::new(format!(
+                "the device {} was lost in an earlier call and renders nothing more: make a new renderer",
+                self.name
+            )));
+        }
+        Ok(())
+    }
+
+    /// Whether a call has answered that the device is lost.
+    pub(crate) fn is_lost(&self) -> bool {
+        self.lost.load(Ordering::Relaxed)
+    }
+
+    /// Whether a submission may still use what was made from the device, and will for ever.
+    pub(crate) fn is_abandoned(&self) -> bool {
+        self.abandoned.load(Ordering::Relaxed)
+    }
+
+    /// Leaves everything made from the device where it is until the process ends.
+    pub(crate) fn abandon(&self) {
+        self.abandoned.store(true, Ordering::Relaxed);
     }
 
     /// Whether optimally tiled images of a format can be sampled, and with a linear filter.
@@ -198,15 +270,20 @@ impl Gpu {
 
 impl Drop for Gpu {
     fn drop(&mut self) {
-        // SAFETY: everything made from the device holds an `Arc` of this and is gone. The allocator is dropped once,
-        // here, before its device; the instance goes last.
+        if self.is_abandoned() {
+            // The messenger may still be called.
+            std::mem::forget(Arc::clone(&self.messages));
+            return;
+        }
+        // SAFETY: everything made from the device holds an `Arc` of this and is gone, and whoever submitted
+        // has waited, or the device is lost and runs nothing. The allocator is dropped once, here, before its
+        // device; the instance goes after it, the library last.
         unsafe {
-            // A lost device cannot be waited for, and nothing runs on it any more.
-            let _ = self.device.device_wait_idle();
             ManuallyDrop::drop(&mut self.allocator);
             self.device.destroy_device(None);
             destroy_messenger(self.debug.as_ref());
             self.instance.destroy_instance(None);
+            ManuallyDrop::drop(&mut self.entry);
         }
     }
 }
@@ -260,8 +337,8 @@ unsafe extern "system" fn on_message(
     data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,
     user: *mut c_void,
 ) -> vk::Bool32 {
-    // SAFETY: `user` is the shared `Messages` given at creation, which outlives the messenger; it is shared, not
-    // mutated but through its lock. `data` and its text are valid for the length of the call.
+    // SAFETY: `user` is the shared `Messages` given at creation, which outlives the messenger; it is shared,
+    // not mutated but through its lock. `data` and its text are valid for the length of the call.
     unsafe {
         if let (Some(messages), Some(data)) = (user.cast::<Messages>().as_ref(), data.as_ref()) {
             let text = data.message_as_c_str().map(CStr::to_string_lossy).unwrap_or_default();
@@ -456,13 +533,13 @@ mod tests {
 
     #[test]
     fn errors_name_the_call_the_result_and_the_remedy() {
-        let text = call_failed("vkQueueSubmit", vk::Result::ERROR_DEVICE_LOST).to_string();
+        let text = call_failed("vkQueueSubmit", vk::Result::ERROR_DEVICE_LOST, Some("a GPU")).to_string();
         assert!(
             text.contains("vkQueueSubmit")
-                && text.contains("ERROR_DEVICE_LOST")
+                && text.contains("ERROR_DEVICE_LOST on a GPU")
                 && text.contains("ENTIRE_TILE")
         );
-        let text = call_failed("vkCreateInstance", vk::Result::ERROR_LAYER_NOT_PRESENT).to_string();
+        let text = call_failed("vkCreateInstance", vk::Result::ERROR_LAYER_NOT_PRESENT, None).to_string();
         assert!(text.contains("vulkan-validationlayers"));
     }
 

@@ -19,17 +19,20 @@ use crate::table::Classifier;
 use crate::voxels::{Geometry, PreparedVolume};
 use engine::{Cast, Engine, STATE_BYTES, ShaderKey, Ticket};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
-use gpu::{Gpu, GpuOptions};
+use gpu::{Gpu, GpuOptions, WrapDevice};
+pub use gpu::{LONGEST_WAIT, LONGEST_WAIT_SOFTWARE};
 use recording::{IMAGE_BYTES, Target, Tile, WORK_BYTES, record_tile, tiles};
 use resources::Shape;
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Duration;
 use upload::Brick;
 
 /// A dispatch that takes longer than this makes the tiles of its shading mode smaller.
 const LONG_DISPATCH_SECONDS: f64 = 0.5;
 
-/// llvmpipe leaves an invocation's loops after 65535 turns in all; longer rays are cast in several dispatches.
+/// llvmpipe leaves an invocation's loops after 65535 turns in all; longer rays are cast in several
+/// dispatches.
 const LOOP_LIMIT: f64 = 60_000.0;
 
 /// The smallest edge that tiles shrink to.
@@ -42,16 +45,16 @@ pub enum VoxelFetch {
     Sampler,
     /// Eight texels of a 3-D texture, interpolated by the shader in 32 bits.
     Texels,
-    /// Two texels that hold four neighboring voxels each, interpolated by the shader: fastest on software devices;
-    /// bytes only, four times the memory.
+    /// Two texels that hold four neighboring voxels each, interpolated by the shader: fastest on software
+    /// devices; bytes only, four times the memory.
     Packed,
 }
 
 /// How to open a [`VulkanRaycaster`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct VulkanOptions {
-    /// Part of the device's name, in any case, or its index. `None` takes the best: discrete, then integrated,
-    /// virtual, CPU.
+    /// Part of the device's name, in any case, or its index. `None` takes the best: discrete, then
+    /// integrated, virtual, CPU.
     pub device: Option<String>,
     /// Run under the Khronos validation layer with synchronization validation.
     pub validation: bool,
@@ -61,12 +64,19 @@ pub struct VulkanOptions {
     pub count_work: bool,
     /// Edge of the tiles that large images are cut into, in pixels. `None` is 1024.
     pub tile: Option<u32>,
-    /// Most voxels along an axis of one texture; larger volumes are cut into bricks. `None` is the device's limit.
+    /// Most voxels along an axis of one texture; larger volumes are cut into bricks. `None` is the device's
+    /// limit.
     pub largest_texture: Option<u32>,
+    /// How long the device may take for one submission (a tile, a copy) before it counts as hanging. `None`
+    /// is
+    /// [`LONGEST_WAIT`], on software devices [`LONGEST_WAIT_SOFTWARE`].
+    pub longest_wait: Option<Duration>,
 }
 
 impl VulkanOptions {
-    /// Reads `ENTIRE_DEVICE`, `ENTIRE_VALIDATION` (1 or 0) and `ENTIRE_TILE` (pixels); what is not set is the default.
+    /// Reads `ENTIRE_DEVICE`, `ENTIRE_VALIDATION` (1 or 0), `ENTIRE_TILE` (pixels) and `ENTIRE_DEVICE_WAIT`
+    /// (seconds,
+    /// [`VulkanOptions::longest_wait`]); what is not set is the default.
     ///
     /// # Errors
     /// When a variable holds something else.
@@ -91,8 +101,19 @@ impl VulkanOptions {
                 }
             },
         };
+        let longest_wait = match get("ENTIRE_DEVICE_WAIT").as_deref() {
+            None | Some("") => None,
+            Some(text) => match text.parse::<f64>() {
+                Ok(seconds) if (0.001..=86400.0).contains(&seconds) => Some(Duration::from_secs_f64(seconds)),
+                _ => {
+                    return Err(Error::new(format!(
+                        "ENTIRE_DEVICE_WAIT is {text:?}; it must be 0.001…86400 seconds"
+                    )));
+                }
+            },
+        };
         let device = get("ENTIRE_DEVICE").filter(|d| !d.is_empty());
-        Ok(Self { device, validation, tile, ..Self::default() })
+        Ok(Self { device, validation, tile, longest_wait, ..Self::default() })
     }
 }
 
@@ -155,8 +176,33 @@ impl VulkanRaycaster {
     /// # Errors
     /// When there is no Vulkan loader, no driver or no such device; says what to install or to choose from.
     pub fn new(options: VulkanOptions) -> Result<Self> {
-        let gpu =
-            Gpu::open(&GpuOptions { device: options.device.as_deref(), validation: options.validation })?;
+        Self::open(options, &|device| device)
+    }
+
+    /// As [`VulkanRaycaster::new`] with other functions in the place of the device's, so that tests have
+    /// devices that fail.
+    ///
+    /// # Errors
+    /// As [`VulkanRaycaster::new`].
+    ///
+    /// # Safety
+    /// The functions of the device that `wrap` returns must do what Vulkan says, failures included.
+    #[doc(hidden)]
+    #[allow(unsafe_code, reason = "calls into Vulkan go through what the caller gives")]
+    pub unsafe fn with_device_functions(
+        options: VulkanOptions,
+        wrap: &dyn Fn(ash::Device) -> ash::Device,
+    ) -> Result<Self> {
+        Self::open(options, wrap)
+    }
+
+    fn open(options: VulkanOptions, wrap: WrapDevice<'_>) -> Result<Self> {
+        let gpu = GpuOptions {
+            device: options.device.as_deref(),
+            validation: options.validation,
+            longest_wait: options.longest_wait,
+        };
+        let gpu = Gpu::open(&gpu, wrap)?;
         let groups = gpu.limits.max_compute_work_group_count;
         let pixels = u64::from(gpu.limits.max_storage_buffer_range) / STATE_BYTES.max(WORK_BYTES);
         let largest = (groups[0].min(groups[1]).saturating_mul(recording::GROUP_EDGE))
@@ -196,8 +242,8 @@ impl VulkanRaycaster {
         self.volume.as_ref().map(|v| v.fetch)
     }
 
-    /// Blocks that are not empty under the present transfer function, and all blocks; `None` before both volume and
-    /// transfer function were set.
+    /// Blocks that are not empty under the present transfer function, and all blocks; `None` before both
+    /// volume and transfer function were set.
     pub fn occupied_blocks(&self) -> Option<(usize, usize)> {
         self.occupied
     }
@@ -210,13 +256,14 @@ impl VulkanRaycaster {
     /// Frames that may be in flight: enqueued and not yet collected.
     pub const FRAMES_IN_FLIGHT: usize = engine::FRAMES_IN_FLIGHT;
 
-    /// Starts a frame and returns while the device renders it, so that the host can prepare the next one meanwhile or
-    /// use the one before. [`VulkanRaycaster::collect`] returns the frames in order. A change of volume or transfer
-    /// function holds for the frames that are enqueued after it.
+    /// Starts a frame and returns while the device renders it, so that the host can prepare the next one
+    /// meanwhile or use the one before. [`VulkanRaycaster::collect`] returns the frames in order. A change of
+    /// volume or transfer function holds for the frames that are enqueued after it.
     ///
     /// # Errors
-    /// When [`VulkanRaycaster::FRAMES_IN_FLIGHT`] frames are in flight, when the frame needs more than one dispatch
-    /// (an image larger than a tile, a volume in bricks, very long rays; [`Renderer::render`] takes those), or as
+    /// When [`VulkanRaycaster::FRAMES_IN_FLIGHT`] frames are in flight, when the frame needs more than one
+    /// dispatch (an image larger than a tile, a volume in bricks, very long rays; [`Renderer::render`] takes
+    /// those), or as
     /// [`Renderer::render`] fails.
     pub fn enqueue(&mut self, frame: &Frame) -> Result<()> {
         let watch = Stopwatch::start();
@@ -514,8 +561,8 @@ fn add_counts(counts: &mut WorkCounts, work: &[u8]) {
     }
 }
 
-/// The bricks from front to back: along each axis every ray goes away from the eye, so the number of bricks between
-/// orders them.
+/// The bricks from front to back: along each axis every ray goes away from the eye, so the number of bricks
+/// between orders them.
 fn brick_order(volume: &DeviceVolume, setup: &FrameSetup) -> Vec<usize> {
     let inside = |brick: &Brick, a: usize| {
         let cell = (setup.eye[a] - 0.5).clamp(0.0, setup.dims[a] - 1.0).floor();
@@ -536,7 +583,8 @@ fn longest_ray(step: f64) -> f64 {
     (2.0 / step).ceil() + 1.0
 }
 
-/// How many samples of a ray one dispatch may take on a software device, so that all loops together stay below
+/// How many samples of a ray one dispatch may take on a software device, so that all loops together stay
+/// below
 /// [`LOOP_LIMIT`].
 fn window(step: f64, shading: Shading) -> f32 {
     let shadow = longest_ray(step * f64::from(crate::setup::SHADOW_STEP));
@@ -579,6 +627,11 @@ mod tests {
         let o =
             read(&[("ENTIRE_DEVICE", "llvm"), ("ENTIRE_VALIDATION", "1"), ("ENTIRE_TILE", "256")]).unwrap();
         assert_eq!((o.device.as_deref(), o.validation, o.tile), (Some("llvm"), true, Some(256)));
+        let wait = |text| read(&[("ENTIRE_DEVICE_WAIT", text)]).map(|o| o.longest_wait);
+        assert_eq!(wait("2.5").unwrap(), Some(Duration::from_millis(2500)));
+        for bad in ["0", "-1", "nan", "inf", "1e9", "long"] {
+            assert!(wait(bad).unwrap_err().to_string().contains("ENTIRE_DEVICE_WAIT"), "{bad}");
+        }
         assert!(read(&[("ENTIRE_VALIDATION", "yes")]).unwrap_err().to_string().contains("\"yes\""));
         for bad in ["0", "7", "big", "-8", "99999"] {
             assert!(read(&[("ENTIRE_TILE", bad)]).is_err());

@@ -7,7 +7,8 @@ use gpu_allocator::MemoryLocation;
 use gpu_allocator::vulkan::{Allocation, AllocationCreateDesc, AllocationScheme};
 use std::sync::{Arc, PoisonError};
 
-/// A handle that destroys itself. Whoever holds one makes sure that the device no longer uses it when it drops.
+/// A handle that destroys itself. Whoever holds one makes sure that the device no longer uses it when it
+/// drops, or that the device is abandoned, in which case it stays.
 pub(crate) struct Owned<T: Copy> {
     gpu: Arc<Gpu>,
     handle: T,
@@ -26,7 +27,9 @@ impl<T: Copy> Owned<T> {
 
 impl<T: Copy> Drop for Owned<T> {
     fn drop(&mut self) {
-        (self.destroy)(&self.gpu.device, self.handle);
+        if !self.gpu.is_abandoned() {
+            (self.destroy)(&self.gpu.device, self.handle);
+        }
     }
 }
 
@@ -87,7 +90,7 @@ impl Buffer {
         let info =
             vk::BufferCreateInfo::default().size(size).usage(usage).sharing_mode(vk::SharingMode::EXCLUSIVE);
         // SAFETY: the device is alive; the size is not 0.
-        let buffer = unsafe { gpu.device.create_buffer(&info, None) }.named("vkCreateBuffer")?;
+        let buffer = unsafe { gpu.device.create_buffer(&info, None) }.on(gpu, "vkCreateBuffer")?;
         let mut this = Self { gpu: Arc::clone(gpu), buffer, allocation: None, size };
         // SAFETY: the buffer was made from this device.
         let requirements = unsafe { gpu.device.get_buffer_memory_requirements(buffer) };
@@ -96,7 +99,7 @@ impl Buffer {
         let bound =
             unsafe { gpu.device.bind_buffer_memory(buffer, allocation.memory(), allocation.offset()) };
         this.allocation = Some(allocation);
-        bound.named("vkBindBufferMemory")?;
+        bound.on(gpu, "vkBindBufferMemory")?;
         Ok(this)
     }
 
@@ -130,7 +133,12 @@ impl Buffer {
 
 impl Drop for Buffer {
     fn drop(&mut self) {
-        // SAFETY: made from this device, destroyed once; the holder makes sure that the device is done with it.
+        if self.gpu.is_abandoned() {
+            std::mem::forget(self.allocation.take());
+            return;
+        }
+        // SAFETY: made from this device, destroyed once; the holder makes sure that the device is done with
+        // it.
         unsafe { self.gpu.device.destroy_buffer(self.buffer, None) };
         free(&self.gpu, self.allocation.take());
     }
@@ -186,7 +194,7 @@ impl Image {
             .sharing_mode(vk::SharingMode::EXCLUSIVE)
             .initial_layout(vk::ImageLayout::UNDEFINED);
         // SAFETY: the caller has checked extent and format against the device.
-        let image = unsafe { gpu.device.create_image(&info, None) }.named("vkCreateImage")?;
+        let image = unsafe { gpu.device.create_image(&info, None) }.on(gpu, "vkCreateImage")?;
         let mut this =
             Self { gpu: Arc::clone(gpu), image, view: vk::ImageView::null(), allocation: None, shape };
         // SAFETY: the image was made from this device.
@@ -195,7 +203,7 @@ impl Image {
         // SAFETY: the allocation was made for this image's requirements and is bound once.
         let bound = unsafe { gpu.device.bind_image_memory(image, allocation.memory(), allocation.offset()) };
         this.allocation = Some(allocation);
-        bound.named("vkBindImageMemory")?;
+        bound.on(gpu, "vkBindImageMemory")?;
         let view_type = if kind == vk::ImageType::TYPE_3D {
             vk::ImageViewType::TYPE_3D
         } else {
@@ -207,7 +215,7 @@ impl Image {
             .format(format)
             .subresource_range(COLOR_RANGE);
         // SAFETY: the image is bound and its format and kind are those of the view.
-        this.view = unsafe { gpu.device.create_image_view(&info, None) }.named("vkCreateImageView")?;
+        this.view = unsafe { gpu.device.create_image_view(&info, None) }.on(gpu, "vkCreateImageView")?;
         Ok(this)
     }
 
@@ -227,8 +235,12 @@ impl Image {
 
 impl Drop for Image {
     fn drop(&mut self) {
-        // SAFETY: made from this device, destroyed once (destroying a null view does nothing); the holder makes sure
-        // that the device is done with it.
+        if self.gpu.is_abandoned() {
+            std::mem::forget(self.allocation.take());
+            return;
+        }
+        // SAFETY: made from this device, destroyed once (destroying a null view does nothing); the holder
+        // makes sure that the device is done with it.
         unsafe {
             self.gpu.device.destroy_image_view(self.view, None);
             self.gpu.device.destroy_image(self.image, None);

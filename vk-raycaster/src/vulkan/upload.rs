@@ -51,8 +51,8 @@ pub(crate) struct Brick {
 /// Voxels that a brick holds beyond its cells along an axis: one before and two behind.
 const APRON: usize = 3;
 
-/// Cuts a volume so that no brick has more than `limit` voxels along an axis or `most` voxels in all. Returns the bricks
-/// and their number along each axis; `None` when there were more than [`MAX_BRICKS`].
+/// Cuts a volume so that no brick has more than `limit` voxels along an axis or `most` voxels in all. Returns
+/// the bricks and their number along each axis; `None` when there were more than [`MAX_BRICKS`].
 pub(crate) fn cut(dims: [usize; 3], limit: usize, most: u64) -> Option<(Vec<Brick>, [usize; 3])> {
     let mut grid = dims.map(|n| if n <= limit { 1 } else { n.div_ceil(limit.saturating_sub(APRON).max(1)) });
     let held = |grid: [usize; 3]| {
@@ -205,8 +205,8 @@ pub(crate) fn packed_shape(dims: [usize; 3]) -> Shape {
     Shape { extent: [PACKED_ROW as u32, rows, 0], format: vk::Format::R32_UINT, storage: true }
 }
 
-/// Whole rows of a packed volume's image. Each word holds a voxel and its neighbors at x + 1, y + 1 and both, clamped to
-/// the edge, lowest byte first; words lie block by block, x fastest in a block and among blocks.
+/// Whole rows of a packed volume's image. Each word holds a voxel and its neighbors at x + 1, y + 1 and both,
+/// clamped to the edge, lowest byte first; words lie block by block, x fastest in a block and among blocks.
 fn pack_rows(voxels: &[u8], [nx, ny, nz]: [usize; 3], first_row: usize, out: &mut [u8]) {
     let [bx, by, bz] = [nx, ny, nz].map(|n| n.div_ceil(PACKED_EDGE));
     let first = first_row * (PACKED_ROW / PACKED_BLOCK);
@@ -263,8 +263,8 @@ pub(crate) fn fill_skip_map(fetch: VoxelFetch, bytes: &[u8], out: &mut [u8]) {
     }
 }
 
-/// The table's texels: four floats per entry; or, packed, at every 1/[`COLORS_PER_ENTRY`] entry the opacities of the
-/// entry and the next, and the color in 11, 11 and 10 bits.
+/// The table's texels: four floats per entry; or, packed, at every 1/[`COLORS_PER_ENTRY`] entry the opacities
+/// of the entry and the next, and the color in 11, 11 and 10 bits.
 pub(crate) fn table_texels(fetch: VoxelFetch, table: &StepTable) -> Vec<u8> {
     if fetch != VoxelFetch::Packed {
         return bytemuck::cast_slice(table.as_slice()).to_vec();

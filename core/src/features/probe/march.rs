@@ -241,11 +241,7 @@ impl<'a> March<'a> {
                     let place = [index % nx, index / nx % ny, index / nx / ny];
                     if !jump.covers(place) {
                         jump.finish(&mut self.distance_skips);
-                        jump = Jump {
-                            from: place,
-                            reach: i32::from(distance[cell]),
-                            length: 0.0,
-                        };
+                        jump = Jump { from: place, reach: i32::from(distance[cell]), length: 0.0 };
                     }
                     jump.length += length;
                 }
@@ -432,4 +428,3 @@ impl Jump {
         }
     }
 }
-

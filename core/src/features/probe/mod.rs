@@ -2,10 +2,12 @@
 
 mod march;
 mod packet;
+#[cfg(test)]
+mod tests;
 
 use self::march::{
-    CHORD, DEPTH, DRAW, EMPTY, FIELDS, March, OCCUPIED, RUNS, SHADOW, SHADOW_ALL, SHADOW_SKIPS, TERMINATED, U, V,
-    VISIBLE,
+    CHORD, DEPTH, DRAW, EMPTY, FIELDS, March, OCCUPIED, RUNS, SHADOW, SHADOW_ALL, SHADOW_SKIPS, TERMINATED,
+    U, V, VISIBLE,
 };
 use super::{Footprint, TransferSummary, VolumeSummary};
 use crate::kernels::Level;
@@ -95,7 +97,13 @@ impl Probe {
     /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `volume` must be the one that `transfer`
     /// was made from; a summary of another grid gives [`Probe::NOTHING`]. `side` rays go along each side of the
     /// footprint's bounding rectangle, [`MAX_PROBE_SIDE`] at most; with 0 the footprint alone is known.
-    pub fn new(volume: &VolumeSummary, transfer: &mut TransferSummary, frame: &Frame, side: usize) -> Self {
+    #[cfg(test)]
+    pub(crate) fn new(
+        volume: &VolumeSummary,
+        transfer: &mut TransferSummary,
+        frame: &Frame,
+        side: usize,
+    ) -> Self {
         Self::on(Level::detect(), volume, transfer, frame, side)
     }
 
@@ -131,7 +139,7 @@ impl Probe {
             _ => {
                 let side = side.min(MAX_PROBE_SIDE);
                 Self::cast::<MAX_RAYS>(level, volume, transfer, frame, footprint, side)
-            },
+            }
         }
     }
 
@@ -219,18 +227,14 @@ impl Probe {
     }
 
     /// Share of the image that the box covers.
-    pub fn footprint(&self) -> &Footprint {
+    pub(crate) fn footprint(&self) -> &Footprint {
         &self.footprint
     }
 
     /// Mean length of the box along rays that meet it, reference steps.
-    pub fn mean_chord(&self) -> f32 {
+    #[cfg(test)]
+    pub(crate) fn mean_chord(&self) -> f32 {
         self.mean_chord
-    }
-
-    /// Largest such length, reference steps.
-    pub fn max_chord(&self) -> f32 {
-        self.max_chord
     }
 
     /// Share of rays that end before they leave the box.

@@ -2,8 +2,8 @@
 //! arithmetic of [`March::ray`] to the last bit. A lane whose ray has ended waits for the others of its packet.
 
 use super::march::{
-    CHORD, DEPTH, DRAW, EMPTY, FIELDS, March, OCCUPIED, RUNS, SHADOW, SHADOW_ALL, SHADOW_SKIPS, TERMINATED, TINY, U,
-    V, VISIBLE,
+    CHORD, DEPTH, DRAW, EMPTY, FIELDS, March, OCCUPIED, RUNS, SHADOW, SHADOW_ALL, SHADOW_SKIPS, TERMINATED,
+    TINY, U, V, VISIBLE,
 };
 use super::{SHADOW_DIRECTION, SHADOW_OPACITY};
 use crate::features::transfer::OPTICS_WORDS;

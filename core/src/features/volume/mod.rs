@@ -3,7 +3,7 @@
 mod scan;
 
 use crate::error::bail;
-use crate::scene::{ScalarType, Scalars, VolumeView};
+use crate::scene::{ScalarType, Scalars, VolumeView, bounding_radius, check_edges, check_spacing};
 use crate::{Error, ErrorKind, Result};
 use alloc::vec;
 use alloc::vec::Vec;
@@ -28,7 +28,8 @@ const BLOCKS_PER_CELL_AXIS: usize = 8;
 /// How a [`VolumeSummary`] is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SummaryOptions {
-    /// Most cells along each axis, 1…128. Cells have the edge of a block, doubled along an axis until this holds.
+    /// Most cells along each axis, 1…128. Cells have the edge of a block, doubled along an axis until this
+    /// holds.
     pub cells_per_axis: usize,
 }
 
@@ -49,10 +50,11 @@ pub struct Geometry {
 
 /// What is kept of a volume: about 12 bytes per cell of 8³ voxels, never the voxels.
 ///
-/// Cell (i, j, k) with edge e holds the samples between the centers of voxels e·i and e·(i + 1) along each axis; so one
-/// voxel beyond its far side enters its bounds. The edge is [`BLOCK_EDGE`] voxels along each axis, coarser by powers of two where the volume is larger than
-/// the options allow; then the value bounds of the blocks inside each cell are kept too, so that emptiness is still
-/// judged by the blocks that a renderer skips.
+/// Cell (i, j, k) with edge e holds the samples between the centers of voxels e·i and e·(i + 1) along each
+/// axis; so one voxel beyond its far side enters its bounds. The edge is [`BLOCK_EDGE`] voxels along each
+/// axis, coarser by powers of two where the volume is larger than the options allow; then the value bounds of
+/// the blocks inside each cell are kept too, so that emptiness is still judged by the blocks that a renderer
+/// skips.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeSummary {
     dims: [usize; 3],
@@ -65,14 +67,14 @@ pub struct VolumeSummary {
     edge: [usize; 3],
     /// Voxels along each axis of a block.
     block: [usize; 3],
-    /// Lowest entry of a 256-entry table that a sample in each cell can touch (interpolation with the voxels beyond its far
-    /// side included), and the highest.
+    /// Lowest entry of a 256-entry table that a sample in each cell can touch (interpolation with the voxels
+    /// beyond its far side included), and the highest.
     low: Vec<u8>,
     high: Vec<u8>,
     /// Ascending quantile bounds of each cell's own voxels, as table entries.
     quantiles: Vec<[u8; QUANTILES + 1]>,
-    /// Bounds of the blocks inside each cell, cell after cell; `first_block[c]..first_block[c + 1]`. Empty where every
-    /// cell is one block.
+    /// Bounds of the blocks inside each cell, cell after cell; `first_block[c]..first_block[c + 1]`. Empty
+    /// where every cell is one block.
     block_low: Vec<u8>,
     block_high: Vec<u8>,
     first_block: Vec<u32>,
@@ -85,8 +87,8 @@ impl VolumeSummary {
     /// Scans a volume once.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with more
-    /// blocks than can be indexed.
+    /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with
+    /// more blocks than can be indexed.
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
         let mut summary = Self::layout(volume.dims(), volume.spacing(), volume.scalar_type(), options)?;
         match volume.scalars() {
@@ -112,12 +114,13 @@ impl VolumeSummary {
     }
 
     /// From bounds that the renderer already has: one (low, high) pair of normalized scalars per brick of
-    /// `brick_edge` voxels, x fastest, ⌈dims / edge⌉ bricks per axis, the apron that interpolation needs included.
-    /// Values inside a brick are taken as spread evenly between its bounds. NaN bounds count as 0.
+    /// `brick_edge` voxels, x fastest, ⌈dims / edge⌉ bricks per axis, the apron that interpolation needs
+    /// included. Values inside a brick are taken as spread evenly between its bounds. NaN bounds count as 0.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for a zero size, spacing or edge, [`ErrorKind::SizeMismatch`] when the number of
-    /// bricks is not the one that sizes and edge give.
+    /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with_spacing`]
+    /// refuses, [`ErrorKind::SizeMismatch`] for a size over [`crate::scene::MAX_VOLUME_EDGE`] or when the
+    /// number of bricks is not the one that sizes and edge give.
     pub fn from_bricks(
         dims: [usize; 3],
         spacing: [f32; 3],
@@ -131,19 +134,19 @@ impl VolumeSummary {
                 "volume of {dims:?} voxels in bricks of {brick_edge:?}; every size must be at least 1"
             );
         }
-        if spacing.iter().any(|s| !(s.is_finite() && *s > 0.0)) {
-            bail!(InvalidArgument, "voxel spacing is {spacing:?}; all three must be finite and positive");
-        }
+        check_edges(dims)?;
+        let spacing = check_spacing(spacing)?;
         let cells: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(brick_edge[a]));
         let expected = count(cells, dims)?;
         if expected != bounds.len() {
             bail!(
                 SizeMismatch,
-                "a volume of {dims:?} voxels in bricks of {brick_edge:?} has {expected} bricks, {} bounds were given; pass one (low, high) pair per brick, x fastest",
+                "a volume of {dims:?} voxels in bricks of {brick_edge:?} has {expected} bricks, {} bounds \
+                 were given; pass one (low, high) pair per brick, x fastest",
                 bounds.len()
             );
         }
-        let mut summary = Self::with_grid(dims, Vec3::from_array(spacing), scalar_type, cells, brick_edge)?;
+        let mut summary = Self::with_grid(dims, spacing, scalar_type, cells, brick_edge)?;
         summary.block = brick_edge;
         let mut smallest = 1.0f32;
         let clean = |v: f32| if v.is_nan() { 0.0 } else { v.clamp(0.0, 1.0) };
@@ -175,31 +178,31 @@ impl VolumeSummary {
     /// Radius of the bounding sphere in world units, as in [`VolumeView::bounding_radius`].
     pub fn bounding_radius(&self) -> f32 {
         let [x, y, z] = self.dims.map(|n| n as f32);
-        0.5 * (Vec3::new(x, y, z) * self.spacing).length()
+        bounding_radius(Vec3::new(x, y, z) * self.spacing)
     }
 
     /// The element type of the volume.
-    pub fn scalar_type(&self) -> ScalarType {
+    pub(crate) fn scalar_type(&self) -> ScalarType {
         self.scalar_type
     }
 
     /// The box that rays meet.
-    pub fn geometry(&self) -> Geometry {
+    pub(crate) fn geometry(&self) -> Geometry {
         self.geometry
     }
 
     /// Cells along x, y, z.
-    pub fn cells(&self) -> [usize; 3] {
+    pub(crate) fn cells(&self) -> [usize; 3] {
         self.cells
     }
 
     /// Voxels along each axis of a cell (the last cell of an axis may reach beyond the volume).
-    pub fn cell_edge(&self) -> [usize; 3] {
+    pub(crate) fn cell_edge(&self) -> [usize; 3] {
         self.edge
     }
 
     /// Voxels along each axis of the blocks by which emptiness is judged.
-    pub fn block_edge(&self) -> [usize; 3] {
+    pub(crate) fn block_edge(&self) -> [usize; 3] {
         self.block
     }
 
@@ -207,7 +210,8 @@ impl VolumeSummary {
     ///
     /// # Panics
     /// When the cell lies outside the grid.
-    pub fn cell_bounds(&self, x: usize, y: usize, z: usize) -> (u8, u8) {
+    #[cfg(test)]
+    pub(crate) fn cell_bounds(&self, x: usize, y: usize, z: usize) -> (u8, u8) {
         assert!(
             x < self.cells[0] && y < self.cells[1] && z < self.cells[2],
             "cell {x}, {y}, {z} outside the grid"
@@ -217,7 +221,7 @@ impl VolumeSummary {
     }
 
     /// Share of voxels per table entry; sums to 1.
-    pub fn histogram(&self) -> &[f32; 256] {
+    pub(crate) fn histogram(&self) -> &[f32; 256] {
         &self.histogram
     }
 
@@ -226,15 +230,15 @@ impl VolumeSummary {
         self.non_finite_share
     }
 
-    /// Whether a renderer that looks stored values up in a table must shift or scale each of them: not where they are
-    /// integers from 0, which is among them, to at most [`LARGEST_INDEX`]. Of a volume made of bricks the bounds tell: 0
-    /// among those of integers is taken as a stored 0.
-    pub fn remapped(&self) -> bool {
+    /// Whether a renderer that looks stored values up in a table must shift or scale each of them: not where
+    /// they are integers from 0, which is among them, to at most [`LARGEST_INDEX`]. Of a volume made of
+    /// bricks the bounds tell: 0 among those of integers is taken as a stored 0.
+    pub(crate) fn remapped(&self) -> bool {
         self.remapped
     }
 
     /// Number of voxels.
-    pub fn voxels(&self) -> f64 {
+    pub(crate) fn voxels(&self) -> f64 {
         self.dims.iter().map(|&n| n as f64).product()
     }
 
@@ -292,7 +296,7 @@ impl VolumeSummary {
     ) -> Result<Self> {
         let n = count(cells, dims)?;
         let extent = Vec3::new(dims[0] as f32, dims[1] as f32, dims[2] as f32) * spacing;
-        let radius = 0.5 * extent.length();
+        let radius = bounding_radius(extent);
         let geometry =
             Geometry { half_extent: 0.5 * extent / radius, reference_step: spacing.min_element() / radius };
         Ok(Self {

@@ -6,7 +6,8 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 impl VolumeSummary {
-    /// As [`scan`](Self::scan) for numbers that are mapped first. `read((start, stride), out)` copies a row's values.
+    /// As [`scan`](Self::scan) for numbers that are mapped first. `read((start, stride), out)` copies a row's
+    /// values.
     pub(super) fn scan_numbers(
         &mut self,
         volume: &VolumeView<'_>,
@@ -30,12 +31,12 @@ impl VolumeSummary {
             self.scalar_type == ScalarType::F32 || smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
     }
 
-    /// Reads every voxel once. `fetch((start, stride), [low, high, near])` writes three bytes per voxel of a row, from
-    /// which `map` leads to table entries without changing their order, and says how many of them are not finite. Gives
-    /// how often each byte was written as `near`.
+    /// Reads every voxel once. `fetch((start, stride), [low, high, near])` writes three bytes per voxel of a
+    /// row, from which `map` leads to table entries without changing their order, and says how many of them
+    /// are not finite. Gives how often each byte was written as `near`.
     ///
-    /// A row enters the bounds of the blocks that it lies in and, where it is a block's first along y or z, those of the
-    /// blocks before. Rows are joined voxel by voxel and reduced along x once per block.
+    /// A row enters the bounds of the blocks that it lies in and, where it is a block's first along y or z,
+    /// those of the blocks before. Rows are joined voxel by voxel and reduced along x once per block.
     pub(super) fn scan(
         &mut self,
         volume: &VolumeView<'_>,
@@ -178,7 +179,8 @@ impl Joined {
         self.high.iter_mut().zip(high).for_each(|(a, &b)| *a = (*a).max(b));
     }
 
-    /// Widens the bounds of a row of blocks: a block's values are its own and the first one of the next block.
+    /// Widens the bounds of a row of blocks: a block's values are its own and the first one of the next
+    /// block.
     fn reduce(&self, block: usize, bounds: &mut [[u8; 2]]) {
         for (bx, bound) in bounds.iter_mut().enumerate() {
             let range = bx * block..(bx * block + block + 1).min(self.low.len());
@@ -188,7 +190,7 @@ impl Joined {
     }
 }
 
-/// The entries of positions in 0…255, in arithmetic that compilers vectorise.
+/// The entries of positions in 0…255, in arithmetic that compilers vectorize.
 pub(super) fn entries(positions: &[f32], [low, high, near]: [&mut [u8]; 3]) {
     /// 2²³: adding it rounds to an integer, which then stands in the low bits.
     const SHIFT: f32 = 8_388_608.0;
@@ -205,7 +207,7 @@ pub(super) fn entries(positions: &[f32], [low, high, near]: [&mut [u8]; 3]) {
     }
 }
 
-/// Counts bytes in four tables in turn: in one, equal neighbours would wait for each other.
+/// Counts bytes in four tables in turn: in one, equal neighbors would wait for each other.
 fn count_entries(bytes: &[u8], counts: &mut [[u32; 256]; 4]) {
     let (fours, rest) = bytes.as_chunks::<4>();
     for four in fours {

@@ -2,6 +2,7 @@
 
 use super::layout::{Block, Buffer, Output, Shape, Taps, cut};
 use super::tiles::{self, Cut, MAX_POSITIONS, Tile};
+use crate::Result;
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
 use alloc::vec::Vec;
@@ -47,7 +48,7 @@ impl ChannelsLast {
         [channel_stride, column, row, plane]: [usize; 4],
         border: usize,
         level: Level,
-    ) -> Self {
+    ) -> Result<Self> {
         let cut = cut(level);
         let shape = Shape::of(block);
         let k = shape.kernel;
@@ -67,7 +68,7 @@ impl ChannelsLast {
             channel += vectors * cut.lanes;
             place += all * block.inputs * vectors * cut.lanes;
         }
-        let mut weights = Buffer::zeroed(place);
+        let mut weights = Buffer::zeroed(place)?;
         let packed = weights.as_mut_slice();
         for &(channel, vectors, place) in &blocks {
             let wide = vectors * cut.lanes;
@@ -80,10 +81,10 @@ impl ChannelsLast {
                 }
             }
         }
-        let mut bias = Buffer::zeroed(out_channels);
+        let mut bias = Buffer::zeroed(out_channels)?;
         bias.as_mut_slice()[..block.outputs].copy_from_slice(block.bias);
         let out_len = (shape.output + 2 * border).pow(3) * out_channels;
-        Self {
+        Ok(Self {
             level,
             cut,
             shape,
@@ -99,15 +100,15 @@ impl ChannelsLast {
             border,
             out_channels,
             out_len,
-        }
+        })
     }
 
     fn positions(&self) -> usize {
         self.shape.output.pow(3)
     }
 
-    /// Number of tasks that a layer with its whole input at hand falls into: chunks of positions, then blocks of
-    /// channels, then tiles.
+    /// Number of tasks that a layer with its whole input at hand falls into: chunks of positions, then blocks
+    /// of channels, then tiles.
     pub(super) fn tasks(&self) -> usize {
         self.positions().div_ceil(CHUNK) * self.blocks.len() * CHUNK.div_ceil(self.cut.positions)
     }
@@ -130,8 +131,8 @@ impl ChannelsLast {
         }
     }
 
-    /// Computes one block of channels at a range of positions, whose inputs lie `plane` floats apart from one output
-    /// plane to the next (0 where the taps say where the planes lie).
+    /// Computes one block of channels at a range of positions, whose inputs lie `plane` floats apart from one
+    /// output plane to the next (0 where the taps say where the planes lie).
     pub(super) fn tiles(
         &self,
         input: &[f32],
@@ -191,7 +192,8 @@ impl Kernel for Tiles<'_> {
             for i in 0..step {
                 let from = z * plane + stride * (y * layer.row + x * layer.column);
                 tile.input[i] = input[from..].as_ptr();
-                // SAFETY: the place lies inside the layer's output, and so does the block of channels after it.
+                // SAFETY: the place lies inside the layer's output, and so does the block of channels after
+                // it.
                 tile.output[i] = unsafe { target.0.add(layer.place(z, y, x) + channel) };
                 // The last tile repeats its last position: the same numbers go to the same places.
                 if p + i + 1 < positions.end {
@@ -205,8 +207,8 @@ impl Kernel for Tiles<'_> {
                 }
             }
             tile.next = input.as_ptr().wrapping_add(z * plane + stride * (y * layer.row + x * layer.column));
-            // SAFETY: a position's place plus any tap and channel lies inside the bordered input; weights and biases
-            // are packed for whole blocks; no other thread has these positions and channels.
+            // SAFETY: a position's place plus any tap and channel lies inside the bordered input; weights and
+            // biases are packed for whole blocks; no other thread has these positions and channels.
             unsafe { tiles::run_tile(s, &tile, step, vectors) };
             p += step;
         }

@@ -1,9 +1,10 @@
 //! Sizes, aligned memory and places that the layers share.
 
 use super::tiles::Cut;
+use crate::Result;
+use crate::error::bail;
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
-use alloc::vec;
 use alloc::vec::Vec;
 use core::ops::Range;
 
@@ -19,8 +20,21 @@ pub(crate) struct Buffer(Vec<Line>);
 struct Line([f32; LINE]);
 
 impl Buffer {
-    pub(super) fn zeroed(len: usize) -> Self {
-        Self(vec![Line([0.0; LINE]); len.div_ceil(LINE)])
+    /// # Errors
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where the allocator has no such room.
+    pub(super) fn zeroed(len: usize) -> Result<Self> {
+        let lines = len.div_ceil(LINE);
+        let mut data = Vec::new();
+        if data.try_reserve_exact(lines).is_err() {
+            bail!(
+                SizeMismatch,
+                "the volume encoder needs a buffer of {} bytes, and memory has no room for it: use a model with a \
+                 smaller encoder, or give the process more memory",
+                lines.saturating_mul(size_of::<Line>())
+            );
+        }
+        data.resize(lines, Line([0.0; LINE]));
+        Ok(Self(data))
     }
 
     pub(super) fn as_slice(&self) -> &[f32] {
@@ -89,7 +103,8 @@ impl Shape {
         }
     }
 
-    /// The input planes that output plane `z` needs, and the first kernel plane among them: the rest is padding.
+    /// The input planes that output plane `z` needs, and the first kernel plane among them: the rest is
+    /// padding.
     pub(super) fn planes(&self, z: usize) -> (Range<usize>, usize) {
         let low = z * self.stride;
         let first = low.max(self.padding);

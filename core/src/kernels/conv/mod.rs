@@ -2,22 +2,24 @@
 //!
 //! # Layouts
 //!
-//! The first layer has one input channel, so its vectors run along x. Its input planes are *prepared*: every row is split
-//! into `stride` phases (padded coordinate X = stride·q + phase goes to place q of its phase), so that the samples which
-//! one tap needs for neighbouring outputs lie side by side. Its output is *planar*: one row per y and channel.
+//! The first layer has one input channel, so its vectors run along x. Its input planes are *prepared*: every
+//! row is split into `stride` phases (padded coordinate X = stride·q + phase goes to place q of its phase),
+//! so that the samples which one tap needs for neighboring outputs lie side by side. Its output is *planar*:
+//! one row per y and channel.
 //!
-//! Every rest layer has its vectors along output channels and takes its input one number at a time, broadcast. Its input
-//! is either the planar output of the first layer, or *channels last*: (z, y, x, channel) with zero borders as wide as the
-//! layer's padding. Its output is channels last, with the borders of the layer that follows.
+//! Every rest layer has its vectors along output channels and takes its input one number at a time,
+//! broadcast. Its input is either the planar output of the first layer, or *channels last*: (z, y, x,
+//! channel) with zero borders as wide as the layer's padding. Its output is channels last, with the borders
+//! of the layer that follows.
 //!
-//! The first two layers run plane by plane: a thread keeps only as many prepared planes and planes of the first layer's
-//! output as the kernels span. Borders are zeroed once and never written.
+//! The first two layers run plane by plane: a thread keeps only as many prepared planes and planes of the
+//! first layer's output as the kernels span. Borders are zeroed once and never written.
 //!
 //! # Order
 //!
-//! Every output starts at its bias and adds its taps in one accumulator, in the order (kernel z, y, x, input channel), or
-//! (kernel z, y, input channel, x) at all positions of a channel. So neither the tile an output falls into nor the number of
-//! threads changes a bit.
+//! Every output starts at its bias and adds its taps in one accumulator, in the order (kernel z, y, x, input
+//! channel), or (kernel z, y, input channel, x) at all positions of a channel. So neither the tile an output
+//! falls into nor the number of threads changes a bit.
 
 mod channels_last;
 mod head;
@@ -25,6 +27,7 @@ mod layout;
 mod planar;
 mod tiles;
 
+use crate::Result;
 use crate::kernels::{Executor, Level};
 use alloc::vec;
 use alloc::vec::Vec;
@@ -66,9 +69,12 @@ struct Worker {
 
 impl Encoder {
     /// Packs checked blocks and the dense layer.
-    pub(crate) fn new(blocks: &[Block<'_>], fc: &Head<'_>, level: Level) -> Self {
+    ///
+    /// # Errors
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where memory has no room for the packed weights.
+    pub(crate) fn new(blocks: &[Block<'_>], fc: &Head<'_>, level: Level) -> Result<Self> {
         let padding_of = |i: usize| blocks.get(i).map_or(0, |b: &Block<'_>| b.padding);
-        let first = Planar::new(&blocks[0], padding_of(1), level);
+        let first = Planar::new(&blocks[0], padding_of(1), level)?;
         let mut rest: Vec<ChannelsLast> = Vec::with_capacity(blocks.len() - 1);
         for (i, block) in blocks.iter().enumerate().skip(1) {
             let edge = block.input_edge + 2 * block.padding;
@@ -84,13 +90,13 @@ impl Encoder {
                 [channel_stride, column, row, plane],
                 padding_of(i + 1),
                 level,
-            ));
+            )?);
         }
         // The dense layer's weights, moved to where the last layer writes.
         let edge = blocks[blocks.len() - 1].output_edge;
         let channels = blocks[blocks.len() - 1].outputs;
         let dense_len = rest.last().map_or(edge * first.out_plane, |l| l.out_len).next_multiple_of(LINE);
-        let mut dense = Buffer::zeroed(dense_len * fc.outputs);
+        let mut dense = Buffer::zeroed(dense_len * fc.outputs)?;
         for (row, weights) in
             dense.as_mut_slice().chunks_exact_mut(dense_len).zip(fc.weight.chunks_exact(fc.inputs))
         {
@@ -109,7 +115,7 @@ impl Encoder {
                 }
             }
         }
-        Self { level, first, rest, dense, dense_len, dense_bias: fc.bias.to_vec() }
+        Ok(Self { level, first, rest, dense, dense_len, dense_bias: fc.bias.to_vec() })
     }
 
     fn sizes(&self) -> impl Iterator<Item = usize> {
@@ -128,42 +134,52 @@ impl Encoder {
     }
 
     /// Makes the scratch fit this encoder and number of threads.
-    fn fit(&self, scratch: &mut Scratch, threads: usize) {
+    fn fit(&self, scratch: &mut Scratch, threads: usize) -> Result<()> {
         if !self.sizes().eq(scratch.sizes.iter().copied()) {
-            scratch.workers.clear();
-            scratch.sizes.clear();
-            scratch.sizes.extend(self.sizes());
-            scratch.outputs = vec![Buffer::zeroed(scratch.sizes[2])];
-            scratch.outputs.extend(self.rest.iter().map(|l| Buffer::zeroed(l.out_len)));
+            // Empty until everything is there, so that a scratch which memory had no room for is made anew.
+            *scratch = Scratch::default();
+            let sizes: Vec<usize> = self.sizes().collect();
+            scratch.outputs.push(Buffer::zeroed(sizes[2])?);
+            for layer in &self.rest {
+                scratch.outputs.push(Buffer::zeroed(layer.out_len)?);
+            }
+            scratch.sizes = sizes;
         }
         while scratch.workers.len() < threads {
             let taps =
                 self.first.shape.kernel.pow(3).max(self.rest.first().map_or(0, |l| l.shape.kernel.pow(3)));
             scratch.workers.push(Worker {
-                prepared: Buffer::zeroed(scratch.sizes[0]),
-                ring: Buffer::zeroed(scratch.sizes[1]),
+                prepared: Buffer::zeroed(scratch.sizes[0])?,
+                ring: Buffer::zeroed(scratch.sizes[1])?,
                 taps: vec![0; taps],
             });
         }
+        Ok(())
     }
 
-    /// Working memory for a given number of threads.
-    pub(crate) fn scratch(&self, threads: usize) -> Scratch {
-        let mut scratch = Scratch::default();
-        self.fit(&mut scratch, threads);
-        scratch
+    /// Bytes of the packed weights and of one thread's working memory.
+    #[cfg(test)]
+    pub(crate) fn memory(&self) -> usize {
+        let weights = |w: &Buffer, bias: &Buffer| w.as_slice().len() + bias.as_slice().len();
+        let rest = self.rest.iter().map(|l| weights(&l.weights, &l.bias) + l.out_len + 2 * l.taps.len());
+        let first = weights(&self.first.weights, &self.first.bias);
+        let working: usize = self.sizes().take(3).sum();
+        size_of::<f32>() * (first + rest.sum::<usize>() + working + self.dense.as_slice().len())
     }
 
-    /// Runs the network; `features` has one place per output of the dense layer.
+    /// Runs the network; `features` has one place per output of the dense layer. Makes the scratch fit first.
+    ///
+    /// # Errors
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where memory has no room for the scratch.
     pub(crate) fn run(
         &self,
         prepare: &Prepare<'_>,
         scratch: &mut Scratch,
         executor: Executor<'_>,
         features: &mut [f32],
-    ) {
+    ) -> Result<()> {
         let threads = executor.threads();
-        self.fit(scratch, threads);
+        self.fit(scratch, threads)?;
         let Scratch { workers, outputs, .. } = scratch;
         let workers = &mut workers[..threads];
         let planes = match self.rest.first() {
@@ -196,6 +212,7 @@ impl Encoder {
             x: &last[..self.dense_len.min(last.len())],
             features,
         });
+        Ok(())
     }
 
     /// The first layers, split over the workers by output planes.

@@ -2,6 +2,7 @@
 
 use super::layout::{Block, Buffer, LINE, Shape, cut};
 use super::tiles::{self, Cut, Row};
+use crate::Result;
 use crate::kernels::Level;
 use crate::kernels::resample::{Map, Scalar};
 use crate::kernels::simd::{Kernel, Simd};
@@ -40,8 +41,8 @@ pub(crate) struct PreparedPlane<'a> {
 }
 
 impl PreparedPlane<'_> {
-    /// Fills the plane from rows of voxels that start at `base` and follow at `stride`, mapped to [0, 1] by `map` and
-    /// from there to [-1, 1].
+    /// Fills the plane from rows of voxels that start at `base` and follow at `stride`, mapped to [0, 1] by
+    /// `map` and from there to [-1, 1].
     pub(crate) fn fill<T: Scalar, M: Map<T>>(&mut self, src: &[T], base: usize, stride: usize, map: M) {
         struct Body<'a, 'b, T, M>(&'a mut PreparedPlane<'b>, &'a [T], usize, usize, M);
         impl<T: Scalar, M: Map<T>> Kernel for Body<'_, '_, T, M> {
@@ -87,7 +88,7 @@ impl PreparedPlane<'_> {
 }
 
 impl Planar {
-    pub(super) fn new(block: &Block<'_>, border: usize, level: Level) -> Self {
+    pub(super) fn new(block: &Block<'_>, border: usize, level: Level) -> Result<Self> {
         let cut = cut(level);
         let shape = Shape::of(block);
         let (kernel, stride) = (shape.kernel, shape.stride);
@@ -99,8 +100,8 @@ impl Planar {
             .next_multiple_of(LINE);
         let row = stride * phase;
         let padded = block.outputs.next_multiple_of(cut.group);
-        let mut weights = Buffer::zeroed(padded * kernel.pow(3));
-        let mut bias = Buffer::zeroed(padded);
+        let mut weights = Buffer::zeroed(padded * kernel.pow(3))?;
+        let mut bias = Buffer::zeroed(padded)?;
         bias.as_mut_slice()[..block.outputs].copy_from_slice(block.bias);
         let taps = kernel.pow(3);
         for c in 0..block.outputs {
@@ -112,7 +113,7 @@ impl Planar {
         // The zeros after a row are the zeros before the next one.
         let out_row = (shape.output + border).next_multiple_of(LINE);
         let out_plane = (shape.output + 2 * border) * padded * out_row;
-        Self {
+        Ok(Self {
             level,
             cut,
             shape,
@@ -126,7 +127,7 @@ impl Planar {
             out_row,
             out_plane,
             lead: border.next_multiple_of(LINE),
-        }
+        })
     }
 
     /// Place of x = 0 in a row of the whole output.
@@ -205,8 +206,8 @@ impl Kernel for Rows<'_> {
                     channels: group,
                     width: first.shape.output,
                 };
-                // SAFETY: every tap plus the width in whole steps stays inside the prepared planes (phases are long
-                // enough for it), the group's rows inside the output plane, which nobody else has.
+                // SAFETY: every tap plus the width in whole steps stays inside the prepared planes (phases
+                // are long enough for it), the group's rows inside the output plane, which nobody else has.
                 unsafe { tiles::run_row(s, &row) };
             }
         }

@@ -5,7 +5,7 @@ use crate::kernels::simd::Simd;
 /// Output positions per tile at most.
 pub(super) const MAX_POSITIONS: usize = 16;
 
-/// One tile of a later layer: a few output positions times one block of channels.
+/// One tile of a channels-last layer: a few output positions times one block of channels.
 pub(super) struct Tile {
     /// Per position: the input number that tap 0 and channel 0 take.
     pub(super) input: [*const f32; MAX_POSITIONS],
@@ -15,7 +15,7 @@ pub(super) struct Tile {
     pub(super) distinct: usize,
     /// Whether the positions lie two floats apart.
     pub(super) two_apart: bool,
-    /// Whether the taps come in tap_triples that lie one float apart.
+    /// Whether the taps come in triples that lie one float apart.
     pub(super) tap_triples: bool,
     /// As `input[0]`, of the tile after this one.
     pub(super) next: *const f32,
@@ -60,7 +60,7 @@ pub(super) struct Cut {
     pub(super) group: usize,
     /// Outputs along x per step in the first layer.
     pub(super) width: usize,
-    /// Positions per tile in the later layers.
+    /// Positions per tile in the channels-last layers.
     pub(super) positions: usize,
     /// Whether there are tiles of 16 positions and one vector.
     pub(super) wide: bool,
@@ -82,9 +82,9 @@ impl Cut {
 
 macro_rules! two_vectors {
     ($name:ident: $($p:literal $x:ident $a:ident $b:ident),*) => {
-        /// A tile of two vectors of channels. Integer instructions compete with the sums for their ports, so there are
-        /// few: with `TWO_APART`, positions lie two floats apart and share a pointer; with `CONTIGUOUS_CHANNELS`, channels lie side by side
-        /// and are taken four at a time.
+        /// A tile of two vectors of channels. Integer instructions compete with the sums for their ports, so
+        /// there are few: with `TWO_APART`, positions lie two floats apart and share a pointer; with
+        /// `CONTIGUOUS_CHANNELS`, channels lie side by side and are taken four at a time.
         #[inline(always)]
         unsafe fn $name<S: Simd, const TWO_APART: bool, const CONTIGUOUS_CHANNELS: bool>(s: S, tile: &Tile) {
             // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
@@ -161,7 +161,8 @@ macro_rules! one_vector {
 
 macro_rules! wide {
     ($name:ident: $($p:literal $x:ident $a:ident $b:ident),*) => {
-        /// A tile of 16 positions and one vector; position p + 8 lies as far from p as position 8 from position 0.
+        /// A tile of 16 positions and one vector; position p + 8 lies as far from p as position 8 from
+        /// position 0.
         #[inline(always)]
         unsafe fn $name<S: Simd>(s: S, tile: &Tile) {
             // SAFETY: `run_tile`'s caller vouches for every pointer that is read or written here.
@@ -198,8 +199,8 @@ macro_rules! wide {
     };
 }
 
-/// A tile of 16 positions, two floats apart, and one vector, for rows of three taps: each channel's three are added
-/// together, so that an input that two neighbours share is read once.
+/// A tile of 16 positions, two floats apart, and one vector, for rows of three taps: each channel's three are
+/// added together, so that an input that two neighbors share is read once.
 #[inline(always)]
 unsafe fn sixteen_by_tap_triples<S: Simd>(s: S, tile: &Tile) {
     macro_rules! body {
@@ -253,10 +254,12 @@ wide!(one_by_sixteen: 0 x0 a0 b0, 1 x1 a1 b1, 2 x2 a2 b2, 3 x3 a3 b3, 4 x4 a4 b4
 /// Computes a tile of `positions` positions and `vectors` vectors of channels.
 ///
 /// # Safety
-/// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] says so, `vectors` is 1 and positions p and p + 8 lie at one
-/// distance; where [`Tile::two_apart`] says so, position p lies 2·p floats from position 0, and where
-/// [`Tile::tap_triples`] does, taps come in tap_triples of neighbours. Every input pointer plus any tap plus any channel is readable, weights and biases are packed for the tile,
-/// and every output pointer has room for its vectors, which no other thread touches.
+/// `positions` is [`Cut::positions`], or 16 where [`Cut::wide`] says so, `vectors` is 1 and positions p and
+/// p + 8 lie at one distance. Where [`Tile::two_apart`] says so, position p lies 2·p floats from position 0.
+/// Where
+/// [`Tile::tap_triples`] says so, taps come in triples of neighbors. Every input pointer plus any tap plus
+/// any channel is readable, weights and biases are packed for the tile, and every output pointer has room for
+/// its vectors, which no other thread touches.
 #[inline(always)]
 pub(super) unsafe fn run_tile<S: Simd>(s: S, tile: &Tile, positions: usize, vectors: usize) {
     const { assert!(MAX_POSITIONS >= 16) };
@@ -341,9 +344,9 @@ row_step!(four_channels: 0 a0 b0, 1 a1 b1, 2 a2 b2, 3 a3 b3);
 /// Computes one row of the first layer for one group of channels.
 ///
 /// # Safety
-/// The input pointer plus any tap plus the width, rounded up to whole steps, is readable; weights and biases are packed
-/// for the group; the output has room for `width` floats per channel, rounded up to whole vectors with zeros (which SELU
-/// leaves zero), which no other thread touches.
+/// The input pointer plus any tap plus the width, rounded up to whole steps, is readable; weights and biases
+/// are packed for the group; the output has room for `width` floats per channel, rounded up to whole vectors
+/// with zeros (which SELU leaves zero), which no other thread touches.
 #[inline(always)]
 pub(super) unsafe fn run_row<S: Simd>(s: S, row: &Row) {
     let mut x = 0;

@@ -24,8 +24,9 @@ impl<const INT8: bool> Kernel for ForwardRows<'_, INT8> {
         let mut y: *mut f32 = scratch.b.as_mut_ptr().cast();
         let q: *mut u8 = scratch.quantized.as_mut_ptr().cast();
         let wide: *mut f32 = scratch.panel.as_mut_ptr().cast();
-        // SAFETY: `fits` has checked that the buffers hold `scratch.rows` rows of `stride` numbers each (`quantized`
-        // the same in bytes, padded to 32) and the largest panel; there are at most that many rows.
+        // SAFETY: `fits` has checked that the buffers hold `scratch.rows` rows of `stride` numbers each
+        // (`quantized` the same in bytes, padded to 32) and the largest panel; there are at most that many
+        // rows.
         unsafe {
             for (r, row) in inputs.chunks_exact(net.inputs).enumerate() {
                 net.load_inputs(simd, row, x.add(r * stride));
@@ -139,8 +140,8 @@ impl Mlp {
     }
 }
 
-/// SELU over `count` rows of `n` numbers, `stride` apart: a loop of its own, since one copy per sum of every tile would be
-/// most of the library's code.
+/// SELU over `count` rows of `n` numbers, `stride` apart: a loop of its own, since one copy per sum of every
+/// tile would be most of the library's code.
 ///
 /// # Safety
 /// `y` must hold the rows; `n` is a multiple of LANES.
@@ -157,11 +158,12 @@ unsafe fn selu_rows<S: Simd>(simd: S, y: *mut f32, count: usize, n: usize, strid
     }
 }
 
-/// `ROWS` rows through one panel: y = W·x + b. Every row's sums run over the inputs in order, whatever `ROWS` is.
+/// `ROWS` rows through one panel: y = W·x + b. Every row's sums run over the inputs in order, whatever `ROWS`
+/// is.
 ///
 /// # Safety
-/// `panel` must start with `n` biases, `weights` hold `inputs` × `n` numbers; `x` and `y` hold `ROWS` rows, `stride`
-/// apart, of `inputs` and `n` numbers.
+/// `panel` must start with `n` biases, `weights` hold `inputs` × `n` numbers; `x` and `y` hold `ROWS` rows,
+/// `stride` apart, of `inputs` and `n` numbers.
 #[inline(always)]
 #[allow(clippy::too_many_arguments, reason = "one tile's buffers")]
 unsafe fn tile<S: Simd, const ROWS: usize>(

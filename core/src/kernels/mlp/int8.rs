@@ -1,4 +1,5 @@
-//! The byte arithmetic of [`Storage::Int8`](super::Storage::Int8): inputs become unsigned bytes, sums are exact.
+//! The byte arithmetic of [`Storage::Int8`](super::Storage::Int8): inputs become unsigned bytes, sums are
+//! exact.
 
 use crate::kernels::simd::Simd;
 
@@ -9,8 +10,8 @@ pub(super) struct Range {
     pub(super) zero: f32,
 }
 
-/// Turns `n` numbers (a multiple of 16) into unsigned bytes. Anything not finite makes the scale NaN, and with it
-/// every result.
+/// Turns `n` numbers (a multiple of 16) into unsigned bytes. Anything not finite makes the scale NaN, and
+/// with it every result.
 ///
 /// # Safety
 /// `x` must hold `n` numbers and `q` have room for `n` bytes.
@@ -59,8 +60,8 @@ pub(super) unsafe fn panel_row_int8<S: Simd, const N: usize>(
     let pairs = 4 / vectors;
     let mut from = 0;
     while from < N {
-        // SAFETY: all offsets stay below `inputs`·N bytes in the weights, `inputs` in q and N elsewhere; `inputs` is a
-        // multiple of 32 = 8·max(pairs).
+        // SAFETY: all offsets stay below `inputs`·N bytes in the weights, `inputs` in q and N elsewhere;
+        // `inputs` is a multiple of 32 = 8·max(pairs).
         unsafe {
             let weights = panel.add(3 * N).cast::<i8>();
             let zero = simd.zero_i();
@@ -134,7 +135,8 @@ unsafe fn dequantize<S: Simd>(
     }
 }
 
-/// As `tile` of the module `batch`, for an int8 panel: `q` holds the rows' bytes, `bytes` apart, `ranges` their scales and zero points.
+/// As `tile` of the module `batch`, for an int8 panel: `q` holds the rows' bytes, `bytes` apart, `ranges`
+/// their scales and zero points.
 ///
 /// # Safety
 /// As `tile` of the module `batch`.

@@ -1,9 +1,10 @@
 //! Dense layers packed for streaming, and the networks made of them.
 //!
-//! A layer's outputs are padded to a multiple of 16 and cut into panels of 64, 32 and 16. A panel lies in memory in
-//! the order in which it is read: its biases, then for each input the weights of all its outputs. So a matrix-vector
-//! product is one sequential stream with all sums in registers, and the same panel serves a tile of several rows. The
-//! last layer, which has one output, stays a plain row. Padding is zero, and SELU(0) = 0 keeps it so.
+//! A layer's outputs are padded to a multiple of 16 and cut into panels of 64, 32 and 16. A panel lies in
+//! memory in the order in which it is read: its biases, then for each input the weights of all its outputs.
+//! So a matrix-vector product is one sequential stream with all sums in registers, and the same panel serves
+//! a tile of several rows. The last layer, which has one output, stays a plain row. Padding is zero, and
+//! SELU(0) = 0 keeps it so.
 //!
 //! | module | what |
 //! |---|---|
@@ -13,8 +14,9 @@
 //! | `batch` | blocks of rows, in tiles |
 //! | `int8` | the byte arithmetic of both |
 
-/// Writes out every row and vector of a tile with literal indices, so that each sum has a register of its own: in loops
-/// the compiler keeps arrays of sums in memory. Rows beyond `ROWS` and vectors beyond `VECTORS` vanish.
+/// Writes out every row and vector of a tile with literal indices, so that each sum has a register of its
+/// own: in loops the compiler keeps arrays of sums in memory. Rows beyond `ROWS` and vectors beyond `VECTORS`
+/// vanish.
 #[rustfmt::skip]
 macro_rules! unrolled {
     ($do:ident!) => {
@@ -43,7 +45,8 @@ pub(crate) use packing::{Dense, Line};
 use packing::{LINE_BYTES, Layer, pack};
 use row::{Forward, LastRow, LayerPart, LoadInputs};
 
-/// Rows that a batch works on at once: two buffers of them and a layer's weights stay in a second-level cache.
+/// Rows that a batch works on at once: two buffers of them and a layer's weights stay in a second-level
+/// cache.
 pub(crate) const BLOCK_ROWS: usize = 384;
 
 /// Lines of weights from which on a layer is worth splitting over two threads: 64 KiB.
@@ -60,7 +63,7 @@ pub(crate) struct Mlp {
     /// Inputs of the last layer, and where its row starts.
     last: (usize, usize),
     last_bias: f32,
-    /// Mean, then reciprocal of std, each padded to whole lines; empty without normalisation.
+    /// Mean, then reciprocal of std, each padded to whole lines; empty without normalization.
     norm: Vec<Line>,
     data: Vec<Line>,
     /// Widest activation, in numbers.
@@ -89,7 +92,8 @@ impl MlpScratch {
 impl Mlp {
     /// Packs the layers, first to last. `norm` is the mean and the std of each input.
     ///
-    /// Sizes must agree, the last layer must have one output, and nothing may be empty: callers have checked that.
+    /// Sizes must agree, the last layer must have one output, and nothing may be empty: callers have checked
+    /// that.
     pub(crate) fn new(
         level: Level,
         storage: Storage,
@@ -181,7 +185,8 @@ impl Mlp {
                         >= scratch.rows * self.width.next_multiple_of(32)))
     }
 
-    /// The last layer's output for one row of inputs, or `None` for a wrong number of inputs or a foreign scratch.
+    /// The last layer's output for one row of inputs, or `None` for a wrong number of inputs or a foreign
+    /// scratch.
     #[inline]
     pub(crate) fn forward(&self, inputs: &[f32], scratch: &mut MlpScratch) -> Option<f32> {
         if inputs.len() != self.inputs || !self.fits(scratch) {
@@ -239,7 +244,8 @@ impl Mlp {
         Some(self.level.run(LastRow { net: self, x }))
     }
 
-    /// The last layer's output for as many rows as `outputs` has elements; `None` as in [`forward`](Self::forward).
+    /// The last layer's output for as many rows as `outputs` has elements; `None` as in
+    /// [`forward`](Self::forward).
     pub(crate) fn forward_rows(
         &self,
         inputs: &[f32],

@@ -14,8 +14,8 @@ pub enum Storage {
     F16,
     /// bfloat16, widened when it is used.
     Bf16,
-    /// Signed bytes with one scale per output; a layer's inputs become unsigned bytes with a scale and a zero point found
-    /// at each call, sums are exact 32-bit integers. The first and the last layer stay F32.
+    /// Signed bytes with one scale per output; a layer's inputs become unsigned bytes with a scale and a zero
+    /// point found at each call, sums are exact 32-bit integers. The first and the last layer stay F32.
     Int8,
 }
 

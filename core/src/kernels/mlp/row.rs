@@ -18,13 +18,14 @@ unsafe fn panel_row<S: Simd, W: Format, const N: usize>(
     x: *const f32,
     y: *mut f32,
 ) {
-    // Eight sums: `vectors` outputs at a time, even and odd inputs apart, 4 / `vectors` pairs of inputs at a time.
+    // Eight sums: `vectors` outputs at a time, even and odd inputs apart, 4 / `vectors` pairs of inputs at a
+    // time.
     let vectors = if N / S::LANES < 4 { N / S::LANES } else { 4 };
     let pairs = 4 / vectors;
     let mut from = 0;
     while from < N {
-        // SAFETY: all offsets stay below `inputs`·N in the weights, `inputs` in x and N in bias and y; `inputs` is a
-        // multiple of 8 = 2·max(pairs).
+        // SAFETY: all offsets stay below `inputs`·N in the weights, `inputs` in x and N in bias and y;
+        // `inputs` is a multiple of 8 = 2·max(pairs).
         unsafe {
             let weights = panel.add(N);
             let zero = simd.splat(0.0);
@@ -84,8 +85,8 @@ impl<const INT8: bool> Kernel for Forward<'_, INT8> {
         let mut x: *mut f32 = scratch.a.as_mut_ptr().cast();
         let mut y: *mut f32 = scratch.b.as_mut_ptr().cast();
         let q: *mut u8 = scratch.quantized.as_mut_ptr().cast();
-        // SAFETY: `fits` has checked that both buffers hold the widest activation, padded to 16 (and `quantized` to
-        // 32), and packing has laid the panels out as the loops below walk them.
+        // SAFETY: `fits` has checked that both buffers hold the widest activation, padded to 16 (and
+        // `quantized` to 32), and packing has laid the panels out as the loops below walk them.
         unsafe {
             net.load_inputs(simd, inputs, x);
             for layer in &net.layers {
@@ -161,7 +162,7 @@ impl Kernel for LastRow<'_> {
 }
 
 impl Mlp {
-    /// Copies one row of inputs, normalised, and clears the padding behind it.
+    /// Copies one row of inputs, normalized, and clears the padding behind it.
     ///
     /// # Safety
     /// `inputs` must have the network's length and `x` room for it, padded to 16.
@@ -184,12 +185,12 @@ impl Mlp {
         }
     }
 
-    /// Outputs `from` to `to` (multiples of 64, or the layer's width) of one layer for one row, written to the start
-    /// of `y`.
+    /// Outputs `from` to `to` (multiples of 64, or the layer's width) of one layer for one row, written to
+    /// the start of `y`.
     ///
     /// # Safety
-    /// `x` must hold the layer's padded inputs, `y` have room for its width, `q` (int8 only) for its padded inputs in
-    /// bytes.
+    /// `x` must hold the layer's padded inputs, `y` have room for its width, `q` (int8 only) for its padded
+    /// inputs in bytes.
     #[inline(always)]
     #[allow(clippy::too_many_arguments, reason = "one row's buffers")]
     unsafe fn layer_row<S: Simd, const INT8: bool>(
@@ -237,7 +238,8 @@ impl Mlp {
             Storage::Bf16 if !INT8 => walk!(panel_row, AsBf16),
             _ if !INT8 => {}
             _ => {
-                // SAFETY: the caller vouches for the buffers; what lies in `q` beyond `filled` meets zero weights.
+                // SAFETY: the caller vouches for the buffers; what lies in `q` beyond `filled` meets zero
+                // weights.
                 let range = unsafe { quantize(simd, x, layer.filled, q) };
                 walk!(panel_row_int8, range);
             }

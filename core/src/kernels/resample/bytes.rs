@@ -44,8 +44,8 @@ pub(crate) fn bytes(
     }
 }
 
-/// As [`bytes`] for contiguous rows that shrink to a quarter: sums of four neighbours are dot products with ones, and no
-/// sum leaves its register before all rows are in.
+/// As [`bytes`] for contiguous rows that shrink to a quarter: sums of four neighbors are dot products with
+/// ones, and no sum leaves its register before all rows are in.
 struct Quads<'a> {
     g: &'a Geometry<'a>,
     src: &'a [u8],

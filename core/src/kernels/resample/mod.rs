@@ -1,5 +1,6 @@
-//! Inner loops of resampling: weighted sums of rows, then along the row. One source for every level; the order of
-//! operations is the same in each and products are never fused into sums, so every level gives the same bits.
+//! Inner loops of resampling: weighted sums of rows, then along the row. One source for every level; the
+//! order of operations is the same in each and products are never fused into sums, so every level gives the
+//! same bits.
 
 mod bytes;
 mod planes;
@@ -9,8 +10,8 @@ use bytemuck::Pod;
 pub(crate) use bytes::{bytes, integer_ratio};
 pub(crate) use planes::{Fetch, fetch, planes};
 
-/// The input voxels that one output voxel averages along one axis: `first … first + count`, with one weight for the
-/// first, one for the last, and one for all between. A single voxel has weight `head`.
+/// The input voxels that one output voxel averages along one axis: `first … first + count`, with one weight
+/// for the first, one for the last, and one for all between. A single voxel has weight `head`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Span {
     pub(crate) first: usize,
@@ -79,7 +80,7 @@ pub(crate) trait Scalar: Pod + Send + Sync {
     /// The stored value.
     fn to_f32(self) -> f32;
 
-    /// The stored values of two neighbours.
+    /// The stored values of two neighbors.
     #[inline(always)]
     fn pair(pair: [Self; 2]) -> [f32; 2] {
         [pair[0].to_f32(), pair[1].to_f32()]
@@ -92,7 +93,8 @@ impl Scalar for u8 {
         f32::from(self)
     }
 
-    /// Split by a mask and a shift of one word: compilers turn shuffles of single bytes into far more instructions.
+    /// Split by a mask and a shift of one word: compilers turn shuffles of single bytes into far more
+    /// instructions.
     #[inline(always)]
     fn pair(pair: [Self; 2]) -> [f32; 2] {
         let word = i32::from(u16::from_le_bytes(pair));
@@ -190,7 +192,7 @@ impl After {
 pub(crate) struct Geometry<'a> {
     /// Input voxels along x, y, z.
     pub(crate) dims: [usize; 3],
-    /// Elements between neighbours along x, y, z.
+    /// Elements between neighbors along x, y, z.
     pub(crate) strides: [usize; 3],
     /// Output voxels per axis.
     pub(crate) n: usize,
@@ -200,8 +202,8 @@ pub(crate) struct Geometry<'a> {
     pub(crate) level: Level,
 }
 
-/// Floats of scratch that one thread needs: a row sum, a second one for long sums, rows of voxels, and two rows for the
-/// spread.
+/// Floats of scratch that one thread needs: a row sum, a second one for long sums, rows of voxels, and two
+/// rows for the spread.
 pub(crate) fn scratch_len(row: usize, n: usize) -> usize {
     (2 + ROWS) * row + 2 * n
 }
@@ -215,11 +217,11 @@ fn reduced_span(i: usize, m: usize, n: usize) -> Span {
     if m < n { Span::single(i) } else { Span::of(i, m, n) }
 }
 
-/// Linear interpolation in place from the last `m` slabs of `data` to all `n` slabs of `slab` values each. `spare` holds
-/// two rows of any equal length that divides `slab`.
+/// Linear interpolation in place from the last `m` slabs of `data` to all `n` slabs of `slab` values each.
+/// `spare` holds two rows of any equal length that divides `slab`.
 ///
-/// Going up, slab `i` is written after everything that reads the source slab in the same place: that source is number
-/// `i - (n - m)`, and output `i` reads source `floor((i + ½)·m/n - ½)`, which is never below it.
+/// Going up, slab `i` is written after everything that reads the source slab in the same place: that source
+/// is number `i - (n - m)`, and output `i` reads source `floor((i + ½)·m/n - ½)`, which is never below it.
 pub(crate) fn spread(data: &mut [f32], m: usize, n: usize, slab: usize, spare: &mut [f32]) {
     let row = spare.len() / 2;
     let (low, high) = spare.split_at_mut(row);

@@ -4,8 +4,8 @@ use super::{After, Geometry, Map, ROWS, Scalar, Span, reduced_span, spread};
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
 
-/// Rows summed straight into one row of floats; longer sums go through a second one, which keeps rounding errors
-/// from piling up.
+/// Rows summed straight into one row of floats; longer sums go through a second one, which keeps rounding
+/// errors from piling up.
 const DIRECT_ROWS: usize = 64;
 
 /// Writes a row's voxels, as they enter the average: of the row that starts at a given element.
@@ -111,7 +111,8 @@ fn planes_body(
     }
 }
 
-/// Adds the rows of one plane to `sum`, weighted by the plane's weight times the row's. `rows` has room for [`ROWS`].
+/// Adds the rows of one plane to `sum`, weighted by the plane's weight times the row's. `rows` has room for
+/// [`ROWS`].
 #[inline(always)]
 fn sum_rows(
     g: &Geometry<'_>,

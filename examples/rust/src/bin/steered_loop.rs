@@ -1,5 +1,5 @@
-//! A render loop that holds a frame budget from its first frames on, without any model file: the session starts from
-//! default costs and learns from the times it observes.
+//! A render loop that holds a frame budget from its first frames on, without any model file: the session
+//! starts from default costs and learns from the times it observes.
 //!
 //! ```text
 //! cargo run --release -p entire-examples --bin steered_loop
@@ -48,7 +48,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let frame = frame_at(i)?;
         let plan = session.plan(&frame, target as f32)?;
         let seconds = renderer.render(&frame.with_step(plan.step)?)?.time.seconds();
-        session.observe(plan.id, seconds as f32, ObserveFlags::default());
+        session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
         over += usize::from(seconds > 1.25 * target);
         println!(
             "{i:5}  {:4.2}  {:12.2}  {:11.2}  {}",

@@ -1,0 +1,206 @@
+//! What is collected and how, as a manifest keeps it.
+
+use crate::dataset::{Manifest, parse_shading, parse_skipping};
+use crate::scenes::SceneDistribution;
+use anyhow::{Context, Result, ensure};
+use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
+use serde::Deserialize;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// A volume to collect frames of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Job {
+    /// The file.
+    pub path: PathBuf,
+    /// Its ensemble member; empty for none.
+    pub member: String,
+    /// Its time step, where its name tells one.
+    pub time_step: Option<u32>,
+}
+
+impl Job {
+    /// What can be read off a path: `…/m01/t0012.nrrd` is time step 12 of member `m01`.
+    pub fn from_path(path: &Path) -> Self {
+        let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let stem = name.split('.').next().unwrap_or_default();
+        let time_step = stem
+            .strip_prefix('t')
+            .filter(|d| !d.is_empty() && d.bytes().all(|b| b.is_ascii_digit()))
+            .and_then(|d| d.parse().ok());
+        let folder =
+            std::path::absolute(path).ok().and_then(|p| p.parent()?.file_name().map(|n| n.to_owned()));
+        let member = match (time_step, folder) {
+            (Some(_), Some(folder)) => folder.to_string_lossy().into_owned(),
+            _ => String::new(),
+        };
+        Self { path: path.to_owned(), member, time_step }
+    }
+
+    /// The name under which random scenes are drawn: the file's name, for a time step with the two folders
+    /// above it. It does not depend on the working directory or on where the data lie.
+    pub fn seed_name(&self) -> String {
+        let absolute = std::path::absolute(&self.path).unwrap_or_else(|_| self.path.clone());
+        let parts: Vec<String> =
+            absolute.components().map(|c| c.as_os_str().to_string_lossy().into_owned()).collect();
+        let keep = if self.time_step.is_some() { 3 } else { 1 };
+        parts[parts.len().saturating_sub(keep)..].join("/")
+    }
+}
+
+/// How frames are drawn and rendered.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Protocol {
+    /// Frames per volume.
+    pub frames: u32,
+    /// Repeats per frame and pass.
+    pub repeats: u32,
+    /// How often all volumes are gone through.
+    pub passes: u32,
+    /// Frames discarded after each volume change.
+    pub warm_up: u32,
+    /// Seed.
+    pub seed: u64,
+    /// What scenes are drawn from.
+    pub scenes: SceneDistribution,
+    /// What each sample computes.
+    pub shading: Shading,
+    /// How empty space is skipped.
+    pub skipping: Skipping,
+    /// Where rays stop.
+    pub termination: f32,
+    /// Enlargement at load.
+    pub enlarge: usize,
+    /// Edge in voxels that volumes are resampled to instead.
+    pub proxy: Option<usize>,
+}
+
+impl Protocol {
+    /// What the manifest of a table says that `entire collect` made, and the table's volumes.
+    ///
+    /// # Errors
+    /// When a setting is missing or is nothing that this version knows; names it.
+    pub fn of_manifest(manifest: &Manifest) -> Result<(Self, Vec<Job>)> {
+        #[derive(Deserialize)]
+        struct Settings {
+            frames_per_volume: u32,
+            warm_up_frames_discarded_per_volume: u32,
+            shading: String,
+            skipping: String,
+            termination: f32,
+            fov_y_deg: f32,
+            enlarged_trilinearly_by: usize,
+            scenes: SceneDistribution,
+            volumes: Vec<VolumeOf>,
+            #[serde(default)]
+            resampled_to_edge: Option<usize>,
+            #[serde(default = "one")]
+            passes: u32,
+        }
+        #[derive(Deserialize)]
+        struct VolumeOf {
+            path: PathBuf,
+            member: String,
+            time_step: Option<u32>,
+        }
+        fn one() -> u32 {
+            1
+        }
+        let s: Settings = serde_json::from_value(manifest.settings.clone())
+            .context("its settings are not those of `entire collect`")?;
+        let unknown =
+            |what: &str, name: &str| format!("its {what} is {name:?}, which this version does not know");
+        ensure!(
+            s.fov_y_deg == DEFAULT_FOV_Y_DEGREES,
+            "its field of view is {}°; this version draws {DEFAULT_FOV_Y_DEGREES}°",
+            s.fov_y_deg
+        );
+        ensure!(
+            s.passes > 0 && manifest.repeats.is_multiple_of(s.passes),
+            "its {} repeats are not those of {} passes",
+            manifest.repeats,
+            s.passes
+        );
+        let protocol = Self {
+            frames: s.frames_per_volume,
+            repeats: manifest.repeats / s.passes,
+            passes: s.passes,
+            warm_up: s.warm_up_frames_discarded_per_volume,
+            seed: manifest.seed,
+            scenes: s.scenes,
+            shading: parse_shading(&s.shading).with_context(|| unknown("shading", &s.shading))?,
+            skipping: parse_skipping(&s.skipping).with_context(|| unknown("skipping", &s.skipping))?,
+            termination: s.termination,
+            enlarge: s.enlarged_trilinearly_by,
+            proxy: s.resampled_to_edge,
+        };
+        let jobs =
+            s.volumes.into_iter().map(|v| Job { path: v.path, member: v.member, time_step: v.time_step });
+        Ok((protocol, jobs.collect()))
+    }
+
+    /// As the manifest of a table of these jobs keeps it.
+    pub fn settings(&self, jobs: &[Job]) -> serde_json::Value {
+        let mut settings = json!({
+            "frames_per_volume": self.frames,
+            "warm_up_frames_discarded_per_volume": self.warm_up,
+            "shading": self.shading.name(),
+            "skipping": self.skipping.name(),
+            "termination": self.termination,
+            "fov_y_deg": DEFAULT_FOV_Y_DEGREES,
+            "enlarged_trilinearly_by": self.enlarge,
+            "scenes": self.scenes,
+            "volumes": jobs.iter().map(|j| json!({
+                "path": j.path.to_string_lossy(), "member": j.member, "time_step": j.time_step,
+                "seed_name": j.seed_name(),
+            })).collect::<Vec<_>>(),
+        });
+        if let Some(edge) = self.proxy {
+            settings["resampled_to_edge"] = json!(edge);
+        }
+        if self.passes > 1 {
+            settings["passes"] = json!(self.passes);
+        }
+        settings
+    }
+
+    /// What [`super::Outcome`] counts.
+    pub fn counted(&self) -> &'static str {
+        if self.passes > 1 { "frames of all passes" } else { "frames" }
+    }
+}
+
+/// Says what keeps a table from being gone on with, if anything.
+pub fn differences(old: &Manifest, new: &Manifest) -> Vec<String> {
+    let mut out = Vec::new();
+    let mut compare = |name: &str, a: serde_json::Value, b: serde_json::Value| {
+        if a != b {
+            out.push(format!("{name} was {a} and is {b} now"));
+        }
+    };
+    compare("seed", json!(old.seed), json!(new.seed));
+    compare("repeats", json!(old.repeats), json!(new.repeats));
+    compare("renderer", json!(old.renderer), json!(new.renderer));
+    compare("device", json!(old.device), json!(new.device));
+    compare("machine", json!(old.machine), json!(new.machine));
+    let empty = serde_json::Map::new();
+    let (a, b) = (old.settings.as_object().unwrap_or(&empty), new.settings.as_object().unwrap_or(&empty));
+    let names: std::collections::BTreeSet<&String> = a.keys().chain(b.keys()).collect();
+    for name in names {
+        let (old, new) = (a.get(name), b.get(name));
+        if name == "volumes" && old != new {
+            out.push("the list of volumes is another (paths, members and order count)".into());
+        } else {
+            let mut compare = |a: Option<&serde_json::Value>, b: Option<&serde_json::Value>| {
+                // Numbers went through text: compare what is written.
+                let text =
+                    |v: Option<&serde_json::Value>| v.map_or("nothing".to_owned(), ToString::to_string);
+                if text(a) != text(b) {
+                    out.push(format!("{name} was {} and is {} now", text(a), text(b)));
+                }
+            };
+            compare(old, new);
+        }
+    }
+    out
+}

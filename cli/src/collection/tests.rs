@@ -1,0 +1,226 @@
+//! Collections that are stopped, gone on with and repeated, with a renderer whose clock follows a script.
+
+use super::*;
+use crate::dataset::{COLUMNS, Clock, MANIFEST_FORMAT, Manifest, Table};
+use crate::scenes::SceneDistribution;
+use crate::scripted::ScriptedRenderer;
+use crate::volume::VolumeData;
+use anyhow::bail;
+use entire_core::scene::{Shading, Skipping};
+use serde_json::json;
+use std::cell::Cell;
+use std::collections::BTreeMap;
+
+fn protocol() -> Protocol {
+    Protocol {
+        frames: 4,
+        repeats: 3,
+        passes: 1,
+        warm_up: 2,
+        seed: 11,
+        scenes: SceneDistribution { max_size: 64, ..Default::default() },
+        shading: Shading::None,
+        skipping: Skipping::Blocks,
+        termination: 0.99,
+        enlarge: 1,
+        proxy: None,
+    }
+}
+
+fn some_jobs() -> Vec<Job> {
+    ["run/m01/t0003.nrrd", "head.nrrd"].map(|p| Job::from_path(Path::new(p))).to_vec()
+}
+
+fn tiny(_: &Path) -> Result<Volume> {
+    Volume::new(VolumeData::U8(vec![9; 27]), [3, 3, 3], [1.0; 3], "tiny")
+}
+
+/// Rows without their clock columns.
+fn without_times(path: &Path) -> Vec<String> {
+    let at = COLUMNS.iter().position(|c| *c == "seconds_device").unwrap();
+    let text = std::fs::read_to_string(path).unwrap();
+    text.lines()
+        .map(|l| {
+            l.split(',')
+                .enumerate()
+                .filter(|(i, _)| !(at..at + 3).contains(i))
+                .map(|(_, f)| f)
+                .collect::<Vec<_>>()
+                .join(",")
+        })
+        .collect()
+}
+
+fn run_until(path: &Path, renders: Option<u32>, jobs: &[Job]) -> Outcome {
+    let mut table = Writer::resume(path, 3).unwrap();
+    let mut renderer = ScriptedRenderer::default();
+    let asked = Cell::new(0);
+    let stop = || {
+        asked.set(asked.get() + 1);
+        renders.is_some_and(|n| asked.get() > n)
+    };
+    let bar = ProgressBar::hidden();
+    collect(jobs, &protocol(), &mut renderer, &mut tiny, &mut table, &stop, &bar).unwrap()
+}
+
+#[test]
+fn stopping_anywhere_and_resuming_gives_the_same_table() {
+    let dir = tempfile::tempdir().unwrap();
+    let whole = dir.path().join("whole.csv");
+    let outcome = run_until(&whole, None, &some_jobs());
+    assert_eq!(outcome, Outcome { done: 8, total: 8, discarded: 4, interrupted: false });
+    let expected = without_times(&whole);
+    assert_eq!(expected.len(), 1 + 8 * 3);
+    for stop_after in 0..28 {
+        let path = dir.path().join(format!("{stop_after}.csv"));
+        let first = run_until(&path, Some(stop_after), &some_jobs());
+        assert!(first.interrupted, "{stop_after}");
+        // Four renderings of each volume's first frame are two warm-ups and a partial frame: none is in the
+        // table.
+        assert_eq!(Table::read(&path, 0).map(|t| t.frames.len() as u64).unwrap(), first.done);
+        let second = run_until(&path, None, &some_jobs());
+        assert!(!second.interrupted && second.done == 8);
+        assert_eq!(without_times(&path), expected, "{stop_after}");
+    }
+}
+
+#[test]
+fn passes_make_one_table_whose_repeats_are_far_apart_and_can_be_stopped_anywhere() {
+    let dir = tempfile::tempdir().unwrap();
+    let protocol = Protocol { passes: 2, repeats: 2, ..protocol() };
+    let noisy = || {
+        let mut renderer = ScriptedRenderer::default();
+        renderer.noise = 0.1;
+        renderer
+    };
+    let run = |out: &Path, renders: u32| {
+        let mut table = Writer::resume(out, 4).unwrap();
+        let asked = Cell::new(0);
+        let stop = || {
+            asked.set(asked.get() + 1);
+            asked.get() > renders
+        };
+        let bar = ProgressBar::hidden();
+        let (jobs, mut renderer) = (some_jobs(), noisy());
+        collect_passes(&jobs, &protocol, &mut renderer, &mut tiny, &mut table, out, &stop, &bar).unwrap()
+    };
+    let whole = dir.path().join("whole.csv");
+    assert_eq!(run(&whole, 1000), Outcome { done: 16, total: 16, discarded: 8, interrupted: false });
+    let expected = without_times(&whole);
+    assert_eq!(expected.len(), 1 + 8 * 4);
+    assert!(expected[4].starts_with("0,3,") && expected[5].starts_with("1,0,"), "{}", expected[4]);
+    // The first pass's repeats come first: those of a single pass with the same renderer.
+    let single = dir.path().join("single.csv");
+    let once = Protocol { passes: 1, ..protocol.clone() };
+    let (mut table, mut renderer) = (Writer::create(&single).unwrap(), noisy());
+    let bar = ProgressBar::hidden();
+    collect(&some_jobs(), &once, &mut renderer, &mut tiny, &mut table, &|| false, &bar).unwrap();
+    let seconds = |path: &Path| -> Vec<Vec<f64>> {
+        let frames = Table::read(path, 0).unwrap().frames;
+        frames.iter().map(|f| f.repeats.iter().filter_map(|r| r.seconds(Clock::Wall)).collect()).collect()
+    };
+    for (all, first) in seconds(&whole).iter().zip(seconds(&single)) {
+        assert_eq!((all.len(), &all[..2]), (4, first.as_slice()));
+        assert!(all[2] != all[0] && all[3] != all[1], "{all:?}");
+    }
+    std::fs::remove_file(single).unwrap();
+    assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1, "pass files are left");
+    for stop_after in [0, 3, 19, 20, 21, 39] {
+        let out = dir.path().join(format!("{stop_after}.csv"));
+        let stopped = run(&out, stop_after);
+        assert!(stopped.interrupted && stopped.total == 16, "{stop_after}");
+        assert_eq!(Table::read(&out, 0).map(|t| t.frames.len()).unwrap(), 0);
+        assert!(!run(&out, 1000).interrupted);
+        assert_eq!(without_times(&out), expected, "{stop_after}");
+    }
+}
+
+#[test]
+fn order_of_volumes_changes_numbers_but_no_scene() {
+    let dir = tempfile::tempdir().unwrap();
+    let (a, b) = (dir.path().join("a.csv"), dir.path().join("b.csv"));
+    run_until(&a, None, &some_jobs());
+    run_until(&b, None, &some_jobs().into_iter().rev().collect::<Vec<_>>());
+    let sorted = |p: &Path| {
+        let mut rows: Vec<String> =
+            without_times(p).into_iter().map(|l| l.split_once(',').unwrap().1.to_owned()).collect();
+        rows.sort();
+        rows
+    };
+    assert_eq!(sorted(&a), sorted(&b));
+}
+
+#[test]
+fn members_and_time_steps_come_from_the_path_and_seeds_do_not_depend_on_the_folder() {
+    let job = Job::from_path(Path::new("x/castro_blast/m01/t0012.nrrd"));
+    assert_eq!((job.member.as_str(), job.time_step), ("m01", Some(12)));
+    assert_eq!(job.seed_name(), "castro_blast/m01/t0012.nrrd");
+    let elsewhere = Job::from_path(Path::new("/somewhere/else/castro_blast/m01/t0012.nrrd"));
+    assert_eq!(job.seed_name(), elsewhere.seed_name());
+    let scan = Job::from_path(Path::new("scans/tooth.nii.gz"));
+    assert_eq!((scan.member.as_str(), scan.time_step, scan.seed_name().as_str()), ("", None, "tooth.nii.gz"));
+    assert_eq!(Job::from_path(Path::new("t.nrrd")).time_step, None);
+}
+
+#[test]
+fn a_table_is_gone_on_with_under_the_same_settings_alone() {
+    let manifest = |p: &Protocol, jobs: &[Job], device: &str| Manifest {
+        format: MANIFEST_FORMAT.into(),
+        created: "then".into(),
+        machine: "m".into(),
+        renderer: "cpu".into(),
+        device: device.into(),
+        driver: String::new(),
+        commit: "1".into(),
+        seed: p.seed,
+        repeats: p.repeats,
+        step_reference: String::new(),
+        settings: p.settings(jobs),
+        other: BTreeMap::new(),
+    };
+    let base = manifest(&protocol(), &some_jobs(), "d");
+    // Through a file and back, numbers and all.
+    let back: Manifest = serde_json::from_str(&serde_json::to_string(&base).unwrap()).unwrap();
+    assert_eq!(differences(&back, &base), Vec::<String>::new());
+    // And from the manifest to the same frames.
+    let twice = Protocol { passes: 2, repeats: 4, proxy: Some(64), shading: Shading::Scatter, ..protocol() };
+    for p in [protocol(), twice] {
+        let mut written = manifest(&p, &some_jobs(), "d");
+        written.repeats = p.repeats * p.passes;
+        assert_eq!(Protocol::of_manifest(&written).unwrap(), (p, some_jobs()));
+    }
+    let mut other = back.clone();
+    other.settings["shading"] = json!("path tracing");
+    let error = Protocol::of_manifest(&other).unwrap_err().to_string();
+    assert_eq!(error, "its shading is \"path tracing\", which this version does not know");
+    let changed = |f: &dyn Fn(&mut Protocol)| {
+        let mut p = protocol();
+        f(&mut p);
+        differences(&back, &manifest(&p, &some_jobs(), "d")).join("; ")
+    };
+    assert_eq!(changed(&|p| p.seed = 12), "seed was 11 and is 12 now");
+    assert_eq!(changed(&|p| p.repeats = 4), "repeats was 3 and is 4 now");
+    assert!(changed(&|p| p.frames = 5).starts_with("frames_per_volume was 4"));
+    assert!(changed(&|p| p.shading = Shading::Local).contains("shading"));
+    assert!(changed(&|p| p.scenes.steps = vec![0.1]).contains("scenes"));
+    assert!(changed(&|p| p.enlarge = 2).contains("enlarged"));
+    assert!(differences(&back, &manifest(&protocol(), &some_jobs(), "e"))[0].starts_with("device"));
+    assert!(differences(&back, &manifest(&protocol(), &some_jobs()[..1], "d"))[0].contains("volumes"));
+}
+
+#[test]
+fn a_failing_volume_names_itself() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut table = Writer::create(&dir.path().join("t.csv")).unwrap();
+    let error = collect(
+        &some_jobs(),
+        &protocol(),
+        &mut ScriptedRenderer::default(),
+        &mut |_| bail!("broken header"),
+        &mut table,
+        &|| false,
+        &ProgressBar::hidden(),
+    )
+    .unwrap_err();
+    assert!(format!("{error:#}").contains("t0003.nrrd: broken header"), "{error:#}");
+}

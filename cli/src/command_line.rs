@@ -1,0 +1,66 @@
+//! The command line of `entire`.
+
+use crate::{commands, program};
+use clap::{Parser, Subcommand};
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+/// Tells how long a volume-rendered frame will take before it is drawn, and picks the ray step that keeps it
+/// inside its budget.
+#[derive(Debug, Parser)]
+#[command(name = "entire", version, propagate_version = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Render many random frames of volumes and write down how long each took.
+    Collect(commands::collect::Options),
+    /// Compute the scene features of collected frames and keep them beside the tables.
+    Features(commands::features::Options),
+    /// Train or fine-tune a predictor on collected frames.
+    Train(commands::train::Options),
+    /// Measure how well predictors do on collected frames.
+    Evaluate(commands::evaluate::Options),
+    /// Predict seconds for rows of model inputs.
+    Predict(commands::predict::Options),
+    /// Turn a volume into its feature vector.
+    Encode(commands::encode::Options),
+    /// Render one frame and time it.
+    Render(commands::render::Options),
+    /// Measure what this machine needs for each part of a frame.
+    Probe(commands::probe::Options),
+    /// Play a path against a target frame time under several controllers.
+    Steer(commands::steer::Options),
+    /// Decide which node of a farm renders what, in which order.
+    Schedule(commands::schedule::Options),
+    /// Calibrate, explore and report: the main job, end to end.
+    Demo(commands::demo::Options),
+}
+
+/// Runs the command line: the program's name, then its arguments. Ends the process with status 2 for wrong
+/// usage.
+pub fn main_with_args(args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    let args: Vec<OsString> = args.into_iter().collect();
+    program::run("entire", move || Cli::parse_from(args).run())
+}
+
+impl Cli {
+    fn run(&self) -> anyhow::Result<()> {
+        match &self.command {
+            Command::Collect(options) => commands::collect::run(options),
+            Command::Features(options) => commands::features::run(options),
+            Command::Train(options) => commands::train::run(options),
+            Command::Evaluate(options) => commands::evaluate::run(options),
+            Command::Predict(options) => commands::predict::run(options),
+            Command::Encode(options) => commands::encode::run(options),
+            Command::Render(options) => commands::render::run(options),
+            Command::Probe(options) => commands::probe::run(options),
+            Command::Steer(options) => commands::steer::run(options),
+            Command::Schedule(options) => commands::schedule::run(options),
+            Command::Demo(options) => commands::demo::run(options),
+        }
+    }
+}

@@ -1,0 +1,250 @@
+//! `entire evaluate`: measure how well predictors do on collected frames.
+
+mod report;
+
+use crate::bound;
+use crate::dataset::{Clock, TimedFrame, noise_floor, read_tables, timed};
+use crate::evaluation::{PROBE_SHARE, WarmLatency, by_kind, probe_means, warm_latency};
+use crate::files::{fnv1a, parse_model, read_model_bytes};
+use crate::fit::predict_rows;
+use crate::inputs::Layout;
+use crate::machine;
+use crate::metrics::{Metrics, bootstrap_by_group};
+use crate::options::thread_pool;
+use crate::progress::{INPUTS_BAR, templated_bar};
+use crate::split::{GroupBy, Part, Split};
+use anyhow::{Context, Result, ensure};
+use entire_core::model::Model;
+use entire_core::nn::{PredNet, Storage};
+use entire_core::predict::Calibration;
+use report::{Evaluation, Predictor, detail_table, noise_text, tables_of, write_report};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Measure how well predictors do on collected frames.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  entire evaluate --model model.safetensors --data frames.csv
+  entire evaluate --model a.safetensors b.safetensors --data frames.csv --unseen --out out/evaluation
+        only frames of members or volumes that none of the models learned from, with plots
+  entire evaluate --model models/unshaded-distilled.safetensors --data data/timings/none-members.csv.gz \
+  --storage int8
+        what eight-bit weights cost in accuracy")]
+pub struct Options {
+    /// Model files.
+    #[arg(long, required = true, num_args = 1.., value_name = "SAFETENSORS")]
+    pub model: Vec<PathBuf>,
+    /// Timing tables written by `entire collect`.
+    #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
+    pub data: Vec<PathBuf>,
+    /// Which clock's seconds are compared with.
+    #[arg(long, value_enum, default_value_t = Clock::Auto)]
+    pub clock: Clock,
+    /// Only frames with this shading: none, local or scatter.
+    #[arg(long, value_parser = crate::dataset::parse_shading)]
+    pub shading: Option<entire_core::scene::Shading>,
+    /// Leave out frames of groups that a model was trained or validated on, as its file says.
+    #[arg(long)]
+    pub unseen: bool,
+    /// What rows the second table has.
+    #[arg(long, value_enum, default_value_t = GroupBy::Member)]
+    pub by: GroupBy,
+    /// Folder for evaluation.json, predictions.csv, report.html and the plots as SVG.
+    #[arg(long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
+    /// Judge each model also with its weights held in memory as f32, f16, bf16 or int8.
+    #[arg(long, num_args = 1.., value_name = "STORAGE", value_parser = parse_storage)]
+    pub storage: Vec<Storage>,
+    /// Seed of the probes behind the constant baseline.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Threads; all logical processors unless given.
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// No progress bar.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+fn parse_storage(text: &str) -> Result<Storage, String> {
+    Storage::ALL.into_iter().find(|s| s.name() == text).ok_or_else(|| {
+        format!("no storage of weights; there are {}", Storage::ALL.map(Storage::name).join(", "))
+    })
+}
+
+struct Loaded {
+    name: String,
+    hash: u64,
+    model: Model,
+    layout: Layout,
+    split: Option<Split>,
+}
+
+fn load(path: &Path) -> Result<Loaded> {
+    let bytes = read_model_bytes(path)?;
+    let model = parse_model(path, &bytes)?;
+    let layout = Layout::of_model(&model).with_context(|| format!("{}", path.display()))?;
+    let split = model
+        .provenance()
+        .and_then(|text| serde_json::from_str::<serde_json::Value>(text).ok())
+        .and_then(|p| serde_json::from_value(p.get("split")?.clone()).ok());
+    let name =
+        path.file_stem().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+    Ok(Loaded { name, hash: fnv1a(&bytes), model, layout, split })
+}
+
+impl Loaded {
+    fn has_seen(&self, frame: &TimedFrame) -> bool {
+        self.split.as_ref().is_some_and(|s| matches!(s.part(&frame.scene), Part::Training | Part::Validation))
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When a model or table cannot be read, a model's inputs cannot be computed, or nothing is left to compare.
+pub fn run(options: &Options) -> Result<()> {
+    let pool = thread_pool(options.threads)?;
+    let models: Vec<Loaded> = options.model.iter().map(|p| load(p)).collect::<Result<_>>()?;
+    let tables = read_tables(&options.data)?;
+    let mut frames = timed(&tables, options.clock, options.shading)?;
+    if options.unseen {
+        for m in models.iter().filter(|m| m.split.is_none()) {
+            eprintln!("note: {} does not say what it learned from; --unseen cannot leave that out", m.name);
+        }
+        frames.retain(|(f, _)| !models.iter().any(|m| m.has_seen(f)));
+        ensure!(
+            !frames.is_empty(),
+            "every frame is of a group that a model learned from; give other data, or leave --unseen away"
+        );
+    }
+    let (refs, measured): (Vec<&TimedFrame>, Vec<f64>) = frames.into_iter().unzip();
+    let groups: Vec<String> = refs.iter().map(|f| options.by.group(&f.scene)).collect();
+    let noise = noise_floor(refs.iter().copied(), options.clock);
+
+    let mut predictors = Vec::new();
+    for m in &models {
+        let bar = templated_bar(options.quiet, INPUTS_BAR);
+        let rows = m.layout.rows(&tables, &refs, &pool, &bar).with_context(|| m.name.clone())?;
+        bar.finish_and_clear();
+        let predicted = predict_rows(&m.model, &rows, m.layout.width())?;
+        let latency = match warm_latency(&m.model, &m.layout, &tables, &refs, &rows) {
+            Ok(latency) => Some(latency),
+            Err(e) => {
+                eprintln!("note: {}: no latency ({e:#})", m.name);
+                None
+            }
+        };
+        let seen = refs.iter().filter(|f| m.has_seen(f)).count();
+        predictors.push(assess(
+            m.name.clone(),
+            Some(format!("{:016x}", m.hash)),
+            predicted,
+            &measured,
+            &groups,
+            &refs,
+            latency,
+            seen,
+            bound::of(&m.model),
+        )?);
+    }
+    for (m, storage) in models.iter().flat_map(|m| options.storage.iter().map(move |&s| (m, s))) {
+        let rows = m.layout.rows(&tables, &refs, &pool, &templated_bar(true, INPUTS_BAR))?;
+        let parts = m.model.prednet().with_context(|| format!("{} holds no PredNet", m.name))?;
+        let net = PredNet::with_storage(parts, storage)?;
+        let mut scratch = net.scratch();
+        let predicted = rows
+            .chunks_exact(m.layout.width())
+            .map(|row| f64::from(net.predict(row, &mut scratch)))
+            .collect();
+        predictors.push(assess(
+            format!("{}, {} weights", m.name, storage.name()),
+            None,
+            predicted,
+            &measured,
+            &groups,
+            &refs,
+            None,
+            refs.iter().filter(|f| m.has_seen(f)).count(),
+            bound::of(&m.model),
+        )?);
+    }
+    let constant = probe_means(&refs, &measured, options.seed);
+    let name = format!("mean of {:.0} % probes per volume", 100.0 * PROBE_SHARE);
+    predictors.push(assess(name, None, constant, &measured, &groups, &refs, None, 0, None)?);
+
+    let evaluation = Evaluation {
+        program: format!("entire {}", machine::version()),
+        machine: machine::machine(),
+        date: machine::now(),
+        load_average: machine::load_average(),
+        data: options.data.iter().map(|p| p.display().to_string()).collect(),
+        clock: options.clock.name(),
+        shading: options.shading.map(|s| s.name()),
+        unseen_only: options.unseen,
+        frames: refs.len(),
+        noise_floor: noise,
+        predictors: &predictors,
+    };
+    let (overall, bias, by_group) = tables_of(&predictors, options.by);
+    println!("{}", overall.to_text());
+    let more = detail_table(&predictors);
+    println!("{}", more.to_text());
+    println!("median of predicted / measured - 1 by tenth of the frames, fastest first, %");
+    println!("{}", bias.to_text());
+    println!("{}", by_group.to_text());
+    println!("{}", noise_text(noise));
+    if let Some(out) = &options.out {
+        write_report(out, &evaluation, &refs, &measured, &groups, [&overall, &bias, &by_group, &more])?;
+        println!("wrote {}", out.join("report.html").display());
+    }
+    Ok(())
+}
+
+#[allow(clippy::too_many_arguments, reason = "one call site per kind of predictor")]
+fn assess(
+    name: String,
+    fnv1a: Option<String>,
+    predicted: Vec<f64>,
+    measured: &[f64],
+    groups: &[String],
+    frames: &[&TimedFrame],
+    latency: Option<WarmLatency>,
+    frames_seen: usize,
+    upper: Option<Calibration>,
+) -> Result<Predictor> {
+    let metrics = Metrics::new(&predicted, measured).context("there are no frames to compare")?;
+    let mut pairs: BTreeMap<&str, (Vec<f64>, Vec<f64>)> = BTreeMap::new();
+    for ((p, t), g) in predicted.iter().zip(measured).zip(groups) {
+        let (ps, ts) = pairs.entry(g).or_default();
+        ps.push(*p);
+        ts.push(*t);
+    }
+    let by_group =
+        pairs.into_iter().filter_map(|(g, (p, t))| Some((g.to_owned(), Metrics::new(&p, &t)?))).collect();
+    let bound = upper.and_then(|u| bound::judge(&u, &predicted, measured));
+    let bound_coverage = bound.as_ref().map(|b| b.coverage);
+    let members: Vec<String> = frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
+    let interval =
+        |f: fn(&Metrics) -> f64| bootstrap_by_group(&predicted, measured, &members, BOOTSTRAP_ROUNDS, f);
+    let (rmse_over_sd_interval, mdape_interval) = (interval(|m| m.rmse_over_sd), interval(|m| m.mdape));
+    let by_kind = by_kind(frames, &predicted, measured);
+    Ok(Predictor {
+        name,
+        fnv1a,
+        metrics,
+        by_group,
+        latency,
+        frames_seen,
+        bound_coverage,
+        bound,
+        rmse_over_sd_interval,
+        mdape_interval,
+        by_kind,
+        predicted,
+    })
+}
+
+/// Rounds behind the intervals over members drawn anew.
+const BOOTSTRAP_ROUNDS: usize = 400;

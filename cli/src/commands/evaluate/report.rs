@@ -1,0 +1,316 @@
+//! What `entire evaluate` prints and writes.
+
+use crate::dataset::{NoiseFloor, TimedFrame};
+use crate::evaluation::WarmLatency;
+use crate::files::{make_folder, write_whole};
+use crate::metrics::{BoundMetrics, Metrics};
+use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
+use crate::split::GroupBy;
+use anyhow::Result;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+#[derive(Clone, Debug, Serialize)]
+pub(super) struct Predictor {
+    pub(super) name: String,
+    pub(super) fnv1a: Option<String>,
+    pub(super) metrics: Metrics,
+    pub(super) by_group: BTreeMap<String, Metrics>,
+    pub(super) latency: Option<WarmLatency>,
+    /// Frames of groups that it learned from.
+    pub(super) frames_seen: usize,
+    /// Share of frames that took no longer than the upper bound in its file.
+    pub(super) bound_coverage: Option<f64>,
+    /// How the upper bound does beyond that: among the slowest tenth, and its quantile loss.
+    pub(super) bound: Option<BoundMetrics>,
+    /// 95 % interval of RMSE/SD when ensemble members (volumes that belong to none) are drawn anew with
+    /// replacement.
+    pub(super) rmse_over_sd_interval: Option<(f64, f64)>,
+    /// The same of MdAPE.
+    pub(super) mdape_interval: Option<(f64, f64)>,
+    /// Errors by what frames are like.
+    pub(super) by_kind: Vec<(&'static str, Metrics)>,
+    #[serde(skip)]
+    pub(super) predicted: Vec<f64>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Evaluation<'a> {
+    pub(super) program: String,
+    pub(super) machine: String,
+    pub(super) date: String,
+    pub(super) load_average: Option<[f64; 3]>,
+    pub(super) data: Vec<String>,
+    pub(super) clock: &'static str,
+    pub(super) shading: Option<&'static str>,
+    pub(super) unseen_only: bool,
+    pub(super) frames: usize,
+    pub(super) noise_floor: Option<NoiseFloor>,
+    pub(super) predictors: &'a [Predictor],
+}
+
+pub(super) fn noise_text(noise: Option<NoiseFloor>) -> String {
+    match noise {
+        Some(n) => format!(
+            "noise floor: repeats of one frame scatter with a log-SD of {:.4} (median of repeats about \
+             {:.4}), {} repeated frames",
+            n.log_sd, n.log_sd_of_median, n.frames
+        ),
+        None => "noise floor: not known, no frame was repeated".into(),
+    }
+}
+
+pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table, Table) {
+    let percent = |v: f64| format!("{:.2}", 100.0 * v);
+    let mut overall = Table::new(vec![
+        Column::text("predictor"),
+        Column::number("frames"),
+        Column::number("of them seen"),
+        Column::number("RMSE, s"),
+        Column::number("RMSE/SD"),
+        Column::number("MAE, s"),
+        Column::number("MdAPE, %"),
+        Column::number("p95, %"),
+        Column::number("p99, %"),
+        Column::number("R² in log"),
+        Column::number("within bound, %"),
+        Column::number("µs per prediction"),
+        Column::number("of that network"),
+        Column::number("µs per transfer function"),
+    ]);
+    for p in predictors {
+        let m = &p.metrics;
+        let micro = |f: fn(&WarmLatency) -> f64| {
+            p.latency.as_ref().map_or("-".into(), |l| format!("{:.2}", 1e6 * f(l)))
+        };
+        overall.row(vec![
+            p.name.clone().into(),
+            m.frames.to_string().into(),
+            p.frames_seen.to_string().into(),
+            format!("{:.3e}", m.rmse).into(),
+            format!("{:.3}", m.rmse_over_sd).into(),
+            format!("{:.3e}", m.mae).into(),
+            percent(m.mdape).into(),
+            percent(m.p95).into(),
+            percent(m.p99).into(),
+            format!("{:.4}", m.r2_log).into(),
+            p.bound_coverage.map_or("-".into(), |c| format!("{:.1}", 100.0 * c)).into(),
+            micro(|l| l.seconds).into(),
+            micro(|l| l.network_seconds).into(),
+            micro(|l| l.transfer_seconds).into(),
+        ]);
+    }
+    let best = |t: &mut Table, column, f: fn(&Metrics) -> f64, lowest| {
+        let values: Vec<f64> = predictors.iter().map(|p| f(&p.metrics)).collect();
+        t.mark_best(column, &values, lowest);
+    };
+    best(&mut overall, 3, |m| m.rmse, true);
+    best(&mut overall, 6, |m| m.mdape, true);
+    best(&mut overall, 9, |m| m.r2_log, false);
+
+    let deciles = predictors.iter().map(|p| p.metrics.bias_by_decile.len()).max().unwrap_or(0);
+    let mut columns = vec![Column::text("predictor")];
+    columns.extend((1..=deciles).map(|d| Column::number(format!("tenth {d}"))));
+    let mut bias = Table::new(columns);
+    for p in predictors {
+        let mut row = vec![p.name.clone().into()];
+        row.extend(p.metrics.bias_by_decile.iter().map(|b| format!("{:+.1}", 100.0 * b).into()));
+        bias.row(row);
+    }
+
+    let mut columns = vec![Column::text(by.name()), Column::number("frames")];
+    for p in predictors {
+        columns.push(Column::number(format!("RMSE/SD, {}", p.name)));
+        columns.push(Column::number(format!("MdAPE %, {}", p.name)));
+    }
+    let mut by_group = Table::new(columns);
+    if let Some(first) = predictors.first() {
+        for (group, m) in &first.by_group {
+            let mut row = vec![group.clone().into(), m.frames.to_string().into()];
+            for p in predictors {
+                match p.by_group.get(group) {
+                    Some(m) => row.extend([format!("{:.3}", m.rmse_over_sd).into(), percent(m.mdape).into()]),
+                    None => row.extend(["-".into(), "-".into()]),
+                }
+            }
+            by_group.row(row);
+        }
+    }
+    (overall, bias, by_group)
+}
+
+/// Intervals, the upper bound and errors by kind of frame.
+pub(super) fn detail_table(predictors: &[Predictor]) -> Table {
+    let mut kinds: Vec<&str> = Vec::new();
+    for (name, _) in predictors.iter().flat_map(|p| &p.by_kind) {
+        if !kinds.contains(name) {
+            kinds.push(name);
+        }
+    }
+    let mut columns = vec![
+        Column::text("predictor"),
+        Column::number("RMSE/SD, 95 % interval"),
+        Column::number("MdAPE %, 95 % interval"),
+        Column::number("bound held in slowest tenth, %"),
+        Column::number("pinball / mean time"),
+    ];
+    columns.extend(kinds.iter().map(|k| Column::number(format!("MdAPE %, {k}"))));
+    let mut table = Table::new(columns);
+    for p in predictors {
+        let range = |i: Option<(f64, f64)>, scale: f64, digits: usize| {
+            i.map_or("-".to_owned(), |(a, b)| format!("{:.digits$}–{:.digits$}", scale * a, scale * b))
+        };
+        let mut row = vec![
+            p.name.clone().into(),
+            range(p.rmse_over_sd_interval, 1.0, 3).into(),
+            range(p.mdape_interval, 100.0, 1).into(),
+            p.bound.map_or("-".into(), |b| format!("{:.1}", 100.0 * b.slowest_coverage)).into(),
+            p.bound.map_or("-".into(), |b| format!("{:.4}", b.pinball)).into(),
+        ];
+        for kind in &kinds {
+            let m = p.by_kind.iter().find(|(k, _)| k == kind);
+            row.push(m.map_or("-".into(), |(_, m)| format!("{:.2}", 100.0 * m.mdape)).into());
+        }
+        table.row(row);
+    }
+    table
+}
+
+fn scatter(p: &Predictor, measured: &[f64], color: usize) -> Chart {
+    let points = measured.iter().zip(&p.predicted).map(|(t, y)| (*t, *y, String::new())).collect();
+    Chart::new(
+        format!("{}: predicted against measured", p.name),
+        Axis::log("measured, s"),
+        Axis::log("predicted, s"),
+    )
+    .size(620.0, 480.0)
+    .rule(Rule::Diagonal("exact".into()))
+    .series(Series::new("", Mark::Points(points)).color(color))
+}
+
+/// Share of frames by predicted / measured, on bins of equal ratio between a half and twice; the outermost
+/// bins hold everything beyond.
+fn histogram(predictors: &[Predictor], measured: &[f64]) -> Chart {
+    const BINS: usize = 41;
+    let span = 2f64.ln();
+    let mut chart = Chart::new(
+        "How predicted / measured is spread",
+        Axis::log("predicted / measured"),
+        Axis::linear("share of frames, %").from(0.0),
+    )
+    .rule(Rule::Vertical(1.0, "exact".into()));
+    for (i, p) in predictors.iter().enumerate() {
+        let mut counts = [0usize; BINS];
+        for (y, t) in p.predicted.iter().zip(measured) {
+            let at = ((y.max(1e-30) / t).ln() / span + 1.0) * 0.5 * BINS as f64;
+            counts[(at.max(0.0) as usize).min(BINS - 1)] += 1;
+        }
+        let line = counts
+            .iter()
+            .enumerate()
+            .map(|(b, c)| {
+                let ratio = (((b as f64 + 0.5) / BINS as f64 * 2.0 - 1.0) * span).exp();
+                (ratio, 100.0 * *c as f64 / measured.len() as f64)
+            })
+            .collect();
+        chart = chart.series(Series::new(p.name.clone(), Mark::Line(line)).color(i));
+    }
+    chart
+}
+
+fn bias_chart(predictors: &[Predictor]) -> Chart {
+    let mut chart = Chart::new(
+        "Bias by tenth of the frames, fastest first",
+        Axis::linear("tenth of the frames by measured time"),
+        Axis::linear("bias, %"),
+    )
+    .rule(Rule::Horizontal(0.0, String::new()));
+    // The constant baseline's bias is hundreds of percent at one end: it would flatten all others.
+    for (i, p) in predictors.iter().enumerate().filter(|(_, p)| p.latency.is_some()) {
+        let line =
+            p.metrics.bias_by_decile.iter().enumerate().map(|(d, b)| ((d + 1) as f64, 100.0 * b)).collect();
+        chart = chart.series(Series::new(p.name.clone(), Mark::Line(line)).color(i));
+    }
+    chart
+}
+
+pub(super) fn write_report(
+    out: &Path,
+    evaluation: &Evaluation<'_>,
+    frames: &[&TimedFrame],
+    measured: &[f64],
+    groups: &[String],
+    [overall, bias, by_group, more]: [&Table; 4],
+) -> Result<()> {
+    make_folder(out)?;
+    let write = |name: &str, text: &str| write_whole(&out.join(name), text.as_bytes());
+    let predictors = evaluation.predictors;
+    write("evaluation.json", &(serde_json::to_string_pretty(evaluation)? + "\n"))?;
+
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    let mut header = vec!["table".to_owned(), "frame".into(), "group".into(), "seconds_measured".into()];
+    header.extend(predictors.iter().map(|p| format!("seconds_{}", p.name)));
+    csv.write_record(&header)?;
+    for (i, f) in frames.iter().enumerate() {
+        let mut row = vec![
+            evaluation.data[f.table].clone(),
+            f.number.to_string(),
+            groups[i].clone(),
+            measured[i].to_string(),
+        ];
+        row.extend(predictors.iter().map(|p| p.predicted[i].to_string()));
+        csv.write_record(&row)?;
+    }
+    let csv = csv.into_inner().map_err(|e| anyhow::anyhow!("{e}"))?;
+    write("predictions.csv", &String::from_utf8_lossy(&csv))?;
+
+    let lead = format!(
+        "{} frames, clock {}. {}",
+        evaluation.frames,
+        evaluation.clock,
+        noise_text(evaluation.noise_floor)
+    );
+    let mut page = Page::new("Evaluation of predictors", &lead);
+    page.table(
+        overall,
+        "RMSE over SD is 1 for a predictor that always says the mean. MdAPE: median absolute percentage \
+         error. Latency: \
+         median of warm calls in one thread, scene features included.",
+    );
+    page.table(
+        more,
+        "Intervals: ensemble members (volumes that belong to none) drawn anew with replacement.",
+    );
+    page.heading("Errors");
+    let spread = histogram(predictors, measured);
+    write("errors.svg", &spread.to_svg_file())?;
+    page.chart(&spread, "Bins of equal ratio between 1/2 and 2; the outermost hold everything beyond.");
+    let by_time = bias_chart(predictors);
+    write("bias.svg", &by_time.to_svg_file())?;
+    page.chart(
+        &by_time,
+        "The constant baseline is left out: its bias is hundreds of percent on fast frames.",
+    );
+    page.table(bias, "Median of predicted / measured - 1 by tenth of the frames, fastest first, %.");
+    page.heading("Predicted against measured");
+    for (i, p) in predictors.iter().enumerate() {
+        let chart = scatter(p, measured, i);
+        write(&format!("scatter-{}.svg", i + 1), &chart.to_svg_file())?;
+        page.chart(&chart, "");
+    }
+    page.heading("By group");
+    page.table(by_group, "SD is that of the group's own frames.");
+    page.heading("Where the numbers come from");
+    let load = evaluation
+        .load_average
+        .map_or("not known".into(), |l| format!("{:.2} {:.2} {:.2}", l[0], l[1], l[2]));
+    page.facts([
+        ("Program", evaluation.program.clone()),
+        ("Evaluated on", evaluation.machine.clone()),
+        ("Date", evaluation.date.clone()),
+        ("Load average", load),
+        ("Data", evaluation.data.join(", ")),
+    ]);
+    page.write(&out.join("report.html"))
+}

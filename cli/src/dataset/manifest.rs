@@ -1,0 +1,88 @@
+//! What a table was measured with and how.
+
+use super::feature_table::stem;
+use crate::files::{read_text, write_whole};
+use anyhow::{Context, Result, ensure};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The manifest's `format` value.
+pub const MANIFEST_FORMAT: &str = "entire-timings-1";
+
+/// Largest manifest that is read, in bytes.
+const MAX_MANIFEST_BYTES: u64 = 64 << 20;
+
+/// What was measured, with what and how. Written beside the table as `NAME.manifest.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// [`MANIFEST_FORMAT`].
+    pub format: String,
+    /// When collection started, UTC, ISO 8601.
+    pub created: String,
+    /// Host name, CPU model, logical CPUs, operating system.
+    pub machine: String,
+    /// `vulkan` or `cpu`.
+    pub renderer: String,
+    /// The device that rendered.
+    pub device: String,
+    /// Its driver with version; empty where there is none.
+    #[serde(default)]
+    pub driver: String,
+    /// The program's version and, where known, commit.
+    pub commit: String,
+    /// The seed of every random choice.
+    pub seed: u64,
+    /// Repeats per frame.
+    pub repeats: u32,
+    /// What one reference step is.
+    pub step_reference: String,
+    /// Everything else that the collector was told, free form.
+    #[serde(default)]
+    pub settings: serde_json::Value,
+    /// Keys that this version does not know, kept as they are.
+    #[serde(flatten)]
+    pub other: BTreeMap<String, serde_json::Value>,
+}
+
+impl Manifest {
+    /// The manifest's path beside a table: `NAME.csv` or `NAME.csv.gz` → `NAME.manifest.json`.
+    pub fn path_for(table: &Path) -> PathBuf {
+        let mut name = stem(table).into_os_string();
+        name.push(".manifest.json");
+        name.into()
+    }
+
+    /// Writes the manifest beside `table`, whole or not at all.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write(&self, table: &Path) -> Result<()> {
+        let path = Self::path_for(table);
+        let mut text = serde_json::to_string_pretty(self)?;
+        text.push('\n');
+        write_whole(&path, text.as_bytes())
+    }
+
+    /// Reads the manifest beside `table`; `None` when there is none.
+    ///
+    /// # Errors
+    /// When it exists but is no manifest that this version reads.
+    pub fn read(table: &Path) -> Result<Option<Self>> {
+        let path = Self::path_for(table);
+        if !path.try_exists().with_context(|| format!("cannot read {}", path.display()))? {
+            return Ok(None);
+        }
+        let text = read_text(&path, MAX_MANIFEST_BYTES)
+            .with_context(|| format!("cannot read {}", path.display()))?;
+        let manifest: Self =
+            serde_json::from_str(&text).with_context(|| format!("{} is no manifest", path.display()))?;
+        ensure!(
+            manifest.format == MANIFEST_FORMAT,
+            "{} has format {:?}; this version reads {MANIFEST_FORMAT:?}",
+            path.display(),
+            manifest.format
+        );
+        Ok(Some(manifest))
+    }
+}

@@ -1,0 +1,134 @@
+//! What a frame shows, and its modes and transfer function as text.
+
+use anyhow::{Result, anyhow, bail, ensure};
+use entire_core::scene::{
+    Arcball, Camera, Frame, GaussianLobe, Shading, Skipping, TransferFunction, TransferTable,
+};
+use std::fmt::Write as _;
+
+/// What a frame shows: everything that is known before it is drawn.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// The volume file, as the collector was given it.
+    pub volume: String,
+    /// The ensemble member (or any other name of a group of related volumes). Empty when there is none.
+    pub member: String,
+    /// The time step within the member, where there is one.
+    pub time_step: Option<u32>,
+    /// Voxels along x, y, z.
+    pub dims: [u32; 3],
+    /// Camera angles in degrees and distance in bounding-sphere radii.
+    pub camera: Arcball,
+    /// Vertical field of view, degrees.
+    pub fov_y_degrees: f32,
+    /// Image width, pixels.
+    pub width: u32,
+    /// Image height, pixels.
+    pub height: u32,
+    /// Ray step in reference steps.
+    pub step: f32,
+    /// What each sample computes.
+    pub shading: Shading,
+    /// How empty space is skipped.
+    pub skipping: Skipping,
+    /// Accumulated opacity at which a ray stops.
+    pub termination: f32,
+    /// The transfer function's lobes.
+    pub lobes: Vec<GaussianLobe>,
+}
+
+impl Scene {
+    /// The frame that a renderer draws.
+    ///
+    /// # Errors
+    /// When a value lies outside what the core accepts; the message is the core's.
+    pub fn to_frame(&self) -> Result<Frame> {
+        let camera = Camera::from_arcball(self.camera)?.with_fov_y_degrees(self.fov_y_degrees)?;
+        Ok(Frame::new(camera, self.width, self.height)?
+            .with_step(self.step)?
+            .with_termination(self.termination)?
+            .with_shading(self.shading)
+            .with_skipping(self.skipping))
+    }
+
+    /// The transfer function.
+    pub fn transfer_function(&self) -> TransferFunction {
+        TransferFunction::Gaussian(self.lobes.clone())
+    }
+
+    /// The transfer function's table.
+    ///
+    /// # Errors
+    /// When a lobe is refused by the core.
+    pub fn to_table(&self) -> Result<TransferTable> {
+        Ok(self.transfer_function().to_table()?)
+    }
+
+    pub(super) fn check(&self) -> Result<()> {
+        for (name, text) in [("volume", &self.volume), ("member", &self.member)] {
+            ensure!(
+                !text.chars().any(char::is_control),
+                "{name} {text:?} holds a line break or another control character; rename it"
+            );
+        }
+        ensure!(!self.volume.is_empty(), "the volume's name is empty; give the file's path");
+        ensure!(self.dims.iter().all(|&n| n > 0), "volume size {:?} holds a 0", self.dims);
+        self.to_frame()?;
+        self.to_table()?;
+        Ok(())
+    }
+}
+
+/// Reads a shading mode's name.
+///
+/// # Errors
+/// For any other name; lists the accepted ones.
+pub fn parse_shading(name: &str) -> Result<Shading> {
+    [Shading::None, Shading::Local, Shading::Scatter]
+        .into_iter()
+        .find(|s| s.name() == name)
+        .ok_or_else(|| anyhow!("shading is {name:?}; none, local or scatter is expected"))
+}
+
+/// Reads a skipping mode's name.
+///
+/// # Errors
+/// For any other name; lists the accepted ones.
+pub fn parse_skipping(name: &str) -> Result<Skipping> {
+    [Skipping::None, Skipping::Blocks, Skipping::Distance]
+        .into_iter()
+        .find(|s| s.name() == name)
+        .ok_or_else(|| anyhow!("skipping is {name:?}; none, blocks or distance is expected"))
+}
+
+/// Reads Gaussian lobes from `c w h;c w h;…`. An empty text is no lobe.
+///
+/// # Errors
+/// When a lobe has another number of parts than three, or one is no number.
+pub fn parse_lobes(text: &str) -> Result<Vec<GaussianLobe>> {
+    text.split(';')
+        .map(str::trim)
+        .filter(|lobe| !lobe.is_empty())
+        .enumerate()
+        .map(|(i, lobe)| {
+            let parts: Vec<f32> = lobe
+                .split_whitespace()
+                .map(|p| p.parse().map_err(|_| anyhow!("lobe {i}: {p:?} is no number")))
+                .collect::<Result<_>>()?;
+            let [center, width, height] = parts[..] else {
+                bail!("lobe {i} is {lobe:?}; three numbers are expected: center, width, height");
+            };
+            Ok(GaussianLobe { center, width, height })
+        })
+        .collect()
+}
+
+/// Writes Gaussian lobes so that [`parse_lobes`] gives back the same bits.
+pub fn format_lobes(lobes: &[GaussianLobe]) -> String {
+    let mut text = String::new();
+    for (i, l) in lobes.iter().enumerate() {
+        let separator = if i == 0 { "" } else { ";" };
+        let _ = write!(text, "{separator}{} {} {}", l.center, l.width, l.height);
+    }
+    text
+}

@@ -1,0 +1,243 @@
+//! Timing tables, read: rows grouped into frames, every wrong field named with its line and column.
+
+use super::feature_table::FeatureTable;
+use super::{Manifest, Scene, TimedFrame, Timing, parse_lobes, parse_shading, parse_skipping};
+use crate::files::{fnv1a, read_decompressed};
+use anyhow::{Context, Result, anyhow, ensure};
+use entire_core::scene::Arcball;
+use entire_vk_raycaster::WorkCounts;
+use std::collections::{HashMap, HashSet};
+use std::path::{Path, PathBuf};
+
+/// The columns of a timing table, in file order. Units are part of the names.
+pub const COLUMNS: [&str; 26] = [
+    "frame",
+    "repeat",
+    "volume",
+    "member",
+    "time_step",
+    "dims_x",
+    "dims_y",
+    "dims_z",
+    "camera_rx_deg",
+    "camera_ry_deg",
+    "camera_dz_radii",
+    "fov_y_deg",
+    "width_px",
+    "height_px",
+    "step_ref",
+    "shading",
+    "skipping",
+    "termination",
+    "tf",
+    "seconds_device",
+    "seconds_wall",
+    "seconds_cpu",
+    "samples",
+    "skips",
+    "rays",
+    "shaded",
+];
+
+/// A timing table in memory, repeats grouped into frames.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Table {
+    /// Where it was read from.
+    pub path: PathBuf,
+    /// Its manifest, where there is one.
+    pub manifest: Option<Manifest>,
+    /// Its frames, in the order in which they first appear.
+    pub frames: Vec<TimedFrame>,
+    /// FNV-1a hash of the CSV's bytes, decompressed.
+    pub hash: u64,
+    /// What was computed about its frames, where that is kept beside it.
+    pub features: Option<FeatureTable>,
+    /// Where its volume names start from, where it is neither the working folder nor the table's.
+    pub root: Option<PathBuf>,
+}
+
+impl Table {
+    /// Reads a table, its manifest and its features. `index` is stored in each frame's `table`. Names that
+    /// end in `.gz` are decompressed.
+    ///
+    /// # Errors
+    /// When a file cannot be read, a column is missing, or a row holds something that it may not; the message
+    /// names file, line and column.
+    pub fn read(path: &Path, index: usize) -> Result<Self> {
+        let mut table = Self::read_without_features(path, index)?;
+        table.features = FeatureTable::beside(path, &table.frames, table.hash)?;
+        Ok(table)
+    }
+
+    /// As [`Table::read`], passing over features kept beside the table.
+    ///
+    /// # Errors
+    /// As [`Table::read`].
+    pub fn read_without_features(path: &Path, index: usize) -> Result<Self> {
+        let bytes = read_decompressed(path).with_context(|| {
+            let remedy =
+                if path.exists() { "" } else { "; make a table with `entire collect VOLUME --out FILE.csv`" };
+            format!("cannot read {}{remedy}", path.display())
+        })?;
+        let frames =
+            parse(&bytes, index).with_context(|| format!("{} is no timing table", path.display()))?;
+        Ok(Self {
+            path: path.to_owned(),
+            manifest: Manifest::read(path)?,
+            frames,
+            hash: fnv1a(&bytes),
+            features: None,
+            root: None,
+        })
+    }
+
+    /// Finds a frame's volume file: the name below the root where one is set, the name as it stands, else
+    /// relative to the table's folder.
+    pub fn resolve_volume(&self, name: &str) -> Option<PathBuf> {
+        if let Some(below) = self.root.as_ref().map(|r| r.join(name)).filter(|p| p.exists()) {
+            return Some(below);
+        }
+        let as_is = PathBuf::from(name);
+        if as_is.exists() {
+            return Some(as_is);
+        }
+        let beside = self.path.parent().unwrap_or(Path::new("")).join(name);
+        beside.exists().then_some(beside)
+    }
+}
+
+/// Reads several tables.
+///
+/// # Errors
+/// As [`Table::read`]; also when they hold no frame at all.
+pub fn read_tables(paths: &[PathBuf]) -> Result<Vec<Table>> {
+    let tables: Vec<Table> =
+        paths.iter().enumerate().map(|(i, p)| Table::read(p, i)).collect::<Result<_>>()?;
+    ensure!(
+        tables.iter().any(|t| !t.frames.is_empty()),
+        "no frames in {}; collect some with `entire collect`",
+        paths.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", ")
+    );
+    Ok(tables)
+}
+
+pub(super) fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
+    let mut reader = csv::ReaderBuilder::new().from_reader(bytes);
+    let headers = reader.headers().context("the header line cannot be read")?.clone();
+    let mut at = [0usize; COLUMNS.len()];
+    for (slot, name) in at.iter_mut().zip(COLUMNS) {
+        *slot = headers.iter().position(|h| h.trim() == name).ok_or_else(|| {
+            anyhow!("column {name:?} is missing; the first line must name {}", COLUMNS.join(","))
+        })?;
+    }
+    let mut frames: Vec<TimedFrame> = Vec::new();
+    let mut by_number: HashMap<u64, usize> = HashMap::new();
+    let mut seen: HashSet<(u64, u32)> = HashSet::new();
+    for record in reader.records() {
+        let record = record.map_err(|e| match e.position() {
+            Some(p) => anyhow!("line {}: {}", p.line(), describe(&e)),
+            None => anyhow!("{e}"),
+        })?;
+        let line = record.position().map_or(0, csv::Position::line);
+        let row = Row { record: &record, at: &at };
+        let (number, repeat, scene, measurement) = row.read().with_context(|| format!("line {line}"))?;
+        ensure!(
+            seen.insert((number, repeat)),
+            "line {line}: frame {number}, repeat {repeat} stands there twice; remove one"
+        );
+        match by_number.get(&number) {
+            Some(&i) => {
+                ensure!(
+                    frames[i].scene == scene,
+                    "line {line}: repeat {repeat} of frame {number} shows another scene than its earlier \
+                     rows; give it another frame number"
+                );
+                frames[i].repeats.push(measurement);
+            }
+            None => {
+                by_number.insert(number, frames.len());
+                frames.push(TimedFrame { table, number, scene, repeats: vec![measurement] });
+            }
+        }
+    }
+    Ok(frames)
+}
+
+fn describe(error: &csv::Error) -> String {
+    match error.kind() {
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+            format!("{len} fields found, {expected_len} expected; is the line cut off?")
+        }
+        csv::ErrorKind::Utf8 { .. } => "the text is not UTF-8".into(),
+        other => format!("{other:?}"),
+    }
+}
+
+struct Row<'a> {
+    record: &'a csv::StringRecord,
+    at: &'a [usize; COLUMNS.len()],
+}
+
+impl Row<'_> {
+    fn text(&self, name: &'static str) -> &str {
+        let column = COLUMNS.iter().position(|c| *c == name).unwrap_or(0);
+        self.record.get(self.at[column]).unwrap_or("").trim()
+    }
+
+    fn number<T: std::str::FromStr>(&self, name: &'static str, accepted: &str) -> Result<T> {
+        let text = self.text(name);
+        text.parse().map_err(|_| anyhow!("column {name} is {text:?}; {accepted} is expected"))
+    }
+
+    fn optional<T: std::str::FromStr>(&self, name: &'static str, accepted: &str) -> Result<Option<T>> {
+        if self.text(name).is_empty() { Ok(None) } else { self.number(name, accepted).map(Some) }
+    }
+
+    fn read(&self) -> Result<(u64, u32, Scene, Timing)> {
+        const WHOLE: &str = "a whole number";
+        const NUMBER: &str = "a number";
+        const OR_EMPTY: &str = "a number or nothing";
+        let scene = Scene {
+            volume: self.text("volume").to_owned(),
+            member: self.text("member").to_owned(),
+            time_step: self.optional("time_step", "a whole number or nothing")?,
+            dims: [
+                self.number("dims_x", WHOLE)?,
+                self.number("dims_y", WHOLE)?,
+                self.number("dims_z", WHOLE)?,
+            ],
+            camera: Arcball {
+                rx: self.number("camera_rx_deg", NUMBER)?,
+                ry: self.number("camera_ry_deg", NUMBER)?,
+                dz: self.number("camera_dz_radii", NUMBER)?,
+            },
+            fov_y_degrees: self.number("fov_y_deg", NUMBER)?,
+            width: self.number("width_px", WHOLE)?,
+            height: self.number("height_px", WHOLE)?,
+            step: self.number("step_ref", NUMBER)?,
+            shading: parse_shading(self.text("shading")).context("column shading")?,
+            skipping: parse_skipping(self.text("skipping")).context("column skipping")?,
+            termination: self.number("termination", NUMBER)?,
+            lobes: parse_lobes(self.text("tf")).context("column tf")?,
+        };
+        scene.check()?;
+        let samples = self.optional("samples", OR_EMPTY)?;
+        let counts = match samples {
+            Some(samples) => Some(WorkCounts {
+                samples,
+                skips: self.optional("skips", OR_EMPTY)?.unwrap_or(0),
+                rays: self.optional("rays", OR_EMPTY)?.unwrap_or(0),
+                shaded: self.optional("shaded", OR_EMPTY)?.unwrap_or(0),
+            }),
+            None => None,
+        };
+        let measurement = Timing {
+            device: self.optional("seconds_device", OR_EMPTY)?,
+            wall: self.optional("seconds_wall", OR_EMPTY)?,
+            cpu: self.optional("seconds_cpu", OR_EMPTY)?,
+            counts,
+        };
+        measurement.check()?;
+        Ok((self.number("frame", WHOLE)?, self.number("repeat", WHOLE)?, scene, measurement))
+    }
+}

@@ -1,0 +1,278 @@
+//! Tables, manifests and noise floors, written and read back.
+
+use super::table::parse;
+use super::*;
+use crate::metrics::median;
+use entire_core::scene::{Arcball, GaussianLobe, Shading, Skipping};
+use entire_vk_raycaster::WorkCounts;
+use proptest::prelude::*;
+use std::collections::BTreeMap;
+
+fn scene() -> Scene {
+    Scene {
+        volume: "data/a, \"b\".nrrd".into(),
+        member: "m01".into(),
+        time_step: Some(3),
+        dims: [96, 64, 1],
+        camera: Arcball { rx: -12.345_678, ry: 170.0, dz: 1.75 },
+        fov_y_degrees: 45.0,
+        width: 320,
+        height: 200,
+        step: 1.5,
+        shading: Shading::Local,
+        skipping: Skipping::Distance,
+        termination: 0.99,
+        lobes: vec![
+            GaussianLobe { center: 0.1, width: 0.003, height: 0.9 },
+            GaussianLobe { center: 1.0 / 3.0, width: 1e-5, height: 0.0 },
+        ],
+    }
+}
+
+fn measured(wall: f64) -> Timing {
+    let counts = Some(WorkCounts { rays: 7, samples: u64::from(u32::MAX) * 9, skips: 0, shaded: 2 });
+    Timing { device: None, wall: Some(wall), cpu: Some(wall * 1.7), counts }
+}
+
+fn folder() -> tempfile::TempDir {
+    tempfile::tempdir().unwrap()
+}
+
+#[test]
+fn a_written_table_reads_back_bit_for_bit() {
+    let dir = folder();
+    let path = dir.path().join("t.csv");
+    let mut writer = Writer::create(&path).unwrap();
+    writer.append(4, &scene(), &[measured(0.1), measured(0.3), measured(0.2)]).unwrap();
+    let bare = Scene { member: String::new(), time_step: None, lobes: vec![], ..scene() };
+    let lone = Timing { device: Some(1e-7), ..Timing::default() };
+    writer.append(9, &bare, &[lone]).unwrap();
+    let table = Table::read(&path, 2).unwrap();
+    assert_eq!(table.frames.len(), 2);
+    assert_eq!((table.frames[0].number, table.frames[0].table), (4, 2));
+    assert_eq!(table.frames[0].scene, scene());
+    assert_eq!(table.frames[0].repeats, [measured(0.1), measured(0.3), measured(0.2)]);
+    assert_eq!(table.frames[1].scene, bare);
+    assert_eq!(table.frames[1].repeats, [lone]);
+    assert_eq!(table.frames[0].seconds(Clock::Auto), Some(0.2));
+    assert_eq!(table.frames[0].seconds(Clock::Cpu), Some(0.2 * 1.7));
+    assert_eq!(table.frames[0].seconds(Clock::Device), None);
+    assert_eq!(table.frames[1].seconds(Clock::Auto), Some(1e-7));
+    assert!(writer.append(9, &bare, &[lone]).unwrap_err().to_string().contains("already"));
+    assert!(Writer::create(&path).unwrap_err().to_string().contains("resume"));
+}
+
+proptest! {
+    #[test]
+    fn lobes_survive_text(values in prop::collection::vec((any::<f32>(), any::<f32>(), any::<f32>()), 0..6)) {
+        prop_assume!(values.iter().all(|(a, b, c)| a.is_finite() && b.is_finite() && c.is_finite()));
+        let lobes: Vec<_> = values.iter()
+            .map(|&(center, width, height)| GaussianLobe { center, width, height }).collect();
+        prop_assert_eq!(parse_lobes(&format_lobes(&lobes)).unwrap(), lobes);
+    }
+
+    #[test]
+    fn any_bytes_are_an_error_and_never_a_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+        let _ = parse(&bytes, 0);
+        let mut with_header = format!("{}\n", COLUMNS.join(",")).into_bytes();
+        with_header.extend(bytes);
+        let _ = parse(&with_header, 0);
+    }
+}
+
+#[test]
+fn resuming_repairs_any_cut_and_keeps_whole_frames() {
+    let dir = folder();
+    let path = dir.path().join("t.csv");
+    let mut writer = Writer::create(&path).unwrap();
+    for n in 0..3 {
+        writer.append(n, &scene(), &[measured(0.1), measured(0.2)]).unwrap();
+    }
+    drop(writer);
+    let whole = std::fs::read(&path).unwrap();
+    let frame_ends: Vec<usize> =
+        whole.iter().enumerate().filter(|(_, b)| **b == b'\n').map(|(i, _)| i + 1).step_by(2).collect();
+    for cut in 0..=whole.len() {
+        std::fs::write(&path, &whole[..cut]).unwrap();
+        let mut writer = Writer::resume(&path, 2).unwrap();
+        let kept = frame_ends.iter().filter(|e| **e <= cut).count().saturating_sub(1);
+        assert_eq!(writer.done().len(), kept, "cut at {cut}");
+        for n in kept as u64..3 {
+            writer.append(n, &scene(), &[measured(0.1), measured(0.2)]).unwrap();
+        }
+        drop(writer);
+        assert_eq!(std::fs::read(&path).unwrap(), whole, "cut at {cut}");
+    }
+    std::fs::write(&path, "something else\n").unwrap();
+    assert!(Writer::resume(&path, 2).unwrap_err().to_string().contains("first line"));
+}
+
+#[test]
+fn every_wrong_field_is_named_with_its_line_and_column() {
+    let dir = folder();
+    let path = dir.path().join("t.csv");
+    let plain = Scene { volume: "v.nrrd".into(), ..scene() };
+    Writer::create(&path).unwrap().append(0, &plain, &[measured(0.1)]).unwrap();
+    let good = std::fs::read_to_string(&path).unwrap();
+    let line: Vec<String> = good.lines().nth(1).unwrap().split(',').map(str::to_owned).collect();
+    let with = |column: &str, value: &str| {
+        let mut fields = line.clone();
+        fields[COLUMNS.iter().position(|c| *c == column).unwrap()] = value.to_owned();
+        let text = format!("{}\n{}\n", COLUMNS.join(","), fields.join(","));
+        std::fs::write(&path, text).unwrap();
+        format!("{:#}", Table::read(&path, 0).unwrap_err())
+    };
+    for (column, value, expected) in [
+        ("frame", "x", "column frame is \"x\""),
+        ("repeat", "-1", "column repeat"),
+        ("volume", "", "volume's name is empty"),
+        ("dims_y", "0", "holds a 0"),
+        ("dims_z", "1.5", "column dims_z"),
+        ("camera_rx_deg", "NaN", "finite degrees"),
+        ("camera_dz_radii", "0", "camera distance is 0"),
+        ("fov_y_deg", "200", "field of view"),
+        ("width_px", "0", "image size is 0"),
+        ("step_ref", "0", "ray step is 0"),
+        ("shading", "phong", "none, local or scatter"),
+        ("skipping", "octree", "none, blocks or distance"),
+        ("termination", "1.5", "termination opacity"),
+        ("tf", "0.1 0.2", "three numbers"),
+        ("tf", "0.1 0 1", "width is 0"),
+        ("seconds_wall", "-1", "seconds_wall is -1"),
+        ("seconds_wall", "inf", "seconds_wall is inf"),
+        ("seconds_cpu", "fast", "column seconds_cpu"),
+        ("samples", "-3", "column samples"),
+    ] {
+        let message = with(column, value);
+        assert!(message.contains(expected) && message.contains("line 2"), "{column}={value}: {message}");
+    }
+    let missing = good.replacen("step_ref", "step", 1);
+    std::fs::write(&path, missing).unwrap();
+    assert!(format!("{:#}", Table::read(&path, 0).unwrap_err()).contains("\"step_ref\" is missing"));
+    std::fs::write(&path, &good[..good.len() - 30]).unwrap();
+    assert!(format!("{:#}", Table::read(&path, 0).unwrap_err()).contains("26 expected"));
+    std::fs::write(&path, format!("{good}{}\n", line.join(","))).unwrap();
+    assert!(format!("{:#}", Table::read(&path, 0).unwrap_err()).contains("line 3: frame 0, repeat 0"));
+    std::fs::write(
+        &path,
+        format!("{good}{}\n", line.join(",").replacen("0,0,", "0,1,", 1).replace("320", "321")),
+    )
+    .unwrap();
+    assert!(format!("{:#}", Table::read(&path, 0).unwrap_err()).contains("another scene"));
+    std::fs::write(&path, format!("{}\n", COLUMNS.join(","))).unwrap();
+    assert!(read_tables(std::slice::from_ref(&path)).unwrap_err().to_string().contains("no frames"));
+}
+
+#[test]
+fn the_writer_refuses_what_could_not_be_read_back() {
+    let dir = folder();
+    let mut writer = Writer::create(&dir.path().join("t.csv")).unwrap();
+    let newline = Scene { volume: "a\nb".into(), ..scene() };
+    assert!(writer.append(0, &newline, &[measured(0.1)]).is_err());
+    assert!(writer.append(0, &scene(), &[]).is_err());
+    assert!(writer.append(0, &scene(), &[Timing::default()]).is_err());
+    assert!(writer.append(0, &scene(), &[measured(f64::NAN)]).is_err());
+    writer.append(0, &scene(), &[measured(0.1)]).unwrap();
+}
+
+#[test]
+fn noise_floor_is_the_pooled_log_deviation() {
+    // Two frames, ratios e^±0.1 and e^±0.1: pooled variance = (2·0.01 + 2·0.01) / 2.
+    let frame = |t: f64| TimedFrame {
+        table: 0,
+        number: 0,
+        scene: scene(),
+        repeats: vec![measured(t * 0.1f64.exp()), measured(t * (-0.1f64).exp())],
+    };
+    let floor = noise_floor(&[frame(1.0), frame(20.0)], Clock::Wall).unwrap();
+    assert!((floor.log_sd - 0.02f64.sqrt()).abs() < 1e-12);
+    assert!((floor.log_sd_of_median - 0.1).abs() < 1e-12);
+    assert_eq!(floor.frames, 2);
+    let mut once = frame(1.0);
+    once.repeats.pop();
+    assert_eq!(noise_floor(&[once], Clock::Wall), None);
+    assert_eq!(noise_floor(&[frame(1.0)], Clock::Device), None);
+}
+
+#[test]
+fn medians_ignore_zero_times_and_take_the_middle() {
+    assert_eq!(median(&mut []), None);
+    assert_eq!(median(&mut [3.0, 1.0, 2.0, 10.0]), Some(2.5));
+    let frame =
+        TimedFrame { table: 0, number: 0, scene: scene(), repeats: vec![measured(0.0), measured(0.5)] };
+    assert_eq!(frame.seconds(Clock::Wall), Some(0.5));
+}
+
+#[test]
+fn manifests_keep_unknown_keys_and_refuse_other_formats() {
+    let dir = folder();
+    let table = dir.path().join("run.v2.csv");
+    assert_eq!(Manifest::path_for(&table), dir.path().join("run.v2.manifest.json"));
+    assert_eq!(Manifest::read(&table).unwrap(), None);
+    let mut manifest = Manifest {
+        format: MANIFEST_FORMAT.into(),
+        created: "2020-01-02T03:04:05Z".into(),
+        machine: "host".into(),
+        renderer: "cpu".into(),
+        device: "twin".into(),
+        driver: String::new(),
+        commit: "0.1.0".into(),
+        seed: u64::MAX,
+        repeats: 3,
+        step_reference: "smallest voxel spacing".into(),
+        settings: serde_json::json!({"frames": 10}),
+        other: BTreeMap::from([("weather".to_owned(), serde_json::json!("fine"))]),
+    };
+    manifest.write(&table).unwrap();
+    assert_eq!(Manifest::read(&table).unwrap(), Some(manifest.clone()));
+    manifest.format = "2".into();
+    manifest.write(&table).unwrap();
+    assert!(Manifest::read(&table).unwrap_err().to_string().contains("entire-timings-1"));
+}
+
+#[test]
+fn a_table_has_one_writer() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("t.csv");
+    let first = Writer::create(&path).unwrap();
+    let said = format!("{:#}", Writer::resume(&path, 1).unwrap_err());
+    assert!(said.contains("is being written by another process"), "{said}");
+    drop(first);
+    Writer::resume(&path, 1).unwrap();
+}
+
+#[test]
+fn a_table_is_fresh_until_its_first_row() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("t.csv");
+    assert!(Writer::is_fresh(&path).unwrap());
+    drop(Writer::create(&path).unwrap());
+    let header = std::fs::read(&path).unwrap();
+    for cut in 0..=header.len() {
+        std::fs::write(&path, &header[..cut]).unwrap();
+        assert!(Writer::is_fresh(&path).unwrap(), "{cut}");
+        drop(Writer::resume(&path, 1).unwrap());
+        assert_eq!(std::fs::read(&path).unwrap(), header, "{cut}");
+    }
+    std::fs::write(&path, [&header[..], b"0"].concat()).unwrap();
+    assert!(!Writer::is_fresh(&path).unwrap());
+}
+
+#[test]
+fn seconds_that_no_frame_takes_are_refused() {
+    for (seconds, fine) in
+        [(1.0e300, false), (f64::INFINITY, false), (f64::NAN, false), (-1.0, false), (9000.0, true)]
+    {
+        let timing = Timing { device: None, wall: Some(seconds), cpu: None, counts: None };
+        assert_eq!(timing.check().is_ok(), fine, "{seconds}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn what_is_no_regular_file_is_no_table() {
+    for path in ["/dev/zero", "/"] {
+        let said = format!("{:#}", Table::read(std::path::Path::new(path), 0).unwrap_err());
+        assert!(said.contains(path), "{said}");
+    }
+}

@@ -1,0 +1,174 @@
+//! Timing tables, written frame by frame.
+
+use super::table::parse;
+use super::{COLUMNS, Scene, Timing, format_lobes};
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use entire_vk_raycaster::WorkCounts;
+use std::collections::HashSet;
+use std::fs::{File, OpenOptions};
+use std::io::{Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+/// Appends frames to a timing table. Each frame goes out in one piece and is flushed to disk, so that a crash
+/// loses at most the frame in flight. The table is locked for as long: two writers would mix their rows.
+#[derive(Debug)]
+pub struct Writer {
+    file: File,
+    path: PathBuf,
+    done: HashSet<u64>,
+}
+
+impl Writer {
+    /// Starts a new table.
+    ///
+    /// # Errors
+    /// When the file exists already (resume it or remove it) or cannot be written.
+    pub fn create(path: &Path) -> Result<Self> {
+        let mut file = OpenOptions::new().write(true).create_new(true).open(path).map_err(|e| {
+            if e.kind() == std::io::ErrorKind::AlreadyExists {
+                anyhow!("{} exists already; resume it, remove it or choose another name", path.display())
+            } else {
+                anyhow!("cannot write {}: {e}", path.display())
+            }
+        })?;
+        lock(&file, path)?;
+        write_header(&mut file).with_context(|| format!("cannot write {}", path.display()))?;
+        Ok(Self { file, path: path.to_owned(), done: HashSet::new() })
+    }
+
+    /// Whether a file holds no frame yet: it is not there, or was cut off within its first line or right
+    /// after it.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn is_fresh(path: &Path) -> Result<bool> {
+        let header = format!("{}\n", COLUMNS.join(","));
+        let mut start = Vec::new();
+        match File::open(path) {
+            Ok(file) => file.take(header.len() as u64 + 1).read_to_end(&mut start),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(true),
+            Err(e) => Err(e),
+        }
+        .with_context(|| format!("cannot read {}", path.display()))?;
+        Ok(header.as_bytes().starts_with(&start))
+    }
+
+    /// Goes on with a table (or starts it where there is none). A last line that was cut off, and a last
+    /// frame with fewer than `repeats` repeats, are removed.
+    ///
+    /// # Errors
+    /// When the file is no timing table, has its columns in another order, or cannot be written.
+    pub fn resume(path: &Path, repeats: u32) -> Result<Self> {
+        if !path.exists() {
+            return Self::create(path);
+        }
+        let fail = || format!("cannot resume {}", path.display());
+        let mut file = OpenOptions::new().read(true).write(true).open(path).with_context(fail)?;
+        lock(&file, path)?;
+        let mut bytes = Vec::new();
+        file.read_to_end(&mut bytes).with_context(fail)?;
+        let header = format!("{}\n", COLUMNS.join(","));
+        if header.as_bytes().starts_with(&bytes) && bytes.len() < header.len() {
+            // Cut off within its header: nothing is lost.
+            file.set_len(0).and_then(|()| file.rewind()).with_context(fail)?;
+            write_header(&mut file).with_context(fail)?;
+            return Ok(Self { file, path: path.to_owned(), done: HashSet::new() });
+        }
+        ensure!(
+            bytes.starts_with(header.as_bytes()),
+            "cannot resume {}: its first line is not {}; is it a timing table?",
+            path.display(),
+            header.trim_end()
+        );
+        let mut end = bytes.iter().rposition(|&b| b == b'\n').map_or(0, |i| i + 1);
+        let mut frames = parse(&bytes[..end], 0).with_context(fail)?;
+        if frames.last().is_some_and(|f| f.repeats.len() < repeats as usize) {
+            let partial = frames.pop().map_or(0, |f| f.repeats.len());
+            for _ in 0..partial {
+                end = bytes[..end - 1].iter().rposition(|&b| b == b'\n').map_or(0, |i| i + 1);
+            }
+        }
+        file.set_len(end as u64).and_then(|()| file.seek(SeekFrom::End(0))).with_context(fail)?;
+        Ok(Self { file, path: path.to_owned(), done: frames.iter().map(|f| f.number).collect() })
+    }
+
+    /// Numbers of the frames that are in the table.
+    pub fn done(&self) -> &HashSet<u64> {
+        &self.done
+    }
+
+    /// Appends a frame with all its repeats, numbered from 0.
+    ///
+    /// # Errors
+    /// When the scene or a measurement is not valid, the frame is there already, or the disk refuses.
+    pub fn append(&mut self, number: u64, scene: &Scene, repeats: &[Timing]) -> Result<()> {
+        scene.check().with_context(|| format!("frame {number}"))?;
+        ensure!(!repeats.is_empty(), "frame {number} has no repeat");
+        ensure!(!self.done.contains(&number), "frame {number} is in {} already", self.path.display());
+        let lobes = format_lobes(&scene.lobes);
+        let mut out = csv::WriterBuilder::new().from_writer(Vec::new());
+        for (repeat, m) in repeats.iter().enumerate() {
+            m.check().with_context(|| format!("frame {number}, repeat {repeat}"))?;
+            let seconds = |t: Option<f64>| t.map_or(String::new(), |t| t.to_string());
+            let count =
+                |f: fn(&WorkCounts) -> u64| m.counts.as_ref().map_or(String::new(), |c| f(c).to_string());
+            let fields: [String; COLUMNS.len()] = [
+                number.to_string(),
+                repeat.to_string(),
+                scene.volume.clone(),
+                scene.member.clone(),
+                scene.time_step.map_or(String::new(), |t| t.to_string()),
+                scene.dims[0].to_string(),
+                scene.dims[1].to_string(),
+                scene.dims[2].to_string(),
+                scene.camera.rx.to_string(),
+                scene.camera.ry.to_string(),
+                scene.camera.dz.to_string(),
+                scene.fov_y_degrees.to_string(),
+                scene.width.to_string(),
+                scene.height.to_string(),
+                scene.step.to_string(),
+                scene.shading.name().to_owned(),
+                scene.skipping.name().to_owned(),
+                scene.termination.to_string(),
+                lobes.clone(),
+                seconds(m.device),
+                seconds(m.wall),
+                seconds(m.cpu),
+                count(|c| c.samples),
+                count(|c| c.skips),
+                count(|c| c.rays),
+                count(|c| c.shaded),
+            ];
+            out.write_record(&fields)?;
+        }
+        let bytes = out.into_inner().map_err(|e| anyhow!("{e}"))?;
+        self.file
+            .write_all(&bytes)
+            .and_then(|()| self.file.sync_data())
+            .with_context(|| format!("cannot write {}", self.path.display()))?;
+        self.done.insert(number);
+        Ok(())
+    }
+}
+
+/// Takes the table for this process alone. The lock goes with the process, however that ends.
+fn lock(file: &File, path: &Path) -> Result<()> {
+    match file.try_lock() {
+        Ok(()) => Ok(()),
+        Err(std::fs::TryLockError::WouldBlock) => bail!(
+            "{} is being written by another process; wait until that has ended, or choose another name",
+            path.display()
+        ),
+        // Some network file systems know no locks: then nobody can be kept out.
+        Err(std::fs::TryLockError::Error(e)) if e.kind() == std::io::ErrorKind::Unsupported => Ok(()),
+        Err(std::fs::TryLockError::Error(e)) => {
+            Err(e).with_context(|| format!("cannot lock {}", path.display()))
+        }
+    }
+}
+
+fn write_header(file: &mut File) -> std::io::Result<()> {
+    file.write_all(format!("{}\n", COLUMNS.join(",")).as_bytes())?;
+    file.sync_data()
+}

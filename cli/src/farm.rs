@@ -1,0 +1,289 @@
+//! Render farms: a list of tasks, and which node does what in which order.
+
+use crate::files::read_bytes;
+use anyhow::{Context, Result, ensure};
+use entire_core::schedule::{
+    AffinityTask, Assignment, Span, Timeline, assign_longest_first, longest_first, simulate_affinity,
+    simulate_queue,
+};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::path::Path;
+
+/// What tasks are done on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Farm {
+    /// Speed of each node; a node of speed 2 takes half of a task's seconds.
+    pub speeds: Vec<f64>,
+    /// Seconds of a node that every dispatch from a queue costs.
+    pub dispatch: f64,
+    /// Tasks that a node looks at for one on the volume that it holds.
+    pub window: usize,
+}
+
+/// How tasks come to nodes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Method {
+    /// Fixed beforehand: longest first, each to the node that would finish it first; then tasks are exchanged
+    /// between nodes as long as that helps.
+    #[default]
+    Static,
+    /// Fixed beforehand: longest first alone.
+    Longest,
+    /// A queue, longest first: whichever node is free takes the next.
+    Queue,
+    /// A queue in the order of the list.
+    Arrival,
+    /// A queue, longest first, in which a node prefers tasks on the volume that it holds.
+    Affinity,
+}
+
+impl Method {
+    /// The name used in options and files.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Static => "static",
+            Self::Longest => "longest",
+            Self::Queue => "queue",
+            Self::Arrival => "arrival",
+            Self::Affinity => "affinity",
+        }
+    }
+}
+
+/// Which times decide.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum By {
+    /// `predicted_s`.
+    #[default]
+    Predicted,
+    /// `measured_s`.
+    Measured,
+    /// All tasks alike.
+    Uniform,
+}
+
+/// A task as its list has it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Task {
+    /// Its name; its number where it has none.
+    pub task: String,
+    /// Predicted seconds on a node of speed 1.
+    pub predicted_s: Option<f64>,
+    /// Measured seconds on a node of speed 1.
+    pub measured_s: Option<f64>,
+    /// Which data it needs.
+    pub volume: String,
+    /// Seconds to load that data.
+    pub load_s: f64,
+}
+
+/// Reads a task list, JSON where the name ends so, else CSV.
+///
+/// # Errors
+/// Names the file, the task and what is wrong.
+pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
+    let place = || format!("task list {}", path.display());
+    let bytes = read_bytes(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
+    let mut tasks: Vec<Task> = if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
+        serde_json::from_slice(&bytes).with_context(place)?
+    } else {
+        csv::ReaderBuilder::new()
+            .trim(csv::Trim::All)
+            .from_reader(&bytes[..])
+            .deserialize()
+            .collect::<std::result::Result<_, _>>()
+            .with_context(place)?
+    };
+    ensure!(!tasks.is_empty(), "{} holds no task", path.display());
+    for (i, t) in tasks.iter_mut().enumerate() {
+        if t.task.is_empty() {
+            t.task = i.to_string();
+        }
+        ensure!(
+            t.predicted_s.is_some() || t.measured_s.is_some(),
+            "{}: task {i} ({}) has neither predicted_s nor measured_s; one of them is needed",
+            place(),
+            t.task
+        );
+        for (name, value) in [
+            ("predicted_s", t.predicted_s.unwrap_or(0.0)),
+            ("measured_s", t.measured_s.unwrap_or(0.0)),
+            ("load_s", t.load_s),
+        ] {
+            ensure!(
+                value.is_finite() && value >= 0.0,
+                "{}: task {i} ({}): {name} is {value}; it must be finite and not negative",
+                place(),
+                t.task
+            );
+        }
+    }
+    Ok(tasks)
+}
+
+/// The seconds of tasks that decide.
+///
+/// # Errors
+/// Names the task that lacks them.
+pub fn times(tasks: &[Task], by: By) -> Result<Vec<f64>> {
+    tasks
+        .iter()
+        .map(|t| match by {
+            By::Predicted => t.predicted_s.with_context(|| format!("task {} has no predicted_s", t.task)),
+            By::Measured => t.measured_s.with_context(|| format!("task {} has no measured_s", t.task)),
+            By::Uniform => Ok(1.0),
+        })
+        .collect()
+}
+
+/// Numbers of the tasks' volumes, in order of first appearance.
+pub fn volume_numbers(tasks: &[Task]) -> Vec<usize> {
+    let mut numbers: HashMap<&str, usize> = HashMap::new();
+    tasks
+        .iter()
+        .map(|t| {
+            let next = numbers.len();
+            *numbers.entry(&t.volume).or_insert(next)
+        })
+        .collect()
+}
+
+/// What a plan makes of true times: every task's node, start and end.
+///
+/// # Errors
+/// When times or speeds are not finite and positive.
+pub fn play(plan: &Plan, seconds: &[f64], tasks: &[Task], farm: &Farm) -> Result<Timeline> {
+    let speeds = &farm.speeds;
+    match plan {
+        Plan::Assigned(assignment, order) => {
+            let mut free = vec![0.0; speeds.len()];
+            let mut spans = Vec::with_capacity(order.len());
+            for &task in order {
+                let node = assignment.node_of[task];
+                let start = free[node];
+                let end = start + seconds[task] / speeds[node];
+                free[node] = end;
+                spans.push(Span { task, node, start, end });
+            }
+            Ok(Timeline { spans, makespan: free.into_iter().fold(0.0, f64::max) })
+        }
+        Plan::Queued(order) => Ok(simulate_queue(order, seconds, speeds, farm.dispatch)?),
+        Plan::Near(order) => {
+            let volumes = volume_numbers(tasks);
+            let near: Vec<AffinityTask> = tasks
+                .iter()
+                .zip(seconds)
+                .zip(volumes)
+                .map(|((t, &seconds), volume)| AffinityTask {
+                    volume,
+                    seconds: seconds + farm.dispatch,
+                    load: t.load_s,
+                })
+                .collect();
+            Ok(simulate_affinity(order, &near, speeds, farm.window)?)
+        }
+    }
+}
+
+/// What is decided before anything runs.
+#[derive(Clone, Debug)]
+pub enum Plan {
+    /// Every task's node, and the order.
+    Assigned(Assignment, Vec<usize>),
+    /// An order from which a free node takes the next task.
+    Queued(Vec<usize>),
+    /// An order from which a free node takes a task on the volume that it holds, where one is near the front.
+    Near(Vec<usize>),
+}
+
+/// Plans tasks whose seconds are expected to be `deciding`.
+///
+/// # Errors
+/// When times or speeds are not finite and positive.
+pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
+    let order = longest_first(deciding)?;
+    Ok(match method {
+        Method::Longest => Plan::Assigned(assign_longest_first(deciding, speeds)?, order),
+        Method::Static => {
+            let mut assignment = assign_longest_first(deciding, speeds)?;
+            assignment.exchange(deciding, speeds)?;
+            Plan::Assigned(assignment, order)
+        }
+        Method::Queue => Plan::Queued(order),
+        Method::Arrival => Plan::Queued((0..deciding.len()).collect()),
+        Method::Affinity => Plan::Near(order),
+    })
+}
+
+/// When everything will be done: expected, and the interval that nine in ten ends fall into. Errors are drawn
+/// from the tasks' own ln(measured / predicted) where they hold both, else from a normal distribution with
+/// this standard deviation.
+///
+/// # Errors
+/// As [`play`].
+pub fn eta(plan: &Plan, expected: &[f64], tasks: &[Task], farm: &Farm, log_sd: f64) -> Result<[f64; 3]> {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let mut unit = || ((rng.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
+    let own: Vec<f64> = tasks
+        .iter()
+        .filter_map(|t| Some((t.measured_s.filter(|m| *m > 0.0)? / t.predicted_s.filter(|p| *p > 0.0)?).ln()))
+        .collect();
+    const DRAWS: usize = 400;
+    let mut ends = Vec::with_capacity(DRAWS);
+    for _ in 0..DRAWS {
+        let drawn: Vec<f64> = expected
+            .iter()
+            .map(|t| {
+                let error = if own.len() == tasks.len() {
+                    own[((unit() * own.len() as f64) as usize).min(own.len() - 1)]
+                } else {
+                    log_sd * (-2.0 * unit().ln()).sqrt() * (std::f64::consts::TAU * unit()).cos()
+                };
+                t * error.exp()
+            })
+            .collect();
+        ends.push(play(plan, &drawn, tasks, farm)?.makespan);
+    }
+    ends.sort_by(f64::total_cmp);
+    Ok([ends[DRAWS / 20], ends[DRAWS / 2], ends[DRAWS - 1 - DRAWS / 20]])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn list(text: &str, name: &str) -> Result<Vec<Task>> {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join(name);
+        std::fs::write(&file, text).unwrap();
+        read_tasks(&file)
+    }
+
+    #[test]
+    fn lists_are_read_in_both_forms_and_every_mistake_is_named() {
+        let csv = list("task,predicted_s,measured_s,volume,load_s\na,1,2,v,0.5\n,3,,,0\n", "t.csv").unwrap();
+        assert_eq!((csv[0].predicted_s, csv[0].measured_s, csv[0].load_s), (Some(1.0), Some(2.0), 0.5));
+        assert_eq!((csv[1].task.as_str(), csv[1].measured_s), ("1", None));
+        let few = list("predicted_s\n1\n2\n", "t.csv").unwrap();
+        assert_eq!(few.len(), 2);
+        let json = list(r#"[{"predicted_s": 1.5, "volume": "v"}]"#, "t.json").unwrap();
+        assert_eq!((json[0].predicted_s, json[0].volume.as_str()), (Some(1.5), "v"));
+        for (text, name, expected) in [
+            ("predicted_s\n-1\n", "t.csv", "predicted_s is -1"),
+            ("predicted_s\nNaN\n", "t.csv", "predicted_s is NaN"),
+            ("predicted_s\nx\n", "t.csv", "invalid float"),
+            ("task\na\n", "t.csv", "neither predicted_s nor measured_s"),
+            ("predicted_s,speed\n1,2\n", "t.csv", "unknown field"),
+            ("predicted_s\n", "t.csv", "no task"),
+            ("[]", "t.json", "no task"),
+            ("{", "t.json", "task list"),
+        ] {
+            let message = format!("{:#}", list(text, name).unwrap_err());
+            assert!(message.contains(expected), "{text:?}: {message}");
+        }
+    }
+}

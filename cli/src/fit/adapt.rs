@@ -1,0 +1,165 @@
+//! A model taken to another machine, renderer or kind of volume in closed form.
+
+use super::analytic::fit_analytic;
+use super::least_squares::{last_layer, robust_least_squares, standardized, weighted_least_squares};
+use super::{FitContext, predict_rows};
+use crate::dataset::Timed;
+use crate::inputs::Layout;
+use crate::metrics::median;
+use anyhow::{Context, Result, ensure};
+use entire_core::features::{SceneFeature, SceneQuantity};
+use entire_core::model::ModelFile;
+use entire_core::nn::{PredNetParts, SELU_SCALE, Target};
+use entire_core::predict::{UNIT_COSTS_KEY, UnitCosts};
+use entire_core::train::Standardization;
+use indicatif::ProgressBar;
+
+/// Share of a learned factor's weights that is expected to hold for another renderer, and what that weighs
+/// per frame. These and [`SHRINKAGE`] were chosen by cross-validation over the training volumes of four
+/// renderers.
+const TRANSFERRED: f64 = 0.25;
+const TRANSFER_RIDGE: f64 = 0.3;
+
+/// Share of the logarithm of a factor fitted to a few frames that is taken.
+const SHRINKAGE: f64 = 0.85;
+
+/// What a model's weights weigh against new frames, per frame.
+const PRIOR_FRAMES: f64 = 3e-2;
+
+/// Adapts a model to a few frames of another machine, renderer or kind of volume in closed form: the last
+/// layer is fitted anew by least squares drawn towards its present weights. Works from a handful of frames
+/// on.
+///
+/// # Errors
+/// When the file holds no PredNet, or inputs cannot be computed.
+pub fn calibrate(file: &ModelFile, context: &FitContext<'_>, frames: Timed<'_>) -> Result<ModelFile> {
+    let layout = Layout::of_model(&file.to_model()?)?;
+    let rows = layout.rows(context.tables, frames.frames, context.pool, &ProgressBar::hidden())?;
+    calibrate_to_rows(file, &rows, frames.seconds)
+}
+
+/// As [`calibrate`], to input rows in the model's order with the seconds that each took.
+///
+/// # Errors
+/// When the file holds no PredNet, or rows and seconds do not go together.
+pub fn calibrate_to_rows(file: &ModelFile, rows: &[f32], seconds: &[f64]) -> Result<ModelFile> {
+    let model = file.to_model()?;
+    let width: usize = model.inputs().iter().map(|g| g.size).sum();
+    ensure!(
+        rows.len() == width * seconds.len(),
+        "{} inputs for {} frames; the model takes {width} for each",
+        rows.len(),
+        seconds.len()
+    );
+    let parts = model.prednet().context("the model file holds no PredNet")?;
+    let scale = Standardization::of(parts);
+    let mut parts = parts.clone();
+    let last = parts.layers.last().context("the PredNet has no layer")?.clone();
+    if parts.target == Target::Seconds {
+        // Costs in seconds stay what they are, but for a common factor.
+        let predicted = predict_rows(&model, rows, width)?;
+        let mut logs: Vec<f64> = predicted.iter().zip(seconds).map(|(p, t)| (t / p.max(1e-6)).ln()).collect();
+        let factor = median(&mut logs).unwrap_or(0.0).exp() as f32;
+        let layer = parts.layers.last_mut().context("the PredNet has no layer")?;
+        if parts.output.is_some() {
+            if let Some(norm) = &mut parts.output {
+                norm.mean.iter_mut().chain(&mut norm.std).for_each(|v| *v *= factor);
+            }
+        } else {
+            layer.weight.iter_mut().chain(&mut layer.bias).for_each(|v| *v *= factor);
+        }
+    } else {
+        let hidden = hidden_activations(&parts, &standardized(rows, &scale));
+        let y: Vec<f64> = seconds
+            .iter()
+            .map(|t| (t.ln() - f64::from(scale.output_mean)) / f64::from(scale.output_std))
+            .collect();
+        let prior: Vec<f64> = last.weight.iter().chain(&last.bias).map(|&w| f64::from(w)).collect();
+        let solution = robust_least_squares(&hidden, last.inputs, &y, &prior, PRIOR_FRAMES);
+        if let Some(layer) = parts.layers.last_mut() {
+            let fitted = last_layer(&solution);
+            layer.weight = fitted.weight;
+            layer.bias = fitted.bias;
+        }
+    }
+    let mut out = file.clone();
+    out.set_prednet(&parts, model.inputs())?;
+    Ok(out)
+}
+
+/// Takes an analytic model times a learned factor to another renderer, from a few frames: unit costs are
+/// solved anew, those of [`UnitCosts::CONVERTING`] among them, and the factor's last layer is fitted towards
+/// a part of its weights, since what the model had wrong there is in part wrong here too. Frames that are
+/// expected to be long weigh more, and of the factor that so few frames give a part is taken.
+///
+/// # Errors
+/// For a model that is no analytic one times a learned factor, or when inputs cannot be computed.
+pub fn transfer(file: &ModelFile, context: &FitContext<'_>, frames: Timed<'_>) -> Result<ModelFile> {
+    let model = file.to_model()?;
+    let layout = Layout::of_model(&model)?;
+    let carried = layout.scene_features().last() == Some(&SceneFeature::log(SceneQuantity::EstimatedSeconds));
+    let parts = model.prednet().context("the model file holds no PredNet")?;
+    ensure!(
+        carried && parts.target == Target::LogSeconds && model.metadata().contains_key(UNIT_COSTS_KEY),
+        "only an analytic model times a learned factor (--model-kind residual) can be transferred; calibrate \
+         or fine-tune this one"
+    );
+    let (analytic, _) = fit_analytic(context, frames, layout.probe_side(), &UnitCosts::CONVERTING)?;
+    let mut out = file.clone();
+    out.set_metadata(UNIT_COSTS_KEY, analytic.unit_costs().to_json()?);
+    let layout = Layout::of_model(&out.to_model()?)?;
+    let rows = layout.rows(context.tables, frames.frames, context.pool, &ProgressBar::hidden())?;
+    let scale = Standardization::of(parts);
+    let mut parts = parts.clone();
+    let last = parts.layers.last().context("the PredNet has no layer")?.clone();
+    // The last unit holds the estimate, which stays as it is; the others hold the factor.
+    let width = last.inputs - 1;
+    let (estimate, factor) = (f64::from(last.weight[width]), &last.weight[..width]);
+    let (mut hidden, mut y) = (Vec::new(), Vec::new());
+    let activations = hidden_activations(&parts, &standardized(&rows, &scale));
+    let inputs = scale.input_mean.len();
+    let (mut importance, mut neutral) = (Vec::new(), 0.0);
+    let standard = |log: f64| (log - f64::from(scale.output_mean)) / f64::from(scale.output_std);
+    for ((row, seconds), input) in
+        activations.chunks_exact(last.inputs).zip(frames.seconds).zip(rows.chunks_exact(inputs))
+    {
+        let expected = f64::from(input[inputs - 1]);
+        hidden.extend_from_slice(&row[..width]);
+        y.push(standard(seconds.ln()) - estimate * row[width]);
+        importance.push((0.5 * expected).exp());
+        // With this bias and no factor, the estimate is what comes out.
+        neutral += (standard(expected) - estimate * row[width]) / frames.seconds.len() as f64;
+    }
+    let mean = importance.iter().sum::<f64>() / importance.len() as f64;
+    importance.iter_mut().for_each(|w| *w /= mean);
+    let mut prior: Vec<f64> = factor.iter().map(|&w| TRANSFERRED * f64::from(w)).collect();
+    prior.push(neutral);
+    let mut solution = weighted_least_squares(&hidden, width, &y, &importance, &prior, TRANSFER_RIDGE);
+    solution[..width].iter_mut().for_each(|w| *w *= SHRINKAGE);
+    solution[width] = neutral + SHRINKAGE * (solution[width] - neutral);
+    if let Some(layer) = parts.layers.last_mut() {
+        let fitted = last_layer(&solution);
+        layer.weight[..width].copy_from_slice(&fitted.weight);
+        layer.bias = fitted.bias;
+    }
+    out.set_prednet(&parts, model.inputs())?;
+    Ok(out)
+}
+
+/// What enters the last layer.
+fn hidden_activations(parts: &PredNetParts, x: &[f64]) -> Vec<f64> {
+    let mut rows = x.to_vec();
+    for layer in &parts.layers[..parts.layers.len() - 1] {
+        let mut next = Vec::with_capacity(rows.len() / layer.inputs * layer.outputs);
+        for row in rows.chunks_exact(layer.inputs) {
+            for (weights, &bias) in layer.weight.chunks_exact(layer.inputs).zip(&layer.bias) {
+                let sum: f64 =
+                    weights.iter().zip(row).map(|(w, x)| f64::from(*w) * x).sum::<f64>() + f64::from(bias);
+                let alpha = entire_core::nn::SELU_ALPHA;
+                next.push(SELU_SCALE * if sum > 0.0 { sum } else { alpha * sum.exp_m1() });
+            }
+        }
+        rows = next;
+    }
+    rows
+}

@@ -1,0 +1,67 @@
+//! Unit costs of estimated work, fitted to measured frames.
+
+use super::FitContext;
+use crate::dataset::Timed;
+use crate::inputs::Layout;
+use anyhow::Result;
+use entire_core::features::SceneFeature;
+use entire_core::predict::{AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, Measurement, UnitCosts};
+use indicatif::ProgressBar;
+
+pub(super) fn fit_analytic(
+    context: &FitContext<'_>,
+    training: Timed<'_>,
+    probe_side: usize,
+    default: &UnitCosts,
+) -> Result<(AnalyticModel, String)> {
+    let measurements: Vec<Measurement> = counts(context, training, default, probe_side)?
+        .iter()
+        .zip(training.seconds)
+        .map(|(row, &seconds)| Measurement::from_work(row, seconds))
+        .collect();
+    let mut model = AnalyticModel::new();
+    let report = model.fit_towards(default, &measurements)?;
+    let text = format!(
+        "fitted to {} frames, {} refused, median error {:.2} %",
+        report.used,
+        report.refused,
+        100.0 * report.median_error
+    );
+    Ok((model, text))
+}
+
+/// The counts that unit costs stand for, one row per frame; 0 for those that cost nothing.
+pub(super) fn counts(
+    context: &FitContext<'_>,
+    part: Timed<'_>,
+    costs: &UnitCosts,
+    probe_side: usize,
+) -> Result<Vec<[f32; COSTS - 1]>> {
+    let asked: Vec<usize> = (0..COSTS - 1).filter(|i| costs.0[i + 1] > 0.0).collect();
+    if asked.is_empty() {
+        return Ok(vec![[0.0; COSTS - 1]; part.frames.len()]);
+    }
+    let features: Vec<SceneFeature> =
+        asked.iter().map(|&i| SceneFeature::linear(COST_QUANTITIES[i])).collect();
+    let layout = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?.with_probe_side(probe_side);
+    let rows = layout.rows(context.tables, part.frames, context.pool, &ProgressBar::hidden())?;
+    Ok(rows
+        .chunks_exact(asked.len())
+        .map(|row| {
+            let mut out = [0.0; COSTS - 1];
+            for (&i, &value) in asked.iter().zip(row) {
+                out[i] = value;
+            }
+            out
+        })
+        .collect())
+}
+
+pub(super) fn estimates(
+    context: &FitContext<'_>,
+    part: Timed<'_>,
+    costs: &UnitCosts,
+    probe_side: usize,
+) -> Result<Vec<f64>> {
+    Ok(counts(context, part, costs, probe_side)?.iter().map(|row| costs.seconds_of_quantities(row)).collect())
+}

@@ -1,0 +1,78 @@
+//! How predictors are made from measured frames.
+//!
+//! * `analytic`: unit costs of estimated work, non-negative least squares on relative errors. Stored as one
+//!   dense layer on counts that gives seconds.
+//! * `linear`: ln seconds as a linear function of scene features, robust least squares. Stored as one dense
+//!   layer that gives log seconds.
+//! * `network`: PredNet by gradient descent.
+//! * `residual`: analytic × exp(network). Unit costs first, then a network on ln(measured / analytic). Stored
+//!   as dense layers that carry `log_estimated_seconds` past the network.
+
+mod adapt;
+mod analytic;
+mod compose;
+mod least_squares;
+mod recipe;
+#[cfg(test)]
+mod tests;
+mod training;
+
+pub use adapt::{calibrate, calibrate_to_rows, transfer};
+pub use least_squares::solve;
+pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss};
+
+use crate::dataset::{Table, TimedFrame};
+use crate::inputs::Layout;
+use anyhow::{Context as _, Result};
+use entire_core::model::{Model, ModelFile};
+use entire_core::train::EpochRecord;
+use indicatif::ProgressBar;
+use rayon::ThreadPool;
+
+/// What fitting and prediction work with: the data and the machine.
+pub struct FitContext<'a> {
+    /// The tables that the frames are of.
+    pub tables: &'a [Table],
+    /// Threads.
+    pub pool: &'a ThreadPool,
+    /// Shows how far training is; its message and position are set.
+    pub bar: &'a ProgressBar,
+    /// Asked after every step.
+    pub stop: &'a dyn Fn() -> bool,
+}
+
+/// A predictor that was made.
+#[derive(Clone, Debug)]
+pub struct FittedModel {
+    /// The model file.
+    pub file: ModelFile,
+    /// One line on what it is.
+    pub what: String,
+    /// What it was made with.
+    pub settings: serde_json::Value,
+    /// Every epoch of a network.
+    pub history: Vec<EpochRecord>,
+    /// One line on how it went.
+    pub outcome: String,
+}
+
+/// Seconds for rows of inputs, by the network as it will be used.
+///
+/// # Errors
+/// When the model holds no PredNet.
+pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64>> {
+    let parts = model.prednet().context("the model file holds no PredNet")?;
+    let net = entire_core::nn::PredNet::new(parts)?;
+    let mut scratch = net.scratch();
+    Ok(rows.chunks_exact(width).map(|row| f64::from(net.predict(row, &mut scratch))).collect())
+}
+
+/// Seconds that a model file predicts for frames.
+///
+/// # Errors
+/// When its inputs cannot be computed.
+pub fn predict(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<Vec<f64>> {
+    let layout = Layout::of_model(model)?;
+    let rows = layout.rows(context.tables, frames, context.pool, &ProgressBar::hidden())?;
+    predict_rows(model, &rows, layout.width())
+}

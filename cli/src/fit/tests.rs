@@ -1,0 +1,194 @@
+//! Every kind of predictor beside an evaluation of its parts.
+
+use super::compose::{carry_past, side_by_side};
+use super::*;
+use crate::dataset::Timed;
+use crate::options::thread_pool;
+use entire_core::features::{SceneFeature, SceneQuantity};
+use entire_core::nn::{DenseParts, Dtype, Normalization, PredNet, PredNetParts, Target};
+use entire_core::predict::{AnalyticModel, COST_QUANTITIES, GroupKind, UNIT_COSTS_KEY};
+use entire_core::train::Network;
+
+fn network(widths: &[usize], seed: u64) -> PredNetParts {
+    let net = Network::<f32>::random(widths, seed).unwrap();
+    let layers = (0..net.layers())
+        .map(|i| {
+            let (weight, bias) = net.layer(i);
+            let bias = bias.iter().enumerate().map(|(k, b)| b + 0.1 * (k as f32 + seed as f32)).collect();
+            DenseParts {
+                inputs: widths[i],
+                outputs: widths[i + 1],
+                weight: weight.to_vec(),
+                bias,
+                dtype: Dtype::F32,
+            }
+        })
+        .collect();
+    PredNetParts {
+        layers,
+        input: Some(Normalization { mean: vec![0.5; widths[0]], std: vec![2.0; widths[0]] }),
+        output: Some(Normalization { mean: vec![-3.0], std: vec![0.7] }),
+        target: Target::LogSeconds,
+    }
+}
+
+#[test]
+fn networks_side_by_side_give_the_mean_of_their_logarithms() {
+    for widths in [&[3, 1][..], &[3, 5, 1], &[3, 5, 4, 1]] {
+        let members: Vec<PredNetParts> = (1..=3).map(|seed| network(widths, seed)).collect();
+        let one = PredNet::new(&side_by_side(members.clone()).unwrap()).unwrap();
+        let each: Vec<PredNet> = members.iter().map(|m| PredNet::new(m).unwrap()).collect();
+        for x in [[0.0f32, 0.0, 0.0], [1.0, -2.0, 3.0], [9.0, 9.0, -9.0]] {
+            let mean: f64 =
+                each.iter().map(|n| f64::from(n.predict(&x, &mut n.scratch())).ln()).sum::<f64>() / 3.0;
+            let found = f64::from(one.predict(&x, &mut one.scratch())).ln();
+            assert!((found - mean).abs() < 1e-5, "{widths:?} {x:?}: {found} {mean}");
+        }
+    }
+    let unlike = vec![network(&[3, 5, 1], 1), network(&[3, 4, 1], 2)];
+    assert!(side_by_side(unlike).unwrap_err().to_string().contains("different widths"));
+}
+
+fn tables_of_no_volume(count: u64) -> Vec<TimedFrame> {
+    use entire_core::scene::{Arcball, Skipping};
+    (0..count)
+        .map(|number| {
+            let mut frame = TimedFrame::of_no_volume("nowhere.nrrd", "");
+            frame.number = number;
+            frame.scene.skipping = Skipping::None;
+            frame.scene.termination = 1.0;
+            frame.scene.camera = Arcball {
+                rx: (number * 37 % 17) as f32 * 0.2 - 1.5,
+                ry: (number * 11 % 23) as f32 * 0.2 - 2.0,
+                dz: 1.0 + (number * 5 % 13) as f32 * 0.2,
+            };
+            frame
+        })
+        .collect()
+}
+
+fn in_context<T>(run: impl FnOnce(&FitContext<'_>) -> T) -> T {
+    let pool = thread_pool(Some(1)).unwrap();
+    let tables = [Table {
+        path: "t.csv".into(),
+        manifest: None,
+        frames: Vec::new(),
+        hash: 0,
+        features: None,
+        root: None,
+    }];
+    run(&FitContext { tables: &tables, pool: &pool, bar: &ProgressBar::hidden(), stop: &|| false })
+}
+
+#[test]
+fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() {
+    use entire_core::features::{
+        Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
+    };
+    use entire_core::predict::{Inputs, ModelPredictor, Predictor};
+    use entire_core::scene::{Camera, Frame, TransferFunction};
+
+    let values: Vec<u8> = (0..16 * 12 * 10).map(|i| (i * 7 % 251) as u8).collect();
+    let data = crate::volume::VolumeData::U8(values);
+    let volume = crate::volume::Volume::new(data, [16, 12, 10], [1.0; 3], "v").unwrap();
+    let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default()).unwrap();
+    let analytic = AnalyticModel::from_costs(std::array::from_fn(|i| 1e-6 * (1.0 + i as f64))).unwrap();
+    let costs = analytic.unit_costs();
+    let inputs = [SceneFeature::log(SceneQuantity::Pixels), SceneFeature::linear(SceneQuantity::MeanChord)];
+    for widths in [&[2, 1][..], &[2, 4, 1], &[2, 6, 5, 1], &[2, 4, 4, 3, 1]] {
+        let mut ratio = network(widths, 3);
+        ratio.output = Some(Normalization { mean: vec![0.2], std: vec![0.3] });
+        let carried = carry_past(ratio.clone(), -3.0, 1.5);
+        let mut features = inputs.to_vec();
+        features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
+        let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None).unwrap().with_probe_side(5);
+        let mut file = ModelFile::new();
+        file.set_metadata(UNIT_COSTS_KEY, costs.to_json().unwrap());
+        Recipe::default().store(&mut file, carried, &wide).unwrap();
+        let model = file.to_model().unwrap();
+        let layout = Layout::of_model(&model).unwrap();
+        assert_eq!(layout.probe_side(), 5);
+        let mut predictor = ModelPredictor::new(&model).unwrap();
+        let factor = PredNet::new(&ratio).unwrap();
+        for (lobes, distance, size) in
+            [("0.5 0.1 0.3", 2.0, 40), ("0.2 0.01 0.9", 3.5, 300), ("0.9 0.3 1", 1.2, 8)]
+        {
+            let camera = entire_core::scene::Arcball { rx: 20.0, ry: 70.0, dz: distance };
+            let frame = Frame::new(Camera::from_arcball(camera).unwrap(), size, size).unwrap();
+            let lobes = crate::dataset::parse_lobes(lobes).unwrap();
+            let table = TransferFunction::Gaussian(lobes.clone()).to_table().unwrap();
+            let mut measured = FrameFeatures::with_probe_side(5);
+            measured.measure(&summary, &mut TransferSummary::new(&summary, &table), &frame);
+            let setting = Setting::of(&frame);
+            let asked = Inputs {
+                features: &measured,
+                setting,
+                changes: Changes::NONE,
+                camera,
+                volume_features: None,
+                lobes: Some(&lobes),
+            };
+            let work = measured.work(&setting);
+            let quantity = |q| measured.quantity(q, &setting, &work, Changes::NONE);
+            let x = [
+                SceneQuantity::Pixels.log(quantity(SceneQuantity::Pixels)),
+                quantity(SceneQuantity::MeanChord) as f32,
+            ];
+            let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
+            let expected =
+                costs.seconds_of_quantities(&counts) * f64::from(factor.predict(&x, &mut factor.scratch()));
+            // Far from the shortest time that a network gives, where nothing could be told apart.
+            assert!((1e-4..1e4).contains(&expected), "{expected}");
+            let predicted = f64::from(predictor.predict(&asked).unwrap().seconds);
+            let mut row = vec![0.0; layout.width()];
+            layout.write(&asked, &mut row).unwrap();
+            let by_row = predict_rows(&model, &row, row.len()).unwrap()[0];
+            for found in [predicted, by_row] {
+                assert!((found / expected - 1.0).abs() < 1e-4, "{widths:?}: {found} {expected}");
+            }
+        }
+    }
+}
+
+#[test]
+fn calibration_recovers_the_factor_of_another_machine() {
+    let frames = tables_of_no_volume(200);
+    let frames: Vec<&TimedFrame> = frames.iter().collect();
+    for (target, tolerance) in [(Target::LogSeconds, 0.02), (Target::Seconds, 1e-5)] {
+        let mut parts = network(&[3, 6, 1], 2);
+        parts.target = target;
+        if target == Target::Seconds {
+            // Seconds far from zero, as they are of real models.
+            parts.output = Some(Normalization { mean: vec![9.0], std: vec![0.2] });
+        }
+        let layout = Layout::new(&[GroupKind::Camera], Vec::new(), 0, None).unwrap();
+        let mut file = ModelFile::new();
+        Recipe::default().store(&mut file, parts, &layout).unwrap();
+        in_context(|context| {
+            let predicted_by =
+                |file: &ModelFile| predict(&file.to_model().unwrap(), context, &frames).unwrap();
+            let there: Vec<f64> = predicted_by(&file).iter().map(|t| 2.5 * t).collect();
+            let few = Timed { frames: &frames[..100], seconds: &there[..100] };
+            let tuned = predicted_by(&calibrate(&file, context, few).unwrap());
+            for (found, expected) in tuned.iter().zip(&there).skip(100) {
+                assert!((found / expected - 1.0).abs() < tolerance, "{target:?}: {found} {expected}");
+            }
+        });
+    }
+}
+
+#[test]
+fn what_a_recipe_cannot_take_is_said_before_anything_is_computed() {
+    let frames = tables_of_no_volume(3);
+    let frames: Vec<&TimedFrame> = frames.iter().collect();
+    let part = Timed { frames: &frames, seconds: &[1.0, 2.0, 3.0] };
+    // The volume is nowhere, so that any work at all fails in another way.
+    let says =
+        |recipe: Recipe| in_context(|context| format!("{:#}", recipe.make(context, part, part).unwrap_err()));
+    let residual = Recipe { kind: Kind::Residual, ..Recipe::default() };
+    let inputs = vec!["scene_features".into(), "camera".into()];
+    assert!(says(Recipe { inputs, ..residual.clone() }).contains("takes scene_features alone"));
+    assert!(says(Recipe { loss: "cosine".into(), ..residual.clone() }).contains("pinball"));
+    assert!(says(Recipe { scene_features: vec!["warp".into()], ..residual.clone() }).contains("warp"));
+    assert!(says(residual).contains("nowhere.nrrd"));
+}

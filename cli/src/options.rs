@@ -1,0 +1,129 @@
+//! Options that several commands have: what is drawn and how, and with how many threads.
+
+use crate::device::Device;
+use crate::machine;
+use anyhow::{Context, Result, bail, ensure};
+use clap::ValueEnum;
+use entire_core::scene::{MAX_IMAGE_SIDE, Shading, Skipping};
+use rayon::{ThreadPool, ThreadPoolBuilder};
+
+/// How frames are rendered, as options.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub struct RenderArgs {
+    /// What each sample computes.
+    #[arg(long, value_enum, default_value_t)]
+    pub shade: ShadeOption,
+    /// How empty space is skipped.
+    #[arg(long, value_enum, default_value_t)]
+    pub skip: SkipOption,
+    /// Accumulated opacity at which a ray stops; 1 for never.
+    #[arg(long, default_value_t = 0.99, value_name = "OPACITY", allow_hyphen_values = true)]
+    pub termination: f32,
+    /// What renders.
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+}
+
+/// [`Shading`] as an option.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum ShadeOption {
+    /// Color and opacity alone.
+    #[default]
+    None,
+    /// Local lighting with gradients.
+    Local,
+    /// Single scattering.
+    Scatter,
+}
+
+impl From<ShadeOption> for Shading {
+    fn from(option: ShadeOption) -> Self {
+        match option {
+            ShadeOption::None => Self::None,
+            ShadeOption::Local => Self::Local,
+            ShadeOption::Scatter => Self::Scatter,
+        }
+    }
+}
+
+/// [`Skipping`] as an option.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum SkipOption {
+    /// Every sample is taken.
+    None,
+    /// Empty blocks are jumped over.
+    #[default]
+    Blocks,
+    /// Runs of empty blocks are jumped over at once.
+    Distance,
+}
+
+impl From<SkipOption> for Skipping {
+    fn from(option: SkipOption) -> Self {
+        match option {
+            SkipOption::None => Self::None,
+            SkipOption::Blocks => Self::Blocks,
+            SkipOption::Distance => Self::Distance,
+        }
+    }
+}
+
+/// Reads `WxH`.
+///
+/// # Errors
+/// When it is not two sides of 1 to [`MAX_IMAGE_SIDE`] pixels.
+pub fn parse_size(text: &str) -> std::result::Result<(u32, u32), String> {
+    let wrong = || format!("{text:?} is not WIDTHxHEIGHT with sides of 1 to {MAX_IMAGE_SIDE} pixels");
+    let (w, h) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
+    match (w.trim().parse(), h.trim().parse()) {
+        (Ok(w), Ok(h)) if (1..=MAX_IMAGE_SIDE).contains(&w) && (1..=MAX_IMAGE_SIDE).contains(&h) => {
+            Ok((w, h))
+        }
+        _ => Err(wrong()),
+    }
+}
+
+/// Reads `FINEST,COARSEST`.
+///
+/// # Errors
+/// When it is not two numbers.
+pub fn parse_limits(text: &str) -> std::result::Result<(f32, f32), String> {
+    let pair = text.split_once(',').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    pair.ok_or_else(|| format!("{text:?} is not two numbers like 1,16"))
+}
+
+/// Reads `FRAME:SCALE`.
+///
+/// # Errors
+/// When it is no frame and scale, or the scale is not within 0.01 to 4.
+pub fn parse_scale(text: &str) -> std::result::Result<(u32, f32), String> {
+    let pair = text.split_once(':').and_then(|(a, b)| Some((a.trim().parse().ok()?, b.trim().parse().ok()?)));
+    pair.filter(|(_, s): &(u32, f32)| (0.01..=4.0).contains(s))
+        .ok_or_else(|| format!("{text:?} is not FRAME:SCALE like 40:0.5 with a scale of 0.01 to 4"))
+}
+
+/// Frames per volume of a series; 0 for a single volume.
+///
+/// # Errors
+/// When `--hold` does not go with the number of volumes.
+pub fn parse_hold(volumes: usize, hold: Option<u32>) -> Result<u32> {
+    match (volumes, hold) {
+        (1, None) => Ok(0),
+        (1, Some(_)) => bail!("--hold is for several volumes; one was given"),
+        (_, Some(0)) => bail!("--hold is 0; each volume is shown for at least one frame"),
+        (_, Some(n)) => Ok(n),
+        (n, None) => bail!("{n} volumes were given; say for how many frames each is shown (--hold N)"),
+    }
+}
+
+/// A pool of so many threads, all logical processors without a number.
+///
+/// # Errors
+/// For 0 threads, or when the system starts none.
+pub fn thread_pool(threads: Option<usize>) -> Result<ThreadPool> {
+    ensure!(threads != Some(0), "0 threads; at least 1 is needed");
+    ThreadPoolBuilder::new()
+        .num_threads(threads.unwrap_or_else(machine::cores))
+        .build()
+        .context("cannot start the threads")
+}

@@ -1,0 +1,47 @@
+//! What a program of this project does around its commands: one line for whatever goes wrong, and the exit
+//! status.
+
+use anyhow::Result;
+use std::io::Write;
+use std::panic::UnwindSafe;
+use std::process::ExitCode;
+use std::sync::{Arc, Mutex};
+
+/// Runs a command. Exit status: 0, 1 for an error or a panic (one line on standard error that says why and
+/// what to do). Output that nobody reads to its end is no error.
+pub fn run(name: &str, command: impl FnOnce() -> Result<()> + UnwindSafe) -> ExitCode {
+    // What went wrong is told once, below, in one line: the hook only remembers where.
+    let location = Arc::new(Mutex::new(None));
+    let noted = location.clone();
+    std::panic::set_hook(Box::new(move |info| {
+        if let (Some(at), Ok(mut noted)) = (info.location(), noted.lock()) {
+            *noted = Some(format!("{}:{}", at.file(), at.line()));
+        }
+    }));
+    let result = std::panic::catch_unwind(command);
+    let line = match result {
+        Ok(Ok(())) => return ExitCode::SUCCESS,
+        // Whoever read our output has seen enough.
+        Ok(Err(error)) if error.chain().any(is_broken_pipe) => return ExitCode::SUCCESS,
+        Ok(Err(error)) => format!("{error:#}"),
+        Err(panic) => {
+            let text = panic
+                .downcast_ref::<String>()
+                .map(String::as_str)
+                .or_else(|| panic.downcast_ref::<&str>().copied())
+                .unwrap_or("unknown");
+            if text.starts_with("failed printing to std") {
+                return ExitCode::SUCCESS;
+            }
+            let at = location.lock().ok().and_then(|at| at.clone()).unwrap_or_default();
+            format!("internal error ({text}, {at}); please report it with the command that you ran")
+        }
+    };
+    let line: String = line.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+    let _ = writeln!(std::io::stderr().lock(), "{name}: {line}");
+    ExitCode::from(1)
+}
+
+fn is_broken_pipe(error: &(dyn std::error::Error + 'static)) -> bool {
+    error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+}

@@ -1,0 +1,22 @@
+//! Progress bars. All are silent where standard error is no terminal.
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// The template of the bar for computing inputs.
+pub const INPUTS_BAR: &str = "computing inputs [{bar:30}] {pos}/{len} frames, {eta} left";
+
+/// A bar with a prefix, the time left and a message.
+pub fn progress_bar(what: &str) -> ProgressBar {
+    let bar = templated_bar(false, "{prefix} [{bar:32}] {pos}/{len}, {eta} left  {wide_msg}");
+    bar.set_prefix(what.to_owned());
+    bar
+}
+
+/// A bar of a template (see [`ProgressStyle::with_template`]); hidden when `quiet`.
+pub fn templated_bar(quiet: bool, template: &str) -> ProgressBar {
+    if quiet {
+        return ProgressBar::hidden();
+    }
+    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(0).with_style(style.progress_chars("=> "))
+}

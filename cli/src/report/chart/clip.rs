@@ -1,0 +1,90 @@
+//! Lines cut off at the frame. The drawing library moves points outside to the frame's edge, which would bend
+//! lines.
+
+use super::axis::Span;
+
+type Point = (f64, f64);
+
+/// The parts of a line through the points that lie inside both ranges. Points without a place break the line.
+pub(super) fn clip(points: &[Point], x: &Span, y: &Span) -> Vec<Vec<Point>> {
+    let mut parts: Vec<Vec<Point>> = Vec::new();
+    for run in points.split(|p| !x.takes(p.0) || !y.takes(p.1)) {
+        // Whether the last part ends where the next segment begins.
+        let mut open = false;
+        for pair in run.windows(2) {
+            let Some((start, end, whole)) = segment(pair[0], pair[1], x, y) else {
+                open = false;
+                continue;
+            };
+            match parts.last_mut() {
+                Some(part) if open => part.push(end),
+                _ => parts.push(vec![start, end]),
+            }
+            open = whole;
+        }
+    }
+    parts
+}
+
+/// The part of a segment inside both ranges, and whether it reaches the segment's end (Liang and Barsky's
+/// clipping).
+fn segment(a: Point, b: Point, x: &Span, y: &Span) -> Option<(Point, Point, bool)> {
+    let from = (x.place(a.0), y.place(a.1));
+    let by = (x.place(b.0) - from.0, y.place(b.1) - from.1);
+    let (mut enter, mut leave) = (0.0_f64, 1.0_f64);
+    for (from, by) in [(from.0, by.0), (from.1, by.1)] {
+        if by == 0.0 {
+            if !(0.0..=1.0).contains(&from) {
+                return None;
+            }
+            continue;
+        }
+        let (low, high) = (-from / by, (1.0 - from) / by);
+        enter = enter.max(low.min(high));
+        leave = leave.min(low.max(high));
+    }
+    if enter > leave {
+        return None;
+    }
+    let at = |t: f64| (x.value(from.0 + t * by.0), y.value(from.1 + t * by.1));
+    let start = if enter > 0.0 { at(enter) } else { a };
+    let end = if leave < 1.0 { at(leave) } else { b };
+    Some((start, end, leave >= 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Axis;
+    use super::*;
+
+    fn unit() -> Span {
+        Span::fit(&Axis::linear("").from(0.0).to(1.0), std::iter::empty())
+    }
+
+    #[test]
+    fn lines_are_cut_where_they_meet_the_frame() {
+        let line = [(-1.0, 0.5), (0.5, 0.5), (0.5, 3.0), (0.75, 3.0), (0.75, 0.25)];
+        let parts = clip(&line, &unit(), &unit());
+        assert_eq!(parts, [vec![(0.0, 0.5), (0.5, 0.5), (0.5, 1.0)], vec![(0.75, 1.0), (0.75, 0.25)]]);
+        // From corner to corner outside.
+        assert_eq!(clip(&[(-1.0, -1.0), (2.0, 2.0)], &unit(), &unit()), [vec![(0.0, 0.0), (1.0, 1.0)]]);
+        assert!(clip(&[(-1.0, 0.5), (0.5, 3.0)], &unit(), &unit()).is_empty());
+    }
+
+    #[test]
+    fn values_without_a_place_break_lines() {
+        let line = [(0.1, 0.1), (0.2, 0.2), (0.3, f64::NAN), (0.4, 0.4), (0.5, 0.5), (f64::INFINITY, 0.5)];
+        let parts = clip(&line, &unit(), &unit());
+        assert_eq!(parts, [vec![(0.1, 0.1), (0.2, 0.2)], vec![(0.4, 0.4), (0.5, 0.5)]]);
+    }
+
+    #[test]
+    fn on_a_logarithmic_axis_lines_are_straight_in_the_logarithm() {
+        let y = Span::fit(&Axis::log("").from(1.0).to(100.0), std::iter::empty());
+        let parts = clip(&[(0.0, 0.1), (1.0, 1000.0)], &unit(), &y);
+        let [(x0, y0), (x1, y1)] = parts[0][..] else { panic!("{parts:?}") };
+        for (found, expected) in [(x0, 0.25), (y0, 1.0), (x1, 0.75), (y1, 100.0)] {
+            assert!((found - expected).abs() < 1e-9 * expected, "{parts:?}");
+        }
+    }
+}

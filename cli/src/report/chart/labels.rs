@@ -1,0 +1,86 @@
+//! Where the texts of points stand: beside their point, clear of other points and texts, inside the frame.
+
+/// A rectangle in pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Rect {
+    pub(super) left: f64,
+    pub(super) top: f64,
+    pub(super) right: f64,
+    pub(super) bottom: f64,
+}
+
+impl Rect {
+    /// Around a point.
+    pub(super) fn around(x: f64, y: f64, half: f64) -> Self {
+        Self { left: x - half, top: y - half, right: x + half, bottom: y + half }
+    }
+
+    fn holds(&self, other: &Self) -> bool {
+        other.left >= self.left
+            && other.right <= self.right
+            && other.top >= self.top
+            && other.bottom <= self.bottom
+    }
+
+    fn meets(&self, other: &Self) -> bool {
+        self.left <= other.right
+            && self.right >= other.left
+            && self.top <= other.bottom
+            && self.bottom >= other.top
+    }
+}
+
+/// A text's place: its baseline, and the side of the point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Place {
+    /// Whether the text ends left of the point instead of beginning right of it.
+    pub(super) leftward: bool,
+    pub(super) x: f64,
+    pub(super) baseline: f64,
+}
+
+/// Pixels between a point and its text.
+const GAP: f64 = 7.0;
+
+/// Finds a place for a text of a width beside a point, and takes it.
+pub(super) fn place(x: f64, y: f64, width: f64, frame: &Rect, taken: &mut Vec<Rect>) -> Place {
+    let rect = |leftward: bool, down: f64| {
+        let left = if leftward { x - GAP - width } else { x + GAP };
+        Rect { left, top: y + down - 11.0, right: left + width, bottom: y + down + 2.0 }
+    };
+    let fits = |rect: &Rect| frame.holds(rect) && !taken.iter().any(|t| t.meets(rect));
+    let (leftward, down) = [-5.0, 15.0, 4.0, -19.0, 29.0, -33.0, 43.0]
+        .into_iter()
+        .flat_map(|down| [(false, down), (true, down)])
+        .find(|&(leftward, down)| fits(&rect(leftward, down)))
+        .unwrap_or((x + GAP + width > frame.right, if y - 16.0 < frame.top { 15.0 } else { -5.0 }));
+    taken.push(rect(leftward, down));
+    Place { leftward, x: if leftward { x - GAP } else { x + GAP }, baseline: y + down }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_stay_inside_and_apart() {
+        let frame = Rect { left: 0.0, top: 0.0, right: 200.0, bottom: 100.0 };
+        let points = [(100.0, 50.0), (104.0, 52.0), (190.0, 20.0), (3.0, 97.0)];
+        let mut taken: Vec<Rect> = points.iter().map(|(x, y)| Rect::around(*x, *y, 4.0)).collect();
+        for (x, y) in points {
+            place(x, y, 60.0, &frame, &mut taken);
+        }
+        let texts = &taken[points.len()..];
+        assert!(texts.iter().all(|t| frame.holds(t)), "{texts:?}");
+        for (i, text) in texts.iter().enumerate() {
+            assert!(!texts[i + 1..].iter().any(|other| other.meets(text)), "{texts:?}");
+        }
+    }
+
+    #[test]
+    fn a_text_without_room_stands_at_the_side_that_it_overlaps_less() {
+        let frame = Rect { left: 0.0, top: 0.0, right: 50.0, bottom: 30.0 };
+        let found = place(40.0, 15.0, 80.0, &frame, &mut Vec::new());
+        assert_eq!(found, Place { leftward: true, x: 33.0, baseline: 30.0 });
+    }
+}

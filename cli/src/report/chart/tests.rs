@@ -1,0 +1,172 @@
+use super::*;
+use quick_xml::events::{BytesStart, Event};
+
+/// An element: its name, attributes, and the classes of the groups that hold it.
+#[derive(Debug)]
+struct Element {
+    name: String,
+    attributes: Vec<(String, String)>,
+    groups: Vec<String>,
+}
+
+impl Element {
+    fn get(&self, key: &str) -> &str {
+        self.attributes.iter().find(|(k, _)| k == key).map_or("", |(_, v)| v)
+    }
+
+    fn numbers(&self) -> Vec<f64> {
+        let keys = ["points", "x", "y", "width", "height", "cx", "cy", "r", "x1", "y1", "x2", "y2"];
+        let words = keys.iter().flat_map(|key| self.get(key).split([' ', ',']).collect::<Vec<_>>());
+        words.filter(|word| !word.is_empty()).map(|word| word.parse().unwrap()).collect()
+    }
+
+    fn corners(&self) -> Vec<(f64, f64)> {
+        self.numbers().chunks(2).map(|p| (p[0], p[1])).collect()
+    }
+}
+
+/// Reads a chart as the XML that it is.
+fn elements(svg: &str) -> (Vec<Element>, Vec<String>) {
+    fn attributes(tag: &BytesStart<'_>) -> Vec<(String, String)> {
+        let version = quick_xml::XmlVersion::Implicit1_0;
+        tag.attributes()
+            .map(|a| a.unwrap())
+            .map(|a| (a.key.as_ref().to_owned(), a.normalized_value(version).unwrap().into_owned()))
+            .collect()
+    }
+    let mut reader = quick_xml::Reader::from_str(svg);
+    let (mut found, mut texts, mut groups) = (Vec::new(), Vec::new(), Vec::new());
+    loop {
+        match reader.read_event().unwrap() {
+            Event::Start(tag) | Event::Empty(tag) if tag.name().as_ref() != "g" => {
+                let (name, attributes) = (tag.name().as_ref().to_owned(), attributes(&tag));
+                found.push(Element { name, attributes, groups: groups.clone() });
+            }
+            Event::Start(tag) => groups.push(attributes(&tag)[0].1.clone()),
+            Event::End(tag) if tag.name().as_ref() == "g" => {
+                groups.pop();
+            }
+            Event::Text(text) => texts.push(text.to_string().trim().to_owned()),
+            Event::Eof => return (found, texts),
+            _ => {}
+        }
+    }
+}
+
+/// The elements of the layers of one class.
+fn of_class(svg: &str, class: &str) -> Vec<Element> {
+    elements(svg).0.into_iter().filter(|e| e.groups.iter().any(|g| g == class)).collect()
+}
+
+fn chart() -> Chart {
+    Chart::new("Frame time", Axis::linear("frame"), Axis::log("time / ms"))
+        .series(Series::new(
+            "a",
+            Mark::Line(vec![(0.0, 1.0), (1.0, 2.0), (1.5, f64::NAN), (2.0, 100.0), (3.0, 9.0)]),
+        ))
+        .rule(Rule::Horizontal(33.0, "target".into()))
+}
+
+#[test]
+fn broken_values_break_the_line_and_never_reach_the_file() {
+    let svg = chart().to_svg();
+    assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+    let lines = of_class(&svg, "line");
+    assert_eq!(lines.iter().map(|line| line.corners().len()).collect::<Vec<_>>(), [2, 2]);
+}
+
+#[test]
+fn points_stand_where_their_values_are() {
+    let points = [(0.0, 1.0), (5.0, 10.0), (10.0, 100.0)].map(|(x, y)| (x, y, String::new())).to_vec();
+    let svg = Chart::new("", Axis::linear("x").from(0.0).to(10.0), Axis::log("y").from(1.0).to(100.0))
+        .series(Series::new("", Mark::Points(points)))
+        .to_svg();
+    let places: Vec<(f64, f64)> = of_class(&svg, "points")
+        .iter()
+        .map(|c| (c.get("cx").parse().unwrap(), c.get("cy").parse().unwrap()))
+        .collect();
+    let [(x0, y0), (x1, y1), (x2, y2)] = places[..] else { panic!("{places:?}") };
+    assert!(x2 - x0 > 5000.0 && y0 - y2 > 1000.0, "{places:?}");
+    assert!((x1 - (x0 + x2) / 2.0).abs() <= 1.0 && (y1 - (y0 + y2) / 2.0).abs() <= 1.0, "{places:?}");
+}
+
+#[test]
+fn marks_beyond_a_fixed_end_are_cut_off_at_the_frame() {
+    let svg = Chart::new("", Axis::linear("x").from(0.0).to(10.0), Axis::linear("y").from(0.0).to(1.0))
+        .series(Series::new("", Mark::Line(vec![(-5.0, -1.0), (5.0, 0.5), (15.0, 1e12)])))
+        .series(Series::new("", Mark::Points(vec![(5.0, 7.0, "far".into()), (5.0, 0.5, "near".into())])))
+        .series(Series::new("", Mark::Boxes(vec![(4.0, [0.1, 0.4, 2.0, 3.0, 4.0])])))
+        .to_svg();
+    let (all, texts) = elements(&svg);
+    let frame = all.iter().rev().find(|e| e.name == "polyline").unwrap().corners();
+    let (low, high) = (frame[0], frame[2]);
+    let inside = |&(x, y): &(f64, f64)| (low.0..=high.0).contains(&x) && (low.1..=high.1).contains(&y);
+    let marks: Vec<&Element> = all.iter().filter(|e| !e.groups.is_empty()).collect();
+    assert!(
+        marks.iter().filter(|e| e.name == "polyline").all(|e| e.corners().iter().all(inside)),
+        "{marks:?}"
+    );
+    assert_eq!(of_class(&svg, "points").len(), 1);
+    assert!(texts.contains(&"near".to_owned()) && !texts.contains(&"far".to_owned()));
+    // The median lies beyond the frame: the lower whisker remains, and the box's outline in two parts.
+    let lines = of_class(&svg, "boxes");
+    assert_eq!(lines.iter().filter(|e| e.name == "polyline").count(), 3, "{lines:?}");
+}
+
+#[test]
+fn series_share_a_slot_side_by_side() {
+    let names = vec!["p".to_owned(), "q".to_owned()];
+    let svg = Chart::new("", Axis::categories("", names), Axis::linear("y"))
+        .series(Series::new("a", Mark::Bars(vec![(0.0, 1.0), (1.0, 2.0)])))
+        .series(Series::new("b", Mark::Bars(vec![(0.0, 3.0), (1.0, 4.0)])))
+        .to_svg();
+    let mut bars: Vec<(f64, f64, f64)> = of_class(&svg, "bars")
+        .iter()
+        .map(|bar| ["x", "width", "height"].map(|key| bar.get(key).parse::<f64>().unwrap()).into())
+        .collect();
+    bars.sort_by(|a, b| a.0.total_cmp(&b.0));
+    assert!(bars.windows(2).all(|w| w[0].0 + w[0].1 <= w[1].0), "{bars:?}");
+    for (bar, value) in bars.iter().zip([1.0, 3.0, 2.0, 4.0]) {
+        assert!((bar.2 / bars[0].2 - value).abs() < 0.01, "{bars:?}");
+    }
+}
+
+#[test]
+fn names_are_escaped_and_standalone_files_carry_their_namespace() {
+    let c = Chart::new("a < b & \"c\"", Axis::linear("x"), Axis::linear("y"))
+        .series(Series::new("<i>", Mark::Points(vec![(0.0, 0.0, "<b>".into())])));
+    let svg = c.to_svg();
+    let (all, texts) = elements(&svg);
+    assert_eq!(all[0].get("aria-label"), "a < b & \"c\"");
+    assert!(!svg.contains("<b>") && !svg.contains("<i>"), "{svg}");
+    for name in ["x", "y"] {
+        assert!(texts.iter().any(|t| t == name), "{texts:?}");
+    }
+    assert!(!svg.contains("http") && c.to_svg_file().contains("xmlns"));
+}
+
+#[test]
+fn empty_and_constant_data_have_a_span() {
+    let empty = Chart::new("", Axis::log("x"), Axis::linear("y")).to_svg();
+    assert!(!empty.contains("NaN"));
+    let constant = Chart::new("", Axis::log("x"), Axis::linear("y"))
+        .series(Series::new("", Mark::Line(vec![(2.0, 5.0), (2.0, 5.0)])))
+        .to_svg();
+    assert!(!constant.contains("NaN") && !constant.contains("inf"));
+}
+
+#[test]
+fn every_color_has_its_counterpart_on_a_dark_ground() {
+    let mut c = Chart::new("t", Axis::linear("x"), Axis::linear("y"));
+    for color in 0..PALETTE.len() {
+        c = c.series(Series::new("s", Mark::Line(vec![(0.0, 0.0), (1.0, color as f64)])).color(color));
+    }
+    let svg = c.to_svg();
+    let (all, _) = elements(&svg);
+    let dark = &svg[svg.find("prefers-color-scheme:dark").unwrap()..];
+    for key in ["fill", "stroke"] {
+        for color in all.iter().map(|e| e.get(key)).filter(|color| color.starts_with('#')) {
+            assert!(dark.contains(&format!("[{key}=\"{color}\"]{{{key}:#")), "{key} {color}");
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! The paper's Algorithm 1 and the baselines that it is compared with there: OLP and PID.
+
+use super::StepResponse;
+use entire_core::adapt::Verdict;
+use entire_core::control::{Controller, Decision, Observed, PlanRequest, Reason};
+
+fn decision(step: f32, seconds: f32, out_of_range: f32, reason: Reason) -> Decision {
+    Decision { step, seconds, upper: f32::NAN, out_of_range, reason }
+}
+
+/// Algorithm 1: δ = δ_ref · G⁻¹(t_target / t_predict), with t_predict the prediction at the reference step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Algorithm1 {
+    response: StepResponse,
+}
+
+impl Algorithm1 {
+    /// With a measured response curve.
+    pub fn new(response: StepResponse) -> Self {
+        Self { response }
+    }
+}
+
+impl Controller for Algorithm1 {
+    fn name(&self) -> &'static str {
+        "algorithm1"
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        let terms = request.cost.at(1.0);
+        let at_reference = terms.seconds();
+        if !(at_reference.is_finite() && at_reference > 0.0) {
+            return decision(request.limits.coarsest(), f32::NAN, f32::NAN, Reason::NoInformation);
+        }
+        let step = request.limits.clamp(self.response.step_ratio(request.target / at_reference));
+        decision(step, at_reference * self.response.time_ratio(step), terms.out_of_range, Reason::Fits)
+    }
+
+    fn observe(&mut self, _: &Observed) -> Verdict {
+        Verdict::Ignored
+    }
+
+    fn reset(&mut self) {}
+}
+
+/// OLP: the mean of the three preceding frames, each brought to the reference step by G, takes the
+/// prediction's place in Algorithm 1. The first frame is drawn at the reference step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Olp {
+    response: StepResponse,
+    window: [f32; 3],
+    seen: usize,
+}
+
+impl Olp {
+    /// With a measured response curve.
+    pub fn new(response: StepResponse) -> Self {
+        Self { response, window: [0.0; 3], seen: 0 }
+    }
+}
+
+impl Controller for Olp {
+    fn name(&self) -> &'static str {
+        "olp"
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        let n = self.seen.min(3);
+        if n == 0 {
+            return decision(request.limits.clamp(1.0), f32::NAN, f32::NAN, Reason::Reactive);
+        }
+        let at_reference = self.window[..n].iter().sum::<f32>() / n as f32;
+        let step = request.limits.clamp(self.response.step_ratio(request.target / at_reference));
+        decision(step, at_reference * self.response.time_ratio(step), f32::NAN, Reason::Reactive)
+    }
+
+    fn observe(&mut self, observed: &Observed) -> Verdict {
+        self.window[self.seen % 3] = observed.seconds / self.response.time_ratio(observed.step);
+        // Counts on from 3 so that the slot keeps cycling without ever overflowing.
+        self.seen = if self.seen >= 5 { 3 } else { self.seen + 1 };
+        Verdict::Learned
+    }
+
+    fn reset(&mut self) {
+        self.seen = 0;
+    }
+}
+
+/// PID on the step: the error (t − t_target) / t_target of the frame before moves the step in proportion, by
+/// its sum and by its difference (gains 0.3, 0.05, 0.1 in the paper). The sum stands still while the step is
+/// clamped.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pid {
+    gains: [f32; 3],
+    step: f32,
+    integral: f32,
+    last: Option<f32>,
+}
+
+impl Pid {
+    /// The paper's gains.
+    pub const PAPER_GAINS: [f32; 3] = [0.3, 0.05, 0.1];
+
+    /// With proportional, integral and differential gain; starts at the reference step.
+    pub fn new(gains: [f32; 3]) -> Self {
+        Self { gains, step: 1.0, integral: 0.0, last: None }
+    }
+}
+
+impl Controller for Pid {
+    fn name(&self) -> &'static str {
+        "pid"
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        let clamped = request.limits.clamp(self.step);
+        if clamped != self.step {
+            self.integral = 0.0;
+            self.step = clamped;
+        }
+        decision(self.step, f32::NAN, f32::NAN, Reason::Reactive)
+    }
+
+    fn observe(&mut self, observed: &Observed) -> Verdict {
+        // Bounded, so that one stalled frame does not decide the next hundred.
+        let error = ((observed.seconds - observed.target) / observed.target).clamp(-1.0, 10.0);
+        self.integral = (self.integral + error).clamp(-20.0, 20.0);
+        let difference = error - self.last.unwrap_or(error);
+        self.last = Some(error);
+        let [p, i, d] = self.gains;
+        self.step =
+            (observed.step * (1.0 + p * error) + i * self.integral + d * difference).clamp(1.0e-3, 1.0e4);
+        Verdict::Learned
+    }
+
+    fn reset(&mut self) {
+        *self = Self::new(self.gains);
+    }
+}

@@ -1,0 +1,323 @@
+//! The reactive rules of renderers in use, ported with their published constants, acting on the ray step
+//! alone.
+//!
+//! Where the original scales image resolution, its resolution fraction f (work ∝ f²) or image sample distance
+//! is mapped to the step by equal assumed work: work ∝ 1 / step.
+
+use entire_core::adapt::Verdict;
+use entire_core::control::{Controller, Decision, Observed, PlanRequest, Reason};
+
+fn reactive(step: f32) -> Decision {
+    Decision { step, seconds: f32::NAN, upper: f32::NAN, out_of_range: f32::NAN, reason: Reason::Reactive }
+}
+
+/// The reduction rule of VTK's GPU volume mapper: the mean of the old factor and allocated time over
+/// full-quality time, quantized to 1, 0.5, 0.2 or 0.1; the step is its inverse. The first frame is drawn at
+/// full quality.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VtkGpu {
+    factor: f32,
+    /// Time of the last frame; 0 before any.
+    last: f32,
+}
+
+impl VtkGpu {
+    /// At full quality.
+    pub fn new() -> Self {
+        Self { factor: 1.0, last: 0.0 }
+    }
+}
+
+impl Default for VtkGpu {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Controller for VtkGpu {
+    fn name(&self) -> &'static str {
+        "vtk-gpu"
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        if self.last > 0.0 {
+            let full = self.last / self.factor;
+            let wanted = 0.5 * (request.target / full + self.factor);
+            self.factor = if wanted >= 1.0 {
+                1.0
+            } else if wanted >= 0.5 {
+                0.5
+            } else if wanted >= 0.2 {
+                0.2
+            } else {
+                0.1
+            };
+        }
+        reactive(request.limits.clamp(1.0 / self.factor))
+    }
+
+    fn observe(&mut self, observed: &Observed) -> Verdict {
+        self.last = observed.seconds;
+        Verdict::Learned
+    }
+
+    fn reset(&mut self) {
+        *self = Self::new();
+    }
+}
+
+/// The rule of VTK's fixed-point CPU mapper: image sample distance √(full time / allocated time), 1…10, from
+/// the last frame alone; full time is the last time multiplied by its squared distance. The first frame is
+/// drawn at half the largest distance. The step stands for the squared distance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VtkFixedPoint {
+    distance: f32,
+    last: f32,
+}
+
+impl VtkFixedPoint {
+    /// Before the first frame.
+    pub fn new() -> Self {
+        Self { distance: 5.0, last: 0.0 }
+    }
+}
+
+impl Default for VtkFixedPoint {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Controller for VtkFixedPoint {
+    fn name(&self) -> &'static str {
+        "vtk-fixed-point"
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        if self.last > 0.0 {
+            let full = self.last * self.distance * self.distance;
+            self.distance = libm::sqrtf(full / request.target).clamp(1.0, 10.0);
+        }
+        let step = request.limits.clamp(self.distance * self.distance);
+        self.distance = libm::sqrtf(step).max(1.0);
+        reactive(step)
+    }
+
+    fn observe(&mut self, observed: &Observed) -> Verdict {
+        self.last = observed.seconds;
+        Verdict::Learned
+    }
+
+    fn reset(&mut self) {
+        *self = Self::new();
+    }
+}
+
+/// The rule of vtk.js: over windows of at least one second, the scale is multiplied by desired over measured
+/// frame rate when they differ by more than 15 %; 1…400. The step is the scale.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VtkJs {
+    scale: f32,
+    elapsed: f32,
+    frames: f32,
+    target: f32,
+}
+
+impl VtkJs {
+    /// At full resolution.
+    pub fn new() -> Self {
+        Self { scale: 1.0, elapsed: 0.0, frames: 0.0, target: 0.0 }
+    }
+}
+
+impl Default for VtkJs {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Controller for VtkJs {
+    fn name(&self) -> &'static str {
+        "vtk-js"
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        if self.elapsed >= 1.0 {
+            let ratio = self.elapsed / self.frames / request.target;
+            if !(1.0 / 1.15..=1.15).contains(&ratio) {
+                self.scale = (self.scale * ratio).clamp(1.0, 400.0);
+            }
+            self.elapsed = 0.0;
+            self.frames = 0.0;
+        }
+        self.scale = request.limits.clamp(self.scale).max(1.0);
+        reactive(request.limits.clamp(self.scale))
+    }
+
+    fn observe(&mut self, observed: &Observed) -> Verdict {
+        // A frame is shown no sooner than its slot ends: browsers wait for it.
+        self.elapsed += observed.seconds.clamp(1.0 / 60.0, 1.0e4);
+        self.frames += 1.0;
+        self.target = observed.target;
+        Verdict::Learned
+    }
+
+    fn reset(&mut self) {
+        *self = Self::new();
+    }
+}
+
+/// Frames that [`Unreal`] and [`Filament`] look back on.
+const WINDOW: usize = 16;
+
+/// The dynamic-resolution heuristic of Unreal Engine: frame times weighted by 0.9 per frame of age,
+/// resolution fraction f · √(0.95 target / time), changes of at least 2 %, at least 8 frames apart, moves up
+/// blended by 0.9; two frames over the budget in a row drop the history and react at once. f in 0.5…1; the
+/// step is 1 / f² so that it has the range that the limits allow.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Unreal {
+    work: f32,
+    /// Full-quality times, newest last.
+    times: [f32; WINDOW],
+    len: usize,
+    since_change: u32,
+    over: u32,
+    frames: u32,
+}
+
+impl Unreal {
+    /// At full resolution.
+    pub fn new() -> Self {
+        Self { work: 1.0, times: [0.0; WINDOW], len: 0, since_change: 0, over: 0, frames: 0 }
+    }
+}
+
+impl Default for Unreal {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Controller for Unreal {
+    fn name(&self) -> &'static str {
+        "unreal"
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        let panic = self.over >= 2;
+        if self.len > 0 && (panic || self.since_change >= 8) {
+            let (mut sum, mut weights, mut weight) = (0.0f32, 0.0f32, 1.0f32);
+            let used = if panic { 1 } else { self.len };
+            for &t in self.times[..self.len].iter().rev().take(used) {
+                sum += weight * t;
+                weights += weight;
+                weight *= 0.9;
+            }
+            let full = sum / weights;
+            let mut wanted = (0.95 * request.target / full).min(1.0);
+            if wanted > self.work {
+                wanted = self.work + 0.9 * (wanted - self.work);
+            }
+            // Two percent of the resolution fraction, whose square the work is.
+            if libm::fabsf(libm::sqrtf(wanted) - libm::sqrtf(self.work)) >= 0.02 * libm::sqrtf(self.work) {
+                self.work = wanted;
+                self.since_change = 0;
+            }
+            if panic {
+                self.len = 0;
+                self.over = 0;
+            }
+        }
+        let step = request.limits.clamp(1.0 / self.work);
+        self.work = (1.0 / step).min(1.0);
+        reactive(step)
+    }
+
+    fn observe(&mut self, observed: &Observed) -> Verdict {
+        self.frames = self.frames.saturating_add(1);
+        if self.frames == 1 {
+            return Verdict::Ignored;
+        }
+        if self.len == WINDOW {
+            self.times.copy_within(1.., 0);
+            self.len -= 1;
+        }
+        self.times[self.len] = observed.seconds * observed.step.max(1.0);
+        self.len += 1;
+        self.since_change = self.since_change.saturating_add(1);
+        self.over = if observed.seconds > observed.target { self.over.saturating_add(1) } else { 0 };
+        Verdict::Learned
+    }
+
+    fn reset(&mut self) {
+        *self = Self::new();
+    }
+}
+
+/// The frame-rate controller of Filament: the median of up to 15 frame times, a PI controller in velocity
+/// form on measured over target time (Kp = 1 − e^(−1/8), Ki = 0.002), an output dead band of −1 %…+5 %, no
+/// integral while clamped. The controlled quantity is the share of work; the step is its inverse.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Filament {
+    work: f32,
+    times: [f32; 15],
+    len: usize,
+    integral: f32,
+    clamped: bool,
+}
+
+impl Filament {
+    /// At full resolution.
+    pub fn new() -> Self {
+        Self { work: 1.0, times: [0.0; 15], len: 0, integral: 0.0, clamped: false }
+    }
+}
+
+impl Default for Filament {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Controller for Filament {
+    fn name(&self) -> &'static str {
+        "filament"
+    }
+
+    fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
+        if self.len >= 3 {
+            let mut sorted = self.times;
+            let sorted = &mut sorted[..self.len];
+            sorted.sort_unstable_by(f32::total_cmp);
+            let time = sorted[self.len / 2];
+            let error = (1.0 - time / request.target).clamp(-10.0, 1.0);
+            if !self.clamped {
+                self.integral = (self.integral + 0.002 * error).clamp(-1.0, 1.0);
+            }
+            let out = (1.0 - 0.882_496_9) * error + self.integral;
+            if !(-0.01..=0.05).contains(&out) {
+                let command = if out < 0.0 { 1.0 / (1.0 - out) } else { 1.0 + out };
+                self.work = (self.work * command).clamp(1.0e-4, 1.0);
+            }
+        }
+        let wanted = 1.0 / self.work;
+        let step = request.limits.clamp(wanted);
+        self.clamped = step != wanted || self.work >= 1.0;
+        self.work = (1.0 / step).min(1.0);
+        reactive(step)
+    }
+
+    fn observe(&mut self, observed: &Observed) -> Verdict {
+        if self.len == self.times.len() {
+            self.times.copy_within(1.., 0);
+            self.len -= 1;
+        }
+        self.times[self.len] = observed.seconds;
+        self.len += 1;
+        Verdict::Learned
+    }
+
+    fn reset(&mut self) {
+        *self = Self::new();
+    }
+}

@@ -1,0 +1,219 @@
+//! The entry points called as C calls them: raw pointers in, codes out. Small enough for Miri, which sees
+//! what no C test can: an access outside what a pointer may reach, a race, a leak.
+
+use crate::frame::{ENTIRE_SHADING_NONE, ENTIRE_SKIPPING_BLOCKS, entire_frame_init, entire_setting};
+use crate::model::*;
+use crate::result::entire_result::{self, *};
+use crate::session::*;
+use crate::transfer::*;
+use crate::volume::*;
+use std::mem::{MaybeUninit, size_of};
+use std::path::Path;
+use std::ptr::{null, null_mut};
+
+/// The toy model of the C tests.
+fn toy() -> Vec<u8> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/golden/toy_model/toy.safetensors");
+    std::fs::read(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+fn ok(result: entire_result) {
+    assert_eq!(result, ENTIRE_OK);
+}
+
+/// What a call writes into its last argument.
+fn made<T>(call: impl FnOnce(*mut *mut T) -> entire_result) -> *mut T {
+    let mut out = null_mut();
+    ok(call(&raw mut out));
+    assert!(!out.is_null());
+    out
+}
+
+/// A struct filled by its `_init`.
+fn init<T>(call: unsafe extern "C" fn(*mut T, usize) -> entire_result) -> T {
+    let mut value = MaybeUninit::uninit();
+    // SAFETY: room for the struct, all of which the call writes.
+    unsafe {
+        ok(call(value.as_mut_ptr(), size_of::<T>()));
+        value.assume_init()
+    }
+}
+
+fn volume(voxels: &[u8], ownership: entire_voxels_ownership) -> *mut entire_volume {
+    let mut desc = init(entire_volume_desc_init);
+    desc.scalar_type = ENTIRE_SCALAR_U8;
+    desc.ownership = ownership;
+    desc.voxels = voxels.as_ptr().cast();
+    desc.voxel_count = voxels.len();
+    desc.dims = [5, 7, 11];
+    // SAFETY: the voxels are as many as stated, and borrowed ones outlive the volume.
+    made(|out| unsafe { entire_volume_new(&raw const desc, out) })
+}
+
+fn transfer_function() -> *mut entire_transfer_function {
+    let lobe = entire_gaussian_lobe { center: 0.5, width: 0.05, height: 0.3 };
+    // SAFETY: one lobe.
+    made(|out| unsafe { entire_transfer_function_from_lobes(&raw const lobe, 1, out) })
+}
+
+const SETTINGS: [entire_setting; 2] = [
+    entire_setting {
+        step: 1.0,
+        width: 32,
+        height: 32,
+        shading: ENTIRE_SHADING_NONE,
+        skipping: ENTIRE_SKIPPING_BLOCKS,
+    },
+    entire_setting {
+        step: 4.0,
+        width: 16,
+        height: 16,
+        shading: ENTIRE_SHADING_NONE,
+        skipping: ENTIRE_SKIPPING_BLOCKS,
+    },
+];
+
+/// One render loop: plans, choices, observations, a saved state.
+///
+/// # Safety
+/// `model` is NULL or live.
+unsafe fn render(model: *const entire_model, voxels: &[u8], frames: usize) {
+    let (volume, transfer) = (volume(voxels, ENTIRE_VOXELS_BORROW), transfer_function());
+    let options = init(entire_session_options_init);
+    let mut frame = init(entire_frame_init);
+    (frame.width, frame.height) = (32, 32);
+    // SAFETY: live handles, used by this thread alone, and room for every output.
+    unsafe {
+        let session = made(|out| entire_session_new(model, &raw const options, out));
+        ok(entire_session_set_volume(session, volume));
+        ok(entire_session_set_transfer_function(session, transfer));
+        entire_volume_free(volume);
+        entire_transfer_function_free(transfer);
+        for i in 0..frames {
+            frame.arcball[1] = 40.0 * i as f32;
+            let mut plan =
+                entire_plan { struct_size: size_of::<entire_plan>(), ..crate::abi::ByValue::defaults() };
+            let mut index = 99;
+            if i % 3 == 2 {
+                let (settings, count) = (SETTINGS.as_ptr(), SETTINGS.len());
+                ok(entire_session_choose(
+                    session,
+                    &raw const frame,
+                    settings,
+                    count,
+                    0.02,
+                    &raw mut index,
+                    &raw mut plan,
+                ));
+                assert!(index < 2);
+            } else {
+                ok(entire_session_plan(session, &raw const frame, 0.02, &raw mut plan));
+            }
+            assert!(plan.id != 0 && plan.step >= 1.0);
+            let mut verdict = 99;
+            ok(entire_session_observe(session, plan.id, 0.01 + 0.02 / plan.step, 0, &raw mut verdict));
+            assert_eq!(
+                entire_session_observe(session, plan.id, 0.01, 0, null_mut()),
+                ENTIRE_REJECTED_OBSERVATION
+            );
+        }
+        let mut prediction: entire_prediction = crate::abi::ByValue::defaults();
+        ok(entire_session_predict(session, &raw const frame, &raw mut prediction));
+        assert!(prediction.seconds > 0.0);
+        let mut count = 0;
+        ok(entire_session_save_state(session, null_mut(), 0, &raw mut count));
+        let mut state = vec![0u8; count];
+        ok(entire_session_save_state(session, state.as_mut_ptr(), count, &raw mut count));
+        ok(entire_session_load_state(session, state.as_ptr(), count));
+        assert_ne!(entire_session_load_state(session, state.as_ptr(), count - 1), ENTIRE_OK);
+        let mut text = [0; 64];
+        ok(entire_session_last_error(session, text.as_mut_ptr(), text.len(), null_mut()));
+        ok(entire_session_reset(session));
+        entire_session_free(session);
+    }
+}
+
+#[test]
+fn a_model_is_described_and_predicts() {
+    let bytes = toy();
+    // SAFETY: live handles, arrays as long as stated, room for every output.
+    unsafe {
+        let model = made(|out| entire_model_from_bytes(bytes.as_ptr(), bytes.len(), out));
+        let mut info: entire_model_info = crate::abi::ByValue::defaults();
+        ok(entire_model_describe(model, &raw mut info));
+        let mut group: entire_input_group = crate::abi::ByValue::defaults();
+        ok(entire_model_input_group(model, 1, &raw mut group));
+        assert_eq!(std::ffi::CStr::from_ptr(group.name), c"camera");
+        assert!(!entire_model_metadata(model, c"entire.device".as_ptr()).is_null());
+        assert!(entire_model_scene_feature(model, 0).is_null());
+        let inputs = vec![0.25f32; 2 * info.input_count];
+        let (mut one, mut both) = (0.0, [0.0; 2]);
+        ok(entire_model_predict(model, inputs.as_ptr(), info.input_count, &raw mut one));
+        ok(entire_model_predict_batch(model, inputs.as_ptr(), 2, info.input_count, both.as_mut_ptr()));
+        assert!(one > 0.0 && (both[0] / one - 1.0).abs() < 1e-5);
+        assert_eq!(entire_model_predict(model, inputs.as_ptr(), 3, &raw mut one), ENTIRE_SIZE_MISMATCH);
+        let (mut features, mut count) = ([0.0f32; 2], 0);
+        let voxels: Vec<u8> = (0..385).map(|i| (i * 37 % 256) as u8).collect();
+        let volume = volume(&voxels, ENTIRE_VOXELS_COPY);
+        ok(entire_model_encode(model, volume, features.as_mut_ptr(), 2, &raw mut count));
+        ok(entire_volume_set_features(volume, features.as_ptr(), 2));
+        let mut about: entire_volume_info = crate::abi::ByValue::defaults();
+        ok(entire_volume_describe(volume, &raw mut about));
+        assert_eq!((count, about.feature_count, about.dims), (2, 2, [5, 7, 11]));
+        entire_volume_free(volume);
+        entire_model_free(model);
+    }
+}
+
+#[test]
+fn threads_share_a_model_and_have_sessions_of_their_own() {
+    struct Shared(*mut entire_model);
+    // SAFETY: a model is immutable; its calls may run on several threads.
+    unsafe impl Sync for Shared {}
+    let bytes = toy();
+    // SAFETY: bytes as many as stated.
+    let model = Shared(made(|out| unsafe { entire_model_from_bytes(bytes.as_ptr(), bytes.len(), out) }));
+    let voxels: Vec<u8> = (0..385).map(|i| (i * 37 % 256) as u8).collect();
+    let frames = if cfg!(miri) { 2 } else { 40 };
+    std::thread::scope(|scope| {
+        for thread in 0..if cfg!(miri) { 2 } else { 8 } {
+            let (model, voxels) = (&model, &voxels);
+            scope.spawn(move || {
+                let with = if thread == 1 { null() } else { model.0.cast_const() };
+                // SAFETY: the model lives until all threads have ended.
+                unsafe { render(with, voxels, frames) };
+                let inputs = [0.25f32; 11];
+                for _ in 0..if cfg!(miri) { 3 } else { 200 } {
+                    let mut seconds = 0.0;
+                    // SAFETY: as many inputs as stated, room for one number.
+                    ok(unsafe { entire_model_predict(model.0, inputs.as_ptr(), 11, &raw mut seconds) });
+                }
+            });
+        }
+    });
+    // SAFETY: nobody uses the model any more.
+    unsafe { entire_model_free(model.0) };
+}
+
+#[test]
+fn transfer_functions_of_every_kind_are_made_and_read() {
+    let opacity = [
+        entire_opacity_node { position: 0.0, opacity: 0.0, midpoint: 0.5, sharpness: 0.0 },
+        entire_opacity_node { position: 1.0, opacity: 0.8, midpoint: 0.3, sharpness: 0.2 },
+    ];
+    let rgba = [0.0f32, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7];
+    let mut table = vec![0.0f32; 4 * ENTIRE_TABLE_ENTRIES];
+    // SAFETY: arrays as long as stated, live handles.
+    unsafe {
+        let of_nodes =
+            made(|out| entire_transfer_function_from_nodes(opacity.as_ptr(), 2, null(), 0, 0.0, 1.0, 1, out));
+        let of_table = made(|out| entire_transfer_function_from_table(rgba.as_ptr(), 2, out));
+        for function in [of_nodes, of_table] {
+            ok(entire_transfer_function_set_unit_distance(function, 2.0, ENTIRE_UNIT_WORLD));
+            ok(entire_transfer_function_table(function, table.as_mut_ptr(), table.len()));
+            assert_eq!(entire_transfer_function_table(function, table.as_mut_ptr(), 3), ENTIRE_SIZE_MISMATCH);
+            entire_transfer_function_free(function);
+        }
+    }
+    assert!((table[3] - 0.3).abs() < 1e-6);
+}

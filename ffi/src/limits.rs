@@ -1,0 +1,105 @@
+//! The largest sizes that a caller may declare. A count that a caller merely states is checked against these
+//! before anything is allocated or read, so that a wrong one is answered and not worked on.
+
+use crate::result::Failure;
+use crate::result::entire_result::*;
+
+/// Most voxels along one axis of a volume.
+pub const ENTIRE_MAX_SIDE: usize = 1_048_576;
+/// Most voxels of a volume that has fewer in memory: one whose strides are zero or overlap.
+pub const ENTIRE_MAX_REPEATED_VOXELS: usize = 134_217_728;
+/// Most bricks of a volume.
+pub const ENTIRE_MAX_BRICKS: usize = 134_217_728;
+/// Most ready features of a volume.
+pub const ENTIRE_MAX_FEATURES: usize = 1_048_576;
+/// Most Gaussian lobes, opacity nodes, color nodes or table entries of a transfer function.
+pub const ENTIRE_MAX_TRANSFER_POINTS: usize = 1_048_576;
+/// Most bytes of a model file.
+pub const ENTIRE_MAX_MODEL_BYTES: usize = 2_147_483_647;
+/// Most bytes of a saved state.
+pub const ENTIRE_MAX_STATE_BYTES: usize = 16_777_216;
+/// Most tasks that entire_schedule takes.
+pub const ENTIRE_MAX_TASKS: usize = 16_777_216;
+/// Most nodes that entire_schedule takes.
+pub const ENTIRE_MAX_NODES: usize = 1_048_576;
+/// Most tasks times nodes that entire_schedule takes: each task is compared on every node.
+pub const ENTIRE_MAX_TASKS_TIMES_NODES: u64 = 4_294_967_296;
+
+// What the core accepts is what this door lets through.
+const _: () = {
+    assert!(ENTIRE_MAX_SIDE == entire_core::scene::MAX_VOLUME_EDGE);
+    assert!(ENTIRE_MAX_REPEATED_VOXELS as u64 == entire_core::scene::MAX_REPEATED_VOXELS);
+    assert!(ENTIRE_MAX_NODES == entire_core::schedule::MAX_NODES);
+};
+
+/// Refuses a count over its limit.
+pub(crate) fn at_most(what: &str, found: usize, limit: usize, name: &str) -> Result<(), Failure> {
+    if found <= limit {
+        return Ok(());
+    }
+    Err(Failure::new(
+        ENTIRE_SIZE_MISMATCH,
+        format!(
+            "{what} is {found}; at most {limit} ({name}) is accepted, so it is too large: check the count"
+        ),
+    ))
+}
+
+/// Refuses the sizes of a volume that no memory of `voxel_count` elements stands behind.
+pub(crate) fn check_dims(dims: [usize; 3], voxel_count: Option<usize>) -> Result<(), Failure> {
+    for (axis, &n) in ["x", "y", "z"].iter().zip(&dims) {
+        if n > ENTIRE_MAX_SIDE {
+            return Err(Failure::new(
+                ENTIRE_SIZE_MISMATCH,
+                format!(
+                    "the volume has {n} voxels along {axis}, too large: at most {ENTIRE_MAX_SIDE} \
+                     (ENTIRE_MAX_SIDE) are accepted; check its sizes"
+                ),
+            ));
+        }
+    }
+    let Some(there) = voxel_count else { return Ok(()) };
+    // Three sides of at most 2^20: the product fits.
+    let voxels = dims.iter().map(|&n| n as u128).product::<u128>();
+    if voxels > (there as u128).max(ENTIRE_MAX_REPEATED_VOXELS as u128) {
+        let [x, y, z] = dims;
+        return Err(Failure::new(
+            ENTIRE_SIZE_MISMATCH,
+            format!(
+                "a volume of {x} x {y} x {z} voxels needs {voxels} elements, voxel_count is {there}; strides \
+                 that repeat voxels are accepted up to {ENTIRE_MAX_REPEATED_VOXELS} voxels \
+                 (ENTIRE_MAX_REPEATED_VOXELS), check sizes, strides and voxel_count"
+            ),
+        ));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_bounded_by_what_is_there() {
+        let code = |dims, count| check_dims(dims, count).err().map(|f| f.code);
+        assert_eq!(code([512, 512, 512], Some(1)), None);
+        assert_eq!(code([512, 512, 513], Some(1)), Some(ENTIRE_SIZE_MISMATCH));
+        assert_eq!(code([512, 512, 513], Some(512 * 512 * 513)), None);
+        assert_eq!(code([200_000; 3], Some(1)), Some(ENTIRE_SIZE_MISMATCH));
+        assert_eq!(code([200_000; 3], None), None);
+        assert_eq!(code([65_536, 65_536, 2], Some(usize::MAX)), None);
+        assert_eq!(code([ENTIRE_MAX_SIDE; 3], Some(1)), Some(ENTIRE_SIZE_MISMATCH));
+        assert_eq!(code([ENTIRE_MAX_SIDE + 1, 1, 1], Some(usize::MAX)), Some(ENTIRE_SIZE_MISMATCH));
+        assert_eq!(code([1, 1, usize::MAX], None), Some(ENTIRE_SIZE_MISMATCH));
+    }
+
+    #[test]
+    fn refusals_name_the_limit() {
+        assert!(at_most("task_count", 7, 7, "ENTIRE_MAX_TASKS").is_ok());
+        let failure = at_most("task_count", 8, 7, "ENTIRE_MAX_TASKS").unwrap_err();
+        assert_eq!(failure.code, ENTIRE_SIZE_MISMATCH);
+        assert!(
+            failure.message.contains("task_count is 8") && failure.message.contains("7 (ENTIRE_MAX_TASKS)")
+        );
+    }
+}

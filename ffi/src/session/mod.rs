@@ -1,0 +1,113 @@
+//! `entire_session`: plan, draw, observe, for one render loop.
+
+mod observe;
+mod options;
+mod plan;
+mod settings;
+mod state;
+
+#[cfg(test)]
+pub(crate) use {observe::*, options::*, plan::*, settings::*, state::*};
+
+use crate::abi::{ByValue, check_pointer, read_struct, write};
+use crate::guard::{freeing, guard, last_error_of};
+use crate::handle::{Status, borrow, give, handle, share};
+use crate::model::entire_model;
+use crate::result::Failure;
+use crate::result::entire_result::{self, *};
+use entire_core::control::{Session, StepLimits};
+use entire_core::predict::{AnalyticModel, Predictor};
+use glam::Vec3;
+use options::{entire_session_options, hybrid_options};
+use std::ffi::c_char;
+use std::sync::Arc;
+
+/// Predicts and steers one render loop. For one thread at a time; give every loop its own.
+pub struct entire_session {
+    status: Status,
+    value: Loop,
+}
+
+pub(crate) struct Loop {
+    session: Session,
+    model: Option<Arc<entire_model>>,
+    /// Spacing and bounding-sphere radius of the volume that is set.
+    volume: Option<(Vec3, f32)>,
+}
+
+handle!(entire_session, Loop, Boxed);
+
+impl Loop {
+    fn radius(&self) -> Option<f32> {
+        self.volume.map(|(_, radius)| radius)
+    }
+}
+
+/// Makes a session for one render loop. `model` may be NULL: then a linear cost model, which knows no device
+/// until the first frames are observed, predicts. `options` may be NULL for the defaults. The session keeps
+/// its own share of the model.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe side), ENTIRE_UNSUPPORTED (a model without a
+/// prediction network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know),
+/// ENTIRE_PANIC (a model handle that is unusable), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_new(
+    model: *const entire_model,
+    options: *const entire_session_options,
+    session: *mut *mut entire_session,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    guard(|| unsafe {
+        check_pointer(session, "session (output)")?;
+        let options = if options.is_null() { ByValue::defaults() } else { read_struct(options)? };
+        let limits = StepLimits::new(options.finest_step, options.coarsest_step)?;
+        let hybrid = hybrid_options(&options)?;
+        let predicts: Box<dyn Predictor + Send> =
+            if model.is_null() { Box::new(AnalyticModel::new()) } else { borrow(model)?.predictor()? };
+        let model = if model.is_null() { None } else { Some(share(model)) };
+        let mut made = Session::new(predicts, hybrid);
+        if options.probe_side != 0 {
+            made = made.with_probe_side(options.probe_side as usize)?;
+        }
+        made.set_limits(limits);
+        write(session, give(Loop { session: made, model, volume: None }), "session (output)")
+    })
+}
+
+/// Copies the text of the session's last call where it failed, as entire_model_last_error does; empty after a
+/// call that succeeded.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_last_error(
+    session: *const entire_session,
+    buffer: *mut c_char,
+    capacity: usize,
+    length: *mut usize,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe { last_error_of(session, buffer, capacity, length) }
+}
+
+/// Frees a session; NULL is nothing to do.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_free(session: *mut entire_session) {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe { freeing(session) }
+}
+
+/// Panics on purpose, for the test of the panic boundary.
+#[cfg(feature = "test-panic")]
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_test_panic(session: *mut entire_session) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe { crate::guard::changing(session, |state| panic!("deliberate, with radius {:?}", state.radius())) }
+}
+
+fn check_flags(what: &str, found: u32, known: u32) -> Result<(), Failure> {
+    if found & !known == 0 {
+        return Ok(());
+    }
+    Err(Failure::new(
+        ENTIRE_INVALID_ARGUMENT,
+        format!("{what} has the unknown flag(s) {:#x}; known are {known:#x}", found & !known),
+    ))
+}

@@ -1,0 +1,79 @@
+//! How long planned frames took.
+
+use super::{check_flags, entire_session};
+use crate::abi::{check_pointer, write};
+use crate::guard::changing;
+use crate::result::Failure;
+use crate::result::entire_result;
+use entire_core::adapt::{ObserveFlags, Verdict};
+
+const _: () = {
+    assert!(ENTIRE_VERDICT_LEARNED == Verdict::Learned as u32);
+    assert!(ENTIRE_VERDICT_CLIPPED == Verdict::Clipped as u32);
+    assert!(ENTIRE_VERDICT_IGNORED == Verdict::Ignored as u32);
+};
+
+/// What became of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
+pub type entire_verdict = u32;
+/// Learned from.
+pub const ENTIRE_VERDICT_LEARNED: entire_verdict = 0;
+/// Far from what was expected: its pull was clipped.
+pub const ENTIRE_VERDICT_CLIPPED: entire_verdict = 1;
+/// Taken note of, not learned from: flagged, or the first frame.
+pub const ENTIRE_VERDICT_IGNORED: entire_verdict = 2;
+
+/// Observation flag: the time holds work that is not the frame's (a compile, an upload, a stall).
+pub const ENTIRE_OBSERVE_UNUSUAL: u32 = 1;
+/// Observation flag: the frame was abandoned; its time says only that it takes at least that long.
+pub const ENTIRE_OBSERVE_CANCELLED: u32 = 2;
+
+/// Tells how long a planned frame took. Late observations are welcome as long as their plan is among the last
+/// 64. `flags`: ENTIRE_OBSERVE_* or 0. `verdict` may be NULL. Does not allocate when it succeeds.
+///
+/// Fails with ENTIRE_REJECTED_OBSERVATION (an unknown or forgotten plan, one observed before, a time that is
+/// not finite and positive or over 10000 s; nothing is learned), ENTIRE_INVALID_ARGUMENT (an unknown flag),
+/// ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_observe(
+    session: *mut entire_session,
+    plan_id: u64,
+    seconds: f32,
+    flags: u32,
+    verdict: *mut entire_verdict,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            check_flags("flags", flags, ENTIRE_OBSERVE_UNUSUAL | ENTIRE_OBSERVE_CANCELLED)?;
+            if !verdict.is_null() {
+                check_pointer(verdict, "verdict (output)")?;
+            }
+            let noted = ObserveFlags {
+                unusual: flags & ENTIRE_OBSERVE_UNUSUAL != 0,
+                cancelled: flags & ENTIRE_OBSERVE_CANCELLED != 0,
+            };
+            let found = state.session.observe(plan_id, seconds, noted).map_err(|e| {
+                let why = Failure::from(e);
+                Failure::new(why.code, format!("{seconds} s for plan {plan_id}: {}", why.message))
+            })?;
+            if !verdict.is_null() {
+                write(verdict, found as u32, "verdict (output)")?;
+            }
+            Ok(())
+        })
+    }
+}
+
+/// Forgets every observation and every pending plan; volume, transfer function and limits stay.
+///
+/// Fails with ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_reset(session: *mut entire_session) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            state.session.reset();
+            Ok(())
+        })
+    }
+}

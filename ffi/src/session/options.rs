@@ -1,0 +1,106 @@
+//! How a session steers: its options and their checks.
+
+use crate::abi::{ByValue, init_struct, no_padding};
+use crate::guard::guard;
+use crate::result::Failure;
+use crate::result::entire_result::{self, *};
+use entire_core::control::{HybridOptions, StepLimits};
+use std::mem::size_of;
+
+/// How a session steers. Fill with entire_session_options_init, then set what differs.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_session_options {
+    /// sizeof(entire_session_options).
+    pub struct_size: usize,
+    /// Finest ray step that may be chosen, in multiples of the reference step, at least 1/64; default 1.
+    pub finest_step: f32,
+    /// Coarsest ray step that may be chosen, up to 4096; default 16.
+    pub coarsest_step: f32,
+    /// Share of frames that may exceed their upper bound, over 0 and under 1; default 0.05. Fewer exceed the
+    /// target by more than `tolerance`, since not every bound reaches so far.
+    pub miss_rate: f32,
+    /// How far over the target a frame may be before it counts as missed, as a share of the target, not
+    /// negative; default 0.1.
+    pub tolerance: f32,
+    /// Out-of-range score from which recent frames decide instead of the prediction, positive; default 2.
+    pub trust_limit: f32,
+    /// Not 0 where moves are damped in calm phases; default 1.
+    pub damping: u32,
+    /// Rays along each side of the probe that measures frames for a linear cost model (no model, or an
+    /// analytic one), 1 to 24. Fewer make plans cheaper and what they are made from rougher, with the square
+    /// of the side. Default 0: 11. A network keeps the side that its file names, which it was trained with.
+    pub probe_side: u32,
+    /// Must be 0.
+    pub reserved: u32,
+}
+
+// SAFETY: repr(C), struct_size first, integers and floats only.
+unsafe impl ByValue for entire_session_options {
+    const NAME: &'static str = "entire_session_options";
+    fn defaults() -> Self {
+        let (hybrid, limits) = (HybridOptions::default(), StepLimits::default());
+        Self {
+            struct_size: size_of::<Self>(),
+            finest_step: limits.finest(),
+            coarsest_step: limits.coarsest(),
+            miss_rate: hybrid.miss_rate,
+            tolerance: hybrid.tolerance,
+            trust_limit: hybrid.trust_limit,
+            damping: hybrid.damping.into(),
+            probe_side: 0,
+            reserved: 0,
+        }
+    }
+}
+
+no_padding!(entire_session_options {
+    struct_size,
+    finest_step,
+    coarsest_step,
+    miss_rate,
+    tolerance,
+    trust_limit,
+    damping,
+    probe_side,
+    reserved
+});
+
+/// Fills session options with their defaults; `struct_size` is sizeof(entire_session_options).
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_options_init(
+    options: *mut entire_session_options,
+    struct_size: usize,
+) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    guard(|| unsafe { init_struct(options, struct_size) })
+}
+
+pub(super) fn hybrid_options(options: &entire_session_options) -> Result<HybridOptions, Failure> {
+    let refuse = |what: &str, found: f32, accepted: &str| {
+        Err(Failure::new(ENTIRE_INVALID_ARGUMENT, format!("{what} is {found}; it must be {accepted}")))
+    };
+    let entire_session_options { miss_rate, tolerance, trust_limit, .. } = *options;
+    if !(miss_rate > 0.0 && miss_rate < 1.0) {
+        return refuse("miss_rate", miss_rate, "over 0 and under 1");
+    }
+    if !(tolerance.is_finite() && tolerance >= 0.0) {
+        return refuse("tolerance", tolerance, "finite and not negative");
+    }
+    if !(trust_limit > 0.0) {
+        return refuse("trust_limit", trust_limit, "positive (infinity to trust always)");
+    }
+    if options.reserved != 0 {
+        return Err(Failure::new(
+            ENTIRE_INVALID_ARGUMENT,
+            format!("reserved is {}; it must be 0", options.reserved),
+        ));
+    }
+    Ok(HybridOptions {
+        miss_rate,
+        tolerance,
+        trust_limit,
+        damping: options.damping != 0,
+        ..HybridOptions::default()
+    })
+}

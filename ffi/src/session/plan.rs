@@ -1,0 +1,296 @@
+//! Predicting a frame, and choosing what to draw.
+
+use super::entire_session;
+use crate::abi::{ByValue, check_output, check_pointer, no_padding, read_struct, slice, write, write_struct};
+use crate::frame::{entire_frame, entire_setting};
+use crate::guard::changing;
+use crate::result::entire_result::{self, *};
+use crate::result::{Failure, is_frame_time, no_prediction};
+use entire_core::control::{Plan, Reason};
+use entire_core::predict::Source;
+use std::mem::size_of;
+
+/// Why a plan has the step that it has: one of the `ENTIRE_REASON_*` numbers.
+pub type entire_reason = u32;
+/// The finest step whose upper bound fits the target.
+pub const ENTIRE_REASON_FITS: entire_reason = 1;
+/// As before, but moved there slowly because nothing has changed abruptly.
+pub const ENTIRE_REASON_DAMPED: entire_reason = 2;
+/// The step before still fits and is close to the best: kept.
+pub const ENTIRE_REASON_HELD: entire_reason = 3;
+/// Nothing finer is allowed, and it fits.
+pub const ENTIRE_REASON_FINEST_ALLOWED: entire_reason = 4;
+/// Nothing coarser is allowed, and even that is not expected to fit.
+pub const ENTIRE_REASON_TARGET_UNREACHABLE: entire_reason = 5;
+/// The prediction is not trusted: recent frames decide.
+pub const ENTIRE_REASON_HISTORY: entire_reason = 6;
+/// Neither a prediction nor a timing is there: the coarsest step allowed.
+pub const ENTIRE_REASON_NO_INFORMATION: entire_reason = 7;
+/// Steering is off: the step asked for.
+pub const ENTIRE_REASON_OFF: entire_reason = 8;
+/// A rule that reacts to past frames only.
+pub const ENTIRE_REASON_REACTIVE: entire_reason = 9;
+
+/// Where a prediction comes from: one of the `ENTIRE_SOURCE_*` numbers.
+pub type entire_source = u32;
+/// The linear cost model on estimated work.
+pub const ENTIRE_SOURCE_ANALYTIC: entire_source = 1;
+/// The model's network.
+pub const ENTIRE_SOURCE_NETWORK: entire_source = 2;
+/// Recent frames.
+pub const ENTIRE_SOURCE_HISTORY: entire_source = 3;
+
+/// In `absent`: nothing is known of the seconds; they are NaN.
+pub const ENTIRE_ABSENT_SECONDS: u32 = 1;
+/// In `absent`: there is no upper bound; it is NaN.
+pub const ENTIRE_ABSENT_UPPER: u32 = 2;
+/// In `absent`: no training range is known; out_of_range is NaN.
+pub const ENTIRE_ABSENT_OUT_OF_RANGE: u32 = 4;
+
+/// How many settings entire_session_choose takes at most.
+pub const ENTIRE_MAX_SETTINGS: usize = 64;
+
+const _: () = {
+    assert!(ENTIRE_REASON_FITS == Reason::Fits as u32);
+    assert!(ENTIRE_REASON_DAMPED == Reason::Damped as u32);
+    assert!(ENTIRE_REASON_HELD == Reason::Held as u32);
+    assert!(ENTIRE_REASON_FINEST_ALLOWED == Reason::FinestAllowed as u32);
+    assert!(ENTIRE_REASON_TARGET_UNREACHABLE == Reason::TargetUnreachable as u32);
+    assert!(ENTIRE_REASON_HISTORY == Reason::History as u32);
+    assert!(ENTIRE_REASON_NO_INFORMATION == Reason::NoInformation as u32);
+    assert!(ENTIRE_REASON_OFF == Reason::Off as u32);
+    assert!(ENTIRE_REASON_REACTIVE == Reason::Reactive as u32);
+    assert!(ENTIRE_SOURCE_ANALYTIC == Source::Analytic as u32);
+    assert!(ENTIRE_SOURCE_NETWORK == Source::Network as u32);
+    assert!(ENTIRE_SOURCE_HISTORY == Source::History as u32);
+};
+
+/// What to draw, and what to expect of it. Set struct_size before the call.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_plan {
+    /// sizeof(entire_plan).
+    pub struct_size: usize,
+    /// Names this plan in entire_session_observe; never 0.
+    pub id: u64,
+    /// Ray step to draw with, in multiples of the reference step.
+    pub step: f32,
+    /// Pixels of the frame between neighboring rays along each side of the image: divide its sides by this,
+    /// rounded down. 1 unless entire_session_set_max_image_sample_distance allows more.
+    pub image_sample_distance: f32,
+    /// Expected seconds: finite and positive, or NaN where ENTIRE_ABSENT_SECONDS says so.
+    pub seconds: f32,
+    /// Upper bound of the seconds.
+    pub upper: f32,
+    /// 0 where the inputs lie inside the model's training range, 1 at the edge of trust, growing beyond.
+    pub out_of_range: f32,
+    /// Which of the three numbers above are not known: ENTIRE_ABSENT_* flags.
+    pub absent: u32,
+    /// Why this step: one of ENTIRE_REASON_*.
+    pub reason: entire_reason,
+    /// Must be ignored.
+    pub reserved: u32,
+}
+
+// SAFETY: repr(C), struct_size first, integers and floats only.
+unsafe impl ByValue for entire_plan {
+    const NAME: &'static str = "entire_plan";
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>(),
+            id: 0,
+            step: f32::NAN,
+            image_sample_distance: 1.0,
+            seconds: f32::NAN,
+            upper: f32::NAN,
+            out_of_range: f32::NAN,
+            absent: 0,
+            reason: 0,
+            reserved: 0,
+        }
+    }
+}
+
+no_padding!(entire_plan {
+    struct_size,
+    id,
+    step,
+    image_sample_distance,
+    seconds,
+    upper,
+    out_of_range,
+    absent,
+    reason,
+    reserved
+});
+
+/// A predicted frame time. Set struct_size before the call.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_prediction {
+    /// sizeof(entire_prediction).
+    pub struct_size: usize,
+    /// Expected seconds, finite and positive.
+    pub seconds: f32,
+    /// Upper bound of the seconds.
+    pub upper: f32,
+    /// As in entire_plan.
+    pub out_of_range: f32,
+    /// Which of the three numbers above are not known: ENTIRE_ABSENT_* flags.
+    pub absent: u32,
+    /// Where it comes from: one of ENTIRE_SOURCE_*.
+    pub source: entire_source,
+    /// Must be ignored.
+    pub reserved: u32,
+}
+
+// SAFETY: repr(C), struct_size first, integers and floats only.
+unsafe impl ByValue for entire_prediction {
+    const NAME: &'static str = "entire_prediction";
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>(),
+            seconds: f32::NAN,
+            upper: f32::NAN,
+            out_of_range: f32::NAN,
+            absent: 0,
+            source: 0,
+            reserved: 0,
+        }
+    }
+}
+
+no_padding!(entire_prediction { struct_size, seconds, upper, out_of_range, absent, source, reserved });
+
+/// Which of the three numbers are not known.
+fn absent(seconds: f32, upper: f32, out_of_range: f32) -> u32 {
+    let flag = |value: f32, flag| if value.is_nan() { flag } else { 0 };
+    flag(seconds, ENTIRE_ABSENT_SECONDS)
+        | flag(upper, ENTIRE_ABSENT_UPPER)
+        | flag(out_of_range, ENTIRE_ABSENT_OUT_OF_RANGE)
+}
+
+/// An upper bound that says something, else NaN.
+fn bound(upper: f32) -> f32 {
+    if is_frame_time(upper) { upper } else { f32::NAN }
+}
+
+/// The caller's plan. Only a plan that was made from no prediction may lack its seconds.
+fn checked(plan: Plan) -> Result<entire_plan, Failure> {
+    let without = matches!(plan.reason, Reason::History | Reason::NoInformation | Reason::Off);
+    if !(is_frame_time(plan.seconds) || without && plan.seconds.is_nan()) {
+        return Err(no_prediction(plan.seconds));
+    }
+    let upper = bound(plan.upper);
+    Ok(entire_plan {
+        id: plan.id,
+        step: plan.step,
+        image_sample_distance: plan.image_sample_distance,
+        seconds: plan.seconds,
+        upper,
+        out_of_range: plan.out_of_range,
+        absent: absent(plan.seconds, upper, plan.out_of_range),
+        reason: plan.reason as u32,
+        ..ByValue::defaults()
+    })
+}
+
+/// Predicts a frame's time at the frame's own step, corrected by what was observed; changes nothing that
+/// later plans depend on. Set prediction->struct_size first.
+///
+/// Fails with ENTIRE_NOT_READY (volume or transfer function not set), ENTIRE_MISSING_INPUT (the model needs
+/// an input that was not supplied, such as Gaussian lobes), ENTIRE_INVALID_ARGUMENT (the frame),
+/// ENTIRE_INVALID_MODEL (the model's answer is no frame time), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_predict(
+    session: *mut entire_session,
+    frame: *const entire_frame,
+    prediction: *mut entire_prediction,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            check_output(prediction)?;
+            let frame = read_struct(frame)?.checked(state.radius())?;
+            let p = state.session.predict(&frame)?;
+            if !is_frame_time(p.seconds) {
+                return Err(no_prediction(p.seconds));
+            }
+            let upper = bound(p.upper);
+            let out = entire_prediction {
+                seconds: p.seconds,
+                upper,
+                out_of_range: p.out_of_range,
+                absent: absent(p.seconds, upper, p.out_of_range),
+                source: p.source as u32,
+                ..ByValue::defaults()
+            };
+            write_struct(prediction, &out)
+        })
+    }
+}
+
+/// Chooses the ray step of the next frame, so that it takes at most `target_seconds`: the finest step whose
+/// upper bound fits. Draw with plan->step, then tell entire_session_observe how long it took. Set
+/// plan->struct_size first. Does not allocate.
+///
+/// Fails as entire_session_predict does, and with ENTIRE_INVALID_ARGUMENT for a target that is not finite and
+/// positive.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_plan(
+    session: *mut entire_session,
+    frame: *const entire_frame,
+    target_seconds: f32,
+    plan: *mut entire_plan,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            check_output(plan)?;
+            let frame = read_struct(frame)?.checked(state.radius())?;
+            let made = state.session.plan(&frame, target_seconds)?;
+            write_struct(plan, &checked(made)?)
+        })
+    }
+}
+
+/// Chooses among the caller's settings, best quality first: the first whose upper bound fits the target, else
+/// the one expected to be fastest. At most ENTIRE_MAX_SETTINGS. `index` receives which one, `plan` its plan,
+/// to be observed like any other. The frame's own step, size and modes do not count. Does not allocate.
+///
+/// Fails as entire_session_plan does, with ENTIRE_INVALID_ARGUMENT for no settings or one that is out of
+/// range, and with ENTIRE_SIZE_MISMATCH for too many.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_choose(
+    session: *mut entire_session,
+    frame: *const entire_frame,
+    settings: *const entire_setting,
+    setting_count: usize,
+    target_seconds: f32,
+    index: *mut usize,
+    plan: *mut entire_plan,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            check_output(plan)?;
+            check_pointer(index, "index (output)")?;
+            let frame = read_struct(frame)?.checked(state.radius())?;
+            if setting_count > ENTIRE_MAX_SETTINGS {
+                return Err(Failure::new(
+                    ENTIRE_SIZE_MISMATCH,
+                    format!("{setting_count} settings; choose takes at most {ENTIRE_MAX_SETTINGS}"),
+                ));
+            }
+            let given = slice(settings, setting_count, "settings")?;
+            let mut settings = [entire_core::features::Setting::of(&frame); ENTIRE_MAX_SETTINGS];
+            for (slot, setting) in settings.iter_mut().zip(given) {
+                *slot = setting.checked()?;
+            }
+            let choice = state.session.choose(&frame, &settings[..setting_count], target_seconds)?;
+            let made = checked(choice.plan)?;
+            write(index, choice.index, "index (output)")?;
+            write_struct(plan, &made)
+        })
+    }
+}

@@ -1,0 +1,172 @@
+//! What a session steers: volume, transfer function, limits, and what the caller knows to have changed.
+
+use super::{check_flags, entire_session};
+use crate::guard::changing;
+use crate::handle::{Handle, borrow};
+use crate::result::entire_result;
+use crate::transfer::{UnitDistance, entire_transfer_function};
+use crate::volume::entire_volume;
+use entire_core::control::StepLimits;
+use entire_core::features::Changes;
+use entire_core::scene::TransferFunction;
+
+/// Change flag: a pipeline was built, or the device is another.
+pub const ENTIRE_CHANGE_FIRST: u32 = 1;
+/// Change flag: another transfer function.
+pub const ENTIRE_CHANGE_TRANSFER_FUNCTION: u32 = 2;
+/// Change flag: another volume.
+pub const ENTIRE_CHANGE_VOLUME: u32 = 4;
+/// Change flag: another image size.
+pub const ENTIRE_CHANGE_SIZE: u32 = 8;
+/// Change flag: another shading, skipping or termination.
+pub const ENTIRE_CHANGE_MODE: u32 = 16;
+/// Change flag: the camera jumped.
+pub const ENTIRE_CHANGE_CAMERA: u32 = 32;
+
+/// Sets the volume. Its first use by any session scans its voxels once; where the model takes volume
+/// features, they are the volume's ready ones (entire_volume_set_features), else the voxels are encoded by
+/// the model's own encoder, which takes milliseconds to seconds. The transfer function must be set again.
+///
+/// Fails with ENTIRE_SIZE_MISMATCH (ready features of another number than the model takes), ENTIRE_NOT_READY
+/// (features are needed, and there are neither ready ones nor voxels), ENTIRE_UNSUPPORTED (features are
+/// needed, and the model has no encoder), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_set_volume(
+    session: *mut entire_session,
+    volume: *const entire_volume,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            let volume = borrow(volume)?;
+            let summary = volume.summary()?;
+            let features = match &state.model {
+                Some(model) => model.value().features_of(volume)?,
+                None => None,
+            };
+            state.volume = Some((summary.spacing(), summary.bounding_radius()));
+            state.session.set_volume(summary.clone(), features.as_deref());
+            Ok(())
+        })
+    }
+}
+
+/// Sets the transfer function; the volume comes first.
+///
+/// Fails with ENTIRE_NOT_READY (no volume), ENTIRE_INVALID_ARGUMENT (a unit distance that is out of range for
+/// this volume), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_set_transfer_function(
+    session: *mut entire_session,
+    transfer_function: *const entire_transfer_function,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            let transfer = borrow(transfer_function)?;
+            let table = transfer.table.clone();
+            let table = match (transfer.unit, state.volume) {
+                (UnitDistance::ReferenceSteps(distance), _) => table.with_unit_distance(distance)?,
+                (UnitDistance::World(distance), Some((spacing, _))) => {
+                    table.with_world_unit_distance(distance, spacing)?
+                }
+                // The session says that the volume comes first.
+                (UnitDistance::World(_), None) => table,
+            };
+            let lobes = match &transfer.function {
+                TransferFunction::Gaussian(lobes) => Some(lobes.as_slice()),
+                _ => None,
+            };
+            Ok(state.session.set_transfer(&table, lobes)?)
+        })
+    }
+}
+
+/// Sets the steps that may be chosen, in multiples of the reference step.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT unless 1/64 <= finest <= coarsest <= 4096; ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_set_limits(
+    session: *mut entire_session,
+    finest_step: f32,
+    coarsest_step: f32,
+) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            state.session.set_limits(StepLimits::new(finest_step, coarsest_step)?);
+            Ok(())
+        })
+    }
+}
+
+/// Allows plans to coarsen the image: neighboring rays stand up to `max_image_sample_distance` pixels apart
+/// along each side of the image, 1 to 64 (VTK's ImageSampleDistance). Ray step and image are then coarsened
+/// together, which changes the picture less than coarsening one of them alone (`image_sample_distance` in
+/// entire_plan). Up to `step_alone` times the finest step, 1 to 64, the image stays whole: 1, or about 2
+/// where a smaller image is blurred strongly. A `max_image_sample_distance` of 1, where sessions start,
+/// leaves the image alone. For linear cost models and networks that take the image size. One plan serves all
+/// sizes: this is cheaper, and learns better, than planning for one size after the other.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT for another number; ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
+    session: *mut entire_session,
+    max_image_sample_distance: f32,
+    step_alone: f32,
+) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            Ok(state.session.set_max_image_sample_distance(max_image_sample_distance, step_alone)?)
+        })
+    }
+}
+
+/// Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or
+/// on again. Observations are learned from either way.
+///
+/// Fails with ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_set_enabled(
+    session: *mut entire_session,
+    enabled: u32,
+) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            state.session.set_enabled(enabled != 0);
+            Ok(())
+        })
+    }
+}
+
+/// Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot see:
+/// flags ENTIRE_CHANGE_*. Changes of volume, transfer function, image size and mode are noticed without it.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (an unknown flag), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_mark(session: *mut entire_session, changes: u32) -> entire_result {
+    const KNOWN: u32 = ENTIRE_CHANGE_FIRST
+        | ENTIRE_CHANGE_TRANSFER_FUNCTION
+        | ENTIRE_CHANGE_VOLUME
+        | ENTIRE_CHANGE_SIZE
+        | ENTIRE_CHANGE_MODE
+        | ENTIRE_CHANGE_CAMERA;
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            check_flags("changes", changes, KNOWN)?;
+            let has = |flag| changes & flag != 0;
+            state.session.mark(Changes {
+                first: has(ENTIRE_CHANGE_FIRST),
+                transfer: has(ENTIRE_CHANGE_TRANSFER_FUNCTION),
+                volume: has(ENTIRE_CHANGE_VOLUME),
+                size: has(ENTIRE_CHANGE_SIZE),
+                mode: has(ENTIRE_CHANGE_MODE),
+                camera: has(ENTIRE_CHANGE_CAMERA),
+            });
+            Ok(())
+        })
+    }
+}

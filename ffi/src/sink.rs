@@ -1,0 +1,92 @@
+//! Where log messages go: the library's one piece of global state.
+
+use std::cell::Cell;
+use std::ffi::{CString, c_char, c_void};
+use std::sync::RwLock;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+/// How much a log message matters: one of the `ENTIRE_LOG_*` numbers.
+pub type entire_log_level = u32;
+/// Nothing is logged.
+pub const ENTIRE_LOG_OFF: entire_log_level = 0;
+/// A call failed; the text is that of its error.
+pub const ENTIRE_LOG_ERROR: entire_log_level = 1;
+/// Something works less well than it could.
+pub const ENTIRE_LOG_WARNING: entire_log_level = 2;
+/// Rare events worth knowing: a model was loaded, a volume was read.
+pub const ENTIRE_LOG_INFO: entire_log_level = 3;
+
+/// Receives log messages. `message` is UTF-8 and valid during the call only. Called by whichever thread made
+/// the call that logs, by several at once. Must return normally (no exception, no longjmp) and call nothing
+/// of this library.
+pub type entire_log_callback =
+    Option<unsafe extern "C" fn(user_data: *mut c_void, level: entire_log_level, message: *const c_char)>;
+
+/// A callback and what it is called with.
+pub(crate) struct Sink {
+    pub(crate) callback: unsafe extern "C" fn(*mut c_void, entire_log_level, *const c_char),
+    pub(crate) user_data: *mut c_void,
+}
+
+// SAFETY: the pointer is only handed back to the callback, whose contract says that several threads may call
+// it.
+unsafe impl Send for Sink {}
+// SAFETY: as above.
+unsafe impl Sync for Sink {}
+
+static SINK: RwLock<Option<Sink>> = RwLock::new(None);
+/// The highest level that is wanted; read first, so that a quiet library takes no lock.
+static LEVEL: AtomicU32 = AtomicU32::new(ENTIRE_LOG_OFF);
+
+thread_local! {
+    static IN_CALLBACK: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether this thread is inside the callback.
+pub(crate) fn in_callback() -> bool {
+    IN_CALLBACK.get()
+}
+
+/// Replaces the sink; when this returns, the earlier callback is no longer running.
+pub(crate) fn set(sink: Option<Sink>, level: entire_log_level) {
+    let mut held = SINK.write().unwrap_or_else(|poisoned| poisoned.into_inner());
+    LEVEL.store(if sink.is_some() { level } else { ENTIRE_LOG_OFF }, Ordering::Relaxed);
+    *held = sink;
+}
+
+/// Whether a message of this level would reach anyone.
+#[inline]
+pub(crate) fn enabled(level: entire_log_level) -> bool {
+    level <= LEVEL.load(Ordering::Relaxed)
+}
+
+/// Logs `message` where someone listens.
+pub(crate) fn emit(level: entire_log_level, message: &str) {
+    if !enabled(level) || IN_CALLBACK.get() {
+        return;
+    }
+    let held = SINK.read().unwrap_or_else(|poisoned| poisoned.into_inner());
+    if let Some(sink) = held.as_ref() {
+        let text = c_text(message);
+        IN_CALLBACK.set(true);
+        // SAFETY: the callback and its user data were set together and are not replaced while the lock is
+        // held; the text is a C string that outlives the call.
+        unsafe { (sink.callback)(sink.user_data, level, text.as_ptr()) };
+        IN_CALLBACK.set(false);
+    }
+}
+
+/// A C string of `text`; a NUL inside, which C could not carry, becomes the replacement character.
+pub(crate) fn c_text(text: &str) -> CString {
+    CString::new(text).unwrap_or_else(|_| CString::new(text.replace('\0', "\u{fffd}")).unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_with_a_nul_stays_readable() {
+        assert_eq!(c_text("a\0b").to_str().unwrap(), "a\u{fffd}b");
+    }
+}

@@ -1,0 +1,30 @@
+//! Every kind of error that the core has is one that this crate gives a code.
+
+use std::path::Path;
+
+/// The core's error kinds are read from its source: the enumeration may grow, so that a match cannot list
+/// them all.
+#[test]
+fn no_kind_of_the_core_is_missing() {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    if here.join("Cargo.toml.orig").exists() {
+        // A published package stands alone; the repository's tests have checked it.
+        return;
+    }
+    let read =
+        |path: &str| std::fs::read_to_string(here.join(path)).unwrap_or_else(|e| panic!("{path}: {e}"));
+    let core = read("../core/src/error.rs");
+    let kinds = core.split("pub enum ErrorKind {").nth(1).and_then(|s| s.split('}').next()).unwrap();
+    let kinds: Vec<&str> = kinds
+        .lines()
+        .filter(|line| !line.trim_start().starts_with("//"))
+        .filter_map(|line| line.split_once('=').map(|(name, _)| name.trim()))
+        .collect();
+    assert!(kinds.len() >= 7, "ErrorKind is not written as this test reads it");
+    let codes = read("src/result.rs");
+    for kind in kinds {
+        // The last arm of the match stands for one kind, which has the same number and code.
+        let listed = codes.contains(&format!("ErrorKind::{kind} =>")) || kind == "Unsupported";
+        assert!(listed, "entire_core::ErrorKind::{kind} has no code in entire_result (ffi/src/result.rs)");
+    }
+}

@@ -1,0 +1,39 @@
+#!/usr/bin/env bash
+# The paper's network, distilled: `entire collect --teacher` predicts many random frames of the training volumes with the
+# selected predictor, and PredNet learns from those. Makes out/distill/SET-distilled.safetensors for every SET named
+# (unshaded, local, scatter; all unless given) and puts it into models/, where the accuracy study finds it.
+#   DATA     the folder that holds ensembles/ (the volumes that data/timings/*-train.csv.gz name)
+#   FRAMES   frames per volume; 10000 take 130 MB and some minutes per set
+#   EPOCHS   passes over them
+#   MODELS   where the models go, models/ unless given
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+root=$PWD
+data=${DATA:?name the folder that holds ensembles/, for example make distill DATA=../shared/data}
+frames=${FRAMES:-10000} epochs=${EPOCHS:-30}
+entire=${ENTIRE:-$root/target/release/entire}
+out=$root/out/distill models=${MODELS:-$root/models}
+mkdir -p "$out"
+cd "$data"
+for set in ${*:-unshaded local scatter}; do
+    case $set in
+    unshaded) table=none shade=none size=1024 ;;
+    local) table=local shade=local size=1024 ;;
+    scatter) table=scatter shade=scatter size=256 ;;
+    *) echo "no set $set; there are unshaded, local and scatter" >&2 && exit 2 ;;
+    esac
+    # The volumes of the training table.
+    mapfile -t volumes < <(sed -n 's/^ *"path": "\(.*\)",$/\1/p' "$root/data/timings/$table-train.manifest.json")
+    resume=()
+    [[ -e $out/$set.csv ]] && resume=(--resume)
+    echo "==> $set: $frames frames of each of ${#volumes[@]} volumes, predicted by models/$set-selected.safetensors"
+    "$entire" collect "${volumes[@]}" --out "$out/$set.csv" "${resume[@]}" --frames "$frames" --repeats 1 --warm-up 0 \
+        --seed 77 --enlarge 2 --max-size "$size" --shade "$shade" --teacher "$root/models/$set-selected.safetensors"
+    echo "==> $set: training"
+    "$entire" train --data "$out/$set.csv" --out "$out/$set-distilled.safetensors" --preset 12C256 --dtype f16 \
+        --inputs volume_features,camera,resolution,transfer_function --sorted-lobes --target seconds --clock cpu \
+        --volumenet "$root/models/volumenet-128f2.safetensors" --batch 256 --learning-rate 7e-4 --epochs "$epochs" \
+        --split volume --validation-groups ensembles/nyx_cosmology/m02/t0018.nrrd \
+        --test-groups ensembles/castro_blast/m01/t0014.nrrd
+    cp "$out/$set-distilled.safetensors" "$models/"
+done

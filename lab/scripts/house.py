@@ -1,0 +1,327 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""The bars of the house: what README, book and source promise a reader, checked.
+
+    house.py [--quick] [--bin-dir target/release]     prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short
+    house.py --measure-build OLD NEW                  CPU seconds of a release build of `entire` at two revisions
+
+--quick leaves out what needs cargo or built programs. Needs Python 3.9 and git, and nothing else.
+"""
+import argparse
+import os
+import re
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+README_LINES = 120
+FIRST_CODE_LINE = 40
+FILE_LINES = 700
+PUBLIC_ITEMS = 250
+# Crates that only studies use.
+STUDY_CRATES = ("forust-ml", "image-compare")
+SOURCE_ROOMS = ("core", "ffi", "cli", "vk-raycaster", "plugins", "lab")
+SOURCES = (".rs", ".c", ".cxx", ".cpp", ".h", ".hpp", ".py", ".sh", ".wgsl")
+# Languages of the code blocks that somebody who embeds the library looks for.
+EMBEDDING = ("c", "cpp", "python", "rust")
+# Folders whose paths are checked where a page names them in backquotes.
+ROOMS = SOURCE_ROOMS + ("include", "tests", "fuzz", "examples", "docs", "models", "data", "make", "scripts")
+
+
+def run(*command, **options):
+    return subprocess.run(command, cwd=ROOT, text=True, capture_output=True, **options)
+
+
+def tracked(*patterns):
+    """Files that git knows or would take, as paths from the root."""
+    listed = run("git", "ls-files", "--cached", "--others", "--exclude-standard", "--", *patterns, check=True)
+    return sorted(p for p in set(listed.stdout.splitlines()) if (ROOT / p).is_file())
+
+
+class Bars:
+    """Prints bars as they come and remembers whether one was short."""
+
+    def __init__(self):
+        self.short = False
+
+    def say(self, name, value, limit, ok, details=()):
+        print(f"bar {name} {value} {limit} {'ok' if ok else 'short'}")
+        for line in details:
+            print(f"  {line}")
+        self.short |= not ok
+
+    def at_most(self, name, value, limit, details=()):
+        self.say(name, value, limit, value <= limit, details if value > limit else ())
+
+
+# ---------------------------------------------------------------------------------------------------------- Markdown
+
+
+class Page:
+    """A Markdown file: its text without code, its code spans, and its fenced blocks."""
+
+    def __init__(self, path):
+        self.path = path
+        self.lines = (ROOT / path).read_text(encoding="utf-8").splitlines()
+        self.blocks = []  # (line number, language, lines)
+        self.prose = []  # (line number, text)
+        fence = None
+        for number, line in enumerate(self.lines, 1):
+            mark = re.match(r"\s*```(\w*)", line)
+            if mark and fence is None:
+                fence = (number, mark.group(1), [])
+            elif mark:
+                self.blocks.append(fence)
+                fence = None
+            elif fence is not None:
+                fence[2].append(line)
+            else:
+                self.prose.append((number, line))
+
+    def spans(self):
+        """Code spans, also those that go on in the next line."""
+        text = "\n".join(line for _, line in self.prose)
+        return [" ".join(span.split()) for span in re.findall(r"`([^`]+)`", text)]
+
+    def shell(self):
+        """Command lines: code spans, and the lines of shell blocks with their continuations joined."""
+        found = self.spans()
+        for _, language, lines in self.blocks:
+            if language in ("sh", "bash", "console", ""):
+                found += re.sub(r"\\\n\s*", " ", "\n".join(lines)).splitlines()
+        return [line.split(" # ")[0].strip() for line in found]
+
+    def anchors(self):
+        """Headings as code hosts and mdBook name them."""
+        found = set()
+        for _, line in self.prose:
+            heading = re.match(r"#{1,6} +(.*)", line)
+            if heading:
+                text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading.group(1)).strip().lower()
+                found.add(re.sub(r"[^\w\- ]", "", text).replace(" ", "-"))
+        return found
+
+    def links(self):
+        """(line number, target) of every link and picture that is not an address."""
+        for number, line in self.prose:
+            plain = re.sub(r"`[^`]*`", "", line)
+            for target in re.findall(r"\]\(\s*<?([^)\s>]+)", plain):
+                if not re.match(r"[a-z][a-z0-9+.-]*:", target):
+                    yield number, target
+
+
+def broken_links(pages):
+    by_path = {(ROOT / page.path).resolve(): page for page in pages}
+    book = (ROOT / "docs/src").resolve()
+    for page in pages:
+        here = (ROOT / page.path).resolve()
+        for number, target in page.links():
+            name, _, anchor = target.partition("#")
+            to = (here.parent / name).resolve() if name else here
+            if not to.exists():
+                yield f"{page.path}:{number}: {target} does not exist"
+            elif book in here.parents and book not in to.parents:
+                yield f"{page.path}:{number}: {target} leaves the book"
+            elif anchor and to in by_path and anchor not in by_path[to].anchors():
+                yield f"{page.path}:{number}: {target}: there is no such heading"
+
+
+def missing_paths(pages):
+    """Paths of the repository that a page names in backquotes and that do not exist."""
+    for page in pages:
+        folder = (ROOT / page.path).parent
+        for span in page.spans():
+            if not re.fullmatch(r"[\w.+-]+(/[\w.+-]+)*/?", span) or span.split("/")[0] not in ROOMS or "/" not in span:
+                continue
+            if not ((ROOT / span).exists() or (folder / span).exists()):
+                yield f"{page.path}: `{span}` does not exist"
+
+
+def missing_names(pages):
+    """Names of the C library in code that its header does not have."""
+    header = (ROOT / "include/entire/entire.h").read_text(encoding="utf-8")
+    known = set(re.findall(r"\w+", header))
+    # Modules and packages of other languages.
+    known |= {"entire_vtk", "entire_paraview", "entire_core", "entire_static"}
+    for page in pages:
+        code = page.spans() + [line for _, _, lines in page.blocks for line in lines]
+        for name in set(re.findall(r"\b(?:entire_[a-z0-9_]*[a-z0-9]|ENTIRE_(?:OBSERVE|CHANGE|UNIT|CAMERA|VOXELS)_\w+)\b", "\n".join(code))):
+            if name not in known and f"{name}_" not in header:
+                yield f"{page.path}: entire.h has no {name}"
+
+
+def make_targets():
+    found = set()
+    for name in ["Makefile", *tracked("make/*.mk")]:
+        for line in (ROOT / name).read_text(encoding="utf-8").splitlines():
+            rule = re.match(r"([A-Za-z0-9_-]+(?: [A-Za-z0-9_-]+)*):(?!=)", line)
+            if rule:
+                found.update(rule.group(1).split())
+    return found
+
+
+def missing_targets(pages):
+    known = make_targets()
+    for page in pages:
+        for line in page.shell():
+            for target in re.findall(r"(?:^|[\s;&(])make ([a-z][a-z0-9-]*)(?![\w=…*-])", line):
+                if target not in known:
+                    yield f"{page.path}: `make {target}` is no target"
+
+
+def missing_commands(pages, folder):
+    """Commands and options that pages name and `--help` does not."""
+    helps = {}
+
+    def text_of(program, command):
+        if (program, command) not in helps:
+            done = run(str(folder / program), command, "--help", timeout=60)
+            helps[program, command] = done.stdout if done.returncode == 0 else None
+        return helps[program, command]
+
+    for page in pages:
+        for line in page.shell():
+            for part in re.split(r"\s*(?:\||&&|;)\s+", line):
+                words = part.split()
+                while words and re.fullmatch(r"[A-Z_]+=\S*", words[0]):
+                    words.pop(0)
+                if len(words) < 2 or words[0] not in ("entire", "entire-lab") or not re.fullmatch(r"[a-z]+", words[1]):
+                    continue
+                text = text_of(words[0], words[1])
+                if text is None:
+                    yield f"{page.path}: `{words[0]} {words[1]}` is no command"
+                    continue
+                for option in re.findall(r"(?<!\S)--[a-z][a-z-]*", " ".join(words[2:])):
+                    if not re.search(re.escape(option) + r"(?![a-z-])", text):
+                        yield f"{page.path}: `{words[0]} {words[1]}` has no option {option}"
+
+
+def broken_snippets(pages):
+    """C and C++ blocks on the C library that do not compile, and Python blocks that do not parse."""
+    compilers = {"c": ("cc", "-std=c11", "-xc", "names.h"), "cpp": ("c++", "-std=c++17", "-xc++", "names.hpp")}
+    for page in pages:
+        for number, language, lines in page.blocks:
+            text = "\n".join(lines)
+            if language == "python":
+                try:
+                    compile(text, page.path, "exec")
+                except SyntaxError as error:
+                    yield f"{page.path}:{number}: {error}"
+            if language not in compilers or not re.search(r"\bentire(_|::)", text):
+                continue
+            compiler, standard, kind, names = compilers[language]
+            body = "\n".join(line for line in lines if not line.startswith("#include"))
+            program = f'#include "{names}"\nvoid snippet(void) {{\n{body}\n}}\n'
+            command = [compiler, standard, kind, "-fsyntax-only", "-Wall", "-Wno-unused", f"-I{ROOT}/include", f"-I{ROOT}/docs/snippets", "-"]
+            done = run(*command, input=program)
+            if done.returncode != 0 or done.stderr:
+                first = [line for line in done.stderr.splitlines() if "error" in line or "warning" in line][:3]
+                yield f"{page.path}:{number}: " + "; ".join(first or ["does not compile"])
+
+
+# ------------------------------------------------------------------------------------------------------------- source
+
+
+def file_lengths():
+    for path in tracked(*SOURCE_ROOMS):
+        if path.endswith(SOURCES):
+            with open(ROOT / path, encoding="utf-8", errors="replace") as lines:
+                yield sum(1 for _ in lines), path
+
+
+def dependency_tree():
+    done = run("cargo", "tree", "--package", "entire-cli", "--edges", "normal,build", "--prefix", "none")
+    if done.returncode != 0:
+        raise SystemExit(f"house: cargo tree: {done.stderr.strip()}")
+    return {line.split()[0] for line in done.stdout.splitlines() if line.strip()}
+
+
+def public_items():
+    script = ROOT / "lab/scripts/public_items.py"
+    if not script.exists():
+        return None
+    done = run(sys.executable, str(script))
+    counts = re.findall(r"\d+", done.stdout.strip().splitlines()[-1]) if done.stdout.strip() else []
+    return int(counts[-1]) if done.returncode == 0 and counts else None
+
+
+def build_seconds(revision):
+    """CPU seconds of a release build of `entire` from nothing but downloaded crates, at a revision."""
+    with tempfile.TemporaryDirectory(prefix="house-") as folder:
+        tree = Path(folder) / "tree"
+        subprocess.run(["git", "worktree", "add", "--detach", "--quiet", tree, revision], cwd=ROOT, check=True)
+        try:
+            build = ["cargo", "build", "--release", "--quiet", "--package", "entire-cli", "--bin", "entire"]
+            target = Path(folder) / "target"
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            subprocess.run(build, cwd=tree, check=True, env={**os.environ, "CARGO_TARGET_DIR": str(target)})
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        finally:
+            subprocess.run(["git", "worktree", "remove", "--force", tree], cwd=ROOT, check=True)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+# --------------------------------------------------------------------------------------------------------------- main
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="leave out what needs cargo or built programs")
+    parser.add_argument("--bin-dir", type=Path, help="where `entire` and `entire-lab` are (default target/release)")
+    parser.add_argument("--measure-build", nargs=2, metavar=("OLD", "NEW"), help="two revisions to build and compare")
+    options = parser.parse_args()
+    bars = Bars()
+
+    if options.measure_build:
+        old, new = (build_seconds(revision) for revision in options.measure_build)
+        print(f"release build of entire: {old:.0f} CPU s at {options.measure_build[0]}, {new:.0f} at {options.measure_build[1]}")
+        bars.say("release-build-cpu-seconds", f"{new:.0f}", f"{old:.0f}", new < old)
+        return int(bars.short)
+
+    # The changelog tells of names that are gone, and scratch folders hold what others wrote.
+    pages = [Page(path) for path in tracked("*.md") if path != "CHANGELOG.md"]
+    readme = next(page for page in pages if page.path == "README.md")
+    front = [page for page in pages if page.path == "README.md" or page.path.startswith("docs/src/")]
+
+    bars.at_most("readme-lines", len(readme.lines), README_LINES)
+    first = min((number for number, language, _ in readme.blocks if language in EMBEDDING), default=len(readme.lines))
+    bars.at_most("readme-first-embedding-code-line", first, FIRST_CODE_LINE)
+    for name, found in (
+        ("broken-links", broken_links(pages)),
+        ("missing-paths", missing_paths(front)),
+        ("missing-c-names", missing_names(front)),
+        ("missing-make-targets", missing_targets(pages)),
+        ("code-blocks-that-do-not-compile", broken_snippets(pages) if shutil.which("cc") else ()),
+    ):
+        found = sorted(set(found))
+        bars.at_most(name, len(found), 0, found)
+    lengths = sorted(file_lengths(), reverse=True)
+    bars.at_most("longest-file", lengths[0][0], FILE_LINES, [f"{n} {path}" for n, path in lengths if n > FILE_LINES])
+
+    folder = options.bin_dir
+    if folder or not options.quick:
+        folder = (folder or ROOT / "target/release").resolve()
+        absent = [name for name in ("entire", "entire-lab") if not (folder / name).exists()]
+        if absent:
+            raise SystemExit(f"house: {folder} has no {' and no '.join(absent)}; build them, or name their folder with --bin-dir")
+        found = sorted(set(missing_commands(pages, folder)))
+        bars.at_most("missing-commands", len(found), 0, found)
+    if not options.quick:
+        items = public_items()
+        if items is None:
+            bars.say("public-items-of-core", "-", PUBLIC_ITEMS, False, ["lab/scripts/public_items.py gave no number"])
+        else:
+            bars.at_most("public-items-of-core", items, PUBLIC_ITEMS)
+        tree = dependency_tree()
+        found = [name for name in STUDY_CRATES if name in tree]
+        bars.at_most("study-crates-of-entire", len(found), 0, found)
+    return int(bars.short)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

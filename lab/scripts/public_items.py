@@ -1,0 +1,52 @@
+#!/usr/bin/env python3
+"""Counts the public items of entire-core in its sources.
+
+An item is a `pub` function or method, struct, enum, trait, constant, type, static, module or macro, outside of tests.
+A re-export counts nothing: what it names is counted where it stands. Fields and variants belong to their type. An item
+in a private module counts only where it is reachable: the compiler's lint `unreachable_pub`, which the workspace
+denies, leaves no other `pub` in the sources.
+
+Usage: public_items.py [--limit N] [--list]
+"""
+
+import argparse
+import pathlib
+import re
+import sys
+
+ITEM = re.compile(r"\s*pub (?:const |unsafe |async |extern \"C\" )*(fn|struct|enum|trait|const|type|static|mod|macro)\b\s*(\w+)")
+
+
+def items(folder):
+    for path in sorted(folder.rglob("*.rs")):
+        if path.name == "tests.rs":
+            continue
+        lines = path.read_text(encoding="utf-8").split("\n")
+        for number, line in enumerate(lines, 1):
+            # The module of tests closes a file.
+            if line == "#[cfg(test)]" and number < len(lines) and lines[number].startswith("mod tests {"):
+                break
+            if line.lstrip().startswith("pub const fn"):
+                line = line.replace("pub const fn", "pub fn", 1)
+            found = ITEM.match(line)
+            if found:
+                yield path, number, found.group(1), found.group(2)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--limit", type=int, help="fail where there are more")
+    parser.add_argument("--list", action="store_true", help="print each")
+    options = parser.parse_args()
+    root = pathlib.Path(__file__).resolve().parents[2]
+    found = list(items(root / "core" / "src"))
+    if options.list:
+        for path, number, kind, name in found:
+            print(f"{path.relative_to(root)}:{number} {kind} {name}")
+    print(f"{len(found)} public items in entire-core")
+    if options.limit is not None and len(found) > options.limit:
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+//! `readers CRATE FILE`: reads a volume and prints its sizes, the spacing, and a checksum of its voxels as
+//! 32-bit floats.
+//! `judge.py` runs it.
+
+#![allow(dead_code, reason = "the command's readers can do more than this program asks for")]
+
+#[path = "../../../../cli/src/volume/mod.rs"]
+pub mod volume;
+
+use anyhow::{Context, Result, bail};
+use std::path::Path;
+
+struct Found {
+    sizes: Vec<usize>,
+    spacing: Vec<f32>,
+    /// x fastest.
+    voxels: Vec<f32>,
+}
+
+fn ours(path: &Path) -> Result<Found> {
+    let volume = volume::Volume::open(path)?;
+    let scalars = volume.data().scalars();
+    let voxels = (0..scalars.len()).map(|i| scalars.get(i)).collect();
+    Ok(Found { sizes: volume.dims().to_vec(), spacing: volume.spacing().to_vec(), voxels })
+}
+
+fn with_nifti(path: &Path) -> Result<Found> {
+    use nifti::{IntoNdArray, NiftiObject, NiftiVolume, ReaderOptions};
+    let object = ReaderOptions::new().read_file(path)?;
+    let spacing = object.header().pixdim[1..4].to_vec();
+    let sizes = object.volume().dim().iter().map(|n| usize::from(*n)).collect();
+    let array = object.into_volume().into_ndarray::<f32>()?;
+    Ok(Found { sizes, spacing, voxels: array.t().iter().copied().collect() })
+}
+
+fn with_vtkio(path: &Path) -> Result<Found> {
+    use vtkio::model::{Attribute, DataSet, Extent, Piece, Vtk};
+    let file: Vtk = Vtk::import(path)?;
+    let DataSet::ImageData { extent, spacing, pieces, .. } = file.data else { bail!("not image data") };
+    let Extent::Ranges([x, y, z]) = extent else { bail!("no ranges") };
+    let sizes = [x, y, z].map(|r| usize::try_from(i64::from(*r.end()) - i64::from(*r.start()) + 1));
+    let mut sizes = sizes.into_iter().collect::<Result<Vec<_>, _>>()?;
+    let Some(Piece::Inline(piece)) = pieces.into_iter().next() else { bail!("no piece") };
+    let mut arrays = piece.data.point;
+    if arrays.is_empty() {
+        arrays = piece.data.cell;
+        sizes.iter_mut().for_each(|n| *n -= 1);
+    }
+    // The active array of the fixtures.
+    let at = arrays.iter().position(|a| a.name() == "density").unwrap_or(0);
+    let Some(Attribute::DataArray(array)) = arrays.into_iter().nth(at) else { bail!("no array") };
+    let voxels = array.data.cast_into::<f32>().context("voxels that are no numbers")?;
+    if voxels.len() != sizes.iter().product::<usize>() {
+        bail!("{} voxels for {sizes:?}", voxels.len());
+    }
+    Ok(Found { sizes, spacing: spacing.to_vec(), voxels })
+}
+
+#[cfg(feature = "bioformats")]
+fn with_bioformats(path: &Path) -> Result<Found> {
+    use bioformats::{ImageReader, PixelType};
+    let mut reader = ImageReader::open(path)?;
+    let meta = reader.metadata().clone();
+    let mut bytes = Vec::new();
+    for plane in 0..meta.image_count {
+        bytes.extend(reader.open_bytes(plane)?);
+    }
+    macro_rules! floats {
+        ($kind:ty) => {
+            bytes
+                .chunks_exact(size_of::<$kind>())
+                .map(|b| {
+                    let b = b.try_into().unwrap();
+                    (if meta.is_little_endian {
+                        <$kind>::from_le_bytes(b)
+                    } else {
+                        <$kind>::from_be_bytes(b)
+                    }) as f32
+                })
+                .collect()
+        };
+    }
+    let voxels: Vec<f32> = match meta.pixel_type {
+        PixelType::Int8 => floats!(i8),
+        PixelType::Uint8 => floats!(u8),
+        PixelType::Int16 => floats!(i16),
+        PixelType::Uint16 => floats!(u16),
+        PixelType::Int32 => floats!(i32),
+        PixelType::Uint32 => floats!(u32),
+        PixelType::Float32 => floats!(f32),
+        PixelType::Float64 => floats!(f64),
+        other => bail!("pixels of type {other:?}"),
+    };
+    let sizes = [meta.size_x, meta.size_y, meta.size_z].map(|n| n as usize).to_vec();
+    // The spacing is not part of what every reader gives back.
+    Ok(Found { sizes, spacing: Vec::new(), voxels })
+}
+
+fn main() -> Result<()> {
+    let mut words = std::env::args_os().skip(1);
+    let (Some(name), Some(path)) = (words.next(), words.next()) else { bail!("usage: readers CRATE FILE") };
+    let path = Path::new(&path);
+    let found = match name.to_str() {
+        Some("ours") => ours(path),
+        Some("nifti") => with_nifti(path),
+        Some("vtkio") => with_vtkio(path),
+        #[cfg(feature = "bioformats")]
+        Some("bioformats") => with_bioformats(path),
+        _ => bail!("CRATE is ours, nifti, vtkio or bioformats"),
+    }?;
+    // FNV-1a.
+    let sum =
+        found.voxels.iter().flat_map(|v| v.to_le_bytes()).fold(0xcbf2_9ce4_8422_2325_u64, |sum, byte| {
+            (sum ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+        });
+    println!("{:?} {:?} {} {sum:x}", found.sizes, found.spacing, found.voxels.len());
+    Ok(())
+}

@@ -1,0 +1,275 @@
+#!/usr/bin/env python3
+"""Times our Vulkan raycaster beside VTK's two volume mappers: same volume, transfer function, camera, ray step (one
+voxel) and image, every contestant's own early termination and space leaping. Interleaved in one run, medians.
+
+usage: render_bars.py --server FRAME_SERVER [--out FOLDER] [--scans FOLDER] [--rounds N] [--size PIXELS] [--bars]
+
+Prints a line per contestant and scene, how well the pictures agree, what a change of the transfer function costs, and
+with --bars one line `bar NAME VALUE LIMIT ok|short` each (exit status 1 when any is short). The pictures go to FOLDER
+as PNG. VTK runs under VTK_PYTHON (default: the first of /usr/bin/python3 and python3 that can import vtkmodules); it needs an X
+server, which xvfb-run brings.
+
+A frame's cost is the CPU time that the contestant's process spends on it, all threads. Ours holds everything, reading
+the picture back included; VTK's holds what its window costs without a volume, which is less than a millisecond.
+"""
+import argparse
+import gzip
+import json
+import math
+import os
+import pathlib
+import random
+import shutil
+import statistics
+import struct
+import subprocess
+import sys
+import zlib
+
+HERE = pathlib.Path(__file__).resolve().parent
+MODES = ["none", "blocks", "distance"]
+PEERS = {"fixed": "vtkFixedPointVolumeRayCastMapper", "gpu": "vtkGPUVolumeRayCastMapper"}
+PACKAGES = "apt-get install python3-vtk9 python3-numpy xvfb, or point VTK_PYTHON at a Python that has them"
+# name, volume, transfer function, limit against the fixed-point mapper, against the GPU mapper
+SCENES = [
+    ("transparent", "noise", "transparent", 0.8, 0.6),
+    ("medium", "noise", "medium", 0.8, 0.6),
+    ("opaque", "noise", "opaque", 0.8, 0.6),
+    ("sparse", "vessels", "opaque", 0.5, 0.6),
+]
+# Sparse scans that are measured too where they are there: file, transfer function.
+SCANS = [("xa_aneurism.nrrd", "scan"), ("mr_angio_head.nrrd", "scan")]
+PICTURE_LIMIT = 1.0
+CAMERA = "20 30 3.8637"
+
+
+class Contestant:
+    """A process that answers each line with one line of JSON after @@."""
+
+    def __init__(self, argv, environment=None):
+        self.process = subprocess.Popen(argv, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+        self.about = self.read(argv)
+
+    def read(self, asked):
+        for line in self.process.stdout:
+            if line.startswith("@@"):
+                answer = json.loads(line[2:])
+                if "err" in answer:
+                    raise SystemExit(f"render_bars: {asked}: {answer['err']}")
+                return answer
+        raise SystemExit(f"render_bars: {asked}: the process ended")
+
+    def ask(self, line):
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+        return self.read(line)
+
+    def end(self):
+        self.process.stdin.close()
+        self.process.wait()
+
+
+def vtk_command():
+    """How to start the VTK peer, or why not."""
+    named = os.environ.get("VTK_PYTHON")
+    check = "import vtkmodules.vtkRenderingVolumeOpenGL2, vtkmodules.util.numpy_support"
+    reasons = []
+    for python in [named] if named else ["/usr/bin/python3", "python3"]:
+        found = shutil.which(python)
+        if not found:
+            reasons.append(f"{python} is no program")
+            continue
+        done = subprocess.run([found, "-c", check], capture_output=True, text=True)
+        if done.returncode == 0:
+            break
+        # The last line of the traceback names the module that is missing: VTK's, or numpy.
+        said = done.stderr.strip().splitlines()
+        reasons.append(f"{found}: {said[-1] if said else f'exit status {done.returncode}'}")
+    else:
+        return None, f"{'; '.join(dict.fromkeys(reasons))}. Remedy: {PACKAGES}"
+    start = [found, str(HERE / "vtk_peer.py")]
+    if os.environ.get("DISPLAY"):
+        return start, None
+    if not shutil.which("xvfb-run"):
+        return None, f"VTK needs an X server and there is no xvfb-run: {PACKAGES}"
+    return ["xvfb-run", "-a", *start], None
+
+
+def read_nrrd(path):
+    """Voxels, dims and spacing of a file of unsigned bytes."""
+    head, body = path.read_bytes().split(b"\n\n", 1)
+    field = dict(line.split(": ", 1) for line in head.decode("latin-1").splitlines() if ": " in line and line[0] != "#")
+    if field["type"] not in ("uint8", "unsigned char", "uchar"):
+        raise SystemExit(f"render_bars: {path}: voxels are {field['type']}, unsigned bytes are expected")
+    if field["encoding"] in ("gzip", "gz"):
+        body = gzip.decompress(body)
+    dims = [int(n) for n in field["sizes"].split()]
+    spacing = [float(s) for s in field.get("spacings", "1 1 1").split()]
+    return body[: math.prod(dims)], dims, spacing
+
+
+def write_png(path, rgb, width, height):
+    rows = b"".join(b"\0" + rgb[3 * width * y: 3 * width * (y + 1)] for y in range(height))
+
+    def chunk(kind, data):
+        body = kind + data
+        return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
+
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0))
+                     + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+
+
+def compare(a, b):
+    """PSNR in dB and mean absolute difference, of 255, over all channels."""
+    square = total = 0
+    for x, y in zip(a, b):
+        d = x - y
+        total += abs(d)
+        square += d * d
+    mean = square / len(a)
+    return (math.inf if mean == 0 else 10 * math.log10(255 * 255 / mean)), total / len(a)
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--server", required=True)
+    parser.add_argument("--out", default="out/render")
+    parser.add_argument("--scans", default="../shared/data/scans")
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--edge", type=int, default=256)
+    parser.add_argument("--size", type=int, default=512)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--bars", action="store_true")
+    options = parser.parse_args()
+    out = pathlib.Path(options.out)
+    out.mkdir(parents=True, exist_ok=True)
+    ours = Contestant([options.server])
+    command, missing = vtk_command()
+    peers = {p: Contestant([*command, p]) for p in PEERS} if command else {}
+    print(f"ours: {ours.about['name']}")
+    for peer in peers.values():
+        print(f"{peer.about['name']}, {peer.about['window']}, {peer.about['gl']}")
+    if not peers:
+        print(f"VTK is not measured: {missing}", file=sys.stderr)
+
+    scenes = [s for s in SCENES if options.only in s[0]]
+    volumes = {}
+    for kind in sorted({s[1] for s in scenes}):
+        path = out / f"{kind}_{options.edge}.raw"
+        if not path.exists():
+            ours.ask(f"make {kind} {options.edge} {path}")
+        volumes[kind] = (path, [options.edge] * 3, [1.0] * 3)
+    found = [name for name, _ in SCANS if (pathlib.Path(options.scans) / name).exists()]
+    absent = [name for name, _ in SCANS if name not in found]
+    print(f"scans in {options.scans} (SCANS=folder): {', '.join(found) or 'none'}"
+          + (f"; not there, so without bars: {', '.join(absent)}" if absent else ""))
+    for name, transfer in SCANS:
+        path = pathlib.Path(options.scans) / name
+        stem = name.split(".")[0]
+        if path.exists() and options.only in stem:
+            voxels, dims, spacing = read_nrrd(path)
+            raw = out / f"{stem}.raw"
+            raw.write_bytes(voxels)
+            volumes[stem] = (raw, dims, spacing)
+            scenes.append((stem, stem, transfer, 0.5, 0.6))
+
+    results = {}
+    for scene, volume, transfer, fixed_limit, gpu_limit in scenes:
+        path, dims, spacing = volumes[volume]
+        shape = " ".join(map(str, [path, *dims, *spacing]))
+        ours.ask(f"volume {shape}")
+        table = out / f"{transfer}.table"
+        # What an edit costs, several times: the first of a volume also makes room on the device.
+        edits = [ours.ask(f"transfer {transfer} {table}") for _ in range(5)]
+        edit = {k: statistics.median(e[k] for e in edits) for k in ("wall", "occupancy", "distance_map")}
+        camera = ours.ask(f"camera {CAMERA} {options.size} {options.size}")
+        contestants = {("ours", m): (ours, f"frame {m}") for m in MODES}
+        for name, peer in peers.items():
+            peer.ask(f"volume {shape}")
+            peer.ask(f"table {table}")
+            numbers = [*camera["eye"], *camera["forward"], *camera["up"], camera["fov_y"], options.size, options.size]
+            peer.ask("camera " + " ".join(map(str, numbers)))
+            contestants["vtk", name] = peer, "frame"
+        times = {key: [] for key in contestants}
+        shuffler = random.Random(1)
+        for turn in range(2 + options.rounds):
+            order = list(contestants)
+            shuffler.shuffle(order)
+            for key in order:
+                process, line = contestants[key]
+                # The first of a contestant's frames after another's is not counted: it finds the caches cold.
+                process.ask(line)
+                answer = process.ask(line)
+                if turn >= 2:
+                    times[key].append(answer)
+        cpu = {key: statistics.median(t["cpu"] for t in v) for key, v in times.items()}
+        wall = {key: statistics.median(t["wall"] for t in v) for key, v in times.items()}
+        print(f"\n{scene}: {' x '.join(map(str, dims))}, transfer function {transfer}, "
+              f"{100 * edits[-1]['occupied']:.1f} % of blocks occupied, {options.size} x {options.size}")
+        for key in contestants:
+            label = f"ours, skipping {key[1]}" if key[0] == "ours" else PEERS[key[1]]
+            print(f"  {label:40} {1e3 * cpu[key]:8.1f} ms CPU {1e3 * wall[key]:8.1f} ms wall")
+        for mode in MODES:
+            counts = ours.ask(f"counts {mode}")
+            print(f"  skipping {mode}: {counts['samples']} samples, {counts['skips']} skips, {counts['rays']} rays")
+        print(f"  an edit of the transfer function: {1e3 * edit['wall']:.2f} ms wall with both maps; emptiness of the "
+              f"blocks {1e3 * edit['occupancy']:.2f} ms, distance map {1e3 * edit['distance_map']:.2f} ms more")
+        size = ours.ask(f"image distance {out / 'ours.rgb'}")
+        images = {"ours": (out / "ours.rgb").read_bytes()}
+        for name, peer in peers.items():
+            peer.ask(f"image {out / 'peer.rgb'}")
+            images[name] = (out / "peer.rgb").read_bytes()
+            psnr, mean = compare(images["ours"], images[name])
+            print(f"  picture against {PEERS[name]}: PSNR {psnr:.1f} dB, mean difference {mean:.2f}/255")
+            results[f"{scene}/psnr/{name}"] = psnr
+            results[f"{scene}/difference/{name}"] = mean
+        for name, rgb in images.items():
+            write_png(out / f"{scene}_{name}.png", rgb, size["width"], size["height"])
+        results[scene] = {"/".join(k): {"cpu": cpu[k], "wall": wall[k]} for k in contestants}
+        results[scene]["edit"] = edit
+    for file in ("ours.rgb", "peer.rgb"):
+        (out / file).unlink(missing_ok=True)
+    (out / "render.json").write_text(json.dumps(results, indent=1))
+    print(f"\npictures and render.json: {out}")
+    for process in [ours, *peers.values()]:
+        process.end()
+    if options.bars:
+        raise SystemExit(1 if bars(scenes, results) else 0)
+
+
+def bars(scenes, results):
+    """Prints the bars; whether any is short."""
+    short = False
+
+    def bar(name, value, limit, note=""):
+        nonlocal short
+        ok = value is not None and value <= limit
+        short |= not ok
+        text = "-" if value is None else f"{value:.3g}"
+        print(f"bar {name} {text} {limit:g} {'ok' if ok else 'short'}{note and '  # ' + note}", flush=True)
+
+    for scene, _, _, fixed_limit, gpu_limit in scenes:
+        times = results[scene]
+        # One mode for all scenes.
+        own = times["ours/distance"]["cpu"]
+        for peer, limit in (("fixed", fixed_limit), ("gpu", gpu_limit)):
+            name = f"render_{scene}_vs_{'fixed_point' if peer == 'fixed' else 'gpu'}_mapper"
+            if f"vtk/{peer}" not in times:
+                bar(name, None, limit, "nothing to measure against")
+                continue
+            theirs = times[f"vtk/{peer}"]["cpu"]
+            bar(name, own / theirs, limit, f"{1e3 * own:.1f} ms CPU, skipping distance; {1e3 * theirs:.1f} ms CPU")
+    # Whoever draws another picture is not compared: mean difference of a channel, of 255.
+    for scene, *_ in scenes:
+        for peer in PEERS:
+            found = results.get(f"{scene}/difference/{peer}")
+            bar(f"render_{scene}_picture_difference_{peer}", found, PICTURE_LIMIT, "levels of 255, mean")
+    for scene, volume, *_ in scenes:
+        if volume != "noise":
+            times = results[scene]
+            bar(f"render_{scene}_distance_vs_blocks", times["ours/distance"]["cpu"] / times["ours/blocks"]["cpu"], 1.0)
+    return short
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,27 @@
+#!/usr/bin/env bash
+# Timing tables of data/timings collected anew on this machine, as their manifests say (`entire collect --like`), with their
+# scene features. Makes out/tables/NAME.csv.gz for every NAME given; copy them to data/timings to train on them. Interrupted, it
+# goes on with the same command. Nothing else should run meanwhile.
+#   DATA     the folder that holds ensembles/ and scans/
+#   OUT      where the tables go, out/tables unless given
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+root=$PWD
+data=${DATA:?name the folder that holds ensembles/ and scans/, for example make tables DATA=../shared/data TABLES=scatter-members}
+entire=${ENTIRE:-$root/target/release/entire}
+out=${OUT:-$root/out/tables}
+[[ $# -gt 0 ]] || { echo "name tables: $(cd data/timings && ls none-*.csv.gz local-*.csv.gz scatter-*.csv.gz | grep -v features | sed 's/\.csv\.gz//' | paste -sd' ')" >&2; exit 2; }
+mkdir -p "$out"
+cd "$data"
+for name in "$@"; do
+    if [[ ! -e $out/$name.csv.gz ]]; then
+        resume=()
+        [[ -e $out/$name.csv ]] && resume=(--resume)
+        echo "==> $name"
+        "$entire" collect --like "$root/data/timings/$name.csv.gz" --out "$out/$name.csv" "${resume[@]}"
+        gzip -9n "$out/$name.csv"
+    fi
+    # Low-resolution proxies are timed and never predicted.
+    [[ $name == *-64 ]] || "$entire" features --data "$out/$name.csv.gz" --probe-sides 4,7 \
+        --volumenet "$root/models/volumenet-128f2.safetensors"
+done

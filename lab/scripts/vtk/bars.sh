@@ -1,0 +1,24 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
+# Compares vtkEntireSteering with VTK's AutoAdjustSampleDistances, then collects, trains and evaluates per renderer.
+#
+#   lab/scripts/vtk/bars.sh [compare]
+#
+# With the word compare: the comparison alone.
+# VTK_PYTHON   the Python that has VTK's module (default /usr/bin/python3)
+# VTK_OUT      where builds and results go (default target/vtk)
+# VTK_REPEATS  repeats of the comparison (default 3)
+# VTK_FRAMES   frames of the comparison's path (default 200)
+set -euo pipefail
+cd "$(dirname "$0")/../../.."
+only=()
+case ${1:-} in
+    "") ;;
+    compare) only=(--only-comparison) ;;
+    *) echo "bars.sh: found word \"$1\"; use compare, or none for all bars" >&2; exit 2 ;;
+esac
+target=${CARGO_TARGET_DIR:-target}
+out=${VTK_OUT:-$PWD/$target/vtk}
+"${CARGO:-cargo}" build --release --quiet --package entire-cli --bin entire
+plugins/vtk/run.sh exec "${VTK_PYTHON:-/usr/bin/python3}" lab/scripts/vtk/bars.py --out "$out/bars" \
+    --entire "$target/release/entire" --repeats "${VTK_REPEATS:-3}" --frames "${VTK_FRAMES:-200}" "${only[@]}"

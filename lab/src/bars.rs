@@ -1,0 +1,47 @@
+//! Bars: what was asked for beside what was found, one line each.
+
+use anyhow::{Result, ensure};
+
+/// A bar.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bar {
+    /// What it is about, without blanks.
+    pub name: String,
+    /// What was found; `None` where what it is about is missing.
+    pub value: Option<f64>,
+    /// What was asked for.
+    pub limit: f64,
+    /// Whether it holds; never where nothing was found.
+    pub ok: bool,
+}
+
+impl Bar {
+    /// Holds where the value is no more than the limit.
+    pub fn at_most(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
+        Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v <= limit) }
+    }
+
+    /// Holds where the value is no less than the limit.
+    pub fn at_least(name: impl Into<String>, value: Option<f64>, limit: f64) -> Self {
+        Self { name: name.into(), value, limit, ok: value.is_some_and(|v| v >= limit) }
+    }
+}
+
+impl std::fmt::Display for Bar {
+    /// `bar NAME VALUE LIMIT ok|short`, the value `-` where nothing was found.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let found = self.value.map_or("-".into(), |v| format!("{v:.4}"));
+        write!(f, "bar {} {found} {:.4} {}", self.name, self.limit, if self.ok { "ok" } else { "short" })
+    }
+}
+
+/// Prints bars, one line each.
+///
+/// # Errors
+/// Names those that are short.
+pub fn print(bars: &[Bar]) -> Result<()> {
+    bars.iter().for_each(|b| println!("{b}"));
+    let short: Vec<&str> = bars.iter().filter(|b| !b.ok).map(|b| b.name.as_str()).collect();
+    ensure!(short.is_empty(), "short: {}", short.join(", "));
+    Ok(())
+}

@@ -1,0 +1,46 @@
+//! Calibration samples of recorded timing tables.
+
+use anyhow::{Context, Result};
+use entire_cli::dataset::{Clock, TimedFrame, read_tables};
+use entire_cli::inputs;
+use entire_cli::steering::calibrate::Sample;
+use indicatif::ProgressBar;
+use std::collections::HashMap;
+use std::path::PathBuf;
+
+/// Samples of timing tables, the frames of one scene next to each other under one number; probes have `side`²
+/// rays.
+///
+/// # Errors
+/// When a table or a volume cannot be read.
+pub fn samples_of(tables: &[PathBuf], side: usize) -> Result<Vec<Sample>> {
+    let tables = read_tables(tables)?;
+    let frames: Vec<&TimedFrame> = tables.iter().flat_map(|t| &t.frames).collect();
+    let clock = [Clock::Cpu, Clock::Auto]
+        .into_iter()
+        .find(|c| frames.iter().all(|f| f.seconds(*c).is_some()))
+        .context(
+            "the calibration tables share no clock: every frame needs seconds_cpu, or every one another",
+        )?;
+    let pool = rayon::ThreadPoolBuilder::new().build().context("cannot start threads")?;
+    let mut numbers: HashMap<String, usize> = HashMap::new();
+    let scenes: HashMap<(usize, u64), usize> = frames
+        .iter()
+        .map(|f| {
+            let s = &f.scene;
+            let key = format!("{} {:?} {} {} {:?}", s.volume, s.camera, s.width, s.height, s.lobes);
+            let next = numbers.len();
+            ((f.table, f.number), *numbers.entry(key).or_insert(next))
+        })
+        .collect();
+    inputs::measure(&tables, &frames, Some(side), None, &pool, &ProgressBar::hidden(), |frame, inputs| {
+        Ok(Sample {
+            scene: scenes[&(frame.table, frame.number)],
+            features: inputs.features.clone(),
+            setting: inputs.setting,
+            camera: inputs.camera,
+            lobes: frame.scene.lobes.clone(),
+            seconds: frame.seconds(clock).context("a frame without a time")?,
+        })
+    })
+}

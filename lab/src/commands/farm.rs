@@ -1,0 +1,92 @@
+//! `entire-lab farm`: every way to balance a render farm beside the others.
+
+use crate::bars;
+use crate::farm::{Comparison, Fitting, compare, second_measurement, tasks_of_trace};
+use crate::trace::Trace;
+use anyhow::{Result, bail};
+use entire_cli::farm::read_tasks;
+use entire_cli::files::write_whole;
+use entire_core::features::PROBE_SIDE;
+use std::path::PathBuf;
+
+/// Compare every way to balance a render farm for 2 to 64 nodes, by measured times.
+///
+/// The tasks come from a list (see `entire schedule`; both times are needed), or are the frames of a recorded
+/// path, predicted by a model fitted to other volumes.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire-lab farm tasks.csv --report out/farm
+  entire-lab farm --trace farm.json --training before.json --probe-side 24 --report out/farm --bars")]
+pub struct Options {
+    /// The task list.
+    #[arg(value_name = "TASKS", required_unless_present = "trace")]
+    pub tasks: Option<PathBuf>,
+    /// Take the frames of a recorded path at the reference step as tasks.
+    #[arg(long, value_name = "TRACE.json", conflicts_with = "tasks")]
+    pub trace: Option<PathBuf>,
+    /// Timing tables that the predictor of --trace is fitted to, where there is no --training.
+    #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", requires = "trace")]
+    pub calibration: Vec<PathBuf>,
+    /// Recorded frames of other volumes that the predictor of --trace is fitted to: what a farm has rendered
+    /// before, with the same transfer function. The analytic model is fitted to them, and a factor on it that
+    /// depends on the view.
+    #[arg(long, value_delimiter = ',', value_name = "TRACE.json", requires = "trace")]
+    pub training: Vec<PathBuf>,
+    /// Rays along each side of the probe that predicts the tasks of --trace, 1 to 24. A schedule is made
+    /// once, beforehand: it can pay for more than the 11 that steering uses.
+    #[arg(long, default_value_t = PROBE_SIDE, value_name = "N")]
+    pub probe_side: usize,
+    /// Write the tasks of --trace down as a task list (CSV).
+    #[arg(long, value_name = "TASKS.csv", requires = "trace")]
+    pub save_tasks: Option<PathBuf>,
+    /// Seconds of a node that every dispatch from a queue costs.
+    #[arg(long, default_value_t = 0.0, value_name = "SECONDS")]
+    pub dispatch: f64,
+    /// Tasks that a node looks at for one on the volume that it holds.
+    #[arg(long, default_value_t = 64, value_name = "TASKS")]
+    pub window: usize,
+    /// Folder for the report.
+    #[arg(long, value_name = "DIR")]
+    pub report: PathBuf,
+    /// Print the bars of the comparison, and fail when one is short.
+    #[arg(long)]
+    pub bars: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad options or tasks; with --bars when one is short.
+pub fn run(options: &Options) -> Result<()> {
+    let trace = options.trace.as_ref().map(|file| Trace::open(file)).transpose()?;
+    let tasks = match (&options.tasks, &trace) {
+        (Some(file), _) => read_tasks(file)?,
+        (None, Some(trace)) => {
+            let fitting = Fitting {
+                calibration: &options.calibration,
+                training: &options.training,
+                probe_side: options.probe_side,
+            };
+            tasks_of_trace(trace, &fitting)?
+        }
+        (None, None) => bail!("give a task list or --trace"),
+    };
+    if let Some(file) = &options.save_tasks {
+        let mut out = csv::Writer::from_writer(Vec::new());
+        tasks.iter().try_for_each(|t| out.serialize(t))?;
+        write_whole(file, &out.into_inner()?)?;
+    }
+    let source = options.trace.as_ref().or(options.tasks.as_ref()).map(|p| p.display().to_string());
+    let comparison = Comparison {
+        tasks: &tasks,
+        source: source.unwrap_or_default(),
+        dispatch: options.dispatch,
+        window: options.window,
+        noise: trace.as_ref().map(second_measurement).transpose()?.flatten(),
+    };
+    let found = compare(&comparison, &options.report)?;
+    if options.bars {
+        bars::print(&found)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,254 @@
+//! `entire-lab record`: what every frame of a path costs, and how it looks, at a grid of ray steps and image
+//! scales.
+
+use crate::trace::{Recording, TRACE_STEPS, Trace, TraceVolume, record};
+use anyhow::{Context, Result, bail, ensure};
+use entire_cli::dataset::{Clock, Scene, Timing, Writer};
+use entire_cli::device;
+use entire_cli::enlarge::enlarge;
+use entire_cli::files::{make_folder_of, write_whole};
+use entire_cli::interrupt;
+use entire_cli::options::{RenderArgs, parse_hold, parse_scale, parse_size};
+use entire_cli::path::{Generated, PathFile};
+use entire_cli::progress::progress_bar;
+use entire_cli::steering::calibrate::measure;
+use entire_cli::steering::play::DrawSettings;
+use entire_cli::steering::race::calibration_scenes;
+use entire_cli::volume::Volume;
+use entire_core::features::{SummaryOptions, VolumeSummary};
+use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
+use std::path::PathBuf;
+
+/// Record what every frame of a path costs, and how it looks, at a grid of ray steps.
+///
+/// Every frame is drawn at nine ray steps from the reference step to sixteen of them (every fourth frame also
+/// as smaller images), outside of any race. `entire-lab replay` then plays controllers and targets against
+/// the recorded curves in milliseconds, beside an oracle that knows them.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire-lab record data/nyx_cosmology/m04/t0010.nrrd --enlarge 2 --generate switches --clock cpu --out \
+  out/steer/nyx.json
+  entire-lab record a.nrrd b.nrrd --enlarge 2 --calibration 24 --clock cpu --out out/steer/calibration.csv
+  entire-lab record t0001.nrrd t0002.nrrd t0003.nrrd --hold 20 --generate orbit --out series.json")]
+pub struct Options {
+    /// The volume files; several are shown one after the other (see --hold).
+    #[arg(value_name = "VOLUME", required = true)]
+    pub volumes: Vec<PathBuf>,
+    /// The path file (JSON; the format is documented with the examples in examples/paths).
+    #[arg(
+        long,
+        value_name = "FILE.json",
+        conflicts_with = "generate",
+        required_unless_present_any = ["generate", "calibration"]
+    )]
+    pub path: Option<PathBuf>,
+    /// Make a path that fits the first volume instead.
+    #[arg(long, value_enum)]
+    pub generate: Option<Generated>,
+    /// Render this many random scenes of each volume at six steps each instead of a path, and write a timing
+    /// table: what `entire-lab replay` fits its predictor to.
+    #[arg(long, value_name = "SCENES", conflicts_with_all = ["generate", "path", "hold", "scales"])]
+    pub calibration: Option<usize>,
+    /// Seed of the calibration scenes.
+    #[arg(long, default_value_t = 1, requires = "calibration")]
+    pub seed: u64,
+    /// Frames of a generated path.
+    #[arg(long, default_value_t = 96, value_name = "N", conflicts_with = "path")]
+    pub frames: u32,
+    /// Frames that each volume is shown for where there are several.
+    #[arg(long, value_name = "N")]
+    pub hold: Option<u32>,
+    /// Image scale from a frame on, as FRAME:SCALE, comma-separated.
+    #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
+    pub scales: Vec<(u32, f32)>,
+    /// The name in reports; else the file name of the result.
+    #[arg(long)]
+    pub name: Option<String>,
+    /// The trace to write; with --calibration the timing table (CSV).
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// Go on with an interrupted recording.
+    #[arg(long, conflicts_with = "calibration")]
+    pub resume: bool,
+    /// Ray steps of the grid at full image size, reference steps, ascending; at least two.
+    #[arg(long, value_delimiter = ',', value_name = "STEP,…", default_values_t = TRACE_STEPS)]
+    pub steps: Vec<f32>,
+    /// How often every point of the grid is drawn.
+    #[arg(long, default_value_t = 2, value_name = "R")]
+    pub repeats: usize,
+    /// Image size, pixels.
+    #[arg(long, default_value = "256x256", value_name = "WxH", value_parser = parse_size)]
+    pub size: (u32, u32),
+    /// How frames are rendered.
+    #[command(flatten)]
+    pub render: RenderArgs,
+    /// Which clock counts.
+    #[arg(long, value_enum, default_value_t)]
+    pub clock: Clock,
+    /// Enlarge the volumes by this factor at load, trilinearly.
+    #[arg(long, default_value_t = 1, value_name = "FACTOR")]
+    pub enlarge: usize,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad options or files, a device that fails, interruption.
+pub fn run(options: &Options) -> Result<()> {
+    ensure!(options.repeats >= 1, "--repeats is 0; every point must be drawn at least once");
+    if let Some(scenes) = options.calibration {
+        return calibrate(options, scenes);
+    }
+    ensure!(
+        options.steps.len() >= 2
+            && options.steps.windows(2).all(|w| w[0] < w[1])
+            && options.steps.iter().all(|s| (1.0 / 64.0..=4096.0).contains(s)),
+        "--steps are {:?}; give at least two, ascending, each in [0.015625, 4096] reference steps",
+        options.steps
+    );
+    let hold = parse_hold(options.volumes.len(), options.hold)?;
+    ensure!(options.scales.is_sorted_by_key(|s| s.0), "--scales must be ordered by frame");
+    let volumes = options
+        .volumes
+        .iter()
+        .map(|file| {
+            let volume = Volume::open(file)?;
+            let volume = if options.enlarge == 1 { volume } else { enlarge(&volume, options.enlarge)? };
+            Ok((TraceVolume { file: file.clone(), enlarge: options.enlarge }, volume))
+        })
+        .collect::<Result<Vec<_>>>()?;
+    let path = match (&options.path, options.generate) {
+        (Some(file), _) => PathFile::open(file)?,
+        (None, Some(kind)) => kind.path(&volumes[0].1.view(), options.frames)?,
+        (None, None) => bail!("give --path or --generate"),
+    };
+    let draw = draw_settings(options);
+    let name = options.name.clone().unwrap_or_else(|| {
+        options.out.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
+    });
+    let recording = Recording {
+        name,
+        volumes: &volumes,
+        path: &path,
+        hold,
+        scales: &options.scales,
+        draw,
+        steps: &options.steps,
+        repeats: options.repeats,
+    };
+    let begun = begun(options, &recording)?;
+    let stop = interrupt::flag()?;
+    let mut renderer = device::open(options.render.device)?;
+    make_folder_of(&options.out)?;
+    let bar = progress_bar("record");
+    let trace = record(
+        &recording,
+        renderer.as_mut(),
+        begun,
+        &|| interrupt::requested(&stop),
+        &mut |trace| write_whole(&options.out, (serde_json::to_string(trace)? + "\n").as_bytes()),
+        &bar,
+    );
+    bar.finish_and_clear();
+    let trace = trace?;
+    ensure!(
+        trace.is_complete(),
+        "interrupted after {} of {} frames; go on with the same command and --resume ({})",
+        trace.frames.len(),
+        trace.path.frames,
+        options.out.display()
+    );
+    println!("{}: {} frames", options.out.display(), trace.frames.len());
+    Ok(())
+}
+
+/// What an interrupted recording left, with --resume.
+fn begun(options: &Options, recording: &Recording<'_>) -> Result<Option<Trace>> {
+    if !options.resume || !options.out.exists() {
+        return Ok(None);
+    }
+    let begun = Trace::open_begun(&options.out)?;
+    let differences = begun.differences(recording);
+    ensure!(
+        differences.is_empty(),
+        "cannot go on with {}: it has other {}; use the same settings, or another --out",
+        options.out.display(),
+        differences.join(", ")
+    );
+    Ok(Some(begun))
+}
+
+fn draw_settings(options: &Options) -> DrawSettings {
+    DrawSettings::new(options.size, &options.render, options.clock)
+}
+
+/// Writes a timing table of random scenes, each at every calibration step.
+fn calibrate(options: &Options, scenes: usize) -> Result<()> {
+    ensure!(scenes >= 8, "--calibration is {scenes}; at least 8 scenes per volume are needed");
+    let draw = draw_settings(options);
+    let stop = interrupt::flag()?;
+    let mut renderer = device::open(options.render.device)?;
+    make_folder_of(&options.out)?;
+    let mut table = Writer::create(&options.out)?;
+    let mut number = 0;
+    for file in &options.volumes {
+        let volume = Volume::open(file)?;
+        let volume = if options.enlarge == 1 { volume } else { enlarge(&volume, options.enlarge)? };
+        let view = volume.view();
+        let shown = file.display().to_string();
+        let bar = progress_bar(&format!("calibrate {shown}"));
+        let samples = measure(
+            &view,
+            &VolumeSummary::new(&view, SummaryOptions::default())?,
+            &draw,
+            &calibration_scenes(),
+            (options.seed, &shown),
+            (scenes, options.repeats),
+            renderer.as_mut(),
+            &|| interrupt::requested(&stop),
+            &bar,
+        );
+        bar.finish_and_clear();
+        let samples = samples?.context("interrupted; finished volumes are kept")?;
+        for s in samples {
+            let scene = Scene {
+                volume: shown.clone(),
+                member: String::new(),
+                time_step: None,
+                dims: volume.dims().map(|n| n as u32),
+                camera: s.camera,
+                fov_y_degrees: DEFAULT_FOV_Y_DEGREES,
+                width: draw.width,
+                height: draw.height,
+                step: s.setting.step,
+                shading: draw.shading,
+                skipping: draw.skipping,
+                termination: draw.termination,
+                lobes: s.lobes,
+            };
+            let seconds = Some(s.seconds);
+            let measured = match draw.clock {
+                Clock::Cpu => Timing { cpu: seconds, ..Timing::default() },
+                Clock::Device => Timing { device: seconds, ..Timing::default() },
+                Clock::Wall | Clock::Auto => Timing { wall: seconds, ..Timing::default() },
+            };
+            table.append(number, &scene, &[measured])?;
+            number += 1;
+        }
+    }
+    println!("{}: {number} frames", options.out.display());
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scales_are_read_and_checked() {
+        assert_eq!(parse_scale("40:0.5"), Ok((40, 0.5)));
+        for bad in ["", "40", "x:1", "4:0", "4:nan", "4:9"] {
+            assert!(parse_scale(bad).unwrap_err().contains("FRAME:SCALE"), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,142 @@
+//! `entire-lab replay`: recorded cost curves under every controller and target, beside an oracle; the
+//! steering bars.
+
+use crate::bars;
+use crate::calibration::samples_of;
+use crate::replay::report::Results;
+use crate::replay::{self, Replayable, Score, Tally, frontier, play, trials};
+use crate::trace::Trace;
+use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
+use entire_cli::files::{make_folder, open_model};
+use entire_cli::options::parse_limits;
+use entire_cli::path::parse_target;
+use entire_cli::steering::calibrate::response;
+use entire_cli::steering::contenders::ControllerKind;
+use entire_cli::steering::fit::{Calibrated, Candidate, SteeringModel};
+use entire_core::control::StepLimits;
+use entire_core::features::PROBE_SIDE;
+use entire_core::scene::{Scalars, VolumeView};
+use std::path::PathBuf;
+
+/// Replay recorded cost curves under every controller and target, beside an oracle that knows them.
+///
+/// Every trace (see `entire-lab record`) is played under every controller against every target that is worth
+/// playing on it (some allowed step meets it in at least half of the frames), and against a series of
+/// targets. The predictor is fitted to a timing table of other volumes. DIR gets report.html, scores.json and
+/// frames.csv.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire-lab replay out/steer/traces/*.json --calibration out/steer/calibration.csv --out out/steer
+  entire-lab replay nyx.json --calibration calibration.csv --targets 30fps,60fps --controllers olp,hybrid \
+  --out out/nyx")]
+pub struct Options {
+    /// The traces.
+    #[arg(value_name = "TRACE.json", required = true)]
+    pub traces: Vec<PathBuf>,
+    /// Timing tables that the predictor and G are fitted to: random scenes, each at several steps
+    /// (`entire-lab record --calibration`).
+    #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", required = true)]
+    pub calibration: Vec<PathBuf>,
+    /// Steer by this model file instead of the predictor that is fitted to the tables.
+    #[arg(long, value_name = "M.safetensors")]
+    pub model: Option<PathBuf>,
+    /// Times that frames should not exceed.
+    #[arg(
+        long,
+        value_delimiter = ',',
+        default_value = "5fps,10fps,15fps,20fps,30fps,45fps,60fps,90fps",
+        value_name = "TIME,…",
+        allow_hyphen_values = true
+    )]
+    pub targets: Vec<String>,
+    /// Who plays; everyone where none is named.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
+    pub controllers: Vec<ControllerKind>,
+    /// Finest and coarsest step that may be chosen, reference steps.
+    #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
+    pub limits: (f32, f32),
+    /// How often everything is played, each time with other noise of the measured.
+    #[arg(long, default_value_t = 2, value_name = "N")]
+    pub rounds: u64,
+    /// Folder for the results.
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Print the steering bars, and fail when one is short.
+    #[arg(long)]
+    pub bars: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad options or files; with --bars when one is short.
+pub fn run(options: &Options) -> Result<()> {
+    let limits = StepLimits::new(options.limits.0, options.limits.1)?;
+    ensure!(options.rounds >= 1, "--rounds is 0; everything is played at least once");
+    let mut targets =
+        options.targets.iter().map(|t| Ok((parse_target(t)?, t.trim()))).collect::<Result<Vec<_>>>()?;
+    targets.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let kinds: Vec<ControllerKind> = if options.controllers.is_empty() {
+        ControllerKind::value_variants().to_vec()
+    } else {
+        options.controllers.clone()
+    };
+    let samples = samples_of(&options.calibration, PROBE_SIDE)?;
+    let response = response(&samples).context("G needs scenes that were timed at several steps")?;
+    let nothing = [0u8];
+    let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;
+    let mut calibrated = Calibrated::fit(&samples, &no_volume, 1)?;
+    if let Some(file) = &options.model {
+        let given = SteeringModel::new(format!("{}", file.display()), open_model(file)?, &no_volume)?;
+        let given =
+            Candidate::of(given, &samples).context("the model cannot predict the calibration frames")?;
+        calibrated.candidates.iter_mut().for_each(|c| c.chosen = false);
+        calibrated.candidates.push(Candidate { chosen: true, ..given });
+    }
+    let traces = options
+        .traces
+        .iter()
+        .map(|file| Replayable::new(Trace::open(file)?).with_context(|| format!("{}", file.display())))
+        .collect::<Result<Vec<_>>>()?;
+    let trials = trials(&traces, &targets, limits);
+    ensure!(!trials.is_empty(), "no target is worth playing on any trace; the allowed steps never meet one");
+    let mut outcomes = Vec::with_capacity(trials.len());
+    for (index, trial) in trials.iter().enumerate() {
+        outcomes.push(play(
+            index,
+            trial,
+            &traces[trial.trace],
+            &kinds,
+            &calibrated,
+            &response,
+            limits,
+            options.rounds,
+        )?);
+    }
+    let mut totals = vec![Tally::default(); kinds.len()];
+    for outcome in &outcomes {
+        for (total, tally) in totals.iter_mut().zip(&outcome.tallies) {
+            total.merge(tally);
+        }
+    }
+    let scores: Vec<Score> = totals.iter().map(Tally::score).collect();
+    make_folder(&options.out)?;
+    let results =
+        Results { kinds: &kinds, traces: &traces, trials: &trials, outcomes: &outcomes, scores: &scores };
+    let frontier = frontier(&traces, &targets);
+    results.write_csv(&options.out.join("frames.csv"))?;
+    results.write_json(&options.out.join("scores.json"), &calibrated)?;
+    results
+        .page(&calibrated, &response, &samples, frontier.as_ref())
+        .write(&options.out.join("report.html"))?;
+    println!("{}", results.table().to_text());
+    println!("* best of the column. Report: {}", options.out.join("report.html").display());
+    if let Some(f) = &frontier {
+        println!("{}", f.sentence());
+    }
+    if options.bars {
+        bars::print(&replay::bars(&kinds, &scores)?)?;
+    }
+    Ok(())
+}

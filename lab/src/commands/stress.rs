@@ -1,0 +1,118 @@
+//! `entire-lab stress`: scenes in which methods of holding a frame time break.
+
+use crate::bars::Bar;
+use crate::stress::report::{matrix, page};
+use crate::stress::{SCENES, Verdict, run as play, run_real};
+use anyhow::{Result, ensure};
+use clap::ValueEnum;
+use entire_cli::dataset::Clock;
+use entire_cli::device::{self, Device};
+use entire_cli::files::{make_folder, write_json};
+use entire_cli::progress::progress_bar;
+use entire_cli::steering::contenders::ControllerKind;
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Play the stress scenes: each method against scripts of what is known to break it.
+///
+/// 28 scenes on a scripted clock, the same in every run, each with a rule that says what passes. Prints the
+/// matrix of scenes and methods, writes report.html and verdicts.json into DIR, and fails when ours fails a
+/// scene.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire-lab stress --out out/stress
+  entire-lab stress --scenes 1,17,22 --controllers olp,hybrid --out out/stress
+  entire-lab stress --device vulkan --clock cpu --out out/stress")]
+pub struct Options {
+    /// Numbers of the scenes; all where none is named.
+    #[arg(long, value_delimiter = ',', value_name = "N,…")]
+    pub scenes: Vec<usize>,
+    /// Who plays; everyone where none is named.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
+    pub controllers: Vec<ControllerKind>,
+    /// Frames of the long run.
+    #[arg(long, default_value_t = 1_000_000, value_name = "FRAMES")]
+    pub soak: u64,
+    /// Play the scenes that make sense there again on this device, with its clock.
+    #[arg(long, value_enum)]
+    pub device: Option<Device>,
+    /// Which clock counts there.
+    #[arg(long, value_enum, default_value_t, requires = "device")]
+    pub clock: Clock,
+    /// Folder for the results.
+    #[arg(long, default_value = "out/stress", value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad options, files that cannot be written, or a scene that ours fails.
+pub fn run(options: &Options) -> Result<()> {
+    let scenes: Vec<usize> = if options.scenes.is_empty() {
+        SCENES.iter().map(|s| s.number).collect()
+    } else {
+        options.scenes.clone()
+    };
+    for n in &scenes {
+        ensure!(SCENES.iter().any(|s| s.number == *n), "--scenes names {n}; scenes are numbered 1 to 28");
+    }
+    ensure!(
+        (1_000..=100_000_000).contains(&options.soak),
+        "--soak is {}; it must lie in 1000 to 100000000 frames",
+        options.soak
+    );
+    let methods: Vec<ControllerKind> = if options.controllers.is_empty() {
+        ControllerKind::value_variants().to_vec()
+    } else {
+        options.controllers.clone()
+    };
+    let bar = progress_bar("stress");
+    let verdicts = play(&scenes, &methods, options.soak, &bar);
+    bar.finish_and_clear();
+    let verdicts = verdicts?;
+    let mut name = "scripted clock; the raycaster's CPU twin counts work".to_owned();
+    let mut real = Vec::new();
+    // One that predicts and reacts, one that reacts.
+    let real_methods: Vec<ControllerKind> =
+        [ControllerKind::Olp, ControllerKind::Hybrid].into_iter().filter(|m| methods.contains(m)).collect();
+    if let Some(device) = options.device {
+        let mut renderer = device::open(device)?;
+        let bar = progress_bar("stress");
+        let played = run_real(&scenes, &real_methods, renderer.as_mut(), options.clock, &bar);
+        bar.finish_and_clear();
+        real = played?;
+        name = format!("{name}; real: {}, clock {}", renderer.device(), options.clock.name());
+    }
+    make_folder(&options.out)?;
+    let found = json!({ "scripted": verdicts, "real": real });
+    write_json(&options.out.join("verdicts.json"), &found)?;
+    page(&verdicts, &methods, (&real, &real_methods), &name).write(&options.out.join("report.html"))?;
+    println!("{}", matrix(&verdicts, &methods).to_text());
+    if !real.is_empty() {
+        println!("On a real renderer ({name}):\n{}", matrix(&real, &real_methods).to_text());
+    }
+    println!("Report: {}", options.out.join("report.html").display());
+    let ours = |played: &[Verdict], where_: &str| -> Vec<String> {
+        played
+            .iter()
+            .filter(|v| v.method == ControllerKind::Hybrid.name() && !v.passed())
+            .map(|v| format!("{}{where_} ({})", v.scene, v.failures.join("; ")))
+            .collect()
+    };
+    let mut failed = ours(&verdicts, "");
+    if methods.contains(&ControllerKind::Hybrid) {
+        let bar = |name: &str, played: usize, failed: usize| {
+            println!("{}", Bar::at_least(name, Some((played - failed) as f64), played as f64));
+        };
+        bar("stress-scenes-passed", scenes.len(), failed.len());
+        let missed = ours(&real, " on the device");
+        if !real.is_empty() {
+            let played = real.iter().filter(|v| v.method == ControllerKind::Hybrid.name()).count();
+            bar("stress-scenes-passed-on-device", played, missed.len());
+        }
+        failed.extend(missed);
+    }
+    ensure!(failed.is_empty(), "scenes that the hybrid fails: {}", failed.join(", "));
+    Ok(())
+}

@@ -1,0 +1,252 @@
+//! Every way to balance a farm beside the others, judged by measured times.
+
+use crate::bars::Bar;
+use crate::trace::Trace;
+use anyhow::{Context, Result};
+use entire_cli::farm::{By, Farm, Method, Task, plan, play, times, volume_numbers};
+use entire_cli::files::make_folder;
+use entire_cli::machine::Provenance;
+use entire_cli::metrics::median;
+use entire_cli::report::{Axis, Chart, Column, Mark, Page, Series, Table};
+use entire_core::schedule::{
+    AffinityTask, assign_longest_first, longest_first, lower_bound, simulate_affinity,
+};
+use std::collections::HashMap;
+use std::path::Path;
+
+/// What a second measurement would reach in place of a prediction: longest first on the medians of all
+/// repeats but one, judged by that one beside longest first on itself, the worst of 2 to 64 nodes; least and
+/// most over the repeats.
+///
+/// # Errors
+/// When a time is not finite and positive.
+pub fn second_measurement(trace: &Trace) -> Result<Option<(f64, f64)>> {
+    let repeats: Vec<&[f64]> =
+        trace.frames.iter().filter_map(|f| f.first()).map(|p| &p.seconds[..]).collect();
+    let count = repeats.iter().map(|r| r.len()).min().unwrap_or(0);
+    let mut range: Option<(f64, f64)> = None;
+    for judge in 0..if count < 2 { 0 } else { count } {
+        let judged: Vec<f64> = repeats.iter().map(|r| r[judge]).collect();
+        let others = |r: &[f64]| -> Option<f64> {
+            let mut rest: Vec<f64> =
+                r.iter().enumerate().filter(|(i, _)| *i != judge).map(|(_, t)| *t).collect();
+            median(&mut rest)
+        };
+        let decided: Vec<f64> = repeats.iter().filter_map(|r| others(r)).collect();
+        let mut worst = 0.0f64;
+        for nodes in 2..=64 {
+            let speeds = vec![1.0; nodes];
+            let of = |times: &[f64]| assign_longest_first(times, &speeds)?.makespan(&judged, &speeds);
+            worst = worst.max(of(&decided)? / of(&judged)?);
+        }
+        range = Some(range.map_or((worst, worst), |(low, high)| (low.min(worst), high.max(worst))));
+    }
+    Ok(range)
+}
+
+/// Methods of the comparison: title, how, by which times, color.
+const COMPARED: [(&str, Method, By, usize); 6] = [
+    ("static longest first, measured", Method::Longest, By::Measured, 2),
+    ("static longest first, predicted", Method::Longest, By::Predicted, 0),
+    ("static longest first, uniform", Method::Longest, By::Uniform, 5),
+    ("queue, arrival order", Method::Arrival, By::Uniform, 1),
+    ("queue, predicted longest first", Method::Queue, By::Predicted, 3),
+    ("static with exchanges, predicted", Method::Static, By::Predicted, 4),
+];
+
+/// What a comparison is told.
+#[derive(Clone, Debug)]
+pub struct Comparison<'a> {
+    /// The tasks, with both times.
+    pub tasks: &'a [Task],
+    /// Where they come from, for the report.
+    pub source: String,
+    /// Seconds of a node that every dispatch from a queue costs.
+    pub dispatch: f64,
+    /// Tasks that a node looks at for one on the volume that it holds.
+    pub window: usize,
+    /// What [`second_measurement`] found.
+    pub noise: Option<(f64, f64)>,
+}
+
+/// Compares every method for 2 to 64 nodes, writes a report into a folder, and gives the bars.
+///
+/// # Errors
+/// When tasks lack a time, or the report cannot be written.
+pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
+    let tasks = comparison.tasks;
+    make_folder(folder)?;
+    let measured = times(tasks, By::Measured).context("the comparison judges by measured times")?;
+    let all: Vec<usize> = (2..=64).collect();
+    // makespan[method][nodes]
+    let mut makespans = vec![Vec::new(); COMPARED.len()];
+    let mut loads: HashMap<(usize, usize), Vec<f64>> = HashMap::new();
+    let mut bounds = Vec::new();
+    for &nodes in &all {
+        let farm =
+            Farm { speeds: vec![1.0; nodes], dispatch: comparison.dispatch, window: comparison.window };
+        bounds.push(lower_bound(&measured, &farm.speeds)?);
+        for (k, &(_, method, by, _)) in COMPARED.iter().enumerate() {
+            let line = play(&plan(method, &times(tasks, by)?, &farm.speeds)?, &measured, tasks, &farm)?;
+            let mut load = vec![0.0; nodes];
+            for s in &line.spans {
+                load[s.node] += s.end - s.start;
+            }
+            load.sort_by(f64::total_cmp);
+            loads.insert((k, nodes), load);
+            makespans[k].push(line.makespan);
+        }
+    }
+    let shown = [2usize, 4, 8, 16, 32, 64];
+    let at = |nodes: usize| nodes - 2;
+    let mut errors: Vec<f64> = tasks
+        .iter()
+        .filter_map(|t| Some((t.predicted_s? / t.measured_s.filter(|m| *m > 0.0)? - 1.0).abs()))
+        .collect();
+    let middle = median(&mut errors).unwrap_or(f64::NAN);
+    let mut page = Page::new(
+        "Balancing a render farm",
+        &format!(
+            "{} tasks on 2 to 64 nodes, judged by measured times ({:.1} s in all); median error of the \
+             predictions {:.1} %.",
+            tasks.len(),
+            measured.iter().sum::<f64>(),
+            100.0 * middle
+        ),
+    );
+    let mut table = Table::new(
+        std::iter::once(Column::text("method"))
+            .chain(shown.iter().map(|n| Column::number(format!("N = {n}"))))
+            .collect(),
+    );
+    for (k, (title, ..)) in COMPARED.iter().enumerate() {
+        let mut row = vec![(*title).into()];
+        row.extend(shown.iter().map(|&n| format!("{:.3}", makespans[k][at(n)] / bounds[at(n)]).into()));
+        table.row(row);
+    }
+    page.table(
+        &table,
+        "Time until the last node is done over the lower bound (all work over all nodes, and \
+        the longest tasks).",
+    );
+    println!("{}", table.to_text());
+    let mut chart = Chart::new(
+        "Loads of the nodes",
+        Axis::categories("nodes", shown.iter().map(ToString::to_string).collect()),
+        Axis::linear("load / longest load of longest first, measured"),
+    )
+    .size(900.0, 400.0);
+    for (k, (title, _, _, hue)) in COMPARED.iter().enumerate() {
+        let boxes = shown
+            .iter()
+            .enumerate()
+            .map(|(slot, &n)| {
+                let unit = makespans[0][at(n)];
+                let load = &loads[&(k, n)];
+                let q = |p: f64| load[((p * (n - 1) as f64).round() as usize).min(n - 1)] / unit;
+                let place = slot as f64;
+                (place, [q(0.05), q(0.25), q(0.5), q(0.75), q(0.95)])
+            })
+            .collect();
+        chart = chart.series(Series::new(*title, Mark::Boxes(boxes)).color(*hue));
+    }
+    page.chart(
+        &chart,
+        "Per method, the spread of what the nodes have to do, normalized to the longest load \
+        that static balancing on measured times leaves. 5th, 25th, 50th, 75th and 95th percentile.",
+    );
+    let mut chart = Chart::new(
+        "Longest load",
+        Axis::log("nodes"),
+        Axis::linear("longest load / longest first, measured"),
+    )
+    .size(900.0, 360.0);
+    for (k, (title, _, _, hue)) in COMPARED.iter().enumerate() {
+        let line = all.iter().map(|&n| (n as f64, makespans[k][at(n)] / makespans[0][at(n)])).collect();
+        chart = chart.series(Series::new(*title, Mark::Line(line)).color(*hue));
+    }
+    let bound = all.iter().map(|&n| (n as f64, bounds[at(n)] / makespans[0][at(n)])).collect();
+    chart = chart.series(Series::new("lower bound", Mark::Line(bound)).color(6));
+    page.chart(&chart, "What decides when a farm is done, normalized to static balancing on measured times.");
+    if let Some((low, high)) = comparison.noise {
+        let text = format!(
+            "What measuring a second time reaches instead of predicting: static longest first on the medians \
+             of all repeats but one takes, by that one, up to {low:.3} to {high:.3} of what longest first on \
+             itself takes."
+        );
+        println!("{text}");
+        page.paragraph(&text);
+    }
+    mixed(tasks, &measured, comparison.window, &mut page)?;
+    page.heading("Where this comes from");
+    let mut facts = vec![("Tasks", comparison.source.clone())];
+    facts.extend(Provenance::of("scheduled, not rendered".into()).facts());
+    page.facts(facts);
+    page.write(&folder.join("report.html"))?;
+    println!("report     {}", folder.join("report.html").display());
+    let worst =
+        |a: usize, b: usize| makespans[a].iter().zip(&makespans[b]).map(|(x, y)| x / y).fold(0.0, f64::max);
+    println!(
+        "static longest first on predicted times, of the same on measured ones: at most {:.4}",
+        worst(1, 0)
+    );
+    Ok(vec![
+        Bar::at_most("farm-queue-of-bound-16", Some(makespans[4][at(16)] / bounds[at(16)]), 1.02),
+        Bar::at_most("farm-queue-of-bound-64", Some(makespans[4][at(64)] / bounds[at(64)]), 1.04),
+        Bar::at_most("farm-queue-of-arrival-worst", Some(worst(4, 3)), 1.0),
+        Bar::at_most("farm-static-predicted-of-measured-worst", Some(worst(5, 0)), 1.04),
+    ])
+}
+
+/// What the plain case lacks: nodes of different speeds, and volumes that take time to load.
+fn mixed(tasks: &[Task], measured: &[f64], window: usize, page: &mut Page) -> Result<()> {
+    page.heading("Unequal nodes, and volumes that must be loaded");
+    let mut table = Table::new(vec![
+        Column::text("case"),
+        Column::number("static, predicted"),
+        Column::number("queue, arrival"),
+        Column::number("queue, predicted longest first"),
+        Column::number("same, near its volume"),
+    ]);
+    let mean = measured.iter().sum::<f64>() / measured.len() as f64;
+    for nodes in [8usize, 16, 32] {
+        for (name, speeds, load) in [
+            ("equal nodes, no loading", vec![1.0; nodes], 0.0),
+            ("speeds 0.5, 1, 1, 2", (0..nodes).map(|i| [0.5, 1.0, 1.0, 2.0][i % 4]).collect(), 0.0),
+            ("loading a volume takes 4 mean frames", vec![1.0; nodes], 4.0 * mean),
+        ] {
+            let loaded: Vec<Task> = tasks.iter().map(|t| Task { load_s: load, ..t.clone() }).collect();
+            let predicted = times(&loaded, By::Predicted)?;
+            let volumes = volume_numbers(&loaded);
+            let with_loads: Vec<AffinityTask> = (0..loaded.len())
+                .map(|i| AffinityTask { volume: volumes[i], seconds: measured[i], load })
+                .collect();
+            let bound = lower_bound(measured, &speeds)?;
+            let assigned = assign_longest_first(&predicted, &speeds)?;
+            // A node that renders its share volume by volume loads each of them once.
+            let mut held = vec![std::collections::BTreeSet::new(); nodes];
+            let mut ends = vec![0.0f64; nodes];
+            for (task, &node) in assigned.node_of.iter().enumerate() {
+                ends[node] += measured[task] / speeds[node];
+                if held[node].insert(volumes[task]) {
+                    ends[node] += load;
+                }
+            }
+            let fixed = ends.into_iter().fold(0.0, f64::max);
+            let arrival: Vec<usize> = (0..loaded.len()).collect();
+            let longest = longest_first(&predicted)?;
+            let row = [
+                fixed,
+                simulate_affinity(&arrival, &with_loads, &speeds, 1)?.makespan,
+                simulate_affinity(&longest, &with_loads, &speeds, 1)?.makespan,
+                simulate_affinity(&longest, &with_loads, &speeds, window)?.makespan,
+            ];
+            let mut cells = vec![format!("{nodes} nodes, {name}").into()];
+            cells.extend(row.iter().map(|m| format!("{:.3}", m / bound).into()));
+            table.row(cells);
+        }
+    }
+    page.table(&table, "Time until the last node is done over the lower bound without loading.");
+    println!("{}", table.to_text());
+    Ok(())
+}

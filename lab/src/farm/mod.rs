@@ -1,0 +1,9 @@
+//! Render farms in studies: tasks of recorded paths, and every way to balance them beside the others.
+
+mod compare;
+mod factor;
+mod tasks;
+
+pub use compare::{Comparison, compare, second_measurement};
+pub use factor::Factor;
+pub use tasks::{Fitting, tasks_of_trace};

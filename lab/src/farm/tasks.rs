@@ -1,0 +1,200 @@
+//! Tasks of a recorded path, predicted by a model that was fitted to other volumes.
+
+use super::factor::Factor;
+use crate::calibration::samples_of;
+use crate::trace::{Curve, Trace};
+use anyhow::{Context, Result, ensure};
+use entire_cli::farm::Task;
+use entire_cli::metrics::median;
+use entire_cli::steering::calibrate::{Quality, Sample};
+use entire_cli::steering::fit::{Calibrated, SteeringModel};
+use entire_core::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary};
+use entire_core::predict::{AnalyticModel, Inputs, Measurement, Predictor};
+use entire_core::scene::{Scalars, Skipping, VolumeView};
+use std::path::PathBuf;
+
+/// What the predictor of tasks is fitted to.
+#[derive(Clone, Copy, Debug)]
+pub struct Fitting<'a> {
+    /// Timing tables, where there is no `training`.
+    pub calibration: &'a [PathBuf],
+    /// Recorded frames of other volumes with the same transfer function.
+    pub training: &'a [PathBuf],
+    /// Rays along each side of the probe.
+    pub probe_side: usize,
+}
+
+/// Frames of recorded paths as samples, one scene per frame, and the volume that each of them shows.
+#[derive(Default)]
+struct Recorded {
+    samples: Vec<Sample>,
+    volumes: Vec<usize>,
+    scenes: usize,
+}
+
+impl Recorded {
+    /// Adds what a trace's frames cost at every full-size point of their grids.
+    fn add(&mut self, trace: &Trace, probe_side: usize) -> Result<()> {
+        let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);
+        let mut features = FrameFeatures::with_probe_side(probe_side);
+        let before = self.volumes.iter().max().map_or(0, |v| v + 1);
+        for (index, at) in path.frames.iter().enumerate() {
+            let volume = trace.volume_at(index);
+            let table = at.transfer.function().to_table()?;
+            let mut transfer = TransferSummary::new(&summaries[volume], &table);
+            transfer.prepare_distance();
+            let frame = trace.frame(&path, &draw, index)?;
+            features.measure(&summaries[volume], &mut transfer, &frame);
+            for p in trace.frames[index].iter().filter(|p| p.scale == 1.0) {
+                self.samples.push(Sample {
+                    scene: self.scenes,
+                    features: features.clone(),
+                    setting: Setting::of(&frame).with_step(p.step),
+                    camera: at.camera,
+                    lobes: at.transfer.lobes().unwrap_or_default(),
+                    seconds: median(&mut p.seconds.clone()).context("a point without a time")?,
+                });
+                self.volumes.push(before + volume);
+            }
+            self.scenes += 1;
+        }
+        Ok(())
+    }
+
+    /// The analytic model and the factor on it, fitted to the samples that `keep` keeps.
+    fn fit(&self, keep: impl Fn(usize) -> bool) -> Result<(AnalyticModel, Factor)> {
+        let kept: Vec<&Sample> =
+            self.samples.iter().zip(&self.volumes).filter(|(_, v)| keep(**v)).map(|(s, _)| s).collect();
+        let measured: Vec<Measurement> =
+            kept.iter().map(|s| Measurement::new(&s.features, &s.setting, s.seconds)).collect();
+        let mut model = AnalyticModel::new();
+        model.fit(&measured)?;
+        let pairs = kept.iter().map(|s| Ok((*s, predicted(&mut model, s)?))).collect::<Result<Vec<_>>>()?;
+        Ok((model, Factor::fit(&pairs)))
+    }
+
+    /// How the model alone and the model with the factor do on every volume when fitted to the others.
+    fn leave_one_out(&self) -> Result<Option<[Quality; 2]>> {
+        let volumes: std::collections::BTreeSet<usize> = self.volumes.iter().copied().collect();
+        if volumes.len() < 2 {
+            return Ok(None);
+        }
+        let (mut plain, mut with) = (Vec::new(), Vec::new());
+        for &out in &volumes {
+            let (mut model, factor) = self.fit(|v| v != out)?;
+            for (s, _) in self.samples.iter().zip(&self.volumes).filter(|(_, v)| **v == out) {
+                let t = predicted(&mut model, s)?;
+                plain.push((t, s.seconds));
+                with.push((t * factor.of(&s.features, &s.setting, s.camera), s.seconds));
+            }
+        }
+        Ok(Quality::of(&plain).zip(Quality::of(&with)).map(|(a, b)| [a, b]))
+    }
+}
+
+fn predicted(model: &mut AnalyticModel, s: &Sample) -> Result<f64> {
+    Ok(f64::from(model.predict(&s.predictor_inputs(None))?.seconds))
+}
+
+/// What predicts the tasks of a recorded path.
+struct TaskPredictor {
+    predictor: Box<dyn Predictor + Send>,
+    volume_features: Option<Vec<f32>>,
+    factor: Factor,
+}
+
+/// Fits to recorded frames where there are any, else to timing tables.
+fn task_predictor(fitting: &Fitting<'_>) -> Result<TaskPredictor> {
+    let side = fitting.probe_side;
+    ensure!(
+        (1..=MAX_PROBE_SIDE).contains(&side),
+        "--probe-side is {side}; it must lie in 1 to {MAX_PROBE_SIDE}"
+    );
+    let say = |title: &str, q: &Quality, how: &str| {
+        println!(
+            "predictor  {title} ({side} x {side} rays; {how} {} frames: median error {:.1} %, scatter {:.3})",
+            q.frames,
+            100.0 * q.median_error,
+            q.log_sd
+        );
+    };
+    // Frames like the tasks count alone where there are any: other transfer functions teach little about this
+    // one.
+    if !fitting.training.is_empty() {
+        let mut recorded = Recorded::default();
+        for file in fitting.training {
+            recorded.add(&Trace::open(file)?, side)?;
+        }
+        let (model, mut factor) = recorded.fit(|_| true)?;
+        if let Some([plain, with]) = recorded.leave_one_out()? {
+            let how = "each volume left out in turn,";
+            say("analytic cost model", &plain, how);
+            say("… times a factor learned from the view", &with, how);
+            if with.log_sd > plain.log_sd {
+                factor = Factor::none();
+            }
+        }
+        return Ok(TaskPredictor { predictor: Box::new(model), volume_features: None, factor });
+    }
+    ensure!(
+        !fitting.calibration.is_empty(),
+        "nothing to predict the frames of --trace from: give --training (recorded frames of other volumes) \
+         or --calibration (timing tables)"
+    );
+    let samples = samples_of(fitting.calibration, side)?;
+    let nothing = [0u8];
+    let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;
+    let calibrated = Calibrated::fit(&samples, &no_volume, 1)?;
+    let chosen: &SteeringModel = &calibrated.chosen().fitted;
+    say(chosen.title(), &calibrated.chosen().held_out, "fitted to other volumes,");
+    Ok(TaskPredictor {
+        predictor: chosen.predictor()?,
+        volume_features: chosen.volume_features().map(<[f32]>::to_vec),
+        factor: Factor::none(),
+    })
+}
+
+/// Tasks of a recorded path: its frames at the reference step, predicted by what was recorded of other
+/// volumes.
+///
+/// # Errors
+/// When there is nothing to fit to, a file cannot be read, or a prediction fails.
+pub fn tasks_of_trace(trace: &Trace, fitting: &Fitting<'_>) -> Result<Vec<Task>> {
+    let TaskPredictor { mut predictor, volume_features, factor } = task_predictor(fitting)?;
+    let (path, draw, summaries) = (trace.path.resolve()?, trace.draw_settings()?, trace.summaries()?);
+    let mut features = FrameFeatures::with_probe_side(fitting.probe_side);
+    let mut tasks = Vec::with_capacity(trace.frames.len());
+    let mut took = std::time::Duration::ZERO;
+    for (index, at) in path.frames.iter().enumerate() {
+        let volume = trace.volume_at(index);
+        let table = at.transfer.function().to_table()?;
+        let mut transfer = TransferSummary::new(&summaries[volume], &table);
+        if draw.skipping == Skipping::Distance {
+            transfer.prepare_distance();
+        }
+        let frame = trace.frame(&path, &draw, index)?;
+        let begin = std::time::Instant::now();
+        features.measure(&summaries[volume], &mut transfer, &frame);
+        let lobes = at.transfer.lobes();
+        let setting = Setting::of(&frame);
+        let predicted = predictor.predict(&Inputs {
+            features: &features,
+            setting,
+            changes: Changes::NONE,
+            camera: at.camera,
+            volume_features: volume_features.as_deref(),
+            lobes: lobes.as_deref(),
+        })?;
+        let seconds = f64::from(predicted.seconds) * factor.of(&features, &setting, at.camera);
+        took += begin.elapsed();
+        tasks.push(Task {
+            task: format!("frame {index}"),
+            predicted_s: Some(seconds),
+            measured_s: Some(Curve::of(&trace.frames[index]).seconds(1.0)),
+            volume: trace.volumes[volume].file.display().to_string(),
+            load_s: 0.0,
+        });
+    }
+    println!("prediction {:.3} ms per task", 1e3 * took.as_secs_f64() / tasks.len().max(1) as f64);
+    Ok(tasks)
+}

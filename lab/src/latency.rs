@@ -1,0 +1,163 @@
+//! How long a prediction takes when it is asked for between frames: from camera and transfer function to
+//! seconds, with the caches of the processor filled by something else.
+
+use anyhow::Result;
+use entire_cli::scenes::SceneDistribution;
+use entire_cli::volume::Volume;
+use entire_core::features::{
+    Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
+};
+use entire_core::model::Model;
+use entire_core::predict::{GroupKind, Inputs, load};
+use entire_core::scene::{Camera, Frame, Shading, TransferFunction};
+use serde::{Deserialize, Serialize};
+use std::time::Instant;
+
+/// Bytes walked over before each cold call: more than the first two cache levels hold.
+const EVICTED_BYTES: usize = 16 << 20;
+
+/// Frames that are predicted.
+const FRAMES: u64 = 200;
+
+/// How often they are.
+const ROUNDS: usize = 5;
+
+/// Seconds of one prediction in one thread, scene features included. Once per volume and once per transfer
+/// function there is more to do; the latter is apart.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Latency {
+    /// Median with cold caches.
+    pub cold: f64,
+    /// Median over calls in a row.
+    pub warm: f64,
+    /// Median for a new transfer function; 0 for models that do not look at the scene.
+    pub transfer: f64,
+}
+
+impl Latency {
+    /// The shorter of each.
+    fn min(self, other: Self) -> Self {
+        Self {
+            cold: self.cold.min(other.cold),
+            warm: self.warm.min(other.warm),
+            transfer: self.transfer.min(other.transfer),
+        }
+    }
+}
+
+/// Frames of one volume on which latencies are taken.
+#[derive(Debug)]
+pub struct Bench {
+    summary: VolumeSummary,
+    scenes: Vec<(Frame, entire_core::scene::TransferTable, Vec<entire_core::scene::GaussianLobe>)>,
+    evicted: Vec<u64>,
+}
+
+impl Bench {
+    /// Random frames of a volume, as `entire collect` draws them.
+    ///
+    /// # Errors
+    /// When the volume cannot be summarized.
+    pub fn new(volume: &Volume, shading: Shading) -> Result<Self> {
+        let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
+        let drawn = SceneDistribution::default();
+        let scenes = (0..FRAMES)
+            .map(|i| {
+                let s = drawn.draw(99, "latency", i);
+                let frame =
+                    Frame::new(Camera::from_arcball(s.camera)?, s.width, s.height)?.with_shading(shading);
+                let table = TransferFunction::Gaussian(s.lobes.clone()).to_table()?;
+                Ok((frame, table, s.lobes))
+            })
+            .collect::<Result<_>>()?;
+        Ok(Self { summary, scenes, evicted: vec![1; EVICTED_BYTES / 8] })
+    }
+
+    /// Latency of a model: the best of a few rounds, since others on the machine only ever add to it.
+    ///
+    /// # Errors
+    /// When the model cannot be loaded or lacks an input.
+    pub fn latency(&mut self, model: &Model) -> Result<Latency> {
+        let mut best = self.round(model)?;
+        for _ in 1..ROUNDS {
+            best = best.min(self.round(model)?);
+        }
+        Ok(best)
+    }
+
+    fn round(&mut self, model: &Model) -> Result<Latency> {
+        let mut predictor = load(model)?;
+        let looks = model.inputs().iter().any(|g| g.name == GroupKind::SceneFeatures.name());
+        let codes = model.volumenet().map_or(0, |v| v.features());
+        let side = predictor.probe_side();
+        self.round_of(looks.then_some(side), codes, |inputs| {
+            Ok(f64::from(predictor.predict(inputs)?.seconds))
+        })
+    }
+
+    /// As [`Bench::latency`], of anything that predicts. `probe_side` where it looks at the scene, and how
+    /// many volume features it takes.
+    ///
+    /// # Errors
+    /// What `predict` gives.
+    pub fn latency_of(
+        &mut self,
+        probe_side: Option<usize>,
+        codes: usize,
+        mut predict: impl FnMut(&Inputs<'_>) -> Result<f64>,
+    ) -> Result<Latency> {
+        let mut best = self.round_of(probe_side, codes, &mut predict)?;
+        for _ in 1..ROUNDS {
+            best = best.min(self.round_of(probe_side, codes, &mut predict)?);
+        }
+        Ok(best)
+    }
+
+    fn round_of(
+        &mut self,
+        probe_side: Option<usize>,
+        codes: usize,
+        mut predict: impl FnMut(&Inputs<'_>) -> Result<f64>,
+    ) -> Result<Latency> {
+        let looks = probe_side.is_some();
+        let code = vec![0.1f32; codes];
+        let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
+        let Some((_, first, _)) = self.scenes.first() else { return Err(anyhow::anyhow!("no scenes")) };
+        let mut transfer = TransferSummary::new(&self.summary, first);
+        let (mut cold, mut warm, mut transfers) = (Vec::new(), Vec::new(), Vec::new());
+        for (frame, table, lobes) in &self.scenes {
+            let start = Instant::now();
+            if looks {
+                transfer.update(&self.summary, table);
+                transfers.push(start.elapsed().as_secs_f64());
+            }
+            let mut call = || -> Result<f64> {
+                let start = Instant::now();
+                if looks {
+                    features.measure(&self.summary, &mut transfer, std::hint::black_box(frame));
+                }
+                let inputs = Inputs {
+                    features: &features,
+                    setting: Setting::of(frame),
+                    changes: Changes::NONE,
+                    camera: if looks { features.pose() } else { frame.camera().to_arcball() },
+                    volume_features: Some(&code),
+                    lobes: Some(lobes),
+                };
+                std::hint::black_box(predict(&inputs)?);
+                Ok(start.elapsed().as_secs_f64())
+            };
+            for value in &mut self.evicted {
+                *value = value.wrapping_mul(3);
+            }
+            std::hint::black_box(&self.evicted);
+            cold.push(call()?);
+            for _ in 0..3 {
+                call()?;
+            }
+            warm.push(call()?);
+        }
+        let mid = |mut v: Vec<f64>| entire_cli::metrics::median(&mut v).unwrap_or(0.0);
+        Ok(Latency { cold: mid(cold), warm: mid(warm), transfer: mid(transfers) })
+    }
+}

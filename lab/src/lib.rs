@@ -1,0 +1,14 @@
+//! Studies around `entire`: predictors and controllers judged beside others, what they are judged by, and the
+//! bars. Nothing here is published; the product is `entire-cli`.
+
+pub mod bars;
+pub mod calibration;
+pub mod commands;
+pub mod farm;
+pub mod latency;
+pub mod replay;
+pub mod ship;
+pub mod stress;
+pub mod study;
+pub mod trace;
+pub mod trees;

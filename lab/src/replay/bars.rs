@@ -1,0 +1,61 @@
+//! The steering bars.
+
+use super::Score;
+use crate::bars::Bar;
+use anyhow::{Context, Result};
+use clap::ValueEnum;
+use entire_cli::steering::contenders::ControllerKind;
+
+/// Rules that see past times only.
+const REACTIVE: [ControllerKind; 7] = [
+    ControllerKind::Olp,
+    ControllerKind::Pid,
+    ControllerKind::VtkGpu,
+    ControllerKind::VtkFixedPoint,
+    ControllerKind::VtkJs,
+    ControllerKind::Unreal,
+    ControllerKind::Filament,
+];
+
+/// The steering bars: the hybrid against fixed limits and against all others.
+///
+/// # Errors
+/// When a controller that they compare did not play.
+pub fn bars(kinds: &[ControllerKind], scores: &[Score]) -> Result<Vec<Bar>> {
+    let of = |kind: ControllerKind| {
+        kinds.iter().position(|k| *k == kind).map(|i| &scores[i]).with_context(|| {
+            format!("the bars compare {} and it did not play; leave --controllers out", kind.name())
+        })
+    };
+    let ours = of(ControllerKind::Hybrid)?;
+    let mut others = Vec::new();
+    for kind in ControllerKind::value_variants().iter().filter(|k| **k != ControllerKind::Hybrid) {
+        others.push(of(*kind)?);
+    }
+    // The reactive rule that comes closest to the target in calm phases.
+    let mut best = of(ControllerKind::Olp)?;
+    let mut name = ControllerKind::Olp;
+    for kind in REACTIVE {
+        let s = of(kind)?;
+        if s.calm.deviation < best.calm.deviation {
+            (best, name) = (s, kind);
+        }
+    }
+    let fewest = others.iter().map(|s| s.all.missed).fold(f64::INFINITY, f64::min);
+    let olp = of(ControllerKind::Olp)?;
+    println!("the reactive rule that comes closest in calm phases: {}", name.name());
+    let most = |name: &str, value: f64, limit: f64| Bar::at_most(name, Some(value), limit);
+    let least = |name: &str, value: f64, limit: f64| Bar::at_least(name, Some(value), limit);
+    Ok(vec![
+        most("steer-missed", ours.all.missed, 0.03),
+        most("steer-missed-of-all-others", ours.all.missed, fewest),
+        most("steer-deviation", ours.all.deviation, 0.08),
+        least("steer-quality", ours.all.quality, 0.92),
+        least("steer-quality-ssim", ours.ssim_ratio, 0.92),
+        most("steer-calm-missed", ours.calm.missed, best.calm.missed),
+        most("steer-calm-deviation", ours.calm.deviation, best.calm.deviation),
+        least("steer-calm-quality", ours.calm.quality, best.calm.quality),
+        most("steer-calm-jumps-of-olp", ours.jumps / olp.jumps.max(1e-9), 0.5),
+        least("steer-first-frames-in-bound", ours.inside_bound, 0.9),
+    ])
+}

@@ -1,0 +1,72 @@
+//! Step and image size chosen together by the quality model.
+
+use super::Replayable;
+use crate::trace::TracePoint;
+use entire_cli::metrics::median;
+use entire_core::control::{QualityModel, QualitySample};
+
+/// What choosing among steps and image sizes by the quality model gives, on traces that it was not fitted to:
+/// mean structural similarity of what each way picks among settings that meet the target.
+pub struct Frontier {
+    pub(super) model: QualityModel,
+    frames: usize,
+    by_model: f64,
+    by_step: f64,
+    best: f64,
+}
+
+impl Frontier {
+    /// In a sentence.
+    pub fn sentence(&self) -> String {
+        format!(
+            "Quality model (step and image size) on {} choices of traces that it was not fitted to: mean \
+             SSIM {:.4} by its order, {:.4} by the step alone, {:.4} at best.",
+            self.frames, self.by_model, self.by_step, self.best
+        )
+    }
+}
+
+/// Fits the quality model to every other trace and judges it by the others; `None` where there is nothing to
+/// choose.
+pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
+    let points = |odd: bool| {
+        traces
+            .iter()
+            .enumerate()
+            .filter(move |(i, _)| (i % 2 == 1) == odd)
+            .flat_map(|(_, t)| &t.trace.frames)
+            .filter(|f| f.iter().any(|p| p.scale < 1.0))
+    };
+    let samples: Vec<QualitySample> = points(false)
+        .flatten()
+        .map(|p| QualitySample { step: p.step, scale: p.scale, error: (1.0 - p.ssim) as f32 })
+        .collect();
+    let model = QualityModel::from_samples(&samples).ok()?;
+    let (mut frames, mut by_model, mut by_step, mut best) = (0, 0.0, 0.0, 0.0);
+    for frame in points(true) {
+        for (target, _) in targets {
+            let seconds = |p: &TracePoint| median(&mut p.seconds.clone()).unwrap_or(f64::INFINITY);
+            let fitting: Vec<_> = frame.iter().filter(|p| seconds(p) <= *target).collect();
+            // Only where there is something to choose: the reference setting does not fit, some full-size one
+            // does.
+            let full = fitting.iter().filter(|p| p.scale == 1.0).min_by(|a, b| a.step.total_cmp(&b.step));
+            let (Some(full), false) = (full, fitting.iter().any(|p| p.scale == 1.0 && p.step <= 1.0)) else {
+                continue;
+            };
+            let error = |p: &TracePoint| model.error(p.step, p.scale);
+            let picked = fitting.iter().min_by(|a, b| error(a).total_cmp(&error(b)));
+            frames += 1;
+            by_step += full.ssim;
+            by_model += picked.map_or(0.0, |p| p.ssim);
+            best += fitting.iter().map(|p| p.ssim).fold(0.0, f64::max);
+        }
+    }
+    let n = frames as f64;
+    (frames > 0).then(|| Frontier {
+        model,
+        frames,
+        by_model: by_model / n,
+        by_step: by_step / n,
+        best: best / n,
+    })
+}

@@ -1,0 +1,186 @@
+//! Replaying traces: controllers against recorded cost curves, scored beside an oracle that knows them.
+
+mod bars;
+mod frontier;
+pub mod report;
+mod score;
+mod trials;
+
+pub use bars::bars;
+pub use frontier::{Frontier, frontier};
+pub use score::{Score, Tally, Three};
+pub use trials::{Outcome, Trial, play, trials};
+
+use crate::trace::{Curve, Trace};
+use anyhow::{Context, Result, ensure};
+use entire_cli::path::FlightPath;
+use entire_cli::steering::play::Contender;
+use entire_core::adapt::ObserveFlags;
+use entire_core::control::{Reason, StepLimits};
+use entire_core::features::{Changes, VolumeSummary};
+use serde::Serialize;
+
+/// Frames from a change of anything but the camera on that are not calm, and frames at the start of a path.
+pub const SETTLING: usize = 3;
+
+/// A trace that is ready to be replayed.
+pub struct Replayable {
+    /// As it was recorded.
+    pub trace: Trace,
+    /// Its path, frame by frame.
+    pub path: FlightPath,
+    /// Per frame.
+    pub curves: Vec<Curve>,
+    /// Per volume.
+    pub summaries: Vec<VolumeSummary>,
+    /// Frames at which something changes abruptly: a switch of the path, another volume, another image size.
+    pub switches: Vec<bool>,
+}
+
+impl Replayable {
+    /// Opens the volumes of a trace and works out its curves.
+    ///
+    /// # Errors
+    /// When a volume is not there or the path is wrong.
+    pub fn new(trace: Trace) -> Result<Self> {
+        let path = trace.path.resolve()?;
+        let curves = trace.frames.iter().map(|f| Curve::of(f)).collect();
+        let summaries = trace.summaries().with_context(|| format!("trace {}", trace.name))?;
+        let switches = (0..path.frames.len())
+            .map(|i| {
+                i > 0
+                    && (path.frames[i].switched()
+                        || (trace.hold >= 4 && trace.volume_at(i) != trace.volume_at(i - 1))
+                        || trace.scales.iter().any(|(from, _)| *from as usize == i))
+            })
+            .collect();
+        Ok(Self { trace, path, curves, summaries, switches })
+    }
+}
+
+/// One frame of a replay.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Replayed {
+    /// Seconds that it should not have exceeded.
+    pub target: f64,
+    /// Seconds that it took.
+    pub seconds: f64,
+    /// Seconds that the controller expected; NaN where it expected nothing.
+    pub predicted: f64,
+    /// Its upper bound; NaN where there was none.
+    pub upper: f64,
+    /// The step that was chosen.
+    pub step: f64,
+    /// The oracle's step.
+    pub oracle_step: f64,
+    /// Likeness to the reference picture, decibels.
+    pub psnr: f64,
+    /// The oracle's.
+    pub oracle_psnr: f64,
+    /// Structural similarity to the reference picture.
+    pub ssim: f64,
+    /// The oracle's.
+    pub oracle_ssim: f64,
+    /// Whether the coarsest step meets the target.
+    pub feasible: bool,
+    /// Whether some allowed step takes exactly the target.
+    pub reachable: bool,
+    /// Whether something, or the target, changed abruptly here.
+    pub switched: bool,
+    /// Whether nothing but the camera has changed in this frame and the [`SETTLING`] before, nor the path
+    /// begun.
+    pub calm: bool,
+    /// Why the step.
+    #[serde(serialize_with = "reason_name")]
+    pub reason: Reason,
+}
+
+fn reason_name<S: serde::Serializer>(reason: &Reason, s: S) -> std::result::Result<S::Ok, S::Error> {
+    s.serialize_str(reason.name())
+}
+
+/// A number that depends on two others and on nothing else.
+fn mix(a: u64, b: u64) -> u64 {
+    let mut h = a.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ b.wrapping_mul(0xd1b5_4a32_d192_ed03);
+    h ^= h >> 29;
+    h = h.wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    h ^ (h >> 32)
+}
+
+/// Plays a trace against `targets` (one per frame). The noise of a frame is the same for every controller;
+/// `seed` picks which of the measured ones.
+///
+/// # Errors
+/// When a prediction fails; names the frame.
+pub fn replay(
+    recorded: &Replayable,
+    contender: &mut Contender,
+    volume_features: Option<&[f32]>,
+    targets: &[f64],
+    limits: StepLimits,
+    seed: u64,
+) -> Result<Vec<Replayed>> {
+    let n = recorded.path.frames.len();
+    ensure!(targets.len() == n, "{} targets for {n} frames", targets.len());
+    let draw = recorded.trace.draw_settings()?;
+    let session = &mut contender.session;
+    session.set_limits(limits);
+    let (finest, coarsest) = (f64::from(limits.finest()), f64::from(limits.coarsest()));
+    let mut out: Vec<Replayed> = Vec::with_capacity(n);
+    let mut shown = usize::MAX;
+    let mut since_switch = 0;
+    for (index, at) in recorded.path.frames.iter().enumerate() {
+        let place = || format!("frame {index} of trace {}", recorded.trace.name);
+        let volume = recorded.trace.volume_at(index);
+        let swapped = volume != shown;
+        if swapped {
+            session.set_volume(recorded.summaries[volume].clone(), volume_features);
+            shown = volume;
+        }
+        if at.transfer_changed || swapped {
+            let table = at.transfer.function().to_table().with_context(place)?;
+            session.set_transfer(&table, at.transfer.lobes().as_deref()).with_context(place)?;
+        }
+        if at.camera_switched {
+            session.mark(Changes { camera: true, ..Changes::NONE });
+        }
+        let frame = recorded.trace.frame(&recorded.path, &draw, index).with_context(place)?;
+        let target = targets[index];
+        let plan = session.plan(&frame, target as f32).with_context(place)?;
+        let curve = &recorded.curves[index];
+        let step = f64::from(plan.step);
+        let seconds = curve.seconds(step) * curve.noise(mix(seed, index as u64)).exp();
+        session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
+        let oracle_step = curve.oracle(target, finest, coarsest);
+        let retargeted = index > 0 && (targets[index - 1] / target).ln().abs() > 0.05;
+        let switched = recorded.switches[index] || retargeted;
+        let announced = at.transfer_changed || swapped;
+        since_switch = if switched || announced || index == 0 { 0 } else { since_switch + 1 };
+        out.push(Replayed {
+            target,
+            seconds,
+            predicted: f64::from(plan.seconds),
+            upper: f64::from(plan.upper),
+            step,
+            oracle_step,
+            psnr: curve.psnr(step),
+            oracle_psnr: curve.psnr(oracle_step),
+            ssim: curve.ssim(step),
+            oracle_ssim: curve.ssim(oracle_step),
+            feasible: curve.seconds(coarsest) <= target,
+            reachable: curve.reaches(target, finest, coarsest),
+            switched,
+            calm: since_switch >= SETTLING,
+            reason: plan.reason,
+        });
+    }
+    Ok(out)
+}
+
+/// A target that is worth playing on a trace: some allowed step meets it exactly in at least half of the
+/// frames.
+pub fn worth_playing(recorded: &Replayable, target: f64, limits: StepLimits) -> bool {
+    let (finest, coarsest) = (f64::from(limits.finest()), f64::from(limits.coarsest()));
+    let reachable = recorded.curves.iter().filter(|c| c.reaches(target, finest, coarsest)).count();
+    2 * reachable >= recorded.curves.len()
+}

@@ -1,0 +1,432 @@
+//! What was replayed, as tables, charts and files.
+
+use super::frontier::Frontier;
+use super::{Outcome, Replayable, Replayed, SETTLING, Score, Tally, Trial};
+use anyhow::Result;
+use entire_cli::files::{write_json, write_whole};
+use entire_cli::machine::Provenance;
+use entire_cli::report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table};
+use entire_cli::steering::calibrate::{Sample, response_pairs};
+use entire_cli::steering::contenders::ControllerKind;
+use entire_cli::steering::fit::Calibrated;
+use entire_cli::steering::report::color;
+use entire_cli::steering::rivals::StepResponse;
+use serde_json::json;
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// Everything that was played, for reports.
+pub struct Results<'a> {
+    /// Who played.
+    pub kinds: &'a [ControllerKind],
+    /// On what.
+    pub traces: &'a [Replayable],
+    /// Against what.
+    pub trials: &'a [Trial],
+    /// What came of each trial.
+    pub outcomes: &'a [Outcome],
+    /// Scores over all trials, per controller.
+    pub scores: &'a [Score],
+}
+
+fn percent(v: f64) -> String {
+    if v.is_nan() { "-".into() } else { format!("{:.1}", 100.0 * v) }
+}
+
+impl Results<'_> {
+    /// Scores of every controller.
+    pub fn table(&self) -> Table {
+        let mut table = Table::new(vec![
+            Column::text("controller"),
+            Column::number("> 1.1 T / %"),
+            Column::number("|t-T|/T / %"),
+            Column::number("quality / %"),
+            Column::number("calm > 1.1 T / %"),
+            Column::number("calm |t-T|/T / %"),
+            Column::number("calm quality / %"),
+            Column::number("calm jumps / %"),
+            Column::number("in bound / %"),
+            Column::number("first |t-T|/T / %"),
+            Column::number("SSIM / %"),
+            Column::number("PSNR loss / dB"),
+            Column::number("longest run"),
+            Column::number("worst t/T"),
+        ]);
+        for (kind, s) in self.kinds.iter().zip(self.scores) {
+            table.row(vec![
+                kind.title().into(),
+                percent(s.all.missed).into(),
+                percent(s.all.deviation).into(),
+                percent(s.all.quality).into(),
+                percent(s.calm.missed).into(),
+                percent(s.calm.deviation).into(),
+                percent(s.calm.quality).into(),
+                percent(s.jumps).into(),
+                percent(s.inside_bound).into(),
+                percent(s.first_frame_deviation).into(),
+                percent(s.ssim_ratio).into(),
+                format!("{:.1}", s.psnr_loss).into(),
+                s.longest.to_string().into(),
+                format!("{:.1}", s.worst).into(),
+            ]);
+        }
+        let mut mark = |column: usize, lowest: bool, value: &dyn Fn(&Score) -> f64| {
+            table.mark_best(column, &self.scores.iter().map(value).collect::<Vec<_>>(), lowest);
+        };
+        mark(1, true, &|s| s.all.missed);
+        mark(2, true, &|s| s.all.deviation);
+        mark(3, false, &|s| s.all.quality);
+        mark(4, true, &|s| s.calm.missed);
+        mark(5, true, &|s| s.calm.deviation);
+        mark(6, false, &|s| s.calm.quality);
+        mark(7, true, &|s| s.jumps);
+        mark(9, true, &|s| s.first_frame_deviation);
+        mark(10, false, &|s| s.ssim_ratio);
+        mark(11, true, &|s| s.psnr_loss);
+        mark(12, true, &|s| s.longest as f64);
+        mark(13, true, &|s| s.worst);
+        table
+    }
+
+    fn per_trial(&self) -> Table {
+        let mut columns =
+            vec![Column::text("trace"), Column::text("target"), Column::number("reachable / %")];
+        let shown: Vec<usize> = (0..self.kinds.len())
+            .filter(|k| {
+                matches!(
+                    self.kinds[*k],
+                    ControllerKind::Hybrid
+                        | ControllerKind::Olp
+                        | ControllerKind::Algorithm1
+                        | ControllerKind::Unreal
+                )
+            })
+            .collect();
+        for k in &shown {
+            columns.push(Column::number(format!("{}: > 1.1 T", self.kinds[*k].name())));
+            columns.push(Column::number("|t-T|/T"));
+            columns.push(Column::number("quality"));
+        }
+        let mut table = Table::new(columns);
+        for o in self.outcomes {
+            let trial = &self.trials[o.trial];
+            let frames = &o.frames[0];
+            let reachable = frames.iter().filter(|f| f.reachable).count() as f64 / frames.len() as f64;
+            let mut row: Vec<Cell> = vec![
+                self.traces[trial.trace].trace.name.clone().into(),
+                trial.label.clone().into(),
+                percent(reachable).into(),
+            ];
+            for k in &shown {
+                let s = o.tallies[*k].score();
+                row.extend([
+                    percent(s.all.missed).into(),
+                    percent(s.all.deviation).into(),
+                    percent(s.all.quality).into(),
+                ]);
+            }
+            table.row(row);
+        }
+        table
+    }
+
+    /// Writes every frame as CSV.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write_csv(&self, path: &Path) -> Result<()> {
+        let mut out = csv::Writer::from_writer(Vec::new());
+        out.write_record([
+            "trace",
+            "target",
+            "controller",
+            "frame",
+            "target_s",
+            "seconds",
+            "predicted_s",
+            "upper_s",
+            "step_ref",
+            "oracle_step_ref",
+            "psnr_db",
+            "oracle_psnr_db",
+            "ssim",
+            "oracle_ssim",
+            "switched",
+            "calm",
+            "reason",
+        ])?;
+        let known = |v: f64| if v.is_nan() { String::new() } else { v.to_string() };
+        for o in self.outcomes {
+            let trial = &self.trials[o.trial];
+            for (kind, frames) in self.kinds.iter().zip(&o.frames) {
+                for (i, f) in frames.iter().enumerate() {
+                    out.write_record([
+                        self.traces[trial.trace].trace.name.clone(),
+                        trial.label.clone(),
+                        kind.name().into(),
+                        i.to_string(),
+                        f.target.to_string(),
+                        f.seconds.to_string(),
+                        known(f.predicted),
+                        known(f.upper),
+                        f.step.to_string(),
+                        f.oracle_step.to_string(),
+                        f.psnr.to_string(),
+                        f.oracle_psnr.to_string(),
+                        f.ssim.to_string(),
+                        f.oracle_ssim.to_string(),
+                        u8::from(f.switched).to_string(),
+                        u8::from(f.calm).to_string(),
+                        f.reason.name().into(),
+                    ])?;
+                }
+            }
+        }
+        write_whole(path, &out.into_inner()?)
+    }
+
+    /// Writes scores as JSON.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write_json(&self, path: &Path, calibrated: &Calibrated) -> Result<()> {
+        let by_name = |scores: Vec<Score>| -> serde_json::Map<String, serde_json::Value> {
+            self.kinds.iter().zip(scores).map(|(k, s)| (k.name().to_owned(), json!(s))).collect()
+        };
+        let trials: Vec<serde_json::Value> = self
+            .outcomes
+            .iter()
+            .map(|o| {
+                let trial = &self.trials[o.trial];
+                json!({
+                    "trace": self.traces[trial.trace].trace.name,
+                    "target": trial.label,
+                    "controllers": by_name(o.tallies.iter().map(Tally::score).collect()),
+                })
+            })
+            .collect();
+        let all = json!({
+            "controllers": by_name(self.scores.to_vec()),
+            "predictors": calibrated.candidates,
+            "trials": trials,
+            "traces": self.traces.iter().map(|t| json!({
+                "name": t.trace.name, "volumes": t.trace.volumes, "provenance": t.trace.provenance,
+            })).collect::<Vec<_>>(),
+        });
+        write_json(path, &all)
+    }
+
+    /// The report.
+    pub fn page(
+        &self,
+        calibrated: &Calibrated,
+        response: &StepResponse,
+        samples: &[Sample],
+        frontier: Option<&Frontier>,
+    ) -> Page {
+        let frames = self.scores.first().map_or(0, |s| s.frames);
+        let mut page = Page::new(
+            "Holding a frame time, beside an oracle",
+            &format!(
+                "{} recorded paths over real volumes, {} trials, {frames} frames per controller. None of the \
+                 volumes was seen by the predictor before.",
+                self.traces.len(),
+                self.trials.len()
+            ),
+        );
+        page.table(
+            &self.table(),
+            &format!(
+                "T is the target. > 1.1 T: share of the frames in which the coarsest allowed step meets \
+                the target. |t-T|/T: mean over the frames in which some allowed step takes exactly the \
+                target. Quality: mean of the oracle's step over the step, at most 1; the oracle knows every \
+                frame's cost curve, not its noise. Calm: nothing but the camera has changed, without a cut, \
+                in the frame and the {SETTLING} before. Jumps: calm frames whose step differs from the frame \
+                before by over 20 %. In bound: abrupt changes whose first frame stayed inside its upper \
+                bound. SSIM: mean structural similarity to the picture at the reference step, over the \
+                oracle's. Best of each column in bold."
+            ),
+        );
+        let mut chart = Chart::new(
+            "Misses and quality",
+            Axis::linear("frames over 1.1 T / %"),
+            Axis::linear("mean of oracle's step / step, %").to(101.0),
+        )
+        .size(900.0, 420.0)
+        .rule(Rule::Vertical(3.0, "3 %".into()))
+        .rule(Rule::Horizontal(92.0, "92 %".into()));
+        let labels: BTreeSet<&str> = self.trials.iter().map(|t| t.label.as_str()).collect();
+        for (k, kind) in self.kinds.iter().enumerate() {
+            let points = labels
+                .iter()
+                .map(|label| {
+                    let mut sum = Tally::default();
+                    for o in self.outcomes.iter().filter(|o| self.trials[o.trial].label == *label) {
+                        sum.merge(&o.tallies[k]);
+                    }
+                    let s = sum.score();
+                    (100.0 * s.all.missed, 100.0 * s.all.quality, String::new())
+                })
+                .collect();
+            chart = chart.series(Series::new(kind.title(), Mark::Points(points)).color(color(kind.name())));
+        }
+        page.chart(
+            &chart,
+            "A point per controller and target, over all traces on which the target was \
+            played. Up and left is better.",
+        );
+        for (t, trace) in self.traces.iter().enumerate() {
+            let of_trace: Vec<&Outcome> =
+                self.outcomes.iter().filter(|o| self.trials[o.trial].trace == t).collect();
+            let single: Vec<&&Outcome> =
+                of_trace.iter().filter(|o| self.trials[o.trial].label != "changing").collect();
+            let Some(middle) = single.get(single.len() / 2) else { continue };
+            let trial = &self.trials[middle.trial];
+            page.heading(&format!("{} at {}", trace.trace.name, trial.label));
+            self.charts(&mut page, middle, trace);
+        }
+        if let Some(f) = frontier {
+            page.heading("Step and image size together");
+            page.paragraph(&f.sentence());
+            let curve = |error: &dyn Fn(f64) -> f64| -> Vec<(f64, f64)> {
+                (0..=40).map(|i| 1.0 + f64::from(i) * 0.2).map(|x| (x, error(x))).collect()
+            };
+            let model = f.model;
+            let chart = Chart::new(
+                "What a picture loses",
+                Axis::linear("step over the reference step, or full side over image side"),
+                Axis::linear("predicted 1 - SSIM").from(0.0),
+            )
+            .size(900.0, 260.0)
+            .series(Series::new(
+                "coarser step",
+                Mark::Line(curve(&|x| f64::from(model.error(x as f32, 1.0)))),
+            ))
+            .series(Series::new(
+                "smaller image",
+                Mark::Line(curve(&|x| f64::from(model.error(1.0, (1.0 / x) as f32)))),
+            ));
+            page.chart(
+                &chart,
+                "The quality model, fitted to every other trace. Settings are tried in the \
+                order of its error; the first that is expected to meet the target is drawn.",
+            );
+        }
+        page.heading("Every trial");
+        page.table(&self.per_trial(), "Shares in percent, as in the first table.");
+        page.heading("Predictors");
+        let mut predictors = Table::new(vec![
+            Column::text("predictor"),
+            Column::number("held-out frames"),
+            Column::number("median error / %"),
+            Column::number("p95 error / %"),
+            Column::text("steers"),
+        ]);
+        for c in &calibrated.candidates {
+            predictors.row(vec![
+                c.title.clone().into(),
+                c.held_out.frames.to_string().into(),
+                percent(c.held_out.median_error).into(),
+                percent(c.held_out.p95_error).into(),
+                if c.chosen { "yes" } else { "" }.into(),
+            ]);
+        }
+        page.table(
+            &predictors,
+            "Fitted to random scenes of other volumes on this machine, judged by scenes that were \
+             held out.",
+        );
+        let wide = |p: (f32, f32)| (f64::from(p.0), f64::from(p.1));
+        let chart = Chart::new(
+            "G: what a coarser step saves",
+            Axis::log("step / reference steps"),
+            Axis::log("relative frame time"),
+        )
+        .size(900.0, 300.0)
+        .series(
+            Series::new(
+                "calibration scenes",
+                Mark::Points(
+                    response_pairs(samples)
+                        .into_iter()
+                        .map(wide)
+                        .map(|(x, y)| (x, y, String::new()))
+                        .collect(),
+                ),
+            )
+            .color(6),
+        )
+        .series(Series::new("G", Mark::Line(response.points().map(wide).collect())).color(0));
+        page.chart(&chart, "Algorithm 1 and OLP use this one curve for all scenes.");
+        page.heading("Where this comes from");
+        page.paragraph(
+            "Every frame of a path was drawn at nine ray steps, all repeats, outside of any race; \
+            a controller's step is answered by that frame's own curve between them, times the noise of one \
+            of its renderings: the same for every controller. Changes of the transfer function and of \
+            volumes are not part of frame times.",
+        );
+        let mut facts: Vec<(&str, String)> = Vec::new();
+        for t in self.traces {
+            let volumes: Vec<String> =
+                t.trace.volumes.iter().map(|v| format!("{} x{}", v.file.display(), v.enlarge)).collect();
+            facts.push((
+                "Trace",
+                format!(
+                    "{}: {}; {} x {} pixels, clock {}; {}",
+                    t.trace.name,
+                    volumes.join(", "),
+                    t.trace.draw.width_px,
+                    t.trace.draw.height_px,
+                    t.trace.draw.clock,
+                    t.trace.provenance["device"].as_str().unwrap_or("unknown device")
+                ),
+            ));
+        }
+        facts.extend(Provenance::of("replayed".into()).facts());
+        page.facts(facts);
+        page
+    }
+
+    fn charts(&self, page: &mut Page, outcome: &Outcome, trace: &Replayable) {
+        let shown =
+            [ControllerKind::Hybrid, ControllerKind::Olp, ControllerKind::Algorithm1, ControllerKind::Unreal];
+        let line = |k: usize, f: &dyn Fn(&Replayed) -> f64| -> Vec<(f64, f64)> {
+            outcome.frames[k].iter().enumerate().map(|(i, r)| (i as f64, f(r))).collect()
+        };
+        let draw = |mut chart: Chart,
+                    f: &dyn Fn(&Replayed) -> f64,
+                    oracle: Option<&dyn Fn(&Replayed) -> f64>| {
+            for (i, s) in trace.switches.iter().enumerate() {
+                if *s {
+                    chart = chart.rule(Rule::Vertical(i as f64, String::new()));
+                }
+            }
+            if let Some(oracle) = oracle {
+                chart = chart.series(Series::new("oracle", Mark::Line(line(0, oracle))).color(6));
+            }
+            for kind in shown {
+                if let Some(k) = self.kinds.iter().position(|x| *x == kind) {
+                    chart = chart
+                        .series(Series::new(kind.title(), Mark::Line(line(k, f))).color(color(kind.name())));
+                }
+            }
+            chart
+        };
+        let time = Chart::new("Time over target", Axis::linear("frame"), Axis::log("t / T"))
+            .size(900.0, 280.0)
+            .rule(Rule::Horizontal(1.0, "target".into()))
+            .rule(Rule::Horizontal(1.1, String::new()));
+        page.chart(&draw(time, &|r| r.seconds / r.target, None), "Upright lines: abrupt changes.");
+        let step = Chart::new("Ray step", Axis::linear("frame"), Axis::log("step / reference steps"))
+            .size(900.0, 260.0);
+        page.chart(
+            &draw(step, &|r| r.step, Some(&|r| r.oracle_step)),
+            "Finer is better, as far as the target allows.",
+        );
+        let ssim = Chart::new("Picture", Axis::linear("frame"), Axis::linear("SSIM")).size(900.0, 240.0);
+        page.chart(
+            &draw(ssim, &|r| r.ssim, Some(&|r| r.oracle_ssim)),
+            "Structural similarity to the picture at the reference step.",
+        );
+    }
+}

@@ -1,0 +1,371 @@
+//! Shipping what a study made: model files with cards, judged as they are shipped.
+
+use crate::study::{Findings, Fit, Runner, Set, Ship, Study, clock};
+use anyhow::{Context, Result};
+use entire_cli::bound;
+use entire_cli::dataset::{Table, read_tables};
+use entire_cli::files::{make_folder, read_model_file, write_whole};
+use entire_cli::fit::{DtypeChoice, FitContext, predict};
+use entire_cli::metrics::{BoundMetrics, Metrics};
+use entire_cli::split::TimedFrames;
+use entire_core::model::{ModelFile, keys};
+use serde_json::json;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+/// How a shipped model did on a split.
+struct Figures {
+    split: String,
+    tables: Vec<String>,
+    metrics: Metrics,
+    bound: Option<BoundMetrics>,
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned())
+}
+
+/// Writes every predictor that the study ships into a folder, each with its card; returns the files.
+///
+/// # Errors
+/// When a predictor was not made, a table cannot be read, or a file cannot be written.
+pub fn ship(folder: &Path, study: &Study, found: &Findings, runner: &Runner<'_>) -> Result<Vec<PathBuf>> {
+    make_folder(folder)?;
+    let mut out = Vec::new();
+    for set in &study.sets {
+        for ship in &study.ship {
+            let made = found
+                .files
+                .iter()
+                .find(|f| f.0 == set.name && f.1 == ship.predictor)
+                .with_context(|| format!("{} was not made for {}", ship.predictor, set.name))?;
+            let (mut file, model) = read_model_file(&made.2)?;
+            let judged_as = model.prednet().and_then(|p| p.layers.first()).map_or("F32", |l| l.dtype.name());
+            store_as(&mut file, ship.dtype)?;
+            let paths: Vec<PathBuf> =
+                set.training.iter().chain(set.splits.iter().flat_map(|s| &s.tables)).cloned().collect();
+            let tables = read_tables(&paths)?;
+            let figures = judge(&file, study, set, &tables, runner)?;
+            let name = format!("{}-{}", set.name.replace(' ', "-"), ship.predictor.replace(' ', "-"));
+            let fit = found.fit(&set.name, &ship.predictor);
+            let as_it_is = study
+                .predictors
+                .iter()
+                .any(|p| p.name == ship.predictor && p.recipe_for(&set.name).file.is_some());
+            provenance(&mut file, study, set, &tables[..set.training.len()], &figures, fit, as_it_is)?;
+            let path = folder.join(format!("{name}.safetensors"));
+            write_whole(&path, &file.to_bytes()?)?;
+            let latency = found.latency(&set.name, &ship.predictor);
+            let text = card(
+                &name,
+                &file,
+                ship,
+                study,
+                set,
+                &tables[..set.training.len()],
+                &figures,
+                (latency, judged_as),
+                found,
+            )?;
+            write_whole(&path.with_extension("md"), text.as_bytes())?;
+            out.push(path);
+        }
+    }
+    Ok(out)
+}
+
+/// Stores the network's weights in another format.
+fn store_as(file: &mut ModelFile, dtype: DtypeChoice) -> Result<()> {
+    let model = file.to_model()?;
+    let mut parts = model.prednet().context("the model file holds no PredNet")?.clone();
+    for layer in &mut parts.layers {
+        layer.dtype = dtype.storage();
+    }
+    let inputs = model.inputs().to_vec();
+    file.set_prednet(&parts, &inputs)?;
+    Ok(())
+}
+
+fn judge(
+    file: &ModelFile,
+    study: &Study,
+    set: &Set,
+    tables: &[Table],
+    runner: &Runner<'_>,
+) -> Result<Vec<Figures>> {
+    let clock = clock(&study.clock)?;
+    let model = file.to_model()?;
+    let upper = bound::of(&model);
+    let hidden = indicatif::ProgressBar::hidden();
+    let context = FitContext { tables, pool: runner.pool, bar: &hidden, stop: runner.stop };
+    let mut at = set.training.len();
+    let mut out = Vec::new();
+    for split in &set.splits {
+        let part = TimedFrames::of(tables[at..at + split.tables.len()].iter().flat_map(|t| &t.frames), clock);
+        at += split.tables.len();
+        let predicted = predict(&model, &context, &part.frames)?;
+        let bound = upper.and_then(|u| bound::judge(&u, &predicted, &part.seconds));
+        out.push(Figures {
+            split: split.name.clone(),
+            tables: split.tables.iter().map(|t| file_name(t)).collect(),
+            metrics: Metrics::new(&predicted, &part.seconds).context("a split has no frames")?,
+            bound,
+        });
+    }
+    Ok(out)
+}
+
+fn provenance(
+    file: &mut ModelFile,
+    study: &Study,
+    set: &Set,
+    training: &[Table],
+    figures: &[Figures],
+    fit: Option<&Fit>,
+    as_it_is: bool,
+) -> Result<()> {
+    let mut stored: serde_json::Value = match file.metadata().get(keys::PROVENANCE) {
+        Some(text) => serde_json::from_str(text)?,
+        None => json!({}),
+    };
+    stored["paper"] = json!("ENTIRE: Learning-based Volume Rendering Time Prediction");
+    stored["clock"] = json!(study.clock);
+    stored["shading"] = json!(training.iter().flat_map(|t| &t.frames).next().map(|f| f.scene.shading.name()));
+    if !as_it_is || stored.get("data").is_none() {
+        stored["data"] = training
+            .iter()
+            .map(|t| {
+                let hash = format!("{:016x}", t.hash);
+                json!({ "file": file_name(&t.path), "fnv1a": hash, "frames": t.frames.len() })
+            })
+            .collect();
+    }
+    let crossed = fit.and_then(|f| f.crossed.as_ref());
+    stored["bounds_from"] = match crossed {
+        Some(_) => json!("cross-validation"),
+        None => set.bounds.iter().map(|p| json!(file_name(p))).collect(),
+    };
+    stored["cross_validated"] =
+        json!(crossed.map(|m| json!({ "rmse_over_sd": m.rmse_over_sd, "mdape": m.mdape })));
+    stored["figures"] = figures
+        .iter()
+        .map(|f| {
+            json!({ "split": f.split, "tables": f.tables, "frames": f.metrics.frames,
+                "rmse_over_sd": f.metrics.rmse_over_sd, "mdape": f.metrics.mdape, "r2_log": f.metrics.r2_log,
+                "coverage": f.bound.map(|b| b.coverage) })
+        })
+        .collect();
+    file.set_metadata(keys::PROVENANCE, stored.to_string());
+    file.remove_metadata("entire.study_key");
+    if let Some(manifest) = training.iter().find_map(|t| t.manifest.as_ref()) {
+        file.set_metadata(keys::RENDERER, manifest.renderer.clone());
+        file.set_metadata(keys::DEVICE, manifest.device.clone());
+        file.set_metadata(keys::STEP_REFERENCE, manifest.step_reference.clone());
+    }
+    Ok(())
+}
+
+#[allow(clippy::too_many_arguments, reason = "one call site")]
+fn card(
+    name: &str,
+    file: &ModelFile,
+    ship: &Ship,
+    study: &Study,
+    set: &Set,
+    training: &[Table],
+    figures: &[Figures],
+    (latency, judged_as): (Option<crate::latency::Latency>, &str),
+    found: &Findings,
+) -> Result<String> {
+    let model = file.to_model()?;
+    let stored: serde_json::Value =
+        serde_json::from_str(model.provenance().unwrap_or("{}")).unwrap_or_default();
+    let text = |key: &str| stored.get(key).and_then(|v| v.as_str()).unwrap_or("not known").to_owned();
+    let shading = text("shading");
+    let mut md = String::new();
+    let _ = writeln!(
+        md,
+        "# {name}\n\n{}; weights stored as {}. Predicts the seconds of one frame with shading `{shading}` \
+         before it is drawn.\n",
+        text("what"),
+        ship.dtype.storage().name()
+    );
+    let _ = writeln!(
+        md,
+        "## Use\n\nSeconds belong to a machine and a renderer. On yours, collect 100 frames and calibrate \
+         the last layer to them:\n\n\
+         ```\nentire collect VOLUMES --shade {shading} --frames 10 --repeats 3 --out FRAMES.csv\n\
+         entire train --data FRAMES.csv --calibrate models/{name}.safetensors --out here.safetensors --limit \
+         100\n\
+         entire evaluate --data OTHER.csv --model here.safetensors\n```\n\n\
+         `entire steer --model here.safetensors` steers with it.\n"
+    );
+    let _ = writeln!(md, "## Inputs\n");
+    for group in model.inputs() {
+        let _ = writeln!(md, "- `{}`, {}", group.name, group.size);
+    }
+    if !model.scene_features().is_empty() {
+        let _ = writeln!(
+            md,
+            "\nScene features, in order: {}. Rays along each side of the probe: {}.",
+            model.scene_features().join(", "),
+            entire_core::predict::InputLayout::of_model(&model)?.probe_side()
+        );
+    }
+    let _ = writeln!(md, "\n## Data\n");
+    let distilled: Vec<_> =
+        stored["data"].as_array().into_iter().flatten().filter(|d| d["renderer"] == "teacher").collect();
+    for d in &distilled {
+        let word = |key: &str| d[key].as_str().unwrap_or("not known").to_owned();
+        let _ = writeln!(
+            md,
+            "- distilled: {} frames of the training volumes, random under seed {}, that were not rendered: \
+             their seconds are those of {} \
+             (`{}`, FNV-1a {}; `make distill` makes it)",
+            d["frames"],
+            d["seed"],
+            word("device"),
+            word("file"),
+            word("fnv1a")
+        );
+    }
+    for t in training.iter().filter(|_| distilled.is_empty()) {
+        let _ = writeln!(
+            md,
+            "- training: `data/timings/{}`, {} frames, FNV-1a {:016x}{}",
+            file_name(&t.path),
+            t.frames.len(),
+            t.hash,
+            t.manifest.as_ref().map_or(String::new(), |m| format!(
+                "; {} on {}; {}; {}",
+                m.renderer, m.device, m.machine, m.created
+            ))
+        );
+    }
+    if model.input_size("scene_features").is_some() {
+        for path in &set.other_steps {
+            let _ = writeln!(md, "- training, other ray steps: `data/timings/{}`", file_name(path));
+        }
+    }
+    let fit = found.fit(&set.name, &ship.predictor);
+    let crossed = fit.and_then(|f| Some((f.crossed.as_ref()?, f.folds)));
+    match crossed {
+        Some((_, folds)) => {
+            let _ = writeln!(
+                md,
+                "- upper bound: the training frames, each predicted without its ensemble member ({folds} \
+                 parts)"
+            );
+        }
+        None => {
+            for path in &set.bounds {
+                let _ = writeln!(
+                    md,
+                    "- upper bound alone: `data/timings/{}`; weights were not fitted to these frames",
+                    file_name(path)
+                );
+            }
+        }
+    }
+    let _ = writeln!(
+        md,
+        "\nVolumes: the castro_blast, nyx_cosmology and maestroex_bubbles ensembles, computed for this \
+         project and under its licenses \
+         (MIT or Apache-2.0, see data/README.md), enlarged twice trilinearly. Nothing else was trained on; \
+         scans and other \
+         codes serve evaluation alone. The weights are under the project's licenses.\n"
+    );
+    let _ = writeln!(
+        md,
+        "## Splits\n\nTrained on even time steps of castro_blast m01 and m02, nyx_cosmology m01 and m02, \
+         maestroex_bubbles m01 (a tenth \
+         of the volumes, of distilled ones one volume, decides when training stops). member: other members, \
+         other seeds and physical parameters; time step: odd \
+         steps of the same members; the others say what they are.\n"
+    );
+    let _ = writeln!(
+        md,
+        "## Training\n\n{}. Clock: {}; a frame's time is the median of its repeats.\n\n```json\n{}\n```\n",
+        text("outcome"),
+        study.clock,
+        serde_json::to_string_pretty(&stored["settings"]).unwrap_or_default()
+    );
+    let _ = writeln!(
+        md,
+        "## Figures\n\n| split | frames | RMSE, ms | RMSE/SD | MdAPE, % | p95, % | R² in log | q95 held, % | \
+         … slowest tenth | noise floor, MdAPE % |\n\
+         |---|---|---|---|---|---|---|---|---|---|"
+    );
+    for f in figures {
+        let m = &f.metrics;
+        let held = |v: fn(&BoundMetrics) -> f64| {
+            f.bound.as_ref().map_or("-".into(), |b| format!("{:.1}", 100.0 * v(b)))
+        };
+        let _ = writeln!(
+            md,
+            "| {} | {} | {:.2} | {:.3} | {:.1} | {:.1} | {:.4} | {} | {} | {:.1} |",
+            f.split,
+            m.frames,
+            1e3 * m.rmse,
+            m.rmse_over_sd,
+            100.0 * m.mdape,
+            100.0 * m.p95,
+            m.r2_log,
+            held(|b| b.coverage),
+            held(|b| b.slowest_coverage),
+            100.0 * found.noise_mdape(&set.name, &f.split)
+        );
+    }
+    if let Some(f) = fit {
+        let of = |m: &Metrics| format!("RMSE/SD {:.3}, MdAPE {:.1} %", m.rmse_over_sd, 100.0 * m.mdape);
+        let _ = writeln!(
+            md,
+            "\nOn the frames that it learned from: {}{}.",
+            of(&f.seen),
+            crossed.map_or(String::new(), |(m, _)| format!(
+                "; on training frames of ensemble members that it was made without: {}",
+                of(m)
+            ))
+        );
+    }
+    if let Some(l) = latency {
+        let _ = writeln!(
+            md,
+            "\nOne prediction, scene features included, weights as {judged_as}, on {}: {:.1} µs with cold \
+             caches, {:.1} µs warm{}.",
+            entire_cli::machine::machine(),
+            1e6 * l.cold,
+            1e6 * l.warm,
+            if l.transfer > 0.0 {
+                format!("; {:.0} µs more for a new transfer function", 1e6 * l.transfer)
+            } else {
+                String::new()
+            }
+        );
+    }
+    let tables: Vec<String> =
+        figures.iter().flat_map(|f| &f.tables).map(|t| format!("data/timings/{t}")).collect();
+    let _ = writeln!(
+        md,
+        "\n`make models` makes this file and its figures anew. One split: `entire evaluate --clock {} \
+         --model models/{name}.safetensors \
+         --data {}` (or another of {}).",
+        study.clock,
+        tables.first().map_or("", String::as_str),
+        tables.join(", ")
+    );
+    let _ = writeln!(
+        md,
+        "\n## Limits\n\nMeasured with one renderer on one machine with a software Vulkan driver: elsewhere \
+         calibrate first. {}",
+        if model.scene_features().is_empty() {
+            "What it knows of a volume are the codes of its VolumeNet: volumes unlike the training ones may \
+             be far off."
+        } else {
+            "Scenes unlike the training data (far larger images, steps that were not trained on) may be off; \
+             look at the prediction's out-of-range \
+             score."
+        }
+    );
+    Ok(md)
+}

@@ -1,0 +1,524 @@
+//! Scenes on a scripted clock: seconds = fixed + work · step^−0.9, and what the script does to it.
+
+use super::{Limits, Noise, Seen, Verdict, judge};
+use entire_cli::steering::contenders::{ControllerKind, controller};
+use entire_cli::steering::rivals::StepResponse;
+use entire_core::adapt::{Prior, check_seconds};
+use entire_core::control::{Controller, Observed, PlanRequest, Reason, SceneMark, StepLimits};
+use entire_core::features::Changes;
+use entire_core::predict::{CostTerms, Source, TERMS};
+
+const EXPONENT: f64 = 0.9;
+const FINEST: f32 = 1.0;
+const COARSEST: f32 = 32.0;
+
+/// What a method hears of a frame's time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Heard {
+    /// The truth.
+    True,
+    /// Something else.
+    Other(f64),
+    /// Nothing.
+    Nothing,
+    /// The truth, this many frames later.
+    Late(usize),
+}
+
+/// A frame of a script.
+#[derive(Clone, Copy, Debug)]
+struct Shot {
+    /// Seconds that do not depend on the step, and seconds at step 1 beside them.
+    fixed: f64,
+    work: f64,
+    /// Factor of the machine or of what nobody models.
+    speed: f64,
+    /// The predictor's factor and whether it knows of `fixed`.
+    wrong: f64,
+    fixed_known: f64,
+    changes: Changes,
+    target: f64,
+    heard: Heard,
+    unusual: bool,
+    excused: bool,
+    part: usize,
+}
+
+impl Shot {
+    const PLAIN: Self = Self {
+        fixed: 2e-3,
+        work: 60e-3,
+        speed: 1.0,
+        wrong: 1.0,
+        fixed_known: 2e-3,
+        changes: Changes::NONE,
+        target: 25e-3,
+        heard: Heard::True,
+        unusual: false,
+        excused: false,
+        part: 0,
+    };
+}
+
+const TRANSFER: Changes = Changes { transfer: true, ..Changes::NONE };
+const MODE: Changes = Changes { mode: true, ..Changes::NONE };
+
+/// A script: frame number and noise to shot, how many frames, how strong the machine's noise is.
+struct Script<'a> {
+    shot: &'a mut dyn FnMut(usize, &mut Noise) -> Shot,
+    frames: usize,
+    sigma: f64,
+    spikes: f64,
+}
+
+fn response() -> StepResponse {
+    let samples: Vec<(f32, f32)> = (0..12)
+        .map(|i| 1.4f64.powi(i))
+        .map(|s| (s as f32, ((2.0 + 60.0 * s.powf(-EXPONENT)) / 62.0) as f32))
+        .collect();
+    StepResponse::from_samples(&samples).unwrap_or_else(|_| StepResponse::inverse_step(0.03))
+}
+
+fn new(method: ControllerKind) -> Box<dyn Controller + Send> {
+    controller(method, 3.0, &response(), Prior::Fitted { log_sd: 0.15 })
+}
+
+struct Waiting {
+    due: usize,
+    observed: Observed,
+}
+
+/// Plays a script. `last` sees every decision's reason.
+fn play_script(
+    controller: &mut dyn Controller,
+    script: &mut Script<'_>,
+    seed: u64,
+    mut each: impl FnMut(usize, Reason, &Seen),
+) {
+    let mut noise = Noise::new(seed);
+    let mut waiting: Vec<Waiting> = Vec::new();
+    let (finest, coarsest) = (f64::from(FINEST), f64::from(COARSEST));
+    let limits = StepLimits::new(FINEST, COARSEST).unwrap_or_default();
+    for i in 0..script.frames {
+        let shot = (script.shot)(i, &mut noise);
+        let mut cost = |step: f32| {
+            let mut parts = [0.0; TERMS];
+            parts[0] = (shot.wrong * shot.fixed_known) as f32;
+            parts[4] = (shot.wrong * shot.work * f64::from(step).powf(-EXPONENT)) as f32;
+            CostTerms { parts, out_of_range: 0.0, source: Source::Analytic }
+        };
+        let changes = Changes { first: i == 0, ..shot.changes };
+        let decision = controller.plan(&mut PlanRequest {
+            target: shot.target as f32,
+            limits,
+            changes,
+            cost: &mut cost,
+        });
+        let clean = |step: f64| shot.speed * (shot.fixed + shot.work * step.powf(-EXPONENT));
+        let step = f64::from(decision.step);
+        let spike = if noise.uniform() < script.spikes { 3.0 } else { 1.0 };
+        let seconds = clean(step) * (script.sigma * noise.normal()).exp() * spike;
+        let room = shot.target / shot.speed - shot.fixed;
+        let oracle = if room > 0.0 { (shot.work / room).powf(1.0 / EXPONENT) } else { coarsest };
+        let seen = Seen {
+            target: shot.target,
+            seconds,
+            clean: clean(step),
+            step,
+            oracle: oracle.clamp(finest, coarsest),
+            feasible: clean(coarsest) <= shot.target,
+            upper: f64::from(decision.upper),
+            predicted: f64::from(decision.seconds),
+            first: shot.changes.any(),
+            excused: shot.excused,
+            part: shot.part,
+        };
+        each(i, decision.reason, &seen);
+        let terms = cost(decision.step);
+        let scene: SceneMark = controller.scene();
+        let observed = |seconds: f64| Observed {
+            seconds: seconds as f32,
+            step: decision.step,
+            target: shot.target as f32,
+            changes,
+            terms,
+            scene,
+            unusual: shot.unusual,
+        };
+        match shot.heard {
+            Heard::True => waiting.push(Waiting { due: i, observed: observed(seconds) }),
+            Heard::Other(t) => waiting.push(Waiting { due: i, observed: observed(t) }),
+            Heard::Late(frames) => waiting.push(Waiting { due: i + frames, observed: observed(seconds) }),
+            Heard::Nothing => {}
+        }
+        waiting.retain(|w| {
+            if w.due > i {
+                return true;
+            }
+            // As a session does: times that cannot be are refused before a controller hears of them.
+            if check_seconds(w.observed.seconds).is_ok() {
+                controller.observe(&w.observed);
+            }
+            false
+        });
+    }
+}
+
+fn seen_of(method: ControllerKind, script: &mut Script<'_>, seed: u64) -> Vec<Seen> {
+    let mut out = Vec::with_capacity(script.frames);
+    play_script(&mut *new(method), script, seed, |_, _, seen| out.push(*seen));
+    out
+}
+
+/// Errors of the prediction that wander along a path, and from scene to scene.
+struct Wrong {
+    scene: f64,
+    drift: f64,
+}
+
+impl Wrong {
+    fn next(&mut self, new_scene: bool, noise: &mut Noise) -> f64 {
+        if new_scene {
+            self.scene = 0.12 * noise.normal();
+        }
+        self.drift = 0.95 * self.drift + 0.0125 * noise.normal();
+        (self.scene + self.drift).exp()
+    }
+}
+
+/// Plays a scene of this file; `None` where it is not one of them.
+pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> {
+    let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
+    let (frames, spikes) = (400, 0.005);
+    let go = |shot: &mut dyn FnMut(usize, &mut Noise) -> Shot, limits: Limits| {
+        let seen = seen_of(method, &mut Script { shot, frames, sigma: 0.03, spikes }, scene as u64);
+        Some(judge(scene, method, &seen, limits, Vec::new()))
+    };
+    let strict = |missed, run, quality| Limits { missed, run, quality, inside: 0.9 };
+    match scene {
+        1 => go(
+            &mut |i, n| {
+                let new = i > 0 && (i % 30 == 0 || i >= 300);
+                let dense = if i < 300 { i / 30 % 2 == 1 } else { i % 2 == 1 };
+                Shot {
+                    work: if dense { 160e-3 } else { 20e-3 },
+                    wrong: wrong.next(i == 0 || new, n),
+                    changes: if new { TRANSFER } else { Changes::NONE },
+                    ..Shot::PLAIN
+                }
+            },
+            strict(0.08, 2, 0.0),
+        ),
+        2 => go(
+            &mut |i, n| {
+                let drag = (60..260).contains(&i);
+                Shot {
+                    fixed: if drag { 6e-3 } else { 2e-3 },
+                    work: if drag { 60e-3 * (1.0 + 0.5 * ((i - 60) as f64 / 30.0).sin()) } else { 60e-3 },
+                    wrong: wrong.next(i == 0 || i == 60, n),
+                    changes: if drag { TRANSFER } else { Changes::NONE },
+                    ..Shot::PLAIN
+                }
+            },
+            strict(0.05, 3, 0.85),
+        ),
+        16 => go(
+            &mut |i, n| {
+                let build = i == 0 || i == 150;
+                Shot {
+                    speed: if build { 40.0 } else { 1.0 },
+                    wrong: wrong.next(build, n),
+                    changes: if i == 150 { MODE } else { Changes::NONE },
+                    unusual: i == 150,
+                    excused: build,
+                    ..Shot::PLAIN
+                }
+            },
+            strict(0.03, 3, 0.85),
+        ),
+        17 => go(
+            &mut |i, n| Shot {
+                speed: if i / 80 % 2 == 1 { 1.8 } else { 1.0 },
+                wrong: wrong.next(i == 0, n),
+                ..Shot::PLAIN
+            },
+            strict(0.05, 3, 0.85),
+        ),
+        18 => go(
+            &mut |i, n| {
+                let boost = if i < 60 { 0.8 } else { 0.8 + 0.2 * ((i - 60) as f64 / 40.0).min(1.0) };
+                let throttle = 1.0 + 0.9 * ((i as f64 - 150.0) / 200.0).clamp(0.0, 1.0);
+                Shot { speed: boost * throttle, wrong: wrong.next(i == 0, n), ..Shot::PLAIN }
+            },
+            strict(0.05, 3, 0.85),
+        ),
+        19 => go(
+            &mut |i, n| {
+                let heard = match i % 23 {
+                    3 => Heard::Other(0.0),
+                    7 => Heard::Other(-0.01),
+                    9 => Heard::Other(f64::NAN),
+                    12 => Heard::Other(1e9),
+                    15 => Heard::Other(f64::INFINITY),
+                    // A counter that wrapped: far too long, yet possible.
+                    18 => Heard::Other(4.29),
+                    20 => Heard::Nothing,
+                    _ if i % 4 == 0 => Heard::Late(3),
+                    _ => Heard::True,
+                };
+                Shot { heard, wrong: wrong.next(i == 0, n), ..Shot::PLAIN }
+            },
+            strict(0.05, 3, 0.8),
+        ),
+        20 => {
+            // The clock that is heard ticks once per display interval.
+            let mut seen = Vec::new();
+            let mut noise = Noise::new(20);
+            let mut c = new(method);
+            let limits = StepLimits::new(FINEST, COARSEST).unwrap_or_default();
+            for i in 0..frames {
+                let shot = Shot { wrong: wrong.next(i == 0, &mut noise), ..Shot::PLAIN };
+                let mut cost = |step: f32| {
+                    CostTerms::whole(
+                        (shot.wrong * (shot.fixed + shot.work * f64::from(step).powf(-EXPONENT))) as f32,
+                        0.0,
+                        Source::Analytic,
+                    )
+                };
+                let changes = Changes { first: i == 0, ..Changes::NONE };
+                let d = c.plan(&mut PlanRequest { target: 25e-3, limits, changes, cost: &mut cost });
+                let clean = shot.fixed + shot.work * f64::from(d.step).powf(-EXPONENT);
+                let seconds = clean * (0.03 * noise.normal()).exp();
+                let shown = (seconds * 60.0).ceil() / 60.0;
+                let oracle = (shot.work / (25e-3 - shot.fixed)).powf(1.0 / EXPONENT);
+                seen.push(Seen {
+                    target: 25e-3,
+                    seconds,
+                    clean,
+                    step: f64::from(d.step),
+                    oracle,
+                    feasible: true,
+                    upper: f64::NAN,
+                    predicted: f64::from(d.seconds),
+                    first: false,
+                    excused: i < 10,
+                    part: 0,
+                });
+                let (terms, scene) = (cost(d.step), c.scene());
+                c.observe(&Observed {
+                    seconds: shown as f32,
+                    step: d.step,
+                    target: 25e-3,
+                    changes,
+                    terms,
+                    scene,
+                    unusual: false,
+                });
+            }
+            Some(judge(20, method, &seen, strict(0.05, usize::MAX, 0.35), Vec::new()))
+        }
+        21 => go(
+            &mut |i, n| {
+                let new = i > 0 && i % 50 == 0;
+                Shot {
+                    work: if i / 50 % 2 == 1 { 225e-3 } else { 15e-3 },
+                    wrong: wrong.next(i == 0 || new, n),
+                    changes: if new { MODE } else { Changes::NONE },
+                    ..Shot::PLAIN
+                }
+            },
+            strict(0.05, 2, 0.0),
+        ),
+        22 => Some(clamps(method)),
+        23 => go(
+            &mut |i, n| Shot {
+                target: [33e-3, 16e-3, 200e-3, 11e-3, 33e-3][(i / 80).min(4)],
+                wrong: wrong.next(i == 0, n),
+                ..Shot::PLAIN
+            },
+            strict(0.04, 2, 0.9),
+        ),
+        24 => Some(resonance(method)),
+        25 => go(
+            &mut |i, n| {
+                // Half cropped away, back, an occluder, back: nobody says so.
+                let factor = match i / 60 {
+                    1 => 0.5,
+                    3 => 0.3,
+                    5 => 1.6,
+                    _ => 1.0,
+                };
+                Shot { speed: factor, wrong: wrong.next(i == 0, n), ..Shot::PLAIN }
+            },
+            strict(0.06, 3, 0.85),
+        ),
+        26 => Some(paging(method)),
+        27 => Some(long_run(method, soak)),
+        _ => None,
+    }
+}
+
+/// Scene 22.
+fn clamps(method: ControllerKind) -> Verdict {
+    let mut broken = Vec::new();
+    let mut seen = Vec::new();
+    let mut c = new(method);
+    let mut shot = |i: usize, _: &mut Noise| Shot {
+        target: match i {
+            0..60 => 25e-3,
+            60..260 => 1e-3,
+            260..320 => 25e-3,
+            _ => 10.0,
+        },
+        part: match i {
+            0..60 => 0,
+            60..260 => 1,
+            260..320 => 2,
+            _ => 3,
+        },
+        ..Shot::PLAIN
+    };
+    let mut script = Script { shot: &mut shot, frames: 400, sigma: 0.01, spikes: 0.0 };
+    let mut unsaid = 0;
+    play_script(&mut *c, &mut script, 22, |_, reason, s| {
+        unsaid += usize::from(s.part == 1 && reason != Reason::TargetUnreachable);
+        seen.push(*s);
+    });
+    let at = |range: std::ops::Range<usize>, wrong: &dyn Fn(&Seen) -> bool| {
+        range.filter(|i| wrong(&seen[*i])).count()
+    };
+    let away = at(80..260, &|s| s.step < 0.99 * f64::from(COARSEST));
+    if away > 0 {
+        broken.push(format!("not at the coarsest step in {away} of 180 frames"));
+    }
+    let over = at(263..320, &|s| s.seconds > 1.1 * s.target);
+    if over > 0 {
+        broken.push(format!("{over} frames over 1.1 T after"));
+    }
+    let under = at(275..320, &|s| s.seconds < 0.75 * s.target);
+    if under > 0 {
+        broken.push(format!("wound up: {under} frames under 0.75 T after"));
+    }
+    let coarse = at(340..400, &|s| s.step > 1.05);
+    if coarse > 0 {
+        broken.push(format!("not at the finest step in {coarse} of 60 slack frames"));
+    }
+    if method == ControllerKind::Hybrid && unsaid > 0 {
+        broken.push(format!("did not say that the target is unreachable in {unsaid} frames"));
+    }
+    judge(22, method, &seen, Limits::missed(1.0), broken)
+}
+
+/// Scene 24.
+fn resonance(method: ControllerKind) -> Verdict {
+    let mut broken = Vec::new();
+    let mut all = Vec::new();
+    for period in [2usize, 3, 4, 6, 10] {
+        let factor = |i: usize| 1.0 + 0.15 * (std::f64::consts::TAU * i as f64 / period as f64 + 0.4).sin();
+        let mut shot = |i: usize, _: &mut Noise| Shot { speed: factor(i), ..Shot::PLAIN };
+        let mut script = Script { shot: &mut shot, frames: 300, sigma: 0.01, spikes: 0.0 };
+        let seen = seen_of(method, &mut script, 24 + period as u64);
+        let spread = |values: Vec<f64>| {
+            let mean = values.iter().sum::<f64>() / values.len() as f64;
+            (values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+        };
+        let got = spread(seen[60..].iter().map(|s| (s.seconds / s.target).ln()).collect());
+        let open = spread((60..300).map(|i| factor(i).ln()).collect());
+        if got > 1.35 * open {
+            broken.push(format!("period {period}: spread grows {:.2} times", got / open));
+        }
+        all.extend(seen);
+    }
+    judge(24, method, &all, Limits::missed(1.0), broken)
+}
+
+/// Scene 26.
+fn paging(method: ControllerKind) -> Verdict {
+    let mut shot = |i: usize, n: &mut Noise| {
+        let burst = (150..300).contains(&i);
+        let slow = burst && n.uniform() < 0.33;
+        Shot { speed: if slow { 4.0 } else { 1.0 }, part: usize::from(burst), ..Shot::PLAIN }
+    };
+    let mut script = Script { shot: &mut shot, frames: 500, sigma: 0.03, spikes: 0.0 };
+    let seen = seen_of(method, &mut script, 26);
+    let mut broken = Vec::new();
+    let share = |part: usize, skip: usize, f: &dyn Fn(&Seen) -> bool| {
+        let frames: Vec<&Seen> =
+            seen.iter().enumerate().filter(|(i, s)| s.part == part && *i >= skip).map(|(_, s)| s).collect();
+        frames.iter().filter(|s| f(s)).count() as f64 / frames.len() as f64
+    };
+    // A frame that only the coarsest step could save is still one that was missed.
+    let over = |s: &Seen| s.seconds > 1.1 * s.target;
+    let (inside, outside) = (share(1, 0, &over), share(0, 0, &over));
+    if inside > 0.45 {
+        broken.push(format!("{:.0} % of a burst's frames over 1.1 T", 100.0 * inside));
+    }
+    if outside > 0.05 {
+        broken.push(format!("{:.1} % over 1.1 T outside of bursts", 100.0 * outside));
+    }
+    if method == ControllerKind::Hybrid {
+        let wide = share(1, 200, &|s| s.upper > 2.0 * s.predicted);
+        if wide < 0.5 {
+            broken.push(format!("the bound is wide in only {:.0} % of a burst's frames", 100.0 * wide));
+        }
+        let narrow = seen[100..150].iter().filter(|s| s.upper < 1.6 * s.predicted).count();
+        if narrow < 45 {
+            broken.push("the bound is wide where times are steady".into());
+        }
+    }
+    judge(26, method, &seen, Limits::missed(1.0), broken)
+}
+
+/// Scene 27.
+fn long_run(method: ControllerKind, frames: u64) -> Verdict {
+    let mut c = new(method);
+    let mut wrong = Wrong { scene: 0.0, drift: 0.0 };
+    let tail = 500usize;
+    let total = frames as usize + tail;
+    let mut shot = |i: usize, n: &mut Noise| {
+        let end = i >= frames as usize;
+        let new = !end && i.is_multiple_of(997);
+        let scale = [1.0, 1e-3, 30.0][i / 20_000 % 3];
+        let heard = match i % 211 {
+            50 if !end => Heard::Other(f64::NAN),
+            51 if !end => Heard::Other(1e-12),
+            52 if !end => Heard::Other(9_999.0),
+            53 if !end => Heard::Nothing,
+            54..60 if !end => Heard::Late(5),
+            _ => Heard::True,
+        };
+        Shot {
+            work: if end { 60e-3 } else { 60e-3 * scale * (1.0 + 0.5 * (i as f64 / 300.0).sin()) },
+            speed: if !end && i / 1500 % 2 == 1 { 2.5 } else { 1.0 },
+            wrong: wrong.next(new || i == frames as usize, n),
+            changes: if new || i == frames as usize { TRANSFER } else { Changes::NONE },
+            heard,
+            ..Shot::PLAIN
+        }
+    };
+    let mut broken = Vec::new();
+    let mut seen = Vec::new();
+    let mut strange = 0u64;
+    let mut script = Script { shot: &mut shot, frames: total, sigma: 0.03, spikes: 0.005 };
+    play_script(&mut *c, &mut script, 27, |i, _, s| {
+        let expects = !s.upper.is_nan();
+        let sound = (f64::from(FINEST)..=f64::from(COARSEST)).contains(&s.step)
+            && (!expects || (s.predicted.is_finite() && s.predicted > 0.0 && s.upper.is_finite()));
+        strange += u64::from(!sound);
+        if i >= frames as usize + 100 {
+            seen.push(*s);
+        }
+    });
+    if strange > 0 {
+        broken.push(format!("{strange} plans that are no numbers or out of limits"));
+    }
+    let mut state = Vec::new();
+    c.save(&mut state);
+    if state.len() > 4096 {
+        broken.push(format!("the state has {} bytes", state.len()));
+    }
+    if method == ControllerKind::Hybrid && new(method).load(&state).is_err() {
+        broken.push("the state is out of its own bounds".into());
+    }
+    judge(27, method, &seen, Limits { missed: 0.05, run: 3, quality: 0.8, inside: 0.0 }, broken)
+}

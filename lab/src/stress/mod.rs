@@ -1,0 +1,439 @@
+//! Scenes in which methods of holding a frame time are known to break, each scripted, with a rule that says
+//! what passes.
+//!
+//! [`law`] has scenes whose frame times follow a law of the step that the script changes; [`world`] has
+//! scenes of real geometry, whose work the CPU twin of the raycaster counts. Both run on a scripted clock:
+//! the same in every run.
+
+pub mod law;
+pub mod report;
+pub mod world;
+
+use entire_cli::dataset::Clock;
+use entire_cli::steering::contenders::ControllerKind;
+use entire_vk_raycaster::{CpuRaycaster, Renderer};
+use serde::Serialize;
+
+/// A scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct Scene {
+    /// Its number in the list.
+    pub number: usize,
+    /// What happens.
+    pub title: &'static str,
+    /// What passes.
+    pub rule: &'static str,
+}
+
+/// The scenes. The rules hold for every method alike, but for what only a method with a bound can keep.
+pub const SCENES: [Scene; 28] = [
+    Scene {
+        number: 1,
+        title: "abrupt transfer-function switches, then one in every frame",
+        rule: "at most 8 % over 1.1 T, never 3 in a row; 90 % of first frames inside the bound",
+    },
+    Scene {
+        number: 2,
+        title: "transfer-function drag, its map rebuilt in every frame",
+        rule: "at most 5 % over 1.1 T, never 4 in a row; quality 0.85",
+    },
+    Scene {
+        number: 3,
+        title: "camera flies into the volume and through it",
+        rule: "at most 10 % over 1.1 T, never 4 in a row; every number finite; quality 0.6",
+    },
+    Scene {
+        number: 4,
+        title: "extreme zoom: from one block filling the image to a few pixels",
+        rule: "at most 10 % over 1.1 T, never 4 in a row; every number finite; quality 0.6",
+    },
+    Scene {
+        number: 5,
+        title: "fully transparent transfer function, on and off",
+        rule: "at most 10 % over 1.1 T; every number finite and positive; quality 0.5",
+    },
+    Scene {
+        number: 6,
+        title: "fully opaque transfer function, on and off",
+        rule: "at most 10 % over 1.1 T; never 3 in a row; quality 0.6",
+    },
+    Scene {
+        number: 7,
+        title: "thin haze everywhere: no ray ends early, nothing is skipped",
+        rule: "at most 10 % over 1.1 T; 90 % of first frames inside the bound; quality 0.6",
+    },
+    Scene {
+        number: 8,
+        title: "noise volume: every block occupied, rays diverge",
+        rule: "at most 10 % over 1.1 T, never 4 in a row; quality 0.6",
+    },
+    Scene {
+        number: 9,
+        title: "constant volume, two values, a single bright voxel",
+        rule: "every number finite; at most 10 % over 1.1 T; quality 0.5",
+    },
+    Scene {
+        number: 10,
+        title: "NaN, infinite, signed and squeezed voxel values",
+        rule: "every number finite; at most 10 % over 1.1 T; quality 0.5",
+    },
+    Scene {
+        number: 11,
+        title: "flat, single-slice and needle volumes",
+        rule: "every number finite; at most 10 % over 1.1 T; quality 0.5",
+    },
+    Scene {
+        number: 12,
+        title: "images from 32 x 32 to 8192 x 8192, odd shapes",
+        rule: "every number finite; at most 15 % over 1.1 T; quality 0.5",
+    },
+    Scene {
+        number: 13,
+        title: "window resized mid path",
+        rule: "at most 10 % over 1.1 T, never 3 in a row; quality 0.6",
+    },
+    Scene {
+        number: 14,
+        title: "another volume in every frame (time series)",
+        rule: "at most 10 % over 1.1 T, never 4 in a row; quality 0.6",
+    },
+    Scene {
+        number: 15,
+        title: "volumes unlike anything the predictor saw, twice as expensive as it says",
+        rule: "at most 12 % over 1.1 T, never 4 in a row; quality 0.6",
+    },
+    Scene {
+        number: 16,
+        title: "pipeline built at the first frame and mid path, both flagged",
+        rule: "outside those frames at most 3 % over 1.1 T; quality 0.85",
+    },
+    Scene {
+        number: 17,
+        title: "background load comes and goes unannounced",
+        rule: "at most 5 % over 1.1 T, never 4 in a row; quality 0.85",
+    },
+    Scene {
+        number: 18,
+        title: "clock boost, then throttling ramps",
+        rule: "at most 5 % over 1.1 T, never 4 in a row; quality 0.85",
+    },
+    Scene {
+        number: 19,
+        title: "timer glitches: zero, negative, NaN, huge, missing, three frames late",
+        rule: "at most 5 % over 1.1 T, never 4 in a row; quality 0.8",
+    },
+    Scene {
+        number: 20,
+        title: "only wall times rounded up to the display's interval",
+        rule: "at most 5 % of true times over 1.1 T; quality 0.35",
+    },
+    Scene {
+        number: 21,
+        title: "shading toggled: 15 times the cost and back",
+        rule: "at most 5 % over 1.1 T, never 3 in a row",
+    },
+    Scene {
+        number: 22,
+        title: "impossible target, then a possible one, then a slack one",
+        rule: "coarsest while impossible, within 1.1 T from the 4th frame after, finest from the 20th while \
+            slack",
+    },
+    Scene {
+        number: 23,
+        title: "target from 33 ms to 16, 200, 11 and 33 ms",
+        rule: "at most 4 % over 1.1 T, never 3 in a row; quality 0.9",
+    },
+    Scene {
+        number: 24,
+        title: "cost oscillates with periods of 2, 3, 4, 6 and 10 frames",
+        rule: "spread of ln(t / T) at most 1.35 times that of the cost itself",
+    },
+    Scene {
+        number: 25,
+        title: "clipping, cropping and occluders that nobody models",
+        rule: "at most 6 % over 1.1 T, never 4 in a row; quality 0.85",
+    },
+    Scene {
+        number: 26,
+        title: "memory pressure: bursts in which a third of the frames take 4 times as long",
+        rule: "no more than 45 % of a burst's frames over 1.1 T; outside of them at most 5 %; the bound over \
+            twice the expectation in bursts",
+    },
+    Scene {
+        number: 27,
+        title: "a long run with all of it",
+        rule: "every number finite, state bounded, on target at the end",
+    },
+    Scene {
+        number: 28,
+        title: "damaged and foreign model files and states",
+        rule: "refused by name, or predictions that are finite",
+    },
+];
+
+/// A frame as the judge sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Seen {
+    /// Seconds that it should not have exceeded.
+    pub target: f64,
+    /// True seconds.
+    pub seconds: f64,
+    /// True seconds without noise.
+    pub clean: f64,
+    /// Step chosen.
+    pub step: f64,
+    /// The step that takes the target, clamped to the limits.
+    pub oracle: f64,
+    /// Whether the coarsest step meets the target.
+    pub feasible: bool,
+    /// Upper bound; NaN from methods without one.
+    pub upper: f64,
+    /// What was expected; NaN from methods that expect nothing.
+    pub predicted: f64,
+    /// Whether it is the first frame of an announced change.
+    pub first: bool,
+    /// Whether the judge looks away (a pipeline is built, say).
+    pub excused: bool,
+    /// A part of the script, for rules that tell parts apart.
+    pub part: usize,
+}
+
+/// What a rule may ask for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Largest share of feasible frames over 1.1 targets.
+    pub missed: f64,
+    /// Longest run of them.
+    pub run: usize,
+    /// Least mean of oracle step over step.
+    pub quality: f64,
+    /// Least share of first frames inside their bound, where there is one.
+    pub inside: f64,
+}
+
+impl Limits {
+    /// Asks for misses alone.
+    pub const fn missed(missed: f64) -> Self {
+        Self { missed, run: usize::MAX, quality: 0.0, inside: 0.0 }
+    }
+}
+
+/// What a method made of a scene.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Verdict {
+    /// The scene's number.
+    pub scene: usize,
+    /// The method.
+    pub method: &'static str,
+    /// What failed and how; empty where it passed.
+    pub failures: Vec<String>,
+    /// Share of feasible frames over 1.1 targets.
+    pub missed: f64,
+    /// Longest run of them.
+    pub run: usize,
+    /// Mean of oracle step over step, at most 1.
+    pub quality: f64,
+    /// Largest true time over target among feasible frames.
+    pub worst: f64,
+}
+
+impl Verdict {
+    /// Whether it passed.
+    pub fn passed(&self) -> bool {
+        self.failures.is_empty()
+    }
+}
+
+/// Judges frames by limits. `broken` are failures that are known already.
+pub fn judge(
+    scene: usize,
+    method: ControllerKind,
+    frames: &[Seen],
+    limits: Limits,
+    mut broken: Vec<String>,
+) -> Verdict {
+    let counted: Vec<&Seen> = frames.iter().filter(|f| !f.excused).collect();
+    if let Some(i) = frames.iter().position(|f| !(f.step.is_finite() && f.step > 0.0)) {
+        broken.push(format!("step {} at frame {i}", frames[i].step));
+    }
+    let feasible = counted.iter().filter(|f| f.feasible).count().max(1) as f64;
+    let over = |f: &Seen| f.feasible && f.seconds > 1.1 * f.target;
+    let missed = counted.iter().filter(|f| over(f)).count() as f64 / feasible;
+    let (mut run, mut longest) = (0, 0);
+    for f in &counted {
+        run = if over(f) { run + 1 } else { 0 };
+        longest = longest.max(run);
+    }
+    let quality =
+        counted.iter().map(|f| (f.oracle / f.step).min(1.0)).sum::<f64>() / counted.len().max(1) as f64;
+    let firsts: Vec<&&Seen> = counted.iter().filter(|f| f.first && !f.upper.is_nan()).collect();
+    let inside = firsts.iter().filter(|f| f.seconds <= f.upper).count() as f64 / firsts.len().max(1) as f64;
+    if missed > limits.missed {
+        broken.push(format!("{:.1} % over 1.1 T", 100.0 * missed));
+    }
+    if longest > limits.run {
+        broken.push(format!("{longest} in a row"));
+    }
+    if quality < limits.quality {
+        broken.push(format!("quality {quality:.2}"));
+    }
+    if !firsts.is_empty() && inside < limits.inside {
+        broken.push(format!("{:.0} % of first frames inside the bound", 100.0 * inside));
+    }
+    let worst = counted.iter().filter(|f| f.feasible).map(|f| f.seconds / f.target).fold(0.0, f64::max);
+    Verdict { scene, method: method.name(), failures: broken, missed, run: longest, quality, worst }
+}
+
+/// A deterministic source of noise.
+#[derive(Clone, Debug)]
+pub struct Noise(u64);
+
+impl Noise {
+    /// From a seed.
+    pub fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
+    }
+
+    /// In (0, 1).
+    pub fn uniform(&mut self) -> f64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((self.0 >> 11) as f64 + 0.5) / (1u64 << 53) as f64
+    }
+
+    /// Standard normal.
+    pub fn normal(&mut self) -> f64 {
+        libm::sqrt(-2.0 * libm::log(self.uniform())) * libm::cos(std::f64::consts::TAU * self.uniform())
+    }
+}
+
+/// Runs scenes under methods. `soak` is the length of the long run.
+///
+/// # Errors
+/// When a scene cannot be set up.
+pub fn run(
+    scenes: &[usize],
+    methods: &[ControllerKind],
+    soak: u64,
+    progress: &indicatif::ProgressBar,
+) -> anyhow::Result<Vec<Verdict>> {
+    let mut out = Vec::with_capacity(scenes.len() * methods.len());
+    progress.set_length(scenes.len() as u64);
+    for &number in scenes {
+        for &method in methods {
+            let verdict = match law::play(number, method, soak) {
+                Some(verdict) => verdict,
+                None => {
+                    world::play(number, method, &mut world::Machine::Scripted(Box::new(CpuRaycaster::new())))?
+                }
+            };
+            out.push(verdict);
+        }
+        progress.inc(1);
+    }
+    Ok(out)
+}
+
+/// Runs those of the scenes that make sense there on a real renderer with a real clock.
+///
+/// # Errors
+/// When a scene cannot be set up or the renderer fails.
+pub fn run_real(
+    scenes: &[usize],
+    methods: &[ControllerKind],
+    renderer: &mut dyn Renderer,
+    clock: Clock,
+    progress: &indicatif::ProgressBar,
+) -> anyhow::Result<Vec<Verdict>> {
+    let scenes: Vec<usize> = scenes.iter().copied().filter(|n| world::REAL.contains(n)).collect();
+    let mut out = Vec::with_capacity(scenes.len() * methods.len());
+    progress.set_length(scenes.len() as u64);
+    for number in scenes {
+        for &method in methods {
+            out.push(world::play(number, method, &mut world::Machine::Real(&mut *renderer, clock))?);
+        }
+        progress.inc(1);
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ours_passes_every_scene() {
+        let all: Vec<usize> = SCENES.iter().map(|s| s.number).collect();
+        assert_eq!(all, (1..=28).collect::<Vec<_>>());
+        let bar = indicatif::ProgressBar::hidden();
+        let verdicts = run(&all, &[ControllerKind::Hybrid], 50_000, &bar).unwrap();
+        let failed: Vec<&Verdict> = verdicts.iter().filter(|v| !v.passed()).collect();
+        assert!(failed.is_empty(), "{failed:#?}");
+        // The same in every run.
+        let again = run(&[1, 17, 24, 7], &[ControllerKind::Hybrid], 10, &bar).unwrap();
+        for v in again {
+            assert_eq!(Some(&v), verdicts.iter().find(|w| w.scene == v.scene));
+        }
+    }
+
+    #[test]
+    fn scenes_play_on_a_real_renderer_too() {
+        let bar = indicatif::ProgressBar::hidden();
+        let mut twin = CpuRaycaster::new();
+        // Real times of a shared machine pass or fail as they like; every number must be finite all the same.
+        let verdicts =
+            run_real(&[1, 7, 28], &[ControllerKind::Hybrid], &mut twin, Clock::Auto, &bar).unwrap();
+        assert_eq!(verdicts.len(), 1);
+        let v = &verdicts[0];
+        assert!(v.scene == 7 && v.quality > 0.0 && v.worst.is_finite());
+        assert!(!v.failures.iter().any(|f| f.contains("expected") || f.contains("step")), "{v:?}");
+        let error = run_real(&[7], &[ControllerKind::Hybrid], &mut twin, Clock::Device, &bar).unwrap_err();
+        assert!(format!("{error:#}").contains("no device clock"), "{error:#}");
+    }
+
+    #[test]
+    fn rules_can_fail() {
+        let bar = indicatif::ProgressBar::hidden();
+        // What the scenes are there for: reaction at switches, blind trust in the prediction, a step that
+        // never moves.
+        for (scene, method) in [
+            (1, ControllerKind::Olp),
+            (17, ControllerKind::Algorithm1),
+            (21, ControllerKind::Pid),
+            (22, ControllerKind::Fixed),
+            (23, ControllerKind::VtkJs),
+        ] {
+            let v = &run(&[scene], &[method], 10, &bar).unwrap()[0];
+            assert!(!v.passed(), "{v:?}");
+        }
+    }
+
+    #[test]
+    fn the_judge_counts_what_it_says() {
+        let good = Seen {
+            target: 0.1,
+            seconds: 0.1,
+            clean: 0.1,
+            step: 2.0,
+            oracle: 2.0,
+            feasible: true,
+            upper: 0.11,
+            predicted: 0.1,
+            first: false,
+            excused: false,
+            part: 0,
+        };
+        let mut frames = vec![good; 20];
+        frames[3].seconds = 0.12;
+        frames[4].seconds = 0.12;
+        frames[4].first = true;
+        frames[9] = Seen { seconds: 9.0, excused: true, ..good };
+        frames[12] = Seen { seconds: 9.0, feasible: false, ..good };
+        let v = judge(1, ControllerKind::Olp, &frames, Limits::missed(0.2), Vec::new());
+        assert!(v.passed() && v.run == 2 && (v.missed - 2.0 / 18.0).abs() < 1e-12 && v.worst < 1.3, "{v:?}");
+        let strict = Limits { missed: 0.05, run: 1, quality: 1.1, inside: 0.5 };
+        assert_eq!(judge(1, ControllerKind::Olp, &frames, strict, Vec::new()).failures.len(), 4);
+        frames[0].step = f64::NAN;
+        let v = judge(1, ControllerKind::Olp, &frames, Limits::missed(1.0), Vec::new());
+        assert!(v.failures[0].contains("step NaN at frame 0"));
+    }
+}

@@ -1,0 +1,124 @@
+//! The matrix of scenes and methods: what failed, and how.
+
+use super::{SCENES, Verdict};
+use entire_cli::machine::Provenance;
+use entire_cli::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
+use entire_cli::steering::contenders::ControllerKind;
+use entire_cli::steering::report::color;
+
+fn of(verdicts: &[Verdict], scene: usize, method: ControllerKind) -> Option<&Verdict> {
+    verdicts.iter().find(|v| v.scene == scene && v.method == method.name())
+}
+
+/// The matrix: a row per scene, a column per method.
+pub fn matrix(verdicts: &[Verdict], methods: &[ControllerKind]) -> Table {
+    let mut columns = vec![Column::number("#"), Column::text("scene")];
+    columns.extend(methods.iter().map(|m| Column::text(m.name())));
+    let mut table = Table::new(columns);
+    for scene in SCENES.iter().filter(|s| verdicts.iter().any(|v| v.scene == s.number)) {
+        let mut row = vec![scene.number.to_string().into(), scene.title.into()];
+        for method in methods {
+            let text = match of(verdicts, scene.number, *method) {
+                Some(v) if v.passed() => "ok".to_owned(),
+                Some(v) => v.failures[0].clone(),
+                None => "-".to_owned(),
+            };
+            row.push(text.into());
+        }
+        table.row(row);
+    }
+    let mut row = vec!["".into(), "passed".into()];
+    for method in methods {
+        let mine: Vec<&Verdict> = verdicts.iter().filter(|v| v.method == method.name()).collect();
+        row.push(format!("{} of {}", mine.iter().filter(|v| v.passed()).count(), mine.len()).into());
+    }
+    table.row(row);
+    table
+}
+
+/// The page.
+///
+/// `real` are verdicts of scenes that were played again on a real renderer, under `real_methods`.
+pub fn page(
+    verdicts: &[Verdict],
+    methods: &[ControllerKind],
+    (real, real_methods): (&[Verdict], &[ControllerKind]),
+    device: &str,
+) -> Page {
+    let mut page = Page::new(
+        "Where methods break",
+        "Scenes in which methods of holding a frame time are known to fail, on a scripted clock that is the \
+         same in every run, each with a rule that says what passes.",
+    );
+    page.table(
+        &matrix(verdicts, methods),
+        "What failed first in each scene; ok where nothing did. T is the \
+        target; shares are of the frames in which the coarsest step meets it.",
+    );
+    let names: Vec<String> = SCENES
+        .iter()
+        .filter(|s| verdicts.iter().any(|v| v.scene == s.number))
+        .map(|s| s.number.to_string())
+        .collect();
+    let mut chart =
+        Chart::new("Worst frame", Axis::categories("scene", names.clone()), Axis::log("largest t / T"))
+            .size(900.0, 340.0)
+            .rule(Rule::Horizontal(1.1, "1.1 T".into()));
+    let mut misses = Chart::new(
+        "Misses",
+        Axis::categories("scene", names.clone()),
+        Axis::linear("frames over 1.1 T / %").from(0.0),
+    )
+    .size(900.0, 340.0);
+    for method in methods {
+        let points = |f: &dyn Fn(&Verdict) -> f64| -> Vec<(f64, f64, String)> {
+            names
+                .iter()
+                .enumerate()
+                .filter_map(|(slot, n)| {
+                    let v = of(verdicts, n.parse().ok()?, *method)?;
+                    let y = f(v);
+                    y.is_finite().then(|| (slot as f64, y, String::new()))
+                })
+                .collect()
+        };
+        let hue = color(method.name());
+        chart = chart.series(
+            Series::new(
+                method.title(),
+                Mark::Points(points(&|v| if v.worst > 0.0 { v.worst } else { f64::NAN })),
+            )
+            .color(hue),
+        );
+        misses = misses
+            .series(Series::new(method.title(), Mark::Points(points(&|v| 100.0 * v.missed))).color(hue));
+    }
+    page.chart(
+        &chart,
+        "The slowest frame of each scene over its target, per method: the worst case, not the mean.",
+    );
+    page.chart(&misses, "Share of feasible frames over 1.1 targets.");
+    if !real.is_empty() {
+        page.heading("On a real renderer");
+        page.table(
+            &matrix(real, real_methods),
+            "The scenes that make sense there, with images four times as wide and high and a real clock. For \
+             its noise a twentieth more frames may be over 1.1 T, two more in a row, and quality may be a \
+             tenth lower than the rules below say.",
+        );
+    }
+    page.heading("Rules");
+    let mut rules = Table::new(vec![Column::number("#"), Column::text("scene"), Column::text("passes when")]);
+    for s in SCENES {
+        rules.row(vec![s.number.to_string().into(), s.title.into(), s.rule.into()]);
+    }
+    page.table(&rules, "");
+    page.heading("Everything that failed");
+    let mut failed = Table::new(vec![Column::number("#"), Column::text("method"), Column::text("how")]);
+    for v in verdicts.iter().filter(|v| !v.passed()) {
+        failed.row(vec![v.scene.to_string().into(), v.method.into(), v.failures.join("; ").into()]);
+    }
+    page.table(&failed, "");
+    page.facts(Provenance::of(device.to_owned()).facts());
+    page
+}

@@ -1,0 +1,281 @@
+//! Scenes of real geometry: the CPU twin of the raycaster counts each frame's work, and a law that the
+//! predictor was fitted to on an ordinary volume turns counts into seconds.
+
+mod damaged;
+mod scenes;
+
+use super::{Noise, Seen, Verdict, judge};
+use anyhow::{Context, Result, bail};
+use damaged::damaged;
+use entire_cli::dataset::Clock;
+use entire_cli::steering::contenders::{ControllerKind, contender};
+use entire_cli::steering::play::Contender;
+use entire_cli::steering::rivals::StepResponse;
+use entire_core::adapt::{ObserveFlags, Prior};
+use entire_core::control::StepLimits;
+use entire_core::features::{
+    Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
+};
+use entire_core::predict::{AnalyticModel, Measurement};
+use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, TransferFunction, TransferTable, VolumeView};
+use entire_vk_raycaster::{CpuRaycaster, Renderer, WorkCounts};
+use scenes::{Block, Shot, World, lobes, scene};
+
+/// Steps that may be chosen.
+const FINEST: f32 = 1.0;
+const COARSEST: f32 = 12.0;
+/// Spread of the scripted clock in ln(seconds).
+const SIGMA: f64 = 0.02;
+
+/// The machine: seconds of a frame's work. Other ratios than the predictor's defaults.
+fn law(pixels: f64, counts: &WorkCounts) -> f64 {
+    let n = |v: u64| v as f64;
+    5e-5 + 3e-9 * pixels + 4e-8 * n(counts.rays) + 1.5e-8 * n(counts.skips) + 3e-8 * n(counts.samples)
+}
+
+/// What draws, and what clock runs.
+pub enum Machine<'a> {
+    /// The CPU twin counts work and `law` makes seconds of it: the same in every run.
+    Scripted(Box<CpuRaycaster>),
+    /// A real renderer and its clock. Images are [`GROWN`] times as large, so that there is something to
+    /// time.
+    Real(&'a mut dyn Renderer, Clock),
+}
+
+/// Factor of image sides on a real clock.
+pub const GROWN: u32 = 4;
+
+/// Scenes that make sense on a real renderer. The image sizes of scene 12 are more than a software driver can
+/// be asked for; scene 28 draws nothing.
+pub const REAL: [usize; 12] = [3, 4, 5, 6, 7, 8, 9, 10, 11, 13, 14, 15];
+
+impl Machine<'_> {
+    fn renderer(&mut self) -> &mut dyn Renderer {
+        match self {
+            Self::Scripted(twin) => twin.as_mut(),
+            Self::Real(renderer, _) => &mut **renderer,
+        }
+    }
+
+    fn grown(&self) -> u32 {
+        match self {
+            Self::Scripted(_) => 1,
+            Self::Real(..) => GROWN,
+        }
+    }
+
+    fn is_real(&self) -> bool {
+        matches!(self, Self::Real(..))
+    }
+
+    /// Draws a frame and says how long it took.
+    fn seconds(&mut self, frame: &Frame) -> Result<f64> {
+        let rendered = self.renderer().render(frame)?;
+        match self {
+            Self::Scripted(_) => Ok(law(frame.pixels() as f64, &rendered.counts.context("the twin counts")?)),
+            Self::Real(_, clock) => {
+                entire_cli::dataset::Timing::new(rendered.time, rendered.counts).seconds(*clock).with_context(
+                    || format!("the renderer has no {} clock; choose another with --clock", clock.name()),
+                )
+            }
+        }
+    }
+}
+
+/// The predictor: fitted to frames of an ordinary ball on the machine.
+fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
+    let block = Block::ball(32, 0.05);
+    let view = block.view()?;
+    let summary = VolumeSummary::new(&view, SummaryOptions::default())?;
+    machine.renderer().set_volume(&view)?;
+    let mut rows = Vec::new();
+    let mut features = FrameFeatures::new();
+    let mut noise = Noise::new(3);
+    for k in 0..24 {
+        let table = TransferFunction::Gaussian(lobes(
+            noise.uniform() as f32,
+            libm::exp(-6.0 + 4.0 * noise.uniform()) as f32,
+            libm::exp(-5.0 + 5.0 * noise.uniform()) as f32,
+        ))
+        .to_table()?;
+        machine.renderer().set_transfer(&table)?;
+        let mut transfer = TransferSummary::new(&summary, &table);
+        let camera =
+            Arcball { rx: 90.0 * noise.uniform() as f32, ry: 15.0 * k as f32, dz: 1.3 + 0.1 * k as f32 };
+        let side = machine.grown() * [24, 40, 64][k % 3];
+        for step in [1.0, 2.0, 5.0] {
+            let frame = Frame::new(Camera::from_arcball(camera)?, side, side)?.with_step(step)?;
+            features.measure(&summary, &mut transfer, &frame);
+            let seconds = machine.seconds(&frame)?;
+            rows.push(Measurement::new(&features, &Setting::of(&frame), seconds));
+        }
+    }
+    let mut model = AnalyticModel::new();
+    model.fit(&rows)?;
+    Ok(model)
+}
+
+/// One frame's time at a step.
+fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Result<f64> {
+    let twin = match machine {
+        Machine::Scripted(twin) => twin.as_mut(),
+        Machine::Real(..) => return Ok(shot.speed * machine.seconds(&frame.with_step(step)?)?),
+    };
+    let drawn = Frame::new(*frame.camera(), shot.drawn.0, shot.drawn.1)?.with_step(step)?;
+    let counts = twin.render(&drawn)?.counts.context("the twin counts")?;
+    let scale = frame.pixels() as f64 / drawn.pixels() as f64;
+    let up = |n: u64| (n as f64 * scale) as u64;
+    let counts = WorkCounts {
+        rays: up(counts.rays),
+        samples: up(counts.samples),
+        skips: up(counts.skips),
+        shaded: up(counts.shaded),
+    };
+    Ok(shot.speed * law(frame.pixels() as f64, &counts))
+}
+
+/// Plays a scene of this file. On a real machine the rules leave room for its noise, which nobody can
+/// foresee: a twentieth more frames may be over, two more in a row, and quality may be a tenth lower.
+///
+/// # Errors
+/// When it cannot be set up, or is not one of them.
+pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) -> Result<Verdict> {
+    if number == 28 {
+        return damaged(method, machine);
+    }
+    let Some(mut world) = scene(number) else {
+        bail!("there is no stress scene {number}; they are numbered 1 to 28")
+    };
+    if machine.is_real() {
+        let l = &mut world.limits;
+        l.missed += 0.05;
+        l.run = l.run.saturating_add(2);
+        l.quality -= 0.1;
+        l.inside = l.inside.min(0.8);
+    }
+    let grown = machine.grown();
+    let model = fitted(machine)?;
+    let response = StepResponse::inverse_step(0.1);
+    let mut who: Contender =
+        contender(method, 2.0, Box::new(model), &response, Prior::Fitted { log_sd: 0.2 });
+    let limits = StepLimits::new(FINEST, COARSEST)?;
+    who.session.set_limits(limits);
+    let views: Vec<VolumeView<'_>> = world.blocks.iter().map(Block::view).collect::<Result<_>>()?;
+    let summaries: Vec<VolumeSummary> =
+        views.iter().map(|v| Ok(VolumeSummary::new(v, SummaryOptions::default())?)).collect::<Result<_>>()?;
+    let mut noise = Noise::new(number as u64);
+    let mut seen: Vec<Seen> = Vec::with_capacity(world.frames);
+    let mut broken = Vec::new();
+    let mut shown: Option<(usize, Vec<GaussianLobe>)> = None;
+    let mut target = 0.0;
+    let mut sized = (0, 0);
+    for i in 0..world.frames {
+        let shot = (world.shot)(i);
+        let swapped = shown.as_ref().is_none_or(|(v, _)| *v != shot.volume);
+        let edited = swapped || shown.as_ref().is_none_or(|(_, l)| *l != shot.lobes);
+        if swapped {
+            machine.renderer().set_volume(&views[shot.volume])?;
+            who.session.set_volume(summaries[shot.volume].clone(), None);
+        }
+        if edited {
+            let table: TransferTable = TransferFunction::Gaussian(shot.lobes.clone()).to_table()?;
+            machine.renderer().set_transfer(&table)?;
+            who.session.set_transfer(&table, Some(&shot.lobes))?;
+        }
+        shown = Some((shot.volume, shot.lobes.clone()));
+        if shot.camera_cut {
+            who.session.mark(Changes { camera: true, ..Changes::NONE });
+        }
+        let frame = Frame::new(Camera::from_arcball(shot.camera)?, grown * shot.size.0, grown * shot.size.1)?;
+        if machine.is_real() && edited {
+            // Uploads and first use are not part of frame times.
+            truth(machine, &shot, &frame, FINEST)?;
+        }
+        // The grid that the oracle knows.
+        let grid: Vec<(f64, f64)> = [1.0f32, 1.5, 2.2, 3.3, 5.0, 7.7, 12.0]
+            .into_iter()
+            .map(|s| Ok((f64::from(s), truth(machine, &shot, &frame, s)?)))
+            .collect::<Result<_>>()?;
+        if i == 0 || (number == 12 && sized != shot.size) {
+            // Every image size has a target of its own there; else one holds for the whole path.
+            target = world.share
+                * grid[0].1
+                * if i == 0 && number != 12 { typical(machine, &world, &views)? / grid[0].1 } else { 1.0 };
+            if number != 12 {
+                machine.renderer().set_volume(&views[shot.volume])?;
+                machine
+                    .renderer()
+                    .set_transfer(&TransferFunction::Gaussian(shot.lobes.clone()).to_table()?)?;
+            }
+        }
+        let first = i > 0 && (edited || sized != shot.size);
+        sized = shot.size;
+        let plan = who.session.plan(&frame, target as f32)?;
+        let clean = truth(machine, &shot, &frame, plan.step)?;
+        let seconds = if machine.is_real() { clean } else { clean * (SIGMA * noise.normal()).exp() };
+        who.session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
+        if method == ControllerKind::Hybrid
+            && !(plan.seconds.is_finite()
+                && plan.seconds > 0.0
+                && plan.upper.is_finite()
+                && plan.upper >= plan.seconds)
+        {
+            broken.push(format!("frame {i}: {} s expected, bound {} s", plan.seconds, plan.upper));
+        }
+        let oracle = oracle(&grid, target);
+        seen.push(Seen {
+            target,
+            seconds,
+            clean,
+            step: f64::from(plan.step),
+            oracle,
+            feasible: grid[grid.len() - 1].1 <= target,
+            upper: f64::from(plan.upper),
+            predicted: f64::from(plan.seconds),
+            first,
+            excused: i == 0,
+            part: shot.volume,
+        });
+    }
+    let feasible = seen.iter().filter(|s| s.feasible).count();
+    if 2 * feasible < seen.len() {
+        broken.push(format!("the script asks for what cannot be in {} frames", seen.len() - feasible));
+    }
+    if number == 12 {
+        // The first frame of a size is where its target is set too.
+        seen.iter_mut().for_each(|s| s.first = false);
+    }
+    Ok(judge(number, method, &seen, world.limits, broken))
+}
+
+/// Median over some frames of the time at the finest step.
+fn typical(machine: &mut Machine<'_>, world: &World, views: &[VolumeView<'_>]) -> Result<f64> {
+    let mut times = Vec::new();
+    for i in (0..world.frames).step_by(4) {
+        let shot = (world.shot)(i);
+        machine.renderer().set_volume(&views[shot.volume])?;
+        machine.renderer().set_transfer(&TransferFunction::Gaussian(shot.lobes.clone()).to_table()?)?;
+        let frame = Frame::new(
+            Camera::from_arcball(shot.camera)?,
+            machine.grown() * shot.size.0,
+            machine.grown() * shot.size.1,
+        )?;
+        times.push(truth(machine, &shot, &frame, FINEST)?);
+    }
+    entire_cli::metrics::median(&mut times).context("a scene without frames")
+}
+
+/// The step that takes the target, between the grid's.
+fn oracle(grid: &[(f64, f64)], target: f64) -> f64 {
+    if grid[0].1 <= target {
+        return grid[0].0;
+    }
+    for pair in grid.windows(2) {
+        let ((s0, t0), (s1, t1)) = (pair[0], pair[1]);
+        if t1 <= target {
+            let share = if t0 > t1 { (t0 / target).ln() / (t0 / t1).ln() } else { 1.0 };
+            return s0 * (s1 / s0).powf(share);
+        }
+    }
+    grid[grid.len() - 1].0
+}

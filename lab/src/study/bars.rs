@@ -1,0 +1,139 @@
+//! What a study says about its bars, and which predictor its rule selects.
+
+use super::{CALIBRATION_FRAMES, CONSTANT, Findings, Named, PROXY, SplitResult, Study};
+use crate::bars::Bar;
+
+/// The predictor of a study that most bars are about.
+const SELECTED: &str = "selected";
+
+/// The paper's network where it is distilled from another predictor.
+const DISTILLED: &str = "distilled";
+
+/// The predictors with a model file, main panel.
+pub(super) fn models<'a>(
+    found: &'a Findings,
+    set: &'a str,
+    split: &'a str,
+) -> impl Iterator<Item = &'a SplitResult> {
+    found.results.iter().filter(move |r| r.set == set && r.split == split && r.panel == "main")
+}
+
+fn best<'a>(found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a SplitResult> {
+    models(found, set, split).min_by(|a, b| a.metrics.rmse.total_cmp(&b.metrics.rmse))
+}
+
+/// `selected` where the study has one, the best on the test frames otherwise.
+fn chosen<'a>(study: &Study, found: &'a Findings, set: &'a str, split: &'a str) -> Option<&'a SplitResult> {
+    if study.predictors.iter().any(|p| p.name == SELECTED) {
+        found.of(set, split, SELECTED)
+    } else {
+        best(found, set, split)
+    }
+}
+
+/// What a study says about its bars: one for every limit of its sets, short where what it is about is
+/// missing. Most are about the predictor `selected` where the study has one, about the best on the test
+/// frames otherwise.
+pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
+    let mut out = Vec::new();
+    let mut at_most = |name: String, value: Option<f64>, limit: f64| {
+        out.push(Bar::at_most(name, value, limit));
+    };
+    let word = |s: &str| s.replace(' ', "-");
+    for set in &study.sets {
+        let limits = &set.limits;
+        let s = set.name.as_str();
+        let p = set.splits.iter().find(|s| s.main).map_or("main", |s| s.name.as_str());
+        let name = |what: &str| format!("{}/{}/{what}", word(s), word(p));
+        let noise = found.noise_mdape(s, p);
+        let ours = chosen(study, found, s, p);
+        let bound = ours.and_then(|r| r.bound.as_ref());
+        if let Some(limit) = limits.rmse_over_sd {
+            at_most(name("best-rmse-over-sd"), ours.map(|r| r.metrics.rmse_over_sd), limit);
+            at_most(name("best-mdape"), ours.map(|r| r.metrics.mdape), (2.0 * noise).max(0.05));
+        }
+        if limits.rmse_over_sd.is_some() || bound.is_some() {
+            at_most(name("q95-coverage-off-by"), bound.map(|b| (b.coverage - 0.95).abs()), 0.015);
+            at_most(name("q95-missed-in-slowest-tenth"), bound.map(|b| 1.0 - b.slowest_coverage), 0.1);
+        }
+        let rmse = |predictor: &str| found.of(s, p, predictor).map(|r| r.metrics.rmse);
+        let over = |a: Option<f64>, b: Option<f64>| Some(a? / b?);
+        let paper = rmse("paper");
+        // The paper's network as the paper trains it and, where the study has it, distilled from another
+        // predictor.
+        let distilled = study.predictors.iter().any(|p| p.name == DISTILLED).then_some(DISTILLED);
+        for network in std::iter::once("paper").chain(distilled) {
+            for (baseline, wanted, what) in
+                [(CONSTANT, limits.constant_over_paper, "constant"), (PROXY, limits.proxy_over_paper, "lvrp")]
+            {
+                if let Some(wanted) = wanted {
+                    let value = over(rmse(network), rmse(baseline));
+                    at_most(name(&format!("{network}-rmse-over-{what}")), value, 1.0 / wanted);
+                }
+            }
+        }
+        if limits.latency {
+            let cold = |predictor: &str| found.latency(s, predictor).map(|l| l.cold);
+            let lowest = best(found, s, p).map(|r| r.metrics.rmse);
+            at_most(name("selected-rmse-over-best"), over(rmse(SELECTED), lowest), 1.1);
+            at_most(name("selected-latency-over-paper"), over(cold(SELECTED), cold("paper")), 0.2);
+            let quick = cold("paper").and_then(|theirs| {
+                models(found, s, p)
+                    .filter(|r| cold(&r.predictor).is_some_and(|c| c <= theirs / 40.0))
+                    .map(|r| r.metrics.rmse)
+                    .min_by(f64::total_cmp)
+            });
+            at_most(name("rmse-at-a-fortieth-of-paper-latency-over-paper"), over(quick, paper), 0.5);
+        }
+        if limits.modality {
+            let p = set.calibration_split.as_deref().unwrap_or("calibration");
+            let name = |what: &str| format!("{}/{}/{what}", word(s), word(p));
+            let ours = chosen(study, found, s, p);
+            at_most(name("mdape"), ours.map(|r| r.metrics.mdape), 0.15);
+            at_most(name("one-less-r2-log"), ours.map(|r| 1.0 - r.metrics.r2_log), 0.03);
+            let tuned = ours.and_then(|r| {
+                let curve = format!("{}, calibrated", r.predictor);
+                found.tuning.iter().find(|t| {
+                    t.set == s && t.split == p && t.curve == curve && t.frames == CALIBRATION_FRAMES
+                })
+            });
+            let limit = (2.0 * found.noise_mdape(s, p)).max(0.07);
+            at_most(name("mdape-after-100-frames"), tuned.map(|t| t.metrics.mdape), limit);
+            at_most(name("one-less-r2-log-after-100-frames"), tuned.map(|t| 1.0 - t.metrics.r2_log), 0.015);
+        }
+    }
+    out
+}
+
+/// How much worse than the best in cross-validation the selected predictor may be.
+pub(super) const SELECTION_TOLERANCE: f64 = 0.05;
+
+/// The predictor that the rule selects from the training frames alone: among those that were cross-validated
+/// and take no more than the set's share of the paper's latency, the quickest whose cross-validated error is
+/// within [`SELECTION_TOLERANCE`] of the least. Recipes that are there twice count once.
+pub(super) fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Option<&'a str> {
+    let limits = &study.sets.iter().find(|s| s.name == set)?.limits;
+    let paper = found.latency(set, "paper").map(|l| l.cold);
+    let candidates: Vec<(&str, f64, f64)> = study
+        .predictors
+        .iter()
+        .filter_map(|p| {
+            let cold = found.latency(set, &p.name)?.cold;
+            let quick = match (limits.cold_over_paper, paper) {
+                (Some(share), Some(paper)) => cold <= share * paper,
+                _ => true,
+            };
+            let crossed = found.fit(set, &p.name)?.crossed.as_ref()?.rmse;
+            (quick && !p.trees).then_some((p.name.as_str(), crossed, cold))
+        })
+        .collect();
+    let least = candidates.iter().map(|c| c.1).fold(f64::INFINITY, f64::min);
+    let taken = candidates
+        .iter()
+        .filter(|c| c.1 <= (1.0 + SELECTION_TOLERANCE) * least)
+        .min_by(|a, b| a.2.total_cmp(&b.2))?;
+    // `selected` stands for the one that has the same recipe.
+    let recipe = study.predictors.iter().find(|p| p.name == taken.0)?.recipe_for(set);
+    let same = |p: &&Named| p.name == SELECTED && p.recipe_for(set) == recipe;
+    Some(study.predictors.iter().find(same).map_or(taken.0, |p| p.name.as_str()))
+}

@@ -1,0 +1,98 @@
+//! The baselines that predictors are beside: the mean of some frames of each volume, and a low-resolution
+//! proxy.
+
+use super::findings::judge;
+use super::runner::OnSet;
+use super::{CONSTANT, Findings, PROXY, Set};
+use crate::latency::Latency;
+use anyhow::{Result, ensure};
+use entire_cli::dataset::{Clock, Scene, Table, TimedFrame};
+use entire_cli::evaluation::probe_means;
+use entire_cli::metrics::median;
+use entire_cli::split::TimedFrames;
+use std::collections::BTreeMap;
+
+/// The mean time of a share of each volume's frames, for all of them.
+pub(super) fn constant(on: &OnSet<'_>, out: &mut Findings) {
+    let set = on.set;
+    for (split, part) in set.splits.iter().zip(&on.data.splits) {
+        let constant = probe_means(&part.frames, &part.seconds, 1);
+        out.results.extend(judge(&set.name, &split.name, CONSTANT, "baseline", part, &constant, None));
+    }
+}
+
+/// The low-resolution proxy: seconds as a linear function of those of the same frame on 64³ voxels.
+pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut Findings) -> Result<()> {
+    let (set, training, splits) = (on.set, &on.data.one_step.all, &on.data.splits);
+    if low.is_empty() {
+        return Ok(());
+    }
+    let paired = |part: &TimedFrames<'_>| -> Vec<(usize, f64)> {
+        part.frames
+            .iter()
+            .enumerate()
+            .filter_map(|(i, f)| Some((i, *low.get(&(f.table, f.number))?)))
+            .collect()
+    };
+    let pairs = paired(training);
+    ensure!(pairs.len() > 2, "set {}: low_resolution holds no frames of the training tables", set.name);
+    let n = pairs.len() as f64;
+    let (mx, my) = pairs.iter().fold((0.0, 0.0), |(x, y), (i, l)| (x + l / n, y + training.seconds[*i] / n));
+    let (mut xx, mut xy) = (0.0, 0.0);
+    for (i, l) in &pairs {
+        xx += (l - mx) * (l - mx);
+        xy += (l - mx) * (training.seconds[*i] - my);
+    }
+    let slope = if xx > 0.0 { xy / xx } else { 0.0 };
+    for (split, part) in set.splits.iter().zip(splits) {
+        let pairs = paired(part);
+        if pairs.is_empty() {
+            continue;
+        }
+        let sub = TimedFrames {
+            frames: pairs.iter().map(|(i, _)| part.frames[*i]).collect(),
+            seconds: pairs.iter().map(|(i, _)| part.seconds[*i]).collect(),
+        };
+        let predicted: Vec<f64> = pairs.iter().map(|(_, l)| my + slope * (l - mx)).collect();
+        out.results.extend(judge(&set.name, &split.name, PROXY, "baseline", &sub, &predicted, None));
+    }
+    let mut times: Vec<f64> = low.values().copied().collect();
+    if let Some(t) = median(&mut times) {
+        out.latencies.push((set.name.clone(), PROXY.into(), Latency { cold: t, warm: t, transfer: 0.0 }));
+    }
+    Ok(())
+}
+
+/// Seconds of the frames' twins on 64³ voxels, by table and frame number; empty where the set names none.
+///
+/// # Errors
+/// When a table cannot be read, or one of its frames shows another scene than the frame of its number.
+pub(super) fn low_resolution(
+    set: &Set,
+    tables: &[Table],
+    clock: Clock,
+) -> Result<BTreeMap<(usize, u64), f64>> {
+    let mut low = BTreeMap::new();
+    for (index, table) in tables.iter().enumerate() {
+        let name = table.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let Some(path) = set.low_resolution.get(&name) else { continue };
+        let other = Table::read_without_features(path, 0)?;
+        let by_number: BTreeMap<u64, &TimedFrame> = other.frames.iter().map(|f| (f.number, f)).collect();
+        for f in &table.frames {
+            let Some(twin) = by_number.get(&f.number) else { continue };
+            // All but the number of voxels.
+            let as_large = Scene { dims: f.scene.dims, ..twin.scene.clone() };
+            ensure!(
+                as_large == f.scene,
+                "{}: frame {} shows another scene than in {name}; collect it with the same seed, volumes and \
+                 settings",
+                path.display(),
+                f.number
+            );
+            if let Some(t) = twin.seconds(clock) {
+                low.insert((index, f.number), t);
+            }
+        }
+    }
+    Ok(low)
+}

@@ -1,0 +1,88 @@
+//! What a study made before: told apart by all that it was made of, and taken again.
+
+use anyhow::{Context, Result};
+use entire_cli::bound;
+use entire_cli::dataset::Table;
+use entire_cli::dataset::feature_table::FeatureTable;
+use entire_cli::files::{fnv1a, read_bytes, read_model_file, write_whole};
+use entire_cli::fit::Recipe;
+use entire_cli::split::TimedFrames;
+use entire_core::model::ModelFile;
+use entire_core::predict::Calibration;
+use std::path::{Path, PathBuf};
+
+/// The metadata key under which a kept model says what it was made of.
+pub(super) const STUDY_KEY: &str = "entire.study_key";
+
+/// Counts up whenever the same recipe makes something else of the same frames.
+const MADE_AS: u32 = 1;
+
+/// Tells apart what was made: a hash of the program's version, the recipe, the bytes of the model files that
+/// it starts from, and the frames of each part with their seconds (which tell the clock) and the bytes of
+/// their tables and kept features. Where files lie does not count.
+pub(super) fn identity(
+    recipe: &Recipe,
+    tables: &[Table],
+    parts: [&TimedFrames<'_>; 3],
+    residuals: &[f64],
+) -> Result<String> {
+    let from = |path: &Option<PathBuf>| -> Result<String> {
+        let Some(path) = path else { return Ok("none".into()) };
+        let bytes = read_bytes(path).with_context(|| format!("cannot read {}", path.display()))?;
+        Ok(format!("{:016x}", fnv1a(&bytes)))
+    };
+    let bare = Recipe { volumenet: None, fine_tune: None, file: None, ..recipe.clone() };
+    let mut text = format!(
+        "{} {MADE_AS} {} {} {}",
+        env!("CARGO_PKG_VERSION"),
+        serde_json::to_string(&bare)?,
+        from(&recipe.volumenet)?,
+        from(&recipe.fine_tune)?
+    );
+    if recipe.file.is_some() {
+        text += &format!(" {}", from(&recipe.file)?);
+    }
+    for part in parts {
+        let mut bytes = Vec::with_capacity(32 * part.frames.len());
+        for (f, seconds) in part.frames.iter().zip(&part.seconds) {
+            let table = tables.get(f.table).context("a frame of no table")?;
+            let features = table.features.as_ref().map_or(0, FeatureTable::hash);
+            for v in [table.hash, features, f.number, seconds.to_bits()] {
+                bytes.extend(v.to_le_bytes());
+            }
+        }
+        text += &format!(" {:016x}", fnv1a(&bytes));
+    }
+    if !residuals.is_empty() {
+        let bytes: Vec<u8> = residuals.iter().flat_map(|r| r.to_le_bytes()).collect();
+        text += &format!(" {:016x}", fnv1a(&bytes));
+    }
+    Ok(format!("{:016x}", fnv1a(text.as_bytes())))
+}
+
+/// Where a predictor of this key and identity is kept.
+pub(super) fn path_of(models: &Path, key: &str, identity: &str) -> PathBuf {
+    let plain = |c: char| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' };
+    let name: String = key.chars().map(plain).collect();
+    models.join(format!("{name}-{}.safetensors", &identity[..8]))
+}
+
+/// The model that is kept there, where it is of this identity; its upper bound is brought to `upper` where
+/// that is given.
+///
+/// # Errors
+/// When the file is damaged or cannot be written.
+pub(super) fn kept(path: &Path, identity: &str, upper: Option<Calibration>) -> Result<Option<ModelFile>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let (mut file, model) = read_model_file(path)?;
+    if file.metadata().get(STUDY_KEY).is_none_or(|key| key != identity) {
+        return Ok(None);
+    }
+    if let Some(upper) = upper.filter(|u| bound::of(&model) != Some(*u)) {
+        bound::set(&mut file, &upper)?;
+        write_whole(path, &file.to_bytes()?)?;
+    }
+    Ok(Some(file))
+}

@@ -1,0 +1,98 @@
+//! The frames of a set: what is learned from, what bounds follow from, what is judged on.
+
+use super::Set;
+use anyhow::{Result, ensure};
+use entire_cli::dataset::{Clock, Table, read_tables};
+use entire_cli::split::TimedFrames;
+use std::ops::Range;
+
+/// Members from which on a tenth of them is held out rather than a tenth of the volumes. Of fewer, one alone
+/// would be far more than a tenth of the frames to learn from, and what training loses by that is more than
+/// what a better moment to stop gains: the frames that a study is judged on are of other members in any case.
+pub(super) const MEMBERS: usize = 10;
+
+/// A set's tables, read, and which are what.
+pub(super) struct SetTables {
+    /// All of them; frames name theirs by its place here.
+    pub(super) tables: Vec<Table>,
+    training: Range<usize>,
+    bounds: Range<usize>,
+    other_steps: Range<usize>,
+    splits: Vec<Range<usize>>,
+}
+
+impl SetTables {
+    /// Reads them.
+    pub(super) fn read(set: &Set) -> Result<Self> {
+        let mut paths = Vec::new();
+        let mut add = |tables: &[std::path::PathBuf]| {
+            let start = paths.len();
+            paths.extend_from_slice(tables);
+            start..paths.len()
+        };
+        let (training, bounds, other_steps) = (add(&set.training), add(&set.bounds), add(&set.other_steps));
+        let splits = set.splits.iter().map(|s| add(&s.tables)).collect();
+        Ok(Self { tables: read_tables(&paths)?, training, bounds, other_steps, splits })
+    }
+
+    fn frames(&self, which: &Range<usize>, clock: Clock) -> TimedFrames<'_> {
+        TimedFrames::of(self.tables[which.clone()].iter().flat_map(|t| &t.frames), clock)
+    }
+}
+
+/// Frames to learn from: all, and apart those that decide when training stops.
+pub(super) struct Learned<'a> {
+    /// All of them.
+    pub(super) all: TimedFrames<'a>,
+    /// Those that decide when training stops.
+    pub(super) validation: TimedFrames<'a>,
+    /// The others.
+    pub(super) training: TimedFrames<'a>,
+}
+
+/// A set's frames with their seconds.
+pub(super) struct SetData<'a> {
+    /// Of the training tables.
+    pub(super) one_step: Learned<'a>,
+    /// Of the training tables and those at other ray steps, for predictors that know the step.
+    pub(super) every_step: Learned<'a>,
+    /// Those that upper bounds follow from.
+    pub(super) bounds: TimedFrames<'a>,
+    /// Those that are judged on, by split.
+    pub(super) splits: Vec<TimedFrames<'a>>,
+    training_tables: usize,
+}
+
+impl<'a> SetData<'a> {
+    /// The frames that have a time by the clock.
+    ///
+    /// # Errors
+    /// When none of the training tables' has.
+    pub(super) fn new(set: &Set, tables: &'a SetTables, clock: Clock) -> Result<Self> {
+        let all = tables.frames(&tables.training, clock);
+        ensure!(
+            !all.frames.is_empty(),
+            "set {}: no training frame has a time by the clock {:?}",
+            set.name,
+            clock.name()
+        );
+        let by = all.groups_at_least(MEMBERS);
+        let learned = |all: TimedFrames<'a>| {
+            let (validation, training) = all.hold_out(by, 1);
+            Learned { all, validation, training }
+        };
+        let every = all.and(tables.frames(&tables.other_steps, clock));
+        Ok(Self {
+            one_step: learned(all),
+            every_step: learned(every),
+            bounds: tables.frames(&tables.bounds, clock),
+            splits: tables.splits.iter().map(|r| tables.frames(r, clock)).collect(),
+            training_tables: tables.training.len(),
+        })
+    }
+
+    /// Those of the frames that are of the training tables.
+    pub(super) fn of_training_tables(&self, frames: &TimedFrames<'a>) -> TimedFrames<'a> {
+        frames.parted(|f| f.table < self.training_tables).0
+    }
+}

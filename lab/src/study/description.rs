@@ -1,0 +1,215 @@
+//! What a study is asked for: its JSON file.
+
+use anyhow::{Context, Result, bail, ensure};
+use entire_cli::dataset::Clock;
+use entire_cli::files::read_text;
+use entire_cli::fit::{DtypeChoice, Recipe};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The description, as its file holds it. Paths are relative to the file's folder.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Study {
+    /// Title of the report.
+    pub title: String,
+    /// Whose seconds count.
+    #[serde(default = "cpu")]
+    pub clock: String,
+    /// Data sets: a shading mode, or a renderer.
+    pub sets: Vec<Set>,
+    /// Predictors, each made for every set.
+    pub predictors: Vec<Named>,
+    /// Numbers of training frames to make predictors with again.
+    #[serde(default)]
+    pub sample_sizes: Vec<usize>,
+    /// Shares of the calibration split's frames, for fine-tuning curves.
+    #[serde(default)]
+    pub shares: Vec<f64>,
+    /// Names of the predictors that sample and fine-tuning curves are drawn for.
+    #[serde(default)]
+    pub curves: Vec<String>,
+    /// What `entire-lab study --ship` writes for every set.
+    #[serde(default)]
+    pub ship: Vec<Ship>,
+    /// Volume on which latencies are measured, and its enlargement.
+    pub latency_volume: (PathBuf, usize),
+}
+
+fn cpu() -> String {
+    Clock::Cpu.name().into()
+}
+
+/// A predictor to ship.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ship {
+    /// Its name.
+    pub predictor: String,
+    /// How its weights are stored.
+    #[serde(default)]
+    pub dtype: DtypeChoice,
+}
+
+/// A data set.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Set {
+    /// Its name.
+    pub name: String,
+    /// Tables to learn from; a tenth of their ensemble members decides when training stops (of their volumes,
+    /// where there are fewer than ten members).
+    pub training: Vec<PathBuf>,
+    /// Tables of frames at other ray steps, for predictors that take the step into account.
+    #[serde(default)]
+    pub other_steps: Vec<PathBuf>,
+    /// Tables whose frames set the upper bounds and are used for nothing else, of predictors that are not
+    /// cross-validated; the validation frames where there are none.
+    #[serde(default)]
+    pub bounds: Vec<PathBuf>,
+    /// Tables to test on, by split.
+    pub splits: Vec<SplitTables>,
+    /// The same frames on volumes of 64³ voxels, by table: `{"none-train.csv.gz": "none-train-64.csv.gz"}`.
+    #[serde(default)]
+    pub low_resolution: BTreeMap<String, PathBuf>,
+    /// The split that fine-tuning curves and the calibration bar are about.
+    #[serde(default)]
+    pub calibration_split: Option<String>,
+    /// Further splits that fine-tuning curves are drawn for.
+    #[serde(default)]
+    pub more_calibration_splits: Vec<String>,
+    /// Whether the split that calibration curves are about is of another renderer: a curve is drawn for
+    /// models that are transferred to it, too.
+    #[serde(default)]
+    pub transfer: bool,
+    /// Limits of the bars; there are no bars for limits that are left away.
+    #[serde(default)]
+    pub limits: Limits,
+}
+
+/// Tables of a split.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SplitTables {
+    /// Its name: `member`, `time step`, `modality`.
+    pub name: String,
+    /// Its tables.
+    pub tables: Vec<PathBuf>,
+    /// Whether the main bars are about it.
+    #[serde(default)]
+    pub main: bool,
+}
+
+/// What the bars ask for.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Limits {
+    /// Largest RMSE/SD of the best predictor on the main split.
+    pub rmse_over_sd: Option<f64>,
+    /// Least ratio of the constant baseline's RMSE to that of the predictor `paper`.
+    pub constant_over_paper: Option<f64>,
+    /// Least ratio of the low-resolution proxy's RMSE to that of the predictor `paper`.
+    pub proxy_over_paper: Option<f64>,
+    /// Whether the bars of the calibration split apply.
+    pub modality: bool,
+    /// Whether the bars on latency apply.
+    pub latency: bool,
+    /// Largest share of the cold latency of the predictor `paper` that the selected one may take; any unless
+    /// given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cold_over_paper: Option<f64>,
+}
+
+/// A predictor.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Named {
+    /// Its name in every table; `paper` and `selected` have bars of their own.
+    pub name: String,
+    /// How it is made.
+    #[serde(default)]
+    pub recipe: Recipe,
+    /// Whether it is boosted trees on the recipe's inputs instead: a yardstick that no model file holds.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub trees: bool,
+    /// Another recipe in the sets of these names: what suits one shading mode is not what suits another.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub in_set: BTreeMap<String, Recipe>,
+    /// Which table it belongs to: `main`, `ablation`, `architecture`.
+    #[serde(default = "main_panel")]
+    pub panel: String,
+    /// Whether it is made again without one ensemble member after another, to be judged on that member: which
+    /// predictor is selected and what its upper bound is follow from these errors. For the table `main`
+    /// alone.
+    #[serde(default = "yes")]
+    pub cross_validated: bool,
+}
+
+impl Named {
+    /// How it is made for a set.
+    pub fn recipe_for(&self, set: &str) -> &Recipe {
+        self.in_set.get(set).unwrap_or(&self.recipe)
+    }
+}
+
+/// The panel that predictors are on unless another is named.
+pub(super) fn main_panel() -> String {
+    "main".into()
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// Reads a study.
+///
+/// # Errors
+/// When the file cannot be read or says something that it may not.
+pub fn read(path: &Path) -> Result<Study> {
+    let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut study: Study =
+        serde_json::from_str(&text).with_context(|| format!("{} is no study", path.display()))?;
+    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+    let place = |p: &mut PathBuf| *p = folder.join(&*p);
+    place(&mut study.latency_volume.0);
+    for set in &mut study.sets {
+        set.training.iter_mut().chain(&mut set.bounds).chain(&mut set.other_steps).for_each(place);
+        set.splits.iter_mut().flat_map(|s| &mut s.tables).for_each(place);
+        set.low_resolution.values_mut().for_each(place);
+    }
+    for p in &mut study.predictors {
+        for recipe in p.in_set.values_mut().chain(std::iter::once(&mut p.recipe)) {
+            recipe.volumenet.iter_mut().chain(&mut recipe.fine_tune).chain(&mut recipe.file).for_each(place);
+        }
+        if let Some(other) = p.in_set.keys().find(|n| study.sets.iter().all(|s| s.name != **n)) {
+            bail!("{}: {} names the set {other:?}, which is none", path.display(), p.name);
+        }
+    }
+    let mut names: Vec<&str> = study.predictors.iter().map(|p| p.name.as_str()).collect();
+    names.sort_unstable();
+    if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {
+        bail!("{}: the predictor {:?} stands there twice", path.display(), twice[0]);
+    }
+    for (list, name) in
+        study.curves.iter().map(|n| ("curves", n)).chain(study.ship.iter().map(|s| ("ship", &s.predictor)))
+    {
+        ensure!(
+            names.contains(&name.as_str()),
+            "{}: {list} names {name:?}, which is no predictor",
+            path.display()
+        );
+    }
+    Ok(study)
+}
+
+/// The clock by its name.
+///
+/// # Errors
+/// For a name that is none.
+pub fn clock(name: &str) -> Result<Clock> {
+    [Clock::Auto, Clock::Device, Clock::Wall, Clock::Cpu]
+        .into_iter()
+        .find(|c| c.name() == name)
+        .with_context(|| format!("clock {name:?}; auto, device, wall or cpu is expected"))
+}

@@ -1,0 +1,177 @@
+//! What a study found: errors, latencies and curves, by set, split and predictor.
+
+use super::Set;
+use crate::latency::Latency;
+use entire_cli::bound;
+use entire_cli::dataset::NoiseFloor;
+use entire_cli::evaluation::by_kind;
+use entire_cli::metrics::{BoundMetrics, Metrics, bootstrap_by_group, percentile};
+use entire_cli::split::GroupBy;
+use entire_cli::split::TimedFrames;
+use entire_core::predict::Calibration;
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// How a predictor did on the frames that it was made of, and on those of the training tables when it was
+/// made without their ensemble member.
+#[derive(Clone, Debug, Serialize)]
+pub struct Fit {
+    /// Set and predictor.
+    pub set: String,
+    /// See `set`.
+    pub predictor: String,
+    /// On the frames that it was made of.
+    pub seen: Metrics,
+    /// On frames of members that it was made without.
+    pub crossed: Option<Metrics>,
+    /// How often.
+    pub folds: usize,
+}
+
+/// How a predictor did on a split.
+#[derive(Clone, Debug, Serialize)]
+pub struct SplitResult {
+    /// Set, split and predictor.
+    pub set: String,
+    /// See `set`.
+    pub split: String,
+    /// See `set`.
+    pub predictor: String,
+    /// See [`super::Named::panel`]; `baseline` for those that have no model file.
+    pub panel: String,
+    /// Errors.
+    pub metrics: Metrics,
+    /// 95 % interval of RMSE/SD over ensemble members drawn anew.
+    pub rmse_interval: Option<(f64, f64)>,
+    /// 95 % interval of MdAPE over ensemble members drawn anew.
+    pub mdape_interval: Option<(f64, f64)>,
+    /// The upper bound, where there is one.
+    pub bound: Option<BoundMetrics>,
+    /// By what a frame is like: image size, camera inside.
+    pub parts: Vec<(String, Metrics)>,
+    /// ln(predicted / measured) at the 1st, 5th, 25th, 50th, 75th, 95th and 99th percentile.
+    pub log_errors: [f64; 7],
+}
+
+/// A curve's point.
+#[derive(Clone, Debug, Serialize)]
+pub struct Point {
+    /// Set and split that it was judged on.
+    pub set: String,
+    /// See `set`.
+    pub split: String,
+    /// Which curve.
+    pub curve: String,
+    /// Frames learned from.
+    pub frames: usize,
+    /// Errors on the frames not learned from.
+    pub metrics: Metrics,
+}
+
+/// All that a study found.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Findings {
+    /// One per set, split and predictor.
+    pub results: Vec<SplitResult>,
+    /// Errors on the training tables.
+    pub fits: Vec<Fit>,
+    /// By set and predictor.
+    pub latencies: Vec<(String, String, Latency)>,
+    /// Noise floor by set and split.
+    pub noise: Vec<(String, String, NoiseFloor, usize)>,
+    /// Training-sample and fine-tuning curves.
+    pub samples: Vec<Point>,
+    /// See `samples`.
+    pub tuning: Vec<Point>,
+    /// Predictors that could not be made, and why.
+    pub left_out: Vec<(String, String, String)>,
+    /// Model file by set and predictor.
+    #[serde(skip)]
+    pub files: Vec<(String, String, PathBuf)>,
+}
+
+impl Findings {
+    /// A result.
+    pub fn of(&self, set: &str, split: &str, predictor: &str) -> Option<&SplitResult> {
+        self.results.iter().find(|r| r.set == set && r.split == split && r.predictor == predictor)
+    }
+
+    /// Errors on the training tables.
+    pub fn fit(&self, set: &str, predictor: &str) -> Option<&Fit> {
+        self.fits.iter().find(|f| f.set == set && f.predictor == predictor)
+    }
+
+    /// A latency.
+    pub fn latency(&self, set: &str, predictor: &str) -> Option<Latency> {
+        self.latencies.iter().find(|l| l.0 == set && l.1 == predictor).map(|l| l.2)
+    }
+
+    /// What repeats leave as median absolute relative error of a predictor that knows the truth: 0.6745
+    /// standard deviations of a frame's median.
+    pub fn noise_mdape(&self, set: &str, split: &str) -> f64 {
+        self.noise.iter().find(|n| n.0 == set && n.1 == split).map_or(0.0, |n| 0.6745 * n.2.log_sd_of_median)
+    }
+}
+
+/// Frames after which the bars on calibration are taken.
+pub const CALIBRATION_FRAMES: usize = 100;
+
+/// The name of the baseline of probes.
+pub const CONSTANT: &str = "constant (mean of 15 % probes)";
+/// The name of the low-resolution proxy.
+pub const PROXY: &str = "LVRP (64³ render, linear fit)";
+
+/// Adds a point to a curve, where there are frames to judge it by.
+pub(super) fn push_point(
+    points: &mut Vec<Point>,
+    set: &Set,
+    split: &str,
+    curve: &str,
+    frames: usize,
+    predicted: &[f64],
+    measured: &[f64],
+) {
+    if let Some(metrics) = Metrics::new(predicted, measured) {
+        points.push(Point {
+            set: set.name.clone(),
+            split: split.to_owned(),
+            curve: curve.to_owned(),
+            frames,
+            metrics,
+        });
+    }
+}
+
+/// Judges predictions on a split; `None` where it has no frames.
+pub(super) fn judge(
+    set: &str,
+    split: &str,
+    predictor: &str,
+    panel: &str,
+    part: &TimedFrames<'_>,
+    predicted: &[f64],
+    upper: Option<&Calibration>,
+) -> Option<SplitResult> {
+    let metrics = Metrics::new(predicted, &part.seconds)?;
+    let groups: Vec<String> = part.frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
+    let bound = upper.and_then(|u| bound::judge(u, predicted, &part.seconds));
+    let parts = by_kind(&part.frames, predicted, &part.seconds)
+        .into_iter()
+        .map(|(name, m)| (name.to_owned(), m))
+        .collect();
+    let mut errors: Vec<f64> = bound::log_residuals(predicted, &part.seconds).iter().map(|e| -e).collect();
+    errors.sort_by(f64::total_cmp);
+    let log_errors = [0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99].map(|q| percentile(&errors, q));
+    Some(SplitResult {
+        set: set.to_owned(),
+        split: split.to_owned(),
+        predictor: predictor.to_owned(),
+        panel: panel.to_owned(),
+        rmse_interval: bootstrap_by_group(predicted, &part.seconds, &groups, 200, |m| m.rmse_over_sd),
+        mdape_interval: bootstrap_by_group(predicted, &part.seconds, &groups, 200, |m| m.mdape),
+        metrics,
+        bound,
+        parts,
+        log_errors,
+    })
+}

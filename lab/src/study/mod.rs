@@ -1,0 +1,22 @@
+//! Studies: data sets, splits and predictors by name in one JSON file; every predictor made on every set's
+//! training tables and judged on every split. What is made is kept, so that a study that was stopped goes on
+//! where it was.
+
+mod bars;
+#[cfg(test)]
+mod bars_tests;
+mod baselines;
+mod cache;
+mod curves;
+mod data;
+mod description;
+mod findings;
+pub mod report;
+mod runner;
+#[cfg(test)]
+mod tests;
+
+pub use bars::bars;
+pub use description::{Limits, Named, Set, Ship, SplitTables, Study, clock, read};
+pub use findings::{CALIBRATION_FRAMES, CONSTANT, Findings, Fit, PROXY, Point, SplitResult};
+pub use runner::Runner;

@@ -1,0 +1,398 @@
+//! The report of a study: accuracy against latency first, then tables and curves.
+
+use super::bars::{SELECTION_TOLERANCE, bars, by_rule, models};
+use super::{CONSTANT, Findings, PROXY, Point, SplitResult, Study};
+use anyhow::Result;
+use entire_cli::files::{make_folder, write_json, write_whole};
+use entire_cli::machine;
+use entire_cli::metrics::{BoundMetrics, Metrics};
+use entire_cli::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
+use std::path::Path;
+
+/// Errors, bounds and latencies of every predictor on a split; of one panel alone where one is named.
+pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("predictor"),
+        Column::number("RMSE, ms"),
+        Column::number("RMSE/SD"),
+        Column::number("95 % interval"),
+        Column::number("MdAPE, %"),
+        Column::number("95 % interval"),
+        Column::number("p95, %"),
+        Column::number("p99, %"),
+        Column::number("R² in log"),
+        Column::number("q95 held, %"),
+        Column::number("slowest tenth"),
+        Column::number("pinball"),
+        Column::number("cold µs"),
+        Column::number("per transfer function"),
+    ]);
+    let rows: Vec<&SplitResult> = found
+        .results
+        .iter()
+        .filter(|r| {
+            r.set == set && r.split == split && panel.is_none_or(|p| r.panel == p || r.panel == "baseline")
+        })
+        .collect();
+    let interval = |i: Option<(f64, f64)>, f: &dyn Fn(f64) -> String| {
+        i.map_or("-".into(), |(a, b)| format!("{}–{}", f(a), f(b)))
+    };
+    let percent = |v: f64| format!("{:.1}", 100.0 * v);
+    for r in &rows {
+        let m = &r.metrics;
+        let bound = |f: &dyn Fn(&BoundMetrics) -> String| r.bound.as_ref().map_or("-".into(), f);
+        let latency = found.latency(set, &r.predictor);
+        table.row(vec![
+            r.predictor.clone().into(),
+            format!("{:.2}", 1e3 * m.rmse).into(),
+            format!("{:.3}", m.rmse_over_sd).into(),
+            interval(r.rmse_interval, &|v| format!("{v:.3}")).into(),
+            percent(m.mdape).into(),
+            interval(r.mdape_interval, &percent).into(),
+            percent(m.p95).into(),
+            percent(m.p99).into(),
+            format!("{:.4}", m.r2_log).into(),
+            bound(&|b| percent(b.coverage)).into(),
+            bound(&|b| percent(b.slowest_coverage)).into(),
+            bound(&|b| format!("{:.4}", b.pinball)).into(),
+            latency.map_or("-".into(), |l| format!("{:.2}", 1e6 * l.cold)).into(),
+            latency.map_or("-".into(), |l| format!("{:.1}", 1e6 * l.transfer)).into(),
+        ]);
+    }
+    let values = |f: fn(&SplitResult) -> f64| rows.iter().map(|r| f(r)).collect::<Vec<f64>>();
+    table.mark_best(2, &values(|r| r.metrics.rmse_over_sd), true);
+    table.mark_best(4, &values(|r| r.metrics.mdape), true);
+    table.mark_best(8, &values(|r| r.metrics.r2_log), false);
+    table
+}
+
+/// Errors on frames that a predictor was made of, on members that it was made without, and on those of the
+/// main split.
+pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("predictor"),
+        Column::number("RMSE/SD, frames learned from"),
+        Column::number("… cross-validated"),
+        Column::number("… test"),
+        Column::number("MdAPE %, frames learned from"),
+        Column::number("… cross-validated"),
+        Column::number("… test"),
+        Column::number("cold µs"),
+        Column::text("rule"),
+    ]);
+    let rule = by_rule(study, found, set);
+    for f in found.fits.iter().filter(|f| f.set == set) {
+        let Some(test) = found.of(set, split, &f.predictor).filter(|r| r.panel == "main") else { continue };
+        let of = |m: Option<&Metrics>, v: &dyn Fn(&Metrics) -> String| m.map_or("-".into(), v);
+        let share = |m: &Metrics| format!("{:.3}", m.rmse_over_sd);
+        let percent = |m: &Metrics| format!("{:.1}", 100.0 * m.mdape);
+        let (seen, crossed) = (Some(&f.seen), f.crossed.as_ref());
+        let cold = found.latency(set, &f.predictor).map_or("-".into(), |l| format!("{:.1}", 1e6 * l.cold));
+        table.row(vec![
+            f.predictor.clone().into(),
+            of(seen, &share).into(),
+            of(crossed, &share).into(),
+            share(&test.metrics).into(),
+            of(seen, &percent).into(),
+            of(crossed, &percent).into(),
+            percent(&test.metrics).into(),
+            cold.into(),
+            if rule == Some(f.predictor.as_str()) { "selected" } else { "" }.into(),
+        ]);
+    }
+    table
+}
+
+/// Accuracy against latency with its frontier, and what each predictor on it gains per microsecond.
+fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
+    let mut points: Vec<(f64, f64, f64, String)> = models(found, set, split)
+        .filter_map(|r| {
+            Some((
+                1e6 * found.latency(set, &r.predictor)?.cold,
+                100.0 * r.metrics.mdape,
+                r.metrics.rmse_over_sd,
+                r.predictor.clone(),
+            ))
+        })
+        .collect();
+    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut front: Vec<&(f64, f64, f64, String)> = Vec::new();
+    for p in &points {
+        if front.last().is_none_or(|l| p.2 < l.2) {
+            front.push(p);
+        }
+    }
+    let mut chart = Chart::new(
+        format!("{set}, split by {split}"),
+        Axis::log("cold latency, features included, µs"),
+        Axis::log("RMSE / SD"),
+    )
+    .size(860.0, 380.0)
+    .series(Series::new("frontier", Mark::Steps(front.iter().map(|p| (p.0, p.2)).collect())).color(0))
+    .series(
+        Series::new("predictors", Mark::Points(points.iter().map(|p| (p.0, p.2, p.3.clone())).collect()))
+            .color(1),
+    );
+    for (i, name) in [CONSTANT, PROXY].into_iter().enumerate() {
+        if let Some(r) = found.of(set, split, name) {
+            let short = if i == 0 { "constant" } else { "LVRP" };
+            chart = chart.rule(Rule::Horizontal(r.metrics.rmse_over_sd, short.into()));
+        }
+    }
+    let mut knee = Table::new(vec![
+        Column::text("on the frontier"),
+        Column::number("cold µs"),
+        Column::number("RMSE/SD"),
+        Column::number("MdAPE, %"),
+        Column::number("RMSE/SD gained per µs more"),
+    ]);
+    let mut before: Option<&(f64, f64, f64, String)> = None;
+    for p in front {
+        let gain = before.map_or("-".into(), |b| format!("{:.4}", (b.2 - p.2) / (p.0 - b.0).max(1e-9)));
+        knee.row(vec![
+            p.3.clone().into(),
+            format!("{:.2}", p.0).into(),
+            format!("{:.3}", p.2).into(),
+            format!("{:.1}", p.1).into(),
+            gain.into(),
+        ]);
+        before = Some(p);
+    }
+    (chart, knee)
+}
+
+fn curve_chart(title: &str, points: &[&Point]) -> Chart {
+    let mut chart = Chart::new(title, Axis::log("frames learned from"), Axis::log("MdAPE, %"));
+    let mut names: Vec<&str> = points.iter().map(|p| p.curve.as_str()).collect();
+    names.dedup();
+    names.sort_unstable();
+    names.dedup();
+    for (i, name) in names.into_iter().enumerate() {
+        let mut line: Vec<(f64, f64)> = points
+            .iter()
+            .filter(|p| p.curve == name)
+            // Before any frame was seen: drawn at one.
+            .map(|p| (p.frames.max(1) as f64, 100.0 * p.metrics.mdape))
+            .collect();
+        line.sort_by(|a, b| a.0.total_cmp(&b.0));
+        chart = chart.series(Series::new(name, Mark::Line(line)).color(i));
+    }
+    chart
+}
+
+fn curve_table(points: &[&Point]) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("curve"),
+        Column::number("frames"),
+        Column::number("RMSE/SD"),
+        Column::number("MdAPE, %"),
+        Column::number("R² in log"),
+    ]);
+    for p in points {
+        table.row(vec![
+            p.curve.clone().into(),
+            p.frames.to_string().into(),
+            format!("{:.3}", p.metrics.rmse_over_sd).into(),
+            format!("{:.1}", 100.0 * p.metrics.mdape).into(),
+            format!("{:.4}", p.metrics.r2_log).into(),
+        ]);
+    }
+    table
+}
+
+fn bias_table(found: &Findings, set: &str, split: &str) -> Table {
+    let rows: Vec<&SplitResult> = models(found, set, split).collect();
+    let deciles = rows.iter().map(|r| r.metrics.bias_by_decile.len()).max().unwrap_or(0);
+    let mut columns = vec![Column::text("predictor")];
+    columns.extend((1..=deciles).map(|d| Column::number(format!("tenth {d}"))));
+    let mut table = Table::new(columns);
+    for r in rows {
+        let mut row = vec![r.predictor.clone().into()];
+        row.extend(r.metrics.bias_by_decile.iter().map(|b| format!("{:+.1}", 100.0 * b).into()));
+        table.row(row);
+    }
+    table
+}
+
+fn parts_table(found: &Findings, set: &str, split: &str) -> Table {
+    let rows: Vec<&SplitResult> = models(found, set, split).collect();
+    let mut names: Vec<&str> = Vec::new();
+    for (name, _) in rows.iter().flat_map(|r| &r.parts) {
+        if !names.contains(&name.as_str()) {
+            names.push(name);
+        }
+    }
+    let mut columns = vec![Column::text("predictor")];
+    columns.extend(names.iter().map(|n| Column::number(format!("MdAPE %, {n}"))));
+    let mut table = Table::new(columns);
+    for r in rows {
+        let mut row = vec![r.predictor.clone().into()];
+        for name in &names {
+            let m = r.parts.iter().find(|(n, _)| n == name).map(|(_, m)| m);
+            row.push(
+                m.map_or("-".into(), |m| format!("{:.1} ({} frames)", 100.0 * m.mdape, m.frames)).into(),
+            );
+        }
+        table.row(row);
+    }
+    table
+}
+
+fn spread(found: &Findings, set: &str, split: &str) -> Chart {
+    let rows: Vec<&SplitResult> = models(found, set, split).collect();
+    let names = rows.iter().map(|r| r.predictor.clone()).collect();
+    // The boxes' axis is the ratio predicted / measured.
+    let boxes = rows
+        .iter()
+        .enumerate()
+        .map(|(i, r)| {
+            let [_, a, b, c, d, e, _] = r.log_errors.map(f64::exp);
+            (i as f64, [a, b, c, d, e])
+        })
+        .collect();
+    Chart::new(
+        format!("Predicted over measured: {set}, split by {split}"),
+        Axis::categories("predictor", names),
+        Axis::log("predicted / measured"),
+    )
+    .rule(Rule::Horizontal(1.0, "exact".into()))
+    .series(Series::new("5th, 25th, 50th, 75th, 95th percentile", Mark::Boxes(boxes)).color(0))
+}
+
+/// Writes the report of a study into a folder: report.html, study.json and the charts as SVG.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
+    make_folder(out)?;
+    let put = |name: &str, text: &str| write_whole(&out.join(name), text.as_bytes());
+    write_json(&out.join("study.json"), &serde_json::json!({ "study": study, "findings": found }))?;
+    let mut page = Page::new(
+        study.title.as_str(),
+        &format!(
+            "Every predictor is made from the training tables of a data set alone and judged on splits that \
+             it never saw. A frame's \
+             time is the median of its repeats by the clock {:?}. Latency: one thread, caches evicted before \
+             every call, scene \
+             features included; what is done once per volume is not, and what is done once per transfer \
+             function has a column of its own.",
+            study.clock
+        ),
+    );
+    page.heading("Bars");
+    let mut table = Table::new(vec![
+        Column::text("bar"),
+        Column::number("found"),
+        Column::number("at most"),
+        Column::text("holds"),
+    ]);
+    for b in bars(study, found) {
+        table.row(vec![
+            b.name.into(),
+            b.value.map_or("-".into(), |v| format!("{v:.4}")).into(),
+            format!("{:.4}", b.limit).into(),
+            if b.ok { "yes" } else { "short" }.into(),
+        ]);
+    }
+    page.table(&table, "");
+    for set in &study.sets {
+        if let Some(split) = set.splits.iter().find(|s| s.main) {
+            page.heading(&format!("{}: frames learned from, cross-validation, test", set.name));
+            page.table(
+                &fits_table(study, found, &set.name, &split.name),
+                &format!(
+                    "Cross-validated: every training frame predicted without its ensemble member; upper \
+                     bounds follow from these errors, every member counting alike. The rule takes the \
+                     quickest predictor whose cross-validated RMSE is within {:.0} % of the least{}; it sees \
+                     no test frame.",
+                    100.0 * SELECTION_TOLERANCE,
+                    set.limits.cold_over_paper.map_or(String::new(), |s| format!(
+                        " among those that take at most {:.0} % of the latency of `paper`",
+                        100.0 * s
+                    ))
+                ),
+            );
+        }
+        for (i, split) in set.splits.iter().enumerate() {
+            let (s, p) = (set.name.as_str(), split.name.as_str());
+            page.heading(&format!("{s}: split by {p}"));
+            if let Some((_, _, n, frames)) = found.noise.iter().find(|n| n.0 == s && n.1 == p) {
+                page.paragraph(&format!(
+                    "{frames} frames. Noise floor: repeats of one frame scatter with a log-SD of {:.3} (its \
+                     median about {:.3}), so \
+                     that knowing the truth would leave an MdAPE of about {:.1} %.",
+                    n.log_sd,
+                    n.log_sd_of_median,
+                    100.0 * found.noise_mdape(s, p)
+                ));
+            }
+            let (chart, knee) = frontier(found, s, p);
+            put(
+                &format!("frontier-{}-{}.svg", s.replace(' ', "-"), p.replace(' ', "-")),
+                &chart.to_svg_file(),
+            )?;
+            page.chart(
+                &chart,
+                "Lower left is better. The frontier joins predictors that no quicker one beats.",
+            );
+            page.table(&knee, "");
+            page.table(
+                &main_table(found, s, p, Some("main")),
+                "Intervals: ensemble members (volumes that belong to none) drawn anew with replacement.",
+            );
+            for panel in ["ablation", "architecture"] {
+                if found.results.iter().any(|r| r.set == s && r.split == p && r.panel == panel) {
+                    page.table(&main_table(found, s, p, Some(panel)), panel);
+                }
+            }
+            let boxes = spread(found, s, p);
+            put(&format!("errors-{}-{}.svg", s.replace(' ', "-"), i + 1), &boxes.to_svg_file())?;
+            page.chart(&boxes, "");
+            page.table(
+                &bias_table(found, s, p),
+                "Median of predicted / measured - 1 by tenth of the frames, fastest first, %.",
+            );
+            page.table(
+                &parts_table(found, s, p),
+                "By image size, and with the eye near or inside the volume.",
+            );
+        }
+        for (points, title, caption) in [
+            (&found.samples, "frames to learn from", "Error on the main split by number of training frames."),
+            (
+                &found.tuning,
+                "adapting to other data",
+                "Error on frames not learned from. Calibrated: the model of the training tables, its last \
+                 layer fitted anew; from nothing: trained on those frames alone.",
+            ),
+        ] {
+            let of_set: Vec<&Point> = points.iter().filter(|p| p.set == set.name).collect();
+            if !of_set.is_empty() {
+                page.heading(&format!("{}: {title}", set.name));
+                let chart = curve_chart(&format!("{}: {title}", set.name), &of_set);
+                put(
+                    &format!("{}-{}.svg", title.replace(' ', "-"), set.name.replace(' ', "-")),
+                    &chart.to_svg_file(),
+                )?;
+                page.chart(&chart, caption);
+                page.table(&curve_table(&of_set), "");
+            }
+        }
+    }
+    if !found.left_out.is_empty() {
+        page.heading("Left out");
+        for (set, what, why) in &found.left_out {
+            page.paragraph(&format!("{set}, {what}: {why}"));
+        }
+    }
+    page.heading("Where the numbers come from");
+    let load = machine::load_average()
+        .map_or("not known".into(), |l| format!("{:.2} {:.2} {:.2}", l[0], l[1], l[2]));
+    page.facts([
+        ("Program", format!("entire {}", machine::version())),
+        ("Machine (latencies)", machine::machine()),
+        ("Date", machine::now()),
+        ("Load average", load),
+    ]);
+    page.write(&out.join("report.html"))
+}

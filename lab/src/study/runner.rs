@@ -1,0 +1,321 @@
+//! Makes every predictor of a study on every set and judges it.
+
+use super::baselines::{constant, low_resolution, proxy};
+use super::cache::{STUDY_KEY, identity, kept, path_of};
+use super::data::{Learned, MEMBERS, SetData, SetTables};
+use super::description::main_panel;
+use super::findings::judge;
+use super::{Findings, Fit, Named, Set, Study, clock};
+use crate::latency::{Bench, Latency};
+use crate::trees::Trees;
+use anyhow::{Result, ensure};
+use entire_cli::bound;
+use entire_cli::dataset::{TimedFrame, noise_floor};
+use entire_cli::enlarge::enlarge;
+use entire_cli::files::{make_folder, write_whole};
+use entire_cli::fit::{FitContext, Recipe, predict};
+use entire_cli::metrics::Metrics;
+use entire_cli::split::TimedFrames;
+use entire_cli::volume::Volume;
+use entire_core::model::{Model, ModelFile, keys};
+use entire_core::predict::Calibration;
+use indicatif::ProgressBar;
+use serde_json::json;
+use std::path::PathBuf;
+
+/// What an upper bound follows from.
+pub(super) enum Bounds<'a> {
+    /// Frames; the validation frames where there are none.
+    Frames(&'a TimedFrames<'a>),
+    /// Frames that were predicted without their group.
+    Crossed(&'a Crossed),
+}
+
+/// Training frames, each predicted without its ensemble member.
+pub(super) struct Crossed {
+    pub(super) predicted: Vec<f64>,
+    pub(super) measured: Vec<f64>,
+    /// The member of each.
+    pub(super) groups: Vec<String>,
+    pub(super) folds: usize,
+}
+
+impl Crossed {
+    fn upper(&self) -> Calibration {
+        bound::from_groups(&self.predicted, &self.measured, &self.groups)
+    }
+}
+
+/// A model that is kept in a file.
+pub(super) struct KeptModel {
+    model: Model,
+    file: ModelFile,
+    path: PathBuf,
+}
+
+/// A predictor of a study.
+pub(super) enum StudyPredictor {
+    /// One with a model file.
+    Model(Box<KeptModel>),
+    /// The yardstick.
+    Trees(Box<Trees>),
+}
+
+impl StudyPredictor {
+    pub(super) fn predict(&self, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<Vec<f64>> {
+        match self {
+            Self::Model(kept) => predict(&kept.model, context, frames),
+            Self::Trees(trees) => trees.predict(context, frames),
+        }
+    }
+
+    fn latency(&self, bench: &mut Bench) -> Result<Latency> {
+        match self {
+            Self::Model(kept) => bench.latency(&kept.model),
+            Self::Trees(t) => bench.latency_of(Some(t.probe_side()), 0, |inputs| t.predict_one(inputs)),
+        }
+    }
+}
+
+/// A set at work: what it is of, its frames, and what fitting needs.
+#[derive(Clone, Copy)]
+pub(super) struct OnSet<'a> {
+    /// The study.
+    pub(super) study: &'a Study,
+    /// The set.
+    pub(super) set: &'a Set,
+    /// Its frames.
+    pub(super) data: &'a SetData<'a>,
+    /// What fitting works with.
+    pub(super) context: &'a FitContext<'a>,
+}
+
+impl<'a> OnSet<'a> {
+    /// What a recipe learns from. The paper's inputs say nothing of the step.
+    ///
+    /// # Errors
+    /// For inputs that are not known.
+    pub(super) fn learned(&self, recipe: &Recipe) -> Result<&'a Learned<'a>> {
+        Ok(if recipe.knows_step()? { &self.data.every_step } else { &self.data.one_step })
+    }
+}
+
+/// What a study works with besides its description.
+pub struct Runner<'a> {
+    /// Threads.
+    pub pool: &'a rayon::ThreadPool,
+    /// Where models are kept.
+    pub models: PathBuf,
+    /// Progress over all trainings.
+    pub bar: &'a ProgressBar,
+    /// Asked all the time.
+    pub stop: &'a dyn Fn() -> bool,
+}
+
+impl Runner<'_> {
+    /// Makes a predictor, or takes the one that was made of the same data and recipe before.
+    pub(super) fn made(
+        &self,
+        key: &str,
+        recipe: &Recipe,
+        context: &FitContext<'_>,
+        (training, validation): (&TimedFrames<'_>, &TimedFrames<'_>),
+        bounds: &Bounds<'_>,
+    ) -> Result<(ModelFile, PathBuf)> {
+        let none = TimedFrames::default();
+        let (judged, upper, residuals) = match bounds {
+            Bounds::Frames(frames) => (*frames, None, Vec::new()),
+            Bounds::Crossed(c) => (&none, Some(c.upper()), bound::log_residuals(&c.predicted, &c.measured)),
+        };
+        let mark = identity(recipe, context.tables, [training, validation, judged], &residuals)?;
+        let path = path_of(&self.models, key, &mark);
+        if let Some(file) = kept(&path, &mark, upper)? {
+            return Ok((file, path));
+        }
+        self.bar.set_message(key.to_owned());
+        let fitted = recipe.make(context, training.timed(), validation.timed())?;
+        ensure!(!(self.stop)(), "stopped; what was made is kept in {}", self.models.display());
+        let mut file = fitted.file;
+        let judged = if judged.frames.is_empty() { validation } else { judged };
+        if let Some(upper) = upper {
+            bound::set(&mut file, &upper)?;
+        } else if !judged.frames.is_empty() {
+            let predicted = predict(&file.to_model()?, context, &judged.frames)?;
+            bound::set(&mut file, &bound::from_predictions(&predicted, &judged.seconds))?;
+        }
+        file.set_metadata(STUDY_KEY, mark);
+        if recipe.file.is_none() || !file.metadata().contains_key(keys::PROVENANCE) {
+            file.set_metadata(
+                keys::PROVENANCE,
+                json!({ "what": fitted.what, "settings": fitted.settings, "outcome": fitted.outcome,
+                    "training_frames": training.frames.len(), "program": entire_cli::machine::version() })
+                .to_string(),
+            );
+        }
+        make_folder(&self.models)?;
+        write_whole(&path, &file.to_bytes()?)?;
+        Ok((file, path))
+    }
+
+    /// As [`Runner::made`], or boosted trees.
+    pub(super) fn any(
+        &self,
+        key: &str,
+        (recipe, trees): (&Recipe, bool),
+        context: &FitContext<'_>,
+        parts: (&TimedFrames<'_>, &TimedFrames<'_>),
+        bounds: &Bounds<'_>,
+    ) -> Result<StudyPredictor> {
+        if trees {
+            self.bar.set_message(key.to_owned());
+            return Ok(StudyPredictor::Trees(Box::new(Trees::fit(
+                recipe,
+                context,
+                parts.0.timed(),
+                parts.1.timed(),
+            )?)));
+        }
+        let (file, path) = self.made(key, recipe, context, parts, bounds)?;
+        Ok(StudyPredictor::Model(Box::new(KeptModel { model: file.to_model()?, file, path })))
+    }
+
+    /// Predicts every frame of `judged` with a predictor that was made of those frames of `all` that are of
+    /// other groups. `None` where there are too few groups.
+    pub(super) fn crossed(
+        &self,
+        key: &str,
+        method: (&Recipe, bool),
+        context: &FitContext<'_>,
+        all: &TimedFrames<'_>,
+        judged: &TimedFrames<'_>,
+    ) -> Result<Option<Crossed>> {
+        let (by, folds) = judged.folds();
+        let (mut predicted, mut measured, mut groups) = (Vec::new(), Vec::new(), Vec::new());
+        for (k, fold) in folds.iter().enumerate() {
+            let of_fold = |f: &TimedFrame| fold.contains(&by.group(&f.scene));
+            let (held, _) = judged.parted(of_fold);
+            let (_, rest) = all.parted(of_fold);
+            let (validation, training) = rest.hold_out(rest.groups_at_least(MEMBERS), 1);
+            let none = TimedFrames::default();
+            let key = format!("{key}-without-{}", k + 1);
+            let made = self.any(&key, method, context, (&training, &validation), &Bounds::Frames(&none))?;
+            predicted.extend(made.predict(context, &held.frames)?);
+            groups.extend(held.frames.iter().map(|f| by.group(&f.scene)));
+            measured.extend(held.seconds);
+        }
+        Ok((!folds.is_empty()).then_some(Crossed { predicted, measured, groups, folds: folds.len() }))
+    }
+
+    /// Runs a whole study.
+    ///
+    /// # Errors
+    /// When tables cannot be read, a baseline's tables do not fit, or it was stopped.
+    pub fn run(&self, study: &Study) -> Result<Findings> {
+        let clock = clock(&study.clock)?;
+        let mut out = Findings::default();
+        let (path, factor) = &study.latency_volume;
+        let volume = enlarge(&Volume::open(path)?, *factor)?;
+        self.bar.set_length((study.sets.len() * study.predictors.len()) as u64);
+        for set in &study.sets {
+            let tables = SetTables::read(set)?;
+            let data = SetData::new(set, &tables, clock)?;
+            let hidden = ProgressBar::hidden();
+            let context =
+                FitContext { tables: &tables.tables, pool: self.pool, bar: &hidden, stop: self.stop };
+            for (split, part) in set.splits.iter().zip(&data.splits) {
+                if let Some(noise) = noise_floor(part.frames.iter().copied(), clock) {
+                    out.noise.push((set.name.clone(), split.name.clone(), noise, part.frames.len()));
+                }
+            }
+            // Read before anything is made: a table that does not fit is said at once.
+            let low = low_resolution(set, &tables.tables, clock)?;
+            let mut bench = Bench::new(&volume, data.one_step.all.frames[0].scene.shading)?;
+            let on = OnSet { study, set, data: &data, context: &context };
+            for named in &study.predictors {
+                let made = self.on_set(&on, named);
+                self.bar.inc(1);
+                match made {
+                    Ok((predictor, upper, fit)) => {
+                        out.fits.extend(fit);
+                        self.judge(&on, named, (&predictor, upper), &mut bench, &mut out)?;
+                    }
+                    Err(e) if (self.stop)() => return Err(e),
+                    Err(e) => out.left_out.push((set.name.clone(), named.name.clone(), format!("{e:#}"))),
+                }
+            }
+            constant(&on, &mut out);
+            proxy(&on, &low, &mut out)?;
+        }
+        Ok(out)
+    }
+
+    /// Makes a predictor for a set, cross-validated where it is to be; its upper bound, and how it fits what
+    /// it learned from.
+    fn on_set(
+        &self,
+        on: &OnSet<'_>,
+        named: &Named,
+    ) -> Result<(StudyPredictor, Option<Calibration>, Option<Fit>)> {
+        let OnSet { set, data, context, .. } = *on;
+        let key = format!("{}-{}", set.name, named.name);
+        let recipe = named.recipe_for(&set.name);
+        let method = (recipe, named.trees);
+        let learned = on.learned(recipe)?;
+        let crossed = if named.cross_validated && named.panel == main_panel() {
+            self.crossed(&key, method, context, &learned.all, &data.one_step.all)?
+        } else {
+            None
+        };
+        let from = crossed.as_ref().map_or(Bounds::Frames(&data.bounds), Bounds::Crossed);
+        let made = self.any(&key, method, context, (&learned.training, &learned.validation), &from)?;
+        let seen = data.of_training_tables(&learned.training);
+        let predicted = made.predict(context, &seen.frames)?;
+        let fit = Metrics::new(&predicted, &seen.seconds).map(|seen| Fit {
+            set: set.name.clone(),
+            predictor: named.name.clone(),
+            seen,
+            crossed: crossed.as_ref().and_then(|c| Metrics::new(&c.predicted, &c.measured)),
+            folds: crossed.as_ref().map_or(0, |c| c.folds),
+        });
+        let upper = match (&made, &crossed) {
+            (StudyPredictor::Model(kept), _) => bound::of(&kept.model),
+            (StudyPredictor::Trees(_), crossed) => crossed.as_ref().map(Crossed::upper),
+        };
+        Ok((made, upper, fit))
+    }
+
+    /// Judges a predictor on every split, takes its latency, and draws its curves where it has some.
+    fn judge(
+        &self,
+        on: &OnSet<'_>,
+        named: &Named,
+        (made, upper): (&StudyPredictor, Option<Calibration>),
+        bench: &mut Bench,
+        out: &mut Findings,
+    ) -> Result<()> {
+        let OnSet { study, set, data, context } = *on;
+        if let StudyPredictor::Model(kept) = made {
+            out.files.push((set.name.clone(), named.name.clone(), kept.path.clone()));
+        }
+        out.latencies.push((set.name.clone(), named.name.clone(), made.latency(bench)?));
+        for (split, part) in set.splits.iter().zip(&data.splits) {
+            match made.predict(context, &part.frames) {
+                Ok(predicted) => {
+                    let (name, panel) = (&named.name, &named.panel);
+                    let result = judge(&set.name, &split.name, name, panel, part, &predicted, upper.as_ref());
+                    out.results.extend(result);
+                }
+                Err(e) => {
+                    let what = format!("{} on {}", named.name, split.name);
+                    out.left_out.push((set.name.clone(), what, format!("{e:#}")));
+                }
+            }
+        }
+        if let StudyPredictor::Model(kept) = made
+            && study.curves.contains(&named.name)
+        {
+            self.curves(on, named, &kept.file, out)?;
+        }
+        Ok(())
+    }
+}

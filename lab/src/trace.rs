@@ -1,0 +1,606 @@
+//! Traces: what every frame of a path costs, and how its picture looks, at a grid of ray steps and image
+//! scales.
+//!
+//! A trace is recorded once with a real renderer and replayed any number of times in milliseconds: a
+//! controller's step is answered by the frame's own curve, times the noise that was measured at that very
+//! frame. The curve without the noise is what an oracle knows.
+//!
+//! # File format
+//!
+//! JSON, one object ([`Trace`]): `format` `"entire-trace-1"`, the volumes (file and enlargement), the path
+//! ([`entire_cli::path`]), `hold` (frames per volume of a series; 0 where there is one volume), `scales`
+//! (image scale from a frame on), how frames were drawn, the grid, and per frame the seconds of every repeat
+//! at every step and scale beside the likeness to the picture at the reference step.
+
+use anyhow::{Context, Result, ensure};
+use entire_cli::dataset::{Clock, Timing};
+use entire_cli::enlarge::enlarge;
+use entire_cli::files::read_text;
+use entire_cli::machine::Provenance;
+use entire_cli::metrics::median;
+use entire_cli::options::{ShadeOption, SkipOption};
+use entire_cli::path::{FlightPath, PathFile};
+use entire_cli::steering::metrics::{BEST_PSNR, psnr};
+use entire_cli::steering::play::DrawSettings;
+use entire_cli::steering::sizes::{resized, scale_at, scaled_size, volume_at};
+use entire_cli::volume::Volume;
+use entire_core::features::{SummaryOptions, VolumeSummary};
+use entire_core::scene::{Camera, Frame};
+use entire_vk_raycaster::{Image, Renderer};
+use image_compare::Algorithm;
+use indicatif::ProgressBar;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// The `format` value.
+pub const TRACE_FORMAT: &str = "entire-trace-1";
+
+/// Largest trace that is read, in bytes.
+const MAX_TRACE_BYTES: u64 = 1 << 30;
+
+/// Ray steps of the grid where none are given, reference steps: half octaves over the default limits.
+pub const TRACE_STEPS: [f32; 9] = [1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0];
+
+/// Image scales of the grid beside 1, at the steps of [`SCALED_STEPS`].
+pub const TRACE_SCALES: [f32; 2] = [0.7, 0.5];
+
+/// Steps at which smaller images are drawn.
+pub const SCALED_STEPS: [f32; 4] = [1.0, 2.0, 4.0, 8.0];
+
+/// A volume of a trace.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TraceVolume {
+    /// The file, as it was given.
+    pub file: PathBuf,
+    /// Enlargement at load.
+    pub enlarge: usize,
+}
+
+/// How frames were drawn.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TraceDraw {
+    /// Image width at scale 1, pixels.
+    pub width_px: u32,
+    /// Image height at scale 1, pixels.
+    pub height_px: u32,
+    /// Shading mode.
+    pub shading: String,
+    /// Skipping mode.
+    pub skipping: String,
+    /// Opacity at which rays stop.
+    pub termination: f32,
+    /// The clock that counts.
+    pub clock: String,
+}
+
+/// One point of a frame's grid.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TracePoint {
+    /// Ray step, reference steps.
+    pub step: f32,
+    /// Image scale, relative to the frame's own size.
+    pub scale: f32,
+    /// Seconds of every repeat.
+    pub seconds: Vec<f64>,
+    /// Likeness to the picture at the reference step and scale 1, decibels.
+    pub psnr: f64,
+    /// Structural similarity of their luma, 0 to 1 (MSSIM).
+    pub ssim: f64,
+}
+
+/// A recorded path.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Trace {
+    /// [`TRACE_FORMAT`].
+    pub format: String,
+    /// A name for reports.
+    pub name: String,
+    /// Volumes, in the order of the series.
+    pub volumes: Vec<TraceVolume>,
+    /// The path.
+    pub path: PathFile,
+    /// Frames that each volume is shown for; 0 where there is one.
+    pub hold: u32,
+    /// From which frame on images have which scale of their full size.
+    pub scales: Vec<(u32, f32)>,
+    /// How frames were drawn.
+    pub draw: TraceDraw,
+    /// Per frame, every point of the grid; scale 1 first, steps ascending.
+    pub frames: Vec<Vec<TracePoint>>,
+    /// Machine, device, commit and date.
+    pub provenance: serde_json::Value,
+}
+
+/// What a recording is told.
+#[derive(Clone, Debug)]
+pub struct Recording<'a> {
+    /// A name for reports.
+    pub name: String,
+    /// Volumes with their enlargement, in order.
+    pub volumes: &'a [(TraceVolume, Volume)],
+    /// The path.
+    pub path: &'a PathFile,
+    /// Frames that each volume is shown for; 0 where there is one.
+    pub hold: u32,
+    /// From which frame on images have which scale.
+    pub scales: &'a [(u32, f32)],
+    /// How frames are drawn.
+    pub draw: DrawSettings,
+    /// Ray steps of the grid at scale 1, ascending.
+    pub steps: &'a [f32],
+    /// How often every point is drawn.
+    pub repeats: usize,
+}
+
+impl Recording<'_> {
+    /// The trace before its first frame.
+    fn begun(&self) -> Trace {
+        Trace {
+            format: TRACE_FORMAT.into(),
+            name: self.name.clone(),
+            volumes: self.volumes.iter().map(|(v, _)| v.clone()).collect(),
+            path: self.path.clone(),
+            hold: self.hold,
+            scales: self.scales.to_vec(),
+            draw: TraceDraw {
+                width_px: self.draw.width,
+                height_px: self.draw.height,
+                shading: self.draw.shading.name().into(),
+                skipping: self.draw.skipping.name().into(),
+                termination: self.draw.termination,
+                clock: self.draw.clock.name().into(),
+            },
+            frames: Vec::new(),
+            provenance: serde_json::Value::Null,
+        }
+    }
+
+    /// Ray steps and image scales of a frame.
+    fn grid(&self, index: usize) -> Vec<(f32, f32)> {
+        let mut grid: Vec<(f32, f32)> = self.steps.iter().map(|s| (*s, 1.0)).collect();
+        // Smaller images at some frames only: they serve the quality model.
+        if index.is_multiple_of(4) && self.steps.len() == TRACE_STEPS.len() {
+            for scale in TRACE_SCALES {
+                grid.extend(SCALED_STEPS.iter().map(|s| (*s, scale)));
+            }
+        }
+        grid
+    }
+}
+
+/// Luma of a picture.
+fn luma(picture: &Image) -> Option<image::GrayImage> {
+    let gray = picture
+        .rgba
+        .chunks_exact(4)
+        .map(|p| {
+            ((54 * u32::from(p[0]) + 183 * u32::from(p[1]) + 18 * u32::from(p[2]) + 127) / 255).min(255) as u8
+        })
+        .collect();
+    image::GrayImage::from_raw(picture.width, picture.height, gray)
+}
+
+/// Structural similarity of two pictures of one size, 0 to 1 (mean SSIM over windows of 8 × 8 pixels of their
+/// luma). `None` when they differ in size.
+pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
+    if (a.width, a.height) != (b.width, b.height) {
+        return None;
+    }
+    let found =
+        image_compare::gray_similarity_structure(&Algorithm::MSSIMSimple, &luma(a)?, &luma(b)?).ok()?;
+    Some(found.score.clamp(0.0, 1.0))
+}
+
+impl Trace {
+    /// Reads and checks a trace.
+    ///
+    /// # Errors
+    /// Names the file and what is wrong in it.
+    pub fn open(path: &Path) -> Result<Self> {
+        let trace = Self::open_begun(path)?;
+        ensure!(
+            trace.is_complete(),
+            "{} holds {} frames, its path has {}: its recording was interrupted; go on with the same \
+             `entire-lab record` \
+             and --resume",
+            path.display(),
+            trace.frames.len(),
+            trace.path.frames
+        );
+        Ok(trace)
+    }
+
+    /// Reads and checks a trace that may hold the first frames of its path only.
+    ///
+    /// # Errors
+    /// As [`Trace::open`].
+    pub fn open_begun(path: &Path) -> Result<Self> {
+        let text = read_text(path, MAX_TRACE_BYTES)
+            .with_context(|| format!("cannot read the trace {}", path.display()))?;
+        let trace: Self =
+            serde_json::from_str(&text).with_context(|| format!("{} is no trace", path.display()))?;
+        trace.check().with_context(|| format!("{} is no trace", path.display()))?;
+        Ok(trace)
+    }
+
+    fn check(&self) -> Result<()> {
+        ensure!(
+            self.format == TRACE_FORMAT,
+            "format is {:?}; this version reads {TRACE_FORMAT:?}",
+            self.format
+        );
+        ensure!(!self.volumes.is_empty(), "it names no volume");
+        ensure!(
+            self.frames.len() <= self.path.frames as usize,
+            "it holds {} frames, its path has {}",
+            self.frames.len(),
+            self.path.frames
+        );
+        for (i, frame) in self.frames.iter().enumerate() {
+            let full: Vec<&TracePoint> = frame.iter().filter(|p| p.scale == 1.0).collect();
+            ensure!(
+                full.len() >= 2 && full.windows(2).all(|w| w[0].step < w[1].step),
+                "frame {i} has {} points at scale 1; at least two with ascending steps are needed",
+                full.len()
+            );
+            for p in frame {
+                ensure!(
+                    !p.seconds.is_empty() && p.seconds.iter().all(|t| t.is_finite() && *t > 0.0),
+                    "frame {i}, step {}: seconds are {:?}; every repeat must be finite and positive",
+                    p.step,
+                    p.seconds
+                );
+                ensure!(
+                    p.step > 0.0 && p.scale > 0.0 && p.psnr.is_finite() && (0.0..=1.0).contains(&p.ssim),
+                    "frame {i}, step {}: scale {}, psnr {} and ssim {} must be numbers in range",
+                    p.step,
+                    p.scale,
+                    p.psnr,
+                    p.ssim
+                );
+            }
+        }
+        self.draw_settings()?;
+        Ok(())
+    }
+
+    /// Whether every frame of the path was recorded.
+    pub fn is_complete(&self) -> bool {
+        self.frames.len() == self.path.frames as usize
+    }
+
+    /// What of it differs from a recording, so that it cannot be gone on with; nothing where it can.
+    pub fn differences(&self, recording: &Recording<'_>) -> Vec<&'static str> {
+        let other = recording.begun();
+        let points = |frame: &Vec<TracePoint>| frame.iter().map(|p| (p.step, p.scale)).collect::<Vec<_>>();
+        let repeats = |f: &Vec<TracePoint>| f.iter().all(|p| p.seconds.len() == recording.repeats);
+        let grid = |(i, f): (usize, &Vec<TracePoint>)| points(f) == recording.grid(i) && repeats(f);
+        [
+            ("volumes", self.volumes == other.volumes),
+            ("path", self.path == other.path),
+            ("hold", self.hold == other.hold),
+            ("scales", self.scales == other.scales),
+            ("drawing", self.draw == other.draw),
+            ("steps or repeats", self.frames.iter().enumerate().all(grid)),
+        ]
+        .into_iter()
+        .filter_map(|(what, same)| (!same).then_some(what))
+        .collect()
+    }
+
+    /// How frames were drawn.
+    ///
+    /// # Errors
+    /// When a mode is not known.
+    pub fn draw_settings(&self) -> Result<DrawSettings> {
+        use clap::ValueEnum;
+        let clock = Clock::from_str(&self.draw.clock, true).map_err(anyhow::Error::msg).context("clock")?;
+        let shading =
+            ShadeOption::from_str(&self.draw.shading, true).map_err(anyhow::Error::msg).context("shading")?;
+        let skipping = SkipOption::from_str(&self.draw.skipping, true)
+            .map_err(anyhow::Error::msg)
+            .context("skipping")?;
+        Ok(DrawSettings {
+            width: self.draw.width_px,
+            height: self.draw.height_px,
+            shading: shading.into(),
+            skipping: skipping.into(),
+            termination: self.draw.termination,
+            clock,
+        })
+    }
+
+    /// Which volume a frame shows.
+    pub fn volume_at(&self, frame: usize) -> usize {
+        volume_at(self.hold, self.volumes.len(), frame)
+    }
+
+    /// A frame as the path has it, at the reference step.
+    ///
+    /// # Errors
+    /// When the core refuses a value.
+    pub fn frame(&self, path: &FlightPath, draw: &DrawSettings, index: usize) -> Result<Frame> {
+        let scale = scale_at(&self.scales, index);
+        drawn_frame(path, draw, scale, index)
+    }
+
+    /// Volumes as files beside the trace's working folder, opened and summarized.
+    ///
+    /// # Errors
+    /// When a file is not there.
+    pub fn summaries(&self) -> Result<Vec<VolumeSummary>> {
+        self.volumes
+            .iter()
+            .map(|v| {
+                let volume = Volume::open(&v.file)?;
+                let volume = if v.enlarge == 1 { volume } else { enlarge(&volume, v.enlarge)? };
+                Ok(VolumeSummary::new(&volume.view(), SummaryOptions::default())?)
+            })
+            .collect()
+    }
+}
+
+fn drawn_frame(path: &FlightPath, draw: &DrawSettings, scale: f32, index: usize) -> Result<Frame> {
+    let camera = Camera::from_arcball(path.frames[index].camera)?.with_fov_y_degrees(path.fov_y_degrees)?;
+    let (width, height) = scaled_size((draw.width, draw.height), scale);
+    DrawSettings { width, height, ..*draw }.frame(camera)
+}
+
+/// Time after which what has been recorded is kept, so that no accident loses more.
+const KEEP_EVERY: Duration = Duration::from_secs(5);
+
+/// Draws every frame of a path at every point of the grid, but for those that `begun` holds.
+///
+/// `keep` is given the trace every few seconds and at the end. The trace is not complete when `stop` said so.
+///
+/// # Errors
+/// When the renderer fails; names the frame. What was recorded before has been kept.
+pub fn record(
+    recording: &Recording<'_>,
+    renderer: &mut dyn Renderer,
+    begun: Option<Trace>,
+    stop: &dyn Fn() -> bool,
+    keep: &mut dyn FnMut(&Trace) -> Result<()>,
+    progress: &ProgressBar,
+) -> Result<Trace> {
+    let provenance = serde_json::to_value(Provenance::of(renderer.device()))?;
+    let mut trace = Trace { provenance, ..begun.unwrap_or_else(|| recording.begun()) };
+    let before = trace.frames.len();
+    let result = record_on(recording, renderer, &mut trace, stop, keep, progress);
+    if trace.frames.len() > before {
+        trace.check()?;
+        keep(&trace)?;
+    }
+    result.map(|()| trace)
+}
+
+fn record_on(
+    recording: &Recording<'_>,
+    renderer: &mut dyn Renderer,
+    trace: &mut Trace,
+    stop: &dyn Fn() -> bool,
+    keep: &mut dyn FnMut(&Trace) -> Result<()>,
+    progress: &ProgressBar,
+) -> Result<()> {
+    let path = recording.path.resolve()?;
+    let draw = recording.draw;
+    let mut shown = usize::MAX;
+    let first = trace.frames.len();
+    let mut kept = Instant::now();
+    progress.set_length(path.frames.len() as u64);
+    progress.set_position(first as u64);
+    progress.reset_eta();
+    for (index, at) in path.frames.iter().enumerate().skip(first) {
+        let place = || format!("frame {index} of the path");
+        if stop() {
+            return Ok(());
+        }
+        if kept.elapsed() > KEEP_EVERY {
+            keep(trace)?;
+            kept = Instant::now();
+        }
+        let volume = volume_at(recording.hold, recording.volumes.len(), index);
+        let swapped = volume != shown;
+        if swapped {
+            renderer.set_volume(&recording.volumes[volume].1.view()).with_context(place)?;
+            shown = volume;
+        }
+        if at.transfer_changed || swapped {
+            let table = at.transfer.function().to_table().with_context(place)?;
+            renderer.set_transfer(&table).with_context(place)?;
+        }
+        let frame =
+            drawn_frame(&path, &draw, scale_at(recording.scales, index), index).with_context(place)?;
+        let full = (frame.width(), frame.height());
+        let grid = recording.grid(index);
+        if swapped || at.transfer_changed {
+            renderer.render(&frame).with_context(place)?;
+        }
+        let mut seconds = vec![Vec::with_capacity(recording.repeats); grid.len()];
+        let mut looks = vec![(0.0, 0.0); grid.len()];
+        let mut reference: Option<Image> = None;
+        // Repeats are whole rounds over the grid, so that a disturbance does not hit one point alone.
+        for round in 0..recording.repeats {
+            for (k, &(step, scale)) in grid.iter().enumerate() {
+                let (width, height) = scaled_size(full, scale);
+                let small = DrawSettings { width, height, ..draw };
+                let drawn = if scale == 1.0 { frame } else { small.frame(*frame.camera())? };
+                let rendered = renderer.render(&drawn.with_step(step)?).with_context(place)?;
+                seconds[k].push(draw.seconds(&Timing::new(rendered.time, rendered.counts))?);
+                if round > 0 {
+                    continue;
+                }
+                let picture = resized(&rendered.image, full.0, full.1).context("an image without pixels")?;
+                let original = reference.get_or_insert_with(|| picture.clone());
+                looks[k] = (
+                    psnr(&picture.rgba, &original.rgba).unwrap_or(0.0).min(BEST_PSNR),
+                    ssim(&picture, original).unwrap_or(0.0),
+                );
+            }
+        }
+        trace.frames.push(
+            grid.iter()
+                .zip(seconds)
+                .zip(looks)
+                .map(|((&(step, scale), seconds), (psnr, ssim))| TracePoint {
+                    step,
+                    scale,
+                    seconds,
+                    psnr,
+                    ssim,
+                })
+                .collect(),
+        );
+        progress.inc(1);
+    }
+    Ok(())
+}
+
+/// A frame's cost and likeness as functions of the ray step, and its noise.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curve {
+    /// ln(step), ln(seconds), psnr, ssim; seconds never rise with the step.
+    points: Vec<[f64; 4]>,
+    /// ln(measured / curve) of every rendering.
+    residuals: Vec<f64>,
+}
+
+impl Curve {
+    /// Of a frame's points at scale 1. Seconds at a step are the median of its repeats, made to fall with the
+    /// step by pooling neighbors that do not.
+    pub fn of(points: &[TracePoint]) -> Self {
+        let full: Vec<&TracePoint> = points.iter().filter(|p| p.scale == 1.0).collect();
+        let logs: Vec<f64> =
+            full.iter().map(|p| median(&mut p.seconds.clone()).unwrap_or(f64::NAN).ln()).collect();
+        let mut pools: Vec<(f64, usize)> = Vec::new();
+        for &y in &logs {
+            pools.push((y, 1));
+            while let [.., a, b] = pools[..] {
+                if a.0 / a.1 as f64 >= b.0 / b.1 as f64 {
+                    break;
+                }
+                pools.truncate(pools.len() - 2);
+                pools.push((a.0 + b.0, a.1 + b.1));
+            }
+        }
+        let smooth: Vec<f64> = pools.iter().flat_map(|(sum, n)| vec![sum / *n as f64; *n]).collect();
+        let residuals = full
+            .iter()
+            .zip(&smooth)
+            .flat_map(|(p, y)| p.seconds.iter().map(|t| t.ln() - y).collect::<Vec<_>>())
+            .collect();
+        let points =
+            full.iter().zip(&smooth).map(|(p, y)| [f64::from(p.step).ln(), *y, p.psnr, p.ssim]).collect();
+        Self { points, residuals }
+    }
+
+    fn at(&self, step: f64, k: usize) -> f64 {
+        let x = step.max(1e-9).ln();
+        let upper = self.points.partition_point(|p| p[0] < x);
+        if upper == 0 {
+            return self.points[0][k];
+        }
+        if upper == self.points.len() {
+            return self.points[upper - 1][k];
+        }
+        let (a, b) = (&self.points[upper - 1], &self.points[upper]);
+        a[k] + (b[k] - a[k]) * (x - a[0]) / (b[0] - a[0])
+    }
+
+    /// Seconds without noise.
+    pub fn seconds(&self, step: f64) -> f64 {
+        self.at(step, 1).exp()
+    }
+
+    /// Decibels.
+    pub fn psnr(&self, step: f64) -> f64 {
+        self.at(step, 2)
+    }
+
+    /// Structural similarity.
+    pub fn ssim(&self, step: f64) -> f64 {
+        self.at(step, 3)
+    }
+
+    /// Noise that was measured at this frame, in ln(seconds); `which` picks one.
+    pub fn noise(&self, which: u64) -> f64 {
+        self.residuals[(which % self.residuals.len() as u64) as usize]
+    }
+
+    /// What an oracle does: the finest step within the limits whose seconds do not exceed the target; the
+    /// coarsest where none does.
+    pub fn oracle(&self, target: f64, finest: f64, coarsest: f64) -> f64 {
+        if self.seconds(finest) <= target {
+            return finest;
+        }
+        if self.seconds(coarsest) > target {
+            return coarsest;
+        }
+        let (mut low, mut high) = (finest.ln(), coarsest.ln());
+        for _ in 0..40 {
+            let mid = 0.5 * (low + high);
+            if self.seconds(mid.exp()) <= target { high = mid } else { low = mid }
+        }
+        high.exp()
+    }
+
+    /// Whether the target lies between what the limits' steps take.
+    pub fn reaches(&self, target: f64, finest: f64, coarsest: f64) -> bool {
+        (self.seconds(coarsest)..=self.seconds(finest)).contains(&target)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(step: f32, seconds: &[f64]) -> TracePoint {
+        TracePoint { step, scale: 1.0, seconds: seconds.to_vec(), psnr: 50.0 - f64::from(step), ssim: 1.0 }
+    }
+
+    #[test]
+    fn curves_interpolate_fall_and_keep_their_noise() {
+        let c = Curve::of(&[point(1.0, &[4.0]), point(2.0, &[2.0]), point(4.0, &[0.9, 1.1])]);
+        assert!((c.seconds(1.0) - 4.0).abs() < 1e-9 && (c.seconds(2f64.sqrt()) - 8f64.sqrt()).abs() < 1e-9);
+        assert!((c.seconds(0.1) - 4.0).abs() < 1e-9 && (c.seconds(99.0) - 1.0).abs() < 1e-9);
+        assert_eq!(c.residuals.len(), 4);
+        assert!((c.noise(2) - 0.9f64.ln()).abs() < 1e-9 && c.noise(6) == c.noise(2));
+        assert!((c.psnr(2.0) - 48.0).abs() < 1e-9);
+        // A rise is pooled away.
+        let c = Curve::of(&[point(1.0, &[2.0]), point(2.0, &[4.0]), point(4.0, &[1.0])]);
+        assert!((c.seconds(1.0) - 8f64.sqrt()).abs() < 1e-9 && c.seconds(1.0) == c.seconds(2.0));
+    }
+
+    #[test]
+    fn the_oracle_is_the_finest_step_that_fits() {
+        let c = Curve::of(&[point(1.0, &[4.0]), point(2.0, &[2.0]), point(4.0, &[1.0])]);
+        assert!((c.oracle(2.0, 1.0, 4.0) - 2.0).abs() < 1e-6);
+        assert_eq!(c.oracle(9.0, 1.0, 4.0), 1.0);
+        assert_eq!(c.oracle(0.5, 1.0, 4.0), 4.0);
+        assert!(c.reaches(2.0, 1.0, 4.0) && !c.reaches(9.0, 1.0, 4.0) && !c.reaches(0.5, 1.0, 4.0));
+    }
+
+    #[test]
+    fn likeness_is_one_for_equal_pictures_and_falls() {
+        let picture = |f: &dyn Fn(u32, u32) -> u8| Image {
+            width: 32,
+            height: 32,
+            rgba: (0..32 * 32u32).flat_map(|i| [f(i % 32, i / 32); 4]).collect(),
+        };
+        let a = picture(&|x, y| (x * 8) as u8 ^ (y * 4) as u8);
+        let b = picture(&|x, y| ((x * 8) as u8 ^ (y * 4) as u8).saturating_add(9));
+        let c = picture(&|x, _| (x * 8) as u8);
+        assert_eq!(ssim(&a, &a), Some(1.0));
+        let (near, far) = (ssim(&a, &b).unwrap(), ssim(&a, &c).unwrap());
+        assert!(near < 1.0 && far < near, "{near} {far}");
+        assert_eq!(ssim(&a, &picture(&|_, _| 0)).map(|v| v < 0.5), Some(true));
+        let small = resized(&a, 16, 16).unwrap();
+        assert_eq!(ssim(&a, &small), None);
+        assert_eq!(scaled_size((100, 3), 0.1), (10, 1));
+    }
+}

@@ -1,0 +1,121 @@
+//! Gradient-boosted trees of a library, as a yardstick in studies: they are in no model file and predict in
+//! no renderer.
+
+use anyhow::{Result, anyhow, ensure};
+use entire_cli::dataset::Timed;
+use entire_cli::fit::{FitContext, Recipe};
+use entire_cli::inputs::Layout;
+use entire_core::predict::Inputs;
+use forust_ml::metric::Metric;
+use forust_ml::objective::ObjectiveType;
+use forust_ml::{GradientBooster, Matrix};
+use indicatif::ProgressBar;
+
+/// Trees at most.
+const TREES: usize = 1500;
+
+/// Share of a tree that counts.
+const LEARNING_RATE: f32 = 0.05;
+
+/// Trees without a better validation error after which growing stops.
+const PATIENCE: usize = 60;
+
+/// Trees on ln seconds.
+pub struct Trees {
+    layout: Layout,
+    booster: GradientBooster,
+}
+
+impl std::fmt::Debug for Trees {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Trees")
+            .field("layout", &self.layout)
+            .field("count", &self.count())
+            .finish_non_exhaustive()
+    }
+}
+
+impl Trees {
+    /// Grows trees on a recipe's inputs; validation frames, where there are any, decide how many.
+    ///
+    /// # Errors
+    /// When inputs cannot be computed, or the library refuses them.
+    pub fn fit(
+        recipe: &Recipe,
+        context: &FitContext<'_>,
+        training: Timed<'_>,
+        validation: Timed<'_>,
+    ) -> Result<Self> {
+        ensure!(!training.frames.is_empty(), "there are no training frames");
+        let (_, layout) = recipe.layout(training)?;
+        let width = layout.width();
+        let prepared = |part: Timed<'_>| -> Result<(Vec<f64>, Vec<f64>, Vec<f64>)> {
+            let rows = layout.rows(context.tables, part.frames, context.pool, &ProgressBar::hidden())?;
+            let logs: Vec<f64> = part.seconds.iter().map(|t| t.ln()).collect();
+            Ok((by_columns(&rows, width), vec![1.0; logs.len()], logs))
+        };
+        let (x, ones, y) = prepared(training)?;
+        let (vx, v_ones, vy) = prepared(validation)?;
+        let judged =
+            (!vy.is_empty()).then(|| vec![(Matrix::new(&vx, vy.len(), width), &vy[..], &v_ones[..])]);
+        let mut booster = GradientBooster::default()
+            .set_objective_type(ObjectiveType::SquaredLoss)
+            .set_evaluation_metric(Some(Metric::RootMeanSquaredError))
+            .set_iterations(TREES)
+            .set_learning_rate(LEARNING_RATE)
+            .set_early_stopping_rounds(judged.is_some().then_some(PATIENCE));
+        context
+            .pool
+            .install(|| booster.fit(&Matrix::new(&x, y.len(), width), &y, &ones, judged))
+            .map_err(|e| anyhow!("boosted trees: {e}"))?;
+        Ok(Self { layout, booster })
+    }
+
+    /// Seconds of frames.
+    ///
+    /// # Errors
+    /// When their inputs cannot be computed.
+    pub fn predict(
+        &self,
+        context: &FitContext<'_>,
+        frames: &[&entire_cli::dataset::TimedFrame],
+    ) -> Result<Vec<f64>> {
+        let rows = self.layout.rows(context.tables, frames, context.pool, &ProgressBar::hidden())?;
+        let columns = by_columns(&rows, self.layout.width());
+        let logs = self.booster.predict(&Matrix::new(&columns, frames.len(), self.layout.width()), false);
+        Ok(logs.into_iter().map(f64::exp).collect())
+    }
+
+    /// Seconds of one frame.
+    ///
+    /// # Errors
+    /// When an input is missing.
+    pub fn predict_one(&self, inputs: &Inputs<'_>) -> Result<f64> {
+        let mut row = vec![0.0; self.layout.width()];
+        self.layout.write(inputs, &mut row)?;
+        let row: Vec<f64> = row.into_iter().map(f64::from).collect();
+        Ok(self.booster.predict(&Matrix::new(&row, 1, row.len()), false)[0].exp())
+    }
+
+    /// Rays along each side of the probe.
+    pub fn probe_side(&self) -> usize {
+        self.layout.probe_side()
+    }
+
+    /// How many trees there are.
+    pub fn count(&self) -> usize {
+        self.booster.prediction_iteration.unwrap_or(self.booster.trees.len())
+    }
+}
+
+/// Rows laid down column after column.
+fn by_columns(rows: &[f32], width: usize) -> Vec<f64> {
+    let count = rows.len() / width;
+    let mut out = vec![0.0; rows.len()];
+    for (i, row) in rows.chunks_exact(width).enumerate() {
+        for (k, &v) in row.iter().enumerate() {
+            out[k * count + i] = f64::from(v);
+        }
+    }
+    out
+}

@@ -1,0 +1,45 @@
+//! `entire-lab` as a process: help, usage, and what it refuses before any work.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+fn lab(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_entire-lab")).args(arguments).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+#[test]
+fn help_shows_examples_and_wrong_usage_exits_with_2() {
+    for command in ["study", "select", "record", "replay", "stress", "farm"] {
+        let output = lab(&[command, "--help"]);
+        let help = text(&output.stdout);
+        assert_eq!(output.status.code(), Some(0), "{command}");
+        assert!(help.contains("Examples:") && help.contains(&format!("entire-lab {command}")), "{help}");
+    }
+    assert!(text(&lab(&["--version"]).stdout).starts_with("entire-lab "));
+    for arguments in [&[][..], &["nonsense"], &["study"], &["farm"], &["record"]] {
+        assert_eq!(lab(arguments).status.code(), Some(2), "{arguments:?}");
+    }
+}
+
+#[test]
+fn select_says_what_it_cannot_do_before_any_candidate_is_made() {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/none-members.csv.gz");
+    let data = data.to_str().unwrap();
+    let dir = tempfile::tempdir().unwrap();
+    let file = |name: &str| dir.path().join(name).to_str().unwrap().to_owned();
+    let (out, below_a_file) = (file("m.safetensors"), format!("{data}/m.safetensors"));
+    // The volume for latencies is looked for last of all.
+    for (name, expected) in
+        [("m.bin", ".safetensors"), (below_a_file.as_str(), "cannot make"), (out.as_str(), "nowhere.nrrd")]
+    {
+        let output = lab(&["select", "--data", data, "--volume", "nowhere.nrrd", "--out", name]);
+        let said = text(&output.stderr);
+        assert!(output.status.code() == Some(1) && said.contains(expected), "{name}: {said}");
+        assert!(said.starts_with("entire-lab: ") && said.lines().count() == 1, "{said}");
+    }
+    assert!(!Path::new(&out).exists());
+}

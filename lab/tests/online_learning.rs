@@ -1,0 +1,154 @@
+//! Observation alone, on frames that a real renderer was timed at (software Vulkan, process-CPU time): a
+//! session without any model file comes to know a renderer that it was never told of.
+
+use clap::Parser;
+use entire_cli::commands::train;
+use entire_cli::dataset::{Scene, Timing, Writer};
+use entire_cli::files::open_model;
+use entire_cli::steering::fit::fit_network;
+use entire_cli::steering::play::Contender;
+use entire_cli::volume::Volume;
+use entire_core::control::{Session, StepLimits};
+use entire_core::features::PROBE_SIDE;
+use entire_core::predict::load;
+use entire_lab::calibration::samples_of;
+use entire_lab::replay::{Replayable, Tally, replay};
+use entire_lab::trace::Trace;
+use std::path::Path;
+
+/// `entire train` as its options stand on a command line.
+#[derive(Parser)]
+struct Train {
+    #[command(flatten)]
+    options: train::Options,
+}
+
+fn recorded(name: &str) -> Replayable {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut trace = Trace::open(&here.join("tests/data").join(name)).unwrap();
+    for volume in &mut trace.volumes {
+        volume.file = here.join("..").join(&volume.file);
+    }
+    Replayable::new(trace).unwrap()
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+#[test]
+fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
+    for (name, fps) in [("nyx-switches.json", 30.0), ("castro-cuts.json", 45.0)] {
+        let recorded = recorded(name);
+        let n = recorded.path.frames.len();
+        let errors = |seed: u64| {
+            let mut who = Contender {
+                name: "untrained".into(),
+                session: Session::untrained(),
+                chooses_image_sample_distance: false,
+            };
+            let played =
+                replay(&recorded, &mut who, None, &vec![1.0 / fps; n], StepLimits::default(), seed).unwrap();
+            let error = |range: std::ops::Range<usize>| {
+                median(played[range].iter().map(|f| (f.predicted / f.seconds - 1.0).abs()).collect())
+            };
+            (error(0..2), error(60..n), Tally::of(&played[60..]).score())
+        };
+        for seed in 1..4 {
+            let (before, after, score) = errors(seed);
+            assert!(after <= 0.10, "{name}: {after}");
+            assert!(before > 2.0 * after, "{name}: there was nothing to learn: {before} {after}");
+            // And the target is held with it.
+            assert!(score.all.missed < 0.15 && score.all.quality > 0.8, "{name}: {score:?}");
+        }
+    }
+}
+
+/// One rendering of a recorded frame as a row of a timing table: `law` turns recorded seconds into this
+/// machine's.
+fn row(recorded: &Replayable, index: usize, point: usize, law: impl Fn(f64) -> f64) -> (Scene, Timing) {
+    let (trace, at) = (&recorded.trace, &recorded.path.frames[index]);
+    let draw = trace.draw_settings().unwrap();
+    let p = &trace.frames[index][point];
+    let volume = &trace.volumes[trace.volume_at(index)];
+    let small = Volume::open(&volume.file).unwrap().dims();
+    let scene = Scene {
+        volume: volume.file.display().to_string(),
+        member: format!("m{}", index % 8),
+        time_step: None,
+        dims: small.map(|n| (n * volume.enlarge) as u32),
+        camera: at.camera,
+        fov_y_degrees: recorded.path.fov_y_degrees,
+        width: draw.width,
+        height: draw.height,
+        step: p.step,
+        shading: draw.shading,
+        skipping: draw.skipping,
+        termination: draw.termination,
+        lobes: at.transfer.lobes().unwrap(),
+    };
+    (scene, Timing { cpu: Some(law(median(p.seconds.clone()))), ..Timing::default() })
+}
+
+#[test]
+fn a_log_of_observations_fine_tunes_a_network_for_another_machine() {
+    let dir = tempfile::tempdir().unwrap();
+    let traces = [recorded("nyx-switches.json"), recorded("castro-cuts.json")];
+    let table = |name: &str, keep: &dyn Fn(usize, usize) -> bool, law: &dyn Fn(f64) -> f64| {
+        let file = dir.path().join(name);
+        let mut out = Writer::create(&file).unwrap();
+        let mut number = 0;
+        for trace in &traces {
+            for index in 0..trace.trace.frames.len() {
+                for point in (0..trace.trace.frames[index].len()).filter(|p| keep(index, *p)) {
+                    let (scene, measured) = row(trace, index, point, law);
+                    out.append(number, &scene, &[measured]).unwrap();
+                    number += 1;
+                }
+            }
+        }
+        file
+    };
+    // Frames 3 of 8 are judged by, the others make the network and, on a slower machine, the log of what was
+    // drawn: one step per frame.
+    let slower = |t: f64| 0.004 + 2.2 * t;
+    let made_on = table("made.csv", &|i, p| i % 8 != 3 && p % 2 == 0, &|t| t);
+    let log = table("log.csv", &|i, p| i % 8 != 3 && p == (i * 5) % 9, &slower);
+    let judged = table("judged.csv", &|i, p| i % 8 == 3 && (p == 2 || p == 5), &slower);
+    let (model, tuned) = (dir.path().join("model.safetensors"), dir.path().join("tuned.safetensors"));
+    let file = fit_network(&samples_of(&[made_on], PROBE_SIDE).unwrap(), 1).unwrap();
+    std::fs::write(&model, file.to_bytes().unwrap()).unwrap();
+    let path = |p: &Path| p.to_str().unwrap().to_owned();
+    let options = Train::parse_from([
+        "train",
+        "--quiet",
+        "--threads=1",
+        "--epochs=150",
+        "--batch=32",
+        "--learning-rate=2e-3",
+        "--validation-groups=m7",
+        "--test-groups=m6",
+        "--clock=cpu",
+        &format!("--data={}", path(&log)),
+        &format!("--fine-tune={}", path(&model)),
+        &format!("--out={}", path(&tuned)),
+    ]);
+    train::run(&options.options).unwrap();
+    let judged = samples_of(&[judged], PROBE_SIDE).unwrap();
+    let error = |file: &Path| {
+        let mut predictor = load(&open_model(file).unwrap()).unwrap();
+        median(
+            judged
+                .iter()
+                .map(|s| {
+                    (f64::from(predictor.predict(&s.predictor_inputs(None)).unwrap().seconds) / s.seconds
+                        - 1.0)
+                        .abs()
+                })
+                .collect(),
+        )
+    };
+    let (before, after) = (error(&model), error(&tuned));
+    assert!(before > 0.4 && after < 0.15, "{before} {after}");
+}

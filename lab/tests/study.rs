@@ -1,0 +1,127 @@
+//! `entire-lab study` end to end on a study cut small from the committed timing tables.
+
+use entire_cli::dataset::feature_table::FeatureTable;
+use entire_cli::dataset::{Table, Writer};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// Every so many frames of a committed table, with their features.
+fn cut(name: &str, every: usize, folder: &Path) {
+    let whole = Table::read(&repository().join("data/timings").join(name), 0).unwrap();
+    let path = folder.join(name.strip_suffix(".gz").unwrap());
+    let mut writer = Writer::create(&path).unwrap();
+    let features = whole.features.as_ref().unwrap();
+    let (mut numbers, mut values) = (Vec::new(), Vec::new());
+    for f in whole.frames.iter().step_by(every) {
+        writer.append(f.number, &f.scene, &f.repeats).unwrap();
+        numbers.push(f.number);
+        values.extend_from_slice(features.row(f.number).unwrap());
+    }
+    drop(writer);
+    let hash = Table::read_without_features(&path, 0).unwrap().hash;
+    FeatureTable::new(features.columns().to_vec(), &numbers, values, hash)
+        .unwrap()
+        .write(&FeatureTable::path_for(&path))
+        .unwrap();
+}
+
+fn study(folder: &Path, more: &[&str]) -> (Output, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
+        .args(["study", "--quiet", "--threads", "1", "--study", "study.json", "--out", "out"])
+        .args(more)
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(!String::from_utf8_lossy(&output.stderr).contains("panicked"));
+    (output, text)
+}
+
+fn models(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut files: Vec<_> = std::fs::read_dir(folder.join("out/models"))
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .map(|p| (p.clone(), std::fs::read(&p).unwrap()))
+        .collect();
+    files.sort();
+    files
+}
+
+#[test]
+fn a_small_study_goes_from_tables_to_bars() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    cut("none-train.csv.gz", 22, at);
+    cut("none-members.csv.gz", 7, at);
+    cut("none-scans.csv.gz", 3, at);
+    let volume = repository().join("data/castro_blast/m01/t0015.nrrd");
+    let description = serde_json::json!({
+        "title": "Small",
+        "latency_volume": [volume, 1],
+        "sets": [{
+            "name": "small",
+            "training": ["none-train.csv"],
+            "splits": [
+                { "name": "member", "tables": ["none-members.csv"], "main": true },
+                { "name": "modality", "tables": ["none-scans.csv"] }
+            ],
+            "calibration_split": "modality",
+            "limits": { "rmse_over_sd": 100, "proxy_over_paper": 3, "modality": true }
+        }],
+        "predictors": [{
+            "name": "selected",
+            "recipe": {
+                "kind": "residual", "layers": [6], "epochs": 8, "batch": 32, "learning_rate": 0.003, "probe_side": 7
+            }
+        }],
+        "shares": [0.1],
+        "curves": ["selected"]
+    });
+    std::fs::write(at.join("study.json"), description.to_string()).unwrap();
+
+    let (output, text) = study(at, &["--bars"]);
+    // One limit is about a predictor and tables that the study does not have: that bar is short, and so is
+    // the status.
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    let bars: Vec<Vec<&str>> =
+        text.lines().filter(|l| l.starts_with("bar ")).map(|l| l.split(' ').collect()).collect();
+    assert_eq!(bars.len(), 9, "{text}");
+    assert!(bars.iter().all(|b| b.len() == 5));
+    let bar = |name: &str| bars.iter().find(|b| b[1] == name).unwrap_or_else(|| panic!("{name}: {text}"));
+    assert_eq!(bar("small/member/paper-rmse-over-lvrp")[2..], ["-", "0.3333", "short"]);
+    assert_eq!(bar("small/member/best-rmse-over-sd")[4], "ok");
+    for b in bars.iter().filter(|b| b[1] != "small/member/paper-rmse-over-lvrp") {
+        let (value, limit): (f64, f64) = (b[2].parse().unwrap(), b[3].parse().unwrap());
+        assert_eq!(b[4] == "ok", value <= limit, "{b:?}");
+    }
+    // An analytic model with a factor beats the mean of probes by far, even after eight epochs on two hundred
+    // frames.
+    assert!(bar("small/member/best-rmse-over-sd")[2].parse::<f64>().unwrap() < 0.5, "{text}");
+
+    let found: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(at.join("out/study.json")).unwrap()).unwrap();
+    let found = &found["findings"];
+    assert_eq!(found["left_out"].as_array().unwrap().len(), 0, "{}", found["left_out"]);
+    let curves: Vec<&str> =
+        found["tuning"].as_array().unwrap().iter().map(|p| p["curve"].as_str().unwrap()).collect();
+    assert!(curves.contains(&"selected, calibrated") && curves.contains(&"selected, from nothing"));
+    let report = std::fs::read_to_string(at.join("out/report.html")).unwrap();
+    assert!(report.contains("small/member/paper-rmse-over-lvrp") && report.contains("<svg"));
+
+    // What was made is taken again: not a byte changes. Without --bars the status tells that it ran.
+    let before = models(at);
+    assert!(!before.is_empty());
+    let (output, _) = study(at, &[]);
+    assert_eq!(output.status.code(), Some(0));
+    assert_eq!(models(at), before);
+
+    // Kept features of a table that has changed since are refused.
+    std::fs::copy(at.join("none-members.csv"), at.join("none-train.csv")).unwrap();
+    let (output, _) = study(at, &[]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.code() == Some(1) && said.contains("`entire features`"), "{said}");
+}

@@ -1,0 +1,16 @@
+# The book: docs/src as HTML. `make docs` builds mdBook into target/tools once where no mdbook is installed.
+MDBOOK_VERSION := 0.5.4
+DOCS_OUT ?= out/book
+
+.PHONY: docs
+docs: ## Build the book: out/book/index.html (installs mdbook into target/tools where it is missing)
+	@mdbook=$$(command -v mdbook || true); \
+	if [[ -z "$$mdbook" ]]; then \
+		mdbook="$$PWD/target/tools/bin/mdbook"; \
+		if [[ ! -x "$$mdbook" ]]; then \
+			echo "docs: no mdbook: installing version $(MDBOOK_VERSION) into target/tools (some minutes, once)"; \
+			$(CARGO) install --quiet --locked --root target/tools --version $(MDBOOK_VERSION) mdbook; \
+		fi; \
+	fi; \
+	"$$mdbook" build docs --dest-dir "$$(realpath -m "$(DOCS_OUT)")"; \
+	echo "docs: $(DOCS_OUT)/index.html"

@@ -1,0 +1,6 @@
+# What README, book and source promise a reader. scripts/test.sh runs the quick part of it.
+.PHONY: bars-house
+bars-house: ## Check README, links, commands, file lengths, public items, dependencies; fails when one is short
+	$(CARGO) build --release --quiet --package entire-cli --bin entire
+	$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
+	python3 lab/scripts/house.py

@@ -1,0 +1,13 @@
+# The Python package in plugins/python: wheel, tests in an environment of their own, bars.
+
+.PHONY: wheel
+wheel: ## Build the Python wheel and sdist: out/wheels/entire-*
+	@CARGO="$(CARGO)" plugins/python/run.sh wheel
+
+.PHONY: test-python
+test-python: ## Run the tests of the installed wheel (skipped where Python or Xvfb is missing)
+	@CARGO="$(CARGO)" plugins/python/run.sh test
+
+.PHONY: bars-python
+bars-python: ## Measure the Python package: frames held, overhead, many views, copies, leaks, still pictures
+	@CARGO="$(CARGO)" plugins/python/run.sh bars

@@ -1,0 +1,318 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+#include "vtkEntireViewSteering.h"
+
+#include "vtkCommand.h"
+#include "vtkEntireSteering.h"
+#include "vtkObjectFactory.h"
+#include "vtkPVRenderView.h"
+#include "vtkPropCollection.h"
+#include "vtkRenderer.h"
+#include "vtkSmartPointer.h"
+#include "vtkVolume.h"
+#include "vtkWeakPointer.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <string>
+#include <utility>
+#include <vector>
+
+vtkStandardNewMacro(vtkEntireViewSteering);
+
+namespace
+{
+constexpr double NOT_KNOWN = std::numeric_limits<double>::quiet_NaN();
+}
+
+class vtkEntireViewSteering::vtkInternals
+{
+public:
+  explicit vtkInternals(vtkEntireViewSteering* owner)
+    : Owner(owner)
+  {
+  }
+  ~vtkInternals() { this->Release(); }
+
+  void Release()
+  {
+    if (this->Renderer)
+    {
+      this->Renderer->RemoveObserver(this->Tag);
+    }
+    this->Renderer = nullptr;
+    // Letting go puts mappers' settings back, which their observers hear of.
+    const auto volumes = std::move(this->Volumes);
+    this->Volumes.clear();
+  }
+
+  void Take(vtkRenderer* renderer)
+  {
+    this->Release();
+    this->Renderer = renderer;
+    if (renderer)
+    {
+      // Before the observers of each volume's own steering.
+      this->Tag = renderer->AddObserver(vtkCommand::StartEvent, this, &vtkInternals::Start, 2.0f);
+    }
+  }
+
+  // Meets the volumes that the view has now.
+  void Start()
+  {
+    // An error that is reported here may be observed by whoever lets go of this object.
+    const vtkSmartPointer<vtkEntireViewSteering> owner(this->Owner);
+    const vtkSmartPointer<vtkRenderer> renderer(this->Renderer);
+    vtkPropCollection* props = renderer ? renderer->GetViewProps() : nullptr;
+    if (!props)
+    {
+      return;
+    }
+    std::vector<vtkSmartPointer<vtkVolume>> drawn;
+    vtkCollectionSimpleIterator at;
+    props->InitTraversal(at);
+    while (vtkProp* prop = props->GetNextProp(at))
+    {
+      vtkVolume* volume = vtkVolume::SafeDownCast(prop);
+      // What cannot be steered (an unstructured grid's mapper) is left to ParaView.
+      if (volume && volume->GetVisibility() && vtkEntireSteering::CanSteer(volume->GetMapper()))
+      {
+        drawn.emplace_back(volume);
+      }
+    }
+    this->Volumes.erase(std::remove_if(this->Volumes.begin(), this->Volumes.end(),
+                          [](const vtkSmartPointer<vtkEntireSteering>& each) { return !each->GetVolume(); }),
+      this->Volumes.end());
+    for (const auto& volume : drawn)
+    {
+      auto is = [&](const vtkSmartPointer<vtkEntireSteering>& each) { return each->GetVolume() == volume; };
+      if (std::any_of(this->Volumes.begin(), this->Volumes.end(), is))
+      {
+        continue;
+      }
+      auto steering = vtkSmartPointer<vtkEntireSteering>::New();
+      // Before the volume is read: what reads it depends on the clock and the model.
+      this->Configure(steering);
+      if (steering->Attach(renderer, volume))
+      {
+        this->Volumes.push_back(steering);
+        if (owner->StateFileName && *owner->StateFileName)
+        {
+          // What is wrong with the file the steering reports.
+          static_cast<void>(steering->LoadState(owner->StateFileName));
+        }
+      }
+      if (this->Renderer.GetPointer() != renderer)
+      {
+        return;
+      }
+    }
+    const auto volumes = this->Volumes;
+    for (const auto& each : volumes)
+    {
+      this->Configure(each);
+    }
+  }
+
+  void Configure(vtkEntireSteering* steering)
+  {
+    steering->SetEnabled(this->Owner->Enabled);
+    steering->SetTargetFrameTime(this->Owner->TargetFrameTime);
+    steering->SetCoarsestSampleDistance(this->Owner->CoarsestSampleDistance);
+    steering->SetCoarsestImageSampleDistance(this->Owner->CoarsestImageSampleDistance);
+    steering->SetClock(this->Owner->Clock);
+    const char* model = this->Owner->ModelFileName;
+    steering->SetModelFileName(model && *model ? model : nullptr);
+  }
+
+  // Whose volumes are read out.
+  vtkInternals& Read() { return this->Source ? *this->Source->Internals : *this; }
+
+  // The steering of the volume that took longest in its last frame.
+  vtkEntireSteering* Last()
+  {
+    if (this->Source)
+    {
+      return this->Source->Internals->Last();
+    }
+    vtkEntireSteering* last = nullptr;
+    for (auto& each : this->Volumes)
+    {
+      if (each->GetVolume() && (!last || !(each->GetMeasuredTime() < last->GetMeasuredTime())))
+      {
+        last = each;
+      }
+    }
+    return last;
+  }
+
+  vtkEntireViewSteering* Owner;
+  vtkWeakPointer<vtkEntireViewSteering> Source;
+  vtkWeakPointer<vtkRenderer> Renderer;
+  unsigned long Tag = 0;
+  std::vector<vtkSmartPointer<vtkEntireSteering>> Volumes;
+};
+
+//------------------------------------------------------------------------------
+vtkEntireViewSteering::vtkEntireViewSteering()
+  : Internals(new vtkInternals(this))
+{
+}
+
+//------------------------------------------------------------------------------
+vtkEntireViewSteering::~vtkEntireViewSteering()
+{
+  this->Internals.reset();
+  this->SetModelFileName(nullptr);
+  delete[] this->StateFileName;
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireViewSteering::SetView(vtkPVRenderView* view)
+{
+  vtkRenderer* renderer = view ? view->GetRenderer() : nullptr;
+  if (renderer != this->Internals->Renderer)
+  {
+    this->Internals->Take(renderer);
+    this->Modified();
+  }
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireViewSteering::SetSource(vtkEntireViewSteering* source)
+{
+  // One that reads another in turn would lead in a circle.
+  this->Internals->Source = source && source != this && !source->Internals->Source ? source : nullptr;
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireViewSteering::SetStateFileName(const char* fileName)
+{
+  const vtkSmartPointer<vtkEntireViewSteering> self(this);
+  const std::string before = this->StateFileName ? this->StateFileName : "";
+  if (before == (fileName ? fileName : ""))
+  {
+    return;
+  }
+  delete[] this->StateFileName;
+  this->StateFileName = nullptr;
+  if (fileName && *fileName)
+  {
+    this->StateFileName = new char[std::string(fileName).size() + 1];
+    std::copy(fileName, fileName + std::string(fileName).size() + 1, this->StateFileName);
+    const std::string name = this->StateFileName;
+    const auto volumes = this->Internals->Volumes;
+    for (const auto& each : volumes)
+    {
+      // What is wrong with the file the steering reports.
+      static_cast<void>(each->LoadState(name.c_str()));
+    }
+  }
+  this->Modified();
+}
+
+//------------------------------------------------------------------------------
+bool vtkEntireViewSteering::SaveState(const char* fileName)
+{
+  if (!fileName || !*fileName)
+  {
+    return false;
+  }
+  const vtkSmartPointer<vtkEntireSteering> last(this->Internals->Last());
+  if (!last)
+  {
+    vtkErrorMacro("nothing was learned yet: no volume was drawn");
+    return false;
+  }
+  return last->SaveState(fileName);
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireViewSteering::Reset()
+{
+  for (auto& each : this->Internals->Volumes)
+  {
+    each->Reset();
+  }
+}
+
+//------------------------------------------------------------------------------
+double vtkEntireViewSteering::GetPredictedTime()
+{
+  vtkEntireSteering* last = this->Internals->Last();
+  return last ? last->GetPredictedTime() : NOT_KNOWN;
+}
+double vtkEntireViewSteering::GetMeasuredTime()
+{
+  vtkEntireSteering* last = this->Internals->Last();
+  return last ? last->GetMeasuredTime() : NOT_KNOWN;
+}
+double vtkEntireViewSteering::GetFrameTime()
+{
+  vtkEntireSteering* last = this->Internals->Last();
+  return last ? last->GetFrameTime() : NOT_KNOWN;
+}
+double vtkEntireViewSteering::GetSampleDistance()
+{
+  vtkEntireSteering* last = this->Internals->Last();
+  return last ? last->GetSampleDistance() : NOT_KNOWN;
+}
+double vtkEntireViewSteering::GetImageSampleDistance()
+{
+  vtkEntireSteering* last = this->Internals->Last();
+  return last ? last->GetImageSampleDistance() : NOT_KNOWN;
+}
+double vtkEntireViewSteering::GetObserverTime()
+{
+  vtkEntireSteering* last = this->Internals->Last();
+  return last ? last->GetObserverTime() : NOT_KNOWN;
+}
+const char* vtkEntireViewSteering::GetReason()
+{
+  vtkEntireSteering* last = this->Internals->Last();
+  return last && last->GetReason() ? last->GetReason() : "";
+}
+const char* vtkEntireViewSteering::GetStatus()
+{
+  vtkEntireSteering* last = this->Internals->Last();
+  if (!last)
+  {
+    return "no volume is drawn";
+  }
+  return last->GetStatus() ? last->GetStatus() : "";
+}
+vtkIdType vtkEntireViewSteering::GetNumberOfSteeredFrames()
+{
+  vtkIdType sum = 0;
+  for (auto& each : this->Internals->Read().Volumes)
+  {
+    sum += each->GetNumberOfSteeredFrames();
+  }
+  return sum;
+}
+vtkIdType vtkEntireViewSteering::GetNumberOfFallbackFrames()
+{
+  vtkIdType sum = 0;
+  for (auto& each : this->Internals->Read().Volumes)
+  {
+    sum += each->GetNumberOfFallbackFrames();
+  }
+  return sum;
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireViewSteering::PrintSelf(ostream& os, vtkIndent indent)
+{
+  this->Superclass::PrintSelf(os, indent);
+  os << indent << "Enabled: " << this->Enabled << "\n";
+  os << indent << "TargetFrameTime: " << this->TargetFrameTime << "\n";
+  os << indent << "CoarsestSampleDistance: " << this->CoarsestSampleDistance << "\n";
+  os << indent << "CoarsestImageSampleDistance: " << this->CoarsestImageSampleDistance << "\n";
+  os << indent << "Clock: " << this->Clock << "\n";
+  os << indent << "ModelFileName: " << (this->ModelFileName ? this->ModelFileName : "(none)") << "\n";
+  os << indent << "StateFileName: " << (this->StateFileName ? this->StateFileName : "(none)") << "\n";
+  for (auto& each : this->Internals->Volumes)
+  {
+    each->PrintSelf(os, indent.GetNextIndent());
+  }
+}

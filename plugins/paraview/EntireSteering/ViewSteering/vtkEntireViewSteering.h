@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+/**
+ * @class   vtkEntireViewSteering
+ * @brief   holds every volume of a render view to a frame time
+ *
+ * Gives each volume that the view draws a vtkEntireSteering of its own, before each frame, with the settings
+ * below. Interactive frames are steered; still frames and screenshots are drawn by ParaView alone. In a
+ * parallel server every rank steers the part of the volume that it draws, by its own clock.
+ */
+#ifndef vtkEntireViewSteering_h
+#define vtkEntireViewSteering_h
+
+#include "vtkEntireViewSteeringModule.h" // for export macro
+#include "vtkObject.h"
+
+#include <memory> // for std::unique_ptr
+
+class vtkPVRenderView;
+
+class VTKENTIREVIEWSTEERING_EXPORT vtkEntireViewSteering : public vtkObject
+{
+public:
+  static vtkEntireViewSteering* New();
+  vtkTypeMacro(vtkEntireViewSteering, vtkObject);
+  void PrintSelf(ostream& os, vtkIndent indent) override;
+
+  /**
+   * The view; nullptr lets go of it. The view is not kept alive.
+   */
+  void SetView(vtkPVRenderView* view);
+
+  /**
+   * Another one in this process whose read-outs are given instead of this one's own; nullptr for none. It is
+   * not kept alive.
+   */
+  void SetSource(vtkEntireViewSteering* source);
+
+  ///@{
+  /**
+   * As in vtkEntireSteering. They hold from the next frame on.
+   */
+  vtkSetMacro(Enabled, bool);
+  vtkGetMacro(Enabled, bool);
+  vtkSetClampMacro(TargetFrameTime, double, 0.0, 10000.0);
+  vtkGetMacro(TargetFrameTime, double);
+  vtkSetClampMacro(CoarsestSampleDistance, double, 1.0 / 64, 4096.0);
+  vtkGetMacro(CoarsestSampleDistance, double);
+  vtkSetClampMacro(CoarsestImageSampleDistance, double, 1.0, 100.0);
+  vtkGetMacro(CoarsestImageSampleDistance, double);
+  vtkSetClampMacro(Clock, int, 0, 1);
+  vtkGetMacro(Clock, int);
+  vtkSetFilePathMacro(ModelFileName);
+  vtkGetFilePathMacro(ModelFileName);
+  ///@}
+
+  ///@{
+  /**
+   * A file that learning starts from, read when it is set; nullptr or an empty name for none.
+   */
+  void SetStateFileName(VTK_FILEPATH const char* fileName);
+  vtkGetFilePathMacro(StateFileName);
+  ///@}
+
+  /**
+   * Writes what was learned of the volume that was drawn last.
+   */
+  bool SaveState(VTK_FILEPATH const char* fileName);
+
+  /**
+   * Forgets what was learned.
+   */
+  void Reset();
+
+  ///@{
+  /**
+   * Read-outs of the last frame on this process, as in vtkEntireSteering: of the volume that took longest.
+   */
+  double GetPredictedTime();
+  double GetMeasuredTime();
+  double GetFrameTime();
+  double GetSampleDistance();
+  double GetImageSampleDistance();
+  double GetObserverTime();
+  const char* GetReason();
+  const char* GetStatus();
+  vtkIdType GetNumberOfSteeredFrames();
+  vtkIdType GetNumberOfFallbackFrames();
+  ///@}
+
+protected:
+  vtkEntireViewSteering();
+  ~vtkEntireViewSteering() override;
+
+  bool Enabled = true;
+  double TargetFrameTime = 0.1;
+  double CoarsestSampleDistance = 8.0;
+  double CoarsestImageSampleDistance = 4.0;
+  int Clock = 0;
+  char* ModelFileName = nullptr;
+  char* StateFileName = nullptr;
+
+private:
+  vtkEntireViewSteering(const vtkEntireViewSteering&) = delete;
+  void operator=(const vtkEntireViewSteering&) = delete;
+
+  class vtkInternals;
+  std::unique_ptr<vtkInternals> Internals;
+};
+
+#endif

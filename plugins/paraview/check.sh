@@ -1,0 +1,66 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
+# The plugin in every place where it is to work. Called by run.sh, on a display; ENTIRE_PLUGIN is the plugin.
+set -euo pipefail
+out=$1
+results=$out/check
+rm -rf "$results" && mkdir -p "$results"
+script=plugins/paraview/python/check.py
+failed=0
+
+# run NAME COMMAND...: the check must say that it passed.
+run() {
+    local name=$1
+    shift
+    if timeout 300 "$@" >"$results/$name.log" 2>&1 && grep -qs "^passed: $name" "$results/$name.txt"; then
+        echo "ok    $name ($(grep -c "^ok: " "$results/$name.txt") checks)"
+    else
+        echo "FAILED $name:"
+        tail -n 15 "$results/$name.log"
+        failed=1
+    fi
+}
+
+# Also into the list that CI ends with.
+skip() { # skip CHECKS REASON
+    echo "skip  $1: $2"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "test-paraview, $1: $2" >>"$ENTIRE_SKIPPED"
+}
+
+run pvbatch pvbatch "$script" "$ENTIRE_PLUGIN" "$results" --name pvbatch
+pvpython=$(command -v pvpython || true)
+if [[ ! $pvpython && ${PARAVIEW_ROOT:-} && -x $PARAVIEW_ROOT/usr/bin/pvpython ]]; then pvpython=$PARAVIEW_ROOT/usr/bin/pvpython; fi
+if [[ $pvpython ]]; then
+    run pvpython "$pvpython" "$script" "$ENTIRE_PLUGIN" "$results" --name pvpython
+else
+    skip "pvpython, pvserver" "the program pvpython is not installed (it is in python3-paraview)"
+fi
+if command -v mpirun >/dev/null; then
+    run two-ranks mpirun -n 2 --oversubscribe pvbatch "$script" "$ENTIRE_PLUGIN" "$results" --name two-ranks
+    if [[ $pvpython ]]; then
+        mpirun -n 2 --oversubscribe pvserver --server-port=11711 >"$results/pvserver.log" 2>&1 &
+        server=$!
+        for _ in $(seq 60); do
+            grep -q "Accepting connection" "$results/pvserver.log" && break
+            sleep 1
+        done
+        run pvserver "$pvpython" "$script" "$ENTIRE_PLUGIN" "$results" --name pvserver --server localhost:11711
+        for _ in $(seq 20); do kill -0 $server 2>/dev/null || break; sleep 0.5; done
+        kill $server 2>/dev/null || true
+        wait $server 2>/dev/null || true
+    fi
+else
+    skip "two-ranks, pvserver" "the program mpirun is not installed (it is in openmpi-bin)"
+fi
+# The whole output is read before it is searched: a reader that leaves early ends nm with SIGPIPE, which pipefail reports.
+if ! symbols=$(nm -DC "$ENTIRE_PLUGIN"); then
+    echo "FAILED gui: nm cannot list the symbols of $ENTIRE_PLUGIN"
+    failed=1
+elif ! command -v paraview >/dev/null; then
+    skip "gui" "the program paraview is not installed"
+elif [[ $symbols != *pqEntireSteeringPanel* ]]; then
+    skip "gui" "the plugin was built without its panel (PARAVIEW_PANEL=OFF, or ParaView without Qt)"
+else
+    bash plugins/paraview/gui.sh "$out" "$results" || failed=1
+fi
+exit $failed

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Loads the plugin and checks that it steers: pvbatch, pvpython, several ranks, or a client of a pvserver.
+
+    xvfb-run -a pvbatch check.py PLUGIN.so FOLDER [--server HOST:PORT] [--name NAME]
+"""
+import argparse
+import os
+import sys
+
+# ParaView's modules before those of another VTK, where they are not installed but unpacked somewhere.
+if os.environ.get("PARAVIEW_MODULES"):
+    sys.path.insert(0, os.environ["PARAVIEW_MODULES"])
+
+from paraview.simple import *  # noqa: F401,F403
+
+sys.path.insert(0, os.environ.get("ENTIRE_SCRIPTS") or os.path.dirname(os.path.abspath(__file__)))
+from entire_paraview import FrameTime  # noqa: E402
+
+parser = argparse.ArgumentParser()
+parser.add_argument("plugin")
+parser.add_argument("folder")
+parser.add_argument("--server")
+parser.add_argument("--name", default="check")
+# The graphical client runs scripts without arguments.
+given = os.environ.get("ENTIRE_CHECK")
+options = parser.parse_args(given.split() if given else None)
+
+
+def say(text):
+    # The graphical client keeps what scripts print to itself.
+    with open(os.path.join(options.folder, f"{options.name}.txt"), "a") as file:
+        file.write(text + "\n")
+    print(text, flush=True)
+
+
+def check(condition, text):
+    say(f"{'ok' if condition else 'FAILED'}: {options.name}: {text}")
+    if not condition:
+        os._exit(1)
+
+
+if options.server:
+    host, port = options.server.split(":")
+    Connect(host, int(port))
+    LoadPlugin(options.plugin, remote=True)
+if not given:
+    LoadPlugin(options.plugin, remote=False)
+
+paraview.simple._DisableFirstRenderCameraReset()
+source = Wavelet(WholeExtent=[-40, 40, -40, 40, -40, 40])
+view = GetActiveViewOrCreate("RenderView") if given else CreateView("RenderView")
+view.ViewSize = [320, 240]
+view.OrientationAxesVisibility = 0
+view.RemoteRenderThreshold = 0
+display = Show(source, view)
+display.SetRepresentationType("Volume")
+ColorBy(display, ("POINTS", "RTData"))
+display.SetScalarBarVisibility(view, False)
+ResetCamera(view)
+
+
+def shot(name):
+    path = os.path.join(options.folder, f"{options.name}-{name}.png")
+    if os.path.exists(path):
+        os.remove(path)
+    SaveScreenshot(path, view, ImageResolution=[320, 240])
+    with open(path, "rb") as file:
+        return file.read()
+
+
+def interact(azimuth=5):
+    view.GetActiveCamera().Azimuth(azimuth)
+    view.SMProxy.InteractiveRender()
+
+
+if given:
+    # The client's window is still being shown.
+    for _ in range(3):
+        shot("plain")
+plain = shot("plain")
+steering = FrameTime(view, target=1e-4)
+attached = shot("attached")
+check(attached == plain, "a screenshot with the plugin attached is the screenshot without it, byte for byte")
+for _ in range(6):
+    interact()
+read = steering.read()
+say(str(read))
+check(read["NumberOfSteeredFrames"] > 0, f"{read['NumberOfSteeredFrames']} interactive frames were steered")
+check(read["NumberOfFallbackFrames"] == 0, "no frame was left unsteered for want of a prediction")
+check(read["Reason"] == "target unreachable", "a target out of reach is met with the coarsest settings allowed")
+check(read["ImageSampleDistance"] > 2 and read["MeasuredTime"] > 0, "the read-outs hold steps and times")
+coarse = read["SampleDistance"]
+view.GetActiveCamera().Azimuth(-30)
+again = shot("after")
+check(again == plain, "a screenshot after steered frames is still the same, byte for byte")
+steering.proxy.TargetFrameTime = 1000.0
+for _ in range(3):
+    interact()
+read = steering.read()
+check(read["SampleDistance"] < 0.5 * coarse, "with time to spare frames are drawn as finely as ParaView would")
+before = read["NumberOfSteeredFrames"]
+steering.proxy.Enabled = 0
+interact()
+read = steering.read()
+check(read["NumberOfSteeredFrames"] == before and read["Reason"] == "off", "switched off, ParaView draws alone")
+steering.proxy.Enabled = 1
+state = os.path.join(options.folder, f"{options.name}.state")
+if os.path.exists(state):
+    os.remove(state)
+steering.save(state)
+check(options.server or os.path.getsize(state) > 16, "what was learned is saved")
+steering.proxy.ModelFileName = "/nowhere/model.safetensors"
+interact()
+read = steering.read()
+check(read["Reason"] == "fallback" and "/nowhere/model" in read["Status"], "a missing model is named and ParaView draws")
+steering.proxy.ModelFileName = ""
+interact()
+check(steering.read()["Reason"] != "fallback", "and steering goes on when the name is gone")
+# A folder as a saved state: refused, and steering goes on. Without a message window the error goes to the console.
+steering.proxy.StateFileName = options.folder
+steering.proxy.UpdateVTKObjects()
+before = steering.read()["NumberOfSteeredFrames"]
+interact()
+check(steering.read()["NumberOfSteeredFrames"] > before, "a folder is refused as a saved state, and steering goes on")
+steering.proxy.StateFileName = ""
+steering.proxy.UpdateVTKObjects()
+# Another array, another data set, a second volume.
+source.WholeExtent = [-30, 30, -30, 30, -30, 30]
+interact()
+interact()
+check(steering.read()["Reason"] not in ("fallback", ""), "other data are followed")
+Hide(source, view)
+interact()
+Show(source, view)
+interact()
+steering.release()
+view.GetActiveCamera().Azimuth(1)
+view.SMProxy.InteractiveRender()
+if not given:
+    # The graphical client of ParaView 5.11 waits for ever where its last view is deleted from a start-up script.
+    Delete(view)
+Delete(source)
+say(f"passed: {options.name}")

@@ -1,0 +1,89 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
+# Builds the ParaView plugin against an installed libentire, and loads and checks it.
+#
+#   plugins/paraview/run.sh build|test|screenshot
+#
+# PARAVIEW_OUT     where builds and results go (default target/paraview)
+# PARAVIEW_PYTHON  root of an unpacked python3-paraview package, where it is not installed (it conflicts with
+#                  python3-vtk9, which libvtk9-dev needs): apt-get download python3-paraview &&
+#                  dpkg -x python3-paraview_*.deb FOLDER. Default: fetched into PARAVIEW_OUT where apt can.
+# PARAVIEW_PANEL   OFF builds without the panel of the graphical client
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+what=${1:?build, test or screenshot}
+out=${PARAVIEW_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/paraview}
+sdk=$out/sdk
+arch=$(gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
+cmake_dir=/usr/lib/$arch/cmake/paraview-5.11
+
+lacks() {
+    echo "paraview: skipped: $1"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "test-paraview: $1" >>"$ENTIRE_SKIPPED"
+    exit 0
+}
+packages="paraview paraview-dev qtbase5-dev libqt5svg5-dev qttools5-dev libqt5opengl5-dev libutfcpp-dev libxml2-dev \
+libhdf5-openmpi-dev libogg-dev libtheora-dev libavformat-dev libswscale-dev libswresample-dev libgl2ps-dev libpng-dev \
+libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev"
+command -v cmake >/dev/null || lacks "cmake is not installed (apt-get install cmake ninja-build g++)"
+command -v pvbatch >/dev/null && [[ -d $cmake_dir ]] ||
+    lacks "ParaView 5.11 and its development files are not installed (apt-get install $packages)"
+command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): ParaView needs a display"
+mkdir -p "$out"
+
+# ParaView's Python modules: installed, given, or fetched and unpacked beside the build.
+modules=
+if [[ -e /usr/lib/python3/dist-packages/paraview ]]; then
+    prefix=
+else
+    modules=${PARAVIEW_PYTHON:-$out/python3-paraview}
+    if [[ ! -e $modules/usr/lib/python3/dist-packages/paraview ]]; then
+        (mkdir -p "$modules" && cd "$modules" && apt-get download -q python3-paraview >/dev/null 2>&1 &&
+            dpkg -x python3-paraview_*.deb . && rm -f python3-paraview_*.deb) ||
+            lacks "python3-paraview is neither installed nor to be fetched (set PARAVIEW_PYTHON)"
+    fi
+    # ParaView's CMake package insists on its Python modules: a prefix of links in which they are.
+    prefix=$out/prefix
+    if [[ ! -e $prefix/lib/$arch/cmake ]]; then
+        rm -rf "$prefix" && mkdir -p "$prefix/lib/$arch/cmake"
+        for each in include share; do ln -s /usr/$each "$prefix/$each"; done
+        mkdir "$prefix/bin" && ln -s /usr/bin/* "$prefix/bin/"
+        for each in "$modules"/usr/bin/*; do [[ ! -e $each ]] || ln -sf "$each" "$prefix/bin/"; done
+        ln -s "$modules/usr/lib/python3" "$prefix/lib/python3"
+        for each in /usr/lib/"$arch"/*; do
+            [[ $each == */cmake || $each == */vtk ]] || ln -s "$each" "$prefix/lib/$arch/"
+        done
+        mkdir -p "$prefix/lib/$arch/vtk/hierarchy"
+        ln -s "$modules/usr/lib/$arch/vtk/hierarchy/ParaView" "$prefix/lib/$arch/vtk/hierarchy/"
+        cp -r "$cmake_dir" "$prefix/lib/$arch/cmake/"
+    fi
+    cmake_dir=$prefix/lib/$arch/cmake/paraview-5.11
+    export PYTHONPATH=$modules/usr/lib/python3/dist-packages PARAVIEW_MODULES=$modules/usr/lib/python3/dist-packages
+    export PARAVIEW_ROOT=$modules
+fi
+
+build() {
+    [[ ${ENTIRE_SDK_READY:-} ]] || ffi/package/install.sh --prefix "$sdk" >/dev/null
+    local generator=()
+    if command -v ninja >/dev/null; then generator=(-G Ninja); fi
+    cmake -S plugins/paraview -B "$out/build" "${generator[@]}" -DCMAKE_PREFIX_PATH="$sdk" -DParaView_DIR="$cmake_dir" \
+        -DENTIRE_PANEL="${PARAVIEW_PANEL:-ON}" >"$out/configure.log" 2>&1 ||
+        { tail -n 30 "$out/configure.log" >&2; exit 1; }
+    cmake --build "$out/build" >"$out/build.log" 2>&1 || { tail -n 40 "$out/build.log" >&2; exit 1; }
+    plugin=$(find "$out/build" -name EntireSteering.so | head -n 1)
+    echo "paraview: built $plugin"
+}
+
+# A display that outlives its clients.
+display() { timeout "${LIMIT:-600}" xvfb-run -a -s "-screen 0 1280x900x24 -noreset" "$@"; }
+
+build
+export ENTIRE_PLUGIN=$plugin
+export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
+here=plugins/paraview/python
+case $what in
+    build) ;;
+    test) LIMIT=1200 display bash plugins/paraview/check.sh "$out" ;;
+    screenshot) LIMIT=300 display bash plugins/paraview/screenshot.sh "$out" ;;
+    *) echo "run.sh: unknown word $what" >&2; exit 2 ;;
+esac

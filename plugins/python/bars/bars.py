@@ -1,0 +1,369 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Measures the Python package: lines `bar NAME VALUE LIMIT ok|short`.
+
+    make bars-python
+    plugins/python/run.sh bars --only frames,overhead
+
+Frames are those of `make bars-vtk`: 256^3 voxels of noise, 512 x 512 pixels, 200 frames of an orbit, a
+transparent and an opaque function in turn, the target half of the mean frame time at full quality, by
+processor time.
+"""
+
+import argparse
+import ctypes
+import gc
+import importlib.util
+import json
+import math
+import os
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[2]
+sys.path.insert(0, str(HERE.parent / "tests"))
+SWITCHES = (50, 100, 150)
+OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.12), (255, 0.5))
+TRANSPARENT = ((0, 0.0), (20, 0.0), (255, 0.03))
+
+THREE_LINES = """\
+pl = pv.Plotter(window_size=(300, 300)); pl.add_volume(v)
+pl.entire.hold(fps=30)
+pl.show(auto_close=False, interactive=False)
+"""
+
+
+def bar(name, value, limit, text=None, below=True):
+    good = value <= limit if below else value >= limit
+    print(
+        f"bar {name} {value:.4g} {limit:g} {'ok' if good else 'short'}" + (f"   {text}" if text else ""),
+        flush=True,
+    )
+    return {"name": name, "value": value, "limit": limit, "ok": bool(good), "text": text}
+
+
+def noise_volume(n, seed=7):
+    # The very volume of `make bars-vtk`.
+    spec = importlib.util.spec_from_file_location(
+        "vtk_scene", ROOT / "plugins" / "vtk" / "python" / "vtk_scene.py"
+    )
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.noise_volume(n, seed)
+
+
+def orbit(frame, frames, n):
+    """Position of the eye, in voxels from the volume's center."""
+    t = frame / frames
+    azimuth, elevation = 2 * math.pi * t, math.radians(25) * math.sin(4 * math.pi * t)
+    distance = n * (2.1 + 0.4 * math.cos(2 * math.pi * (t - 0.875)))
+    return (
+        distance * math.cos(elevation) * math.sin(azimuth),
+        distance * math.sin(elevation),
+        distance * math.cos(elevation) * math.cos(azimuth),
+    )
+
+
+class Path200:
+    """The scene of the path and its two functions."""
+
+    def __init__(self, voxels, size, frames):
+        from scenes import View, add_volume
+        from vtkmodules.vtkCommonDataModel import vtkPiecewiseFunction
+
+        self.n, self.frames = voxels.shape[0], frames
+        self.view = View((size, size))
+        self.volume = add_volume(self.view.renderer, voxels)
+        self.functions = []
+        for points in (TRANSPARENT, OPAQUE):
+            function = vtkPiecewiseFunction()
+            for at, value in points:
+                function.AddPoint(at, value)
+            self.functions.append(function)
+
+    def draw(self, frame):
+        opaque = sum(frame >= self.frames * s // 200 for s in SWITCHES) % 2
+        self.volume.GetProperty().SetScalarOpacity(self.functions[opaque])
+        camera = self.view.renderer.GetActiveCamera()
+        camera.SetViewAngle(45)
+        camera.SetFocalPoint(0, 0, 0)
+        camera.SetPosition(*orbit(frame, self.frames, self.n))
+        camera.SetViewUp(0, 1, 0)
+        self.view.renderer.ResetCameraClippingRange()
+        before = time.process_time()
+        self.view.window.Render()
+        return time.process_time() - before
+
+
+def frames_held(options):
+    import entire.vtk
+
+    voxels = noise_volume(options.edge)
+    path = Path200(voxels, options.size, options.frames)
+    for _ in range(2):
+        path.draw(0)
+    full = [path.draw(f) for f in range(0, options.frames, 10)]
+    target = 0.5 * statistics.fmean(full)
+    print(
+        f"target {1e3 * target:.1f} ms of processor time, full quality {1e3 * statistics.fmean(full):.1f} ms",
+        flush=True,
+    )
+    results, figures = [], {}
+    for name, limit in (("cold", 0.12), ("calibrated", 0.08)):
+        path = Path200(voxels, options.size, options.frames)
+        model = None
+        if name == "calibrated":
+            path.draw(0)
+            model = entire.vtk.calibrate(path.view.renderer, path.volume, frames=60, clock="cpu")
+        steering = entire.vtk.hold(path.view.renderer, path.volume, target, clock="cpu", model=model)
+        path.volume.VisibilityOff()
+        path.view.window.Render()
+        path.volume.VisibilityOn()
+        times, overhead = [], []
+        for frame in range(options.frames):
+            times.append(path.draw(frame))
+            overhead.append(steering.overhead)
+            if steering.reason == "fallback":
+                sys.exit(f"{name}: not steered: {steering.status}")
+        relative = np.array(times) / target
+        figures[name] = {"relative": relative.tolist(), "overhead": overhead}
+        late = float(np.mean(relative > 1.25))
+        results.append(
+            bar(
+                f"error-{name}",
+                float(np.mean(np.abs(relative - 1))),
+                limit,
+                f"mean {1e3 * np.mean(times):.1f} ms",
+            )
+        )
+        results.append(bar(f"late-{name}", late, 0.02, "share of frames over 1.25 x target"))
+        results.append(
+            bar(
+                f"overhead-{name}",
+                1e6 * statistics.median(overhead),
+                150,
+                "microseconds a frame, median, all of Python's part",
+            )
+        )
+    (options.out / "frames.json").write_text(json.dumps(figures))
+    return results
+
+
+def three_lines(options):
+    wheel = next(iter(sorted(Path(options.wheels).glob("entire-*.whl"))))
+    folder = options.out / "clean"
+    subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True)
+    python = folder / "bin" / "python"
+    subprocess.run([python, "-m", "pip", "install", "--quiet", f"{wheel}[pyvista]"], check=True)
+    program = (
+        "import numpy as np, pyvista as pv\n"
+        "v = pv.wrap(np.random.default_rng(0).integers(0, 255, (64, 64, 64), np.uint8))\n"
+        + THREE_LINES
+        + "i = pl.render_window.GetInteractor()\n"
+        "i.SetEventInformation(150, 150, 0, 0); i.InvokeEvent('LeftButtonPressEvent')\n"
+        "for k in range(20): i.SetEventInformation(150 + 3 * k, 150, 0, 0); i.InvokeEvent('MouseMoveEvent')\n"
+        "s = pl.entire.steering\n"
+        "assert s.steered_frames >= 19 and s.status == '', s\n"
+        "print(s.steered_frames)\n"
+    )
+    run = subprocess.run([python, "-c", program], capture_output=True, text=True)
+    lines = len(THREE_LINES.splitlines()) if run.returncode == 0 else 99
+    if run.returncode:
+        print(run.stderr[-600:], file=sys.stderr)
+    size = wheel.stat().st_size / 1e6
+    return [bar("lines", lines, 3, f"{run.stdout.strip()} steered frames"), bar("wheel", size, 15, "MB")]
+
+
+def many_views(options):
+    import entire
+
+    volume = entire.Volume(noise_volume(128))
+    tf = entire.TransferFunction.points([(0, 0), (0.1, 0), (1, 0.2)])
+    rng = np.random.default_rng(0)
+    views = rng.uniform((-80, 0, 1.2), (80, 360, 4), (10_000, 3)).astype(np.float32)
+    results = []
+    for model in (None, "unshaded-selected"):
+        entire.predict(volume, views[:100], tf, (1280, 720), model=model)
+        times = []
+        for _ in range(5):
+            before = time.process_time()
+            together = entire.predict(volume, views, tf, (1280, 720), model=model)
+            times.append(time.process_time() - before)
+        session = entire.Session(volume, model=model)
+        alone = np.array(
+            [session.predict(entire.Camera.arcball(*map(float, v)), tf, (1280, 720)).seconds for v in views],
+            np.float32,
+        )
+        name = model or "untrained"
+        results.append(bar(f"views-{name}", min(times), 0.5, "seconds of one core for 10,000 views"))
+        results.append(
+            bar(f"views-{name}-other-bits", int((together.view(np.uint32) != alone.view(np.uint32)).sum()), 0)
+        )
+    return results
+
+
+class Desc(ctypes.Structure):
+    _fields_ = [
+        ("struct_size", ctypes.c_size_t),
+        ("voxels", ctypes.c_void_p),
+        ("voxel_count", ctypes.c_size_t),
+        ("scalar_type", ctypes.c_uint32),
+        ("ownership", ctypes.c_uint32),
+        ("dims", ctypes.c_size_t * 3),
+        ("strides", ctypes.c_size_t * 3),
+        ("spacing", ctypes.c_float * 3),
+        ("range", ctypes.c_float * 2),
+        ("reserved", ctypes.c_uint32),
+    ]
+
+
+def volume_of_512(options):
+    import entire
+
+    array = np.random.default_rng(0).integers(0, 4095, (512, 512, 512), np.uint16)
+    library = ctypes.CDLL(str(options.library))
+    library.entire_volume_free.argtypes = [ctypes.c_void_p]
+    desc = Desc()
+    assert library.entire_volume_desc_init(ctypes.byref(desc), ctypes.c_size_t(ctypes.sizeof(desc))) == 0
+    desc.voxels, desc.voxel_count = array.ctypes.data, array.size
+    desc.scalar_type, desc.ownership = 3, 2  # ENTIRE_SCALAR_U16, ENTIRE_VOXELS_BORROW
+    desc.dims[:] = array.shape[::-1]
+
+    def c_call():
+        volume = ctypes.c_void_p()
+        before = time.process_time()
+        assert library.entire_volume_new(ctypes.byref(desc), ctypes.byref(volume)) == 0
+        seconds = time.process_time() - before
+        library.entire_volume_free(volume)
+        return seconds
+
+    def python_call():
+        before = time.process_time()
+        volume = entire.Volume(array)
+        seconds = time.process_time() - before
+        assert not volume.copied
+        return seconds
+
+    before = resident()
+    kept = entire.Volume(array)
+    copies = round((resident() - before) / array.nbytes)
+    del kept
+    c_times, python_times = [], []
+    for _ in range(7):
+        c_times.append(c_call())
+        python_times.append(python_call())
+    ratio = min(python_times) / min(c_times)
+    return [
+        bar("volume-copies", copies, 0),
+        bar(
+            "volume-over-c",
+            ratio,
+            1.1,
+            f"{1e3 * min(python_times):.1f} ms, the C call {1e3 * min(c_times):.1f} ms",
+        ),
+    ]
+
+
+def resident():
+    gc.collect()
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def leaks(options):
+    import entire
+    import entire.vtk
+    from scenes import View, add_volume
+
+    voxels = noise_volume(16)
+    tf, camera = entire.TransferFunction.points([(0, 0), (1, 0.1)]), entire.Camera.arcball(20, 30, 2.5)
+    volume = entire.Volume(voxels)
+
+    def session():
+        made = entire.Session(volume)
+        made.observe(made.plan(camera, tf, (64, 64), 0.01), 0.01)
+
+    view = View((32, 32))
+    drawn = add_volume(view.renderer, voxels, "smart")
+
+    def attach():
+        entire.vtk.hold(view.renderer, drawn, 0.01).detach()
+
+    results = []
+    for name, cycle, count in (("sessions", session, 100_000), ("attaching", attach, 10_000)):
+        for _ in range(count // 20):
+            cycle()
+        before = resident()
+        for _ in range(count):
+            cycle()
+        results.append(bar(f"leak-{name}", (resident() - before) / 1e6, 1, f"MB over {count} cycles"))
+    return results
+
+
+def still_pictures(options):
+    import entire.vtk
+    from scenes import View, add_volume
+
+    voxels, differing, compared = noise_volume(96), 0, 0
+    for kind in ("gpu", "fixed", "smart"):
+        view = View((256, 256))
+        volume = add_volume(view.renderer, voxels, kind)
+        view.draw(1)
+        plain = []
+        for degrees in range(0, 360, 30):
+            view.orbit(degrees, 200)
+            view.window.Render()
+            plain.append(view.pixels())
+        steering = entire.vtk.hold(view.renderer, volume, 1e-3)
+        for i, degrees in enumerate(range(0, 360, 30)):
+            view.orbit(degrees + 10, 200)
+            view.window.Render()
+            view.orbit(degrees, 200)
+            with steering.still():
+                view.window.Render()
+            differing += int((view.pixels() != plain[i]).sum())
+            compared += plain[i].size
+    return [bar("still-bytes-differing", differing, 0, f"of {compared}, three mappers")]
+
+
+MEASURES = {
+    "lines": three_lines,
+    "still": still_pictures,
+    "views": many_views,
+    "volume": volume_of_512,
+    "leaks": leaks,
+    "frames": frames_held,
+}
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--wheels", default=ROOT / "out" / "wheels")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "python")
+    parser.add_argument("--library", type=Path, default=ROOT / "target" / "release" / "libentire.so")
+    parser.add_argument("--only", default=",".join(MEASURES), help="comma-separated: " + ", ".join(MEASURES))
+    parser.add_argument("--frames", type=int, default=200)
+    parser.add_argument("--edge", type=int, default=256, help="voxels along each side")
+    parser.add_argument("--size", type=int, default=512, help="pixels along each side")
+    options = parser.parse_args()
+    options.out = options.out.resolve()
+    options.out.mkdir(parents=True, exist_ok=True)
+    results = []
+    for name in options.only.split(","):
+        results += MEASURES[name](options)
+    (options.out / "bars.json").write_text(json.dumps(results, indent=1))
+    short = [r["name"] for r in results if not r["ok"]]
+    print(
+        f"{len(results) - len(short)} of {len(results)} bars met"
+        + (f"; short: {', '.join(short)}" if short else "")
+    )
+
+
+if __name__ == "__main__":
+    main()

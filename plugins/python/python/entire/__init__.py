@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Tells how long a volume-rendered frame will take, and holds renderers to a frame time.
+
+With PyVista::
+
+    pl = pv.Plotter()
+    pl.add_volume(v)
+    pl.entire.hold(fps=30)
+
+with any VTK: :func:`entire.vtk.hold`; with any other renderer: :class:`Session`; without one:
+:func:`predict`.
+"""
+
+from __future__ import annotations
+
+from ._core import Calibration, Model, Session, models, predict
+from ._history import History
+from ._native import (
+    Camera,
+    MissingInputError,
+    ModelError,
+    NotReadyError,
+    Plan,
+    Prediction,
+    RejectedObservationError,
+    TransferFunction,
+    Volume,
+    __version__,
+    simd_level,
+)
+
+__all__ = [
+    "Calibration",
+    "Camera",
+    "History",
+    "MissingInputError",
+    "Model",
+    "ModelError",
+    "NotReadyError",
+    "Plan",
+    "Prediction",
+    "RejectedObservationError",
+    "Session",
+    "TransferFunction",
+    "Volume",
+    "__version__",
+    "models",
+    "predict",
+    "simd_level",
+]

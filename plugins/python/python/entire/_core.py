@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Models by name, sessions with a history, and predictions of many views."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Union
+
+from . import _native
+from ._history import History
+
+if TYPE_CHECKING:
+    from typing import Literal
+
+    import numpy as np
+    import numpy.typing as npt
+    from typing_extensions import Self
+
+    Shading = Literal["none", "local", "scatter"]
+    Skipping = Literal["blocks", "none", "distance"]
+
+_FOLDER = Path(__file__).parent / "models"
+_REASONS = {
+    "fits": "the finest step whose upper bound fits the target",
+    "damped": "on the way to the best step, slowly, since nothing has changed abruptly",
+    "held": "the step before still fits and is close to the best",
+    "finest allowed": "nothing finer is allowed, and it fits",
+    "target unreachable": "nothing coarser is allowed, and even that is not expected to fit",
+    "history": "the prediction is not trusted here; recent frames decide",
+    "no information": "neither a prediction nor a timing is there yet",
+    "off": "steering is switched off",
+    "reactive": "a rule that reacts to past frames",
+}
+
+
+def models() -> list[str]:
+    """Names of the models that the package brings along.
+
+    Returns
+    -------
+    list of str
+        Sorted; each can be given to :class:`Model` and, where it predicts, as ``model=`` elsewhere.
+    """
+    return sorted(path.stem for path in _FOLDER.glob("*.safetensors"))
+
+
+class Model(_native.Model):
+    """A model file: a predictor of frame times, an encoder of volumes, or both.
+
+    Parameters
+    ----------
+    source : str, os.PathLike or bytes
+        The name of a shipped model (see :func:`models`), the path of a file from ``entire train``, or a
+        file's bytes.
+
+    Raises
+    ------
+    ModelError
+        For bytes that are no model file, or a damaged one.
+    FileNotFoundError
+        For a text that is neither a shipped model's name nor a file.
+
+    Examples
+    --------
+    >>> import entire
+    >>> entire.Model("unshaded-selected").predicts
+    True
+    """
+
+    def __new__(cls, source: Union[str, os.PathLike[str], bytes]) -> Self:
+        if isinstance(source, (bytes, bytearray, memoryview)):
+            return super().__new__(cls, bytes(source))
+        path = Path(source)
+        if isinstance(source, str) and source in models():
+            path = _FOLDER / f"{source}.safetensors"
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"{os.fspath(source)!r} is neither a file nor a shipped model; shipped are "
+                f"{', '.join(models())}"
+            )
+        return super().__new__(cls, path.read_bytes())
+
+    def save(self, path: Union[str, os.PathLike[str]]) -> None:
+        """Writes the model file.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+        """
+        Path(path).write_bytes(self.to_bytes())
+
+    def __repr__(self) -> str:
+        does = [word for word, has in (("predicts", self.predicts), ("encodes volumes", self.encodes)) if has]
+        return f"Model({' and '.join(does)}, {len(self.to_bytes())} bytes)"
+
+
+ModelLike = Union[Model, str, "os.PathLike[str]", bytes]
+
+
+def _model(given: ModelLike | None) -> Model | None:
+    return given if given is None or isinstance(given, Model) else Model(given)
+
+
+class Session(_native.Session):
+    """Predicts and steers one render loop, whatever renders.
+
+    For every frame: :meth:`plan`, draw with the plan's step, then :meth:`observe` the time it took. A session
+    may be used from any thread, by one at a time.
+
+    Parameters
+    ----------
+    volume : Volume, optional
+        What is drawn; :meth:`set_volume` exchanges it.
+    model : Model, str, os.PathLike or bytes, optional
+        Predictor of the first frames: as :class:`Model` takes it. Without one a linear cost model learns the
+        renderer from its first frames on.
+    tolerance : float, optional
+        How far over the target a frame may be before it counts as missed, as a share of the target. Default
+        0.1.
+    miss_rate : float, optional
+        Share of frames that may be missed, over 0 and under 1. Default 0.05.
+    trust_limit : float, optional
+        Out-of-range score from which recent frames decide instead of the prediction. Default 2.
+    damping : bool, optional
+        Whether moves are damped in calm phases. Default True.
+    probe_side : int, optional
+        Rays along each side of the probe that measures frames, 1 to 24, for linear cost models. Default 11.
+
+    Raises
+    ------
+    ValueError
+        For an option out of range.
+    ModelError
+        For a model that does not predict.
+
+    Examples
+    --------
+    >>> import numpy as np, entire
+    >>> volume = entire.Volume(np.random.default_rng(0).integers(0, 255, (32, 32, 32), np.uint8))
+    >>> tf = entire.TransferFunction.points([(0, 0), (1, 0.1)])
+    >>> session = entire.Session(volume)
+    >>> plan = session.plan(entire.Camera.arcball(20, 30, 3), tf, (640, 480), target=0.02)
+    >>> session.observe(plan, seconds=0.018)
+    'learned'
+    """
+
+    def __new__(
+        cls,
+        volume: _native.Volume | None = None,
+        *,
+        model: ModelLike | None = None,
+        tolerance: float = 0.1,
+        miss_rate: float = 0.05,
+        trust_limit: float = 2.0,
+        damping: bool = True,
+        probe_side: int | None = None,
+    ) -> Self:
+        return super().__new__(
+            cls,
+            volume,
+            model=_model(model),
+            tolerance=tolerance,
+            miss_rate=miss_rate,
+            trust_limit=trust_limit,
+            damping=damping,
+            probe_side=probe_side,
+        )
+
+    @property
+    def history(self) -> History:
+        """History : The last observed frames, at most 4096, oldest first."""
+        return History(self.columns())
+
+    def save(self, path: Union[str, os.PathLike[str]]) -> None:
+        """Writes what was learned to a file, in one piece.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+        """
+        aside = Path(f"{os.fspath(path)}.part{os.getpid()}")
+        aside.write_bytes(self.save_state())
+        os.replace(aside, path)
+
+    def load(self, path: Union[str, os.PathLike[str]]) -> None:
+        """Takes up what :meth:`save` wrote; on an error nothing changes.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+
+        Raises
+        ------
+        ValueError
+            For a file that is no saved state.
+        """
+        self.load_state(Path(path).read_bytes())
+
+    def _repr_html_(self) -> str:
+        return self.history._repr_html_()
+
+
+def explain(plan: _native.Plan) -> str:
+    """In a sentence, why a plan is what it is.
+
+    Parameters
+    ----------
+    plan : Plan
+
+    Returns
+    -------
+    str
+    """
+    return _REASONS.get(plan.reason, plan.reason)
+
+
+class Calibration(_native.Calibration):
+    __doc__ = _native.Calibration.__doc__
+
+    #: Median of |predicted / measured - 1| over the frames of the last fit; NaN before.
+    median_error: float = float("nan")
+
+    def fit(self) -> Model:
+        """Fits the cost model to the frames so far. Some 50 frames from various sides, with various steps,
+        will do.
+
+        Returns
+        -------
+        Model
+
+        Raises
+        ------
+        ValueError
+            Without a usable frame.
+        """
+        data, self.median_error = self.fit_bytes()
+        return Model(data)
+
+
+def predict(
+    volume: _native.Volume | npt.ArrayLike,
+    cameras: Sequence[_native.Camera] | npt.ArrayLike,
+    tf: _native.TransferFunction,
+    size: tuple[int, int],
+    *,
+    model: ModelLike | None = None,
+    step: float = 1.0,
+    shading: Shading = "none",
+    skipping: Skipping = "blocks",
+    termination: float = 0.99,
+    fov: float = 45.0,
+) -> npt.NDArray[np.float32]:
+    """Predicts the seconds of many views at once.
+
+    Parameters
+    ----------
+    volume : Volume or array_like
+        What is drawn; an array as :class:`Volume` takes it.
+    cameras : sequence of Camera, or array_like of shape (n, 3) or (n, 4, 4)
+        Cameras, arcball poses (rx and ry in degrees, dz in radii), or world-to-eye matrices.
+    tf : TransferFunction
+    size : (int, int)
+        Width and height of the image in pixels.
+    model : Model, str, os.PathLike or bytes, optional
+        As :class:`Model` takes it. Seconds belong to a machine and a renderer: calibrate to yours. Without a
+        model the seconds are those of a rough software renderer; their ratios still tell expensive views from
+        cheap ones.
+    step : float, optional
+        Ray step in reference steps (smallest voxel spacings). Default 1.
+    shading, skipping, termination
+        As in :meth:`Session.plan`.
+    fov : float, optional
+        Vertical field of view in degrees where `cameras` is an array. Default 45.
+
+    Returns
+    -------
+    numpy.ndarray
+        float32, shape (n,): the same numbers, to the bit, as one view at a time gives.
+
+    Examples
+    --------
+    >>> import numpy as np, entire
+    >>> volume = np.zeros((16, 16, 16), np.uint8)
+    >>> tf = entire.TransferFunction.points([(0, 0), (1, 0.1)])
+    >>> orbit = np.stack([np.zeros(90), np.linspace(0, 356, 90), np.full(90, 2.5)], axis=1)
+    >>> entire.predict(volume, orbit, tf, (640, 480)).shape
+    (90,)
+    """
+    what: Any = volume
+    given = what if isinstance(what, _native.Volume) else _native.Volume(what)
+    return Session(given, model=model).predict_many(
+        cameras, tf, size, step=step, shading=shading, skipping=skipping, termination=termination, fov=fov
+    )

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+from collections.abc import Sequence
+from typing import Any, Literal, final
+
+import numpy as np
+import numpy.typing as npt
+from typing_extensions import Self
+
+_Shading = Literal["none", "local", "scatter"]
+_Skipping = Literal["blocks", "none", "distance"]
+_Triple = tuple[float, float, float] | Sequence[float]
+
+__version__: str
+simd_level: str
+
+class ModelError(ValueError): ...
+class MissingInputError(ValueError): ...
+class NotReadyError(RuntimeError): ...
+class RejectedObservationError(ValueError): ...
+
+def command(args: Sequence[str]) -> int: ...
+
+@final
+class Volume:
+    def __new__(
+        cls,
+        array: npt.ArrayLike,
+        spacing: _Triple = ...,
+        *,
+        origin: _Triple = ...,
+        axes: Literal["zyx", "xyz"] = "zyx",
+        range: tuple[float, float] | None = None,
+    ) -> Self: ...
+    @property
+    def shape(self) -> tuple[int, int, int]: ...
+    @property
+    def spacing(self) -> tuple[float, float, float]: ...
+    @property
+    def center(self) -> tuple[float, float, float]: ...
+    @property
+    def radius(self) -> float: ...
+    @property
+    def range(self) -> tuple[float, float]: ...
+    @property
+    def reference_step(self) -> float: ...
+    @property
+    def copied(self) -> bool: ...
+    @property
+    def array(self) -> npt.NDArray[Any]: ...
+
+@final
+class Camera:
+    @staticmethod
+    def arcball(rx: float, ry: float, dz: float, fov: float = ...) -> Camera: ...
+    @staticmethod
+    def look_at(
+        volume: Volume,
+        eye: _Triple,
+        target: _Triple | None = None,
+        up: _Triple = ...,
+        fov: float = ...,
+    ) -> Camera: ...
+    @staticmethod
+    def view(
+        volume: Volume, matrix: Sequence[Sequence[float]] | npt.NDArray[np.floating[Any]], fov: float = ...
+    ) -> Camera: ...
+    @staticmethod
+    def scene(
+        volume: Volume,
+        to_eye: Sequence[float],
+        to_world: Sequence[float],
+        direction: Sequence[float],
+        center: _Triple,
+        fov: float,
+        parallel_scale: float | None = None,
+    ) -> Camera: ...
+    @staticmethod
+    def projection(
+        volume: Volume, matrix: Sequence[Sequence[float]] | npt.NDArray[np.floating[Any]]
+    ) -> Camera: ...
+    def jumps_from(self, before: Camera) -> bool: ...
+    @property
+    def pose(self) -> tuple[float, float, float]: ...
+    @property
+    def fov(self) -> float: ...
+
+@final
+class TransferFunction:
+    @staticmethod
+    def lobes(
+        lobes: Sequence[tuple[float, float, float]],
+        *,
+        unit_distance: float | None = None,
+        unit_length: float | None = None,
+    ) -> TransferFunction: ...
+    @staticmethod
+    def points(
+        points: Sequence[tuple[float, float]] | Sequence[tuple[float, float, float, float, float]],
+        *,
+        unit_distance: float | None = None,
+        unit_length: float | None = None,
+    ) -> TransferFunction: ...
+    @staticmethod
+    def nodes(
+        opacity: Sequence[tuple[float, float]] | Sequence[tuple[float, float, float, float]],
+        color: Sequence[tuple[float, float, float, float]]
+        | Sequence[tuple[float, float, float, float, float, float]] = ...,
+        *,
+        range: tuple[float, float],
+        clamp: bool = True,
+        unit_distance: float | None = None,
+        unit_length: float | None = None,
+    ) -> TransferFunction: ...
+    @staticmethod
+    def table(
+        samples: npt.ArrayLike, *, unit_distance: float | None = None, unit_length: float | None = None
+    ) -> TransferFunction: ...
+    @property
+    def rgba(self) -> npt.NDArray[np.float32]: ...
+
+class Model:
+    def __new__(cls, data: bytes) -> Self: ...
+    def encode(self, volume: Volume) -> npt.NDArray[np.float32]: ...
+    @property
+    def inputs(self) -> list[tuple[str, int]]: ...
+    @property
+    def metadata(self) -> dict[str, str]: ...
+    @property
+    def predicts(self) -> bool: ...
+    @property
+    def encodes(self) -> bool: ...
+    def to_bytes(self) -> bytes: ...
+
+@final
+class Plan:
+    @property
+    def id(self) -> int: ...
+    @property
+    def step(self) -> float: ...
+    @property
+    def image_sample_distance(self) -> float: ...
+    @property
+    def size(self) -> tuple[int, int]: ...
+    @property
+    def seconds(self) -> float: ...
+    @property
+    def upper(self) -> float: ...
+    @property
+    def out_of_range(self) -> float: ...
+    @property
+    def reason(self) -> str: ...
+    @property
+    def target(self) -> float: ...
+
+@final
+class Prediction:
+    @property
+    def seconds(self) -> float: ...
+    @property
+    def upper(self) -> float: ...
+    @property
+    def out_of_range(self) -> float: ...
+    @property
+    def source(self) -> str: ...
+    def __float__(self) -> float: ...
+
+class Session:
+    def __new__(
+        cls,
+        volume: Volume | None = None,
+        *,
+        model: Model | None = None,
+        tolerance: float = 0.1,
+        miss_rate: float = 0.05,
+        trust_limit: float = 2.0,
+        damping: bool = True,
+        probe_side: int | None = None,
+    ) -> Self: ...
+    def set_volume(self, volume: Volume) -> None: ...
+    def set_transfer_function(self, tf: TransferFunction) -> None: ...
+    def set_limits(self, finest: float, coarsest: float) -> None: ...
+    def set_max_image_sample_distance(self, coarsest: float, step_alone: float = 1.0) -> None: ...
+    def set_enabled(self, enabled: bool) -> None: ...
+    def mark(self, *, camera: bool = False, mode: bool = False, first: bool = False) -> None: ...
+    def plan(
+        self,
+        camera: Camera,
+        tf: TransferFunction | None,
+        size: tuple[int, int],
+        target: float,
+        *,
+        step: float = 1.0,
+        shading: _Shading = "none",
+        skipping: _Skipping = "blocks",
+        termination: float = 0.99,
+    ) -> Plan: ...
+    def choose(
+        self,
+        camera: Camera,
+        tf: TransferFunction | None,
+        size: tuple[int, int],
+        target: float,
+        settings: Sequence[tuple[float, tuple[int, int]]],
+        *,
+        shading: _Shading = "none",
+        skipping: _Skipping = "blocks",
+        termination: float = 0.99,
+    ) -> tuple[int, Plan]: ...
+    def observe(
+        self, plan: Plan, seconds: float, *, unusual: bool = False, cancelled: bool = False
+    ) -> str: ...
+    def predict(
+        self,
+        camera: Camera,
+        tf: TransferFunction | None,
+        size: tuple[int, int],
+        *,
+        step: float = 1.0,
+        shading: _Shading = "none",
+        skipping: _Skipping = "blocks",
+        termination: float = 0.99,
+    ) -> Prediction: ...
+    def predict_many(
+        self,
+        cameras: Sequence[Camera] | npt.ArrayLike,
+        tf: TransferFunction | None,
+        size: tuple[int, int],
+        *,
+        step: float = 1.0,
+        shading: _Shading = "none",
+        skipping: _Skipping = "blocks",
+        termination: float = 0.99,
+        fov: float = 45.0,
+    ) -> npt.NDArray[np.float32]: ...
+    def reset(self) -> None: ...
+    def save_state(self) -> bytes: ...
+    def load_state(self, state: bytes) -> None: ...
+    def columns(self) -> dict[str, Any]: ...
+
+class Calibration:
+    def __new__(cls) -> Self: ...
+    def add(
+        self,
+        volume: Volume,
+        camera: Camera,
+        tf: TransferFunction,
+        size: tuple[int, int],
+        seconds: float,
+        *,
+        step: float = 1.0,
+        shading: _Shading = "none",
+        skipping: _Skipping = "blocks",
+        termination: float = 0.99,
+    ) -> None: ...
+    def __len__(self) -> int: ...
+    def fit_bytes(self) -> tuple[bytes, float]: ...

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""``plotter.entire``: frame times of PyVista's plotters. PyVista (0.48 or newer) finds it by itself; nothing
+is imported."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import pyvista as pv
+
+from ._core import Model, ModelLike
+from ._history import History
+from .vtk import Steering, calibrate, hold
+from .vtk._mappers import gpu_in_place_of
+
+
+def _gpu_wrapper(smart: Any, keep: list[Any]) -> Any:
+    """PyVista's own GPU mapper in place of its smart one, with what PyVista keeps beside a mapper.
+
+    PyVista's mappers lose that when Python lets go of them: they are kept in the list.
+    """
+    kind = getattr(pv.plotting.mapper, "OpenGLGPUVolumeRayCastMapper", None)
+    if kind is None or not hasattr(smart, "_scalar_range"):
+        return gpu_in_place_of(smart)
+    wrapped = gpu_in_place_of(smart, make=kind)
+    for name, value in smart.__dict__.items():
+        if name in ("_lut", "_scalar_range", "_theme"):
+            wrapped.__dict__[name] = value
+    keep.append(wrapped)
+    return wrapped
+
+
+@pv.register_plotter_component("entire")
+class EntireComponent:
+    """Holds a plotter's volumes to a frame time.
+
+    Examples
+    --------
+    >>> pl = pv.Plotter()                                                    # doctest: +SKIP
+    >>> pl.add_volume(v)                                                     # doctest: +SKIP
+    >>> pl.entire.hold(fps=30)                                               # doctest: +SKIP
+    """
+
+    def __init__(self, plotter: Any) -> None:
+        self._plotter = plotter
+        #: Steering of each renderer that is held, by its index among the plotter's.
+        self._held: dict[int, Steering] = {}
+        self._screenshots: dict[str, Any] = {}
+        self._mappers: list[Any] = []
+
+    def _make_gpu(self, smart: Any) -> Any:
+        return _gpu_wrapper(smart, self._mappers)
+
+    def hold(
+        self, fps: float | None = None, *, seconds: float | None = None, volume: Any = None, **options: Any
+    ) -> Steering:
+        """Holds volumes of the active renderer to a frame rate while the camera or a widget moves.
+
+        Still frames, and screenshots and movie frames, are PyVista's at full quality, pixel for pixel.
+
+        Parameters
+        ----------
+        fps : float, optional
+            Frames per second. Default: 30, unless `seconds` says otherwise.
+        seconds : float, optional
+            Seconds per frame, instead of `fps`.
+        volume : pyvista.Volume or sequence of them, optional
+            Default: every volume of the renderer, those that are added later included.
+        **options
+            As :func:`entire.vtk.hold` takes them. Loops without interaction (off screen) need
+            ``always=True``: without it all their frames are still ones.
+
+        Returns
+        -------
+        entire.vtk.Steering
+
+        Raises
+        ------
+        ValueError
+            For a rate that is not positive, both of `fps` and `seconds`, or a renderer without volumes.
+        entire.vtk.CannotSteer
+            Where a mapper cannot be steered; the text says why.
+        """
+        if fps is not None and seconds is not None:
+            raise ValueError("fps and seconds are both given; pass one of them")
+        if seconds is None:
+            rate = 30.0 if fps is None else fps
+            if not rate > 0:
+                raise ValueError(f"fps is {rate}; it must be positive")
+            seconds = 1.0 / rate
+        index = self._plotter.renderers.active_index
+        self._end(index)
+        steering = hold(self._plotter.renderer, volume, seconds, make_gpu=self._make_gpu, **options)
+        self._held[index] = steering
+        if "trame_vtk" in sys.modules:
+            from .trame import watch
+
+            watch(steering)
+        self._guard_screenshots()
+        return steering
+
+    def calibrate(self, frames: int = 60, **options: Any) -> Model:
+        """Draws random frames of the renderer's first volume and fits the cost model to them; see
+        :func:`entire.vtk.calibrate`.
+
+        Parameters
+        ----------
+        frames : int, optional
+        **options
+            As :func:`entire.vtk.calibrate` takes them.
+
+        Returns
+        -------
+        entire.Model
+            For ``model=`` of :meth:`hold`.
+        """
+        self._plotter.render()
+        if self.steering is None:
+            # A smart mapper is exchanged for as long as it is measured.
+            passing = hold(self._plotter.renderer, None, 1.0, make_gpu=self._make_gpu)
+            try:
+                return calibrate(self._plotter.renderer, frames=frames, **options)
+            finally:
+                passing.detach()
+                self._mappers = []
+        return calibrate(self._plotter.renderer, frames=frames, **options)
+
+    @property
+    def steering(self) -> Steering | None:
+        """entire.vtk.Steering or None : Steering of the active renderer."""
+        return self._held.get(self._plotter.renderers.active_index)
+
+    @property
+    def history(self) -> History | None:
+        """entire.History or None : The last frames of the active renderer; notebooks show it as plots."""
+        return None if self.steering is None else self.steering.history
+
+    @contextlib.contextmanager
+    def still(self) -> Iterator[None]:
+        """Frames drawn inside are PyVista's own, pixel for pixel."""
+        with contextlib.ExitStack() as stack:
+            for steering in self._held.values():
+                stack.enter_context(steering.still())
+            yield
+
+    def detach(self) -> None:
+        """Lets go of the active renderer; exchanged mappers are put back."""
+        self._end(self._plotter.renderers.active_index)
+
+    def _end(self, index: int) -> None:
+        steering = self._held.pop(index, None)
+        if steering is not None:
+            steering.detach()
+        if not self._held:
+            self._mappers = []
+            for name in self._screenshots:
+                self._plotter.__dict__.pop(name, None)
+            self._screenshots = {}
+
+    def _guard_screenshots(self) -> None:
+        """A picture that is kept is drawn at full quality first, where the last frame was not."""
+        for name in ("screenshot", "write_frame"):
+            if name in self._screenshots:
+                continue
+            original = getattr(self._plotter, name)
+
+            @functools.wraps(original)
+            def at_full_quality(*args: Any, _original: Any = original, **kwargs: Any) -> Any:
+                coarse = any(
+                    leaf.reason not in ("still", "") for s in self._held.values() for leaf in s.leaves
+                )
+                with self.still():
+                    window = self._plotter.render_window
+                    if coarse and window is not None:
+                        window.Render()
+                    return _original(*args, **kwargs)
+
+            self._screenshots[name] = original
+            self._plotter.__dict__[name] = at_full_quality
+
+    def __plotter_close__(self) -> None:
+        for index in list(self._held):
+            self._end(index)
+
+    def __repr__(self) -> str:
+        return "entire: nothing is held" if not self._held else "\n".join(map(repr, self._held.values()))
+
+
+__all__ = ["EntireComponent", "ModelLike"]

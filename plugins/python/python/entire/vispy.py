@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Holds vispy's volume visuals to a frame time, by their ``relative_step_size``.
+
+::
+
+    holder = entire.vispy.hold(canvas, volume_visual, seconds=1 / 30)
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from vispy.gloo import gl
+
+from ._core import ModelLike, Session, explain
+from ._history import History
+from ._native import Camera, Plan, TransferFunction, Volume
+
+# Ray casting of these methods may stop a ray at its first opaque samples; the others take every sample.
+_STOPPING = {"translucent": 0.99, "iso": 0.99, "attenuated_mip": 0.99}
+
+
+class CannotSteer(ValueError):
+    """The visual cannot be steered; the text says why and what to do."""
+
+
+def _matrix(visual: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """What takes the visual's coordinates to clip coordinates, as a matrix for columns."""
+    transform = visual.transforms.get_transform("visual", "render")
+    # Affine and projective maps are linear in homogeneous coordinates: four images of the unit vectors tell
+    # all.
+    mapped = np.asarray(transform.map(np.eye(4)), np.float64)
+    return mapped.T
+
+
+class Holder:
+    """Holds one visual. Made by :func:`hold`.
+
+    Attributes
+    ----------
+    seconds : float
+        Seconds that a frame of the canvas may take.
+    enabled : bool
+        Whether frames are steered.
+    moving : callable
+        Says whether the frame at hand is one of a motion; others are drawn at the visual's own step.
+    session : entire.Session
+    measured, predicted : float
+        Seconds of the last frame; NaN where there is none.
+    step : float
+        Step that the last frame was drawn with, in voxels.
+    """
+
+    def __init__(
+        self,
+        canvas: Any,
+        visual: Any,
+        seconds: float,
+        model: ModelLike | None,
+        coarsest: float,
+        moving: Callable[[], bool],
+    ) -> None:
+        if not (math.isfinite(seconds) and seconds > 0):
+            raise ValueError(
+                f"seconds is {seconds}; it must be finite and positive (1 / 30 for 30 frames per second)"
+            )
+        if not hasattr(visual, "relative_step_size"):
+            raise CannotSteer(
+                f"{type(visual).__name__} has no relative_step_size; vispy's Volume visual can be "
+                f"steered, planes and images draw one "
+                "sample per pixel"
+            )
+        self.canvas, self.visual, self.seconds, self.moving = canvas, visual, seconds, moving
+        self.enabled = True
+        self.session = Session(model=model, tolerance=0.25, miss_rate=0.02, probe_side=6)
+        self.coarsest = coarsest
+        self.measured = self.predicted = self.step = math.nan
+        self.reason, self.status = "", "no frame was drawn yet"
+        self.own: float = visual.relative_step_size
+        self._data: Any = None
+        self._key: Any = None
+        self._plan: Plan | None = None
+        self._explained: Plan | None = None
+        self._camera: Camera | None = None
+        self._began = math.nan
+        self._wrote: float | None = None
+        canvas.events.draw.connect(self._before, position="first")
+        canvas.events.draw.connect(self._after, position="last")
+
+    def detach(self) -> None:
+        """Lets go of the visual, at its own step."""
+        self.canvas.events.draw.disconnect(self._before)
+        self.canvas.events.draw.disconnect(self._after)
+        self._restore()
+
+    @property
+    def history(self) -> History:
+        """History : The last frames."""
+        return self.session.history
+
+    @property
+    def why(self) -> str:
+        """str : Why the last frame was drawn as it was, in a sentence."""
+        return self.status or (explain(self._explained) if self._explained else "")
+
+    def __repr__(self) -> str:
+        return f"Holder({type(self.visual).__name__} to {1e3 * self.seconds:.1f} ms: {self.why})"
+
+    def _repr_html_(self) -> str:
+        return self.history._repr_html_()
+
+    def _restore(self) -> None:
+        if self._wrote is not None and self.visual.relative_step_size == self._wrote:
+            self.visual.relative_step_size = self.own
+        self._wrote = None
+
+    def _before(self, _event: Any) -> None:
+        self._plan = None
+        self._restore()
+        self.own = self.visual.relative_step_size
+        try:
+            self._choose()
+        except Exception as error:  # A frame is never lost for the sake of its prediction.
+            self.reason, self.status = "fallback", str(error)
+        self.predicted = math.nan if self._plan is None else self._plan.seconds
+        gl.glFinish()
+        self._began = time.perf_counter()
+
+    def _after(self, _event: Any) -> None:
+        gl.glFinish()
+        self.measured = time.perf_counter() - self._began
+        # Between frames the visual is as the application set it: what is rendered to an image is at full
+        # quality.
+        self._restore()
+        plan, self._plan = self._plan, None
+        if plan is not None:
+            try:
+                self.session.observe(plan, self.measured)
+            except ValueError:
+                pass
+
+    def _scene(self) -> tuple[Camera, TransferFunction | None, float]:
+        visual = self.visual
+        data = getattr(visual, "_last_data", None)
+        if data is None:
+            raise CannotSteer("the visual has no data yet; call set_data first")
+        method, limits = visual.method, tuple(float(c) for c in visual.clim)
+        if data is not self._data:
+            values = np.asarray(data)
+            self._volume = Volume(
+                values if values.ndim == 3 else values[..., 0], range=(min(limits), max(limits))
+            )
+            self.session.set_volume(self._volume)
+            self._data, self._key = data, None
+        tf = None
+        key = (method, limits)
+        if key != self._key:
+            # Where rays stop at an opacity, it grows with the value; else every sample is taken and none is
+            # opaque.
+            most = 0.2 if method in _STOPPING else 1e-3
+            tf = TransferFunction.points([(0, 1e-3), (1, most)])
+            self._key = key
+        # The visual's first voxel spans 0 to 1: its center, where a volume's own coordinates begin, lies at a
+        # half.
+        half = np.eye(4)
+        half[:3, 3] = 0.5
+        return Camera.projection(self._volume, _matrix(visual) @ half), tf, _STOPPING.get(method, 1.0)
+
+    def _choose(self) -> None:
+        camera, tf, end = self._scene()
+        if self._camera is not None and camera.jumps_from(self._camera):
+            self.session.mark(camera=True)
+        self._camera = camera
+        size = tuple(int(n) for n in self.canvas.physical_size)
+        own = min(4096.0, max(1 / 64, float(self.own)))
+        steered = self.enabled and self.moving()
+        if steered:
+            self.session.set_limits(own, max(own, self.coarsest))
+        self.session.set_enabled(steered)
+        plan = self.session.plan(
+            camera, tf, (size[0], size[1]), self.seconds, step=own, skipping="none", termination=end
+        )
+        self._plan = plan
+        self.step = plan.step
+        if not steered:
+            self.reason = "still" if self.enabled else "off"
+            self.status = "a still frame, at the visual's own step" if self.enabled else "steering is off"
+            return
+        self._explained = plan
+        self.reason, self.status = plan.reason, ""
+        self.visual.relative_step_size = plan.step
+        self._wrote = self.visual.relative_step_size
+
+
+def hold(
+    canvas: Any,
+    visual: Any,
+    seconds: float = 1 / 30,
+    *,
+    model: ModelLike | None = None,
+    coarsest: float = 8.0,
+    moving: Callable[[], bool] = lambda: True,
+) -> Holder:
+    """Holds a vispy volume visual to a frame time.
+
+    Parameters
+    ----------
+    canvas : vispy.scene.SceneCanvas
+    visual : vispy.scene.visuals.Volume
+    seconds : float, optional
+        Seconds that a frame of the canvas may take. Default 1 / 30.
+    model : Model, str, os.PathLike or bytes, optional
+        As :class:`entire.Session` takes it.
+    coarsest : float, optional
+        Coarsest step in voxels. Default 8.
+    moving : callable, optional
+        Says whether a frame is steered; others are drawn at the visual's own step, bit for bit. Default:
+        every frame is.
+
+    Returns
+    -------
+    Holder
+
+    Raises
+    ------
+    CannotSteer
+        For a visual without a step.
+    ValueError
+        For seconds that are not positive.
+    """
+    return Holder(canvas, visual, seconds, model, coarsest, moving)

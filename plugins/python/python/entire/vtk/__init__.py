@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Holds the volumes of a VTK scene to a frame time, with any VTK that Python has: pip's, conda's, a
+distribution's, ParaView's.
+
+::
+
+    steering = entire.vtk.hold(renderer, volume, seconds=1 / 30)
+"""
+
+from __future__ import annotations
+
+from ._calibrate import calibrate
+from ._leaf import Leaf
+from ._mappers import CannotSteer
+from ._steering import Steering, hold
+
+__all__ = ["CannotSteer", "Leaf", "Steering", "calibrate", "hold"]

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Measuring the host's renderer, so that the first frame is predicted too."""
+
+from __future__ import annotations
+
+import math
+import random
+import time
+from typing import Any
+
+from .._core import Calibration, Model
+from . import _mappers, _scene
+from ._mappers import CannotSteer
+from ._leaf import first_volume
+from ._steering import _volumes
+
+
+def calibrate(
+    renderer: Any,
+    volume: Any = None,
+    frames: int = 60,
+    *,
+    seed: int = 0,
+    coarsest: float = 8.0,
+    clock: str = "wall",
+) -> Model:
+    """Draws random frames of a volume in its window and fits the cost model to how long its mapper took.
+
+    Directions, distances, steps and the opacity of the volume are varied; camera, mapper and property are put
+    back afterwards, and the window is drawn once more as it was.
+
+    Parameters
+    ----------
+    renderer : vtkRenderer
+    volume : vtkVolume, optional
+        Default: the renderer's first. Its mapper must be the GPU or the fixed-point one; hold it first, and a
+        smart mapper is exchanged.
+    frames : int, optional
+        How many to draw, at least 10. Default 60.
+    seed : int, optional
+        Frames are the same for the same seed.
+    coarsest : float, optional
+        Coarsest sample distance, in smallest voxel spacings. Default 8.
+    clock : {"wall", "cpu"}, optional
+        As in :func:`hold`.
+
+    Returns
+    -------
+    Model
+        For ``model=`` of :func:`hold`, :class:`entire.Session` and :func:`entire.predict`.
+
+    Raises
+    ------
+    CannotSteer
+        Where the mapper cannot be set.
+    ValueError
+        For too few frames, or a scene that cannot be read.
+    """
+    if frames < 10:
+        raise ValueError(f"frames is {frames}; at least 10 are needed to tell costs apart, 60 are plenty")
+    if volume is None:
+        volume = next(iter(_volumes(renderer)), None)
+        if volume is None:
+            raise ValueError("the renderer has no volume; add one with AddVolume() first")
+    mapper = volume.GetMapper()
+    if mapper is None or not (_mappers.is_gpu(mapper) or _mappers.is_fixed_point(mapper)):
+        why = (
+            _mappers.refusal(mapper)
+            or "hold the volume first: its vtkSmartVolumeMapper is then exchanged for a GPU mapper"
+        )
+        raise CannotSteer(why)
+    return _Calibrator(
+        renderer, volume, mapper, time.process_time if clock == "cpu" else time.perf_counter
+    ).run(frames, seed, coarsest)
+
+
+class _Calibrator:
+    def __init__(self, renderer: Any, volume: Any, mapper: Any, now: Any) -> None:
+        self.renderer, self.volume, self.mapper, self.now = renderer, volume, mapper, now
+        self.window = renderer.GetRenderWindow()
+        self.began = self.seconds = math.nan
+
+    def start(self, _mapper: Any, _event: str) -> None:
+        self.window.WaitForCompletion()
+        self.began = self.now()
+
+    def end(self, _mapper: Any, _event: str) -> None:
+        self.window.WaitForCompletion()
+        self.seconds = self.now() - self.began
+
+    def run(self, frames: int, seed: int, coarsest: float) -> Model:
+        from ._steering import _held
+
+        renderer, mapper, window = self.renderer, self.mapper, self.window
+        prop = first_volume(self.volume).GetProperty()
+        steering = _held.get(self.volume.__this__)
+        enabled = None if steering is None else steering.enabled
+        camera, own = renderer.GetActiveCamera(), _mappers.Settings(mapper)
+        unit = prop.GetScalarOpacityUnitDistance(0)
+        kept = {
+            name: getattr(camera, "Get" + name)()
+            for name in ("FocalPoint", "Position", "ViewUp", "ClippingRange")
+        }
+        tags = [
+            mapper.AddObserver("VolumeMapperRenderStartEvent", self.start, -1.0),
+            mapper.AddObserver("VolumeMapperRenderEndEvent", self.end, 1.0),
+        ]
+        try:
+            if steering is not None:
+                steering.enabled = False
+            window.Render()
+            image = _scene.input_of(mapper)
+            grid = _scene.Grid(mapper, image, 0 if prop.GetIndependentComponents() else -1)
+            base = max(
+                1 / 64, (_mappers.spacing_adjusted(image) if own.lock else own.sample) / grid.reference
+            )
+            calibration, draw = Calibration(), random.Random(seed)
+            bounds = self.volume.GetBounds()
+            middle = [0.5 * (bounds[2 * a] + bounds[2 * a + 1]) for a in range(3)]
+            radius = 0.5 * math.dist(bounds[::2], bounds[1::2])
+            _mappers.write(mapper, own, base * grid.reference, 1.0)
+            for i in range(frames + 1):
+                self.pose(camera, draw, middle, radius)
+                prop.SetScalarOpacityUnitDistance(0, unit * 2 ** draw.uniform(-3, 3))
+                step = base * (max(coarsest, base) / base) ** draw.random()
+                mapper.SetSampleDistance(step * grid.reference)
+                window.Render()
+                if i == 0:
+                    continue  # Holds what is done once.
+                look = _scene.look(prop, mapper)
+                gpu = _mappers.is_gpu(mapper)
+                calibration.add(
+                    grid.volume,
+                    _scene.camera(renderer, first_volume(self.volume).GetMatrix().GetData(), grid),
+                    _scene.transfer_function(prop, grid.range),
+                    renderer.GetSize(),
+                    self.seconds,
+                    step=step,
+                    shading="local" if look[0] else "none",
+                    skipping="none" if gpu else "blocks",
+                    termination=_scene.termination(look, gpu),
+                )
+            return calibration.fit()
+        finally:
+            for tag in tags:
+                mapper.RemoveObserver(tag)
+            prop.SetScalarOpacityUnitDistance(0, unit)
+            mapper.SetAutoAdjustSampleDistances(own.adjust)
+            mapper.SetLockSampleDistanceToInputSpacing(own.lock)
+            mapper.SetSampleDistance(own.sample)
+            mapper.SetImageSampleDistance(own.image)
+            for name, value in kept.items():
+                getattr(camera, "Set" + name)(*value)
+            if steering is not None and enabled is not None:
+                steering.enabled = enabled
+            window.Render()
+
+    def pose(self, camera: Any, draw: random.Random, middle: list[float], radius: float) -> None:
+        azimuth, height = draw.uniform(0, 2 * math.pi), draw.uniform(-0.95, 0.95)
+        across = math.sqrt(1 - height * height)
+        distance = radius * draw.uniform(1.4, 4.0)
+        toward = (across * math.sin(azimuth), height, across * math.cos(azimuth))
+        camera.SetFocalPoint(*middle)
+        camera.SetPosition(*(m + distance * t for m, t in zip(middle, toward)))
+        camera.SetViewUp(0, 1, 0)
+        self.renderer.ResetCameraClippingRange()

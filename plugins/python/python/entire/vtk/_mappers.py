@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Volume mappers: which can be steered, what is set on them, and what takes the place of one that cannot."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from vtkmodules.vtkRenderingVolume import vtkFixedPointVolumeRayCastMapper, vtkGPUVolumeRayCastMapper
+from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkOpenGLGPUVolumeRayCastMapper, vtkSmartVolumeMapper
+
+
+class CannotSteer(ValueError):
+    """The scene holds nothing that can be steered; the text says why and what to do."""
+
+
+# Below this many voxels along an axis VTK samples small volumes more finely.
+_SMALL = 100.0
+
+
+def spacing_adjusted(image: Any) -> float:
+    """The sample distance of mappers that are locked to their input's spacing: half a voxel, less in small
+    volumes.
+
+    Parameters
+    ----------
+    image : vtkImageData
+
+    Returns
+    -------
+    float
+        In the unit of the spacing.
+    """
+    spacing, extent = image.GetSpacing(), image.GetExtent()
+    distance = float(sum(spacing)) / 6.0
+    cells = (extent[1] - extent[0]) * (extent[3] - extent[2]) * (extent[5] - extent[4])
+    mean = float(cells) ** 0.333
+    if mean < _SMALL:
+        distance *= 0.01 + (1 - 0.01) * mean / _SMALL
+    return distance
+
+
+class Settings:
+    """What steering changes of a mapper, as it was."""
+
+    __slots__ = ("adjust", "image", "lock", "sample")
+
+    def __init__(self, mapper: Any) -> None:
+        self.sample: float = mapper.GetSampleDistance()
+        self.image: float = mapper.GetImageSampleDistance()
+        self.adjust: int = mapper.GetAutoAdjustSampleDistances()
+        self.lock: int = mapper.GetLockSampleDistanceToInputSpacing()
+
+    def write(self, mapper: Any, image: float) -> None:
+        """Puts the settings back, where `image` is the image sample distance that steering wrote."""
+        if self.adjust:
+            mapper.SetAutoAdjustSampleDistances(self.adjust)
+        if self.lock:
+            mapper.SetLockSampleDistanceToInputSpacing(self.lock)
+        mapper.SetSampleDistance(self.sample)
+        if image != self.image:
+            mapper.SetImageSampleDistance(self.image)
+
+    def restore(self, mapper: Any, sample: float, image: float) -> None:
+        """Puts the settings back, but for those that somebody else set since steering wrote `sample` and
+        `image`."""
+        if self.adjust and not mapper.GetAutoAdjustSampleDistances():
+            mapper.SetAutoAdjustSampleDistances(self.adjust)
+        if self.lock and not mapper.GetLockSampleDistanceToInputSpacing():
+            mapper.SetLockSampleDistanceToInputSpacing(self.lock)
+        # VTK keeps single precision.
+        if math.isclose(mapper.GetSampleDistance(), sample, rel_tol=1e-6):
+            mapper.SetSampleDistance(self.sample)
+        if math.isclose(mapper.GetImageSampleDistance(), image, rel_tol=1e-6):
+            mapper.SetImageSampleDistance(self.image)
+
+
+def write(mapper: Any, own: Settings, sample: float, image: float) -> None:
+    """Sets both distances and switches VTK's own rules off, where they are on."""
+    if own.adjust:
+        mapper.SetAutoAdjustSampleDistances(0)
+    if own.lock:
+        mapper.SetLockSampleDistanceToInputSpacing(0)
+    mapper.SetSampleDistance(sample)
+    if image != own.image:
+        mapper.SetImageSampleDistance(image)
+
+
+def is_gpu(mapper: Any) -> bool:
+    return bool(mapper.IsA("vtkGPUVolumeRayCastMapper"))
+
+
+def is_fixed_point(mapper: Any) -> bool:
+    return bool(mapper.IsA("vtkFixedPointVolumeRayCastMapper"))
+
+
+def refusal(mapper: Any) -> str:
+    """Why a mapper cannot be steered; empty where it can, or can be exchanged for one that can."""
+    if mapper is None:
+        return "the volume has no mapper; give it one before it is held"
+    if is_gpu(mapper) or is_fixed_point(mapper) or mapper.IsA("vtkSmartVolumeMapper"):
+        return ""
+    name = mapper.GetClassName()
+    if mapper.IsA("vtkMultiBlockVolumeMapper"):
+        return (
+            f"{name} gives Python no access to the mappers of its blocks, so nothing can be set on them; "
+            f"add each block as a "
+            "volume of its own (pyvista's add_volume does so), or use the C++ class vtkEntireSteering"
+        )
+    if mapper.IsA("vtkUnstructuredGridVolumeMapper"):
+        return (
+            f"{name} draws an unstructured grid, whose cost is not predicted; resample the grid to "
+            f"vtkImageData "
+            "(vtkResampleToImage, or pyvista's sample_over_bounds) and draw that"
+        )
+    if mapper.IsA("vtkAnariVolumeMapper") or mapper.IsA("vtkOSPRayVolumeMapper"):
+        return (
+            f"{name} draws outside of VTK and has no sample distance; steer with entire.Session around its "
+            f"frames"
+        )
+    return (
+        f"{name} cannot be steered; vtkOpenGLGPUVolumeRayCastMapper, vtkFixedPointVolumeRayCastMapper and "
+        "vtkSmartVolumeMapper can"
+    )
+
+
+def _copy(source: Any, target: Any, names: tuple[str, ...]) -> None:
+    for name in names:
+        get, put = getattr(source, "Get" + name, None), getattr(target, "Set" + name, None)
+        value = None if get is None else get()
+        if value is not None and put is not None:
+            put(value)
+
+
+def copy_changed(source: Any, target: Any) -> None:
+    """Hands on what an application sets on a mapper while it is shown: cropping, clipping planes,
+    blending."""
+    _copy(source, target, ("Cropping", "CroppingRegionFlags", "CroppingRegionPlanes", "BlendMode"))
+    planes = source.GetClippingPlanes()
+    if planes is not None:
+        target.SetClippingPlanes(planes)
+    else:
+        target.RemoveAllClippingPlanes()
+
+
+def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> Any:
+    """A GPU mapper that draws what a smart mapper draws, pixel for pixel, as far as that one draws on the
+    GPU.
+
+    Parameters
+    ----------
+    smart : vtkSmartVolumeMapper
+    make : callable, optional
+        Makes the mapper.
+
+    Returns
+    -------
+    vtkOpenGLGPUVolumeRayCastMapper
+
+    Raises
+    ------
+    CannotSteer
+        Where the smart mapper was told to draw otherwise.
+    """
+    mode = smart.GetRequestedRenderMode()
+    if mode not in (vtkSmartVolumeMapper.DefaultRenderMode, vtkSmartVolumeMapper.GPURenderMode):
+        raise CannotSteer(
+            f"the vtkSmartVolumeMapper was told to draw in mode {mode}, and gives Python no access to the "
+            f"mapper inside; use "
+            "vtkFixedPointVolumeRayCastMapper (pyvista: mapper='fixed_point') or the default mode"
+        )
+    gpu = make()
+    if smart.GetNumberOfInputConnections(0):
+        gpu.SetInputConnection(smart.GetInputConnection(0, 0))
+    _copy(
+        smart,
+        gpu,
+        (
+            "BlendMode",
+            "AverageIPScalarRange",
+            "Cropping",
+            "CroppingRegionPlanes",
+            "CroppingRegionFlags",
+            "ClippingPlanes",
+            "FinalColorWindow",
+            "FinalColorLevel",
+            "MaxMemoryInBytes",
+            "MaxMemoryFraction",
+            "UseJittering",
+            "ComputeNormalFromOpacity",
+            "GlobalIlluminationReach",
+            "VolumetricScatteringBlending",
+            "Transfer2DYAxisArray",
+            "ScalarMode",
+            "ArrayAccessMode",
+        ),
+    )
+    if smart.GetArrayAccessMode() == 0:
+        gpu.SelectScalarArray(smart.GetArrayId())
+    elif smart.GetArrayName():
+        gpu.SelectScalarArray(smart.GetArrayName())
+    gpu.SetScalarMode(smart.GetScalarMode())
+    if smart.GetVectorMode() >= 0 and smart.GetVectorMode() != vtkSmartVolumeMapper.DISABLED:
+        raise CannotSteer(
+            "the vtkSmartVolumeMapper draws a vector's magnitude or component, which its inner mapper "
+            "alone can; draw an array "
+            "of that magnitude or component instead"
+        )
+    # As the smart mapper keeps the mapper inside it.
+    gpu.SetLockSampleDistanceToInputSpacing(1)
+    gpu.SetAutoAdjustSampleDistances(0)
+    return gpu
+
+
+__all__ = [
+    "CannotSteer",
+    "Settings",
+    "gpu_in_place_of",
+    "is_fixed_point",
+    "is_gpu",
+    "refusal",
+    "spacing_adjusted",
+    "vtkFixedPointVolumeRayCastMapper",
+    "vtkGPUVolumeRayCastMapper",
+    "write",
+]

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""A line in the corner of the picture."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import vtkmodules.vtkRenderingFreeType  # noqa: F401  (draws text)
+from vtkmodules.vtkCommonCore import vtkWeakReference
+from vtkmodules.vtkRenderingCore import vtkTextActor
+
+if TYPE_CHECKING:
+    from ._steering import Steering
+
+
+class Overlay:
+    """Expected and measured time, step and reason of the frame before; hidden on still frames."""
+
+    def __init__(self, renderer: Any) -> None:
+        self._renderer = vtkWeakReference()
+        self._renderer.Set(renderer)
+        self._actor = vtkTextActor()
+        self._actor.SetVisibility(0)
+        self._actor.SetPickable(0)
+        self._actor.SetPosition(8, 8)
+        text = self._actor.GetTextProperty()
+        text.SetFontFamilyToCourier()
+        text.SetFontSize(13)
+        text.SetBackgroundColor(0, 0, 0)
+        text.SetBackgroundOpacity(0.5)
+        renderer.AddViewProp(self._actor)
+
+    def show(self, steering: Steering, moving: bool) -> None:
+        self._actor.SetVisibility(int(moving))
+        if moving and not math.isnan(steering.frame_time):
+            target = "" if steering.seconds is None else f" of {1e3 * steering.seconds:.1f}"
+            self._actor.SetInput(
+                f"expected {1e3 * steering.predicted:5.1f}, took {1e3 * steering.measured:5.1f}, "
+                f"frame {1e3 * steering.frame_time:5.1f}{target} ms, step {steering.sample_distance:.2f}, "
+                f"pixel {steering.image_sample_distance:.2f}: {steering.reason}"
+            )
+
+    def remove(self) -> None:
+        renderer: Any = self._renderer.Get()
+        if renderer is not None:
+            renderer.RemoveViewProp(self._actor)

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""What a VTK scene says about a volume: voxels, transfer function, camera."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonDataModel import vtkImageData
+from vtkmodules.vtkRenderingCore import vtkAbstractMapper
+
+from .._native import Camera, TransferFunction, Volume
+
+_SUBVOLUME = 0x0002000
+_COMPOSITE = 0
+
+#: Accumulated opacity at which the mappers stop a ray.
+GPU_TERMINATION = 0.996
+FIXED_POINT_TERMINATION = 0.99
+
+
+class Unreadable(ValueError):
+    """The scene cannot be predicted; the text says why."""
+
+
+def input_of(mapper: Any) -> Any:
+    """The image that a mapper draws.
+
+    Raises
+    ------
+    Unreadable
+        Where it is none.
+    """
+    data = mapper.GetDataObjectInput() if hasattr(mapper, "GetDataObjectInput") else mapper.GetInput()
+    if data is None:
+        raise Unreadable("the mapper has no input yet")
+    if not data.IsA("vtkImageData"):
+        raise Unreadable(f"the mapper's input is {data.GetClassName()}; vtkImageData can be predicted")
+    return data
+
+
+class Grid:
+    """The voxels that a mapper draws, and where their middle lies."""
+
+    __slots__ = ("center", "direction", "range", "reference", "volume")
+
+    def __init__(self, mapper: Any, image: Any, component: int) -> None:
+        scalars, on_cells = _scalars(mapper, image)
+        dims = tuple(n - on_cells for n in image.GetDimensions())
+        if min(dims) < 1:
+            raise Unreadable("the mapper's input is empty")
+        components = scalars.GetNumberOfComponents()
+        if scalars.GetNumberOfTuples() != dims[0] * dims[1] * dims[2]:
+            raise Unreadable(
+                f"the mapper's input has {scalars.GetNumberOfTuples()} scalar values for {dims} voxels"
+            )
+        try:
+            values = vtk_to_numpy(scalars)
+        except (AssertionError, ValueError, TypeError) as error:
+            raise Unreadable(
+                f"scalars of type {scalars.GetDataTypeAsString()} cannot be predicted: {error}"
+            ) from None
+        component = component if component >= 0 else components - 1
+        voxels = values.reshape(dims[2], dims[1], dims[0], components)[..., component]
+        spacing = [abs(s) for s in image.GetSpacing()]
+        if not all(math.isfinite(s) and s > 0 for s in spacing):
+            raise Unreadable(f"the mapper's input has a spacing of {spacing}")
+        low, high = [0, 0, 0], list(dims)
+        if mapper.GetCropping() and mapper.GetCroppingRegionFlags() == _SUBVOLUME:
+            low, high = _cropped(mapper, image, dims, spacing)
+        span = scalars.GetFiniteRange(component)
+        self.range = (float(span[0]), float(span[1]))
+        if not np.float32(self.range[1]) > np.float32(self.range[0]):
+            self.range = (self.range[0], self.range[0] + max(1.0, abs(self.range[0])))
+        if not all(map(math.isfinite, self.range)):
+            raise Unreadable("the scalars have no finite value")
+        box = voxels[low[2] : high[2], low[1] : high[1], low[0] : high[0]]
+        self.volume = Volume(box, (spacing[0], spacing[1], spacing[2]), range=self.range)
+        self.reference = min(spacing)
+        extent = image.GetExtent()
+        at = [0.5 * (low[a] + high[a] - 1) + 0.5 * on_cells + extent[2 * a] for a in range(3)]
+        center = [0.0, 0.0, 0.0]
+        image.TransformContinuousIndexToPhysicalPoint(at, center)
+        self.center = (center[0], center[1], center[2])
+        self.direction = image.GetDirectionMatrix().GetData()
+
+
+def _scalars(mapper: Any, image: Any) -> tuple[Any, int]:
+    """The array that is drawn, and whether it belongs to cells."""
+    point, cell = image.GetPointData(), image.GetCellData()
+    mode = mapper.GetScalarMode()
+    by_name = mapper.GetArrayAccessMode() != 0
+    which = mapper.GetArrayName() if by_name else mapper.GetArrayId()
+    if mode == 3:  # point field data
+        found, on_cells = point.GetArray(which), 0
+    elif mode == 4:  # cell field data
+        found, on_cells = cell.GetArray(which), 1
+    elif mode == 2:
+        found, on_cells = cell.GetScalars(), 1
+    elif mode == 1 or point.GetScalars() is not None:
+        found, on_cells = point.GetScalars(), 0
+    else:
+        found, on_cells = cell.GetScalars(), 1
+    if found is None:
+        raise Unreadable("the mapper's input has no scalars to draw")
+    return found, on_cells
+
+
+def _cropped(
+    mapper: Any, image: Any, dims: tuple[int, ...], spacing: list[float]
+) -> tuple[list[int], list[int]]:
+    """First and one past the last voxel inside the cropping box."""
+    planes, origin, extent = mapper.GetCroppingRegionPlanes(), image.GetOrigin(), image.GetExtent()
+    low, high = [0, 0, 0], [0, 0, 0]
+    for axis in range(3):
+        last = dims[axis] - 1
+        a = (planes[2 * axis] - origin[axis]) / spacing[axis] - extent[2 * axis]
+        b = (planes[2 * axis + 1] - origin[axis]) / spacing[axis] - extent[2 * axis]
+        if not (a <= b and b >= 0 and a <= last):
+            raise Unreadable("the cropping box leaves nothing to draw")
+        low[axis] = max(0, math.floor(a))
+        high[axis] = min(last, math.ceil(b)) + 1
+    return low, high
+
+
+def grid_key(mapper: Any, image: Any, component: int) -> tuple[Any, ...]:
+    """What a grid depends on. Modification times are never given twice, whatever the object."""
+    cropping = mapper.GetCropping()
+    return (
+        image.GetMTime(),
+        component,
+        mapper.GetScalarMode(),
+        mapper.GetArrayId(),
+        mapper.GetArrayName(),
+        cropping and (mapper.GetCroppingRegionFlags(), mapper.GetCroppingRegionPlanes()),
+    )
+
+
+def _unit(value: float) -> float:
+    return 0.0 if math.isnan(value) else min(1.0, max(0.0, value))
+
+
+def transfer_function(prop: Any, span: tuple[float, float]) -> TransferFunction:
+    """A volume property's functions of its first component."""
+    node = [0.0] * 4
+    opacity = []
+    function = prop.GetScalarOpacity(0)
+    for i in range(function.GetSize()):
+        function.GetNodeValue(i, node)
+        opacity.append((node[0], _unit(node[1]), _unit(node[2]), _unit(node[3])))
+    color = []
+    if prop.GetColorChannels(0) == 3:
+        colors = prop.GetRGBTransferFunction(0)
+        node = [0.0] * 6
+        for i in range(colors.GetSize()):
+            colors.GetNodeValue(i, node)
+            color.append(
+                (node[0], _unit(node[1]), _unit(node[2]), _unit(node[3]), _unit(node[4]), _unit(node[5]))
+            )
+    return TransferFunction.nodes(
+        opacity,
+        color,
+        range=span,
+        clamp=bool(function.GetClamping()),
+        unit_length=prop.GetScalarOpacityUnitDistance(0),
+    )
+
+
+def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:
+    """The renderer's camera about a volume that a matrix (its 16 elements, row by row) places in the
+    world."""
+    active = renderer.GetActiveCamera()
+    angle = active.GetViewAngle()
+    if active.GetUseHorizontalViewAngle():
+        width, height = renderer.GetSize()
+        angle = 2 * math.degrees(math.atan(math.tan(math.radians(0.5 * angle)) * height / max(1, width)))
+    parallel = active.GetParallelScale() if active.GetParallelProjection() else None
+    return Camera.scene(
+        grid.volume,
+        active.GetViewTransformMatrix().GetData(),
+        placed,
+        grid.direction,
+        grid.center,
+        angle,
+        parallel,
+    )
+
+
+def look(prop: Any, mapper: Any) -> tuple[int, int, int, bool]:
+    """How samples are shaded, interpolated and blended."""
+    gradient = bool(prop.HasGradientOpacity(0)) and not prop.GetDisableGradientOpacity(0)
+    return (prop.GetShade(0), prop.GetInterpolationType(), mapper.GetBlendMode(), gradient)
+
+
+def termination(mode: tuple[int, int, int, bool], gpu: bool) -> float:
+    if mode[2] != _COMPOSITE:
+        return 1.0
+    return GPU_TERMINATION if gpu else FIXED_POINT_TERMINATION
+
+
+__all__ = [
+    "Grid",
+    "Unreadable",
+    "camera",
+    "input_of",
+    "look",
+    "transfer_function",
+    "vtkAbstractMapper",
+    "vtkImageData",
+]

@@ -1,0 +1,551 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Steering by VTK's events: set before the mapper looks, put back after it drew, learned from how long it
+took."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import os
+import statistics
+import time
+import weakref
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Union
+
+from .._core import ModelLike, Session, _model
+from .._history import History
+from . import _mappers
+from ._leaf import Leaf, Weak
+from ._mappers import CannotSteer
+from ._overlay import Overlay
+
+log = logging.getLogger("entire.vtk")
+
+# Rays along each side of the probe that measures frames for linear cost models: between large frames every
+# ray costs about a microsecond.
+_PROBE_SIDE = 6
+# Least share of the target that a mapper is given, however much the rest of the frame takes.
+_LEAST_SHARE = 0.2
+# How many frames the time outside of the mappers is taken from.
+_REST_FRAMES = 5
+_NAN = math.nan
+
+# Steering by the address of the volume that it holds. The scene's observers keep steerings alive, nothing
+# else does.
+_held: weakref.WeakValueDictionary[str, Steering] = weakref.WeakValueDictionary()
+
+
+class Steering:
+    """Holds volumes of a renderer to a frame time. Made by :func:`hold`, which documents the parameters.
+
+    The scene keeps a steering alive, not the other way round: keep it to read it out or to end it with
+    :meth:`detach`.
+
+    Attributes
+    ----------
+    seconds : float or None
+        Seconds that a whole frame of the window may take; None takes 1 / the window's ``DesiredUpdateRate``.
+    enabled : bool
+        Whether frames are steered.
+    coarsest, finest : float, float or None
+        Coarsest and finest sample distance along rays, in smallest voxel spacings; None is the mapper's own.
+    coarsest_image : float
+        Most pixels between rays along each side of the image.
+    leaves : list of Leaf
+        The held volumes.
+    notes : list of str
+        What was done to the scene on attaching.
+    frames : int
+        Frames of the window in which a held volume was drawn.
+    frame_time : float
+        Seconds that the window's last frame took.
+    overhead : float
+        Seconds that prediction and steering themselves took in the last frame, on the wall.
+    steered_frames, fallback_frames : int
+        Frames of volumes that were steered, and that VTK drew on its own because they could not be predicted.
+    """
+
+    def __init__(
+        self,
+        renderer: Any,
+        volumes: Sequence[Any] | None,
+        seconds: float | None,
+        *,
+        model: ModelLike | None = None,
+        coarsest: float = 8.0,
+        finest: float | None = None,
+        coarsest_image: float = 4.0,
+        tolerance: float = 0.25,
+        miss_rate: float = 0.02,
+        always: bool | None = None,
+        still_rate: float = 1.0,
+        clock: str = "wall",
+        overlay: bool = False,
+        make_gpu: Callable[[Any], Any] = _mappers.gpu_in_place_of,
+    ) -> None:
+        if seconds is not None and not (math.isfinite(seconds) and seconds > 0):
+            raise ValueError(
+                f"seconds is {seconds}; it must be finite and positive (1 / 30 for 30 frames per second), "
+                f"or None"
+            )
+        clocks = {"wall": time.perf_counter, "cpu": time.process_time}
+        if clock not in clocks:
+            raise ValueError(
+                f"clock is {clock!r}; it must be 'wall' or 'cpu' (processor time of this process)"
+            )
+        if not 1 / 64 <= coarsest <= 4096:
+            raise ValueError(f"coarsest is {coarsest} voxel spacings; it must lie in 1/64 to 4096")
+        if not 1 <= coarsest_image <= 100:
+            raise ValueError(f"coarsest_image is {coarsest_image} pixels; it must lie in 1 to 100")
+        self.seconds = seconds
+        self.enabled = True
+        self.coarsest, self.finest, self.coarsest_image = coarsest, finest, coarsest_image
+        self.always, self.still_rate = always, still_rate
+        self._options: dict[str, Any] = {
+            "model": _model(model),
+            "tolerance": tolerance,
+            "miss_rate": miss_rate,
+            "probe_side": _PROBE_SIDE,
+        }
+        self._now: Callable[[], float] = clocks[clock]
+        self._make_gpu = make_gpu
+        self._state: bytes | None = None
+        self._still = 0
+        self._outside: deque[float] = deque(maxlen=_REST_FRAMES)
+        self._rests: deque[float] = deque(maxlen=_REST_FRAMES)
+        self._rest = self._outside_time = 0.0
+        self.frames = 0
+        self._rendering = self._in_frame = False
+        self._clean = True
+        self._frame_start = self._mapper_seconds = self._overhead = 0.0
+        self._drawn = 0
+        self._last: Leaf | None = None
+        self._props_time = 0
+        self._all = volumes is None
+        self.notes: list[str] = []
+        self.leaves: list[Leaf] = []
+        self.frame_time = self.overhead = _NAN
+        self.steered_frames = self.fallback_frames = 0
+        self.on_frame: Callable[[Steering], None] | None = None
+        self._renderer = Weak(renderer)
+        self._window = Weak()
+        self._window_tags: list[int] = []
+        self._renderer_tags: list[int] = []
+        self._overlay = Overlay(renderer) if overlay else None
+        try:
+            for volume in _volumes(renderer) if volumes is None else volumes:
+                self._add(volume)
+        except BaseException:
+            self.detach()
+            raise
+        self._renderer_tags = [
+            renderer.AddObserver("StartEvent", self._on_renderer_start, 1.0),
+            renderer.AddObserver("EndEvent", self._on_renderer_end),
+        ]
+        self._follow_window(renderer.GetRenderWindow())
+
+    def _add(self, volume: Any) -> None:
+        address = volume.__this__
+        earlier = _held.get(address)
+        if earlier is not None:
+            earlier._drop(volume)
+        self.leaves.append(Leaf(self, volume, self._make_gpu))
+        _held[address] = self
+
+    def _drop(self, volume: Any) -> None:
+        for leaf in [leaf for leaf in self.leaves if leaf.volume is volume]:
+            leaf._release()
+            self.leaves.remove(leaf)
+            _held.pop(volume.__this__, None)
+        if not self.leaves:
+            self.detach()
+
+    def _note(self, text: str) -> None:
+        if text not in self.notes:
+            self.notes.append(text)
+            log.info("%s", text)
+
+    def _session(self) -> Session:
+        session = Session(**self._options)
+        if self._state is not None:
+            session.load_state(self._state)
+        return session
+
+    def detach(self) -> None:
+        """Lets go of the scene: mappers are as the application left them, exchanged ones are put back."""
+        for address in [a for a, s in _held.items() if s is self]:
+            del _held[address]
+        for leaf in self.leaves:
+            leaf._release()
+        self.leaves = []
+        self._last = None
+        renderer = self._renderer()
+        if renderer is not None:
+            for tag in self._renderer_tags:
+                renderer.RemoveObserver(tag)
+        self._renderer_tags = []
+        self._follow_window(None)
+        self._rendering = False
+        if self._overlay is not None:
+            self._overlay.remove()
+            self._overlay = None
+
+    @contextlib.contextmanager
+    def still(self) -> Iterator[None]:
+        """Frames drawn inside are VTK's own, pixel for pixel: for screenshots and movies.
+
+        Examples
+        --------
+        >>> with steering.still():                                           # doctest: +SKIP
+        ...     window.Render()
+        """
+        self._still += 1
+        try:
+            yield
+        finally:
+            self._still -= 1
+
+    def also(self, seconds: float) -> None:
+        """Tells of time that belongs to a frame but passes outside of the window's drawing: encoding the
+        picture, sending it.
+
+        Later frames leave room for the median of the last five.
+
+        Parameters
+        ----------
+        seconds : float
+            Not negative.
+        """
+        if not (math.isfinite(seconds) and seconds >= 0):
+            raise ValueError(f"seconds is {seconds}; it must be finite and not negative")
+        self._outside.append(seconds)
+        self._outside_time = statistics.median(self._outside)
+
+    def reset(self) -> None:
+        """Forgets what was learned."""
+        self._state = None
+        for leaf in self.leaves:
+            leaf._forget()
+            leaf.session = self._session()
+
+    def save(self, path: Union[str, os.PathLike[str]]) -> None:
+        """Writes what was learned of the volume that was drawn last.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+
+        Raises
+        ------
+        ValueError
+            Before the first frame.
+        """
+        if self._last is None:
+            raise ValueError("nothing was learned yet: no frame was drawn")
+        self._last.session.save(path)
+
+    def load(self, path: Union[str, os.PathLike[str]]) -> None:
+        """Starts from what :meth:`save` wrote, now and whenever learning starts anew.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+
+        Raises
+        ------
+        ValueError
+            For a file that is no saved state; then nothing changes.
+        """
+        state = Path(path).read_bytes()
+        Session(**self._options).load_state(state)
+        self._state = state
+        for leaf in self.leaves:
+            leaf.session.load_state(state)
+
+    @property
+    def renderer(self) -> Any:
+        """vtkRenderer : The renderer, or None when it is gone."""
+        return self._renderer()
+
+    @property
+    def _leaf(self) -> Leaf | None:
+        return self._last or (self.leaves[0] if self.leaves else None)
+
+    @property
+    def predicted(self) -> float:
+        """float : Seconds that the mappers were expected to take in the last frame."""
+        return math.fsum(leaf.predicted for leaf in self.leaves) if self.leaves else _NAN
+
+    @property
+    def measured(self) -> float:
+        """float : Seconds that the mappers took in the last frame."""
+        return math.fsum(leaf.measured for leaf in self.leaves) if self.leaves else _NAN
+
+    @property
+    def sample_distance(self) -> float:
+        """float : Sample distance along rays of the volume that was drawn last, in the unit of its
+        spacing."""
+        return self._leaf.sample_distance if self._leaf else _NAN
+
+    @property
+    def image_sample_distance(self) -> float:
+        """float : Pixels between rays along each side of the image, of the volume that was drawn last."""
+        return self._leaf.image_sample_distance if self._leaf else _NAN
+
+    @property
+    def reason(self) -> str:
+        """str : Why the last frame was drawn as it was, in a word or two."""
+        return self._leaf.reason if self._leaf else "detached"
+
+    @property
+    def status(self) -> str:
+        """str : In words, why the last frame was not steered; empty where it was."""
+        return self._leaf.status if self._leaf else "attached to nothing"
+
+    @property
+    def why(self) -> str:
+        """str : Why the last frame was drawn as it was, in a sentence."""
+        return self._leaf.why if self._leaf else "attached to nothing"
+
+    @property
+    def history(self) -> History:
+        """History : The last frames of the volume that was drawn last; the others' are at ``leaves``."""
+        return self._leaf.session.history if self._leaf else Session().history
+
+    def __repr__(self) -> str:
+        if not self.leaves:
+            return "Steering(attached to nothing)"
+        target = "the window's rate" if self.seconds is None else f"{1e3 * self.seconds:.1f} ms"
+        frame = "" if math.isnan(self.frame_time) else f", last frame {1e3 * self.frame_time:.1f} ms"
+        notes = "".join(f"; {note}" for note in self.notes)
+        return f"Steering({len(self.leaves)} volume(s) to {target}{frame}: {self.why}{notes})"
+
+    def _repr_html_(self) -> str:
+        return self.history._repr_html_()
+
+    # Events. None of them may raise: VTK would go on with half a frame.
+
+    def _follow_window(self, window: Any) -> None:
+        before = self._window()
+        if window is before and (window is not None or not self._window_tags):
+            return
+        if before is not None:
+            for tag in self._window_tags:
+                before.RemoveObserver(tag)
+        self._window_tags = []
+        self._in_frame = False
+        self._window = Weak(window)
+        if window is not None:
+            self._window_tags = [
+                window.AddObserver("StartEvent", self._on_window_start, 1.0),
+                window.AddObserver("EndEvent", self._on_window_end),
+            ]
+
+    def _on_window_start(self, _window: Any, _event: str) -> None:
+        self._in_frame = True
+        self._clean = True
+        self._mapper_seconds = self._overhead = 0.0
+        self._drawn = 0
+        self._frame_start = self._now()
+
+    def _on_window_end(self, _window: Any, _event: str) -> None:
+        if not self._in_frame:
+            return
+        seconds = self._now() - self._frame_start
+        before = time.perf_counter()
+        self._in_frame = False
+        if self._drawn == 0:
+            return
+        # The first frame holds what is done once.
+        if self.frames > 0 and self._clean:
+            self._rests.append(max(0.0, seconds - self._mapper_seconds))
+            self._rest = sorted(self._rests)[len(self._rests) // 2]
+        self.frames += 1
+        self.frame_time = seconds
+        self.overhead = self._overhead + time.perf_counter() - before
+        if self.on_frame is not None:
+            self.on_frame(self)
+
+    def _on_renderer_start(self, renderer: Any, _event: str) -> None:
+        if renderer.GetSelector() is not None:
+            # A pass that picks, not one that shows.
+            return
+        before = time.perf_counter()
+        inside = self._overhead
+        self._follow_window(renderer.GetRenderWindow())
+        if self._all:
+            self._follow_volumes(renderer)
+        self._rendering = True
+        for leaf in self.leaves:
+            leaf._renderer_start()
+        if self._overlay is not None:
+            window = self._window()
+            self._overlay.show(self, window is not None and not self._is_still(window))
+        # What leaves counted by themselves is part of this.
+        self._overhead = inside + time.perf_counter() - before
+
+    def _on_renderer_end(self, _renderer: Any, _event: str) -> None:
+        before = time.perf_counter()
+        self._rendering = False
+        for leaf in self.leaves:
+            leaf._renderer_end()
+        self._overhead += time.perf_counter() - before
+
+    def _follow_volumes(self, renderer: Any) -> None:
+        changed = renderer.GetViewProps().GetMTime()
+        if changed == self._props_time:
+            return
+        self._props_time = changed
+        there = {volume.__this__: volume for volume in _volumes(renderer)}
+        for leaf in [
+            leaf for leaf in self.leaves if leaf.volume is None or leaf.volume.__this__ not in there
+        ]:
+            volume = leaf.volume
+            leaf._release()
+            self.leaves.remove(leaf)
+            if volume is not None:
+                _held.pop(volume.__this__, None)
+        known = {leaf.volume.__this__ for leaf in self.leaves}
+        for address, volume in there.items():
+            if address not in known and address not in _held:
+                try:
+                    self._add(volume)
+                except CannotSteer as refused:
+                    self._note(str(refused))
+
+    def _is_still(self, window: Any) -> bool:
+        if self._still:
+            return True
+        always = self.always
+        if always is None:
+            always = window.GetInteractor() is None
+        return not always and window.GetDesiredUpdateRate() < self.still_rate
+
+    def _finish(self) -> None:
+        window = self._window()
+        if window is not None:
+            window.WaitForCompletion()
+
+    def _target(self, window: Any, leaf: Leaf) -> float:
+        wanted = self.seconds if self.seconds is not None else 1.0 / max(window.GetDesiredUpdateRate(), 1e-4)
+        left = max(wanted - self._rest - self._outside_time, _LEAST_SHARE * wanted)
+        n = len(self.leaves)
+        if n > 1:
+            total = sum(other._weight for other in self.leaves)
+            # Shares by what each would take at full quality, so that all are coarsened alike.
+            left *= leaf._weight / total if leaf._weight and total else 1.0 / n
+        return left
+
+
+def _volumes(renderer: Any) -> list[Any]:
+    """The volumes of a renderer, those inside assemblies included."""
+    found = renderer.GetVolumes()
+    return [found.GetItemAsObject(i) for i in range(found.GetNumberOfItems())]
+
+
+def hold(
+    renderer: Any,
+    volume: Any = None,
+    seconds: float | None = None,
+    *,
+    model: ModelLike | None = None,
+    coarsest: float = 8.0,
+    finest: float | None = None,
+    coarsest_image: float = 4.0,
+    tolerance: float = 0.25,
+    miss_rate: float = 0.02,
+    always: bool | None = None,
+    still_rate: float = 1.0,
+    clock: str = "wall",
+    overlay: bool = False,
+    make_gpu: Callable[[Any], Any] = _mappers.gpu_in_place_of,
+) -> Steering:
+    """Holds volumes of a renderer to a frame time, from the next frame on.
+
+    Before each frame the mapper's sample distance (and, where that is not enough, its image sample distance)
+    is set to what is expected to take the time asked for; after the frame it is put back. Still frames are
+    VTK's, pixel for pixel. No frame is drawn finer than the mapper's own settings, unless `finest` says so.
+
+    Parameters
+    ----------
+    renderer : vtkRenderer
+    volume : vtkVolume or sequence of vtkVolume, optional
+        What is held; several volumes share the time so that all are coarsened alike. Default: every volume of
+        the renderer, those that are added later included. A volume that is held already changes hands.
+    seconds : float, optional
+        Seconds that a whole frame of the window may take, everything else that it draws included. Default: 1
+        / the window's ``DesiredUpdateRate``.
+    model : Model, str, os.PathLike or bytes, optional
+        Predictor of the first frames, from :func:`calibrate` or ``entire train``. Without one the first three
+        frames or so settle it.
+    coarsest, finest : float, optional
+        Coarsest and finest sample distance along rays, in smallest voxel spacings. Default 8, and the
+        mapper's own.
+    coarsest_image : float, optional
+        Most pixels between rays along each side of the image, 1 to 100; 1 leaves the image alone. Default 4.
+    tolerance, miss_rate : float, optional
+        At most this share of frames may be more than so much over the target. Default 0.25 and 0.02.
+    always : bool, optional
+        Whether frames are steered whatever rate the window asks for. Default: only where the window has no
+        interactor. With one, frames for which it asks for less than `still_rate` frames per second are still
+        ones.
+    still_rate : float, optional
+        See `always`. Default 1.
+    clock : {"wall", "cpu"}, optional
+        What measures: the wall, or the processor time of this process (for renderers on the CPU of a shared
+        machine).
+    overlay : bool, optional
+        Whether a line in the corner shows expected and measured time and the step; never on still frames.
+        Default False.
+    make_gpu : callable, optional
+        Makes the GPU mapper that takes the place of a given vtkSmartVolumeMapper.
+
+    Returns
+    -------
+    Steering
+
+    Raises
+    ------
+    CannotSteer
+        Where a mapper cannot be steered; the text says why and what to do.
+    ValueError
+        For an option out of range, or a renderer without volumes.
+
+    Examples
+    --------
+    >>> steering = entire.vtk.hold(renderer, volume, seconds=1 / 30)           # doctest: +SKIP
+    """
+    if renderer is None or not renderer.IsA("vtkRenderer"):
+        raise ValueError("renderer must be a vtkRenderer; windows hold theirs in GetRenderers()")
+    volumes: Sequence[Any] | None
+    if volume is None:
+        volumes = None
+        if not _volumes(renderer):
+            raise ValueError("the renderer has no volume; add one with AddVolume() before hold(), or pass it")
+    elif hasattr(volume, "IsA"):
+        volumes = [volume]
+    else:
+        volumes = list(volume)
+    for each in volumes or ():
+        if not each.IsA("vtkVolume"):
+            raise ValueError(f"{each.GetClassName()} is no volume; pass a vtkVolume, not its mapper or data")
+    return Steering(
+        renderer,
+        volumes,
+        seconds,
+        model=model,
+        coarsest=coarsest,
+        finest=finest,
+        coarsest_image=coarsest_image,
+        tolerance=tolerance,
+        miss_rate=miss_rate,
+        always=always,
+        still_rate=still_rate,
+        clock=clock,
+        overlay=overlay,
+        make_gpu=make_gpu,
+    )

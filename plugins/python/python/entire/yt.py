@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Holds yt's volume rendering to a time per picture: samples per cell first, then the camera's resolution.
+
+::
+
+    holder = entire.yt.hold(scene, seconds=2.0)
+    picture = holder.render()
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any
+
+import numpy as np
+
+from ._core import ModelLike, Session, explain
+from ._history import History
+from ._native import Camera, Plan, TransferFunction, Volume
+
+
+class CannotSteer(ValueError):
+    """The scene cannot be steered; the text says why and what to do."""
+
+
+def _source(scene: Any) -> Any:
+    for source in scene.sources.values():
+        if hasattr(source, "num_samples"):
+            return source
+    raise CannotSteer(
+        "the scene has no volume source, whose samples could be set; mesh, line and point sources have none"
+    )
+
+
+def _fixed_resolution(source: Any, edge: int) -> Volume:
+    """The field on a regular grid of at most `edge` cells along an axis, as yt's rays see it, in log where yt
+    takes logs."""
+    data = source.data_source
+    dataset = data.ds
+    low, high = (
+        np.asarray(v.to_value("code_length")) for v in (dataset.domain_left_edge, dataset.domain_right_edge)
+    )
+    cells = np.minimum(
+        np.asarray(dataset.domain_dimensions) * dataset.refine_by**dataset.index.max_level, edge
+    ).astype(int)
+    grid = dataset.arbitrary_grid(
+        dataset.domain_left_edge, dataset.domain_right_edge, dims=[int(n) for n in cells]
+    )
+    values = np.asarray(grid[source.field], np.float64)
+    if source.log_field:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            values = np.log10(values)
+    bounds = source.transfer_function.x_bounds
+    spacing = (high - low) / cells
+    return Volume(
+        np.asarray(values, np.float32),
+        (float(spacing[0]), float(spacing[1]), float(spacing[2])),
+        origin=tuple(float(v) for v in low + 0.5 * spacing),
+        axes="xyz",
+        range=(float(bounds[0]), float(bounds[1])),
+    )
+
+
+class Holder:
+    """Renders a scene within a time. Made by :func:`hold`.
+
+    Attributes
+    ----------
+    seconds : float
+        Seconds that a picture may take.
+    session : entire.Session
+    samples : int
+        Samples per cell of the last picture.
+    resolution : (int, int)
+        Its size in pixels.
+    measured, predicted : float
+        Its seconds; NaN where there is none.
+    """
+
+    def __init__(
+        self, scene: Any, seconds: float, model: ModelLike | None, smallest: float, edge: int
+    ) -> None:
+        if not (math.isfinite(seconds) and seconds > 0):
+            raise ValueError(f"seconds is {seconds}; it must be finite and positive")
+        self.scene, self.seconds = scene, seconds
+        self.source = _source(scene)
+        lens = type(scene.camera.lens).__name__
+        if lens not in ("PerspectiveLens", "PlaneParallelLens"):
+            raise CannotSteer(
+                f"{lens} has no single field of view; perspective and plane-parallel lenses can be predicted"
+            )
+        self.volume = _fixed_resolution(self.source, edge)
+        self.session = Session(self.volume, model=model, tolerance=0.25)
+        width, height = (int(n) for n in scene.camera.resolution)
+        self.most, self.full = int(self.source.num_samples), (width, height)
+        self.smallest = smallest
+        self.samples, self.resolution = self.most, self.full
+        self.measured = self.predicted = math.nan
+        self._plan: Plan | None = None
+
+    def _camera(self) -> Camera:
+        camera = self.scene.camera
+        unit = "code_length"
+        position, focus = (np.asarray(v.to_value(unit)) for v in (camera.position, camera.focus))
+        width = np.asarray(camera.width.to_value(unit))
+        north = np.asarray(camera.unit_vectors[1])
+        if type(camera.lens).__name__ == "PerspectiveLens":
+            fov = 2 * math.degrees(math.atan(0.5 * width[1] / width[2]))
+            eye = position
+        else:
+            # An eye far away that sees as much.
+            fov = 2.0
+            forward = np.asarray(camera.unit_vectors[2])
+            eye = focus - forward / np.linalg.norm(forward) * (0.5 * width[1] / math.tan(math.radians(1.0)))
+        at = tuple(float(v) for v in eye)
+        return Camera.look_at(
+            self.volume, at, tuple(float(v) for v in focus), tuple(float(v) for v in north), fov
+        )
+
+    def _function(self) -> TransferFunction:
+        alpha = np.clip(np.asarray(self.source.transfer_function.alpha.y, np.float64), 0, 1)
+        # yt's opacities belong to a length of one; rays never stop.
+        return TransferFunction.table(np.clip(alpha, 1e-4, 1), unit_length=1.0)
+
+    def render(self) -> Any:
+        """Draws the scene with as many samples and pixels as fit the time.
+
+        Returns
+        -------
+        yt.visualization.image_handling.ImageArray
+            The picture, of :attr:`resolution`.
+        """
+        settings = [(1.0 / n, self.full) for n in range(self.most, 0, -1)]
+        scale = 1.0
+        while scale > self.smallest:
+            scale = max(self.smallest, scale / 1.25)
+            settings.append((1.0, (max(1, int(self.full[0] * scale)), max(1, int(self.full[1] * scale)))))
+        index, plan = self.session.choose(
+            self._camera(),
+            self._function(),
+            self.full,
+            self.seconds,
+            settings,
+            skipping="none",
+            termination=1.0,
+        )
+        step, self.resolution = settings[index]
+        self.samples = round(1.0 / step)
+        self.predicted, self._plan = plan.seconds, plan
+        camera = self.scene.camera
+        self.source.num_samples, camera.resolution = self.samples, self.resolution
+        before = time.perf_counter()
+        try:
+            picture = self.scene.render()
+        finally:
+            self.measured = time.perf_counter() - before
+            self.source.num_samples, camera.resolution = self.most, self.full
+        self.session.observe(plan, self.measured)
+        return picture
+
+    def full_quality(self) -> Any:
+        """Draws the scene as it was set, whatever it takes.
+
+        Returns
+        -------
+        yt.visualization.image_handling.ImageArray
+        """
+        return self.scene.render()
+
+    @property
+    def why(self) -> str:
+        """str : Why the last picture was drawn as it was, in a sentence."""
+        return explain(self._plan) if self._plan else "no picture was drawn yet"
+
+    @property
+    def history(self) -> History:
+        """History : The last pictures."""
+        return self.session.history
+
+    def _repr_html_(self) -> str:
+        return self.history._repr_html_()
+
+
+def hold(
+    scene: Any,
+    seconds: float,
+    *,
+    model: ModelLike | None = None,
+    smallest: float = 0.25,
+    edge: int = 256,
+) -> Holder:
+    """Renders a yt scene within a time per picture.
+
+    yt takes a whole number of samples in every cell that a ray crosses (``num_samples``) and a picture of
+    ``camera.resolution``; fewer samples come first, a smaller picture where one sample per cell still takes
+    too long.
+
+    Parameters
+    ----------
+    scene : yt.visualization.volume_rendering.api.Scene
+        With one volume source and a perspective or plane-parallel camera.
+    seconds : float
+        Seconds that a picture may take.
+    model : Model, str, os.PathLike or bytes, optional
+        As :class:`entire.Session` takes it.
+    smallest : float, optional
+        Least side of the picture over the full side. Default 0.25.
+    edge : int, optional
+        Most cells along an axis of the grid that predictions read the field from. Default 256.
+
+    Returns
+    -------
+    Holder
+
+    Raises
+    ------
+    CannotSteer
+        For a scene without a volume source, or another lens.
+    ValueError
+        For seconds that are not positive.
+    """
+    return Holder(scene, seconds, model, smallest, edge)

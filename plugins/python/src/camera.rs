@@ -1,0 +1,298 @@
+//! Where the volume is seen from.
+
+use crate::errors::raise;
+use crate::volume::Volume;
+use entire_core::scene::{Arcball, Camera as CoreCamera, DEFAULT_FOV_Y_DEGREES};
+use glam::{DMat3, DMat4, DVec3, Mat4, Vec3};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+/// Where a volume is seen from. Made by :meth:`arcball`, :meth:`look_at`, :meth:`view` or :meth:`scene`.
+///
+/// Lengths are kept relative to the volume's bounding sphere, so a camera belongs to volumes of one size.
+#[pyclass(frozen, from_py_object, module = "entire")]
+#[derive(Clone, PartialEq)]
+pub(crate) struct Camera {
+    pub(crate) core: CoreCamera,
+    /// Vertical field of view, degrees.
+    fov: f32,
+}
+
+impl Camera {
+    fn new(core: CoreCamera, fov: f32) -> PyResult<Self> {
+        Ok(Self { core: core.with_fov_y_degrees(fov).map_err(raise)?, fov })
+    }
+}
+
+/// Largest cosine between the volume's axes that still counts as a right angle.
+const SQUARE: f64 = 0.02;
+
+/// Vertical field of view of the perspective camera that stands for a parallel one, degrees.
+const PARALLEL_FOV: f64 = 2.0;
+
+fn matrix(rows: [[f64; 4]; 4]) -> DMat4 {
+    DMat4::from_cols_array_2d(&rows).transpose()
+}
+
+/// A camera from a world-to-eye matrix, about a volume's center.
+pub(crate) fn from_view(volume: &Volume, rows: [[f64; 4]; 4], fov: f32) -> PyResult<Camera> {
+    // Moved to the center in double precision: worlds far from their origin lose digits otherwise.
+    let view = matrix(rows) * DMat4::from_translation(DVec3::from_array(volume.0.center()));
+    Camera::new(
+        CoreCamera::from_world_view(view.as_mat4(), Vec3::ZERO, volume.0.radius()).map_err(raise)?,
+        fov,
+    )
+}
+
+pub(crate) fn from_arcball(rx: f32, ry: f32, dz: f32, fov: f32) -> PyResult<Camera> {
+    Camera::new(CoreCamera::from_arcball(Arcball { rx, ry, dz }).map_err(raise)?, fov)
+}
+
+#[pymethods]
+impl Camera {
+    /// A camera on a sphere around the volume, looking at its center.
+    ///
+    /// Parameters
+    /// ----------
+    /// rx, ry : float
+    ///     Elevation and azimuth in degrees; (0, 0) looks along -z.
+    /// dz : float
+    ///     Distance from the center in radii of the volume's bounding sphere, over 0.
+    /// fov : float, optional
+    ///     Vertical field of view in degrees, over 0 and up to 179. Default 45.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For an angle that is not finite, a distance or a field of view out of range.
+    #[staticmethod]
+    #[pyo3(signature = (rx, ry, dz, fov = DEFAULT_FOV_Y_DEGREES))]
+    fn arcball(rx: f32, ry: f32, dz: f32, fov: f32) -> PyResult<Self> {
+        from_arcball(rx, ry, dz, fov)
+    }
+
+    /// A camera at a point of the world.
+    ///
+    /// Parameters
+    /// ----------
+    /// volume : Volume
+    ///     The volume that is seen.
+    /// eye : (float, float, float)
+    ///     World position of the camera.
+    /// target : (float, float, float), optional
+    ///     World position that it looks at. Default: the volume's center.
+    /// up : (float, float, float), optional
+    ///     A direction that points up in the picture; not along the view. Default 0, 1, 0.
+    /// fov : float, optional
+    ///     Vertical field of view in degrees. Default 45.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     Where eye and target are one point, `up` points along the view, or a number is not finite.
+    #[staticmethod]
+    #[pyo3(signature = (volume, eye, target = None, up = [0.0, 1.0, 0.0], fov = DEFAULT_FOV_Y_DEGREES))]
+    fn look_at(
+        volume: &Volume,
+        eye: [f64; 3],
+        target: Option<[f64; 3]>,
+        up: [f64; 3],
+        fov: f32,
+    ) -> PyResult<Self> {
+        let at = DVec3::from_array(eye);
+        let target = target.map_or(DVec3::from_array(volume.0.center()), DVec3::from_array);
+        let forward = (target - at).normalize_or_zero();
+        let right = forward.cross(DVec3::from_array(up)).normalize_or_zero();
+        if forward == DVec3::ZERO || right == DVec3::ZERO || !at.is_finite() {
+            return Err(PyValueError::new_err(format!(
+                "eye {eye:?}, target {:?} and up {up:?} give no view; eye and target must differ, up must \
+                 not lie along the view",
+                target.to_array()
+            )));
+        }
+        let row = |axis: DVec3| [axis.x, axis.y, axis.z, -axis.dot(at)];
+        let rows = [row(right), row(right.cross(forward)), row(-forward), [0.0, 0.0, 0.0, 1.0]];
+        from_view(volume, rows, fov)
+    }
+
+    /// A camera from a world-to-eye matrix.
+    ///
+    /// Parameters
+    /// ----------
+    /// volume : Volume
+    ///     The volume that is seen.
+    /// matrix : array_like, shape (4, 4)
+    ///     Takes homogeneous world coordinates (a column, ``matrix @ p``) to the eye's: x right, y up,
+    ///     looking along -z. A rotation and a translation; no scale, no projection.
+    /// fov : float, optional
+    ///     Vertical field of view in degrees. Default 45.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For a matrix that is no rotation and translation.
+    #[staticmethod]
+    #[pyo3(signature = (volume, matrix, fov = DEFAULT_FOV_Y_DEGREES))]
+    fn view(volume: &Volume, matrix: [[f64; 4]; 4], fov: f32) -> PyResult<Self> {
+        from_view(volume, matrix, fov)
+    }
+
+    /// A camera of a scene whose volume may itself be moved, turned and scaled.
+    ///
+    /// Parameters
+    /// ----------
+    /// volume : Volume
+    ///     The volume that is seen.
+    /// to_eye : array_like, shape (16,)
+    ///     Rows of the world-to-eye matrix.
+    /// to_world : array_like, shape (16,)
+    ///     Rows of the matrix that places the volume in the world.
+    /// direction : array_like, shape (9,)
+    ///     Rows of the matrix whose columns are the directions of the volume's axes before that.
+    /// center : (float, float, float)
+    ///     Middle of the volume's voxels before that.
+    /// fov : float
+    ///     Vertical field of view in degrees; not used with `parallel_scale`.
+    /// parallel_scale : float, optional
+    ///     Half of the height that a parallel projection shows, in world units.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For a matrix that is singular or shears the volume.
+    #[staticmethod]
+    #[pyo3(signature = (volume, to_eye, to_world, direction, center, fov, parallel_scale = None))]
+    #[allow(clippy::too_many_arguments, reason = "a scene has that many parts; Python names them")]
+    fn scene(
+        volume: &Volume,
+        to_eye: [f64; 16],
+        to_world: [f64; 16],
+        direction: [f64; 9],
+        center: [f64; 3],
+        fov: f64,
+        parallel_scale: Option<f64>,
+    ) -> PyResult<Self> {
+        let to_eye =
+            DMat4::from_cols_array(&to_eye).transpose() * DMat4::from_cols_array(&to_world).transpose();
+        let axes = DMat3::from_mat4(to_eye) * DMat3::from_cols_array(&direction).transpose();
+        let scales = [axes.x_axis.length(), axes.y_axis.length(), axes.z_axis.length()];
+        let scale = (scales[0] * scales[1] * scales[2]).cbrt();
+        if !(scale > 0.0 && scale.is_finite()) {
+            return Err(PyValueError::new_err("the volume's matrix is singular"));
+        }
+        let (x, y, z) = (axes.x_axis / scales[0], axes.y_axis / scales[1], axes.z_axis / scales[2]);
+        if x.dot(y).abs() > SQUARE || y.dot(z).abs() > SQUARE || z.dot(x).abs() > SQUARE {
+            return Err(PyValueError::new_err(
+                "the volume's matrix shears the volume; rotations, translations and scales can be predicted",
+            ));
+        }
+        // A rotation as exact as single precision needs; a mirrored volume counts as its mirror image.
+        let z = x.cross(y).normalize();
+        let y = z.cross(x).normalize();
+        let mut eye = to_eye.transform_point3(DVec3::from_array(center)) / scale;
+        let mut angle = fov;
+        if let Some(parallel) = parallel_scale {
+            // An eye far away that sees as much.
+            angle = PARALLEL_FOV;
+            eye.z = -parallel / scale / (0.5 * angle).to_radians().tan();
+        }
+        let view = DMat4::from_cols(x.extend(0.0), y.extend(0.0), z.extend(0.0), eye.extend(1.0));
+        let view: Mat4 = view.as_mat4();
+        Self::new(
+            CoreCamera::from_world_view(view, Vec3::ZERO, volume.0.radius()).map_err(raise)?,
+            angle as f32,
+        )
+    }
+
+    /// A camera from the one matrix that takes the world to the picture, as OpenGL, vispy and others have it.
+    ///
+    /// Parameters
+    /// ----------
+    /// volume : Volume
+    ///     The volume that is seen.
+    /// matrix : array_like, shape (4, 4)
+    ///     Takes homogeneous world coordinates (a column, ``matrix @ p``) to clip coordinates: x and y in
+    ///     [-w, w] are seen. Perspective or parallel; pixels square.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For a matrix that shows nothing.
+    #[staticmethod]
+    fn projection(volume: &Volume, matrix: [[f64; 4]; 4]) -> PyResult<Self> {
+        let row = |i: usize| DVec3::new(matrix[i][0], matrix[i][1], matrix[i][2]);
+        let (x, y, z, w) = (row(0), row(1), row(2), row(3));
+        let center = DVec3::from_array(volume.0.center());
+        let parallel = w.length() <= 1e-12 * y.length();
+        let (eye, forward, up, fov);
+        if parallel {
+            let back = x.cross(y).normalize_or_zero();
+            let half = matrix[3][3] / y.length();
+            fov = PARALLEL_FOV;
+            // The point of the volume's depth that the picture's middle shows, and an eye far before it.
+            let at = (x / x.length_squared()) * (-matrix[0][3] - x.dot(center))
+                + (y / y.length_squared()) * (-matrix[1][3] - y.dot(center));
+            forward = if back.dot(z) > 0.0 { back } else { -back };
+            up = y.normalize_or_zero();
+            eye = center + at - forward * (half.abs() / (0.5 * fov).to_radians().tan());
+        } else {
+            let solve = DMat3::from_cols(x, y, w).transpose();
+            let known = DVec3::new(-matrix[0][3], -matrix[1][3], -matrix[3][3]);
+            eye = solve.inverse() * known;
+            forward = w.normalize_or_zero();
+            let across = (y - forward * y.dot(forward)) / w.length();
+            up = across.normalize_or_zero();
+            fov = 2.0 * (1.0 / across.length()).atan().to_degrees();
+        }
+        let right = forward.cross(up);
+        if !eye.is_finite() || !(right.length() > 0.5) || !fov.is_finite() {
+            return Err(PyValueError::new_err(
+                "the matrix shows nothing: it must take the world to clip coordinates, with x, y and w apart",
+            ));
+        }
+        let row = |axis: DVec3| [axis.x, axis.y, axis.z, -axis.dot(eye)];
+        let rows = [row(right), row(up), row(-forward), [0.0, 0.0, 0.0, 1.0]];
+        from_view(volume, rows, fov as f32)
+    }
+
+    /// Whether a renderer that goes from `before` to this camera jumps: turns by more than a third of a right
+    /// angle, or changes its distance by half.
+    ///
+    /// Parameters
+    /// ----------
+    /// before : Camera
+    ///     The camera of the frame before.
+    ///
+    /// Returns
+    /// -------
+    /// bool
+    fn jumps_from(&self, before: &Self) -> bool {
+        let (now, then) = (self.core.view(), before.core.view());
+        let turned = (now.row(2) - then.row(2)).abs();
+        let ratio = now.w_axis.z / then.w_axis.z;
+        turned.x.max(turned.y).max(turned.z) > 0.5 || !(ratio > 0.67 && ratio < 1.5)
+    }
+
+    /// tuple of float : Elevation and azimuth in degrees, and distance in radii, of the arcball pose with the
+    /// same eye.
+    #[getter]
+    fn pose(&self) -> (f32, f32, f32) {
+        let Arcball { rx, ry, dz } = self.core.to_arcball();
+        (rx, ry, dz)
+    }
+
+    /// float : Vertical field of view in degrees.
+    #[getter]
+    fn fov(&self) -> f32 {
+        self.fov
+    }
+
+    fn __eq__(&self, other: &Self) -> bool {
+        self == other
+    }
+
+    fn __repr__(&self) -> String {
+        let (rx, ry, dz) = self.pose();
+        format!("Camera(rx {rx:.1}, ry {ry:.1}, dz {dz:.3}, fov {:.1})", self.fov)
+    }
+}

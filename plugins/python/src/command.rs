@@ -1,0 +1,22 @@
+//! The command `entire` inside the wheel.
+
+use pyo3::prelude::*;
+use std::ffi::OsString;
+use std::process::ExitCode;
+
+/// Runs the command line `entire`.
+///
+/// Parameters
+/// ----------
+/// args : list of str
+///     The program's name, then its arguments.
+///
+/// Returns
+/// -------
+/// int
+///     Exit status: 0, or 1 for an error, which standard error tells. Wrong usage ends the process with
+///     status 2.
+#[pyfunction]
+pub(crate) fn command(py: Python<'_>, args: Vec<OsString>) -> i32 {
+    i32::from(py.detach(|| entire_cli::main_with_args(args)) != ExitCode::SUCCESS)
+}

@@ -1,0 +1,47 @@
+//! The library's errors as Python exceptions.
+
+use entire_core::{Error, ErrorKind};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::{PyErr, create_exception};
+
+create_exception!(
+    entire,
+    ModelError,
+    PyValueError,
+    "A model file that cannot be used: damaged, of another format, or without the network that the call \
+     needs."
+);
+create_exception!(
+    entire,
+    MissingInputError,
+    PyValueError,
+    "The model takes an input that was not given, such as Gaussian lobes or volume features."
+);
+create_exception!(
+    entire,
+    NotReadyError,
+    PyRuntimeError,
+    "The call needs something that was not set before it: a volume, a transfer function."
+);
+
+create_exception!(
+    entire,
+    RejectedObservationError,
+    PyValueError,
+    "A time that cannot be learned from: of an unknown plan, told twice, or no positive number. It changed \
+     nothing."
+);
+
+/// The exception for an error of the library.
+pub(crate) fn raise(error: Error) -> PyErr {
+    let text = error.message().to_owned();
+    match error.kind() {
+        ErrorKind::InvalidModel | ErrorKind::InvalidTensor | ErrorKind::Unsupported => {
+            ModelError::new_err(text)
+        }
+        ErrorKind::MissingInput => MissingInputError::new_err(text),
+        ErrorKind::RejectedObservation => RejectedObservationError::new_err(text),
+        ErrorKind::NotReady => NotReadyError::new_err(text),
+        _ => PyValueError::new_err(text),
+    }
+}

@@ -1,0 +1,98 @@
+//! Frames and cameras as Python hands them in.
+
+use crate::camera::{Camera, from_arcball, from_view};
+use crate::errors::raise;
+use crate::volume::{Volume, asarray};
+use entire_core::scene::{Camera as CoreCamera, Frame, Shading, Skipping};
+use numpy::{PyReadonlyArray2, PyReadonlyArray3};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+
+/// What a frame is beside its camera.
+pub(crate) struct Shape {
+    pub(crate) size: (u32, u32),
+    pub(crate) step: f32,
+    pub(crate) shading: Shading,
+    pub(crate) skipping: Skipping,
+    pub(crate) termination: f32,
+}
+
+impl Shape {
+    pub(crate) fn new(
+        size: (i64, i64),
+        step: f32,
+        shading: &str,
+        skipping: &str,
+        termination: f32,
+    ) -> PyResult<Self> {
+        let side = |v: i64| u32::try_from(v).unwrap_or(0);
+        let shading = match shading {
+            "none" => Shading::None,
+            "local" => Shading::Local,
+            "scatter" => Shading::Scatter,
+            other => {
+                return Err(PyValueError::new_err(format!(
+                    "shading is {other:?}; it must be \"none\", \"local\" or \"scatter\""
+                )));
+            }
+        };
+        let skipping = match skipping {
+            "none" => Skipping::None,
+            "blocks" => Skipping::Blocks,
+            "distance" => Skipping::Distance,
+            other => {
+                return Err(PyValueError::new_err(format!(
+                    "skipping is {other:?}; it must be \"none\", \"blocks\" or \"distance\""
+                )));
+            }
+        };
+        Ok(Self { size: (side(size.0), side(size.1)), step, shading, skipping, termination })
+    }
+
+    pub(crate) fn frame(&self, camera: CoreCamera) -> PyResult<Frame> {
+        let build = || {
+            Ok(Frame::new(camera, self.size.0, self.size.1)?
+                .with_step(self.step)?
+                .with_termination(self.termination)?
+                .with_shading(self.shading)
+                .with_skipping(self.skipping))
+        };
+        build().map_err(raise)
+    }
+}
+
+/// Many cameras: camera objects, arcball poses (n, 3) or world-to-eye matrices (n, 4, 4).
+pub(crate) fn cameras(given: &Bound<'_, PyAny>, volume: &Volume, fov: f32) -> PyResult<Vec<CoreCamera>> {
+    if let Ok(camera) = given.cast::<Camera>() {
+        return Ok(vec![camera.get().core]);
+    }
+    if let Ok(list) = given.extract::<Vec<Camera>>() {
+        return Ok(list.into_iter().map(|c| c.core).collect());
+    }
+    let array = asarray(given)?;
+    let shape: Vec<usize> = array.getattr("shape")?.extract()?;
+    let at = |i: usize| move |e: PyErr| PyValueError::new_err(format!("camera {i}: {e}"));
+    match shape[..] {
+        [_, 3] => {
+            let rows: PyReadonlyArray2<'_, f32> = array.call_method1("astype", ("float32",))?.extract()?;
+            let rows = rows.as_array();
+            let poses = rows.outer_iter().enumerate();
+            poses.map(|(i, r)| from_arcball(r[0], r[1], r[2], fov).map(|c| c.core).map_err(at(i))).collect()
+        }
+        [_, 4, 4] => {
+            let all: PyReadonlyArray3<'_, f64> = array.call_method1("astype", ("float64",))?.extract()?;
+            let all = all.as_array();
+            let matrices = all.outer_iter().enumerate();
+            matrices
+                .map(|(i, m)| {
+                    let rows = std::array::from_fn(|r| std::array::from_fn(|c| m[[r, c]]));
+                    from_view(volume, rows, fov).map(|c| c.core).map_err(at(i))
+                })
+                .collect()
+        }
+        _ => Err(PyTypeError::new_err(format!(
+            "cameras have the shape {shape:?}; pass Camera objects, an array (n, 3) of rx, ry, dz or an \
+             array (n, 4, 4) of world-to-eye matrices"
+        ))),
+    }
+}

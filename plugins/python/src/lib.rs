@@ -1,0 +1,49 @@
+//! The native module of the Python package `entire`.
+//!
+//! Every class is a thin layer over `entire-core`: it checks what Python hands in, keeps the owners of
+//! borrowed memory alive, and lets other Python threads run while voxels are scanned, volumes encoded or
+//! thousands of views predicted. Nothing here starts a thread, so that a process may fork and an interpreter
+//! may end at any time.
+
+mod calibration;
+mod camera;
+mod command;
+mod errors;
+mod frame;
+mod history;
+mod lock;
+mod model;
+mod session;
+mod transfer;
+mod volume;
+
+use pyo3::prelude::*;
+
+/// The native part of `entire`; import the names from `entire`.
+#[pymodule]
+mod _native {
+    #[pymodule_export]
+    use crate::calibration::Calibration;
+    #[pymodule_export]
+    use crate::camera::Camera;
+    #[pymodule_export]
+    use crate::command::command;
+    #[pymodule_export]
+    use crate::errors::{MissingInputError, ModelError, NotReadyError, RejectedObservationError};
+    #[pymodule_export]
+    use crate::model::Model;
+    #[pymodule_export]
+    use crate::session::{Plan, Prediction, Session};
+    #[pymodule_export]
+    use crate::transfer::TransferFunction;
+    #[pymodule_export]
+    use crate::volume::Volume;
+
+    use super::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+        module.add("simd_level", entire_core::kernels::Level::detect().to_string())
+    }
+}

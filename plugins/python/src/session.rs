@@ -1,0 +1,604 @@
+//! One render loop.
+
+use crate::camera::Camera;
+use crate::errors::{NotReadyError, raise};
+use crate::frame::{Shape, cameras};
+use crate::history::{Entry, History};
+use crate::lock::Guarded;
+use crate::model::{Loaded, Model};
+use crate::transfer::{Transfer, TransferFunction};
+use crate::volume::{Data, Volume};
+use entire_core::adapt::ObserveFlags;
+use entire_core::control::{HybridOptions, PENDING_PLANS, Plan as CorePlan, Session as Core, StepLimits};
+use entire_core::features::{Changes, Setting};
+use entire_core::predict::{AnalyticModel, Predictor, Source};
+use numpy::PyArray1;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict, PyList};
+use std::sync::{Arc, MutexGuard};
+
+/// What to draw, and what to expect of it.
+#[pyclass(frozen, get_all, module = "entire")]
+pub(crate) struct Plan {
+    /// int : Names this plan in :meth:`Session.observe`.
+    id: u64,
+    /// float : Ray step in reference steps (smallest voxel spacings).
+    step: f32,
+    /// float : Pixels between rays along each side of the image, at least 1.
+    image_sample_distance: f32,
+    /// tuple of int : Width and height of the image to draw, in pixels.
+    size: (u32, u32),
+    /// float : Expected seconds; NaN where nothing is known.
+    seconds: f32,
+    /// float : Upper bound of the seconds; NaN where there is none.
+    upper: f32,
+    /// float : 0 inside the predictor's range, 1 at the edge of trust, growing beyond; NaN where unknown.
+    out_of_range: f32,
+    /// str : Why this step, in a word or two: "fits", "held", "damped", "finest allowed", ...
+    reason: &'static str,
+    /// float : Seconds that the frame may take.
+    target: f32,
+}
+
+#[pymethods]
+impl Plan {
+    fn __repr__(&self) -> String {
+        format!(
+            "Plan(step {:.3}, {} x {} pixels, {:.2} ms expected of {:.2} ms: {})",
+            self.step,
+            self.size.0,
+            self.size.1,
+            1e3 * self.seconds,
+            1e3 * self.target,
+            self.reason
+        )
+    }
+}
+
+/// A predicted frame time.
+#[pyclass(frozen, get_all, module = "entire")]
+pub(crate) struct Prediction {
+    /// float : Expected seconds.
+    seconds: f32,
+    /// float : Upper bound of the seconds; NaN where there is none.
+    upper: f32,
+    /// float : As in :class:`Plan`.
+    out_of_range: f32,
+    /// str : "analytic", "network" or "history".
+    source: &'static str,
+}
+
+#[pymethods]
+impl Prediction {
+    fn __repr__(&self) -> String {
+        format!("Prediction({:.3} ms, {})", 1e3 * self.seconds, self.source)
+    }
+
+    fn __float__(&self) -> f64 {
+        f64::from(self.seconds)
+    }
+}
+
+struct State {
+    core: Core,
+    volume: Option<Arc<Data>>,
+    transfer: Option<Arc<Transfer>>,
+    plans: Box<[Option<(CorePlan, f32)>; PENDING_PLANS]>,
+    history: History,
+}
+
+/// The native part of `entire.Session`.
+#[pyclass(subclass, frozen, module = "entire._native")]
+pub(crate) struct Session {
+    state: Guarded<State>,
+    model: Option<Arc<Loaded>>,
+}
+
+impl Session {
+    fn state(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, State>> {
+        self.state.lock(py)
+    }
+
+    /// Takes up another volume; scanned and encoded with the interpreter let go of, before the session is
+    /// locked.
+    fn take_volume(&self, py: Python<'_>, volume: &Volume) -> PyResult<()> {
+        let summary = volume.0.summary(py)?;
+        let features = match &self.model {
+            Some(model) => model.features_of(py, &volume.0)?,
+            None => None,
+        };
+        let mut state = self.state(py)?;
+        state.core.set_volume(summary.clone(), features.as_deref());
+        state.volume = Some(volume.0.clone());
+        state.transfer = None;
+        Ok(())
+    }
+}
+
+impl State {
+    /// Keeps a plan for its observation.
+    fn note(&mut self, plan: CorePlan, size: (u32, u32), target: f32) -> Plan {
+        self.plans[(plan.id % PENDING_PLANS as u64) as usize] = Some((plan, target));
+        Plan {
+            id: plan.id,
+            step: plan.step,
+            image_sample_distance: plan.image_sample_distance,
+            size,
+            seconds: plan.seconds,
+            upper: plan.upper,
+            out_of_range: plan.out_of_range,
+            reason: plan.reason.name(),
+            target,
+        }
+    }
+
+    fn take_transfer(&mut self, transfer: &TransferFunction) -> PyResult<()> {
+        if self.transfer.as_ref().is_some_and(|t| Arc::ptr_eq(t, &transfer.0)) {
+            return Ok(());
+        }
+        let Some(volume) = &self.volume else {
+            return Err(NotReadyError::new_err(
+                "no volume is set; make the session with one, or call set_volume before the first frame",
+            ));
+        };
+        let table = transfer.0.table_for(volume)?;
+        self.core.set_transfer(&table, transfer.0.lobes()).map_err(raise)?;
+        self.transfer = Some(transfer.0.clone());
+        Ok(())
+    }
+}
+
+fn source(source: Source) -> &'static str {
+    match source {
+        Source::Analytic => "analytic",
+        Source::Network => "network",
+        _ => "history",
+    }
+}
+
+#[pymethods]
+impl Session {
+    #[new]
+    #[pyo3(signature = (volume = None, *, model = None, tolerance = 0.1, miss_rate = 0.05,
+        trust_limit = 2.0, damping = true,
+        probe_side = None))]
+    #[allow(clippy::too_many_arguments, reason = "Python names them")]
+    fn new(
+        py: Python<'_>,
+        volume: Option<&Volume>,
+        model: Option<&Model>,
+        tolerance: f32,
+        miss_rate: f32,
+        trust_limit: f32,
+        damping: bool,
+        probe_side: Option<usize>,
+    ) -> PyResult<Self> {
+        let check = |good: bool, what: &str, found: f32, accepted: &str| {
+            if good {
+                return Ok(());
+            }
+            Err(PyValueError::new_err(format!("{what} is {found}; it must be {accepted}")))
+        };
+        check(tolerance.is_finite() && tolerance >= 0.0, "tolerance", tolerance, "finite and not negative")?;
+        check(miss_rate > 0.0 && miss_rate < 1.0, "miss_rate", miss_rate, "over 0 and under 1")?;
+        check(trust_limit > 0.0, "trust_limit", trust_limit, "positive (math.inf to trust always)")?;
+        let predictor: Box<dyn Predictor + Send> = match model {
+            Some(model) => model.0.predictor()?,
+            None => Box::new(AnalyticModel::new()),
+        };
+        let options =
+            HybridOptions { miss_rate, tolerance, trust_limit, damping, ..HybridOptions::default() };
+        let mut core = Core::new(predictor, options);
+        if let Some(side) = probe_side {
+            core = core.with_probe_side(side).map_err(raise)?;
+        }
+        let state = State {
+            core,
+            volume: None,
+            transfer: None,
+            plans: Box::new([None; PENDING_PLANS]),
+            history: History::default(),
+        };
+        let made = Self { state: Guarded::new(state), model: model.map(|m| m.0.clone()) };
+        if let Some(volume) = volume {
+            made.take_volume(py, volume)?;
+        }
+        Ok(made)
+    }
+
+    /// Sets the volume. Its first use scans its voxels once; a model that takes volume features encodes them.
+    ///
+    /// Parameters
+    /// ----------
+    /// volume : Volume
+    ///
+    /// Raises
+    /// ------
+    /// ModelError
+    ///     Where the model takes volume features and has no encoder.
+    fn set_volume(&self, py: Python<'_>, volume: &Volume) -> PyResult<()> {
+        self.take_volume(py, volume)
+    }
+
+    /// Sets the transfer function; :meth:`plan` and :meth:`predict` do it by themselves.
+    ///
+    /// Parameters
+    /// ----------
+    /// tf : TransferFunction
+    ///
+    /// Raises
+    /// ------
+    /// NotReadyError
+    ///     Before a volume is set.
+    fn set_transfer_function(&self, py: Python<'_>, tf: &TransferFunction) -> PyResult<()> {
+        self.state(py)?.take_transfer(tf)
+    }
+
+    /// Sets the steps that may be chosen.
+    ///
+    /// Parameters
+    /// ----------
+    /// finest, coarsest : float
+    ///     In reference steps; 1/64 <= finest <= coarsest <= 4096. At first 1 and 16.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For other numbers.
+    fn set_limits(&self, py: Python<'_>, finest: f32, coarsest: f32) -> PyResult<()> {
+        let limits = StepLimits::new(finest, coarsest).map_err(raise)?;
+        self.state(py)?.core.set_limits(limits);
+        Ok(())
+    }
+
+    /// Allows plans to shrink the image.
+    ///
+    /// Parameters
+    /// ----------
+    /// coarsest : float
+    ///     Most pixels between rays along each side of the image, 1 to 64. 1, as sessions start, leaves the
+    ///     image alone.
+    /// step_alone : float, optional
+    ///     How many times the finest step comes before any smaller image, 1 to 64. Default 1; about 2 where a
+    ///     smaller image is blurred by much.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For other numbers.
+    #[pyo3(signature = (coarsest, step_alone = 1.0))]
+    fn set_max_image_sample_distance(&self, py: Python<'_>, coarsest: f32, step_alone: f32) -> PyResult<()> {
+        self.state(py)?.core.set_max_image_sample_distance(coarsest, step_alone).map_err(raise)
+    }
+
+    /// Switches steering off (every plan answers the frame's own step: for screenshots and still frames) or
+    /// on again.
+    ///
+    /// Parameters
+    /// ----------
+    /// enabled : bool
+    fn set_enabled(&self, py: Python<'_>, enabled: bool) -> PyResult<()> {
+        self.state(py)?.core.set_enabled(enabled);
+        Ok(())
+    }
+
+    /// Tells that the next frame does not follow smoothly on the one before, in ways that the session cannot
+    /// see.
+    ///
+    /// Parameters
+    /// ----------
+    /// camera : bool, optional
+    ///     The camera jumped.
+    /// mode : bool, optional
+    ///     The renderer draws in another way.
+    /// first : bool, optional
+    ///     The renderer has to build something first, or draws on another device.
+    #[pyo3(signature = (*, camera = false, mode = false, first = false))]
+    fn mark(&self, py: Python<'_>, camera: bool, mode: bool, first: bool) -> PyResult<()> {
+        self.state(py)?.core.mark(Changes { camera, mode, first, ..Changes::NONE });
+        Ok(())
+    }
+
+    /// Chooses what to draw next, so that the frame takes at most `target` seconds.
+    ///
+    /// Parameters
+    /// ----------
+    /// camera : Camera
+    /// tf : TransferFunction or None
+    ///     None keeps the one before. One object per function: another object counts as a change.
+    /// size : (int, int)
+    ///     Width and height of the full image in pixels, 1 to 16384.
+    /// target : float
+    ///     Seconds, positive.
+    /// step : float, optional
+    ///     The frame's own step in reference steps, which a session that is switched off answers. Default 1.
+    /// shading : {"none", "local", "scatter"}, optional
+    /// skipping : {"blocks", "none", "distance"}, optional
+    ///     How the renderer skips empty space.
+    /// termination : float, optional
+    ///     Accumulated opacity at which rays stop, over 0 and up to 1 (never). Default 0.99.
+    ///
+    /// Returns
+    /// -------
+    /// Plan
+    ///
+    /// Raises
+    /// ------
+    /// NotReadyError
+    ///     Where no volume or no transfer function is set.
+    /// MissingInputError
+    ///     Where the model needs an input that was not given, such as Gaussian lobes.
+    /// ValueError
+    ///     For a size, step, target or termination out of range.
+    #[pyo3(signature = (camera, tf, size, target, *, step = 1.0, shading = "none", skipping = "blocks",
+        termination = 0.99))]
+    #[allow(clippy::too_many_arguments, reason = "Python names them")]
+    fn plan(
+        &self,
+        py: Python<'_>,
+        camera: &Camera,
+        tf: Option<&TransferFunction>,
+        size: (i64, i64),
+        target: f32,
+        step: f32,
+        shading: &str,
+        skipping: &str,
+        termination: f32,
+    ) -> PyResult<Plan> {
+        let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.core)?;
+        let mut state = self.state(py)?;
+        if let Some(tf) = tf {
+            state.take_transfer(tf)?;
+        }
+        let plan = state.core.plan(&frame, target).map_err(raise)?;
+        let shrunk = |side: u32| ((f64::from(side) / f64::from(plan.image_sample_distance)) as u32).max(1);
+        let size = (shrunk(frame.width()), shrunk(frame.height()));
+        Ok(state.note(plan, size, target))
+    }
+
+    /// Chooses among settings, best picture first: the first that is expected to meet the target, else the
+    /// fastest.
+    ///
+    /// For renderers whose steps or sizes come in a few values.
+    ///
+    /// Parameters
+    /// ----------
+    /// camera, tf, size, target, shading, skipping, termination
+    ///     As in :meth:`plan`.
+    /// settings : sequence of (step, (width, height))
+    ///     Ray step in reference steps and size in pixels, of the shape of `size`; best picture first, at
+    ///     most 64.
+    ///
+    /// Returns
+    /// -------
+    /// (int, Plan)
+    ///     Index of the setting to draw with, and its plan for :meth:`observe`.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For no settings, or one out of range; else as :meth:`plan`.
+    #[pyo3(signature = (camera, tf, size, target, settings, *, shading = "none", skipping = "blocks",
+        termination = 0.99))]
+    #[allow(clippy::too_many_arguments, reason = "Python names them")]
+    fn choose(
+        &self,
+        py: Python<'_>,
+        camera: &Camera,
+        tf: Option<&TransferFunction>,
+        size: (i64, i64),
+        target: f32,
+        settings: Vec<(f32, (u32, u32))>,
+        shading: &str,
+        skipping: &str,
+        termination: f32,
+    ) -> PyResult<(usize, Plan)> {
+        let frame = Shape::new(size, 1.0, shading, skipping, termination)?.frame(camera.core)?;
+        let settings: Vec<Setting> = settings
+            .into_iter()
+            .map(|(step, (width, height))| Setting { step, width, height, ..Setting::of(&frame) })
+            .collect();
+        let mut state = self.state(py)?;
+        if let Some(tf) = tf {
+            state.take_transfer(tf)?;
+        }
+        let choice = state.core.choose(&frame, &settings, target).map_err(raise)?;
+        let drawn = settings[choice.index];
+        Ok((choice.index, state.note(choice.plan, (drawn.width, drawn.height), target)))
+    }
+
+    /// Hears how long a planned frame took.
+    ///
+    /// Parameters
+    /// ----------
+    /// plan : Plan
+    ///     Among the last 64 plans of this session.
+    /// seconds : float
+    /// unusual : bool, optional
+    ///     The time holds work that is not the frame's (a compile, an upload, a stall).
+    /// cancelled : bool, optional
+    ///     The frame was abandoned; its time says only that it takes at least that long.
+    ///
+    /// Returns
+    /// -------
+    /// str
+    ///     "learned", "clipped" (far from what was expected: its pull was clipped) or "ignored" (flagged, or
+    ///     the first frame).
+    ///
+    /// Raises
+    /// ------
+    /// RejectedObservationError
+    ///     For a plan that is unknown, forgotten or observed before, and a time that is not finite, not
+    ///     positive or over 10,000 s. It changes nothing.
+    #[pyo3(signature = (plan, seconds, *, unusual = false, cancelled = false))]
+    fn observe(
+        &self,
+        py: Python<'_>,
+        plan: &Plan,
+        seconds: f64,
+        unusual: bool,
+        cancelled: bool,
+    ) -> PyResult<&'static str> {
+        let mut state = self.state(py)?;
+        let state = &mut *state;
+        let flags = ObserveFlags { unusual, cancelled };
+        let verdict = state.core.observe(plan.id, seconds as f32, flags).map_err(raise)?;
+        if let Some((core, target)) = state.plans[(plan.id % PENDING_PLANS as u64) as usize]
+            && core.id == plan.id
+        {
+            state.history.push(Entry {
+                plan: plan.id,
+                target,
+                predicted: core.seconds,
+                upper: core.upper,
+                measured: seconds as f32,
+                step: core.step,
+                image_sample_distance: core.image_sample_distance,
+                reason: core.reason.name(),
+                verdict: verdict.name(),
+            });
+        }
+        Ok(verdict.name())
+    }
+
+    /// Predicts a frame's seconds at its own step, corrected by what was observed; later plans do not depend
+    /// on it.
+    ///
+    /// Parameters
+    /// ----------
+    /// camera, tf, size, step, shading, skipping, termination
+    ///     As in :meth:`plan`.
+    ///
+    /// Returns
+    /// -------
+    /// Prediction
+    #[pyo3(signature = (camera, tf, size, *, step = 1.0, shading = "none", skipping = "blocks",
+        termination = 0.99))]
+    #[allow(clippy::too_many_arguments, reason = "Python names them")]
+    fn predict(
+        &self,
+        py: Python<'_>,
+        camera: &Camera,
+        tf: Option<&TransferFunction>,
+        size: (i64, i64),
+        step: f32,
+        shading: &str,
+        skipping: &str,
+        termination: f32,
+    ) -> PyResult<Prediction> {
+        let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.core)?;
+        let mut state = self.state(py)?;
+        if let Some(tf) = tf {
+            state.take_transfer(tf)?;
+        }
+        let p = state.core.predict(&frame).map_err(raise)?;
+        Ok(Prediction {
+            seconds: p.seconds,
+            upper: p.upper,
+            out_of_range: p.out_of_range,
+            source: source(p.source),
+        })
+    }
+
+    /// Predicts the seconds of many views; the same numbers, to the bit, as :meth:`predict` one by one.
+    ///
+    /// Parameters
+    /// ----------
+    /// cameras : sequence of Camera, or array_like of shape (n, 3) or (n, 4, 4)
+    ///     Cameras, arcball poses (rx, ry in degrees, dz in radii), or world-to-eye matrices.
+    /// tf, size, step, shading, skipping, termination
+    ///     As in :meth:`plan`.
+    /// fov : float, optional
+    ///     Vertical field of view in degrees for arrays. Default 45.
+    ///
+    /// Returns
+    /// -------
+    /// numpy.ndarray
+    ///     float32, shape (n,): seconds.
+    #[pyo3(signature = (cameras, tf, size, *, step = 1.0, shading = "none", skipping = "blocks",
+        termination = 0.99,
+        fov = 45.0))]
+    #[allow(clippy::too_many_arguments, reason = "Python names them")]
+    fn predict_many<'py>(
+        &self,
+        py: Python<'py>,
+        cameras: &Bound<'py, PyAny>,
+        tf: Option<&TransferFunction>,
+        size: (i64, i64),
+        step: f32,
+        shading: &str,
+        skipping: &str,
+        termination: f32,
+        fov: f32,
+    ) -> PyResult<Bound<'py, PyArray1<f32>>> {
+        let shape = Shape::new(size, step, shading, skipping, termination)?;
+        let mut state = self.state(py)?;
+        if let Some(tf) = tf {
+            state.take_transfer(tf)?;
+        }
+        let Some(volume) = state.volume.clone() else {
+            return Err(NotReadyError::new_err(
+                "no volume is set; make the session with one, or call set_volume",
+            ));
+        };
+        let all = self::cameras(cameras, &Volume(volume), fov)?;
+        // Every frame is checked before the first is predicted.
+        let frames = all.into_iter().map(|camera| shape.frame(camera)).collect::<PyResult<Vec<_>>>()?;
+        let core = &mut state.core;
+        let seconds =
+            py.detach(|| frames.iter().map(|frame| core.predict(frame).map(|p| p.seconds)).collect());
+        Ok(PyArray1::from_vec(py, Result::<Vec<f32>, _>::map_err(seconds, raise)?))
+    }
+
+    /// Forgets every observation, plan and the history; volume and transfer function stay.
+    fn reset(&self, py: Python<'_>) -> PyResult<()> {
+        let mut state = self.state(py)?;
+        state.core.reset();
+        state.history.clear();
+        Ok(())
+    }
+
+    /// What was learned, as bytes for :meth:`load_state`.
+    fn save_state<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyBytes>> {
+        Ok(PyBytes::new(py, &self.state(py)?.core.save_state()))
+    }
+
+    /// Takes up what an earlier session learned; on an error nothing changes.
+    ///
+    /// Parameters
+    /// ----------
+    /// state : bytes
+    ///     From :meth:`save_state`.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For bytes that are cut short, damaged or of another controller.
+    fn load_state(&self, py: Python<'_>, state: &[u8]) -> PyResult<()> {
+        self.state(py)?.core.load_state(state).map_err(raise)
+    }
+
+    /// The last observed frames (at most 4096), oldest first, as columns.
+    ///
+    /// Returns
+    /// -------
+    /// dict of str to list
+    ///     ``plan``, ``target``, ``predicted``, ``upper``, ``measured`` (seconds), ``step`` (reference
+    ///     steps), ``image_sample_distance`` (pixels), ``reason``, ``verdict``.
+    fn columns<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let entries: Vec<Entry> = self.state(py)?.history.entries().copied().collect();
+        let dict = PyDict::new(py);
+        let numbers = |f: fn(&Entry) -> f32| PyArray1::from_iter(py, entries.iter().map(f));
+        dict.set_item("plan", PyArray1::from_iter(py, entries.iter().map(|e| e.plan)))?;
+        dict.set_item("target", numbers(|e| e.target))?;
+        dict.set_item("predicted", numbers(|e| e.predicted))?;
+        dict.set_item("upper", numbers(|e| e.upper))?;
+        dict.set_item("measured", numbers(|e| e.measured))?;
+        dict.set_item("step", numbers(|e| e.step))?;
+        dict.set_item("image_sample_distance", numbers(|e| e.image_sample_distance))?;
+        dict.set_item("reason", PyList::new(py, entries.iter().map(|e| e.reason))?)?;
+        dict.set_item("verdict", PyList::new(py, entries.iter().map(|e| e.verdict))?)?;
+        Ok(dict)
+    }
+}

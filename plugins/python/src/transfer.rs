@@ -1,0 +1,255 @@
+//! What is opaque, and in which color.
+
+use crate::errors::raise;
+use crate::volume::{Data, asarray};
+use entire_core::scene::{
+    ColorNode, ControlPoint, GaussianLobe, Nodes, OpacityNode, TransferFunction as Description, TransferTable,
+};
+use numpy::{PyArray2, PyReadonlyArray2};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use std::sync::Arc;
+
+#[derive(Clone, Copy)]
+enum Unit {
+    ReferenceSteps(f32),
+    World(f32),
+}
+
+/// A checked function and its table.
+pub(crate) struct Transfer {
+    description: Description,
+    table: TransferTable,
+    unit: Unit,
+}
+
+impl Transfer {
+    /// The table for a volume.
+    pub(crate) fn table_for(&self, volume: &Data) -> PyResult<TransferTable> {
+        let table = self.table.clone();
+        match self.unit {
+            Unit::ReferenceSteps(distance) => table.with_unit_distance(distance),
+            Unit::World(distance) => table.with_world_unit_distance(distance, volume.spacing()),
+        }
+        .map_err(raise)
+    }
+
+    pub(crate) fn lobes(&self) -> Option<&[GaussianLobe]> {
+        match &self.description {
+            Description::Gaussian(lobes) => Some(lobes),
+            _ => None,
+        }
+    }
+}
+
+/// Opacity and color of scalar values. Made by :meth:`lobes`, :meth:`points`, :meth:`nodes` or :meth:`table`.
+///
+/// Opacities are those of one unit of length along a ray: `unit_distance` reference steps (1 by default; a
+/// reference step is the smallest voxel spacing), or `unit_length` in the unit of the volume's spacing.
+#[pyclass(frozen, module = "entire")]
+pub(crate) struct TransferFunction(pub(crate) Arc<Transfer>);
+
+fn made(
+    description: Description,
+    unit_distance: Option<f32>,
+    unit_length: Option<f32>,
+) -> PyResult<TransferFunction> {
+    let unit = match (unit_distance, unit_length) {
+        (Some(_), Some(_)) => {
+            return Err(PyValueError::new_err(
+                "unit_distance and unit_length are both given; opacities belong to one length: pass one of \
+                 them",
+            ));
+        }
+        (_, Some(length)) => Unit::World(length),
+        (distance, None) => Unit::ReferenceSteps(distance.unwrap_or(1.0)),
+    };
+    let table = description.to_table().map_err(raise)?;
+    // What is wrong with the unit is said here rather than where a volume is met.
+    let (Unit::ReferenceSteps(length) | Unit::World(length)) = unit;
+    table.clone().with_unit_distance(length).map_err(raise)?;
+    Ok(TransferFunction(Arc::new(Transfer { description, table, unit })))
+}
+
+#[derive(FromPyObject)]
+enum OpacityEntry {
+    Full((f64, f64, f64, f64)),
+    Plain((f64, f64)),
+}
+
+#[derive(FromPyObject)]
+enum ColorEntry {
+    Full((f64, f64, f64, f64, f64, f64)),
+    Plain((f64, f64, f64, f64)),
+}
+
+#[derive(FromPyObject)]
+enum Point {
+    Colored((f32, f32, f32, f32, f32)),
+    Plain((f32, f32)),
+}
+
+#[pymethods]
+impl TransferFunction {
+    /// Gaussian opacity lobes: opacity is the sum of ``height * exp(-(s - center)**2 / width)``.
+    ///
+    /// Parameters
+    /// ----------
+    /// lobes : sequence of (center, width, height)
+    ///     `center` in the volume's range scaled to [0, 1], `width` positive, `height` not negative.
+    /// unit_distance, unit_length : float, optional
+    ///     Length that opacities belong to, see the class.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     Naming the lobe and what is wrong with it.
+    #[staticmethod]
+    #[pyo3(signature = (lobes, *, unit_distance = None, unit_length = None))]
+    fn lobes(
+        lobes: Vec<(f32, f32, f32)>,
+        unit_distance: Option<f32>,
+        unit_length: Option<f32>,
+    ) -> PyResult<Self> {
+        let lobes =
+            lobes.into_iter().map(|(center, width, height)| GaussianLobe { center, width, height }).collect();
+        made(Description::Gaussian(lobes), unit_distance, unit_length)
+    }
+
+    /// Control points with straight lines between them, constant beyond the first and the last.
+    ///
+    /// Parameters
+    /// ----------
+    /// points : sequence of (position, opacity) or (position, red, green, blue, opacity)
+    ///     In ascending position; everything in [0, 1]. Two points at one position make a step.
+    /// unit_distance, unit_length : float, optional
+    ///     Length that opacities belong to, see the class.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     Naming the point and what is wrong with it.
+    #[staticmethod]
+    #[pyo3(signature = (points, *, unit_distance = None, unit_length = None))]
+    fn points(points: Vec<Point>, unit_distance: Option<f32>, unit_length: Option<f32>) -> PyResult<Self> {
+        let points = points.into_iter().map(|point| match point {
+            Point::Colored((position, r, g, b, opacity)) => {
+                ControlPoint { position, color: [r, g, b], opacity }
+            }
+            Point::Plain((position, opacity)) => ControlPoint { position, color: [1.0; 3], opacity },
+        });
+        made(Description::Points(points.collect()), unit_distance, unit_length)
+    }
+
+    /// Nodes as VTK and ParaView have them, evaluated as ``vtkPiecewiseFunction`` and
+    /// ``vtkColorTransferFunction`` do.
+    ///
+    /// Parameters
+    /// ----------
+    /// opacity : sequence of (position, opacity) or (position, opacity, midpoint, sharpness)
+    ///     Positions in scalar values, ascending; everything else in [0, 1]. Midpoint 0.5 and sharpness 0 are
+    ///     linear.
+    /// color : sequence of (position, red, green, blue) or (position, red, green, blue, midpoint, sharpness),
+    /// optional
+    ///     Default: a color ramp.
+    /// range : (float, float)
+    ///     Scalar values that [0, 1] stands for: the volume's range.
+    /// clamp : bool, optional
+    ///     Whether the outermost nodes' values go on beyond them. Default True.
+    /// unit_distance, unit_length : float, optional
+    ///     Length that opacities belong to, see the class.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     Naming the node and what is wrong with it.
+    #[staticmethod]
+    #[pyo3(signature = (opacity, color = Vec::new(), *, range, clamp = true, unit_distance = None,
+        unit_length = None))]
+    fn nodes(
+        opacity: Vec<OpacityEntry>,
+        color: Vec<ColorEntry>,
+        range: (f64, f64),
+        clamp: bool,
+        unit_distance: Option<f32>,
+        unit_length: Option<f32>,
+    ) -> PyResult<Self> {
+        let opacity = opacity.into_iter().map(|node| match node {
+            OpacityEntry::Full((position, opacity, midpoint, sharpness)) => {
+                OpacityNode { position, opacity, midpoint, sharpness }
+            }
+            OpacityEntry::Plain((position, opacity)) => {
+                OpacityNode { position, opacity, midpoint: 0.5, sharpness: 0.0 }
+            }
+        });
+        let color = color.into_iter().map(|node| match node {
+            ColorEntry::Full((position, r, g, b, midpoint, sharpness)) => {
+                ColorNode { position, color: [r, g, b], midpoint, sharpness }
+            }
+            ColorEntry::Plain((position, r, g, b)) => {
+                ColorNode { position, color: [r, g, b], midpoint: 0.5, sharpness: 0.0 }
+            }
+        });
+        let nodes = Nodes::new(opacity.collect(), color.collect(), range.0, range.1)
+            .map_err(raise)?
+            .with_clamping(clamp);
+        made(Description::Nodes(nodes), unit_distance, unit_length)
+    }
+
+    /// Evenly spaced samples, the first at the low end of the volume's range and the last at its high end.
+    ///
+    /// Parameters
+    /// ----------
+    /// samples : array_like, shape (n, 4) or (n,)
+    ///     Red, green, blue and opacity, or opacities alone, in [0, 1]; n at least 2.
+    /// unit_distance, unit_length : float, optional
+    ///     Length that opacities belong to, see the class.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For another shape, too few samples, or one outside [0, 1].
+    #[staticmethod]
+    #[pyo3(signature = (samples, *, unit_distance = None, unit_length = None))]
+    fn table(
+        samples: &Bound<'_, PyAny>,
+        unit_distance: Option<f32>,
+        unit_length: Option<f32>,
+    ) -> PyResult<Self> {
+        let array = asarray(samples)?.call_method1("astype", ("float32",))?;
+        let shape: Vec<usize> = array.getattr("shape")?.extract()?;
+        let samples: Vec<[f32; 4]> = match shape[..] {
+            [_] => array.extract::<Vec<f32>>()?.into_iter().map(|a| [1.0, 1.0, 1.0, a]).collect(),
+            [_, 4] => {
+                let rows: PyReadonlyArray2<'_, f32> = array.extract()?;
+                rows.as_array().outer_iter().map(|r| [r[0], r[1], r[2], r[3]]).collect()
+            }
+            _ => {
+                return Err(PyValueError::new_err(format!(
+                    "the table has the shape {shape:?}; it must be (n, 4) for red, green, blue, opacity or \
+                     (n,) for opacity"
+                )));
+            }
+        };
+        made(Description::uniform(&samples).map_err(raise)?, unit_distance, unit_length)
+    }
+
+    /// numpy.ndarray : float32, shape (256, 4): red, green, blue and opacity over the volume's range.
+    #[getter]
+    fn rgba<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let rows: Vec<Vec<f32>> = self.0.table.rgba().iter().map(|row| row.to_vec()).collect();
+        PyArray2::from_vec2(py, &rows).map_err(|e| PyValueError::new_err(e.to_string()))
+    }
+
+    fn __repr__(&self) -> String {
+        let what = match &self.0.description {
+            Description::Gaussian(lobes) => format!("{} Gaussian lobes", lobes.len()),
+            Description::Points(points) => format!("{} points", points.len()),
+            Description::Nodes(nodes) => {
+                format!("{} opacity nodes, {} color nodes", nodes.opacity().len(), nodes.color().len())
+            }
+            _ => "a function".to_owned(),
+        };
+        format!("TransferFunction({what})")
+    }
+}

@@ -1,0 +1,286 @@
+//! Voxels in a NumPy array.
+
+use crate::errors::raise;
+use entire_core::features::{SummaryOptions, VolumeSummary};
+use entire_core::scene::{ScalarType, Scalars, VolumeView};
+use glam::Vec3;
+use numpy::{PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::sync::PyOnceLock;
+use pyo3::types::PyDict;
+use std::sync::{Arc, OnceLock};
+
+/// A volume's voxels, or the part of them that prediction needs.
+pub(crate) struct Data {
+    view: VolumeView<'static>,
+    origin: [f64; 3],
+    summary: OnceLock<VolumeSummary>,
+    copied: bool,
+    /// Keeps the memory alive that `view` looks at.
+    owner: Py<PyAny>,
+}
+
+impl Data {
+    pub(crate) fn view(&self) -> &VolumeView<'static> {
+        &self.view
+    }
+
+    /// What prediction keeps of the voxels; scanned at the first call, with the interpreter let go of.
+    pub(crate) fn summary(&self, py: Python<'_>) -> PyResult<&VolumeSummary> {
+        if let Some(summary) = self.summary.get() {
+            return Ok(summary);
+        }
+        let summary =
+            py.detach(|| VolumeSummary::new(&self.view, SummaryOptions::default())).map_err(raise)?;
+        Ok(self.summary.get_or_init(|| summary))
+    }
+
+    pub(crate) fn spacing(&self) -> Vec3 {
+        self.view.spacing()
+    }
+
+    pub(crate) fn radius(&self) -> f32 {
+        self.view.bounding_radius()
+    }
+
+    /// World position of the middle of the voxels.
+    pub(crate) fn center(&self) -> [f64; 3] {
+        let (dims, spacing) = (self.view.dims(), self.view.spacing());
+        std::array::from_fn(|a| self.origin[a] + 0.5 * (dims[a] as f64 - 1.0) * f64::from(spacing[a]))
+    }
+}
+
+/// A scalar volume on a regular grid, looked at where it lies in memory.
+///
+/// Arrays of ``uint8``, ``uint16``, ``int16`` and ``float32`` in the machine's byte order are neither copied
+/// nor changed, whatever their strides, as long as no stride is negative; the array is kept alive. ``bool``
+/// counts as ``uint8``; every other integer and float type, foreign byte orders and negative strides are
+/// converted once (to ``int16`` from ``int8``, else to ``float32``). The array must not be written to while a
+/// call reads it.
+///
+/// Parameters
+/// ----------
+/// array : array_like, 3-D
+///     Voxels, indexed by `axes`.
+/// spacing : (float, float, float), optional
+///     Distances between neighboring voxels along x, y and z, in any unit of length; positive. Default 1, 1,
+///     1.
+/// origin : (float, float, float), optional
+///     World position of the first voxel's center, in the same unit. Default 0, 0, 0.
+/// axes : {"zyx", "xyz"}, optional
+///     Which axis of the array is which: ``array[z, y, x]`` (the default; x fastest in C order) or
+///     ``array[x, y, z]``.
+/// range : (float, float), optional
+///     Scalar values that the transfer function's ends belong to. Default: 0 to 255 for ``uint8``, else the
+///     smallest and the largest finite voxel.
+///
+/// Raises
+/// ------
+/// TypeError
+///     For an array that does not hold numbers.
+/// ValueError
+///     For an array that is empty or has not three axes, a spacing that is not positive, a range that is not
+///     finite or upside down.
+///
+/// Examples
+/// --------
+/// >>> import numpy as np, entire
+/// >>> volume = entire.Volume(np.zeros((32, 64, 64), np.uint16), (0.5, 0.5, 1.0))
+/// >>> volume.shape, volume.copied
+/// ((64, 64, 32), False)
+#[pyclass(frozen, module = "entire")]
+pub(crate) struct Volume(pub(crate) Arc<Data>);
+
+static ASARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
+
+/// `numpy.asarray`.
+pub(crate) fn asarray<'py>(array: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
+    ASARRAY.import(array.py(), "numpy", "asarray")?.call1((array,))
+}
+
+fn convert<'py>(array: &Bound<'py, PyAny>, dtype: &str) -> PyResult<Bound<'py, PyUntypedArray>> {
+    let py = array.py();
+    let options = PyDict::new(py);
+    options.set_item("order", "C")?;
+    let numpy = py.import("numpy")?;
+    let quiet = PyDict::new(py);
+    // Values beyond float32 become infinities, which count as the ends of the range.
+    quiet.set_item("over", "ignore")?;
+    let state = numpy.call_method("errstate", (), Some(&quiet))?;
+    state.call_method0("__enter__")?;
+    let made = array.call_method("astype", (dtype,), Some(&options));
+    state.call_method1("__exit__", (py.None(), py.None(), py.None()))?;
+    Ok(made?.cast_into::<PyUntypedArray>()?)
+}
+
+/// How an array of this type is kept: as it is, or as another type.
+fn kept_as(array: &Bound<'_, PyUntypedArray>) -> PyResult<(ScalarType, Option<&'static str>)> {
+    let dtype = array.dtype();
+    let native = dtype.is_native_byteorder() != Some(false);
+    let as_is = |kind, name: &'static str| Ok((kind, if native { None } else { Some(name) }));
+    match (dtype.kind(), dtype.itemsize()) {
+        (b'b' | b'u', 1) => as_is(ScalarType::U8, "uint8"),
+        (b'u', 2) => as_is(ScalarType::U16, "uint16"),
+        (b'i', 2) => as_is(ScalarType::I16, "int16"),
+        (b'f', 4) => as_is(ScalarType::F32, "float32"),
+        (b'i', 1) => Ok((ScalarType::I16, Some("int16"))),
+        (b'u' | b'i' | b'f', _) => Ok((ScalarType::F32, Some("float32"))),
+        _ => Err(PyTypeError::new_err(format!(
+            "the array's dtype is {dtype}; integers, floats and bool can be drawn (take one component, or \
+             the magnitude)"
+        ))),
+    }
+}
+
+/// A slice over everything that an array's strides reach.
+///
+/// # Safety
+/// `at` points at the first element of an array of `T` whose memory lives as long as the result is used, and
+/// `count` elements can be read from there.
+unsafe fn elements<T>(at: *const u8, count: usize) -> &'static [T] {
+    // SAFETY: as the caller promises.
+    unsafe { std::slice::from_raw_parts(at.cast(), count) }
+}
+
+#[pymethods]
+impl Volume {
+    #[new]
+    #[pyo3(signature = (array, spacing = [1.0, 1.0, 1.0], *, origin = [0.0, 0.0, 0.0], axes = "zyx",
+        range = None))]
+    fn new(
+        py: Python<'_>,
+        array: &Bound<'_, PyAny>,
+        spacing: [f32; 3],
+        origin: [f64; 3],
+        axes: &str,
+        range: Option<(f32, f32)>,
+    ) -> PyResult<Self> {
+        let order = match axes {
+            "zyx" => [2, 1, 0],
+            "xyz" => [0, 1, 2],
+            other => {
+                return Err(PyValueError::new_err(format!(
+                    "axes is {other:?}; it must be \"zyx\" for array[z, y, x] or \"xyz\" for array[x, y, z]"
+                )));
+            }
+        };
+        if origin.iter().any(|v| !v.is_finite()) {
+            return Err(PyValueError::new_err(format!("origin is {origin:?}; all three must be finite")));
+        }
+        let given = asarray(array)?;
+        let mut kept = given.cast::<PyUntypedArray>()?.clone();
+        if kept.ndim() != 3 {
+            return Err(PyValueError::new_err(format!(
+                "the array has {} axes (shape {:?}); a volume has three. Choose a time step or a component \
+                 first",
+                kept.ndim(),
+                kept.shape()
+            )));
+        }
+        let (kind, converted) = kept_as(&kept)?;
+        let (name, size) = match kind {
+            ScalarType::U8 => ("uint8", 1),
+            ScalarType::U16 => ("uint16", 2),
+            ScalarType::I16 => ("int16", 2),
+            _ => ("float32", 4),
+        };
+        let mut copied = false;
+        let plain = |a: &Bound<'_, PyUntypedArray>| {
+            let whole = a.strides().iter().all(|&s| s >= 0 && (s as usize).is_multiple_of(size));
+            // SAFETY: the array lives; its data pointer is only looked at.
+            whole && (unsafe { (*a.as_array_ptr()).fields.data } as usize).is_multiple_of(size)
+        };
+        if converted.is_some() || !plain(&kept) {
+            kept = convert(kept.as_any(), name)?;
+            copied = true;
+        }
+        let dims: [usize; 3] = std::array::from_fn(|a| kept.shape()[order[a]]);
+        let strides: [usize; 3] = std::array::from_fn(|a| kept.strides()[order[a]] as usize / size);
+        let count =
+            if dims.contains(&0) { 0 } else { 1 + (0..3).map(|a| (dims[a] - 1) * strides[a]).sum::<usize>() };
+        // SAFETY: the array lives; NumPy's data pointer is aligned (checked above) and reaches `count`
+        // elements, the last of which is the array's last. `owner` keeps the memory for as long as the view.
+        let scalars = unsafe {
+            let at = (*kept.as_array_ptr()).fields.data.cast::<u8>().cast_const();
+            match kind {
+                ScalarType::U8 => Scalars::U8(elements(at, count)),
+                ScalarType::U16 => Scalars::U16(elements(at, count)),
+                ScalarType::I16 => Scalars::I16(elements(at, count)),
+                _ => Scalars::F32(elements(at, count)),
+            }
+        };
+        let view = py
+            .detach(|| {
+                let view = match range {
+                    Some((low, high)) if strides == [1, dims[0], dims[0] * dims[1]] => {
+                        VolumeView::with_known_range(scalars, dims, (low, high))?
+                    }
+                    Some((low, high)) => {
+                        VolumeView::with_strides(scalars, dims, strides)?.with_range(low, high)?
+                    }
+                    None => VolumeView::with_strides(scalars, dims, strides)?,
+                };
+                view.with_spacing(spacing)
+            })
+            .map_err(raise)?;
+        let owner = kept.into_any().unbind();
+        Ok(Self(Arc::new(Data { view, origin, summary: OnceLock::new(), copied, owner })))
+    }
+
+    /// tuple of int : Voxels along x, y and z.
+    #[getter]
+    fn shape(&self) -> (usize, usize, usize) {
+        self.0.view.dims().into()
+    }
+
+    /// tuple of float : Distances between voxels along x, y and z.
+    #[getter]
+    fn spacing(&self) -> (f32, f32, f32) {
+        self.0.spacing().into()
+    }
+
+    /// tuple of float : World position of the middle of the voxels.
+    #[getter]
+    fn center(&self) -> (f64, f64, f64) {
+        self.0.center().into()
+    }
+
+    /// float : Radius of the sphere around the volume's box, in the unit of the spacing.
+    #[getter]
+    fn radius(&self) -> f32 {
+        self.0.radius()
+    }
+
+    /// tuple of float : Scalar values that the transfer function's ends belong to.
+    #[getter]
+    fn range(&self) -> (f32, f32) {
+        self.0.view.range()
+    }
+
+    /// float : The reference ray step (the smallest spacing), of which plans are multiples, in the unit of
+    /// the spacing.
+    #[getter]
+    fn reference_step(&self) -> f32 {
+        self.0.spacing().min_element()
+    }
+
+    /// bool : Whether the array had to be converted; then changes of it no longer show.
+    #[getter]
+    fn copied(&self) -> bool {
+        self.0.copied
+    }
+
+    /// numpy.ndarray : The array that is looked at: the one given, or the converted one.
+    #[getter]
+    fn array(&self, py: Python<'_>) -> Py<PyAny> {
+        self.0.owner.clone_ref(py)
+    }
+
+    fn __repr__(&self) -> String {
+        let ([x, y, z], s) = (self.0.view.dims(), self.0.spacing());
+        let (low, high) = self.0.view.range();
+        let kind = self.0.view.scalar_type().name();
+        format!("Volume({x} x {y} x {z} {kind}, spacing ({}, {}, {}), range {low} to {high})", s.x, s.y, s.z)
+    }
+}

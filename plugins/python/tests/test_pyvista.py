@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""PyVista: three lines, widgets, several renderers, pictures that are kept."""
+
+import numpy as np
+import pytest
+
+pv = pytest.importorskip("pyvista")
+
+import entire
+import entire.vtk
+
+
+@pytest.fixture
+def image(voxels):
+    grid = pv.ImageData(dimensions=voxels.shape[::-1])
+    grid["values"] = voxels.ravel()
+    return grid
+
+
+@pytest.fixture
+def shown(image):
+    plotter = pv.Plotter(window_size=(240, 240))
+    actor = plotter.add_volume(image, scalars="values", show_scalar_bar=False)
+    plotter.show(auto_close=False, interactive=False)
+    yield plotter, actor
+    plotter.close()
+
+
+def drag(plotter, steps=6, at=(120, 120)):
+    """Moves the camera as a mouse does."""
+    interactor = plotter.render_window.GetInteractor()
+    interactor.SetEventInformation(*at, 0, 0)
+    interactor.InvokeEvent("LeftButtonPressEvent")
+    for k in range(steps):
+        interactor.SetEventInformation(at[0] + 6 * k, at[1] + 3 * k, 0, 0)
+        interactor.InvokeEvent("MouseMoveEvent")
+        yield k
+    interactor.InvokeEvent("LeftButtonReleaseEvent")
+
+
+def test_three_lines(image):
+    pl = pv.Plotter(window_size=(240, 240))
+    pl.add_volume(image)
+    pl.entire.hold(fps=30)
+    pl.show(auto_close=False, interactive=False)
+    assert [s.reason for s in [pl.entire.steering]] == ["still"]
+    for _ in drag(pl):
+        assert pl.entire.steering.reason not in ("still", "fallback", "")
+    assert len(pl.entire.history) > 4
+    pl.close()
+
+
+def test_the_mapper_is_exchanged_and_put_back(shown):
+    plotter, actor = shown
+    smart = actor.mapper
+    look = plotter.screenshot()
+    steering = plotter.entire.hold(fps=1000)
+    assert any("vtkSmartVolumeMapper" in note for note in steering.notes)
+    assert actor.mapper.IsA("vtkGPUVolumeRayCastMapper")
+    assert actor.mapper.scalar_range == smart.scalar_range
+    assert actor.mapper.lookup_table is smart.lookup_table
+    assert actor.mapper.dataset is not None
+    plotter.render()
+    assert np.array_equal(plotter.image, look)
+    plotter.entire.detach()
+    assert actor.mapper is smart
+    plotter.render()
+    assert np.array_equal(plotter.image, look)
+    assert "screenshot" not in plotter.__dict__
+
+
+def test_screenshots_in_the_midst_of_a_drag_are_at_full_quality(shown):
+    plotter, actor = shown
+    plotter.entire.hold(fps=1000)
+    for k in drag(plotter, 5):
+        assert plotter.entire.steering.sample_distance > 1
+        if k == 3:
+            moving = plotter.screenshot()
+            pose = plotter.camera_position
+    plotter.entire.detach()
+    plotter.camera_position = pose
+    plotter.render()
+    assert np.array_equal(plotter.screenshot(), moving)
+
+
+def test_a_loop_off_screen(image):
+    plotter = pv.Plotter(off_screen=True, window_size=(240, 240))
+    plotter.add_volume(image, mapper="gpu", show_scalar_bar=False)
+    plotter.show(auto_close=False)
+    steering = plotter.entire.hold(fps=1000)
+    plotter.render()
+    assert "still" in steering.why
+    steering = plotter.entire.hold(fps=1000, always=True)
+    for azimuth in range(0, 40, 5):
+        plotter.camera.azimuth = azimuth
+        plotter.render()
+    assert steering.steered_frames >= 8
+    coarse = np.array(plotter.image)
+    kept = plotter.screenshot()
+    assert not np.array_equal(coarse, kept)
+    plotter.entire.detach()
+    plotter.render()
+    assert np.array_equal(plotter.screenshot(), kept)
+    plotter.close()
+
+
+@pytest.mark.parametrize("mapper", ["smart", "gpu", "fixed_point", "open_gl"])
+def test_every_mapper_of_images(image, mapper):
+    plotter = pv.Plotter(off_screen=True, window_size=(200, 200))
+    try:
+        plotter.add_volume(image, mapper=mapper)
+    except (TypeError, ValueError) as error:
+        pytest.skip(f"this PyVista makes no {mapper} mapper: {error}")
+    plotter.show(auto_close=False)
+    steering = plotter.entire.hold(fps=500, always=True)
+    for _ in range(4):
+        plotter.render()
+    assert steering.status == ""
+    plotter.close()
+
+
+def test_an_unstructured_grid_says_why(image):
+    plotter = pv.Plotter(off_screen=True)
+    small = image.extract_subset((0, 8, 0, 8, 0, 8)).cast_to_unstructured_grid()
+    plotter.add_volume(small, scalars="values", mapper="ugrid")
+    with pytest.raises(entire.vtk.CannotSteer, match="resample"):
+        plotter.entire.hold(fps=30)
+    plotter.close()
+
+
+def test_a_clip_plane_widget(shown):
+    plotter, actor = shown
+    plotter.entire.hold(fps=1000)
+    plotter.add_volume_clip_plane(actor)
+    assert actor.mapper.IsA("vtkGPUVolumeRayCastMapper")
+    clipped = plotter.screenshot()
+    for _ in drag(plotter, 5, at=(10, 10)):
+        pass
+    assert plotter.entire.steering.fallback_frames == 0
+    widget = getattr(plotter, "widgets", plotter).plane_widgets[0]
+    widget.SetOrigin(10, 24, 24)
+    widget.InvokeEvent("EndInteractionEvent")
+    plotter.render()
+    moved = plotter.screenshot()
+    assert not np.array_equal(clipped, moved)
+    plotter.entire.detach()
+    assert (
+        actor.mapper.GetNumberOfClippingPlanes()
+        if hasattr(actor.mapper, "GetNumberOfClippingPlanes")
+        else True
+    )
+    plotter.render()
+    assert np.array_equal(plotter.screenshot(), moved)
+
+
+def test_blocks(image):
+    blocks = pv.MultiBlock(
+        [image.extract_subset((0, 24, 0, 47, 0, 47)), image.extract_subset((24, 47, 0, 47, 0, 47))]
+    )
+    plotter = pv.Plotter(off_screen=True, window_size=(240, 240))
+    plotter.add_volume(blocks, scalars="values", show_scalar_bar=False)
+    plotter.show(auto_close=False)
+    steering = plotter.entire.hold(fps=1000, always=True)
+    for azimuth in range(0, 30, 5):
+        plotter.camera.azimuth = azimuth
+        plotter.render()
+    assert len(steering.leaves) == 2
+    assert all(leaf.status == "" for leaf in steering.leaves)
+    plotter.close()
+
+
+def test_renderers_of_their_own(image):
+    plotter = pv.Plotter(shape=(1, 2), off_screen=True, window_size=(300, 150))
+    for column in range(2):
+        plotter.subplot(0, column)
+        plotter.add_volume(image)
+        plotter.entire.hold(fps=200, always=True)
+    plotter.show(auto_close=False)
+    for _ in range(4):
+        plotter.render()
+    for column in range(2):
+        plotter.subplot(0, column)
+        assert plotter.entire.steering.steered_frames >= 4
+    plotter.close()
+    assert "nothing" in repr(plotter.entire)
+
+
+def test_misuse_is_said(image):
+    plotter = pv.Plotter(off_screen=True)
+    with pytest.raises(ValueError, match="no volume"):
+        plotter.entire.hold()
+    plotter.add_volume(image)
+    for bad in ({"fps": 0}, {"fps": -5}, {"seconds": 0.0}):
+        with pytest.raises(ValueError, match="positive"):
+            plotter.entire.hold(**bad)
+    with pytest.raises(ValueError, match="one of them"):
+        plotter.entire.hold(30, seconds=0.1)
+    plotter.close()
+
+
+def test_calibrating_puts_everything_back(shown):
+    plotter, actor = shown
+    smart, look = actor.mapper, plotter.screenshot()
+    model = plotter.entire.calibrate(frames=12)
+    assert model.predicts
+    assert actor.mapper is smart
+    plotter.render()
+    assert np.array_equal(plotter.screenshot(), look)

@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+import math
+
+import numpy as np
+import pytest
+
+import entire
+
+CAMERA = entire.Camera.arcball(20, 30, 2.5)
+
+
+def drawn(plan, speed=1.0):
+    """A renderer whose time goes with the samples that a plan asks for."""
+    return speed * (1e-3 + 2e-7 * plan.size[0] * plan.size[1] / plan.step)
+
+
+def test_a_loop_meets_its_target(voxels, tf):
+    session = entire.Session(entire.Volume(voxels))
+    late = []
+    for i in range(120):
+        plan = session.plan(entire.Camera.arcball(20, 2 * i, 2.5), tf, (640, 480), target=0.01)
+        assert 1 <= plan.step <= 16
+        session.observe(plan, drawn(plan))
+        late.append(drawn(plan) / 0.01)
+    assert np.mean(np.abs(np.array(late[10:]) - 1)) < 0.1
+    history = session.history
+    assert len(history) == 120
+    assert np.allclose(history.measured, np.float32(0.01) * np.array(late), rtol=1e-5)
+    assert history.relative_error()[20:].mean() < 0.1
+    assert set(history.reason) <= {
+        "fits",
+        "held",
+        "damped",
+        "finest allowed",
+        "history",
+        "target unreachable",
+    }
+
+
+def test_the_image_shrinks_where_it_may(voxels, tf):
+    session = entire.Session(entire.Volume(voxels))
+    session.set_limits(1, 2)
+    session.set_max_image_sample_distance(4)
+    for _ in range(30):
+        plan = session.plan(CAMERA, tf, (640, 480), target=0.005)
+        session.observe(plan, drawn(plan))
+    assert plan.image_sample_distance > 1
+    assert plan.size == tuple(int(n / plan.image_sample_distance) for n in (640, 480))
+    session.set_enabled(False)
+    plan = session.plan(CAMERA, tf, (640, 480), target=0.005, step=1.5)
+    assert (plan.step, plan.size, plan.reason) == (1.5, (640, 480), "off")
+
+
+def test_what_was_learned_is_kept(voxels, tf, tmp_path):
+    volume = entire.Volume(voxels)
+    first, second = entire.Session(volume), entire.Session(volume)
+    for i in range(60):
+        plan = first.plan(entire.Camera.arcball(20, 7 * i, 2.5), tf, (640, 480), target=0.01)
+        first.observe(plan, drawn(plan, speed=3))
+    first.save(tmp_path / "learned")
+    second.load(tmp_path / "learned")
+    a, b = (s.predict(CAMERA, tf, (640, 480), step=2.0).seconds for s in (first, second))
+    cold = entire.Session(volume).predict(CAMERA, tf, (640, 480), step=2.0).seconds
+    assert abs(math.log(a / b)) < 0.2 < abs(math.log(cold / b))
+    for damaged in (b"", b"nonsense", first.save_state()[:-3], first.save_state() + b"x"):
+        with pytest.raises(ValueError, match="state"):
+            second.load_state(damaged)
+    first.reset()
+    assert len(first.history) == 0
+
+
+def test_observations_that_say_nothing_are_rejected(voxels, tf):
+    session = entire.Session(entire.Volume(voxels))
+    plan = session.plan(CAMERA, tf, (64, 64), target=0.01)
+    state = session.save_state()
+    for seconds in (0, -1, math.nan, math.inf, 1e6):
+        with pytest.raises(entire.RejectedObservationError):
+            session.observe(plan, seconds)
+    assert session.save_state() == state
+    session.observe(plan, 0.01)
+    with pytest.raises(entire.RejectedObservationError, match="before"):
+        session.observe(plan, 0.01)
+    other = entire.Session(entire.Volume(voxels))
+    with pytest.raises(entire.RejectedObservationError, match="unknown"):
+        other.observe(plan, 0.01)
+
+
+def test_order_and_ranges_are_said(voxels, tf):
+    session = entire.Session()
+    with pytest.raises(entire.NotReadyError, match="set_volume"):
+        session.plan(CAMERA, tf, (64, 64), 0.01)
+    session.set_volume(entire.Volume(voxels))
+    with pytest.raises(entire.NotReadyError, match="transfer function"):
+        session.plan(CAMERA, None, (64, 64), 0.01)
+    for size, target, text in (
+        ((0, 64), 0.01, "image size"),
+        ((-5, 64), 0.01, "image size"),
+        ((64, 64), -1, "target"),
+        ((64, 64), math.nan, "target"),
+        ((10**12, 64), 0.01, "image size"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            session.plan(CAMERA, tf, size, target)
+    with pytest.raises(ValueError, match="shading"):
+        session.plan(CAMERA, tf, (64, 64), 0.01, shading="fancy")
+    for bad in ({"miss_rate": 0}, {"tolerance": -1}, {"trust_limit": 0}, {"probe_side": 99}):
+        with pytest.raises(ValueError, match=next(iter(bad)).split("_")[0]):
+            entire.Session(**bad)
+
+
+def test_a_volume_must_be_followed_by_its_transfer_function(voxels, tf):
+    session = entire.Session(entire.Volume(voxels))
+    session.plan(CAMERA, tf, (64, 64), 0.01)
+    session.set_volume(entire.Volume(voxels[:20]))
+    with pytest.raises(entire.NotReadyError):
+        session.plan(CAMERA, None, (64, 64), 0.01)
+    session.plan(CAMERA, tf, (64, 64), 0.01)
+
+
+def test_cameras_agree(voxels, tf):
+    volume = entire.Volume(voxels[:, :40, :30], (1, 2, 0.5), origin=(100, -50, 7))
+    center, radius = np.array(volume.center), volume.radius
+    assert np.allclose(center, np.array((100, -50, 7)) + 0.5 * (np.array(volume.shape) - 1) * volume.spacing)
+    eye = center + 2.5 * radius * np.array((0, 0, 1))
+    straight = entire.Camera.arcball(0, 0, 2.5)
+    at = entire.Camera.look_at(volume, eye)
+    view = np.eye(4)
+    view[:3, 3] = -eye
+    by_matrix = entire.Camera.view(volume, view)
+    whole = entire.Camera.scene(volume, view.ravel(), np.eye(4).ravel(), np.eye(3).ravel(), center, 45.0)
+    # Twice as large and twice as far looks the same.
+    moved = np.diag([2.0, 2, 2, 1])
+    far = view.copy()
+    far[:3, 3] *= 2
+    scaled = entire.Camera.scene(volume, far.ravel(), moved.ravel(), np.eye(3).ravel(), center, 45.0)
+    session = entire.Session(volume)
+    times = [session.predict(c, tf, (100, 80)).seconds for c in (straight, at, by_matrix, whole, scaled)]
+    assert np.allclose(times, times[0], rtol=1e-4)
+    assert np.allclose(at.pose, (0, 0, 2.5), atol=1e-3)
+    assert not at.jumps_from(straight)
+    assert entire.Camera.arcball(0, 60, 2.5).jumps_from(straight)
+    assert entire.Camera.arcball(0, 0, 6).jumps_from(straight)
+    for bad in (
+        lambda: entire.Camera.look_at(volume, center),
+        lambda: entire.Camera.look_at(volume, eye, up=(0, 0, 1)),
+    ):
+        with pytest.raises(ValueError, match="must differ"):
+            bad()
+    shear = np.eye(4)
+    shear[0, 1] = 0.3
+    with pytest.raises(ValueError, match="shears"):
+        entire.Camera.scene(volume, view.ravel(), shear.ravel(), np.eye(3).ravel(), center, 45.0)
+    with pytest.raises(ValueError, match="rotation"):
+        entire.Camera.view(volume, 2 * np.eye(4))
+
+
+def test_transfer_functions_agree():
+    points = entire.TransferFunction.points([(0, 0), (0.5, 0.25), (1, 1)])
+    nodes = entire.TransferFunction.nodes([(10, 0), (15, 0.25), (20, 1)], range=(10, 20))
+    table = entire.TransferFunction.table(points.rgba[:, 3])
+    assert points.rgba.shape == (256, 4)
+    assert points.rgba.dtype == np.float32
+    assert np.allclose(points.rgba[:, 3], nodes.rgba[:, 3], atol=1e-6)
+    assert np.allclose(points.rgba[:, 3], table.rgba[:, 3], atol=1e-6)
+    s = np.arange(256) / 255
+    lobes = entire.TransferFunction.lobes([(0.3, 0.02, 0.4), (0.7, 0.05, 0.2)])
+    expected = 0.4 * np.exp(-((s - 0.3) ** 2) / 0.02) + 0.2 * np.exp(-((s - 0.7) ** 2) / 0.05)
+    assert np.allclose(lobes.rgba[:, 3], expected, atol=1e-6)
+    for bad, text in (
+        (lambda: entire.TransferFunction.lobes([(0.5, 0, 1)]), "lobe 0"),
+        (lambda: entire.TransferFunction.points([(0.5, 1), (0.2, 1)]), "point"),
+        (lambda: entire.TransferFunction.table(np.zeros((5, 3))), "shape"),
+        (lambda: entire.TransferFunction.table([0.5]), "at least 2"),
+        (lambda: entire.TransferFunction.points([(0, 1)], unit_distance=1, unit_length=1), "both"),
+        (lambda: entire.TransferFunction.points([(0, 1)], unit_length=-1), "positive"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            bad()
+
+
+def test_opacity_of_a_length_in_space_follows_the_spacing(voxels):
+    volume = entire.Volume(voxels, (2, 2, 2))
+    steps = entire.TransferFunction.points([(0, 0), (1, 0.2)], unit_distance=2)
+    space = entire.TransferFunction.points([(0, 0), (1, 0.2)], unit_length=4)
+    orbit = [(0, a, 2) for a in range(0, 180, 30)]
+    assert np.array_equal(
+        entire.predict(volume, orbit, steps, (64, 64)), entire.predict(volume, orbit, space, (64, 64))
+    )
+
+
+def test_models_by_name_path_and_bytes(voxels, tf, tmp_path):
+    names = entire.models()
+    assert {"unshaded-selected", "local-selected", "scatter-selected"} <= set(names)
+    model = entire.Model("unshaded-selected")
+    model.save(tmp_path / "copy.safetensors")
+    orbit = [(0, a, 2) for a in range(0, 180, 30)]
+    times = [
+        entire.predict(voxels, orbit, tf, (64, 64), model=m)
+        for m in (
+            "unshaded-selected",
+            model,
+            tmp_path / "copy.safetensors",
+            str(tmp_path / "copy.safetensors"),
+            model.to_bytes(),
+        )
+    ]
+    assert all(np.array_equal(times[0], t) for t in times)
+    assert model.predicts
+    assert not np.array_equal(times[0], entire.predict(voxels, orbit, tf, (64, 64)))
+    with pytest.raises(FileNotFoundError, match="unshaded-selected"):
+        entire.Model("no such model")
+    with pytest.raises(entire.ModelError):
+        entire.Model(b"nothing")
+    with pytest.raises(entire.ModelError):
+        entire.Model(model.to_bytes()[:-10])
+    encoder = entire.Model("volumenet-64f2")
+    assert encoder.encodes
+    features = encoder.encode(entire.Volume(voxels))
+    assert features.shape == (2,) or features.ndim == 1
+    assert np.isfinite(features).all()
+    with pytest.raises(entire.ModelError, match="no prediction network"):
+        entire.Session(model=encoder)
+    with pytest.raises(entire.ModelError, match="encoder"):
+        model.encode(entire.Volume(voxels))
+
+
+def test_calibration_finds_the_renderer(voxels, tf):
+    volume = entire.Volume(voxels)
+    rng = np.random.default_rng(5)
+    truth = entire.Session(volume)
+
+    def renderer(camera, size, step):
+        # A machine of its own: 40 times the untrained model's seconds and a cost per frame.
+        return 2e-3 + 40 * truth.predict(camera, tf, size, step=step).seconds
+
+    calibration = entire.Calibration()
+    with pytest.raises(ValueError, match="measurement|usable|frame"):
+        calibration.fit()
+    for _ in range(60):
+        camera = entire.Camera.arcball(*(float(v) for v in rng.uniform((-80, 0, 1.2), (80, 360, 4))))
+        size, step = (int(rng.integers(100, 800)), int(rng.integers(100, 800))), float(2 ** rng.uniform(0, 3))
+        calibration.add(volume, camera, tf, size, renderer(camera, size, step), step=step)
+    model = calibration.fit()
+    assert len(calibration) == 60
+    assert calibration.median_error < 0.02
+    fitted = entire.Session(volume, model=model)
+    for _ in range(20):
+        camera = entire.Camera.arcball(*(float(v) for v in rng.uniform((-80, 0, 1.2), (80, 360, 4))))
+        assert fitted.predict(camera, tf, (300, 200)).seconds == pytest.approx(
+            renderer(camera, (300, 200), 1.0), rel=0.05
+        )
+
+
+def test_a_history_is_shown(voxels, tf):
+    import xml.etree.ElementTree as tree
+
+    session = entire.Session(entire.Volume(voxels))
+    assert "no frame" in session._repr_html_()
+    for i in range(50):
+        plan = session.plan(CAMERA, tf, (640, 480), target=0.01)
+        session.observe(plan, drawn(plan))
+    root = tree.fromstring(session.history.svg())
+    assert root.tag.endswith("svg")
+    assert len([e for e in root.iter() if e.tag.endswith("path")]) == 4
+    assert "50 frames" in session._repr_html_()
+    with pytest.raises(AttributeError, match="nothing"):
+        session.history.nothing

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Arrays of every kind give the same predictions as the plain copy of them."""
+
+import gc
+import weakref
+
+import numpy as np
+import pytest
+
+import entire
+
+ORBIT = np.stack([np.linspace(-60, 60, 7), np.linspace(0, 300, 7), np.linspace(1.5, 3, 7)], axis=1)
+
+
+def seconds(volume, tf):
+    return entire.predict(volume, ORBIT, tf, (200, 150))
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "int16", "float32"])
+def test_native_arrays_are_not_copied(voxels, dtype, tf):
+    array = voxels.astype(dtype)
+    volume = entire.Volume(array, (1, 2, 3))
+    assert not volume.copied
+    assert volume.array is array
+    assert volume.shape == array.shape[::-1]
+    assert volume.spacing == (1, 2, 3)
+    assert volume.array.__array_interface__["data"][0] == array.__array_interface__["data"][0]
+
+
+@pytest.mark.parametrize(
+    "dtype",
+    ["bool", "int8", ">u2", ">i2", ">f4", "uint32", "int32", "float64", "float16", "uint64", "int64", ">f8"],
+)
+def test_other_types_are_converted_to_the_same_values(voxels, dtype, tf):
+    plain = (voxels > 60 if dtype == "bool" else voxels // 2).astype(dtype)
+    volume = entire.Volume(plain, range=(0, 127))
+    assert volume.copied is (dtype != "bool")
+    expected = entire.Volume(plain.astype(np.float32), range=(0, 127))
+    assert np.array_equal(np.asarray(volume.array, np.float32), np.asarray(expected.array))
+    # The type itself enters the cost of a sample, so times may differ a little; which voxels are visible may
+    # not.
+    assert np.allclose(seconds(volume, tf), seconds(expected, tf), rtol=0.6)
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        lambda a: a[::2, ::3, ::1],
+        lambda a: a[3:40, 5:30, 7:47],
+        lambda a: np.asfortranarray(a),
+        lambda a: a.transpose(1, 2, 0),
+        lambda a: a[::-1],
+        lambda a: a[:, :, ::-2],
+        lambda a: np.broadcast_to(a[:1], (20, *a.shape[1:])),
+    ],
+    ids=["steps", "box", "fortran", "transposed", "flipped", "flipped steps", "broadcast"],
+)
+def test_strided_views_are_read_as_their_copies_are(voxels, view, tf):
+    array = view(voxels)
+    volume = entire.Volume(array)
+    assert volume.copied is any(s < 0 for s in array.strides)
+    assert np.array_equal(seconds(volume, tf), seconds(entire.Volume(np.ascontiguousarray(array)), tf))
+
+
+def test_read_only_arrays_do(voxels, tf):
+    array = voxels.copy()
+    array.flags.writeable = False
+    volume = entire.Volume(array)
+    assert not volume.copied
+    assert np.array_equal(seconds(volume, tf), seconds(entire.Volume(voxels), tf))
+
+
+def test_unaligned_arrays_are_copied(tf):
+    raw = np.arange(1 + 2 * 8 * 9 * 10, dtype=np.uint8)
+    array = raw[1:].view(np.uint16).reshape(8, 9, 10)
+    assert entire.Volume(array).copied is (array.ctypes.data % 2 != 0)
+    assert np.array_equal(seconds(entire.Volume(array), tf), seconds(entire.Volume(array.copy()), tf))
+
+
+def test_axes_name_the_same_voxels(voxels, tf):
+    box = np.ascontiguousarray(voxels[:, 5:40, 3:20])
+    a = entire.Volume(box, (1, 2, 3))
+    b = entire.Volume(np.ascontiguousarray(box.transpose(2, 1, 0)), (1, 2, 3), axes="xyz")
+    assert a.shape == b.shape == (17, 35, 48)
+    assert np.array_equal(seconds(a, tf), seconds(b, tf))
+
+
+def test_the_array_lives_as_long_as_the_volume():
+    array = np.zeros((4, 4, 4), np.uint16)
+    gone = weakref.ref(array)
+    volume = entire.Volume(array[1:, :, :])
+    del array
+    gc.collect()
+    assert gone() is not None
+    session = entire.Session(volume)
+    del volume
+    gc.collect()
+    assert session is not None
+    del session
+    gc.collect()
+    assert gone() is None
+
+
+def test_memory_of_another_owner_is_kept():
+    owner = bytearray(4 * 4 * 4)
+    volume = entire.Volume(np.frombuffer(owner, np.uint8).reshape(4, 4, 4))
+    with pytest.raises(BufferError):
+        owner.extend(b"1")
+    assert volume.shape == (4, 4, 4)
+
+
+@pytest.mark.parametrize(
+    ("array", "options", "error", "text"),
+    [
+        (np.zeros((4, 4)), {}, ValueError, "a volume has three"),
+        (np.zeros((4, 4, 4, 3)), {}, ValueError, "Choose a time step or a component"),
+        (np.zeros((4, 0, 4)), {}, ValueError, "along y is 0"),
+        (np.zeros((4, 4, 4), complex), {}, TypeError, "complex128"),
+        (np.full((2, 2, 2), "a"), {}, TypeError, "integers, floats and bool"),
+        (np.zeros((4, 4, 4)), {"spacing": (1, 0, 1)}, ValueError, "positive"),
+        (np.zeros((4, 4, 4)), {"spacing": (1, float("nan"), 1)}, ValueError, "positive"),
+        (np.zeros((4, 4, 4)), {"axes": "yxz"}, ValueError, "array\\[z, y, x\\]"),
+        (np.zeros((4, 4, 4)), {"range": (2, 1)}, ValueError, "range"),
+        (np.zeros((4, 4, 4)), {"origin": (0, float("inf"), 0)}, ValueError, "finite"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_a_remedy(array, options, error, text):
+    with pytest.raises(error, match=text):
+        entire.Volume(array, **options)
+
+
+def test_not_finite_voxels_and_flat_volumes_do(tf):
+    array = np.full((8, 8, 8), np.nan, np.float32)
+    assert np.isfinite(seconds(entire.Volume(array), tf)).all()
+    array[0, 0, :3] = (1, np.inf, 3)
+    assert entire.Volume(array).range == (1, 3)
+    assert np.isfinite(seconds(entire.Volume(np.full((8, 8, 8), 5, np.int64)), tf)).all()
+    huge = np.array([1e300, -1e300, 0, 1] * 2).reshape(2, 2, 2)
+    assert np.isfinite(seconds(entire.Volume(huge), tf)).all()

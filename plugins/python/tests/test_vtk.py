@@ -1,0 +1,411 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Steering of pip's VTK, by its pictures, settings and times."""
+
+import gc
+import math
+import weakref
+
+import numpy as np
+import pytest
+
+pytest.importorskip("vtkmodules")
+
+import entire
+import entire.vtk
+from vtkmodules.vtkCommonDataModel import vtkPlane, vtkPlaneCollection
+from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindowInteractor, vtkVolume
+
+from scenes import MAPPERS, TRANSPARENT, View, add_volume, image_data
+
+KINDS = ["gpu", "fixed", "smart"]
+
+
+def settings(mapper):
+    names = (
+        "SampleDistance",
+        "ImageSampleDistance",
+        "AutoAdjustSampleDistances",
+        "LockSampleDistanceToInputSpacing",
+    )
+    return [getattr(mapper, "Get" + n)() for n in names if hasattr(mapper, "Get" + n)]
+
+
+def mean_time(view, frames=6):
+    """Processor seconds of a frame at full quality."""
+    import time
+
+    view.draw(3)
+    before = time.process_time()
+    view.draw(frames)
+    return (time.process_time() - before) / frames
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_frames_are_held(voxels, kind):
+    view = View((300, 300))
+    volume = add_volume(view.renderer, voxels, kind)
+    target = 0.4 * mean_time(view)
+    before, mapper = settings(volume.GetMapper()), volume.GetMapper()
+    steering = entire.vtk.hold(view.renderer, volume, target, clock="cpu")
+    view.draw(40)
+    assert steering.status == ""
+    assert steering.steered_frames >= 39
+    assert steering.fallback_frames == 0
+    leaf = steering.leaves[0]
+    assert leaf.sample_distance > 1.0 or leaf.image_sample_distance > 1.0 or kind == "smart"
+    history = steering.history
+    # Times belong to benchmarks; that it coarsens about as far as it has to is visible on any machine.
+    late = np.asarray(history.measured)[20:] / target
+    assert 0.3 < np.median(late) < 1.6
+    # Between frames the mapper is as the application left it.
+    assert settings(volume.GetMapper()) == (before if kind != "smart" else settings(volume.GetMapper()))
+    steering.detach()
+    assert volume.GetMapper() is mapper
+    assert settings(mapper) == before
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("spacing", [(1, 1, 1), (0.5, 1.0, 2.0)])
+def test_still_frames_are_vtks_byte_for_byte(voxels, kind, spacing):
+    view = View()
+    volume = add_volume(view.renderer, voxels[:, :40], kind, spacing=spacing)
+    view.draw(2)
+    view.orbit(45, 100)
+    view.window.Render()
+    plain = view.pixels()
+    assert plain.std() > 5
+    steering = entire.vtk.hold(view.renderer, volume, 1e-4)
+    view.draw(5)
+    coarse = view.pixels()
+    view.orbit(45, 100)
+    with steering.still():
+        view.window.Render()
+    assert steering.reason == "still"
+    assert np.array_equal(view.pixels(), plain)
+    view.window.Render()
+    assert steering.reason != "still"
+    assert not np.array_equal(view.pixels(), plain)
+    assert not np.array_equal(coarse, plain)
+    # Switched off, it changes nothing either.
+    steering.enabled = False
+    view.window.Render()
+    assert np.array_equal(view.pixels(), plain)
+    steering.detach()
+    view.window.Render()
+    assert np.array_equal(view.pixels(), plain)
+
+
+def test_the_windows_rate_decides_where_there_is_an_interactor(voxels):
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    interactor = vtkRenderWindowInteractor()
+    interactor.SetRenderWindow(view.window)
+    steering = entire.vtk.hold(view.renderer, volume, 0.001)
+    view.window.SetDesiredUpdateRate(1e-4)
+    view.draw(2)
+    assert steering.reason == "still"
+    view.window.SetDesiredUpdateRate(15)
+    view.draw(2)
+    assert steering.reason not in ("still", "fallback")
+    steering.seconds = None
+    view.draw(2)
+    assert steering.history.target[-1] == pytest.approx(1 / 15, rel=0.9)
+    steering.always = True
+    view.window.SetDesiredUpdateRate(1e-4)
+    steering.seconds = 0.001
+    view.draw(1)
+    assert steering.reason != "still"
+
+
+def test_several_volumes_share_the_time(voxels):
+    view = View((300, 300))
+    left, right = (
+        add_volume(view.renderer, voxels),
+        add_volume(view.renderer, voxels[:, :24], points=TRANSPARENT),
+    )
+    left.SetPosition(-25, 0, 0)
+    right.SetPosition(25, 0, 0)
+    target = 0.4 * mean_time(view)
+    steering = entire.vtk.hold(view.renderer, seconds=target, clock="cpu")
+    view.draw(40)
+    assert len(steering.leaves) == 2
+    assert all(leaf.reason not in ("", "still", "fallback") for leaf in steering.leaves)
+    steps = [leaf.sample_distance * leaf.image_sample_distance**2 for leaf in steering.leaves]
+    assert min(steps) > 1
+    # A volume that is added later joins, one that is removed leaves as it came.
+    later = add_volume(view.renderer, voxels[:16])
+    view.draw(3)
+    assert len(steering.leaves) == 3
+    view.renderer.RemoveVolume(left)
+    view.draw(2)
+    assert len(steering.leaves) == 2
+    assert settings(left.GetMapper())[0] == 1.0
+    assert not left.GetMapper().HasObserver("VolumeMapperRenderStartEvent")
+    assert later in [leaf.volume for leaf in steering.leaves]
+
+
+def test_scene_changes_are_followed(voxels):
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    steering = entire.vtk.hold(view.renderer, volume, 0.004)
+    view.draw(5)
+    leaf = steering.leaves[0]
+    first = leaf.volume_time
+    # Another input, another mapper, clipping, cropping, shading, blending, a moved and mirrored volume,
+    # parallel views.
+    volume.GetMapper().SetInputData(image_data(voxels[:30]))
+    view.draw(3)
+    assert leaf.volume_time != first
+    assert leaf._grid.volume.shape == (48, 48, 30)
+    mapper = volume.GetMapper()
+    mapper.CroppingOn()
+    mapper.SetCroppingRegionPlanes(-10, 10, -10, 10, -5, 5)
+    mapper.SetCroppingRegionFlagsToSubVolume()
+    view.draw(2)
+    assert leaf._grid.volume.shape == (22, 22, 12)
+    mapper.CroppingOff()
+    planes, plane = vtkPlaneCollection(), vtkPlane()
+    plane.SetNormal(1, 0, 0)
+    planes.AddItem(plane)
+    mapper.SetClippingPlanes(planes)
+    volume.GetProperty().ShadeOn()
+    volume.SetPosition(3, 4, 5)
+    volume.SetScale(1, 1, -1)
+    view.renderer.GetActiveCamera().ParallelProjectionOn()
+    view.draw(3)
+    assert steering.status == ""
+    assert leaf._shading == "local"
+    view.renderer.GetActiveCamera().ParallelProjectionOff()
+    mapper.SetBlendModeToMaximumIntensity()
+    view.draw(2)
+    assert leaf._termination == 1.0
+    other = MAPPERS["fixed"]()
+    other.SetInputData(image_data(voxels))
+    volume.SetMapper(other)
+    view.draw(3)
+    assert steering.status == ""
+    assert not mapper.HasObserver("VolumeMapperRenderStartEvent")
+    # An own setting of the application that it makes meanwhile is kept.
+    other.SetAutoAdjustSampleDistances(0)
+    other.SetSampleDistance(0.5)
+    view.draw(2)
+    assert other.GetSampleDistance() == 0.5
+    assert steering.fallback_frames == 0
+    values = image_data(voxels)
+    values.GetPointData().GetScalars().SetName("dose")
+    other.SetInputData(values)
+    other.SetScalarModeToUsePointFieldData()
+    other.SelectScalarArray("dose")
+    view.draw(2)
+    assert steering.status == ""
+
+
+def test_what_the_application_sets_within_a_frame_is_kept(voxels):
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    mapper = volume.GetMapper()
+    steering = entire.vtk.hold(view.renderer, volume, 0.002)
+    mapper.AddObserver("VolumeMapperRenderStartEvent", lambda m, _: m.SetSampleDistance(0.75), -2.0)
+    view.draw(3)
+    assert mapper.GetSampleDistance() == 0.75
+    assert mapper.GetImageSampleDistance() == 1.0
+    steering.detach()
+
+
+def test_a_frame_that_cannot_be_predicted_is_vtks(voxels):
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    volume.GetMapper().GetInput().GetPointData().SetScalars(None)
+    steering = entire.vtk.hold(view.renderer, volume, 0.002)
+    view.draw(1)
+    assert steering.reason in ("fallback", "")
+    add_volume(view.renderer, voxels)
+    sheared = View()
+    volume = add_volume(sheared.renderer, voxels)
+    from vtkmodules.vtkCommonMath import vtkMatrix4x4
+
+    matrix = vtkMatrix4x4()
+    matrix.SetElement(0, 1, 0.4)
+    volume.SetUserMatrix(matrix)
+    sheared.draw(1)
+    plain = sheared.pixels()
+    steering = entire.vtk.hold(sheared.renderer, volume, 0.002)
+    sheared.draw(1)
+    assert steering.reason == "fallback"
+    assert "shears" in steering.why
+    assert steering.fallback_frames == 1
+    assert np.array_equal(sheared.pixels(), plain)
+    assert math.isnan(steering.predicted)
+    volume.SetUserMatrix(None)
+    sheared.draw(2)
+    assert steering.status == ""
+
+
+@pytest.mark.parametrize(
+    ("module", "name", "text"),
+    [
+        ("vtkRenderingVolume", "vtkMultiBlockVolumeMapper", "volume of its own"),
+        ("vtkRenderingVolume", "vtkUnstructuredGridVolumeRayCastMapper", "resample"),
+    ],
+)
+def test_mappers_that_cannot_be_steered_say_why(module, name, text):
+    import importlib
+
+    for candidate in (module, module + "OpenGL2"):
+        found = getattr(importlib.import_module("vtkmodules." + candidate), name, None)
+        if found is not None:
+            break
+    renderer, volume = vtkRenderer(), vtkVolume()
+    volume.SetMapper(found())
+    renderer.AddVolume(volume)
+    with pytest.raises(entire.vtk.CannotSteer, match=text):
+        entire.vtk.hold(renderer, volume, 0.01)
+
+
+def test_misuse_is_said(voxels):
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    for arguments, text in (
+        ((None, volume, 0.1), "vtkRenderer"),
+        ((vtkRenderer(),), "no volume"),
+        ((view.renderer, volume.GetMapper(), 0.1), "not its mapper"),
+        ((view.renderer, volume, 0.0), "seconds is 0"),
+        ((view.renderer, volume, math.nan), "seconds is nan"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            entire.vtk.hold(*arguments)
+    for option in ({"clock": "sun"}, {"coarsest": 0}, {"coarsest_image": 0.5}, {"tolerance": -1}):
+        with pytest.raises(ValueError, match=next(iter(option))):
+            entire.vtk.hold(view.renderer, volume, 0.1, **option)
+    assert not volume.GetMapper().HasObserver("VolumeMapperRenderStartEvent")
+    with pytest.raises(ValueError, match="no mapper"):
+        entire.vtk.hold(view.renderer, vtkVolume(), 0.1)
+
+
+def test_a_volume_changes_hands(voxels):
+    view = View()
+    volume = add_volume(view.renderer, voxels, "smart")
+    smart = volume.GetMapper()
+    first = entire.vtk.hold(view.renderer, volume, 0.1)
+    second = entire.vtk.hold(view.renderer, volume, 0.001)
+    assert first.leaves == []
+    view.draw(2)
+    assert second.steered_frames == 2
+    second.detach()
+    assert volume.GetMapper() is smart
+    assert "nothing" in repr(first)
+
+
+def test_the_scene_keeps_a_steering_alive_and_not_the_other_way_round(voxels):
+    view = View()
+    volume = add_volume(view.renderer, voxels, "smart")
+    gone = weakref.ref(entire.vtk.hold(view.renderer, volume, 0.001))
+    gc.collect()
+    view.draw(2)
+    assert gone().steered_frames == 2
+    del view, volume
+    gc.collect()
+    assert gone() is None
+
+
+def test_calibration_serves_the_first_frame(voxels, tmp_path):
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    view.draw(2)
+    before, camera = settings(volume.GetMapper()), view.renderer.GetActiveCamera().GetPosition()
+    unit = volume.GetProperty().GetScalarOpacityUnitDistance(0)
+    plain = view.pixels()
+    model = entire.vtk.calibrate(view.renderer, volume, frames=25, clock="cpu")
+    assert settings(volume.GetMapper()) == before
+    assert view.renderer.GetActiveCamera().GetPosition() == camera
+    assert volume.GetProperty().GetScalarOpacityUnitDistance(0) == unit
+    assert np.array_equal(view.pixels(), plain)
+    assert model.predicts
+    steering = entire.vtk.hold(view.renderer, volume, 0.01, model=model, clock="cpu")
+    with steering.still():
+        view.draw(1)
+    cold = entire.vtk.hold(view.renderer, volume, 0.01, clock="cpu")
+    view.draw(12)
+    full = np.median(cold.history.measured[3:] * cold.history.step[3:])
+    assert full > 0
+    steering = entire.vtk.hold(view.renderer, volume, 0.01, model=model, clock="cpu")
+    with steering.still():
+        view.draw(1, start=30)
+        assert 0.2 < steering.predicted / steering.measured < 5
+    steering.save(tmp_path / "state")
+    again = entire.vtk.hold(view.renderer, volume, 0.01, model=model)
+    again.load(tmp_path / "state")
+    with pytest.raises(ValueError, match="state"):
+        again.load(__file__)
+    with pytest.raises(ValueError, match="at least 10"):
+        entire.vtk.calibrate(view.renderer, volume, frames=3)
+
+
+def test_the_overlay_never_enters_still_frames(voxels):
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    view.draw(2)
+    plain = view.pixels()
+    steering = entire.vtk.hold(view.renderer, volume, 0.002, overlay=True)
+    with steering.still():
+        view.draw(2)
+    assert np.array_equal(view.pixels(), plain)
+    view.draw(2)
+    with_text = view.pixels()
+    steering.detach()
+    view.draw(2)
+    assert np.array_equal(view.pixels(), plain)
+    assert not np.array_equal(with_text[:30], plain[:30])
+
+
+def test_time_outside_of_the_window_counts(voxels):
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    steering = entire.vtk.hold(view.renderer, volume, 0.1, clock="cpu")
+    view.draw(8)
+    free = steering.history.target[-1]
+    for _ in range(5):
+        steering.also(0.03)
+    view.draw(1)
+    assert steering.history.target[-1] == pytest.approx(free - 0.03, abs=0.01)
+    with pytest.raises(ValueError, match="not negative"):
+        steering.also(-1)
+
+
+def test_picking_is_left_alone(voxels):
+    from vtkmodules.vtkRenderingCore import vtkHardwareSelector
+
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    steering = entire.vtk.hold(view.renderer, volume, 0.002)
+    view.draw(2)
+    frames = steering.steered_frames
+    selector = vtkHardwareSelector()
+    selector.SetRenderer(view.renderer)
+    selector.SetArea(0, 0, 50, 50)
+    selector.Select()
+    assert steering.steered_frames == frames
+
+
+def test_several_volumes_in_one_mapper(voxels):
+    from vtkmodules.vtkRenderingVolume import vtkMultiVolume
+
+    view = View()
+    mapper, together = MAPPERS["gpu"](), vtkMultiVolume()
+    mapper.SetAutoAdjustSampleDistances(0)
+    together.SetMapper(mapper)
+    other = View()
+    for port in range(2):
+        single = add_volume(other.renderer, voxels[: 48 - 10 * port])
+        mapper.SetInputDataObject(port, single.GetMapper().GetInput())
+        together.SetVolume(single, port)
+    view.renderer.AddVolume(together)
+    view.draw(2)
+    plain = view.pixels()
+    steering = entire.vtk.hold(view.renderer, together, 0.002)
+    view.draw(10)
+    assert steering.status == ""
+    assert steering.steered_frames == 10
+    steering.detach()
+    view.draw(2)
+    assert np.array_equal(view.pixels(), plain)

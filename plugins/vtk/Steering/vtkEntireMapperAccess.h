@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+// Access to volume mappers: which of them draw, their settings, and who changes these settings for a frame.
+#ifndef vtkEntireMapperAccess_h
+#define vtkEntireMapperAccess_h
+
+#include "vtkType.h"
+
+#include <vector>
+
+class vtkAbstractVolumeMapper;
+class vtkImageData;
+class vtkSmartVolumeMapper;
+class vtkVolumeMapper;
+
+namespace vtkEntire
+{
+// A mapper that draws, and the smart mapper that it is inside of, if any.
+struct LeafMapper
+{
+  vtkVolumeMapper* Mapper;
+  vtkSmartVolumeMapper* Outer;
+};
+
+// Adds the mappers that draw: the given one, or those inside it. Adds none for a mapper that cannot be
+// steered.
+void FindLeafMappers(vtkAbstractVolumeMapper* mapper, std::vector<LeafMapper>& found);
+
+// The sample distance that a mapper takes where it is locked to the spacing of its input.
+double SpacingAdjustedSampleDistance(vtkVolumeMapper* mapper, vtkImageData* image);
+
+// The settings of a mapper that steering changes.
+struct MapperSettings
+{
+  float SampleDistance = 1.0f;
+  float ImageSampleDistance = 1.0f;
+  vtkTypeBool AutoAdjust = 0;
+  vtkTypeBool Lock = 0;
+
+  static MapperSettings Read(vtkVolumeMapper* mapper);
+  void Write(vtkVolumeMapper* mapper) const;
+  // These settings, but those of `now` that are not as they were `written`: somebody else changed them since.
+  MapperSettings Keeping(const MapperSettings& now, const MapperSettings& written) const;
+};
+
+// The settings of a smart mapper that would undo those of the fixed-point mapper inside it.
+struct SmartSettings
+{
+  vtkTypeBool AutoAdjust = 0;
+  vtkTypeBool InteractiveAdjust = 0;
+  float SampleDistance = -1.0f;
+
+  static SmartSettings Read(vtkSmartVolumeMapper* mapper);
+  void Write(vtkSmartVolumeMapper* mapper) const;
+  SmartSettings Keeping(const SmartSettings& now, const SmartSettings& written) const;
+};
+
+// The settings of a mapper are changed by one at a time: false where another than `who` has claimed the
+// mapper.
+bool ClaimMapper(const vtkVolumeMapper* mapper, const void* who);
+void ReleaseClaim(const void* who);
+}
+
+#endif

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+// Reading the scene: what a mapper, a volume, its property and a renderer are, as the library takes it.
+// Functions that can fail return why they did, or an empty text.
+#ifndef vtkEntireSceneReading_h
+#define vtkEntireSceneReading_h
+
+#include "vtkType.h"
+
+#include <entire/entire.hpp>
+
+#include <array>
+#include <optional>
+#include <string>
+
+class vtkDataArray;
+class vtkImageData;
+class vtkRenderer;
+class vtkVolume;
+class vtkVolumeMapper;
+class vtkVolumeProperty;
+
+namespace vtkEntire
+{
+// What a session's volume was made from. Reading it again is needed when one of these changes.
+struct VolumeKey
+{
+  // Compared only; the array may be gone.
+  const vtkDataArray* Array = nullptr;
+  vtkMTimeType Time = 0;
+  int Component = 0;
+  std::array<int, 3> Dimensions{ { 0, 0, 0 } };
+  std::array<double, 3> Spacing{ { 0, 0, 0 } };
+  // First and last voxel along each axis, those of the cropping box.
+  std::array<int, 6> Box{ { 0, -1, 0, -1, 0, -1 } };
+
+  bool operator!=(const VolumeKey& o) const
+  {
+    return this->Array != o.Array || this->Time != o.Time || this->Component != o.Component ||
+      this->Dimensions != o.Dimensions || this->Spacing != o.Spacing || this->Box != o.Box;
+  }
+};
+
+// What a session's transfer function was made from.
+struct TransferKey
+{
+  const vtkVolumeProperty* Property = nullptr;
+  vtkMTimeType Time = 0;
+  std::array<double, 2> Range{ { 0, 0 } };
+
+  bool operator!=(const TransferKey& o) const
+  {
+    return this->Property != o.Property || this->Time != o.Time || this->Range != o.Range;
+  }
+};
+
+// Where a mapper's voxels lie.
+struct VoxelGrid
+{
+  VolumeKey Key;
+  vtkDataArray* Scalars = nullptr;
+  entire_scalar_type Type = 0;
+  int Components = 1;
+  // The center of the box, as a continuous index that counts from the extent's first voxel.
+  std::array<double, 3> Center{ { 0, 0, 0 } };
+  // The smallest voxel spacing, in the unit of the spacing: sample distances are multiples of it.
+  double Reference = 1;
+};
+
+std::string ReadGrid(
+  vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid);
+
+// The voxels of the grid's box. The volume borrows them where the library reads their type: use it before the
+// scene changes. `range` receives the least and the largest scalar value.
+std::string ReadVoxels(
+  const VoxelGrid& grid, std::optional<entire::volume>& volume, std::array<double, 2>& range);
+
+// The volume property's functions of scalar opacity and color, and its ScalarOpacityUnitDistance.
+std::string ReadTransferFunction(vtkVolumeProperty* property, const std::array<double, 2>& range,
+  std::optional<entire::transfer_function>& function);
+
+// The eye as the library has it: relative to the volume's axes, lengths in the unit of the volume's spacing.
+std::string ReadCamera(
+  vtkRenderer* renderer, vtkVolume* volume, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame);
+
+// Whether the renderer draws this volume, by itself or as a part of an assembly.
+bool IsDrawnBy(vtkRenderer* renderer, vtkVolume* volume);
+}
+
+#endif

@@ -1,0 +1,214 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+#include "vtkEntireStateFile.h"
+
+#include <array>
+#include <cerrno>
+#include <cstdio>
+#include <cstring>
+#include <random>
+#include <system_error>
+
+#if defined(_WIN32)
+#include <filesystem>
+#include <fstream>
+#else
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+#endif
+
+namespace
+{
+std::string Because(const char* name, const char* what, int code)
+{
+  return std::string(name) + " cannot be " + what + ": " + std::generic_category().message(code);
+}
+
+std::string TooLarge(const char* name)
+{
+  return std::string(name) + " is larger than " + std::to_string(vtkEntire::MAX_STATE_BYTES) +
+    " bytes and so no saved state; give a file that SaveState() wrote";
+}
+
+std::string NotRegular(const char* name)
+{
+  return std::string(name) + " is not a regular file; give a file that SaveState() wrote";
+}
+
+// A name beside `name` that nobody can foresee.
+std::string Beside(const char* name)
+{
+  std::random_device random;
+  char text[24];
+  std::snprintf(text, sizeof text, ".%08x%08x", random(), random());
+  return std::string(name) + text + ".part";
+}
+
+#if !defined(_WIN32)
+// Closes a file descriptor at the end of a scope.
+struct Descriptor
+{
+  int Number;
+  explicit Descriptor(int number)
+    : Number(number)
+  {
+  }
+  ~Descriptor()
+  {
+    if (this->Number >= 0)
+    {
+      ::close(this->Number);
+    }
+  }
+  Descriptor(const Descriptor&) = delete;
+  void operator=(const Descriptor&) = delete;
+};
+
+bool WriteAll(int file, const std::uint8_t* at, std::size_t left)
+{
+  while (left > 0)
+  {
+    const ssize_t done = ::write(file, at, left);
+    if (done < 0 && errno == EINTR)
+    {
+      continue;
+    }
+    if (done <= 0)
+    {
+      return false;
+    }
+    at += done;
+    left -= static_cast<std::size_t>(done);
+  }
+  return true;
+}
+#endif
+}
+
+namespace vtkEntire
+{
+#if defined(_WIN32)
+//------------------------------------------------------------------------------
+std::string ReadStateFile(const char* name, std::vector<std::uint8_t>& bytes)
+{
+  std::error_code code;
+  const auto status = std::filesystem::status(name, code);
+  if (!std::filesystem::exists(status))
+  {
+    return Because(name, "read", ENOENT);
+  }
+  if (!std::filesystem::is_regular_file(status))
+  {
+    return NotRegular(name);
+  }
+  std::ifstream file(name, std::ios::binary);
+  std::vector<std::uint8_t> read(MAX_STATE_BYTES + 1);
+  file.read(reinterpret_cast<char*>(read.data()), static_cast<std::streamsize>(read.size()));
+  if (file.bad() || (file.fail() && !file.eof()))
+  {
+    return Because(name, "read", EIO);
+  }
+  read.resize(static_cast<std::size_t>(file.gcount()));
+  if (read.size() > MAX_STATE_BYTES)
+  {
+    return TooLarge(name);
+  }
+  bytes = std::move(read);
+  return {};
+}
+
+//------------------------------------------------------------------------------
+std::string WriteStateFile(const char* name, const std::vector<std::uint8_t>& bytes)
+{
+  const std::string aside = Beside(name);
+  std::ofstream file(aside, std::ios::binary | std::ios::trunc);
+  file.write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+  file.close();
+  std::error_code code;
+  if (file)
+  {
+    std::filesystem::rename(aside, name, code);
+  }
+  if (!file || code)
+  {
+    std::remove(aside.c_str());
+    return Because(name, "written", code ? code.value() : EIO);
+  }
+  return {};
+}
+#else
+//------------------------------------------------------------------------------
+std::string ReadStateFile(const char* name, std::vector<std::uint8_t>& bytes)
+{
+  // Without O_NONBLOCK the opening of a pipe waits for a writer.
+  const Descriptor file(::open(name, O_RDONLY | O_NONBLOCK | O_CLOEXEC));
+  if (file.Number < 0)
+  {
+    return Because(name, "read", errno);
+  }
+  struct stat about;
+  if (::fstat(file.Number, &about) != 0)
+  {
+    return Because(name, "read", errno);
+  }
+  if (!S_ISREG(about.st_mode))
+  {
+    return NotRegular(name);
+  }
+  // The size is counted, not believed: the file may grow meanwhile.
+  std::vector<std::uint8_t> all;
+  std::array<std::uint8_t, 16384> block;
+  for (;;)
+  {
+    const ssize_t count = ::read(file.Number, block.data(), block.size());
+    if (count < 0 && errno == EINTR)
+    {
+      continue;
+    }
+    if (count < 0)
+    {
+      return Because(name, "read", errno);
+    }
+    if (count == 0)
+    {
+      break;
+    }
+    all.insert(all.end(), block.begin(), block.begin() + count);
+    if (all.size() > MAX_STATE_BYTES)
+    {
+      return TooLarge(name);
+    }
+  }
+  bytes = std::move(all);
+  return {};
+}
+
+//------------------------------------------------------------------------------
+std::string WriteStateFile(const char* name, const std::vector<std::uint8_t>& bytes)
+{
+  const std::string aside = Beside(name);
+  int code = 0;
+  {
+    const Descriptor file(::open(aside.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, 0666));
+    if (file.Number < 0)
+    {
+      return Because(name, "written", errno);
+    }
+    if (!WriteAll(file.Number, bytes.data(), bytes.size()) || ::fsync(file.Number) != 0)
+    {
+      code = errno ? errno : EIO;
+    }
+  }
+  if (code == 0 && ::rename(aside.c_str(), name) != 0)
+  {
+    code = errno;
+  }
+  if (code != 0)
+  {
+    ::unlink(aside.c_str());
+    return Because(name, "written", code);
+  }
+  return {};
+}
+#endif
+}

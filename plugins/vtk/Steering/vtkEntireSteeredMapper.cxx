@@ -1,0 +1,598 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+// Steering of one mapper: planning its frame, setting it, putting it back, learning from the time it took.
+#include "vtkEntireSteeringInternals.h"
+
+#include "vtkAlgorithm.h"
+#include "vtkCommand.h"
+#include "vtkFixedPointVolumeRayCastMapper.h"
+#include "vtkGPUVolumeRayCastMapper.h"
+#include "vtkImageData.h"
+#include "vtkNew.h"
+#include "vtkSmartPointer.h"
+#include "vtkVolumeProperty.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstring>
+
+namespace
+{
+// Coarsening of the GPU mapper's step before its image shrinks.
+constexpr float GPU_STEP_ALONE = 2.1f;
+
+// Least share of the target that a mapper is given, however much the rest of the frame takes.
+constexpr double LEAST_SHARE = 0.2;
+
+// The coarsest image that the library is asked for, relative to the mapper's own, and the coarsest that VTK
+// takes.
+constexpr double COARSEST_IMAGE = 64;
+constexpr double COARSEST_IMAGE_OF_VTK = 100;
+
+const char* ReasonName(entire_reason reason)
+{
+  switch (reason)
+  {
+    case ENTIRE_REASON_FITS:
+      return "fits";
+    case ENTIRE_REASON_DAMPED:
+      return "damped";
+    case ENTIRE_REASON_HELD:
+      return "held";
+    case ENTIRE_REASON_FINEST_ALLOWED:
+      return "finest allowed";
+    case ENTIRE_REASON_TARGET_UNREACHABLE:
+      return "target unreachable";
+    case ENTIRE_REASON_HISTORY:
+      return "history";
+    case ENTIRE_REASON_NO_INFORMATION:
+      return "no information";
+    case ENTIRE_REASON_OFF:
+      return "off";
+    default:
+      return "reactive";
+  }
+}
+
+// Puts settings back once more when the renderer is done. The fixed-point mapper ends its drawing by writing
+// the sample distance that it began with, over what was put back meanwhile.
+class RestoreLater : public vtkCommand
+{
+public:
+  static RestoreLater* New() { return new RestoreLater; }
+  void Execute(vtkObject* renderer, unsigned long, void*) override
+  {
+    // While this runs the renderer holds it.
+    renderer->RemoveObserver(this);
+    const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
+    if (mapper)
+    {
+      this->Own.Keeping(vtkEntire::MapperSettings::Read(mapper), this->Written).Write(mapper);
+    }
+  }
+
+  vtkWeakPointer<vtkVolumeMapper> Mapper;
+  vtkEntire::MapperSettings Own;
+  vtkEntire::MapperSettings Written;
+};
+
+double Since(std::chrono::steady_clock::time_point before)
+{
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - before).count();
+}
+}
+
+//------------------------------------------------------------------------------
+vtkEntireSteering::vtkInternals::Leaf::Leaf(vtkInternals* internals, const vtkEntire::LeafMapper& found)
+  : Internals(internals)
+  , Mapper(found.Mapper)
+  , Outer(found.Outer)
+{
+  vtkVolumeMapper* mapper = found.Mapper;
+  this->Tags[0] = mapper->AddObserver(vtkCommand::VolumeMapperRenderStartEvent, this, &Leaf::Start);
+  this->Tags[1] = mapper->AddObserver(vtkCommand::VolumeMapperRenderEndEvent, this, &Leaf::End);
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Leaf::Release()
+{
+  if (!this->Alive)
+  {
+    return;
+  }
+  this->Alive = false;
+  this->Ready = false;
+  this->Drawing = false;
+  if (this->Mapper)
+  {
+    this->Mapper->RemoveObserver(this->Tags[0]);
+    this->Mapper->RemoveObserver(this->Tags[1]);
+  }
+  if (this->Steered && this->SetEarly() && this->DrawnIn)
+  {
+    // In the middle of the renderer's frame, perhaps of the mapper's.
+    vtkNew<RestoreLater> later;
+    later->Mapper = this->Mapper;
+    later->Own = this->Own;
+    later->Written = this->Written;
+    this->DrawnIn->AddObserver(vtkCommand::EndEvent, later);
+  }
+  this->Restore();
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Leaf::Forget()
+{
+  this->Volume = vtkEntire::VolumeKey();
+  this->Session.reset();
+  this->Planned = {};
+}
+
+//------------------------------------------------------------------------------
+bool vtkEntireSteering::vtkInternals::Leaf::SetEarly() const
+{
+  return vtkFixedPointVolumeRayCastMapper::SafeDownCast(this->Mapper) != nullptr;
+}
+
+//------------------------------------------------------------------------------
+// Hands the voxels (those inside the cropping box) to the session when they changed.
+std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume(const vtkEntire::VoxelGrid& grid)
+{
+  if (this->Session && !(grid.Key != this->Volume))
+  {
+    return {};
+  }
+  const auto before = std::chrono::steady_clock::now();
+  std::string failure = this->Internals->MakeSession(*this);
+  if (!failure.empty())
+  {
+    return failure;
+  }
+  std::optional<entire::volume> volume;
+  std::array<double, 2> range;
+  failure = vtkEntire::ReadVoxels(grid, volume, range);
+  if (!failure.empty())
+  {
+    return failure;
+  }
+  // The session keeps what it needs, so the voxels are only read here.
+  auto set = this->Session->set_volume(*volume);
+  if (!set)
+  {
+    return set.message();
+  }
+  this->Volume = grid.Key;
+  this->Transfer = vtkEntire::TransferKey();
+  this->Range = range;
+  this->Internals->Clean = false;
+  this->Internals->Owner->VolumeTime = Since(before);
+  return {};
+}
+
+//------------------------------------------------------------------------------
+std::string vtkEntireSteering::vtkInternals::Leaf::SetTransferFunction(vtkVolumeProperty* property)
+{
+  vtkEntire::TransferKey key;
+  key.Property = property;
+  key.Time = property->GetMTime();
+  key.Range = this->Range;
+  if (!(key != this->Transfer))
+  {
+    return {};
+  }
+  // A property without functions makes some when it is asked for them, and says so.
+  const std::shared_ptr<entire::session> session = this->Session;
+  std::optional<entire::transfer_function> function;
+  std::string failure = vtkEntire::ReadTransferFunction(property, this->Range, function);
+  if (!failure.empty())
+  {
+    return failure;
+  }
+  auto set = session->set_transfer_function(*function);
+  if (!set)
+  {
+    return set.message();
+  }
+  this->Transfer = key;
+  return {};
+}
+
+//------------------------------------------------------------------------------
+// Changes that the library cannot see are told; it sees smooth motion by itself.
+void vtkEntireSteering::vtkInternals::Leaf::MarkChanges(
+  const vtkEntire::ModeKey& mode, const entire::frame& frame)
+{
+  if (mode != this->Mode)
+  {
+    if (this->Mode[0] >= 0)
+    {
+      static_cast<void>(this->Session->mark(ENTIRE_CHANGE_MODE));
+    }
+    this->Mode = mode;
+  }
+  if (this->HasView)
+  {
+    float turned = 0;
+    for (int i = 0; i < 3; ++i)
+    {
+      turned = std::max(turned, std::fabs(frame.view[4 * i + 2] - this->LastView[4 * i + 2]));
+    }
+    const float ratio = frame.view[14] / this->LastView[14];
+    if (turned > 0.5f || !(ratio > 0.67f && ratio < 1.5f))
+    {
+      static_cast<void>(this->Session->mark(ENTIRE_CHANGE_CAMERA));
+    }
+  }
+  std::copy(frame.view, frame.view + 16, this->LastView);
+  this->HasView = true;
+}
+
+//------------------------------------------------------------------------------
+std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
+{
+  vtkEntireSteering* owner = this->Internals->Owner;
+  const vtkSmartPointer<vtkRenderWindow> window(this->Internals->Window);
+  const vtkSmartPointer<vtkRenderer> renderer(this->Internals->Renderer);
+  const vtkSmartPointer<vtkVolume> volume(this->Internals->Volume);
+  const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
+  const vtkSmartPointer<vtkVolumeProperty> property(volume ? volume->GetProperty() : nullptr);
+  if (!window || !renderer || !property || !mapper)
+  {
+    return "the renderer has no window or the volume no property";
+  }
+  vtkDataSet* input = mapper->GetDataSetInput();
+  const vtkSmartPointer<vtkImageData> image(vtkImageData::SafeDownCast(input));
+  if (!image)
+  {
+    return std::string("the mapper's input is ") + (input ? input->GetClassName() : "missing") +
+      "; vtkImageData can be predicted";
+  }
+  std::string failure = this->Internals->MakeSession(*this);
+  if (!failure.empty())
+  {
+    return failure;
+  }
+  vtkEntire::VoxelGrid grid;
+  failure = vtkEntire::ReadGrid(mapper, image, property, grid);
+  if (!failure.empty())
+  {
+    return failure;
+  }
+  failure = this->SetVolume(grid);
+  if (!failure.empty())
+  {
+    return failure;
+  }
+  failure = this->SetTransferFunction(property);
+  if (!failure.empty())
+  {
+    return failure;
+  }
+
+  this->Own = vtkEntire::MapperSettings::Read(mapper);
+  const bool gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(mapper) != nullptr;
+  const double rate = window->GetDesiredUpdateRate();
+  const bool still = rate < owner->StillUpdateRate;
+  // Where VTK adjusts by itself, the image sample distance that it left is that of an earlier frame.
+  const double ownImage = this->Own.AutoAdjust ? 1.0 : std::max(0.1f, this->Own.ImageSampleDistance);
+  double finest =
+    this->Own.Lock ? vtkEntire::SpacingAdjustedSampleDistance(mapper, image) : this->Own.SampleDistance;
+  finest = std::min(4096.0, std::max(1.0 / 64, finest / grid.Reference));
+
+  const int* size = renderer->GetSize();
+  const auto shrunk = [&](int side, double by) {
+    return static_cast<std::uint32_t>(std::min(16384.0, std::max(1.0, std::floor(side / by))));
+  };
+  entire::frame frame(shrunk(size[0], ownImage), shrunk(size[1], ownImage));
+  failure = vtkEntire::ReadCamera(renderer, volume, image, grid, frame);
+  if (!failure.empty())
+  {
+    return failure;
+  }
+  if (!this->Alive || !this->Session)
+  {
+    // An observer of what was read here let go of it.
+    return {};
+  }
+  const vtkEntire::ModeKey mode{ { property->GetShade(0), property->GetInterpolationType(),
+    mapper->GetBlendMode(), property->HasGradientOpacity(0) && !property->GetDisableGradientOpacity(0) } };
+  this->MarkChanges(mode, frame);
+  frame.shading = mode[0] ? ENTIRE_SHADING_LOCAL : ENTIRE_SHADING_NONE;
+  frame.skipping = gpu ? ENTIRE_SKIPPING_NONE : ENTIRE_SKIPPING_BLOCKS;
+  frame.termination = mode[2] == vtkVolumeMapper::COMPOSITE_BLEND ? (gpu ? 0.996f : 0.99f) : 1.0f;
+  frame.step = static_cast<float>(finest);
+
+  const double wanted = owner->TargetFrameTime > 0 ? owner->TargetFrameTime : 1.0 / std::max(rate, 1.0e-4);
+  const double share =
+    std::max(wanted - this->Internals->Rest(), LEAST_SHARE * wanted) / this->Internals->LeavesLastFrame;
+  const float target = static_cast<float>(share);
+  if (still || !owner->Enabled)
+  {
+    this->PlanUnsteered(frame, target, still);
+    if (this->Planned.id != 0)
+    {
+      owner->SampleDistance = finest * grid.Reference;
+      owner->ImageSampleDistance = ownImage;
+    }
+    return {};
+  }
+
+  if (owner->FinestSampleDistance > 0)
+  {
+    finest = std::max(1.0 / 64, owner->FinestSampleDistance);
+  }
+  const double coarsest = std::max(finest, owner->CoarsestSampleDistance);
+  const double coarsestImage = std::max(ownImage, owner->CoarsestImageSampleDistance);
+  // Ray step and image are coarsened together: at equal cost that shows fewer differences from full quality
+  // than coarsening one of them alone. The GPU mapper blurs any smaller image: there the step alone comes
+  // first.
+  frame.step = static_cast<float>(finest);
+  auto limits = this->Session->set_limits(static_cast<float>(finest), static_cast<float>(coarsest));
+  if (!limits)
+  {
+    return limits.message();
+  }
+  auto sizes = this->Session->set_max_image_sample_distance(
+    static_cast<float>(std::min(COARSEST_IMAGE, coarsestImage / ownImage)), gpu ? GPU_STEP_ALONE : 1.0f);
+  if (!sizes)
+  {
+    return sizes.message();
+  }
+  auto planned = this->Session->plan(frame, target);
+  if (!planned)
+  {
+    return planned.message();
+  }
+  this->Planned = planned.value();
+  vtkEntire::MapperSettings settings;
+  settings.AutoAdjust = 0;
+  settings.Lock = 0;
+  settings.SampleDistance = static_cast<float>(this->Planned.step * grid.Reference);
+  settings.ImageSampleDistance =
+    static_cast<float>(std::min(COARSEST_IMAGE_OF_VTK, ownImage * this->Planned.image_sample_distance));
+  return this->Steer(mapper, settings);
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Leaf::PlanUnsteered(
+  const entire::frame& frame, float target, bool still)
+{
+  this->Internals->Report(
+    still ? "still" : "off", still ? "a still frame, drawn by VTK alone" : "steering is off");
+  if (still || !this->Own.AutoAdjust)
+  {
+    static_cast<void>(this->Session->set_enabled(false));
+    auto plan = this->Session->plan(frame, target);
+    static_cast<void>(this->Session->set_enabled(true));
+    if (plan)
+    {
+      this->Planned = plan.value();
+    }
+  }
+}
+
+//------------------------------------------------------------------------------
+std::string vtkEntireSteering::vtkInternals::Leaf::Steer(
+  vtkVolumeMapper* mapper, const vtkEntire::MapperSettings& settings)
+{
+  if (!vtkEntire::ClaimMapper(mapper, this))
+  {
+    this->Planned = {};
+    return "another vtkEntireSteering steers the same mapper in the same renderer; detach one of the two";
+  }
+  const char* const reason = ReasonName(this->Planned.reason);
+  const vtkSmartPointer<vtkSmartVolumeMapper> outer(this->SetEarly() ? this->Outer.GetPointer() : nullptr);
+  this->Written = settings;
+  if (outer)
+  {
+    this->OwnOuter = vtkEntire::SmartSettings::Read(outer);
+    this->WrittenOuter = { 0, 0, settings.SampleDistance };
+  }
+  this->DrawnIn = this->Internals->Renderer;
+  this->Steered = true;
+  settings.Write(mapper);
+  if (outer && this->Alive)
+  {
+    this->WrittenOuter.Write(outer);
+  }
+  if (!this->Alive)
+  {
+    // An observer of the mapper ended the attachment before all was written.
+    this->Steered = true;
+    this->Restore();
+    return {};
+  }
+  vtkEntireSteering* owner = this->Internals->Owner;
+  this->Internals->Report(reason, "");
+  owner->SampleDistance = settings.SampleDistance;
+  owner->ImageSampleDistance = settings.ImageSampleDistance;
+  return {};
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Leaf::ReadAhead()
+{
+  const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
+  const vtkSmartPointer<vtkVolume> volume(this->Internals->Volume);
+  vtkImageData* image = mapper ? vtkImageData::SafeDownCast(mapper->GetDataSetInput()) : nullptr;
+  vtkEntire::VoxelGrid grid;
+  if (image && volume && volume->GetProperty() && this->Internals->MakeSession(*this).empty() &&
+    vtkEntire::ReadGrid(mapper, image, volume->GetProperty(), grid).empty())
+  {
+    static_cast<void>(this->SetVolume(grid));
+  }
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
+{
+  const std::shared_ptr<Leaf> self = this->shared_from_this();
+  const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
+  const vtkSmartPointer<vtkVolume> volume(this->Internals->Volume);
+  this->Ready = false;
+  if (!this->Alive || !this->SetEarly() || !volume || !volume->GetVisibility())
+  {
+    return;
+  }
+  if (this->Outer)
+  {
+    // Which of its mappers a smart mapper draws with is known from what it was told or did last.
+    const int mode = this->Outer->GetRequestedRenderMode();
+    if ((mode == vtkSmartVolumeMapper::DefaultRenderMode ? this->Outer->GetLastUsedRenderMode() : mode) !=
+      vtkSmartVolumeMapper::RayCastRenderMode)
+    {
+      return;
+    }
+    if (!mapper->GetDataSetInput())
+    {
+      // Its first frame connects it.
+      return;
+    }
+  }
+  else if (const vtkSmartPointer<vtkAlgorithm> pipeline = mapper->GetInputAlgorithm())
+  {
+    pipeline->Update();
+    if (!this->Alive || !this->Internals->Renderer ||
+      !vtkEntire::IsDrawnBy(this->Internals->Renderer, this->Internals->Volume))
+    {
+      // An observer of the pipeline let go of the volume, or took it from the renderer.
+      return;
+    }
+  }
+  this->Plan();
+  this->Ready = this->Alive;
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Leaf::Start()
+{
+  const vtkSmartPointer<vtkEntireSteering> owner(this->Internals->Owner);
+  const std::shared_ptr<Leaf> self = this->shared_from_this();
+  // Another renderer, or another volume, may draw the same mapper.
+  if (!this->Internals->Rendering || !this->Internals->Present || !this->Internals->Renderer)
+  {
+    return;
+  }
+  if (!this->Ready)
+  {
+    if (this->SetEarly())
+    {
+      return;
+    }
+    this->Plan();
+    if (!this->Alive)
+    {
+      return;
+    }
+  }
+  this->Ready = false;
+  this->Drawing = true;
+  if (this->Steered)
+  {
+    owner->NumberOfSteeredFrames++;
+  }
+  else if (owner->Reason && !std::strcmp(owner->Reason, "fallback"))
+  {
+    owner->NumberOfFallbackFrames++;
+  }
+  this->StartTime = this->Internals->Now();
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Leaf::Plan()
+{
+  const auto before = std::chrono::steady_clock::now();
+  vtkEntireSteering* owner = this->Internals->Owner;
+  this->Restore();
+  if (!this->Alive)
+  {
+    return;
+  }
+  this->Planned = {};
+  const std::string failure = this->Prepare();
+  if (!this->Alive)
+  {
+    return;
+  }
+  if (!failure.empty())
+  {
+    this->Planned = {};
+    if (!owner->Status || failure != owner->Status)
+    {
+      this->Internals->Warn("Not steered: " + failure);
+    }
+    this->Internals->Report("fallback", failure.c_str());
+  }
+  const bool known = this->Planned.id != 0;
+  owner->PredictedTime =
+    known && !(this->Planned.absent & ENTIRE_ABSENT_SECONDS) ? this->Planned.seconds : vtkEntire::NOT_KNOWN;
+  if (!known)
+  {
+    owner->SampleDistance = vtkEntire::NOT_KNOWN;
+    owner->ImageSampleDistance = vtkEntire::NOT_KNOWN;
+  }
+  owner->ObserverTime = Since(before);
+}
+
+//------------------------------------------------------------------------------
+// Puts back what the application had set; what it has set since then stays.
+void vtkEntireSteering::vtkInternals::Leaf::Restore()
+{
+  if (!this->Steered)
+  {
+    return;
+  }
+  this->Steered = false;
+  vtkEntire::ReleaseClaim(this);
+  const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
+  const vtkSmartPointer<vtkSmartVolumeMapper> outer(this->SetEarly() ? this->Outer.GetPointer() : nullptr);
+  if (mapper)
+  {
+    this->Own.Keeping(vtkEntire::MapperSettings::Read(mapper), this->Written).Write(mapper);
+  }
+  if (outer)
+  {
+    this->OwnOuter.Keeping(vtkEntire::SmartSettings::Read(outer), this->WrittenOuter).Write(outer);
+  }
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Leaf::End()
+{
+  const vtkSmartPointer<vtkEntireSteering> owner(this->Internals->Owner);
+  const std::shared_ptr<Leaf> self = this->shared_from_this();
+  if (!this->Drawing)
+  {
+    return;
+  }
+  const double seconds = this->Internals->Now() - this->StartTime;
+  const auto before = std::chrono::steady_clock::now();
+  this->Drawing = false;
+  if (!this->SetEarly())
+  {
+    this->Restore();
+    if (!this->Alive)
+    {
+      return;
+    }
+  }
+  else if (this->Steered && this->Mapper)
+  {
+    // The fixed-point mapper is about to write the sample distance that it began with over what the
+    // application set.
+    this->Own = this->Own.Keeping(vtkEntire::MapperSettings::Read(this->Mapper), this->Written);
+  }
+  if (this->Planned.id != 0 && this->Session)
+  {
+    vtkRenderWindow* window = this->Internals->Window;
+    const bool aborted = window && window->GetAbortRender();
+    // A time that the library refuses teaches nothing.
+    static_cast<void>(this->Session->observe(
+      this->Planned.id, static_cast<float>(seconds), aborted ? ENTIRE_OBSERVE_CANCELLED : 0));
+    this->Planned = {};
+  }
+  this->Internals->MapperSeconds += seconds;
+  this->Internals->Drawn++;
+  this->Internals->LastLeaf = self;
+  owner->ObserverTime += Since(before);
+}

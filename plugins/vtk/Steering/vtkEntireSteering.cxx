@@ -1,0 +1,215 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+#include "vtkEntireSteering.h"
+
+#include "vtkEntireStateFile.h"
+#include "vtkEntireSteeringInternals.h"
+
+#include "vtkMultiBlockVolumeMapper.h"
+#include "vtkObjectFactory.h"
+#include "vtkSmartPointer.h"
+
+#include <sstream>
+#include <string>
+#include <vector>
+
+vtkStandardNewMacro(vtkEntireSteering);
+
+using vtkEntire::NOT_KNOWN;
+
+//------------------------------------------------------------------------------
+vtkEntireSteering::vtkEntireSteering()
+  : PredictedTime(NOT_KNOWN)
+  , MeasuredTime(NOT_KNOWN)
+  , FrameTime(NOT_KNOWN)
+  , SampleDistance(NOT_KNOWN)
+  , ImageSampleDistance(NOT_KNOWN)
+  , ObserverTime(NOT_KNOWN)
+  , VolumeTime(NOT_KNOWN)
+  , Internals(new vtkInternals(this))
+{
+  this->Internals->Report(nullptr, "attached to nothing");
+}
+
+//------------------------------------------------------------------------------
+vtkEntireSteering::~vtkEntireSteering()
+{
+  this->Internals.reset();
+  this->SetModelFileName(nullptr);
+  delete[] this->Reason;
+  delete[] this->Status;
+}
+
+//------------------------------------------------------------------------------
+bool vtkEntireSteering::CanSteer(vtkAbstractVolumeMapper* mapper)
+{
+  std::vector<vtkEntire::LeafMapper> found;
+  vtkEntire::FindLeafMappers(mapper, found);
+  // A multi-block mapper makes the mappers that draw in its first frame.
+  return !found.empty() || vtkMultiBlockVolumeMapper::SafeDownCast(mapper);
+}
+
+//------------------------------------------------------------------------------
+bool vtkEntireSteering::Fail(const std::string& text)
+{
+  // An observer of the error may drop the last reference.
+  const vtkSmartPointer<vtkEntireSteering> self(this);
+  this->Internals->Report(nullptr, text.c_str());
+  vtkErrorMacro(<< text);
+  return false;
+}
+
+//------------------------------------------------------------------------------
+bool vtkEntireSteering::Attach(vtkRenderer* renderer, vtkVolume* volume)
+{
+  const vtkSmartPointer<vtkEntireSteering> self(this);
+  // What LoadState() was given before is for this attachment.
+  std::vector<std::uint8_t> state;
+  state.swap(this->Internals->State);
+  this->Detach();
+  // An observer that heard of settings that Detach() put back may have attached again.
+  vtkInternals::ReleaseAll(this->Internals->TakeApart());
+  state.swap(this->Internals->State);
+  if (!renderer || !volume)
+  {
+    return this->Fail("Attach() was given no renderer or no volume");
+  }
+  if (volume->GetMapper() && !CanSteer(volume->GetMapper()))
+  {
+    return this->Fail(std::string(volume->GetMapper()->GetClassName()) +
+      " cannot be steered; vtkFixedPointVolumeRayCastMapper, vtkGPUVolumeRayCastMapper, vtkSmartVolumeMapper "
+      "and vtkMultiBlockVolumeMapper can");
+  }
+  this->Internals->Volume = volume;
+  this->Internals->Observe(renderer);
+  this->Internals->FindMappers();
+  this->Internals->LastClock = this->Clock;
+  const vtkInternals::Leaves leaves = this->Internals->Drawing;
+  for (const auto& leaf : leaves)
+  {
+    leaf->ReadAhead();
+  }
+  this->Internals->Report(nullptr, "no frame was drawn yet");
+  this->Modified();
+  return true;
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::Detach()
+{
+  const vtkSmartPointer<vtkEntireSteering> self(this);
+  const vtkInternals::Leaves leaves = this->Internals->TakeApart();
+  this->Internals->State.clear();
+  this->NumberOfSteeredFrames = 0;
+  this->NumberOfFallbackFrames = 0;
+  this->PredictedTime = this->MeasuredTime = this->FrameTime = NOT_KNOWN;
+  this->SampleDistance = this->ImageSampleDistance = this->ObserverTime = this->VolumeTime = NOT_KNOWN;
+  delete[] this->Reason;
+  this->Reason = nullptr;
+  this->Internals->Report(nullptr, "attached to nothing");
+  // Last: the mappers' observers hear of the settings that are put back.
+  vtkInternals::ReleaseAll(leaves);
+}
+
+//------------------------------------------------------------------------------
+vtkRenderer* vtkEntireSteering::GetRenderer()
+{
+  return this->Internals->Renderer;
+}
+
+//------------------------------------------------------------------------------
+vtkVolume* vtkEntireSteering::GetVolume()
+{
+  return this->Internals->Volume;
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::Reset()
+{
+  this->Internals->State.clear();
+  for (const auto& leaf : this->Internals->Drawing)
+  {
+    leaf->Forget();
+  }
+}
+
+//------------------------------------------------------------------------------
+bool vtkEntireSteering::SaveState(const char* fileName)
+{
+  const std::shared_ptr<vtkInternals::Leaf> leaf = this->Internals->LastLeaf.lock();
+  if (!fileName || !*fileName)
+  {
+    return this->Fail("SaveState() was given no file name");
+  }
+  if (!leaf || !leaf->Session)
+  {
+    return this->Fail("nothing was learned yet: no frame was drawn");
+  }
+  auto state = leaf->Session->save_state();
+  if (!state)
+  {
+    return this->Fail(state.message());
+  }
+  const std::string failure = vtkEntire::WriteStateFile(fileName, state.value());
+  return failure.empty() || this->Fail(failure);
+}
+
+//------------------------------------------------------------------------------
+bool vtkEntireSteering::LoadState(const char* fileName)
+{
+  if (!fileName || !*fileName)
+  {
+    return this->Fail("LoadState() was given no file name");
+  }
+  std::vector<std::uint8_t> bytes;
+  const std::string failure = vtkEntire::ReadStateFile(fileName, bytes);
+  if (!failure.empty())
+  {
+    return this->Fail(failure);
+  }
+  // Tried on a session of its own first, so that a file that is no state changes nothing.
+  auto trial = entire::session::untrained();
+  if (!trial)
+  {
+    return this->Fail(trial.message());
+  }
+  auto loaded = trial.value().load_state(bytes);
+  if (!loaded)
+  {
+    return this->Fail(std::string(fileName) + ": " + loaded.message());
+  }
+  this->Internals->State = std::move(bytes);
+  for (const auto& leaf : this->Internals->Drawing)
+  {
+    leaf->Forget();
+  }
+  return true;
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::PrintSelf(ostream& os, vtkIndent indent)
+{
+  this->Superclass::PrintSelf(os, indent);
+  os << indent << "Renderer: " << this->GetRenderer() << "\n";
+  os << indent << "Volume: " << this->GetVolume() << "\n";
+  os << indent << "Enabled: " << this->Enabled << "\n";
+  os << indent << "TargetFrameTime: " << this->TargetFrameTime << "\n";
+  os << indent << "CoarsestSampleDistance: " << this->CoarsestSampleDistance << "\n";
+  os << indent << "FinestSampleDistance: " << this->FinestSampleDistance << "\n";
+  os << indent << "CoarsestImageSampleDistance: " << this->CoarsestImageSampleDistance << "\n";
+  os << indent << "StillUpdateRate: " << this->StillUpdateRate << "\n";
+  os << indent << "Clock: " << (this->Clock == WALL ? "wall" : "process CPU") << "\n";
+  os << indent << "Tolerance: " << this->Tolerance << "\n";
+  os << indent << "MissRate: " << this->MissRate << "\n";
+  os << indent << "ModelFileName: " << (this->ModelFileName ? this->ModelFileName : "(none)") << "\n";
+  os << indent << "PredictedTime: " << this->PredictedTime << "\n";
+  os << indent << "MeasuredTime: " << this->MeasuredTime << "\n";
+  os << indent << "FrameTime: " << this->FrameTime << "\n";
+  os << indent << "SampleDistance: " << this->SampleDistance << "\n";
+  os << indent << "ImageSampleDistance: " << this->ImageSampleDistance << "\n";
+  os << indent << "ObserverTime: " << this->ObserverTime << "\n";
+  os << indent << "VolumeTime: " << this->VolumeTime << "\n";
+  os << indent << "Reason: " << (this->Reason ? this->Reason : "(none)") << "\n";
+  os << indent << "Status: " << (this->Status ? this->Status : "(none)") << "\n";
+  os << indent << "NumberOfSteeredFrames: " << this->NumberOfSteeredFrames << "\n";
+  os << indent << "NumberOfFallbackFrames: " << this->NumberOfFallbackFrames << "\n";
+}

@@ -1,0 +1,286 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+/**
+ * @class   vtkEntireSteering
+ * @brief   holds a volume's frames to a target time
+ *
+ * Attached to a volume in a renderer, vtkEntireSteering predicts what the next frame will cost, sets the
+ * sample distance (and, where that is not enough, the image sample distance) of the volume's mapper before
+ * the mapper draws, and learns from the time that the frame then took. It works with
+ * vtkFixedPointVolumeRayCastMapper, with vtkGPUVolumeRayCastMapper, and with the mappers inside
+ * vtkSmartVolumeMapper and vtkMultiBlockVolumeMapper.
+ *
+ * @code
+ * vtkNew<vtkEntireSteering> steering;
+ * steering->SetTargetFrameTime(1.0 / 15);
+ * steering->Attach(renderer, volume);
+ * @endcode
+ *
+ * The mapper's own settings (sample distances, AutoAdjustSampleDistances, LockSampleDistanceToInputSpacing)
+ * are changed for the frame alone: a GPU mapper's on its VolumeMapperRenderStartEvent, to be put back on its
+ * VolumeMapperRenderEndEvent; a fixed-point mapper's, which takes them before it announces its start, on the
+ * renderer's StartEvent, to be put back on the renderer's EndEvent. Between frames, and after Detach(), the
+ * mapper is as the application left it; what the application sets during a frame is kept. Frames are never
+ * drawn finer than the mapper's own sample distance, unless FinestSampleDistance says so.
+ *
+ * Observers of any event of the window, the renderer, the mapper, its pipeline and of vtkEntireSteering
+ * itself may call any of its functions and may drop the last reference to it. Warnings are said at the end of
+ * the frame. Two vtkEntireSteering of one volume in one renderer do not work together: one of them steers,
+ * the Status of the other says so.
+ *
+ * Still frames, those for which the render window asks for less than StillUpdateRate frames per second, are
+ * drawn by VTK alone, pixel for pixel; their times are learned from. So are frames that cannot be predicted:
+ * GetStatus() then says why.
+ *
+ * No model file is needed. Without one a linear cost model starts from rough costs and learns the mapper and
+ * the device from the first frames on; with one (see `entire train`) the first frame is predicted too.
+ *
+ * Not known to the prediction, and so left to what is learned from frame to frame: clipping planes, geometry
+ * in front of the volume, gradient opacity, 2D transfer functions, masks, cropping other than to a box, and
+ * all but one of several independent components.
+ */
+#ifndef vtkEntireSteering_h
+#define vtkEntireSteering_h
+
+#include "vtkEntireSteeringModule.h" // for export macro
+#include "vtkObject.h"
+
+#include <memory> // for std::unique_ptr
+#include <string> // for std::string
+
+class vtkAbstractVolumeMapper;
+class vtkRenderer;
+class vtkVolume;
+
+class VTKENTIRESTEERING_EXPORT vtkEntireSteering : public vtkObject
+{
+public:
+  static vtkEntireSteering* New();
+  vtkTypeMacro(vtkEntireSteering, vtkObject);
+  void PrintSelf(ostream& os, vtkIndent indent) override;
+
+  /**
+   * Invoked after every frame of the window in which the volume was drawn, steered or not, when the read-outs
+   * below are up to date.
+   */
+  enum EventIds
+  {
+    FrameEvent = 1000 + 737
+  };
+
+  /**
+   * Which time of a frame counts.
+   */
+  enum Clocks
+  {
+    /// Time on the wall.
+    WALL = 0,
+    /// Processor time of the process, all threads together: for renderers on the CPU of a shared machine.
+    PROCESS_CPU = 1
+  };
+
+  /**
+   * Steers this volume in this renderer from its next frame on; an earlier attachment ends. The mapper may be
+   * exchanged later. Neither object is kept alive. While the volume is not among the renderer's props nothing
+   * is planned. A volume that the mapper has already is read here, at once (see GetVolumeTime()): set Clock,
+   * ModelFileName, Tolerance and MissRate before, or it is read again. Returns false, sets Status and reports
+   * an error where there is nothing to attach to.
+   */
+  bool Attach(vtkRenderer* renderer, vtkVolume* volume);
+
+  /**
+   * Whether Attach() takes a volume with this mapper.
+   */
+  static bool CanSteer(vtkAbstractVolumeMapper* mapper);
+
+  /**
+   * Lets go of the volume and forgets what was learned of it. The mapper is left as the application set it.
+   */
+  void Detach();
+
+  ///@{
+  /**
+   * What Attach() was given, or nullptr.
+   */
+  vtkRenderer* GetRenderer();
+  vtkVolume* GetVolume();
+  ///@}
+
+  ///@{
+  /**
+   * Whether frames are steered. Default true.
+   */
+  vtkSetMacro(Enabled, bool);
+  vtkGetMacro(Enabled, bool);
+  vtkBooleanMacro(Enabled, bool);
+  ///@}
+
+  ///@{
+  /**
+   * Seconds that a whole frame of the window may take, everything else that it draws included. 0, the
+   * default, takes them from the window: 1 / DesiredUpdateRate.
+   */
+  vtkSetClampMacro(TargetFrameTime, double, 0.0, 10000.0);
+  vtkGetMacro(TargetFrameTime, double);
+  ///@}
+
+  ///@{
+  /**
+   * The quality floor: the coarsest sample distance, as a multiple of the smallest voxel spacing. Default 8.
+   */
+  vtkSetClampMacro(CoarsestSampleDistance, double, 1.0 / 64, 4096.0);
+  vtkGetMacro(CoarsestSampleDistance, double);
+  ///@}
+
+  ///@{
+  /**
+   * The finest sample distance, as a multiple of the smallest voxel spacing. 0, the default, is the mapper's
+   * own.
+   */
+  vtkSetClampMacro(FinestSampleDistance, double, 0.0, 4096.0);
+  vtkGetMacro(FinestSampleDistance, double);
+  ///@}
+
+  ///@{
+  /**
+   * The coarsest image sample distance: pixels between rays along each side of the image. Ray step and image
+   * are coarsened together, since that changes the picture least. Default 4; 1 leaves the image's resolution
+   * alone.
+   */
+  vtkSetClampMacro(CoarsestImageSampleDistance, double, 1.0, 100.0);
+  vtkGetMacro(CoarsestImageSampleDistance, double);
+  ///@}
+
+  ///@{
+  /**
+   * A frame is a still one, and not steered, where the window's DesiredUpdateRate is below this. Default 1,
+   * as vtkSmartVolumeMapper has it. 0 steers every frame: set it, and a TargetFrameTime, where no interactor
+   * sets rates.
+   */
+  vtkSetClampMacro(StillUpdateRate, double, 0.0, 1.0e10);
+  vtkGetMacro(StillUpdateRate, double);
+  ///@}
+
+  ///@{
+  /**
+   * Which clock measures. Default WALL.
+   */
+  vtkSetClampMacro(Clock, int, WALL, PROCESS_CPU);
+  vtkGetMacro(Clock, int);
+  void SetClockToWall() { this->SetClock(WALL); }
+  void SetClockToProcessCPU() { this->SetClock(PROCESS_CPU); }
+  ///@}
+
+  ///@{
+  /**
+   * How far over the target a frame may be before it counts as missed, as a share of the target, and the
+   * share of frames that may be missed. Default 0.25 and 0.02. A changed value starts learning anew.
+   */
+  vtkSetClampMacro(Tolerance, double, 0.0, 10.0);
+  vtkGetMacro(Tolerance, double);
+  vtkSetClampMacro(MissRate, double, 1.0e-4, 0.99);
+  vtkGetMacro(MissRate, double);
+  ///@}
+
+  ///@{
+  /**
+   * A model file from `entire train`, or nullptr for none. A file that cannot be used switches steering off;
+   * Status says why. A changed name starts learning anew.
+   */
+  vtkSetFilePathMacro(ModelFileName);
+  vtkGetFilePathMacro(ModelFileName);
+  ///@}
+
+  ///@{
+  /**
+   * Writes what was learned of the mapper that was drawn last to a file, and starts from such a file: now (or
+   * at Attach()), and whenever learning starts anew, until Reset() or Detach(). A file is written whole or
+   * not at all. Read are regular files of at most 1 MiB. Return false, set Status and report an error on
+   * failure.
+   */
+  bool SaveState(VTK_FILEPATH const char* fileName);
+  bool LoadState(VTK_FILEPATH const char* fileName);
+  ///@}
+
+  /**
+   * Forgets what was learned.
+   */
+  void Reset();
+
+  ///@{
+  /**
+   * Read-outs of the last frame, seconds by the chosen clock; NaN where there is none. Predicted is of the
+   * mapper's work alone, as is Measured; FrameTime is of the whole frame. The sample distance is in the unit
+   * of the spacing, as the mapper has it. ObserverTime is what prediction and steering themselves took, on
+   * the wall.
+   */
+  vtkGetMacro(PredictedTime, double);
+  vtkGetMacro(MeasuredTime, double);
+  vtkGetMacro(FrameTime, double);
+  vtkGetMacro(SampleDistance, double);
+  vtkGetMacro(ImageSampleDistance, double);
+  vtkGetMacro(ObserverTime, double);
+  ///@}
+
+  /**
+   * Why the last frame was drawn as it was: a word such as "fits" or "held", "still", "off", or "fallback".
+   */
+  vtkGetStringMacro(Reason);
+
+  /**
+   * In words, why the last frame was not steered, or what went wrong; empty where nothing did.
+   */
+  vtkGetStringMacro(Status);
+
+  ///@{
+  /**
+   * Frames since Attach(): steered ones, and those that VTK drew on its own because they could not be
+   * predicted.
+   */
+  vtkGetMacro(NumberOfSteeredFrames, vtkIdType);
+  vtkGetMacro(NumberOfFallbackFrames, vtkIdType);
+  ///@}
+
+  /**
+   * Seconds that the last reading of a volume (at its first frame, and when it changes) took.
+   */
+  vtkGetMacro(VolumeTime, double);
+
+protected:
+  vtkEntireSteering();
+  ~vtkEntireSteering() override;
+
+  bool Enabled = true;
+  double TargetFrameTime = 0.0;
+  double CoarsestSampleDistance = 8.0;
+  double FinestSampleDistance = 0.0;
+  double CoarsestImageSampleDistance = 4.0;
+  double StillUpdateRate = 1.0;
+  int Clock = WALL;
+  double Tolerance = 0.25;
+  double MissRate = 0.02;
+  char* ModelFileName = nullptr;
+
+  double PredictedTime;
+  double MeasuredTime;
+  double FrameTime;
+  double SampleDistance;
+  double ImageSampleDistance;
+  double ObserverTime;
+  double VolumeTime;
+  char* Reason = nullptr;
+  char* Status = nullptr;
+  vtkIdType NumberOfSteeredFrames = 0;
+  vtkIdType NumberOfFallbackFrames = 0;
+
+private:
+  vtkEntireSteering(const vtkEntireSteering&) = delete;
+  void operator=(const vtkEntireSteering&) = delete;
+
+  // Sets Status and reports an error. Returns false.
+  bool Fail(const std::string& text);
+
+  class vtkInternals;
+  std::unique_ptr<vtkInternals> Internals;
+};
+
+#endif

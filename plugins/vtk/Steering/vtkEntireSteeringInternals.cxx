@@ -1,0 +1,344 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+// The window's and the renderer's events.
+#include "vtkEntireSteeringInternals.h"
+
+#include "vtkCommand.h"
+#include "vtkSmartPointer.h"
+
+#include <algorithm>
+#include <chrono>
+#include <cstring>
+#include <ctime>
+
+namespace
+{
+// Rays along each side of the probe that frames are measured with for a linear cost model; a network's file
+// names its own. Fewer than the library's default: between frames that sweep the caches a ray costs most of a
+// microsecond. With fewer still, frames of sparse volumes are held less well.
+constexpr std::uint32_t PROBE_SIDE = 6;
+
+void Copy(char*& to, const char* text)
+{
+  const std::size_t size = std::strlen(text) + 1;
+  char* copied = new char[size];
+  std::memcpy(copied, text, size);
+  delete[] to;
+  to = copied;
+}
+}
+
+//------------------------------------------------------------------------------
+vtkEntireSteering::vtkInternals::~vtkInternals()
+{
+  ReleaseAll(this->TakeApart());
+}
+
+//------------------------------------------------------------------------------
+double vtkEntireSteering::vtkInternals::Now() const
+{
+  if (this->Owner->Clock == PROCESS_CPU)
+  {
+    return static_cast<double>(std::clock()) / CLOCKS_PER_SEC;
+  }
+  return std::chrono::duration<double>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+//------------------------------------------------------------------------------
+vtkEntireSteering::vtkInternals::Leaves vtkEntireSteering::vtkInternals::TakeApart()
+{
+  this->Attachment++;
+  Leaves leaves;
+  leaves.swap(this->Drawing);
+  this->LastLeaf.reset();
+  if (this->Renderer)
+  {
+    this->Renderer->RemoveObserver(this->RendererTags[0]);
+    this->Renderer->RemoveObserver(this->RendererTags[1]);
+  }
+  this->ObserveWindow(nullptr);
+  this->Renderer = nullptr;
+  this->Volume = nullptr;
+  this->Warnings.clear();
+  this->Rendering = false;
+  this->Present = false;
+  this->Frames = 0;
+  this->RestCount = 0;
+  this->LeavesLastFrame = 1;
+  return leaves;
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::ReleaseAll(const Leaves& leaves)
+{
+  for (const auto& leaf : leaves)
+  {
+    leaf->Release();
+  }
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Report(const char* reason, const char* status)
+{
+  if (reason)
+  {
+    Copy(this->Owner->Reason, reason);
+  }
+  if (status)
+  {
+    Copy(this->Owner->Status, status);
+  }
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::SayWarnings()
+{
+  std::vector<std::string> warnings;
+  warnings.swap(this->Warnings);
+  for (const std::string& text : warnings)
+  {
+    vtkWarningWithObjectMacro(this->Owner, << text);
+  }
+}
+
+//------------------------------------------------------------------------------
+double vtkEntireSteering::vtkInternals::Rest() const
+{
+  if (this->RestCount == 0)
+  {
+    return 0;
+  }
+  std::array<double, vtkEntire::REST_FRAMES> sorted = this->Rests;
+  const std::size_t n = std::min(this->RestCount, vtkEntire::REST_FRAMES);
+  std::sort(sorted.begin(), sorted.begin() + n);
+  return sorted[n / 2];
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::Observe(vtkRenderer* renderer)
+{
+  this->Renderer = renderer;
+  // Before other observers of the start, so that what they do counts as part of the frame.
+  this->RendererTags[0] =
+    renderer->AddObserver(vtkCommand::StartEvent, this, &vtkInternals::RendererStart, 1.0f);
+  this->RendererTags[1] = renderer->AddObserver(vtkCommand::EndEvent, this, &vtkInternals::RendererEnd);
+  this->ObserveWindow(renderer->GetRenderWindow());
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::ObserveWindow(vtkRenderWindow* window)
+{
+  if (this->Window == window && window)
+  {
+    return;
+  }
+  if (this->Window)
+  {
+    this->Window->RemoveObserver(this->WindowTags[0]);
+    this->Window->RemoveObserver(this->WindowTags[1]);
+  }
+  this->InFrame = false;
+  this->Window = window;
+  if (window)
+  {
+    this->WindowTags[0] =
+      window->AddObserver(vtkCommand::StartEvent, this, &vtkInternals::WindowStart, 1.0f);
+    this->WindowTags[1] = window->AddObserver(vtkCommand::EndEvent, this, &vtkInternals::WindowEnd);
+  }
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::FindMappers()
+{
+  // A mapper that is not inside another is found at a glance.
+  if (this->Volume && this->Drawing.size() == 1 && !this->Drawing[0]->Outer &&
+    this->Drawing[0]->Mapper.GetPointer() == this->Volume->GetMapper())
+  {
+    return;
+  }
+  std::vector<vtkEntire::LeafMapper> found;
+  if (this->Volume)
+  {
+    vtkEntire::FindLeafMappers(this->Volume->GetMapper(), found);
+  }
+  Leaves kept;
+  for (const vtkEntire::LeafMapper& each : found)
+  {
+    const auto is = [&](const std::shared_ptr<Leaf>& leaf) {
+      return leaf && leaf->Mapper.GetPointer() == each.Mapper;
+    };
+    const auto known = std::find_if(this->Drawing.begin(), this->Drawing.end(), is);
+    if (known != this->Drawing.end())
+    {
+      kept.push_back(std::move(*known));
+      this->Drawing.erase(known);
+    }
+    else
+    {
+      kept.push_back(std::make_shared<Leaf>(this, each));
+    }
+  }
+  // Those that are left over; their mappers' observers hear of it once the list is whole.
+  kept.swap(this->Drawing);
+  ReleaseAll(kept);
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::RendererStart()
+{
+  const vtkSmartPointer<vtkEntireSteering> owner(this->Owner);
+  const vtkSmartPointer<vtkRenderer> renderer(this->Renderer);
+  const std::size_t attachment = this->Attachment;
+  if (!renderer)
+  {
+    return;
+  }
+  this->Rendering = true;
+  this->ObserveWindow(renderer->GetRenderWindow());
+  // A renderer without a camera makes one when it is asked for it, and says so.
+  renderer->GetActiveCamera();
+  if (this->Attachment != attachment)
+  {
+    return;
+  }
+  this->FindMappers();
+  if (this->Attachment != attachment)
+  {
+    return;
+  }
+  this->Present = vtkEntire::IsDrawnBy(renderer, this->Volume);
+  if (!this->Present)
+  {
+    this->Report(nullptr, "the volume is not among the props of the renderer that Attach() was given");
+    return;
+  }
+  const Leaves leaves = this->Drawing;
+  for (const auto& leaf : leaves)
+  {
+    leaf->RendererStart();
+  }
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::RendererEnd()
+{
+  const vtkSmartPointer<vtkEntireSteering> owner(this->Owner);
+  this->Rendering = false;
+  const Leaves leaves = this->Drawing;
+  for (const auto& leaf : leaves)
+  {
+    leaf->RendererEnd();
+  }
+  if (!this->InFrame)
+  {
+    this->SayWarnings();
+  }
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::WindowStart()
+{
+  this->InFrame = true;
+  this->MapperSeconds = 0;
+  this->Drawn = 0;
+  this->Clean = true;
+  if (this->LastClock != this->Owner->Clock)
+  {
+    this->LastClock = this->Owner->Clock;
+    this->RestCount = 0;
+    for (const auto& leaf : this->Drawing)
+    {
+      leaf->Forget();
+    }
+  }
+  this->FrameStart = this->Now();
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::WindowEnd()
+{
+  const vtkSmartPointer<vtkEntireSteering> owner(this->Owner);
+  const std::size_t attachment = this->Attachment;
+  if (!this->InFrame)
+  {
+    return;
+  }
+  const double seconds = this->Now() - this->FrameStart;
+  this->InFrame = false;
+  // A multi-block mapper makes its mappers while it draws: they are steered from the next frame on.
+  this->FindMappers();
+  if (this->Attachment != attachment)
+  {
+    return;
+  }
+  const bool drawn = this->Drawn > 0;
+  if (drawn)
+  {
+    this->LeavesLastFrame = this->Drawn;
+    // The first frame holds what is done once.
+    if (this->Frames++ > 0 && this->Clean)
+    {
+      this->Rests[this->RestCount++ % vtkEntire::REST_FRAMES] = std::max(0.0, seconds - this->MapperSeconds);
+    }
+    owner->FrameTime = seconds;
+    owner->MeasuredTime = this->MapperSeconds;
+  }
+  this->SayWarnings();
+  if (drawn && this->Attachment == attachment)
+  {
+    owner->InvokeEvent(FrameEvent);
+  }
+}
+
+//------------------------------------------------------------------------------
+std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
+{
+  const char* const name = this->Owner->ModelFileName ? this->Owner->ModelFileName : "";
+  if (this->ModelName != name || this->Tolerance != this->Owner->Tolerance ||
+    this->MissRate != this->Owner->MissRate)
+  {
+    for (const auto& each : this->Drawing)
+    {
+      each->Forget();
+    }
+    if (this->ModelName != name)
+    {
+      this->Model.reset();
+    }
+    this->ModelName = name;
+    this->Tolerance = this->Owner->Tolerance;
+    this->MissRate = this->Owner->MissRate;
+  }
+  if (leaf.Session)
+  {
+    return {};
+  }
+  if (!this->Model && *name)
+  {
+    auto opened = entire::model::open(name);
+    if (!opened)
+    {
+      return opened.message();
+    }
+    this->Model.emplace(std::move(opened.value()));
+  }
+  entire::session_options options;
+  options.tolerance = static_cast<float>(this->Tolerance);
+  options.miss_rate = static_cast<float>(this->MissRate);
+  options.probe_side = PROBE_SIDE;
+  auto made =
+    this->Model ? entire::session::create(*this->Model, options) : entire::session::untrained(options);
+  if (!made)
+  {
+    return made.message();
+  }
+  if (!this->State.empty())
+  {
+    auto loaded = made.value().load_state(this->State);
+    if (!loaded)
+    {
+      return loaded.message();
+    }
+  }
+  leaf.Session = std::make_shared<entire::session>(std::move(made.value()));
+  return {};
+}

@@ -1,0 +1,189 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+// What vtkEntireSteering is attached to: the window and the renderer (vtkInternals), and each mapper that
+// draws (Leaf).
+//
+// Observers of any event may call back: detach, attach elsewhere, drop the last reference to the steering.
+// What handles an event therefore holds the owner and the leaf, runs over copies of lists, and asks after
+// each call into VTK that can invoke an event whether the attachment still stands. Warnings wait for the end
+// of the frame.
+#ifndef vtkEntireSteeringInternals_h
+#define vtkEntireSteeringInternals_h
+
+#include "vtkEntireMapperAccess.h"
+#include "vtkEntireSceneReading.h"
+#include "vtkEntireSteering.h"
+
+#include "vtkRenderWindow.h"
+#include "vtkRenderer.h"
+#include "vtkSmartVolumeMapper.h"
+#include "vtkVolume.h"
+#include "vtkVolumeMapper.h"
+#include "vtkWeakPointer.h"
+
+#include <entire/entire.hpp>
+
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace vtkEntire
+{
+constexpr double NOT_KNOWN = std::numeric_limits<double>::quiet_NaN();
+
+// How many frames the time outside of the mapper is taken from.
+constexpr std::size_t REST_FRAMES = 5;
+
+// Shading, interpolation, blend mode, gradient opacity.
+using ModeKey = std::array<int, 4>;
+}
+
+class vtkEntireSteering::vtkInternals
+{
+public:
+  // One mapper that draws, and what is known of it.
+  class Leaf : public std::enable_shared_from_this<Leaf>
+  {
+  public:
+    Leaf(vtkInternals* internals, const vtkEntire::LeafMapper& found);
+    ~Leaf() { this->Release(); }
+    Leaf(const Leaf&) = delete;
+    void operator=(const Leaf&) = delete;
+
+    // Stops observing the mapper and puts its settings back. What is called afterwards does nothing.
+    void Release();
+
+    // The renderer begins and ends its frame; the mapper begins and ends.
+    void RendererStart();
+    void RendererEnd() { this->Restore(); }
+    void Start();
+    void End();
+
+    // Reads the volume that the mapper has already, so that the first frame need not; what cannot be read
+    // yet, or not at all, is for the first frame to say.
+    void ReadAhead();
+
+    // Forgets what was learned.
+    void Forget();
+
+    vtkInternals* Internals;
+    vtkWeakPointer<vtkVolumeMapper> Mapper;
+    vtkWeakPointer<vtkSmartVolumeMapper> Outer;
+    // Shared with the event at hand, which Forget() may be called from.
+    std::shared_ptr<entire::session> Session;
+
+  private:
+    // vtkFixedPointVolumeRayCastMapper takes its sample distances, and the opacities that go with them,
+    // before it announces its start: it is set when its renderer starts, and put back when its renderer is
+    // done. It lies that far ahead only where nobody sets it in between, so not inside a smart mapper that
+    // draws otherwise.
+    bool SetEarly() const;
+    void Plan();
+    void Restore();
+    // Plans the frame and sets the mapper; on failure returns why.
+    std::string Prepare();
+    std::string SetVolume(const vtkEntire::VoxelGrid& grid);
+    std::string SetTransferFunction(vtkVolumeProperty* property);
+    void MarkChanges(const vtkEntire::ModeKey& mode, const entire::frame& frame);
+    // A frame that VTK draws alone: learned from where it is known how finely.
+    void PlanUnsteered(const entire::frame& frame, float target, bool still);
+    // The settings go to the mapper.
+    std::string Steer(vtkVolumeMapper* mapper, const vtkEntire::MapperSettings& settings);
+
+    unsigned long Tags[2];
+    bool Alive = true;
+    vtkEntire::VolumeKey Volume;
+    vtkEntire::TransferKey Transfer;
+    vtkEntire::ModeKey Mode{ { -1, -1, -1, -1 } };
+    std::array<double, 2> Range{ { 0, 1 } };
+    float LastView[16];
+    bool HasView = false;
+    entire_plan Planned{};
+    // Whose frame the mapper is steered for.
+    vtkWeakPointer<vtkRenderer> DrawnIn;
+    // The mapper's settings as the application left them, and as this frame has them.
+    vtkEntire::MapperSettings Own;
+    vtkEntire::MapperSettings Written;
+    vtkEntire::SmartSettings OwnOuter;
+    vtkEntire::SmartSettings WrittenOuter;
+    bool Ready = false;
+    bool Drawing = false;
+    bool Steered = false;
+    double StartTime = 0;
+  };
+  using Leaves = std::vector<std::shared_ptr<Leaf>>;
+
+  explicit vtkInternals(vtkEntireSteering* owner)
+    : Owner(owner)
+  {
+  }
+  ~vtkInternals();
+
+  // Seconds by the owner's clock.
+  double Now() const;
+
+  // Ends the attachment. The leaves are handed out: whoever has them releases them, which mappers' observers
+  // hear of.
+  Leaves TakeApart();
+  static void ReleaseAll(const Leaves& leaves);
+
+  void Observe(vtkRenderer* renderer);
+  void ObserveWindow(vtkRenderWindow* window);
+  void FindMappers();
+  void RendererStart();
+  void RendererEnd();
+  void WindowStart();
+  void WindowEnd();
+  // Gives the leaf a session where it has none, and starts anew where model, tolerance or miss rate changed.
+  std::string MakeSession(Leaf& leaf);
+
+  // The owner's Reason and Status; nullptr leaves the one or the other. Nobody is told: read-outs change with
+  // every frame.
+  void Report(const char* reason, const char* status);
+  // Keeps a warning until the frame is over.
+  void Warn(const std::string& text) { this->Warnings.push_back(text); }
+  void SayWarnings();
+
+  // Seconds of a frame that pass outside of the mapper.
+  double Rest() const;
+
+  vtkEntireSteering* Owner;
+  vtkWeakPointer<vtkRenderer> Renderer;
+  vtkWeakPointer<vtkRenderWindow> Window;
+  vtkWeakPointer<vtkVolume> Volume;
+  unsigned long RendererTags[2] = { 0, 0 };
+  unsigned long WindowTags[2] = { 0, 0 };
+  // Counts attachments that ended.
+  std::size_t Attachment = 0;
+  Leaves Drawing;
+  std::vector<std::string> Warnings;
+
+  // What the sessions were made with.
+  std::optional<entire::model> Model;
+  std::string ModelName;
+  double Tolerance = -1;
+  double MissRate = -1;
+  std::vector<std::uint8_t> State;
+
+  bool Rendering = false;
+  // Whether the renderer has the volume.
+  bool Present = false;
+  // Of the window's frame at hand.
+  bool InFrame = false;
+  double FrameStart = 0;
+  double MapperSeconds = 0;
+  int Drawn = 0;
+  bool Clean = true;
+  // Of earlier frames.
+  int LeavesLastFrame = 1;
+  std::size_t Frames = 0;
+  std::array<double, vtkEntire::REST_FRAMES> Rests{};
+  std::size_t RestCount = 0;
+  int LastClock = -1;
+  std::weak_ptr<Leaf> LastLeaf;
+};
+
+#endif

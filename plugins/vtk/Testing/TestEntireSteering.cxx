@@ -1,0 +1,632 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+// The behaviors of vtkEntireSteering, one per name: TestEntireSteering NAME MAPPER. No test depends on how
+// fast anything is: targets are so long that every frame fits, or so short that none does.
+#include "Scene.h"
+
+#include "vtkAssembly.h"
+#include "vtkCallbackCommand.h"
+#include "vtkDataArray.h"
+#include "vtkEntireSteering.h"
+#include "vtkImageShiftScale.h"
+#include "vtkMatrix4x4.h"
+#include "vtkPointData.h"
+#include "vtkTestErrorObserver.h"
+
+#include <cstdio>
+#include <functional>
+#include <sstream>
+
+#include <sys/stat.h>
+
+using namespace EntireTest;
+
+namespace
+{
+// Draws frames that cannot be fast enough until the first of them was steered, and one more.
+void Warm(Scene& scene, vtkEntireSteering* steering)
+{
+  for (int i = 0; i < 3 && steering->GetNumberOfSteeredFrames() < 2; ++i)
+  {
+    scene.Draw();
+  }
+  CHECK(steering->GetNumberOfSteeredFrames() > 0);
+}
+
+//------------------------------------------------------------------------------
+void Attaches(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  CHECK(!steering->GetVolume() && Says(steering->GetStatus(), "nothing"));
+  vtkNew<vtkTest::ErrorObserver> errors;
+  steering->AddObserver(vtkCommand::ErrorEvent, errors);
+  CHECK(!steering->Attach(nullptr, scene.Volume) && errors->GetError());
+  errors->Clear();
+  CHECK(!steering->Attach(scene.Renderer, nullptr) && errors->GetError());
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  CHECK(steering->GetVolume() == scene.Volume && steering->GetRenderer() == scene.Renderer);
+  steering->SetTargetFrameTime(1000);
+  scene.Interactive();
+  Warm(scene, steering);
+  CHECK(steering->GetNumberOfFallbackFrames() == 0);
+  CHECK(Empty(steering->GetStatus()) && !Empty(steering->GetReason()));
+  CHECK(steering->GetMeasuredTime() > 0 && steering->GetFrameTime() >= steering->GetMeasuredTime());
+  CHECK(steering->GetPredictedTime() > 0 && steering->GetObserverTime() > 0 && steering->GetVolumeTime() > 0);
+  std::ostringstream text;
+  steering->Print(text);
+  for (const char* name : { "TargetFrameTime", "CoarsestSampleDistance", "Clock: wall", "Reason", "Status" })
+  {
+    CHECK(text.str().find(name) != std::string::npos);
+  }
+  const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+  steering->Detach();
+  CHECK(steered > 0 && steering->GetNumberOfSteeredFrames() == 0 && !steering->GetVolume());
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == 0 && std::isnan(steering->GetMeasuredTime()));
+}
+
+// Still frames show, to the last bit, what they show without steering, before and after steered ones.
+void LeavesStillFramesAlone(Kind kind)
+{
+  Scene plain(kind), steered(kind);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(steered.Renderer, steered.Volume));
+  if (kind == BLOCKS || kind == SMART_FIXED)
+  {
+    // Makes or connects its mappers in its first frame.
+    CHECK(plain.Draw() == steered.Draw());
+  }
+  for (int round = 0; round < 2; ++round)
+  {
+    plain.Pose(30 + 20 * round);
+    steered.Pose(30 + 20 * round);
+    plain.Window->SetDesiredUpdateRate(0.0001);
+    steered.Window->SetDesiredUpdateRate(0.0001);
+    CHECK(plain.Draw() == steered.Draw());
+    CHECK(Is(steering->GetReason(), "still"));
+    steered.Interactive();
+    Warm(steered, steering);
+  }
+  steering->EnabledOff();
+  steered.Pose(70);
+  plain.Pose(70);
+  steered.Window->SetDesiredUpdateRate(0.0001);
+  CHECK(plain.Draw() == steered.Draw());
+}
+
+// A steered frame is the frame that VTK draws when the application sets the same sample distances.
+void DrawsWhatVtkDraws(Kind kind)
+{
+  Scene steered(kind);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1e-6);
+  steering->SetCoarsestSampleDistance(3);
+  steering->SetCoarsestImageSampleDistance(kind == SMART || kind == SMART_FIXED ? 1 : 2);
+  CHECK(steering->Attach(steered.Renderer, steered.Volume));
+  steered.Interactive();
+  Warm(steered, steering);
+  const auto shown = steered.Draw();
+  CHECK(steering->GetSampleDistance() > 2.9);
+  // A smart mapper takes no distance by hand (it locks its mappers to the spacing): it is held against the
+  // mapper inside.
+  Scene plain(kind == SMART ? GPU : kind == SMART_FIXED ? FIXED : kind);
+  if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(plain.Mapper))
+  {
+    gpu->SetAutoAdjustSampleDistances(0);
+    gpu->SetLockSampleDistanceToInputSpacing(0);
+    gpu->SetSampleDistance(static_cast<float>(steering->GetSampleDistance()));
+    gpu->SetImageSampleDistance(static_cast<float>(steering->GetImageSampleDistance()));
+  }
+  else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(plain.Mapper))
+  {
+    cpu->SetAutoAdjustSampleDistances(0);
+    cpu->SetLockSampleDistanceToInputSpacing(0);
+    cpu->SetSampleDistance(static_cast<float>(steering->GetSampleDistance()));
+    cpu->SetImageSampleDistance(static_cast<float>(steering->GetImageSampleDistance()));
+  }
+  plain.Interactive();
+  plain.Draw();
+  CHECK(plain.Draw() == shown);
+  // And it is coarser than what is drawn without steering.
+  Scene full(kind);
+  full.Window->SetDesiredUpdateRate(0.0001);
+  CHECK(full.Draw() != shown);
+}
+
+// Between frames the mapper has the application's settings; so it has after Detach().
+void PutsSettingsBack(Kind kind)
+{
+  Scene scene(kind);
+  // The first frame of a smart mapper sets a sample distance of its own.
+  scene.Draw();
+  const Settings before = Read(scene.Mapper);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  for (int i = 0; i < 4; ++i)
+  {
+    scene.Draw();
+    CHECK(Read(scene.Mapper) == before);
+  }
+  CHECK(steering->GetNumberOfSteeredFrames() > 0);
+  steering->Detach();
+  CHECK(Read(scene.Mapper) == before);
+  scene.Draw();
+}
+
+// The finest and the coarsest settings allowed are met and not passed.
+void KeepsToItsLimits(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  steering->SetTargetFrameTime(1000);
+  Warm(scene, steering);
+  scene.Draw();
+  const double own = steering->GetSampleDistance();
+  CHECK(own > 0 && own <= 1.01 && steering->GetImageSampleDistance() == 1);
+  CHECK(Is(steering->GetReason(), "finest allowed"));
+  steering->SetFinestSampleDistance(1.5);
+  scene.Draw();
+  CHECK(std::fabs(steering->GetSampleDistance() - 1.5) < 1e-4);
+  steering->SetTargetFrameTime(1e-6);
+  steering->SetCoarsestSampleDistance(2.5);
+  steering->SetCoarsestImageSampleDistance(1);
+  scene.Draw();
+  CHECK(std::fabs(steering->GetSampleDistance() - 2.5) < 1e-4 && steering->GetImageSampleDistance() == 1);
+  CHECK(Is(steering->GetReason(), "target unreachable"));
+  steering->SetCoarsestImageSampleDistance(3);
+  scene.Draw();
+  CHECK(steering->GetSampleDistance() < 2.51);
+  CHECK(steering->GetImageSampleDistance() > 2 && steering->GetImageSampleDistance() <= 3.0001);
+}
+
+// Switched off, VTK draws; the read-outs say so.
+void SwitchesOff(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  Warm(scene, steering);
+  const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+  steering->EnabledOff();
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == steered && Is(steering->GetReason(), "off"));
+  steering->EnabledOn();
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
+  // No target: that of the window.
+  steering->SetTargetFrameTime(0);
+  scene.Window->SetDesiredUpdateRate(1.0e9);
+  scene.Draw();
+  CHECK(Is(steering->GetReason(), "target unreachable"));
+  steering->SetStillUpdateRate(0);
+  scene.Window->SetDesiredUpdateRate(0.0001);
+  scene.Draw();
+  scene.Draw();
+  CHECK(!Is(steering->GetReason(), "still") && !Is(steering->GetReason(), "target unreachable"));
+}
+
+// What cannot be predicted is drawn by VTK, and the status says why.
+void FallsBack(Kind kind)
+{
+  Scene plain(kind), scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  vtkNew<vtkTest::ErrorObserver> warnings;
+  steering->AddObserver(vtkCommand::WarningEvent, warnings);
+  steering->SetTargetFrameTime(1e-6);
+  steering->SetModelFileName("/nowhere/model.safetensors");
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Window->SetDesiredUpdateRate(0.0001);
+  plain.Window->SetDesiredUpdateRate(0.0001);
+  CHECK(plain.Draw() == scene.Draw());
+  scene.Interactive();
+  scene.Draw();
+  scene.Draw();
+  CHECK(Is(steering->GetReason(), "fallback") && Says(steering->GetStatus(), "/nowhere/model.safetensors"));
+  CHECK(warnings->GetWarning() && steering->GetNumberOfFallbackFrames() > 0);
+  CHECK(steering->GetNumberOfSteeredFrames() == 0);
+  // The name goes, and so does the failure.
+  steering->SetModelFileName(nullptr);
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == 1 && Empty(steering->GetStatus()));
+  // A matrix that shears.
+  vtkNew<vtkMatrix4x4> shear;
+  shear->SetElement(0, 1, 0.5);
+  scene.Volume->SetUserMatrix(shear);
+  scene.Draw();
+  CHECK(Is(steering->GetReason(), "fallback") && Says(steering->GetStatus(), "shears"));
+  scene.Volume->SetUserMatrix(nullptr);
+  scene.Draw();
+  CHECK(Empty(steering->GetStatus()));
+}
+
+// Cameras, matrices, cropping, shading and edits are followed.
+void FollowsTheScene(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1000);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  Warm(scene, steering);
+  auto fine = [&]() {
+    const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+    scene.Draw();
+    return steering->GetNumberOfSteeredFrames() > steered && steering->GetPredictedTime() > 0 &&
+      Empty(steering->GetStatus());
+  };
+  scene.Renderer->GetActiveCamera()->ParallelProjectionOn();
+  scene.Renderer->GetActiveCamera()->SetParallelScale(40);
+  CHECK(fine());
+  scene.Renderer->GetActiveCamera()->ParallelProjectionOff();
+  scene.Renderer->GetActiveCamera()->UseHorizontalViewAngleOn();
+  CHECK(fine());
+  scene.Volume->SetOrientation(20, 40, 10);
+  scene.Volume->SetScale(0.5, 0.5, 0.5);
+  scene.Volume->SetPosition(3, 2, 1);
+  CHECK(fine());
+  scene.Volume->SetScale(1.0, 2.0, 0.5);
+  CHECK(fine());
+  scene.Property->ShadeOn();
+  CHECK(fine());
+  scene.Opacity->AddPoint(120, 0.7, 0.9, 0.8);
+  CHECK(fine());
+  scene.Property->SetScalarOpacityUnitDistance(3.5);
+  CHECK(fine());
+  scene.Window->SetSize(90, 150);
+  CHECK(fine());
+  if (kind != BLOCKS)
+  {
+    scene.Mapper->SetCropping(1);
+    scene.Mapper->SetCroppingRegionPlanes(-10, 10, -8, 12, -6, 5);
+    CHECK(fine());
+    scene.Mapper->SetCropping(0);
+  }
+  // New voxels in place, and a new object.
+  const double before = steering->GetVolumeTime();
+  std::memset(scene.Data->GetScalarPointer(), 0, EDGE * EDGE * EDGE);
+  scene.Data->GetPointData()->GetScalars()->Modified();
+  scene.Data->Modified();
+  CHECK(fine() && steering->GetVolumeTime() != before);
+  if (kind == FIXED || kind == GPU)
+  {
+    vtkNew<vtkImageData> shorts;
+    shorts->SetDimensions(20, 30, 40);
+    shorts->SetSpacing(1.5, 0.7, 2.0);
+    shorts->AllocateScalars(VTK_FLOAT, 1);
+    auto* values = static_cast<float*>(shorts->GetScalarPointer());
+    for (int i = 0; i < 20 * 30 * 40; ++i)
+    {
+      values[i] = static_cast<float>(i % 200);
+    }
+    scene.Mapper->SetInputDataObject(shorts);
+    CHECK(fine());
+  }
+}
+
+// The distances of a mapper that two renderers share are those of the renderer that draws.
+void KnowsItsRenderer(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkRenderer> second;
+  scene.Renderer->SetViewport(0, 0, 0.5, 1);
+  second->SetViewport(0.5, 0, 1, 1);
+  second->AddVolume(scene.Volume);
+  second->SetActiveCamera(scene.Renderer->GetActiveCamera());
+  scene.Window->AddRenderer(second);
+  vtkNew<vtkEntireSteering> first, other;
+  first->SetTargetFrameTime(1e-6);
+  first->SetCoarsestImageSampleDistance(1);
+  other->SetTargetFrameTime(1000);
+  CHECK(first->Attach(scene.Renderer, scene.Volume) && other->Attach(second, scene.Volume));
+  scene.Interactive();
+  for (int i = 0; i < 4; ++i)
+  {
+    scene.Draw();
+  }
+  CHECK(first->GetSampleDistance() > 7.9 && other->GetSampleDistance() <= 1.01);
+}
+
+// What was learned outlives the object; what is no state is refused.
+void KeepsState(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  const char* file = std::getenv("ENTIRE_TEST_FILE");
+  CHECK(file);
+  CHECK(!steering->SaveState(file) && Says(steering->GetStatus(), "nothing was learned"));
+  CHECK(!steering->LoadState("/nowhere/state") && Says(steering->GetStatus(), "/nowhere/state"));
+  steering->SetTargetFrameTime(1000);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  for (int i = 0; i < 6; ++i)
+  {
+    scene.Draw();
+  }
+  CHECK(!steering->SaveState("/nowhere/state") && Says(steering->GetStatus(), "/nowhere/state"));
+  CHECK(steering->SaveState(file));
+  // The same frame, predicted from nothing, from the file, and from the file again.
+  steering->Reset();
+  scene.Draw();
+  const double untaught = steering->GetPredictedTime();
+  double learned[2];
+  for (double& prediction : learned)
+  {
+    CHECK(steering->LoadState(file));
+    scene.Draw();
+    prediction = steering->GetPredictedTime();
+  }
+  CHECK(learned[0] == learned[1] && learned[0] != untaught && learned[0] > 0);
+  // A file that is loaded first counts from Attach() on, also where another attachment ends by it, until
+  // Detach().
+  steering->Detach();
+  vtkNew<vtkEntireSteering> early;
+  early->SetTargetFrameTime(1000);
+  CHECK(early->LoadState(file));
+  for (int i = 0; i < 2; ++i)
+  {
+    CHECK(early->Attach(scene.Renderer, scene.Volume));
+    scene.Draw();
+    CHECK(early->GetPredictedTime() == learned[0]);
+  }
+  early->Detach();
+  CHECK(early->Attach(scene.Renderer, scene.Volume));
+  scene.Draw();
+  CHECK(early->GetPredictedTime() == untaught);
+  early->Detach();
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  std::FILE* broken = std::fopen(file, "wb");
+  CHECK(broken && std::fputs("no state", broken) >= 0 && std::fclose(broken) == 0);
+  CHECK(!steering->LoadState(file) && Says(steering->GetStatus(), file));
+}
+
+// Objects may go in any order, and the application hears of every frame.
+void OutlivesItsObjects(Kind kind)
+{
+  vtkNew<vtkEntireSteering> steering;
+  int heard = 0;
+  vtkNew<vtkCallbackCommand> command;
+  command->SetClientData(&heard);
+  command->SetCallback([](vtkObject*, unsigned long, void* data, void*) { ++*static_cast<int*>(data); });
+  steering->AddObserver(vtkEntireSteering::FrameEvent, command);
+  steering->SetTargetFrameTime(1e-6);
+  {
+    Scene scene(kind);
+    CHECK(steering->Attach(scene.Renderer, scene.Volume));
+    scene.Interactive();
+    Warm(scene, steering);
+    CHECK(heard >= 2);
+    scene.Volume->VisibilityOff();
+    const int so_far = heard;
+    scene.Draw();
+    CHECK(heard == so_far);
+    scene.Volume->VisibilityOn();
+    scene.Draw();
+  }
+  CHECK(!steering->GetVolume() && !steering->GetRenderer());
+  Scene next(kind);
+  CHECK(steering->Attach(next.Renderer, next.Volume));
+  next.Interactive();
+  Warm(next, steering);
+  // Another mapper in the same volume.
+  auto other = vtkSmartPointer<vtkFixedPointVolumeRayCastMapper>::New();
+  other->SetInputDataObject(next.Data);
+  next.Volume->SetMapper(other);
+  const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+  next.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == steered + 1);
+}
+
+// What the application sets during a frame is the mapper's setting for the next.
+void KeepsSettingsMadeDuringFrames(Kind kind)
+{
+  Scene scene(kind);
+  scene.Draw();
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1e-6);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  Warm(scene, steering);
+  const Settings before = Read(scene.Mapper);
+  vtkNew<vtkCallbackCommand> command;
+  command->SetClientData(&scene);
+  command->SetCallback([](vtkObject*, unsigned long, void* data, void*) {
+    vtkVolumeMapper* mapper = static_cast<Scene*>(data)->Mapper;
+    if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
+    {
+      gpu->SetSampleDistance(0.25f);
+    }
+    else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper))
+    {
+      cpu->SetSampleDistance(0.25f);
+    }
+    else
+    {
+      vtkSmartVolumeMapper::SafeDownCast(mapper)->SetSampleDistance(0.25f);
+    }
+  });
+  const bool smart = kind == SMART || kind == SMART_FIXED;
+  // A smart mapper hands its settings on as it begins to draw, before the mapper inside it does.
+  vtkObject* subject = smart ? static_cast<vtkObject*>(scene.Renderer) : scene.Mapper;
+  const unsigned long tag = subject->AddObserver(
+    smart ? vtkCommand::StartEvent : vtkCommand::VolumeMapperRenderStartEvent, command, -1.0f);
+  scene.Draw();
+  subject->RemoveObserver(tag);
+  const auto kept = [&] {
+    const Settings now = Read(scene.Mapper);
+    return now.Distance == 0.25f && now.Auto == before.Auto && now.Lock == before.Lock;
+  };
+  CHECK(before.Distance != 0.25f && kept());
+  const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == steered + 1 && kept());
+  steering->Detach();
+  CHECK(kept());
+}
+
+// A volume that its renderer does not have is neither planned nor brought up to date; one in an assembly is
+// drawn.
+void LeavesRemovedVolumesAlone(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkImageShiftScale> filter;
+  if (kind != BLOCKS)
+  {
+    filter->SetInputData(scene.Data);
+    filter->SetOutputScalarTypeToUnsignedChar();
+    scene.Mapper->SetInputConnection(filter->GetOutputPort());
+  }
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1000);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  scene.Interactive();
+  Warm(scene, steering);
+  int updates = 0;
+  vtkNew<vtkCallbackCommand> command;
+  command->SetClientData(&updates);
+  command->SetCallback([](vtkObject*, unsigned long, void* data, void*) { ++*static_cast<int*>(data); });
+  filter->AddObserver(vtkCommand::EndEvent, command);
+  scene.Renderer->RemoveVolume(scene.Volume);
+  const vtkIdType steered = steering->GetNumberOfSteeredFrames();
+  for (int i = 0; i < 3; ++i)
+  {
+    filter->SetShift(1 + i);
+    scene.Draw();
+  }
+  CHECK(updates == 0 && steering->GetNumberOfSteeredFrames() == steered);
+  CHECK(Says(steering->GetStatus(), "not among the props"));
+  vtkNew<vtkAssembly> assembly;
+  assembly->AddPart(scene.Volume);
+  scene.Renderer->AddViewProp(assembly);
+  scene.Draw();
+  CHECK(steering->GetNumberOfSteeredFrames() == steered + 1 && Empty(steering->GetStatus()));
+  CHECK(updates == (kind == BLOCKS ? 0 : 1));
+}
+
+// Of two that are attached to one volume in one renderer one steers, and the mapper is left as it was.
+void OneSteersAMapper(Kind kind)
+{
+  Scene scene(kind);
+  scene.Draw();
+  const Settings before = Read(scene.Mapper);
+  vtkNew<vtkEntireSteering> both[2];
+  vtkNew<vtkTest::ErrorObserver> warnings;
+  for (auto& each : both)
+  {
+    each->AddObserver(vtkCommand::WarningEvent, warnings);
+    each->SetTargetFrameTime(1e-6);
+    CHECK(each->Attach(scene.Renderer, scene.Volume));
+  }
+  scene.Interactive();
+  for (int i = 0; i < 3; ++i)
+  {
+    scene.Draw();
+    CHECK(Read(scene.Mapper) == before);
+  }
+  const int which = both[0]->GetNumberOfSteeredFrames() > 0 ? 0 : 1;
+  vtkEntireSteering *first = both[which], *second = both[1 - which];
+  CHECK(first->GetNumberOfSteeredFrames() > 0 && first->GetNumberOfFallbackFrames() == 0);
+  CHECK(second->GetNumberOfSteeredFrames() == 0 && Says(second->GetStatus(), "another vtkEntireSteering"));
+  CHECK(warnings->GetWarning());
+  first->Detach();
+  scene.Draw();
+  CHECK(second->GetNumberOfSteeredFrames() == 1 && Read(scene.Mapper) == before);
+}
+
+// Names that are no file of a saved state: refused at once, with an error that says why.
+void RefusesOddStateFiles(Kind kind)
+{
+  Scene scene(kind);
+  const std::string base = std::getenv("ENTIRE_TEST_FILE");
+  const std::string pipe = base + ".pipe", large = base + ".large";
+  std::remove(pipe.c_str());
+  CHECK(mkfifo(pipe.c_str(), 0600) == 0);
+  std::FILE* file = std::fopen(large.c_str(), "wb");
+  CHECK(file && std::fseek(file, 1 << 30, SEEK_SET) == 0);
+  CHECK(std::fputc(0, file) == 0 && std::fclose(file) == 0);
+  vtkNew<vtkEntireSteering> steering;
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  vtkNew<vtkTest::ErrorObserver> errors;
+  steering->AddObserver(vtkCommand::ErrorEvent, errors);
+  const std::string cases[][2] = { { "/", "not a regular file" }, { "/dev/zero", "not a regular file" },
+    { pipe, "not a regular file" }, { large, "larger than" }, { "/nowhere/state", "cannot be read" },
+    { "/dev/null", "not a regular file" } };
+  for (const auto& each : cases)
+  {
+    errors->Clear();
+    CHECK(!steering->LoadState(each[0].c_str()));
+    CHECK(errors->GetError() && Says(steering->GetStatus(), each[0].c_str()));
+    CHECK(Says(steering->GetStatus(), each[1].c_str()));
+  }
+  for (const char* name : { static_cast<const char*>(nullptr), "" })
+  {
+    CHECK(!steering->LoadState(name) && !steering->SaveState(name));
+  }
+  // Nothing is written where nothing was learned, and a folder is not replaced.
+  steering->SetTargetFrameTime(1000);
+  scene.Interactive();
+  Warm(scene, steering);
+  errors->Clear();
+  CHECK(!steering->SaveState("/") && errors->GetError());
+  std::remove(pipe.c_str());
+  std::remove(large.c_str());
+}
+
+// Not a behavior: what the run under valgrind must find.
+void LosesASteering(Kind kind)
+{
+  Scene scene(kind);
+  vtkEntireSteering* lost = vtkEntireSteering::New();
+  CHECK(lost->Attach(scene.Renderer, scene.Volume));
+  scene.Draw();
+  lost = nullptr;
+}
+
+const std::map<std::string, std::function<void(Kind)>> TESTS = {
+  { "Attaches", Attaches },
+  { "LeavesStillFramesAlone", LeavesStillFramesAlone },
+  { "DrawsWhatVtkDraws", DrawsWhatVtkDraws },
+  { "PutsSettingsBack", PutsSettingsBack },
+  { "KeepsToItsLimits", KeepsToItsLimits },
+  { "SwitchesOff", SwitchesOff },
+  { "FallsBack", FallsBack },
+  { "FollowsTheScene", FollowsTheScene },
+  { "KnowsItsRenderer", KnowsItsRenderer },
+  { "KeepsState", KeepsState },
+  { "OutlivesItsObjects", OutlivesItsObjects },
+  { "KeepsSettingsMadeDuringFrames", KeepsSettingsMadeDuringFrames },
+  { "LeavesRemovedVolumesAlone", LeavesRemovedVolumesAlone },
+  { "OneSteersAMapper", OneSteersAMapper },
+  { "RefusesOddStateFiles", RefusesOddStateFiles },
+  { "LosesASteering", LosesASteering },
+};
+}
+
+int main(int argc, char* argv[])
+{
+  const auto test = argc == 3 ? TESTS.find(argv[1]) : TESTS.end();
+  const auto kind = argc == 3 ? KINDS.find(argv[2]) : KINDS.end();
+  if (test == TESTS.end() || kind == KINDS.end())
+  {
+    std::cerr << "usage: TestEntireSteering NAME MAPPER, with NAME one of";
+    for (const auto& each : TESTS)
+    {
+      std::cerr << " " << each.first;
+    }
+    std::cerr << " and MAPPER one of";
+    for (const auto& each : KINDS)
+    {
+      std::cerr << " " << each.first;
+    }
+    std::cerr << "\n";
+    return 2;
+  }
+  test->second(kind->second);
+  return EXIT_SUCCESS;
+}

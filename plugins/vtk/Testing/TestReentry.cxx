@@ -1,0 +1,399 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+// Observers that call back into vtkEntireSteering, or end what it is attached to: TestReentry EVENT MAPPER.
+// Every action is tried in the event, by an observer that is called before the steering's own and by one that
+// is called after it. Built with AddressSanitizer this shows that nothing is used after it is gone.
+#include "Scene.h"
+
+#include "vtkCallbackCommand.h"
+#include "vtkEntireMapperAccess.h"
+#include "vtkEntireSteering.h"
+#include "vtkImageShiftScale.h"
+#include "vtkMultiBlockDataGroupFilter.h"
+#include "vtkWeakPointer.h"
+
+#include <functional>
+
+using namespace EntireTest;
+
+namespace
+{
+// The scene behind a pipeline, and what happens in it.
+struct Stage : Scene
+{
+  Kind MapperKind;
+  vtkNew<vtkImageShiftScale> Filter;
+  vtkNew<vtkMultiBlockDataGroupFilter> Group;
+  vtkSmartPointer<vtkEntireSteering> Steering;
+  bool Deleted = false;
+
+  explicit Stage(Kind kind)
+    : Scene(kind)
+    , MapperKind(kind)
+  {
+    this->Filter->SetInputData(this->Data);
+    this->Filter->SetOutputScalarTypeToUnsignedChar();
+    this->Filter->ClampOverflowOn();
+    if (kind == BLOCKS)
+    {
+      this->Group->AddInputConnection(this->Filter->GetOutputPort());
+      this->Mapper->SetInputConnection(this->Group->GetOutputPort());
+    }
+    else
+    {
+      this->Mapper->SetInputConnection(this->Filter->GetOutputPort());
+    }
+    this->StopAdjusting();
+    this->Interactive();
+    // Mappers that are inside others are made and connected in the first frames.
+    this->Draw();
+    this->Draw();
+  }
+
+  // So that image sample distances are the application's alone.
+  void StopAdjusting()
+  {
+    if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(this->Mapper))
+    {
+      gpu->AutoAdjustSampleDistancesOff();
+    }
+    else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(this->Mapper))
+    {
+      cpu->AutoAdjustSampleDistancesOff();
+    }
+    else if (auto* smart = vtkSmartVolumeMapper::SafeDownCast(this->Mapper))
+    {
+      smart->AutoAdjustSampleDistancesOff();
+      smart->InteractiveAdjustSampleDistancesOff();
+    }
+  }
+
+  std::vector<vtkEntire::LeafMapper> Leaves()
+  {
+    std::vector<vtkEntire::LeafMapper> found;
+    vtkEntire::FindLeafMappers(this->Mapper, found);
+    return found;
+  }
+
+  // The settings of every mapper that draws or has one inside that does.
+  std::vector<Settings> AllSettings()
+  {
+    std::vector<Settings> all = { Read(this->Mapper) };
+    for (const auto& leaf : this->Leaves())
+    {
+      const auto settings = vtkEntire::MapperSettings::Read(leaf.Mapper);
+      all.push_back({ settings.SampleDistance, settings.AutoAdjust ? 0 : settings.ImageSampleDistance,
+        settings.AutoAdjust, settings.Lock });
+      if (leaf.Outer)
+      {
+        all.push_back(Read(leaf.Outer));
+      }
+    }
+    return all;
+  }
+
+  // A steering that is as new, at work on this scene.
+  void Begin()
+  {
+    this->Steering = vtkSmartPointer<vtkEntireSteering>::New();
+    this->Steering->SetTargetFrameTime(1e-6);
+    this->Deleted = false;
+    vtkNew<vtkCallbackCommand> gone;
+    gone->SetClientData(&this->Deleted);
+    gone->SetCallback([](vtkObject*, unsigned long, void* data, void*) { *static_cast<bool*>(data) = true; });
+    this->Steering->AddObserver(vtkCommand::DeleteEvent, gone);
+    CHECK(this->Steering->Attach(this->Renderer, this->Volume));
+    this->Window->Render();
+    this->Window->Render();
+    CHECK(this->Steering->GetNumberOfSteeredFrames() > 0);
+  }
+
+  // The pipeline has something to do.
+  void Touch() { this->Filter->SetShift(this->Filter->GetShift() > 0 ? 0 : 1); }
+};
+
+// Calls a function at the first of an object's events after it was armed.
+class Once
+{
+public:
+  Once(const std::vector<vtkObject*>& subjects, unsigned long event, float priority,
+    std::function<void()> what)
+    : What(std::move(what))
+  {
+    this->Command->SetClientData(this);
+    this->Command->SetCallback([](vtkObject*, unsigned long, void* data, void*) {
+      auto* self = static_cast<Once*>(data);
+      if (self->Count++ == 0)
+      {
+        self->What();
+      }
+    });
+    for (vtkObject* subject : subjects)
+    {
+      this->Subjects.emplace_back(subject, subject->AddObserver(event, this->Command, priority));
+    }
+  }
+  ~Once()
+  {
+    // Of what still lives.
+    for (const auto& each : this->Subjects)
+    {
+      if (each.first)
+      {
+        each.first->RemoveObserver(each.second);
+      }
+    }
+  }
+  Once(const Once&) = delete;
+  void operator=(const Once&) = delete;
+
+  int Count = 0;
+
+private:
+  std::function<void()> What;
+  vtkNew<vtkCallbackCommand> Command;
+  std::vector<std::pair<vtkWeakPointer<vtkObject>, unsigned long>> Subjects;
+};
+
+struct Event
+{
+  // Who tells of it.
+  std::function<std::vector<vtkObject*>(Stage&)> Subjects;
+  unsigned long Id;
+  // What makes it happen in the next frame; nullptr where every frame has it.
+  std::function<void(Stage&)> Provoke;
+  // Whether it comes between a mapper's start and its end, or while VTK asks it for its input: where VTK
+  // itself does not bear that its mapper or its context is exchanged.
+  std::function<bool(Kind)> InsideMapper;
+};
+
+bool Never(Kind)
+{
+  return false;
+}
+bool Always(Kind)
+{
+  return true;
+}
+// A fixed-point mapper's pipeline is updated, and its settings are written, before it draws.
+bool UnlessFixed(Kind kind)
+{
+  return kind != FIXED;
+}
+
+std::vector<vtkObject*> WindowOf(Stage& stage)
+{
+  return { stage.Window };
+}
+std::vector<vtkObject*> RendererOf(Stage& stage)
+{
+  return { stage.Renderer };
+}
+std::vector<vtkObject*> SteeringOf(Stage& stage)
+{
+  return { stage.Steering };
+}
+std::vector<vtkObject*> FilterOf(Stage& stage)
+{
+  return { stage.Filter };
+}
+std::vector<vtkObject*> MappersOf(Stage& stage)
+{
+  std::vector<vtkObject*> mappers;
+  for (const auto& leaf : stage.Leaves())
+  {
+    mappers.push_back(leaf.Mapper);
+  }
+  return mappers;
+}
+
+void MissingModel(Stage& stage)
+{
+  stage.Steering->SetModelFileName("/nowhere/model.safetensors");
+}
+void BadState(Stage& stage)
+{
+  stage.Steering->LoadState("/");
+}
+
+const std::map<std::string, Event> EVENTS = {
+  { "WindowStart", { WindowOf, vtkCommand::StartEvent, nullptr, Never } },
+  { "WindowEnd", { WindowOf, vtkCommand::EndEvent, nullptr, Never } },
+  { "RendererStart", { RendererOf, vtkCommand::StartEvent, nullptr, Never } },
+  { "RendererEnd", { RendererOf, vtkCommand::EndEvent, nullptr, Never } },
+  { "MapperStart", { MappersOf, vtkCommand::VolumeMapperRenderStartEvent, nullptr, Always } },
+  { "MapperEnd", { MappersOf, vtkCommand::VolumeMapperRenderEndEvent, nullptr, Always } },
+  { "MapperModified", { MappersOf, vtkCommand::ModifiedEvent, nullptr, UnlessFixed } },
+  { "PipelineStart", { FilterOf, vtkCommand::StartEvent, &Stage::Touch, UnlessFixed } },
+  { "PipelineProgress", { FilterOf, vtkCommand::ProgressEvent, &Stage::Touch, UnlessFixed } },
+  { "PipelineEnd", { FilterOf, vtkCommand::EndEvent, &Stage::Touch, UnlessFixed } },
+  { "Warning", { SteeringOf, vtkCommand::WarningEvent, MissingModel, Never } },
+  { "Error", { SteeringOf, vtkCommand::ErrorEvent, BadState, Never } },
+  { "Frame", { SteeringOf, vtkEntireSteering::FrameEvent, nullptr, Never } },
+};
+
+// Frames after the event, until the steering is at work again.
+void GoesOn(Stage& stage)
+{
+  stage.Steering->SetModelFileName(nullptr);
+  const vtkIdType before = stage.Steering->GetNumberOfSteeredFrames();
+  for (int i = 0; i < 3; ++i)
+  {
+    stage.Window->Render();
+  }
+  CHECK(stage.Steering->GetNumberOfSteeredFrames() > before);
+  CHECK(Empty(stage.Steering->GetStatus()));
+}
+
+struct Action
+{
+  std::function<void(Stage&)> Do;
+  // After the frame.
+  std::function<void(Stage&)> Check;
+  bool InsideMapper;
+  // Whether the settings are to be the application's once the frame is over, whatever comes later in it.
+  bool InsideRenderer = true;
+};
+
+std::map<std::string, Action> Actions(const std::vector<Settings>& own)
+{
+  const auto released = [own](Stage& stage) {
+    CHECK(stage.AllSettings() == own);
+    stage.Window->Render();
+  };
+  return {
+    { "Detach",
+      { [](Stage& stage) { stage.Steering->Detach(); },
+        [released](Stage& stage) {
+          released(stage);
+          CHECK(!stage.Steering->GetVolume() && stage.Steering->GetNumberOfSteeredFrames() == 0);
+          CHECK(Is(stage.Steering->GetStatus(), "attached to nothing") && !stage.Steering->GetReason());
+        },
+        true } },
+    { "Drop",
+      { [](Stage& stage) { stage.Steering = nullptr; },
+        [released](Stage& stage) {
+          CHECK(stage.Deleted);
+          released(stage);
+        },
+        true } },
+    { "DetachAndDrop",
+      { [](Stage& stage) {
+         stage.Steering->Detach();
+         stage.Steering = nullptr;
+       },
+        [released](Stage& stage) {
+          CHECK(stage.Deleted);
+          released(stage);
+        },
+        true } },
+    { "AttachAgain",
+      { [](Stage& stage) { CHECK(stage.Steering->Attach(stage.Renderer, stage.Volume)); }, GoesOn, true } },
+    { "AttachToNothing",
+      { [](Stage& stage) { CHECK(!stage.Steering->Attach(nullptr, nullptr)); }, released, true } },
+    { "Reset", { [](Stage& stage) { stage.Steering->Reset(); }, GoesOn, true } },
+    { "ExchangeModel",
+      { [](Stage& stage) { stage.Steering->SetModelFileName("/nowhere/other"); }, GoesOn, true } },
+    { "LoadNoState", { [](Stage& stage) { CHECK(!stage.Steering->LoadState("/")); }, GoesOn, true } },
+    { "RemoveVolume",
+      { [](Stage& stage) { stage.Renderer->RemoveVolume(stage.Volume); },
+        [own](Stage& stage) {
+          CHECK(stage.AllSettings() == own);
+          const vtkIdType before = stage.Steering->GetNumberOfSteeredFrames();
+          stage.Window->Render();
+          CHECK(stage.Steering->GetNumberOfSteeredFrames() == before);
+          stage.Renderer->AddVolume(stage.Volume);
+          GoesOn(stage);
+        },
+        false } },
+    { "ExchangeMapper",
+      { [](Stage& stage) {
+         auto other = vtkSmartPointer<vtkFixedPointVolumeRayCastMapper>::New();
+         other->SetInputDataObject(stage.Data);
+         stage.Volume->SetMapper(other);
+       },
+        [own](Stage& stage) {
+          stage.Window->Render();
+          CHECK(stage.AllSettings() == own);
+          GoesOn(stage);
+          stage.Volume->SetMapper(stage.Mapper);
+          GoesOn(stage);
+        },
+        false } },
+    { "DrawAnother",
+      { [](Stage& stage) {
+         Scene other(stage.MapperKind);
+         vtkNew<vtkEntireSteering> steering;
+         CHECK(steering->Attach(other.Renderer, other.Volume));
+         other.Interactive();
+         other.Window->Render();
+       },
+        GoesOn, false, false } },
+  };
+}
+
+void Run(const std::string& name, const Event& event, Kind kind)
+{
+  Stage stage(kind);
+  const std::vector<Settings> own = stage.AllSettings();
+  const bool inside = event.InsideMapper(kind);
+  const bool insideRenderer = inside || name == "RendererStart" || name == "RendererEnd" ||
+    name == "MapperModified" || name.compare(0, 8, "Pipeline") == 0;
+  int tried = 0;
+  for (const auto& each : Actions(own))
+  {
+    const Action& action = each.second;
+    if ((inside && !action.InsideMapper) || (insideRenderer && !action.InsideRenderer))
+    {
+      continue;
+    }
+    if (name == "Error" && (each.first == "LoadNoState" || each.first == "AttachToNothing"))
+    {
+      // An error in answer to an error comes round again.
+      continue;
+    }
+    for (const float priority : { 2.0f, -1.0f })
+    {
+      std::cerr << name << ": " << each.first << ", priority " << priority << "\n";
+      stage.Begin();
+      {
+        Once once(event.Subjects(stage), event.Id, priority, [&] { action.Do(stage); });
+        if (event.Provoke)
+        {
+          event.Provoke(stage);
+        }
+        stage.Window->Render();
+        CHECK(once.Count > 0);
+      }
+      action.Check(stage);
+      stage.Steering = nullptr;
+      CHECK(stage.Deleted);
+      CHECK(stage.AllSettings() == own);
+      ++tried;
+    }
+  }
+  CHECK(tried >= 12);
+}
+}
+
+int main(int argc, char* argv[])
+{
+  const auto event = argc == 3 ? EVENTS.find(argv[1]) : EVENTS.end();
+  const auto kind = argc == 3 ? KINDS.find(argv[2]) : KINDS.end();
+  if (event == EVENTS.end() || kind == KINDS.end())
+  {
+    std::cerr << "usage: TestReentry EVENT MAPPER, with EVENT one of";
+    for (const auto& each : EVENTS)
+    {
+      std::cerr << " " << each.first;
+    }
+    std::cerr << " and MAPPER one of";
+    for (const auto& each : KINDS)
+    {
+      std::cerr << " " << each.first;
+    }
+    std::cerr << "\n";
+    return 2;
+  }
+  Run(event->first, event->second, kind->second);
+  return EXIT_SUCCESS;
+}

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""A volume, its window and its transfer function in VTK, as the comparison, the collector and the tests want them."""
+import math
+
+import numpy as np
+import vtkmodules.vtkInteractionStyle  # noqa: F401  (object factories)
+import vtkmodules.vtkRenderingOpenGL2  # noqa: F401
+import vtkmodules.vtkRenderingVolumeOpenGL2  # noqa: F401
+from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+from vtkmodules.vtkCommonDataModel import vtkImageData, vtkPiecewiseFunction
+from vtkmodules.vtkRenderingCore import (
+    vtkColorTransferFunction,
+    vtkRenderer,
+    vtkRenderWindow,
+    vtkVolume,
+    vtkVolumeProperty,
+    vtkWindowToImageFilter,
+)
+from vtkmodules.vtkRenderingVolume import vtkFixedPointVolumeRayCastMapper
+from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkOpenGLGPUVolumeRayCastMapper, vtkSmartVolumeMapper
+
+MAPPERS = {
+    "fixed": vtkFixedPointVolumeRayCastMapper,
+    "gpu": vtkOpenGLGPUVolumeRayCastMapper,
+    "smart": vtkSmartVolumeMapper,
+}
+
+# Transfer functions of the comparison and of steer.py.
+COLOR = ((0, 0.1, 0.1, 0.3), (90, 0.8, 0.3, 0.1), (255, 1.0, 1.0, 0.8))
+TRANSPARENT = ((0, 0.0), (20, 0.0), (255, 0.03))
+OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.12), (255, 0.5))
+
+
+def camera(frame, frames, n):
+    """Position of the eye on the orbit, in voxels from the volume's center."""
+    t = frame / frames
+    azimuth = 2 * math.pi * t
+    elevation = math.radians(25) * math.sin(4 * math.pi * t)
+    distance = n * (2.1 + 0.4 * math.cos(2 * math.pi * (t - 0.875)))
+    return (
+        distance * math.cos(elevation) * math.sin(azimuth),
+        distance * math.sin(elevation),
+        distance * math.cos(elevation) * math.cos(azimuth),
+    )
+
+
+def noise_volume(n, seed=7):
+    """Five octaves of value noise, thresholded, falling off towards the corners: about 60 % of it is not empty."""
+    rng = np.random.default_rng(seed)
+    total = np.zeros((n, n, n), np.float32)
+    weight, cells = 1.0, 4
+    for _ in range(5):
+        values = rng.random((cells + 1,) * 3, np.float32)
+        at = np.linspace(0, cells, n, endpoint=False)
+        i, f = at.astype(int), (at - at.astype(int)).astype(np.float32)
+        f = f * f * (3 - 2 * f)
+        for axis in range(3):
+            shape = [1, 1, 1]
+            shape[axis] = n
+            blend = f.reshape(shape)
+            values = values.take(i, axis) * (1 - blend) + values.take(i + 1, axis) * blend
+        total += weight * values
+        weight, cells = 0.5 * weight, 2 * cells
+    at = (np.arange(n, dtype=np.float32) + 0.5) / n * 2 - 1
+    radius = np.sqrt(at[:, None, None] ** 2 + at[None, :, None] ** 2 + at[None, None, :] ** 2)
+    total = (total - total.min()) / (total.max() - total.min())
+    total = np.clip((total - 0.35) / 0.65, 0, 1) * np.clip(1.5 - radius, 0, 1)
+    return (255 * total / total.max()).astype(np.uint8)
+
+
+def image_data(voxels, spacing=(1.0, 1.0, 1.0)):
+    """[z, y, x] bytes as vtkImageData, centered at the origin."""
+    image = vtkImageData()
+    image.SetDimensions(*voxels.shape[::-1])
+    image.SetSpacing(*spacing)
+    image.SetOrigin(*(-0.5 * (n - 1) * s for n, s in zip(voxels.shape[::-1], spacing)))
+    image.GetPointData().SetScalars(numpy_to_vtk(np.ascontiguousarray(voxels).ravel(), deep=1))
+    return image
+
+
+def opacity_function(points):
+    """(scalar, opacity) pairs as vtkPiecewiseFunction."""
+    function = vtkPiecewiseFunction()
+    for at, value in points:
+        function.AddPoint(at, value)
+    return function
+
+
+def color_function(points):
+    function = vtkColorTransferFunction()
+    for at, red, green, blue in points:
+        function.AddRGBPoint(at, red, green, blue)
+    return function
+
+
+class View:
+    """One window with one volume in it."""
+
+    def __init__(self, mapper, image, size=(512, 512), unit_distance=1.0):
+        self.mapper = MAPPERS[mapper]() if isinstance(mapper, str) else mapper
+        self.mapper.SetInputData(image)
+        self.property = vtkVolumeProperty()
+        self.property.SetInterpolationTypeToLinear()
+        self.property.SetScalarOpacityUnitDistance(unit_distance)
+        self.volume = vtkVolume()
+        self.volume.SetMapper(self.mapper)
+        self.volume.SetProperty(self.property)
+        self.renderer = vtkRenderer()
+        self.window = vtkRenderWindow()
+        self.window.SetOffScreenRendering(1)
+        self.window.SetMultiSamples(0)
+        self.window.SetSize(*size)
+        self.window.AddRenderer(self.renderer)
+        self.renderer.AddVolume(self.volume)
+
+    def adjust_off(self, sample_distance=1.0):
+        """Full quality: VTK adjusts nothing."""
+        self.mapper.SetAutoAdjustSampleDistances(0)
+        if hasattr(self.mapper, "SetLockSampleDistanceToInputSpacing"):
+            self.mapper.SetLockSampleDistanceToInputSpacing(0)
+        self.mapper.SetSampleDistance(sample_distance)
+
+    def functions(self, opacity, color):
+        self.property.SetScalarOpacity(opacity)
+        self.property.SetColor(color)
+
+    def camera(self, position, up=(0, 1, 0), fov_y=45.0):
+        camera = self.renderer.GetActiveCamera()
+        camera.SetViewAngle(fov_y)
+        camera.SetFocalPoint(0, 0, 0)
+        camera.SetPosition(*position)
+        camera.SetViewUp(*up)
+        self.renderer.ResetCameraClippingRange()
+
+    def pixels(self):
+        """What the window shows, as [y, x, rgb] bytes, without drawing it again."""
+        grab = vtkWindowToImageFilter()
+        grab.SetInput(self.window)
+        grab.ShouldRerenderOff()
+        grab.ReadFrontBufferOff()
+        grab.Update()
+        out = grab.GetOutput()
+        width, height, _ = out.GetDimensions()
+        return vtk_to_numpy(out.GetPointData().GetScalars()).reshape(height, width, -1)[:, :, :3].copy()

@@ -1,0 +1,77 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
+# Builds the VTK adapter against an installed libentire, runs its tests, or a command with its Python module on a display.
+#
+#   plugins/vtk/run.sh build|test|asan
+#   plugins/vtk/run.sh exec COMMAND...
+#
+# asan builds adapter and tests with AddressSanitizer and runs the tests of re-entrant events.
+#
+# VTK_PYTHON   the Python that has VTK's module (default /usr/bin/python3)
+# VTK_OUT      where builds and results go (default target/vtk)
+# VTK_JOBS     parallel compilations (default: as many as the build tool takes)
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+what=${1:-}
+case $what in
+    build | test | asan | exec) ;;
+    *) echo "run.sh: found word \"$what\"; use build, test, asan or exec" >&2; exit 2 ;;
+esac
+out=${VTK_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/vtk}
+sdk=$out/sdk
+python=${VTK_PYTHON:-/usr/bin/python3}
+export PYTHONPATH=$out/build/lib/python3/site-packages
+
+name=test-vtk
+if [[ $what == asan ]]; then name=test-vtk-asan; fi
+# Also into the list that CI ends with.
+skip() {
+    echo "$name: skipped: $1"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "$name: $1" >>"$ENTIRE_SKIPPED"
+}
+lacks() {
+    skip "$1"
+    exit 0
+}
+command -v cmake >/dev/null || lacks "cmake is not installed (apt-get install cmake ninja-build g++ libvtk9-dev python3-vtk9 xvfb xauth)"
+compgen -G "/usr/lib/*/cmake/vtk-9*/vtk-config.cmake" >/dev/null || [[ ${VTK_DIR:-} ]] ||
+    lacks "VTK 9's development files are not installed (apt-get install libvtk9-dev python3-vtk9 xvfb xauth)"
+python=$(command -v "$python") || { echo "run.sh: $python is no program; set VTK_PYTHON to the Python that has VTK's module" >&2; exit 2; }
+command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): VTK needs a display"
+
+# A display that outlives its clients.
+display() { xvfb-run -a -s "-screen 0 1280x1024x24 -noreset" "$@"; }
+
+# build FOLDER OPTION...
+build() {
+    local folder=$1
+    shift
+    [[ ${ENTIRE_SDK_READY:-} ]] || ffi/package/install.sh --prefix "$sdk" >/dev/null
+    local generator=()
+    if command -v ninja >/dev/null; then generator=(-G Ninja); fi
+    cmake -S plugins/vtk -B "$folder" "${generator[@]}" -DCMAKE_PREFIX_PATH="$sdk" \
+        -DPython3_EXECUTABLE="$python" "$@" >"$folder.configure.log" 2>&1 ||
+        { tail -n 20 "$folder.configure.log" >&2; exit 1; }
+    cmake --build "$folder" ${VTK_JOBS:+--parallel "$VTK_JOBS"} >"$folder.build.log" 2>&1 ||
+        { tail -n 40 "$folder.build.log" >&2; exit 1; }
+}
+
+mkdir -p "$out"
+case $what in
+    build) build "$out/build" ;;
+    test)
+        command -v valgrind >/dev/null || skip "memory checks: valgrind is not installed (apt-get install valgrind)"
+        build "$out/build"
+        display ctest --test-dir "$out/build" --output-on-failure
+        ;;
+    asan)
+        build "$out/asan" -DENTIRE_SANITIZE=address -DENTIRE_PYTHON=OFF -DCMAKE_BUILD_TYPE=RelWithDebInfo
+        # Leaks of OpenGL's and VTK's own do not count here; the tests under valgrind look for those of the adapter.
+        ASAN_OPTIONS=detect_leaks=0:abort_on_error=0:exitcode=99 display ctest --test-dir "$out/asan" \
+            --label-regex reentry --output-on-failure
+        ;;
+    exec)
+        build "$out/build"
+        display "${@:2}"
+        ;;
+esac

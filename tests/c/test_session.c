@@ -1,0 +1,395 @@
+/* entire_session: plan, observe, choose, state, and what is refused; without a model and with one. */
+#include "check.h"
+#include <math.h>
+
+static entire_plan plan_of(entire_session *session, const entire_frame *frame, float target) {
+    entire_plan plan = {.struct_size = sizeof plan};
+    OK(entire_session_plan(session, frame, target, &plan));
+    CHECK(plan.id != 0 && plan.step >= 1.0f / 64 && plan.step <= 4096);
+    CHECK(((plan.absent & ENTIRE_ABSENT_SECONDS) != 0) == (isnan(plan.seconds) != 0));
+    CHECK(((plan.absent & ENTIRE_ABSENT_UPPER) != 0) == (isnan(plan.upper) != 0));
+    CHECK(((plan.absent & ENTIRE_ABSENT_OUT_OF_RANGE) != 0) == (isnan(plan.out_of_range) != 0));
+    CHECK(plan.reason >= ENTIRE_REASON_FITS && plan.reason <= ENTIRE_REASON_REACTIVE);
+    return plan;
+}
+
+/* A renderer with a fixed and a per-sample cost. */
+static float draw(float step) {
+    return 0.003f + 0.1f / step;
+}
+
+static void loop(const entire_model *model) {
+    entire_session *session = toy_session(model);
+    entire_frame frame = toy_frame();
+    int within = 0;
+    for (int i = 0; i < 80; ++i) {
+        frame.arcball[1] = (float)(i % 30);
+        entire_plan plan = plan_of(session, &frame, 0.03f);
+        const float seconds = draw(plan.step);
+        entire_verdict verdict = 99;
+        OK(entire_session_observe(session, plan.id, seconds, 0, &verdict));
+        CHECK(verdict <= ENTIRE_VERDICT_IGNORED);
+        within += i >= 40 && seconds < 0.03f * 1.1f && seconds > 0.03f * 0.5f;
+    }
+    CHECK(within >= 36);
+    entire_session_free(session);
+}
+
+static void observations(void) {
+    entire_session *session = toy_session(NULL);
+    entire_frame frame = toy_frame();
+    entire_plan plan = plan_of(session, &frame, 0.03f);
+    const float bad[] = {0, -1, NAN, INFINITY, 20000};
+    entire_verdict verdict = 77;
+    for (size_t i = 0; i < sizeof bad / sizeof bad[0]; ++i)
+        EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, plan.id, bad[i], 0, &verdict));
+    EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, 0, 0.01f, 0, &verdict));
+    EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, plan.id + 1, 0.01f, 0, &verdict));
+    SAYS("plans came after it");
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_observe(session, plan.id, 0.01f, 4, &verdict));
+    CHECK(verdict == 77);
+    char text[200];
+    OK(entire_session_last_error(session, text, sizeof text, NULL));
+    CHECK(strstr(text, "flags"));
+    OK(entire_session_observe(session, plan.id, 0.01f, ENTIRE_OBSERVE_UNUSUAL, &verdict));
+    OK(entire_session_last_error(session, text, sizeof text, NULL));
+    CHECK(text[0] == '\0' && verdict != 77);
+    EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, plan.id, 0.01f, 0, NULL));
+    SAYS("observed before");
+    plan = plan_of(session, &frame, 0.03f);
+    OK(entire_session_observe(session, plan.id, 1e-6f, ENTIRE_OBSERVE_CANCELLED, NULL));
+
+    /* Late observations are welcome for the last 64 plans; older ones are forgotten. */
+    uint64_t ids[80];
+    for (int i = 0; i < 80; ++i) ids[i] = plan_of(session, &frame, 0.03f).id;
+    EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, ids[15], 0.01f, 0, NULL));
+    OK(entire_session_observe(session, ids[16], 0.01f, 0, NULL));
+    OK(entire_session_observe(session, ids[79], 0.01f, 0, NULL));
+    OK(entire_session_reset(session));
+    EXPECT(ENTIRE_REJECTED_OBSERVATION, entire_session_observe(session, ids[78], 0.01f, 0, NULL));
+    entire_session_free(session);
+}
+
+static void order_of_calls(void) {
+    entire_session *session = NULL;
+    entire_frame frame = toy_frame();
+    entire_plan plan = {.struct_size = sizeof plan, .id = 5};
+    entire_prediction prediction = {.struct_size = sizeof prediction};
+    OK(entire_session_new(NULL, NULL, &session));
+    EXPECT(ENTIRE_NOT_READY, entire_session_plan(session, &frame, 0.03f, &plan));
+    SAYS("no volume is set");
+    EXPECT(ENTIRE_NOT_READY, entire_session_predict(session, &frame, &prediction));
+    frame.camera = ENTIRE_CAMERA_VIEW;
+    EXPECT(ENTIRE_NOT_READY, entire_session_plan(session, &frame, 0.03f, &plan));
+    SAYS("volume_radius");
+    frame = toy_frame();
+    entire_volume *volume = toy_volume();
+    OK(entire_session_set_volume(session, volume));
+    EXPECT(ENTIRE_NOT_READY, entire_session_plan(session, &frame, 0.03f, &plan));
+    SAYS("no transfer function is set");
+    CHECK(plan.id == 5 && isnan(prediction.seconds) == 0);
+    entire_volume_free(volume);
+    entire_session_free(session);
+    entire_session_free(NULL);
+}
+
+static void frames(void) {
+    entire_session *session = toy_session(NULL);
+    entire_plan plan = {.struct_size = sizeof plan};
+#define REFUSE(change, words)                                                                          \
+    do {                                                                                               \
+        entire_frame frame = toy_frame();                                                              \
+        change;                                                                                        \
+        EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_plan(session, &frame, 0.03f, &plan));       \
+        SAYS(words);                                                                                   \
+        CHECK(plan.id == 0);                                                                           \
+    } while (0)
+    REFUSE(frame.width = 0, "image size");
+    REFUSE(frame.height = 16385, "image size");
+    REFUSE(frame.camera = 3, "camera is 3");
+    REFUSE(frame.fov_y = 180, "field of view");
+    REFUSE(frame.fov_y = NAN, "field of view");
+    REFUSE(frame.arcball[0] = NAN, "angles");
+    REFUSE(frame.arcball[2] = 0, "distance");
+    REFUSE(frame.step = 0, "step");
+    REFUSE(frame.step = NAN, "step");
+    REFUSE(frame.termination = 0, "termination");
+    REFUSE(frame.shading = 0, "shading is 0");
+    REFUSE(frame.shading = 4, "shading is 4");
+    REFUSE(frame.skipping = 9, "skipping is 9");
+    REFUSE((frame.camera = ENTIRE_CAMERA_VIEW, frame.view[0] = 2), "view matrix");
+    REFUSE((frame.camera = ENTIRE_CAMERA_VIEW, frame.view[5] = NAN), "NaN");
+    REFUSE((frame.camera = ENTIRE_CAMERA_VIEW, frame.volume_radius = -1), "radius");
+    const float targets[] = {0, -1, NAN, INFINITY};
+    entire_frame frame = toy_frame();
+    for (size_t i = 0; i < 4; ++i)
+        EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_plan(session, &frame, targets[i], &plan));
+    frame.struct_size = 12;
+    EXPECT(ENTIRE_STRUCT_SIZE, entire_session_plan(session, &frame, 0.03f, &plan));
+    frame = toy_frame();
+    plan.struct_size = 0;
+    EXPECT(ENTIRE_STRUCT_SIZE, entire_session_plan(session, &frame, 0.03f, &plan));
+
+    /* The same eye by arcball and by matrix: same prediction. The volume's box is 5 x 14 x 77, centered at (1, 2, 3). */
+    entire_prediction a = {.struct_size = sizeof a}, b = a;
+    frame.arcball[2] = 2;
+    OK(entire_session_predict(session, &frame, &a));
+    frame.camera = ENTIRE_CAMERA_VIEW;
+    frame.volume_center[0] = 1, frame.volume_center[1] = 2, frame.volume_center[2] = 3;
+    const float radius = 0.5f * sqrtf(25 + 14 * 14 + 77 * 77);
+    frame.view[12] = -1, frame.view[13] = -2, frame.view[14] = -3 - 2 * radius;
+    OK(entire_session_predict(session, &frame, &b));
+    CHECK(fabsf(a.seconds - b.seconds) < 1e-4f * a.seconds);
+    frame.volume_radius = 2 * radius;
+    frame.view[14] = -3 - 4 * radius;
+    OK(entire_session_predict(session, &frame, &b));
+    CHECK(fabsf(a.seconds - b.seconds) < 0.01f * a.seconds);
+    a.struct_size = 3;
+    EXPECT(ENTIRE_STRUCT_SIZE, entire_session_predict(session, &frame, &a));
+    entire_session_free(session);
+}
+
+static void options(const entire_model *model) {
+    entire_session_options good;
+    OK(entire_session_options_init(&good, sizeof good));
+    CHECK(good.finest_step == 1 && good.coarsest_step == 16 && good.damping == 1);
+    entire_session *session = NULL;
+#define REFUSE_OPTIONS(change)                                                                         \
+    do {                                                                                               \
+        entire_session_options o = good;                                                             \
+        change;                                                                                        \
+        EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_new(model, &o, &session));                  \
+        CHECK(session == NULL);                                                                      \
+    } while (0)
+    REFUSE_OPTIONS(o.finest_step = 0);
+    REFUSE_OPTIONS(o.finest_step = NAN);
+    REFUSE_OPTIONS(o.coarsest_step = 0.5f);
+    REFUSE_OPTIONS(o.miss_rate = 0);
+    REFUSE_OPTIONS(o.miss_rate = 1);
+    REFUSE_OPTIONS(o.tolerance = -1);
+    REFUSE_OPTIONS(o.tolerance = INFINITY);
+    REFUSE_OPTIONS(o.trust_limit = NAN);
+    REFUSE_OPTIONS(o.reserved = 1);
+    REFUSE_OPTIONS(o.probe_side = 25);
+    SAYS("1 to 24");
+    entire_session_options sized = good;
+    sized.struct_size = 1;
+    EXPECT(ENTIRE_STRUCT_SIZE, entire_session_new(model, &sized, &session));
+    EXPECT(ENTIRE_STRUCT_SIZE, entire_session_options_init(&sized, 1));
+
+    good.finest_step = 2;
+    good.coarsest_step = 3;
+    OK(entire_session_new(model, &good, &session));
+    entire_session_free(session);
+
+    session = toy_session(NULL);
+    entire_frame frame = toy_frame();
+    OK(entire_session_set_limits(session, 5, 6));
+    for (int i = 0; i < 5; ++i) {
+        const float step = plan_of(session, &frame, i % 2 ? 1e-6f : 10.0f).step;
+        CHECK(step >= 5 && step <= 6);
+    }
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_limits(session, 6, 5));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_limits(session, NAN, 5));
+
+    OK(entire_session_set_limits(session, 1, 8));
+    CHECK(plan_of(session, &frame, 1e-6f).image_sample_distance == 1);
+    OK(entire_session_set_max_image_sample_distance(session, 4, 1));
+    const entire_plan smallest = plan_of(session, &frame, 1e-6f);
+    CHECK(smallest.image_sample_distance > 3 && smallest.image_sample_distance <= 4 && smallest.step > 7.99f && smallest.step < 8.01f);
+    CHECK(plan_of(session, &frame, 10.0f).image_sample_distance == 1);
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_max_image_sample_distance(session, 0.5f, 1));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_max_image_sample_distance(session, 2, NAN));
+    OK(entire_session_set_max_image_sample_distance(session, 1, 1));
+    OK(entire_session_set_limits(session, 5, 6));
+
+    frame.step = 7.5f;
+    OK(entire_session_set_enabled(session, 0));
+    entire_plan plan = plan_of(session, &frame, 0.03f);
+    CHECK(plan.step == 7.5f && plan.reason == ENTIRE_REASON_OFF);
+    OK(entire_session_set_enabled(session, 1));
+    CHECK(plan_of(session, &frame, 0.03f).step <= 6);
+
+    OK(entire_session_mark(session, 63));
+    OK(entire_session_mark(session, 0));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_mark(session, 64));
+    entire_session_free(session);
+}
+
+/* Without a model the probe may be smaller or finer. */
+static void probe_sides(void) {
+    entire_session_options options;
+    OK(entire_session_options_init(&options, sizeof options));
+    CHECK(options.probe_side == 0 && options.reserved == 0);
+    entire_volume *volume = toy_volume();
+    entire_transfer_function *tf = toy_transfer_function();
+    entire_frame frame = toy_frame();
+    float seconds[4];
+    for (int i = 0; i < 4; ++i) {
+        const uint32_t sides[] = {0, 11, 7, 4};
+        options.probe_side = sides[i];
+        entire_session *session = NULL;
+        OK(entire_session_new(NULL, &options, &session));
+        OK(entire_session_set_volume(session, volume));
+        OK(entire_session_set_transfer_function(session, tf));
+        entire_prediction prediction = {.struct_size = sizeof prediction};
+        OK(entire_session_predict(session, &frame, &prediction));
+        seconds[i] = prediction.seconds;
+        entire_session_free(session);
+    }
+    CHECK(seconds[0] > 0 && seconds[0] == seconds[1]);
+    CHECK(seconds[2] != seconds[0] && fabsf(seconds[2] / seconds[0] - 1) < 0.3f);
+    CHECK(seconds[3] != seconds[2] && fabsf(seconds[3] / seconds[0] - 1) < 0.5f);
+    entire_transfer_function_free(tf);
+    entire_volume_free(volume);
+}
+
+static void choices(void) {
+    entire_session *session = toy_session(NULL);
+    entire_frame frame = toy_frame();
+    const entire_setting settings[] = {
+        {1, 1024, 512, ENTIRE_SHADING_LOCAL, ENTIRE_SKIPPING_BLOCKS},
+        {2, 512, 256, ENTIRE_SHADING_NONE, ENTIRE_SKIPPING_BLOCKS},
+        {8, 64, 32, ENTIRE_SHADING_NONE, ENTIRE_SKIPPING_DISTANCE},
+    };
+    size_t index = 99;
+    entire_plan plan = {.struct_size = sizeof plan};
+    OK(entire_session_choose(session, &frame, settings, 3, 1000, &index, &plan));
+    CHECK(index == 0 && plan.step == 1);
+    OK(entire_session_choose(session, &frame, settings, 3, 1e-9f, &index, &plan));
+    CHECK(index == 2 && plan.step == 8 && plan.reason == ENTIRE_REASON_TARGET_UNREACHABLE);
+    OK(entire_session_observe(session, plan.id, 0.01f, 0, NULL));
+
+    index = 99;
+    plan.id = 0;
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_choose(session, &frame, NULL, 0, 0.03f, &index, &plan));
+    EXPECT(ENTIRE_NULL_ARGUMENT, entire_session_choose(session, &frame, NULL, 1, 0.03f, &index, &plan));
+    EXPECT(ENTIRE_SIZE_MISMATCH, entire_session_choose(session, &frame, settings, ENTIRE_MAX_SETTINGS + 1, 0.03f, &index, &plan));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_choose(session, &frame, settings, 3, NAN, &index, &plan));
+    entire_setting bad = settings[0];
+    bad.step = NAN;
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_choose(session, &frame, &bad, 1, 0.03f, &index, &plan));
+    bad = settings[0];
+    bad.shading = 17;
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_choose(session, &frame, &bad, 1, 0.03f, &index, &plan));
+    CHECK(index == 99 && plan.id == 0);
+    entire_session_free(session);
+}
+
+static void state(void) {
+    entire_session *a = toy_session(NULL), *b = toy_session(NULL);
+    entire_frame frame = toy_frame();
+    for (int i = 0; i < 30; ++i) {
+        entire_plan plan = plan_of(a, &frame, 0.03f);
+        OK(entire_session_observe(a, plan.id, draw(plan.step), 0, NULL));
+    }
+    size_t size = 0, again = 0;
+    OK(entire_session_save_state(a, NULL, 0, &size));
+    CHECK(size > 0);
+    uint8_t *bytes = malloc(size);
+    CHECK(bytes != NULL);
+    EXPECT(ENTIRE_SIZE_MISMATCH, entire_session_save_state(a, bytes, size - 1, &again));
+    CHECK(again == 0);
+    OK(entire_session_save_state(a, bytes, size, &again));
+    CHECK(again == size);
+
+    for (size_t cut = 0; cut < size; ++cut)
+        EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_load_state(b, cut ? bytes : NULL, cut));
+    OK(entire_session_load_state(b, bytes, size));
+    entire_prediction p = {.struct_size = sizeof p}, q = p;
+    OK(entire_session_predict(a, &frame, &p));
+    OK(entire_session_predict(b, &frame, &q));
+    CHECK(p.source != 0 && isfinite(p.seconds));
+    OK(entire_session_reset(b));
+    free(bytes);
+    entire_session_free(a);
+    entire_session_free(b);
+}
+
+static void with_a_model(const char *path) {
+    entire_model *model = NULL;
+    OK(entire_model_open(path, &model));
+    options(model);
+    loop(model);
+
+    /* The session keeps its share of the model. */
+    entire_session *session = toy_session(model);
+    entire_frame frame = toy_frame();
+    entire_prediction prediction = {.struct_size = sizeof prediction};
+    entire_volume *volume = toy_volume();
+    float features[2];
+    size_t count = 0;
+    OK(entire_model_encode(model, volume, features, 2, &count));
+
+    /* Its first prediction, uncorrected, is the network's own on the same inputs, and says so. */
+    OK(entire_session_predict(session, &frame, &prediction));
+    CHECK(prediction.source == ENTIRE_SOURCE_NETWORK && isfinite(prediction.seconds) && prediction.seconds > 0);
+    OK(entire_volume_set_features(volume, features, 2));
+    OK(entire_session_set_volume(session, volume));
+    entire_transfer_function *tf = toy_transfer_function();
+    OK(entire_session_set_transfer_function(session, tf));
+    entire_prediction again = {.struct_size = sizeof again};
+    OK(entire_session_predict(session, &frame, &again));
+    CHECK(again.seconds == prediction.seconds);
+
+    /* It keeps the probe that it was trained with. */
+    entire_session_options small;
+    OK(entire_session_options_init(&small, sizeof small));
+    small.probe_side = 4;
+    entire_session *other = NULL;
+    OK(entire_session_new(model, &small, &other));
+    OK(entire_session_set_volume(other, volume));
+    OK(entire_session_set_transfer_function(other, tf));
+    OK(entire_session_predict(other, &frame, &again));
+    CHECK(again.seconds == prediction.seconds);
+    entire_session_free(other);
+
+    const float three[] = {1, 2, 3};
+    OK(entire_volume_set_features(volume, three, 3));
+    EXPECT(ENTIRE_SIZE_MISMATCH, entire_session_set_volume(session, volume));
+    SAYS("3 ready features");
+
+    entire_model_free(model);
+    OK(entire_session_predict(session, &frame, &again));
+    CHECK(again.seconds == prediction.seconds);
+
+    /* A transfer function that is not made of lobes has no numbers for this model's transfer_function group. */
+    const float table[8] = {0, 0, 0, 0, 1, 1, 1, 0.5f};
+    entire_transfer_function_free(tf);
+    OK(entire_transfer_function_from_table(table, 2, &tf));
+    OK(entire_session_set_transfer_function(session, tf));
+    EXPECT(ENTIRE_MISSING_INPUT, entire_session_predict(session, &frame, &again));
+    SAYS("lobes");
+    entire_transfer_function_free(tf);
+
+    /* Bricks alone cannot be encoded. */
+    const float bounds[2] = {0, 1};
+    entire_brick_desc desc;
+    OK(entire_brick_desc_init(&desc, sizeof desc));
+    desc.scalar_type = ENTIRE_SCALAR_U8;
+    for (int i = 0; i < 3; ++i) desc.dims[i] = desc.brick_edge[i] = 8;
+    desc.bounds = bounds;
+    desc.brick_count = 1;
+    entire_volume *boxes = NULL;
+    OK(entire_volume_from_bricks(&desc, &boxes));
+    EXPECT(ENTIRE_NOT_READY, entire_session_set_volume(session, boxes));
+    OK(entire_volume_set_features(boxes, features, 2));
+    OK(entire_session_set_volume(session, boxes));
+    entire_volume_free(boxes);
+    entire_volume_free(volume);
+    entire_session_free(session);
+}
+
+int main(int argc, char **argv) {
+    CHECK(argc == 2);
+    loop(NULL);
+    observations();
+    order_of_calls();
+    frames();
+    options(NULL);
+    probe_sides();
+    choices();
+    state();
+    with_a_model(argv[1]);
+    return 0;
+}

@@ -1,0 +1,130 @@
+//! No prediction is ever zero, negative, infinite or NaN: of models with hostile weights, and of the shipped
+//! ones.
+
+use entire_core::ErrorKind;
+use entire_core::features::{Changes, FrameFeatures, Setting};
+use entire_core::model::{InputGroup, Model, ModelFile};
+use entire_core::nn::{DenseParts, Dtype, PredNet, PredNetParts, Target};
+use entire_core::predict::{
+    CLAMPED_SCORE, Inputs, Prediction, SHORTEST_PREDICTION, check_batch, checked_seconds, load,
+};
+use entire_core::scene::{Arcball, Camera, Frame};
+use std::path::Path;
+
+fn model(first: f32, last: [f32; 4], target: Target) -> Model {
+    let layer = |inputs: usize, outputs: usize, weight: Vec<f32>| DenseParts {
+        inputs,
+        outputs,
+        weight,
+        bias: vec![0.0; outputs],
+        dtype: Dtype::F32,
+    };
+    let parts = PredNetParts {
+        layers: vec![layer(6, 4, vec![first; 24]), layer(4, 1, last.to_vec())],
+        input: None,
+        output: None,
+        target,
+    };
+    let groups = [("camera", 3), ("resolution", 2), ("step_size", 1)]
+        .map(|(name, size)| InputGroup { name: name.into(), size });
+    let mut file = ModelFile::new();
+    file.set_prednet(&parts, &groups).expect("finite weights");
+    file.to_model().expect("a model")
+}
+
+fn predict(model: &Model) -> entire_core::Result<Prediction> {
+    let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).expect("a camera");
+    let frame = Frame::new(camera, 640, 480).expect("a frame");
+    let features = FrameFeatures::new();
+    load(model).expect("a predictor").predict(&Inputs {
+        features: &features,
+        setting: Setting::of(&frame),
+        changes: Changes::NONE,
+        camera: camera.to_arcball(),
+        volume_features: None,
+        lobes: None,
+    })
+}
+
+#[test]
+fn weights_that_leave_single_precision_are_an_error_and_never_a_time() {
+    let huge = 3e38f32;
+    for (what, last, target) in [
+        ("infinite", [huge; 4], Target::Seconds),
+        ("minus infinity", [-huge; 4], Target::Seconds),
+        ("NaN", [huge, -huge, huge, -huge], Target::Seconds),
+        ("infinite logarithm", [huge; 4], Target::LogSeconds),
+        ("NaN logarithm", [huge, -huge, huge, -huge], Target::LogSeconds),
+    ] {
+        let error = predict(&model(huge, last, target)).expect_err(what);
+        assert_eq!(error.kind(), ErrorKind::InvalidModel, "{what}");
+        assert!(error.message().contains("train the model again"), "{error}");
+    }
+    // An exponential that overflows although its argument is finite.
+    assert!(predict(&model(1.0, [1.0; 4], Target::LogSeconds)).is_err());
+}
+
+#[test]
+fn times_that_are_not_positive_are_the_shortest_one_and_not_trusted() {
+    for (what, last, target) in [
+        ("negative", [-1.0; 4], Target::Seconds),
+        ("zero", [0.0; 4], Target::Seconds),
+        ("very negative", [-3e30; 4], Target::Seconds),
+        ("vanishing exponential", [-1.0; 4], Target::LogSeconds),
+    ] {
+        let p = predict(&model(1.0, last, target)).expect(what);
+        assert_eq!(p.seconds, SHORTEST_PREDICTION, "{what}");
+        assert!(p.out_of_range >= CLAMPED_SCORE, "{what}: {p:?}");
+    }
+    let good = predict(&model(1e-3, [1.0; 4], Target::Seconds)).expect("a time");
+    assert!(good.seconds > 1.0 && !(good.out_of_range > 0.0), "{good:?}");
+}
+
+#[test]
+fn batches_go_through_the_same_door() {
+    let mut good = [0.5, -1.0, 0.0, 1e30, 2.0];
+    assert_eq!(check_batch(&mut good), Ok(3));
+    assert!(good.iter().all(|s| s.is_finite() && *s > 0.0) && good[0] == 0.5 && good[4] == 2.0);
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        let mut batch = [0.5, -1.0, bad, 2.0];
+        let error = check_batch(&mut batch).expect_err("not a number of seconds");
+        assert!(error.kind() == ErrorKind::InvalidModel && error.message().contains("row 2"), "{error}");
+        assert_eq!(batch[..2], [0.5, -1.0], "a refused batch stays as it was");
+        assert_eq!(checked_seconds(bad).expect_err("alone as well").kind(), ErrorKind::InvalidModel);
+    }
+}
+
+#[test]
+fn shipped_models_give_times_for_ten_thousand_random_inputs() {
+    const ROWS: usize = 10_000;
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../models");
+    let mut tried = 0;
+    for entry in std::fs::read_dir(folder).expect("the shipped models") {
+        let path = entry.expect("an entry").path();
+        if path.extension().is_none_or(|e| e != "safetensors") {
+            continue;
+        }
+        let model = Model::from_bytes(&std::fs::read(&path).expect("a file")).expect("a shipped model");
+        let Some(parts) = model.prednet() else { continue };
+        let net = PredNet::new(parts).expect("a network");
+        let mut state = 88_172_645_463_325_252u64;
+        let mut uniform = || {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (state >> 40) as f32 / (1u32 << 24) as f32 * 2.0 - 1.0
+        };
+        // Up to three standard deviations from what each input was in training.
+        let norm = parts.input.as_ref().expect("shipped models know their inputs' spread");
+        let inputs: Vec<f32> = (0..ROWS)
+            .flat_map(|_| norm.mean.iter().zip(&norm.std))
+            .map(|(mean, std)| mean + 3.0 * std * uniform())
+            .collect();
+        let mut seconds = vec![0.0; ROWS];
+        net.predict_batch(&inputs, &mut seconds, &mut net.batch_scratch(192)).expect("a batch");
+        check_batch(&mut seconds).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        assert!(seconds.iter().all(|s| s.is_finite() && *s > 0.0), "{}", path.display());
+        tried += 1;
+    }
+    assert!(tried >= 6, "{tried} shipped models");
+}

@@ -1,0 +1,244 @@
+//! How a recording becomes a command buffer: one Vulkan call, or a few, for each command.
+
+use super::{Engine, Shader, Slot};
+use crate::renderer::{Error, Result};
+use crate::vulkan::gpu::NamedCall;
+use crate::vulkan::recording::{Command, Hazard, Target};
+use crate::vulkan::resources::{COLOR_RANGE, Image, Shape};
+use ash::vk;
+
+impl Engine {
+    pub(super) fn try_submit(&self, slot: &Slot, shader: Option<Shader>, commands: &[Command]) -> Result<()> {
+        let device = &self.gpu.device;
+        // SAFETY: the one command buffer of the pool is not pending: the slot's submission was waited for, or
+        // `drain` has waited for the device.
+        unsafe { device.reset_command_pool(slot.pool.get(), vk::CommandPoolResetFlags::empty()) }
+            .on(&self.gpu, "vkResetCommandPool")?;
+        let begin = vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+        // SAFETY: the command buffer is in its initial state.
+        unsafe { device.begin_command_buffer(slot.commands, &begin) }
+            .on(&self.gpu, "vkBeginCommandBuffer")?;
+        for command in commands {
+            self.play(slot, shader, command)?;
+        }
+        // SAFETY: recording was begun above.
+        unsafe { device.end_command_buffer(slot.commands) }.on(&self.gpu, "vkEndCommandBuffer")?;
+        let buffers = [slot.commands];
+        let submit = [vk::SubmitInfo::default().command_buffers(&buffers)];
+        // SAFETY: the command buffer is complete, everything it uses is kept until the fence has signaled,
+        // the fence is unsignaled, and `&mut self` of the callers keeps other threads from the queue.
+        unsafe { device.queue_submit(self.gpu.queue, &submit, slot.fence.get()) }
+            .on(&self.gpu, "vkQueueSubmit")
+    }
+
+    pub(super) fn image(&self, target: Target) -> Result<&Image> {
+        match target {
+            Target::Volume(brick) => self.volume.get(brick),
+            Target::SkipMap => self.skip_map.as_ref(),
+            Target::Table => self.table.as_ref(),
+        }
+        .ok_or_else(|| Error::new("an image that a command names was not reserved"))
+    }
+
+    fn play(&self, slot: &Slot, shader: Option<Shader>, command: &Command) -> Result<()> {
+        let device = &self.gpu.device;
+        let commands = slot.commands;
+        // SAFETY: the command buffer is being recorded; every resource named by a command belongs to this
+        // engine and lives until the submission was waited for; ranges lie inside their buffers and images,
+        // because recordings are made from the same tile and image sizes that these were reserved with.
+        unsafe {
+            match command {
+                Command::WriteSetup(setup) => {
+                    device.cmd_update_buffer(commands, slot.setup.get(), 0, bytemuck::bytes_of(&**setup));
+                }
+                Command::WriteTable(table) => {
+                    device.cmd_update_buffer(commands, slot.table_staging.get(), 0, table);
+                }
+                Command::PrepareCopy { target, keep } => self.image_barrier(
+                    commands,
+                    self.image(*target)?,
+                    if *keep { vk::ImageLayout::TRANSFER_DST_OPTIMAL } else { vk::ImageLayout::UNDEFINED },
+                    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                    (
+                        vk::PipelineStageFlags::COMPUTE_SHADER | vk::PipelineStageFlags::TRANSFER,
+                        vk::AccessFlags::TRANSFER_WRITE,
+                    ),
+                    (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
+                ),
+                Command::FinishCopy { target } => self.image_barrier(
+                    commands,
+                    self.image(*target)?,
+                    vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                    self.image(*target)?.layout(),
+                    (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE),
+                    (vk::PipelineStageFlags::COMPUTE_SHADER, vk::AccessFlags::SHADER_READ),
+                ),
+                Command::CopySlices { target, first_slice, slices } => {
+                    let image = self.image(*target)?;
+                    let Some(staging) = &self.staging else {
+                        return Err(Error::new("a copy without staging buffer"));
+                    };
+                    let region = copy_region(&image.shape, *first_slice, *slices);
+                    device.cmd_copy_buffer_to_image(
+                        commands,
+                        staging.get(),
+                        image.get(),
+                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                        &[region],
+                    );
+                }
+                Command::CopyTable => {
+                    let image = self.image(Target::Table)?;
+                    device.cmd_copy_buffer_to_image(
+                        commands,
+                        slot.table_staging.get(),
+                        image.get(),
+                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                        &[copy_region(&image.shape, 0, image.shape.slices().0)],
+                    );
+                }
+                Command::BufferBarrier(hazard) => {
+                    let (source, target) = barrier_masks(*hazard);
+                    let barrier =
+                        [vk::MemoryBarrier::default().src_access_mask(source.1).dst_access_mask(target.1)];
+                    device.cmd_pipeline_barrier(
+                        commands,
+                        source.0,
+                        target.0,
+                        vk::DependencyFlags::empty(),
+                        &barrier,
+                        &[],
+                        &[],
+                    );
+                }
+                Command::ResetTimestamps => {
+                    if let Some(queries) = &slot.queries {
+                        device.cmd_reset_query_pool(commands, queries.get(), 0, 2);
+                    }
+                }
+                Command::Timestamp(index) => {
+                    if let Some(queries) = &slot.queries {
+                        // At the bottom of the pipe: once all work recorded before is done.
+                        let stage = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
+                        device.cmd_write_timestamp(commands, stage, queries.get(), *index);
+                    }
+                }
+                Command::Dispatch { groups } => {
+                    let Some((pipeline, set)) = shader else {
+                        return Err(Error::new("a dispatch without pipeline"));
+                    };
+                    let point = vk::PipelineBindPoint::COMPUTE;
+                    device.cmd_bind_pipeline(commands, point, pipeline);
+                    device.cmd_bind_descriptor_sets(
+                        commands,
+                        point,
+                        self.pipeline_layout.get(),
+                        0,
+                        &[set],
+                        &[],
+                    );
+                    device.cmd_dispatch(commands, groups[0], groups[1], 1);
+                }
+                Command::ReadBack { image_bytes, work_bytes } => {
+                    let Some(tile) = &slot.tile else {
+                        return Err(Error::new("a read-back without tile buffers"));
+                    };
+                    let region = [vk::BufferCopy { src_offset: 0, dst_offset: 0, size: *image_bytes }];
+                    device.cmd_copy_buffer(commands, tile.image.get(), tile.read_back.get(), &region);
+                    if let (Some(work), 1..) = (&tile.work, *work_bytes) {
+                        let region =
+                            [vk::BufferCopy { src_offset: 0, dst_offset: *image_bytes, size: *work_bytes }];
+                        device.cmd_copy_buffer(commands, work.get(), tile.read_back.get(), &region);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Records a layout change of a whole image.
+    ///
+    /// # Safety
+    /// The command buffer is being recorded, and `old` is the image's layout by then (or undefined).
+    unsafe fn image_barrier(
+        &self,
+        commands: vk::CommandBuffer,
+        image: &Image,
+        old: vk::ImageLayout,
+        new: vk::ImageLayout,
+        source: (vk::PipelineStageFlags, vk::AccessFlags),
+        target: (vk::PipelineStageFlags, vk::AccessFlags),
+    ) {
+        let barrier = [vk::ImageMemoryBarrier::default()
+            .image(image.get())
+            .old_layout(old)
+            .new_layout(new)
+            .src_access_mask(source.1)
+            .dst_access_mask(target.1)
+            .src_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .dst_queue_family_index(vk::QUEUE_FAMILY_IGNORED)
+            .subresource_range(COLOR_RANGE)];
+        // SAFETY: the caller's contract.
+        unsafe {
+            self.gpu.device.cmd_pipeline_barrier(
+                commands,
+                source.0,
+                target.0,
+                vk::DependencyFlags::empty(),
+                &[],
+                &[],
+                &barrier,
+            );
+        }
+    }
+
+    /// Seconds between the two timestamps of the last submission.
+    pub(super) fn read_seconds(&self, slot: usize) -> Result<Option<f64>> {
+        let (Some(queries), Some(clock)) = (&self.slots[slot].queries, &self.gpu.timestamps) else {
+            return Ok(None);
+        };
+        let mut ticks = [0u64; 2];
+        // SAFETY: the submission that wrote both queries was waited for, so that both are there without
+        // waiting.
+        unsafe {
+            self.gpu.device.get_query_pool_results(
+                queries.get(),
+                0,
+                &mut ticks,
+                vk::QueryResultFlags::TYPE_64,
+            )
+        }
+        .on(&self.gpu, "vkGetQueryPoolResults")?;
+        Ok(Some(clock.seconds(ticks[0], ticks[1])))
+    }
+}
+
+/// Slices, or rows of a 2-D image, from `first` on.
+fn copy_region(shape: &Shape, first: u32, count: u32) -> vk::BufferImageCopy {
+    let [width, height, _] = shape.extent;
+    let (y, z, height, depth) =
+        if shape.is_flat() { (first, 0, count, 1) } else { (0, first, height, count) };
+    vk::BufferImageCopy::default()
+        .image_subresource(vk::ImageSubresourceLayers {
+            aspect_mask: vk::ImageAspectFlags::COLOR,
+            mip_level: 0,
+            base_array_layer: 0,
+            layer_count: 1,
+        })
+        .image_offset(vk::Offset3D { x: 0, y: y as i32, z: z as i32 })
+        .image_extent(vk::Extent3D { width, height, depth })
+}
+
+type Access = (vk::PipelineStageFlags, vk::AccessFlags);
+
+fn barrier_masks(hazard: Hazard) -> (Access, Access) {
+    let written = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
+    let transfer = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_READ);
+    let shader = vk::PipelineStageFlags::COMPUTE_SHADER;
+    match hazard {
+        Hazard::TransferToTransfer => (written, transfer),
+        Hazard::TransferToShader => (written, (shader, vk::AccessFlags::SHADER_READ)),
+        Hazard::ShaderToTransfer => ((shader, vk::AccessFlags::SHADER_WRITE), transfer),
+        Hazard::TransferToHost => (written, (vk::PipelineStageFlags::HOST, vk::AccessFlags::HOST_READ)),
+    }
+}

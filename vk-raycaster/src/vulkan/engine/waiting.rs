@@ -1,0 +1,90 @@
+//! Waits for what was submitted, never for ever: devices get lost, and some hang.
+
+use super::{Engine, with_pass};
+use crate::renderer::{Error, Result};
+use crate::vulkan::gpu::NamedCall;
+use ash::vk;
+
+impl Engine {
+    /// Waits until nothing is running; what was cast can still be finished.
+    pub(crate) fn drain(&mut self) -> Result<()> {
+        self.gpu.check()?;
+        for slot in 0..self.slots.len() {
+            if self.slots[slot].pending {
+                let pass =
+                    self.slots[slot].running.as_ref().map_or("an earlier pass", |r| &r.pass).to_owned();
+                self.wait_for_fence(slot, &pass)?;
+            }
+        }
+        if self.broken {
+            for slot in 0..self.slots.len() {
+                if self.slots[slot].pending {
+                    self.reset_fence(slot)?;
+                }
+                self.slots[slot].running = None;
+            }
+            self.broken = false;
+        }
+        Ok(())
+    }
+
+    /// Waits for the end of a submission.
+    pub(super) fn wait(&mut self, slot: usize, pass: &str) -> Result<()> {
+        self.gpu.check()?;
+        self.broken = true;
+        self.wait_for_fence(slot, pass)?;
+        self.reset_fence(slot)?;
+        self.broken = false;
+        Ok(())
+    }
+
+    /// Waits for a slot's fence, which stays signaled, for as long as a submission may run; once one ran
+    /// longer it only looks whether it is done by now.
+    fn wait_for_fence(&mut self, slot: usize, pass: &str) -> Result<()> {
+        let longest = self.gpu.longest_wait;
+        let nanoseconds = if self.hangs { 0 } else { u64::try_from(longest.as_nanos()).unwrap_or(u64::MAX) };
+        let fences = [self.slots[slot].fence.get()];
+        // SAFETY: the fence was submitted, and nothing else waits for it.
+        match unsafe { self.gpu.device.wait_for_fences(&fences, true, nanoseconds) } {
+            Err(vk::Result::TIMEOUT) => {
+                self.hangs = true;
+                Err(Error::new(format!(
+                    "the device {} has not finished {pass} within {} s and counts as hanging; use smaller tiles \
+                     (ENTIRE_TILE) or a coarser step, allow it longer (ENTIRE_DEVICE_WAIT, seconds), choose another \
+                     device (ENTIRE_DEVICE), or render on the CPU",
+                    self.gpu.name,
+                    longest.as_secs_f64()
+                )))
+            }
+            done => {
+                done.on(&self.gpu, "vkWaitForFences").map_err(|e| with_pass(&e, pass))?;
+                self.hangs = false;
+                Ok(())
+            }
+        }
+    }
+
+    fn reset_fence(&mut self, slot: usize) -> Result<()> {
+        let fences = [self.slots[slot].fence.get()];
+        // SAFETY: the fence has signaled and is in no pending submission.
+        unsafe { self.gpu.device.reset_fences(&fences) }.on(&self.gpu, "vkResetFences")?;
+        self.slots[slot].pending = false;
+        Ok(())
+    }
+}
+
+impl Drop for Engine {
+    fn drop(&mut self) {
+        for slot in 0..self.slots.len() {
+            // Nothing runs on a lost device. What runs on one that hangs may still use what would be freed.
+            if !self.gpu.is_lost()
+                && self.slots[slot].pending
+                && self.wait_for_fence(slot, "its last pass").is_err()
+                && !self.gpu.is_lost()
+            {
+                self.gpu.abandon();
+                return;
+            }
+        }
+    }
+}

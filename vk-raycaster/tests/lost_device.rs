@@ -1,0 +1,367 @@
+//! Devices that get lost and devices that hang: an error, never a panic, never a wait without end, and a new
+//! renderer can be opened. The device is a real one whose functions fail from a given call on. Where no
+//! Vulkan device exists every test is reported as ignored.
+
+mod common;
+
+use ash::vk;
+use common::{field_bytes, frame, medium};
+use entire_core::scene::{Frame, Scalars, Shading, VolumeView};
+use entire_vk_raycaster::{Image, Renderer, VulkanOptions, VulkanRaycaster};
+use libtest_mimic::{Arguments, Failed, Trial};
+use std::cell::{Cell, RefCell};
+use std::time::Duration;
+
+type Outcome = Result<(), Failed>;
+
+/// What the device of a thread does from a call on.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Fault {
+    Sound,
+    /// Every call answers that the device is lost, once so many were made.
+    Lost(usize),
+    /// No submission ends, once so many were waited for.
+    Hangs(usize),
+}
+
+/// How long these tests let a submission run: what the mock gets to see, not what anybody waits.
+const WAIT: Duration = Duration::from_secs(20);
+
+thread_local! {
+    static FAULT: Cell<Fault> = const { Cell::new(Fault::Sound) };
+    /// Calls that can fail, and waits for fences.
+    static CALLS: Cell<(usize, usize)> = const { Cell::new((0, 0)) };
+    /// Nanoseconds that each wait for a fence allowed.
+    static WAITS: RefCell<Vec<u64>> = const { RefCell::new(Vec::new()) };
+    static DESTROYED: Cell<usize> = const { Cell::new(0) };
+    static DEVICE: RefCell<Option<ash::Device>> = const { RefCell::new(None) };
+}
+
+/// Starts to count anew.
+fn set(fault: Fault) {
+    FAULT.set(fault);
+    CALLS.set((0, 0));
+    DESTROYED.set(0);
+    WAITS.take();
+}
+
+/// The device's own function.
+macro_rules! own {
+    ($name:ident) => {
+        DEVICE.with_borrow(|d| d.as_ref().expect("a wrapped device").fp_v1_0().$name)
+    };
+}
+
+/// Waits until the device behind the mock is idle.
+fn settle() {
+    let _ = DEVICE.with_borrow(|d| {
+        // SAFETY: the device is alive while its renderer is, and this thread alone uses its queue.
+        d.as_ref().map(|d| unsafe { d.device_wait_idle() })
+    });
+}
+
+/// What a call answers in place of the device.
+fn fault(waits: bool) -> Option<vk::Result> {
+    let (calls, waited) = CALLS.get();
+    CALLS.set((calls + 1, waited + usize::from(waits)));
+    match FAULT.get() {
+        Fault::Lost(after) if calls >= after => {
+            // Nothing runs on a lost device.
+            settle();
+            Some(vk::Result::ERROR_DEVICE_LOST)
+        }
+        Fault::Hangs(after) if waits && waited >= after => Some(vk::Result::TIMEOUT),
+        _ => None,
+    }
+}
+
+unsafe extern "system" fn wait_for_fences(
+    device: vk::Device,
+    count: u32,
+    fences: *const vk::Fence,
+    all: vk::Bool32,
+    timeout: u64,
+) -> vk::Result {
+    WAITS.with_borrow_mut(|w| w.push(timeout));
+    // SAFETY: the caller's arguments, passed on.
+    fault(true).unwrap_or_else(|| unsafe { own!(wait_for_fences)(device, count, fences, all, timeout) })
+}
+
+unsafe extern "system" fn device_wait_idle(_: vk::Device) -> vk::Result {
+    // It has no bound.
+    vk::Result::ERROR_UNKNOWN
+}
+
+unsafe extern "system" fn destroy_device(device: vk::Device, host: *const vk::AllocationCallbacks<'_>) {
+    DESTROYED.set(DESTROYED.get() + 1);
+    // SAFETY: the caller's arguments, passed on.
+    unsafe { own!(destroy_device)(device, host) };
+}
+
+macro_rules! faulty {
+    ($($name:ident($($argument:ident: $kind:ty),*);)*) => {
+        $(
+            unsafe extern "system" fn $name($($argument: $kind),*) -> vk::Result {
+                // SAFETY: the caller's arguments, passed on.
+                fault(false).unwrap_or_else(|| unsafe { own!($name)($($argument),*) })
+            }
+        )*
+
+        /// Puts the functions above in the place of the device's.
+        fn wrap(device: ash::Device) -> ash::Device {
+            let mut functions = device.fp_v1_0().clone();
+            $(functions.$name = $name;)*
+            functions.wait_for_fences = wait_for_fences;
+            functions.device_wait_idle = device_wait_idle;
+            functions.destroy_device = destroy_device;
+            let (f1, f2, f3) = (device.fp_v1_1().clone(), device.fp_v1_2().clone(), device.fp_v1_3().clone());
+            let wrapped = ash::Device::from_parts_1_3(device.handle(), functions, f1, f2, f3);
+            DEVICE.set(Some(device));
+            wrapped
+        }
+    };
+}
+
+type Host<'a> = *const vk::AllocationCallbacks<'a>;
+
+faulty! {
+    queue_submit(q: vk::Queue, n: u32, s: *const vk::SubmitInfo<'_>, f: vk::Fence);
+    reset_fences(d: vk::Device, n: u32, f: *const vk::Fence);
+    create_fence(d: vk::Device, i: *const vk::FenceCreateInfo<'_>, a: Host<'_>, out: *mut vk::Fence);
+    create_buffer(d: vk::Device, i: *const vk::BufferCreateInfo<'_>, a: Host<'_>, out: *mut vk::Buffer);
+    bind_buffer_memory(d: vk::Device, b: vk::Buffer, m: vk::DeviceMemory, at: vk::DeviceSize);
+    create_image(d: vk::Device, i: *const vk::ImageCreateInfo<'_>, a: Host<'_>, out: *mut vk::Image);
+    bind_image_memory(d: vk::Device, b: vk::Image, m: vk::DeviceMemory, at: vk::DeviceSize);
+    create_image_view(d: vk::Device, i: *const vk::ImageViewCreateInfo<'_>, a: Host<'_>, out: *mut vk::ImageView);
+    allocate_memory(d: vk::Device, i: *const vk::MemoryAllocateInfo<'_>, a: Host<'_>, out: *mut vk::DeviceMemory);
+    create_sampler(d: vk::Device, i: *const vk::SamplerCreateInfo<'_>, a: Host<'_>, out: *mut vk::Sampler);
+    create_query_pool(d: vk::Device, i: *const vk::QueryPoolCreateInfo<'_>, a: Host<'_>, out: *mut vk::QueryPool);
+    get_query_pool_results(
+        d: vk::Device, q: vk::QueryPool, first: u32, n: u32, size: usize, out: *mut std::ffi::c_void,
+        stride: vk::DeviceSize, flags: vk::QueryResultFlags
+    );
+    create_descriptor_pool(
+        d: vk::Device, i: *const vk::DescriptorPoolCreateInfo<'_>, a: Host<'_>, out: *mut vk::DescriptorPool
+    );
+    create_descriptor_set_layout(
+        d: vk::Device, i: *const vk::DescriptorSetLayoutCreateInfo<'_>, a: Host<'_>,
+        out: *mut vk::DescriptorSetLayout
+    );
+    allocate_descriptor_sets(
+        d: vk::Device, i: *const vk::DescriptorSetAllocateInfo<'_>, out: *mut vk::DescriptorSet
+    );
+    create_pipeline_layout(
+        d: vk::Device, i: *const vk::PipelineLayoutCreateInfo<'_>, a: Host<'_>, out: *mut vk::PipelineLayout
+    );
+    create_shader_module(
+        d: vk::Device, i: *const vk::ShaderModuleCreateInfo<'_>, a: Host<'_>, out: *mut vk::ShaderModule
+    );
+    create_compute_pipelines(
+        d: vk::Device, c: vk::PipelineCache, n: u32, i: *const vk::ComputePipelineCreateInfo<'_>, a: Host<'_>,
+        out: *mut vk::Pipeline
+    );
+    create_command_pool(
+        d: vk::Device, i: *const vk::CommandPoolCreateInfo<'_>, a: Host<'_>, out: *mut vk::CommandPool
+    );
+    allocate_command_buffers(
+        d: vk::Device, i: *const vk::CommandBufferAllocateInfo<'_>, out: *mut vk::CommandBuffer
+    );
+    reset_command_pool(d: vk::Device, p: vk::CommandPool, flags: vk::CommandPoolResetFlags);
+    begin_command_buffer(c: vk::CommandBuffer, i: *const vk::CommandBufferBeginInfo<'_>);
+    end_command_buffer(c: vk::CommandBuffer);
+}
+
+fn options() -> Result<VulkanOptions, Failed> {
+    Ok(VulkanOptions { longest_wait: Some(WAIT), ..VulkanOptions::from_env()? })
+}
+
+fn open() -> Result<VulkanRaycaster, Failed> {
+    // SAFETY: the functions pass their arguments on to the device's own or answer with an error.
+    Ok(unsafe { VulkanRaycaster::with_device_functions(options()?, &wrap) }?)
+}
+
+fn small_frame() -> Frame {
+    frame(20.0, 35.0, 2.5, 19, 13)
+}
+
+/// Everything that a renderer does with a device: volume, transfer function, a frame in flight, a frame.
+fn use_it(gpu: &mut VulkanRaycaster) -> entire_vk_raycaster::Result<Image> {
+    let dims = [9, 8, 7];
+    let voxels = field_bytes(dims);
+    gpu.set_volume(&VolumeView::new(Scalars::U8(&voxels), dims).expect("a volume"))?;
+    gpu.set_transfer(&medium())?;
+    gpu.enqueue(&small_frame())?;
+    let flown = gpu.collect()?.expect("a frame was enqueued");
+    let rendered = gpu.render(&small_frame())?;
+    assert_eq!(flown.image, rendered.image);
+    Ok(rendered.image)
+}
+
+/// Calls and waits of a device that does not fail, and its picture.
+fn sound() -> Result<(usize, usize, Image), Failed> {
+    set(Fault::Sound);
+    let mut gpu = open()?;
+    let image = use_it(&mut gpu)?;
+    let (calls, waits) = CALLS.get();
+    drop(gpu);
+    assert_eq!(DESTROYED.get(), 1, "an idle device is freed");
+    Ok((calls, waits, image))
+}
+
+fn new_renderer_draws(image: &Image) -> Outcome {
+    set(Fault::Sound);
+    assert_eq!(&use_it(&mut open()?)?, image, "a new renderer draws the same");
+    Ok(())
+}
+
+/// The device is lost in every call in turn, from the first that opens it on.
+fn a_device_lost_in_any_call_is_an_error_that_names_it() -> Outcome {
+    let (calls, _, image) = sound()?;
+    assert!(calls > 50, "{calls} calls");
+    for after in 0..calls {
+        set(Fault::Lost(after));
+        // SAFETY: as in `open`.
+        let opened = unsafe { VulkanRaycaster::with_device_functions(options()?, &wrap) };
+        let mut gpu = match opened {
+            Ok(gpu) => gpu,
+            Err(error) => {
+                assert!(error.to_string().contains("ERROR_DEVICE_LOST"), "call {after}: {error}");
+                assert_eq!(DESTROYED.get(), 1, "call {after}");
+                continue;
+            }
+        };
+        let name = gpu.limits().expect("a device").name;
+        let error = use_it(&mut gpu).expect_err("the device is lost").to_string();
+        assert!(error.contains("ERROR_DEVICE_LOST") && error.contains(&name), "call {after}: {error}");
+        // Whatever is asked of it next fails as well, and says what to do.
+        for error in
+            [gpu.render(&small_frame()).err(), gpu.set_transfer(&medium()).err(), use_it(&mut gpu).err()]
+        {
+            let error = error.expect("the device is still lost").to_string();
+            let told = error.contains("make a new renderer") || error.contains("nothing to render");
+            assert!(told, "call {after}: {error}");
+        }
+        drop(gpu);
+        assert_eq!(DESTROYED.get(), 1, "call {after}: a lost device is freed");
+    }
+    new_renderer_draws(&image)
+}
+
+/// Frames in flight when the device is lost.
+fn frames_in_flight_of_a_lost_device_fail_one_by_one() -> Outcome {
+    let (_, _, image) = sound()?;
+    let mut gpu = open()?;
+    use_it(&mut gpu)?;
+    for _ in 0..VulkanRaycaster::FRAMES_IN_FLIGHT {
+        gpu.enqueue(&small_frame())?;
+    }
+    set(Fault::Lost(0));
+    for _ in 0..VulkanRaycaster::FRAMES_IN_FLIGHT {
+        let error = gpu.collect().expect_err("the device is lost").to_string();
+        assert!(error.contains("make a new renderer"), "{error}");
+    }
+    assert!(gpu.collect()?.is_none());
+    // As well when they are never collected.
+    drop(gpu);
+    set(Fault::Sound);
+    let mut gpu = open()?;
+    use_it(&mut gpu)?;
+    gpu.enqueue(&small_frame())?;
+    set(Fault::Lost(0));
+    drop(gpu);
+    assert_eq!(DESTROYED.get(), 1);
+    new_renderer_draws(&image)
+}
+
+/// Each wait in turn is one that does not end.
+fn a_hanging_device_is_waited_for_once_and_left_alone() -> Outcome {
+    let (_, waits, image) = sound()?;
+    assert!(waits >= 4, "{waits} waits");
+    for after in 0..waits {
+        set(Fault::Hangs(after));
+        let mut gpu = open()?;
+        let name = gpu.limits().expect("a device").name;
+        let hangs = |error: Option<entire_vk_raycaster::Error>| {
+            let error = error.expect("the device hangs").to_string();
+            let said = ["within 20 s", "ENTIRE_TILE", "ENTIRE_DEVICE_WAIT", &name];
+            assert!(said.iter().all(|part| error.contains(part)), "wait {after}: {error}");
+        };
+        hangs(use_it(&mut gpu).err());
+        hangs(gpu.set_transfer(&medium()).err());
+        drop(gpu);
+        let allowed = WAITS.take();
+        let long = allowed.iter().filter(|&&ns| ns > 0).count();
+        assert!(allowed.iter().all(|&ns| ns == 0 || u128::from(ns) == WAIT.as_nanos()), "{allowed:?}");
+        assert_eq!(long, after + 1, "after the first wait in vain it is only looked at: {allowed:?}");
+        assert_eq!(DESTROYED.get(), 0, "what a hanging device may still use stays");
+    }
+    new_renderer_draws(&image)
+}
+
+fn a_device_that_answers_again_renders_again() -> Outcome {
+    let (_, waits, image) = sound()?;
+    set(Fault::Hangs(waits - 1));
+    let mut gpu = open()?;
+    use_it(&mut gpu).expect_err("the last frame hangs");
+    settle();
+    set(Fault::Sound);
+    assert_eq!(gpu.render(&small_frame())?.image, image);
+    assert_eq!(use_it(&mut gpu)?, image);
+    drop(gpu);
+    assert_eq!(DESTROYED.get(), 1);
+    Ok(())
+}
+
+/// No mock: a frame that takes longer than the device may, given up while the device works on it.
+fn a_frame_that_takes_too_long_is_given_up_while_it_runs() -> Outcome {
+    let options = VulkanOptions { longest_wait: Some(Duration::from_nanos(1)), ..VulkanOptions::from_env()? };
+    let mut gpu = VulkanRaycaster::new(options)?;
+    let dims = [48; 3];
+    let voxels = field_bytes(dims);
+    let view = VolumeView::new(Scalars::U8(&voxels), dims)?;
+    // A small copy may be done before anybody looks; the frame is not.
+    let large = frame(20.0, 35.0, 2.5, 512, 512).with_step(0.25)?.with_shading(Shading::Scatter);
+    let error = gpu
+        .set_volume(&view)
+        .and_then(|_| gpu.set_transfer(&medium()))
+        .and_then(|_| gpu.render(&large))
+        .expect_err("nothing is done within a nanosecond");
+    assert!(error.to_string().contains("counts as hanging"), "{error}");
+    drop(gpu);
+    let mut fresh = VulkanRaycaster::new(VulkanOptions::from_env()?)?;
+    use_it(&mut fresh)?;
+    Ok(())
+}
+
+fn main() {
+    let arguments = Arguments::from_args();
+    let device = VulkanRaycaster::new(VulkanOptions::from_env().unwrap_or_default());
+    let none = device.is_err();
+    if let Err(error) = &device {
+        eprintln!("No Vulkan device, these tests are ignored: {error}");
+    }
+    drop(device);
+    type Test = (&'static str, fn() -> Outcome);
+    let tests: [Test; 5] = [
+        (
+            "a_device_lost_in_any_call_is_an_error_that_names_it",
+            a_device_lost_in_any_call_is_an_error_that_names_it,
+        ),
+        (
+            "frames_in_flight_of_a_lost_device_fail_one_by_one",
+            frames_in_flight_of_a_lost_device_fail_one_by_one,
+        ),
+        (
+            "a_hanging_device_is_waited_for_once_and_left_alone",
+            a_hanging_device_is_waited_for_once_and_left_alone,
+        ),
+        ("a_device_that_answers_again_renders_again", a_device_that_answers_again_renders_again),
+        (
+            "a_frame_that_takes_too_long_is_given_up_while_it_runs",
+            a_frame_that_takes_too_long_is_given_up_while_it_runs,
+        ),
+    ];
+    let trials =
+        tests.into_iter().map(|(name, run)| Trial::test(name, run).with_ignored_flag(none)).collect();
+    libtest_mimic::run(&arguments, trials).exit();
+}
