@@ -25,5 +25,6 @@ pub use probe::{MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_DIRECTION, SHADOW_OPAC
 pub use schema::{SceneFeature, SceneQuantity};
 pub use transfer::{CORRELATION_LENGTH, TransferSummary};
 pub use volume::{
-    BLOCK_EDGE, DEFAULT_CELLS_PER_AXIS, Geometry, LARGEST_INDEX, QUANTILES, SummaryOptions, VolumeSummary,
+    BLOCK_EDGE, DEFAULT_CELLS_PER_AXIS, Geometry, LARGEST_INDEX, QUANTILES, SummaryBuilder, SummaryOptions,
+    VolumeSummary,
 };

@@ -15,4 +15,4 @@ pub use transfer::{
     corrected_opacity,
 };
 pub use volume::{MAX_REPEATED_VOXELS, MAX_VOLUME_EDGE, ScalarType, Scalars, VolumeView};
-pub(crate) use volume::{bounding_radius, check_edges, check_spacing, ratios};
+pub(crate) use volume::{bounding_radius, check_edges, check_spacing, normalize, ratios};

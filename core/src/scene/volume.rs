@@ -296,18 +296,7 @@ impl<'a> VolumeView<'a> {
     /// Maps a stored value to [0, 1] over the range: clamped, NaN → 0; an empty range maps everything to 0.
     #[inline]
     pub fn normalize(&self, value: f32) -> f32 {
-        let (lo, hi) = self.range;
-        let width = hi - lo;
-        if width <= 0.0 || value.is_nan() {
-            return 0.0;
-        }
-        // Written so that an infinite width (f32::MIN…f32::MAX) still gives a number in [0, 1].
-        let t = if width.is_finite() {
-            (value - lo) / width
-        } else {
-            (value * 0.5 - lo * 0.5) / (hi * 0.5 - lo * 0.5)
-        };
-        t.clamp(0.0, 1.0)
+        normalize(self.range, value)
     }
 
     fn default_range(&self) -> (f32, f32) {
@@ -328,6 +317,22 @@ impl<'a> VolumeView<'a> {
         }
         if lo <= hi { (lo, hi) } else { (0.0, 1.0) }
     }
+}
+
+/// As [`VolumeView::normalize`] over a range.
+#[inline]
+pub(crate) fn normalize((lo, hi): (f32, f32), value: f32) -> f32 {
+    let width = hi - lo;
+    if width <= 0.0 || value.is_nan() {
+        return 0.0;
+    }
+    // Written so that an infinite width (f32::MIN…f32::MAX) still gives a number in [0, 1].
+    let t = if width.is_finite() {
+        (value - lo) / width
+    } else {
+        (value * 0.5 - lo * 0.5) / (hi * 0.5 - lo * 0.5)
+    };
+    t.clamp(0.0, 1.0)
 }
 
 /// The checks of [`VolumeView::with_spacing`], for everything that has a spacing.

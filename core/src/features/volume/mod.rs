@@ -1,14 +1,18 @@
 //! What is kept of a volume: a grid of cells with value bounds and quantiles.
 
+mod builder;
+mod entries;
 mod scan;
 
+pub use builder::SummaryBuilder;
+
 use crate::error::bail;
-use crate::scene::{ScalarType, Scalars, VolumeView, bounding_radius, check_edges, check_spacing};
+use crate::kernels::Executor;
+use crate::scene::{ScalarType, VolumeView, bounding_radius, check_edges, check_spacing};
 use crate::{Error, ErrorKind, Result};
 use alloc::vec;
 use alloc::vec::Vec;
 use glam::Vec3;
-use scan::{Entries, copy, entries, to_positions};
 
 /// Edge of the blocks that renderers skip by, in voxels.
 pub const BLOCK_EDGE: usize = 8;
@@ -84,33 +88,24 @@ pub struct VolumeSummary {
 }
 
 impl VolumeSummary {
-    /// Scans a volume once.
+    /// Scans a volume once, on the calling thread.
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with
     /// more blocks than can be indexed.
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
-        let mut summary = Self::layout(volume.dims(), volume.spacing(), volume.scalar_type(), options)?;
-        match volume.scalars() {
-            Scalars::U8(s) => {
-                // Everything kept is monotone in the stored byte: bytes are counted, and mapped at the end.
-                let mut positions: [f32; 256] = core::array::from_fn(|v| v as f32);
-                to_positions(volume, &mut positions);
-                let mut map = Entries { low: [0; 256], high: [0; 256], near: [0; 256] };
-                entries(&positions, [&mut map.low, &mut map.high, &mut map.near]);
-                let total = summary.scan(volume, &map, |at, [low, high, near]| {
-                    copy(s, at, near, |v| v);
-                    low.copy_from_slice(near);
-                    high.copy_from_slice(near);
-                    0
-                });
-                summary.remapped = total[0] == 0;
-            }
-            Scalars::U16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from)),
-            Scalars::I16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from)),
-            Scalars::F32(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, |v| v)),
-        }
-        Ok(summary)
+        Self::new_on(volume, options, Executor::serial())
+    }
+
+    /// As [`VolumeSummary::new`] on threads that the caller gives; the summary does not depend on them. For progress,
+    /// for stopping and for volumes that are never there as a whole there is [`SummaryBuilder`].
+    ///
+    /// # Errors
+    /// As [`VolumeSummary::new`].
+    pub fn new_on(volume: &VolumeView<'_>, options: SummaryOptions, executor: Executor<'_>) -> Result<Self> {
+        let mut builder = SummaryBuilder::new(volume, volume.dims()[2], options)?;
+        builder.add(volume, executor)?;
+        builder.finish()
     }
 
     /// From bounds that the renderer already has: one (low, high) pair of normalized scalars per brick of
