@@ -21,29 +21,14 @@ pub(super) struct Optics {
     pub(super) visible: f32,
     /// Share of the cell's blocks that are not empty.
     pub(super) occupied: f32,
-    /// The edit that the three were computed for; those of another edit are stale.
-    edit: u32,
 }
 
-/// Numbers of an [`Optics`]: extinction, visible, occupied, edit, each as its bits.
-pub(super) const OPTICS_WORDS: usize = 4;
+/// Numbers kept of a cell's [`Optics`]: extinction and visible.
+pub(super) const OPTICS: usize = 2;
 
-type OpticsWords = [u32; OPTICS_WORDS];
-
-impl Optics {
-    fn from_words(words: OpticsWords) -> Self {
-        Self {
-            extinction: f32::from_bits(words[0]),
-            visible: f32::from_bits(words[1]),
-            occupied: f32::from_bits(words[2]),
-            edit: words[3],
-        }
-    }
-
-    fn words(self) -> OpticsWords {
-        [self.extinction.to_bits(), self.visible.to_bits(), self.occupied.to_bits(), self.edit]
-    }
-}
+/// Cells whose flags share a word: in the lower half, whether a cell is not empty, in the upper half, whether its
+/// [`Optics`] are those of the present table.
+pub(super) const FLAGGED: usize = 16;
 
 /// Runs of visible table entries up to which cells are compared with each run, many cells at a time; with more, each
 /// cell is looked up in a prefix table.
@@ -55,13 +40,12 @@ const MAX_RANGES: usize = 8;
 /// meets the cell, and kept until the next edit: an edit costs what its frame looks at, not what the volume holds.
 #[derive(Clone, Debug)]
 pub struct TransferSummary {
-    /// A bit per cell, 32 in a word: 0 where a renderer skips the cell whole.
-    bits: Vec<u32>,
+    /// Two bits per cell, of [`FLAGGED`] cells in a word.
+    flags: Vec<u32>,
     /// Share of each cell's blocks that are not empty, where cells hold several blocks; else nothing.
     occupied: Vec<f32>,
-    /// An [`Optics`] per cell, as words: packets of rays gather from them.
-    optics: Vec<OpticsWords>,
-    edit: u32,
+    /// The [`Optics`] of each cell whose flag says that they are known.
+    optics: Vec<[f32; OPTICS]>,
     /// Table entries with opacity below each entry.
     opaque: [u16; TABLE_LEN + 1],
     /// Sum of transmittances over the correlation length below each entry. In double precision: differences of sums near
@@ -85,10 +69,9 @@ impl TransferSummary {
     /// Applies a table to a volume.
     pub fn new(volume: &VolumeSummary, table: &TransferTable) -> Self {
         let mut summary = Self {
-            bits: Vec::new(),
+            flags: Vec::new(),
             occupied: Vec::new(),
             optics: Vec::new(),
-            edit: 0,
             opaque: [0; TABLE_LEN + 1],
             transmittance: [0.0; TABLE_LEN + 1],
             grid: volume.cells(),
@@ -110,9 +93,9 @@ impl TransferSummary {
     /// than any before it.
     pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) {
         let n = volume.cell_count();
-        self.bits.resize(n.div_ceil(32), 0);
+        self.flags.resize(n.div_ceil(FLAGGED), 0);
         self.occupied.resize(if volume.first_blocks().is_some() { n } else { 0 }, 0.0);
-        self.optics.resize(n, [0; OPTICS_WORDS]);
+        self.optics.resize(n, [0.0; OPTICS]);
         self.distance.resize(n, 0);
         let longest = volume.cells().into_iter().max().unwrap_or(1);
         let room = (2 * longest).max(n).max(volume.block_ranges().0.len());
@@ -121,12 +104,6 @@ impl TransferSummary {
         }
         self.grid = volume.cells();
         self.distance_ready = false;
-        self.edit = self.edit.wrapping_add(1);
-        if self.edit == 0 {
-            // The count of edits began anew: whatever is kept could be taken for present.
-            self.optics.fill([0; OPTICS_WORDS]);
-            self.edit = 1;
-        }
         self.read_table(volume, table);
         self.classify(volume);
     }
@@ -174,7 +151,7 @@ impl TransferSummary {
                 // 128 flags at most: their sum fits a byte.
                 let count: u64 = flags.chunks(128).map(|f| u64::from(f.iter().copied().sum::<u8>())).sum();
                 sum = count as f64;
-                pack(flags, &mut self.bits);
+                pack(flags, &mut self.flags);
             }
             Some(first) => {
                 let (block_low, block_high) = volume.block_ranges();
@@ -196,7 +173,7 @@ impl TransferSummary {
                 for (flag, &occupied) in flags.iter_mut().zip(&self.occupied) {
                     *flag = u8::from(occupied > 0.0);
                 }
-                pack(flags, &mut self.bits);
+                pack(flags, &mut self.flags);
             }
         }
         self.occupied_share = (sum / n as f64) as f32;
@@ -225,14 +202,18 @@ impl TransferSummary {
     /// What a cell that is not empty does to a ray.
     #[inline(always)]
     pub(super) fn optics(&mut self, volume: &VolumeSummary, cell: usize) -> Optics {
-        let known = Optics::from_words(self.optics[cell]);
-        if known.edit == self.edit { known } else { self.compute(volume, cell) }
+        let known = self.flags[cell / FLAGGED] >> (FLAGGED + cell % FLAGGED) & 1 != 0;
+        if !known {
+            self.compute(volume, cell);
+        }
+        let [extinction, visible] = self.optics[cell];
+        Optics { extinction, visible, occupied: self.occupied.get(cell).copied().unwrap_or(1.0) }
     }
 
-    /// The same, computed anew and kept.
+    /// Computes what a cell does to a ray, and keeps it until the next edit.
     #[cold]
     #[inline(never)]
-    pub(super) fn compute(&mut self, volume: &VolumeSummary, cell: usize) -> Optics {
+    pub(super) fn compute(&mut self, volume: &VolumeSummary, cell: usize) {
         let (mut t, mut v) = (0.0f32, 0.0f32);
         for pair in volume.quantiles(cell).windows(2) {
             let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
@@ -241,21 +222,22 @@ impl TransferSummary {
             v += f32::from(self.opaque[b + 1] - self.opaque[a]) * inverse;
         }
         let t = (t * (1.0 / super::QUANTILES as f32)).clamp(1.0e-12, 1.0);
-        let optics = Optics {
-            visible: (v * (1.0 / super::QUANTILES as f32)).clamp(0.0, 1.0),
-            extinction: -libm::logf(t) * (1.0 / CORRELATION_LENGTH),
-            occupied: self.occupied.get(cell).copied().unwrap_or(1.0),
-            edit: self.edit,
-        };
-        self.optics[cell] = optics.words();
-        optics
+        let visible = (v * (1.0 / super::QUANTILES as f32)).clamp(0.0, 1.0);
+        let extinction = -libm::logf(t) * (1.0 / CORRELATION_LENGTH);
+        self.optics[cell] = [extinction, visible];
+        self.flags[cell / FLAGGED] |= 1 << (FLAGGED + cell % FLAGGED);
     }
 
-    /// What is kept of all cells, for packets of rays: [`OPTICS_WORDS`] words per cell, good where the last is
-    /// [`TransferSummary::edit`].
+    /// What is kept of all cells, for packets of rays: [`OPTICS`] numbers per cell, good where its flag says so.
     #[inline(always)]
-    pub(super) fn optics_words(&self) -> &[u32] {
+    pub(super) fn kept_optics(&self) -> &[f32] {
         self.optics.as_flattened()
+    }
+
+    /// Share of each cell's blocks that are not empty, where cells hold several blocks; else nothing.
+    #[inline(always)]
+    pub(super) fn occupied_shares(&self) -> &[f32] {
+        &self.occupied
     }
 
     /// Number of cells.
@@ -263,22 +245,16 @@ impl TransferSummary {
         self.optics.len()
     }
 
-    /// The number of the present edit.
+    /// Flags of [`FLAGGED`] cells in each word.
     #[inline(always)]
-    pub(super) fn edit(&self) -> u32 {
-        self.edit
-    }
-
-    /// A bit per cell, 32 in a word: whether it is not empty.
-    #[inline(always)]
-    pub(super) fn bits(&self) -> &[u32] {
-        &self.bits
+    pub(super) fn flags(&self) -> &[u32] {
+        &self.flags
     }
 
     /// Whether a cell is not empty; what lies outside the grid is.
     #[inline(always)]
     pub(super) fn is_occupied(&self, cell: usize) -> bool {
-        self.bits.get(cell / 32).is_some_and(|word| word >> (cell % 32) & 1 != 0)
+        self.flags.get(cell / FLAGGED).is_some_and(|word| word >> (cell % FLAGGED) & 1 != 0)
     }
 
     /// Share of the volume's blocks that are not empty.
@@ -344,7 +320,7 @@ impl TransferSummary {
             return;
         }
         let [nx, ny, _] = self.grid;
-        for (cells, &word) in self.distance.chunks_mut(32).zip(&self.bits) {
+        for (cells, &word) in self.distance.chunks_mut(FLAGGED).zip(&self.flags) {
             for (i, d) in cells.iter_mut().enumerate() {
                 *d = if word >> i & 1 != 0 { 0 } else { u8::MAX };
             }
@@ -398,9 +374,9 @@ fn flag(low: &[u8], high: &[u8], ranges: Option<&[(u8, u8)]>, opaque: &[u16; TAB
     }
 }
 
-/// Packs flags of 0 and 1 into bits.
-fn pack(flags: &[u8], bits: &mut [u32]) {
-    for (flags, word) in flags.chunks(32).zip(bits) {
+/// Packs flags of 0 and 1 into the lower halves of words.
+fn pack(flags: &[u8], words: &mut [u32]) {
+    for (flags, word) in flags.chunks(FLAGGED).zip(words) {
         *word = 0;
         for (i, eight) in flags.chunks(8).enumerate() {
             let mut bytes = [0; 8];

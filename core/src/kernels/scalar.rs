@@ -162,10 +162,6 @@ impl Simd for Scalar {
         Four(core::array::from_fn(|i| a.0[i] <= b.0[i]))
     }
     #[inline(always)]
-    fn eq_i(self, a: Self::I, b: Self::I) -> Self::M {
-        Four(core::array::from_fn(|i| a.0[i] == b.0[i]))
-    }
-    #[inline(always)]
     fn and_m(self, a: Self::M, b: Self::M) -> Self::M {
         zip(a, b, |a, b| a & b)
     }
@@ -215,9 +211,20 @@ impl Simd for Scalar {
         map(index, |i| from[(i as u32 as usize).min(last)] as i32)
     }
     #[inline(always)]
-    fn bit(self, words: &[u32], index: Self::I) -> Self::M {
-        let last = words.len() - 1;
-        map(index, |i| words[(i as u32 as usize / 32).min(last)] >> (i as u32 % 32) & 1 != 0)
+    fn test(self, words: Self::I, place: Self::I) -> Self::M {
+        Four(core::array::from_fn(|i| words.0[i] >> place.0[i] & 1 != 0))
+    }
+    #[inline(always)]
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
+        map(a, |a| (a as u32 >> BITS) as i32)
+    }
+    #[inline(always)]
+    fn and_i(self, a: Self::I, b: i32) -> Self::I {
+        map(a, |a| a & b)
+    }
+    #[inline(always)]
+    fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {
+        bytes.iter().map(|&b| u32::from(b == value)).sum()
     }
     #[inline(always)]
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {

@@ -124,7 +124,6 @@ pub(crate) trait Simd: Copy + 'static {
     fn lt(self, a: Self::F, b: Self::F) -> Self::M;
     /// a ≤ b; not where either is NaN.
     fn le(self, a: Self::F, b: Self::F) -> Self::M;
-    fn eq_i(self, a: Self::I, b: Self::I) -> Self::M;
     fn and_m(self, a: Self::M, b: Self::M) -> Self::M;
     /// a without b.
     fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M;
@@ -145,10 +144,16 @@ pub(crate) trait Simd: Copy + 'static {
     fn as_f(self, v: Self::I) -> Self::F;
     /// The words at `index`, taken as unsigned; beyond the end, the last one. There must be one.
     fn gather(self, from: &[u32], index: Self::I) -> Self::I;
-    /// Whether bit `index` of words of 32 is set; beyond the last word, one of the last word's. There must be one.
-    fn bit(self, words: &[u32], index: Self::I) -> Self::M;
+    /// Whether bit `place`, 0 to 31, of each word is set.
+    fn test(self, words: Self::I, place: Self::I) -> Self::M;
+    /// Shifts zeros in from the left.
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I;
+    fn and_i(self, a: Self::I, b: i32) -> Self::I;
     /// Writes the chosen lanes one after another, and gives their number. There must be room for 16.
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize;
+
+    /// How many bytes have a value. There must be fewer than 2³².
+    fn count_bytes(self, bytes: &[u8], value: u8) -> u32;
 
     /// SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise, within
     /// [`SELU_TOLERANCE`](super::SELU_TOLERANCE). NaN stays NaN.

@@ -300,22 +300,41 @@ impl<'a> VolumeView<'a> {
     }
 
     fn default_range(&self) -> (f32, f32) {
-        if self.scalar_type() == ScalarType::U8 {
-            return (0.0, 255.0);
-        }
-        let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
-        for z in 0..self.dims[2] {
-            for y in 0..self.dims[1] {
-                for x in 0..self.dims[0] {
-                    let v = self.value(x, y, z);
-                    if v.is_finite() {
-                        lo = lo.min(v);
-                        hi = hi.max(v);
-                    }
-                }
+        let (lo, hi) = match self.scalars {
+            Scalars::U8(_) => return (0.0, 255.0),
+            Scalars::U16(values) => self.extremes(values, f32::from),
+            Scalars::I16(values) => self.extremes(values, f32::from),
+            Scalars::F32(values) => self.extremes(values, |v| v),
+        };
+        if lo <= hi { (lo, hi) } else { (0.0, 1.0) }
+    }
+
+    /// The least and the greatest finite value; the greater first where there is none.
+    fn extremes<T: Copy>(&self, values: &[T], number: impl Fn(T) -> f32) -> (f32, f32) {
+        /// Side by side, so that compilers vectorize.
+        const LANES: usize = 32;
+        let mut lanes = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+        let mut take = |values: &[T]| {
+            for ((lo, hi), &v) in lanes.0.iter_mut().zip(&mut lanes.1).zip(values) {
+                let v = number(v);
+                let v = if v.is_finite() { v } else { f32::NAN };
+                *lo = if v < *lo { v } else { *lo };
+                *hi = if v > *hi { v } else { *hi };
+            }
+        };
+        let ([nx, ny, nz], stride) = (self.dims, self.strides[0]);
+        for (z, y) in (0..nz).flat_map(|z| (0..ny).map(move |y| (z, y))) {
+            let at = self.index(0, y, z);
+            if stride == 1 {
+                let (chunks, rest) = values[at..at + nx].as_chunks::<LANES>();
+                chunks.iter().for_each(|chunk| take(chunk));
+                take(rest);
+            } else {
+                (0..nx).for_each(|x| take(&values[at + x * stride..][..1]));
             }
         }
-        if lo <= hi { (lo, hi) } else { (0.0, 1.0) }
+        let lo = lanes.0.into_iter().fold(f32::INFINITY, f32::min);
+        (lo, lanes.1.into_iter().fold(f32::NEG_INFINITY, f32::max))
     }
 }
 

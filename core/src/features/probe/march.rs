@@ -33,6 +33,9 @@ pub(super) const FIELDS: usize = 13;
 /// Direction components nearer to zero than this are taken as this.
 pub(super) const TINY: f32 = 1.0e-9;
 
+/// Chords that are counted at a time.
+pub(super) const KEPT: usize = 256;
+
 const FIRST_BIN_EXPONENT: u32 = 127 - 4;
 
 /// Chords through empty space by length, counted in whole numbers so that no order of rays changes a sum.
@@ -48,25 +51,55 @@ impl ChordCounts {
     /// Of a chord, and of a reference step.
     const UNIT: f32 = 1048576.0;
 
-    fn bin(length: f32) -> usize {
+    /// Longer chords are taken as this long, in reference steps.
+    const LONGEST: f32 = 2040.0;
+
+    #[inline(always)]
+    fn bin(length: f32) -> u32 {
         let half_octave = length.to_bits() >> 22;
-        half_octave.saturating_sub(FIRST_BIN_EXPONENT << 1).min(BINS as u32 - 1) as usize
+        half_octave.saturating_sub(FIRST_BIN_EXPONENT << 1).min(BINS as u32 - 1)
+    }
+
+    /// A length in [`Self::UNIT`]s.
+    #[inline(always)]
+    fn units(length: f32) -> u32 {
+        let length = if length < Self::LONGEST { length } else { Self::LONGEST };
+        (length * Self::UNIT) as i32 as u32
     }
 
     /// Adds a chord.
     #[inline(always)]
     pub(super) fn add_one(&mut self, length: f32) {
-        let bin = Self::bin(length);
+        let bin = Self::bin(length) as usize;
         self.count[bin] += Self::UNIT as u64;
-        self.length[bin] += (length * Self::UNIT) as u64;
+        self.length[bin] += u64::from(Self::units(length));
+    }
+
+    /// Adds chords.
+    #[inline(always)]
+    pub(super) fn add_all(&mut self, lengths: &[f32; KEPT], count: usize) {
+        /// Where the number of chords stands above their length.
+        const ONE: u64 = 1 << 40;
+        let bins = lengths.map(Self::bin);
+        let units = lengths.map(Self::units);
+        // Four tables in turn: in one, equal neighbors would wait for each other.
+        let mut sums = [[0u64; 32]; 4];
+        for (i, (&bin, &units)) in bins.iter().zip(&units).enumerate().take(count) {
+            sums[i % 4][bin as usize % 32] += ONE + u64::from(units);
+        }
+        for bin in 0..BINS {
+            let sum: u64 = sums.iter().map(|s| s[bin]).sum();
+            self.count[bin] += (sum / ONE) * Self::UNIT as u64;
+            self.length[bin] += sum % ONE;
+        }
     }
 
     /// Adds as many chords of `length` as make `together`.
     #[inline(always)]
     pub(super) fn add_many(&mut self, length: f32, together: f32) {
-        let bin = Self::bin(length);
+        let bin = Self::bin(length) as usize;
         self.count[bin] += (together / length * Self::UNIT) as u64;
-        self.length[bin] += (together * Self::UNIT) as u64;
+        self.length[bin] += (together.min(16_777_216.0) * Self::UNIT) as u64;
     }
 
     /// The mean over rays, given one over their number.
@@ -95,6 +128,8 @@ pub(super) struct March<'a> {
     pub(super) per_step: f32,
     /// Optical depth at which a ray ends.
     pub(super) depth_end: f32,
+    /// Optical depth at which a shadow ray ends.
+    pub(super) shadow_end: f32,
     /// Edges of a block in scene units where cells hold several blocks.
     pub(super) block: Option<Vec3>,
     pub(super) block_skips: ChordCounts,
@@ -158,6 +193,7 @@ impl<'a> March<'a> {
             scatters: frame.shading() == Shading::Scatter,
             per_step: 1.0 / geometry.reference_step,
             depth_end: if termination < 1.0 { -libm::log1pf(-termination) } else { f32::INFINITY },
+            shadow_end: -libm::log1pf(-SHADOW_OPACITY),
             block: (block != edge).then_some(block * voxel),
             block_skips: ChordCounts::NOTHING,
             distance_skips: ChordCounts::NOTHING,
@@ -175,6 +211,19 @@ impl<'a> March<'a> {
         match level {
             Some(level) if !self.maps_distance() => super::packet::march(level, self, rays, count),
             _ => self.one_by_one(rays, count),
+        }
+    }
+
+    /// Computes what cells do to a ray: a bit in `lanes` for each of `cells`.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn compute(&mut self, cells: &[i32; 16], mut lanes: u32) {
+        while lanes != 0 {
+            let cell = cells[lanes.trailing_zeros() as usize] as usize;
+            if cell < self.transfer.cell_count() {
+                self.transfer.compute(self.volume, cell);
+            }
+            lanes &= lanes - 1;
         }
     }
 
@@ -317,7 +366,7 @@ impl<'a> March<'a> {
         let start = (from + self.half_extent) * self.scale - self.shift;
         let mut walk = Walk::new(start, direction * self.scale, 0.0, self.grid);
         let rate = direction.length() * self.per_step;
-        let end = -libm::log1pf(-SHADOW_OPACITY);
+        let end = self.shadow_end;
         let (mut t, mut depth, mut occupied, mut skips) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
         while t < t_exit {
             let t_next = walk.leaves().min(t_exit);

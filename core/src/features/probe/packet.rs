@@ -1,16 +1,13 @@
 //! Rays side by side through the grid of cells: as many as a vector has lanes, neighbors in the probe, each in the
 //! arithmetic of [`March::ray`] to the last bit. A lane whose ray has ended waits for the others of its packet.
 
+use super::SHADOW_DIRECTION;
 use super::march::{
-    CHORD, DEPTH, DRAW, EMPTY, FIELDS, March, OCCUPIED, RUNS, SHADOW, SHADOW_ALL, SHADOW_SKIPS, TERMINATED,
-    TINY, U, V, VISIBLE,
+    CHORD, DEPTH, DRAW, EMPTY, FIELDS, KEPT, March, OCCUPIED, RUNS, SHADOW, SHADOW_ALL, SHADOW_SKIPS,
+    TERMINATED, TINY, U, V, VISIBLE,
 };
-use super::{SHADOW_DIRECTION, SHADOW_OPACITY};
-use crate::features::transfer::OPTICS_WORDS;
+use crate::features::transfer::{FLAGGED, OPTICS};
 use crate::kernels::{Kernel, Level, Simd};
-
-/// Lengths of chords through empty cells that are kept before they are counted.
-const KEPT: usize = 256;
 
 /// Marches the first `count` rays. `rays` must have room for a multiple of 16.
 pub(super) fn march(level: Level, march: &mut March<'_>, rays: &mut [&mut [f32]; FIELDS], count: usize) {
@@ -28,11 +25,13 @@ impl Kernel for Packets<'_, '_, '_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
+        let mut packet = Packet { simd, march: self.march, kept: [0.0; KEPT], kept_count: 0 };
         let mut at = 0;
         while at < self.count {
-            Packet { simd, march: self.march }.march(self.rays, at, self.count - at);
+            packet.march(self.rays, at, self.count - at);
             at += S::LANES;
         }
+        packet.march.block_skips.add_all(&packet.kept, packet.kept_count);
     }
 }
 
@@ -51,6 +50,9 @@ struct Walk<S: Simd> {
 struct Packet<'a, 'm, S> {
     simd: S,
     march: &'a mut March<'m>,
+    /// Lengths of chords through empty cells, to be counted.
+    kept: [f32; KEPT],
+    kept_count: usize,
 }
 
 impl<S: Simd> Packet<'_, '_, S> {
@@ -94,14 +96,16 @@ impl<S: Simd> Packet<'_, '_, S> {
         self.simd.min(self.simd.min(walk.next[0], walk.next[1]), walk.next[2])
     }
 
-    /// Goes on to the next cell where `goes_on`.
+    /// Goes on to the next cell. A ray that has left the box goes nowhere in particular, and is not alive.
+    ///
+    /// That nothing here waits for what a cell does to its ray lets the next cells be fetched meanwhile.
     #[inline(always)]
-    fn advance(&self, walk: &mut Walk<S>, goes_on: S::M) {
+    fn advance(&self, walk: &mut Walk<S>) {
         let simd = self.simd;
         let t = self.leaves(walk);
         let none = simd.splat(f32::INFINITY);
         for k in 0..3 {
-            let crosses = simd.and_m(simd.le(walk.next[k], t), goes_on);
+            let crosses = simd.le(walk.next[k], t);
             let further = simd.add(walk.next[k], walk.delta[k]);
             let further = simd.select(simd.lt(walk.last[k], further), none, further);
             walk.next[k] = simd.select(crosses, further, walk.next[k]);
@@ -109,35 +113,39 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Extinction, visible and occupied share of the cells of `lanes`; of other lanes, anything.
+    /// In which of `lanes` the cell is not empty; what those cells do to a ray is known then.
     #[inline(always)]
-    fn optics(&mut self, index: S::I, lanes: S::M) -> (S::F, S::F, S::F) {
+    fn full(&mut self, index: S::I, lanes: S::M) -> S::M {
         let simd = self.simd;
-        let first = simd.mul_i(index, OPTICS_WORDS as i32);
-        let edit = simd.gather(self.march.transfer.optics_words(), simd.add_i(first, simd.splat_i(3)));
-        let known = simd.eq_i(edit, simd.splat_i(self.march.transfer.edit() as i32));
-        let unknown = simd.and_not_m(lanes, known);
+        let words = simd.gather(self.march.transfer.flags(), simd.shift_right::<{ FLAGGED.ilog2() }>(index));
+        let place = simd.and_i(index, FLAGGED as i32 - 1);
+        let full = simd.and_m(simd.test(words, place), lanes);
+        let known = simd.test(words, simd.add_i(place, simd.splat_i(FLAGGED as i32)));
+        let unknown = simd.and_not_m(full, known);
         if simd.any(unknown) {
-            self.compute(index, unknown);
+            let mut cells = [0i32; 16];
+            simd.write_i(index, &mut cells);
+            self.march.compute(&cells, simd.lane_bits(unknown));
         }
-        let words = self.march.transfer.optics_words();
-        let at = |k: i32| simd.as_f(simd.gather(words, simd.add_i(first, simd.splat_i(k))));
-        (at(0), at(1), at(2))
+        full
     }
 
-    /// Computes what the cells of `lanes` do to a ray.
-    #[inline(never)]
-    #[cold]
-    fn compute(&mut self, index: S::I, lanes: S::M) {
-        let mut cells = [0i32; 16];
-        self.simd.write_i(index, &mut cells);
-        let mut lanes = self.simd.lane_bits(lanes);
-        while lanes != 0 {
-            let cell = cells[lanes.trailing_zeros() as usize] as usize;
-            if cell < self.march.transfer.cell_count() {
-                self.march.transfer.compute(self.march.volume, cell);
-            }
-            lanes &= lanes - 1;
+    /// Extinction and visible share of the cells.
+    #[inline(always)]
+    fn optics(&self, index: S::I) -> (S::F, S::F) {
+        let simd = self.simd;
+        let kept = bytemuck::cast_slice(self.march.transfer.kept_optics());
+        let first = simd.mul_i(index, OPTICS as i32);
+        let second = simd.add_i(first, simd.splat_i(1));
+        (simd.as_f(simd.gather(kept, first)), simd.as_f(simd.gather(kept, second)))
+    }
+
+    /// Occupied share of the cells.
+    #[inline(always)]
+    fn share(&self, index: S::I) -> S::F {
+        match self.march.transfer.occupied_shares() {
+            [] => self.simd.splat(1.0),
+            shares => self.simd.as_f(self.simd.gather(bytemuck::cast_slice(shares), index)),
         }
     }
 
@@ -208,29 +216,29 @@ impl<S: Simd> Packet<'_, '_, S> {
         let (mut runs, mut far, mut terminated) = (zero, zero, zero);
         let mut lit = simd.splat(-1.0);
         let mut was_occupied = simd.lt(zero, zero);
-        let mut kept = [0.0f32; KEPT];
-        let mut kept_count = 0;
         // A ray crosses each face of the grid once.
         let mut left = self.march.grid.iter().sum::<i32>() + 3;
         while simd.any(alive) && left > 0 {
             left -= 1;
             let t_next = simd.min(self.leaves(&walk), t_exit);
             let length = simd.mul(simd.max(simd.sub(t_next, t), zero), rate);
-            let full = simd.and_m(simd.bit(self.march.transfer.bits(), walk.index), alive);
+            let cell = walk.index;
+            self.advance(&mut walk);
+            let full = self.full(cell, alive);
             let hollow = simd.and_not_m(alive, full);
             if simd.any(hollow) {
                 empty = simd.select(hollow, simd.add(empty, length), empty);
                 if split.is_none() {
-                    kept_count += simd.compress(hollow, length, &mut kept[kept_count..]);
-                    if kept_count > KEPT - 16 {
-                        kept[..kept_count].iter().for_each(|&l| self.march.block_skips.add_one(l));
-                        kept_count = 0;
+                    self.kept_count += simd.compress(hollow, length, &mut self.kept[self.kept_count..]);
+                    if self.kept_count > KEPT - 16 {
+                        self.march.block_skips.add_all(&self.kept, self.kept_count);
+                        self.kept_count = 0;
                     }
                 }
             }
             let mut goes_on = simd.and_m(simd.lt(t_next, t_exit), alive);
             if simd.any(full) {
-                let (extinction, shows, share) = self.optics(walk.index, full);
+                let ((extinction, shows), share) = (self.optics(cell), self.share(cell));
                 let d = simd.mul(extinction, length);
                 let sum = simd.add(depth, d);
                 let ends = simd.and_m(simd.le(depth_end, sum), full);
@@ -269,11 +277,9 @@ impl<S: Simd> Packet<'_, '_, S> {
                 }
             }
             was_occupied = full;
-            t = simd.select(goes_on, t_next, t);
-            self.advance(&mut walk, goes_on);
+            t = t_next;
             alive = goes_on;
         }
-        kept[..kept_count].iter().for_each(|&l| self.march.block_skips.add_one(l));
         for (field, value) in [
             (OCCUPIED, occupied),
             (EMPTY, empty),
@@ -325,7 +331,7 @@ impl<S: Simd> Packet<'_, '_, S> {
             pace[k] = simd.mul(simd.splat(direction[k]), scale);
         }
         let rate = simd.splat(direction.length() * self.march.per_step);
-        let end = simd.splat(-libm::log1pf(-SHADOW_OPACITY));
+        let end = simd.splat(self.march.shadow_end);
         let mut walk = self.walk(start, pace, zero);
         let (mut t, mut depth, mut occupied, mut skips) = (zero, zero, zero, zero);
         let mut all = simd.mul(simd.max(t_exit, zero), rate);
@@ -335,12 +341,14 @@ impl<S: Simd> Packet<'_, '_, S> {
             left -= 1;
             let t_next = simd.min(self.leaves(&walk), t_exit);
             let length = simd.mul(simd.max(simd.sub(t_next, t), zero), rate);
-            let full = simd.and_m(simd.bit(self.march.transfer.bits(), walk.index), alive);
+            let cell = walk.index;
+            self.advance(&mut walk);
+            let full = self.full(cell, alive);
             let hollow = simd.and_not_m(alive, full);
             skips = simd.select(hollow, simd.add(skips, simd.splat(1.0)), skips);
             let mut goes_on = simd.and_m(simd.lt(t_next, t_exit), alive);
             if simd.any(full) {
-                let (extinction, _, share) = self.optics(walk.index, full);
+                let ((extinction, _), share) = (self.optics(cell), self.share(cell));
                 let d = simd.mul(extinction, length);
                 let sum = simd.add(depth, d);
                 let ends = simd.and_m(simd.le(end, sum), full);
@@ -356,8 +364,7 @@ impl<S: Simd> Packet<'_, '_, S> {
                 depth = simd.select(full, sum, depth);
                 occupied = simd.select(full, simd.add(occupied, inside), occupied);
             }
-            t = simd.select(goes_on, t_next, t);
-            self.advance(&mut walk, goes_on);
+            t = t_next;
             alive = goes_on;
         }
         [occupied, all, skips]

@@ -93,12 +93,7 @@ pub(super) trait Voxel: Copy + Send + Sync + core::fmt::Debug + 'static {
     fn is_non_finite(self) -> bool {
         false
     }
-    /// What is counted where [`Voxel::IS_ENTRY`].
-    #[inline(always)]
-    fn entry(self) -> u8 {
-        0
-    }
-    /// The same of many.
+    /// What is counted where [`Voxel::IS_ENTRY`]: the values themselves.
     #[inline(always)]
     fn bytes(_: &[Self]) -> &[u8] {
         &[]
@@ -150,10 +145,6 @@ macro_rules! integer {
 impl Voxel for u8 {
     integer!(u8);
     const IS_ENTRY: bool = true;
-    #[inline(always)]
-    fn entry(self) -> u8 {
-        self
-    }
     #[inline(always)]
     fn bytes(values: &[Self]) -> &[u8] {
         values

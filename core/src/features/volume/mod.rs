@@ -3,6 +3,8 @@
 mod builder;
 mod entries;
 mod scan;
+#[cfg(test)]
+mod tests;
 
 pub use builder::SummaryBuilder;
 

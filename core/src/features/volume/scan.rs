@@ -147,7 +147,7 @@ impl<T: Voxel> Kernel for &mut Layers<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn run<S: Simd>(self, _: S) {
+    fn run<S: Simd>(self, simd: S) {
         let Grid { dims, cells, edge, .. } = *self.grid;
         let mut scratch = Scratch {
             joined: core::array::from_fn(|_| Joined::new(dims[0])),
@@ -156,12 +156,13 @@ impl<T: Voxel> Kernel for &mut Layers<'_, T> {
                 0;
                 if T::IS_ENTRY { 0 } else { dims[0] * edge[1].min(dims[1]) * edge[2].min(dims[2]) }
             ],
+            batch: vec![0; BATCH],
             counts: [[0; 256]; 4],
         };
         for cz in self.layers.clone() {
             for cy in 0..cells[1] {
                 self.bound(&mut scratch, cz, cy);
-                self.count(&mut scratch, cz, cy);
+                self.count(simd, &mut scratch, cz, cy);
             }
         }
     }
@@ -175,8 +176,13 @@ struct Scratch<T> {
     row: Vec<T>,
     /// Entries of the rows of one row of cells.
     entries: Vec<u8>,
+    /// Entries of a cell side by side.
+    batch: Vec<u8>,
     counts: [[u32; 256]; 4],
 }
+
+/// Most entries that are counted at a time.
+const BATCH: usize = 4096;
 
 impl<T: Voxel> Layers<'_, T> {
     /// The voxels of a row side by side, copied to `scratch` where they do not lie so.
@@ -242,7 +248,7 @@ impl<T: Voxel> Layers<'_, T> {
 
     /// Quantiles of a row of cells.
     #[inline(always)]
-    fn count(&mut self, scratch: &mut Scratch<T>, cz: usize, cy: usize) {
+    fn count<S: Simd>(&mut self, simd: S, scratch: &mut Scratch<T>, cz: usize, cy: usize) {
         let grid = *self.grid;
         let width = grid.dims[0];
         let (zs, ys) = (grid.span(cz, grid.edge[2], 2), grid.span(cy, grid.edge[1], 1));
@@ -250,29 +256,31 @@ impl<T: Voxel> Layers<'_, T> {
             let xs = grid.span(cx, grid.edge[0], 0);
             let total = xs.len() * ys.len() * zs.len();
             let [low, high] = self.entry_bounds([xs.start, ys.start, zs.start], [xs.end, ys.end, zs.end]);
-            let out =
-                &mut self.quantiles[cx + grid.cells[0] * (cy + grid.cells[1] * (cz - self.layers.start))];
+            let cell = cx + grid.cells[0] * (cy + grid.cells[1] * (cz - self.layers.start));
             if low == high {
                 self.counts[usize::from(low)] += total as u64;
-                *out = [self.map.near[usize::from(low)]; QUANTILES + 1];
+                self.quantiles[cell] = [self.map.near[usize::from(low)]; QUANTILES + 1];
                 continue;
             }
+            let batch = Batch { simd, bounds: [low, high] };
+            let mut filled = 0;
             for (r, (z, y)) in zs.clone().flat_map(|z| ys.clone().map(move |y| (z, y))).enumerate() {
-                let bytes = if T::IS_ENTRY {
-                    let at = self.slab.index(0, y, z - self.first * grid.edge[2]);
-                    let stride = self.slab.strides()[0];
-                    if stride != 1 {
-                        for x in xs.clone() {
-                            scratch.counts[0][usize::from(self.voxels[at + x * stride].entry())] += 1;
-                        }
-                        continue;
-                    }
-                    T::bytes(&self.voxels[at + xs.start..at + xs.end])
-                } else {
+                let bytes = if !T::IS_ENTRY {
                     &scratch.entries[r * width..][xs.clone()]
+                } else {
+                    T::bytes(&self.row(&mut scratch.row, y, z)[xs.clone()])
                 };
-                count_entries(bytes, &mut scratch.counts);
+                for piece in bytes.chunks(BATCH) {
+                    if filled + piece.len() > BATCH {
+                        batch.count(&scratch.batch[..filled], &mut scratch.counts);
+                        filled = 0;
+                    }
+                    copy(piece, &mut scratch.batch[filled..filled + piece.len()]);
+                    filled += piece.len();
+                }
             }
+            batch.count(&scratch.batch[..filled], &mut scratch.counts);
+            let out = &mut self.quantiles[cell];
             let range = usize::from(low)..usize::from(high) + 1;
             let [a, b, c, d] = &mut scratch.counts;
             let (mut below, mut next) = (0u64, 0usize);
@@ -354,24 +362,61 @@ impl<T: Voxel> Joined<T> {
     }
 }
 
-/// Counts bytes in four tables in turn: in one, equal neighbors would wait for each other.
+/// Copies a row of a cell; most have one of few lengths, for which no function is called.
 #[inline(always)]
-fn count_entries(bytes: &[u8], counts: &mut [[u32; 256]; 4]) {
-    let (eights, rest) = bytes.as_chunks::<8>();
-    let [a, b, c, d] = counts;
-    for &eight in eights {
-        let word = u64::from_le_bytes(eight);
-        let byte = |i: u32| (word >> (8 * i)) as u8 as usize;
-        a[byte(0)] += 1;
-        b[byte(1)] += 1;
-        c[byte(2)] += 1;
-        d[byte(3)] += 1;
-        a[byte(4)] += 1;
-        b[byte(5)] += 1;
-        c[byte(6)] += 1;
-        d[byte(7)] += 1;
+fn copy(from: &[u8], to: &mut [u8]) {
+    fn fixed<const N: usize>(from: &[u8], to: &mut [u8]) -> bool {
+        match (<&[u8; N]>::try_from(from), <&mut [u8; N]>::try_from(to)) {
+            (Ok(from), Ok(to)) => {
+                *to = *from;
+                true
+            }
+            _ => false,
+        }
     }
-    for &byte in rest {
-        a[usize::from(byte)] += 1;
+    if !(fixed::<8>(from, to) || fixed::<16>(from, to) || fixed::<32>(from, to)) {
+        to.copy_from_slice(from);
+    }
+}
+
+/// Counts entries that all lie within bounds.
+struct Batch<S> {
+    simd: S,
+    bounds: [u8; 2],
+}
+
+impl<S: Simd> Batch<S> {
+    /// Where few entries can occur, each is compared with all bytes; where many can, bytes are counted in four tables
+    /// in turn: in one, equal neighbors would wait for each other.
+    #[inline(always)]
+    fn count(&self, bytes: &[u8], counts: &mut [[u32; 256]; 4]) {
+        let [low, high] = self.bounds;
+        let [a, b, c, d] = counts;
+        if usize::from(high - low) < 2 * S::LANES {
+            let mut left = bytes.len() as u32;
+            for entry in low..high {
+                let n = self.simd.count_bytes(bytes, entry);
+                a[usize::from(entry)] += n;
+                left -= n;
+            }
+            a[usize::from(high)] += left;
+            return;
+        }
+        let (eights, rest) = bytes.as_chunks::<8>();
+        for &eight in eights {
+            let word = u64::from_le_bytes(eight);
+            let byte = |i: u32| (word >> (8 * i)) as u8 as usize;
+            a[byte(0)] += 1;
+            b[byte(1)] += 1;
+            c[byte(2)] += 1;
+            d[byte(3)] += 1;
+            a[byte(4)] += 1;
+            b[byte(5)] += 1;
+            c[byte(6)] += 1;
+            d[byte(7)] += 1;
+        }
+        for &byte in rest {
+            a[usize::from(byte)] += 1;
+        }
     }
 }

@@ -1,14 +1,14 @@
-//! AVX2, FMA and F16C: the one file with these `#[target_feature]`s.
+//! AVX2, FMA, F16C and POPCNT: the one file with these `#[target_feature]`s.
 
 use crate::kernels::simd::{Kernel, Simd};
 use core::arch::x86_64::*;
 
-/// Token of AVX2, FMA and F16C; made only inside [`enter`].
+/// Token of AVX2, FMA, F16C and POPCNT; made only inside [`enter`].
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(());
 
-/// Runs a kernel with AVX2, FMA and F16C.
-#[target_feature(enable = "avx2,fma,f16c")]
+/// Runs a kernel with AVX2, FMA, F16C and POPCNT.
+#[target_feature(enable = "avx2,fma,f16c,popcnt")]
 pub(crate) fn enter<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx2(()))
 }
@@ -204,11 +204,6 @@ impl Simd for Avx2 {
         unsafe { _mm256_cmp_ps::<_CMP_LE_OQ>(a, b) }
     }
     #[inline(always)]
-    fn eq_i(self, a: Self::I, b: Self::I) -> Self::M {
-        // SAFETY: token.
-        unsafe { _mm256_castsi256_ps(_mm256_cmpeq_epi32(a, b)) }
-    }
-    #[inline(always)]
     fn and_m(self, a: Self::M, b: Self::M) -> Self::M {
         // SAFETY: token.
         unsafe { _mm256_and_ps(a, b) }
@@ -275,14 +270,40 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    fn bit(self, words: &[u32], index: Self::I) -> Self::M {
-        // SAFETY: token.
-        let (word, shift) = unsafe {
-            let word = self.gather(words, _mm256_srli_epi32::<5>(index));
-            (word, _mm256_and_si256(index, _mm256_set1_epi32(31)))
-        };
+    fn test(self, words: Self::I, place: Self::I) -> Self::M {
         // SAFETY: token. The bit asked for becomes the sign.
-        unsafe { _mm256_castsi256_ps(_mm256_slli_epi32::<31>(_mm256_srlv_epi32(word, shift))) }
+        unsafe { _mm256_castsi256_ps(_mm256_slli_epi32::<31>(_mm256_srlv_epi32(words, place))) }
+    }
+    #[inline(always)]
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm256_srl_epi32(a, _mm_cvtsi32_si128(BITS as i32)) }
+    }
+    #[inline(always)]
+    fn and_i(self, a: Self::I, b: i32) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm256_and_si256(a, _mm256_set1_epi32(b)) }
+    }
+    #[inline(always)]
+    fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {
+        let mut count = 0u64;
+        // Bytes of a sum overflow after 255 vectors.
+        for part in bytes.chunks(255 * 32) {
+            let (vectors, rest) = part.as_chunks::<32>();
+            // SAFETY: token; each vector has 32 bytes.
+            let sums: [u64; 4] = unsafe {
+                let sought = _mm256_set1_epi8(value as i8);
+                let mut sum = _mm256_setzero_si256();
+                for v in vectors {
+                    let same = _mm256_cmpeq_epi8(_mm256_loadu_si256(v.as_ptr().cast()), sought);
+                    sum = _mm256_sub_epi8(sum, same);
+                }
+                core::mem::transmute(_mm256_sad_epu8(sum, _mm256_setzero_si256()))
+            };
+            count += sums.iter().sum::<u64>();
+            count += rest.iter().map(|&b| u64::from(b == value)).sum::<u64>();
+        }
+        count as u32
     }
     #[inline(always)]
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {

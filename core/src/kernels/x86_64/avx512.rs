@@ -8,13 +8,13 @@ use core::arch::x86_64::*;
 pub(crate) struct Avx512<const VNNI: bool>(());
 
 /// Runs a kernel with AVX-512 F, BW, DQ and VL.
-#[target_feature(enable = "avx2,fma,f16c,avx512f,avx512bw,avx512dq,avx512vl")]
+#[target_feature(enable = "avx2,fma,f16c,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 pub(crate) fn enter<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx512::<false>(()))
 }
 
 /// Runs a kernel with AVX-512 F, BW, DQ, VL and VNNI.
-#[target_feature(enable = "avx2,fma,f16c,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni")]
+#[target_feature(enable = "avx2,fma,f16c,popcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni")]
 pub(crate) fn enter_vnni<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx512::<true>(()))
 }
@@ -213,11 +213,6 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         unsafe { _mm512_cmp_ps_mask::<_CMP_LE_OQ>(a, b) }
     }
     #[inline(always)]
-    fn eq_i(self, a: Self::I, b: Self::I) -> Self::M {
-        // SAFETY: token.
-        unsafe { _mm512_cmpeq_epi32_mask(a, b) }
-    }
-    #[inline(always)]
     fn and_m(self, a: Self::M, b: Self::M) -> Self::M {
         a & b
     }
@@ -278,13 +273,32 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         }
     }
     #[inline(always)]
-    fn bit(self, words: &[u32], index: Self::I) -> Self::M {
+    fn test(self, words: Self::I, place: Self::I) -> Self::M {
         // SAFETY: token.
-        unsafe {
-            let word = self.gather(words, _mm512_srli_epi32::<5>(index));
-            let shift = _mm512_and_si512(index, _mm512_set1_epi32(31));
-            _mm512_test_epi32_mask(_mm512_srlv_epi32(word, shift), _mm512_set1_epi32(1))
+        unsafe { _mm512_test_epi32_mask(_mm512_srlv_epi32(words, place), _mm512_set1_epi32(1)) }
+    }
+    #[inline(always)]
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_srli_epi32::<BITS>(a) }
+    }
+    #[inline(always)]
+    fn and_i(self, a: Self::I, b: i32) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_and_si512(a, _mm512_set1_epi32(b)) }
+    }
+    #[inline(always)]
+    fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {
+        let (vectors, rest) = bytes.as_chunks::<64>();
+        let mut count = rest.iter().map(|&b| u32::from(b == value)).sum();
+        for v in vectors {
+            // SAFETY: token; the vector has 64 bytes.
+            let same = unsafe {
+                _mm512_cmpeq_epi8_mask(_mm512_loadu_si512(v.as_ptr().cast()), _mm512_set1_epi8(value as i8))
+            };
+            count += same.count_ones();
         }
+        count
     }
     #[inline(always)]
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {
