@@ -51,9 +51,9 @@
  *
  * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits before anything
  * is allocated or read; a larger one gives ENTIRE_SIZE_MISMATCH. Memory for what the caller declares (copies,
- * features, batches) is asked for in a way that can fail: ENTIRE_OUT_OF_MEMORY. Where the system
- * refuses even the little memory that a call needs for its own bookkeeping (handles, error texts, a model's
- * tables), the process ends, as Rust programs do; hot calls ask for none.
+ * features, batches) and for what a file holds is asked for in a way that can fail: ENTIRE_OUT_OF_MEMORY. Small
+ * pieces (handles, texts, a model's tables) come from a reserve of 1 MiB where the system refuses them; when
+ * half of it is held, calls that make or set something give ENTIRE_OUT_OF_MEMORY. Hot calls ask for no memory.
  *
  * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
  * whose `absent` says so. A model whose answer is anything else gives ENTIRE_INVALID_MODEL.

@@ -1,9 +1,15 @@
 # Seconds over all fuzz targets together.
 FUZZ_SECONDS ?= 60
+# Hours over all fuzz targets together.
+HOURS ?= 8
 
 .PHONY: fuzz-smoke
-fuzz-smoke: ## Run every fuzz target, a minute in total (installs cargo-fuzz where it may)
-	bash scripts/fuzz-smoke.sh $(FUZZ_SECONDS)
+fuzz-smoke: ## Run every fuzz target, a minute in total (FUZZ_SECONDS=60)
+	bash scripts/fuzz.sh smoke $(FUZZ_SECONDS)
+
+.PHONY: fuzz
+fuzz: ## Run every fuzz target with new seeds for HOURS=8 in total; what is found stays in out/fuzz (TARGETS=... runs those alone)
+	bash scripts/fuzz.sh keep $$(awk 'BEGIN { printf "%d", 3600 * $(HOURS) }') $(TARGETS)
 
 # Part of `make test`, and so of CI.
 EXTRA_TESTS += fuzz-smoke

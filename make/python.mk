@@ -11,3 +11,7 @@ test-python: ## Run the tests of the installed wheel (skipped where Python or Xv
 .PHONY: bars-python
 bars-python: ## Measure the Python package: frames held, overhead, many views, copies, leaks, still pictures
 	@CARGO="$(CARGO)" plugins/python/run.sh bars
+
+.PHONY: python-pictures
+python-pictures: ## Draw the pictures of the book's page on Python with the built wheel
+	@CARGO="$(CARGO)" plugins/python/run.sh pictures

@@ -8,6 +8,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
+target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 parts=("$@")
 if ((${#parts[@]} == 0)); then parts=(mutants kills states vtk miri); fi
 short=0
@@ -36,7 +37,7 @@ mutants() {
         (
             ulimit -c 0
             ulimit -v $((4 * 1024 * 1024))
-            exec target/release/model_mutants "$next" "$end" "$folder/progress"
+            exec "$target/release/model_mutants" "$next" "$end" "$folder/progress"
         ) >"$folder/out" 2>"$folder/err" || code=$?
         line=$(grep '^panics' "$folder/out" || true)
         if ((code == 0)); then
@@ -64,7 +65,8 @@ mutants() {
 # SIGKILL at random moments and full disks, over every command that writes.
 kills() {
     ${CARGO:-cargo} build --release --quiet --package entire-cli --package entire-lab --bins
-    python3 lab/scripts/robust/kills.py --kills "${KILLS:-200}" --full "${FULL:-20}" || short=1
+    python3 lab/scripts/robust/kills.py --entire "$target/release/entire" --lab "$target/release/entire-lab" \
+        --kills "${KILLS:-200}" --full "${FULL:-20}" || short=1
 }
 
 # Every single-bit flip of saved states, and filters that are not finite.

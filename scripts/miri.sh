@@ -1,27 +1,69 @@
 #!/usr/bin/env bash
-# Core's scalar kernels and the C library's unit tests under Miri, which finds undefined behavior; the level is scalar there.
+# Core's scalar kernels and the C library's unit tests under Miri, which finds undefined behavior; the level is scalar
+# there. Then a small set of core's tests as a 32-bit and as a big-endian machine runs them.
 #
-#   scripts/miri.sh [seconds]        most seconds for each of the two (1800)
+#   scripts/miri.sh [seconds] [part...]     most seconds for each part (1800); parts: core ffi 32bit bigendian (all)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 seconds=${1:-1800}
+parts=("${@:2}")
+if ((${#parts[@]} == 0)); then parts=(core ffi 32bit bigendian); fi
 cargo=${CARGO:-cargo}
+skip() {
+    echo "miri: skipped: $1"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "miri: $1" >>"$ENTIRE_SKIPPED"
+}
 if ! "$cargo" +nightly miri --version >/dev/null 2>&1; then
-    echo "miri: skipped, no Miri here; rustup component add --toolchain nightly miri rust-src"
+    skip "Miri is not installed (rustup component add --toolchain nightly miri rust-src)"
     exit 0
 fi
-# Miri has no inline assembly, which libm uses for square roots unless told not to. It runs some thousand times slower than the machine: small tests that reach every scalar kernel.
+# Miri runs some thousand times slower than the machine: small tests that reach every scalar kernel.
 kernels=(
     kernels::level::
     kernels::helper::
     kernels::scalar::
+    memory::
     nn::volumenet::tests::small_networks_meet_the_definition
     nn::prednet::tests::a_batch_without_scratch_or_with_wrong_sizes_is_refused
     nn::prednet::tests::small_networks_agree_with_plain_loops
 )
-export MIRIFLAGS="-Zmiri-disable-isolation" CARGO_TARGET_DIR=target/miri
-timeout "$seconds" "$cargo" +nightly miri test --package entire-core --lib \
-    --features libm/force-soft-floats -- "${kernels[@]}"
-timeout "$seconds" "$cargo" +nightly miri test --package entire-ffi --lib
+# What depends on the width of an address and on the order of bytes: sizes, files, packed weights.
+portable=(
+    kernels::scalar::
+    memory::
+    model::tests::what_is_written_is_read_back
+    model::tests::bytes_need_no_alignment_and_have_one_order
+    scene::volume::tests::declared_sizes_are_refused_before_a_voxel_is_read
+    control::tests::a_saved_state_is_bound_to_its_model_renderer_and_clock
+    nn::prednet::tests::a_batch_without_scratch_or_with_wrong_sizes_is_refused
+    nn::prednet::tests::small_networks_agree_with_plain_loops
+)
+export MIRIFLAGS="-Zmiri-disable-isolation"
+CARGO_TARGET_DIR=$(realpath -m "${CARGO_TARGET_DIR:-target}")/miri
+export CARGO_TARGET_DIR
+
+# Miri has no inline assembly, which libm uses for square roots unless told not to.
+core() { # core TARGET-OPTION... -- TEST...
+    timeout "$seconds" "$cargo" +nightly miri test --package entire-core --lib --features libm/force-soft-floats "$@"
+}
+
+as() { # as TRIPLE: the portable tests as that machine runs them
+    if ! "$cargo" +nightly miri setup --target "$1" >/dev/null 2>&1; then
+        skip "as $1: the standard library cannot be built for it (needs its crates from the registry)"
+        return
+    fi
+    core --target "$1" -- "${portable[@]}"
+}
+
+for part in "${parts[@]}"; do
+    echo "==> $part"
+    case $part in
+        core) core -- "${kernels[@]}" ;;
+        ffi) timeout "$seconds" "$cargo" +nightly miri test --package entire-ffi --lib ;;
+        32bit) as i686-unknown-linux-gnu ;;
+        bigendian) as s390x-unknown-linux-gnu ;;
+        *) echo "$part is none of core, ffi, 32bit, bigendian" >&2 && exit 2 ;;
+    esac
+done
 echo "miri: no report"

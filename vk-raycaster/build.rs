@@ -41,7 +41,8 @@ fn main() {
                     fs::write(&path, bytes).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
                     writeln!(
                         table,
-                        "([{shading}, {skipping}, {fetch}, {counting}, {packets}, {bricks}], include_bytes!(concat!(env!(\"OUT_DIR\"), \"/{name}\")).as_slice()),"
+                        "([{shading}, {skipping}, {fetch}, {counting}, {packets}, {bricks}], \
+                         include_bytes!(concat!(env!(\"OUT_DIR\"), \"/{name}\")).as_slice()),"
                     )
                     .expect("writing to a string");
                 }

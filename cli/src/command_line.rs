@@ -18,6 +18,8 @@ struct Cli {
 enum Command {
     /// Render many random frames of volumes and write down how long each took.
     Collect(commands::collect::Options),
+    /// Fit a model to this machine in a minute and a half.
+    Calibrate(commands::calibrate::Options),
     /// Compute the scene features of collected frames and keep them beside the tables.
     Features(commands::features::Options),
     /// Train or fine-tune a predictor on collected frames.
@@ -34,8 +36,16 @@ enum Command {
     Probe(commands::probe::Options),
     /// Play a path against a target frame time under several controllers.
     Steer(commands::steer::Options),
+    /// Explore a volume in a window whose frame time stays where it is put.
+    #[cfg(feature = "explore")]
+    Explore(commands::explore::Options),
     /// Decide which node of a farm renders what, in which order.
     Schedule(commands::schedule::Options),
+    /// Render an image database on a farm, and say when it will be done.
+    Farm(commands::farm::Options),
+    /// A worker of `entire farm`; engines start it.
+    #[command(hide = true)]
+    FarmWorker(commands::farm::WorkerOptions),
     /// Calibrate, explore and report: the main job, end to end.
     Demo(commands::demo::Options),
 }
@@ -51,6 +61,7 @@ impl Cli {
     fn run(&self) -> anyhow::Result<()> {
         match &self.command {
             Command::Collect(options) => commands::collect::run(options),
+            Command::Calibrate(options) => commands::calibrate::run(options),
             Command::Features(options) => commands::features::run(options),
             Command::Train(options) => commands::train::run(options),
             Command::Evaluate(options) => commands::evaluate::run(options),
@@ -59,7 +70,11 @@ impl Cli {
             Command::Render(options) => commands::render::run(options),
             Command::Probe(options) => commands::probe::run(options),
             Command::Steer(options) => commands::steer::run(options),
+            #[cfg(feature = "explore")]
+            Command::Explore(options) => commands::explore::run(options),
             Command::Schedule(options) => commands::schedule::run(options),
+            Command::Farm(options) => commands::farm::run(options),
+            Command::FarmWorker(options) => commands::farm::work(options),
             Command::Demo(options) => commands::demo::run(options),
         }
     }

@@ -5,12 +5,14 @@ use crate::inputs::{Layout, measure, open_volume};
 use crate::metrics::{Metrics, median};
 use crate::options::thread_pool;
 use anyhow::{Context, Result};
+use entire_core::adapt::ObserveFlags;
+use entire_core::control::{HybridOptions, Session};
 use entire_core::features::{
     Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
 };
 use entire_core::model::Model;
-use entire_core::nn::PredNet;
-use entire_core::predict::{GroupKind, Inputs};
+use entire_core::nn::{Executor, PredNet, VolumeNet};
+use entire_core::predict::{GroupKind, Inputs, load};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -105,7 +107,7 @@ pub fn warm_latency(
         .collect();
     let parts = model.prednet().context("the model file holds no PredNet")?;
     let net = PredNet::new(parts)?;
-    let mut scratch = net.scratch();
+    let mut scratch = net.scratch()?;
     let middle = |mut times: Vec<f64>| median(&mut times).unwrap_or(f64::NAN);
     let width = layout.width();
     let mut times = Vec::new();
@@ -171,3 +173,45 @@ pub fn warm_latency(
     }
     Ok(WarmLatency { seconds: middle(all), network_seconds, transfer_seconds: middle(transfer_times) })
 }
+
+/// Seconds that a session predicts: it is told of each frame before it is drawn and of its time afterwards,
+/// frame by frame in their order, as a render loop would. What it is told of the first frames is what the
+/// later ones are predicted with.
+///
+/// # Errors
+/// When a volume is not found or the model predicts no times.
+pub fn in_session(
+    model: &Model,
+    tables: &[Table],
+    frames: &[&TimedFrame],
+    measured: &[f64],
+) -> Result<Vec<f64>> {
+    let mut session = Session::new(load(model)?, HybridOptions::default());
+    let mut shown: Option<(usize, &str, [u32; 3])> = None;
+    let mut features = None;
+    let mut out = Vec::with_capacity(frames.len());
+    for (f, &seconds) in frames.iter().zip(measured) {
+        let key = (f.table, f.scene.volume.as_str(), f.scene.dims);
+        if shown != Some(key) {
+            let volume = open_volume(&tables[f.table], key.1, key.2)?;
+            if let Some(parts) = model.volumenet() {
+                let net = VolumeNet::new(parts)?;
+                let mut code = vec![0.0; net.feature_len()];
+                net.encode(&volume.view(), &mut net.scratch(), Executor::serial(), &mut code)?;
+                features = Some(code);
+            }
+            let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
+            session.set_volume(summary, features.as_deref());
+            shown = Some(key);
+        }
+        session.set_transfer(&f.scene.to_table()?, Some(&f.scene.lobes))?;
+        let frame = f.scene.to_frame()?;
+        let choice = session.choose(&frame, &[Setting::of(&frame)], NO_TARGET)?;
+        out.push(f64::from(choice.plan.seconds));
+        session.observe(choice.plan.id, seconds as f32, ObserveFlags::default())?;
+    }
+    Ok(out)
+}
+
+/// A target that every frame meets, seconds.
+const NO_TARGET: f32 = 1e3;

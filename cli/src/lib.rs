@@ -2,6 +2,8 @@
 //! so that tests and fuzz targets reach it.
 
 pub mod bound;
+pub mod calibrate;
+pub mod clock;
 pub mod collection;
 mod command_line;
 pub mod commands;

@@ -152,6 +152,16 @@ fn models_with_wrong_shapes_numbers_or_metadata() {
     std::fs::write(at.join("m.safetensors"), safetensors(&log, &poke("prednet.1.bias", 100.0))).unwrap();
     let predict = ["predict", "--model", "m.safetensors", "--inputs", "rows.csv"];
     refuses(at, &predict, &["rows.csv: row 1: the model answers inf seconds", "check their units"]);
+    // Times below a microsecond, and below zero, are the shortest there is.
+    for (metadata, bias) in [(&log, -100.0), (&meta("entire.target", "seconds"), -1e6)] {
+        std::fs::write(at.join("m.safetensors"), safetensors(metadata, &poke("prednet.1.bias", bias)))
+            .unwrap();
+        let printed = succeeds(at, &predict);
+        assert!(
+            printed.lines().count() == 7 && printed.lines().all(|line| line.parse() == Ok(1e-6f32)),
+            "{printed}"
+        );
+    }
     let poke = |name: &str, value: f32| changed(volumenet(), name, move |t| t.2[0] = value);
     let twice = |edge: &'static str| [VOLUMENET_METADATA[0], ("entire.volumenet", edge)];
     for (metadata, tensors, parts) in [

@@ -1,13 +1,16 @@
-//! Arbitrary bytes in place of volumes and models: the committed corpus as it is, and mutations of it. Never
-//! a panic, never more memory than the bytes at hand call for.
+//! Arbitrary bytes in place of volumes, models, tables, paths and task lists: the committed corpus as it is,
+//! and mutations of it. Never a panic, never more memory than the bytes at hand call for.
 
 // The fuzz targets' own checks.
 #[allow(unreachable_pub, reason = "a library of its own for the fuzz targets")]
 #[path = "../../fuzz/src/checks.rs"]
 mod checks;
+#[allow(unreachable_pub, reason = "a library of its own for the fuzz targets")]
+#[path = "../../fuzz/src/records.rs"]
+mod records;
 
-use entire_cli::volume;
 use entire_cli::volume::{Format, hostile::read_any};
+use entire_cli::{dataset, farm, path, volume};
 use entire_core::model::Model;
 use peak_alloc::PeakAlloc;
 use proptest::prelude::*;
@@ -24,9 +27,15 @@ const CASES: u32 = 30_000;
 enum Target {
     Volume(Format),
     Model,
+    Record(fn(&[u8])),
 }
 
-const TARGETS: [(&str, Target); 7] = [
+const TARGETS: [(&str, Target); 12] = [
+    ("table", Target::Record(records::check_table)),
+    ("features", Target::Record(records::check_features)),
+    ("manifest", Target::Record(records::check_manifest)),
+    ("path", Target::Record(records::check_path)),
+    ("tasks", Target::Record(records::check_tasks)),
     ("nrrd", Target::Volume(Format::Nrrd)),
     ("metaimage", Target::Volume(Format::MetaImage)),
     ("vti", Target::Volume(Format::VtkImage)),
@@ -61,6 +70,7 @@ fn peak_of(target: Target, input: &[u8]) -> usize {
     match target {
         Target::Volume(format) => checks::check_volume(read_any(format, input)),
         Target::Model => checks::check_model(Model::from_bytes(input)),
+        Target::Record(check) => check(input),
     }
     MEMORY.peak_usage().saturating_sub(before)
 }

@@ -2,7 +2,7 @@
 
 mod support;
 
-use entire_vk_raycaster::{VulkanOptions, VulkanRaycaster};
+use entire_vk_raycaster::{Renderer, VulkanOptions, VulkanRaycaster};
 use libtest_mimic::{Arguments, Failed, Trial};
 use support::*;
 
@@ -59,6 +59,35 @@ fn probe_describes_the_device() -> Result<(), Failed> {
     Ok(())
 }
 
+/// A device that does not finish in the time it is given: one line, status 1, and the process ends while the device works.
+fn a_hanging_device_ends_in_one_line() -> Result<(), Failed> {
+    let folder = workshop();
+    let arguments = [
+        "render",
+        "ball.nrrd",
+        "--camera",
+        "20,35,2.5",
+        "--tf",
+        "0.3,0.02,0.4,0.9,0.01,0.8",
+        "--size",
+        "1024x1024",
+        "--shade",
+        "scatter",
+        "--step",
+        "0.05",
+        "--device",
+        "vulkan",
+        "--out",
+        "out.png",
+    ];
+    let device = VulkanRaycaster::new(VulkanOptions::from_env()?)?;
+    let name = device.limits().ok_or("a device has limits")?.name;
+    let parts = ["counts as hanging", "ENTIRE_DEVICE_WAIT", "ENTIRE_TILE", &name];
+    refuses_in(folder.path(), &[("ENTIRE_DEVICE_WAIT", "0.001")], &arguments, &parts);
+    assert!(!folder.path().join("out.png").exists());
+    Ok(())
+}
+
 fn main() {
     let arguments = Arguments::from_args();
     let missing = VulkanRaycaster::new(VulkanOptions::default()).err();
@@ -66,7 +95,8 @@ fn main() {
         eprintln!("No Vulkan device, this test is ignored: {error}");
     }
     type Test = fn() -> Result<(), Failed>;
-    let tests: [(&str, Test); 2] = [
+    let tests: [(&str, Test); 3] = [
+        ("a_hanging_device_ends_in_one_line", a_hanging_device_ends_in_one_line),
         ("agrees_with_the_twin", agrees_with_the_twin),
         ("probe_describes_the_device", probe_describes_the_device),
     ];

@@ -492,7 +492,8 @@ fn main() {
                 let mut normal = Normal(7);
                 let rows = 384;
                 let x: Vec<f32> = (0..inputs * rows).map(|_| normal.next()).collect();
-                let (mut scratch, mut batch) = (net.scratch(), net.batch_scratch(rows));
+                let (mut scratch, mut batch) =
+                    (net.scratch().expect("memory"), net.batch_scratch(rows).expect("memory"));
                 let mut seconds = vec![0.0; rows];
                 let row = &x[..inputs];
                 for _ in 0..50 {
@@ -629,7 +630,7 @@ fn accuracy(arguments: &[String]) {
     let measured = rest.first().map(|path| numbers(path));
     let predict = |storage| {
         let net = PredNet::with_storage(parts, storage).expect("a network");
-        let mut scratch = net.scratch();
+        let mut scratch = net.scratch().expect("memory");
         x.chunks_exact(net.inputs()).map(|row| f64::from(net.predict(row, &mut scratch))).collect::<Vec<_>>()
     };
     let exact = predict(Storage::F32);

@@ -94,14 +94,14 @@ fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -
     let x = inputs(&options.models, rows)?;
     let executor = if options.threads > 1 { Executor::helper(helper) } else { Executor::serial() };
     if rows == 1 {
-        let mut scratch = net.scratch();
+        let mut scratch = net.scratch()?;
         return Ok(match options.threads {
             1 => Box::new(move || f64::from(net.predict(&x, &mut scratch))),
             _ => Box::new(move || f64::from(net.predict_on(executor, &x, &mut scratch))),
         });
     }
-    let mut scratches: Vec<_> =
-        (0..options.threads).map(|_| net.batch_scratch(rows.div_ceil(options.threads))).collect();
+    let scratch = || net.batch_scratch(rows.div_ceil(options.threads));
+    let mut scratches = (0..options.threads).map(|_| scratch()).collect::<Result<Vec<_>, _>>()?;
     let mut y = vec![0.0; rows];
     Ok(Box::new(move || {
         net.predict_batch_on(executor, &x, &mut y, &mut scratches).expect("sizes that fit");
@@ -239,8 +239,8 @@ fn accuracy(options: &Options, name: &str, rows: usize) -> Result<f64, Problem> 
     let x = inputs(&options.models, rows)?;
     let exact: Vec<f64> = x.chunks_exact(net.inputs()).map(|row| float64(&parts, row).exp()).collect();
     let mut batch = vec![0.0; rows];
-    net.predict_batch(&x, &mut batch, &mut net.batch_scratch(rows))?;
-    let mut scratch = net.scratch();
+    net.predict_batch(&x, &mut batch, &mut net.batch_scratch(rows)?)?;
+    let mut scratch = net.scratch()?;
     let single: Vec<f32> = x.chunks_exact(net.inputs()).map(|row| net.predict(row, &mut scratch)).collect();
     let error = |found: &[f32]| {
         let errors = exact.iter().zip(found).map(|(&y, &f)| (f64::from(f) - y).abs() / y);
@@ -266,7 +266,7 @@ fn small(options: &Options, cold: bool, seconds: f64) -> Result<String, Problem>
         target: Target::LogSeconds,
     };
     let net = PredNet::with(&parts, options.level, options.storage)?;
-    let (x, mut scratch) = ([0.7f32; 24], net.scratch());
+    let (x, mut scratch) = ([0.7f32; 24], net.scratch()?);
     if !cold {
         let mut case: Case<'_> =
             Box::new(move || f64::from(net.predict(std::hint::black_box(&x), &mut scratch)));

@@ -24,6 +24,8 @@ pub enum ErrorKind {
     RejectedObservation = 7,
     /// A feature that this build or this model does not have.
     Unsupported = 8,
+    /// There is no memory for what was asked for.
+    OutOfMemory = 104,
 }
 
 /// An error that says what was wrong and what to do about it.

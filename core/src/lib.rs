@@ -79,6 +79,7 @@ pub mod control;
 mod error;
 pub mod features;
 pub mod kernels;
+mod memory;
 pub mod model;
 pub mod nn;
 pub mod predict;

@@ -136,7 +136,8 @@ mod child {
             .flat_map(|level| Storage::ALL.map(|storage| (level, storage)))
             .map(|(level, storage)| PredNet::with(&parts, level, storage).expect("a network"))
             .collect();
-        let mut scratches: Vec<_> = nets.iter().map(|net| (net.scratch(), net.batch_scratch(40))).collect();
+        let mut scratches: Vec<_> =
+            nets.iter().map(|net| (net.scratch().unwrap(), net.batch_scratch(40).unwrap())).collect();
         let inputs: Vec<f32> = (0..16 * 40).map(number).collect();
         let mut seconds = vec![0.0; 40];
         let mut fine = true;

@@ -3,6 +3,7 @@
 
 use entire_core::ErrorKind;
 use entire_core::nn::Target;
+use entire_core::predict::LONGEST_FRAME;
 use entire_core::train::{
     Loss, Network, Progress, Samples, Settings, Standardization, Stop, Trainer, cosine_learning_rate,
     preset_widths, train,
@@ -202,6 +203,31 @@ fn the_result_depends_on_the_seed_and_not_on_the_threads() {
 }
 
 #[test]
+fn times_that_no_frame_takes_are_refused() {
+    let (x, mut t) = frames(8, 1);
+    let longest = f64::from(LONGEST_FRAME);
+    let mut settings = Settings::default();
+    settings.epochs = 1;
+    let trained = |training: Samples<'_>, validation: Samples<'_>| {
+        let network = Network::<f32>::random(&[2, 4, 1], 1).unwrap();
+        train(&pool(1), network, None, training, validation, &settings, |_| ControlFlow::Continue(()))
+            .map(drop)
+    };
+    let (vx, vt) = frames(4, 2);
+    t[5] = longest;
+    trained(Samples { inputs: &x, seconds: &t }, NONE).unwrap();
+    for wrong in [longest * 1.001, 1e300, f64::INFINITY, f64::NAN, 0.0, -1.0] {
+        t[5] = wrong;
+        let bad = Samples { inputs: &x, seconds: &t };
+        for error in [trained(bad, NONE), trained(Samples { inputs: &vx, seconds: &vt }, bad)] {
+            let error = error.unwrap_err();
+            assert_eq!(error.kind(), ErrorKind::InvalidArgument);
+            assert!(error.message().contains("frame 5"), "{error}");
+        }
+    }
+}
+
+#[test]
 fn a_smooth_cost_is_learned_with_every_loss_and_target() {
     let (x, t) = frames(2000, 3);
     let (vx, vt) = frames(300, 4);
@@ -232,7 +258,7 @@ fn a_smooth_cost_is_learned_with_every_loss_and_target() {
         // The file's network gives the same seconds.
         let parts = trained.to_parts();
         let net = entire_core::nn::PredNet::new(&parts).unwrap();
-        let mut scratch = net.scratch();
+        let mut scratch = net.scratch().unwrap();
         for (row, p) in vx.chunks(2).zip(trained.predict(&pool(1), &vx).unwrap()) {
             let q = f64::from(net.predict(row, &mut scratch));
             assert!(

@@ -134,6 +134,106 @@ unsafe fn render(model: *const entire_model, voxels: &[u8], frames: usize) {
 }
 
 #[test]
+fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
+    let options = init(entire_session_options_init);
+    let session_of = |renderer: &std::ffi::CStr, clock: &std::ffi::CStr| {
+        // SAFETY: room for the handle, live handles, C strings.
+        unsafe {
+            let session = made(|out| entire_session_new(null(), &raw const options, out));
+            ok(entire_session_set_timing_source(session, renderer.as_ptr(), clock.as_ptr()));
+            session
+        }
+    };
+    let taken = |session: *mut entire_session, state: &[u8]| {
+        // SAFETY: a live handle, freed here, and bytes as many as stated.
+        unsafe {
+            let code = entire_session_load_state(session, state.as_ptr(), state.len());
+            entire_session_free(session);
+            code
+        }
+    };
+    let mut state = vec![0u8; 4096];
+    // SAFETY: live handles, arrays as long as stated, room for every output.
+    unsafe {
+        let session = session_of(c"a mapper", c"wall");
+        let mut count = 0;
+        ok(entire_session_save_state(session, state.as_mut_ptr(), state.len(), &raw mut count));
+        state.truncate(count);
+        let long = std::ffi::CString::new(vec![b'x'; 257]).unwrap();
+        let name = c"x".as_ptr();
+        for (renderer, clock) in [(long.as_ptr(), name), (name, long.as_ptr()), (c"\xff".as_ptr(), name)] {
+            assert_eq!(entire_session_set_timing_source(session, renderer, clock), ENTIRE_INVALID_ARGUMENT);
+        }
+        assert_eq!(entire_session_set_timing_source(session, null(), name), ENTIRE_NULL_ARGUMENT);
+        assert_eq!(entire_session_set_timing_source(session, name, null()), ENTIRE_NULL_ARGUMENT);
+        // What was refused has changed nothing.
+        assert_eq!(taken(session, &state), ENTIRE_OK);
+    }
+    assert_eq!(taken(session_of(c"a mapper", c"wall"), &state), ENTIRE_OK);
+    assert_eq!(taken(session_of(c"another mapper", c"wall"), &state), ENTIRE_UNSUPPORTED);
+    assert_eq!(taken(session_of(c"a mapper", c"cpu"), &state), ENTIRE_UNSUPPORTED);
+    assert_eq!(taken(session_of(c"", c""), &state), ENTIRE_UNSUPPORTED);
+    state[20] ^= 1;
+    assert_eq!(taken(session_of(c"a mapper", c"wall"), &state), ENTIRE_INVALID_ARGUMENT);
+}
+
+/// A model that answers the same for every frame: exp(`log_seconds`).
+fn constant_model(log_seconds: f32) -> Vec<u8> {
+    use entire_core::model::{InputGroup, ModelFile};
+    use entire_core::nn::{DenseParts, Dtype, PredNetParts, Target};
+    let layer = DenseParts {
+        inputs: 3,
+        outputs: 1,
+        weight: vec![0.0; 3],
+        bias: vec![log_seconds],
+        dtype: Dtype::F32,
+    };
+    let parts = PredNetParts { layers: vec![layer], input: None, output: None, target: Target::LogSeconds };
+    let mut file = ModelFile::new();
+    file.set_prednet(&parts, &[InputGroup { name: "camera".into(), size: 3 }]).unwrap();
+    file.to_bytes().unwrap()
+}
+
+#[test]
+fn a_plan_that_is_refused_uses_no_id() {
+    let voxels = [7u8; 5 * 7 * 11];
+    // 9e8 s at the reference step, which is accepted, and some times as much at the finest, which is not.
+    let bytes = constant_model(9e8f32.ln());
+    // SAFETY: live handles, arrays as long as stated, room for every output.
+    unsafe {
+        let model = made(|out| entire_model_from_bytes(bytes.as_ptr(), bytes.len(), out));
+        let options = init(entire_session_options_init);
+        let session = made(|out| entire_session_new(model, &raw const options, out));
+        entire_model_free(model);
+        let (volume, transfer) = (volume(&voxels, ENTIRE_VOXELS_COPY), transfer_function());
+        ok(entire_session_set_volume(session, volume));
+        ok(entire_session_set_transfer_function(session, transfer));
+        entire_volume_free(volume);
+        entire_transfer_function_free(transfer);
+        let mut frame = init(entire_frame_init);
+        (frame.width, frame.height) = (32, 32);
+        let mut plan =
+            entire_plan { struct_size: size_of::<entire_plan>(), ..crate::abi::ByValue::defaults() };
+        let finest = entire_setting { step: 1.0 / 64.0, ..SETTINGS[0] };
+        let mut index = 99;
+        ok(entire_session_set_limits(session, finest.step, finest.step));
+        for _ in 0..3 {
+            let code = entire_session_plan(session, &raw const frame, 0.02, &raw mut plan);
+            assert_eq!((code, plan.id), (ENTIRE_INVALID_MODEL, 0));
+            let (index, plan) = (&raw mut index, &raw mut plan);
+            let code =
+                entire_session_choose(session, &raw const frame, &raw const finest, 1, 0.02, index, plan);
+            assert_eq!((code, (*plan).id, *index), (ENTIRE_INVALID_MODEL, 0, 99));
+        }
+        ok(entire_session_set_limits(session, 1.0, 1.0));
+        ok(entire_session_plan(session, &raw const frame, 0.02, &raw mut plan));
+        assert_eq!(plan.id, 1);
+        ok(entire_session_observe(session, plan.id, 0.01, 0, null_mut()));
+        entire_session_free(session);
+    }
+}
+
+#[test]
 fn a_model_is_described_and_predicts() {
     let bytes = toy();
     // SAFETY: live handles, arrays as long as stated, room for every output.

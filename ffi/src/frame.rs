@@ -137,7 +137,7 @@ pub unsafe extern "C" fn entire_frame_init(frame: *mut entire_frame, struct_size
     guard(|| unsafe { init_struct(frame, struct_size) })
 }
 
-fn shading(number: u32) -> Result<Shading, Failure> {
+pub(crate) fn shading(number: u32) -> Result<Shading, Failure> {
     match number {
         ENTIRE_SHADING_NONE => Ok(Shading::None),
         ENTIRE_SHADING_LOCAL => Ok(Shading::Local),

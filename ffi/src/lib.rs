@@ -19,6 +19,7 @@ compile_error!("libentire promises that no panic takes the host down; build it w
 
 mod abi;
 mod handle;
+mod reserve;
 
 // The nouns, in the order in which the header has them.
 mod version;

@@ -3,12 +3,14 @@
 use crate::abi::{
     ByValue, check_output, check_pointer, no_padding, slice, slice_mut, text, write, write_struct,
 };
+use crate::frame::entire_shading;
 use crate::guard::{Outcome, freeing, guard, last_error_of, reading};
 use crate::handle::{Status, borrow, give, handle};
 use crate::limits::{ENTIRE_MAX_MODEL_BYTES, at_most};
 use crate::pool::Pool;
+use crate::reserve;
 use crate::result::entire_result::{self, *};
-use crate::result::{Failure, frame_time};
+use crate::result::{Failure, copied, frame_time};
 use crate::sink;
 use crate::volume::{Volume, entire_volume};
 use entire_core::kernels::{Level, Storage};
@@ -17,7 +19,9 @@ use entire_core::nn::{EncodeScratch, Executor, PredNet, PredNetParts, PredScratc
 use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
 use std::collections::BTreeMap;
 use std::ffi::{CString, c_char};
+use std::io::ErrorKind;
 use std::mem::size_of;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 
 /// What a prediction network's output stands for: one of the `ENTIRE_TARGET_*` numbers.
@@ -128,13 +132,14 @@ impl Loaded {
     fn new(model: Model) -> Result<Self, Failure> {
         let (level, _) = level();
         let stored = |parts: &PredNetParts| parts.layers.first().map_or(Storage::F32, |l| l.dtype.into());
-        let prednet =
-            model.prednet().map(|parts| PredNet::with(parts, *level, stored(parts))).transpose()?.map(
-                |net| {
-                    let scratch = Pool::filled(|| net.scratch());
-                    (Arc::new(net), scratch)
-                },
-            );
+        let prednet = match model.prednet() {
+            Some(parts) => {
+                let net = PredNet::with(parts, *level, stored(parts))?;
+                let scratch = Pool::filled(|| net.scratch())?;
+                Some((Arc::new(net), scratch))
+            }
+            None => None,
+        };
         let volumenet = model
             .volumenet()
             .map(|parts| VolumeNet::with(parts, *level))
@@ -143,9 +148,13 @@ impl Loaded {
         Ok(Self {
             rows: Pool::lazy(),
             volumenet,
-            groups: model.inputs().iter().map(|g| sink::c_text(&g.name)).collect(),
-            scene_features: model.scene_features().iter().map(|name| sink::c_text(name)).collect(),
-            metadata: model.metadata().iter().map(|(k, v)| (k.clone(), sink::c_text(v))).collect(),
+            groups: model.inputs().iter().map(|g| kept_text(&g.name)).collect::<Result<_, _>>()?,
+            scene_features: model.scene_features().iter().map(|t| kept_text(t)).collect::<Result<_, _>>()?,
+            metadata: model
+                .metadata()
+                .iter()
+                .map(|(key, value)| Ok((key.clone(), kept_text(value)?)))
+                .collect::<Result<_, Failure>>()?,
             prednet,
             model,
         })
@@ -174,7 +183,7 @@ impl Loaded {
                     ),
                 ));
             }
-            return Ok(Some(ready.clone()));
+            return Ok(Some(copied(ready)?));
         }
         let mut features = Vec::new();
         features.try_reserve_exact(size)?;
@@ -186,7 +195,8 @@ impl Loaded {
     fn encode(&self, volume: &Volume, features: &mut [f32]) -> Outcome {
         let (net, pool) = self.volumenet()?;
         let view = volume.view()?;
-        pool.with(|| net.scratch(), |scratch| net.encode(view, scratch, Executor::serial(), features))?;
+        let scratch = || Ok::<_, Failure>(net.scratch());
+        pool.with(scratch, |scratch| net.encode(view, scratch, Executor::serial(), features))??;
         Ok(())
     }
 
@@ -208,6 +218,18 @@ impl Loaded {
             )
         })
     }
+}
+
+/// A text of the model for C, in memory that can be refused.
+fn kept_text(text: &str) -> Result<CString, Failure> {
+    if text.contains('\0') {
+        return Ok(sink::c_text(text));
+    }
+    let mut bytes = Vec::new();
+    bytes.try_reserve_exact(text.len() + 1)?;
+    bytes.extend_from_slice(text.as_bytes());
+    bytes.push(0);
+    Ok(CString::from_vec_with_nul(bytes).unwrap_or_default())
 }
 
 /// The instruction set that models are run with, and its name: found once, so that the environment is read
@@ -232,7 +254,7 @@ pub extern "C" fn entire_simd_level() -> *const c_char {
 ///
 /// Fails with ENTIRE_IO (the file cannot be read), ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR,
 /// ENTIRE_SIZE_MISMATCH (a file over ENTIRE_MAX_MODEL_BYTES), ENTIRE_INVALID_ARGUMENT (a path that is not
-/// UTF-8), ENTIRE_NULL_ARGUMENT.
+/// UTF-8), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_open(
     path: *const c_char,
@@ -241,25 +263,79 @@ pub unsafe extern "C" fn entire_model_open(
     // SAFETY: the pointers are as the crate's documentation demands.
     guard(|| unsafe {
         check_pointer(model, "model (output)")?;
+        reserve::check()?;
         let path = text(path, "path")?;
-        let io =
-            |why: String| Failure::new(ENTIRE_IO, format!("{path}: {why}; check the path of the model file"));
-        let found = std::fs::metadata(path).map_err(|e| io(e.to_string()))?;
-        if !found.is_file() {
-            return Err(io("not a regular file".into()));
-        }
-        let length = usize::try_from(found.len()).unwrap_or(usize::MAX);
-        at_most("the model file's size in bytes", length, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")
-            .map_err(|e| Failure::new(e.code, format!("{path}: {}", e.message)))?;
-        let bytes = std::fs::read(path).map_err(|e| io(e.to_string()))?;
+        let bytes = read(Path::new(path), "check the path of the model file")?;
         load(&bytes, path, model)
+    })
+}
+
+/// Reads the model of this machine for a shading mode, as `entire calibrate` left it in the user's data
+/// folder: entire/machine-none.safetensors, machine-local.safetensors or machine-scatter.safetensors below
+/// XDG_DATA_HOME, else below LOCALAPPDATA on Windows and ~/.local/share elsewhere. Its metadata key
+/// entire.clock says whether it predicts cpu, wall or device seconds.
+///
+/// Fails with ENTIRE_IO (this machine was not calibrated for the mode; the text says how to), else as
+/// entire_model_open.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_open_machine(
+    shading: entire_shading,
+    model: *mut *mut entire_model,
+) -> entire_result {
+    // SAFETY: the pointer is as the crate's documentation demands.
+    guard(|| unsafe {
+        check_pointer(model, "model (output)")?;
+        let mode = crate::frame::shading(shading)?.name();
+        let path = data_folder()
+            .ok_or_else(|| {
+                Failure::new(
+                    ENTIRE_IO,
+                    "there is no home folder to look for the machine's model in; set XDG_DATA_HOME",
+                )
+            })?
+            .join("entire")
+            .join(format!("machine-{mode}.safetensors"));
+        let bytes = read(&path, &format!("make it with `entire calibrate --shade {mode}`"))?;
+        load(&bytes, &path.to_string_lossy(), model)
+    })
+}
+
+/// The user's data folder, as `entire calibrate` finds it.
+fn data_folder() -> Option<PathBuf> {
+    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
+    absolute("XDG_DATA_HOME").or_else(|| {
+        if cfg!(windows) {
+            absolute("LOCALAPPDATA")
+        } else {
+            std::env::home_dir().filter(|p| p.is_absolute()).map(|home| home.join(".local/share"))
+        }
+    })
+}
+
+/// The bytes of a model file. `remedy` ends what is said where it cannot be read.
+fn read(path: &Path, remedy: &str) -> Result<Vec<u8>, Failure> {
+    let shown = path.display();
+    let io = |why: String| Failure::new(ENTIRE_IO, format!("{shown}: {why}; {remedy}"));
+    let found = std::fs::metadata(path).map_err(|e| io(e.to_string()))?;
+    if !found.is_file() {
+        return Err(io("not a regular file".into()));
+    }
+    let length = usize::try_from(found.len()).unwrap_or(usize::MAX);
+    at_most("the model file's size in bytes", length, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")
+        .map_err(|e| Failure::new(e.code, format!("{shown}: {}", e.message)))?;
+    std::fs::read(path).map_err(|e| match e.kind() {
+        ErrorKind::OutOfMemory => Failure::new(
+            ENTIRE_OUT_OF_MEMORY,
+            format!("{shown}: there is no memory for the file's {length} bytes; free some"),
+        ),
+        _ => io(e.to_string()),
     })
 }
 
 /// Reads a model from the bytes of a model file; they may be freed when the call returns.
 ///
 /// Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_SIZE_MISMATCH (over
-/// ENTIRE_MAX_MODEL_BYTES), ENTIRE_NULL_ARGUMENT.
+/// ENTIRE_MAX_MODEL_BYTES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_from_bytes(
     bytes: *const u8,
@@ -269,6 +345,7 @@ pub unsafe extern "C" fn entire_model_from_bytes(
     // SAFETY: the pointers are as the crate's documentation demands.
     guard(|| unsafe {
         check_pointer(model, "model (output)")?;
+        reserve::check()?;
         at_most("byte_count", byte_count, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")?;
         load(slice(bytes, byte_count, "bytes")?, "model in memory", model)
     })
@@ -394,7 +471,8 @@ pub unsafe extern "C" fn entire_model_metadata(
 /// seconds; may run on several threads at once.
 ///
 /// Fails with ENTIRE_SIZE_MISMATCH (a capacity below the feature count), ENTIRE_UNSUPPORTED (a model without
-/// an encoder), ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_NULL_ARGUMENT.
+/// an encoder), ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_OUT_OF_MEMORY,
+/// ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_model_encode(
     model: *const entire_model,
@@ -443,7 +521,7 @@ pub unsafe extern "C" fn entire_model_predict(
             let inputs = slice(inputs, input_count, "inputs")?;
             let (net, pool) = loaded.prednet()?;
             check_inputs(inputs, net.inputs(), 1)?;
-            let predicted = pool.with(|| net.scratch(), |scratch| net.predict(inputs, scratch));
+            let predicted = pool.with(|| net.scratch(), |scratch| net.predict(inputs, scratch))?;
             write(seconds, frame_time(predicted)?, "seconds (output)")
         })
     }
@@ -485,7 +563,7 @@ pub unsafe extern "C" fn entire_model_predict_batch(
             let mut predicted = Vec::new();
             predicted.try_reserve_exact(rows)?;
             predicted.resize(rows, 0.0f32);
-            loaded.rows.with(scratch, |scratch| net.predict_batch(inputs, &mut predicted, scratch))?;
+            loaded.rows.with(scratch, |scratch| net.predict_batch(inputs, &mut predicted, scratch))??;
             for (row, answer) in predicted.iter_mut().enumerate() {
                 *answer = frame_time(*answer)
                     .map_err(|why| Failure::new(why.code, format!("row {row}: {}", why.message)))?;

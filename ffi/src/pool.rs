@@ -29,20 +29,37 @@ impl<T> Pool<T> {
     }
 
     /// A pool whose pieces are all made now: calls that find a slot allocate nothing.
-    pub(crate) fn filled(mut make: impl FnMut() -> T) -> Self {
-        Self { free: AtomicU32::new(ALL_FREE), slots: std::array::from_fn(|_| UnsafeCell::new(Some(make()))) }
+    ///
+    /// # Errors
+    /// The first of `make`.
+    pub(crate) fn filled<E>(mut make: impl FnMut() -> Result<T, E>) -> Result<Self, E> {
+        let mut pool = Self::lazy();
+        for slot in &mut pool.slots {
+            *slot.get_mut() = Some(make()?);
+        }
+        Ok(pool)
     }
 
     /// Runs `body` with a piece that nobody else is using; `make` makes one where the slot has none yet, or
     /// where all slots are held (that one is dropped afterwards).
-    pub(crate) fn with<R>(&self, make: impl FnOnce() -> T, body: impl FnOnce(&mut T) -> R) -> R {
+    ///
+    /// # Errors
+    /// That of `make`.
+    pub(crate) fn with<R, E>(
+        &self,
+        make: impl FnOnce() -> Result<T, E>,
+        body: impl FnOnce(&mut T) -> R,
+    ) -> Result<R, E> {
         match self.take() {
             Some(held) => {
                 // SAFETY: this thread cleared the slot's bit and holds it until `held` is dropped.
                 let piece = unsafe { &mut *self.slots[held.slot].get() };
-                body(piece.get_or_insert_with(make))
+                match piece {
+                    Some(piece) => Ok(body(piece)),
+                    None => Ok(body(piece.insert(make()?))),
+                }
             }
-            None => body(&mut make()),
+            None => Ok(body(&mut make()?)),
         }
     }
 
@@ -75,6 +92,7 @@ impl Drop for Held<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::convert::Infallible;
     use std::sync::Barrier;
     use std::sync::atomic::AtomicUsize;
 
@@ -91,6 +109,11 @@ mod tests {
     struct Piece<'a> {
         count: &'a Count,
         value: u64,
+    }
+
+    /// A piece that could be made.
+    fn made<T>(piece: T) -> Result<T, Infallible> {
+        Ok(piece)
     }
 
     impl Count {
@@ -116,8 +139,8 @@ mod tests {
                 scope.spawn(|| {
                     start.wait();
                     for _ in 0..ROUNDS {
-                        pool.with(
-                            || panic!("a slot has no piece"),
+                        let worked = pool.with(
+                            || -> Result<_, Infallible> { panic!("a slot has no piece") },
                             |piece| {
                                 let before = piece.value;
                                 std::hint::spin_loop();
@@ -125,6 +148,7 @@ mod tests {
                                 assert_eq!(piece.value, before + 1);
                             },
                         );
+                        assert_eq!(worked, Ok(()));
                     }
                 });
             }
@@ -134,7 +158,7 @@ mod tests {
     #[test]
     fn as_many_callers_as_slots_make_no_piece() {
         let count = Count::default();
-        let pool = Pool::filled(|| count.piece());
+        let pool = Pool::filled(|| made(count.piece())).unwrap();
         assert_eq!(count.made.load(Ordering::SeqCst), SLOTS);
         hammer(&pool, SLOTS);
         assert_eq!(count.made.load(Ordering::SeqCst), SLOTS);
@@ -146,21 +170,22 @@ mod tests {
     fn more_callers_than_slots_make_one_piece_each_at_most() {
         const CALLERS: usize = SLOTS + 8;
         let count = Count::default();
-        let pool = Pool::filled(|| count.piece());
+        let pool = Pool::filled(|| made(count.piece())).unwrap();
         // All callers are inside at once: the slots serve the first of them, the others get pieces of their
         // own.
         let inside = Barrier::new(CALLERS);
         std::thread::scope(|scope| {
             for _ in 0..CALLERS {
                 scope.spawn(|| {
-                    pool.with(
-                        || count.piece(),
+                    let waited = pool.with(
+                        || made(count.piece()),
                         |_| {
                             inside.wait();
                         },
                     );
+                    assert_eq!(waited, Ok(()));
                     for _ in 0..ROUNDS {
-                        pool.with(|| count.piece(), |piece| piece.value += 1);
+                        assert_eq!(pool.with(|| made(count.piece()), |piece| piece.value += 1), Ok(()));
                     }
                 });
             }
@@ -175,21 +200,33 @@ mod tests {
         let pool = Pool::lazy();
         for round in 0..20 {
             assert_eq!(
-                pool.with(|| count.piece(), |piece| std::mem::replace(&mut piece.value, round + 1)),
-                round
+                pool.with(|| made(count.piece()), |piece| std::mem::replace(&mut piece.value, round + 1)),
+                Ok(round)
             );
         }
         assert_eq!(count.made.load(Ordering::SeqCst), 1);
-        let depth = pool.with(|| count.piece(), |a| pool.with(|| count.piece(), |b| a.value + b.value));
-        assert_eq!((depth, count.made.load(Ordering::SeqCst)), (20, 2));
+        let depth =
+            pool.with(|| made(count.piece()), |a| pool.with(|| made(count.piece()), |b| a.value + b.value));
+        assert_eq!((depth, count.made.load(Ordering::SeqCst)), (Ok(Ok(20)), 2));
+    }
+
+    #[test]
+    fn a_piece_that_cannot_be_made_is_an_error_and_gives_the_slot_back() {
+        assert_eq!(Pool::<i32>::filled(|| Err("none")).map(drop), Err("none"));
+        let pool = Pool::<i32>::lazy();
+        for _ in 0..2 * SLOTS {
+            assert_eq!(pool.with(|| Err("none"), |_| ()), Err("none"));
+        }
+        assert_eq!(pool.with(|| made(3), |piece| *piece), Ok(3));
     }
 
     #[test]
     fn a_panic_gives_the_slot_back() {
-        let pool = Pool::filled(|| 0);
+        let pool = Pool::filled(|| made(0)).unwrap();
         for _ in 0..2 * SLOTS {
             let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-                pool.with(|| panic!("a slot was lost"), |_: &mut i32| std::panic::resume_unwind(Box::new(7)))
+                let lost = || -> Result<i32, Infallible> { panic!("a slot was lost") };
+                pool.with(lost, |_| -> () { std::panic::resume_unwind(Box::new(7)) })
             }));
             assert_eq!(*caught.unwrap_err().downcast::<i32>().unwrap(), 7);
         }

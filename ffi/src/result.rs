@@ -152,6 +152,22 @@ impl From<TryReserveError> for Failure {
     }
 }
 
+/// A copy of a caller's array, in memory that can be refused.
+pub(crate) fn copied<T: Copy>(slice: &[T]) -> Result<Vec<T>, Failure> {
+    let mut out = Vec::new();
+    out.try_reserve_exact(slice.len())?;
+    out.extend_from_slice(slice);
+    Ok(out)
+}
+
+/// The elements of an iterator that knows how many they are, in memory that can be refused.
+pub(crate) fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>, Failure> {
+    let mut out = Vec::new();
+    out.try_reserve_exact(elements.len())?;
+    out.extend(elements);
+    Ok(out)
+}
+
 impl From<Error> for Failure {
     fn from(error: Error) -> Self {
         let code = match error.kind() {
@@ -162,6 +178,7 @@ impl From<Error> for Failure {
             ErrorKind::MissingInput => ENTIRE_MISSING_INPUT,
             ErrorKind::NotReady => ENTIRE_NOT_READY,
             ErrorKind::RejectedObservation => ENTIRE_REJECTED_OBSERVATION,
+            ErrorKind::OutOfMemory => ENTIRE_OUT_OF_MEMORY,
             // A kind that this file does not list; tests/kinds.rs fails when there is one.
             _ => ENTIRE_UNSUPPORTED,
         };
@@ -179,6 +196,7 @@ const _: () = {
     assert!(ENTIRE_NOT_READY as u32 == ErrorKind::NotReady as u32);
     assert!(ENTIRE_REJECTED_OBSERVATION as u32 == ErrorKind::RejectedObservation as u32);
     assert!(ENTIRE_UNSUPPORTED as u32 == ErrorKind::Unsupported as u32);
+    assert!(ENTIRE_OUT_OF_MEMORY as u32 == ErrorKind::OutOfMemory as u32);
 };
 
 #[cfg(test)]
@@ -209,6 +227,7 @@ mod tests {
             ErrorKind::NotReady,
             ErrorKind::RejectedObservation,
             ErrorKind::Unsupported,
+            ErrorKind::OutOfMemory,
         ] {
             let failure = Failure::from(Error::new(kind, "text"));
             assert_eq!((failure.code as u32, failure.message.as_str()), (kind as u32, "text"));

@@ -3,6 +3,7 @@
 use crate::abi::{check_pointer, slice, slice_mut, write};
 use crate::guard::guard;
 use crate::limits::{ENTIRE_MAX_NODES, ENTIRE_MAX_TASKS, ENTIRE_MAX_TASKS_TIMES_NODES, at_most};
+use crate::reserve;
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use entire_core::schedule::assign_longest_first;
@@ -26,6 +27,7 @@ pub unsafe extern "C" fn entire_schedule(
 ) -> entire_result {
     // SAFETY: the pointers are as the crate's documentation demands.
     guard(|| unsafe {
+        reserve::check()?;
         check_counts(task_count, node_count)?;
         let times = slice(seconds, task_count, "seconds")?;
         let equal;

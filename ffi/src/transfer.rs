@@ -4,8 +4,9 @@ use crate::abi::{check_pointer, slice, slice_mut, write};
 use crate::guard::{changing, freeing, guard, last_error_of, reading};
 use crate::handle::{Status, give, handle};
 use crate::limits::{ENTIRE_MAX_TRANSFER_POINTS, at_most};
-use crate::result::Failure;
+use crate::reserve;
 use crate::result::entire_result::{self, *};
+use crate::result::{Failure, collected};
 use entire_core::scene::{
     ColorNode, GaussianLobe, Nodes, OpacityNode, TABLE_LEN, TransferFunction, TransferTable,
 };
@@ -95,6 +96,7 @@ unsafe fn create(
 ) -> entire_result {
     guard(|| {
         check_pointer(out, "transfer_function (output)")?;
+        reserve::check()?;
         let function = function()?;
         let table = function.to_table()?;
         let unit = UnitDistance::ReferenceSteps(1.0);
@@ -108,7 +110,7 @@ unsafe fn create(
 /// built-in ramp, since they do not change what a frame costs. The unit distance is one reference step.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive),
-/// ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_NULL_ARGUMENT.
+/// ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_from_lobes(
     lobes: *const entire_gaussian_lobe,
@@ -122,7 +124,7 @@ pub unsafe extern "C" fn entire_transfer_function_from_lobes(
             let lobes = slice(lobes, lobe_count, "lobes")?;
             let lobes =
                 lobes.iter().map(|l| GaussianLobe { center: l.center, width: l.width, height: l.height });
-            Ok(TransferFunction::Gaussian(lobes.collect()))
+            Ok(TransferFunction::Gaussian(collected(lobes)?))
         })
     }
 }
@@ -135,7 +137,7 @@ pub unsafe extern "C" fn entire_transfer_function_from_lobes(
 /// one reference step until entire_transfer_function_set_unit_distance.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_SIZE_MISMATCH (over
-/// ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_NULL_ARGUMENT.
+/// ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_from_nodes(
     opacity: *const entire_opacity_node,
@@ -164,7 +166,7 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
                 midpoint: n.midpoint,
                 sharpness: n.sharpness,
             });
-            let nodes = Nodes::new(opacity.collect(), color.collect(), low, high)?;
+            let nodes = Nodes::new(collected(opacity)?, collected(color)?, low, high)?;
             Ok(TransferFunction::Nodes(nodes.with_clamping(clamping != 0)))
         })
     }
@@ -175,7 +177,7 @@ pub unsafe extern "C" fn entire_transfer_function_from_nodes(
 /// is one reference step.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (fewer than 2 entries, a value outside [0, 1]), ENTIRE_SIZE_MISMATCH
-/// (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_NULL_ARGUMENT.
+/// (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_transfer_function_from_table(
     rgba: *const f32,

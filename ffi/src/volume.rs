@@ -6,8 +6,9 @@ use crate::abi::{
 use crate::guard::{Outcome, changing, freeing, guard, last_error_of, reading};
 use crate::handle::{Status, give, handle};
 use crate::limits::{ENTIRE_MAX_BRICKS, ENTIRE_MAX_FEATURES, at_most, check_dims};
-use crate::result::Failure;
+use crate::reserve;
 use crate::result::entire_result::{self, *};
+use crate::result::{Failure, copied};
 use crate::sink;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{ScalarType, Scalars, VolumeView};
@@ -296,6 +297,7 @@ pub unsafe extern "C" fn entire_volume_new(
     // `voxel_count` elements, until the volume is freed where they are borrowed.
     guard(|| unsafe {
         check_pointer(volume, "volume (output)")?;
+        reserve::check()?;
         let desc = read_struct(desc)?;
         let voxels = take_voxels(&desc)?;
         log_volume(&voxels.view);
@@ -465,7 +467,8 @@ fn unknown_scalar(found: u32) -> Failure {
 /// entire_volume_set_features beside it.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that sizes and edge do not give,
-/// or sizes over the limits of entire_brick_desc), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// or sizes over the limits of entire_brick_desc), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
+/// ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_from_bricks(
     desc: *const entire_brick_desc,
@@ -475,6 +478,7 @@ pub unsafe extern "C" fn entire_volume_from_bricks(
     // floats per brick.
     guard(|| unsafe {
         check_pointer(volume, "volume (output)")?;
+        reserve::check()?;
         let desc = read_struct(desc)?;
         check_dims(desc.dims, None)?;
         at_most("brick_count", desc.brick_count, ENTIRE_MAX_BRICKS, "ENTIRE_MAX_BRICKS")?;
@@ -519,9 +523,7 @@ pub unsafe extern "C" fn entire_volume_set_features(
                     format!("feature {i} is {}; all must be finite", features[i]),
                 ));
             }
-            let mut kept = Vec::new();
-            kept.try_reserve_exact(features.len())?;
-            kept.extend_from_slice(features);
+            let kept = copied(features)?;
             volume.features = (!kept.is_empty()).then_some(kept);
             Ok(())
         })

@@ -61,7 +61,7 @@ fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
         output.stdout.chunks_exact(4).map(|b| f32::from_ne_bytes([b[0], b[1], b[2], b[3]])).collect();
 
     let mut wanted = Vec::new();
-    let mut scratch = net.scratch();
+    let mut scratch = net.scratch().unwrap();
     for row in inputs.chunks_exact(net.inputs()) {
         wanted.push(predict::checked_seconds(net.predict(row, &mut scratch)).unwrap().0);
     }

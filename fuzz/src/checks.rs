@@ -27,7 +27,8 @@ pub fn check_model<E: std::fmt::Display>(read: Result<Model, E>) {
     };
     if let Some(parts) = model.prednet() {
         let net = PredNet::new(parts).expect("a checked model can be built");
-        let _ = net.predict(&vec![0.5; net.inputs()], &mut net.scratch());
+        let mut scratch = net.scratch().expect("memory for one row");
+        let _ = net.predict(&vec![0.5; net.inputs()], &mut scratch);
     }
     if let Some(parts) = model.volumenet().filter(|parts| parts.input <= 16) {
         let net = VolumeNet::new(parts).expect("a checked model can be built");

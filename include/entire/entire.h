@@ -51,9 +51,9 @@
  *
  * Sizes. A count or size that the caller declares is checked against the ENTIRE_MAX_* limits before anything
  * is allocated or read; a larger one gives ENTIRE_SIZE_MISMATCH. Memory for what the caller declares (copies,
- * features, batches) is asked for in a way that can fail: ENTIRE_OUT_OF_MEMORY. Where the system
- * refuses even the little memory that a call needs for its own bookkeeping (handles, error texts, a model's
- * tables), the process ends, as Rust programs do; hot calls ask for none.
+ * features, batches) and for what a file holds is asked for in a way that can fail: ENTIRE_OUT_OF_MEMORY. Small
+ * pieces (handles, texts, a model's tables) come from a reserve of 1 MiB where the system refuses them; when
+ * half of it is held, calls that make or set something give ENTIRE_OUT_OF_MEMORY. Hot calls ask for no memory.
  *
  * Predictions. Seconds that come back with ENTIRE_OK are finite, positive and under 1e9, or NaN in a plan
  * whose `absent` says so. A model whose answer is anything else gives ENTIRE_INVALID_MODEL.
@@ -1107,7 +1107,7 @@ const char *entire_simd_level(void);
  *
  * Fails with ENTIRE_IO (the file cannot be read), ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR,
  * ENTIRE_SIZE_MISMATCH (a file over ENTIRE_MAX_MODEL_BYTES), ENTIRE_INVALID_ARGUMENT (a path that is not
- * UTF-8), ENTIRE_NULL_ARGUMENT.
+ * UTF-8), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_model_open(const char *path, struct entire_model **model);
 
@@ -1115,7 +1115,7 @@ entire_result entire_model_open(const char *path, struct entire_model **model);
  * Reads a model from the bytes of a model file; they may be freed when the call returns.
  *
  * Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_SIZE_MISMATCH (over
- * ENTIRE_MAX_MODEL_BYTES), ENTIRE_NULL_ARGUMENT.
+ * ENTIRE_MAX_MODEL_BYTES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_model_from_bytes(const uint8_t *bytes, size_t byte_count, struct entire_model **model);
 
@@ -1153,7 +1153,8 @@ const char *entire_model_metadata(const struct entire_model *model, const char *
  * seconds; may run on several threads at once.
  *
  * Fails with ENTIRE_SIZE_MISMATCH (a capacity below the feature count), ENTIRE_UNSUPPORTED (a model without
- * an encoder), ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_NULL_ARGUMENT.
+ * an encoder), ENTIRE_NOT_READY (a volume of bricks, without voxels), ENTIRE_OUT_OF_MEMORY,
+ * ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_model_encode(const struct entire_model *model,
                                   const struct entire_volume *volume,
@@ -1234,7 +1235,8 @@ entire_result entire_volume_new(const struct entire_volume_desc *desc, struct en
  * entire_volume_set_features beside it.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT, ENTIRE_SIZE_MISMATCH (a brick count that sizes and edge do not give,
- * or sizes over the limits of entire_brick_desc), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * or sizes over the limits of entire_brick_desc), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
+ * ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_volume_from_bricks(const struct entire_brick_desc *desc, struct entire_volume **volume);
 
@@ -1274,7 +1276,7 @@ void entire_volume_free(struct entire_volume *volume);
  * built-in ramp, since they do not change what a frame costs. The unit distance is one reference step.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a lobe that is not finite, a width that is not positive),
- * ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_NULL_ARGUMENT.
+ * ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_transfer_function_from_lobes(const struct entire_gaussian_lobe *lobes,
                                                   size_t lobe_count,
@@ -1289,7 +1291,7 @@ entire_result entire_transfer_function_from_lobes(const struct entire_gaussian_l
  * one reference step until entire_transfer_function_set_unit_distance.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (naming the node), ENTIRE_SIZE_MISMATCH (over
- * ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_NULL_ARGUMENT.
+ * ENTIRE_MAX_TRANSFER_POINTS of either kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_transfer_function_from_nodes(const struct entire_opacity_node *opacity,
                                                   size_t opacity_count,
@@ -1306,7 +1308,7 @@ entire_result entire_transfer_function_from_nodes(const struct entire_opacity_no
  * is one reference step.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (fewer than 2 entries, a value outside [0, 1]), ENTIRE_SIZE_MISMATCH
- * (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_NULL_ARGUMENT.
+ * (over ENTIRE_MAX_TRANSFER_POINTS), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_transfer_function_from_table(const float *rgba,
                                                   size_t entries,
@@ -1356,7 +1358,8 @@ entire_result entire_frame_init(struct entire_frame *frame, size_t struct_size);
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe side), ENTIRE_UNSUPPORTED (a model without a
  * prediction network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know),
- * ENTIRE_PANIC (a model handle that is unusable), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ * ENTIRE_PANIC (a model handle that is unusable), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
+ * ENTIRE_STRUCT_SIZE.
  */
 entire_result entire_session_new(const struct entire_model *model,
                                  const struct entire_session_options *options,
@@ -1450,7 +1453,7 @@ entire_result entire_session_choose(struct entire_session *session,
  *
  * Fails with ENTIRE_SIZE_MISMATCH (ready features of another number than the model takes), ENTIRE_NOT_READY
  * (features are needed, and there are neither ready ones nor voxels), ENTIRE_UNSUPPORTED (features are
- * needed, and the model has no encoder), ENTIRE_NULL_ARGUMENT.
+ * needed, and the model has no encoder), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_volume(struct entire_session *session, const struct entire_volume *volume);
 
@@ -1458,7 +1461,7 @@ entire_result entire_session_set_volume(struct entire_session *session, const st
  * Sets the transfer function; the volume comes first.
  *
  * Fails with ENTIRE_NOT_READY (no volume), ENTIRE_INVALID_ARGUMENT (a unit distance that is out of range for
- * this volume), ENTIRE_NULL_ARGUMENT.
+ * this volume), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_transfer_function(struct entire_session *session,
                                                    const struct entire_transfer_function *transfer_function);
@@ -1504,6 +1507,19 @@ entire_result entire_session_set_enabled(struct entire_session *session, uint32_
 entire_result entire_session_mark(struct entire_session *session, uint32_t changes);
 
 /**
+ * Names the renderer whose frames are observed and the clock that times them, such as "vtkGPUVolumeRayCastMapper"
+ * and "wall". What was learned of one does not hold for another: saved states carry both names, and
+ * entire_session_load_state refuses those of others. Sessions start with empty names, which are names like any
+ * other. Call it before loading and before saving.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
+ * ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_set_timing_source(struct entire_session *session,
+                                               const char *renderer,
+                                               const char *clock);
+
+/**
  * Saves what was learned, for entire_session_load_state in a later run: `byte_count` receives how many bytes
  * it is, and `buffer` the bytes where `capacity` suffices. `buffer` may be NULL with capacity 0 to ask for
  * the size.
@@ -1517,10 +1533,11 @@ entire_result entire_session_save_state(const struct entire_session *session,
                                         size_t *byte_count);
 
 /**
- * Takes up what an earlier session saved. Pending plans are forgotten.
+ * Takes up what an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state),
- * ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED (a
+ * whole state, but of another model, renderer or clock: entire_session_set_timing_source), ENTIRE_SIZE_MISMATCH
+ * (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_load_state(struct entire_session *session,
                                         const uint8_t *bytes,

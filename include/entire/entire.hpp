@@ -305,6 +305,12 @@ public:
         return model(handle);
     }
     static result<model> open(const std::string &path) { return open(path.c_str()); }
+    /// The model that `entire calibrate` made for this machine.
+    static result<model> open_machine(entire_shading shading) {
+        entire_model *handle = nullptr;
+        if (auto code = entire_model_open_machine(shading, &handle)) return failure::last(code);
+        return model(handle);
+    }
     static result<model> from_bytes(span<const std::uint8_t> bytes) {
         entire_model *handle = nullptr;
         if (auto code = entire_model_from_bytes(bytes.data(), bytes.size(), &handle)) return failure::last(code);
@@ -406,6 +412,10 @@ public:
     }
     status reset() { return detail::done(entire_session_reset(get())); }
 
+    // What is observed, and by which clock: saved states are of one renderer and one clock.
+    status set_timing_source(const std::string &renderer, const std::string &clock) {
+        return detail::done(entire_session_set_timing_source(get(), renderer.c_str(), clock.c_str()));
+    }
     result<std::vector<std::uint8_t>> save_state() const {
         std::size_t count = 0;
         if (auto code = entire_session_save_state(get(), nullptr, 0, &count)) return failure::last(code);

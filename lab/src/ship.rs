@@ -156,6 +156,7 @@ fn provenance(
         })
         .collect();
     file.set_metadata(keys::PROVENANCE, stored.to_string());
+    entire_cli::clock::set(file, clock(&study.clock)?);
     file.remove_metadata("entire.study_key");
     if let Some(manifest) = training.iter().find_map(|t| t.manifest.as_ref()) {
         file.set_metadata(keys::RENDERER, manifest.renderer.clone());
@@ -192,8 +193,8 @@ fn card(
     );
     let _ = writeln!(
         md,
-        "## Use\n\nSeconds belong to a machine and a renderer. On yours, collect 100 frames and calibrate \
-         the last layer to them:\n\n\
+        "## Use\n\nSeconds belong to a machine and a renderer. `entire calibrate --shade {shading}` makes a model of \
+         yours from the selected one in a minute and a half. From a table, 100 frames calibrate the last layer:\n\n\
          ```\nentire collect VOLUMES --shade {shading} --frames 10 --repeats 3 --out FRAMES.csv\n\
          entire train --data FRAMES.csv --calibrate models/{name}.safetensors --out here.safetensors --limit \
          100\n\

@@ -12,13 +12,15 @@
 //! (image scale from a frame on), how frames were drawn, the grid, and per frame the seconds of every repeat
 //! at every step and scale beside the likeness to the picture at the reference step.
 
-use anyhow::{Context, Result, ensure};
-use entire_cli::dataset::{Clock, Timing};
+mod format;
+
+pub use format::{TRACE_FORMAT, Trace, TraceDraw, TracePoint, TraceVolume};
+
+use anyhow::{Context, Result};
+use entire_cli::dataset::Timing;
 use entire_cli::enlarge::enlarge;
-use entire_cli::files::read_text;
 use entire_cli::machine::Provenance;
 use entire_cli::metrics::median;
-use entire_cli::options::{ShadeOption, SkipOption};
 use entire_cli::path::{FlightPath, PathFile};
 use entire_cli::steering::metrics::{BEST_PSNR, psnr};
 use entire_cli::steering::play::DrawSettings;
@@ -29,15 +31,7 @@ use entire_core::scene::{Camera, Frame};
 use entire_vk_raycaster::{Image, Renderer};
 use image_compare::Algorithm;
 use indicatif::ProgressBar;
-use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
-
-/// The `format` value.
-pub const TRACE_FORMAT: &str = "entire-trace-1";
-
-/// Largest trace that is read, in bytes.
-const MAX_TRACE_BYTES: u64 = 1 << 30;
 
 /// Ray steps of the grid where none are given, reference steps: half octaves over the default limits.
 pub const TRACE_STEPS: [f32; 9] = [1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0];
@@ -47,74 +41,6 @@ pub const TRACE_SCALES: [f32; 2] = [0.7, 0.5];
 
 /// Steps at which smaller images are drawn.
 pub const SCALED_STEPS: [f32; 4] = [1.0, 2.0, 4.0, 8.0];
-
-/// A volume of a trace.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TraceVolume {
-    /// The file, as it was given.
-    pub file: PathBuf,
-    /// Enlargement at load.
-    pub enlarge: usize,
-}
-
-/// How frames were drawn.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TraceDraw {
-    /// Image width at scale 1, pixels.
-    pub width_px: u32,
-    /// Image height at scale 1, pixels.
-    pub height_px: u32,
-    /// Shading mode.
-    pub shading: String,
-    /// Skipping mode.
-    pub skipping: String,
-    /// Opacity at which rays stop.
-    pub termination: f32,
-    /// The clock that counts.
-    pub clock: String,
-}
-
-/// One point of a frame's grid.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TracePoint {
-    /// Ray step, reference steps.
-    pub step: f32,
-    /// Image scale, relative to the frame's own size.
-    pub scale: f32,
-    /// Seconds of every repeat.
-    pub seconds: Vec<f64>,
-    /// Likeness to the picture at the reference step and scale 1, decibels.
-    pub psnr: f64,
-    /// Structural similarity of their luma, 0 to 1 (MSSIM).
-    pub ssim: f64,
-}
-
-/// A recorded path.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Trace {
-    /// [`TRACE_FORMAT`].
-    pub format: String,
-    /// A name for reports.
-    pub name: String,
-    /// Volumes, in the order of the series.
-    pub volumes: Vec<TraceVolume>,
-    /// The path.
-    pub path: PathFile,
-    /// Frames that each volume is shown for; 0 where there is one.
-    pub hold: u32,
-    /// From which frame on images have which scale of their full size.
-    pub scales: Vec<(u32, f32)>,
-    /// How frames were drawn.
-    pub draw: TraceDraw,
-    /// Per frame, every point of the grid; scale 1 first, steps ascending.
-    pub frames: Vec<Vec<TracePoint>>,
-    /// Machine, device, commit and date.
-    pub provenance: serde_json::Value,
-}
 
 /// What a recording is told.
 #[derive(Clone, Debug)]
@@ -197,83 +123,6 @@ pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
 }
 
 impl Trace {
-    /// Reads and checks a trace.
-    ///
-    /// # Errors
-    /// Names the file and what is wrong in it.
-    pub fn open(path: &Path) -> Result<Self> {
-        let trace = Self::open_begun(path)?;
-        ensure!(
-            trace.is_complete(),
-            "{} holds {} frames, its path has {}: its recording was interrupted; go on with the same \
-             `entire-lab record` \
-             and --resume",
-            path.display(),
-            trace.frames.len(),
-            trace.path.frames
-        );
-        Ok(trace)
-    }
-
-    /// Reads and checks a trace that may hold the first frames of its path only.
-    ///
-    /// # Errors
-    /// As [`Trace::open`].
-    pub fn open_begun(path: &Path) -> Result<Self> {
-        let text = read_text(path, MAX_TRACE_BYTES)
-            .with_context(|| format!("cannot read the trace {}", path.display()))?;
-        let trace: Self =
-            serde_json::from_str(&text).with_context(|| format!("{} is no trace", path.display()))?;
-        trace.check().with_context(|| format!("{} is no trace", path.display()))?;
-        Ok(trace)
-    }
-
-    fn check(&self) -> Result<()> {
-        ensure!(
-            self.format == TRACE_FORMAT,
-            "format is {:?}; this version reads {TRACE_FORMAT:?}",
-            self.format
-        );
-        ensure!(!self.volumes.is_empty(), "it names no volume");
-        ensure!(
-            self.frames.len() <= self.path.frames as usize,
-            "it holds {} frames, its path has {}",
-            self.frames.len(),
-            self.path.frames
-        );
-        for (i, frame) in self.frames.iter().enumerate() {
-            let full: Vec<&TracePoint> = frame.iter().filter(|p| p.scale == 1.0).collect();
-            ensure!(
-                full.len() >= 2 && full.windows(2).all(|w| w[0].step < w[1].step),
-                "frame {i} has {} points at scale 1; at least two with ascending steps are needed",
-                full.len()
-            );
-            for p in frame {
-                ensure!(
-                    !p.seconds.is_empty() && p.seconds.iter().all(|t| t.is_finite() && *t > 0.0),
-                    "frame {i}, step {}: seconds are {:?}; every repeat must be finite and positive",
-                    p.step,
-                    p.seconds
-                );
-                ensure!(
-                    p.step > 0.0 && p.scale > 0.0 && p.psnr.is_finite() && (0.0..=1.0).contains(&p.ssim),
-                    "frame {i}, step {}: scale {}, psnr {} and ssim {} must be numbers in range",
-                    p.step,
-                    p.scale,
-                    p.psnr,
-                    p.ssim
-                );
-            }
-        }
-        self.draw_settings()?;
-        Ok(())
-    }
-
-    /// Whether every frame of the path was recorded.
-    pub fn is_complete(&self) -> bool {
-        self.frames.len() == self.path.frames as usize
-    }
-
     /// What of it differs from a recording, so that it cannot be gone on with; nothing where it can.
     pub fn differences(&self, recording: &Recording<'_>) -> Vec<&'static str> {
         let other = recording.begun();
@@ -298,18 +147,12 @@ impl Trace {
     /// # Errors
     /// When a mode is not known.
     pub fn draw_settings(&self) -> Result<DrawSettings> {
-        use clap::ValueEnum;
-        let clock = Clock::from_str(&self.draw.clock, true).map_err(anyhow::Error::msg).context("clock")?;
-        let shading =
-            ShadeOption::from_str(&self.draw.shading, true).map_err(anyhow::Error::msg).context("shading")?;
-        let skipping = SkipOption::from_str(&self.draw.skipping, true)
-            .map_err(anyhow::Error::msg)
-            .context("skipping")?;
+        let (clock, shading, skipping) = self.draw.modes()?;
         Ok(DrawSettings {
             width: self.draw.width_px,
             height: self.draw.height_px,
-            shading: shading.into(),
-            skipping: skipping.into(),
+            shading,
+            skipping,
             termination: self.draw.termination,
             clock,
         })

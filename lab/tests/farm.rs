@@ -3,21 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-/// A ball that is denser inside, as NRRD.
-fn write_volume(path: &Path) {
-    let n = 24i32;
-    let mut bytes =
-        format!("NRRD0004\ntype: uint8\ndimension: 3\nsizes: {n} {n} {n}\nencoding: raw\n\n").into_bytes();
-    for z in 0..n {
-        for y in 0..n {
-            for x in 0..n {
-                let r2 = [x, y, z].map(|v| (2 * v - n + 1).pow(2)).iter().sum::<i32>();
-                bytes.push((255 - (r2 * 255 / (n * n)).min(255)) as u8);
-            }
-        }
-    }
-    std::fs::write(path, bytes).unwrap();
-}
+#[path = "../../cli/tests/support/ball.rs"]
+mod ball;
 
 fn lab(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_entire-lab")).args(arguments).output().unwrap()
@@ -26,7 +13,7 @@ fn lab(arguments: &[&str]) -> Output {
 fn setting() -> (tempfile::TempDir, PathBuf) {
     let dir = tempfile::tempdir().unwrap();
     let volume = dir.path().join("ball.nrrd");
-    write_volume(&volume);
+    ball::write(&volume);
     (dir, volume)
 }
 

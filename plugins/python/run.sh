@@ -1,86 +1,142 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# Builds the Python package, tests the built wheel, or measures it.
+# Builds the Python package, tests the built wheel, measures it, or draws the book's pictures with it.
 #
-#   plugins/python/run.sh wheel|test|bars
-#   plugins/python/run.sh exec COMMAND...      a command in the tests' environment, on a display
+#   plugins/python/run.sh wheel|test|bars|pictures
+#   plugins/python/run.sh exec ENVIRONMENT COMMAND...      a command in an environment of the tests, on a display
 #
-# PYTHON       the Python to make environments with (default python3)
-# PYTHON_OUT   where environments go (default target/python)
+# Environments, each made once from its locked list requirements-NAME.txt:
+#   test     the newest VTK and PyVista, trame, yt, notebooks, mypy
+#   oldest   the oldest PyVista that finds plotter.entire by itself, and the oldest VTK that it accepts
+#   qt       vispy and napari, on Qt
+#
+# PYTHON               the Python to make environments with (default python3)
+# PYTHON_OUT           where environments go (default target/python)
+# PYTHON_ENVIRONMENTS  those to test in (default "test oldest qt")
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 what=${1:-}
 case $what in
-    wheel | test | bars | exec) shift ;;
-    *) echo "run.sh: found word \"$what\"; use wheel, test, bars or exec" >&2; exit 2 ;;
+    wheel | test | bars | pictures | exec) shift ;;
+    *) echo "run.sh: found word \"$what\"; use wheel, test, bars, pictures or exec" >&2; exit 2 ;;
 esac
 here=plugins/python
 out=${PYTHON_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/python}
 python=${PYTHON:-python3}
 
+skip() { # skip NAME REASON
+    echo "$1: skipped: $2"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "$1: $2" >>"$ENTIRE_SKIPPED"
+}
 lacks() {
-    echo "python: skipped: $1"
-    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "test-python: $1" >>"$ENTIRE_SKIPPED"
+    skip test-python "$1"
     exit 0
 }
 command -v "$python" >/dev/null || lacks "$python is not installed (apt-get install python3 python3-venv)"
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 9))' || lacks "$python is older than 3.9"
 "$python" -c 'import ensurepip, venv' 2>/dev/null || lacks "Python's venv is not installed (apt-get install python3-venv)"
 
-# environment NAME REQUIREMENTS: a virtual environment with exactly these packages, made once per list.
+# environment NAME: a virtual environment with exactly the packages of requirements-NAME.txt, made once per list. Fails, and
+# leaves the reason in `why`, where they cannot be installed.
 environment() {
-    local folder=$out/$1 list=$here/$2
-    if ! cmp -s "$list" "$folder/made-from"; then
-        rm -rf "$folder"
-        "$python" -m venv "$folder"
-        "$folder/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --requirement "$list" >"$folder.log" 2>&1 || {
-            tail -n 5 "$folder.log" >&2
-            lacks "the packages of $list cannot be installed (is there a network?)"
-        }
-        cp "$list" "$folder/made-from"
-    fi
+    local folder=$out/$1 list=$here/requirements-$1.txt
+    cmp -s "$list" "$folder/made-from" && return
+    rm -rf "$folder"
+    "$python" -m venv "$folder"
+    "$folder/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --only-binary :all: \
+        --requirement "$list" >"$folder.log" 2>&1 || {
+        why="$list cannot be installed with $("$python" --version): $(grep -v '^$' "$folder.log" | tail -n 1 | cut -c 1-200)"
+        return 1
+    }
+    cp "$list" "$folder/made-from"
+}
+
+# maturin WORD OPTION...
+maturin() {
+    "$out/build/bin/maturin" "$1" --manifest-path $here/Cargo.toml "${@:2}" >"$out/maturin-$1.log" 2>&1 || {
+        tail -n 40 "$out/maturin-$1.log" >&2
+        exit 1
+    }
 }
 
 wheel() {
-    environment build requirements-build.txt
+    environment build || lacks "$why"
     rm -f out/wheels/entire-*
     mkdir -p out/wheels
-    "$out/build/bin/maturin" build --release --locked --manifest-path $here/Cargo.toml --out out/wheels ${1:-} \
-        >"$out/wheel.log" 2>&1 || { tail -n 40 "$out/wheel.log" >&2; exit 1; }
+    # Not `build --sdist`: that builds the wheel from the sdist, whose lock file lacks the rest of the workspace.
+    maturin build --release --locked --out out/wheels
     ls -l out/wheels/entire-*
 }
 
-# The wheel in the environment that tests and bars run in.
+# installed NAME: the wheel in an environment.
 installed() {
-    wheel
-    environment test requirements-test.txt
-    "$out/test/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-index --force-reinstall \
+    environment "$1" || return
+    "$out/$1/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-index --force-reinstall \
         out/wheels/entire-*.whl
 }
 
 # A display that outlives its clients.
 display() { xvfb-run -a -s "-screen 0 1280x1024x24 -noreset" "$@"; }
+needs_display() {
+    command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): VTK needs a display"
+}
+
+# tests NAME ARGUMENT...: pytest in an environment; what it skips is part of the list of what did not run.
+tests() {
+    local name=$1 status=0
+    shift
+    if ! installed "$name"; then
+        if [[ $name == test ]]; then lacks "$why"; fi
+        skip "test-python, $name" "$why"
+        return
+    fi
+    printf '\n%s: %s\n' "$name" "$("$out/$name/bin/python" -m pip list --format freeze 2>/dev/null |
+        grep -iE '^(numpy|vtk|pyvista|trame-vtk|yt|vispy|napari)=' | tr '\n' ' ')"
+    (cd $here && PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 display "$out/$name/bin/python" -m pytest -rs --durations 5 "$@") |
+        tee "$out/$name-pytest.log" || status=$?
+    if [[ ${ENTIRE_SKIPPED:-} ]]; then
+        sed -n "s/^SKIPPED \[[0-9]*\] \([^:]*\):[0-9]*: \(.*\)/test-python, $name: \1: \2/p" "$out/$name-pytest.log" >>"$ENTIRE_SKIPPED"
+    fi
+    return $status
+}
 
 mkdir -p "$out"
 case $what in
-    wheel) wheel --sdist ;;
+    wheel)
+        wheel
+        maturin sdist --out out/wheels
+        ls -l out/wheels/entire-*.tar.gz
+        ;;
     test)
-        command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): VTK needs a display"
-        installed
-        cd $here
-        PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 display "$out/test/bin/python" -m pytest "$@" -rs | tee "$out/test.log"
-        # What pytest skipped is part of the list of what did not run.
-        if [[ ${ENTIRE_SKIPPED:-} ]]; then
-            sed -n 's/^SKIPPED \[[0-9]*\] \([^:]*\):[0-9]*: \(.*\)/test-python: \1: \2/p' "$out/test.log" >>"$ENTIRE_SKIPPED"
-        fi
+        needs_display
+        wheel
+        for name in ${PYTHON_ENVIRONMENTS:-test oldest qt}; do
+            case $name in
+                test) tests test --ignore tests/test_qt.py "$@" ;;
+                oldest) tests oldest tests/test_volume.py tests/test_session.py tests/test_vtk.py tests/test_pyvista.py "$@" ;;
+                qt) tests qt tests/test_qt.py "$@" ;;
+            esac
+        done
         ;;
     bars)
-        command -v xvfb-run >/dev/null || lacks "xvfb-run is not installed (apt-get install xvfb xauth): VTK needs a display"
-        installed
-        display "$out/test/bin/python" $here/bars/bars.py --wheels out/wheels --out out/python "$@"
+        needs_display
+        wheel
+        # The C call that arrays are compared with.
+        "${CARGO:-cargo}" build --release --quiet --package entire-ffi
+        installed test || lacks "$why"
+        display "$out/test/bin/python" $here/bars/bars.py --wheels out/wheels --out out/python \
+            --library "${CARGO_TARGET_DIR:-target}/release/libentire.so" "$@"
+        ;;
+    pictures)
+        needs_display
+        wheel
+        for name in test qt; do
+            installed $name || lacks "$why"
+            display "$out/$name/bin/python" $here/examples/pictures.py --environment $name --out docs/src/images "$@"
+        done
         ;;
     exec)
-        environment test requirements-test.txt
-        display env PATH="$out/test/bin:$PATH" "$@"
+        environment "$1" || lacks "$why"
+        display env PATH="$out/$1/bin:$PATH" "${@:2}"
         ;;
 esac

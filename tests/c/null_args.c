@@ -43,6 +43,7 @@ int main(int argc, char **argv) {
 
     NONE(entire_model_open(NULL, &made_model));
     NONE(entire_model_open(argv[1], NULL));
+    NONE(entire_model_open_machine(ENTIRE_SHADING_NONE, NULL));
     NONE(entire_model_from_bytes(NULL, 8, &made_model));
     NONE(entire_model_from_bytes(&byte, 1, NULL));
     NONE(entire_model_describe(NULL, &info));
@@ -119,6 +120,9 @@ int main(int argc, char **argv) {
     NONE(entire_session_save_state(NULL, &byte, 1, &n));
     NONE(entire_session_save_state(p, NULL, 1, &n));
     NONE(entire_session_save_state(p, &byte, 1, NULL));
+    NONE(entire_session_set_timing_source(NULL, "x", "x"));
+    NONE(entire_session_set_timing_source(p, NULL, "x"));
+    NONE(entire_session_set_timing_source(p, "x", NULL));
     NONE(entire_session_load_state(NULL, &byte, 1));
     NONE(entire_session_load_state(p, NULL, 1));
     NONE(entire_session_last_error(NULL, NULL, 0, &n));

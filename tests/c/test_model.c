@@ -1,6 +1,10 @@
 /* entire_model: reading, describing, predicting, encoding, and every way in which they fail. */
+#define _POSIX_C_SOURCE 200809L
 #include "check.h"
 #include <math.h>
+#include <stdlib.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 static entire_model *open_toy(const char *path) {
     entire_model *model = NULL;
@@ -183,6 +187,29 @@ static void hostile_files(const char *path) {
     entire_model_free(model);
 }
 
+/* The machine's model lies in the user's data folder, where `entire calibrate` puts it. */
+static void machines_model(const char *path) {
+    entire_model *model = NULL;
+    char folder[] = "/tmp/entire-test-XXXXXX", inner[64], file[96];
+    CHECK(mkdtemp(folder) != NULL);
+    CHECK(setenv("XDG_DATA_HOME", folder, 1) == 0);
+    EXPECT(ENTIRE_IO, entire_model_open_machine(ENTIRE_SHADING_LOCAL, &model));
+    SAYS("entire calibrate --shade local");
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_model_open_machine(9, &model));
+    CHECK(model == NULL);
+    snprintf(inner, sizeof inner, "%s/entire", folder);
+    snprintf(file, sizeof file, "%s/machine-local.safetensors", inner);
+    char whole[4096];
+    CHECK(realpath(path, whole) != NULL);
+    CHECK(mkdir(inner, 0700) == 0 && symlink(whole, file) == 0);
+    OK(entire_model_open_machine(ENTIRE_SHADING_LOCAL, &model));
+    CHECK(info_of(model).input_count == 11);
+    entire_model_free(model);
+    model = NULL;
+    EXPECT(ENTIRE_IO, entire_model_open_machine(ENTIRE_SHADING_NONE, &model));
+    CHECK(unlink(file) == 0 && rmdir(inner) == 0 && rmdir(folder) == 0);
+}
+
 int main(int argc, char **argv) {
     CHECK(argc == 2);
     entire_model *model = open_toy(argv[1]);
@@ -192,5 +219,6 @@ int main(int argc, char **argv) {
     entire_model_free(model);
     entire_model_free(NULL);
     hostile_files(argv[1]);
+    machines_model(argv[1]);
     return 0;
 }

@@ -301,6 +301,34 @@ static void state(void) {
     OK(entire_session_predict(b, &frame, &q));
     CHECK(p.source != 0 && isfinite(p.seconds));
     OK(entire_session_reset(b));
+
+    /* A state is of one renderer and one clock; what is refused changes nothing. */
+    OK(entire_session_set_timing_source(a, "a mapper", "wall"));
+    OK(entire_session_save_state(a, NULL, 0, &again));
+    uint8_t *named = malloc(again);
+    CHECK(named != NULL);
+    OK(entire_session_save_state(a, named, again, &size));
+    static const char *const sources[][2] = {{"", ""}, {"a mapper", ""}, {"a mapper", "cpu"}, {"another", "wall"}};
+    OK(entire_session_predict(b, &frame, &p));
+    for (size_t i = 0; i < sizeof sources / sizeof sources[0]; ++i) {
+        OK(entire_session_set_timing_source(b, sources[i][0], sources[i][1]));
+        EXPECT(ENTIRE_UNSUPPORTED, entire_session_load_state(b, named, size));
+        CHECK(strstr(entire_last_error(), i == 2 || i == 1 ? "clock" : "renderer") != NULL);
+        OK(entire_session_predict(b, &frame, &q));
+        CHECK(p.seconds == q.seconds);
+    }
+    OK(entire_session_set_timing_source(b, "a mapper", "wall"));
+    OK(entire_session_load_state(b, named, size));
+    OK(entire_session_predict(a, &frame, &p));
+    OK(entire_session_predict(b, &frame, &q));
+    CHECK(p.seconds == q.seconds);
+    char long_name[258];
+    memset(long_name, 'x', 257);
+    long_name[257] = '\0';
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_timing_source(b, long_name, "wall"));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_timing_source(b, "\xff", "wall"));
+    OK(entire_session_load_state(b, named, size));
+    free(named);
     free(bytes);
     entire_session_free(a);
     entire_session_free(b);

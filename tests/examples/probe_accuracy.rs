@@ -86,7 +86,8 @@ fn main() {
                             worst = (
                                 off,
                                 format!(
-                                    "frame {index} estimate {estimate:.0} count {count:.0} rays {} terminated {:.2} occupied {:.3} step {} {:?}",
+                                    "frame {index} estimate {estimate:.0} count {count:.0} rays {} \
+                                     terminated {:.2} occupied {:.3} step {} {:?}",
                                     counts.rays,
                                     features.probe().terminated(),
                                     transfer.occupied_share(),

@@ -378,13 +378,15 @@ pub fn exercise(bytes: &[u8]) -> Outcome {
     if let Some(parts) = model.prednet() {
         let net = PredNet::new(parts).expect("a checked network can be built");
         let row = vec![100.0; net.inputs()];
-        if let Ok((seconds, _)) = checked_seconds(net.predict(&row, &mut net.scratch())) {
+        let mut scratch = net.scratch().expect("memory for one row");
+        if let Ok((seconds, _)) = checked_seconds(net.predict(&row, &mut scratch)) {
             usable(seconds);
             out.predicted = true;
         }
         let mut batch = [0.0; 2];
         let rows = [&row[..], &row[..]].concat();
-        net.predict_batch(&rows, &mut batch, &mut net.batch_scratch(192)).expect("a batch that fits");
+        let mut scratch = net.batch_scratch(2).expect("memory for two rows");
+        net.predict_batch(&rows, &mut batch, &mut scratch).expect("a batch that fits");
         if check_batch(&mut batch).is_ok() {
             batch.into_iter().for_each(usable);
         }

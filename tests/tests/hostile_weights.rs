@@ -121,7 +121,8 @@ fn shipped_models_give_times_for_ten_thousand_random_inputs() {
             .map(|(mean, std)| mean + 3.0 * std * uniform())
             .collect();
         let mut seconds = vec![0.0; ROWS];
-        net.predict_batch(&inputs, &mut seconds, &mut net.batch_scratch(192)).expect("a batch");
+        net.predict_batch(&inputs, &mut seconds, &mut net.batch_scratch(192).expect("memory"))
+            .expect("a batch");
         check_batch(&mut seconds).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         assert!(seconds.iter().all(|s| s.is_finite() && *s > 0.0), "{}", path.display());
         tried += 1;

@@ -61,10 +61,10 @@ fn prednets_agree(level: Level) {
             let tolerance = tolerance(case["dtype"].as_str().expect("a dtype"), storage);
             let allowed =
                 |y: f64| tolerance * if tolerance == PREDNET_F32_TOLERANCE { y.abs() } else { scale };
-            let mut scratch = net.scratch();
+            let mut scratch = net.scratch().expect("memory");
             let single: Vec<f32> = inputs.iter().map(|row| net.predict(row, &mut scratch)).collect();
             for rows in [1, 2, 5, 192] {
-                let mut scratch = net.batch_scratch(rows);
+                let mut scratch = net.batch_scratch(rows).expect("memory");
                 let mut batch = vec![0.0; inputs.len()];
                 net.predict_batch(&inputs.concat(), &mut batch, &mut scratch).expect("a batch");
                 for (i, &y) in expected.iter().enumerate() {
@@ -104,10 +104,12 @@ fn batches_do_not_depend_on_their_cut(level: Level) {
             let net = PredNet::with(model.prednet().expect("a PredNet"), level, storage).expect("a network");
             let many: Vec<f32> = inputs.iter().cycle().take(401).flatten().copied().collect();
             let mut expected = vec![0.0; 401];
-            net.predict_batch(&many, &mut expected, &mut net.batch_scratch(192)).expect("a batch");
+            net.predict_batch(&many, &mut expected, &mut net.batch_scratch(192).expect("memory"))
+                .expect("a batch");
             for rows in [1, 7, 100, 1000] {
                 let mut found = vec![0.0; 401];
-                net.predict_batch(&many, &mut found, &mut net.batch_scratch(rows)).expect("a batch");
+                net.predict_batch(&many, &mut found, &mut net.batch_scratch(rows).expect("memory"))
+                    .expect("a batch");
                 assert_eq!(found, expected, "{} rows at once, {}", rows, storage.name());
             }
             for (i, y) in expected.iter().enumerate() {
@@ -122,7 +124,7 @@ fn bad_inputs_have_an_answer(level: Level) {
         let (model, (inputs, _)) = (model(&case), rows(&case));
         for storage in Storage::ALL {
             let net = PredNet::with(model.prednet().expect("a PredNet"), level, storage).expect("a network");
-            let mut scratch = net.scratch();
+            let mut scratch = net.scratch().expect("memory");
             let row = &inputs[0];
             let good = net.predict(row, &mut scratch);
             assert!(good.is_finite());

@@ -99,9 +99,9 @@ fn predictions_allocate_nothing() {
         for storage in Storage::ALL {
             let net = PredNet::with(&network(), level, storage).expect("a network");
             let inputs: Vec<f32> = (0..16 * 100).map(|i| (i % 37) as f32 * 0.1).collect();
-            let mut scratch = net.scratch();
+            let mut scratch = net.scratch().expect("memory");
             let mut seconds = vec![0.0; 100];
-            let mut scratches = [net.batch_scratch(30), net.batch_scratch(30)];
+            let mut scratches = [(); 2].map(|()| net.batch_scratch(30).expect("memory"));
             let calls = allocations(|| {
                 let mut sum = 0.0;
                 for row in inputs.chunks_exact(16) {

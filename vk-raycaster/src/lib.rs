@@ -13,7 +13,8 @@
 //! smallest spacing), D is the ray's advance per step in voxel coordinates.
 //!
 //! *Samples.* The ray meets the box in
-//! \[t_in, t_out), in steps from the eye and not before it. Sample k = 0, 1, … lies at t_k = t_in + ½ + k while t_k < t_out. With jitter, ½ is replaced by a hash of the pixel in \[0, 1).
+//! \[t_in, t_out), in steps from the eye and not before it. Sample k = 0, 1, … lies at t_k = t_in + ½ + k
+//! while t_k < t_out. With jitter, ½ is replaced by a hash of the pixel in \[0, 1).
 //!
 //! *Value.* Voxels are mapped to \[0, 1] over the volume's range (clamped; NaN is the low end) and
 //! interpolated trilinearly between voxel centers, clamped to the edge: the normalized scalar s. Integer
@@ -67,4 +68,7 @@ pub use renderer::{
     DeviceLimits, Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts,
 };
 pub use setup::{LIGHT_DIRECTION, SHADOW_STEP, SHADOW_TERMINATION};
-pub use vulkan::{LONGEST_WAIT, LONGEST_WAIT_SOFTWARE, VoxelFetch, VulkanOptions, VulkanRaycaster};
+pub use vulkan::{
+    LONGEST_WAIT, LONGEST_WAIT_SOFTWARE, Picture, Region, SharedDevice, VoxelFetch, VulkanOptions,
+    VulkanRaycaster,
+};

@@ -265,7 +265,8 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
             return Ok(seconds);
         }
         Err(Error::new(format!(
-            "the clock is too noisy for frames of {:.1} ms: {what} took {:.3} ms less than what it holds; probe with longer frames, on a machine at rest",
+            "the clock is too noisy for frames of {:.1} ms: {what} took {:.3} ms less than what it holds; \
+             probe with longer frames, on a machine at rest",
             options.frame_seconds * 1e3,
             seconds * -1e3
         )))

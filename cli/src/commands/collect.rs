@@ -305,12 +305,8 @@ pub fn run(options: &Options) -> Result<()> {
     );
     let frames = Table::read(&options.out, 0)?.frames;
     for clock in [Clock::Auto, Clock::Cpu] {
-        if let Some(floor) = noise_floor(&frames, clock) {
-            println!(
-                "repeats of a frame scatter by {:.1} % (standard deviation of ln seconds, clock: {})",
-                100.0 * floor.log_sd,
-                clock.name()
-            );
+        if let Some(floor) = noise_floor(&frames, clock, |_| protocol.passes as usize) {
+            println!("clock {}: {}", clock.name(), floor.describe());
         }
     }
     Ok(())

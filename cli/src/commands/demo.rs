@@ -12,7 +12,7 @@ use crate::path::Generated;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
 use crate::steering::play::DrawSettings;
-use crate::steering::race::{Race, prepare, run as play, shipped_model};
+use crate::steering::race::{Race, machine_model_for, prepare, run as play, shipped_model};
 use crate::steering::report::{Story, table, write};
 use crate::volume::Volume;
 use anyhow::{Context, Result, ensure};
@@ -70,7 +70,8 @@ pub struct Options {
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// Which clock counts. `auto` is the device's, or the process's CPU time where software renders on a busy
+    /// Which clock counts. `auto` is the one that the machine's model predicts (`entire calibrate`); without
+    /// one the device's, or the process's CPU time where software renders on a busy
     /// machine.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
@@ -187,7 +188,8 @@ pub fn run(options: &Options) -> Result<()> {
     let stop = || interrupt::requested(&stop);
     let mut renderer = device::open(options.render.device)?;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
-    let (clock, busy) = choose_clock(options.clock, renderer.as_ref());
+    let (machines, clock) = machine_model_for(options.render.shade.into(), options.clock)?;
+    let (clock, busy) = choose_clock(clock, renderer.as_ref());
     if let Some(busy) = &busy {
         println!("clock      {busy}");
     }
@@ -220,6 +222,7 @@ pub fn run(options: &Options) -> Result<()> {
         target: None,
         model: None,
         shipped: shipped.as_ref().map(|(title, file)| (title.as_str(), file)),
+        machine: machines.as_ref().map(|(title, file)| (title.as_str(), file)),
     };
     const INTERRUPTED: &str = "interrupted; nothing was written";
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;

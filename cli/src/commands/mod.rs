@@ -1,9 +1,13 @@
 //! One module per subcommand: its options and what it does.
 
+pub mod calibrate;
 pub mod collect;
 pub mod demo;
 pub mod encode;
 pub mod evaluate;
+#[cfg(feature = "explore")]
+pub mod explore;
+pub mod farm;
 pub mod features;
 pub mod predict;
 pub mod probe;

@@ -1,17 +1,20 @@
 //! `entire predict`: predict seconds for rows of model inputs.
 
-use crate::files::{digits, open_model};
+use crate::calibrate::place::machine_file;
+use crate::files::{digits, note, open_model};
+use crate::options::ShadeOption;
 use anyhow::{Context, Result, bail};
 use entire_core::model::{InputGroup, Model};
 use entire_core::nn::PredNet;
+use entire_core::predict::{LONGEST_PREDICTION, SHORTEST_PREDICTION, check_batch};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 /// Predict seconds for rows of model inputs.
 ///
 /// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the
-/// model's order. Prints one line per row: seconds, 9 significant digits. Nothing is printed when any row is
-/// wrong.
+/// model's order. Prints one line per row: seconds, at least 1e-6, 9 significant digits. Nothing is printed when
+/// any row is wrong.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire predict --model model.safetensors --inputs frames.csv
@@ -19,9 +22,12 @@ use std::path::{Path, PathBuf};
 
 A model lists its inputs in its metadata key entire.inputs; a wrong number of columns prints them.")]
 pub struct Options {
-    /// Model file with a PredNet.
+    /// Model file with a PredNet; the machine's own of --shade unless given (`entire calibrate` makes it).
     #[arg(long, value_name = "M.safetensors")]
-    pub model: PathBuf,
+    pub model: Option<PathBuf>,
+    /// The shading mode whose machine's model is taken where --model is not given.
+    #[arg(long, value_enum, default_value_t, conflicts_with = "model")]
+    pub shade: ShadeOption,
     /// Table of inputs; `-` for standard input.
     #[arg(long, value_name = "X.csv")]
     pub inputs: PathBuf,
@@ -29,11 +35,15 @@ pub struct Options {
 
 /// Runs the command.
 pub fn run(options: &Options) -> Result<()> {
-    let model = open_model(&options.model)?;
-    let Some(parts) = model.prednet() else {
-        bail!("{}: has no PredNet (prednet.0.weight); give a model that predicts", options.model.display());
+    let path = match &options.model {
+        Some(path) => path.clone(),
+        None => machine_file(options.shade.into())?,
     };
-    let net = PredNet::new(parts).with_context(|| format!("{}", options.model.display()))?;
+    let model = open_model(&path)?;
+    let Some(parts) = model.prednet() else {
+        bail!("{}: has no PredNet (prednet.0.weight); give a model that predicts", path.display());
+    };
+    let net = PredNet::new(parts).with_context(|| format!("{}", path.display()))?;
     let seconds = if options.inputs == Path::new("-") {
         predict(&net, &model, std::io::stdin().lock()).context("standard input")
     } else {
@@ -51,7 +61,7 @@ pub fn run(options: &Options) -> Result<()> {
 fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
     let mut reader =
         csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(table);
-    let mut scratch = net.scratch();
+    let mut scratch = net.scratch()?;
     let mut inputs = Vec::with_capacity(net.inputs());
     let mut seconds = Vec::new();
     let mut record = csv::ByteRecord::new();
@@ -98,6 +108,14 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
     }
     if seconds.is_empty() {
         bail!("holds no row; one row per frame is expected, {} columns each", net.inputs());
+    }
+    let outside = check_batch(&mut seconds)?;
+    if outside > 0 {
+        note(&format!(
+            "{outside} of {} predictions were outside of {SHORTEST_PREDICTION:e} to {LONGEST_PREDICTION:e} seconds \
+             and are printed as the nearer end",
+            seconds.len()
+        ));
     }
     Ok(seconds)
 }

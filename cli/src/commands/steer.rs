@@ -10,7 +10,7 @@ use crate::options::{RenderArgs, parse_hold, parse_limits, parse_scale, parse_si
 use crate::path::{FlightPath, Generated, parse_target};
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{DrawSettings, Playback};
-use crate::steering::race::{Race, prepare, run as play, shipped_model};
+use crate::steering::race::{Race, machine_model_for, prepare, run as play, shipped_model};
 use crate::steering::report::{Story, table, write};
 use crate::steering::sizes::scaled_size;
 use crate::volume::Volume;
@@ -101,7 +101,9 @@ pub struct Options {
     /// How frames are rendered.
     #[command(flatten)]
     pub render: RenderArgs,
-    /// Which clock counts.
+    /// Which clock counts; `auto` is the one that --model or else the machine's model (`entire calibrate`)
+    /// predicts, where there is one, else the device's. A
+    /// model of another clock is refused.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
     /// Finest and coarsest step that may be chosen, reference steps.
@@ -150,7 +152,6 @@ pub fn run(options: &Options) -> Result<()> {
         options.calibrate,
         options.repeats
     );
-    let draw = DrawSettings::new(options.size, &options.render, options.clock);
     let hold = parse_hold(options.volumes.len(), options.hold)?;
     let retargets = options.retarget.iter().map(|t| parse_retarget(t)).collect::<Result<Vec<_>>>()?;
     ensure!(retargets.is_sorted_by_key(|t| t.0), "--retarget must be ordered by frame");
@@ -162,6 +163,13 @@ pub fn run(options: &Options) -> Result<()> {
         );
     }
     let model = options.model.as_deref().map(open_model).transpose()?;
+    let named = options.model.as_ref().map(|p| p.display().to_string());
+    let clock = crate::clock::agreed(options.clock, named.as_deref().zip(model.as_ref()))?;
+    let (machines, clock) = match model {
+        Some(_) => (None, clock),
+        None => machine_model_for(options.render.shade.into(), clock)?,
+    };
+    let draw = DrawSettings::new(options.size, &options.render, clock);
     let volumes = options
         .volumes
         .iter()
@@ -211,6 +219,7 @@ pub fn run(options: &Options) -> Result<()> {
         target: Some(target),
         model: model.as_ref(),
         shipped: shipped.as_ref().map(|(title, file)| (title.as_str(), file)),
+        machine: machines.as_ref().map(|(title, file)| (title.as_str(), file)),
     };
     const INTERRUPTED: &str = "interrupted; nothing was written";
     let prepared = prepare(&race, renderer.as_mut(), &stop)?.context(INTERRUPTED)?;
@@ -248,6 +257,8 @@ pub fn run(options: &Options) -> Result<()> {
         write_log(file, options, &volumes, &path, &draw, &playback)?;
     }
     println!("{}", table(&playback.names, &metrics).to_text());
+    let by = prepared.chosen()?.title.as_str();
+    println!("steered by {by}; frame times by the clock {}", draw.clock.name());
     println!("* best of the column. Report: {}", options.out.join("report.html").display());
     Ok(())
 }

@@ -156,9 +156,10 @@ pub struct Options {
     /// Members or volumes for testing, instead of a random tenth.
     #[arg(long, alias = "test-members", alias = "test-volumes", value_delimiter = ',', value_name = "NAMES")]
     pub test_groups: Vec<String>,
-    /// Which clock's seconds are learned.
-    #[arg(long, value_enum, default_value_t = Clock::Auto)]
-    pub clock: Clock,
+    /// Which clock's seconds are learned. Unless given, that of the model that training starts from, else cpu
+    /// (processor time) where every frame has it.
+    #[arg(long, value_enum)]
+    pub clock: Option<Clock>,
     /// Only frames with this shading: none, local or scatter.
     #[arg(long, value_parser = crate::dataset::parse_shading)]
     pub shading: Option<entire_core::scene::Shading>,
@@ -192,7 +193,8 @@ pub fn run(options: &Options) -> Result<()> {
     check_model_out(&options.out)?;
     let pool = thread_pool(options.threads)?;
     let tables = read_tables(&options.data)?;
-    let frames = timed(&tables, options.clock, options.shading)?;
+    let clock = learned_clock(options, &tables)?;
+    let frames = timed(&tables, clock, options.shading)?;
     let mut split = Split::new(
         frames.iter().map(|f| f.0),
         options.split,
@@ -268,7 +270,7 @@ pub fn run(options: &Options) -> Result<()> {
         (None, None) => options.recipe().make(&context, training, validation)?,
     };
     bar.finish_and_clear();
-    let mut trained = Trained { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted };
+    let mut trained = Trained { layout: Layout::of_model(&fitted.file.to_model()?)?, fitted, clock };
 
     // Metrics come from what the file holds, stored format and all.
     let model = trained.fitted.file.to_model()?;
@@ -292,7 +294,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     results.sort_by_key(|r| r.0);
     bound::set(&mut trained.fitted.file, &upper)?;
-    let noise = noise_floor(refs.iter().copied(), options.clock);
+    let noise = noise_floor(refs.iter().copied(), clock, |f| tables[f.table].passes());
     if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
         eprintln!(
             "note: repeats of one frame scatter by {:.0} %; collect on a quieter machine, with more \
@@ -313,7 +315,7 @@ pub fn run(options: &Options) -> Result<()> {
             "created": t.manifest.as_ref().map(|m| &m.created),
             "seed": t.manifest.as_ref().map(|m| m.seed),
         })).collect::<Vec<_>>(),
-        "clock": options.clock.name(),
+        "clock": clock.name(),
         "shading": options.shading.map(|s| s.name()),
         "split": split,
         "training_frames": count(Part::Training),
@@ -329,6 +331,7 @@ pub fn run(options: &Options) -> Result<()> {
         "date": machine::now(),
     });
     trained.fitted.file.set_metadata(keys::PROVENANCE, provenance.to_string());
+    crate::clock::set(&mut trained.fitted.file, clock);
     if let Some(manifest) = tables.iter().find_map(|t| t.manifest.as_ref()) {
         trained.fitted.file.set_metadata(keys::RENDERER, manifest.renderer.clone());
         trained.fitted.file.set_metadata(keys::DEVICE, manifest.device.clone());
@@ -353,10 +356,7 @@ pub fn run(options: &Options) -> Result<()> {
         );
     }
     if let Some(n) = noise {
-        println!(
-            "noise floor: log-SD of one repeat {:.4}, of a frame's median {:.4}",
-            n.log_sd, n.log_sd_of_median
-        );
+        println!("noise floor: {}", n.describe());
     }
     println!(
         "{}; wrote {} in {:.1} s",
@@ -371,6 +371,26 @@ pub fn run(options: &Options) -> Result<()> {
 struct Trained {
     layout: Layout,
     fitted: FittedModel,
+    clock: Clock,
+}
+
+/// The clock that is asked for, or that of the model that training starts from, or processor time.
+fn learned_clock(options: &Options, tables: &[Table]) -> Result<Clock> {
+    let base = options.calibrate.as_ref().or(options.transfer.as_ref()).or(options.fine_tune.as_ref());
+    let base = match base {
+        Some(path) => {
+            let (_, model) = read_model_file(path)?;
+            crate::clock::of(&model).map(|clock| (path.display().to_string(), clock))
+        }
+        None => None,
+    };
+    let frames: Vec<&TimedFrame> = tables
+        .iter()
+        .flat_map(|t| &t.frames)
+        .filter(|f| options.shading.is_none_or(|s| f.scene.shading == s))
+        .collect();
+    let base = base.as_ref().map(|(name, clock)| (name.as_str(), *clock));
+    crate::clock::for_training(options.clock, base, frames.iter().copied())
 }
 
 impl Options {
@@ -470,7 +490,7 @@ fn card(
             }
         }
     }
-    let _ = writeln!(md, "\nClock: {}. A frame's time is the median of its repeats.", options.clock.name());
+    let _ = writeln!(md, "\nClock: {}. A frame's time is the median of its repeats.", trained.clock.name());
     if let Some(s) = options.shading {
         let _ = writeln!(md, "Only frames with shading {}.", s.name());
     }
@@ -528,13 +548,7 @@ fn card(
     }
     match noise {
         Some(n) => {
-            let _ = writeln!(
-                md,
-                "\nNoise floor: repeats of one frame scatter with a log-SD of {:.4} (the median of a frame's \
-                 repeats: about \
-                 {:.4}), over {} repeated frames. No predictor can do better than that.",
-                n.log_sd, n.log_sd_of_median, n.frames
-            );
+            let _ = writeln!(md, "\nNoise floor: {}. No predictor can do better than that.", n.describe());
         }
         None => {
             let _ = writeln!(md, "\nNoise floor: not known, no frame was repeated.");

@@ -210,7 +210,14 @@ impl FeatureTable {
     }
 
     fn read(path: &Path) -> Result<Self> {
-        let bytes = read_decompressed(path)?;
+        Self::parse(&read_decompressed(path)?)
+    }
+
+    /// Reads a file's bytes, decompressed.
+    ///
+    /// # Errors
+    /// Says what is wrong, with line and column where it is a field.
+    pub fn parse(bytes: &[u8]) -> Result<Self> {
         let end = bytes.iter().position(|&b| b == b'\n').map_or(bytes.len(), |i| i + 1);
         let (schema, table, rows) =
             std::str::from_utf8(&bytes[..end]).ok().and_then(made_of).with_context(|| {

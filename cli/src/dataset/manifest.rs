@@ -75,14 +75,20 @@ impl Manifest {
         }
         let text = read_text(&path, MAX_MANIFEST_BYTES)
             .with_context(|| format!("cannot read {}", path.display()))?;
-        let manifest: Self =
-            serde_json::from_str(&text).with_context(|| format!("{} is no manifest", path.display()))?;
+        Self::parse(&text).map(Some).with_context(|| format!("{} is no manifest", path.display()))
+    }
+
+    /// Reads a manifest's text.
+    ///
+    /// # Errors
+    /// When it is no manifest that this version reads.
+    pub fn parse(text: &str) -> Result<Self> {
+        let manifest: Self = serde_json::from_str(text)?;
         ensure!(
             manifest.format == MANIFEST_FORMAT,
-            "{} has format {:?}; this version reads {MANIFEST_FORMAT:?}",
-            path.display(),
+            "format is {:?}; this version reads {MANIFEST_FORMAT:?}",
             manifest.format
         );
-        Ok(Some(manifest))
+        Ok(manifest)
     }
 }

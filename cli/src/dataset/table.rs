@@ -91,6 +91,12 @@ impl Table {
         })
     }
 
+    /// How many passes the repeats of its frames come in, as its manifest says; 1 where it says nothing.
+    pub fn passes(&self) -> usize {
+        let stated = self.manifest.as_ref().and_then(|m| m.settings.get("passes")?.as_u64());
+        stated.and_then(|p| usize::try_from(p).ok()).unwrap_or(1).max(1)
+    }
+
     /// Finds a frame's volume file: the name below the root where one is set, the name as it stands, else
     /// relative to the table's folder.
     pub fn resolve_volume(&self, name: &str) -> Option<PathBuf> {
@@ -121,7 +127,11 @@ pub fn read_tables(paths: &[PathBuf]) -> Result<Vec<Table>> {
     Ok(tables)
 }
 
-pub(super) fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
+/// Reads a timing table's bytes; `table` is stored in each frame.
+///
+/// # Errors
+/// Names line and column of what is wrong.
+pub fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
     let mut reader = csv::ReaderBuilder::new().from_reader(bytes);
     let headers = reader.headers().context("the header line cannot be read")?.clone();
     let mut at = [0usize; COLUMNS.len()];

@@ -108,6 +108,23 @@ fn resuming_repairs_any_cut_and_keeps_whole_frames() {
 }
 
 #[test]
+fn a_table_has_one_writer_at_a_time() {
+    let dir = folder();
+    let path = dir.path().join("t.csv");
+    let mut first = Writer::create(&path).unwrap();
+    first.append(0, &scene(), &[measured(0.1)]).unwrap();
+    let said = Writer::resume(&path, 1).unwrap_err().to_string();
+    assert!(said.contains("t.csv is being written by another process"), "{said}");
+    first.append(1, &scene(), &[measured(0.1)]).unwrap();
+    drop(first);
+    let mut second = Writer::resume(&path, 1).unwrap();
+    second.append(2, &scene(), &[measured(0.1)]).unwrap();
+    assert!(Writer::resume(&path, 1).is_err());
+    drop(second);
+    assert_eq!(Table::read(&path, 0).unwrap().frames.len(), 3);
+}
+
+#[test]
 fn every_wrong_field_is_named_with_its_line_and_column() {
     let dir = folder();
     let path = dir.path().join("t.csv");
@@ -175,23 +192,53 @@ fn the_writer_refuses_what_could_not_be_read_back() {
     writer.append(0, &scene(), &[measured(0.1)]).unwrap();
 }
 
+/// Repeats of a frame of `seconds`, each off by a factor e^log.
+fn repeated(number: u64, seconds: f64, logs: &[f64]) -> TimedFrame {
+    let repeats = logs.iter().map(|l| measured(seconds * l.exp())).collect();
+    TimedFrame { table: 0, number, scene: scene(), repeats }
+}
+
 #[test]
-fn noise_floor_is_the_pooled_log_deviation() {
-    // Two frames, ratios e^±0.1 and e^±0.1: pooled variance = (2·0.01 + 2·0.01) / 2.
-    let frame = |t: f64| TimedFrame {
-        table: 0,
-        number: 0,
-        scene: scene(),
-        repeats: vec![measured(t * 0.1f64.exp()), measured(t * (-0.1f64).exp())],
-    };
-    let floor = noise_floor(&[frame(1.0), frame(20.0)], Clock::Wall).unwrap();
-    assert!((floor.log_sd - 0.02f64.sqrt()).abs() < 1e-12);
-    assert!((floor.log_sd_of_median - 0.1).abs() < 1e-12);
-    assert_eq!(floor.frames, 2);
+fn noise_floor_is_the_middle_difference_of_repeats() {
+    // Two repeats 0.2 apart: 0.2 / (0.6745·√2), and 1/√2 of that for their mean.
+    let frame = |t: f64| repeated(0, t, &[0.1, -0.1]);
+    let floor = noise_floor(&[frame(1.0), frame(20.0)], Clock::Wall, |_| 1).unwrap();
+    assert!((floor.log_sd - 0.209_671).abs() < 1e-6, "{floor:?}");
+    assert!((floor.log_sd_of_median - floor.log_sd / 2f64.sqrt()).abs() < 1e-12);
+    assert!((floor.warm_up - 0.2).abs() < 1e-12);
+    assert_eq!((floor.frames, floor.drift), (2, None));
     let mut once = frame(1.0);
     once.repeats.pop();
-    assert_eq!(noise_floor(&[once], Clock::Wall), None);
-    assert_eq!(noise_floor(&[frame(1.0)], Clock::Device), None);
+    assert_eq!(noise_floor(&[once], Clock::Wall, |_| 1), None);
+    assert_eq!(noise_floor(&[frame(1.0)], Clock::Device, |_| 1), None);
+}
+
+#[test]
+fn tails_warm_up_and_drift_do_not_lift_the_noise_floor() {
+    use rand::RngExt;
+    use rand_chacha::rand_core::SeedableRng;
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+    // The sum of twelve uniform numbers less 6 has a standard deviation of 1.
+    let mut normal = || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+    let frames: Vec<TimedFrame> = (0..2000u32)
+        .map(|i| {
+            let seconds = 1e-3 * 1.005f64.powi(i as i32 / 2);
+            // A first repeat that is slower where frames are quick; a second pass 10 % slower than the first.
+            let warm_up = if i < 500 { 0.4 } else { 0.05 };
+            let tail = if i % 50 == 0 { 2.0 } else { 0.0 };
+            let logs: Vec<f64> = [0.0, 0.1]
+                .iter()
+                .flat_map(|pass| [pass + warm_up, *pass, pass + tail])
+                .map(|common| common + 0.03 * normal())
+                .collect();
+            repeated(u64::from(i), seconds, &logs)
+        })
+        .collect();
+    let floor = noise_floor(&frames, Clock::Wall, |_| 2).unwrap();
+    assert!((floor.log_sd - 0.03).abs() < 2e-3, "{floor:?}");
+    assert!((floor.log_sd_of_median - 0.03 * (std::f64::consts::FRAC_PI_2 / 6.0).sqrt()).abs() < 1e-3);
+    assert!((floor.drift.unwrap() - 0.1).abs() < 5e-3, "{floor:?}");
+    assert!((floor.warm_up - 0.05).abs() < 2e-2, "{floor:?}");
 }
 
 #[test]

@@ -165,49 +165,158 @@ pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result
     Ok(frames)
 }
 
-/// How far repeats of one frame scatter: the floor under every predictor's error.
+/// How far repeats of one frame scatter: the floor under every predictor's error. Robust: every number is a
+/// median, so that no tail of disturbed repeats lifts it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NoiseFloor {
-    /// Standard deviation of ln(seconds) of a single repeat about its frame's mean, pooled over frames with
-    /// n − 1 degrees of freedom each.
+    /// Standard deviation of ln(seconds) of a single repeat: the median of |difference| of two repeats of a
+    /// frame in the same pass (of different passes where a pass has one repeat), over 0.6745·√2, as it is of
+    /// a normal distribution. What the repeats of frames of like duration have in common by their place, such
+    /// as a slow first one, is taken out before.
     pub log_sd: f64,
     /// The same for the median of each frame's repeats, taking its standard error as sqrt(π/2) times the
     /// mean's for three repeats or more, and the mean's for two.
     pub log_sd_of_median: f64,
     /// Median over repeats of |t − frame median| / frame median.
     pub median_relative_deviation: f64,
+    /// Median over frames of ln(first repeat / last one) within a pass: what warming up costs.
+    pub warm_up: f64,
+    /// Largest less smallest of the passes' medians of ln(pass median / frame median): how far the machine
+    /// drifted. `None` for a single pass.
+    pub drift: Option<f64>,
     /// Frames with at least two repeats.
     pub frames: usize,
 }
 
-/// The repeat-to-repeat noise by a clock, or `None` when no frame was repeated.
-pub fn noise_floor<'a>(frames: impl IntoIterator<Item = &'a TimedFrame>, clock: Clock) -> Option<NoiseFloor> {
-    let (mut squares, mut freedom, mut count) = (0.0, 0usize, 0usize);
-    let mut inverse_repeats = 0.0;
-    let mut deviations = Vec::new();
-    for frame in frames {
-        let seconds: Vec<f64> =
-            frame.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).collect();
-        if seconds.len() < 2 {
-            continue;
-        }
-        let n = seconds.len() as f64;
-        let mean = seconds.iter().map(|t| t.ln()).sum::<f64>() / n;
-        squares += seconds.iter().map(|t| (t.ln() - mean).powi(2)).sum::<f64>();
-        freedom += seconds.len() - 1;
-        count += 1;
-        inverse_repeats += if seconds.len() > 2 { std::f64::consts::FRAC_PI_2 / n } else { 1.0 / n };
-        let mid = median(&mut seconds.clone())?;
-        deviations.extend(seconds.iter().map(|t| (t - mid).abs() / mid));
+impl NoiseFloor {
+    /// In words.
+    pub fn describe(&self) -> String {
+        let drift =
+            self.drift.map_or(String::new(), |d| format!(", passes drift by {:.1} %", 100.0 * d.exp_m1()));
+        format!(
+            "repeats of one frame scatter with a log-SD of {:.4} (median of repeats about {:.4}), the first \
+             takes {:.1} % longer than the last{drift}; {} repeated frames",
+            self.log_sd,
+            self.log_sd_of_median,
+            100.0 * self.warm_up.exp_m1(),
+            self.frames
+        )
     }
-    if freedom == 0 {
+
+    /// The median of |predicted / measured − 1| that knowing the truth would leave.
+    pub fn mdape(&self) -> f64 {
+        0.6745 * self.log_sd_of_median
+    }
+}
+
+/// Fewest frames of like duration whose common trend is told from noise.
+const TREND_FRAMES: usize = 20;
+
+/// ln(seconds) of every repeat of a frame that has at least two, and the passes that they come in.
+struct Logs {
+    repeats: Vec<f64>,
+    median: f64,
+    passes: usize,
+}
+
+impl Logs {
+    fn of(frame: &TimedFrame, clock: Clock, passes: usize) -> Option<Self> {
+        let repeats: Vec<f64> =
+            frame.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).map(f64::ln).collect();
+        // Repeats without a time leave none that stand for a pass.
+        let whole = repeats.len() == frame.repeats.len() && repeats.len().is_multiple_of(passes);
+        let median = median(&mut repeats.clone())?;
+        (repeats.len() > 1).then_some(Self { repeats, median, passes: if whole { passes } else { 1 } })
+    }
+
+    fn by_pass(&self) -> std::slice::Chunks<'_, f64> {
+        self.repeats.chunks(self.repeats.len() / self.passes)
+    }
+}
+
+/// The repeat-to-repeat noise by a clock, or `None` when no frame was repeated. `passes` says how many passes
+/// the repeats of a frame come in, as its table's manifest does ([`Table::passes`]).
+pub fn noise_floor<'a>(
+    frames: impl IntoIterator<Item = &'a TimedFrame>,
+    clock: Clock,
+    passes: impl Fn(&TimedFrame) -> usize,
+) -> Option<NoiseFloor> {
+    let mut logs: Vec<Logs> =
+        frames.into_iter().filter_map(|f| Logs::of(f, clock, passes(f).max(1))).collect();
+    if logs.is_empty() {
         return None;
     }
-    let log_sd = (squares / freedom as f64).sqrt();
+    let middle = |mut values: Vec<f64>| median(&mut values);
+    let warm_up = middle(
+        logs.iter()
+            .flat_map(|l| l.by_pass().filter(|p| p.len() > 1).map(|p| p[0] - p[p.len() - 1]))
+            .collect(),
+    );
+    let drift = drift(&logs);
+    let deviations =
+        logs.iter().flat_map(|l| l.repeats.iter().map(|r| (r - l.median).exp_m1().abs())).collect();
+    let median_relative_deviation = middle(deviations)?;
+    logs.sort_by(|a, b| a.median.total_cmp(&b.median));
+    without_trend(&mut logs);
+    let mut differences = Vec::new();
+    let mut inverse_repeats = 0.0;
+    for l in &logs {
+        let n = l.repeats.len() as f64;
+        inverse_repeats += if n > 2.0 { std::f64::consts::FRAC_PI_2 / n } else { 1.0 / n };
+        let several = l.repeats.len() > l.passes;
+        let groups: Vec<&[f64]> = if several { l.by_pass().collect() } else { vec![&l.repeats[..]] };
+        for group in groups {
+            for (i, a) in group.iter().enumerate() {
+                differences.extend(group[..i].iter().map(|b| (a - b).abs()));
+            }
+        }
+    }
+    // The median of |difference| of two draws from a normal distribution, in its standard deviations.
+    let log_sd = middle(differences)? / (0.674_489_75 * std::f64::consts::SQRT_2);
     Some(NoiseFloor {
         log_sd,
-        log_sd_of_median: log_sd * (inverse_repeats / count as f64).sqrt(),
-        median_relative_deviation: median(&mut deviations)?,
-        frames: count,
+        log_sd_of_median: log_sd * (inverse_repeats / logs.len() as f64).sqrt(),
+        median_relative_deviation,
+        warm_up: warm_up.unwrap_or(0.0),
+        drift,
+        frames: logs.len(),
     })
+}
+
+/// Takes out what repeats have in common by their place, among frames of like duration. `logs` is ordered by
+/// duration.
+fn without_trend(logs: &mut [Logs]) {
+    let parts = (logs.len() / TREND_FRAMES).min(10);
+    let count = logs.len();
+    for part in 0..parts {
+        let part = &mut logs[part * count / parts..(part + 1) * count / parts];
+        let longest = part.iter().map(|l| l.repeats.len()).max().unwrap_or(0);
+        for place in 0..longest {
+            let mut common: Vec<f64> =
+                part.iter().filter_map(|l| Some(l.repeats.get(place)? - l.median)).collect();
+            let Some(common) = (common.len() >= TREND_FRAMES).then(|| median(&mut common)).flatten() else {
+                continue;
+            };
+            for l in part.iter_mut() {
+                if let Some(r) = l.repeats.get_mut(place) {
+                    *r -= common;
+                }
+            }
+        }
+    }
+}
+
+fn drift(logs: &[Logs]) -> Option<f64> {
+    let most = logs.iter().map(|l| l.passes).max().filter(|&p| p > 1)?;
+    let offsets: Vec<f64> = (0..most)
+        .filter_map(|pass| {
+            let of_pass = logs.iter().filter_map(|l| {
+                let mut repeats = l.by_pass().nth(pass).filter(|_| l.passes > 1)?.to_vec();
+                Some(median(&mut repeats)? - l.median)
+            });
+            median(&mut of_pass.collect::<Vec<_>>())
+        })
+        .collect();
+    let ends = |f: fn(f64, f64) -> f64| offsets.iter().copied().reduce(f);
+    Some(ends(f64::max)? - ends(f64::min)?)
 }

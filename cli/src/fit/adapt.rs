@@ -147,7 +147,7 @@ pub fn transfer(file: &ModelFile, context: &FitContext<'_>, frames: Timed<'_>) -
 }
 
 /// What enters the last layer.
-fn hidden_activations(parts: &PredNetParts, x: &[f64]) -> Vec<f64> {
+pub(super) fn hidden_activations(parts: &PredNetParts, x: &[f64]) -> Vec<f64> {
     let mut rows = x.to_vec();
     for layer in &parts.layers[..parts.layers.len() - 1] {
         let mut next = Vec::with_capacity(rows.len() / layer.inputs * layer.outputs);

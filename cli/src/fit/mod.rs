@@ -10,21 +10,27 @@
 
 mod adapt;
 mod analytic;
+mod blank;
 mod compose;
 mod least_squares;
+mod posterior;
 mod recipe;
 #[cfg(test)]
 mod tests;
 mod training;
 
 pub use adapt::{calibrate, calibrate_to_rows, transfer};
+pub use blank::blank_prior;
 pub use least_squares::solve;
+pub use posterior::{Belief, Chosen, Observed, Posterior, Split as PriorModel};
 pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss};
 
 use crate::dataset::{Table, TimedFrame};
 use crate::inputs::Layout;
 use anyhow::{Context as _, Result};
 use entire_core::model::{Model, ModelFile};
+use entire_core::nn::PredNet;
+use entire_core::predict::check_batch;
 use entire_core::train::EpochRecord;
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
@@ -56,15 +62,24 @@ pub struct FittedModel {
     pub outcome: String,
 }
 
-/// Seconds for rows of inputs, by the network as it will be used.
+/// Seconds for rows of inputs, by the network as it will be used: finite and positive, as every predictor's.
 ///
 /// # Errors
-/// When the model holds no PredNet.
+/// When the model holds no PredNet, or gives no number for a row.
 pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let parts = model.prednet().context("the model file holds no PredNet")?;
-    let net = entire_core::nn::PredNet::new(parts)?;
-    let mut scratch = net.scratch();
-    Ok(rows.chunks_exact(width).map(|row| f64::from(net.predict(row, &mut scratch))).collect())
+    rows_by_network(&PredNet::new(parts)?, rows, width)
+}
+
+/// As [`predict_rows`], by a network that was built before.
+///
+/// # Errors
+/// When it gives no number for a row.
+pub fn rows_by_network(net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
+    let mut scratch = net.scratch()?;
+    let mut seconds: Vec<f32> = rows.chunks_exact(width).map(|row| net.predict(row, &mut scratch)).collect();
+    check_batch(&mut seconds)?;
+    Ok(seconds.into_iter().map(f64::from).collect())
 }
 
 /// Seconds that a model file predicts for frames.

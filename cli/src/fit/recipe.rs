@@ -186,6 +186,11 @@ pub fn parse_loss(text: &str) -> Result<Loss> {
     }
 }
 
+/// What frames took over what was estimated for them.
+fn ratios_of(seconds: &[f64], estimates: &[f64]) -> Vec<f64> {
+    seconds.iter().zip(estimates).map(|(t, e)| t / e).collect()
+}
+
 fn names(features: &[SceneFeature]) -> Vec<String> {
     features.iter().map(ToString::to_string).collect()
 }
@@ -397,16 +402,12 @@ impl Recipe {
         let (mut file, layout) = self.layout(training)?;
         let (model, report) = fit_analytic(context, training, self.side(), &self.default_costs())?;
         let costs = model.unit_costs();
-        let seconds = |part: Timed<'_>| -> Result<Vec<f64>> {
-            let estimates = estimates(context, part, &costs, self.side())?;
-            Ok(part.seconds.iter().zip(&estimates).map(|(t, e)| t / e).collect())
-        };
-        let (ratios, judged) = (seconds(training)?, seconds(validation)?);
+        let estimated = estimates(context, training, &costs, self.side())?;
+        let ratios = ratios_of(training.seconds, &estimated);
+        let judged = ratios_of(validation.seconds, &estimates(context, validation, &costs, self.side())?);
         let mut settings = self.settings()?;
         settings.target = Target::LogSeconds;
-        let mut widths = vec![layout.width()];
-        widths.extend(&self.layers);
-        widths.push(1);
+        let widths = self.widths(layout.width());
         let hidden = ProgressBar::hidden();
         let x = layout.rows(context.tables, training.frames, context.pool, &hidden)?;
         let vx = layout.rows(context.tables, validation.frames, context.pool, &hidden)?;
@@ -418,11 +419,10 @@ impl Recipe {
         )?;
         let mut features = layout.scene_features().to_vec();
         features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
-        let estimates: Vec<f64> =
-            estimates(context, training, &costs, self.side())?.iter().map(|e| e.ln()).collect();
-        let n = estimates.len() as f64;
-        let mean = estimates.iter().sum::<f64>() / n;
-        let sd = (estimates.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n).sqrt().max(0.1);
+        let logs: Vec<f64> = estimated.iter().map(|e| e.ln()).collect();
+        let n = logs.len() as f64;
+        let mean = logs.iter().sum::<f64>() / n;
+        let sd = (logs.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / n).sqrt().max(0.1);
         let parts = carry_past(parts, mean as f32, sd as f32);
         file.set_metadata(UNIT_COSTS_KEY, costs.to_json()?);
         let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?.with_probe_side(self.side());
@@ -445,6 +445,11 @@ impl Recipe {
         })
     }
 
+    /// Widths of a network of the hidden layers asked for: inputs, hidden units, one output.
+    fn widths(&self, inputs: usize) -> Vec<usize> {
+        [&[inputs], &self.layers[..], &[1]].concat()
+    }
+
     fn network(
         &self,
         context: &FitContext<'_>,
@@ -454,12 +459,7 @@ impl Recipe {
         let (mut file, layout) = self.layout(training)?;
         let widths = match &self.preset {
             Some(preset) => preset_widths(preset, layout.width())?,
-            None => {
-                let mut widths = vec![layout.width()];
-                widths.extend(&self.layers);
-                widths.push(1);
-                widths
-            }
+            None => self.widths(layout.width()),
         };
         let bar = ProgressBar::hidden();
         let x = layout.rows(context.tables, training.frames, context.pool, &bar)?;

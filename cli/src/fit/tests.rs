@@ -40,8 +40,9 @@ fn networks_side_by_side_give_the_mean_of_their_logarithms() {
         let each: Vec<PredNet> = members.iter().map(|m| PredNet::new(m).unwrap()).collect();
         for x in [[0.0f32, 0.0, 0.0], [1.0, -2.0, 3.0], [9.0, 9.0, -9.0]] {
             let mean: f64 =
-                each.iter().map(|n| f64::from(n.predict(&x, &mut n.scratch())).ln()).sum::<f64>() / 3.0;
-            let found = f64::from(one.predict(&x, &mut one.scratch())).ln();
+                each.iter().map(|n| f64::from(n.predict(&x, &mut n.scratch().unwrap())).ln()).sum::<f64>()
+                    / 3.0;
+            let found = f64::from(one.predict(&x, &mut one.scratch().unwrap())).ln();
             assert!((found - mean).abs() < 1e-5, "{widths:?} {x:?}: {found} {mean}");
         }
     }
@@ -135,8 +136,8 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
                 quantity(SceneQuantity::MeanChord) as f32,
             ];
             let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
-            let expected =
-                costs.seconds_of_quantities(&counts) * f64::from(factor.predict(&x, &mut factor.scratch()));
+            let expected = costs.seconds_of_quantities(&counts)
+                * f64::from(factor.predict(&x, &mut factor.scratch().unwrap()));
             // Far from the shortest time that a network gives, where nothing could be told apart.
             assert!((1e-4..1e4).contains(&expected), "{expected}");
             let predicted = f64::from(predictor.predict(&asked).unwrap().seconds);

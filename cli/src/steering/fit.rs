@@ -220,6 +220,22 @@ impl Calibrated {
         Ok(self)
     }
 
+    /// Adds the machine's own model as it is, and chooses anew.
+    ///
+    /// # Errors
+    /// When the model needs an input that calibration frames do not have.
+    pub fn with_machine(
+        mut self,
+        title: &str,
+        file: &ModelFile,
+        samples: &[Sample],
+        volume: &VolumeView<'_>,
+    ) -> Result<Self> {
+        self.candidates.push(Candidate::of(SteeringModel::made(title.to_owned(), file, volume)?, samples)?);
+        self.choose();
+        Ok(self)
+    }
+
     /// Chooses the candidate with the smallest scatter on held-out frames.
     fn choose(&mut self) {
         let sd = |c: &Candidate| c.held_out.log_sd;

@@ -6,6 +6,8 @@ use super::fit::{Calibrated, Candidate, SteeringModel};
 use super::play::{Contender, DrawSettings, Playback, Shown, Task, play};
 use super::report::ResponseCurve;
 use super::rivals::StepResponse;
+use crate::calibrate::place::machine_model;
+use crate::dataset::Clock;
 use crate::metrics::median;
 use crate::path::FlightPath;
 use crate::progress::progress_bar;
@@ -55,6 +57,31 @@ pub struct Race<'a> {
     /// A model of other machines' times, by what it is called, that is calibrated to this one and takes part
     /// in the choice.
     pub shipped: Option<(&'a str, &'a ModelFile)>,
+    /// The machine's model, by what it is called: it takes part in the choice as it is.
+    pub machine: Option<(&'a str, &'a ModelFile)>,
+}
+
+/// The machine's model for what is drawn, by what it is called, and the clock that counts: with
+/// [`Clock::Auto`] the one that the machine's model predicts. A model of another clock than the one that was
+/// asked for takes no part, which is said.
+///
+/// # Errors
+/// When the machine's model is there and no model.
+pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(String, ModelFile)>, Clock)> {
+    let Some((path, file, stated)) = machine_model(shading)? else { return Ok((None, asked)) };
+    let Some(clock) = stated.filter(|c| asked == Clock::Auto || *c == asked) else {
+        crate::files::note(&format!(
+            "{} predicts {} seconds and the clock is {}: it takes no part (`entire calibrate --shade {} --clock \
+             {}` makes one that does)",
+            path.display(),
+            stated.map_or("no stated clock's", Clock::name),
+            asked.name(),
+            shading.name(),
+            asked.name()
+        ));
+        return Ok((None, asked));
+    };
+    Ok((Some((format!("{}, of this machine", path.display()), file)), clock))
 }
 
 /// The model in `models/` that was selected for a shading mode; `None` where the working folder is not the
@@ -63,6 +90,14 @@ pub struct Race<'a> {
 /// # Errors
 /// When it is there and no model.
 pub fn shipped_model(shading: Shading) -> Result<Option<(String, ModelFile)>> {
+    Ok(shipped_file(shading)?.map(|(path, file)| (format!("{}, calibrated", path.display()), file)))
+}
+
+/// As [`shipped_model`], with its file.
+///
+/// # Errors
+/// When it is there and no model.
+pub fn shipped_file(shading: Shading) -> Result<Option<(PathBuf, ModelFile)>> {
     let set = match shading {
         Shading::None => "unshaded",
         other => other.name(),
@@ -72,7 +107,7 @@ pub fn shipped_model(shading: Shading) -> Result<Option<(String, ModelFile)>> {
         return Ok(None);
     }
     let (file, _) = crate::files::read_model_file(&path)?;
-    Ok(Some((format!("{}, calibrated", path.display()), file)))
+    Ok(Some((path, file)))
 }
 
 /// What calibration gave.
@@ -165,6 +200,9 @@ pub fn prepare(
     let mut calibrated = Calibrated::fit(&samples, race.volume, race.seed)?;
     if let Some(shipped) = race.shipped {
         calibrated = calibrated.with_shipped(shipped, &samples, race.volume)?;
+    }
+    if let Some((title, file)) = race.machine {
+        calibrated = calibrated.with_machine(title, file, &samples, race.volume)?;
     }
     if let Some(model) = race.model {
         let fitted = SteeringModel::new("the model file that was given".into(), model.clone(), race.volume)?;

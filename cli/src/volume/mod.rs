@@ -30,11 +30,12 @@ mod stream;
 mod vti;
 
 pub use element::{Element, Endian};
-pub use stream::{Companions, Folder, NoCompanions, Stream};
+pub use stream::{Companions, Folder, NoCompanions, Stream, Watcher};
 
 use anyhow::{Context, Result, bail};
 use entire_core::scene::{ScalarType, Scalars, VolumeView};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Owned voxels in one of the types that the core takes.
 #[derive(Clone, Debug, PartialEq)]
@@ -207,9 +208,17 @@ impl Volume {
     /// unreadable file, an unknown format, a broken header, a zero size, more or fewer bytes of voxels than
     /// the header calls for, several components or time steps.
     pub fn open(path: impl AsRef<Path>) -> Result<Self> {
+        Self::open_watched(path, None)
+    }
+
+    /// As [`Volume::open`], with somebody who follows how far it is read and may stop it.
+    ///
+    /// # Errors
+    /// As [`Volume::open`], and the watcher's own.
+    pub fn open_watched(path: impl AsRef<Path>, watcher: Option<Arc<dyn Watcher>>) -> Result<Self> {
         let path = path.as_ref();
         let shown = path.display();
-        let mut stream = Stream::open(path)?;
+        let mut stream = Stream::open_watched(path, watcher.as_ref())?;
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         let format = match Format::of_name(&name) {
             Some(format) => format,
@@ -220,7 +229,7 @@ impl Volume {
                 }
             },
         };
-        let folder = Folder::new(path.parent().unwrap_or(Path::new("")));
+        let folder = Folder::new(path.parent().unwrap_or(Path::new(""))).watched(watcher);
         let mut volume = Self::read(format, stream, &name, &folder).with_context(|| format!("{shown}"))?;
         if volume.name.is_empty() {
             volume.name = stem(&name).to_owned();

@@ -6,6 +6,7 @@ use std::fmt;
 use std::fs::{File, Metadata};
 use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// No deflate stream grows by more than this factor when it is decompressed (RFC 1951: 258 bytes from 2 bits,
 /// less the block's own cost).
@@ -18,6 +19,32 @@ pub(crate) enum Remaining {
     Exact(u64),
     /// No more than so many: it is compressed.
     AtMost(u64),
+}
+
+/// Somebody who follows how far files are read, and may stop it.
+pub trait Watcher: Send + Sync {
+    /// So many more bytes are going to be read.
+    fn expect(&self, bytes: u64);
+
+    /// So many more bytes were read.
+    ///
+    /// # Errors
+    /// To stop the reading; the error reaches whoever reads.
+    fn advance(&self, bytes: u64) -> io::Result<()>;
+}
+
+/// A file that is followed.
+struct Watched<R> {
+    inner: R,
+    watcher: Arc<dyn Watcher>,
+}
+
+impl<R: Read> Read for Watched<R> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let count = self.inner.read(out)?;
+        self.watcher.advance(count as u64)?;
+        Ok(count)
+    }
 }
 
 /// A readable source of bytes with a name for messages and a bound on its length.
@@ -40,6 +67,14 @@ impl<'a> Stream<'a> {
     /// # Errors
     /// Names the path when it is missing, unreadable or not a regular file.
     pub fn open(path: &Path) -> Result<Stream<'static>> {
+        Self::open_watched(path, None)
+    }
+
+    /// As [`Stream::open`], with somebody who follows.
+    ///
+    /// # Errors
+    /// As [`Stream::open`].
+    pub fn open_watched(path: &Path, watcher: Option<&Arc<dyn Watcher>>) -> Result<Stream<'static>> {
         let shown = path.display();
         let refused = |error: io::Error| match error.kind() {
             io::ErrorKind::NotFound => anyhow!("{shown}: no such file; check the path"),
@@ -51,12 +86,16 @@ impl<'a> Stream<'a> {
         let metadata = file.metadata().with_context(|| format!("{shown}"))?;
         check_regular(path, &metadata)?;
         let length = metadata.len();
-        Ok(Stream {
-            reader: Box::new(BufReader::with_capacity(1 << 16, file.take(length))),
-            remaining: Remaining::Exact(length),
-            read: 0,
-            label: String::new(),
-        })
+        let file = file.take(length);
+        let reader: Box<dyn BufRead> = match watcher {
+            None => Box::new(BufReader::with_capacity(1 << 16, file)),
+            Some(watcher) => {
+                watcher.expect(length);
+                let watched = Watched { inner: file, watcher: Arc::clone(watcher) };
+                Box::new(BufReader::with_capacity(1 << 16, watched))
+            }
+        };
+        Ok(Stream { reader, remaining: Remaining::Exact(length), read: 0, label: String::new() })
     }
 
     /// Reads from memory.
@@ -273,22 +312,35 @@ pub trait Companions {
 }
 
 /// Files beside a header in a folder.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Folder {
     path: PathBuf,
+    watcher: Option<Arc<dyn Watcher>>,
+}
+
+impl fmt::Debug for Folder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Folder").field("path", &self.path).finish_non_exhaustive()
+    }
 }
 
 impl Folder {
     /// The folder that names are relative to.
     pub fn new(path: impl Into<PathBuf>) -> Self {
-        Self { path: path.into() }
+        Self { path: path.into(), watcher: None }
+    }
+
+    /// The same, with somebody who follows the reading of its files.
+    pub fn watched(self, watcher: Option<Arc<dyn Watcher>>) -> Self {
+        Self { watcher, ..self }
     }
 }
 
 impl Companions for Folder {
     fn open(&self, name: &str) -> Result<Stream<'_>> {
         let path = self.path.join(name);
-        let stream = Stream::open(&path).context("the data file that the header names")?;
+        let stream = Stream::open_watched(&path, self.watcher.as_ref())
+            .context("the data file that the header names")?;
         Ok(stream.labeled(path.display().to_string()))
     }
 

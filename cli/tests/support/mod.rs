@@ -7,7 +7,12 @@ use std::process::{Command, Output};
 
 /// Runs `entire` in a folder.
 pub(crate) fn entire(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_entire")).args(arguments).current_dir(folder).output().unwrap()
+    entire_in(folder, &[], arguments)
+}
+
+fn entire_in(folder: &Path, environment: &[(&str, &str)], arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
+    command.args(arguments).envs(environment.iter().copied()).current_dir(folder).output().unwrap()
 }
 
 pub(crate) fn stdout(output: &Output) -> String {
@@ -28,7 +33,12 @@ pub(crate) fn succeeds(folder: &Path, arguments: &[&str]) -> String {
 /// A run that must end with status 1, nothing on standard output and one line on standard error that contains
 /// every one of `parts`.
 pub(crate) fn refuses(folder: &Path, arguments: &[&str], parts: &[&str]) {
-    let output = entire(folder, arguments);
+    refuses_in(folder, &[], arguments, parts);
+}
+
+/// As [`refuses`] with variables in the environment.
+pub(crate) fn refuses_in(folder: &Path, environment: &[(&str, &str)], arguments: &[&str], parts: &[&str]) {
+    let output = entire_in(folder, environment, arguments);
     let told = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{arguments:?}: {told}");
     let errors: Vec<&str> = told.lines().filter(|line| !line.starts_with("note: ")).collect();

@@ -1,30 +1,26 @@
 //! One render loop: a volume, a transfer function, a predictor and a controller.
 
+mod ladder;
+mod state;
+
 use super::coarsening::Coarsening;
 use super::{
     Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, SceneMark, StepCost,
     StepLimits,
 };
-use crate::adapt::state::{Reader, Writer, seal, unseal};
 use crate::adapt::{ObserveFlags, Prior, Verdict, check_seconds};
 use crate::error::bail;
 use crate::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
+use crate::memory::{copied, reserve};
 use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Source, TERMS};
 use crate::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
 use crate::{Error, ErrorKind, Result};
-use alloc::borrow::ToOwned;
 use alloc::boxed::Box;
 use alloc::string::String;
 use alloc::vec::Vec;
 
 /// Plans that may wait for their observation at a time; older ones are forgotten.
 pub const PENDING_PLANS: usize = 64;
-
-/// What saved states begin with: kind and version.
-const TAG: [u8; 4] = *b"ENS2";
-
-/// Longest name of a renderer or clock, bytes.
-const MAX_NAME: usize = 256;
 
 /// What to draw, and what to expect of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -81,6 +77,7 @@ pub struct Session {
     volume_features: Option<Vec<f32>>,
     lobes: Option<Vec<GaussianLobe>>,
     features: FrameFeatures,
+    ladder: Option<ladder::Ladder>,
     coarsening: Coarsening,
     enabled: bool,
     changes: Changes,
@@ -126,6 +123,7 @@ impl Session {
             volume_features: None,
             lobes: None,
             features,
+            ladder: None,
             coarsening: Coarsening::of_step(StepLimits::default()),
             enabled: true,
             changes: Changes { first: true, ..Changes::NONE },
@@ -159,8 +157,13 @@ impl Session {
     /// Sets the volume by its summary, and VolumeNet's output for it where the model takes one. The transfer
     /// function must be set again.
     pub fn set_volume(&mut self, volume: VolumeSummary, volume_features: Option<&[f32]>) {
+        self.set_volume_with(volume, volume_features.map(<[f32]>::to_vec));
+    }
+
+    /// As [`Session::set_volume`], the features handed over: nothing is allocated.
+    pub fn set_volume_with(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) {
         self.volume = Some(volume);
-        self.volume_features = volume_features.map(<[f32]>::to_vec);
+        self.volume_features = volume_features;
         self.transfer = None;
         self.changes.volume = true;
     }
@@ -168,21 +171,29 @@ impl Session {
     /// Sets the transfer function, and its Gaussian lobes where it has them.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before a volume was set.
+    /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::OutOfMemory`] where there is
+    /// no room for what is kept; nothing has changed then.
     pub fn set_transfer(&mut self, table: &TransferTable, lobes: Option<&[GaussianLobe]>) -> Result<()> {
         let Some(volume) = &self.volume else {
             bail!(NotReady, "no volume is set; set the volume before its transfer function");
         };
+        // Everything that can fail for want of memory comes first.
+        let mut fresh = None;
+        match (&mut self.lobes, lobes) {
+            (Some(kept), Some(new)) => reserve(kept, new.len())?,
+            (None, Some(new)) => fresh = Some(copied(new)?),
+            (_, None) => {}
+        }
         match &mut self.transfer {
-            Some(transfer) => transfer.update(volume, table),
-            None => self.transfer = Some(TransferSummary::new(volume, table)),
+            Some(transfer) => transfer.try_update(volume, table)?,
+            None => self.transfer = Some(TransferSummary::try_new(volume, table)?),
         }
         match (&mut self.lobes, lobes) {
             (Some(kept), Some(new)) => {
                 kept.clear();
                 kept.extend_from_slice(new);
             }
-            (kept, new) => *kept = new.map(<[GaussianLobe]>::to_vec),
+            (kept, _) => *kept = fresh,
         }
         self.changes.transfer = true;
         Ok(())
@@ -262,7 +273,7 @@ impl Session {
     /// [`Session::predict`].
     pub fn plan(&mut self, frame: &Frame, target: f32) -> Result<Plan> {
         check_target(target)?;
-        self.measure(frame)?;
+        self.measure_for(frame, target)?;
         let changes = self.changes_for(frame);
         let setting = Setting::of(frame);
         if !self.enabled {
@@ -390,6 +401,19 @@ impl Session {
         Ok(self.controller.observe(&observed))
     }
 
+    /// Takes the newest plan back, where the caller draws no frame with it: its id goes to the next plan, which
+    /// follows on the frame before it. Any other id changes nothing.
+    pub fn withdraw(&mut self, id: u64) {
+        if id == 0 || id.checked_add(1) != Some(self.next_id) {
+            return;
+        }
+        let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
+        if let Some(plan) = slot.take_if(|p| p.id == id && !p.observed) {
+            self.next_id = id;
+            self.mark(plan.changes);
+        }
+    }
+
     /// Forgets every observation and every pending plan; volume and transfer function stay.
     pub fn reset(&mut self) {
         self.controller.reset();
@@ -398,75 +422,8 @@ impl Session {
         self.last = None;
     }
 
-    /// Names the renderer whose frames are observed and the clock that times them. What was learned of one
-    /// does not hold for another: saved states carry both names, and [`Session::load_state`] refuses those of
-    /// others. Sessions start with empty names.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a name of more than 256 bytes.
-    pub fn set_timing_source(&mut self, renderer: &str, clock: &str) -> Result<()> {
-        for (what, name) in [("renderer", renderer), ("clock", clock)] {
-            if name.len() > MAX_NAME {
-                bail!(
-                    InvalidArgument,
-                    "the {what}'s name has {} bytes, at most {MAX_NAME} are accepted; shorten it",
-                    name.len()
-                );
-            }
-        }
-        self.timing = [renderer.to_owned(), clock.to_owned()];
-        Ok(())
-    }
-
-    /// What was learned, as bytes for [`Session::load_state`]: little-endian numbers behind a tag and
-    /// version, bound to the model and the timing source, with a checksum at the end.
-    #[must_use]
-    pub fn save_state(&self) -> Vec<u8> {
-        let mut out = Vec::new();
-        let mut w = Writer(&mut out);
-        w.tag(TAG);
-        w.u64(u64::from(self.predictor.identity()));
-        self.timing.iter().for_each(|name| w.text(name));
-        self.controller.save(&mut out);
-        seal(&mut out);
-        out
-    }
-
-    /// Takes up what an earlier session with the same model, timing source and kind of controller learned; on
-    /// an error nothing changes.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for bytes that are cut short, damaged, or another version's,
-    /// model's, timing source's or controller's.
-    pub fn load_state(&mut self, bytes: &[u8]) -> Result<()> {
-        // The tag first: bytes of another kind are not called damaged.
-        Reader(bytes).tag(TAG)?;
-        let mut r = Reader(unseal(bytes)?);
-        r.tag(TAG)?;
-        let (found, own) = (r.u64()?, u64::from(self.predictor.identity()));
-        if found != own {
-            bail!(
-                InvalidArgument,
-                "the saved state was learned with another model (its checksum is {found:08x}, this one's {own:08x}); load it \
-                 into a session with that model, or start without it"
-            );
-        }
-        for (what, own) in ["renderer", "clock"].into_iter().zip(&self.timing) {
-            let found = r.text(MAX_NAME)?;
-            if found != own {
-                bail!(
-                    InvalidArgument,
-                    "the saved state was learned from the {what} {found:?}, this session's is {own:?}; name the timing \
-                     source before loading, or start without the state"
-                );
-            }
-        }
-        self.controller.load(r.0)?;
-        self.pending.fill(None);
-        Ok(())
-    }
-
-    fn measure(&mut self, frame: &Frame) -> Result<()> {
+    /// Casts the probe's rays.
+    fn cast(&mut self, frame: &Frame) -> Result<()> {
         let (Some(volume), Some(transfer)) = (&self.volume, &mut self.transfer) else {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             bail!(NotReady, "no {missing} is set; set volume and transfer function before the first frame");

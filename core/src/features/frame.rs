@@ -225,6 +225,17 @@ impl FrameFeatures {
         self.probe_side
     }
 
+    /// Rays along each side of the next probe.
+    pub(crate) fn set_probe_side(&mut self, side: usize) {
+        self.probe_side = side.min(MAX_PROBE_SIDE);
+    }
+
+    /// By how much the probe is likely to be off: the standard error of the length among samples, as a share of it;
+    /// infinite where nobody knows.
+    pub(crate) fn probe_error(&self) -> f32 {
+        self.probe.error
+    }
+
     /// The probe behind the numbers.
     pub fn probe(&self) -> &Probe {
         &self.probe

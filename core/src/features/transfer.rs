@@ -1,6 +1,8 @@
 //! What a transfer function makes of a volume: emptiness and extinction of each cell.
 
 use super::VolumeSummary;
+use crate::Result;
+use crate::memory::reserve;
 use crate::scene::{TABLE_LEN, TransferTable};
 use alloc::vec::Vec;
 
@@ -67,7 +69,18 @@ pub struct TransferSummary {
 
 impl TransferSummary {
     /// Applies a table to a volume.
+    ///
+    /// # Panics
+    /// Where there is no memory for three numbers per cell of the volume; see [`TransferSummary::try_new`].
     pub fn new(volume: &VolumeSummary, table: &TransferTable) -> Self {
+        Self::try_new(volume, table).unwrap_or_else(|error| panic!("{error}"))
+    }
+
+    /// As [`TransferSummary::new`].
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::OutOfMemory`] where there is no room for three numbers per cell of the volume.
+    pub fn try_new(volume: &VolumeSummary, table: &TransferTable) -> Result<Self> {
         let mut summary = Self {
             flags: Vec::new(),
             occupied: Vec::new(),
@@ -85,27 +98,45 @@ impl TransferSummary {
             visible_share: 0.0,
             max_opacity: 0.0,
         };
-        summary.update(volume, table);
-        summary
+        summary.try_update(volume, table)?;
+        Ok(summary)
     }
 
     /// Applies another table, or the table to another volume. Allocates only when the volume has more cells
     /// than any before it.
+    ///
+    /// # Panics
+    /// As [`TransferSummary::new`].
     pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) {
+        if let Err(error) = self.try_update(volume, table) {
+            panic!("{error}");
+        }
+    }
+
+    /// As [`TransferSummary::update`].
+    ///
+    /// # Errors
+    /// As [`TransferSummary::try_new`]; nothing has changed then.
+    pub fn try_update(&mut self, volume: &VolumeSummary, table: &TransferTable) -> Result<()> {
         let n = volume.cell_count();
+        let longest = volume.cells().into_iter().max().unwrap_or(1);
+        let line = (2 * longest).max(n).max(volume.block_ranges().0.len()).max(self.line.len());
+        let shares = if volume.first_blocks().is_some() { n } else { 0 };
+        reserve(&mut self.flags, n.div_ceil(FLAGGED))?;
+        reserve(&mut self.occupied, shares)?;
+        reserve(&mut self.optics, n)?;
+        reserve(&mut self.distance, n)?;
+        reserve(&mut self.line, line)?;
         self.flags.resize(n.div_ceil(FLAGGED), 0);
-        self.occupied.resize(if volume.first_blocks().is_some() { n } else { 0 }, 0.0);
+        self.occupied.resize(shares, 0.0);
         self.optics.resize(n, [0.0; OPTICS]);
         self.distance.resize(n, 0);
-        let longest = volume.cells().into_iter().max().unwrap_or(1);
-        let room = (2 * longest).max(n).max(volume.block_ranges().0.len());
-        if self.line.len() < room {
-            self.line.resize(room, 0);
-        }
+        self.line.resize(line, 0);
         self.grid = volume.cells();
         self.distance_ready = false;
         self.read_table(volume, table);
         self.classify(volume);
+        Ok(())
     }
 
     /// Prefix tables, and what follows from the table and the volume's histogram alone.

@@ -4,6 +4,7 @@ use super::keys;
 use super::read::{InputGroup, Model, Source};
 use crate::Result;
 use crate::error::bail;
+use crate::memory::check_bytes;
 use crate::nn::{Dtype, Normalization, PredNetParts};
 use alloc::borrow::{Cow, ToOwned};
 use alloc::collections::BTreeMap;
@@ -17,6 +18,8 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 const PREFIX: usize = 8;
 /// Longest header that is accepted or written, in bytes.
 const MAX_HEADER: usize = 16 << 20;
+/// Bytes of memory, at most about, for a byte of a header while it is read.
+const HEADER_MEMORY: usize = 16;
 
 /// One tensor as the file holds it: little-endian numbers, last axis fastest.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,6 +46,8 @@ impl<'a> Source<'a> {
             );
         }
         let (header, data) = rest.split_at(stated as usize);
+        // What is read of it lies in many small pieces, together some times its length.
+        check_bytes(header.len().saturating_mul(HEADER_MEMORY))?;
         let header: safetensors::tensor::Metadata = match serde_json::from_slice(header) {
             Ok(header) => header,
             Err(e) => bail!(InvalidModel, "the safetensors header is damaged: {e}"),

@@ -3,6 +3,7 @@
 use super::file::TensorData;
 use super::keys;
 use crate::error::bail;
+use crate::memory::{collected, room};
 use crate::nn::{
     ConvBlockParts, DenseParts, Dtype, Normalization, PredNetParts, Target, VolumeNetParts, check_volumenet,
 };
@@ -50,7 +51,7 @@ impl Model {
     /// [`InvalidModel`](ErrorKind::InvalidModel) for bytes that are not such a file or metadata that does not
     /// fit;
     /// [`InvalidTensor`](ErrorKind::InvalidTensor) for a tensor that is missing, misshapen or not finite.
-    /// Nothing half-loads.
+    /// [`OutOfMemory`](ErrorKind::OutOfMemory) where there is no room for its numbers. Nothing half-loads.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
         let source = Source::parse(bytes)?;
         source.model()
@@ -406,8 +407,8 @@ impl Source<'_> {
                 variance[c]
             );
         }
-        let mut folded = Vec::with_capacity(weight.len());
-        let mut folded_bias = Vec::with_capacity(outputs);
+        let mut folded = room(weight.len())?;
+        let mut folded_bias = room(outputs)?;
         for (c, filter) in weight.chunks_exact(weight.len() / outputs).enumerate() {
             let scale = f64::from(gamma[c]) / libm::sqrt(f64::from(variance[c]) + BATCH_NORM_EPSILON);
             folded.extend(filter.iter().map(|&w| (f64::from(w) * scale) as f32));
@@ -488,15 +489,15 @@ impl TensorData<'_> {
         let (values, dtype): (Vec<f32>, Dtype) = match self.dtype {
             Stored::F32 => {
                 let read = |b: &[u8]| f32::from_le_bytes([b[0], b[1], b[2], b[3]]);
-                (self.data.chunks_exact(4).map(read).collect(), Dtype::F32)
+                (collected(self.data.chunks_exact(4).map(read))?, Dtype::F32)
             }
             Stored::F16 => {
                 let read = |b: &[u8]| half::f16::from_le_bytes([b[0], b[1]]).to_f32_const();
-                (self.data.chunks_exact(2).map(read).collect(), Dtype::F16)
+                (collected(self.data.chunks_exact(2).map(read))?, Dtype::F16)
             }
             Stored::BF16 => {
                 let read = |b: &[u8]| half::bf16::from_le_bytes([b[0], b[1]]).to_f32_const();
-                (self.data.chunks_exact(2).map(read).collect(), Dtype::Bf16)
+                (collected(self.data.chunks_exact(2).map(read))?, Dtype::Bf16)
             }
             other => bail!(
                 InvalidTensor,

@@ -6,7 +6,7 @@ use crate::error::bail;
 use crate::kernels::Executor;
 use crate::kernels::mlp::{Dense, Mlp, MlpScratch};
 use crate::kernels::{Level, Storage};
-use alloc::vec::Vec;
+use crate::memory::collected;
 
 /// Largest relative error of [`PredNet::predict`] against a float64 evaluation of the same stored weights:
 /// for [`Storage::F32`], and for [`Storage::F16`] and [`Storage::Bf16`] where the file stores its weights so.
@@ -91,7 +91,8 @@ impl PredNet {
     /// # Errors
     ///
     /// As [`PredNet::new`]; [`InvalidTensor`](crate::ErrorKind::InvalidTensor) when a weight overflows
-    /// half precision.
+    /// half precision;
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the packed weights.
     pub fn with(parts: &PredNetParts, level: Level, storage: Storage) -> Result<Self> {
         parts.check()?;
         if matches!(storage, Storage::F16 | Storage::Bf16) {
@@ -111,15 +112,16 @@ impl PredNet {
                 }
             }
         }
-        let layers: Vec<_> = parts
-            .layers
-            .iter()
-            .map(|l| Dense { inputs: l.inputs, outputs: l.outputs, weight: &l.weight, bias: &l.bias })
-            .collect();
+        let layers = collected(parts.layers.iter().map(|l| Dense {
+            inputs: l.inputs,
+            outputs: l.outputs,
+            weight: &l.weight,
+            bias: &l.bias,
+        }))?;
         let norm = parts.input.as_ref().map(|n| (n.mean.as_slice(), n.std.as_slice()));
         let output =
             parts.output.as_ref().map_or((0.0, 1.0), |n| (f64::from(n.mean[0]), f64::from(n.std[0])));
-        Ok(Self { mlp: Mlp::new(level, storage, &layers, norm), storage, target: parts.target, output })
+        Ok(Self { mlp: Mlp::new(level, storage, &layers, norm)?, storage, target: parts.target, output })
     }
 
     /// Number of inputs.
@@ -154,13 +156,21 @@ impl PredNet {
 
     /// Working memory for [`predict`](Self::predict). [`predict_batch`](Self::predict_batch) works with it
     /// too, row by row.
-    pub fn scratch(&self) -> PredScratch {
+    ///
+    /// # Errors
+    ///
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for it.
+    pub fn scratch(&self) -> Result<PredScratch> {
         self.batch_scratch(1)
     }
 
     /// Working memory for batches; `rows` is how many rows are worked on at once, at most 384 are used.
-    pub fn batch_scratch(&self, rows: usize) -> PredScratch {
-        PredScratch { mlp: self.mlp.scratch(rows) }
+    ///
+    /// # Errors
+    ///
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for it.
+    pub fn batch_scratch(&self, rows: usize) -> Result<PredScratch> {
+        Ok(PredScratch { mlp: self.mlp.scratch(rows)? })
     }
 
     /// Predicts one frame's time in seconds from [`inputs`](Self::inputs) numbers in the model's order.
@@ -270,6 +280,7 @@ mod tests {
     use alloc::format;
     use alloc::string::String;
     use alloc::vec;
+    use alloc::vec::Vec;
     use proptest::prelude::*;
 
     fn parts(sizes: &[usize], target: Target, seed: u32) -> PredNetParts {
@@ -346,9 +357,9 @@ mod tests {
                     (Storage::Int8, PREDNET_INT8_TOLERANCE),
                 ] {
                     let net = PredNet::with(&parts, level, storage).unwrap();
-                    let mut scratch = net.scratch();
+                    let mut scratch = net.scratch().unwrap();
                     let mut batch = vec![0.0; rows];
-                    net.predict_batch(&inputs, &mut batch, &mut net.batch_scratch(rows)).unwrap();
+                    net.predict_batch(&inputs, &mut batch, &mut net.batch_scratch(rows).unwrap()).unwrap();
                     for (i, row) in inputs.chunks(sizes[0]).enumerate() {
                         let split = net.predict_on(Executor::serial(), row, &mut scratch);
                         let single = net.predict(row, &mut scratch);
@@ -380,10 +391,10 @@ mod tests {
                 for storage in Storage::ALL {
                     let net = PredNet::with(&parts, level, storage).unwrap();
                     let mut batch = vec![0.0; rows];
-                    net.predict_batch(&inputs, &mut batch, &mut net.batch_scratch(rows)).unwrap();
+                    net.predict_batch(&inputs, &mut batch, &mut net.batch_scratch(rows).unwrap()).unwrap();
                     for (row, &in_batch) in inputs.chunks(sizes[0]).zip(&batch) {
                         let exact = plain(&parts, row);
-                        let single = net.predict(row, &mut net.scratch());
+                        let single = net.predict(row, &mut net.scratch().unwrap());
                         let tolerance = if storage == Storage::F32 { PREDNET_F32_TOLERANCE } else { 0.3 };
                         for found in [single, in_batch] {
                             let error = (f64::from(found) - exact).abs() / exact;
@@ -408,14 +419,18 @@ mod tests {
             for level in Level::available() {
                 for storage in Storage::ALL {
                     let net = PredNet::with(&parts, level, storage).unwrap();
-                    let (mut one, mut two) = (net.scratch(), net.scratch());
+                    let (mut one, mut two) = (net.scratch().unwrap(), net.scratch().unwrap());
                     for row in x.chunks_exact(16).take(5) {
                         let split = net.predict_on(Executor::helper(&helper), row, &mut two);
                         assert_eq!(net.predict(row, &mut one).to_bits(), split.to_bits(), "{level}");
                     }
                     let (mut whole, mut parted) = ([0.0; 50], [0.0; 50]);
-                    net.predict_batch(&x, &mut whole, &mut net.batch_scratch(50)).unwrap();
-                    let mut scratches = [net.batch_scratch(9), net.batch_scratch(9), net.batch_scratch(9)];
+                    net.predict_batch(&x, &mut whole, &mut net.batch_scratch(50).unwrap()).unwrap();
+                    let mut scratches = [
+                        net.batch_scratch(9).unwrap(),
+                        net.batch_scratch(9).unwrap(),
+                        net.batch_scratch(9).unwrap(),
+                    ];
                     net.predict_batch_on(Executor::helper(&helper), &x, &mut parted, &mut scratches).unwrap();
                     assert_eq!(whole, parted, "{level}");
                 }
@@ -453,7 +468,7 @@ mod tests {
         let net = PredNet::new(&parts(&[4, 8, 1], Target::Seconds, 3)).unwrap();
         let mut y = [0.0; 3];
         assert!(net.predict_batch_on(Executor::serial(), &[0.0; 12], &mut y, &mut []).is_err());
-        let mut scratches = [net.scratch(), net.scratch()];
+        let mut scratches = [net.scratch().unwrap(), net.scratch().unwrap()];
         assert!(net.predict_batch_on(Executor::serial(), &[0.0; 11], &mut y, &mut scratches).is_err());
         assert!(net.predict_batch_on(Executor::serial(), &[0.0; 1], &mut y, &mut scratches).is_err());
     }

@@ -15,6 +15,7 @@ use crate::Result;
 use crate::error::bail;
 use crate::kernels::Level;
 use crate::kernels::resample::{self as kernel, Affine, Map, Span};
+use crate::memory::{reserve, resize};
 use crate::nn::Executor;
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
@@ -57,7 +58,8 @@ impl Resampler {
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`](crate::ErrorKind) when `n` is 0 or an axis is longer than 2³¹ voxels,
-    /// [`ErrorKind::SizeMismatch`](crate::ErrorKind) when `out` does not hold exactly `n`³ values.
+    /// [`ErrorKind::SizeMismatch`](crate::ErrorKind) when `out` does not hold exactly `n`³ values,
+    /// [`ErrorKind::OutOfMemory`](crate::ErrorKind) where there is no room for a row.
     pub fn resample(
         &mut self,
         view: &VolumeView<'_>,
@@ -83,6 +85,7 @@ impl Resampler {
             bail!(SizeMismatch, "resampling to {n} x {n} x {n} values, the output holds {}", out.len());
         }
         self.columns.clear();
+        reserve(&mut self.columns, n)?;
         self.columns.extend((0..n).map(|i| Span::of(i, dims[0], n)));
         let row_len = kernel::scratch_len(dims[0], n);
         // A few parts per thread even out a thread that the system holds up.
@@ -91,7 +94,7 @@ impl Resampler {
             threads => (4 * threads).min(n),
         };
         if self.rows.len() < row_len * parts {
-            self.rows.resize(row_len * parts, 0.0);
+            resize(&mut self.rows, row_len * parts, 0.0)?;
         }
         let rows = &mut self.rows[..row_len * parts];
         let columns = self.columns.as_slice();

@@ -8,6 +8,7 @@ use crate::error::bail;
 use crate::kernels::Level;
 use crate::kernels::conv::{Block, Encoder, Head, PreparedPlane, Scratch};
 use crate::kernels::resample::{Affine, Raw, Scalar};
+use crate::memory::{collected, resize};
 use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 
@@ -60,7 +61,7 @@ impl VolumeNet {
     /// [`InvalidTensor`](crate::ErrorKind::InvalidTensor) where blocks do not fit together;
     /// [`InvalidModel`](crate::ErrorKind::InvalidModel) for an encoder that needs more than
     /// [`MAX_ENCODER_MEMORY`];
-    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where memory has no room for its weights.
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for its weights.
     pub fn new(parts: &VolumeNetParts) -> Result<Self> {
         Self::with(parts, Level::detect())
     }
@@ -71,21 +72,17 @@ impl VolumeNet {
     /// As [`VolumeNet::new`].
     pub fn with(parts: &VolumeNetParts, level: Level) -> Result<Self> {
         check(parts)?;
-        let blocks: Vec<Block<'_>> = parts
-            .blocks
-            .iter()
-            .map(|b| Block {
-                inputs: b.inputs,
-                outputs: b.outputs,
-                kernel: b.kernel,
-                stride: b.stride,
-                padding: b.padding,
-                input_edge: b.input_edge,
-                output_edge: b.output_edge,
-                weight: &b.weight,
-                bias: &b.bias,
-            })
-            .collect();
+        let blocks = collected(parts.blocks.iter().map(|b| Block {
+            inputs: b.inputs,
+            outputs: b.outputs,
+            kernel: b.kernel,
+            stride: b.stride,
+            padding: b.padding,
+            input_edge: b.input_edge,
+            output_edge: b.output_edge,
+            weight: &b.weight,
+            bias: &b.bias,
+        }))?;
         let fc = &parts.fc;
         let head = Head { inputs: fc.inputs, outputs: fc.outputs, weight: &fc.weight, bias: &fc.bias };
         let encoder = Encoder::new(&blocks, &head, level)?;
@@ -123,7 +120,8 @@ impl VolumeNet {
     ///
     /// # Errors
     /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) unless `features` holds
-    /// [`feature_len`](Self::feature_len) numbers, and where memory has no room for the working memory;
+    /// [`feature_len`](Self::feature_len) numbers; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is
+    /// no room for the working memory;
     /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a volume that [`Resampler::resample`]
     /// refuses.
     pub fn encode(
@@ -157,14 +155,7 @@ impl VolumeNet {
         }
         if scratch.cube.len() != n * n * n {
             scratch.cube.clear();
-            if scratch.cube.try_reserve_exact(n * n * n).is_err() {
-                bail!(
-                    SizeMismatch,
-                    "the encoder takes a cube of {n}³ voxels, and memory has no room for it: use a model with a smaller \
-                     input, or give the process more memory"
-                );
-            }
-            scratch.cube.resize(n * n * n, 0.0);
+            resize(&mut scratch.cube, n * n * n, 0.0)?;
         }
         scratch.resampler.resample(view, n, &mut scratch.cube, executor)?;
         let cube = scratch.cube.as_slice();

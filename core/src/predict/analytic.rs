@@ -559,6 +559,12 @@ mod tests {
         let mut model = AnalyticModel::new();
         let report = model.fit(&rows).unwrap();
         assert_eq!((report.used, report.refused), (20, 5));
+        // A time that no frame takes teaches nothing, the longest that one takes does.
+        let longest = f64::from(LONGEST_FRAME);
+        let report = model.fit(&[rows[0], Measurement { seconds: longest, ..rows[1] }]).unwrap();
+        assert_eq!((report.used, report.refused), (2, 0));
+        let report = model.fit(&[rows[0], Measurement { seconds: longest * 1.001, ..rows[1] }]).unwrap();
+        assert_eq!((report.used, report.refused), (1, 1));
         let before = model.clone();
         assert!(model.fit(&rows[20..]).is_err() && model.fit(&[]).is_err());
         assert_eq!(model, before);

@@ -6,12 +6,12 @@ use super::{
 };
 use crate::Result;
 use crate::error::bail;
+use crate::memory::filled;
 use crate::model::Model;
 use crate::nn::{PredNet, PredScratch};
 use alloc::boxed::Box;
 use alloc::string::String;
 use alloc::sync::Arc;
-use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
@@ -114,7 +114,7 @@ impl ModelPredictor {
                 net.inputs()
             );
         }
-        let mut spread = vec![(f32::NAN, 1.0); width];
+        let mut spread = filled(width, (f32::NAN, 1.0))?;
         if let Some(norm) = model.prednet().and_then(|p| p.input.as_ref()) {
             let mut at = 0;
             for &(kind, size) in layout.groups() {
@@ -130,7 +130,7 @@ impl ModelPredictor {
         let calibration = Stored::of(model)?
             .and_then(|s| s.log_factor)
             .map_or(Calibration::unknown(), Calibration::from_log_factor);
-        let scratch = net.scratch();
+        let scratch = net.scratch()?;
         Ok(Self {
             knows_step: layout.knows_step(),
             probe_side: layout.probe_side(),
@@ -138,7 +138,7 @@ impl ModelPredictor {
             net,
             spread,
             scratch,
-            row: vec![0.0; width],
+            row: filled(width, 0.0)?,
             calibration,
             identity: identity_of(model),
         })

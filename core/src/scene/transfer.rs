@@ -4,6 +4,7 @@
 use super::Nodes;
 use crate::Result;
 use crate::error::bail;
+use crate::memory::collected;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 use glam::Vec3;
@@ -79,7 +80,7 @@ impl TransferFunction {
             color: [r, g, b],
             opacity,
         });
-        let points: Vec<_> = points.collect();
+        let points = collected(points)?;
         check_points(&points)?;
         Ok(Self::Points(points))
     }

@@ -12,7 +12,7 @@ pub use queue::{Span, Timeline, simulate_queue};
 
 use crate::Result;
 use crate::error::bail;
-use alloc::vec;
+use crate::memory::{collected, filled};
 use alloc::vec::Vec;
 
 /// Most nodes of a schedule.
@@ -45,7 +45,7 @@ impl Assignment {
                 self.nodes
             );
         }
-        let mut loads = vec![0.0; self.nodes];
+        let mut loads = filled(self.nodes, 0.0)?;
         for (&node, &time) in self.node_of.iter().zip(times) {
             loads[node] += time / speeds[node];
         }
@@ -65,11 +65,13 @@ impl Assignment {
 /// Task numbers from longest to shortest; equal times in ascending number.
 ///
 /// # Errors
-/// [`crate::ErrorKind::InvalidArgument`] for a time that is negative or not finite.
+/// [`crate::ErrorKind::InvalidArgument`] for a time that is negative or not finite,
+/// [`crate::ErrorKind::OutOfMemory`] where there is no room for the numbers.
 pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
     check(times, &[1.0])?;
-    let mut order: Vec<usize> = (0..times.len()).collect();
-    order.sort_by(|&a, &b| times[b].total_cmp(&times[a]));
+    let mut order = collected(0..times.len())?;
+    // In place; the number decides among equal times.
+    order.sort_unstable_by(|&a, &b| times[b].total_cmp(&times[a]).then(a.cmp(&b)));
     Ok(order)
 }
 
@@ -78,11 +80,12 @@ pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] without nodes, for more than [`MAX_NODES`], for a speed that is not
-/// finite and positive, or a time that is negative or not finite.
+/// finite and positive, or a time that is negative or not finite; [`crate::ErrorKind::OutOfMemory`] where there
+/// is no room for the assignment.
 pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment> {
     check(times, speeds)?;
-    let mut loads = vec![0.0f64; speeds.len()];
-    let mut node_of = vec![0; times.len()];
+    let mut loads = filled(speeds.len(), 0.0f64)?;
+    let mut node_of = filled(times.len(), 0)?;
     for task in longest_first(times)? {
         let done = |n: usize| loads[n] + times[task] / speeds[n];
         let node = (0..speeds.len()).min_by(|&a, &b| done(a).total_cmp(&done(b))).unwrap_or(0);

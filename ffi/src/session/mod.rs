@@ -13,6 +13,7 @@ use crate::abi::{ByValue, check_pointer, read_struct, write};
 use crate::guard::{freeing, guard, last_error_of};
 use crate::handle::{Status, borrow, give, handle, share};
 use crate::model::entire_model;
+use crate::reserve;
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use entire_core::control::{Session, StepLimits};
@@ -49,7 +50,8 @@ impl Loop {
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe side), ENTIRE_UNSUPPORTED (a model without a
 /// prediction network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know),
-/// ENTIRE_PANIC (a model handle that is unusable), ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+/// ENTIRE_PANIC (a model handle that is unusable), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
+/// ENTIRE_STRUCT_SIZE.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_new(
     model: *const entire_model,
@@ -59,6 +61,7 @@ pub unsafe extern "C" fn entire_session_new(
     // SAFETY: the pointers are as the crate's documentation demands.
     guard(|| unsafe {
         check_pointer(session, "session (output)")?;
+        reserve::check()?;
         let options = if options.is_null() { ByValue::defaults() } else { read_struct(options)? };
         let limits = StepLimits::new(options.finest_step, options.coarsest_step)?;
         let hybrid = hybrid_options(&options)?;

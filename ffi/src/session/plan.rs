@@ -6,7 +6,7 @@ use crate::frame::{entire_frame, entire_setting};
 use crate::guard::changing;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, is_frame_time, no_prediction};
-use entire_core::control::{Plan, Reason};
+use entire_core::control::{Plan, Reason, Session};
 use entire_core::predict::Source;
 use std::mem::size_of;
 
@@ -195,6 +195,11 @@ fn checked(plan: Plan) -> Result<entire_plan, Failure> {
     })
 }
 
+/// As [`checked`]; a plan that is refused is taken back, so that the next one has its id.
+fn kept(session: &mut Session, plan: Plan) -> Result<entire_plan, Failure> {
+    checked(plan).inspect_err(|_| session.withdraw(plan.id))
+}
+
 /// Predicts a frame's time at the frame's own step, corrected by what was observed; changes nothing that
 /// later plans depend on. Set prediction->struct_size first.
 ///
@@ -249,7 +254,7 @@ pub unsafe extern "C" fn entire_session_plan(
             check_output(plan)?;
             let frame = read_struct(frame)?.checked(state.radius())?;
             let made = state.session.plan(&frame, target_seconds)?;
-            write_struct(plan, &checked(made)?)
+            write_struct(plan, &kept(&mut state.session, made)?)
         })
     }
 }
@@ -288,7 +293,7 @@ pub unsafe extern "C" fn entire_session_choose(
                 *slot = setting.checked()?;
             }
             let choice = state.session.choose(&frame, &settings[..setting_count], target_seconds)?;
-            let made = checked(choice.plan)?;
+            let made = kept(&mut state.session, choice.plan)?;
             write(index, choice.index, "index (output)")?;
             write_struct(plan, &made)
         })

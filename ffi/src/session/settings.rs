@@ -3,6 +3,7 @@
 use super::{check_flags, entire_session};
 use crate::guard::changing;
 use crate::handle::{Handle, borrow};
+use crate::reserve;
 use crate::result::entire_result;
 use crate::transfer::{UnitDistance, entire_transfer_function};
 use crate::volume::entire_volume;
@@ -29,7 +30,7 @@ pub const ENTIRE_CHANGE_CAMERA: u32 = 32;
 ///
 /// Fails with ENTIRE_SIZE_MISMATCH (ready features of another number than the model takes), ENTIRE_NOT_READY
 /// (features are needed, and there are neither ready ones nor voxels), ENTIRE_UNSUPPORTED (features are
-/// needed, and the model has no encoder), ENTIRE_NULL_ARGUMENT.
+/// needed, and the model has no encoder), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_volume(
     session: *mut entire_session,
@@ -38,14 +39,16 @@ pub unsafe extern "C" fn entire_session_set_volume(
     // SAFETY: the pointers are as the crate's documentation demands.
     unsafe {
         changing(session, |state| {
+            reserve::check()?;
             let volume = borrow(volume)?;
             let summary = volume.summary()?;
             let features = match &state.model {
                 Some(model) => model.value().features_of(volume)?,
                 None => None,
             };
-            state.volume = Some((summary.spacing(), summary.bounding_radius()));
-            state.session.set_volume(summary.clone(), features.as_deref());
+            let kept = summary.try_clone()?;
+            state.volume = Some((kept.spacing(), kept.bounding_radius()));
+            state.session.set_volume_with(kept, features);
             Ok(())
         })
     }
@@ -54,7 +57,7 @@ pub unsafe extern "C" fn entire_session_set_volume(
 /// Sets the transfer function; the volume comes first.
 ///
 /// Fails with ENTIRE_NOT_READY (no volume), ENTIRE_INVALID_ARGUMENT (a unit distance that is out of range for
-/// this volume), ENTIRE_NULL_ARGUMENT.
+/// this volume), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_transfer_function(
     session: *mut entire_session,
@@ -63,6 +66,7 @@ pub unsafe extern "C" fn entire_session_set_transfer_function(
     // SAFETY: the pointers are as the crate's documentation demands.
     unsafe {
         changing(session, |state| {
+            reserve::check()?;
             let transfer = borrow(transfer_function)?;
             let table = transfer.table.clone();
             let table = match (transfer.unit, state.volume) {

@@ -1,11 +1,34 @@
 //! What a session learned, saved and taken up again.
 
 use super::entire_session;
-use crate::abi::{check_pointer, slice, write};
+use crate::abi::{check_pointer, slice, text, write};
 use crate::guard::{changing, reading};
 use crate::limits::{ENTIRE_MAX_STATE_BYTES, at_most};
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
+use std::ffi::c_char;
+
+/// Names the renderer whose frames are observed and the clock that times them, such as "vtkGPUVolumeRayCastMapper"
+/// and "wall". What was learned of one does not hold for another: saved states carry both names, and
+/// entire_session_load_state refuses those of others. Sessions start with empty names, which are names like any
+/// other. Call it before loading and before saving.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
+/// ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_set_timing_source(
+    session: *mut entire_session,
+    renderer: *const c_char,
+    clock: *const c_char,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            let (renderer, clock) = (text(renderer, "renderer")?, text(clock, "clock")?);
+            Ok(state.session.set_timing_source(renderer, clock)?)
+        })
+    }
+}
 
 /// Saves what was learned, for entire_session_load_state in a later run: `byte_count` receives how many bytes
 /// it is, and `buffer` the bytes where `capacity` suffices. `buffer` may be NULL with capacity 0 to ask for
@@ -40,10 +63,11 @@ pub unsafe extern "C" fn entire_session_save_state(
     }
 }
 
-/// Takes up what an earlier session saved. Pending plans are forgotten.
+/// Takes up what an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state),
-/// ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED (a
+/// whole state, but of another model, renderer or clock: entire_session_set_timing_source), ENTIRE_SIZE_MISMATCH
+/// (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_load_state(
     session: *mut entire_session,

@@ -180,8 +180,8 @@ pub fn run(options: &Options) -> Result<()> {
         ]);
     }
     println!("{}", table.to_text());
-    let floor = noise_floor(judged.frames.iter().copied(), options.clock)
-        .map_or(0.0, |n| 0.6745 * n.log_sd_of_median);
+    let floor = noise_floor(judged.frames.iter().copied(), options.clock, |f| tables[f.table].passes())
+        .map_or(0.0, |n| n.mdape());
     let best = candidates.iter().map(|c| c.metrics.rmse).fold(f64::INFINITY, f64::min);
     let chosen = match options.budget_us {
         Some(budget) => candidates

@@ -109,7 +109,7 @@ impl Findings {
     /// What repeats leave as median absolute relative error of a predictor that knows the truth: 0.6745
     /// standard deviations of a frame's median.
     pub fn noise_mdape(&self, set: &str, split: &str) -> f64 {
-        self.noise.iter().find(|n| n.0 == set && n.1 == split).map_or(0.0, |n| 0.6745 * n.2.log_sd_of_median)
+        self.noise.iter().find(|n| n.0 == set && n.1 == split).map_or(0.0, |n| n.2.mdape())
     }
 }
 

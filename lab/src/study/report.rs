@@ -318,11 +318,9 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             page.heading(&format!("{s}: split by {p}"));
             if let Some((_, _, n, frames)) = found.noise.iter().find(|n| n.0 == s && n.1 == p) {
                 page.paragraph(&format!(
-                    "{frames} frames. Noise floor: repeats of one frame scatter with a log-SD of {:.3} (its \
-                     median about {:.3}), so \
-                     that knowing the truth would leave an MdAPE of about {:.1} %.",
-                    n.log_sd,
-                    n.log_sd_of_median,
+                    "{frames} frames. Noise floor: {}; knowing the truth would leave an MdAPE of about \
+                     {:.1} %.",
+                    n.describe(),
                     100.0 * found.noise_mdape(s, p)
                 ));
             }

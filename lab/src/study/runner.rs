@@ -223,7 +223,9 @@ impl Runner<'_> {
             let context =
                 FitContext { tables: &tables.tables, pool: self.pool, bar: &hidden, stop: self.stop };
             for (split, part) in set.splits.iter().zip(&data.splits) {
-                if let Some(noise) = noise_floor(part.frames.iter().copied(), clock) {
+                if let Some(noise) =
+                    noise_floor(part.frames.iter().copied(), clock, |f| tables.tables[f.table].passes())
+                {
                     out.noise.push((set.name.clone(), split.name.clone(), noise, part.frames.len()));
                 }
             }

@@ -12,9 +12,7 @@ processor time.
 import argparse
 import ctypes
 import gc
-import importlib.util
 import json
-import math
 import os
 import statistics
 import subprocess
@@ -26,10 +24,11 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[2]
-sys.path.insert(0, str(HERE.parent / "tests"))
+# The very volume, path and functions of `make bars-vtk`.
+sys.path[:0] = [str(HERE.parent / "tests"), str(ROOT / "plugins" / "vtk" / "python")]
+from vtk_noise import noise_volume  # noqa: E402
+
 SWITCHES = (50, 100, 150)
-OPAQUE = ((0, 0.0), (20, 0.0), (60, 0.12), (255, 0.5))
-TRANSPARENT = ((0, 0.0), (20, 0.0), (255, 0.03))
 
 THREE_LINES = """\
 pl = pv.Plotter(window_size=(300, 300)); pl.add_volume(v)
@@ -47,44 +46,18 @@ def bar(name, value, limit, text=None, below=True):
     return {"name": name, "value": value, "limit": limit, "ok": bool(good), "text": text}
 
 
-def noise_volume(n, seed=7):
-    # The very volume of `make bars-vtk`.
-    spec = importlib.util.spec_from_file_location(
-        "vtk_scene", ROOT / "plugins" / "vtk" / "python" / "vtk_scene.py"
-    )
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.noise_volume(n, seed)
-
-
-def orbit(frame, frames, n):
-    """Position of the eye, in voxels from the volume's center."""
-    t = frame / frames
-    azimuth, elevation = 2 * math.pi * t, math.radians(25) * math.sin(4 * math.pi * t)
-    distance = n * (2.1 + 0.4 * math.cos(2 * math.pi * (t - 0.875)))
-    return (
-        distance * math.cos(elevation) * math.sin(azimuth),
-        distance * math.sin(elevation),
-        distance * math.cos(elevation) * math.cos(azimuth),
-    )
-
-
 class Path200:
     """The scene of the path and its two functions."""
 
     def __init__(self, voxels, size, frames):
-        from scenes import View, add_volume
-        from vtkmodules.vtkCommonDataModel import vtkPiecewiseFunction
+        from scenes import OPAQUE, TRANSPARENT, View, add_volume
+        from vtk_scene import camera, opacity_function
 
+        self.orbit = camera
         self.n, self.frames = voxels.shape[0], frames
         self.view = View((size, size))
         self.volume = add_volume(self.view.renderer, voxels)
-        self.functions = []
-        for points in (TRANSPARENT, OPAQUE):
-            function = vtkPiecewiseFunction()
-            for at, value in points:
-                function.AddPoint(at, value)
-            self.functions.append(function)
+        self.functions = [opacity_function(points) for points in (TRANSPARENT, OPAQUE)]
 
     def draw(self, frame):
         opaque = sum(frame >= self.frames * s // 200 for s in SWITCHES) % 2
@@ -92,7 +65,7 @@ class Path200:
         camera = self.view.renderer.GetActiveCamera()
         camera.SetViewAngle(45)
         camera.SetFocalPoint(0, 0, 0)
-        camera.SetPosition(*orbit(frame, self.frames, self.n))
+        camera.SetPosition(*self.orbit(frame, self.frames, self.n))
         camera.SetViewUp(0, 1, 0)
         self.view.renderer.ResetCameraClippingRange()
         before = time.process_time()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""napari's 3D view held to 25 ms while it turns.
+"""napari's 3D view held to 100 ms while it turns.
 
 pip install entire "napari[all]"
 python napari_hold.py
@@ -13,10 +13,10 @@ import entire.napari
 n = 96
 z, y, x = np.mgrid[-1 : 1 : n * 1j, -1 : 1 : n * 1j, -1 : 1 : n * 1j]
 viewer = napari.Viewer(ndisplay=3)
-viewer.add_image(
-    np.sin(12 * np.sqrt(x**2 + y**2 + z**2)) * np.cos(9 * x) * np.cos(9 * y), rendering="attenuated_mip"
-)
-holder = entire.napari.hold(viewer, seconds=0.025)
+radius = np.sqrt(x**2 + y**2 + z**2)
+wave = (0.6 + 0.4 * np.sin(18 * radius) * np.cos(9 * x) * np.cos(9 * y)) * np.exp(-3 * radius**2)
+viewer.add_image(wave, rendering="mip", colormap="inferno")
+holder = entire.napari.hold(viewer, seconds=0.1)
 
 if __name__ == "__main__":
     napari.run()

@@ -12,7 +12,10 @@ n = 128
 z, y, x = np.mgrid[-1 : 1 : n * 1j, -1 : 1 : n * 1j, -1 : 1 : n * 1j]
 wave = np.sin(12 * np.sqrt(x**2 + y**2 + z**2)) * np.cos(9 * x) * np.cos(9 * y)
 
-pl = pv.Plotter()
-pl.add_volume((127 * (1 + wave)).astype(np.uint8), opacity="sigmoid")
+pl = pv.Plotter(window_size=(480, 360))
+pl.add_volume((127 * (1 + wave)).astype(np.uint8), opacity="sigmoid", show_scalar_bar=False)
 pl.entire.hold(fps=30, overlay=True)
-pl.show()
+
+if __name__ == "__main__":
+    pl.show()
+    print(pl.entire.history)

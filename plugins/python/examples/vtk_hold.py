@@ -39,7 +39,7 @@ volume.GetProperty().SetScalarOpacity(opacity)
 volume.GetProperty().SetColor(color)
 renderer.AddVolume(volume)
 window.SetOffScreenRendering(1)
-window.SetSize(300, 300)
+window.SetSize(480, 360)
 window.AddRenderer(renderer)
 renderer.ResetCamera()
 

@@ -30,7 +30,7 @@ camera.position = data.arr([2.2, 1.4, 1.8], "code_length")
 camera.focus = data.arr([0.0, 0.0, 0.0], "code_length")
 source.num_samples = 10
 
-holder = entire.yt.hold(scene, seconds=0.4)
+holder = entire.yt.hold(scene, seconds=1.0)
 for degrees in range(0, 90, 10):
     camera.yaw(np.radians(1.0))
     holder.render()

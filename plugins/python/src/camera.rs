@@ -48,6 +48,71 @@ pub(crate) fn from_arcball(rx: f32, ry: f32, dz: f32, fov: f32) -> PyResult<Came
     Camera::new(CoreCamera::from_arcball(Arcball { rx, ry, dz }).map_err(raise)?, fov)
 }
 
+/// Whether a renderer that goes from one camera to another jumps: see [`Camera::jumps_from`].
+pub(crate) fn jumps(before: &CoreCamera, camera: &CoreCamera) -> bool {
+    let (now, then) = (camera.view(), before.view());
+    let turned = (now.row(2) - then.row(2)).abs();
+    let ratio = now.w_axis.z / then.w_axis.z;
+    turned.x.max(turned.y).max(turned.z) > 0.5 || !(ratio > 0.67 && ratio < 1.5)
+}
+
+/// Where a volume stands in a scene that may move, turn and scale it.
+pub(crate) struct Placement {
+    to_world: DMat4,
+    /// Its columns are the directions of the volume's axes before that.
+    direction: DMat3,
+    /// Middle of the volume's voxels before that.
+    center: DVec3,
+    radius: f32,
+}
+
+impl Placement {
+    /// From the rows of both matrices.
+    pub(crate) fn new(volume: &Volume, to_world: &[f64; 16], direction: &[f64; 9], center: [f64; 3]) -> Self {
+        Self {
+            to_world: DMat4::from_cols_array(to_world).transpose(),
+            direction: DMat3::from_cols_array(direction).transpose(),
+            center: DVec3::from_array(center),
+            radius: volume.0.radius(),
+        }
+    }
+
+    /// The camera with this world-to-eye matrix (its rows); see [`Camera::scene`].
+    pub(crate) fn camera(
+        &self,
+        to_eye: &[f64; 16],
+        fov: f64,
+        parallel_scale: Option<f64>,
+    ) -> PyResult<Camera> {
+        let to_eye = DMat4::from_cols_array(to_eye).transpose() * self.to_world;
+        let axes = DMat3::from_mat4(to_eye) * self.direction;
+        let scales = [axes.x_axis.length(), axes.y_axis.length(), axes.z_axis.length()];
+        let scale = (scales[0] * scales[1] * scales[2]).cbrt();
+        if !(scale > 0.0 && scale.is_finite()) {
+            return Err(PyValueError::new_err("the volume's matrix is singular"));
+        }
+        let (x, y, z) = (axes.x_axis / scales[0], axes.y_axis / scales[1], axes.z_axis / scales[2]);
+        if x.dot(y).abs() > SQUARE || y.dot(z).abs() > SQUARE || z.dot(x).abs() > SQUARE {
+            return Err(PyValueError::new_err(
+                "the volume's matrix shears the volume; rotations, translations and scales can be predicted",
+            ));
+        }
+        // A rotation as exact as single precision needs; a mirrored volume counts as its mirror image.
+        let z = x.cross(y).normalize();
+        let y = z.cross(x).normalize();
+        let mut eye = to_eye.transform_point3(self.center) / scale;
+        let mut angle = fov;
+        if let Some(parallel) = parallel_scale {
+            // An eye far away that sees as much.
+            angle = PARALLEL_FOV;
+            eye.z = -parallel / scale / (0.5 * angle).to_radians().tan();
+        }
+        let view = DMat4::from_cols(x.extend(0.0), y.extend(0.0), z.extend(0.0), eye.extend(1.0));
+        let view: Mat4 = view.as_mat4();
+        Camera::new(CoreCamera::from_world_view(view, Vec3::ZERO, self.radius).map_err(raise)?, angle as f32)
+    }
+}
+
 #[pymethods]
 impl Camera {
     /// A camera on a sphere around the volume, looking at its center.
@@ -172,36 +237,7 @@ impl Camera {
         fov: f64,
         parallel_scale: Option<f64>,
     ) -> PyResult<Self> {
-        let to_eye =
-            DMat4::from_cols_array(&to_eye).transpose() * DMat4::from_cols_array(&to_world).transpose();
-        let axes = DMat3::from_mat4(to_eye) * DMat3::from_cols_array(&direction).transpose();
-        let scales = [axes.x_axis.length(), axes.y_axis.length(), axes.z_axis.length()];
-        let scale = (scales[0] * scales[1] * scales[2]).cbrt();
-        if !(scale > 0.0 && scale.is_finite()) {
-            return Err(PyValueError::new_err("the volume's matrix is singular"));
-        }
-        let (x, y, z) = (axes.x_axis / scales[0], axes.y_axis / scales[1], axes.z_axis / scales[2]);
-        if x.dot(y).abs() > SQUARE || y.dot(z).abs() > SQUARE || z.dot(x).abs() > SQUARE {
-            return Err(PyValueError::new_err(
-                "the volume's matrix shears the volume; rotations, translations and scales can be predicted",
-            ));
-        }
-        // A rotation as exact as single precision needs; a mirrored volume counts as its mirror image.
-        let z = x.cross(y).normalize();
-        let y = z.cross(x).normalize();
-        let mut eye = to_eye.transform_point3(DVec3::from_array(center)) / scale;
-        let mut angle = fov;
-        if let Some(parallel) = parallel_scale {
-            // An eye far away that sees as much.
-            angle = PARALLEL_FOV;
-            eye.z = -parallel / scale / (0.5 * angle).to_radians().tan();
-        }
-        let view = DMat4::from_cols(x.extend(0.0), y.extend(0.0), z.extend(0.0), eye.extend(1.0));
-        let view: Mat4 = view.as_mat4();
-        Self::new(
-            CoreCamera::from_world_view(view, Vec3::ZERO, volume.0.radius()).map_err(raise)?,
-            angle as f32,
-        )
+        Placement::new(volume, &to_world, &direction, center).camera(&to_eye, fov, parallel_scale)
     }
 
     /// A camera from the one matrix that takes the world to the picture, as OpenGL, vispy and others have it.
@@ -267,10 +303,7 @@ impl Camera {
     /// -------
     /// bool
     fn jumps_from(&self, before: &Self) -> bool {
-        let (now, then) = (self.core.view(), before.core.view());
-        let turned = (now.row(2) - then.row(2)).abs();
-        let ratio = now.w_axis.z / then.w_axis.z;
-        turned.x.max(turned.y).max(turned.z) > 0.5 || !(ratio > 0.67 && ratio < 1.5)
+        jumps(&before.core, &self.core)
     }
 
     /// tuple of float : Elevation and azimuth in degrees, and distance in radii, of the arcball pose with the

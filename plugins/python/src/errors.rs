@@ -1,7 +1,7 @@
 //! The library's errors as Python exceptions.
 
 use entire_core::{Error, ErrorKind};
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyMemoryError, PyRuntimeError, PyValueError};
 use pyo3::{PyErr, create_exception};
 
 create_exception!(
@@ -42,6 +42,7 @@ pub(crate) fn raise(error: Error) -> PyErr {
         ErrorKind::MissingInput => MissingInputError::new_err(text),
         ErrorKind::RejectedObservation => RejectedObservationError::new_err(text),
         ErrorKind::NotReady => NotReadyError::new_err(text),
+        ErrorKind::OutOfMemory => PyMemoryError::new_err(text),
         _ => PyValueError::new_err(text),
     }
 }

@@ -9,6 +9,7 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 
 /// What a frame is beside its camera.
+#[derive(Clone, Copy)]
 pub(crate) struct Shape {
     pub(crate) size: (u32, u32),
     pub(crate) step: f32,
@@ -25,7 +26,6 @@ impl Shape {
         skipping: &str,
         termination: f32,
     ) -> PyResult<Self> {
-        let side = |v: i64| u32::try_from(v).unwrap_or(0);
         let shading = match shading {
             "none" => Shading::None,
             "local" => Shading::Local,
@@ -46,7 +46,12 @@ impl Shape {
                 )));
             }
         };
-        Ok(Self { size: (side(size.0), side(size.1)), step, shading, skipping, termination })
+        Ok(Self { size: sides(size), step, shading, skipping, termination })
+    }
+
+    /// With another size, and another step where one is given.
+    pub(crate) fn at(self, size: (i64, i64), step: Option<f32>) -> Self {
+        Self { size: sides(size), step: step.unwrap_or(self.step), ..self }
     }
 
     pub(crate) fn frame(&self, camera: CoreCamera) -> PyResult<Frame> {
@@ -59,6 +64,12 @@ impl Shape {
         };
         build().map_err(raise)
     }
+}
+
+/// Width and height; 0, which no frame accepts, for numbers out of range.
+fn sides(size: (i64, i64)) -> (u32, u32) {
+    let side = |v: i64| u32::try_from(v).unwrap_or(0);
+    (side(size.0), side(size.1))
 }
 
 /// Many cameras: camera objects, arcball poses (n, 3) or world-to-eye matrices (n, 4, 4).

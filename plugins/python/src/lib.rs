@@ -9,11 +9,15 @@ mod calibration;
 mod camera;
 mod command;
 mod errors;
+mod files;
 mod frame;
+mod held;
 mod history;
 mod lock;
 mod model;
+mod plan;
 mod session;
+mod state;
 mod transfer;
 mod volume;
 
@@ -31,9 +35,15 @@ mod _native {
     #[pymodule_export]
     use crate::errors::{MissingInputError, ModelError, NotReadyError, RejectedObservationError};
     #[pymodule_export]
+    use crate::files::write_whole;
+    #[pymodule_export]
+    use crate::held::Held;
+    #[pymodule_export]
     use crate::model::Model;
     #[pymodule_export]
-    use crate::session::{Plan, Prediction, Session};
+    use crate::plan::{Plan, Prediction};
+    #[pymodule_export]
+    use crate::session::Session;
     #[pymodule_export]
     use crate::transfer::TransferFunction;
     #[pymodule_export]

@@ -3,90 +3,24 @@
 use crate::camera::Camera;
 use crate::errors::{NotReadyError, raise};
 use crate::frame::{Shape, cameras};
-use crate::history::{Entry, History};
+use crate::held::Held;
+use crate::history::Entry;
 use crate::lock::Guarded;
 use crate::model::{Loaded, Model};
-use crate::transfer::{Transfer, TransferFunction};
-use crate::volume::{Data, Volume};
+use crate::plan::{Plan, Prediction};
+use crate::state::State;
+use crate::transfer::TransferFunction;
+use crate::volume::Volume;
 use entire_core::adapt::ObserveFlags;
-use entire_core::control::{HybridOptions, PENDING_PLANS, Plan as CorePlan, Session as Core, StepLimits};
+use entire_core::control::{HybridOptions, Session as Core, StepLimits};
 use entire_core::features::{Changes, Setting};
-use entire_core::predict::{AnalyticModel, Predictor, Source};
+use entire_core::predict::{AnalyticModel, Predictor};
+use entire_core::scene::Frame;
 use numpy::PyArray1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::{PyBytes, PyDict, PyList};
+use pyo3::types::{PyBytes, PyDict, PyList, PyTuple};
 use std::sync::{Arc, MutexGuard};
-
-/// What to draw, and what to expect of it.
-#[pyclass(frozen, get_all, module = "entire")]
-pub(crate) struct Plan {
-    /// int : Names this plan in :meth:`Session.observe`.
-    id: u64,
-    /// float : Ray step in reference steps (smallest voxel spacings).
-    step: f32,
-    /// float : Pixels between rays along each side of the image, at least 1.
-    image_sample_distance: f32,
-    /// tuple of int : Width and height of the image to draw, in pixels.
-    size: (u32, u32),
-    /// float : Expected seconds; NaN where nothing is known.
-    seconds: f32,
-    /// float : Upper bound of the seconds; NaN where there is none.
-    upper: f32,
-    /// float : 0 inside the predictor's range, 1 at the edge of trust, growing beyond; NaN where unknown.
-    out_of_range: f32,
-    /// str : Why this step, in a word or two: "fits", "held", "damped", "finest allowed", ...
-    reason: &'static str,
-    /// float : Seconds that the frame may take.
-    target: f32,
-}
-
-#[pymethods]
-impl Plan {
-    fn __repr__(&self) -> String {
-        format!(
-            "Plan(step {:.3}, {} x {} pixels, {:.2} ms expected of {:.2} ms: {})",
-            self.step,
-            self.size.0,
-            self.size.1,
-            1e3 * self.seconds,
-            1e3 * self.target,
-            self.reason
-        )
-    }
-}
-
-/// A predicted frame time.
-#[pyclass(frozen, get_all, module = "entire")]
-pub(crate) struct Prediction {
-    /// float : Expected seconds.
-    seconds: f32,
-    /// float : Upper bound of the seconds; NaN where there is none.
-    upper: f32,
-    /// float : As in :class:`Plan`.
-    out_of_range: f32,
-    /// str : "analytic", "network" or "history".
-    source: &'static str,
-}
-
-#[pymethods]
-impl Prediction {
-    fn __repr__(&self) -> String {
-        format!("Prediction({:.3} ms, {})", 1e3 * self.seconds, self.source)
-    }
-
-    fn __float__(&self) -> f64 {
-        f64::from(self.seconds)
-    }
-}
-
-struct State {
-    core: Core,
-    volume: Option<Arc<Data>>,
-    transfer: Option<Arc<Transfer>>,
-    plans: Box<[Option<(CorePlan, f32)>; PENDING_PLANS]>,
-    history: History,
-}
 
 /// The native part of `entire.Session`.
 #[pyclass(subclass, frozen, module = "entire._native")]
@@ -103,57 +37,33 @@ impl Session {
     /// Takes up another volume; scanned and encoded with the interpreter let go of, before the session is
     /// locked.
     fn take_volume(&self, py: Python<'_>, volume: &Volume) -> PyResult<()> {
-        let summary = volume.0.summary(py)?;
+        volume.0.summary(py)?;
         let features = match &self.model {
             Some(model) => model.features_of(py, &volume.0)?,
             None => None,
         };
+        self.state(py)?.take_volume(py, &volume.0, features.as_deref())
+    }
+
+    /// A frame, and the state with its transfer function taken up.
+    fn begin(
+        &self,
+        py: Python<'_>,
+        camera: &Camera,
+        tf: Option<&TransferFunction>,
+        shape: PyResult<Shape>,
+    ) -> PyResult<(Frame, MutexGuard<'_, State>)> {
+        let frame = shape?.frame(camera.core)?;
+        Ok((frame, self.taking(py, tf)?))
+    }
+
+    /// The state, with a transfer function taken up.
+    fn taking(&self, py: Python<'_>, tf: Option<&TransferFunction>) -> PyResult<MutexGuard<'_, State>> {
         let mut state = self.state(py)?;
-        state.core.set_volume(summary.clone(), features.as_deref());
-        state.volume = Some(volume.0.clone());
-        state.transfer = None;
-        Ok(())
-    }
-}
-
-impl State {
-    /// Keeps a plan for its observation.
-    fn note(&mut self, plan: CorePlan, size: (u32, u32), target: f32) -> Plan {
-        self.plans[(plan.id % PENDING_PLANS as u64) as usize] = Some((plan, target));
-        Plan {
-            id: plan.id,
-            step: plan.step,
-            image_sample_distance: plan.image_sample_distance,
-            size,
-            seconds: plan.seconds,
-            upper: plan.upper,
-            out_of_range: plan.out_of_range,
-            reason: plan.reason.name(),
-            target,
+        if let Some(tf) = tf {
+            state.take_transfer(tf)?;
         }
-    }
-
-    fn take_transfer(&mut self, transfer: &TransferFunction) -> PyResult<()> {
-        if self.transfer.as_ref().is_some_and(|t| Arc::ptr_eq(t, &transfer.0)) {
-            return Ok(());
-        }
-        let Some(volume) = &self.volume else {
-            return Err(NotReadyError::new_err(
-                "no volume is set; make the session with one, or call set_volume before the first frame",
-            ));
-        };
-        let table = transfer.0.table_for(volume)?;
-        self.core.set_transfer(&table, transfer.0.lobes()).map_err(raise)?;
-        self.transfer = Some(transfer.0.clone());
-        Ok(())
-    }
-}
-
-fn source(source: Source) -> &'static str {
-    match source {
-        Source::Analytic => "analytic",
-        Source::Network => "network",
-        _ => "history",
+        Ok(state)
     }
 }
 
@@ -193,14 +103,7 @@ impl Session {
         if let Some(side) = probe_side {
             core = core.with_probe_side(side).map_err(raise)?;
         }
-        let state = State {
-            core,
-            volume: None,
-            transfer: None,
-            plans: Box::new([None; PENDING_PLANS]),
-            history: History::default(),
-        };
-        let made = Self { state: Guarded::new(state), model: model.map(|m| m.0.clone()) };
+        let made = Self { state: Guarded::new(State::new(core)), model: model.map(|m| m.0.clone()) };
         if let Some(volume) = volume {
             made.take_volume(py, volume)?;
         }
@@ -346,15 +249,79 @@ impl Session {
         skipping: &str,
         termination: f32,
     ) -> PyResult<Plan> {
-        let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.core)?;
+        let shape = Shape::new(size, step, shading, skipping, termination);
+        let (frame, mut state) = self.begin(py, camera, tf, shape)?;
+        Ok(state.plan(&frame, target)?.0)
+    }
+
+    /// For adapters: learns from the frame before and plans the next one of a held volume, in one call. Marks
+    /// the camera's jumps by itself.
+    ///
+    /// Parameters
+    /// ----------
+    /// held : Held
+    /// to_eye : tuple of float, shape (16,)
+    ///     Rows of the world-to-eye matrix.
+    /// fov : float
+    ///     Vertical field of view in degrees; not used with `parallel_scale`.
+    /// parallel_scale : float or None
+    ///     Half of the height that a parallel projection shows, in world units.
+    /// size : (int, int)
+    ///     Width and height of the full image in pixels, 1 to 16384.
+    /// target : float
+    ///     Seconds, positive.
+    /// step : float, optional
+    ///     The frame's own step in reference steps. Default: that of `held`.
+    /// enabled : bool, optional
+    ///     Whether the frame is steered; else the plan answers its own step. Default True.
+    /// due : Plan, optional
+    ///     The plan of the frame before, where it has not been observed yet.
+    /// seconds : float, optional
+    ///     How long that frame took. A time that is rejected teaches nothing.
+    /// cancelled : bool, optional
+    ///     As in :meth:`observe`, of that frame.
+    ///
+    /// Returns
+    /// -------
+    /// (Plan, float, float)
+    ///     The plan, its step and its image sample distance.
+    ///
+    /// Raises
+    /// ------
+    /// NotReadyError, MissingInputError
+    ///     As :meth:`plan`.
+    /// ValueError
+    ///     As :meth:`plan` and :meth:`Camera.scene`.
+    #[pyo3(signature = (held, to_eye, fov, parallel_scale, size, target, step = None, enabled = true,
+        due = None, seconds = f64::NAN, cancelled = false))]
+    #[allow(clippy::too_many_arguments, reason = "one call where every call costs microseconds")]
+    fn steer(
+        &self,
+        py: Python<'_>,
+        held: &Held,
+        to_eye: &Bound<'_, PyTuple>,
+        fov: f64,
+        parallel_scale: Option<f64>,
+        size: (i64, i64),
+        target: f32,
+        step: Option<f32>,
+        enabled: bool,
+        due: Option<&Plan>,
+        seconds: f64,
+        cancelled: bool,
+    ) -> PyResult<(Plan, f32, f32)> {
         let mut state = self.state(py)?;
-        if let Some(tf) = tf {
-            state.take_transfer(tf)?;
+        if let Some(due) = due {
+            // Rejected times are documented to teach nothing.
+            let _ = state.observe(due.id(), seconds as f32, ObserveFlags { unusual: false, cancelled });
         }
-        let plan = state.core.plan(&frame, target).map_err(raise)?;
-        let shrunk = |side: u32| ((f64::from(side) / f64::from(plan.image_sample_distance)) as u32).max(1);
-        let size = (shrunk(frame.width()), shrunk(frame.height()));
-        Ok(state.note(plan, size, target))
+        let frame = held.frame(to_eye, fov, parallel_scale, size, step)?;
+        state.follow(*frame.camera());
+        state.core.set_enabled(enabled);
+        let planned = state.plan(&frame, target);
+        state.core.set_enabled(true);
+        let (plan, core) = planned?;
+        Ok((plan, core.step, core.image_sample_distance))
     }
 
     /// Chooses among settings, best picture first: the first that is expected to meet the target, else the
@@ -394,15 +361,12 @@ impl Session {
         skipping: &str,
         termination: f32,
     ) -> PyResult<(usize, Plan)> {
-        let frame = Shape::new(size, 1.0, shading, skipping, termination)?.frame(camera.core)?;
+        let shape = Shape::new(size, 1.0, shading, skipping, termination);
+        let (frame, mut state) = self.begin(py, camera, tf, shape)?;
         let settings: Vec<Setting> = settings
             .into_iter()
             .map(|(step, (width, height))| Setting { step, width, height, ..Setting::of(&frame) })
             .collect();
-        let mut state = self.state(py)?;
-        if let Some(tf) = tf {
-            state.take_transfer(tf)?;
-        }
         let choice = state.core.choose(&frame, &settings, target).map_err(raise)?;
         let drawn = settings[choice.index];
         Ok((choice.index, state.note(choice.plan, (drawn.width, drawn.height), target)))
@@ -440,26 +404,8 @@ impl Session {
         unusual: bool,
         cancelled: bool,
     ) -> PyResult<&'static str> {
-        let mut state = self.state(py)?;
-        let state = &mut *state;
         let flags = ObserveFlags { unusual, cancelled };
-        let verdict = state.core.observe(plan.id, seconds as f32, flags).map_err(raise)?;
-        if let Some((core, target)) = state.plans[(plan.id % PENDING_PLANS as u64) as usize]
-            && core.id == plan.id
-        {
-            state.history.push(Entry {
-                plan: plan.id,
-                target,
-                predicted: core.seconds,
-                upper: core.upper,
-                measured: seconds as f32,
-                step: core.step,
-                image_sample_distance: core.image_sample_distance,
-                reason: core.reason.name(),
-                verdict: verdict.name(),
-            });
-        }
-        Ok(verdict.name())
+        Ok(self.state(py)?.observe(plan.id(), seconds as f32, flags)?.name())
     }
 
     /// Predicts a frame's seconds at its own step, corrected by what was observed; later plans do not depend
@@ -487,18 +433,9 @@ impl Session {
         skipping: &str,
         termination: f32,
     ) -> PyResult<Prediction> {
-        let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.core)?;
-        let mut state = self.state(py)?;
-        if let Some(tf) = tf {
-            state.take_transfer(tf)?;
-        }
-        let p = state.core.predict(&frame).map_err(raise)?;
-        Ok(Prediction {
-            seconds: p.seconds,
-            upper: p.upper,
-            out_of_range: p.out_of_range,
-            source: source(p.source),
-        })
+        let shape = Shape::new(size, step, shading, skipping, termination);
+        let (frame, mut state) = self.begin(py, camera, tf, shape)?;
+        Ok(state.core.predict(&frame).map_err(raise)?.into())
     }
 
     /// Predicts the seconds of many views; the same numbers, to the bit, as :meth:`predict` one by one.
@@ -533,10 +470,7 @@ impl Session {
         fov: f32,
     ) -> PyResult<Bound<'py, PyArray1<f32>>> {
         let shape = Shape::new(size, step, shading, skipping, termination)?;
-        let mut state = self.state(py)?;
-        if let Some(tf) = tf {
-            state.take_transfer(tf)?;
-        }
+        let mut state = self.taking(py, tf)?;
         let Some(volume) = state.volume.clone() else {
             return Err(NotReadyError::new_err(
                 "no volume is set; make the session with one, or call set_volume",

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""trame, yt, vispy and napari: each drawn for real, and what cannot be steered says why."""
+"""trame, yt and the examples: each drawn for real, and what cannot be steered says why."""
 
-import os
+import asyncio
+import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +31,16 @@ def test_example_of_vtk(tmp_path):
     pytest.importorskip("vtkmodules")
     assert "80 frames" in example("vtk_hold.py", tmp_path / "history.svg")
     assert (tmp_path / "history.svg").read_text().startswith("<svg")
+
+
+def test_examples_of_pyvista_and_trame(tmp_path):
+    """Each in the midst of a motion, steered; the script fails where one is not."""
+    for needed in ("pyvista", "trame_pyvista", "trame_vuetify"):
+        pytest.importorskip(needed)
+    example("pictures.py", "--environment", "test", "--only", "pyvista,trame", "--out", tmp_path)
+    pictures = sorted(tmp_path.iterdir())
+    assert [p.stem for p in pictures] == ["python-clip", "python-pyvista", "python-several", "python-trame"]
+    assert all(1000 < p.stat().st_size <= 60_000 for p in pictures)
 
 
 def test_trame_counts_the_encoding(voxels):
@@ -65,12 +75,79 @@ def test_trame_counts_the_encoding(voxels):
         reply = delivery.still_render({"view": "1", "mtime": 0, "quality": 90})
     assert reply["size"] == (400, 300)
     assert len(steering._outside) == 5
-    assert 0 < steering._outside_time < 10
+    assert 0 < steering.outside_time < 10
     before = steering.history.target[-1]
     for _ in range(5):
         steering.also(0.3)
     view.draw(1)
     assert steering.history.target[-1] < before
+
+
+def test_trame_end_to_end():
+    """The example's server, and a client that drags in its view as a browser does, over the web socket."""
+    for needed in ("trame_pyvista", "trame_vuetify", "aiohttp", "msgpack"):
+        pytest.importorskip(needed)
+    server = subprocess.Popen(
+        [sys.executable, "-u", EXAMPLES / "trame_hold.py", "--server", "--port", "0", "--timeout", "5"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        port = next(int(m[1]) for line in server.stdout if (m := re.search(r"localhost:(\d+)", line)))
+        pictures = asyncio.run(asyncio.wait_for(drag_in_a_browser(port), 60))
+        out, error = server.communicate(timeout=60)
+    finally:
+        server.kill()
+    assert len(pictures) >= 10, error[-2000:]
+    assert all(picture.startswith(b"\xff\xd8") for picture in pictures)
+    history = re.search(r"History\((\d+) frames", out)
+    assert history, error[-2000:]
+    assert int(history[1]) >= 10
+    encoding = re.search(r"encoding takes ([\d.]+) ms", out)
+    assert float(encoding[1]) > 0
+
+
+async def drag_in_a_browser(port):
+    import aiohttp
+    import msgpack
+    from wslink.chunking import UnChunker, generate_chunks
+
+    pictures, answers = [], {}
+    async with aiohttp.ClientSession() as session:
+        page = await session.get(f"http://localhost:{port}/")
+        assert page.status == 200
+        async with session.ws_connect(f"http://localhost:{port}/ws", max_msg_size=0) as socket:
+            chunks = UnChunker()
+            chunks.set_max_message_size(1 << 30)
+
+            async def call(name, *args):
+                key = f"{'system' if name == 'wslink.hello' else 'rpc'}:c0:{len(answers)}"
+                message = {"wslink": "1.0", "id": key, "method": name, "args": list(args), "kwargs": {}}
+                for chunk in generate_chunks(msgpack.packb(message), 0):
+                    await socket.send_bytes(chunk)
+                while key not in answers:
+                    whole = chunks.process_chunk((await socket.receive()).data)
+                    if whole is None:
+                        continue
+                    if "error" in whole:
+                        raise AssertionError(whole["error"])
+                    if whole.get("id", "").startswith("publish:viewport.image.push"):
+                        pictures.append(whole["result"]["image"])
+                    answers[whole["id"]] = whole.get("result")
+                return answers[key]
+
+            await call("wslink.hello", {"secret": "wslink-secret"})
+            state = await call("trame.state.get")
+            view = next(v for k, v in state["state"].items() if k.startswith("view_P_") and k.endswith("Id"))
+            await call("viewport.image.push.observer.add", view)
+            keys = dict.fromkeys(("shiftKey", "ctrlKey", "altKey", "metaKey", "buttonMiddle", "buttonRight"), 0)
+            for k in range(20):
+                mouse = {"view": view, "x": 0.3 + 0.02 * k, "y": 0.5, "buttonLeft": 1, **keys}
+                await call("viewport.mouse.interaction", {**mouse, "action": "move" if k else "down"})
+                await call("viewport.image.push", {"view": view})
+                await asyncio.sleep(0.05)
+    return pictures
 
 
 def test_yt(tmp_path):
@@ -92,138 +169,3 @@ def test_yt_scenes_that_cannot_be_steered():
     empty = yt.visualization.volume_rendering.api.Scene()
     with pytest.raises(entire.yt.CannotSteer, match="no volume source"):
         entire.yt.hold(empty, 1.0)
-
-
-@pytest.fixture
-def canvas(voxels):
-    pytest.importorskip("vispy")
-    pytest.importorskip("PyQt6")
-    os.environ.setdefault("QT_QPA_PLATFORM", "xcb")
-    from vispy import app, scene
-
-    try:
-        app.use_app("pyqt6")
-        made = scene.SceneCanvas(size=(300, 300), show=True)
-    except Exception as error:
-        pytest.skip(f"Qt opens no window here: {error}")
-    view = made.central_widget.add_view()
-    visual = scene.visuals.Volume(
-        voxels.astype(np.float32), parent=view.scene, method="translucent", clim=(0, 255)
-    )
-    view.camera = scene.cameras.TurntableCamera(fov=45, distance=120, center=(24, 24, 24), parent=view.scene)
-    app.process_events()
-    yield made, view, visual
-    made.close()
-    app.process_events()
-
-
-def show(canvas):
-    """Draws a canvas's window, as its event loop does."""
-    from vispy import app
-
-    canvas.update()
-    app.process_events()
-
-
-def test_vispy(canvas):
-    import entire.vispy
-    from vispy import scene
-
-    made, view, visual = canvas
-    view.camera.azimuth = 0
-    plain = made.render()
-    own = visual.relative_step_size
-    holder = entire.vispy.hold(made, visual, seconds=0.004)
-    for azimuth in range(0, 100, 5):
-        view.camera.azimuth = azimuth
-        show(made)
-    assert holder.status == ""
-    assert len(holder.history) >= 15
-    assert holder.step > 1
-    assert holder.reason not in ("still", "fallback")
-    # What is rendered to an image is at full quality, also between steered frames.
-    view.camera.azimuth = 0
-    assert np.array_equal(made.render()[..., :3], plain[..., :3])
-    assert visual.relative_step_size == own
-    holder.moving = lambda: False
-    show(made)
-    assert holder.reason == "still"
-    holder.detach()
-    assert visual.relative_step_size == own
-    frames = len(holder.history)
-    show(made)
-    assert len(holder.history) == frames
-    with pytest.raises(entire.vispy.CannotSteer, match="relative_step_size"):
-        entire.vispy.hold(made, scene.visuals.Image(np.zeros((4, 4), np.float32), parent=view.scene))
-
-
-@pytest.mark.parametrize("fov", [0, 45])
-def test_cameras_from_vispys_matrices(canvas, fov):
-    from vispy import app
-
-    from entire.vispy import _matrix
-
-    made, view, visual = canvas
-    view.camera.fov = fov
-    view.camera.azimuth, view.camera.elevation = 30, 20
-    if fov == 0:
-        view.camera.scale_factor = 100
-    app.process_events()
-    made.render()
-    volume = entire.Volume(np.asarray(visual._last_data))
-    half = np.eye(4)
-    half[:3, 3] = 0.5
-    camera = entire.Camera.projection(volume, _matrix(visual) @ half)
-    if fov:
-        assert camera.fov == pytest.approx(fov, abs=0.1)
-        assert camera.pose[2] * volume.radius == pytest.approx(120, rel=0.05)
-    else:
-        # An eye far away that sees 100 voxels.
-        seen = 2 * camera.pose[2] * volume.radius * np.tan(np.radians(camera.fov / 2))
-        assert seen == pytest.approx(100, rel=0.02)
-
-
-@pytest.fixture
-def viewer(voxels):
-    napari = pytest.importorskip("napari")
-    pytest.importorskip("PyQt6")
-    try:
-        made = napari.Viewer(ndisplay=3, show=True)
-    except Exception as error:
-        pytest.skip(f"napari opens no window here: {error}")
-    made.add_image(voxels.astype(np.float32), rendering="translucent", scale=(2, 1, 1))
-    yield made
-    made.close()
-
-
-def test_napari(viewer):
-    import entire.napari
-
-    camera = (viewer.scene if hasattr(viewer, "scene") else viewer).camera
-    canvas = viewer.window._qt_viewer.canvas._scene_canvas
-    camera.angles = (0, 0, 90)
-    show(canvas)
-    plain = viewer.screenshot(canvas_only=True, flash=False)
-    holder = entire.napari.hold(viewer, seconds=0.004)
-    show(canvas)
-    assert holder.reason == "still"
-    for angle in range(0, 60, 5):
-        camera.angles = (0, angle, 90)
-        show(canvas)
-    assert len(holder.history) > 8
-    assert holder.reason not in ("still", "fallback", "")
-    assert holder.step > holder.own
-    camera.angles = (0, 0, 90)
-    assert np.array_equal(viewer.screenshot(canvas_only=True, flash=False), plain)
-    time.sleep(0.4)
-    show(canvas)
-    assert holder.reason == "still"
-    holder.detach()
-    assert np.array_equal(viewer.screenshot(canvas_only=True, flash=False), plain)
-    viewer.dims.ndisplay = 2
-    with pytest.raises(entire.napari.CannotSteer, match="ndisplay"):
-        entire.napari.hold(viewer)
-    viewer.dims.ndisplay = 3
-    viewer.layers[0].depiction = "plane"
-    with pytest.raises(entire.napari.CannotSteer, match="depiction"):
-        entire.napari.hold(viewer)

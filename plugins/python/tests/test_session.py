@@ -56,8 +56,13 @@ def test_what_was_learned_is_kept(voxels, tf, tmp_path):
     first, second = entire.Session(volume), entire.Session(volume)
     for i in range(60):
         plan = first.plan(entire.Camera.arcball(20, 7 * i, 2.5), tf, (640, 480), target=0.01)
-        first.observe(plan, drawn(plan, speed=3))
+        first.observe(plan, drawn(plan, speed=20))
     first.save(tmp_path / "learned")
+    # Whole, under its own name, with nothing beside it; elsewhere nothing is left and the file is named.
+    assert [p.name for p in tmp_path.iterdir()] == ["learned"]
+    assert (tmp_path / "learned").read_bytes() == first.save_state()
+    with pytest.raises(OSError, match="nowhere"):
+        first.save(tmp_path / "nowhere" / "learned")
     second.load(tmp_path / "learned")
     a, b = (s.predict(CAMERA, tf, (640, 480), step=2.0).seconds for s in (first, second))
     cold = entire.Session(volume).predict(CAMERA, tf, (640, 480), step=2.0).seconds
@@ -81,7 +86,7 @@ def test_observations_that_say_nothing_are_rejected(voxels, tf):
     with pytest.raises(entire.RejectedObservationError, match="before"):
         session.observe(plan, 0.01)
     other = entire.Session(entire.Volume(voxels))
-    with pytest.raises(entire.RejectedObservationError, match="unknown"):
+    with pytest.raises(entire.RejectedObservationError, match="no plan has this id"):
         other.observe(plan, 0.01)
 
 

@@ -161,21 +161,16 @@ bool vtkEntireSteering::LoadState(const char* fileName)
     return this->Fail("LoadState() was given no file name");
   }
   std::vector<std::uint8_t> bytes;
-  const std::string failure = vtkEntire::ReadStateFile(fileName, bytes);
+  std::string failure = vtkEntire::ReadStateFile(fileName, bytes);
   if (!failure.empty())
   {
     return this->Fail(failure);
   }
   // Tried on a session of its own first, so that a file that is no state changes nothing.
-  auto trial = entire::session::untrained();
-  if (!trial)
+  failure = this->Internals->Try(bytes);
+  if (!failure.empty())
   {
-    return this->Fail(trial.message());
-  }
-  auto loaded = trial.value().load_state(bytes);
-  if (!loaded)
-  {
-    return this->Fail(std::string(fileName) + ": " + loaded.message());
+    return this->Fail(std::string(fileName) + ": " + failure);
   }
   this->Internals->State = std::move(bytes);
   for (const auto& leaf : this->Internals->Drawing)

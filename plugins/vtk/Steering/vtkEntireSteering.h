@@ -194,8 +194,9 @@ public:
   /**
    * Writes what was learned of the mapper that was drawn last to a file, and starts from such a file: now (or
    * at Attach()), and whenever learning starts anew, until Reset() or Detach(). A file is written whole or
-   * not at all. Read are regular files of at most 1 MiB. Return false, set Status and report an error on
-   * failure.
+   * not at all. Read are regular files of at most 1 MiB. A file is bound to the model, the class of the mapper
+   * and Clock: another's is refused, or dropped with a warning where it was loaded before Attach(). Return
+   * false, set Status and report an error on failure.
    */
   bool SaveState(VTK_FILEPATH const char* fileName);
   bool LoadState(VTK_FILEPATH const char* fileName);

@@ -290,7 +290,7 @@ void vtkEntireSteering::vtkInternals::WindowEnd()
 }
 
 //------------------------------------------------------------------------------
-std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
+void vtkEntireSteering::vtkInternals::MatchOwner()
 {
   const char* const name = this->Owner->ModelFileName ? this->Owner->ModelFileName : "";
   if (this->ModelName != name || this->Tolerance != this->Owner->Tolerance ||
@@ -308,13 +308,16 @@ std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
     this->Tolerance = this->Owner->Tolerance;
     this->MissRate = this->Owner->MissRate;
   }
-  if (leaf.Session)
+}
+
+//------------------------------------------------------------------------------
+std::string vtkEntireSteering::vtkInternals::NewSession(
+  const Leaf& leaf, std::optional<entire::session>& session)
+{
+  this->MatchOwner();
+  if (!this->Model && !this->ModelName.empty())
   {
-    return {};
-  }
-  if (!this->Model && *name)
-  {
-    auto opened = entire::model::open(name);
+    auto opened = entire::model::open(this->ModelName);
     if (!opened)
     {
       return opened.message();
@@ -331,14 +334,72 @@ std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
   {
     return made.message();
   }
+  auto named = made.value().set_timing_source(leaf.Mapper ? leaf.Mapper->GetClassName() : "",
+    this->Owner->Clock == vtkEntireSteering::WALL ? "wall" : "process CPU");
+  if (!named)
+  {
+    return named.message();
+  }
+  session.emplace(std::move(made.value()));
+  return {};
+}
+
+//------------------------------------------------------------------------------
+std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
+{
+  this->MatchOwner();
+  if (leaf.Session)
+  {
+    return {};
+  }
+  std::optional<entire::session> made;
+  const std::string failure = this->NewSession(leaf, made);
+  if (!failure.empty())
+  {
+    return failure;
+  }
   if (!this->State.empty())
   {
-    auto loaded = made.value().load_state(this->State);
+    auto loaded = made->load_state(this->State);
     if (!loaded)
     {
-      return loaded.message();
+      // The frame is drawn without it: what was learned of another renderer says nothing of this one.
+      this->Warn("LoadState(): " + loaded.message());
+      this->State.clear();
     }
   }
-  leaf.Session = std::make_shared<entire::session>(std::move(made.value()));
+  leaf.Session = std::make_shared<entire::session>(std::move(*made));
   return {};
+}
+
+//------------------------------------------------------------------------------
+std::string vtkEntireSteering::vtkInternals::Try(const std::vector<std::uint8_t>& state)
+{
+  if (this->Drawing.empty())
+  {
+    auto any = entire::session::untrained();
+    if (!any)
+    {
+      return any.message();
+    }
+    auto loaded = any.value().load_state(state);
+    return loaded || loaded.code() == ENTIRE_UNSUPPORTED ? std::string() : loaded.message();
+  }
+  std::string failure;
+  const Leaves leaves = this->Drawing;
+  for (const auto& leaf : leaves)
+  {
+    std::optional<entire::session> trial;
+    failure = this->NewSession(*leaf, trial);
+    if (failure.empty())
+    {
+      auto loaded = trial->load_state(state);
+      if (loaded)
+      {
+        return {};
+      }
+      failure = loaded.message();
+    }
+  }
+  return failure;
 }

@@ -137,8 +137,15 @@ public:
   void RendererEnd();
   void WindowStart();
   void WindowEnd();
-  // Gives the leaf a session where it has none, and starts anew where model, tolerance or miss rate changed.
+  // Starts anew where model, tolerance or miss rate changed.
+  void MatchOwner();
+  // A session as the leaf has them, bound to the leaf's mapper and the owner's clock; on failure returns why.
+  std::string NewSession(const Leaf& leaf, std::optional<entire::session>& session);
+  // Gives the leaf a session where it has none.
   std::string MakeSession(Leaf& leaf);
+  // Whether a leaf's session would take the state up; a leaf that is not there yet is asked for no more than that
+  // the state is whole. Returns why not.
+  std::string Try(const std::vector<std::uint8_t>& state);
 
   // The owner's Reason and Status; nullptr leaves the one or the other. Nobody is told: read-outs change with
   // every frame.

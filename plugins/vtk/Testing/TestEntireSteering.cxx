@@ -363,6 +363,18 @@ void KeepsState(Kind kind)
     prediction = steering->GetPredictedTime();
   }
   CHECK(learned[0] == learned[1] && learned[0] != untaught && learned[0] > 0);
+  // What was learned by one clock, or of one mapper, is not taken up by another.
+  const int clock = steering->GetClock();
+  steering->SetClock(clock == vtkEntireSteering::WALL ? vtkEntireSteering::PROCESS_CPU : vtkEntireSteering::WALL);
+  CHECK(!steering->LoadState(file) && Says(steering->GetStatus(), "clock"));
+  steering->SetClock(clock);
+  {
+    Scene other(kind == FIXED || kind == SMART_FIXED ? GPU : FIXED);
+    vtkNew<vtkEntireSteering> elsewhere;
+    CHECK(elsewhere->Attach(other.Renderer, other.Volume));
+    CHECK(!elsewhere->LoadState(file) && Says(elsewhere->GetStatus(), "renderer"));
+    elsewhere->Detach();
+  }
   // A file that is loaded first counts from Attach() on, also where another attachment ends by it, until
   // Detach().
   steering->Detach();

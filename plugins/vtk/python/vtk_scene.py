@@ -19,6 +19,8 @@ from vtkmodules.vtkRenderingCore import (
 from vtkmodules.vtkRenderingVolume import vtkFixedPointVolumeRayCastMapper
 from vtkmodules.vtkRenderingVolumeOpenGL2 import vtkOpenGLGPUVolumeRayCastMapper, vtkSmartVolumeMapper
 
+from vtk_noise import noise_volume  # noqa: F401  (part of the scene)
+
 MAPPERS = {
     "fixed": vtkFixedPointVolumeRayCastMapper,
     "gpu": vtkOpenGLGPUVolumeRayCastMapper,
@@ -44,30 +46,6 @@ def camera(frame, frames, n):
     )
 
 
-def noise_volume(n, seed=7):
-    """Five octaves of value noise, thresholded, falling off towards the corners: about 60 % of it is not empty."""
-    rng = np.random.default_rng(seed)
-    total = np.zeros((n, n, n), np.float32)
-    weight, cells = 1.0, 4
-    for _ in range(5):
-        values = rng.random((cells + 1,) * 3, np.float32)
-        at = np.linspace(0, cells, n, endpoint=False)
-        i, f = at.astype(int), (at - at.astype(int)).astype(np.float32)
-        f = f * f * (3 - 2 * f)
-        for axis in range(3):
-            shape = [1, 1, 1]
-            shape[axis] = n
-            blend = f.reshape(shape)
-            values = values.take(i, axis) * (1 - blend) + values.take(i + 1, axis) * blend
-        total += weight * values
-        weight, cells = 0.5 * weight, 2 * cells
-    at = (np.arange(n, dtype=np.float32) + 0.5) / n * 2 - 1
-    radius = np.sqrt(at[:, None, None] ** 2 + at[None, :, None] ** 2 + at[None, None, :] ** 2)
-    total = (total - total.min()) / (total.max() - total.min())
-    total = np.clip((total - 0.35) / 0.65, 0, 1) * np.clip(1.5 - radius, 0, 1)
-    return (255 * total / total.max()).astype(np.uint8)
-
-
 def image_data(voxels, spacing=(1.0, 1.0, 1.0)):
     """[z, y, x] bytes as vtkImageData, centered at the origin."""
     image = vtkImageData()
@@ -91,6 +69,18 @@ def color_function(points):
     for at, red, green, blue in points:
         function.AddRGBPoint(at, red, green, blue)
     return function
+
+
+def pixels(window):
+    """What a window shows, as [y, x, rgb] bytes, without drawing it again."""
+    grab = vtkWindowToImageFilter()
+    grab.SetInput(window)
+    grab.ShouldRerenderOff()
+    grab.ReadFrontBufferOff()
+    grab.Update()
+    out = grab.GetOutput()
+    width, height, _ = out.GetDimensions()
+    return vtk_to_numpy(out.GetPointData().GetScalars()).reshape(height, width, -1)[:, :, :3].copy()
 
 
 class View:
@@ -134,11 +124,4 @@ class View:
 
     def pixels(self):
         """What the window shows, as [y, x, rgb] bytes, without drawing it again."""
-        grab = vtkWindowToImageFilter()
-        grab.SetInput(self.window)
-        grab.ShouldRerenderOff()
-        grab.ReadFrontBufferOff()
-        grab.Update()
-        out = grab.GetOutput()
-        width, height, _ = out.GetDimensions()
-        return vtk_to_numpy(out.GetPointData().GetScalars()).reshape(height, width, -1)[:, :, :3].copy()
+        return pixels(self.window)

@@ -26,7 +26,7 @@ pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
     for level in Level::available() {
         for storage in [Storage::F32, Storage::F16, Storage::Bf16] {
             let net = PredNet::with(prednet, level, storage).map_err(text)?;
-            let mut scratch = net.scratch();
+            let mut scratch = net.scratch().map_err(text)?;
             let mut inputs = vec![0.0f32; net.inputs() * 3];
             for (i, x) in inputs.iter_mut().enumerate() {
                 *x = (i * 37 % 101) as f32 / 50.0 - 1.0;

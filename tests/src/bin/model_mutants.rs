@@ -59,7 +59,8 @@ fn main() {
     }
     let [opened, predicted, built, encoded] = counts;
     println!(
-        "panics {panics} slowest {:.3} seed {} opened {opened} predicted {predicted} built {built} encoded {encoded}",
+        "panics {panics} slowest {:.3} seed {} opened {opened} predicted {predicted} built {built} encoded \
+         {encoded}",
         slowest.0, slowest.1
     );
 }

@@ -286,6 +286,10 @@ impl Engine {
         })
     }
 
+    pub(crate) fn shared_gpu(&self) -> Arc<Gpu> {
+        Arc::clone(&self.gpu)
+    }
+
     pub(crate) fn gpu(&self) -> &Gpu {
         &self.gpu
     }

@@ -3,10 +3,10 @@
 use crate::renderer::{Error, Result};
 use ash::vk;
 use gpu_allocator::vulkan::{Allocator, AllocatorCreateDesc};
-use std::ffi::{CStr, c_void};
+use std::ffi::{CStr, CString, c_char, c_void};
 use std::mem::ManuallyDrop;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 const VALIDATION_LAYER: &CStr = c"VK_LAYER_KHRONOS_validation";
@@ -30,6 +30,9 @@ pub(crate) struct GpuOptions<'a> {
     /// Part of a device's name, in any case, or its index among all devices.
     pub(crate) device: Option<&'a str>,
     pub(crate) validation: bool,
+    /// Instance extensions of a window system; with any, the device presents (see
+    /// [`super::VulkanOptions::surface_extensions`]).
+    pub(crate) surface_extensions: &'a [CString],
 }
 
 /// How device timestamps become seconds.
@@ -59,7 +62,8 @@ pub(crate) struct Gpu {
     pub(crate) instance: ash::Instance,
     pub(crate) physical: vk::PhysicalDevice,
     pub(crate) device: ash::Device,
-    pub(crate) queue: vk::Queue,
+    /// Held while something is submitted to it or presented by it.
+    queue: Mutex<vk::Queue>,
     pub(crate) family: u32,
     pub(crate) timestamps: Option<TimestampClock>,
     pub(crate) limits: vk::PhysicalDeviceLimits,
@@ -91,19 +95,27 @@ pub(crate) struct Gpu {
 pub(crate) fn call_failed(call: &str, result: vk::Result, device: Option<&str>) -> Error {
     let remedy = match result {
         vk::Result::ERROR_OUT_OF_DEVICE_MEMORY => {
-            "the device's memory is full: use a smaller volume or image, or close other programs that use the device"
+            "the device's memory is full: use a smaller volume or image, or close other programs that use \
+             the device"
         }
         vk::Result::ERROR_OUT_OF_HOST_MEMORY => {
             "the host's memory is full: use a smaller volume or image, or close other programs"
         }
         vk::Result::ERROR_DEVICE_LOST => {
-            "the driver gave the device up, often because one dispatch ran too long: make a new renderer, with smaller tiles (ENTIRE_TILE) or a coarser step"
+            "the driver gave the device up, often because one dispatch ran too long: make a new renderer, \
+             with smaller tiles (ENTIRE_TILE) or a coarser step"
         }
         vk::Result::ERROR_INCOMPATIBLE_DRIVER | vk::Result::ERROR_INITIALIZATION_FAILED => {
-            "no working Vulkan driver was found: install one (Debian and Ubuntu: mesa-vulkan-drivers, which holds the software device llvmpipe too), or render on the CPU"
+            "no working Vulkan driver was found: install one (Debian and Ubuntu: mesa-vulkan-drivers, \
+             which holds the software device llvmpipe too), or render on the CPU"
         }
         vk::Result::ERROR_LAYER_NOT_PRESENT => {
-            "install the validation layer (Debian and Ubuntu: vulkan-validationlayers) or switch validation off (ENTIRE_VALIDATION=0)"
+            "install the validation layer (Debian and Ubuntu: vulkan-validationlayers) or switch \
+             validation off (ENTIRE_VALIDATION=0)"
+        }
+        vk::Result::ERROR_EXTENSION_NOT_PRESENT => {
+            "the driver cannot show pictures in windows: install one that can (Debian and Ubuntu: \
+             mesa-vulkan-drivers), choose another device (ENTIRE_DEVICE), or use a command without a window"
         }
         _ => "update the graphics driver, choose another device (ENTIRE_DEVICE), or render on the CPU",
     };
@@ -141,11 +153,12 @@ impl Gpu {
         // SAFETY: loading the Vulkan loader runs its initializers; it is the system's own library.
         let entry = unsafe { ash::Entry::load() }.map_err(|e| {
             Error::new(format!(
-                "the Vulkan loader could not be opened ({e}); install it with a driver (Debian and Ubuntu: libvulkan1 mesa-vulkan-drivers), or render on the CPU"
+                "the Vulkan loader could not be opened ({e}); install it with a driver (Debian and Ubuntu: \
+                 libvulkan1 mesa-vulkan-drivers), or render on the CPU"
             ))
         })?;
         let messages = Arc::<Messages>::default();
-        let mut instance = InstanceGuard(Some(create_instance(&entry, options.validation, &messages)?));
+        let mut instance = InstanceGuard(Some(create_instance(&entry, options, &messages)?));
         let raw = instance.get();
 
         let debug = if options.validation {
@@ -160,14 +173,14 @@ impl Gpu {
             None
         };
 
-        let chosen = match choose_device(raw, options.device) {
+        let chosen = match choose_device(raw, options) {
             Ok(chosen) => chosen,
             Err(e) => {
                 destroy_messenger(debug.as_ref());
                 return Err(e);
             }
         };
-        let device = match create_device(raw, &chosen) {
+        let device = match create_device(raw, &chosen, !options.surface_extensions.is_empty()) {
             Ok(device) => wrap(device),
             Err(e) => {
                 destroy_messenger(debug.as_ref());
@@ -198,7 +211,7 @@ impl Gpu {
             instance: instance.take(),
             physical: chosen.physical,
             device,
-            queue,
+            queue: Mutex::new(queue),
             family: chosen.family,
             timestamps: chosen.timestamps,
             limits: chosen.limits,
@@ -227,6 +240,21 @@ impl Gpu {
     /// What the validation layer has said so far, warnings and errors.
     pub(crate) fn messages(&self) -> Vec<String> {
         self.messages.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// The queue, for as long as the guard lives.
+    pub(crate) fn queue(&self) -> MutexGuard<'_, vk::Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The loader.
+    pub(crate) fn entry(&self) -> &ash::Entry {
+        &self.entry
+    }
+
+    /// Notes that a call answered that the device is lost.
+    pub(crate) fn mark_lost(&self) {
+        self.lost.store(true, Ordering::Relaxed);
     }
 
     /// Refuses a device that is lost.
@@ -348,14 +376,20 @@ unsafe extern "system" fn on_message(
     vk::FALSE
 }
 
-fn create_instance(entry: &ash::Entry, validation: bool, messages: &Arc<Messages>) -> Result<ash::Instance> {
+fn create_instance(
+    entry: &ash::Entry,
+    options: &GpuOptions<'_>,
+    messages: &Arc<Messages>,
+) -> Result<ash::Instance> {
+    let validation = options.validation;
     // SAFETY: plain query on a loaded entry.
     let version = unsafe { entry.try_enumerate_instance_version() }
         .named("vkEnumerateInstanceVersion")?
         .unwrap_or(vk::API_VERSION_1_0);
     if version < vk::API_VERSION_1_1 {
         return Err(Error::new(
-            "the Vulkan loader is of version 1.0, at least 1.1 is needed; update it (Debian and Ubuntu: libvulkan1), or render on the CPU",
+            "the Vulkan loader is of version 1.0, at least 1.1 is needed; update it (Debian and Ubuntu: \
+             libvulkan1), or render on the CPU",
         ));
     }
     let application = vk::ApplicationInfo::default()
@@ -363,11 +397,11 @@ fn create_instance(entry: &ash::Entry, validation: bool, messages: &Arc<Messages
         .engine_name(c"entire-vk-raycaster")
         .api_version(vk::API_VERSION_1_1);
     let layers = if validation { vec![VALIDATION_LAYER.as_ptr()] } else { vec![] };
-    let extensions = if validation {
-        vec![ash::ext::debug_utils::NAME.as_ptr(), ash::ext::validation_features::NAME.as_ptr()]
-    } else {
-        vec![]
-    };
+    let mut extensions: Vec<*const c_char> = options.surface_extensions.iter().map(|e| e.as_ptr()).collect();
+    if validation {
+        extensions
+            .extend([ash::ext::debug_utils::NAME.as_ptr(), ash::ext::validation_features::NAME.as_ptr()]);
+    }
     let enabled = [vk::ValidationFeatureEnableEXT::SYNCHRONIZATION_VALIDATION];
     let mut features = vk::ValidationFeaturesEXT::default().enabled_validation_features(&enabled);
     // Also hears what the layer says of the instance's own creation and destruction.
@@ -399,18 +433,21 @@ struct ChosenDevice {
 }
 
 /// The device that was asked for, else the first of the best kind.
-fn choose_device(instance: &ash::Instance, wanted: Option<&str>) -> Result<ChosenDevice> {
+fn choose_device(instance: &ash::Instance, options: &GpuOptions<'_>) -> Result<ChosenDevice> {
+    let wanted = options.device;
+    let presents = !options.surface_extensions.is_empty();
     // SAFETY: the instance is alive.
     let all = unsafe { instance.enumerate_physical_devices() }.named("vkEnumeratePhysicalDevices")?;
     let mut usable: Vec<(usize, ChosenDevice)> = all
         .iter()
         .enumerate()
-        .filter_map(|(i, &physical)| Some((i, describe_device(instance, physical)?)))
+        .filter_map(|(i, &physical)| Some((i, describe_device(instance, physical, presents)?)))
         .collect();
     let names = usable.iter().map(|(i, d)| format!("{i}: {}", d.name)).collect::<Vec<_>>().join(", ");
     if usable.is_empty() {
         return Err(Error::new(
-            "no Vulkan 1.1 device with a compute queue was found; install a driver (Debian and Ubuntu: mesa-vulkan-drivers, which holds the software device llvmpipe too), or render on the CPU",
+            "no Vulkan 1.1 device with a compute queue was found; install a driver (Debian and Ubuntu: \
+             mesa-vulkan-drivers, which holds the software device llvmpipe too), or render on the CPU",
         ));
     }
     let position = match wanted {
@@ -447,8 +484,12 @@ fn rank(kind: vk::PhysicalDeviceType) -> u32 {
     }
 }
 
-/// A device's properties, if it can run compute shaders under Vulkan 1.1.
-fn describe_device(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Option<ChosenDevice> {
+/// A device's properties, if it can run compute shaders (and draw, where it `presents`) under Vulkan 1.1.
+fn describe_device(
+    instance: &ash::Instance,
+    physical: vk::PhysicalDevice,
+    presents: bool,
+) -> Option<ChosenDevice> {
     // SAFETY: `physical` was enumerated from `instance`.
     let (core, families) = unsafe {
         (
@@ -459,7 +500,9 @@ fn describe_device(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Op
     if core.api_version < vk::API_VERSION_1_1 {
         return None;
     }
-    let family = families.iter().position(|f| f.queue_flags.contains(vk::QueueFlags::COMPUTE))?;
+    let needed =
+        if presents { vk::QueueFlags::COMPUTE | vk::QueueFlags::GRAPHICS } else { vk::QueueFlags::COMPUTE };
+    let family = families.iter().position(|f| f.queue_flags.contains(needed))?;
     let mut maintenance = vk::PhysicalDeviceMaintenance3Properties::default();
     let mut driver = vk::PhysicalDeviceDriverProperties::default();
     let mut subgroup = vk::PhysicalDeviceSubgroupProperties::default();
@@ -505,12 +548,14 @@ fn describe_device(instance: &ash::Instance, physical: vk::PhysicalDevice) -> Op
     })
 }
 
-fn create_device(instance: &ash::Instance, chosen: &ChosenDevice) -> Result<ash::Device> {
+fn create_device(instance: &ash::Instance, chosen: &ChosenDevice, presents: bool) -> Result<ash::Device> {
     let priorities = [1.0];
     let queues = [vk::DeviceQueueCreateInfo::default()
         .queue_family_index(chosen.family)
         .queue_priorities(&priorities)];
-    let info = vk::DeviceCreateInfo::default().queue_create_infos(&queues);
+    let extensions = if presents { vec![ash::khr::swapchain::NAME.as_ptr()] } else { vec![] };
+    let info =
+        vk::DeviceCreateInfo::default().queue_create_infos(&queues).enabled_extension_names(&extensions);
     // SAFETY: the family exists and has at least one queue; all pointers live until the call returns.
     unsafe { instance.create_device(chosen.physical, &info, None) }.named("vkCreateDevice")
 }

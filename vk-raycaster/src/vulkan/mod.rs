@@ -1,12 +1,16 @@
 //! The ray caster on Vulkan.
 
+mod cast;
 #[allow(unsafe_code, reason = "calls into Vulkan")]
 mod engine;
 #[allow(unsafe_code, reason = "calls into Vulkan")]
 mod gpu;
+#[allow(unsafe_code, reason = "calls into Vulkan")]
+mod picture;
 mod recording;
 #[allow(unsafe_code, reason = "calls into Vulkan")]
 mod resources;
+mod shared;
 mod upload;
 
 use crate::blocks::{BLOCK_EDGE, BlockMap, SkipMap, check_edge};
@@ -21,9 +25,12 @@ use engine::{Cast, Engine, STATE_BYTES, ShaderKey, Ticket};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
 use gpu::{Gpu, GpuOptions, WrapDevice};
 pub use gpu::{LONGEST_WAIT, LONGEST_WAIT_SOFTWARE};
-use recording::{IMAGE_BYTES, Target, Tile, WORK_BYTES, record_tile, tiles};
+pub use picture::{Picture, Region};
+use recording::{Output, Target, Tile, WORK_BYTES, record_tile};
 use resources::Shape;
+pub use shared::SharedDevice;
 use std::collections::VecDeque;
+use std::ffi::CString;
 use std::sync::Arc;
 use std::time::Duration;
 use upload::Brick;
@@ -71,6 +78,9 @@ pub struct VulkanOptions {
     /// is
     /// [`LONGEST_WAIT`], on software devices [`LONGEST_WAIT_SOFTWARE`].
     pub longest_wait: Option<Duration>,
+    /// Instance extensions of a window system (`VK_KHR_surface` and the like). With any, the device is opened
+    /// so that it can show pictures in a window: with `VK_KHR_swapchain`, and a queue that draws as well.
+    pub surface_extensions: Vec<CString>,
 }
 
 impl VulkanOptions {
@@ -201,15 +211,20 @@ impl VulkanRaycaster {
             device: options.device.as_deref(),
             validation: options.validation,
             longest_wait: options.longest_wait,
+            surface_extensions: &options.surface_extensions,
         };
-        let gpu = Gpu::open(&gpu, wrap)?;
+        Self::on(Arc::new(Gpu::open(&gpu, wrap)?), options)
+    }
+
+    /// A raycaster on a device that is open.
+    fn on(gpu: Arc<Gpu>, options: VulkanOptions) -> Result<Self> {
         let groups = gpu.limits.max_compute_work_group_count;
         let pixels = u64::from(gpu.limits.max_storage_buffer_range) / STATE_BYTES.max(WORK_BYTES);
         let largest = (groups[0].min(groups[1]).saturating_mul(recording::GROUP_EDGE))
             .min(pixels.isqrt().try_into().unwrap_or(u32::MAX));
         let edge = options.tile.unwrap_or(1024).clamp(recording::GROUP_EDGE, largest);
         Ok(Self {
-            engine: Engine::new(Arc::new(gpu))?,
+            engine: Engine::new(gpu)?,
             options,
             block_edge: BLOCK_EDGE,
             volume: None,
@@ -240,6 +255,12 @@ impl VulkanRaycaster {
     /// Where voxels of the present volume come from.
     pub fn fetch(&self) -> Option<VoxelFetch> {
         self.volume.as_ref().map(|v| v.fetch)
+    }
+
+    /// Textures that hold the present volume: one, or the bricks of one that is larger than a texture can be;
+    /// 0 before there is a volume.
+    pub fn bricks(&self) -> usize {
+        self.volume.as_ref().map_or(0, |v| v.bricks.len())
     }
 
     /// Blocks that are not empty under the present transfer function, and all blocks; `None` before both
@@ -273,14 +294,21 @@ impl VulkanRaycaster {
         let tile = Tile { x: 0, y: 0, width, height };
         if width.max(height) > self.tile[plan.class] || plan.last_window > 0.0 || bricks != 1 {
             return Err(Error::new(format!(
-                "a frame of {width} x {height} pixels needs several dispatches here (tiles of {}, {bricks} bricks) and cannot be enqueued; render it",
+                "a frame of {width} x {height} pixels needs several dispatches here (tiles of {}, {bricks} \
+                 bricks) and cannot be enqueued; render it",
                 self.tile[plan.class]
             )));
         }
         let slot = self.engine.free_slot()?;
         self.table_step = None;
-        let commands =
-            record_tile(&plan.setup, tile, plan.table, self.has_timestamps(), self.options.count_work);
+        let commands = record_tile(
+            &plan.setup,
+            tile,
+            plan.table,
+            self.has_timestamps(),
+            self.options.count_work,
+            Output::Host,
+        );
         let cast =
             Cast { pass: "ray casting, a frame in flight", key: plan.key, tile, windowed: false, brick: 0 };
         let ticket = self.engine.start(slot, &cast, &commands)?;
@@ -326,7 +354,8 @@ impl VulkanRaycaster {
         let bricked = volume.bricks.len() > 1;
         if bricked && frame.shading() == Shading::Scatter {
             return Err(Error::new(format!(
-                "single scattering needs the volume in one texture, on {} it takes {} bricks; crop or downsample it, or render on the CPU",
+                "single scattering needs the volume in one texture, on {} it takes {} bricks; crop or \
+                 downsample it, or render on the CPU",
                 self.engine.gpu().name,
                 volume.bricks.len()
             )));
@@ -481,72 +510,7 @@ impl Renderer for VulkanRaycaster {
     }
 
     fn render(&mut self, frame: &Frame) -> Result<Rendered> {
-        let watch = Stopwatch::start();
-        let mut plan = self.plan(frame)?;
-        let order = self.volume.as_ref().map(|v| brick_order(v, &plan.setup)).unwrap_or_default();
-        let bricks = self.volume.as_ref().map(|v| v.bricks.clone()).unwrap_or_default();
-        self.table_step = None;
-        let slot = self.engine.free_slot()?;
-        let (width, height) = (frame.width(), frame.height());
-        let mut rgba = vec![0; width as usize * height as usize * IMAGE_BYTES as usize];
-        let mut counts = WorkCounts::default();
-        let mut device = self.has_timestamps().then_some(0.0);
-        let timestamps = device.is_some();
-        let class = plan.class;
-        let windowed = plan.last_window > 0.0 || bricks.len() > 1;
-        let cut = tiles(width, height, self.tile[class]);
-        for (i, &tile) in cut.iter().enumerate() {
-            let pass = format!("ray casting, tile {} of {}", i + 1, cut.len());
-            let mut begin = 0.0;
-            loop {
-                let last = begin >= plan.last_window;
-                for (visit, &brick) in order.iter().enumerate() {
-                    let mut setup = plan.setup;
-                    setup.resume = u32::from(begin > 0.0 || visit > 0);
-                    setup.window_end = if last { FAR } else { begin + plan.window };
-                    setup.set_brick(
-                        bricks[brick].low,
-                        bricks[brick].high,
-                        bricks[brick].origin,
-                        bricks[brick].dims,
-                    );
-                    let commands =
-                        record_tile(&setup, tile, plan.table.take(), timestamps, self.options.count_work);
-                    let cast = Cast { pass: &pass, key: plan.key, tile, windowed, brick };
-                    let tile_watch = Stopwatch::start();
-                    let ticket = self.engine.start(slot, &cast, &commands)?;
-                    let done = self.engine.finish(ticket)?;
-                    device = device.zip(done.seconds).map(|(sum, s)| sum + s);
-                    if done.seconds.unwrap_or_else(|| tile_watch.wall()) > LONG_DISPATCH_SECONDS {
-                        self.tile[class] = (self.tile[class] / 2).max(SMALLEST_TILE.min(self.tile[class]));
-                    }
-                    if last && visit + 1 == order.len() {
-                        join(&mut rgba, width, tile, done.image);
-                        add_counts(&mut counts, done.work);
-                    }
-                }
-                if last {
-                    break;
-                }
-                begin += plan.window;
-            }
-        }
-        self.table_step = Some(frame.step());
-        let time = FrameTime { device, wall: watch.wall(), cpu: watch.cpu() };
-        Ok(Rendered {
-            image: Image { width, height, rgba },
-            time,
-            counts: self.options.count_work.then_some(counts),
-        })
-    }
-}
-
-/// Copies a finished tile into the image.
-fn join(rgba: &mut [u8], width: u32, tile: Tile, found: &[u8]) {
-    let row_bytes = tile.width as usize * 4;
-    for (y, row) in found.chunks_exact(row_bytes).enumerate() {
-        let start = ((tile.y as usize + y) * width as usize + tile.x as usize) * 4;
-        rgba[start..start + row_bytes].copy_from_slice(row);
+        self.render_region(frame, Region::whole(frame))
     }
 }
 

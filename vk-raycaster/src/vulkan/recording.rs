@@ -1,6 +1,7 @@
 //! What a submission does, as plain data that can be looked at without a device. The engine plays it.
 
 use crate::setup::FrameSetup;
+use ash::vk;
 
 /// Pixels along the edge of a workgroup.
 pub(crate) const GROUP_EDGE: u32 = 8;
@@ -41,6 +42,9 @@ pub(crate) enum Command {
     Timestamp(u32),
     /// Casts the rays of the tile.
     Dispatch { groups: [u32; 2] },
+    /// Copies the image into a rectangle of a picture that stays on the device; what else the picture held
+    /// is lost if it is `fresh`.
+    CopyToPicture { image: vk::Image, fresh: bool, tile: Tile },
     /// Copies the image, and the work counts if there are any, to the buffer that the host reads.
     ReadBack { image_bytes: u64, work_bytes: u64 },
 }
@@ -56,6 +60,17 @@ pub(crate) enum Hazard {
     ShaderToTransfer,
     /// A transfer wrote what the host reads.
     TransferToHost,
+}
+
+/// Where a tile's pixels go.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Output {
+    /// To the buffer that the host reads.
+    Host,
+    /// Nowhere: another dispatch goes on with these rays.
+    Device,
+    /// To a picture that stays on the device, at the tile's place; see [`Command::CopyToPicture`].
+    Picture { image: vk::Image, fresh: bool },
 }
 
 /// A rectangle of the image, in pixels.
@@ -89,6 +104,7 @@ pub(crate) fn record_tile(
     table: Option<Vec<u8>>,
     timestamps: bool,
     counting: bool,
+    output: Output,
 ) -> Vec<Command> {
     let mut setup = *setup;
     (setup.tile_x, setup.tile_y) = (tile.x, tile.y);
@@ -118,14 +134,19 @@ pub(crate) fn record_tile(
         commands.push(Command::Timestamp(1));
     }
     let pixels = u64::from(tile.width) * u64::from(tile.height);
-    commands.extend([
-        Command::BufferBarrier(Hazard::ShaderToTransfer),
-        Command::ReadBack {
-            image_bytes: pixels * IMAGE_BYTES,
-            work_bytes: if counting { pixels * WORK_BYTES } else { 0 },
-        },
-        Command::BufferBarrier(Hazard::TransferToHost),
-    ]);
+    commands.push(Command::BufferBarrier(Hazard::ShaderToTransfer));
+    if let Output::Picture { image, fresh } = output {
+        commands.push(Command::CopyToPicture { image, fresh, tile });
+    }
+    if output == Output::Host || counting {
+        commands.extend([
+            Command::ReadBack {
+                image_bytes: pixels * IMAGE_BYTES,
+                work_bytes: if counting { pixels * WORK_BYTES } else { 0 },
+            },
+            Command::BufferBarrier(Hazard::TransferToHost),
+        ]);
+    }
     commands
 }
 
@@ -168,7 +189,7 @@ mod tests {
         let setup: FrameSetup = bytemuck::Zeroable::zeroed();
         let tile = Tile { x: 16, y: 32, width: 33, height: 9 };
         let table = vec![0; 64];
-        let c = record_tile(&setup, tile, Some(table), true, true);
+        let c = record_tile(&setup, tile, Some(table), true, true, Output::Host);
         let write =
             position(&c, |c| matches!(c, Command::WriteSetup(s) if s.tile_x == 16 && s.tile_height == 9));
         let copied = position(&c, |c| *c == Command::FinishCopy { target: Target::Table });
@@ -188,12 +209,29 @@ mod tests {
     #[test]
     fn without_clock_table_and_counts_nothing_is_recorded_for_them() {
         let setup: FrameSetup = bytemuck::Zeroable::zeroed();
-        let c = record_tile(&setup, Tile { x: 0, y: 0, width: 8, height: 8 }, None, false, false);
+        let c =
+            record_tile(&setup, Tile { x: 0, y: 0, width: 8, height: 8 }, None, false, false, Output::Host);
         assert!(
             !c.iter()
                 .any(|c| matches!(c, Command::Timestamp(_) | Command::ResetTimestamps | Command::CopyTable))
         );
         assert!(c.contains(&Command::ReadBack { image_bytes: 256, work_bytes: 0 }));
+    }
+
+    #[test]
+    fn a_picture_on_the_device_is_copied_to_and_not_read_back() {
+        let setup: FrameSetup = bytemuck::Zeroable::zeroed();
+        let tile = Tile { x: 8, y: 16, width: 8, height: 4 };
+        let output = Output::Picture { image: vk::Image::null(), fresh: true };
+        let c = record_tile(&setup, tile, None, true, false, output);
+        let cast = position(&c, |c| matches!(c, Command::Dispatch { .. }));
+        let wait = position(&c, |c| *c == Command::BufferBarrier(Hazard::ShaderToTransfer));
+        let copy = Command::CopyToPicture { image: vk::Image::null(), fresh: true, tile };
+        assert!(cast < wait && wait < position(&c, |c| *c == copy));
+        assert!(!c.iter().any(|c| matches!(c, Command::ReadBack { .. })));
+        // Counts are read all the same.
+        let c = record_tile(&setup, tile, None, true, true, output);
+        assert!(c.contains(&Command::ReadBack { image_bytes: 128, work_bytes: 512 }));
     }
 
     #[test]

@@ -58,7 +58,8 @@ fn allocate(
         })
         .map_err(|e| {
             Error::new(format!(
-                "no memory for the {name}, {} bytes, on {}: {e}; use a smaller volume or image, or close other programs that use the device",
+                "no memory for the {name}, {} bytes, on {}: {e}; use a smaller volume or image, or close \
+                 other programs that use the device",
                 requirements.size, gpu.name
             ))
         })

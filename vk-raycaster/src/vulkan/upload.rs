@@ -87,7 +87,8 @@ pub(crate) fn check_size(gpu: &Gpu, dims: [usize; 3], wish: Option<u32>) -> Resu
     let limit = texture_limit(gpu, wish);
     if cut(dims, limit, u64::MAX).is_none() {
         return Err(Error::new(format!(
-            "the volume has {} x {} x {} voxels, {} takes at most {limit} along each axis of a texture and {MAX_BRICKS} textures; crop or downsample it, or render on the CPU",
+            "the volume has {} x {} x {} voxels, {} takes at most {limit} along each axis of a texture and \
+             {MAX_BRICKS} textures; crop or downsample it, or render on the CPU",
             dims[0], dims[1], dims[2], gpu.name
         )));
     }
@@ -126,7 +127,8 @@ pub(crate) fn plan(
             "packed voxel fetch takes bytes only; choose the sampler or texels, or leave the choice open",
         )),
         VoxelFetch::Packed if !can_pack => Err(Error::new(format!(
-            "the volume has {:?} voxels, more than packed voxel fetch holds on {}; choose texels, or leave the choice open",
+            "the volume has {:?} voxels, more than packed voxel fetch holds on {}; choose texels, or leave \
+             the choice open",
             volume.geometry.dims, gpu.name
         ))),
         // Software samplers interpolate 8-bit textures in 8 bits; in 16 they keep the fractions.
@@ -151,7 +153,8 @@ pub(crate) fn plan(
         VoxelFetch::Packed => (vec![whole], [1; 3]),
         _ => cut(dims, limit, most).ok_or_else(|| {
             Error::new(format!(
-                "the volume has {dims:?} voxels, {} takes at most {most} in a texture and {MAX_BRICKS} textures; crop or downsample it, or render on the CPU",
+                "the volume has {dims:?} voxels, {} takes at most {most} in a texture and {MAX_BRICKS} \
+                 textures; crop or downsample it, or render on the CPU",
                 gpu.name
             ))
         })?,

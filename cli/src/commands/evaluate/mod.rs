@@ -4,9 +4,9 @@ mod report;
 
 use crate::bound;
 use crate::dataset::{Clock, TimedFrame, noise_floor, read_tables, timed};
-use crate::evaluation::{PROBE_SHARE, WarmLatency, by_kind, probe_means, warm_latency};
+use crate::evaluation::{PROBE_SHARE, WarmLatency, by_kind, in_session, probe_means, warm_latency};
 use crate::files::{fnv1a, parse_model, read_model_bytes};
-use crate::fit::predict_rows;
+use crate::fit::{predict_rows, rows_by_network};
 use crate::inputs::Layout;
 use crate::machine;
 use crate::metrics::{Metrics, bootstrap_by_group};
@@ -38,7 +38,8 @@ pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
-    /// Which clock's seconds are compared with.
+    /// Which clock's seconds are compared with; `auto` is the clock that the models predict, where they say
+    /// so. Models of another clock are refused.
     #[arg(long, value_enum, default_value_t = Clock::Auto)]
     pub clock: Clock,
     /// Only frames with this shading: none, local or scatter.
@@ -56,6 +57,10 @@ pub struct Options {
     /// Judge each model also with its weights held in memory as f32, f16, bf16 or int8.
     #[arg(long, num_args = 1.., value_name = "STORAGE", value_parser = parse_storage)]
     pub storage: Vec<Storage>,
+    /// Judge each model also in a session that hears of every frame after it was predicted, from the frame on
+    /// that follows so many observed ones. Opens the volumes.
+    #[arg(long, value_name = "FRAMES")]
+    pub observed: Option<usize>,
     /// Seed of the probes behind the constant baseline.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -108,7 +113,8 @@ pub fn run(options: &Options) -> Result<()> {
     let pool = thread_pool(options.threads)?;
     let models: Vec<Loaded> = options.model.iter().map(|p| load(p)).collect::<Result<_>>()?;
     let tables = read_tables(&options.data)?;
-    let mut frames = timed(&tables, options.clock, options.shading)?;
+    let clock = crate::clock::agreed(options.clock, models.iter().map(|m| (m.name.as_str(), &m.model)))?;
+    let mut frames = timed(&tables, clock, options.shading)?;
     if options.unseen {
         for m in models.iter().filter(|m| m.split.is_none()) {
             eprintln!("note: {} does not say what it learned from; --unseen cannot leave that out", m.name);
@@ -121,7 +127,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let (refs, measured): (Vec<&TimedFrame>, Vec<f64>) = frames.into_iter().unzip();
     let groups: Vec<String> = refs.iter().map(|f| options.by.group(&f.scene)).collect();
-    let noise = noise_floor(refs.iter().copied(), options.clock);
+    let noise = noise_floor(refs.iter().copied(), clock, |f| tables[f.table].passes());
 
     let mut predictors = Vec::new();
     for m in &models {
@@ -153,11 +159,7 @@ pub fn run(options: &Options) -> Result<()> {
         let rows = m.layout.rows(&tables, &refs, &pool, &templated_bar(true, INPUTS_BAR))?;
         let parts = m.model.prednet().with_context(|| format!("{} holds no PredNet", m.name))?;
         let net = PredNet::with_storage(parts, storage)?;
-        let mut scratch = net.scratch();
-        let predicted = rows
-            .chunks_exact(m.layout.width())
-            .map(|row| f64::from(net.predict(row, &mut scratch)))
-            .collect();
+        let predicted = rows_by_network(&net, &rows, m.layout.width())?;
         predictors.push(assess(
             format!("{}, {} weights", m.name, storage.name()),
             None,
@@ -174,17 +176,37 @@ pub fn run(options: &Options) -> Result<()> {
     let name = format!("mean of {:.0} % probes per volume", 100.0 * PROBE_SHARE);
     predictors.push(assess(name, None, constant, &measured, &groups, &refs, None, 0, None)?);
 
+    let mut sessions = BTreeMap::new();
+    if let Some(heard) = options.observed {
+        ensure!(heard < refs.len(), "--observed is {heard}; there are only {} frames", refs.len());
+        for m in &models {
+            let predicted =
+                in_session(&m.model, &tables, &refs, &measured).with_context(|| m.name.clone())?;
+            let metrics =
+                Metrics::new(&predicted[heard..], &measured[heard..]).context("no frames are left")?;
+            println!(
+                "{} in a session, after {heard} observed frames: RMSE/SD {:.3}, MdAPE {:.2} % on the other {}",
+                m.name,
+                metrics.rmse_over_sd,
+                100.0 * metrics.mdape,
+                metrics.frames
+            );
+            sessions.insert(m.name.clone(), metrics);
+        }
+    }
+
     let evaluation = Evaluation {
         program: format!("entire {}", machine::version()),
         machine: machine::machine(),
         date: machine::now(),
         load_average: machine::load_average(),
         data: options.data.iter().map(|p| p.display().to_string()).collect(),
-        clock: options.clock.name(),
+        clock: clock.name(),
         shading: options.shading.map(|s| s.name()),
         unseen_only: options.unseen,
         frames: refs.len(),
         noise_floor: noise,
+        in_session: &sessions,
         predictors: &predictors,
     };
     let (overall, bias, by_group) = tables_of(&predictors, options.by);

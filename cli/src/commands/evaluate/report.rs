@@ -47,16 +47,14 @@ pub(super) struct Evaluation<'a> {
     pub(super) unseen_only: bool,
     pub(super) frames: usize,
     pub(super) noise_floor: Option<NoiseFloor>,
+    /// Errors in a session by the model's name, of the frames after the observed ones.
+    pub(super) in_session: &'a BTreeMap<String, Metrics>,
     pub(super) predictors: &'a [Predictor],
 }
 
 pub(super) fn noise_text(noise: Option<NoiseFloor>) -> String {
     match noise {
-        Some(n) => format!(
-            "noise floor: repeats of one frame scatter with a log-SD of {:.4} (median of repeats about \
-             {:.4}), {} repeated frames",
-            n.log_sd, n.log_sd_of_median, n.frames
-        ),
+        Some(n) => format!("noise floor: {}", n.describe()),
         None => "noise floor: not known, no frame was repeated".into(),
     }
 }

@@ -140,6 +140,7 @@ impl Chart {
                 Mark::Band(_) => ("band", String::new()),
                 Mark::Bars(_) => ("bars", String::new()),
                 Mark::Boxes(_) => ("boxes", String::new()),
+                Mark::Stretches(_) => ("stretches", String::new()),
             };
             layers.push(Layer { class, dash, svg });
         }
@@ -304,7 +305,7 @@ impl Chart {
                 area.draw(&Circle::new(center, units(4.0), light(color).mix(0.75).filled()))?;
             }
             Mark::Band(_) => area.draw(&block(0.0, SWATCH, 0.2))?,
-            Mark::Bars(_) | Mark::Boxes(_) => area.draw(&block(5.0, 18.0, 1.0))?,
+            Mark::Bars(_) | Mark::Boxes(_) | Mark::Stretches(_) => area.draw(&block(5.0, 18.0, 1.0))?,
         }
         Ok(())
     }
@@ -345,6 +346,16 @@ impl Chart {
                     let (left, right) = (px + offset - slot * 0.46, px + offset + slot * 0.46);
                     Rectangle::new([(left, base), (right, py)], fill(1.0))
                 }))?;
+            }
+            Mark::Stretches(parts) => {
+                let inside = parts.iter().filter(|(_, _, at)| y.takes(*at));
+                plot.draw_series(inside.filter(|(from, to, _)| *to >= x.low && *from <= x.high).map(
+                    |&(from, to, at)| {
+                        let half = 0.25f64.min(at - y.low).min(y.high - at).max(0.0);
+                        let (from, to) = (from.max(x.low), to.min(x.high));
+                        Rectangle::new([(from, at - half), (to, at + half)], fill(0.8))
+                    },
+                ))?;
             }
             Mark::Boxes(points) => {
                 let pixel = (x.high - x.low) / (layout.right - layout.left);

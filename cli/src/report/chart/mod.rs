@@ -1,4 +1,4 @@
-//! Charts: lines, steps, points, bands, bars and box plots over linear, logarithmic or categorical axes,
+//! Charts: lines, steps, points, bands, bars, stretches and box plots over linear, logarithmic or categorical axes,
 //! drawn as SVG.
 //!
 //! The drawing is `plotters`'; `templates/chart.svg` puts its layers together.
@@ -27,6 +27,8 @@ pub enum Mark {
     Band(Vec<(f64, f64, f64)>),
     /// Bars from the axis' lower end (zero where it is in sight) to y.
     Bars(Vec<(f64, f64)>),
+    /// Stretches along x at y, half a unit high: (from, to, y).
+    Stretches(Vec<(f64, f64, f64)>),
     /// Box plots at x: 5th, 25th, 50th, 75th, 95th percentile.
     Boxes(Vec<(f64, [f64; 5])>),
 }
@@ -140,6 +142,7 @@ impl Mark {
             Self::Line(p) | Self::Steps(p) | Self::Bars(p) => p.clone(),
             Self::Points(p) => p.iter().map(|(x, y, _)| (*x, *y)).collect(),
             Self::Band(p) => p.iter().flat_map(|(x, a, b)| [(*x, *a), (*x, *b)]).collect(),
+            Self::Stretches(p) => p.iter().flat_map(|(a, b, y)| [(*a, *y), (*b, *y)]).collect(),
             Self::Boxes(p) => p.iter().flat_map(|(x, q)| q.map(|v| (*x, v))).collect(),
         }
     }

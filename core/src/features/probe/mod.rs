@@ -11,7 +11,7 @@ use self::march::{
 };
 use super::{Footprint, TransferSummary, VolumeSummary};
 use crate::kernels::Level;
-use crate::scene::Frame;
+use crate::scene::{Frame, Skipping};
 
 /// The probe has this many rays along each side of the footprint's bounding rectangle, unless told otherwise.
 pub const PROBE_SIDE: usize = 11;
@@ -65,6 +65,8 @@ pub struct Probe {
     pub(super) shadow_skips: f32,
     /// Visible length times the length of a shadow ray without skipping.
     pub(super) shadow_all: f32,
+    /// Standard error of the length among samples, as a share of it.
+    pub(super) error: f32,
     block_skips: Chords,
     distance_skips: Chords,
 }
@@ -88,6 +90,7 @@ impl Probe {
         shadow: 0.0,
         shadow_skips: 0.0,
         shadow_all: 0.0,
+        error: 0.0,
         block_skips: Chords::NOTHING,
         distance_skips: Chords::NOTHING,
     };
@@ -159,11 +162,13 @@ impl Probe {
         let size = [high[0] - low[0], high[1] - low[1]];
         let mut room = [[0.0f32; ROOM]; FIELDS];
         let mut rays = room.each_mut().map(|field| field.as_mut_slice());
-        for (i, offset) in OFFSETS[..count].iter().enumerate() {
-            let (ix, iy) = (i % side, i / side);
-            rays[U][i] = low[0] + size[0] * (ix as f32 + offset[0]) * per_side;
-            rays[V][i] = low[1] + size[1] * (iy as f32 + offset[1]) * per_side;
-            rays[DRAW][i] = OFFSETS[count - 1 - i][0];
+        for iy in 0..side {
+            for ix in 0..side {
+                let i = iy * side + ix;
+                rays[U][i] = low[0] + size[0] * (ix as f32 + OFFSETS[i][0]) * per_side;
+                rays[V][i] = low[1] + size[1] * (iy as f32 + OFFSETS[i][1]) * per_side;
+                rays[DRAW][i] = OFFSETS[count - 1 - i][0];
+            }
         }
         let mut march = March::new(volume, transfer, frame, geometry);
         march.all(level, &mut rays, count);
@@ -186,12 +191,16 @@ impl Probe {
         // Depth along the view, weighted by the samples' length; where nothing is sampled, that of the volume's center.
         let depth = if occupied > 0.0 { total(DEPTH) / occupied } else { frame.camera().to_arcball().dz };
         let aspect = frame.width() as f32 / frame.height() as f32;
-        let (mut occupied_max, mut all_max) = (0.0, 0.0);
-        for_each_neighborhood(&rays, side, |o, a| {
-            // A pixel that misses the box waits for its neighbors too, so misses count.
-            occupied_max += o;
-            all_max += a;
-        });
+        let mut all = [0.0f32; ROOM];
+        for ((all, &occupied), &empty) in all.iter_mut().zip(&*rays[OCCUPIED]).zip(&*rays[EMPTY]) {
+            *all = occupied + empty;
+        }
+        // A pixel that misses the box waits for its neighbors too, so misses count.
+        let most = if side <= 14 { most_nearby::<16> } else { most_nearby::<32> };
+        let (occupied_max, all_max) = (most(&rays[OCCUPIED][..count], side), most(&all[..count], side));
+        let sampled =
+            if frame.skipping() == Skipping::None { &all[..count] } else { &rays[OCCUPIED][..count] };
+        let error = relative_error(sampled, &rays[CHORD][..count], side, hits);
         let block_skips = block_skips.mean(inv);
         Self {
             footprint,
@@ -210,6 +219,7 @@ impl Probe {
             shadow: total(SHADOW) * inv,
             shadow_skips: total(SHADOW_SKIPS) * inv,
             shadow_all: total(SHADOW_ALL) * inv,
+            error,
             block_skips,
             distance_skips: if mapped { distance_skips.mean(inv) } else { block_skips },
         }
@@ -288,32 +298,42 @@ fn sum(values: &[f32]) -> f32 {
     lanes[0]
 }
 
-/// For each ray, the largest length in occupied blocks of it and its four neighbors, and the largest length altogether.
-fn for_each_neighborhood(rays: &[&mut [f32]; FIELDS], side: usize, mut give: impl FnMut(f32, f32)) {
-    let occupied = &rays[OCCUPIED][..side * side];
-    let empty = &rays[EMPTY][..side * side];
-    for iy in 0..side {
-        for ix in 0..side {
-            let i = iy * side + ix;
-            let (mut o, mut a) = (occupied[i], occupied[i] + empty[i]);
-            let mut consider = |n: usize| {
-                o = o.max(occupied[n]);
-                a = a.max(occupied[n] + empty[n]);
-            };
-            if ix > 0 {
-                consider(i - 1);
-            }
-            if ix + 1 < side {
-                consider(i + 1);
-            }
-            if iy > 0 {
-                consider(i - side);
-            }
-            if iy + 1 < side {
-                consider(i + side);
-            }
-            give(o, a);
+/// The sum, over rays, of the largest value of a ray and its four neighbors; no value is negative. `W` must exceed
+/// `side` by 2.
+fn most_nearby<const W: usize>(values: &[f32], side: usize) -> f32 {
+    let larger = |a: f32, b: f32| if b > a { b } else { a };
+    let mut padded = [[0.0f32; W]; MAX_PROBE_SIDE + 2];
+    for (line, values) in padded[1..=side].iter_mut().zip(values.chunks_exact(side)) {
+        line[1..=side].copy_from_slice(values);
+    }
+    let mut sums = [0.0f32; W];
+    for lines in padded[..side + 2].windows(3) {
+        for x in 1..W - 1 {
+            let across = larger(lines[1][x - 1], lines[1][x + 1]);
+            let along = larger(lines[0][x], lines[2][x]);
+            sums[x] += larger(larger(across, along), lines[1][x]);
         }
+    }
+    sums[1..=side].iter().sum()
+}
+
+/// Standard error of the mean over the rays that hit, as a share of it, from how much rays beside each other differ:
+/// too large rather than too small, since each ray keeps to a part of the image of its own.
+fn relative_error(values: &[f32], chords: &[f32], side: usize, hits: usize) -> f32 {
+    let (mut squares, mut pairs) = (0.0f32, 0.0f32);
+    for (values, chords) in values.chunks_exact(side).zip(chords.chunks_exact(side)) {
+        for x in 1..side {
+            let both = if chords[x - 1] > 0.0 && chords[x] > 0.0 { 1.0 } else { 0.0 };
+            let apart = values[x] - values[x - 1];
+            squares += both * apart * apart;
+            pairs += both;
+        }
+    }
+    let total = sum(values);
+    match total > 0.0 && pairs > 0.0 {
+        true => libm::sqrtf(0.5 * squares / pairs * hits as f32) / total,
+        // Nothing was sampled, or no two rays beside each other met the box: nobody knows.
+        false => f32::INFINITY,
     }
 }
 

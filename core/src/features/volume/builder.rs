@@ -6,6 +6,7 @@ use super::{LARGEST_INDEX, SummaryOptions, VolumeSummary};
 use crate::Result;
 use crate::error::bail;
 use crate::kernels::Executor;
+use crate::memory::reserve;
 use crate::scene::{ScalarType, Scalars, VolumeView};
 
 /// Makes a [`VolumeSummary`] of a volume that is never there as a whole, or of one so large that its caller wants to
@@ -66,10 +67,10 @@ impl SummaryBuilder {
         let grid =
             Grid { dims: summary.dims, cells: summary.cells, edge: summary.edge, block: summary.block };
         let found = match like.scalars() {
-            Scalars::U8(_) => Kind::U8(Found::new(&grid)),
-            Scalars::U16(_) => Kind::U16(Found::new(&grid)),
-            Scalars::I16(_) => Kind::I16(Found::new(&grid)),
-            Scalars::F32(_) => Kind::F32(Found::new(&grid)),
+            Scalars::U8(_) => Kind::U8(Found::new(&grid)?),
+            Scalars::U16(_) => Kind::U16(Found::new(&grid)?),
+            Scalars::I16(_) => Kind::I16(Found::new(&grid)?),
+            Scalars::F32(_) => Kind::F32(Found::new(&grid)?),
         };
         Ok(Self { summary, grid, map: Map::new(like), found, planes: 0 })
     }
@@ -113,10 +114,10 @@ impl SummaryBuilder {
         let quantiles = &mut self.summary.quantiles[first * per_layer..];
         let (grid, map) = (&self.grid, &self.map);
         match (&mut self.found, slab.scalars()) {
-            (Kind::U8(f), Scalars::U8(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor),
-            (Kind::U16(f), Scalars::U16(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor),
-            (Kind::I16(f), Scalars::I16(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor),
-            (Kind::F32(f), Scalars::F32(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor),
+            (Kind::U8(f), Scalars::U8(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
+            (Kind::U16(f), Scalars::U16(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
+            (Kind::I16(f), Scalars::I16(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
+            (Kind::F32(f), Scalars::F32(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
             (_, scalars) => bail!(
                 InvalidArgument,
                 "a slab of {} was added to a volume of {}; slabs have the volume's type",
@@ -144,17 +145,17 @@ impl SummaryBuilder {
         }
         let Self { mut summary, grid, map, found, .. } = self;
         match found {
-            Kind::U8(f) => finish(&mut summary, &grid, &map, f),
-            Kind::U16(f) => finish(&mut summary, &grid, &map, f),
-            Kind::I16(f) => finish(&mut summary, &grid, &map, f),
-            Kind::F32(f) => finish(&mut summary, &grid, &map, f),
+            Kind::U8(f) => finish(&mut summary, &grid, &map, f)?,
+            Kind::U16(f) => finish(&mut summary, &grid, &map, f)?,
+            Kind::I16(f) => finish(&mut summary, &grid, &map, f)?,
+            Kind::F32(f) => finish(&mut summary, &grid, &map, f)?,
         }
         Ok(summary)
     }
 }
 
 /// What follows from all voxels: bounds of cells, the histogram, and whether values are remapped.
-fn finish<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, map: &Map, found: Found<T>) {
+fn finish<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, map: &Map, found: Found<T>) -> Result<()> {
     let bounds = &found.bounds;
     let (mut smallest, mut largest) = (f32::INFINITY, f32::NEG_INFINITY);
     for &[low, high] in bounds {
@@ -162,7 +163,7 @@ fn finish<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, map: &Map, found: 
     }
     summary.remapped =
         summary.scalar_type == ScalarType::F32 || smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
-    gather(summary, grid, bounds, map);
+    gather(summary, grid, bounds, map)?;
     let mut mapped = [0u64; 256];
     for (&entry, &n) in map.near.iter().zip(&found.counts) {
         mapped[usize::from(entry)] += n;
@@ -172,18 +173,19 @@ fn finish<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, map: &Map, found: 
         *h = (n as f64 / voxels) as f32;
     }
     summary.non_finite_share = (found.non_finite as f64 / voxels) as f32;
+    Ok(())
 }
 
 /// Bounds of cells from those of their blocks, which are kept where a cell holds several.
-fn gather<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, bounds: &[[T; 2]], map: &Map) {
+fn gather<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, bounds: &[[T; 2]], map: &Map) -> Result<()> {
     let n = grid.blocks();
     let per_cell: [usize; 3] = core::array::from_fn(|a| grid.edge[a] / grid.block[a]);
     let split = grid.block != grid.edge;
     if split {
-        summary.first_block.reserve_exact(summary.low.len() + 1);
+        reserve(&mut summary.first_block, summary.low.len() + 1)?;
         summary.first_block.push(0);
-        summary.block_low.reserve_exact(bounds.len());
-        summary.block_high.reserve_exact(bounds.len());
+        reserve(&mut summary.block_low, bounds.len())?;
+        reserve(&mut summary.block_high, bounds.len())?;
     }
     let [nx, ny, nz] = grid.cells;
     let cells = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
@@ -207,4 +209,5 @@ fn gather<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, bounds: &[[T; 2]],
             summary.first_block.push(summary.block_low.len() as u32);
         }
     }
+    Ok(())
 }

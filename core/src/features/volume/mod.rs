@@ -10,9 +10,9 @@ pub use builder::SummaryBuilder;
 
 use crate::error::bail;
 use crate::kernels::Executor;
+use crate::memory::{copied, filled};
 use crate::scene::{ScalarType, VolumeView, bounding_radius, check_edges, check_spacing};
 use crate::{Error, ErrorKind, Result};
-use alloc::vec;
 use alloc::vec::Vec;
 use glam::Vec3;
 
@@ -94,7 +94,7 @@ impl VolumeSummary {
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with
-    /// more blocks than can be indexed.
+    /// more blocks than can be indexed, [`ErrorKind::OutOfMemory`] where there is no room for what is kept.
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
         Self::new_on(volume, options, Executor::serial())
     }
@@ -117,7 +117,8 @@ impl VolumeSummary {
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with_spacing`]
     /// refuses, [`ErrorKind::SizeMismatch`] for a size over [`crate::scene::MAX_VOLUME_EDGE`] or when the
-    /// number of bricks is not the one that sizes and edge give.
+    /// number of bricks is not the one that sizes and edge give, [`ErrorKind::OutOfMemory`] where there is no
+    /// room for what is kept.
     pub fn from_bricks(
         dims: [usize; 3],
         spacing: [f32; 3],
@@ -160,6 +161,22 @@ impl VolumeSummary {
         summary.remapped = scalar_type == ScalarType::F32 || smallest > 0.0;
         summary.histogram_from_quantiles();
         Ok(summary)
+    }
+
+    /// A copy, as `clone` makes it.
+    ///
+    /// # Errors
+    /// [`ErrorKind::OutOfMemory`] where there is no room for it.
+    pub fn try_clone(&self) -> Result<Self> {
+        Ok(Self {
+            low: copied(&self.low)?,
+            high: copied(&self.high)?,
+            quantiles: copied(&self.quantiles)?,
+            block_low: copied(&self.block_low)?,
+            block_high: copied(&self.block_high)?,
+            first_block: copied(&self.first_block)?,
+            ..*self
+        })
     }
 
     /// Voxels along x, y, z.
@@ -304,9 +321,9 @@ impl VolumeSummary {
             cells,
             edge,
             block: edge.map(|e| e.min((e / BLOCKS_PER_CELL_AXIS).max(BLOCK_EDGE))),
-            low: vec![255; n],
-            high: vec![0; n],
-            quantiles: vec![[0; QUANTILES + 1]; n],
+            low: filled(n, 255)?,
+            high: filled(n, 0)?,
+            quantiles: filled(n, [0; QUANTILES + 1])?,
             block_low: Vec::new(),
             block_high: Vec::new(),
             first_block: Vec::new(),

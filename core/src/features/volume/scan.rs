@@ -2,9 +2,10 @@
 
 use super::QUANTILES;
 use super::entries::{Map, Voxel};
+use crate::Result;
 use crate::kernels::{Executor, Kernel, Level, Simd};
+use crate::memory::{filled, room};
 use crate::scene::VolumeView;
-use alloc::vec;
 use alloc::vec::Vec;
 use core::ops::Range;
 
@@ -53,8 +54,12 @@ pub(super) struct Found<T> {
 }
 
 impl<T: Voxel> Found<T> {
-    pub(super) fn new(grid: &Grid) -> Self {
-        Self { bounds: vec![nothing(); grid.blocks().iter().product()], counts: [0; 256], non_finite: 0 }
+    pub(super) fn new(grid: &Grid) -> Result<Self> {
+        Ok(Self {
+            bounds: filled(grid.blocks().iter().product(), nothing())?,
+            counts: [0; 256],
+            non_finite: 0,
+        })
     }
 
     /// Scans layers of cells that follow each other from cell layer `first` on. `slab` holds exactly their planes,
@@ -67,7 +72,7 @@ impl<T: Voxel> Found<T> {
         first: usize,
         quantiles: &mut [[u8; QUANTILES + 1]],
         executor: Executor<'_>,
-    ) {
+    ) -> Result<()> {
         let layers = slab.dims()[2].div_ceil(grid.edge[2]);
         let [across, down, _] = grid.blocks();
         let plane = across * down;
@@ -75,7 +80,7 @@ impl<T: Voxel> Found<T> {
         let (before, bounds) = self.bounds.split_at_mut(first * per_layer * plane);
         let (mut quantiles, mut bounds) = (quantiles, bounds);
         let parts = executor.threads().clamp(1, layers);
-        let mut tasks = Vec::with_capacity(parts);
+        let mut tasks = room(parts)?;
         for i in 0..parts {
             let own = layers * i / parts..layers * (i + 1) / parts;
             let (q, more) = quantiles.split_at_mut(own.len() * grid.cells[0] * grid.cells[1]);
@@ -85,13 +90,12 @@ impl<T: Voxel> Found<T> {
             tasks.push(Layers {
                 grid,
                 map,
-                slab,
-                voxels,
-                first,
+                source: Source { slab, voxels, first: first * grid.edge[2] },
                 layers: first + own.start..first + own.end,
                 quantiles: q,
                 bounds: b,
-                back: vec![nothing(); plane],
+                back: filled(plane, nothing())?,
+                scratch: Scratch::new(grid, slab)?,
                 counts: [0; 256],
                 non_finite: 0,
             });
@@ -110,6 +114,7 @@ impl<T: Voxel> Found<T> {
             self.non_finite += task.non_finite;
             previous = task.bounds.len().checked_sub(plane).map(|at| &mut task.bounds[at..]);
         }
+        Ok(())
     }
 }
 
@@ -124,14 +129,36 @@ fn all<T: Voxel>(tasks: &mut [Layers<'_, T>], level: Level, executor: Executor<'
     }
 }
 
+/// Where voxels are.
+#[derive(Clone, Copy)]
+struct Source<'a, T> {
+    slab: &'a VolumeView<'a>,
+    voxels: &'a [T],
+    /// The slab's first plane.
+    first: usize,
+}
+
+impl<T: Voxel> Source<'_, T> {
+    /// The voxels of a row side by side, copied to `scratch` where they do not lie so.
+    #[inline(always)]
+    fn row<'s>(&'s self, scratch: &'s mut [T], y: usize, z: usize) -> &'s [T] {
+        let at = self.slab.index(0, y, z - self.first);
+        let (n, stride) = (self.slab.dims()[0], self.slab.strides()[0]);
+        if stride == 1 {
+            return &self.voxels[at..at + n];
+        }
+        for (i, slot) in scratch.iter_mut().enumerate() {
+            *slot = self.voxels[at + i * stride];
+        }
+        scratch
+    }
+}
+
 /// Layers of cells that one thread scans.
 struct Layers<'a, T> {
     grid: &'a Grid,
     map: &'a Map,
-    slab: &'a VolumeView<'a>,
-    voxels: &'a [T],
-    /// The first layer of the slab.
-    first: usize,
+    source: Source<'a, T>,
     layers: Range<usize>,
     /// Of the cells of these layers.
     quantiles: &'a mut [[u8; QUANTILES + 1]],
@@ -141,6 +168,7 @@ struct Layers<'a, T> {
     back: Vec<Bounds<T>>,
     counts: [u64; 256],
     non_finite: u64,
+    scratch: Scratch<T>,
 }
 
 impl<T: Voxel> Kernel for &mut Layers<'_, T> {
@@ -148,21 +176,10 @@ impl<T: Voxel> Kernel for &mut Layers<'_, T> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Grid { dims, cells, edge, .. } = *self.grid;
-        let mut scratch = Scratch {
-            joined: core::array::from_fn(|_| Joined::new(dims[0])),
-            row: if self.slab.strides()[0] == 1 { Vec::new() } else { vec![T::LOWEST; dims[0]] },
-            entries: vec![
-                0;
-                if T::IS_ENTRY { 0 } else { dims[0] * edge[1].min(dims[1]) * edge[2].min(dims[2]) }
-            ],
-            batch: vec![0; BATCH],
-            counts: [[0; 256]; 4],
-        };
         for cz in self.layers.clone() {
-            for cy in 0..cells[1] {
-                self.bound(&mut scratch, cz, cy);
-                self.count(simd, &mut scratch, cz, cy);
+            for cy in 0..self.grid.cells[1] {
+                self.bound(cz, cy);
+                self.count(simd, cz, cy);
             }
         }
     }
@@ -181,31 +198,33 @@ struct Scratch<T> {
     counts: [[u32; 256]; 4],
 }
 
+impl<T: Voxel> Scratch<T> {
+    fn new(grid: &Grid, slab: &VolumeView<'_>) -> Result<Self> {
+        let Grid { dims, edge, .. } = *grid;
+        let joined = || Joined::new(dims[0]);
+        let rows = edge[1].min(dims[1]) * edge[2].min(dims[2]);
+        Ok(Self {
+            joined: [joined()?, joined()?, joined()?, joined()?],
+            row: filled(if slab.strides()[0] == 1 { 0 } else { dims[0] }, T::LOWEST)?,
+            entries: filled(if T::IS_ENTRY { 0 } else { rows * dims[0] }, 0)?,
+            batch: filled(BATCH, 0)?,
+            counts: [[0; 256]; 4],
+        })
+    }
+}
+
 /// Most entries that are counted at a time.
 const BATCH: usize = 4096;
 
 impl<T: Voxel> Layers<'_, T> {
-    /// The voxels of a row side by side, copied to `scratch` where they do not lie so.
-    #[inline(always)]
-    fn row<'s>(&'s self, scratch: &'s mut [T], y: usize, z: usize) -> &'s [T] {
-        let at = self.slab.index(0, y, z - self.first * self.grid.edge[2]);
-        let (n, stride) = (self.grid.dims[0], self.slab.strides()[0]);
-        if stride == 1 {
-            return &self.voxels[at..at + n];
-        }
-        for (i, slot) in scratch.iter_mut().enumerate() {
-            *slot = self.voxels[at + i * stride];
-        }
-        scratch
-    }
-
     /// Bounds of the blocks in a row of cells, and the entries of its voxels.
     ///
     /// A row of voxels enters the bounds of the blocks that it lies in and, where it is a block's first along y or
     /// z, those of the blocks before. Rows are joined voxel by voxel and reduced along x once per row of blocks.
     #[inline(always)]
-    fn bound(&mut self, scratch: &mut Scratch<T>, cz: usize, cy: usize) {
+    fn bound(&mut self, cz: usize, cy: usize) {
         let grid = *self.grid;
+        let (source, scratch) = (self.source, &mut self.scratch);
         let (block, width) = (grid.block, grid.dims[0]);
         let [across, down, _] = grid.blocks();
         let first_block = self.layers.start * (grid.edge[2] / block[2]);
@@ -216,7 +235,7 @@ impl<T: Voxel> Layers<'_, T> {
                 scratch.joined.iter_mut().for_each(Joined::clear);
                 for z in grid.span(bz, block[2], 2) {
                     for y in grid.span(by, block[1], 1) {
-                        let row = self.row(&mut scratch.row, y, z);
+                        let row = source.row(&mut scratch.row, y, z);
                         let (first_y, first_z) = (y == by * block[1], z == bz * block[2]);
                         let takes = [true, first_y, first_z, first_y && first_z];
                         for (joined, _) in scratch.joined.iter_mut().zip(takes).filter(|(_, takes)| *takes) {
@@ -248,14 +267,17 @@ impl<T: Voxel> Layers<'_, T> {
 
     /// Quantiles of a row of cells.
     #[inline(always)]
-    fn count<S: Simd>(&mut self, simd: S, scratch: &mut Scratch<T>, cz: usize, cy: usize) {
+    fn count<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
         let grid = *self.grid;
+        let (source, scratch) = (self.source, &mut self.scratch);
         let width = grid.dims[0];
         let (zs, ys) = (grid.span(cz, grid.edge[2], 2), grid.span(cy, grid.edge[1], 1));
         for cx in 0..grid.cells[0] {
             let xs = grid.span(cx, grid.edge[0], 0);
             let total = xs.len() * ys.len() * zs.len();
-            let [low, high] = self.entry_bounds([xs.start, ys.start, zs.start], [xs.end, ys.end, zs.end]);
+            let first_block = self.layers.start * (grid.edge[2] / grid.block[2]);
+            let [low, high] = bounds_of(&grid, self.bounds, first_block, [&xs, &ys, &zs]);
+            let [low, high] = [T::entry_of(low, self.map), T::entry_of(high, self.map)];
             let cell = cx + grid.cells[0] * (cy + grid.cells[1] * (cz - self.layers.start));
             if low == high {
                 self.counts[usize::from(low)] += total as u64;
@@ -268,7 +290,7 @@ impl<T: Voxel> Layers<'_, T> {
                 let bytes = if !T::IS_ENTRY {
                     &scratch.entries[r * width..][xs.clone()]
                 } else {
-                    T::bytes(&self.row(&mut scratch.row, y, z)[xs.clone()])
+                    T::bytes(&source.row(&mut scratch.row, y, z)[xs.clone()])
                 };
                 for piece in bytes.chunks(BATCH) {
                     if filled + piece.len() > BATCH {
@@ -305,24 +327,27 @@ impl<T: Voxel> Layers<'_, T> {
             }
         }
     }
+}
 
-    /// Between which entries (of bytes: stored values) the voxels of a cell lie.
-    #[inline(always)]
-    fn entry_bounds(&self, from: [usize; 3], to: [usize; 3]) -> [u8; 2] {
-        let block = self.grid.block;
-        let [across, down, _] = self.grid.blocks();
-        let first = self.layers.start * (self.grid.edge[2] / block[2]);
-        let [mut low, mut high] = nothing::<T>();
-        for z in from[2] / block[2]..to[2].div_ceil(block[2]) {
-            for y in from[1] / block[1]..to[1].div_ceil(block[1]) {
-                let line = across * (y + down * (z - first));
-                for b in &self.bounds[line + from[0] / block[0]..line + to[0].div_ceil(block[0])] {
-                    (low, high) = (low.lesser(b[0]), high.greater(b[1]));
-                }
-            }
+/// Bounds of a cell from those of its blocks, the layers of blocks from `first` on.
+#[inline(always)]
+fn bounds_of<T: Voxel>(
+    grid: &Grid,
+    bounds: &[Bounds<T>],
+    first: usize,
+    cell: [&Range<usize>; 3],
+) -> Bounds<T> {
+    let [across, down, _] = grid.blocks();
+    let [xs, ys, zs]: [Range<usize>; 3] =
+        core::array::from_fn(|a| cell[a].start / grid.block[a]..cell[a].end.div_ceil(grid.block[a]));
+    let mut out = nothing();
+    for (z, y) in zs.flat_map(|z| ys.clone().map(move |y| (z, y))) {
+        let line = across * (y + down * (z - first));
+        for &[low, high] in &bounds[line + xs.start..line + xs.end] {
+            out = [out[0].lesser(low), out[1].greater(high)];
         }
-        [T::entry_of(low, self.map), T::entry_of(high, self.map)]
     }
+    out
 }
 
 /// Several rows, joined voxel by voxel.
@@ -332,8 +357,8 @@ struct Joined<T> {
 }
 
 impl<T: Voxel> Joined<T> {
-    fn new(len: usize) -> Self {
-        Self { low: vec![T::HIGHEST; len], high: vec![T::LOWEST; len] }
+    fn new(len: usize) -> Result<Self> {
+        Ok(Self { low: filled(len, T::HIGHEST)?, high: filled(len, T::LOWEST)? })
     }
 
     #[inline(always)]

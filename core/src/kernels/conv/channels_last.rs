@@ -5,6 +5,7 @@ use super::tiles::{self, Cut, MAX_POSITIONS, Tile};
 use crate::Result;
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
+use crate::memory::room;
 use alloc::vec::Vec;
 use core::ops::Range;
 
@@ -54,7 +55,7 @@ impl ChannelsLast {
         let k = shape.kernel;
         let all = k.pow(3);
         let out_channels = block.outputs.next_multiple_of(cut.lanes);
-        let mut taps = Vec::with_capacity(all);
+        let mut taps = room(all)?;
         for a in 0..k {
             for b in 0..k {
                 taps.extend((0..k).map(|c| a * plane + b * row + c * column));

@@ -2,9 +2,9 @@
 
 use super::tiles::Cut;
 use crate::Result;
-use crate::error::bail;
 use crate::kernels::Level;
 use crate::kernels::simd::{Kernel, Simd};
+use crate::memory::filled;
 use alloc::vec::Vec;
 use core::ops::Range;
 
@@ -21,20 +21,9 @@ struct Line([f32; LINE]);
 
 impl Buffer {
     /// # Errors
-    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where the allocator has no such room.
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where the allocator has no such room.
     pub(super) fn zeroed(len: usize) -> Result<Self> {
-        let lines = len.div_ceil(LINE);
-        let mut data = Vec::new();
-        if data.try_reserve_exact(lines).is_err() {
-            bail!(
-                SizeMismatch,
-                "the volume encoder needs a buffer of {} bytes, and memory has no room for it: use a model with a \
-                 smaller encoder, or give the process more memory",
-                lines.saturating_mul(size_of::<Line>())
-            );
-        }
-        data.resize(lines, Line([0.0; LINE]));
-        Ok(Self(data))
+        Ok(Self(filled(len.div_ceil(LINE), Line([0.0; LINE]))?))
     }
 
     pub(super) fn as_slice(&self) -> &[f32] {

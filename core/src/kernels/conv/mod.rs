@@ -29,7 +29,7 @@ mod tiles;
 
 use crate::Result;
 use crate::kernels::{Executor, Level};
-use alloc::vec;
+use crate::memory::{copied, filled, room};
 use alloc::vec::Vec;
 use channels_last::ChannelsLast;
 use core::ops::Range;
@@ -71,11 +71,11 @@ impl Encoder {
     /// Packs checked blocks and the dense layer.
     ///
     /// # Errors
-    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where memory has no room for the packed weights.
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the packed weights.
     pub(crate) fn new(blocks: &[Block<'_>], fc: &Head<'_>, level: Level) -> Result<Self> {
         let padding_of = |i: usize| blocks.get(i).map_or(0, |b: &Block<'_>| b.padding);
         let first = Planar::new(&blocks[0], padding_of(1), level)?;
-        let mut rest: Vec<ChannelsLast> = Vec::with_capacity(blocks.len() - 1);
+        let mut rest: Vec<ChannelsLast> = room(blocks.len() - 1)?;
         for (i, block) in blocks.iter().enumerate().skip(1) {
             let edge = block.input_edge + 2 * block.padding;
             let (channel_stride, column, row, plane) = match rest.last() {
@@ -115,7 +115,7 @@ impl Encoder {
                 }
             }
         }
-        Ok(Self { level, first, rest, dense, dense_len, dense_bias: fc.bias.to_vec() })
+        Ok(Self { level, first, rest, dense, dense_len, dense_bias: copied(fc.bias)? })
     }
 
     fn sizes(&self) -> impl Iterator<Item = usize> {
@@ -151,7 +151,7 @@ impl Encoder {
             scratch.workers.push(Worker {
                 prepared: Buffer::zeroed(scratch.sizes[0])?,
                 ring: Buffer::zeroed(scratch.sizes[1])?,
-                taps: vec![0; taps],
+                taps: filled(taps, 0)?,
             });
         }
         Ok(())
@@ -170,7 +170,7 @@ impl Encoder {
     /// Runs the network; `features` has one place per output of the dense layer. Makes the scratch fit first.
     ///
     /// # Errors
-    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) where memory has no room for the scratch.
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the scratch.
     pub(crate) fn run(
         &self,
         prepare: &Prepare<'_>,

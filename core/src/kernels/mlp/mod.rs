@@ -37,7 +37,8 @@ mod weights;
 
 use super::Level;
 use super::helper::Join;
-use alloc::vec;
+use crate::Result;
+use crate::memory::{filled, resize, room};
 use alloc::vec::Vec;
 use batch::ForwardRows;
 pub use packing::Storage;
@@ -94,36 +95,39 @@ impl Mlp {
     ///
     /// Sizes must agree, the last layer must have one output, and nothing may be empty: callers have checked
     /// that.
+    ///
+    /// # Errors
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for the packed weights.
     pub(crate) fn new(
         level: Level,
         storage: Storage,
         layers: &[Dense<'_>],
         norm: Option<(&[f32], &[f32])>,
-    ) -> Self {
+    ) -> Result<Self> {
         let (last, hidden) = layers.split_last().expect("callers have checked that there is a layer");
         let inputs = layers[0].inputs;
         let mut data = Vec::new();
-        let mut packed = Vec::with_capacity(hidden.len());
+        let mut packed = room(hidden.len())?;
         for (i, layer) in hidden.iter().enumerate() {
             // The first layer sees inputs of any scale, and it is small.
             let storage = if i == 0 && storage == Storage::Int8 { Storage::F32 } else { storage };
-            packed.push(pack(layer, storage, &mut data));
+            packed.push(pack(layer, storage, &mut data)?);
         }
         let last_start = data.len();
-        data.resize(last_start + last.inputs.div_ceil(16), Line::default());
+        resize(&mut data, last_start + last.inputs.div_ceil(16), Line::default())?;
         bytemuck::cast_slice_mut::<_, f32>(&mut data[last_start..])[..last.inputs]
             .copy_from_slice(last.weight);
         let lines = inputs.div_ceil(16);
         let mut normal = Vec::new();
         if let Some((mean, std)) = norm {
-            normal = vec![Line::default(); 2 * lines];
+            normal = filled(2 * lines, Line::default())?;
             let (first, second) = bytemuck::cast_slice_mut::<_, f32>(&mut normal).split_at_mut(lines * 16);
             first[..inputs].copy_from_slice(mean);
             second.iter_mut().zip(std).for_each(|(to, s)| *to = 1.0 / s);
         }
         let widest = packed.iter().map(|l: &Layer| l.inputs.max(l.width)).max().unwrap_or(0);
         let panel = packed.iter().map(|l: &Layer| l.inputs * l.width.min(64)).max().unwrap_or(0);
-        Self {
+        Ok(Self {
             level,
             int8: storage == Storage::Int8,
             inputs,
@@ -134,7 +138,7 @@ impl Mlp {
             data,
             width: widest.max(inputs).next_multiple_of(16),
             panel: if matches!(storage, Storage::F16 | Storage::Bf16) { panel } else { 0 },
-        }
+        })
     }
 
     pub(crate) fn inputs(&self) -> usize {
@@ -155,20 +159,24 @@ impl Mlp {
         bytemuck::cast_slice(&self.data)
     }
 
-    pub(crate) fn scratch(&self, rows: usize) -> MlpScratch {
+    /// Working memory for blocks of so many rows.
+    ///
+    /// # Errors
+    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for it.
+    pub(crate) fn scratch(&self, rows: usize) -> Result<MlpScratch> {
         let rows = rows.clamp(1, BLOCK_ROWS);
-        let lines = vec![Line::default(); rows * self.width / 16];
+        let lines = rows.saturating_mul(self.width) / 16;
         // Bytes per row, padded to 32 for the int8 layers.
-        let bytes = rows * self.width.next_multiple_of(32);
+        let bytes = rows.saturating_mul(self.width.next_multiple_of(32));
         let int8 = self.int8;
-        MlpScratch {
+        Ok(MlpScratch {
             rows,
-            a: lines.clone(),
-            b: lines,
-            quantized: vec![Line::default(); if int8 { bytes.div_ceil(LINE_BYTES) } else { 0 }],
-            ranges: vec![[0.0; 2]; if int8 { rows } else { 0 }],
-            panel: vec![Line::default(); self.panel.div_ceil(16)],
-        }
+            a: filled(lines, Line::default())?,
+            b: filled(lines, Line::default())?,
+            quantized: filled(if int8 { bytes.div_ceil(LINE_BYTES) } else { 0 }, Line::default())?,
+            ranges: filled(if int8 { rows } else { 0 }, [0.0; 2])?,
+            panel: filled(self.panel.div_ceil(16), Line::default())?,
+        })
     }
 
     /// Whether the scratch was made by a network of these sizes.

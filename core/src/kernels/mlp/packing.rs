@@ -1,5 +1,7 @@
 //! Storage formats, and the panels that a layer is packed into.
 
+use crate::Result;
+use crate::memory::resize;
 use alloc::vec::Vec;
 use bytemuck::{Pod, Zeroable};
 
@@ -86,7 +88,10 @@ pub(crate) struct Dense<'a> {
 }
 
 /// Appends the panels of one layer.
-pub(super) fn pack(layer: &Dense<'_>, storage: Storage, data: &mut Vec<Line>) -> Layer {
+///
+/// # Errors
+/// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for them.
+pub(super) fn pack(layer: &Dense<'_>, storage: Storage, data: &mut Vec<Line>) -> Result<Layer> {
     let pad = if storage == Storage::Int8 { 32 } else { 8 };
     let packed = Layer {
         storage,
@@ -95,7 +100,7 @@ pub(super) fn pack(layer: &Dense<'_>, storage: Storage, data: &mut Vec<Line>) ->
         width: layer.outputs.next_multiple_of(16),
         start: data.len(),
     };
-    data.resize(packed.start + packed.lines(), Line::default());
+    resize(data, packed.start + packed.lines(), Line::default())?;
     let at = |o: usize, k: usize| {
         if o < layer.outputs && k < layer.inputs { layer.weight[o * layer.inputs + k] } else { 0.0 }
     };
@@ -152,5 +157,5 @@ pub(super) fn pack(layer: &Dense<'_>, storage: Storage, data: &mut Vec<Line>) ->
         line = end;
         first += n;
     }
-    packed
+    Ok(packed)
 }

@@ -83,13 +83,13 @@ class Model(_native.Model):
         return super().__new__(cls, path.read_bytes())
 
     def save(self, path: Union[str, os.PathLike[str]]) -> None:
-        """Writes the model file.
+        """Writes the model file, whole or not at all.
 
         Parameters
         ----------
         path : str or os.PathLike
         """
-        Path(path).write_bytes(self.to_bytes())
+        _native.write_whole(path, self.to_bytes())
 
     def __repr__(self) -> str:
         does = [word for word, has in (("predicts", self.predicts), ("encodes volumes", self.encodes)) if has]
@@ -174,15 +174,18 @@ class Session(_native.Session):
         return History(self.columns())
 
     def save(self, path: Union[str, os.PathLike[str]]) -> None:
-        """Writes what was learned to a file, in one piece.
+        """Writes what was learned to a file, whole or not at all.
 
         Parameters
         ----------
         path : str or os.PathLike
+
+        Raises
+        ------
+        OSError
+            Names the file that cannot be written.
         """
-        aside = Path(f"{os.fspath(path)}.part{os.getpid()}")
-        aside.write_bytes(self.save_state())
-        os.replace(aside, path)
+        _native.write_whole(path, self.save_state())
 
     def load(self, path: Union[str, os.PathLike[str]]) -> None:
         """Takes up what :meth:`save` wrote; on an error nothing changes.

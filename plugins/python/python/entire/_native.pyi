@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
+import os
 from collections.abc import Sequence
 from typing import Any, Literal, final
 
@@ -19,6 +20,7 @@ class NotReadyError(RuntimeError): ...
 class RejectedObservationError(ValueError): ...
 
 def command(args: Sequence[str]) -> int: ...
+def write_whole(path: str | os.PathLike[str], data: bytes) -> None: ...
 
 @final
 class Volume:
@@ -164,6 +166,21 @@ class Prediction:
     def source(self) -> str: ...
     def __float__(self) -> float: ...
 
+@final
+class Held:
+    def __new__(
+        cls,
+        volume: Volume,
+        to_world: Sequence[float],
+        direction: Sequence[float],
+        center: _Triple,
+        *,
+        step: float,
+        shading: _Shading,
+        skipping: _Skipping,
+        termination: float,
+    ) -> Self: ...
+
 class Session:
     def __new__(
         cls,
@@ -194,6 +211,20 @@ class Session:
         skipping: _Skipping = "blocks",
         termination: float = 0.99,
     ) -> Plan: ...
+    def steer(
+        self,
+        held: Held,
+        to_eye: tuple[float, ...],
+        fov: float,
+        parallel_scale: float | None,
+        size: tuple[int, int],
+        target: float,
+        step: float | None = None,
+        enabled: bool = True,
+        due: Plan | None = None,
+        seconds: float = ...,
+        cancelled: bool = False,
+    ) -> tuple[Plan, float, float]: ...
     def choose(
         self,
         camera: Camera,

@@ -26,8 +26,8 @@ impl Engine {
         let buffers = [slot.commands];
         let submit = [vk::SubmitInfo::default().command_buffers(&buffers)];
         // SAFETY: the command buffer is complete, everything it uses is kept until the fence has signaled,
-        // the fence is unsignaled, and `&mut self` of the callers keeps other threads from the queue.
-        unsafe { device.queue_submit(self.gpu.queue, &submit, slot.fence.get()) }
+        // the fence is unsignaled, and the guard keeps other threads from the queue.
+        unsafe { device.queue_submit(*self.gpu.queue(), &submit, slot.fence.get()) }
             .on(&self.gpu, "vkQueueSubmit")
     }
 
@@ -139,6 +139,43 @@ impl Engine {
                     );
                     device.cmd_dispatch(commands, groups[0], groups[1], 1);
                 }
+                Command::CopyToPicture { image, fresh, tile: at } => {
+                    let Some(tile) = &slot.tile else {
+                        return Err(Error::new("a copy to a picture without tile buffers"));
+                    };
+                    let shown = vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL;
+                    let written = (vk::PipelineStageFlags::TRANSFER, vk::AccessFlags::TRANSFER_WRITE);
+                    // Whoever shows the picture samples it, copies it, or both.
+                    let readers = vk::PipelineStageFlags::FRAGMENT_SHADER | vk::PipelineStageFlags::TRANSFER;
+                    let reads = vk::AccessFlags::SHADER_READ | vk::AccessFlags::TRANSFER_READ;
+                    self.layout_barrier(
+                        commands,
+                        *image,
+                        if *fresh { vk::ImageLayout::UNDEFINED } else { shown },
+                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                        (readers, vk::AccessFlags::TRANSFER_WRITE),
+                        written,
+                    );
+                    let region = vk::BufferImageCopy::default()
+                        .image_subresource(COLOR_LAYER)
+                        .image_offset(vk::Offset3D { x: at.x as i32, y: at.y as i32, z: 0 })
+                        .image_extent(vk::Extent3D { width: at.width, height: at.height, depth: 1 });
+                    device.cmd_copy_buffer_to_image(
+                        commands,
+                        tile.image.get(),
+                        *image,
+                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                        &[region],
+                    );
+                    self.layout_barrier(
+                        commands,
+                        *image,
+                        vk::ImageLayout::TRANSFER_DST_OPTIMAL,
+                        shown,
+                        written,
+                        (readers, reads),
+                    );
+                }
                 Command::ReadBack { image_bytes, work_bytes } => {
                     let Some(tile) = &slot.tile else {
                         return Err(Error::new("a read-back without tile buffers"));
@@ -166,11 +203,28 @@ impl Engine {
         image: &Image,
         old: vk::ImageLayout,
         new: vk::ImageLayout,
-        source: (vk::PipelineStageFlags, vk::AccessFlags),
-        target: (vk::PipelineStageFlags, vk::AccessFlags),
+        source: Access,
+        target: Access,
+    ) {
+        // SAFETY: the caller's contract.
+        unsafe { self.layout_barrier(commands, image.get(), old, new, source, target) };
+    }
+
+    /// As [`Engine::image_barrier`], for any image of one level and layer.
+    ///
+    /// # Safety
+    /// As [`Engine::image_barrier`].
+    unsafe fn layout_barrier(
+        &self,
+        commands: vk::CommandBuffer,
+        image: vk::Image,
+        old: vk::ImageLayout,
+        new: vk::ImageLayout,
+        source: Access,
+        target: Access,
     ) {
         let barrier = [vk::ImageMemoryBarrier::default()
-            .image(image.get())
+            .image(image)
             .old_layout(old)
             .new_layout(new)
             .src_access_mask(source.1)
@@ -213,18 +267,21 @@ impl Engine {
     }
 }
 
+/// The one mip level and layer of an image, for copies.
+const COLOR_LAYER: vk::ImageSubresourceLayers = vk::ImageSubresourceLayers {
+    aspect_mask: vk::ImageAspectFlags::COLOR,
+    mip_level: 0,
+    base_array_layer: 0,
+    layer_count: 1,
+};
+
 /// Slices, or rows of a 2-D image, from `first` on.
 fn copy_region(shape: &Shape, first: u32, count: u32) -> vk::BufferImageCopy {
     let [width, height, _] = shape.extent;
     let (y, z, height, depth) =
         if shape.is_flat() { (first, 0, count, 1) } else { (0, first, height, count) };
     vk::BufferImageCopy::default()
-        .image_subresource(vk::ImageSubresourceLayers {
-            aspect_mask: vk::ImageAspectFlags::COLOR,
-            mip_level: 0,
-            base_array_layer: 0,
-            layer_count: 1,
-        })
+        .image_subresource(COLOR_LAYER)
         .image_offset(vk::Offset3D { x: 0, y: y as i32, z: z as i32 })
         .image_extent(vk::Extent3D { width, height, depth })
 }

@@ -131,7 +131,7 @@ class _Calibrator:
                 gpu = _mappers.is_gpu(mapper)
                 calibration.add(
                     grid.volume,
-                    _scene.camera(renderer, first_volume(self.volume).GetMatrix().GetData(), grid),
+                    _scene.camera(renderer, _scene.elements(first_volume(self.volume).GetMatrix()), grid),
                     _scene.transfer_function(prop, grid.range),
                     renderer.GetSize(),
                     self.seconds,

@@ -3,17 +3,16 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
-import time
 from collections.abc import Callable
+from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
 from vtkmodules.vtkCommonCore import vtkWeakReference
 
 from .._core import Session, explain
-from .._native import Plan
+from .._native import Held, Plan
 from . import _mappers, _scene
 from ._mappers import CannotSteer
 
@@ -25,20 +24,18 @@ log = logging.getLogger("entire.vtk")
 # Coarsening of the GPU mapper's step before its image shrinks: any smaller image is blurred by much.
 _GPU_STEP_ALONE = 2.1
 _NAN = math.nan
+# Where a volume keeps Python's wrapper of its mapper.
+_KEPT = "_entire_mapper"
+_NONE_DUE: tuple[Plan | None, float, bool] = (None, _NAN, False)
 
 
-class Weak:
-    """A VTK object that is not kept alive."""
-
-    __slots__ = ("_reference",)
-
-    def __init__(self, target: Any = None) -> None:
-        self._reference = vtkWeakReference()
-        if target is not None:
-            self._reference.Set(target)
-
-    def __call__(self) -> Any:
-        return self._reference.Get()
+def weak(target: Any = None) -> Callable[[], Any]:
+    """What gives a VTK object that is not kept alive, or None once it is gone."""
+    reference = vtkWeakReference()
+    if target is not None:
+        reference.Set(target)
+    get: Callable[[], Any] = reference.Get
+    return get
 
 
 class Leaf:
@@ -46,42 +43,51 @@ class Leaf:
 
     Attributes
     ----------
-    session : entire.Session
-        What predicts this volume's frames; its ``history`` holds them.
-    predicted, measured : float
-        Seconds that the mapper was expected to take, and took; NaN where there is none.
+    measured : float
+        Seconds that the mapper took; NaN before the first frame.
     sample_distance : float
         Sample distance along rays that was drawn with, in the unit of the spacing; NaN where VTK chose it.
     image_sample_distance : float
         Pixels between rays along each side of the image; NaN where VTK chose it.
-    reason : str
-        Why the frame was drawn as it was, in a word or two; "still", "off" or "fallback" where it was not
-        steered.
     status : str
         In words, why the frame was not steered; empty where it was.
     volume_time : float
         Seconds that the last reading of the voxels took.
     """
 
+    # Every page of memory that a frame touches costs as much as hundreds of instructions, because drawing has
+    # emptied the caches: what a frame does is flat, and reads no more of VTK than it has to.
+    __slots__ = (
+        "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper", "_frame_volume",
+        "_gpu", "_grid", "_held", "_image", "_image_time", "_key", "_limits", "_look", "_make_gpu", "_mapper",
+        "_mapper_time", "_own", "_pixels", "_plain", "_plan", "_ready", "_reason", "_seen", "_session",
+        "_shading", "_shown", "_shown_time", "_stale", "_started", "_steered", "_steering", "_step", "_tags",
+        "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_weight", "_wrote",
+        "image_sample_distance", "measured", "sample_distance", "status", "volume_time",
+    )  # fmt: skip
+
     def __init__(self, steering: Steering, volume: Any, make_gpu: Callable[[Any], Any]) -> None:
-        self._volume = Weak(volume)
+        self._volume = weak(volume)
         self._steering = steering
-        self._mapper = Weak()
+        self._mapper = weak()
         self._tags: list[int] = []
+        self._volume_tag = 0
         # The smart mapper that another one stands in for.
         self._exchanged: Any = None
         self._make_gpu = make_gpu
         self._gpu = False
+        self._session: Session = steering._session()
         self._forget()
-        self.session: Session = steering._session()
         self.volume_time = _NAN
         self._weight = 0.0
         self._reset_readouts()
         self._observe(volume)
+        self._volume_tag = volume.AddObserver("ModifiedEvent", self._on_modified)
 
     def _reset_readouts(self) -> None:
-        self.predicted = self.measured = self.sample_distance = self.image_sample_distance = _NAN
-        self.reason, self.status = "", "no frame was drawn yet"
+        self.measured = self.sample_distance = self.image_sample_distance = _NAN
+        self._seen: Plan | None = None
+        self._reason, self.status = "", "no frame was drawn yet"
 
     def _forget(self) -> None:
         self._key: Any = None
@@ -89,19 +95,60 @@ class Leaf:
         self._tf: Any = None
         self._tf_key: Any = None
         self._look: Any = None
-        self._camera: Any = None
         self._limits: Any = None
+        self._held: Any = None
         self._plan: Plan | None = None
+        self._explained: Plan | None = None
+        # The plan of the frame before with its seconds, which the session hears of with the next frame.
+        self._due: tuple[Plan, float, bool] | None = None
         self._own: Any = None
-        self._times: Any = None
-        self._image = self._shown = Weak()
-        self._placed: Any = None
-        self._pixels = self._finest = self._termination = 1.0
+        # The first of several volumes that one mapper draws, else None.
+        self._shown: Callable[[], Any] | None = None
+        # The input that was read last, and modification times; -1 before.
+        self._image: Any = None
+        self._mapper_time = self._image_time = self._shown_time = -1
+        # Whether VTK's own rules are off, so that the distances alone are set.
+        self._plain = True
+        self._pixels = self._finest = self._termination = self._step = 1.0
         self._shading: Literal["none", "local"] = "none"
         self._wrote = (_NAN, _NAN)
-        self._wrote_time = 0
-        self._steered = self._ready = self._drawing = False
+        self._steered = self._ready = self._drawing = self._ended = self._stale = False
         self._started = 0.0
+        # Held while a frame is drawn, and no longer.
+        self._frame_mapper: Any = None
+        self._frame_volume: Any = None
+
+    @property
+    def session(self) -> Session:
+        """entire.Session : What predicts this volume's frames; its ``history`` holds them."""
+        self._settle()
+        return self._session
+
+    def _restart(self, session: Session) -> None:
+        """Goes on with another session, which has learned nothing of this volume."""
+        self._forget()
+        self._session = session
+
+    def _settle(self) -> None:
+        """Tells the session of the last frame."""
+        due, self._due = self._due, None
+        if due is not None:
+            plan, seconds, cancelled = due
+            try:
+                self._session.observe(plan, seconds, cancelled=cancelled)
+            except ValueError:
+                pass  # A time that is rejected teaches nothing.
+
+    @property
+    def predicted(self) -> float:
+        """float : Seconds that the mapper was expected to take in the last frame; NaN where nothing was."""
+        return _NAN if self._seen is None else self._seen.seconds
+
+    @property
+    def reason(self) -> str:
+        """str : Why the last frame was drawn as it was, in a word or two; "still", "off" or "fallback" where
+        it was not steered."""
+        return self._reason if self._explained is None else self._explained.reason
 
     @property
     def volume(self) -> Any:
@@ -123,21 +170,41 @@ class Leaf:
                 "its place until detach()"
             )
             mapper = gpu
-        self._mapper = Weak(mapper)
+        self._mapper = weak(mapper)
+        # Python's wrapper of the mapper lives as long as the volume: VTK makes and ends one for each event
+        # otherwise. The volume keeps the mapper itself alive anyway.
+        volume.__dict__[_KEPT] = mapper
         self._gpu = _mappers.is_gpu(mapper)
         self._tags = [
             mapper.AddObserver("VolumeMapperRenderStartEvent", self._start),
             mapper.AddObserver("VolumeMapperRenderEndEvent", self._end),
         ]
 
+    def _on_modified(self, _volume: Any, _event: str) -> None:
+        # Another mapper, perhaps.
+        self._stale = True
+
+    def _leave(self) -> None:
+        """Lets go of the volume and its mapper."""
+        volume = self._volume()
+        if volume is not None and self._volume_tag:
+            volume.RemoveObserver(self._volume_tag)
+        self._volume_tag = 0
+        self._settle()
+        self._release()
+
     def _release(self, give_back: bool = True) -> None:
         mapper = self._mapper()
         if mapper is not None:
-            self._restore(mapper)
+            if self._steered:
+                self._restore()
             for tag in self._tags:
                 mapper.RemoveObserver(tag)
         self._tags = []
-        self._mapper = Weak()
+        self._mapper = weak()
+        drawn = self._volume()
+        if drawn is not None:
+            drawn.__dict__.pop(_KEPT, None)
         if self._exchanged is not None:
             smart, self._exchanged = self._exchanged, None
             volume = self._volume()
@@ -145,15 +212,17 @@ class Leaf:
                 # What was set meanwhile holds on.
                 _mappers.copy_changed(mapper, smart)
                 volume.SetMapper(smart)
-        self._grid = self._tf = None
+        self._grid = self._tf = self._image = None
 
     def _follow(self) -> None:
         """Listens to another mapper where the application has set one."""
+        self._stale = False
         volume = self._volume()
         if volume is None:
             return
         mapper = volume.GetMapper()
         if mapper is not None and mapper is not self._mapper():
+            self._settle()
             self._release(give_back=False)
             self._forget()
             try:
@@ -165,9 +234,8 @@ class Leaf:
     # start.
     def _renderer_start(self) -> None:
         self._ready = False
-        self._follow()
         volume, mapper = self._volume(), self._mapper()
-        if self._gpu or volume is None or mapper is None or not volume.GetVisibility():
+        if volume is None or mapper is None or not volume.GetVisibility():
             return
         source = mapper.GetInputAlgorithm()
         if source is not None:
@@ -175,110 +243,122 @@ class Leaf:
         self._prepare(mapper)
         self._ready = True
 
-    def _renderer_end(self) -> None:
-        if self._steered:
-            mapper = self._mapper()
-            if mapper is not None:
-                self._restore(mapper)
-
     def _start(self, mapper: Any, _event: str) -> None:
         steering = self._steering
         if not steering._rendering:
             return
         if self._gpu:
+            before = perf_counter()
+            if self._ended:
+                # Drawn more than once in a frame, in passes.
+                self._finish()
             self._prepare(mapper)
-            steering._finish()
+            steering._overhead += perf_counter() - before
+            # What was drawn before is not this mapper's.
+            steering._frame_window.WaitForCompletion()
         elif not self._ready:
             return
         self._ready = False
-        self._drawing = True
         if self._steered:
             steering.steered_frames += 1
-        elif self.reason == "fallback":
+        elif self._reason == "fallback":
             steering.fallback_frames += 1
+        self._drawing = True
         self._started = steering._now()
 
-    def _end(self, mapper: Any, _event: str) -> None:
-        if not self._drawing:
-            return
-        # The GPU mapper waits for the device by itself before it announces its end.
-        steering = self._steering
-        seconds = steering._now() - self._started
-        before = time.perf_counter()
-        self._drawing = False
-        if self._gpu:
-            self._restore(mapper)
-        self.measured = seconds
+    def _end(self, _mapper: Any, _event: str) -> None:
+        # The GPU mapper waits for the device by itself before it announces its end. Everything else is done
+        # with the renderer's end.
+        if self._drawing:
+            self.measured = self._steering._now() - self._started
+            self._drawing = False
+            self._ended = True
+
+    def _finish(self) -> None:
+        """Puts the mapper back as it was, and counts what it took."""
+        if self._steered:
+            self._restore()
+        self._frame_mapper = self._frame_volume = None
         plan, self._plan = self._plan, None
+        self._drawing = False
+        if not self._ended:
+            return
+        self._ended = False
+        steering, seconds = self._steering, self.measured
         if plan is not None:
-            window = steering._window()
-            cancelled = window is not None and bool(window.GetAbortRender())
-            with contextlib.suppress(ValueError):  # A time that is rejected teaches nothing.
-                self.session.observe(plan, seconds, cancelled=cancelled)
+            # Handed on with the next frame's plan, or when somebody looks.
+            self._due = (plan, seconds, steering._frame_window.GetAbortRender() != 0)
             # What the frame would have taken at full quality, roughly.
-            whole = seconds * plan.step * plan.image_sample_distance**2
+            whole = seconds * self._step
             self._weight = whole if self._weight == 0 else 0.7 * self._weight + 0.3 * whole
         steering._mapper_seconds += seconds
         steering._drawn += 1
         steering._last = self
-        steering._overhead += time.perf_counter() - before
 
-    def _restore(self, mapper: Any) -> None:
-        if self._steered:
-            self._steered = False
-            if mapper.GetMTime() != self._wrote_time:
-                # The application has set it since: only what it left is put back, and read anew.
-                self._own.restore(mapper, *self._wrote)
-                self._times = None
-                return
-            self._own.write(mapper, self._wrote[1])
-            if self._times is not None:
-                self._times = (mapper.GetMTime(), *self._times[1:])
+    def _restore(self) -> None:
+        mapper, own = self._frame_mapper, self._own
+        self._steered = False
+        if mapper.GetMTime() != self._mapper_time:
+            # The application has set something since: only what it left is put back, and read anew.
+            own.restore(mapper, *self._wrote)
+            self._mapper_time = -1
+            return
+        if self._plain:
+            mapper.SetSampleDistance(own.sample)
+            if self._wrote[1] != own.image:
+                mapper.SetImageSampleDistance(own.image)
+        else:
+            own.write(mapper, self._wrote[1])
+        self._mapper_time = mapper.GetMTime()
+
+    def _several(self, together: Any) -> int:
+        """A number that grows with every change of several volumes in one mapper."""
+        shown = None if self._shown is None else self._shown()
+        return -1 if shown is None else int(together.GetMTime() + shown.GetMTime())
 
     def _prepare(self, mapper: Any) -> None:
-        before = time.perf_counter()
-        self._restore(mapper)
-        self._plan = None
+        if self._steered:
+            self._restore()
+        self._plan = self._explained = None
         try:
             self._choose(mapper)
         except ValueError as error:
             self._fall_back(str(error))
         except Exception as error:  # A frame is never lost for the sake of its prediction.
             self._fall_back(f"{type(error).__name__}: {error}")
-        plan = self._plan
-        self.predicted = _NAN if plan is None else plan.seconds
+        plan = self._seen = self._plan
         if plan is None:
             self.sample_distance = self.image_sample_distance = _NAN
-        self._steering._overhead += time.perf_counter() - before
 
     def _fall_back(self, why: str) -> None:
         if why != self.status:
             log.warning("not steered: %s", why)
-        self._plan = None
-        self.reason, self.status = "fallback", why
+        self._plan = self._explained = None
+        self._reason, self.status = "fallback", why
 
     def _read_mapper(self, mapper: Any) -> None:
         """Reads what changes seldom: the input, the volume's functions and place, the mapper's own
         settings."""
-        steering, session, volume = self._steering, self.session, self._volume()
-        if volume is None:
-            raise _scene.Unreadable("the volume is gone")
+        self._mapper_time = -1
+        self._settle()
+        steering, session, volume = self._steering, self._session, self._frame_volume
         shown = first_volume(volume)
         prop = shown.GetProperty()
         image = _scene.input_of(mapper)
         component = 0 if prop.GetIndependentComponents() else -1
         key = _scene.grid_key(mapper, image, component)
         if key != self._key:
-            began = time.perf_counter()
+            began = perf_counter()
             grid = _scene.Grid(mapper, image, component)
             session.set_volume(grid.volume)
             self._grid, self._key, self._tf_key = grid, key, None
             steering._clean = False
-            self.volume_time = time.perf_counter() - began
+            self.volume_time = perf_counter() - began
         grid = self._grid
         tf_key = prop.GetMTime()
         if tf_key != self._tf_key:
             self._tf = _scene.transfer_function(prop, grid.range)
+            session.set_transfer_function(self._tf)
             self._tf_key = tf_key
         look = _scene.look(prop, mapper)
         if look != self._look:
@@ -292,90 +372,109 @@ class Leaf:
         self._pixels = 1.0 if own.adjust else max(0.1, own.image)
         finest = _mappers.spacing_adjusted(image) if own.lock else own.sample
         self._finest = min(4096.0, max(1 / 64, finest / grid.reference))
-        self._image, self._shown = Weak(image), Weak(shown)
-        self._placed = shown.GetMatrix().GetData()
-        self._times = (mapper.GetMTime(), image.GetMTime(), shown.GetMTime())
-
-    def _choose(self, mapper: Any) -> None:
-        steering, session = self._steering, self.session
-        renderer, window = steering._renderer(), steering._window()
-        if renderer is None or window is None:
-            raise _scene.Unreadable("the renderer has no window")
-        image, shown = self._image(), self._shown()
-        # Modification times say whether anything but the camera is another: each read costs most of a frame's
-        # overhead.
-        if (
-            image is None
-            or shown is None
-            or self._times != (mapper.GetMTime(), image.GetMTime(), shown.GetMTime())
-        ):
-            self._times = None
-            self._read_mapper(mapper)
-        grid, own = self._grid, self._own
-        camera = _scene.camera(renderer, self._placed, grid)
-        if self._camera is not None and camera.jumps_from(self._camera):
-            session.mark(camera=True)
-        self._camera = camera
-        finest, pixels = self._finest, self._pixels
-        size = renderer.GetSize()
-        drawn = size if pixels == 1 else (_side(size[0] / pixels), _side(size[1] / pixels))
-        target = steering._target(window, self)
-        skipping: Literal["none", "blocks"] = "none" if self._gpu else "blocks"
-        still = steering._is_still(window)
-        if still or not steering.enabled:
-            self.reason = "still" if still else "off"
-            self.status = "a still frame, drawn by VTK alone" if still else "steering is off"
-            # Learned from where it is known how finely VTK draws it.
-            if still or not own.adjust:
-                session.set_enabled(False)
-                self._plan = session.plan(
-                    camera,
-                    self._tf,
-                    drawn,
-                    target,
-                    step=finest,
-                    shading=self._shading,
-                    skipping=skipping,
-                    termination=self._termination,
-                )
-                session.set_enabled(True)
-                self.sample_distance, self.image_sample_distance = finest * grid.reference, pixels
-            return
-        if steering.finest is not None:
-            finest = max(1 / 64, steering.finest)
-        limits = (finest, steering.coarsest, steering.coarsest_image, pixels)
-        if limits != self._limits:
-            session.set_limits(finest, max(finest, steering.coarsest))
-            coarsest_image = min(64.0, max(1.0, steering.coarsest_image / pixels))
-            session.set_max_image_sample_distance(coarsest_image, _GPU_STEP_ALONE if self._gpu else 1.0)
-            self._limits = limits
-        plan = session.plan(
-            camera,
-            self._tf,
-            drawn,
-            target,
-            step=finest,
+        self._held = Held(
+            grid.volume,
+            _scene.elements(shown.GetMatrix()),
+            grid.direction,
+            grid.center,
+            step=self._finest,
             shading=self._shading,
-            skipping=skipping,
+            skipping="none" if self._gpu else "blocks",
             termination=self._termination,
         )
-        self._plan = plan
-        image_distance = plan.image_sample_distance
-        self._wrote = (
-            plan.step * grid.reference,
-            own.image if image_distance == 1 and not own.adjust else pixels * image_distance,
+        self._plain = not (own.adjust or own.lock)
+        self._shown = None if shown is volume else weak(shown)
+        self._image, self._image_time = image, image.GetMTime()
+        self._shown_time = volume.GetMTime() if shown is volume else self._several(volume)
+        self._mapper_time = mapper.GetMTime()
+
+    def _choose(self, mapper: Any) -> None:
+        steering = self._steering
+        renderer, window = steering._frame_renderer, steering._frame_window
+        volume = self._volume()
+        if renderer is None or window is None or volume is None:
+            raise _scene.Unreadable("the renderer has no window, or the volume is gone")
+        self._frame_mapper, self._frame_volume = mapper, volume
+        # Modification times say whether anything but the camera is another; the volume's that of its
+        # functions, too.
+        if (
+            mapper.GetMTime() != self._mapper_time
+            or (volume.GetMTime() if self._shown is None else self._several(volume)) != self._shown_time
+            or self._image.GetMTime() != self._image_time
+        ):
+            self._read_mapper(mapper)
+        own, pixels, reference = self._own, self._pixels, self._grid.reference
+        size = drawn = renderer.GetSize()
+        if pixels != 1:
+            drawn = (_side(size[0] / pixels), _side(size[1] / pixels))
+        steered = steering._steers
+        if not steered:
+            still = steering._still_frame
+            self._reason = "still" if still else "off"
+            self.status = "a still frame, drawn by VTK alone" if still else "steering is off"
+            if not still and own.adjust:
+                # Learned from where it is known how finely VTK draws it.
+                return
+        step = None
+        if steered:
+            if steering.finest is not None:
+                step = max(1 / 64, steering.finest)
+            limits = (step, self._finest, steering.coarsest, steering.coarsest_image, pixels)
+            if limits != self._limits:
+                self._set_limits(self._finest if step is None else step)
+                self._limits = limits
+        camera = renderer.GetActiveCamera()
+        matrix = camera.GetViewTransformMatrix()
+        # Python's wrappers of both stay for the next frame.
+        steering._camera = camera, matrix
+        due, self._due = self._due, None
+        before, seconds, cancelled = _NONE_DUE if due is None else due
+        n = len(steering.leaves)
+        target = steering._left if n == 1 else steering._share(self)
+        plan, coarse, image_distance = self._session.steer(
+            self._held,
+            _scene.elements(matrix),
+            _scene.vertical_angle(camera, size) if camera.GetUseHorizontalViewAngle() else camera.GetViewAngle(),
+            camera.GetParallelScale() if camera.GetParallelProjection() else None,
+            drawn,
+            target,
+            step,
+            steered,
+            before,
+            seconds,
+            cancelled,
         )
-        _mappers.write(mapper, own, *self._wrote)
-        self._wrote_time = mapper.GetMTime()
+        self._plan = plan
+        self._step = coarse * image_distance * image_distance
+        if not steered:
+            self.sample_distance, self.image_sample_distance = self._finest * reference, pixels
+            return
+        sample = coarse * reference
+        image = own.image if image_distance == 1 and not own.adjust else pixels * image_distance
+        if self._plain:
+            mapper.SetSampleDistance(sample)
+            if image != own.image:
+                mapper.SetImageSampleDistance(image)
+        else:
+            _mappers.write(mapper, own, sample, image)
+        self._wrote = (sample, image)
         self._steered = True
-        self.sample_distance, self.image_sample_distance = self._wrote
-        self.reason, self.status = plan.reason, ""
+        self._mapper_time = mapper.GetMTime()
+        self.sample_distance, self.image_sample_distance = sample, image
+        self._reason = self.status = ""
         self._explained = plan
+
+    def _set_limits(self, finest: float) -> None:
+        self._settle()
+        steering, session = self._steering, self._session
+        session.set_limits(finest, max(finest, steering.coarsest))
+        coarsest_image = min(64.0, max(1.0, steering.coarsest_image / self._pixels))
+        session.set_max_image_sample_distance(coarsest_image, _GPU_STEP_ALONE if self._gpu else 1.0)
 
     @property
     def why(self) -> str:
         """str : Why the last frame was drawn as it was, in a sentence."""
-        if self.status:
+        if self._explained is None:
             return self.status
         return explain(self._explained)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
-"""A line in the corner of the picture."""
+"""Three lines in the corner of the picture."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Overlay:
         self._actor.SetPosition(8, 8)
         text = self._actor.GetTextProperty()
         text.SetFontFamilyToCourier()
-        text.SetFontSize(13)
+        text.SetFontSize(14)
         text.SetBackgroundColor(0, 0, 0)
         text.SetBackgroundOpacity(0.5)
         renderer.AddViewProp(self._actor)
@@ -36,9 +36,10 @@ class Overlay:
         if moving and not math.isnan(steering.frame_time):
             target = "" if steering.seconds is None else f" of {1e3 * steering.seconds:.1f}"
             self._actor.SetInput(
-                f"expected {1e3 * steering.predicted:5.1f}, took {1e3 * steering.measured:5.1f}, "
-                f"frame {1e3 * steering.frame_time:5.1f}{target} ms, step {steering.sample_distance:.2f}, "
-                f"pixel {steering.image_sample_distance:.2f}: {steering.reason}"
+                f"volume: expected {1e3 * steering.predicted:.1f} ms, took {1e3 * steering.measured:.1f} ms\n"
+                f"frame: {1e3 * steering.frame_time:.1f}{target} ms\n"
+                f"step {steering.sample_distance:.2f}, pixel {steering.image_sample_distance:.2f}: "
+                f"{steering.reason}"
             )
 
     def remove(self) -> None:

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from operator import methodcaller
 from typing import Any
 
 import numpy as np
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonDataModel import vtkImageData
+from vtkmodules.vtkCommonMath import vtkMatrix4x4
 from vtkmodules.vtkRenderingCore import vtkAbstractMapper
 
 from .._native import Camera, TransferFunction, Volume
@@ -20,6 +22,18 @@ _COMPOSITE = 0
 #: Accumulated opacity at which the mappers stop a ray.
 GPU_TERMINATION = 0.996
 FIXED_POINT_TERMINATION = 0.99
+
+
+def _copied(matrix: Any) -> tuple[float, ...]:
+    out = [0.0] * (16 if matrix.IsA("vtkMatrix4x4") else 9)
+    matrix.DeepCopy(out, matrix)
+    return tuple(out)
+
+
+#: A matrix's elements, row by row. VTK before 9.4 gives Python no more than the address of its data.
+elements: Callable[[Any], tuple[float, ...]] = (
+    methodcaller("GetData") if isinstance(vtkMatrix4x4().GetData(), tuple) else _copied
+)
 
 
 class Unreadable(ValueError):
@@ -85,7 +99,7 @@ class Grid:
         center = [0.0, 0.0, 0.0]
         image.TransformContinuousIndexToPhysicalPoint(at, center)
         self.center = (center[0], center[1], center[2])
-        self.direction = image.GetDirectionMatrix().GetData()
+        self.direction = elements(image.GetDirectionMatrix())
 
 
 def _scalars(mapper: Any, image: Any) -> tuple[Any, int]:
@@ -169,23 +183,27 @@ def transfer_function(prop: Any, span: tuple[float, float]) -> TransferFunction:
     )
 
 
+def vertical_angle(active: Any, size: tuple[int, int]) -> float:
+    """Vertical field of view in degrees of a camera, in an image of this size."""
+    angle: float = active.GetViewAngle()
+    if not active.GetUseHorizontalViewAngle():
+        return angle
+    width, height = size
+    return 2 * math.degrees(math.atan(math.tan(math.radians(0.5 * angle)) * height / max(1, width)))
+
+
 def camera(renderer: Any, placed: Sequence[float], grid: Grid) -> Camera:
     """The renderer's camera about a volume that a matrix (its 16 elements, row by row) places in the
     world."""
     active = renderer.GetActiveCamera()
-    angle = active.GetViewAngle()
-    if active.GetUseHorizontalViewAngle():
-        width, height = renderer.GetSize()
-        angle = 2 * math.degrees(math.atan(math.tan(math.radians(0.5 * angle)) * height / max(1, width)))
-    parallel = active.GetParallelScale() if active.GetParallelProjection() else None
     return Camera.scene(
         grid.volume,
-        active.GetViewTransformMatrix().GetData(),
+        elements(active.GetViewTransformMatrix()),
         placed,
         grid.direction,
         grid.center,
-        angle,
-        parallel,
+        vertical_angle(active, renderer.GetSize()),
+        active.GetParallelScale() if active.GetParallelProjection() else None,
     )
 
 
@@ -205,9 +223,11 @@ __all__ = [
     "Grid",
     "Unreadable",
     "camera",
+    "elements",
     "input_of",
     "look",
     "transfer_function",
+    "vertical_angle",
     "vtkAbstractMapper",
     "vtkImageData",
 ]

@@ -14,12 +14,13 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from time import perf_counter
 from typing import Any, Union
 
 from .._core import ModelLike, Session, _model
 from .._history import History
 from . import _mappers
-from ._leaf import Leaf, Weak
+from ._leaf import Leaf, weak
 from ._mappers import CannotSteer
 from ._overlay import Overlay
 
@@ -30,8 +31,8 @@ log = logging.getLogger("entire.vtk")
 _PROBE_SIDE = 6
 # Least share of the target that a mapper is given, however much the rest of the frame takes.
 _LEAST_SHARE = 0.2
-# How many frames the time outside of the mappers is taken from.
-_REST_FRAMES = 5
+# How many times the one that passes outside of the window's drawing is taken from.
+_OUTSIDE_TIMES = 5
 _NAN = math.nan
 
 # Steering by the address of the volume that it holds. The scene's observers keep steerings alive, nothing
@@ -115,11 +116,19 @@ class Steering:
         self._make_gpu = make_gpu
         self._state: bytes | None = None
         self._still = 0
-        self._outside: deque[float] = deque(maxlen=_REST_FRAMES)
-        self._rests: deque[float] = deque(maxlen=_REST_FRAMES)
+        self._outside: deque[float] = deque(maxlen=_OUTSIDE_TIMES)
+        self._rests = (0.0, 0.0, 0.0)
         self._rest = self._outside_time = 0.0
         self.frames = 0
         self._rendering = self._in_frame = False
+        # Held while a frame is drawn, and no longer.
+        self._frame_window: Any = None
+        self._frame_renderer: Any = None
+        # The camera of the last frame and its matrix, which hold nothing of the scene.
+        self._camera: Any = None
+        # Of the frame at hand: seconds for the mappers, whether it is a still one, whether it is steered.
+        self._left = _NAN
+        self._still_frame = self._steers = False
         self._clean = True
         self._frame_start = self._mapper_seconds = self._overhead = 0.0
         self._drawn = 0
@@ -131,8 +140,8 @@ class Steering:
         self.frame_time = self.overhead = _NAN
         self.steered_frames = self.fallback_frames = 0
         self.on_frame: Callable[[Steering], None] | None = None
-        self._renderer = Weak(renderer)
-        self._window = Weak()
+        self._renderer = weak(renderer)
+        self._window = weak()
         self._window_tags: list[int] = []
         self._renderer_tags: list[int] = []
         self._overlay = Overlay(renderer) if overlay else None
@@ -158,7 +167,7 @@ class Steering:
 
     def _drop(self, volume: Any) -> None:
         for leaf in [leaf for leaf in self.leaves if leaf.volume is volume]:
-            leaf._release()
+            leaf._leave()
             self.leaves.remove(leaf)
             _held.pop(volume.__this__, None)
         if not self.leaves:
@@ -180,7 +189,7 @@ class Steering:
         for address in [a for a, s in _held.items() if s is self]:
             del _held[address]
         for leaf in self.leaves:
-            leaf._release()
+            leaf._leave()
         self.leaves = []
         self._last = None
         renderer = self._renderer()
@@ -190,6 +199,7 @@ class Steering:
         self._renderer_tags = []
         self._follow_window(None)
         self._rendering = False
+        self._frame_window = self._frame_renderer = self._camera = None
         if self._overlay is not None:
             self._overlay.remove()
             self._overlay = None
@@ -225,12 +235,17 @@ class Steering:
         self._outside.append(seconds)
         self._outside_time = statistics.median(self._outside)
 
+    @property
+    def outside_time(self) -> float:
+        """float : Seconds of a frame that pass outside of the window's drawing, as :meth:`also` was told: the
+        median of the last five; 0 before."""
+        return self._outside_time
+
     def reset(self) -> None:
         """Forgets what was learned."""
         self._state = None
         for leaf in self.leaves:
-            leaf._forget()
-            leaf.session = self._session()
+            leaf._restart(self._session())
 
     def save(self, path: Union[str, os.PathLike[str]]) -> None:
         """Writes what was learned of the volume that was drawn last.
@@ -338,14 +353,15 @@ class Steering:
                 before.RemoveObserver(tag)
         self._window_tags = []
         self._in_frame = False
-        self._window = Weak(window)
+        self._window = weak(window)
         if window is not None:
             self._window_tags = [
                 window.AddObserver("StartEvent", self._on_window_start, 1.0),
                 window.AddObserver("EndEvent", self._on_window_end),
             ]
 
-    def _on_window_start(self, _window: Any, _event: str) -> None:
+    def _on_window_start(self, window: Any, _event: str) -> None:
+        self._frame_window = window
         self._in_frame = True
         self._clean = True
         self._mapper_seconds = self._overhead = 0.0
@@ -353,20 +369,25 @@ class Steering:
         self._frame_start = self._now()
 
     def _on_window_end(self, _window: Any, _event: str) -> None:
+        self._frame_window = None
         if not self._in_frame:
             return
         seconds = self._now() - self._frame_start
-        before = time.perf_counter()
+        before = perf_counter()
         self._in_frame = False
         if self._drawn == 0:
             return
         # The first frame holds what is done once.
         if self.frames > 0 and self._clean:
-            self._rests.append(max(0.0, seconds - self._mapper_seconds))
-            self._rest = sorted(self._rests)[len(self._rests) // 2]
+            _, a, b = self._rests
+            c = seconds - self._mapper_seconds
+            self._rests = a, b, c
+            # The median of three, without the sort's cold instructions.
+            middle = b if a <= b <= c or c <= b <= a else a if b <= a <= c or c <= a <= b else c
+            self._rest = middle if middle > 0 else 0.0
         self.frames += 1
         self.frame_time = seconds
-        self.overhead = self._overhead + time.perf_counter() - before
+        self.overhead = self._overhead + perf_counter() - before
         if self.on_frame is not None:
             self.on_frame(self)
 
@@ -374,26 +395,40 @@ class Steering:
         if renderer.GetSelector() is not None:
             # A pass that picks, not one that shows.
             return
-        before = time.perf_counter()
-        inside = self._overhead
-        self._follow_window(renderer.GetRenderWindow())
+        before = perf_counter()
+        window = renderer.GetRenderWindow()
+        if window is not self._frame_window:
+            self._follow_window(window)
+            self._frame_window = window
+        self._frame_renderer = renderer
         if self._all:
             self._follow_volumes(renderer)
         self._rendering = True
+        still = self._still_frame = window is not None and self._is_still(window)
+        self._steers = self.enabled and not still
+        wanted = self.seconds
+        if wanted is None:
+            wanted = 1.0 / max(1.0 if window is None else window.GetDesiredUpdateRate(), 1e-4)
+        left, least = wanted - self._rest - self._outside_time, _LEAST_SHARE * wanted
+        self._left = left if left > least else least
         for leaf in self.leaves:
-            leaf._renderer_start()
+            if leaf._stale:
+                leaf._follow()
+            if not leaf._gpu:
+                leaf._renderer_start()
         if self._overlay is not None:
-            window = self._window()
-            self._overlay.show(self, window is not None and not self._is_still(window))
-        # What leaves counted by themselves is part of this.
-        self._overhead = inside + time.perf_counter() - before
+            self._overlay.show(self, window is not None and not still)
+        self._overhead += perf_counter() - before
 
     def _on_renderer_end(self, _renderer: Any, _event: str) -> None:
-        before = time.perf_counter()
+        if not self._rendering:
+            return
+        before = perf_counter()
         self._rendering = False
         for leaf in self.leaves:
-            leaf._renderer_end()
-        self._overhead += time.perf_counter() - before
+            leaf._finish()
+        self._frame_renderer = None
+        self._overhead += perf_counter() - before
 
     def _follow_volumes(self, renderer: Any) -> None:
         changed = renderer.GetViewProps().GetMTime()
@@ -405,7 +440,7 @@ class Steering:
             leaf for leaf in self.leaves if leaf.volume is None or leaf.volume.__this__ not in there
         ]:
             volume = leaf.volume
-            leaf._release()
+            leaf._leave()
             self.leaves.remove(leaf)
             if volume is not None:
                 _held.pop(volume.__this__, None)
@@ -425,20 +460,11 @@ class Steering:
             always = window.GetInteractor() is None
         return not always and window.GetDesiredUpdateRate() < self.still_rate
 
-    def _finish(self) -> None:
-        window = self._window()
-        if window is not None:
-            window.WaitForCompletion()
-
-    def _target(self, window: Any, leaf: Leaf) -> float:
-        wanted = self.seconds if self.seconds is not None else 1.0 / max(window.GetDesiredUpdateRate(), 1e-4)
-        left = max(wanted - self._rest - self._outside_time, _LEAST_SHARE * wanted)
-        n = len(self.leaves)
-        if n > 1:
-            total = sum(other._weight for other in self.leaves)
-            # Shares by what each would take at full quality, so that all are coarsened alike.
-            left *= leaf._weight / total if leaf._weight and total else 1.0 / n
-        return left
+    def _share(self, leaf: Leaf) -> float:
+        """Seconds for one of several volumes."""
+        total = sum(other._weight for other in self.leaves)
+        # Shares by what each would take at full quality, so that all are coarsened alike.
+        return self._left * (leaf._weight / total if leaf._weight and total else 1.0 / len(self.leaves))
 
 
 def _volumes(renderer: Any) -> list[Any]:

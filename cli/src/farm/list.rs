@@ -86,27 +86,33 @@ pub struct Task {
 /// # Errors
 /// Names the file, the task and what is wrong.
 pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
-    let place = || format!("task list {}", path.display());
     let bytes = read_bytes(path).with_context(|| format!("cannot read the task list {}", path.display()))?;
-    let mut tasks: Vec<Task> = if path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json")) {
-        serde_json::from_slice(&bytes).with_context(place)?
+    let json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+    parse_tasks(&bytes, json).with_context(|| format!("task list {}", path.display()))
+}
+
+/// Reads a task list's bytes, JSON or CSV.
+///
+/// # Errors
+/// Names the task and what is wrong.
+pub fn parse_tasks(bytes: &[u8], json: bool) -> Result<Vec<Task>> {
+    let mut tasks: Vec<Task> = if json {
+        serde_json::from_slice(bytes)?
     } else {
         csv::ReaderBuilder::new()
             .trim(csv::Trim::All)
-            .from_reader(&bytes[..])
+            .from_reader(bytes)
             .deserialize()
-            .collect::<std::result::Result<_, _>>()
-            .with_context(place)?
+            .collect::<std::result::Result<_, _>>()?
     };
-    ensure!(!tasks.is_empty(), "{} holds no task", path.display());
+    ensure!(!tasks.is_empty(), "it holds no task");
     for (i, t) in tasks.iter_mut().enumerate() {
         if t.task.is_empty() {
             t.task = i.to_string();
         }
         ensure!(
             t.predicted_s.is_some() || t.measured_s.is_some(),
-            "{}: task {i} ({}) has neither predicted_s nor measured_s; one of them is needed",
-            place(),
+            "task {i} ({}) has neither predicted_s nor measured_s; one of them is needed",
             t.task
         );
         for (name, value) in [
@@ -116,8 +122,7 @@ pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
         ] {
             ensure!(
                 value.is_finite() && value >= 0.0,
-                "{}: task {i} ({}): {name} is {value}; it must be finite and not negative",
-                place(),
+                "task {i} ({}): {name} is {value}; it must be finite and not negative",
                 t.task
             );
         }

@@ -1,0 +1,217 @@
+//! Which frames tell most: greedy D-optimal design over what is known of the candidates.
+//!
+//! A frame's vector holds its inputs in standard deviations and the shares of its expected time that each
+//! kind of work has. The next frame is the one that adds most to ln det of the information matrix for what it
+//! costs; none of them has been drawn.
+
+use super::pool::Pool;
+#[cfg(test)]
+use crate::fit::solve;
+
+/// Exponent of a frame's seconds in what its information is divided by: 0 takes frames whatever they cost, 1
+/// takes the cheapest information alone, which leaves out the long frames that decide a root mean square.
+const COST_EXPONENT: f64 = 0.5;
+
+/// Information that is there before any frame.
+const RIDGE: f64 = 0.05;
+
+/// Chooses frames one by one.
+pub struct Design {
+    vectors: Vec<Vec<f64>>,
+    /// The inverse of the information matrix.
+    inverse: Vec<f64>,
+    width: usize,
+    taken: Vec<bool>,
+}
+
+impl Design {
+    /// Nothing is chosen yet.
+    pub fn new(pool: &Pool, costs: &[f64]) -> Self {
+        let vectors = vectors(pool, costs);
+        let width = vectors.first().map_or(0, Vec::len);
+        let mut inverse = vec![0.0; width * width];
+        for i in 0..width {
+            inverse[i * width + i] = 1.0 / RIDGE;
+        }
+        let taken = vec![false; vectors.len()];
+        Self { vectors, inverse, width, taken }
+    }
+
+    /// What a frame would add to ln det of the information.
+    fn gain(&self, i: usize) -> f64 {
+        let v = &self.vectors[i];
+        let quadratic: f64 =
+            self.inverse.chunks_exact(self.width).zip(v).map(|(row, x)| x * dot(row, v)).sum();
+        quadratic.max(0.0).ln_1p()
+    }
+
+    /// Takes a frame into the design (rank-one update of the inverse).
+    pub fn take(&mut self, i: usize) {
+        self.taken[i] = true;
+        let v = &self.vectors[i];
+        let product: Vec<f64> = self.inverse.chunks_exact(self.width).map(|row| dot(row, v)).collect();
+        let scale = 1.0 / (1.0 + dot(&product, v));
+        for (row, a) in self.inverse.chunks_exact_mut(self.width).zip(&product) {
+            for (slot, b) in row.iter_mut().zip(&product) {
+                *slot -= scale * a * b;
+            }
+        }
+    }
+
+    /// Chooses frames until their `seconds` add up to `budget` or there are `most`. Every second one is the
+    /// next random candidate, so that the error to expect is told by frames as users draw them.
+    pub fn choose(&mut self, pool: &Pool, seconds: &[f64], budget: f64, most: usize) -> Vec<usize> {
+        let mut out = Vec::new();
+        let mut spent = 0.0;
+        // A single frame takes no more than a share of the budget.
+        let affordable = |i: usize| seconds[i] <= 0.12 * budget;
+        let random_order = random_order(pool);
+        while out.len() < most && spent < budget {
+            let free = |i: &usize| !self.taken[*i] && affordable(*i) && spent + seconds[*i] <= 1.05 * budget;
+            let next = if out.len() % 2 == 0 { random_order.iter().copied().find(free) } else { None };
+            let next = next.or_else(|| {
+                (0..self.vectors.len())
+                    .filter(|i| free(i))
+                    .map(|i| (i, self.gain(i) / seconds[i].max(1e-4).powf(COST_EXPONENT)))
+                    .max_by(|a, b| a.1.total_cmp(&b.1))
+                    .map(|c| c.0)
+            });
+            let Some(next) = next else { break };
+            self.take(next);
+            spent += seconds[next];
+            out.push(next);
+        }
+        out
+    }
+}
+
+/// Random candidates, one volume after the other in turn.
+fn random_order(pool: &Pool) -> Vec<usize> {
+    let mut seen = std::collections::BTreeMap::new();
+    let mut out: Vec<(usize, usize)> = pool
+        .candidates
+        .iter()
+        .enumerate()
+        .filter(|(_, c)| c.random)
+        .map(|(i, c)| {
+            let place = seen.entry((c.volume, c.factor)).or_insert(0usize);
+            *place += 1;
+            (*place, i)
+        })
+        .collect();
+    out.sort_unstable();
+    out.into_iter().map(|o| o.1).collect()
+}
+
+fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
+    let n = pool.candidates.len() as f64;
+    let width = pool.candidates.first().map_or(0, |c| c.row.len());
+    let mut moments = vec![(0.0, 0.0); width];
+    for c in &pool.candidates {
+        for (m, &x) in moments.iter_mut().zip(&c.row) {
+            m.0 += f64::from(x) / n;
+            m.1 += f64::from(x).powi(2) / n;
+        }
+    }
+    pool.candidates
+        .iter()
+        .map(|c| {
+            let mut v = vec![1.0];
+            v.extend(c.row.iter().zip(&moments).map(|(&x, (mean, square))| {
+                let deviation = (square - mean * mean).max(0.0).sqrt();
+                if deviation > 1e-6 { (f64::from(x) - mean) / deviation } else { 0.0 }
+            }));
+            let total: f64 = dot(costs, &c.work);
+            v.extend(
+                costs.iter().zip(&c.work).map(|(cost, w)| if total > 0.0 { cost * w / total } else { 0.0 }),
+            );
+            v
+        })
+        .collect()
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}
+
+/// ln det of the information of some frames, for tests: by Cholesky of the matrix itself.
+#[cfg(test)]
+fn log_det(vectors: &[&Vec<f64>]) -> f64 {
+    let m = vectors[0].len();
+    let mut gram = vec![0.0; m * m];
+    for i in 0..m {
+        gram[i * m + i] = RIDGE;
+        for j in 0..m {
+            gram[i * m + j] += vectors.iter().map(|v| v[i] * v[j]).sum::<f64>();
+        }
+    }
+    let mut factor = gram;
+    let zeros = vec![0.0; m];
+    assert!(solve(&mut factor, zeros).is_some());
+    (0..m).map(|i| 2.0 * factor[i * m + i].ln()).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::pool::Candidate;
+    use crate::dataset::TimedFrame;
+    use entire_core::model::ModelFile;
+    use entire_core::predict::COSTS;
+
+    fn pool(rows: &[[f32; 2]]) -> Pool {
+        let candidate = |row: &[f32; 2]| Candidate {
+            volume: 0,
+            factor: 1,
+            scene: TimedFrame::of_no_volume("v", "").scene,
+            row: row.to_vec(),
+            work: [1.0; COSTS],
+            random: false,
+        };
+        Pool {
+            volumes: Vec::new(),
+            candidates: rows.iter().map(candidate).collect(),
+            prior: ModelFile::new(),
+            expected: vec![1.0; rows.len()],
+        }
+    }
+
+    #[test]
+    fn greedy_choice_adds_the_most_information() {
+        let rows: Vec<[f32; 2]> = (0..40).map(|i| [(i * 7 % 11) as f32, (i * i % 13) as f32]).collect();
+        let pool = pool(&rows);
+        let costs = [1.0; COSTS];
+        let seconds = vec![1.0; rows.len()];
+        let mut design = Design::new(&pool, &costs);
+        let vectors = design.vectors.clone();
+        let chosen = design.choose(&pool, &seconds, 1e3, 6);
+        assert_eq!(chosen.len(), 6);
+        // Each choice, looked at again: no other frame would have made the determinant larger.
+        for k in 1..chosen.len() {
+            let with = |i: usize| {
+                let mut all: Vec<&Vec<f64>> = chosen[..k].iter().map(|&c| &vectors[c]).collect();
+                all.push(&vectors[i]);
+                log_det(&all)
+            };
+            let best =
+                (0..rows.len()).filter(|i| !chosen[..k].contains(i)).map(with).fold(f64::MIN, f64::max);
+            assert!(with(chosen[k]) > best - 1e-6, "{k}: {} {best}", with(chosen[k]));
+        }
+    }
+
+    #[test]
+    fn frames_that_cost_too_much_and_budgets_are_kept() {
+        let rows: Vec<[f32; 2]> = (0..30).map(|i| [(i % 5) as f32, (i % 7) as f32]).collect();
+        let pool = pool(&rows);
+        let mut seconds = vec![0.05; rows.len()];
+        seconds[3] = 0.9;
+        let mut design = Design::new(&pool, &[1.0; COSTS]);
+        let chosen = design.choose(&pool, &seconds, 1.0, 100);
+        assert!(!chosen.contains(&3));
+        let spent: f64 = chosen.iter().map(|&i| seconds[i]).sum();
+        assert!((0.9..=1.06).contains(&spent), "{spent}");
+        // What was taken is not taken again.
+        let again = design.choose(&pool, &seconds, 1.0, 100);
+        assert!(again.iter().all(|i| !chosen.contains(i)));
+    }
+}

@@ -1,0 +1,304 @@
+//! Renders the frames that were chosen: in rounds, each a batch of frames gone through in passes.
+
+use super::Settings;
+use super::design::Design;
+use super::others::{Mark, Others};
+use super::pool::Pool;
+use crate::dataset::{Clock, TimedFrame, Timing, noise_floor};
+use crate::enlarge::enlarge;
+use crate::metrics::median;
+use crate::volume::Volume;
+use anyhow::{Context, Result};
+use entire_core::predict::UnitCosts;
+use entire_vk_raycaster::Renderer;
+use indicatif::ProgressBar;
+use std::collections::{BTreeMap, HashMap};
+use std::time::Instant;
+
+/// Wall seconds of a frame from which on its first rendering is no slower than the next: nothing is
+/// discarded.
+const LONG: f64 = 0.12;
+
+/// Log-SD of a frame's median that is little enough: passes beyond the second are made only where it is more.
+const ENOUGH: f64 = 0.02;
+
+/// Passes over a batch at least and at most.
+const PASSES: (usize, usize) = (2, 4);
+
+/// Seconds by which one volume follows another, before it was timed.
+const SWITCH: f64 = 0.15;
+
+/// Bytes of volumes that are kept in memory.
+const KEPT_BYTES: usize = 512 << 20;
+
+/// One look at a frame.
+#[derive(Clone, Debug)]
+struct Visit {
+    repeats: Vec<Timing>,
+    disturbed: bool,
+}
+
+/// What was measured.
+pub struct Measured {
+    /// Every frame with its repeats; of frames that were seen undisturbed, those repeats alone.
+    pub frames: Vec<TimedFrame>,
+    /// Passes that the repeats of each frame, by number, come in.
+    pub passes: HashMap<u64, usize>,
+    /// What else used the machine.
+    pub others: Others,
+    /// Batches.
+    pub rounds: usize,
+    /// Renderings that were discarded.
+    pub warm_ups: usize,
+}
+
+/// A measurement under way.
+pub struct Measuring<'a> {
+    settings: &'a Settings,
+    pool: &'a Pool,
+    renderer: &'a mut dyn Renderer,
+    deadline: Instant,
+    start: Instant,
+    stop: &'a dyn Fn() -> bool,
+    bar: &'a ProgressBar,
+    volumes: HashMap<(usize, usize), Volume>,
+    visits: BTreeMap<usize, Vec<Visit>>,
+    /// Wall seconds over what the prior expects, this machine over its own.
+    scale: f64,
+    switch: f64,
+    others: Others,
+    rounds: usize,
+    warm_ups: usize,
+}
+
+impl<'a> Measuring<'a> {
+    /// Nothing is drawn yet.
+    pub fn new(
+        settings: &'a Settings,
+        pool: &'a Pool,
+        renderer: &'a mut dyn Renderer,
+        deadline: Instant,
+        start: Instant,
+        stop: &'a dyn Fn() -> bool,
+        bar: &'a ProgressBar,
+    ) -> Self {
+        Self {
+            settings,
+            pool,
+            renderer,
+            deadline,
+            start,
+            stop,
+            bar,
+            volumes: HashMap::new(),
+            visits: BTreeMap::new(),
+            scale: 1.0,
+            switch: SWITCH,
+            others: Others::default(),
+            rounds: 0,
+            warm_ups: 0,
+        }
+    }
+
+    fn left(&self) -> f64 {
+        self.deadline.saturating_duration_since(Instant::now()).as_secs_f64()
+    }
+
+    /// Wall seconds that a candidate is expected to take.
+    fn wall(&self, i: usize) -> f64 {
+        self.scale * self.pool.expected[i]
+    }
+
+    /// Discarded and timed renderings of a visit.
+    fn renderings(wall: f64) -> (usize, usize) {
+        match wall {
+            w if w < 0.006 => (1, 3),
+            w if w < 0.03 => (1, 2),
+            w if w < LONG => (1, 1),
+            _ => (0, 1),
+        }
+    }
+
+    /// Draws batch after batch until the time is over, there are frames enough, or it is stopped.
+    ///
+    /// # Errors
+    /// When a volume cannot be read or the renderer fails.
+    pub fn run(&mut self) -> Result<()> {
+        let costs =
+            crate::fit::PriorModel::new(&self.pool.prior).map_or(UnitCosts::SOFTWARE.0, |p| *p.costs());
+        let mut design = Design::new(self.pool, &costs);
+        // What the prior expects is of another machine: a small batch says by how much it is off here.
+        let mut share = 0.12;
+        while self.left() > 1.5 && !(self.stop)() && self.visits.len() < self.settings.frames {
+            let groups = self.groups();
+            let passes = PASSES.0 as f64;
+            let seconds: Vec<f64> = (0..self.pool.candidates.len())
+                .map(|i| {
+                    let wall = self.wall(i);
+                    let (discarded, timed) = Self::renderings(wall);
+                    passes * (wall * (discarded + timed) as f64 + 0.002)
+                })
+                .collect();
+            let budget = share * self.left() - passes * self.switch * groups as f64 * share.min(0.6);
+            let most = self.settings.frames - self.visits.len();
+            let most = if self.rounds == 0 { most.min((self.settings.frames / 4).max(12)) } else { most };
+            let batch = design.choose(self.pool, &seconds, budget.max(0.5), most);
+            if batch.is_empty() {
+                break;
+            }
+            self.rounds += 1;
+            for pass in 0..PASSES.1 {
+                if pass >= PASSES.0
+                    && (self.spread(&batch) < ENOUGH || self.left() < 0.1 * self.settings.seconds)
+                {
+                    break;
+                }
+                self.pass(&batch, pass)?;
+            }
+            self.learn_speed();
+            share = if self.rounds == 1 { 0.6 } else { 0.95 };
+        }
+        Ok(())
+    }
+
+    fn groups(&self) -> usize {
+        let mut groups: Vec<(usize, usize)> =
+            self.pool.candidates.iter().map(|c| (c.volume, c.factor)).collect();
+        groups.dedup();
+        groups.len()
+    }
+
+    /// Goes through a batch once, volume by volume; every second time backward, so that a drift does not
+    /// follow the volumes.
+    fn pass(&mut self, batch: &[usize], pass: usize) -> Result<()> {
+        let mut groups: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
+        for &i in batch {
+            let c = &self.pool.candidates[i];
+            groups.entry((c.volume, c.factor)).or_default().push(i);
+        }
+        let mut groups: Vec<((usize, usize), Vec<usize>)> = groups.into_iter().collect();
+        if pass % 2 == 1 {
+            groups.reverse();
+        }
+        for ((volume, factor), members) in groups {
+            if (self.stop)() || self.left() <= 0.0 {
+                return Ok(());
+            }
+            self.bar.set_message(format!(
+                "{} frames, round {}, pass {}",
+                self.visits.len().max(1),
+                self.rounds,
+                pass + 1
+            ));
+            let begin = Instant::now();
+            self.show(volume, factor)?;
+            self.switch = 0.7 * self.switch + 0.3 * begin.elapsed().as_secs_f64();
+            let mark = Mark::now();
+            let mut seen = Vec::new();
+            for i in members {
+                if let Some(repeats) = self.visit(i)? {
+                    seen.push((i, repeats));
+                }
+                self.bar.set_position(self.start.elapsed().as_secs());
+            }
+            let (wall, others) = mark.others();
+            self.others.add(wall, others);
+            // The counters are read in hundredths of a second.
+            let disturbed = wall > 0.1 && others.is_some_and(|o| o > super::others::DISTURBED);
+            for (i, repeats) in seen {
+                self.visits.entry(i).or_default().push(Visit { repeats, disturbed });
+            }
+        }
+        Ok(())
+    }
+
+    /// Hands a volume to the renderer.
+    fn show(&mut self, volume: usize, factor: usize) -> Result<()> {
+        let key = (volume, factor);
+        let path = &self.pool.volumes[volume];
+        let named = || path.display().to_string();
+        if !self.volumes.contains_key(&key) {
+            let opened = Volume::open(path).with_context(named)?;
+            let opened = if factor == 1 { opened } else { enlarge(&opened, factor).with_context(named)? };
+            // Four bytes is the largest scalar.
+            let bytes = |v: &Volume| v.dims().iter().product::<usize>() * 4;
+            if self.volumes.values().map(bytes).sum::<usize>() + bytes(&opened) > KEPT_BYTES {
+                self.volumes.clear();
+            }
+            self.volumes.insert(key, opened);
+        }
+        self.renderer.set_volume(&self.volumes[&key].view()).with_context(named)?;
+        Ok(())
+    }
+
+    /// Renders a frame; `None` where time ran out or it was stopped first.
+    fn visit(&mut self, i: usize) -> Result<Option<Vec<Timing>>> {
+        let scene = &self.pool.candidates[i].scene;
+        let place = || format!("{}, calibration frame {i}", scene.volume);
+        let frame = scene.to_frame().with_context(place)?;
+        self.renderer.set_transfer(&scene.to_table().with_context(place)?).with_context(place)?;
+        // What was seen of the frame tells better than what is expected of it.
+        let seen = self.visits.get(&i).and_then(|v| v.first()?.repeats.first()?.wall);
+        let (mut discard, timed) = match self.visits.get(&i) {
+            Some(v) => (usize::from(seen.is_none_or(|s| s < LONG)), v[0].repeats.len()),
+            None => Self::renderings(self.wall(i)),
+        };
+        let mut repeats = Vec::with_capacity(timed);
+        while repeats.len() < timed {
+            if (self.stop)() || self.left() <= 0.0 {
+                return Ok(None);
+            }
+            let rendered = self.renderer.render(&frame).with_context(place)?;
+            if discard > 0 {
+                discard -= 1;
+                self.warm_ups += 1;
+                continue;
+            }
+            repeats.push(Timing::new(rendered.time, rendered.counts));
+        }
+        Ok(Some(repeats))
+    }
+
+    /// How far medians of a batch's frames scatter; infinite where that is not known.
+    fn spread(&self, batch: &[usize]) -> f64 {
+        let frames: Vec<TimedFrame> = batch.iter().filter_map(|&i| self.frame(i)).collect();
+        noise_floor(&frames, self.settings.clock, |f| self.passes(f.number as usize))
+            .map_or(f64::INFINITY, |n| n.log_sd_of_median.max(n.drift.unwrap_or(0.0) / 4.0))
+    }
+
+    fn learn_speed(&mut self) {
+        let mut ratios: Vec<f64> = self
+            .visits
+            .keys()
+            .filter_map(|&i| Some(self.frame(i)?.seconds(Clock::Wall)? / self.pool.expected[i]))
+            .collect();
+        // A little more than the middle: long frames must not overrun the time.
+        if let Some(scale) = median(&mut ratios) {
+            self.scale = 1.1 * scale;
+        }
+    }
+
+    /// The visits of a frame that count: the undisturbed ones, all where there is none.
+    fn counted(&self, i: usize) -> Vec<&Visit> {
+        let Some(visits) = self.visits.get(&i) else { return Vec::new() };
+        let calm: Vec<&Visit> = visits.iter().filter(|v| !v.disturbed).collect();
+        if calm.is_empty() { visits.iter().collect() } else { calm }
+    }
+
+    fn passes(&self, i: usize) -> usize {
+        self.counted(i).len().max(1)
+    }
+
+    fn frame(&self, i: usize) -> Option<TimedFrame> {
+        let repeats: Vec<Timing> = self.counted(i).iter().flat_map(|v| v.repeats.iter().copied()).collect();
+        let scene = self.pool.candidates[i].scene.clone();
+        (!repeats.is_empty()).then_some(TimedFrame { table: 0, number: i as u64, scene, repeats })
+    }
+
+    /// What came of it.
+    pub fn finish(self) -> Measured {
+        let frames: Vec<TimedFrame> = self.visits.keys().filter_map(|&i| self.frame(i)).collect();
+        let passes = self.visits.keys().map(|&i| (i as u64, self.passes(i))).collect();
+        Measured { frames, passes, others: self.others, rounds: self.rounds, warm_ups: self.warm_ups }
+    }
+}

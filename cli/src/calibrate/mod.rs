@@ -1,0 +1,138 @@
+//! A model of the machine at hand, in a minute and a half: frames that tell most, rendered in passes, and a
+//! shipped model taken to what they say.
+//!
+//! [`pool`] draws candidate frames and computes what is known of each before it is drawn; [`design`] chooses
+//! among them; [`measuring`] renders them, discards warm-ups and repeats in passes; [`others`] watches what
+//! else uses the machine; [`crate::fit::PriorModel`] fits. [`place`] is where the machine's model lies.
+
+pub mod design;
+pub mod measuring;
+pub mod others;
+pub mod place;
+pub mod pool;
+pub mod report;
+
+use crate::dataset::{Clock, TimedFrame, noise_floor};
+use crate::fit::{Observed, PriorModel};
+use anyhow::{Context, Result, ensure};
+use entire_core::model::ModelFile;
+use entire_core::scene::{Shading, Skipping};
+use entire_vk_raycaster::Renderer;
+use indicatif::ProgressBar;
+use measuring::{Measured, Measuring};
+use pool::Pool;
+use report::Report;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Fewest frames that a model is fitted to.
+pub const FEWEST_FRAMES: usize = 8;
+
+/// Seconds that are kept back for the fit.
+const FIT_SECONDS: f64 = 6.0;
+
+/// What is calibrated, and how long it may take.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Volumes whose frames are rendered.
+    pub volumes: Vec<PathBuf>,
+    /// What each sample computes.
+    pub shading: Shading,
+    /// How empty space is skipped.
+    pub skipping: Skipping,
+    /// Accumulated opacity at which rays stop.
+    pub termination: f32,
+    /// The clock that is learned.
+    pub clock: Clock,
+    /// Wall seconds that all of it may take.
+    pub seconds: f64,
+    /// Frames at most.
+    pub frames: usize,
+    /// Shortest and longest image side, pixels.
+    pub sizes: (u32, u32),
+    /// Ray steps, reference steps.
+    pub steps: Vec<f32>,
+    /// Seed of every random choice.
+    pub seed: u64,
+}
+
+/// A machine's model.
+pub struct Calibrated {
+    /// The model file.
+    pub file: ModelFile,
+    /// What it was made of, and what error to expect.
+    pub report: Report,
+    /// Every frame with its repeats.
+    pub frames: Vec<TimedFrame>,
+}
+
+/// Renders frames for as long as there is time, or until `stop` says so, and fits a model to them. `prior` is
+/// a model by its name; without one, unit costs of a software renderer and no factor are what is started
+/// from.
+///
+/// # Errors
+/// When volumes cannot be read, the renderer fails or lacks the clock, or it was stopped before
+/// [`FEWEST_FRAMES`] were drawn.
+pub fn calibrate(
+    settings: &Settings,
+    prior: Option<&(String, ModelFile)>,
+    renderer: &mut dyn Renderer,
+    threads: &rayon::ThreadPool,
+    stop: &dyn Fn() -> bool,
+    bar: &ProgressBar,
+) -> Result<Calibrated> {
+    let start = Instant::now();
+    let deadline = start + Duration::from_secs_f64((settings.seconds - FIT_SECONDS).max(1.0));
+    bar.set_length(settings.seconds.ceil() as u64);
+    bar.set_message("choosing frames");
+    let pool = Pool::draw(settings, prior.map(|p| &p.1), threads)?;
+    let mut measuring = Measuring::new(settings, &pool, renderer, deadline, start, stop, bar);
+    measuring.run()?;
+    let Measured { frames, passes, others, rounds, warm_ups } = measuring.finish();
+    bar.set_message("fitting");
+    ensure!(
+        frames.len() >= FEWEST_FRAMES,
+        "stopped after {} frames; at least {FEWEST_FRAMES} are needed, and nothing was written",
+        frames.len()
+    );
+    let observed: Vec<Observed> = frames
+        .iter()
+        .map(|f| {
+            let candidate = &pool.candidates[f.number as usize];
+            let seconds = f.seconds(settings.clock).with_context(|| {
+                format!(
+                    "the renderer has no clock {}; choose another --clock (every renderer has wall)",
+                    settings.clock.name()
+                )
+            })?;
+            Ok(Observed {
+                row: candidate.row.clone(),
+                work: candidate.work,
+                seconds,
+                group: f.scene.volume.clone(),
+            })
+        })
+        .collect::<Result<_>>()?;
+    let split = PriorModel::new(&pool.prior)?;
+    // Chosen frames are the strange ones; those drawn at random are what users draw.
+    let random: Vec<bool> = frames.iter().map(|f| pool.candidates[f.number as usize].random).collect();
+    let enough = random.iter().filter(|r| **r).count() >= 20;
+    let judged = |i: usize| !enough || random[i];
+    let chosen = threads.install(|| split.choose(&observed, judged))?;
+    let noise = noise_floor(&frames, settings.clock, |f| passes.get(&f.number).copied().unwrap_or(1));
+    let report = Report::new(
+        settings,
+        prior.map(|p| p.0.as_str()),
+        &observed,
+        &chosen,
+        judged,
+        noise,
+        others,
+        (rounds, warm_ups),
+        start.elapsed().as_secs_f64(),
+    )?;
+    let mut file = chosen.file;
+    report.write_into(&mut file, renderer, &observed, &chosen.crossed)?;
+    bar.finish_and_clear();
+    Ok(Calibrated { file, report, frames })
+}

@@ -1,0 +1,112 @@
+//! What else uses the processor while frames are timed.
+
+use std::time::Instant;
+
+/// Processors' worth of other work from which on a stretch of rendering counts as disturbed.
+pub const DISTURBED: f64 = 0.25;
+
+/// A point in time: what the machine and this process had done by then, seconds of processor time.
+#[derive(Clone, Copy, Debug)]
+pub struct Mark {
+    at: Instant,
+    machine: Option<f64>,
+    own: Option<f64>,
+}
+
+/// Clock ticks per second of `/proc`: 100 on every Linux that reports in them.
+const TICKS: f64 = 100.0;
+
+impl Mark {
+    /// Now.
+    pub fn now() -> Self {
+        Self {
+            at: Instant::now(),
+            machine: std::fs::read_to_string("/proc/stat").ok().and_then(|t| machine_seconds(&t)),
+            own: std::fs::read_to_string("/proc/self/stat").ok().and_then(|t| own_seconds(&t)),
+        }
+    }
+
+    /// Wall seconds since, and processors' worth of work by others meanwhile; `None` where the system does not
+    /// tell.
+    pub fn others(&self) -> (f64, Option<f64>) {
+        let now = Self::now();
+        let wall = now.at.duration_since(self.at).as_secs_f64();
+        let others = (|| Some((now.machine? - self.machine?) - (now.own? - self.own?)))();
+        (wall, others.map(|o| (o / wall.max(1e-9)).max(0.0)))
+    }
+}
+
+/// Busy processor seconds of all processors: the first line of `/proc/stat` without idle and waiting time;
+/// time stolen by other virtual machines counts.
+fn machine_seconds(text: &str) -> Option<f64> {
+    let line = text.lines().find_map(|l| l.strip_prefix("cpu "))?;
+    let ticks: Vec<f64> = line.split_whitespace().map_while(|w| w.parse().ok()).collect();
+    // user nice system idle iowait irq softirq steal; guest time is part of user time.
+    let at = |i: usize| ticks.get(i).copied().unwrap_or(0.0);
+    (ticks.len() >= 4).then(|| (at(0) + at(1) + at(2) + at(5) + at(6) + at(7)) / TICKS)
+}
+
+/// User and system seconds of `/proc/self/stat`, all threads. The program's name may hold blanks; what counts
+/// comes after its closing bracket.
+fn own_seconds(text: &str) -> Option<f64> {
+    let fields: Vec<&str> = text.rsplit_once(')')?.1.split_whitespace().collect();
+    Some((fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?) / TICKS)
+}
+
+/// How busy the machine was over a calibration.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Others {
+    /// Wall seconds watched.
+    pub seconds: f64,
+    /// Of these, seconds in which others used more than [`DISTURBED`] processors.
+    pub disturbed: f64,
+    /// Mean processors' worth of work by others; `None` where the system does not tell.
+    pub mean: Option<f64>,
+}
+
+impl Others {
+    /// Adds a stretch.
+    pub fn add(&mut self, wall: f64, others: Option<f64>) {
+        if let Some(others) = others {
+            let before = self.mean.unwrap_or(0.0) * self.seconds;
+            self.mean = Some((before + others * wall) / (self.seconds + wall).max(1e-9));
+            if others > DISTURBED {
+                self.disturbed += wall;
+            }
+        }
+        self.seconds += wall;
+    }
+
+    /// Whether more than a fifth of the time was disturbed.
+    pub fn busy(&self) -> bool {
+        self.disturbed > 0.2 * self.seconds
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_systems_counters_are_read() {
+        let stat = "cpu  100 20 30 4000 50 6 7 8 9 10\ncpu0 1 1 1 1\n";
+        assert_eq!(machine_seconds(stat), Some(1.71));
+        assert_eq!(machine_seconds("intr 5\n"), None);
+        let own = "42 (a (odd) name) S 1 1 1 0 -1 4194560 1 2 3 4 250 50 0 0 20 0 2 0 100 1 1";
+        assert_eq!(own_seconds(own), Some(3.0));
+        assert_eq!(own_seconds("42 cut off"), None);
+    }
+
+    #[test]
+    fn a_fifth_of_the_time_makes_a_machine_busy() {
+        let mut others = Others::default();
+        others.add(8.0, Some(0.05));
+        others.add(2.0, Some(0.9));
+        assert!(!others.busy() && (others.mean.unwrap() - 0.22).abs() < 1e-12);
+        others.add(1.0, Some(1.0));
+        assert!(others.busy());
+        let mut blind = Others::default();
+        blind.add(5.0, None);
+        assert!(!blind.busy() && blind.mean.is_none());
+    }
+}

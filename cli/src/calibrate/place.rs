@@ -1,0 +1,89 @@
+//! Where the machine's model lies: in the user's data folder, one file per shading mode.
+
+use crate::collection::Job;
+use crate::dataset::Clock;
+use crate::files::read_model_file;
+use anyhow::{Context, Result};
+use entire_core::model::ModelFile;
+use entire_core::scene::Shading;
+use std::path::{Path, PathBuf};
+
+/// The user's data folder: `XDG_DATA_HOME` where it is an absolute path; else `LOCALAPPDATA` on Windows and
+/// `.local/share` in the home folder elsewhere. `None` where there is neither. `libentire` looks in the same
+/// place (`entire_model_open_machine`).
+pub fn data_folder() -> Option<PathBuf> {
+    let absolute = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|p| p.is_absolute());
+    absolute("XDG_DATA_HOME").or_else(|| {
+        if cfg!(windows) {
+            absolute("LOCALAPPDATA")
+        } else {
+            std::env::home_dir().filter(|p| p.is_absolute()).map(|home| home.join(".local/share"))
+        }
+    })
+}
+
+/// The file of the machine's model for a shading mode.
+pub fn file_of(shading: Shading) -> Option<PathBuf> {
+    Some(data_folder()?.join("entire").join(format!("machine-{}.safetensors", shading.name())))
+}
+
+/// The machine's model for a shading mode, with its file and the clock that it predicts; `None` where `entire
+/// calibrate` was not run.
+///
+/// # Errors
+/// When it is there and no model.
+pub fn machine_model(shading: Shading) -> Result<Option<(PathBuf, ModelFile, Option<Clock>)>> {
+    let Some(path) = file_of(shading).filter(|p| p.is_file()) else { return Ok(None) };
+    let (file, model) = read_model_file(&path)?;
+    let clock = crate::clock::of(&model);
+    Ok(Some((path, file, clock)))
+}
+
+/// The machine's model for a shading mode, where it must be there.
+///
+/// # Errors
+/// When it is not; says how to make it.
+pub fn machine_file(shading: Shading) -> Result<PathBuf> {
+    file_of(shading).filter(|p| p.is_file()).with_context(|| {
+        let shading = shading.name();
+        format!(
+            "this machine has no model for shading {shading}; make one with `entire calibrate --shade {shading}`, \
+             or name a model with --model"
+        )
+    })
+}
+
+/// The folder that volumes are taken from where none are named, from the project's root.
+pub const DATA_FOLDER: &str = "data";
+
+/// Ensemble members that the shipped models were trained on.
+pub const TRAINING_MEMBERS: [&str; 2] = ["m01", "m02"];
+
+/// Endings of volume files that are looked for.
+const VOLUMES: [&str; 6] = ["nrrd", "nhdr", "mha", "mhd", "vti", "nii"];
+
+/// Every volume below a folder, by name; timing tables and other files are passed over. Of ensembles the
+/// members that models are trained on ([`TRAINING_MEMBERS`]): the figures of the others stay those of members
+/// that no model has seen.
+///
+/// # Errors
+/// When a folder cannot be read.
+pub fn volumes_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut out = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder)? {
+            let path = entry?.path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|e| VOLUMES.iter().any(|v| e == *v)) {
+                let member = Job::from_path(&path).member;
+                if member.is_empty() || TRAINING_MEMBERS.contains(&member.as_str()) {
+                    out.push(path);
+                }
+            }
+        }
+    }
+    out.sort();
+    Ok(out)
+}

@@ -1,0 +1,147 @@
+//! Candidate frames: what is known of each before any is drawn.
+
+use super::Settings;
+use crate::collection::Job;
+use crate::dataset::{Scene, Table, TimedFrame};
+use crate::fit::blank_prior;
+use crate::inputs::{Layout, measure};
+use crate::scenes::{DEFAULT_RADII, SceneDistribution};
+use crate::volume::Volume;
+use anyhow::{Context, Result, ensure};
+use entire_core::features::{Changes, SceneFeature};
+use entire_core::model::ModelFile;
+use entire_core::predict::{COST_QUANTITIES, COSTS};
+use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
+use indicatif::ProgressBar;
+use std::path::PathBuf;
+
+/// Candidates per volume and size.
+const PER_VOLUME: u64 = 36;
+
+/// Every so many candidates one is random: drawn as users draw, at any cost.
+const RANDOM_EVERY: u64 = 3;
+
+/// Volumes of fewer voxels are rendered enlarged by 2 along every axis as well: what a frame costs depends on
+/// how much of the volume the caches hold.
+const SMALL_VOLUME: u64 = 160 * 160 * 160;
+
+/// A frame that may be drawn.
+#[derive(Clone, Debug)]
+pub struct Candidate {
+    /// The volume's index.
+    pub volume: usize,
+    /// Its enlargement.
+    pub factor: usize,
+    /// What is shown.
+    pub scene: Scene,
+    /// Inputs of the prior model, in its order.
+    pub row: Vec<f32>,
+    /// Estimated work: 1, then the counts.
+    pub work: [f64; COSTS],
+    /// Whether it is one of those that are drawn as users draw.
+    pub random: bool,
+}
+
+/// All candidates, and the model that calibration starts from.
+pub struct Pool {
+    /// The volume files.
+    pub volumes: Vec<PathBuf>,
+    /// The candidates; a frame's number is its index.
+    pub candidates: Vec<Candidate>,
+    /// The model that calibration starts from.
+    pub prior: ModelFile,
+    /// Seconds by the prior, for its own machine.
+    pub expected: Vec<f64>,
+}
+
+impl Pool {
+    /// Draws candidates of every volume and computes what is known of them.
+    ///
+    /// # Errors
+    /// When a volume cannot be read.
+    pub fn draw(settings: &Settings, prior: Option<&ModelFile>, threads: &rayon::ThreadPool) -> Result<Self> {
+        ensure!(!settings.volumes.is_empty(), "there is no volume to calibrate with; name some");
+        let scenes = SceneDistribution {
+            radii: DEFAULT_RADII.to_vec(),
+            lobes: (1, 4),
+            min_size: settings.sizes.0,
+            max_size: settings.sizes.1,
+            steps: settings.steps.clone(),
+        };
+        scenes.check()?;
+        let mut frames = Vec::new();
+        let mut places = Vec::new();
+        for (v, path) in settings.volumes.iter().enumerate() {
+            let volume = Volume::open(path).with_context(|| path.display().to_string())?;
+            let voxels = volume.view().voxels();
+            let factors: &[usize] = if voxels < SMALL_VOLUME { &[2, 1] } else { &[1] };
+            let job = Job::from_path(path);
+            for &factor in factors {
+                for index in 0..PER_VOLUME {
+                    let drawn = scenes.draw(settings.seed + factor as u64, &job.seed_name(), index);
+                    let scene = Scene {
+                        volume: path.to_string_lossy().into_owned(),
+                        member: job.member.clone(),
+                        time_step: job.time_step,
+                        dims: volume.dims().map(|n| (n * factor) as u32),
+                        camera: drawn.camera,
+                        fov_y_degrees: DEFAULT_FOV_Y_DEGREES,
+                        width: drawn.width,
+                        height: drawn.height,
+                        step: drawn.step,
+                        shading: settings.shading,
+                        skipping: settings.skipping,
+                        termination: settings.termination,
+                        lobes: drawn.lobes,
+                    };
+                    places.push((v, factor, index % RANDOM_EVERY == 0));
+                    frames.push(TimedFrame {
+                        table: 0,
+                        number: frames.len() as u64,
+                        scene,
+                        repeats: Vec::new(),
+                    });
+                }
+            }
+        }
+        let prior = match prior {
+            Some(prior) => prior.clone(),
+            None => blank_prior()?,
+        };
+        let layout = Layout::of_model(&prior.to_model()?)?;
+        let counts: Vec<SceneFeature> = COST_QUANTITIES.iter().map(|&q| SceneFeature::linear(q)).collect();
+        let tables = [Table {
+            path: PathBuf::new(),
+            manifest: None,
+            frames: Vec::new(),
+            hash: 0,
+            features: None,
+            root: None,
+        }];
+        let refs: Vec<&TimedFrame> = frames.iter().collect();
+        let bar = ProgressBar::hidden();
+        let known = measure(&tables, &refs, Some(layout.probe_side()), None, threads, &bar, |_, inputs| {
+            let mut row = vec![0.0; layout.width()];
+            layout.write(inputs, &mut row)?;
+            let mut work = vec![0.0; counts.len()];
+            inputs.features.write(&counts, &inputs.setting, Changes::NONE, &mut work);
+            Ok((row, work))
+        })?;
+        let candidates: Vec<Candidate> = frames
+            .iter()
+            .zip(known)
+            .zip(places)
+            .map(|((frame, (row, counted)), (volume, factor, random))| {
+                let mut work = [1.0; COSTS];
+                for (slot, c) in work[1..].iter_mut().zip(counted) {
+                    *slot = f64::from(c);
+                }
+                Candidate { volume, factor, scene: frame.scene.clone(), row, work, random }
+            })
+            .collect();
+        let model = prior.to_model()?;
+        let rows: Vec<f32> = candidates.iter().flat_map(|c| c.row.iter().copied()).collect();
+        let expected = crate::fit::predict_rows(&model, &rows, layout.width())?;
+        Ok(Self { volumes: settings.volumes.clone(), candidates, prior, expected })
+    }
+}

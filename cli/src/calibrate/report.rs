@@ -1,0 +1,231 @@
+//! What a calibration says of itself, to people and in the model file.
+
+use super::Settings;
+use super::others::Others;
+use crate::bound;
+use crate::dataset::NoiseFloor;
+use crate::fit::{Belief, Chosen, Observed};
+use crate::machine;
+use crate::metrics::{Metrics, bootstrap_by_group};
+use anyhow::{Context, Result};
+use entire_core::model::{ModelFile, keys};
+use entire_core::predict::Calibration;
+use entire_vk_raycaster::Renderer;
+use serde::Serialize;
+use serde_json::json;
+use std::fmt::Write as _;
+
+/// Drift between passes from which on it is said, as a share.
+const DRIFT: f64 = 0.05;
+
+/// ln of the least upper bound over a prediction of a model that was calibrated on a busy machine.
+const BUSY_LOG_FACTOR: f32 = 0.5;
+
+/// What came of a calibration.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Shading mode.
+    pub shading: &'static str,
+    /// The clock whose seconds the model predicts.
+    pub clock: &'static str,
+    /// Frames and volumes that it was fitted to.
+    pub frames: usize,
+    /// Volumes among them.
+    pub volumes: usize,
+    /// Batches that they were drawn in, and renderings that were discarded.
+    pub rounds: usize,
+    /// Renderings that were discarded as warm-up.
+    pub warm_ups: usize,
+    /// Wall seconds in all.
+    pub seconds: f64,
+    /// The model that it started from; `None` for the unit costs of a software renderer.
+    pub prior: Option<String>,
+    /// How strongly that was believed, as cross-validation chose.
+    pub belief: Belief,
+    /// Parts of the cross-validation; 0 where there were too few volumes.
+    pub folds: usize,
+    /// Frames that the error to expect is told by.
+    pub judged: usize,
+    /// Median of |predicted / measured − 1| on volumes that were left out.
+    pub median_error: f64,
+    /// Its 95 % interval when volumes are drawn anew.
+    pub median_error_interval: Option<(f64, f64)>,
+    /// RMSE over the standard deviation on the same.
+    pub rmse_over_sd: f64,
+    /// How far repeats scatter.
+    pub noise: Option<NoiseFloor>,
+    /// What else used the machine.
+    pub others: Others,
+}
+
+impl Report {
+    /// Judges a calibration by the frames that `judged` names.
+    ///
+    /// # Errors
+    /// When there are none.
+    #[expect(clippy::too_many_arguments, reason = "everything that a calibration knows of itself, once")]
+    pub fn new(
+        settings: &Settings,
+        prior: Option<&str>,
+        observed: &[Observed],
+        chosen: &Chosen,
+        judged: impl Fn(usize) -> bool,
+        noise: Option<NoiseFloor>,
+        others: Others,
+        (rounds, warm_ups): (usize, usize),
+        seconds: f64,
+    ) -> Result<Self> {
+        let (mut predicted, mut measured, mut groups) = (Vec::new(), Vec::new(), Vec::new());
+        for (i, (f, p)) in observed.iter().zip(&chosen.crossed).enumerate().filter(|(i, _)| judged(*i)) {
+            debug_assert!(i < observed.len());
+            predicted.push(*p);
+            measured.push(f.seconds);
+            groups.push(f.group.clone());
+        }
+        let metrics = Metrics::new(&predicted, &measured).context("there are no frames to judge by")?;
+        let mut volumes: Vec<&String> = observed.iter().map(|f| &f.group).collect();
+        volumes.sort_unstable();
+        volumes.dedup();
+        Ok(Self {
+            shading: settings.shading.name(),
+            clock: settings.clock.name(),
+            frames: observed.len(),
+            volumes: volumes.len(),
+            rounds,
+            warm_ups,
+            seconds,
+            prior: prior.map(str::to_owned),
+            belief: chosen.belief,
+            folds: chosen.folds,
+            judged: measured.len(),
+            median_error: metrics.mdape,
+            median_error_interval: bootstrap_by_group(&predicted, &measured, &groups, 400, |m| m.mdape),
+            rmse_over_sd: metrics.rmse_over_sd,
+            noise,
+            others,
+        })
+    }
+
+    /// Why what was measured may not be this machine's own speed; empty where nothing speaks against it.
+    pub fn warnings(&self) -> Vec<String> {
+        let mut out = Vec::new();
+        if self.others.busy() {
+            out.push(format!(
+                "the machine was busy: others used {:.1} processors on average, in {:.0} of {:.0} seconds more than \
+                 {}; frames that were seen undisturbed count by those repeats alone, but calibrate again on a \
+                 quiet machine",
+                self.others.mean.unwrap_or(0.0),
+                self.others.disturbed,
+                self.others.seconds,
+                super::others::DISTURBED
+            ));
+        }
+        if let Some(drift) = self.noise.and_then(|n| n.drift).filter(|d| d.exp_m1() > DRIFT) {
+            out.push(format!(
+                "passes over the same frames differ by {:.0} %: something slowed the machine down or sped it up \
+                 meanwhile",
+                100.0 * drift.exp_m1()
+            ));
+        }
+        if self.folds == 0 {
+            out.push(
+                "fewer than three volumes: nothing could be held out, and the error is that of frames that the \
+                 model was fitted to"
+                    .into(),
+            );
+        }
+        out
+    }
+
+    /// For people, a few lines.
+    pub fn text(&self) -> String {
+        let mut out = String::new();
+        let line = |out: &mut String, name: &str, value: String| {
+            let _ = writeln!(out, "{name:<11}{value}");
+        };
+        line(
+            &mut out,
+            "measured",
+            format!(
+                "{} frames of {} volumes, shading {}, clock {}, {} rounds, {} warm-up renderings discarded",
+                self.frames, self.volumes, self.shading, self.clock, self.rounds, self.warm_ups
+            ),
+        );
+        if let Some(noise) = self.noise {
+            line(&mut out, "noise", noise.describe());
+        }
+        let from = self.prior.as_deref().unwrap_or("unit costs of a software renderer");
+        line(
+            &mut out,
+            "fitted",
+            format!(
+                "from {from}; cross-validation believes its unit costs within a factor of {:.2}, {:.0} % of its \
+                 learned factor within {:.1} times its weights",
+                self.belief.costs.exp(),
+                100.0 * self.belief.share,
+                self.belief.weights
+            ),
+        );
+        let interval = self
+            .median_error_interval
+            .map_or(String::new(), |(low, high)| format!(" ({:.1} to {:.1} %)", 100.0 * low, 100.0 * high));
+        line(
+            &mut out,
+            "to expect",
+            format!(
+                "on volumes not in it: median error {:.1} %{interval}, RMSE/SD {:.3} ({} frames, cross-validated \
+                 by volume in {} parts)",
+                100.0 * self.median_error,
+                self.rmse_over_sd,
+                self.judged,
+                self.folds
+            ),
+        );
+        out
+    }
+
+    /// Writes clock, upper bound and provenance into the model file.
+    ///
+    /// # Errors
+    /// When what the file holds is damaged.
+    pub fn write_into(
+        &self,
+        file: &mut ModelFile,
+        renderer: &dyn Renderer,
+        observed: &[Observed],
+        crossed: &[f64],
+    ) -> Result<()> {
+        let measured: Vec<f64> = observed.iter().map(|f| f.seconds).collect();
+        let groups: Vec<String> = observed.iter().map(|f| f.group.clone()).collect();
+        let mut upper = bound::from_groups(crossed, &measured, &groups);
+        if self.others.busy() {
+            // What a busy machine's frames say of a quiet one is open: a session believes what it observes.
+            upper = Calibration::from_log_factor(upper.log_factor().max(BUSY_LOG_FACTOR));
+        }
+        bound::set(file, &upper)?;
+        file.set_metadata(crate::clock::CLOCK_KEY, self.clock);
+        file.set_metadata(keys::RENDERER, renderer.backend());
+        file.set_metadata(keys::DEVICE, renderer.device());
+        file.set_metadata(keys::STEP_REFERENCE, "smallest voxel spacing");
+        let prior = self.prior.as_deref().map(|p| {
+            std::path::Path::new(p)
+                .file_name()
+                .map_or_else(|| p.to_owned(), |n| n.to_string_lossy().into_owned())
+        });
+        let provenance = json!({
+            "what": "Calibrated to a machine: analytic cost model times a learned factor",
+            "clock": self.clock,
+            "shading": self.shading,
+            "calibration": { "frames": self.frames, "volumes": self.volumes, "rounds": self.rounds,
+                "seconds": self.seconds, "prior": prior, "belief": self.belief, "folds": self.folds,
+                "judged": self.judged, "median_error": self.median_error, "rmse_over_sd": self.rmse_over_sd,
+                "noise": self.noise, "others": self.others, "busy": self.others.busy() },
+            "machine": machine::machine(),
+            "load_average": machine::load_average(),
+            "program": format!("entire {}", machine::version()),
+            "date": machine::now(),
+        });
+        file.set_metadata(keys::PROVENANCE, provenance.to_string());
+        Ok(())
+    }
+}

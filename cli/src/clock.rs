@@ -1,0 +1,184 @@
+//! Which clock's seconds a model predicts. A model, a table and a steered renderer that disagree would be
+//! compared by a factor that nobody meant.
+
+use crate::dataset::{Clock, TimedFrame};
+use anyhow::{Result, ensure};
+use clap::ValueEnum;
+use entire_core::model::{Model, ModelFile};
+
+/// Metadata key of the clock whose seconds a model predicts: `cpu`, `wall` or `device`.
+pub const CLOCK_KEY: &str = "entire.clock";
+
+/// The clock that a model predicts, as its file says: under [`CLOCK_KEY`], else in its provenance. `None`
+/// where it says nothing.
+pub fn of(model: &Model) -> Option<Clock> {
+    let of_provenance = || {
+        let provenance: serde_json::Value = serde_json::from_str(model.provenance()?).ok()?;
+        Some(provenance.get("clock")?.as_str()?.to_owned())
+    };
+    let name = model.metadata().get(CLOCK_KEY).cloned().or_else(of_provenance)?;
+    Clock::from_str(&name, false).ok().filter(|c| *c != Clock::Auto)
+}
+
+/// Writes the clock into a model file.
+pub fn set(file: &mut ModelFile, clock: Clock) {
+    file.set_metadata(CLOCK_KEY, clock.name());
+}
+
+/// The clock behind [`Clock::Auto`] for these frames: the device's where every repeat has it, wall time where
+/// none does. Other clocks stay what they are.
+///
+/// # Errors
+/// When only some repeats have device timestamps: their seconds are of two kinds.
+pub fn concrete<'a>(clock: Clock, frames: impl IntoIterator<Item = &'a TimedFrame>) -> Result<Clock> {
+    if clock != Clock::Auto {
+        return Ok(clock);
+    }
+    let (mut all, mut with) = (0usize, 0usize);
+    for repeat in frames.into_iter().flat_map(|f| &f.repeats) {
+        all += 1;
+        with += usize::from(repeat.device.is_some());
+    }
+    ensure!(
+        with == 0 || with == all,
+        "{with} of {all} repeats have device timestamps, the others wall time alone; name the clock that all \
+         have: --clock wall or cpu"
+    );
+    Ok(if with > 0 { Clock::Device } else { Clock::Wall })
+}
+
+/// What training learns where no clock is named: the clock of the model that it starts from where there is
+/// one, else processor time, which the project's figures are about, else what `auto` gives. Frames without
+/// the wanted clock are said on standard error.
+///
+/// # Errors
+/// As [`concrete`].
+pub fn for_training<'a>(
+    asked: Option<Clock>,
+    base: Option<(&str, Clock)>,
+    frames: impl IntoIterator<Item = &'a TimedFrame> + Clone,
+) -> Result<Clock> {
+    let clock = match asked {
+        Some(clock) => concrete(clock, frames)?,
+        None => {
+            let wanted = base.map_or(Clock::Cpu, |b| b.1);
+            if frames.clone().into_iter().all(|f| f.seconds(wanted).is_some()) {
+                wanted
+            } else {
+                let found = concrete(Clock::Auto, frames)?;
+                crate::files::note(&format!(
+                    "not every frame has seconds by the clock {}; the model predicts {} seconds (choose with \
+                     --clock)",
+                    wanted.name(),
+                    found.name()
+                ));
+                found
+            }
+        }
+    };
+    if let Some((name, theirs)) = base.filter(|b| b.1 != clock) {
+        crate::files::note(&format!(
+            "{name} predicts {} seconds; the new model predicts {} seconds",
+            theirs.name(),
+            clock.name()
+        ));
+    }
+    Ok(clock)
+}
+
+/// The clock by which models are judged or steer: the one that they state, which must be one and the same
+/// and, where another than `auto` was asked for, that one; what was asked for where none states any.
+///
+/// # Errors
+/// When models and the clock that was asked for disagree; says what to do.
+pub fn agreed<'a>(asked: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Result<Clock> {
+    let mut found: Option<(&str, Clock)> = None;
+    for (name, model) in models {
+        let Some(clock) = of(model) else { continue };
+        ensure!(
+            asked == Clock::Auto || clock == asked,
+            "{name} predicts {} seconds and --clock asks for {}; leave --clock away, or make a model for that \
+             clock: `entire calibrate --clock {}` for this machine, `entire train --calibrate {name} --clock \
+             {}` from a table",
+            clock.name(),
+            asked.name(),
+            asked.name(),
+            asked.name()
+        );
+        if let Some((other, theirs)) = found {
+            ensure!(
+                theirs == clock,
+                "{other} predicts {} seconds and {name} {} seconds; give models of one clock at a time",
+                theirs.name(),
+                clock.name()
+            );
+        }
+        found = Some((name, clock));
+    }
+    Ok(found.map_or(asked, |f| f.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::Timing;
+    use entire_core::predict::AnalyticModel;
+
+    fn model(clock: Option<Clock>, provenance: Option<&str>) -> Model {
+        let mut file = AnalyticModel::new().to_model_file().unwrap();
+        if let Some(clock) = clock {
+            set(&mut file, clock);
+        }
+        if let Some(text) = provenance {
+            file.set_metadata(entire_core::model::keys::PROVENANCE, text);
+        }
+        file.to_model().unwrap()
+    }
+
+    fn frame(repeats: &[Timing]) -> TimedFrame {
+        TimedFrame { repeats: repeats.to_vec(), ..TimedFrame::of_no_volume("v", "") }
+    }
+
+    #[test]
+    fn a_model_says_its_clock_in_a_key_of_its_own_or_in_its_provenance() {
+        assert_eq!(of(&model(None, None)), None);
+        assert_eq!(of(&model(Some(Clock::Wall), None)), Some(Clock::Wall));
+        assert_eq!(of(&model(None, Some(r#"{"clock":"cpu"}"#))), Some(Clock::Cpu));
+        assert_eq!(of(&model(Some(Clock::Device), Some(r#"{"clock":"cpu"}"#))), Some(Clock::Device));
+        assert_eq!(of(&model(None, Some(r#"{"clock":"auto"}"#))), None);
+        assert_eq!(of(&model(None, Some("not JSON"))), None);
+    }
+
+    #[test]
+    fn models_and_commands_that_disagree_are_refused_with_a_remedy() {
+        let (cpu, wall, none) =
+            (model(Some(Clock::Cpu), None), model(Some(Clock::Wall), None), model(None, None));
+        assert_eq!(agreed(Clock::Auto, [("a", &cpu), ("c", &none)]).unwrap(), Clock::Cpu);
+        assert_eq!(agreed(Clock::Wall, [("b", &wall)]).unwrap(), Clock::Wall);
+        assert_eq!(agreed(Clock::Wall, [("c", &none)]).unwrap(), Clock::Wall);
+        let text = agreed(Clock::Wall, [("a", &cpu)]).unwrap_err().to_string();
+        assert!(text.contains("a predicts cpu seconds") && text.contains("--clock wall"), "{text}");
+        let text = agreed(Clock::Auto, [("a", &cpu), ("b", &wall)]).unwrap_err().to_string();
+        assert!(text.contains("a predicts cpu seconds and b wall seconds"), "{text}");
+    }
+
+    #[test]
+    fn auto_becomes_the_clock_that_all_frames_have() {
+        let wall = Timing { wall: Some(0.1), ..Timing::default() };
+        let both = Timing { device: Some(0.1), cpu: Some(0.2), ..wall };
+        assert_eq!(concrete(Clock::Auto, [&frame(&[wall])]).unwrap(), Clock::Wall);
+        assert_eq!(concrete(Clock::Auto, [&frame(&[both])]).unwrap(), Clock::Device);
+        assert_eq!(concrete(Clock::Cpu, [&frame(&[both])]).unwrap(), Clock::Cpu);
+        let mixed = concrete(Clock::Auto, [&frame(&[both]), &frame(&[wall])]).unwrap_err().to_string();
+        assert!(mixed.contains("1 of 2 repeats have device timestamps"), "{mixed}");
+        // Processor time is learned by default, the model's clock where one is adapted, what there is else.
+        let frames = [frame(&[both])];
+        assert_eq!(for_training(None, None, &frames).unwrap(), Clock::Cpu);
+        assert_eq!(for_training(None, Some(("m", Clock::Device)), &frames).unwrap(), Clock::Device);
+        assert_eq!(
+            for_training(Some(Clock::Wall), Some(("m", Clock::Device)), &frames).unwrap(),
+            Clock::Wall
+        );
+        assert_eq!(for_training(None, None, &[frame(&[wall])]).unwrap(), Clock::Wall);
+    }
+}

@@ -1,0 +1,212 @@
+//! `entire calibrate`: a model of this machine, in a minute and a half.
+
+use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
+use crate::calibrate::{Calibrated, Settings, calibrate};
+use crate::dataset::{Clock, Writer};
+use crate::device::{self, Device};
+use crate::files::{check_model_out, make_folder_of, note, read_model_file, write_whole};
+use crate::interrupt;
+use crate::options::{SkipOption, thread_pool};
+use crate::progress::templated_bar;
+use crate::steering::race::shipped_file;
+use anyhow::{Context, Result, ensure};
+use clap::ValueEnum;
+use entire_core::scene::Shading;
+use std::path::{Path, PathBuf};
+
+/// Fit a model to this machine in a minute and a half.
+///
+/// Renders the frames that tell most (chosen by design of experiment, none of the candidates drawn), discards
+/// warm-up renderings, repeats in passes until its own spread is small, and takes the shipped model of the
+/// shading mode to what was measured: unit costs and the learned factor are each believed as much as
+/// cross-validation by volume calls for. Says what error to expect on volumes that are not in it, and whether
+/// something else used the machine. Ctrl-C fits what was measured so far. `demo`, `steer`, `predict` and
+/// libentire (entire_model_open_machine) find the machine's model by themselves.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire calibrate
+        no shading, the volumes in data/, into the user's data folder
+  entire calibrate --shade all
+        one model for each shading mode, a minute and a half each
+  entire calibrate skull.nrrd engine.vti --shade local --out here.safetensors")]
+pub struct Options {
+    /// Volume files; unless given those in data/, of its ensembles the members that models are trained on.
+    #[arg(value_name = "VOLUME")]
+    pub volumes: Vec<PathBuf>,
+    /// What each sample computes, or all modes one after another.
+    #[arg(long, value_enum, default_value_t)]
+    pub shade: ShadeOrAll,
+    /// The clock whose seconds the model predicts: processor time of all threads, wall time, or the device's
+    /// timestamps.
+    #[arg(long, value_enum, default_value_t = Clock::Cpu)]
+    pub clock: Clock,
+    /// The model file; with --shade all, `-none`, `-local` and `-scatter` are added to its name. Unless given,
+    /// machine-MODE.safetensors in the folder entire of the user's data folder.
+    #[arg(long, value_name = "FILE.safetensors")]
+    pub out: Option<PathBuf>,
+    /// Write the measured frames too, as a timing table.
+    #[arg(long, value_name = "FILE.csv")]
+    pub table: Option<PathBuf>,
+    /// The model to start from, of kind residual; the shipped one of the mode in models/ unless given.
+    #[arg(long, value_name = "SAFETENSORS")]
+    pub prior: Option<PathBuf>,
+    /// Wall seconds that each mode may take.
+    #[arg(long, default_value_t = 85.0, value_name = "SECONDS", value_parser = parse_seconds)]
+    pub seconds: f64,
+    /// Frames at most.
+    #[arg(long, default_value_t = 500, value_name = "N", value_parser = clap::value_parser!(u32).range(8..=100_000))]
+    pub frames: u32,
+    /// How empty space is skipped.
+    #[arg(long, value_enum, default_value_t)]
+    pub skip: SkipOption,
+    /// Accumulated opacity at which a ray stops; 1 for never.
+    #[arg(long, default_value_t = 0.99, value_name = "OPACITY")]
+    pub termination: f32,
+    /// Shortest image side, pixels.
+    #[arg(long, default_value_t = 32, value_name = "PIXELS")]
+    pub min_size: u32,
+    /// Longest image side, pixels.
+    #[arg(long, default_value_t = 1024, value_name = "PIXELS")]
+    pub max_size: u32,
+    /// Ray steps to draw from, reference steps; those that stand there twice are drawn twice as often.
+    #[arg(long, value_delimiter = ',', default_values_t = [1.0, 1.0, 1.0, 2.0, 4.0], value_name = "STEP,…")]
+    pub steps: Vec<f32>,
+    /// What renders.
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+    /// Seed of every random choice.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Threads for what is computed of frames; all logical processors unless given.
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// No progress bar.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// A shading mode, or all.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum ShadeOrAll {
+    /// Color and opacity alone.
+    #[default]
+    None,
+    /// Local lighting with gradients.
+    Local,
+    /// Single scattering.
+    Scatter,
+    /// Each of them.
+    All,
+}
+
+impl ShadeOrAll {
+    fn modes(self) -> &'static [Shading] {
+        match self {
+            Self::None => &[Shading::None],
+            Self::Local => &[Shading::Local],
+            Self::Scatter => &[Shading::Scatter],
+            Self::All => &[Shading::None, Shading::Local, Shading::Scatter],
+        }
+    }
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(s) if (5.0..=3600.0).contains(&s) => Ok(s),
+        _ => Err("wall seconds are expected, 5 to 3600".to_owned()),
+    }
+}
+
+/// Where the model of a mode goes.
+fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
+    match &options.out {
+        None => file_of(shading).context(
+            "there is no home folder to keep the machine's model in; name a file with --out, or set XDG_DATA_HOME",
+        ),
+        Some(out) if options.shade == ShadeOrAll::All => {
+            let stem = out.file_stem().context("--out names no file")?.to_string_lossy().into_owned();
+            Ok(out.with_file_name(format!("{stem}-{}.safetensors", shading.name())))
+        }
+        Some(out) => Ok(out.clone()),
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Volumes or models that cannot be read, a renderer that fails or lacks the clock, a file that cannot be
+/// written, interruption before there was anything to fit.
+pub fn run(options: &Options) -> Result<()> {
+    let volumes = if options.volumes.is_empty() {
+        let folder = Path::new(DATA_FOLDER);
+        ensure!(
+            folder.is_dir(),
+            "{DATA_FOLDER}/ is not here; run this in the project's root, or name volume files"
+        );
+        volumes_in(folder).with_context(|| format!("cannot look into {DATA_FOLDER}/"))?
+    } else {
+        options.volumes.clone()
+    };
+    ensure!(
+        options.termination > 0.0 && options.termination <= 1.0,
+        "--termination is {}; it must lie in (0, 1], 1 for never",
+        options.termination
+    );
+    let outs: Vec<PathBuf> =
+        options.shade.modes().iter().map(|&s| out_of(options, s)).collect::<Result<_>>()?;
+    for out in &outs {
+        make_folder_of(out)?;
+        check_model_out(out)?;
+    }
+    let threads = thread_pool(options.threads)?;
+    let stop = interrupt::flag()?;
+    let mut renderer = device::open(options.device)?;
+    let mut table = options.table.as_deref().map(Writer::create).transpose()?;
+    let mut written = 0;
+    println!("renderer   {} ({})", renderer.device(), renderer.backend());
+    for (&shading, out) in options.shade.modes().iter().zip(&outs) {
+        let prior = match &options.prior {
+            Some(path) => Some((path.display().to_string(), read_model_file(path)?.0)),
+            None => shipped_file(shading)?.map(|(path, file)| (path.display().to_string(), file)),
+        };
+        if prior.is_none() {
+            note(
+                "models/ is not here: the calibration starts from the unit costs of a software renderer; run it in \
+                 the project's root, or name a model with --prior",
+            );
+        }
+        let settings = Settings {
+            volumes: volumes.clone(),
+            shading,
+            skipping: options.skip.into(),
+            termination: options.termination,
+            clock: options.clock,
+            seconds: options.seconds,
+            frames: options.frames as usize,
+            sizes: (options.min_size, options.max_size),
+            steps: options.steps.clone(),
+            seed: options.seed,
+        };
+        let bar = templated_bar(options.quiet, "calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
+        let stopped = || interrupt::requested(&stop);
+        let Calibrated { file, report, frames } =
+            calibrate(&settings, prior.as_ref(), renderer.as_mut(), &threads, &stopped, &bar)?;
+        if let Some(table) = &mut table {
+            for f in &frames {
+                table.append(written, &f.scene, &f.repeats)?;
+                written += 1;
+            }
+        }
+        write_whole(out, &file.to_bytes()?)?;
+        print!("{}", report.text());
+        for warning in report.warnings() {
+            println!("{:<11}{warning}", "note");
+        }
+        println!("{:<11}{} ({:.0} s)", "wrote", out.display(), report.seconds);
+        if stopped() {
+            note("interrupted; what was measured until then is what the model was fitted to");
+            break;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,342 @@
+//! `entire farm`: render an image database on whatever runs tasks.
+
+use crate::farm::dispatch::Order;
+use crate::farm::drive::{self, Database};
+use crate::farm::engine::{Bundle, Engine, HyperQueue, Local, Places, Slurm};
+use crate::farm::job::Job;
+use crate::farm::planner::{Planner, Sent, Setting, State};
+use crate::farm::show::{duration, parse_duration};
+use crate::farm::worker::Worker;
+use crate::farm::{openjd, predict, report, survey};
+use crate::files::write_whole;
+use crate::machine;
+use anyhow::{Context, Result, ensure};
+use std::path::PathBuf;
+
+/// What runs the tasks.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum EngineOption {
+    /// Processes of this machine.
+    #[default]
+    Local,
+    /// HyperQueue, through its Python package.
+    Hyperqueue,
+    /// Slurm, through its commands.
+    Slurm,
+}
+
+/// In which order tasks are sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum OrderOption {
+    /// Longest expected first.
+    #[default]
+    Longest,
+    /// As the job lists them.
+    Arrival,
+    /// All taken for equally long, as a scheduler without predictions does.
+    Uniform,
+}
+
+/// Render an image database: plan, run, and say when it will be done.
+///
+/// The job file (TOML) names volumes, cameras, transfer functions, sizes, steps and the renderer; see the
+/// book's chapter on render farms. The database is a Cinema database (Specification D): NAME.cdb/data.csv.
+/// Finished images are recorded in NAME.cdb/.farm; --resume goes on after whatever happened.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire farm job.toml --dry-run --deadline 2h --price 0.4
+  entire farm job.toml --slots 2 --report out/farm.html
+  entire farm job.toml --engine hyperqueue --slots 16 --python venv/bin/python
+  entire farm job.toml --engine slurm --slots 4 --resume")]
+pub struct Options {
+    /// The job file.
+    #[arg(value_name = "JOB.toml")]
+    pub job: PathBuf,
+    /// What runs the tasks.
+    #[arg(long, value_enum, default_value_t)]
+    pub engine: EngineOption,
+    /// Bundles that run at once: workers of this machine or of HyperQueue, nodes of Slurm. The processors of
+    /// this machine where it is not given, for Slurm the nodes that it lists.
+    #[arg(long, value_name = "N")]
+    pub slots: Option<usize>,
+    /// Go on with a database that was begun.
+    #[arg(long)]
+    pub resume: bool,
+    /// With --resume: try quarantined tasks again.
+    #[arg(long, requires = "resume")]
+    pub retry_quarantined: bool,
+    /// With --resume: read every image and compare it with its checksum.
+    #[arg(long, requires = "resume")]
+    pub verify: bool,
+    /// Render a coarse subset first: every eighth view at the smallest size and the coarsest step.
+    #[arg(long)]
+    pub preview: bool,
+    /// Render nothing: print plan, cost and expected end.
+    #[arg(long)]
+    pub dry_run: bool,
+    /// With --dry-run: find the cheapest number of nodes that is done by then (90s, 30m, 2h, 1.5d).
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub deadline: Option<f64>,
+    /// With --dry-run: price of a node hour.
+    #[arg(long, value_name = "PRICE")]
+    pub price: Option<f64>,
+    /// In which order tasks are sent.
+    #[arg(long, value_enum, default_value_t)]
+    pub order: OrderOption,
+    /// Keep the times that were predicted, whatever is measured.
+    #[arg(long)]
+    pub no_correction: bool,
+    /// Seconds that sending a bundle costs a slot, instead of the engine's own figure.
+    #[arg(long, value_name = "SECONDS")]
+    pub overhead: Option<f64>,
+    /// Longest time that the engine runs a bundle (90s, 30m, 2h): HyperQueue's worker limit, Slurm's partition.
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub time_limit: Option<f64>,
+    /// The Python that has HyperQueue's package.
+    #[arg(long, default_value = "python3", value_name = "PROGRAM")]
+    pub python: String,
+    /// Folder of a running HyperQueue server; a server with workers is started where it is not given.
+    #[arg(long, value_name = "DIR")]
+    pub server_dir: Option<String>,
+    /// Processors of a HyperQueue bundle.
+    #[arg(long, default_value_t = 1, value_name = "N")]
+    pub cpus: u32,
+    /// Another option of sbatch, such as --sbatch=--partition=long; may be given several times.
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
+    pub sbatch: Vec<String>,
+    /// Write a report (HTML) when done; alone with --dry-run it tells of what is done.
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
+    /// Write the tasks with their expected seconds as a list (CSV) that `entire schedule` and predict.list read.
+    #[arg(long, value_name = "TASKS.csv")]
+    pub save_tasks: Option<PathBuf>,
+    /// Render nothing: write an OpenJD job template (JSON) whose tasks are bundles of equal expected time.
+    #[arg(long, value_name = "FILE.json", conflicts_with = "dry_run")]
+    pub openjd: Option<PathBuf>,
+    /// Show no progress.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// A worker of `entire farm`; engines start it.
+#[derive(Debug, clap::Args)]
+pub struct WorkerOptions {
+    /// The state folder of the database.
+    pub state: PathBuf,
+    /// The worker's name.
+    #[arg(long, value_name = "NAME")]
+    pub node: Option<String>,
+    /// Do this bundle and end; without it bundles come through standard input.
+    #[arg(long, value_name = "N")]
+    pub bundle: Option<u64>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A bad job file, an engine that is not there, tasks that were given up.
+pub fn run(options: &Options) -> Result<()> {
+    let job = Job::open(&options.job)?;
+    ensure!(options.slots != Some(0), "--slots is 0; at least one is needed");
+    ensure!(
+        options.price.is_none_or(|p| p.is_finite() && p >= 0.0),
+        "--price is {}; it must be a number that is not negative",
+        options.price.unwrap_or(f64::NAN)
+    );
+    ensure!(
+        options.overhead.is_none_or(|p| p.is_finite() && p >= 0.0),
+        "--overhead is {}; it must be seconds, not negative",
+        options.overhead.unwrap_or(f64::NAN)
+    );
+    let base = predict::base(&job)?;
+    if options.dry_run {
+        return dry_run(&job, base, options);
+    }
+    let driving = drive::Options {
+        resume: options.resume,
+        retry_quarantined: options.retry_quarantined,
+        verify: options.verify,
+        preview: options.preview,
+        order: order(options.order),
+        uniform: options.order == OrderOption::Uniform,
+        learn: !options.no_correction,
+        overhead: options.overhead,
+        quiet: options.quiet,
+    };
+    let mut database = Database::open(&job, &driving)?;
+    let program = std::env::current_exe().context("cannot find this program's own file")?;
+    let places = Places { state: job.state(), program };
+    if let Some(file) = &options.openjd {
+        return export(&job, &database, base, &places, options, file);
+    }
+    let summary =
+        drive::run(&mut database, base.clone(), &driving, &mut |run| engine(&places, options, run))?;
+    if let Some(file) = &options.save_tasks {
+        let planner = database.plan(base, setting(options, 1));
+        save_tasks(&job, &planner, file)?;
+    }
+    println!(
+        "{} of {} images, {} of them in this run of {}",
+        summary.done,
+        summary.tasks,
+        summary.now,
+        duration(summary.seconds)
+    );
+    println!("{}", job.output.join("data.csv").display());
+    if let Some(file) = &options.report {
+        report::write(&job, file)?;
+        println!("{}", file.display());
+    }
+    ensure!(
+        summary.quarantined.is_empty(),
+        "{} tasks were given up ({}); their logs are in {}; --resume --retry-quarantined tries them again",
+        summary.quarantined.len(),
+        summary.quarantined.iter().take(3).cloned().collect::<Vec<_>>().join(", "),
+        job.state().join("quarantine").display()
+    );
+    Ok(())
+}
+
+/// Runs a worker.
+///
+/// # Errors
+/// When the database cannot be read or written.
+pub fn work(options: &WorkerOptions) -> Result<()> {
+    let node = options
+        .node
+        .clone()
+        .or_else(|| std::env::var("SLURMD_NODENAME").ok())
+        .or_else(|| std::fs::read_to_string("/etc/hostname").ok().map(|n| n.trim().to_owned()))
+        .unwrap_or_else(|| "node".to_owned());
+    let mut worker = Worker::open(&options.state, node)?;
+    match options.bundle {
+        Some(number) => worker.bundle(number),
+        None => worker.serve(),
+    }
+}
+
+fn order(option: OrderOption) -> Order {
+    match option {
+        OrderOption::Longest => Order::LongestFirst,
+        OrderOption::Arrival | OrderOption::Uniform => Order::Arrival,
+    }
+}
+
+fn slots(options: &Options) -> usize {
+    options.slots.unwrap_or_else(machine::cores)
+}
+
+fn engine(places: &Places, options: &Options, run: u64) -> Result<Box<dyn Engine>> {
+    use crate::farm::engine::{HyperQueueOptions, SlurmOptions};
+    Ok(match options.engine {
+        EngineOption::Local => Box::new(Local::start(places.clone(), slots(options), run)?),
+        EngineOption::Hyperqueue => {
+            let how = HyperQueueOptions {
+                python: options.python.clone(),
+                workers: slots(options),
+                server_dir: options.server_dir.clone(),
+                cpus: options.cpus,
+                worker_limit: options.time_limit,
+            };
+            Box::new(HyperQueue::start(places.clone(), how, run)?)
+        }
+        EngineOption::Slurm => {
+            let how = SlurmOptions {
+                nodes: options.slots,
+                sbatch: options.sbatch.clone(),
+                limit: options.time_limit,
+            };
+            Box::new(Slurm::start(places.clone(), how, run)?)
+        }
+    })
+}
+
+fn setting(options: &Options, slots: usize) -> Setting {
+    Setting {
+        slots,
+        bound: options.engine == EngineOption::Local,
+        overhead: options.overhead.unwrap_or(match options.engine {
+            EngineOption::Local => 0.005,
+            EngineOption::Hyperqueue => 0.05,
+            EngineOption::Slurm => 0.6,
+        }),
+        limit: options.time_limit,
+        order: order(options.order),
+        learn: !options.no_correction,
+    }
+}
+
+fn dry_run(job: &Job, base: Vec<f32>, options: &Options) -> Result<()> {
+    let done = drive::done(job)?;
+    let plan = |slots: usize| {
+        let mut planner = drive::planner(job, base.clone(), setting(options, slots));
+        for (task, seconds) in &done {
+            planner.done_before(*task, 0, *seconds);
+        }
+        for stage in drive::stages(job, options.preview, |t| planner.state(t) == State::Idle) {
+            planner.add_stage(stage);
+        }
+        planner.refresh();
+        planner
+    };
+    let setting = setting(options, slots(options));
+    print!("{}", survey::text(job, &plan, setting, options.deadline, options.price)?);
+    if let Some(file) = &options.save_tasks {
+        save_tasks(job, &plan(setting.slots), file)?;
+    }
+    if let Some(file) = &options.report {
+        report::write(job, file)?;
+    }
+    Ok(())
+}
+
+fn save_tasks(job: &Job, planner: &Planner, file: &std::path::Path) -> Result<()> {
+    let mut table = csv::Writer::from_writer(Vec::new());
+    table.write_record(["task", "predicted_s", "volume", "load_s"])?;
+    for task in 0..job.len() {
+        let at = job.place(task);
+        table.write_record([
+            format!("{:016x}", job.id(task)),
+            planner.learner().seconds(task).to_string(),
+            format!("{} {}", job.volumes[at.volume].name, job.volumes[at.volume].time),
+            planner.loads().seconds(at.volume, false).to_string(),
+        ])?;
+    }
+    write_whole(file, &table.into_inner()?)
+}
+
+fn export(
+    job: &Job,
+    database: &Database<'_>,
+    base: Vec<f32>,
+    places: &Places,
+    options: &Options,
+    file: &std::path::Path,
+) -> Result<()> {
+    let planner = database.plan(base, setting(options, slots(options)));
+    let tasks: Vec<u32> = (0..job.len() as u32).filter(|t| planner.state(*t) == State::Idle).collect();
+    let cut = openjd::cut(&planner, &tasks, 4 * slots(options));
+    let bundles: Vec<Bundle> = cut
+        .into_iter()
+        .enumerate()
+        .map(|(k, tasks)| {
+            let volume = planner.learner().shape().volume(tasks[0] as usize);
+            let load = planner.loads().seconds(volume, false);
+            let upper_s = planner.learner().upper(&tasks, 0.99) + 2.0 * load + 60.0;
+            let orders = tasks.iter().map(|t| database.order(*t, planner.expected(*t))).collect();
+            let predicted_s: Vec<f32> = tasks.iter().map(|t| planner.expected(*t) as f32).collect();
+            let expected_s = load + predicted_s.iter().map(|s| f64::from(*s)).sum::<f64>();
+            let bundle = (database.run() << 32) + k as u64;
+            Bundle {
+                sent: Sent { bundle, tasks, slot: None, volume, expected_s, predicted_s },
+                orders,
+                upper_s,
+            }
+        })
+        .collect();
+    openjd::export(job, places, &bundles, database.run(), file)?;
+    println!("{} bundles of {} tasks", bundles.len(), tasks.len());
+    println!("{}", file.display());
+    println!("take over what they have rendered with: entire farm {} --resume", options.job.display());
+    Ok(())
+}

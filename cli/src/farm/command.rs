@@ -1,0 +1,127 @@
+//! Command lines with placeholders. Arguments go to the program as they are; no shell takes part, so names
+//! and paths need no quoting.
+
+use anyhow::{Result, bail};
+
+/// The values of placeholders.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Placeholders(pub Vec<(&'static str, String)>);
+
+impl Placeholders {
+    /// The names that a command line may hold in braces.
+    pub const NAMES: [&'static str; 14] = [
+        "volume",
+        "volume_name",
+        "time",
+        "rx_deg",
+        "ry_deg",
+        "dz_radii",
+        "fov_y_deg",
+        "transfer",
+        "transfer_name",
+        "width",
+        "height",
+        "step",
+        "out",
+        "task",
+    ];
+
+    fn get(&self, name: &str) -> Option<&str> {
+        self.0.iter().find(|(n, _)| *n == name).map(|(_, v)| v.as_str())
+    }
+}
+
+/// What an argument is made of.
+enum Part<'a> {
+    Text(&'a str),
+    Brace(char),
+    Name(&'a str),
+}
+
+fn parts(argument: &str) -> Result<Vec<Part<'_>>> {
+    let mut out = Vec::new();
+    let mut rest = argument;
+    while let Some(at) = rest.find(['{', '}']) {
+        out.push(Part::Text(&rest[..at]));
+        let (brace, after) = (rest.as_bytes()[at] as char, &rest[at + 1..]);
+        if after.starts_with(brace) {
+            out.push(Part::Brace(brace));
+            rest = &after[1..];
+            continue;
+        }
+        let end = after.find(['{', '}']).filter(|&e| brace == '{' && after.as_bytes()[e] == b'}');
+        let Some(end) = end else {
+            bail!("the argument {argument:?} has a single {brace:?}; write {{{{ or }}}} for a brace itself")
+        };
+        out.push(Part::Name(&after[..end]));
+        rest = &after[end + 1..];
+    }
+    out.push(Part::Text(rest));
+    Ok(out)
+}
+
+/// Checks the placeholders of an argument.
+///
+/// # Errors
+/// Names the one that is unknown, and those that are accepted.
+pub fn check(argument: &str, names: &[&str]) -> Result<()> {
+    for part in parts(argument)? {
+        if let Part::Name(name) = part
+            && !names.contains(&name)
+        {
+            bail!("the argument {argument:?} holds {{{name}}}; accepted are {{{}}}", names.join("}, {"));
+        }
+    }
+    Ok(())
+}
+
+/// An argument with its placeholders filled in. What is filled in is not looked at again.
+///
+/// # Errors
+/// As [`check`].
+pub fn fill(argument: &str, values: &Placeholders) -> Result<String> {
+    let mut out = String::new();
+    for part in parts(argument)? {
+        match part {
+            Part::Text(text) => out.push_str(text),
+            Part::Brace(brace) => out.push(brace),
+            Part::Name(name) => match values.get(name) {
+                Some(value) => out.push_str(value),
+                None => bail!("the argument {argument:?} holds {{{name}}}, which has no value here"),
+            },
+        }
+    }
+    Ok(out)
+}
+
+/// A word for a POSIX shell: what the scripts of batch systems need.
+pub fn quoted(word: &str) -> String {
+    format!("'{}'", word.replace('\'', "'\\''"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn placeholders_are_filled_once_and_mistakes_are_named() {
+        let values = Placeholders(vec![("out", "a {task} b.png".into()), ("task", "7".into())]);
+        assert_eq!(fill("--out={out}", &values).unwrap(), "--out=a {task} b.png");
+        assert_eq!(fill("{{{task}}}", &values).unwrap(), "{7}");
+        assert_eq!(fill("plain", &values).unwrap(), "plain");
+        for (text, word) in [("{oot}", "{oot}"), ("{out", "single"), ("a}b", "single"), ("{a{b}", "single")] {
+            let said = format!("{:#}", check(text, &["out", "task"]).unwrap_err());
+            assert!(said.contains(word), "{text}: {said}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_shell_reads_quoted_words_back() {
+        for word in ["plain", "a b", "it's", "$(rm -rf x)", "`x`", "a\nb", "\\", "'", "", "*", "!x; y & z"] {
+            let script = format!("printf %s {}", quoted(word));
+            let out = std::process::Command::new("sh").args(["-c", &script]).output().unwrap();
+            assert_eq!(String::from_utf8(out.stdout).unwrap(), word);
+        }
+    }
+}

@@ -1,0 +1,353 @@
+//! Which task next: longest first with late binding. Where loading costs, a node stays with the volume that it
+//! holds as long as that pays.
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use std::cmp::Ordering;
+use std::collections::BinaryHeap;
+
+/// Most tasks of a bundle.
+const MOST: usize = 4096;
+/// A bundle is worth at most so many times what sending it costs, and at least so many times.
+const WORTH: (f64, f64) = (50.0, 3.0);
+/// Remaining work per slot is cut into at least so many bundles.
+const CUTS: f64 = 4.0;
+
+/// A node's question for work.
+pub struct Ask<'a> {
+    /// The volume that it holds.
+    pub held: Option<usize>,
+    /// Whether it keeps a volume from one bundle to the next.
+    pub keeps: bool,
+    /// Seconds to load a volume that it does not hold.
+    pub load: &'a dyn Fn(usize) -> f64,
+    /// Seconds that sending a bundle costs.
+    pub overhead: f64,
+    /// Slots that share the work.
+    pub slots: usize,
+    /// Expected seconds that a bundle may not exceed, unless it is a single task.
+    pub limit: f64,
+}
+
+#[derive(Clone, Debug, PartialEq)]
+struct Front {
+    seconds: f32,
+    volume: u32,
+}
+
+impl Eq for Front {}
+
+impl PartialOrd for Front {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Front {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.seconds.total_cmp(&other.seconds).then(other.volume.cmp(&self.volume))
+    }
+}
+
+/// Tasks that wait, by volume, the longest last.
+#[derive(Clone, Debug)]
+pub struct Dispatcher {
+    seconds: Vec<f32>,
+    volume: Vec<u32>,
+    waits: Vec<bool>,
+    lanes: Vec<Vec<u32>>,
+    work: Vec<f64>,
+    counts: Vec<u32>,
+    holders: Vec<u32>,
+    heap: BinaryHeap<Front>,
+    pending: usize,
+    asked: u32,
+    sent: Vec<u32>,
+    /// Every so many questions are answered with a task for the sake of learning; 0 for never.
+    explore: u32,
+    uniform: bool,
+    arrival: bool,
+    rng: ChaCha8Rng,
+}
+
+/// In which order tasks are sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Order {
+    /// Longest first by expected seconds.
+    #[default]
+    LongestFirst,
+    /// As the job lists them.
+    Arrival,
+}
+
+impl Dispatcher {
+    /// For tasks with these expected seconds and volumes; none waits yet.
+    pub fn new(seconds: Vec<f32>, volume: Vec<u32>, volumes: usize, order: Order) -> Self {
+        let n = seconds.len();
+        Self {
+            seconds,
+            volume,
+            waits: vec![false; n],
+            lanes: vec![Vec::new(); volumes],
+            work: vec![0.0; volumes],
+            counts: vec![0; volumes],
+            holders: vec![0; volumes],
+            heap: BinaryHeap::new(),
+            pending: 0,
+            asked: 0,
+            sent: vec![0; volumes],
+            explore: 0,
+            uniform: false,
+            arrival: order == Order::Arrival,
+            rng: ChaCha8Rng::seed_from_u64(11),
+        }
+    }
+
+    /// Number of tasks that wait.
+    pub fn pending(&self) -> usize {
+        self.pending
+    }
+
+    /// Expected seconds of the tasks that wait.
+    pub fn work(&self) -> f64 {
+        self.work.iter().sum()
+    }
+
+    /// Expected seconds of a task.
+    pub fn seconds(&self, task: u32) -> f32 {
+        self.seconds[task as usize]
+    }
+
+    /// The tasks that wait, in ascending number.
+    pub fn waiting(&self) -> impl Iterator<Item = u32> + '_ {
+        self.waits.iter().enumerate().filter(|(_, w)| **w).map(|(i, _)| i as u32)
+    }
+
+    /// Answers every so many questions with a task of the volume that least was sent of; 0 for never.
+    pub fn set_explore(&mut self, every: u32) {
+        self.explore = every;
+    }
+
+    /// Takes all tasks for equally long, which is what a scheduler without predictions does.
+    pub fn set_uniform(&mut self) {
+        self.uniform = true;
+    }
+
+    /// Lets tasks wait.
+    pub fn add(&mut self, tasks: impl IntoIterator<Item = u32>) {
+        for task in tasks {
+            if self.wait(task) {
+                self.lanes[self.volume[task as usize] as usize].push(task);
+            }
+        }
+        self.sort();
+    }
+
+    /// Lets a task wait again.
+    pub fn add_again(&mut self, task: u32) {
+        if !self.wait(task) {
+            return;
+        }
+        let v = self.volume[task as usize] as usize;
+        let mut lane = std::mem::take(&mut self.lanes[v]);
+        lane.retain(|t| *t != task);
+        let key = self.key(task);
+        let place = lane.partition_point(|t| self.key(*t) <= key);
+        lane.insert(place, task);
+        self.lanes[v] = lane;
+        self.push_front(v);
+    }
+
+    fn wait(&mut self, task: u32) -> bool {
+        let i = task as usize;
+        let new = !self.waits[i];
+        if new {
+            self.waits[i] = true;
+            let v = self.volume[i] as usize;
+            self.work[v] += f64::from(self.seconds[i]);
+            self.counts[v] += 1;
+            self.pending += 1;
+        }
+        new
+    }
+
+    /// Expected seconds have changed.
+    pub fn reorder(&mut self, seconds: Vec<f32>) {
+        self.seconds = seconds;
+        self.sort();
+    }
+
+    fn sort(&mut self) {
+        let (seconds, waits) = (&self.seconds, &self.waits);
+        for (v, lane) in self.lanes.iter_mut().enumerate() {
+            lane.retain(|t| waits[*t as usize]);
+            if self.arrival || self.uniform {
+                lane.sort_unstable_by(|a, b| b.cmp(a));
+            } else {
+                // Positive numbers sort as their bits do.
+                lane.sort_unstable_by_key(|t| (seconds[*t as usize].to_bits(), u32::MAX - t));
+            }
+            lane.dedup();
+            self.work[v] = lane.iter().map(|t| f64::from(seconds[*t as usize])).sum();
+        }
+        self.heap.clear();
+        for v in 0..self.lanes.len() {
+            self.push_front(v);
+        }
+    }
+
+    fn key(&self, task: u32) -> f32 {
+        if self.arrival || self.uniform { -(task as f32) } else { self.seconds[task as usize] }
+    }
+
+    fn push_front(&mut self, v: usize) {
+        while self.lanes[v].last().is_some_and(|t| !self.waits[*t as usize]) {
+            self.lanes[v].pop();
+        }
+        if let Some(&task) = self.lanes[v].last() {
+            self.heap.push(Front { seconds: self.key(task), volume: v as u32 });
+        }
+    }
+
+    fn take(&mut self, task: u32) {
+        let (i, v) = (task as usize, self.volume[task as usize] as usize);
+        self.waits[i] = false;
+        self.work[v] = (self.work[v] - f64::from(self.seconds[i])).max(0.0);
+        self.counts[v] -= 1;
+        self.sent[v] += 1;
+        self.pending -= 1;
+    }
+
+    fn pop(&mut self, v: usize) -> Option<u32> {
+        while let Some(task) = self.lanes[v].pop() {
+            if self.waits[task as usize] {
+                self.take(task);
+                return Some(task);
+            }
+        }
+        None
+    }
+
+    /// A node holds a volume from now on, and no more the one before.
+    pub fn hold(&mut self, before: Option<usize>, after: Option<usize>) {
+        if let Some(v) = before {
+            self.holders[v] = self.holders[v].saturating_sub(1);
+        }
+        if let Some(v) = after {
+            self.holders[v] += 1;
+        }
+    }
+
+    /// The next bundle for a node; `None` where nothing is left that is worth its while.
+    pub fn next(&mut self, ask: &Ask<'_>) -> Option<Vec<u32>> {
+        if self.pending == 0 {
+            return None;
+        }
+        self.asked += 1;
+        let slots = ask.slots.max(1) as f64;
+        let total = self.work();
+        let loads: f64 = (0..self.lanes.len())
+            .filter(|v| self.counts[*v] > 0 && ask.held != Some(*v))
+            .map(|v| (ask.load)(v))
+            .sum();
+        let loading = ask.keeps && !self.arrival && loads > 0.002 * total / slots;
+        let volume = if loading {
+            self.choose(ask, total / slots)?
+        } else {
+            if self.explore > 0 && self.asked.is_multiple_of(self.explore) {
+                return self.probe().map(|t| vec![t]);
+            }
+            self.longest()?
+        };
+        let cost = ask.overhead + if ask.held == Some(volume) { 0.0 } else { (ask.load)(volume) };
+        let share = total / slots;
+        let target =
+            (share / CUTS).min(WORTH.0 * cost).max((WORTH.1 * cost).min(share.max(cost))).min(ask.limit);
+        let (mut bundle, mut sum) = (Vec::new(), 0.0);
+        while bundle.len() < MOST {
+            while self.lanes[volume].last().is_some_and(|t| !self.waits[*t as usize]) {
+                self.lanes[volume].pop();
+            }
+            let Some(&task) = self.lanes[volume].last() else { break };
+            let more = f64::from(self.seconds[task as usize]);
+            if !bundle.is_empty() && sum + more > target {
+                break;
+            }
+            self.pop(volume);
+            bundle.push(task);
+            sum += more;
+        }
+        self.push_front(volume);
+        (!bundle.is_empty()).then_some(bundle)
+    }
+
+    /// The volume of the longest task.
+    fn longest(&mut self) -> Option<usize> {
+        while let Some(front) = self.heap.pop() {
+            let v = front.volume as usize;
+            while self.lanes[v].last().is_some_and(|t| !self.waits[*t as usize]) {
+                self.lanes[v].pop();
+            }
+            match self.lanes[v].last() {
+                Some(&task) if self.key(task) == front.seconds => return Some(v),
+                Some(_) => self.push_front(v),
+                None => {}
+            }
+        }
+        // Every lane with a task has an entry; none is left.
+        None
+    }
+
+    /// A task at random of the volume of which least was sent.
+    fn probe(&mut self) -> Option<u32> {
+        let v = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0).min_by_key(|v| self.sent[*v])?;
+        let lane = &self.lanes[v];
+        for _ in 0..64 {
+            let task = lane[(self.rng.next_u64() % lane.len() as u64) as usize];
+            if self.waits[task as usize] {
+                self.take(task);
+                self.push_front(v);
+                return Some(task);
+            }
+        }
+        let task = self.pop(v);
+        self.push_front(v);
+        task
+    }
+
+    /// The volume that a node works on where loading costs.
+    ///
+    /// A node stays with what it holds. It leaves early only for a volume that nobody works on and that alone
+    /// would last as long as all the rest. When its volume is used up it joins where most work per node is
+    /// left, unless those who are there would be done before it had loaded.
+    fn choose(&self, ask: &Ask<'_>, share: f64) -> Option<usize> {
+        let held = ask.held.filter(|v| self.counts[*v] > 0);
+        let open = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0 && held != Some(*v));
+        // Whoever holds a volume works on it; to join makes one more.
+        let per_node = |v: usize| self.work[v] / f64::from(self.holders[v] + 1);
+        let best = open.max_by(|a, b| {
+            let alone = |v: &usize| self.holders[*v] == 0;
+            alone(a).cmp(&alone(b)).then(per_node(*a).total_cmp(&per_node(*b))).then(b.cmp(a))
+        });
+        let Some(held) = held else {
+            let v = best?;
+            let load = (ask.load)(v);
+            // What is left for the one who joins, after all have worked on while it loads.
+            let left = self.work[v] - f64::from(self.holders[v]) * load;
+            let shortest = f64::from(self.seconds[*self.lanes[v].first()? as usize]);
+            return (self.holders[v] == 0 || left > shortest).then_some(v);
+        };
+        let leave = best.filter(|&v| {
+            let without = self.work[held] / f64::from(self.holders[held].max(2) - 1);
+            self.holders[v] == 0
+                && self.holders[held] > 1
+                && self.work[v] + (ask.load)(v) > share
+                && without < self.work[v]
+        });
+        Some(leave.unwrap_or(held))
+    }
+}
+
+#[cfg(test)]
+#[path = "dispatch_tests.rs"]
+mod tests;

@@ -1,0 +1,74 @@
+use super::*;
+
+fn ask<'a>(held: Option<usize>, load: &'a dyn Fn(usize) -> f64, slots: usize) -> Ask<'a> {
+    Ask { held, keeps: true, load, overhead: 0.0, slots, limit: f64::INFINITY }
+}
+
+#[test]
+fn the_longest_is_first_and_every_task_comes_once() {
+    let seconds: Vec<f32> = (0..500).map(|i| 1.0 + (i * 37 % 101) as f32).collect();
+    let mut d = Dispatcher::new(seconds.clone(), (0..500).map(|i| i % 7).collect(), 7, Order::LongestFirst);
+    d.add(0..500);
+    let mut out = Vec::new();
+    while let Some(bundle) = d.next(&ask(None, &|_| 0.0, 3)) {
+        assert_eq!(bundle.len(), 1);
+        out.extend(bundle);
+        if out.len() == 100 {
+            // A task that comes back finds its place again; one that waits is not doubled.
+            d.add_again(out[3]);
+            d.add_again(*d.lanes[0].last().unwrap());
+        }
+    }
+    assert_eq!(out.len(), 501);
+    let falling = out.windows(2).filter(|w| seconds[w[0] as usize] >= seconds[w[1] as usize]).count();
+    assert_eq!(falling, 499);
+    assert!(d.work() < 1e-3 && d.pending() == 0);
+}
+
+#[test]
+fn corrected_times_change_the_order() {
+    let mut d = Dispatcher::new(vec![1.0, 2.0, 3.0, 4.0], vec![0, 0, 1, 1], 2, Order::LongestFirst);
+    d.add(0..4);
+    assert_eq!(d.next(&ask(None, &|_| 0.0, 1)), Some(vec![3]));
+    d.reorder(vec![9.0, 2.0, 3.0, 4.0]);
+    assert_eq!(d.next(&ask(None, &|_| 0.0, 1)), Some(vec![0]));
+    let mut d = Dispatcher::new(vec![1.0, 2.0, 3.0, 4.0], vec![0, 1, 0, 1], 2, Order::Arrival);
+    d.add(0..4);
+    let order: Vec<u32> = std::iter::from_fn(|| d.next(&ask(None, &|_| 0.0, 1))).flatten().collect();
+    assert_eq!(order, [0, 1, 2, 3]);
+}
+
+#[test]
+fn bundles_are_as_large_as_their_sending_is_worth_and_shrink_at_the_end() {
+    let mut d = Dispatcher::new(vec![0.1; 10_000], vec![0; 10_000], 1, Order::LongestFirst);
+    d.add(0..10_000);
+    let mut sizes = Vec::new();
+    let load = |_: usize| 0.0;
+    while let Some(bundle) = d.next(&Ask { overhead: 0.5, ..ask(None, &load, 4) }) {
+        sizes.push(bundle.len());
+    }
+    // 50 times half a second at most (249 tasks and a rounding error); at the end what it is worth.
+    assert!((249..=250).contains(&sizes[0]) && sizes.iter().sum::<usize>() == 10_000, "{sizes:?}");
+    assert!(*sizes.last().unwrap() <= 15 && sizes[sizes.len() - 2] >= 4, "{sizes:?}");
+    assert!(sizes.windows(2).all(|w| w[1] <= w[0]), "{sizes:?}");
+}
+
+#[test]
+fn a_node_stays_with_its_volume_where_loading_costs() {
+    let mut d = Dispatcher::new(vec![1.0; 60], (0..60).map(|i| i % 3).collect(), 3, Order::LongestFirst);
+    d.add(0..60);
+    let load = |_: usize| 4.0;
+    let mut held = None;
+    let mut changes = 0;
+    while let Some(bundle) = d.next(&ask(held, &load, 1)) {
+        let v = bundle[0] as usize % 3;
+        assert!(bundle.iter().all(|t| *t as usize % 3 == v));
+        if held != Some(v) {
+            d.hold(held, Some(v));
+            held = Some(v);
+            changes += 1;
+        }
+    }
+    assert_eq!(changes, 3);
+    assert_eq!(d.pending(), 0);
+}

@@ -1,0 +1,660 @@
+//! The job file: what a database of images holds and who renders it.
+
+use super::command::{self, Placeholders};
+use crate::files::{fnv1a, read_text};
+use crate::options::parse_size;
+use crate::path::Transfer;
+use anyhow::{Context, Result, bail, ensure};
+use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
+use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+
+/// Largest job file, in bytes.
+const MAX_JOB_BYTES: u64 = 16 << 20;
+
+/// Most tasks of a job.
+pub const MAX_TASKS: usize = 20_000_000;
+
+/// A job file as it is written. Relative paths start at the job file's folder.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JobFile {
+    /// The database's name: letters, digits, `-`, `_` and `.`.
+    pub name: String,
+    /// Where the database goes; `NAME.cdb` beside the job file where it is not given.
+    pub output: Option<PathBuf>,
+    /// Vertical field of view, degrees.
+    #[serde(default = "default_fov")]
+    pub fov_y_deg: f32,
+    /// Image sizes, `WIDTHxHEIGHT`.
+    pub sizes: Vec<String>,
+    /// Ray steps in reference steps.
+    #[serde(default = "default_steps")]
+    pub steps: Vec<f32>,
+    /// What is rendered.
+    pub volumes: Vec<VolumesEntry>,
+    /// From where.
+    pub cameras: Vec<CamerasEntry>,
+    /// With which transfer functions.
+    pub transfer: Vec<TransferEntry>,
+    /// By whom.
+    pub renderer: Renderer,
+    /// Where expected times come from.
+    #[serde(default)]
+    pub predict: Predict,
+    /// What happens to tasks that fail.
+    #[serde(default)]
+    pub retry: Retry,
+}
+
+fn default_fov() -> f32 {
+    DEFAULT_FOV_Y_DEGREES
+}
+
+fn default_steps() -> Vec<f32> {
+    vec![1.0]
+}
+
+/// One volume, or several as a time series.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct VolumesEntry {
+    /// Its name; the first file's stem where it is not given, and each file its own where `series` is false.
+    pub name: Option<String>,
+    /// Files or glob patterns, sorted by name with numbers in them by value.
+    pub files: Vec<String>,
+    /// Whether the files are time steps of one volume.
+    #[serde(default)]
+    pub series: bool,
+    /// Scalar range that maps to 0 … 1.
+    pub range: Option<[f32; 2]>,
+}
+
+/// Views of a database.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum CamerasEntry {
+    /// Turns about the y axis.
+    Orbit {
+        /// Views on the turn.
+        views: u32,
+        /// Rotation about x, degrees.
+        #[serde(default)]
+        elevation_deg: f32,
+        /// Distances, bounding-sphere radii.
+        distances_radii: Vec<f32>,
+        /// Where the turn begins, degrees.
+        #[serde(default)]
+        from_deg: f32,
+        /// Where it ends (not reached), degrees.
+        #[serde(default = "full_turn")]
+        to_deg: f32,
+    },
+    /// Evenly spread directions on the upper half of spheres (Fibonacci lattice).
+    SemiSphere {
+        /// Views on each sphere.
+        views: u32,
+        /// Radii, bounding-sphere radii.
+        distances_radii: Vec<f32>,
+    },
+    /// Poses one by one: rotation about x and y in degrees, distance in bounding-sphere radii.
+    List {
+        /// The poses.
+        poses: Vec<[f32; 3]>,
+    },
+}
+
+fn full_turn() -> f32 {
+    360.0
+}
+
+/// A named transfer function: lobes (center, width, height) or points.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TransferEntry {
+    /// Its name.
+    pub name: String,
+    /// Gaussian lobes: center, width, height.
+    pub lobes: Option<Vec<[f32; 3]>>,
+    /// Control points: position, red, green, blue, opacity.
+    pub points: Option<Vec<[f32; 5]>>,
+}
+
+/// Who renders.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
+pub enum Renderer {
+    /// The project's raycaster.
+    Entire {
+        /// `none`, `local` or `scatter`.
+        #[serde(default = "default_shade")]
+        shade: String,
+        /// `none`, `blocks` or `distance`.
+        #[serde(default = "default_skip")]
+        skip: String,
+        /// Accumulated opacity at which a ray stops.
+        #[serde(default = "default_termination")]
+        termination: f32,
+        /// `auto`, `vulkan` or `cpu`.
+        #[serde(default = "default_device")]
+        device: String,
+    },
+    /// A program that renders one image and ends. Its arguments hold placeholders; no shell is in between.
+    Command {
+        /// Program and arguments.
+        command: Vec<String>,
+        /// Seconds after which it is ended and the task counts as failed.
+        timeout_s: Option<f64>,
+    },
+    /// A program that stays: it reads a task per line of its standard input (JSON) and answers each with a
+    /// line of its standard output (JSON).
+    Session {
+        /// Program and arguments.
+        command: Vec<String>,
+        /// Seconds after which it is ended and the task counts as failed.
+        timeout_s: Option<f64>,
+    },
+    /// A ParaView script that stays, run by `pvbatch`: as `session`.
+    Pvbatch {
+        /// The script.
+        script: PathBuf,
+        /// More arguments of the script.
+        #[serde(default)]
+        args: Vec<String>,
+        /// The program.
+        #[serde(default = "default_pvbatch")]
+        program: String,
+        /// Seconds after which it is ended and the task counts as failed.
+        timeout_s: Option<f64>,
+    },
+}
+
+fn default_shade() -> String {
+    "none".into()
+}
+
+fn default_skip() -> String {
+    "blocks".into()
+}
+
+fn default_termination() -> f32 {
+    0.99
+}
+
+fn default_device() -> String {
+    "auto".into()
+}
+
+fn default_pvbatch() -> String {
+    "pvbatch".into()
+}
+
+/// Where expected times come from.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Predict {
+    /// A model file.
+    pub model: Option<PathBuf>,
+    /// A task list with `task` (an id) and `predicted_s`.
+    pub list: Option<PathBuf>,
+    /// Whether the analytic model looks at the volumes where no model is given. Without it, times are taken
+    /// to go with pixels over step until tasks have been measured.
+    pub analytic: Option<bool>,
+    /// Rays along each side of the probe of the analytic model.
+    pub probe_side: Option<usize>,
+}
+
+/// What happens to tasks that fail.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Retry {
+    /// Times that a task may fail; then it is quarantined.
+    pub attempts: u32,
+    /// Times that a task may be lost with its worker; then it is quarantined.
+    pub losses: u32,
+}
+
+impl Default for Retry {
+    fn default() -> Self {
+        Self { attempts: 3, losses: 8 }
+    }
+}
+
+/// A volume file of a job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VolumeFile {
+    /// The volume's name.
+    pub name: String,
+    /// Time step.
+    pub time: u32,
+    /// Where it is, absolute.
+    pub path: PathBuf,
+    /// Its size.
+    pub bytes: u64,
+    /// Scalar range that maps to 0 … 1.
+    pub range: Option<[f32; 2]>,
+}
+
+/// A transfer function with its name.
+#[derive(Clone, Debug, PartialEq)]
+pub struct NamedTransfer {
+    /// Its name.
+    pub name: String,
+    /// What it is.
+    pub transfer: Transfer,
+}
+
+/// Where a task lies along each of a job's dimensions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// Volume file.
+    pub volume: usize,
+    /// Camera.
+    pub camera: usize,
+    /// Transfer function.
+    pub transfer: usize,
+    /// Image size.
+    pub size: usize,
+    /// Step.
+    pub step: usize,
+}
+
+/// A checked job. Its tasks are all combinations; a task is its number, and its id stays when the job grows.
+#[derive(Clone, Debug)]
+pub struct Job {
+    /// The database's name.
+    pub name: String,
+    /// The database: a folder whose name ends in `.cdb`.
+    pub output: PathBuf,
+    /// Vertical field of view, degrees.
+    pub fov_y_deg: f32,
+    /// Volume files.
+    pub volumes: Vec<VolumeFile>,
+    /// Cameras.
+    pub cameras: Vec<Arcball>,
+    /// Transfer functions.
+    pub transfers: Vec<NamedTransfer>,
+    /// Image sizes.
+    pub sizes: Vec<[u32; 2]>,
+    /// Steps.
+    pub steps: Vec<f32>,
+    /// Who renders.
+    pub renderer: Renderer,
+    /// Where expected times come from.
+    pub predict: Predict,
+    /// What happens to tasks that fail.
+    pub retry: Retry,
+    hashes: [Vec<u64>; 5],
+    salt: u64,
+}
+
+impl Job {
+    /// Reads and checks a job file.
+    ///
+    /// # Errors
+    /// Names the file, the entry, what was found and what is accepted.
+    pub fn open(path: &Path) -> Result<Self> {
+        let text = read_text(path, MAX_JOB_BYTES)
+            .with_context(|| format!("cannot read the job file {}", path.display()))?;
+        let file: JobFile = toml::from_str(&text).map_err(|e| {
+            let at = e.span().map_or(0, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
+            anyhow::anyhow!("{}, line {at}: {}", path.display(), e.message())
+        })?;
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = std::fs::canonicalize(folder)
+            .with_context(|| format!("cannot find the folder {}", folder.display()))?;
+        Self::new(file, &folder).with_context(|| format!("{}", path.display()))
+    }
+
+    /// Checks a job file whose relative paths start at `folder`.
+    ///
+    /// # Errors
+    /// As [`Job::open`].
+    pub fn new(file: JobFile, folder: &Path) -> Result<Self> {
+        check_name("name", &file.name)?;
+        let output = folder.join(file.output.unwrap_or_else(|| format!("{}.cdb", file.name).into()));
+        ensure!(
+            output.extension().is_some_and(|e| e == "cdb"),
+            "output is {}; a Cinema database is a folder whose name ends in .cdb",
+            output.display()
+        );
+        let fov = file.fov_y_deg;
+        Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 })?
+            .with_fov_y_degrees(fov)
+            .context("fov_y_deg")?;
+        let mut sizes = Vec::new();
+        for text in &file.sizes {
+            let (w, h) = parse_size(text).map_err(|e| anyhow::anyhow!("sizes: {e}"))?;
+            sizes.push([w, h]);
+        }
+        for step in &file.steps {
+            ensure!(
+                step.is_finite() && *step > 0.0,
+                "steps: {step} was found; a step is a positive number of reference steps"
+            );
+        }
+        let volumes = volumes(&file.volumes, folder)?;
+        let cameras = cameras(&file.cameras)?;
+        let transfers = transfers(&file.transfer)?;
+        let renderer = renderer(file.renderer, folder)?;
+        ensure!(
+            file.retry.attempts > 0 && file.retry.losses > 0,
+            "retry: attempts and losses are {} and {}; each must be at least 1",
+            file.retry.attempts,
+            file.retry.losses
+        );
+        let under = |p: Option<PathBuf>| p.map(|p| folder.join(p));
+        let predict =
+            Predict { model: under(file.predict.model), list: under(file.predict.list), ..file.predict };
+        ensure!(
+            predict.model.is_none() || predict.list.is_none(),
+            "predict: both model and list are given; give one of them"
+        );
+        let text = |v: &dyn erased::Text| fnv1a(v.text().as_bytes());
+        let hashes = [
+            volumes.iter().map(|v| text(v)).collect(),
+            cameras.iter().map(|v| text(v)).collect(),
+            transfers.iter().map(|v| text(v)).collect(),
+            sizes.iter().map(|v| text(v)).collect(),
+            file.steps.iter().map(|v| text(v)).collect(),
+        ];
+        let salt = fnv1a(format!("{} {fov}", serde_json::to_string(&renderer)?).as_bytes());
+        let job = Self {
+            name: file.name,
+            output,
+            fov_y_deg: fov,
+            volumes,
+            cameras,
+            transfers,
+            sizes,
+            steps: file.steps,
+            renderer,
+            predict,
+            retry: file.retry,
+            hashes,
+            salt,
+        };
+        for (what, count) in ["volumes", "cameras", "transfer", "sizes", "steps"].iter().zip(job.dims()) {
+            ensure!(count > 0, "{what} is empty; a job needs at least one entry");
+        }
+        let count = job.dims().iter().try_fold(1usize, |a, b| a.checked_mul(*b));
+        ensure!(
+            count.is_some_and(|n| n <= MAX_TASKS),
+            "the job has more than {MAX_TASKS} tasks; split it into several"
+        );
+        for (what, hashes) in ["volumes", "cameras", "transfer", "sizes", "steps"].iter().zip(&job.hashes) {
+            let mut seen = HashSet::new();
+            if let Some(i) = hashes.iter().position(|h| !seen.insert(h)) {
+                bail!("{what}: entry {i} is there twice; give each once");
+            }
+        }
+        Ok(job)
+    }
+
+    fn dims(&self) -> [usize; 5] {
+        [self.volumes.len(), self.cameras.len(), self.transfers.len(), self.sizes.len(), self.steps.len()]
+    }
+
+    /// Number of tasks.
+    #[allow(clippy::len_without_is_empty, reason = "a job is never empty")]
+    pub fn len(&self) -> usize {
+        self.dims().iter().product()
+    }
+
+    /// Where a task lies.
+    pub fn place(&self, task: usize) -> Place {
+        let [_, c, t, s, p] = self.dims();
+        let (rest, step) = (task / p, task % p);
+        let (rest, size) = (rest / s, rest % s);
+        let (rest, transfer) = (rest / t, rest % t);
+        Place { volume: rest / c, camera: rest % c, transfer, size, step }
+    }
+
+    /// A task's id: 64 bits of what it shows and who renders it.
+    pub fn id(&self, task: usize) -> u64 {
+        let at = self.place(task);
+        let parts = [at.volume, at.camera, at.transfer, at.size, at.step];
+        let mut bytes = [0u8; 48];
+        bytes[..8].copy_from_slice(&self.salt.to_le_bytes());
+        for (k, &i) in parts.iter().enumerate() {
+            bytes[8 + 8 * k..16 + 8 * k].copy_from_slice(&self.hashes[k][i].to_le_bytes());
+        }
+        // FNV-1a leaves its last bytes in the low bits; the finalizer of SplitMix64 spreads them.
+        let mut x = fnv1a(&bytes);
+        x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        x ^ (x >> 31)
+    }
+
+    /// Where a task's image goes, relative to the database.
+    pub fn image(&self, id: u64) -> String {
+        let text = format!("{id:016x}");
+        format!("image/{}/{text}.png", &text[..2])
+    }
+
+    /// The folder of journal, lock, orders and logs.
+    pub fn state(&self) -> PathBuf {
+        self.output.join(".farm")
+    }
+
+    /// Numbers of the tasks that [`Predict::list`] and journals name by id.
+    pub fn numbers(&self) -> std::collections::HashMap<u64, u32> {
+        (0..self.len()).map(|i| (self.id(i), i as u32)).collect()
+    }
+}
+
+/// The canonical text of an entry, from which ids are made.
+mod erased {
+    use super::{NamedTransfer, VolumeFile};
+    use entire_core::scene::Arcball;
+
+    pub(super) trait Text {
+        fn text(&self) -> String;
+    }
+
+    impl Text for VolumeFile {
+        fn text(&self) -> String {
+            format!("{}\n{}\n{:?}", self.name, self.time, self.range)
+        }
+    }
+
+    impl Text for Arcball {
+        fn text(&self) -> String {
+            format!("{},{},{}", self.rx, self.ry, self.dz)
+        }
+    }
+
+    impl Text for NamedTransfer {
+        fn text(&self) -> String {
+            serde_json::to_string(&self.transfer).unwrap_or_default() + &self.name
+        }
+    }
+
+    impl Text for [u32; 2] {
+        fn text(&self) -> String {
+            format!("{}x{}", self[0], self[1])
+        }
+    }
+
+    impl Text for f32 {
+        fn text(&self) -> String {
+            self.to_string()
+        }
+    }
+}
+
+fn check_name(what: &str, name: &str) -> Result<()> {
+    let ok = |c: char| c.is_alphanumeric() || "-_.".contains(c);
+    ensure!(
+        !name.is_empty() && name.len() <= 200 && name.chars().all(ok) && !name.starts_with('.'),
+        "{what} is {name:?}; letters, digits, - _ and . are accepted, not starting with a dot"
+    );
+    Ok(())
+}
+
+fn volumes(entries: &[VolumesEntry], folder: &Path) -> Result<Vec<VolumeFile>> {
+    let mut out = Vec::new();
+    for entry in entries {
+        let mut paths = Vec::new();
+        for pattern in &entry.files {
+            let whole = folder.join(pattern);
+            let text = whole.to_str().with_context(|| format!("volumes: {pattern:?} is not UTF-8"))?;
+            let before = paths.len();
+            if whole.exists() {
+                paths.push(whole);
+            } else {
+                for found in glob::glob(text).with_context(|| format!("volumes: the pattern {pattern:?}"))? {
+                    paths.push(found.with_context(|| format!("volumes: the pattern {pattern:?}"))?);
+                }
+            }
+            ensure!(
+                paths.len() > before,
+                "volumes: no file matches {pattern:?} in {}; check the path",
+                folder.display()
+            );
+        }
+        paths.sort_by_cached_key(|p| natural(&p.to_string_lossy()));
+        paths.dedup();
+        let stem = |p: &Path| p.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let single = paths.len() == 1;
+        for (time, path) in paths.iter().enumerate() {
+            let name = match &entry.name {
+                Some(name) if entry.series || single => name.clone(),
+                Some(name) => format!("{name}-{}", stem(path)),
+                None if entry.series => stem(&paths[0]),
+                None => stem(path),
+            };
+            let meta = std::fs::metadata(path).with_context(|| format!("cannot read {}", path.display()))?;
+            ensure!(meta.is_file(), "volumes: {} is no file; give volume files", path.display());
+            let time = if entry.series { time as u32 } else { 0 };
+            out.push(VolumeFile { name, time, path: path.clone(), bytes: meta.len(), range: entry.range });
+        }
+    }
+    Ok(out)
+}
+
+/// Text and numbers by turns, so that step 10 comes after step 9.
+fn natural(text: &str) -> Vec<(String, u128)> {
+    let mut out: Vec<(String, u128)> = vec![(String::new(), 0)];
+    let mut digits = false;
+    for c in text.chars() {
+        let digit = c.to_digit(10);
+        if digits && digit.is_none() {
+            out.push((String::new(), 0));
+        }
+        digits = digit.is_some();
+        if let Some(last) = out.last_mut() {
+            match digit {
+                Some(d) => last.1 = last.1.saturating_mul(10).saturating_add(u128::from(d)),
+                None => last.0.push(c),
+            }
+        }
+    }
+    out.push((text.to_owned(), 0));
+    out
+}
+
+fn cameras(entries: &[CamerasEntry]) -> Result<Vec<Arcball>> {
+    let mut out = Vec::new();
+    for entry in entries {
+        match entry {
+            CamerasEntry::Orbit { views, elevation_deg, distances_radii, from_deg, to_deg } => {
+                for &dz in distances_radii {
+                    for i in 0..*views {
+                        let ry = from_deg + (to_deg - from_deg) * i as f32 / *views as f32;
+                        out.push(Arcball { rx: *elevation_deg, ry, dz });
+                    }
+                }
+            }
+            CamerasEntry::SemiSphere { views, distances_radii } => {
+                let golden = 180.0 * (3.0 - 5.0f64.sqrt());
+                for &dz in distances_radii {
+                    for i in 0..*views {
+                        let height = (f64::from(i) + 0.5) / f64::from(*views);
+                        let rx = height.asin().to_degrees() as f32;
+                        let ry = (f64::from(i) * golden).rem_euclid(360.0) as f32;
+                        out.push(Arcball { rx, ry, dz });
+                    }
+                }
+            }
+            CamerasEntry::List { poses } => {
+                out.extend(poses.iter().map(|&[rx, ry, dz]| Arcball { rx, ry, dz }));
+            }
+        }
+    }
+    for (i, pose) in out.iter().enumerate() {
+        Camera::from_arcball(*pose).with_context(|| format!("cameras: view {i}"))?;
+    }
+    Ok(out)
+}
+
+fn transfers(entries: &[TransferEntry]) -> Result<Vec<NamedTransfer>> {
+    let mut out = Vec::new();
+    for entry in entries {
+        check_name("transfer: name", &entry.name)?;
+        let value = match (&entry.lobes, &entry.points) {
+            (Some(lobes), None) => serde_json::json!({ "lobes": lobes.iter().map(|[c, w, h]|
+                serde_json::json!({"center": c, "width": w, "height": h})).collect::<Vec<_>>() }),
+            (None, Some(points)) => serde_json::json!({ "points": points.iter().map(|[p, r, g, b, o]|
+                serde_json::json!({"position": p, "color": [r, g, b], "opacity": o})).collect::<Vec<_>>() }),
+            _ => bail!("transfer {}: give either lobes or points", entry.name),
+        };
+        let transfer: Transfer = serde_json::from_value(value)?;
+        transfer.function().to_table().with_context(|| format!("transfer {}", entry.name))?;
+        out.push(NamedTransfer { name: entry.name.clone(), transfer });
+    }
+    Ok(out)
+}
+
+fn renderer(renderer: Renderer, folder: &Path) -> Result<Renderer> {
+    match &renderer {
+        Renderer::Entire { .. } => {
+            super::worker::draw_settings(&renderer)?;
+            Ok(renderer)
+        }
+        Renderer::Command { command, timeout_s } => {
+            check_program(command, *timeout_s)?;
+            for argument in command {
+                command::check(argument, &Placeholders::NAMES)?;
+            }
+            ensure!(
+                command.iter().any(|a| a.contains("{out}")),
+                "renderer: no argument of the command holds {{out}}, where the image goes; add it"
+            );
+            Ok(renderer)
+        }
+        Renderer::Session { command, timeout_s } => {
+            check_program(command, *timeout_s)?;
+            Ok(renderer)
+        }
+        Renderer::Pvbatch { script, args, program, timeout_s } => {
+            check_program(std::slice::from_ref(program), *timeout_s)?;
+            let script = folder.join(script);
+            ensure!(script.is_file(), "renderer: there is no script {}; check the path", script.display());
+            Ok(Renderer::Pvbatch {
+                script,
+                args: args.clone(),
+                program: program.clone(),
+                timeout_s: *timeout_s,
+            })
+        }
+    }
+}
+
+fn check_program(command: &[String], timeout: Option<f64>) -> Result<()> {
+    ensure!(
+        command.first().is_some_and(|p| !p.is_empty()),
+        "renderer: the command is empty; a program and its arguments are expected"
+    );
+    ensure!(
+        timeout.is_none_or(|t| t.is_finite() && t > 0.0),
+        "renderer: timeout_s is {}; it must be a positive number of seconds",
+        timeout.unwrap_or(f64::NAN)
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+#[path = "job_tests.rs"]
+mod tests;

@@ -1,0 +1,106 @@
+use super::*;
+
+const JOB: &str = r#"
+name = "t"
+sizes = ["16x16", "32x32"]
+steps = [1.0, 2.0]
+[[volumes]]
+files = ["step*.raw"]
+series = true
+name = "s"
+[[cameras]]
+kind = "orbit"
+views = 4
+distances_radii = [2.0, 3.0]
+[[cameras]]
+kind = "semi-sphere"
+views = 5
+distances_radii = [2.5]
+[[cameras]]
+kind = "list"
+poses = [[1, 2, 3]]
+[[transfer]]
+name = "a"
+lobes = [[0.5, 0.1, 0.2]]
+[[transfer]]
+name = "b"
+points = [[0, 0, 0, 0, 0], [1, 1, 1, 1, 0.5]]
+[renderer]
+kind = "command"
+command = ["draw", "{volume}", "--out={out}"]
+"#;
+
+fn folder() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    for i in [1, 2, 9, 10, 11] {
+        std::fs::write(dir.path().join(format!("step{i}.raw")), vec![0; i]).unwrap();
+    }
+    dir
+}
+
+fn open(text: &str, dir: &Path) -> Result<Job> {
+    let file = dir.join("job.toml");
+    std::fs::write(&file, text).unwrap();
+    Job::open(&file)
+}
+
+#[test]
+fn a_job_is_all_combinations_and_ids_survive_its_growth() {
+    let dir = folder();
+    let job = open(JOB, dir.path()).unwrap();
+    assert_eq!(job.len(), 5 * (8 + 5 + 1) * 2 * 2 * 2);
+    // Numbers in names sort by value.
+    assert_eq!(job.volumes.iter().map(|v| v.bytes).collect::<Vec<_>>(), [1, 2, 9, 10, 11]);
+    assert_eq!(job.volumes.iter().map(|v| v.time).collect::<Vec<_>>(), [0, 1, 2, 3, 4]);
+    let ids: HashSet<u64> = (0..job.len()).map(|t| job.id(t)).collect();
+    assert_eq!(ids.len(), job.len());
+    let places: HashSet<String> = (0..job.len()).map(|t| format!("{:?}", job.place(t))).collect();
+    assert_eq!(places.len(), job.len());
+    // More views, another output: every task that was there keeps its id.
+    let grown = JOB.replace("poses = [[1, 2, 3]]", "poses = [[7, 8, 9], [1, 2, 3]]");
+    let grown = open(&grown.replace("name = \"t\"", "name = \"u\""), dir.path()).unwrap();
+    let more: HashSet<u64> = (0..grown.len()).map(|t| grown.id(t)).collect();
+    assert!(ids.is_subset(&more) && more.len() > ids.len());
+    // Another renderer draws other images.
+    let other = open(&JOB.replace("--out=", "-o="), dir.path()).unwrap();
+    assert!((0..other.len()).all(|t| !ids.contains(&other.id(t))));
+}
+
+#[test]
+fn semi_spheres_are_even_and_above() {
+    let poses = cameras(&[CamerasEntry::SemiSphere { views: 200, distances_radii: vec![2.0] }]).unwrap();
+    assert!(poses.iter().all(|p| (0.0..=90.0).contains(&p.rx)));
+    // Equal areas: as many views above 30 degrees (half of the height) as below.
+    assert_eq!(poses.iter().filter(|p| p.rx > 30.0).count(), 100);
+    let half = poses.iter().filter(|p| p.ry < 180.0).count();
+    assert!((95..=105).contains(&half), "{half}");
+}
+
+#[test]
+fn every_mistake_is_named() {
+    let dir = folder();
+    for (from, to, word) in [
+        ("name = \"t\"", "name = \"a/b\"", "name is \"a/b\""),
+        ("name = \"t\"", "name = \"t\"\noutput = \"x\"", ".cdb"),
+        ("step*.raw", "stop*.raw", "no file matches \"stop*.raw\""),
+        ("\"16x16\"", "\"16\"", "WIDTHxHEIGHT"),
+        ("\"16x16\"", "\"32x32\"", "sizes: entry 1 is there twice"),
+        ("steps = [1.0, 2.0]", "steps = [0.0]", "steps: 0"),
+        ("steps = [1.0, 2.0]", "steps = []", "steps is empty"),
+        ("poses = [[1, 2, 3]]", "poses = [[1, 2, -3]]", "cameras: view 13"),
+        ("{volume}", "{volum}", "{volum}"),
+        ("--out={out}", "--out", "{out}"),
+        ("kind = \"command\"", "kind = \"comand\"", "comand"),
+        ("lobes = [[0.5, 0.1, 0.2]]", "lobes = [[0.5, -0.1, 0.2]]", "transfer a"),
+        ("lobes = [[0.5, 0.1, 0.2]]", "", "either lobes or points"),
+        ("views = 5", "views = 5\nvews = 6", "vews"),
+        ("kind = \"command\"", "kind = \"command\"\ntimeout_s = -1.0", "timeout_s is -1"),
+    ] {
+        let text = JOB.replace(from, to);
+        assert_ne!(text, JOB, "{from}");
+        let said = format!("{:#}", open(&text, dir.path()).unwrap_err());
+        assert!(said.contains(word) && said.contains("job.toml"), "{to}: {said}");
+    }
+    let said = format!("{:#}", open("name = \"x\"\nsizes = 5\n", dir.path()).unwrap_err());
+    assert!(said.contains("line 2"), "{said}");
+}

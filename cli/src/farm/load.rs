@@ -1,0 +1,104 @@
+//! What it takes to load volumes: an affine law of their size, for those that a node reads for the first time
+//! (cold) and for those that it has read before (warm), and per volume what was measured.
+
+/// Bytes per second that are taken for true before anything was measured.
+const BEFORE: [f64; 2] = [200e6, 1000e6];
+
+/// The model of loading times.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loads {
+    bytes: Vec<f64>,
+    /// Per volume: sum and count, cold and warm.
+    seen: Vec<[(f64, u32); 2]>,
+    laws: [(f64, f64); 2],
+    fixed: Option<Vec<f64>>,
+}
+
+impl Loads {
+    /// For volumes of these sizes. A renderer that does not tell loading apart loads within its tasks: its
+    /// loads are zero.
+    pub fn new(bytes: Vec<f64>, told: bool) -> Self {
+        let seen = vec![[(0.0, 0); 2]; bytes.len()];
+        let laws = if told { BEFORE.map(|rate| (0.0, 1.0 / rate)) } else { [(0.0, 0.0); 2] };
+        Self { bytes, seen, laws, fixed: None }
+    }
+
+    /// Loads that are known.
+    pub fn known(seconds: Vec<f64>) -> Self {
+        Self { fixed: Some(seconds.clone()), ..Self::new(seconds, false) }
+    }
+
+    /// Takes note of a loading time.
+    pub fn observe(&mut self, volume: usize, warm: bool, seconds: f64) {
+        if !(seconds.is_finite() && seconds > 0.0) || self.fixed.is_some() {
+            return;
+        }
+        let kind = usize::from(warm);
+        let slot = &mut self.seen[volume][kind];
+        slot.0 += seconds;
+        slot.1 += 1;
+        // Least squares through per-volume means, each weighing its count; a rate alone where sizes are alike.
+        let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+        for (bytes, seen) in self.bytes.iter().zip(&self.seen) {
+            let (sum, count) = (seen[kind].0, f64::from(seen[kind].1));
+            n += count;
+            x += count * bytes;
+            y += sum;
+            xx += count * bytes * bytes;
+            xy += bytes * sum;
+        }
+        let spread = n * xx - x * x;
+        let slope = if spread > 1e-9 * n * xx { (n * xy - x * y) / spread } else { -1.0 };
+        let offset = (y - slope * x) / n;
+        self.laws[kind] = if slope >= 0.0 && offset >= 0.0 {
+            (offset, slope)
+        } else if x > 0.0 {
+            (0.0, y / x)
+        } else {
+            (y / n, 0.0)
+        };
+    }
+
+    /// Expected seconds.
+    pub fn seconds(&self, volume: usize, warm: bool) -> f64 {
+        if let Some(fixed) = &self.fixed {
+            return fixed[volume];
+        }
+        let kind = usize::from(warm);
+        let (offset, slope) = self.laws[kind];
+        let law = offset + slope * self.bytes[volume];
+        // A volume's own measurements count beside one of the law.
+        let (sum, n) = self.seen[volume][kind];
+        (sum + law) / f64::from(n + 1)
+    }
+
+    /// The laws: seconds, and seconds per byte, cold and warm.
+    pub fn laws(&self) -> [(f64, f64); 2] {
+        self.laws
+    }
+
+    /// How many loads were seen, cold and warm.
+    pub fn counts(&self) -> [u32; 2] {
+        [0, 1].map(|k| self.seen.iter().map(|s| s[k].1).sum())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cold_and_warm_loads_are_told_apart() {
+        let bytes = vec![1e6, 2e6, 5e6, 9e6];
+        let mut loads = Loads::new(bytes.clone(), true);
+        for v in 0..3 {
+            loads.observe(v, false, 0.5 + 2e-7 * bytes[v]);
+            loads.observe(v, true, 1e-8 * bytes[v]);
+        }
+        // The fourth volume was never loaded.
+        assert!((loads.seconds(3, false) - (0.5 + 1.8)).abs() < 1e-9);
+        assert!((loads.seconds(3, true) - 0.09).abs() < 1e-9);
+        assert_eq!(loads.counts(), [3, 3]);
+        assert_eq!(Loads::new(bytes, false).seconds(2, false), 0.0);
+    }
+}

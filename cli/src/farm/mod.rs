@@ -1,0 +1,33 @@
+//! Render farms: image databases planned, rendered on an engine, corrected as times come in, and recorded so
+//! that nothing is lost.
+//!
+//! [`list`] has task lists and static assignments (`entire schedule`). The rest is `entire farm`: a job file
+//! becomes tasks ([`job`]), tasks get expected times ([`predict`], [`learn`], [`load`]), a planner hands them
+//! out in bundles ([`planner`], [`dispatch`]), an engine runs them ([`engine`], [`worker`]), the journal keeps
+//! what is done ([`journal`], [`spool`]). The simulator ([`simulate`]) runs the same planner.
+
+pub mod cinema;
+pub mod command;
+pub mod dispatch;
+pub mod drive;
+pub mod engine;
+pub mod job;
+pub mod journal;
+pub mod learn;
+pub mod list;
+pub mod load;
+pub mod openjd;
+pub mod planner;
+pub mod predict;
+pub mod record;
+pub mod report;
+mod session;
+pub mod show;
+pub mod simulate;
+pub mod spool;
+pub mod survey;
+pub mod worker;
+
+pub use list::{
+    By, Farm, Method, Plan, Task, eta, parse_tasks, plan, play, read_tasks, times, volume_numbers,
+};

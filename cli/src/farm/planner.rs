@@ -1,0 +1,527 @@
+//! The plan that lives: what waits, what runs where, what it is expected to take, and when all will be done.
+//! The driver and the simulator ask the same planner.
+
+use super::dispatch::{Ask, Dispatcher, Order};
+use super::learn::{Learner, Shape};
+use super::load::Loads;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap, HashSet, VecDeque};
+
+/// Tasks that are drawn one by one for the expected end; of more a sample stands for all.
+const DRAWN: usize = 4096;
+/// Draws of the expected end.
+const DRAWS: usize = 200;
+/// Tasks up to which the expected end plays the plan with loads and bundles.
+const PLAYED: usize = 20_000;
+/// Share of the work in which some tasks are sent for the sake of learning, and how many of them: one in four.
+const EXPLORED: (f64, u32) = (0.1, 4);
+
+/// Where a task stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// It is not asked for in this run.
+    Idle,
+    /// It waits.
+    Waits,
+    /// It was sent.
+    Sent,
+    /// It is done.
+    Done,
+    /// It is given up.
+    Quarantined,
+}
+
+/// How a run is planned.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Setting {
+    /// Slots that work at once.
+    pub slots: usize,
+    /// Whether each slot is asked for by name and keeps its volume; else bundles go to whoever is free and
+    /// each loads its volume.
+    pub bound: bool,
+    /// Seconds that sending a bundle costs a slot.
+    pub overhead: f64,
+    /// Seconds that no bundle may take.
+    pub limit: Option<f64>,
+    /// In which order tasks are sent.
+    pub order: Order,
+    /// Whether expected times are corrected by measured ones.
+    pub learn: bool,
+}
+
+/// A slot.
+#[derive(Clone, Debug, Default)]
+struct Slot {
+    held: Option<usize>,
+    loaded: HashSet<u32>,
+    gone: bool,
+}
+
+/// A bundle that was sent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sent {
+    /// Its number.
+    pub bundle: u64,
+    /// Its tasks.
+    pub tasks: Vec<u32>,
+    /// The slot that it is for.
+    pub slot: Option<usize>,
+    /// The volume of its tasks.
+    pub volume: usize,
+    /// Expected seconds with loading, on that slot.
+    pub expected_s: f64,
+    /// Expected seconds of its tasks, on a node of speed 1.
+    pub predicted_s: Vec<f32>,
+}
+
+#[derive(Clone, Debug)]
+struct Running {
+    sent: Sent,
+    open: Vec<u32>,
+    at: f64,
+    /// When its first task began, where that is known.
+    begun: Option<f64>,
+    busy: f64,
+}
+
+/// The plan.
+#[derive(Clone, Debug)]
+pub struct Planner {
+    setting: Setting,
+    learner: Learner,
+    loads: Loads,
+    dispatcher: Dispatcher,
+    stages: VecDeque<Vec<u32>>,
+    states: Vec<State>,
+    slots: Vec<Slot>,
+    running: BTreeMap<u64, Running>,
+    bundles: u64,
+    overhead: f64,
+    overheads: u32,
+    done: usize,
+    wanted: usize,
+    stale: bool,
+}
+
+/// A bundle that takes longer than it should.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Straggler {
+    /// Its number.
+    pub bundle: u64,
+    /// The task it is probably at.
+    pub task: u32,
+    /// The slot, where it is known.
+    pub slot: Option<usize>,
+    /// Seconds since it was sent.
+    pub elapsed_s: f64,
+    /// Seconds that were expected.
+    pub expected_s: f64,
+}
+
+impl Planner {
+    /// A plan for tasks whose base seconds `shape` holds.
+    pub fn new(shape: Shape, loads: Loads, setting: Setting) -> Self {
+        let learner = Learner::new(shape);
+        let shape = learner.shape();
+        let volume = (0..shape.len()).map(|t| shape.volume(t) as u32).collect();
+        let seconds = learner.all_seconds();
+        let dispatcher = Dispatcher::new(seconds, volume, shape.volumes(), setting.order);
+        let states = vec![State::Idle; shape.len()];
+        Self {
+            overhead: setting.overhead,
+            overheads: 0,
+            slots: vec![Slot::default(); setting.slots],
+            setting,
+            learner,
+            loads,
+            dispatcher,
+            stages: VecDeque::new(),
+            states,
+            running: BTreeMap::new(),
+            bundles: 0,
+            done: 0,
+            wanted: 0,
+            stale: false,
+        }
+    }
+
+    /// Takes the order as it stands for uniform costs.
+    pub fn set_uniform(&mut self) {
+        self.dispatcher.set_uniform();
+    }
+
+    /// Adds tasks, which come after those that were added before.
+    pub fn add_stage(&mut self, tasks: Vec<u32>) {
+        for &t in &tasks {
+            self.states[t as usize] = State::Waits;
+        }
+        self.wanted += tasks.len();
+        self.stages.push_back(tasks);
+        self.next_stage();
+    }
+
+    fn next_stage(&mut self) {
+        if self.dispatcher.pending() == 0
+            && let Some(stage) = self.stages.pop_front()
+        {
+            self.dispatcher.add(stage);
+        }
+    }
+
+    /// A task was done in a run before: its time teaches.
+    pub fn done_before(&mut self, task: u32, node: usize, seconds: f64) {
+        if self.states[task as usize] != State::Done {
+            self.states[task as usize] = State::Done;
+            self.done += 1;
+            self.wanted += 1;
+        }
+        if self.setting.learn {
+            self.stale |= self.learner.observe(task as usize, node, seconds);
+        }
+    }
+
+    /// A task is given up.
+    pub fn quarantine(&mut self, bundle: Option<u64>, task: u32) {
+        if let Some(r) = bundle.and_then(|b| self.running.get_mut(&b)) {
+            r.open.retain(|t| *t != task);
+        }
+        self.states[task as usize] = State::Quarantined;
+    }
+
+    /// Where a task stands.
+    pub fn state(&self, task: u32) -> State {
+        self.states[task as usize]
+    }
+
+    /// The model of times.
+    pub fn learner(&self) -> &Learner {
+        &self.learner
+    }
+
+    /// The model of loading times.
+    pub fn loads(&self) -> &Loads {
+        &self.loads
+    }
+
+    /// Takes note of a loading time of another node.
+    pub fn loads_mut(&mut self) -> &mut Loads {
+        &mut self.loads
+    }
+
+    /// Tasks that are done, and all that are wanted.
+    pub fn progress(&self) -> (usize, usize) {
+        (self.done, self.wanted)
+    }
+
+    /// Tasks that wait.
+    pub fn pending(&self) -> usize {
+        self.dispatcher.pending() + self.stages.iter().map(Vec::len).sum::<usize>()
+    }
+
+    /// Bundles that were sent and are not over.
+    pub fn running(&self) -> usize {
+        self.running.len()
+    }
+
+    /// Whether everything is over.
+    pub fn is_over(&self) -> bool {
+        self.pending() == 0 && self.running.is_empty()
+    }
+
+    /// Seconds that sending a bundle costs, as it was found.
+    pub fn overhead(&self) -> f64 {
+        self.overhead
+    }
+
+    /// Takes another figure for what sending a bundle costs.
+    pub fn set_overhead(&mut self, seconds: f64) {
+        self.overhead = seconds;
+    }
+
+    /// Expected seconds of a task now.
+    pub fn expected(&self, task: u32) -> f64 {
+        f64::from(self.dispatcher.seconds(task))
+    }
+
+    /// Takes over corrected times.
+    pub fn refresh(&mut self) {
+        if self.stale {
+            self.stale = false;
+            self.dispatcher.reorder(self.learner.all_seconds());
+        }
+    }
+
+    /// The next bundle for a slot, or for whoever is free.
+    pub fn next(&mut self, slot: Option<usize>, now: f64) -> Option<Sent> {
+        self.refresh();
+        self.next_stage();
+        let early = (self.done as f64) < EXPLORED.0 * self.wanted as f64;
+        self.dispatcher.set_explore(if early && self.setting.learn { EXPLORED.1 } else { 0 });
+        let (learner, loads, slots) = (&self.learner, &self.loads, &self.slots);
+        let of_slot = slot.map(|s| &slots[s]);
+        let load = |v: usize| loads.seconds(v, of_slot.is_some_and(|s| s.loaded.contains(&(v as u32))));
+        let speed = slot.map_or(1.0, |s| learner.speed(s));
+        let ask = Ask {
+            held: of_slot.and_then(|s| s.held),
+            keeps: of_slot.is_some(),
+            load: &load,
+            overhead: self.overhead,
+            slots: slots.iter().filter(|s| !s.gone).count(),
+            limit: self.setting.limit.unwrap_or(f64::INFINITY) / 2.0,
+        };
+        let tasks = self.dispatcher.next(&ask)?;
+        let volume = learner.shape().volume(tasks[0] as usize);
+        let loading = if ask.held == Some(volume) { 0.0 } else { load(volume) };
+        let predicted_s: Vec<f32> = tasks.iter().map(|t| self.dispatcher.seconds(*t)).collect();
+        let expected_s = loading + predicted_s.iter().map(|s| f64::from(*s)).sum::<f64>() / speed;
+        for &t in &tasks {
+            self.states[t as usize] = State::Sent;
+        }
+        if let Some(s) = slot {
+            let before = self.slots[s].held.replace(volume);
+            self.slots[s].loaded.insert(volume as u32);
+            self.dispatcher.hold(before, Some(volume));
+        }
+        let bundle = self.bundles;
+        self.bundles += 1;
+        let sent = Sent { bundle, tasks: tasks.clone(), slot, volume, expected_s, predicted_s };
+        let running = Running { sent: sent.clone(), open: tasks, at: now, begun: None, busy: 0.0 };
+        self.running.insert(bundle, running);
+        Some(sent)
+    }
+
+    /// Numbers bundles from here on, so that those of a run before stay apart.
+    pub fn number_from(&mut self, bundle: u64) {
+        self.bundles = self.bundles.max(bundle);
+    }
+
+    /// A bundle was begun.
+    pub fn begun(&mut self, bundle: u64, at: f64) {
+        if let Some(r) = self.running.get_mut(&bundle) {
+            r.begun.get_or_insert(at);
+        }
+    }
+
+    /// A task is done. False where it was done before.
+    pub fn done(&mut self, bundle: u64, task: u32, node: usize, seconds: f64, load: f64) -> bool {
+        if let Some(r) = self.running.get_mut(&bundle) {
+            r.open.retain(|t| *t != task);
+            r.busy += seconds + load;
+        }
+        if self.states[task as usize] == State::Done {
+            return false;
+        }
+        self.states[task as usize] = State::Done;
+        self.done += 1;
+        if self.setting.learn {
+            self.stale |= self.learner.observe(task as usize, node, seconds);
+        }
+        true
+    }
+
+    /// A task is sent again, later.
+    pub fn again(&mut self, bundle: u64, task: u32) {
+        if let Some(r) = self.running.get_mut(&bundle) {
+            r.open.retain(|t| *t != task);
+        }
+        if self.states[task as usize] == State::Sent {
+            self.states[task as usize] = State::Waits;
+            self.dispatcher.add_again(task);
+        }
+    }
+
+    /// A bundle is over; the tasks that it left open wait again.
+    pub fn ended(&mut self, bundle: u64, now: f64) {
+        let Some(r) = self.running.remove(&bundle) else { return };
+        if self.setting.bound && r.open.is_empty() {
+            // What the slot was busy without rendering or loading.
+            let gap = (now - r.at - r.busy).clamp(0.0, 60.0);
+            self.overheads += 1;
+            let weight = f64::from(self.overheads.min(50)).recip();
+            self.overhead += weight * (gap - self.overhead);
+        }
+        for task in r.open {
+            self.again(bundle, task);
+        }
+    }
+
+    /// A slot has lost what it held.
+    pub fn forget(&mut self, slot: usize) {
+        let before = self.slots[slot].held.take();
+        self.dispatcher.hold(before, None);
+    }
+
+    /// The tasks of a bundle that are not over.
+    pub fn open(&self, bundle: u64) -> &[u32] {
+        self.running.get(&bundle).map_or(&[], |r| &r.open)
+    }
+
+    /// The slot of a bundle.
+    pub fn slot_of(&self, bundle: u64) -> Option<usize> {
+        self.running.get(&bundle).and_then(|r| r.sent.slot)
+    }
+
+    /// Bundles that take longer than all but one in a thousand should.
+    pub fn stragglers(&self, now: f64) -> Vec<Straggler> {
+        let spread = 3.0 * self.learner.log_sd().hypot(0.05);
+        let mut out: Vec<Straggler> = self
+            .running
+            .values()
+            .filter(|r| self.setting.bound || r.begun.is_some())
+            .filter_map(|r| {
+                let elapsed = now - r.begun.unwrap_or(r.at);
+                let expected = r.sent.expected_s;
+                let late = elapsed > expected * spread.exp() + 1.0 && self.learner.observed() >= 10;
+                late.then(|| Straggler {
+                    bundle: r.sent.bundle,
+                    task: r.open.first().copied().unwrap_or(r.sent.tasks[0]),
+                    slot: r.sent.slot,
+                    elapsed_s: elapsed,
+                    expected_s: expected,
+                })
+            })
+            .collect();
+        out.sort_by(|a, b| b.elapsed_s.total_cmp(&a.elapsed_s));
+        out
+    }
+
+    /// Seconds until all is done: 5, 50 and 95 percent of draws.
+    pub fn eta(&self, now: f64) -> [f64; 3] {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let mut tasks: Vec<u32> = self.stages.iter().flatten().copied().collect();
+        tasks.extend(self.dispatcher.waiting());
+        let all = tasks.len();
+        tasks.sort_unstable_by(|a, b| {
+            self.dispatcher.seconds(*b).total_cmp(&self.dispatcher.seconds(*a)).then(a.cmp(b))
+        });
+        if self.setting.order == Order::Arrival {
+            tasks.sort_unstable();
+        }
+        let stride = all.div_ceil(DRAWN).max(1);
+        let scale = all as f64 / all.div_ceil(stride).max(1) as f64;
+        let drawn: Vec<u32> = tasks.iter().copied().skip(stride / 2).step_by(stride).collect();
+        let live: Vec<usize> = (0..self.slots.len()).filter(|s| !self.slots[*s].gone).collect();
+        let speeds: Vec<f64> =
+            live.iter().map(|s| if self.setting.bound { self.learner.speed(*s) } else { 1.0 }).collect();
+        let expected: Vec<f64> = drawn.iter().map(|t| f64::from(self.dispatcher.seconds(*t))).collect();
+        let sampled = stride > 1;
+        // With every task: as a queue. With a sample: all work over all speed.
+        let end = |times: &[f64], busy: &[f64]| {
+            if sampled {
+                let work = scale * times.iter().sum::<f64>();
+                (work / speeds.iter().sum::<f64>()) + busy.iter().sum::<f64>() / busy.len().max(1) as f64
+            } else {
+                queue_end(times, busy, &speeds)
+            }
+        };
+        let rest: Vec<(&Running, f64)> = self
+            .running
+            .values()
+            .map(|r| (r, (now - r.begun.unwrap_or(if self.setting.bound { r.at } else { now })).max(0.0)))
+            .collect();
+        let busy_of = |seconds: &mut dyn FnMut(&Running) -> f64| {
+            let mut busy = vec![0.0; speeds.len()];
+            for (k, (r, elapsed)) in rest.iter().enumerate() {
+                let place = r.sent.slot.and_then(|s| live.iter().position(|l| *l == s)).unwrap_or(k);
+                let Some(slot) = busy.get_mut(place) else {
+                    // More bundles than slots: those wait their turn behind the others.
+                    let least = busy.iter_mut().min_by(|a, b| f64::total_cmp(a, b));
+                    if let Some(least) = least {
+                        *least += seconds(r);
+                    }
+                    continue;
+                };
+                let whole = seconds(r);
+                // What a task is known to take already is not drawn again.
+                *slot += (whole - elapsed).max(0.05 * whole);
+            }
+            busy
+        };
+        let middle_busy = busy_of(&mut |r| r.sent.expected_s);
+        let plain = end(&expected, &middle_busy);
+        let extra = self.extra(all, &middle_busy, &speeds, plain);
+        let mut ends: Vec<f64> = (0..DRAWS)
+            .map(|_| {
+                let draw = self.learner.draw(&mut rng);
+                let times: Vec<f64> =
+                    drawn.iter().map(|t| self.learner.drawn_seconds(&draw, *t as usize, &mut rng)).collect();
+                let busy = busy_of(&mut |r| {
+                    let load = (r.sent.expected_s
+                        - r.sent.predicted_s.iter().map(|s| f64::from(*s)).sum::<f64>())
+                    .max(0.0);
+                    let tasks = r.sent.tasks.iter();
+                    load + tasks
+                        .map(|t| self.learner.drawn_seconds(&draw, *t as usize, &mut rng))
+                        .sum::<f64>()
+                });
+                end(&times, &busy) + extra
+            })
+            .collect();
+        ends.sort_by(f64::total_cmp);
+        [ends[DRAWS / 20], ends[DRAWS / 2], ends[DRAWS - 1 - DRAWS / 20]]
+    }
+
+    /// What loading and sending bundles add to a plain queue, by playing the plan on expected times.
+    fn extra(&self, all: usize, busy: &[f64], speeds: &[f64], plain: f64) -> f64 {
+        if all == 0 {
+            return 0.0;
+        }
+        if all > PLAYED {
+            let mean = self.dispatcher.work() / all as f64;
+            let per_bundle = (50.0 * self.overhead / mean.max(1e-9)).clamp(1.0, 4096.0);
+            return all as f64 / per_bundle * self.overhead / speeds.len().max(1) as f64;
+        }
+        let mut copy = self.clone();
+        copy.setting.learn = false;
+        let bound = copy.setting.bound;
+        let mut free: BinaryHeap<Reverse<(Time, usize)>> =
+            busy.iter().enumerate().map(|(slot, at)| Reverse((Time(*at), slot))).collect();
+        let mut last = 0.0f64;
+        while let Some(Reverse((Time(at), slot))) = free.pop() {
+            let asked = bound.then_some(slot).filter(|s| *s < copy.slots.len());
+            match copy.next(asked, at) {
+                Some(sent) => {
+                    let end = at + copy.overhead + sent.expected_s;
+                    last = last.max(end);
+                    free.push(Reverse((Time(end), slot)));
+                }
+                None => last = last.max(at),
+            }
+        }
+        last - plain
+    }
+}
+
+/// A time that can be put in order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Time(pub(crate) f64);
+
+impl Eq for Time {}
+
+impl PartialOrd for Time {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Time {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        self.0.total_cmp(&other.0)
+    }
+}
+
+/// When a queue is over: tasks in order, each to the slot that is free first.
+pub fn queue_end(times: &[f64], busy: &[f64], speeds: &[f64]) -> f64 {
+    let mut last = busy.iter().copied().fold(0.0, f64::max);
+    let mut free: BinaryHeap<Reverse<(Time, usize)>> =
+        busy.iter().enumerate().map(|(slot, at)| Reverse((Time(*at), slot))).collect();
+    for time in times {
+        let Some(Reverse((Time(at), slot))) = free.pop() else { return f64::INFINITY };
+        let end = at + time / speeds[slot];
+        last = last.max(end);
+        free.push(Reverse((Time(end), slot)));
+    }
+    last
+}

@@ -1,0 +1,202 @@
+//! An event simulator of farms: the same planner that drives real engines, on tasks whose true times are
+//! given. Bundles cost latency, volumes are loaded, nodes differ in speed and fail.
+
+use super::planner::{Planner, Time};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, HashSet};
+
+/// What happens, and how long it takes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct World {
+    /// True seconds of the tasks on a node of speed 1.
+    pub seconds: Vec<f64>,
+    /// Volume of each task.
+    pub volume: Vec<usize>,
+    /// Seconds to load each volume on a node that never had it.
+    pub load_cold: Vec<f64>,
+    /// Seconds to load each volume on a node that had it before.
+    pub load_warm: Vec<f64>,
+    /// Speed of each slot.
+    pub speeds: Vec<f64>,
+    /// Seconds of a slot that each bundle costs.
+    pub latency: f64,
+    /// Seconds of the engine that each bundle costs; it sends one after the other.
+    pub dispatch: f64,
+    /// Whether slots are asked for by name and keep their volume.
+    pub bound: bool,
+    /// Failures of a slot per hour; its bundle is lost.
+    pub failures_per_hour: f64,
+    /// Seconds until a failed slot is back, having lost its volume.
+    pub repair: f64,
+    /// Seed of the failures.
+    pub seed: u64,
+}
+
+/// A task's place in time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ran {
+    /// The task.
+    pub task: u32,
+    /// The slot.
+    pub slot: usize,
+    /// Seconds from the beginning.
+    pub start: f64,
+    /// Seconds from the beginning.
+    pub end: f64,
+}
+
+/// What was said of the end during a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Said {
+    /// Seconds from the beginning.
+    pub at: f64,
+    /// The end at 5, 50 and 95 percent, seconds from the beginning.
+    pub end: [f64; 3],
+}
+
+/// What a simulated run did.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Outcome {
+    /// When the last task was done.
+    pub makespan: f64,
+    /// Tasks in the order in which they ended.
+    pub ran: Vec<Ran>,
+    /// Bundles that were sent.
+    pub bundles: usize,
+    /// Volumes that were loaded.
+    pub loads: usize,
+    /// Bundles that were lost.
+    pub lost: usize,
+    /// What was said of the end when these shares of all true work were done.
+    pub said: Vec<Said>,
+}
+
+enum Event {
+    Free(usize),
+    Done { bundle: u64, task: u32, slot: usize, start: f64, seconds: f64, load: f64 },
+    Over { bundle: u64, slot: usize },
+    Lost { bundle: u64, slot: usize },
+}
+
+/// Runs a plan to its end. `ask_at` are shares of the true work at which the planner says when it will be done.
+pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome {
+    let slots = world.speeds.len();
+    let mut rng = ChaCha8Rng::seed_from_u64(world.seed);
+    let mut out = Outcome::default();
+    let mut heap: BinaryHeap<Reverse<(Time, u64)>> = BinaryHeap::new();
+    let mut events: Vec<Option<Event>> = Vec::new();
+    let mut unused: Vec<usize> = Vec::new();
+    let mut order = 0u32;
+    // The low half of the key is the event's place, the high half keeps equal times in order.
+    let mut push = |heap: &mut BinaryHeap<Reverse<(Time, u64)>>,
+                    events: &mut Vec<Option<Event>>,
+                    unused: &mut Vec<usize>,
+                    at: f64,
+                    event: Event| {
+        order = order.wrapping_add(1);
+        let place = unused.pop().unwrap_or_else(|| {
+            events.push(None);
+            events.len() - 1
+        });
+        events[place] = Some(event);
+        heap.push(Reverse((Time(at), u64::from(order) << 32 | place as u64)));
+    };
+    for slot in 0..slots {
+        push(&mut heap, &mut events, &mut unused, 0.0, Event::Free(slot));
+    }
+    let total: f64 = world.seconds.iter().sum();
+    let mut ask_at: Vec<f64> = ask_at.iter().rev().copied().collect();
+    let mut worked = 0.0;
+    let mut held: Vec<Option<usize>> = vec![None; slots];
+    let mut loaded: HashSet<(usize, usize)> = HashSet::new();
+    let mut idle: Vec<usize> = Vec::new();
+    let mut engine_free = 0.0f64;
+    while let Some(Reverse((Time(now), key))) = heap.pop() {
+        let place = (key & 0xffff_ffff) as usize;
+        let Some(event) = events[place].take() else { continue };
+        unused.push(place);
+        let mut asks: Vec<usize> = Vec::new();
+        match event {
+            Event::Free(slot) => asks.push(slot),
+            Event::Done { bundle, task, slot, start, seconds, load } => {
+                planner.done(bundle, task, slot, seconds, load);
+                if load > 0.0 {
+                    let volume = world.volume[task as usize];
+                    let warm = !loaded.insert((slot, volume));
+                    planner.loads_mut().observe(volume, warm, load);
+                }
+                worked += world.seconds[task as usize];
+                out.ran.push(Ran { task, slot, start, end: now });
+                out.makespan = now;
+                while ask_at.last().is_some_and(|share| worked >= share * total) {
+                    ask_at.pop();
+                    out.said.push(Said { at: now, end: planner.eta(now).map(|s| now + s) });
+                }
+            }
+            Event::Over { bundle, slot } => {
+                planner.ended(bundle, now);
+                asks.push(slot);
+                asks.append(&mut idle);
+            }
+            Event::Lost { bundle, slot } => {
+                out.lost += 1;
+                planner.ended(bundle, now);
+                held[slot] = None;
+                if world.bound {
+                    planner.forget(slot);
+                }
+                push(&mut heap, &mut events, &mut unused, now + world.repair, Event::Free(slot));
+                asks.append(&mut idle);
+            }
+        }
+        for slot in asks {
+            let Some(sent) = planner.next(world.bound.then_some(slot), now) else {
+                idle.push(slot);
+                continue;
+            };
+            out.bundles += 1;
+            engine_free = engine_free.max(now) + world.dispatch;
+            let mut at = engine_free + world.latency;
+            planner.begun(sent.bundle, at);
+            let lost_at = if world.failures_per_hour > 0.0 {
+                let unit = ((rng.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
+                at - unit.ln() * 3600.0 / world.failures_per_hour
+            } else {
+                f64::INFINITY
+            };
+            let mut load = 0.0;
+            if !(world.bound && held[slot] == Some(sent.volume)) {
+                let warm = loaded.contains(&(slot, sent.volume));
+                load = if warm { world.load_warm[sent.volume] } else { world.load_cold[sent.volume] };
+                out.loads += 1;
+                held[slot] = Some(sent.volume);
+            }
+            let mut lost = false;
+            for &task in &sent.tasks {
+                let seconds = world.seconds[task as usize] / world.speeds[slot];
+                let start = at;
+                at += load + seconds;
+                if at > lost_at {
+                    lost = true;
+                    break;
+                }
+                let done = Event::Done { bundle: sent.bundle, task, slot, start, seconds, load };
+                push(&mut heap, &mut events, &mut unused, at, done);
+                load = 0.0;
+            }
+            let over = if lost {
+                Event::Lost { bundle: sent.bundle, slot }
+            } else {
+                Event::Over { bundle: sent.bundle, slot }
+            };
+            push(&mut heap, &mut events, &mut unused, at.min(lost_at), over);
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+#[path = "simulate_tests.rs"]
+mod tests;

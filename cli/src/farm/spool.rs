@@ -1,0 +1,90 @@
+//! The spool: files to which workers append what became of tasks. The driver follows them while they grow.
+
+use super::record::Line;
+use anyhow::{Context, Result};
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+/// The whole lines of a spool file; none where there is no such file. Lines that a killed worker left in part
+/// are passed over.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn lines(path: &Path) -> Result<Vec<Line>> {
+    let mut follow = Follow::default();
+    follow.read(path)
+}
+
+#[derive(Debug, Default)]
+struct Follow {
+    at: u64,
+    rest: Vec<u8>,
+}
+
+impl Follow {
+    fn read(&mut self, path: &Path) -> Result<Vec<Line>> {
+        let mut file = match File::open(path) {
+            Ok(file) => file,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(e) => return Err(e).with_context(|| format!("cannot read {}", path.display())),
+        };
+        let fail = || format!("cannot read {}", path.display());
+        file.seek(SeekFrom::Start(self.at)).with_context(fail)?;
+        self.at += file.read_to_end(&mut self.rest).with_context(fail)? as u64;
+        let mut out = Vec::new();
+        while let Some(end) = self.rest.iter().position(|b| *b == b'\n') {
+            let line: Vec<u8> = self.rest.drain(..=end).collect();
+            if let Ok(line) = serde_json::from_slice(&line) {
+                out.push(line);
+            }
+        }
+        Ok(out)
+    }
+}
+
+/// Follows the files of bundles that are under way.
+#[derive(Debug)]
+pub struct Spool {
+    folder: PathBuf,
+    open: HashMap<u64, Follow>,
+}
+
+impl Spool {
+    /// The spool of a state folder.
+    pub fn new(state: &Path) -> Self {
+        Self { folder: state.join("spool"), open: HashMap::new() }
+    }
+
+    /// Follows a bundle's file from now on.
+    pub fn follow(&mut self, bundle: u64) {
+        self.open.entry(bundle).or_default();
+    }
+
+    /// What was added since the last look.
+    ///
+    /// # Errors
+    /// When a file cannot be read.
+    pub fn poll(&mut self) -> Result<Vec<(u64, Line)>> {
+        let mut out = Vec::new();
+        let mut ended = Vec::new();
+        for (&bundle, follow) in &mut self.open {
+            for line in follow.read(&self.folder.join(format!("{bundle}.jsonl")))? {
+                if matches!(line, Line::End { .. }) {
+                    ended.push(bundle);
+                }
+                out.push((bundle, line));
+            }
+        }
+        for bundle in ended {
+            self.open.remove(&bundle);
+        }
+        Ok(out)
+    }
+
+    /// Looks at a bundle no more.
+    pub fn forget(&mut self, bundle: u64) {
+        self.open.remove(&bundle);
+    }
+}

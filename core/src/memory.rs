@@ -1,0 +1,93 @@
+//! Memory whose size a file or a caller decides: asked for in a way that can fail.
+
+use crate::{Error, ErrorKind, Result};
+use alloc::vec::Vec;
+
+/// The error where the allocator has no such room. Its text stands in the program: there may be no memory for
+/// another.
+#[cold]
+pub(crate) fn no_memory() -> Error {
+    Error::new(
+        ErrorKind::OutOfMemory,
+        "there is no memory for what the model or the volume needs; give the process more, or use a smaller one",
+    )
+}
+
+/// An empty vector with room for `len` elements.
+pub(crate) fn room<T>(len: usize) -> Result<Vec<T>> {
+    let mut out = Vec::new();
+    match out.try_reserve_exact(len) {
+        Ok(()) => Ok(out),
+        Err(_) => Err(no_memory()),
+    }
+}
+
+/// `len` times a value.
+pub(crate) fn filled<T: Clone>(len: usize, value: T) -> Result<Vec<T>> {
+    let mut out = room(len)?;
+    out.resize(len, value);
+    Ok(out)
+}
+
+/// Room for `len` elements in all.
+pub(crate) fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
+    match vector.try_reserve_exact(len.saturating_sub(vector.len())) {
+        Ok(()) => Ok(()),
+        Err(_) => Err(no_memory()),
+    }
+}
+
+/// Makes a vector as long as `len`; new elements are `value`.
+pub(crate) fn resize<T: Clone>(vector: &mut Vec<T>, len: usize, value: T) -> Result<()> {
+    reserve(vector, len)?;
+    vector.resize(len, value);
+    Ok(())
+}
+
+/// A copy of a slice.
+pub(crate) fn copied<T: Copy>(slice: &[T]) -> Result<Vec<T>> {
+    let mut out = room(slice.len())?;
+    out.extend_from_slice(slice);
+    Ok(out)
+}
+
+/// The elements of an iterator that knows how many they are.
+pub(crate) fn collected<T>(elements: impl ExactSizeIterator<Item = T>) -> Result<Vec<T>> {
+    let mut out = room(elements.len())?;
+    out.extend(elements);
+    Ok(out)
+}
+
+/// Whether so many bytes can be had: for work in many small pieces, none of which can fail by itself.
+pub(crate) fn check_bytes(bytes: usize) -> Result<()> {
+    room::<u8>(bytes).map(drop)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::vec;
+
+    #[test]
+    fn what_cannot_be_had_is_an_error() {
+        assert_eq!(room::<u64>(usize::MAX).unwrap_err().kind(), ErrorKind::OutOfMemory);
+        assert_eq!(filled(isize::MAX as usize, 1u8).unwrap_err().kind(), ErrorKind::OutOfMemory);
+        assert_eq!(check_bytes(isize::MAX as usize).unwrap_err().kind(), ErrorKind::OutOfMemory);
+        let mut kept = vec![1u8, 2];
+        assert_eq!(resize(&mut kept, isize::MAX as usize, 0).unwrap_err().kind(), ErrorKind::OutOfMemory);
+        assert_eq!(kept, [1, 2]);
+    }
+
+    #[test]
+    fn what_can_be_had_is_exact() {
+        assert_eq!(filled(3, 7u8).unwrap(), [7, 7, 7]);
+        assert_eq!(copied(&[1.5f32, 2.5]).unwrap(), [1.5, 2.5]);
+        assert_eq!(collected([3u8, 4].into_iter()).unwrap(), [3, 4]);
+        let mut kept = vec![1u8, 2, 3];
+        resize(&mut kept, 5, 9).unwrap();
+        assert_eq!(kept, [1, 2, 3, 9, 9]);
+        resize(&mut kept, 1, 9).unwrap();
+        assert_eq!(kept, [1]);
+        check_bytes(1 << 10).unwrap();
+    }
+}

@@ -1,0 +1,364 @@
+//! The window: opens it, listens to it, and decides what is done next.
+
+mod commands;
+mod frame;
+mod idle;
+
+use crate::host::{Host, Options};
+use crate::loading::{Job, Loading};
+use crate::log::Log;
+use crate::present::{Presenter, surface_extensions};
+use crate::refine::Refinement;
+use crate::scene::Scene;
+use crate::screenshot::Screenshot;
+use crate::script::Script;
+use crate::state::{Command, State};
+use crate::steering::Steer;
+use anyhow::{Context, Result, anyhow, bail};
+use egui::TextureId;
+use entire_core::scene::{Shading, Skipping};
+use entire_vk_raycaster::{Picture, Renderer, SharedDevice, VulkanOptions, VulkanRaycaster};
+use std::collections::HashSet;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use winit::application::ApplicationHandler;
+use winit::dpi::PhysicalSize;
+use winit::event::WindowEvent;
+use winit::event_loop::{ActiveEventLoop, ControlFlow, EventLoop, EventLoopProxy};
+use winit::window::{Window, WindowId};
+
+/// How the interface names the two pictures, whatever textures they have.
+pub(crate) const STEERED: TextureId = TextureId::User(u64::MAX);
+pub(crate) const FULL: TextureId = TextureId::User(u64::MAX - 1);
+
+/// A second loss of the device within this time is not recovered from.
+const LOST_AGAIN: Duration = Duration::from_secs(10);
+
+/// What other threads tell the event loop.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Wake {
+    /// A load has ended.
+    Loaded,
+}
+
+/// The pictures on the device.
+struct Pictures {
+    steered: Picture,
+    full: Picture,
+    /// What the interface's renderer calls them.
+    steered_id: TextureId,
+    full_id: TextureId,
+    size: [u32; 2],
+    /// The part of `steered` that is in use.
+    used: [u32; 2],
+}
+
+/// What a script waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Waiting {
+    Nothing,
+    Volume,
+    Rest,
+    Screenshot,
+}
+
+// Fields go in this order: what is on the device before the device, all of it before the window.
+struct App {
+    loading: Option<Loading>,
+    scene: Option<Scene>,
+    pictures: Option<Pictures>,
+    presenter: Option<Presenter>,
+    device: Option<SharedDevice>,
+    vulkan: VulkanOptions,
+    egui: egui::Context,
+    input: Option<egui_winit::State>,
+    window: Option<Window>,
+
+    options: Options,
+    host: Arc<dyn Host>,
+    proxy: EventLoopProxy<Wake>,
+    state: State,
+    refinement: Option<Refinement>,
+    /// Whether the view is at full quality.
+    refined: bool,
+    screenshot: Option<Screenshot>,
+    script: Option<Script>,
+    waiting: Waiting,
+    log: Option<Log>,
+    /// Frames that were drawn, and pictures that the window has shown.
+    number: u64,
+    shown: u64,
+    /// Pictures that had been shown when the oldest event came that no picture knows of.
+    event_at: Option<u64>,
+    last_change: Instant,
+    last_paint: Instant,
+    repaint_at: Option<Instant>,
+    /// When the volume on its way was asked for.
+    asked: Option<Instant>,
+    swapped: Instant,
+    /// Modes whose shaders are compiled.
+    warm: HashSet<(Shading, Skipping)>,
+    lost: Option<Instant>,
+    failed: Option<anyhow::Error>,
+}
+
+/// Opens the window and returns once it is closed.
+///
+/// # Errors
+/// Without a display or a device that shows pictures on it; when a script fails.
+pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
+    let controllers = host.controllers();
+    let controller = controllers.iter().position(|c| c.0 == options.controller).with_context(|| {
+        let names: Vec<&str> = controllers.iter().map(|c| c.0).collect();
+        format!("there is no controller {:?}; there are {}", options.controller, names.join(", "))
+    })?;
+    let mut steer = Steer::new(controllers, controller, options.target);
+    (steer.coarsest, steer.distance) = (options.coarsest, options.image_sample_distance);
+    let script = options.script.as_deref().map(Script::open).transpose()?;
+    let log = options.log.as_deref().map(Log::create).transpose()?;
+    let event_loop = EventLoop::<Wake>::with_user_event().build().map_err(|e| {
+        anyhow!(
+            "no window can be opened: {e}; set DISPLAY (X11) or WAYLAND_DISPLAY, or give it a display of its own \
+             with `xvfb-run -s '-screen 0 1280x900x24' entire explore …`; `entire render` and `entire steer` need \
+             none"
+        )
+    })?;
+    let now = Instant::now();
+    let mut app = App {
+        loading: None,
+        scene: None,
+        pictures: None,
+        presenter: None,
+        device: None,
+        vulkan: VulkanOptions::from_env()?,
+        egui: egui::Context::default(),
+        input: None,
+        window: None,
+        state: State::new(&options, steer),
+        proxy: event_loop.create_proxy(),
+        waiting: if script.is_some() { Waiting::Volume } else { Waiting::Nothing },
+        options,
+        host,
+        refinement: None,
+        refined: false,
+        screenshot: None,
+        script,
+        log,
+        number: 0,
+        shown: 0,
+        event_at: None,
+        last_change: now,
+        last_paint: now,
+        repaint_at: None,
+        asked: None,
+        swapped: now,
+        warm: HashSet::new(),
+        lost: None,
+        failed: None,
+    };
+    event_loop.run_app(&mut app).map_err(|e| anyhow!("the window's events cannot be read: {e}"))?;
+    if let Some(log) = &mut app.log {
+        log.flush()?;
+    }
+    // What the validation layer said, where it was asked to speak.
+    let said = app.device.as_ref().map(SharedDevice::validation_messages).unwrap_or_default();
+    if let Some(error) = app.failed.take() {
+        return Err(error);
+    }
+    if let Some(first) = said.first() {
+        bail!("the validation layer said {} things, the first: {first}", said.len());
+    }
+    Ok(())
+}
+
+impl App {
+    /// Opens the window, where there is none, and the device.
+    fn open(&mut self, event_loop: &ActiveEventLoop) -> Result<()> {
+        if self.window.is_none() {
+            let (width, height) = self.options.size;
+            let attributes = Window::default_attributes()
+                .with_title("entire explore")
+                .with_inner_size(PhysicalSize::new(width, height))
+                .with_min_inner_size(PhysicalSize::new(480, 360));
+            let window = event_loop.create_window(attributes).context("the window cannot be opened")?;
+            self.input = Some(egui_winit::State::new(
+                self.egui.clone(),
+                egui::ViewportId::ROOT,
+                &window,
+                Some(window.scale_factor() as f32),
+                window.theme(),
+                None,
+            ));
+            self.egui.set_theme(egui::Theme::Dark);
+            self.window = Some(window);
+        }
+        self.open_device()?;
+        if self.scene.is_none() && self.loading.is_none() && !self.state.series.is_empty() {
+            let path = self.state.series[0].clone();
+            self.start(Job {
+                path,
+                index: 0,
+                source: None,
+                crop: None,
+                curve: None,
+                shading: self.state.shading,
+                skipping: self.state.skipping,
+            })?;
+        }
+        Ok(())
+    }
+
+    fn open_device(&mut self) -> Result<()> {
+        let window = self.window.as_ref().context("there is no window")?;
+        self.vulkan.surface_extensions = surface_extensions(window)?;
+        let first = VulkanRaycaster::new(self.vulkan.clone()).context("the window needs a Vulkan device")?;
+        let device = first.shared_device();
+        self.state.device = first.device();
+        drop(first);
+        let presenter = Presenter::new(&device, window)?;
+        if let Some(input) = &mut self.input {
+            input.set_max_texture_side(presenter.max_texture_side());
+        }
+        (self.presenter, self.device) = (Some(presenter), Some(device));
+        window.request_redraw();
+        Ok(())
+    }
+
+    /// Opens everything anew after the device was lost; the volume is in memory still.
+    fn recover(&mut self) -> Result<()> {
+        if self.lost.is_some_and(|at| at.elapsed() < LOST_AGAIN) {
+            bail!(
+                "the device was lost again; see the driver's log, or choose another device (ENTIRE_DEVICE)"
+            );
+        }
+        self.lost = Some(Instant::now());
+        if let Some(loading) = self.loading.take() {
+            loading.cancel();
+        }
+        let scene = self.scene.take();
+        (self.refinement, self.screenshot, self.pictures) = (None, None, None);
+        (self.presenter, self.device) = (None, None);
+        self.state.picture = None;
+        self.warm.clear();
+        // The fonts are textures of the lost device: the interface starts anew.
+        self.egui = egui::Context::default();
+        self.egui.set_theme(egui::Theme::Dark);
+        if let Some(window) = &self.window {
+            self.input = Some(egui_winit::State::new(
+                self.egui.clone(),
+                egui::ViewportId::ROOT,
+                window,
+                Some(window.scale_factor() as f32),
+                window.theme(),
+                None,
+            ));
+        }
+        self.open_device()?;
+        self.state.say("the device was lost and is open again");
+        if let Some(scene) = scene {
+            self.start(Job {
+                path: scene.path,
+                index: scene.index,
+                source: Some(scene.whole),
+                crop: scene.crop,
+                curve: Some(self.state.edited.curve.clone()),
+                shading: self.state.shading,
+                skipping: self.state.skipping,
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Starts to load; a load under way is given up.
+    fn start(&mut self, job: Job) -> Result<()> {
+        let device = self.device.as_ref().context("there is no device")?;
+        if let Some(before) = self.loading.take() {
+            before.cancel();
+        }
+        self.asked = Some(Instant::now());
+        self.loading = Some(Loading::start(job, &self.host, device, &self.vulkan, self.proxy.clone())?);
+        self.redraw();
+        Ok(())
+    }
+
+    fn redraw(&self) {
+        if let Some(window) = &self.window {
+            window.request_redraw();
+        }
+    }
+
+    /// Whether a script says what happens, and does not wait for anything.
+    fn is_scripted(&self) -> bool {
+        self.script.is_some() && self.waiting == Waiting::Nothing
+    }
+
+    /// Ends the window with an error, or deals with it.
+    fn deal_with(&mut self, result: Result<()>, event_loop: &ActiveEventLoop) {
+        let Err(error) = result else { return };
+        let is_lost = self.device.as_ref().is_some_and(SharedDevice::is_lost);
+        let error = if is_lost {
+            match self.recover() {
+                Ok(()) => return,
+                Err(again) => again,
+            }
+        } else {
+            error
+        };
+        if is_lost || self.presenter.is_none() || self.script.is_some() {
+            self.failed = Some(error);
+            event_loop.exit();
+        } else {
+            self.state.complain(&error);
+            (self.refinement, self.screenshot) = (None, None);
+            self.refined = true;
+        }
+    }
+}
+
+impl ApplicationHandler<Wake> for App {
+    fn resumed(&mut self, event_loop: &ActiveEventLoop) {
+        if self.presenter.is_none() {
+            let opened = self.open(event_loop);
+            self.deal_with(opened, event_loop);
+        }
+    }
+
+    fn user_event(&mut self, _: &ActiveEventLoop, _: Wake) {
+        self.redraw();
+    }
+
+    fn window_event(&mut self, event_loop: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
+        let (Some(window), Some(input)) = (&self.window, &mut self.input) else { return };
+        match &event {
+            WindowEvent::RedrawRequested => {
+                let drawn = self.frame(event_loop);
+                self.deal_with(drawn, event_loop);
+                return;
+            }
+            WindowEvent::CloseRequested => {
+                event_loop.exit();
+                return;
+            }
+            WindowEvent::DroppedFile(path) => self.state.commands.push(Command::Open(path.clone())),
+            _ => {}
+        }
+        if input.on_window_event(window, &event).repaint {
+            self.event_at.get_or_insert(self.shown);
+            window.request_redraw();
+        }
+    }
+
+    fn about_to_wait(&mut self, event_loop: &ActiveEventLoop) {
+        if self.presenter.is_none() || event_loop.exiting() {
+            return;
+        }
+        let flow = self.idle();
+        match flow {
+            Ok(flow) => event_loop.set_control_flow(flow),
+            Err(error) => {
+                event_loop.set_control_flow(ControlFlow::Poll);
+                self.deal_with(Err(error), event_loop);
+            }
+        }
+    }
+}

@@ -1,0 +1,263 @@
+//! What a person or a script asks for.
+
+use super::{App, Waiting};
+use crate::exchange;
+use crate::loading::Job;
+use crate::scene::Crop;
+use crate::script::Action;
+use crate::state::Command;
+use crate::transfer::{Curve, Opacity};
+use crate::work_map::WorkMap;
+use anyhow::{Context, Result, bail};
+use ash::vk;
+use entire_core::GaussianLobe;
+use entire_core::scene::{Arcball, Shading, Skipping};
+use std::path::{Path, PathBuf};
+use winit::dpi::PhysicalSize;
+use winit::event_loop::ActiveEventLoop;
+
+impl App {
+    /// Does what the interface asked for. What goes wrong with a file is said, not passed on.
+    pub(super) fn obey(&mut self, command: Command) -> Result<()> {
+        match command {
+            Command::Open(path) => self.load(path)?,
+            Command::Step(index) => self.load_step(index)?,
+            Command::Cancel => {
+                if let Some(loading) = self.loading.take() {
+                    loading.cancel();
+                    self.state.say(format!("{} was not opened", loading.path.display()));
+                }
+            }
+            Command::Crop(crop) => self.crop(crop)?,
+            Command::MapWork => {
+                let size = self.state.viewport;
+                if self.scene.is_some() {
+                    self.state.work = Some(WorkMap::new(&self.full_frame(size)?)?);
+                }
+            }
+            Command::Forget => {
+                self.state.steer.forget();
+                self.state.changed.settings = true;
+                self.state.say("every controller starts anew");
+            }
+            Command::Screenshot { file, size } => {
+                if self.scene.is_some() && self.screenshot.is_none() {
+                    self.start_screenshot(file, size)?;
+                }
+            }
+            Command::LoadTransfer(file) => {
+                let range = self.state.facts.as_ref().map_or((0.0, 1.0), |f| f.range);
+                match exchange::load(&file, range) {
+                    Ok(curve) => {
+                        self.state.replace(curve);
+                        self.state.say(format!("read {}", file.display()));
+                    }
+                    Err(error) => self.state.complain(&error),
+                }
+            }
+            Command::SaveTransfer { file, paraview } => {
+                let done = self.save_transfer(&file, paraview);
+                self.told(done, &file);
+            }
+            Command::SaveRecording(file) => {
+                let done = self.save_recording(&file);
+                self.told(done, &file);
+            }
+        }
+        Ok(())
+    }
+
+    fn told(&mut self, done: Result<()>, file: &Path) {
+        match done {
+            Ok(()) => self.state.say(format!("wrote {}", file.display())),
+            Err(error) => self.state.complain(&error),
+        }
+    }
+
+    fn save_transfer(&self, file: &Path, paraview: bool) -> Result<()> {
+        let curve = &self.state.edited.curve;
+        let text = if paraview {
+            let range = self.state.facts.as_ref().map_or((0.0, 1.0), |f| f.range);
+            exchange::to_paraview(curve, range)?
+        } else {
+            exchange::to_own(curve)?
+        };
+        std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))
+    }
+
+    fn save_recording(&mut self, file: &Path) -> Result<()> {
+        let recorder = self.state.recorder.take().context("nothing was recorded")?;
+        if recorder.frames() == 0 {
+            bail!("nothing was recorded: no frame was drawn since");
+        }
+        self.host.save_recording(file, &recorder.finish())
+    }
+
+    fn load(&mut self, path: PathBuf) -> Result<()> {
+        self.start(Job {
+            path,
+            index: 0,
+            source: None,
+            crop: None,
+            curve: None,
+            shading: self.state.shading,
+            skipping: self.state.skipping,
+        })
+    }
+
+    fn crop(&mut self, crop: Option<Crop>) -> Result<()> {
+        let Some(scene) = &self.scene else { return Ok(()) };
+        // All of the volume is no part.
+        let all = scene.facts.dims.map(|n| [0, n - 1]);
+        self.start(Job {
+            path: scene.path.clone(),
+            index: scene.index,
+            source: Some(scene.whole.clone()),
+            crop: crop.filter(|c| *c != all),
+            curve: Some(self.state.edited.curve.clone()),
+            shading: self.state.shading,
+            skipping: self.state.skipping,
+        })
+    }
+
+    /// Plays what is due before the next frame; false once the window is to close.
+    ///
+    /// # Errors
+    /// For an event that cannot be carried out.
+    pub(super) fn play_script(&mut self, event_loop: &ActiveEventLoop) -> Result<bool> {
+        if !self.is_scripted() || self.scene.is_none() {
+            return Ok(true);
+        }
+        while self.waiting == Waiting::Nothing
+            && let Some(action) = self.script.as_mut().and_then(|s| s.next(self.number))
+        {
+            match (action, &mut self.script) {
+                (Action::Quit(_), _) => {
+                    event_loop.exit();
+                    return Ok(false);
+                }
+                (Action::Spin(spin), Some(script)) => script.spin = spin,
+                (Action::Drag(drag), Some(script)) => script.drag = drag,
+                (other, _) => {
+                    let said = format!("frame {}: {other:?}", self.number);
+                    self.act(other).context(said)?;
+                }
+            }
+        }
+        let Some(script) = &self.script else { return Ok(true) };
+        if script.spin != [0.0; 2] {
+            self.state.view.orbit(script.spin[0], script.spin[1]);
+            self.state.changed.camera = true;
+        }
+        if let (Opacity::Lobes(lobes), true) = (&mut self.state.edited.curve.opacity, script.drag != [0.0; 2])
+            && let Some(lobe) = lobes.first_mut()
+        {
+            lobe.center = (lobe.center + script.drag[0]).clamp(0.0, 1.0);
+            lobe.height = (lobe.height + script.drag[1]).clamp(0.0, 1.0);
+            self.state.changed.transfer = true;
+        }
+        let goes_on = !script.is_done() || self.waiting != Waiting::Nothing;
+        if !goes_on {
+            event_loop.exit();
+        }
+        Ok(goes_on)
+    }
+
+    fn act(&mut self, action: Action) -> Result<()> {
+        let state = &mut self.state;
+        match action {
+            Action::Camera([rx, ry, dz]) => {
+                state.view.set_arcball(Arcball { rx, ry, dz });
+                state.changed.cut = true;
+            }
+            Action::Zoom(factor) => {
+                state.view.zoom(factor);
+                state.changed.camera = true;
+            }
+            Action::Pan([right, down]) => {
+                state.view.pan(right, down);
+                state.changed.camera = true;
+            }
+            Action::Preset(name) => {
+                if !state.preset(&name) {
+                    bail!("there is no preset {name:?}");
+                }
+            }
+            Action::Lobes(lobes) => {
+                let lobes = lobes.iter().map(|l| GaussianLobe { center: l[0], width: l[1], height: l[2] });
+                let colors = state.edited.curve.colors.clone();
+                state.replace(Curve { opacity: Opacity::Lobes(lobes.collect()), colors });
+            }
+            Action::Controller(name) => {
+                let known = state.steer.controllers.iter().position(|c| c.0 == name);
+                state.steer.controller = known.with_context(|| format!("there is no controller {name:?}"))?;
+                state.changed.settings = true;
+            }
+            Action::Steering(on) => {
+                state.steer.enabled = on;
+                state.changed.settings = true;
+            }
+            Action::Target(seconds) => {
+                if !(seconds.is_finite() && seconds > 0.0) {
+                    bail!("the target is {seconds} seconds; it must be finite and positive");
+                }
+                state.steer.target = seconds;
+                state.changed.settings = true;
+            }
+            Action::Shading(name) => {
+                let modes = [Shading::None, Shading::Local, Shading::Scatter];
+                let found = modes.into_iter().find(|m| m.name() == name);
+                state.shading = found.with_context(|| format!("there is no shading {name:?}"))?;
+                state.changed.settings = true;
+            }
+            Action::Skipping(name) => {
+                let modes = [Skipping::None, Skipping::Blocks, Skipping::Distance];
+                let found = modes.into_iter().find(|m| m.name() == name);
+                state.skipping = found.with_context(|| format!("there is no skipping {name:?}"))?;
+                state.changed.settings = true;
+            }
+            Action::Size([width, height]) => {
+                if let Some(window) = &self.window {
+                    let _ = window.request_inner_size(PhysicalSize::new(width, height));
+                }
+            }
+            Action::Open(path) => {
+                self.load(path)?;
+                self.waiting = Waiting::Volume;
+            }
+            Action::Crop(crop) => {
+                self.crop(crop)?;
+                self.waiting = Waiting::Volume;
+            }
+            Action::Screenshot(shot) => {
+                self.start_screenshot(shot.file, shot.size)?;
+                self.waiting = Waiting::Screenshot;
+            }
+            Action::Rest(_) => {
+                (self.refined, self.refinement) = (false, None);
+                self.waiting = Waiting::Rest;
+            }
+            Action::FullFrame(_) => self.full_frame_at_once()?,
+            Action::Map(on) => {
+                state.show_work = on;
+                self.obey(Command::MapWork)?;
+            }
+            Action::SaveTransfer(file) => self.save_transfer(&file, false)?,
+            Action::LoadTransfer(file) => {
+                let range = state.facts.as_ref().map_or((0.0, 1.0), |f| f.range);
+                state.replace(exchange::load(&file, range)?);
+            }
+            Action::Undo(_) => state.changed.transfer |= state.edited.undo(),
+            Action::Record(_) => {
+                state.recorder = Some(crate::recording::Recorder::new(state.view.fov_y));
+            }
+            Action::SaveRecording(file) => self.save_recording(&file)?,
+            Action::LoseDevice(_) => {
+                let device = self.device.as_ref().context("there is no device")?;
+                return Err(device.error("the script", vk::Result::ERROR_DEVICE_LOST).into());
+            }
+            Action::Spin(_) | Action::Drag(_) | Action::Quit(_) => {}
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,277 @@
+//! One frame: layout, plan, ray casting, showing, and what it took.
+
+use super::{App, FULL, Pictures, STEERED, Waiting};
+use crate::loading::{Loaded, warm};
+use crate::log::{Beside, thread_seconds};
+use crate::state::Shown;
+use crate::steering::{FrameRecord, Planned};
+use crate::transfer::Edited;
+use crate::ui;
+use anyhow::Result;
+use egui::ClippedPrimitive;
+use egui::epaint::Primitive;
+use entire_vk_raycaster::{Picture, Region, Renderer};
+use std::time::{Duration, Instant};
+use winit::event_loop::ActiveEventLoop;
+
+/// The full-quality cost is predicted anew every this many frames.
+const FULL_EVERY: u64 = 4;
+
+/// A cast frame.
+struct Drawn {
+    planned: Planned,
+    cast: f64,
+    /// Seconds of the frame before its plan.
+    before: f64,
+    switched: bool,
+}
+
+impl App {
+    /// Lays out the interface, draws the volume where something changed, and shows both.
+    pub(super) fn frame(&mut self, event_loop: &ActiveEventLoop) -> Result<()> {
+        let begin = Instant::now();
+        let event_at = self.event_at.take();
+        self.last_paint = begin;
+        self.take_loaded()?;
+        let Some(window) = &self.window else { return Ok(()) };
+        let size = window.inner_size();
+        let Some(presenter) = &mut self.presenter else { return Ok(()) };
+        if !presenter.prepare([size.width, size.height])? {
+            return Ok(());
+        }
+        if !self.play_script(event_loop)? {
+            return Ok(());
+        }
+        let cpu = thread_seconds();
+        let (Some(window), Some(input)) = (&self.window, &mut self.input) else { return Ok(()) };
+        let raw = input.take_egui_input(window);
+        let state = &mut self.state;
+        state.loading = self.loading.as_ref().map(|l| {
+            let (stage, share) = l.state();
+            let name = l.path.file_name().map(|n| n.to_string_lossy().into_owned());
+            (name.unwrap_or_default(), stage, share)
+        });
+        let output = self.egui.clone().run_ui(raw, |ui| ui::show(ui, state));
+        input.handle_platform_output(window, output.platform_output);
+        self.repaint_at = output
+            .viewport_output
+            .get(&egui::ViewportId::ROOT)
+            .and_then(|v| (v.repaint_delay < Duration::from_secs(60)).then(|| begin + v.repaint_delay));
+        let mut interface = thread_seconds() - cpu;
+        let commands = std::mem::take(&mut self.state.commands);
+        for command in commands {
+            self.obey(command)?;
+        }
+
+        let drawn = self.draw_volume(begin)?;
+        let cpu = thread_seconds();
+        let mut primitives = self.egui.tessellate(output.shapes, output.pixels_per_point);
+        if let Some(pictures) = &self.pictures {
+            aim(&mut primitives, pictures);
+        }
+        let Some(presenter) = &mut self.presenter else { return Ok(()) };
+        let presented = presenter.show(output.pixels_per_point, &primitives, output.textures_delta)?;
+        interface += thread_seconds() - cpu;
+        if !presented.shown {
+            self.redraw();
+        }
+        self.shown += u64::from(presented.shown);
+        if let Some(drawn) = drawn {
+            let waited = if presenter_waits(&self.presenter) { presented.display } else { 0.0 };
+            let seconds = begin.elapsed().as_secs_f64() - waited;
+            let lag = event_at.map_or(0, |at| self.shown - at);
+            self.note(&drawn, seconds, interface, presented.device, lag)?;
+        }
+        Ok(())
+    }
+
+    /// Takes over a volume that has come.
+    fn take_loaded(&mut self) -> Result<()> {
+        let Some(result) = self.loading.as_ref().and_then(crate::loading::Loading::poll) else {
+            return Ok(());
+        };
+        self.loading = None;
+        let loaded = match result {
+            Ok(loaded) => *loaded,
+            Err(error) if self.script.is_some() => return Err(error),
+            Err(error) => {
+                self.state.complain(&error);
+                return Ok(());
+            }
+        };
+        let Loaded { scene, summary, steering, curve, seconds } = loaded;
+        let state = &mut self.state;
+        let title = scene.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        if let Some(window) = &self.window {
+            window.set_title(&format!("entire explore · {title}"));
+        }
+        if state.series.get(scene.index) != Some(&scene.path) {
+            state.series = vec![scene.path.clone()];
+            state.playing = false;
+        }
+        state.index = scene.index;
+        if self.scene.as_ref().is_none_or(|s| s.path != scene.path) {
+            state.recent.add(&scene.path);
+        }
+        if curve != state.edited.curve {
+            state.edited = Edited::new(curve);
+            state.selected = None;
+        }
+        state.steer.set_volume(summary, steering);
+        state.predictor = state.steer.predictor(state.shading);
+        state.calibration = self.host.calibration(&scene.path, state.shading);
+        state.bricks = match scene.raycaster.bricks() {
+            1 => "in one texture".to_owned(),
+            n => format!("in {n} bricks: larger than the device's textures"),
+        };
+        state.facts = Some(scene.facts.clone());
+        state.histogram = Some(scene.histogram.clone());
+        state.crop = scene.crop;
+        state.crop_draft = scene.crop.unwrap_or(scene.facts.dims.map(|n| [0, n - 1]));
+        state.path = Some(scene.path.clone());
+        state.work = None;
+        state.say(format!("{title} in {seconds:.2} s"));
+        state.changed.transfer = true;
+        state.changed.replaced = true;
+        state.picture = Some(Shown { steered: STEERED, full: None });
+        self.warm.clear();
+        self.warm.insert((state.shading, state.skipping));
+        self.refinement = None;
+        self.screenshot = None;
+        self.scene = Some(scene);
+        self.swapped = Instant::now();
+        if self.waiting == Waiting::Volume {
+            self.waiting = Waiting::Nothing;
+        }
+        Ok(())
+    }
+
+    /// Makes pictures of the view's size.
+    fn prepare_pictures(&mut self) -> Result<bool> {
+        let size = self.state.viewport;
+        if self.pictures.as_ref().is_some_and(|p| p.size == size) {
+            return Ok(false);
+        }
+        let (Some(device), Some(presenter)) = (&self.device, &mut self.presenter) else { return Ok(false) };
+        if let Some(old) = self.pictures.take() {
+            presenter.remove_picture(old.steered_id);
+            presenter.remove_picture(old.full_id);
+        }
+        let steered = Picture::new(device, size[0], size[1])?;
+        let full = Picture::new(device, size[0], size[1])?;
+        let steered_id = presenter.add_picture(&steered)?;
+        let full_id = presenter.add_picture(&full)?;
+        self.pictures = Some(Pictures { steered, full, steered_id, full_id, size, used: size });
+        Ok(true)
+    }
+
+    /// Plans and casts a frame, where anything changed.
+    fn draw_volume(&mut self, begin: Instant) -> Result<Option<Drawn>> {
+        if self.scene.is_none() || self.state.viewport.contains(&0) {
+            return Ok(None);
+        }
+        let resized = self.prepare_pictures()?;
+        if self.state.show_work && self.state.changed.any() {
+            self.state.work = None;
+        }
+        if !(resized || self.state.changed.any() || self.is_scripted()) {
+            return Ok(None);
+        }
+        let changed = std::mem::take(&mut self.state.changed);
+        (self.refined, self.refinement, self.state.rest) = (false, None, None);
+        self.last_change = Instant::now();
+        let (Some(scene), Some(pictures)) = (&mut self.scene, &mut self.pictures) else { return Ok(None) };
+        let state = &mut self.state;
+        if changed.transfer {
+            let curve = &state.edited.curve;
+            let table = curve.table()?;
+            scene.raycaster.set_transfer(&table)?;
+            state.steer.set_transfer(table, curve.lobes());
+        }
+        if changed.cut {
+            state.steer.camera_cut();
+        }
+        let modes = (state.shading, state.skipping);
+        if self.warm.insert(modes) {
+            warm(&mut scene.raycaster, modes.0, modes.1)?;
+            state.predictor = state.steer.predictor(state.shading);
+        }
+        let size = pictures.size;
+        let frame = self.full_frame(size)?;
+        let (Some(scene), Some(pictures)) = (&mut self.scene, &mut self.pictures) else { return Ok(None) };
+        let state = &mut self.state;
+        if self.number.is_multiple_of(FULL_EVERY) || changed.abrupt() {
+            state.steer.predict_full(&frame)?;
+        }
+        let before = begin.elapsed().as_secs_f64();
+        let planned = state.steer.plan(&frame, before)?;
+        let whole = Region::whole(&planned.frame);
+        let cast = scene.raycaster.render_to(&planned.frame, whole, &mut pictures.steered)?.wall;
+        state.steer.observe(&planned, frame.shading(), cast, false)?;
+        pictures.used = [whole.width, whole.height];
+        state.picture = Some(Shown { steered: STEERED, full: None });
+        state.probe = state.steer.probe(state.shading);
+        if let Some(recorder) = &mut state.recorder {
+            recorder.note(&state.view, &state.edited.curve, changed.replaced)?;
+        }
+        Ok(Some(Drawn { planned, cast, before, switched: changed.abrupt() }))
+    }
+
+    /// Remembers and logs a drawn frame.
+    fn note(&mut self, drawn: &Drawn, seconds: f64, interface: f64, device: f64, lag: u64) -> Result<()> {
+        let Drawn { planned, cast, before, switched } = *drawn;
+        let steer = &mut self.state.steer;
+        let record = FrameRecord {
+            number: self.number,
+            seconds,
+            cast,
+            interface,
+            target: steer.target,
+            predicted: f64::from(planned.plan.seconds) + planned.other,
+            upper: f64::from(planned.plan.upper) + planned.other,
+            step: planned.plan.step,
+            image_sample_distance: planned.plan.image_sample_distance,
+            reason: planned.plan.reason,
+            switched,
+            full: steer.full.map_or(f64::NAN, |f| f.0 + planned.other),
+        };
+        steer.remember(record, (seconds - before - cast).max(0.0));
+        let controller = steer.controllers[steer.controller].0;
+        if let Some(log) = &mut self.log {
+            if let Some(asked) = self.asked.take() {
+                let opened = asked.elapsed().as_secs_f64();
+                log.event(self.number, "open", [opened, cast, seconds], steer.target)?;
+            }
+            let (width, height) = (planned.frame.width(), planned.frame.height());
+            let beside = Beside { controller, input_frames: lag, width, height, before, shown: device };
+            log.frame(&record, &beside)?;
+        }
+        self.asked = None;
+        self.number += 1;
+        Ok(())
+    }
+}
+
+fn presenter_waits(presenter: &Option<crate::present::Presenter>) -> bool {
+    presenter.as_ref().is_some_and(crate::present::Presenter::waits_for_display)
+}
+
+/// Points the interface's pictures at their textures, and the steered one at the part that is in use.
+fn aim(primitives: &mut [ClippedPrimitive], pictures: &Pictures) {
+    let share = [0, 1].map(|a| {
+        let (used, all) = (pictures.used[a] as f32, pictures.size[a] as f32);
+        // What lies beyond the part in use must not be blended in.
+        if pictures.used == pictures.size { 1.0 } else { (used - 0.5) / all }
+    });
+    for primitive in primitives {
+        let Primitive::Mesh(mesh) = &mut primitive.primitive else { continue };
+        if mesh.texture_id == STEERED {
+            mesh.texture_id = pictures.steered_id;
+            for vertex in &mut mesh.vertices {
+                vertex.uv = egui::pos2(vertex.uv.x * share[0], vertex.uv.y * share[1]);
+            }
+        } else if mesh.texture_id == FULL {
+            mesh.texture_id = pictures.full_id;
+        }
+    }
+}

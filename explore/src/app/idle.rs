@@ -1,0 +1,210 @@
+//! What is done between frames: refinement at rest, screenshots, counts, the next volume of a series.
+
+use super::{App, FULL, STEERED, Waiting};
+use crate::loading::Job;
+use crate::refine::Refinement;
+use crate::screenshot::Screenshot;
+use crate::state::{Rest, Shown};
+use anyhow::Result;
+use entire_core::scene::Frame;
+use entire_vk_raycaster::Region;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+use winit::event_loop::ControlFlow;
+
+/// How long nothing must change before the picture is refined.
+const REST: Duration = Duration::from_millis(150);
+
+/// How often the window shows how far a wait is.
+const SHOW_EVERY: Duration = Duration::from_millis(250);
+
+/// The share of the target that a slice is planned with: the rest is for what a slice finds dearer than the
+/// one before.
+const SLICE_SHARE: f64 = 0.8;
+
+impl App {
+    /// Works for one slice at most; answers when to be called again.
+    pub(super) fn idle(&mut self) -> Result<ControlFlow> {
+        if self.is_scripted() || self.state.changed.any() || !self.state.commands.is_empty() {
+            self.redraw();
+            return Ok(ControlFlow::Poll);
+        }
+        let now = Instant::now();
+        if self.loading.is_some() {
+            if self.last_paint.elapsed() > SHOW_EVERY / 2 {
+                self.redraw();
+            }
+            return Ok(ControlFlow::WaitUntil(now + SHOW_EVERY / 2));
+        }
+        if self.screenshot.is_some() {
+            self.go_on_with_screenshot()?;
+            return Ok(ControlFlow::Poll);
+        }
+        self.play_series()?;
+        let ready = self.scene.is_some() && self.pictures.is_some() && self.number > 0;
+        if ready && !self.refined {
+            let since = self.last_change.elapsed();
+            if since < REST && self.waiting != Waiting::Rest {
+                return Ok(ControlFlow::WaitUntil(now + (REST - since)));
+            }
+            self.go_on_refining()?;
+            return Ok(ControlFlow::Poll);
+        }
+        if ready && self.state.show_work && self.state.work.as_ref().is_some_and(|w| !w.is_done()) {
+            let budget = self.slice_seconds();
+            if let (Some(work), Some(scene)) = (&mut self.state.work, &mut self.scene) {
+                work.slice(&mut scene.raycaster, budget)?;
+            }
+            self.show_now_and_then(false);
+            return Ok(ControlFlow::Poll);
+        }
+        let playing = self.state.playing && self.state.series.len() > 1;
+        let next =
+            [self.repaint_at, playing.then(|| self.swapped + Duration::from_secs_f32(self.state.hold))];
+        match next.into_iter().flatten().min() {
+            Some(at) if at <= now => {
+                self.repaint_at = None;
+                self.redraw();
+                Ok(ControlFlow::Poll)
+            }
+            Some(at) => Ok(ControlFlow::WaitUntil(at)),
+            None => Ok(ControlFlow::Wait),
+        }
+    }
+
+    fn slice_seconds(&self) -> f64 {
+        SLICE_SHARE * self.state.steer.target
+    }
+
+    /// Redraws the interface, unless it was drawn a moment ago.
+    fn show_now_and_then(&self, at_once: bool) {
+        if at_once || self.last_paint.elapsed() > SHOW_EVERY {
+            self.redraw();
+        }
+    }
+
+    /// The view at full quality.
+    pub(super) fn full_frame(&self, [width, height]: [u32; 2]) -> Result<Frame> {
+        let placement = self.scene.as_ref().map_or(crate::camera::Placement::WHOLE, |s| s.placement);
+        Ok(Frame::new(self.state.view.camera(placement)?, width, height)?
+            .with_termination(self.state.termination)?
+            .with_shading(self.state.shading)
+            .with_skipping(self.state.skipping))
+    }
+
+    /// Seconds that a frame is expected to take; NaN where nothing is known.
+    fn expected(&mut self, frame: &Frame) -> f64 {
+        self.state.steer.predict(frame).map_or(f64::NAN, |(seconds, _)| seconds)
+    }
+
+    fn go_on_refining(&mut self) -> Result<()> {
+        let size = self.pictures.as_ref().map_or([1, 1], |p| p.size);
+        if self.refinement.is_none() {
+            let frame = self.full_frame(size)?;
+            let expected = self.expected(&frame);
+            self.refinement = Some(Refinement::new(frame, expected));
+        }
+        let budget = self.slice_seconds();
+        let (Some(work), Some(scene), Some(pictures)) =
+            (&mut self.refinement, &mut self.scene, &mut self.pictures)
+        else {
+            return Ok(());
+        };
+        work.slice(&mut scene.raycaster, &mut pictures.full, budget)?;
+        let done = work.cursor.is_done();
+        let took = work.begin.elapsed().as_secs_f64();
+        self.state.rest = Some(Rest {
+            share: work.cursor.share(),
+            remaining: work.cursor.remaining(),
+            took: done.then_some(took),
+        });
+        self.state.picture =
+            Some(Shown { steered: STEERED, full: Some((FULL, pictures.size, work.cursor.covered())) });
+        if done {
+            self.refined = true;
+            let numbers = [took, work.cast, work.longest];
+            if let Some(log) = &mut self.log {
+                log.event(self.number, "rest", numbers, self.state.steer.target)?;
+            }
+            self.refinement = None;
+            if self.waiting == Waiting::Rest {
+                self.waiting = Waiting::Nothing;
+            }
+        }
+        self.show_now_and_then(done);
+        Ok(())
+    }
+
+    /// Draws the view at full quality in one go and logs how long that takes.
+    pub(super) fn full_frame_at_once(&mut self) -> Result<()> {
+        let Some(size) = self.pictures.as_ref().map(|p| p.size) else { return Ok(()) };
+        let frame = self.full_frame(size)?;
+        let (Some(scene), Some(pictures)) = (&mut self.scene, &mut self.pictures) else { return Ok(()) };
+        let begin = Instant::now();
+        let time = scene.raycaster.render_to(&frame, Region::whole(&frame), &mut pictures.full)?;
+        let seconds = begin.elapsed().as_secs_f64();
+        if let Some(log) = &mut self.log {
+            log.event(self.number, "full", [seconds, time.wall, seconds], self.state.steer.target)?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn start_screenshot(&mut self, file: PathBuf, size: [u32; 2]) -> Result<()> {
+        let frame = self.full_frame(size)?;
+        let expected = self.expected(&frame);
+        self.screenshot = Some(Screenshot::new(file, frame, expected));
+        self.state.screenshot_share = Some(0.0);
+        Ok(())
+    }
+
+    fn go_on_with_screenshot(&mut self) -> Result<()> {
+        let budget = self.slice_seconds();
+        let (Some(shot), Some(scene)) = (&mut self.screenshot, &mut self.scene) else {
+            self.screenshot = None;
+            return Ok(());
+        };
+        let done = match shot.slice(&mut scene.raycaster, budget) {
+            Ok(done) => done,
+            Err(error) => {
+                (self.screenshot, self.state.screenshot_share) = (None, None);
+                return Err(error);
+            }
+        };
+        self.state.screenshot_share = Some(shot.share());
+        if done {
+            let file = shot.file.display().to_string();
+            self.state.say(format!("wrote {file}"));
+            (self.screenshot, self.state.screenshot_share) = (None, None);
+            if self.waiting == Waiting::Screenshot {
+                self.waiting = Waiting::Nothing;
+            }
+        }
+        self.show_now_and_then(done);
+        Ok(())
+    }
+
+    /// Asks for the next volume of a series that is played.
+    fn play_series(&mut self) -> Result<()> {
+        let due = self.swapped.elapsed() >= Duration::from_secs_f32(self.state.hold);
+        if self.state.playing && self.state.series.len() > 1 && due && self.loading.is_none() {
+            let next = (self.state.index + 1) % self.state.series.len();
+            self.load_step(next)?;
+        }
+        Ok(())
+    }
+
+    /// Loads a volume of the series; the transfer function stays.
+    pub(super) fn load_step(&mut self, index: usize) -> Result<()> {
+        let Some(path) = self.state.series.get(index).cloned() else { return Ok(()) };
+        let curve = self.scene.is_some().then(|| self.state.edited.curve.clone());
+        self.start(Job {
+            path,
+            index,
+            source: None,
+            crop: self.state.crop,
+            curve,
+            shading: self.state.shading,
+            skipping: self.state.skipping,
+        })
+    }
+}

@@ -1,0 +1,215 @@
+//! Where the eye stands and looks, and how a person moves it.
+
+use anyhow::Result;
+use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
+use glam::{Mat3, Mat4, Vec3};
+
+/// Nearest and farthest distance from what is looked at, bounding-sphere radii.
+const DISTANCES: std::ops::RangeInclusive<f32> = 0.02..=200.0;
+
+/// Where a part of a volume lies in the whole, in the whole's scene space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Placement {
+    pub(crate) center: Vec3,
+    /// Bounding-sphere radius over the whole's.
+    pub(crate) radius: f32,
+}
+
+impl Placement {
+    pub(crate) const WHOLE: Self = Self { center: Vec3::ZERO, radius: 1.0 };
+}
+
+/// The eye, in the scene space of the whole volume: angles and distance about a point that is looked at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Viewpoint {
+    /// As [`Arcball`]'s, degrees.
+    pub(crate) rx: f32,
+    pub(crate) ry: f32,
+    /// From the point that is looked at, bounding-sphere radii.
+    pub(crate) distance: f32,
+    /// The point that is looked at.
+    pub(crate) target: Vec3,
+    /// Vertical field of view, degrees.
+    pub(crate) fov_y: f32,
+}
+
+impl Default for Viewpoint {
+    fn default() -> Self {
+        Self { rx: 20.0, ry: 30.0, distance: 2.6, target: Vec3::ZERO, fov_y: DEFAULT_FOV_Y_DEGREES }
+    }
+}
+
+/// A view along an axis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Axis {
+    Front,
+    Side,
+    Top,
+}
+
+impl Viewpoint {
+    fn rotation(&self) -> Mat4 {
+        let radians = |degrees: f32| (degrees % 360.0).to_radians();
+        Mat4::from_rotation_x(radians(self.rx)) * Mat4::from_rotation_y(-radians(self.ry))
+    }
+
+    /// Right, up and backward of the eye in scene space.
+    fn axes(&self) -> [Vec3; 3] {
+        let r = Mat3::from_mat4(self.rotation()).transpose();
+        [r.x_axis, r.y_axis, r.z_axis]
+    }
+
+    pub(crate) fn eye(&self) -> Vec3 {
+        self.target + self.distance * self.axes()[2]
+    }
+
+    /// The camera of a part of the volume.
+    pub(crate) fn camera(&self, placement: Placement) -> Result<Camera> {
+        let camera = if self.target == Vec3::ZERO && placement == Placement::WHOLE {
+            Camera::from_arcball(self.arcball())?
+        } else {
+            let back = Mat4::from_translation(Vec3::new(0.0, 0.0, -self.distance));
+            let view = back * self.rotation() * Mat4::from_translation(-self.target);
+            Camera::from_world_view(view, placement.center, placement.radius)?
+        };
+        Ok(camera.with_fov_y_degrees(self.fov_y)?)
+    }
+
+    /// The pose about the volume's center; where the view is panned, that of the eye.
+    pub(crate) fn arcball(&self) -> Arcball {
+        if self.target == Vec3::ZERO {
+            return Arcball { rx: self.rx, ry: self.ry, dz: self.distance };
+        }
+        let eye = self.eye();
+        let dz = eye.length().max(1e-3);
+        Arcball {
+            rx: (eye.y / dz).clamp(-1.0, 1.0).asin().to_degrees(),
+            ry: eye.x.atan2(eye.z).to_degrees(),
+            dz,
+        }
+    }
+
+    pub(crate) fn set_arcball(&mut self, pose: Arcball) {
+        *self = Self { rx: pose.rx, ry: pose.ry, distance: pose.dz, target: Vec3::ZERO, fov_y: self.fov_y };
+    }
+
+    /// Turns about what is looked at, degrees.
+    pub(crate) fn orbit(&mut self, right: f32, down: f32) {
+        self.ry = (self.ry - right) % 360.0;
+        self.rx = (self.rx + down).clamp(-90.0, 90.0);
+    }
+
+    /// Moves what is looked at, in heights of the view at its distance.
+    pub(crate) fn pan(&mut self, right: f32, down: f32) {
+        let height = 2.0 * self.distance * (0.5 * self.fov_y.to_radians()).tan();
+        let [x, y, _] = self.axes();
+        self.target += height * (down * y - right * x);
+        self.target = self.target.clamp(Vec3::splat(-4.0), Vec3::splat(4.0));
+    }
+
+    /// Multiplies the distance.
+    pub(crate) fn zoom(&mut self, factor: f32) {
+        if factor.is_finite() && factor > 0.0 {
+            self.distance = (self.distance * factor).clamp(*DISTANCES.start(), *DISTANCES.end());
+        }
+    }
+
+    /// Turns the head where the eye stands, degrees.
+    pub(crate) fn look(&mut self, right: f32, down: f32) {
+        let eye = self.eye();
+        self.ry = (self.ry - right) % 360.0;
+        self.rx = (self.rx + down).clamp(-90.0, 90.0);
+        self.target = eye - self.distance * self.axes()[2];
+    }
+
+    /// Moves the eye, bounding-sphere radii.
+    pub(crate) fn walk(&mut self, forward: f32, right: f32, up: f32) {
+        let [x, y, z] = self.axes();
+        self.target += right * x + up * y - forward * z;
+        self.target = self.target.clamp(Vec3::splat(-4.0), Vec3::splat(4.0));
+    }
+
+    /// Looks along an axis from the present distance.
+    pub(crate) fn look_along(&mut self, axis: Axis) {
+        (self.rx, self.ry) = match axis {
+            Axis::Front => (0.0, 0.0),
+            Axis::Side => (0.0, 90.0),
+            Axis::Top => (90.0, 0.0),
+        };
+        self.target = Vec3::ZERO;
+    }
+
+    /// Changes the field of view and keeps the volume's size in the picture.
+    pub(crate) fn set_fov(&mut self, degrees: f32) {
+        let half = |d: f32| (0.5 * d.to_radians()).tan();
+        let degrees = degrees.clamp(1.0, 120.0);
+        self.distance =
+            (self.distance * half(self.fov_y) / half(degrees)).clamp(*DISTANCES.start(), *DISTANCES.end());
+        self.fov_y = degrees;
+    }
+
+    /// Where a point of the scene is seen, in halves of the image from its middle, x right and y up; `None`
+    /// behind the eye. `aspect` is width over height.
+    pub(crate) fn project(&self, point: Vec3, aspect: f32) -> Option<[f32; 2]> {
+        let [x, y, z] = self.axes();
+        let from_eye = point - self.eye();
+        let depth = -from_eye.dot(z);
+        let half = (0.5 * self.fov_y.to_radians()).tan();
+        (depth > 1e-3).then(|| [from_eye.dot(x) / (depth * half * aspect), from_eye.dot(y) / (depth * half)])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn close(a: Mat4, b: Mat4) {
+        assert!((a - b).to_cols_array().iter().all(|d| d.abs() < 1e-5), "{a} {b}");
+    }
+
+    #[test]
+    fn an_unpanned_view_is_the_arcball_camera_to_the_bit() {
+        let view = Viewpoint { rx: 25.0, ry: 130.0, distance: 2.5, ..Default::default() };
+        let arcball = Camera::from_arcball(Arcball { rx: 25.0, ry: 130.0, dz: 2.5 }).unwrap();
+        assert_eq!(view.camera(Placement::WHOLE).unwrap(), arcball);
+        // By way of the matrix it is the same but for rounding.
+        let panned = Viewpoint { target: Vec3::splat(1e-9), ..view };
+        close(panned.camera(Placement::WHOLE).unwrap().view(), arcball.view());
+    }
+
+    #[test]
+    fn looking_about_and_panning_do_what_they_say() {
+        let mut view = Viewpoint::default();
+        let eye = view.eye();
+        view.look(12.0, -7.0);
+        assert!((view.eye() - eye).length() < 1e-5, "the head turns, the eye stays");
+        view.walk(0.5, 0.0, 0.0);
+        assert!(((view.eye() - eye).length() - 0.5).abs() < 1e-5);
+        let mut view = Viewpoint::default();
+        view.pan(0.25, 0.0);
+        let [x, y] = view.project(Vec3::ZERO, 1.0).unwrap();
+        // A quarter of the height to the right is half of a half.
+        assert!((x - 0.5).abs() < 1e-5 && y.abs() < 1e-5, "{x} {y}");
+    }
+
+    #[test]
+    fn a_part_is_seen_where_it_lies_in_the_whole() {
+        let view = Viewpoint { target: Vec3::new(0.1, -0.2, 0.05), ..Default::default() };
+        let part = Placement { center: Vec3::new(0.3, 0.1, -0.2), radius: 0.4 };
+        let (whole, cut) = (view.camera(Placement::WHOLE).unwrap(), view.camera(part).unwrap());
+        for p in [Vec3::new(0.35, 0.0, -0.1), Vec3::new(0.2, 0.3, -0.4)] {
+            let a = whole.view().transform_point3(p);
+            let b = cut.view().transform_point3((p - part.center) / part.radius);
+            assert!((a / a.z - b / b.z).length() < 1e-5, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn a_longer_lens_keeps_the_size() {
+        let mut view = Viewpoint::default();
+        let before = view.project(Vec3::new(0.0, 0.5, 0.0), 1.0).unwrap();
+        view.set_fov(1.0);
+        let after = view.project(Vec3::new(0.0, 0.5, 0.0), 1.0).unwrap();
+        assert!((before[1] / after[1] - 1.0).abs() < 0.3 && view.distance > 50.0);
+    }
+}

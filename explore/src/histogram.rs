@@ -1,0 +1,75 @@
+//! How often each value occurs in a volume.
+
+use entire_core::scene::VolumeView;
+
+/// Bins over the normalized scalars.
+pub(crate) const BINS: usize = 256;
+
+/// Voxels that are looked at at most.
+const SAMPLED: u64 = 4_000_000;
+
+/// Counts of normalized values.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Histogram {
+    pub(crate) counts: Vec<u64>,
+}
+
+impl Histogram {
+    /// Of every voxel, or of [`SAMPLED`] spread evenly.
+    pub(crate) fn of(view: &VolumeView<'_>) -> Self {
+        let [nx, ny, _] = view.dims();
+        let stride = (view.voxels() / SAMPLED).max(1);
+        // A stride that shares no factor with the rows walks through all of them.
+        let stride = if stride.is_multiple_of(2) { stride + 1 } else { stride };
+        let mut counts = vec![0; BINS];
+        let mut i = 0;
+        while i < view.voxels() {
+            let (x, rest) = (i as usize % nx, i as usize / nx);
+            let s = view.normalized(x, rest % ny, rest / ny);
+            counts[((s * (BINS - 1) as f32 + 0.5) as usize).min(BINS - 1)] += 1;
+            i += stride;
+        }
+        Self { counts }
+    }
+
+    /// Heights of the bars in 0…1, logarithmic.
+    pub(crate) fn heights(&self) -> Vec<f32> {
+        let log = |n: u64| (n as f32 + 1.0).ln();
+        let most = self.counts.iter().copied().map(log).fold(f32::MIN_POSITIVE, f32::max);
+        self.counts.iter().map(|&n| log(n) / most).collect()
+    }
+
+    /// The value below which a share of the voxels lies; those of the lowest bins are taken for background
+    /// where enough others are left.
+    pub(crate) fn quantile(&self, share: f32) -> f32 {
+        let background = BINS / 25;
+        let all: u64 = self.counts.iter().sum();
+        let above: u64 = self.counts[background..].iter().sum();
+        let first = if above > all / 200 { background } else { 0 };
+        let wanted = share as f64 * self.counts[first..].iter().sum::<u64>() as f64;
+        let mut seen = 0;
+        for (i, n) in self.counts.iter().enumerate().skip(first) {
+            seen += n;
+            if seen as f64 >= wanted {
+                return i as f32 / (BINS - 1) as f32;
+            }
+        }
+        1.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_core::scene::Scalars;
+
+    #[test]
+    fn every_voxel_is_counted_in_its_bin() {
+        let voxels: Vec<u8> = (0..=255).flat_map(|v| [v; 4]).collect();
+        let view = VolumeView::new(Scalars::U8(&voxels), [16, 8, 8]).unwrap();
+        let h = Histogram::of(&view);
+        assert!(h.counts.iter().all(|&n| n == 4));
+        assert!((h.quantile(0.5) - 0.52).abs() < 0.01, "{}", h.quantile(0.5));
+        assert!(h.heights().iter().all(|&v| v == 1.0));
+    }
+}

@@ -1,0 +1,131 @@
+//! What the window needs of the program that opens it.
+
+use crate::recording::Recording;
+use anyhow::{Result, bail};
+use entire_core::Session;
+use entire_core::scene::{Shading, Skipping, VolumeView};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+/// A volume in memory.
+pub trait VolumeSource: Send + Sync {
+    /// Its voxels.
+    fn view(&self) -> VolumeView<'_>;
+}
+
+/// A predictor that is ready for one volume.
+pub trait Steering: Send + Sync {
+    /// What predicts, for people.
+    fn title(&self) -> String;
+
+    /// VolumeNet's output for the volume, where the predictor takes it.
+    fn volume_features(&self) -> Option<&[f32]>;
+
+    /// A session that has learned nothing, under one of the [`Host::controllers`].
+    ///
+    /// # Errors
+    /// When the predictor cannot be made.
+    fn session(&self, controller: &str) -> Result<Session>;
+}
+
+/// The program around the window. It is called from the threads that load as well.
+pub trait Host: Send + Sync {
+    /// Reads a volume file, telling how far it is, and stops once it is cancelled.
+    ///
+    /// # Errors
+    /// What is wrong with the file; [`Progress::check`]'s error when cancelled.
+    fn open(&self, file: &Path, progress: &Arc<Progress>) -> Result<Arc<dyn VolumeSource>>;
+
+    /// The predictor for a volume and shading mode.
+    ///
+    /// # Errors
+    /// When a model file is wrong.
+    fn steering(&self, volume: &VolumeView<'_>, shading: Shading) -> Result<Arc<dyn Steering>>;
+
+    /// Name and title of every controller.
+    fn controllers(&self) -> Vec<(&'static str, &'static str)>;
+
+    /// Writes a recorded session as a path file.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    fn save_recording(&self, file: &Path, recording: &Recording) -> Result<()>;
+
+    /// The command line that calibrates a model to this machine.
+    fn calibration(&self, volume: &Path, shading: Shading) -> String;
+}
+
+/// How far a file has been read, shared between who reads and who watches.
+#[derive(Debug, Default)]
+pub struct Progress {
+    done: AtomicU64,
+    total: AtomicU64,
+    cancelled: AtomicBool,
+}
+
+impl Progress {
+    /// Adds to the bytes that there are to read.
+    pub fn expect(&self, bytes: u64) {
+        self.total.fetch_add(bytes, Ordering::Relaxed);
+    }
+
+    /// Adds to the bytes that were read.
+    pub fn advance(&self, bytes: u64) {
+        self.done.fetch_add(bytes, Ordering::Relaxed);
+    }
+
+    /// Asks whoever reads to stop.
+    pub fn cancel(&self) {
+        self.cancelled.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether [`Progress::cancel`] was called.
+    pub fn is_cancelled(&self) -> bool {
+        self.cancelled.load(Ordering::Relaxed)
+    }
+
+    /// Stops whoever was asked to.
+    ///
+    /// # Errors
+    /// When it was cancelled.
+    pub fn check(&self) -> Result<()> {
+        if self.is_cancelled() {
+            bail!("cancelled");
+        }
+        Ok(())
+    }
+
+    /// The share that was read, 0 to 1.
+    pub fn share(&self) -> f32 {
+        let total = self.total.load(Ordering::Relaxed).max(1);
+        (self.done.load(Ordering::Relaxed) as f64 / total as f64).min(1.0) as f32
+    }
+}
+
+/// How the window opens.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// The volume, or those of a time series in order; none for an empty window.
+    pub volumes: Vec<PathBuf>,
+    /// Seconds that a frame should take at most.
+    pub target: f64,
+    /// The coarsest ray step that steering may choose, reference steps.
+    pub coarsest: f32,
+    /// The most pixels between neighboring rays that steering may choose, along each side.
+    pub image_sample_distance: f32,
+    /// One of [`Host::controllers`].
+    pub controller: String,
+    /// What each sample computes.
+    pub shading: Shading,
+    /// How empty space is skipped.
+    pub skipping: Skipping,
+    /// Accumulated opacity at which a ray stops.
+    pub termination: f32,
+    /// Size of the window, pixels.
+    pub size: (u32, u32),
+    /// Events to play instead of waiting for a person: JSON lines.
+    pub script: Option<PathBuf>,
+    /// Where every frame is written as a row of CSV.
+    pub log: Option<PathBuf>,
+}

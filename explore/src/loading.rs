@@ -1,0 +1,188 @@
+//! Volumes come in the background: read, summed up, brought onto the device by a raycaster of their own, and
+//! drawn once in small, so that the frame in which they appear is a frame like any other.
+
+use crate::app::Wake;
+use crate::camera::Placement;
+use crate::histogram::Histogram;
+use crate::host::{Host, Progress, Steering, VolumeSource};
+use crate::scene::{Crop, Facts, Part, Scene};
+use crate::transfer::Curve;
+use anyhow::{Context, Result};
+use entire_core::VolumeSummary;
+use entire_core::features::SummaryOptions;
+use entire_core::scene::{Arcball, Camera, Frame, Shading, Skipping};
+use entire_vk_raycaster::{Renderer, SharedDevice, VulkanOptions, VulkanRaycaster};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::Instant;
+use winit::event_loop::EventLoopProxy;
+
+/// What to load.
+#[derive(Clone)]
+pub(crate) struct Job {
+    pub(crate) path: PathBuf,
+    /// Which of a time series.
+    pub(crate) index: usize,
+    /// The volume, where it is in memory.
+    pub(crate) source: Option<Arc<dyn VolumeSource>>,
+    pub(crate) crop: Option<Crop>,
+    /// The transfer function to prepare with; a preset for the volume where there is none.
+    pub(crate) curve: Option<Curve>,
+    pub(crate) shading: Shading,
+    pub(crate) skipping: Skipping,
+}
+
+/// A volume that is ready to be shown.
+pub(crate) struct Loaded {
+    pub(crate) scene: Scene,
+    pub(crate) summary: VolumeSummary,
+    pub(crate) steering: [Arc<dyn Steering>; 3],
+    pub(crate) curve: Curve,
+    /// From the request on.
+    pub(crate) seconds: f64,
+}
+
+/// The parts of a load, for people.
+const STAGES: [&str; 4] = ["reading", "summing up", "bringing onto the device", "first picture"];
+
+/// A load under way.
+pub(crate) struct Loading {
+    pub(crate) path: PathBuf,
+    progress: Arc<Progress>,
+    stage: Arc<AtomicU32>,
+    result: Receiver<Result<Box<Loaded>>>,
+}
+
+impl Loading {
+    /// Starts a thread; it wakes the event loop once it is done.
+    ///
+    /// # Errors
+    /// When the system starts no thread.
+    pub(crate) fn start(
+        job: Job,
+        host: &Arc<dyn Host>,
+        device: &SharedDevice,
+        options: &VulkanOptions,
+        wake: EventLoopProxy<Wake>,
+    ) -> Result<Self> {
+        let progress = Arc::new(Progress::default());
+        let stage = Arc::new(AtomicU32::new(0));
+        let (send, result): (Sender<Result<Box<Loaded>>>, _) = channel();
+        let path = job.path.clone();
+        let begin = Instant::now();
+        let worker = Worker {
+            host: Arc::clone(host),
+            device: device.clone(),
+            options: options.clone(),
+            progress: Arc::clone(&progress),
+            stage: Arc::clone(&stage),
+        };
+        std::thread::Builder::new()
+            .name("load".into())
+            .spawn(move || {
+                let shown = job.path.display().to_string();
+                let loaded = worker.load(job, begin).with_context(|| shown);
+                // Nobody listens where the window was closed.
+                let _ = send.send(loaded.map(Box::new));
+                let _ = wake.send_event(Wake::Loaded);
+            })
+            .context("cannot start a thread")?;
+        Ok(Self { path, progress, stage, result })
+    }
+
+    pub(crate) fn cancel(&self) {
+        self.progress.cancel();
+    }
+
+    /// The stage, and the share of the file that was read.
+    pub(crate) fn state(&self) -> (&'static str, f32) {
+        let stage = self.stage.load(Ordering::Relaxed) as usize;
+        (STAGES[stage.min(STAGES.len() - 1)], self.progress.share())
+    }
+
+    /// The volume, once it is there.
+    pub(crate) fn poll(&self) -> Option<Result<Box<Loaded>>> {
+        self.result.try_recv().ok()
+    }
+}
+
+struct Worker {
+    host: Arc<dyn Host>,
+    device: SharedDevice,
+    options: VulkanOptions,
+    progress: Arc<Progress>,
+    stage: Arc<AtomicU32>,
+}
+
+impl Worker {
+    fn enter(&self, stage: u32) -> Result<()> {
+        self.stage.store(stage, Ordering::Relaxed);
+        self.progress.check()
+    }
+
+    fn load(&self, job: Job, begin: Instant) -> Result<Loaded> {
+        let whole = match job.source {
+            Some(source) => source,
+            None => self.host.open(&job.path, &self.progress)?,
+        };
+        self.enter(1)?;
+        let facts = Facts::of(&whole.view());
+        let (part, placement) = match job.crop {
+            Some(crop) => {
+                let (part, placement) = Part::new(&whole.view(), crop)?;
+                (Some(part), placement)
+            }
+            None => (None, Placement::WHOLE),
+        };
+        let view = part.as_ref().map_or_else(|| whole.view(), VolumeSource::view);
+        let mut raycaster = VulkanRaycaster::on_device(&self.device, self.options.clone())?;
+        // The processor sums up while the device takes the voxels, each with threads of its own.
+        let (summed, uploaded) = std::thread::scope(|scope| {
+            let summed = scope.spawn(|| -> Result<_> {
+                let summary = VolumeSummary::new(&view, SummaryOptions::default())?;
+                let histogram = Histogram::of(&view);
+                let of = |shading| self.host.steering(&view, shading);
+                let steering = [of(Shading::None)?, of(Shading::Local)?, of(Shading::Scatter)?];
+                Ok((summary, histogram, steering))
+            });
+            self.stage.store(2, Ordering::Relaxed);
+            let uploaded = raycaster.set_volume(&view);
+            (summed.join(), uploaded)
+        });
+        uploaded?;
+        let Ok(summed) = summed else { anyhow::bail!("summing up the volume failed") };
+        let (summary, histogram, steering) = summed?;
+        self.enter(3)?;
+        let curve = match job.curve {
+            Some(curve) => curve,
+            None => Curve::preset("layers", &histogram).context("a preset")?,
+        };
+        raycaster.set_transfer(&curve.table()?)?;
+        warm(&mut raycaster, job.shading, job.skipping)?;
+        self.progress.check()?;
+        let scene = Scene {
+            path: job.path,
+            index: job.index,
+            whole,
+            crop: job.crop,
+            placement,
+            raycaster,
+            histogram,
+            facts,
+        };
+        Ok(Loaded { scene, summary, steering, curve, seconds: begin.elapsed().as_secs_f64() })
+    }
+}
+
+/// Draws a few pixels, so that the shader of these modes is compiled.
+///
+/// # Errors
+/// Those of the raycaster.
+pub(crate) fn warm(raycaster: &mut VulkanRaycaster, shading: Shading, skipping: Skipping) -> Result<()> {
+    let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.6 })?;
+    let frame = Frame::new(camera, 16, 16)?.with_step(8.0)?.with_shading(shading).with_skipping(skipping);
+    raycaster.render(&frame)?;
+    Ok(())
+}

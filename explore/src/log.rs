@@ -1,0 +1,117 @@
+//! Every frame as a row of CSV.
+
+use crate::steering::FrameRecord;
+use anyhow::{Context, Result};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+/// What stands beside a frame's record.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Beside<'a> {
+    pub(crate) controller: &'a str,
+    /// Frames that were shown between an event and its picture, itself counted; 0 without an event.
+    pub(crate) input_frames: u64,
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    /// Seconds of the frame before its plan, and those of the interface on the device.
+    pub(crate) before: f64,
+    pub(crate) shown: f64,
+}
+
+/// A table in the making.
+pub(crate) struct Log {
+    out: BufWriter<File>,
+}
+
+impl Log {
+    /// # Errors
+    /// When the file cannot be made.
+    pub(crate) fn create(path: &Path) -> Result<Self> {
+        let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
+        let mut out = BufWriter::new(file);
+        writeln!(
+            out,
+            "frame,kind,seconds,cast_seconds,interface_cpu_seconds,before_seconds,shown_seconds,target_seconds,\
+             predicted_seconds,upper_seconds,full_seconds,step,image_sample_distance,width,height,reason,switched,\
+             controller,input_frames,resident_bytes"
+        )?;
+        Ok(Self { out })
+    }
+
+    /// A frame.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub(crate) fn frame(&mut self, r: &FrameRecord, b: &Beside<'_>) -> Result<()> {
+        writeln!(
+            self.out,
+            "{},frame,{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.4},{:.4},{},{},{},{},{},{},{}",
+            r.number,
+            r.seconds,
+            r.cast,
+            r.interface,
+            b.before,
+            b.shown,
+            r.target,
+            r.predicted,
+            r.upper,
+            r.full,
+            r.step,
+            r.image_sample_distance,
+            b.width,
+            b.height,
+            r.reason.name(),
+            u8::from(r.switched),
+            b.controller,
+            b.input_frames,
+            resident_bytes()
+        )?;
+        Ok(())
+    }
+
+    /// Something else that took time: `kind`, seconds in all, of ray casting, and of the longest slice.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub(crate) fn event(
+        &mut self,
+        frame: u64,
+        kind: &str,
+        [seconds, cast, longest]: [f64; 3],
+        target: f64,
+    ) -> Result<()> {
+        writeln!(
+            self.out,
+            "{frame},{kind},{seconds:.6},{cast:.6},,,{longest:.6},{target:.6},,,,,,,,,,,,{}",
+            resident_bytes()
+        )?;
+        Ok(())
+    }
+
+    /// # Errors
+    /// When it cannot be written.
+    pub(crate) fn flush(&mut self) -> Result<()> {
+        Ok(self.out.flush()?)
+    }
+}
+
+/// Memory of this process that is in use; 0 where the system does not tell.
+pub(crate) fn resident_bytes() -> u64 {
+    let pages = std::fs::read_to_string("/proc/self/statm").ok();
+    let pages = pages.and_then(|t| t.split_whitespace().nth(1)?.parse::<u64>().ok());
+    pages.unwrap_or(0) * 4096
+}
+
+/// Processor time of the calling thread, seconds; 0 where the system does not tell.
+pub(crate) fn thread_seconds() -> f64 {
+    #[cfg(unix)]
+    {
+        let t = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+        t.tv_sec as f64 + t.tv_nsec as f64 * 1e-9
+    }
+    #[cfg(not(unix))]
+    {
+        0.0
+    }
+}

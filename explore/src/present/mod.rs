@@ -1,0 +1,342 @@
+//! Shows the interface, and in it the raycaster's pictures: surface, swapchain and one submission a frame.
+//!
+//! Everything runs on the raycaster's own device and queue, so that a picture goes from the compute shader to
+//! the window without leaving the device.
+
+mod swapchain;
+
+use anyhow::{Context, Result, anyhow};
+use ash::vk;
+use egui::epaint::textures::TexturesDelta;
+use egui::{ClippedPrimitive, TextureId};
+use egui_ash_renderer::allocator::DefaultAllocator;
+use egui_ash_renderer::{Options, RenderMode, Renderer, RendererError, vulkan};
+use entire_vk_raycaster::{Picture, SharedDevice};
+use std::collections::HashMap;
+use std::ffi::{CStr, CString};
+use std::time::Instant;
+use swapchain::Swapchain;
+use winit::raw_window_handle::{HasDisplayHandle, HasWindowHandle};
+
+/// Pictures that can be shown at a time.
+const MOST_PICTURES: u32 = 16;
+
+/// How long the device may take for the interface, nanoseconds.
+const LONGEST_WAIT: u64 = 60_000_000_000;
+
+/// The instance extensions that windows of a display need.
+///
+/// # Errors
+/// When Vulkan has no surface for this kind of display.
+pub(crate) fn surface_extensions(display: &impl HasDisplayHandle) -> Result<Vec<CString>> {
+    let handle = display.display_handle().context("the display has no handle")?;
+    let names = ash_window::enumerate_required_extensions(handle.as_raw())
+        .map_err(|e| anyhow!("Vulkan cannot show pictures on this display: {e}"))?;
+    // SAFETY: the names are static texts of ash-window.
+    Ok(names.iter().map(|n| unsafe { CStr::from_ptr(*n) }.to_owned()).collect())
+}
+
+/// What a frame's showing took.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Presented {
+    /// Whether it was shown; not where the window had just changed its size.
+    pub(crate) shown: bool,
+    /// Seconds that were spent waiting for the display to take a picture.
+    pub(crate) display: f64,
+    /// Seconds that the device took to draw the interface.
+    pub(crate) device: f64,
+}
+
+/// The window's side of the device.
+pub(crate) struct Presenter {
+    egui: Option<Renderer<DefaultAllocator>>,
+    swapchain: Option<Swapchain>,
+    surface: vk::SurfaceKHR,
+    surface_functions: ash::khr::surface::Instance,
+    pool: vk::CommandPool,
+    commands: vk::CommandBuffer,
+    fence: vk::Fence,
+    acquired: vk::Semaphore,
+    sampler: vk::Sampler,
+    set_layout: vk::DescriptorSetLayout,
+    descriptors: vk::DescriptorPool,
+    sets: HashMap<TextureId, vk::DescriptorSet>,
+    device: SharedDevice,
+}
+
+impl Presenter {
+    /// A surface on a window that outlives the presenter, and everything to show the interface with but for
+    /// the swapchain, which the first frame makes.
+    ///
+    /// # Errors
+    /// When the device cannot present on this window.
+    pub(crate) fn new(
+        device: &SharedDevice,
+        window: &(impl HasDisplayHandle + HasWindowHandle),
+    ) -> Result<Self> {
+        let failed = |call: &'static str| move |r| device.error(call, r);
+        let display = window.display_handle().context("the window has no display")?;
+        let handle = window.window_handle().context("the window has no handle")?;
+        let surface_functions = ash::khr::surface::Instance::new(device.entry(), device.instance());
+        // SAFETY: both handles are alive, and the window outlives the presenter (its caller's contract, kept
+        // by the application, which drops the presenter first).
+        let surface = unsafe {
+            ash_window::create_surface(
+                device.entry(),
+                device.instance(),
+                display.as_raw(),
+                handle.as_raw(),
+                None,
+            )
+        }
+        .map_err(failed("vkCreateSurface"))?;
+        // SAFETY: surface, physical device and queue family belong together.
+        let presents = unsafe {
+            surface_functions.get_physical_device_surface_support(
+                device.physical_device(),
+                device.queue_family(),
+                surface,
+            )
+        };
+        if !matches!(presents, Ok(true)) {
+            // SAFETY: made above, not used.
+            unsafe { surface_functions.destroy_surface(surface, None) };
+            return Err(anyhow!(
+                "{} cannot show pictures on this display; choose another device (ENTIRE_DEVICE)",
+                device.name()
+            ));
+        }
+        let mut this = Self {
+            egui: None,
+            swapchain: None,
+            surface,
+            surface_functions,
+            pool: vk::CommandPool::null(),
+            commands: vk::CommandBuffer::null(),
+            fence: vk::Fence::null(),
+            acquired: vk::Semaphore::null(),
+            sampler: vk::Sampler::null(),
+            set_layout: vk::DescriptorSetLayout::null(),
+            descriptors: vk::DescriptorPool::null(),
+            sets: HashMap::new(),
+            device: device.clone(),
+        };
+        let d = device.device();
+        // SAFETY: the device is alive, what the create infos point to lives until the calls return, and the
+        // handles go into `this`, which destroys them once.
+        unsafe {
+            let info = vk::CommandPoolCreateInfo::default().queue_family_index(device.queue_family()).flags(
+                vk::CommandPoolCreateFlags::RESET_COMMAND_BUFFER | vk::CommandPoolCreateFlags::TRANSIENT,
+            );
+            this.pool = d.create_command_pool(&info, None).map_err(failed("vkCreateCommandPool"))?;
+            let info =
+                vk::CommandBufferAllocateInfo::default().command_pool(this.pool).command_buffer_count(1);
+            this.commands = d.allocate_command_buffers(&info).map_err(failed("vkAllocateCommandBuffers"))?[0];
+            this.fence =
+                d.create_fence(&vk::FenceCreateInfo::default(), None).map_err(failed("vkCreateFence"))?;
+            let info = vk::SemaphoreCreateInfo::default();
+            this.acquired = d.create_semaphore(&info, None).map_err(failed("vkCreateSemaphore"))?;
+            let info = vk::SamplerCreateInfo::default()
+                .mag_filter(vk::Filter::LINEAR)
+                .min_filter(vk::Filter::LINEAR)
+                .address_mode_u(vk::SamplerAddressMode::CLAMP_TO_EDGE)
+                .address_mode_v(vk::SamplerAddressMode::CLAMP_TO_EDGE);
+            this.sampler = d.create_sampler(&info, None).map_err(failed("vkCreateSampler"))?;
+        }
+        this.set_layout = vulkan::create_vulkan_descriptor_set_layout(d).map_err(|e| drawing(device, &e))?;
+        this.descriptors =
+            vulkan::create_vulkan_descriptor_pool(d, MOST_PICTURES).map_err(|e| drawing(device, &e))?;
+        Ok(this)
+    }
+
+    /// Makes a picture known to the interface.
+    ///
+    /// # Errors
+    /// When there are too many.
+    pub(crate) fn add_picture(&mut self, picture: &Picture) -> Result<TextureId> {
+        let set = vulkan::create_vulkan_descriptor_set(
+            self.device.device(),
+            self.set_layout,
+            self.descriptors,
+            picture.view(),
+            self.sampler,
+        )
+        .map_err(|e| drawing(&self.device, &e))?;
+        let Some(egui) = &mut self.egui else { return Err(anyhow!("the window was not drawn yet")) };
+        let id = egui.add_user_texture(set);
+        self.sets.insert(id, set);
+        Ok(id)
+    }
+
+    /// Forgets a picture. No frame that shows it may be running, which none is between calls.
+    pub(crate) fn remove_picture(&mut self, id: TextureId) {
+        if let Some(egui) = &mut self.egui {
+            egui.remove_user_texture(id);
+        }
+        if let Some(set) = self.sets.remove(&id) {
+            // SAFETY: the set is of this pool, which frees single sets, and nothing is running that uses it.
+            // A failure could only be a lost device.
+            let _ = unsafe { self.device.device().free_descriptor_sets(self.descriptors, &[set]) };
+        }
+    }
+
+    /// Makes a swapchain of a size, unless there is one. False where the window has no room for pictures.
+    ///
+    /// # Errors
+    /// When the device fails.
+    pub(crate) fn prepare(&mut self, size: [u32; 2]) -> Result<bool> {
+        if size.contains(&0) {
+            return Ok(false);
+        }
+        if self.swapchain.as_ref().is_some_and(|s| !s.stale && s.asked == size) {
+            return Ok(true);
+        }
+        let old = self.swapchain.take();
+        let kept = old.as_ref().map(|s| s.format);
+        self.swapchain = Swapchain::new(&self.device, &self.surface_functions, self.surface, size, old)?;
+        let Some(swapchain) = &self.swapchain else { return Ok(false) };
+        if self.egui.is_none() {
+            let options = Options { srgb_framebuffer: swapchain.is_srgb(), ..Options::default() };
+            let egui = Renderer::with_default_allocator(
+                self.device.instance(),
+                self.device.physical_device(),
+                self.device.device().clone(),
+                RenderMode::RenderPass(swapchain.render_pass),
+                options,
+            );
+            self.egui = Some(egui.map_err(|e| drawing(&self.device, &e))?);
+        } else if let (Some(egui), true) = (&mut self.egui, kept != Some(swapchain.format)) {
+            egui.set_render_mode(RenderMode::RenderPass(swapchain.render_pass))
+                .map_err(|e| drawing(&self.device, &e))?;
+        }
+        Ok(true)
+    }
+
+    /// Whether showing a picture waits for the display's next refresh.
+    pub(crate) fn waits_for_display(&self) -> bool {
+        self.swapchain.as_ref().is_some_and(|s| s.waits)
+    }
+
+    /// Longest side of a texture.
+    pub(crate) fn max_texture_side(&self) -> usize {
+        self.device.max_image_side() as usize
+    }
+
+    /// Draws the interface and shows it. Returns once the device is done.
+    ///
+    /// # Errors
+    /// When the device fails; a surface that changed meanwhile is no error (see [`Presented::shown`]).
+    pub(crate) fn show(
+        &mut self,
+        pixels_per_point: f32,
+        primitives: &[ClippedPrimitive],
+        mut textures: TexturesDelta,
+    ) -> Result<Presented> {
+        let mut presented = Presented::default();
+        let (Some(egui), Some(swapchain)) = (&mut self.egui, &mut self.swapchain) else {
+            return Ok(presented);
+        };
+        let device = &self.device;
+        for (id, deltas) in textures.set.drain() {
+            for delta in deltas {
+                device
+                    .with_queue(|queue| egui.set_texture(queue, self.pool, id, &delta))
+                    .map_err(|e| drawing(device, &e))?;
+            }
+        }
+        let begin = Instant::now();
+        let acquired = swapchain.acquire(self.acquired, LONGEST_WAIT)?;
+        presented.display += begin.elapsed().as_secs_f64();
+        if let Some(index) = acquired {
+            let begin = Instant::now();
+            self.draw(index, pixels_per_point, primitives)?;
+            presented.device = begin.elapsed().as_secs_f64();
+            presented.shown = true;
+        }
+        if let Some(egui) = &mut self.egui {
+            for id in textures.free.drain() {
+                egui.free_texture(id).map_err(|e| drawing(&self.device, &e))?;
+            }
+        }
+        Ok(presented)
+    }
+
+    /// Records, submits, presents and waits.
+    fn draw(&mut self, index: u32, pixels_per_point: f32, primitives: &[ClippedPrimitive]) -> Result<()> {
+        let (Some(egui), Some(swapchain)) = (&mut self.egui, &mut self.swapchain) else {
+            return Ok(());
+        };
+        let device = &self.device;
+        let failed = |call: &'static str| move |r| device.error(call, r);
+        let d = device.device();
+        let extent = swapchain.extent;
+        // SAFETY: nothing is running: the fence of the frame before was waited for. The command buffer, the
+        // framebuffer and the render pass are alive, recording begins before and ends after what is recorded.
+        unsafe {
+            let begin =
+                vk::CommandBufferBeginInfo::default().flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
+            d.begin_command_buffer(self.commands, &begin).map_err(failed("vkBeginCommandBuffer"))?;
+            let clear = [vk::ClearValue { color: vk::ClearColorValue { float32: [0.0, 0.0, 0.0, 1.0] } }];
+            let pass = vk::RenderPassBeginInfo::default()
+                .render_pass(swapchain.render_pass)
+                .framebuffer(swapchain.framebuffer(index))
+                .render_area(vk::Rect2D { offset: vk::Offset2D::default(), extent })
+                .clear_values(&clear);
+            d.cmd_begin_render_pass(self.commands, &pass, vk::SubpassContents::INLINE);
+        }
+        egui.cmd_draw(self.commands, extent, pixels_per_point, primitives)
+            .map_err(|e| drawing(device, &e))?;
+        let (waits, stages) = ([self.acquired], [vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT]);
+        let (buffers, signals) = ([self.commands], [swapchain.drawn(index)]);
+        let submit = [vk::SubmitInfo::default()
+            .wait_semaphores(&waits)
+            .wait_dst_stage_mask(&stages)
+            .command_buffers(&buffers)
+            .signal_semaphores(&signals)];
+        // SAFETY: as above; the queue is nobody else's meanwhile, the semaphores are of this frame, and the
+        // fence is unsignaled.
+        unsafe {
+            d.cmd_end_render_pass(self.commands);
+            d.end_command_buffer(self.commands).map_err(failed("vkEndCommandBuffer"))?;
+            device
+                .with_queue(|queue| d.queue_submit(queue, &submit, self.fence))
+                .map_err(failed("vkQueueSubmit"))?;
+        }
+        swapchain.present(index)?;
+        // SAFETY: the fence was submitted above; it is reset only once it has signaled.
+        unsafe {
+            d.wait_for_fences(&[self.fence], true, LONGEST_WAIT).map_err(failed("vkWaitForFences"))?;
+            d.reset_fences(&[self.fence]).map_err(failed("vkResetFences"))?;
+        }
+        Ok(())
+    }
+}
+
+/// What went wrong while drawing the interface.
+fn drawing(device: &SharedDevice, e: &RendererError) -> anyhow::Error {
+    match e {
+        RendererError::Vulkan(result) => device.error("drawing the interface", *result).into(),
+        other => anyhow!("the interface cannot be drawn on {}: {other}", device.name()),
+    }
+}
+
+impl Drop for Presenter {
+    fn drop(&mut self) {
+        let d = self.device.device();
+        // SAFETY: the queue is nobody else's meanwhile; a failure means a lost device, which runs nothing.
+        let _ = self.device.with_queue(|queue| unsafe { d.queue_wait_idle(queue) });
+        self.egui = None;
+        self.swapchain = None;
+        // SAFETY: everything was made from this device and instance, nothing runs that uses it, each is
+        // destroyed once, and null handles are ignored.
+        unsafe {
+            d.destroy_descriptor_pool(self.descriptors, None);
+            d.destroy_descriptor_set_layout(self.set_layout, None);
+            d.destroy_sampler(self.sampler, None);
+            d.destroy_semaphore(self.acquired, None);
+            d.destroy_fence(self.fence, None);
+            d.destroy_command_pool(self.pool, None);
+            self.surface_functions.destroy_surface(self.surface, None);
+        }
+    }
+}

@@ -1,0 +1,287 @@
+//! The pictures that the display takes in turn.
+
+use anyhow::Result;
+use ash::vk;
+use entire_vk_raycaster::SharedDevice;
+
+/// What is made for one picture of the display.
+struct Frame {
+    view: vk::ImageView,
+    framebuffer: vk::Framebuffer,
+    /// Signaled once the picture is drawn.
+    drawn: vk::Semaphore,
+}
+
+/// A swapchain with a render pass that clears and draws into it.
+pub(super) struct Swapchain {
+    functions: ash::khr::swapchain::Device,
+    handle: vk::SwapchainKHR,
+    pub(super) render_pass: vk::RenderPass,
+    frames: Vec<Frame>,
+    pub(super) extent: vk::Extent2D,
+    /// The size that was asked for, which the surface may have bounded.
+    pub(super) asked: [u32; 2],
+    pub(super) format: vk::SurfaceFormatKHR,
+    /// Whether pictures wait for the display's refresh.
+    pub(super) waits: bool,
+    /// Whether the surface has changed since.
+    pub(super) stale: bool,
+    device: SharedDevice,
+}
+
+impl Swapchain {
+    /// A swapchain in the place of an old one; `None` where the surface takes no picture (a minimized
+    /// window). Nothing may be running.
+    pub(super) fn new(
+        device: &SharedDevice,
+        surface_functions: &ash::khr::surface::Instance,
+        surface: vk::SurfaceKHR,
+        asked: [u32; 2],
+        old: Option<Self>,
+    ) -> Result<Option<Self>> {
+        let failed = |call: &'static str| move |r| device.error(call, r);
+        let physical = device.physical_device();
+        // SAFETY: surface and physical device belong to one instance.
+        let (capabilities, formats, modes) = unsafe {
+            (
+                surface_functions
+                    .get_physical_device_surface_capabilities(physical, surface)
+                    .map_err(failed("vkGetPhysicalDeviceSurfaceCapabilitiesKHR"))?,
+                surface_functions
+                    .get_physical_device_surface_formats(physical, surface)
+                    .map_err(failed("vkGetPhysicalDeviceSurfaceFormatsKHR"))?,
+                surface_functions
+                    .get_physical_device_surface_present_modes(physical, surface)
+                    .map_err(failed("vkGetPhysicalDeviceSurfacePresentModesKHR"))?,
+            )
+        };
+        let (least, most) = (capabilities.min_image_extent, capabilities.max_image_extent);
+        let extent = if capabilities.current_extent.width == u32::MAX {
+            vk::Extent2D {
+                width: asked[0].clamp(least.width, most.width.max(least.width)),
+                height: asked[1].clamp(least.height, most.height.max(least.height)),
+            }
+        } else {
+            capabilities.current_extent
+        };
+        if extent.width == 0 || extent.height == 0 {
+            return Ok(None);
+        }
+        let format = choose_format(&formats);
+        let mode = choose_mode(&modes);
+        let most_images =
+            if capabilities.max_image_count == 0 { u32::MAX } else { capabilities.max_image_count };
+        let images = (capabilities.min_image_count + 1).min(most_images);
+        let alpha = [vk::CompositeAlphaFlagsKHR::OPAQUE, vk::CompositeAlphaFlagsKHR::INHERIT]
+            .into_iter()
+            .find(|a| capabilities.supported_composite_alpha.contains(*a))
+            .unwrap_or(vk::CompositeAlphaFlagsKHR::OPAQUE);
+        let functions = ash::khr::swapchain::Device::new(device.instance(), device.device());
+        let info = vk::SwapchainCreateInfoKHR::default()
+            .surface(surface)
+            .min_image_count(images)
+            .image_format(format.format)
+            .image_color_space(format.color_space)
+            .image_extent(extent)
+            .image_array_layers(1)
+            .image_usage(vk::ImageUsageFlags::COLOR_ATTACHMENT)
+            .image_sharing_mode(vk::SharingMode::EXCLUSIVE)
+            .pre_transform(capabilities.current_transform)
+            .composite_alpha(alpha)
+            .present_mode(mode)
+            .clipped(true)
+            .old_swapchain(old.as_ref().map_or(vk::SwapchainKHR::null(), |s| s.handle));
+        // SAFETY: every value was taken from what the surface says it takes.
+        let handle =
+            unsafe { functions.create_swapchain(&info, None) }.map_err(failed("vkCreateSwapchainKHR"))?;
+        let mut this = Self {
+            functions,
+            handle,
+            render_pass: vk::RenderPass::null(),
+            frames: Vec::new(),
+            extent,
+            asked,
+            format,
+            waits: mode == vk::PresentModeKHR::FIFO,
+            stale: false,
+            device: device.clone(),
+        };
+        drop(old);
+        let d = device.device();
+        let attachments = [vk::AttachmentDescription::default()
+            .format(format.format)
+            .samples(vk::SampleCountFlags::TYPE_1)
+            .load_op(vk::AttachmentLoadOp::CLEAR)
+            .store_op(vk::AttachmentStoreOp::STORE)
+            .stencil_load_op(vk::AttachmentLoadOp::DONT_CARE)
+            .stencil_store_op(vk::AttachmentStoreOp::DONT_CARE)
+            .initial_layout(vk::ImageLayout::UNDEFINED)
+            .final_layout(vk::ImageLayout::PRESENT_SRC_KHR)];
+        let color =
+            [vk::AttachmentReference { attachment: 0, layout: vk::ImageLayout::COLOR_ATTACHMENT_OPTIMAL }];
+        let subpasses = [vk::SubpassDescription::default()
+            .pipeline_bind_point(vk::PipelineBindPoint::GRAPHICS)
+            .color_attachments(&color)];
+        // The picture is the surface's until the stage at which the acquisition is waited for.
+        let dependencies = [vk::SubpassDependency {
+            src_subpass: vk::SUBPASS_EXTERNAL,
+            dst_subpass: 0,
+            src_stage_mask: vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT,
+            dst_stage_mask: vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT,
+            src_access_mask: vk::AccessFlags::empty(),
+            dst_access_mask: vk::AccessFlags::COLOR_ATTACHMENT_WRITE,
+            dependency_flags: vk::DependencyFlags::empty(),
+        }];
+        let info = vk::RenderPassCreateInfo::default()
+            .attachments(&attachments)
+            .subpasses(&subpasses)
+            .dependencies(&dependencies);
+        // SAFETY: the device is alive, what the create infos point to lives until the calls return, and the
+        // handles go into `this`, which destroys them once.
+        unsafe {
+            this.render_pass = d.create_render_pass(&info, None).map_err(failed("vkCreateRenderPass"))?;
+            let images =
+                this.functions.get_swapchain_images(handle).map_err(failed("vkGetSwapchainImagesKHR"))?;
+            for image in images {
+                let mut frame = Frame {
+                    view: vk::ImageView::null(),
+                    framebuffer: vk::Framebuffer::null(),
+                    drawn: vk::Semaphore::null(),
+                };
+                let info = vk::ImageViewCreateInfo::default()
+                    .image(image)
+                    .view_type(vk::ImageViewType::TYPE_2D)
+                    .format(format.format)
+                    .subresource_range(vk::ImageSubresourceRange {
+                        aspect_mask: vk::ImageAspectFlags::COLOR,
+                        base_mip_level: 0,
+                        level_count: 1,
+                        base_array_layer: 0,
+                        layer_count: 1,
+                    });
+                let view = d.create_image_view(&info, None);
+                frame.view = view.unwrap_or_default();
+                this.frames.push(frame);
+                view.map_err(failed("vkCreateImageView"))?;
+                let Some(frame) = this.frames.last_mut() else { continue };
+                let views = [frame.view];
+                let info = vk::FramebufferCreateInfo::default()
+                    .render_pass(this.render_pass)
+                    .attachments(&views)
+                    .width(extent.width)
+                    .height(extent.height)
+                    .layers(1);
+                frame.framebuffer =
+                    d.create_framebuffer(&info, None).map_err(failed("vkCreateFramebuffer"))?;
+                frame.drawn = d
+                    .create_semaphore(&vk::SemaphoreCreateInfo::default(), None)
+                    .map_err(failed("vkCreateSemaphore"))?;
+            }
+        }
+        Ok(Some(this))
+    }
+
+    /// Whether what is written is taken for linear and encoded.
+    pub(super) fn is_srgb(&self) -> bool {
+        matches!(self.format.format, vk::Format::B8G8R8A8_SRGB | vk::Format::R8G8B8A8_SRGB)
+    }
+
+    pub(super) fn framebuffer(&self, index: u32) -> vk::Framebuffer {
+        self.frames[index as usize].framebuffer
+    }
+
+    pub(super) fn drawn(&self, index: u32) -> vk::Semaphore {
+        self.frames[index as usize].drawn
+    }
+
+    /// The next picture to draw into; `None` where the surface has changed.
+    pub(super) fn acquire(&mut self, acquired: vk::Semaphore, longest: u64) -> Result<Option<u32>> {
+        // SAFETY: the semaphore is unsignaled: the frame that waited for it is done.
+        let found =
+            unsafe { self.functions.acquire_next_image(self.handle, longest, acquired, vk::Fence::null()) };
+        match found {
+            Ok((index, suboptimal)) => {
+                self.stale |= suboptimal;
+                Ok(Some(index))
+            }
+            Err(vk::Result::ERROR_OUT_OF_DATE_KHR) => {
+                self.stale = true;
+                Ok(None)
+            }
+            Err(r) => Err(self.device.error("vkAcquireNextImageKHR", r).into()),
+        }
+    }
+
+    /// Hands a drawn picture to the display.
+    pub(super) fn present(&mut self, index: u32) -> Result<()> {
+        let (waits, chains, indices) = ([self.drawn(index)], [self.handle], [index]);
+        let info =
+            vk::PresentInfoKHR::default().wait_semaphores(&waits).swapchains(&chains).image_indices(&indices);
+        // SAFETY: the queue is nobody else's meanwhile, and a submission signals the semaphore.
+        let done = self.device.with_queue(|queue| unsafe { self.functions.queue_present(queue, &info) });
+        match done {
+            Ok(suboptimal) => self.stale |= suboptimal,
+            Err(vk::Result::ERROR_OUT_OF_DATE_KHR) => self.stale = true,
+            Err(r) => return Err(self.device.error("vkQueuePresentKHR", r).into()),
+        }
+        Ok(())
+    }
+}
+
+/// Eight bits, encoded by the device where it can: the pictures are sampled decoded.
+fn choose_format(formats: &[vk::SurfaceFormatKHR]) -> vk::SurfaceFormatKHR {
+    let wanted = [
+        vk::Format::B8G8R8A8_SRGB,
+        vk::Format::R8G8B8A8_SRGB,
+        vk::Format::B8G8R8A8_UNORM,
+        vk::Format::R8G8B8A8_UNORM,
+    ];
+    let at = |format| {
+        formats.iter().find(|f| f.format == format && f.color_space == vk::ColorSpaceKHR::SRGB_NONLINEAR)
+    };
+    wanted.into_iter().find_map(at).or(formats.first()).copied().unwrap_or_default()
+}
+
+/// One that does not wait for the display where there is such: what a frame takes is its own work then.
+fn choose_mode(modes: &[vk::PresentModeKHR]) -> vk::PresentModeKHR {
+    [vk::PresentModeKHR::MAILBOX, vk::PresentModeKHR::IMMEDIATE]
+        .into_iter()
+        .find(|m| modes.contains(m))
+        .unwrap_or(vk::PresentModeKHR::FIFO)
+}
+
+impl Drop for Swapchain {
+    fn drop(&mut self) {
+        let d = self.device.device();
+        // SAFETY: the queue is nobody else's meanwhile; a failure means a lost device, which runs nothing.
+        // What was made from the device is destroyed once, and null handles are ignored.
+        unsafe {
+            let _ = self.device.with_queue(|queue| d.queue_wait_idle(queue));
+            for frame in &self.frames {
+                d.destroy_semaphore(frame.drawn, None);
+                d.destroy_framebuffer(frame.framebuffer, None);
+                d.destroy_image_view(frame.view, None);
+            }
+            d.destroy_render_pass(self.render_pass, None);
+            self.functions.destroy_swapchain(self.handle, None);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_are_encoded_by_the_device_and_do_not_wait_where_it_can_be_had() {
+        let format = |format| vk::SurfaceFormatKHR { format, color_space: vk::ColorSpaceKHR::SRGB_NONLINEAR };
+        let all = [format(vk::Format::B8G8R8A8_UNORM), format(vk::Format::B8G8R8A8_SRGB)];
+        assert_eq!(choose_format(&all), all[1]);
+        assert_eq!(choose_format(&all[..1]), all[0]);
+        let other = [format(vk::Format::A2B10G10R10_UNORM_PACK32)];
+        assert_eq!(choose_format(&other), other[0]);
+        use vk::PresentModeKHR as M;
+        assert_eq!(choose_mode(&[M::FIFO, M::IMMEDIATE, M::MAILBOX]), M::MAILBOX);
+        assert_eq!(choose_mode(&[M::FIFO]), M::FIFO);
+    }
+}

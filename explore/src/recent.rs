@@ -1,0 +1,63 @@
+//! The volumes that were opened last.
+
+use std::path::{Path, PathBuf};
+
+/// Files that are kept.
+const MOST: usize = 12;
+
+/// Paths, the last one first, kept in the user's state folder.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Recent {
+    file: Option<PathBuf>,
+    pub(crate) paths: Vec<PathBuf>,
+}
+
+impl Recent {
+    /// What was kept; nothing where there is no state folder.
+    pub(crate) fn load() -> Self {
+        let variable = |name: &str| std::env::var_os(name).filter(|v| !v.is_empty()).map(PathBuf::from);
+        let folder = variable("XDG_STATE_HOME")
+            .or_else(|| variable("HOME").map(|home| home.join(".local/state")))
+            .or_else(|| variable("LOCALAPPDATA"));
+        Self::read(folder.map(|f| f.join("entire/recent.json")))
+    }
+
+    fn read(file: Option<PathBuf>) -> Self {
+        let text = file.as_ref().and_then(|f| std::fs::read_to_string(f).ok());
+        let mut paths: Vec<PathBuf> = text.and_then(|t| serde_json::from_str(&t).ok()).unwrap_or_default();
+        paths.truncate(MOST);
+        Self { file, paths }
+    }
+
+    /// Puts a file first. That it cannot be kept is no error: it is a convenience.
+    pub(crate) fn add(&mut self, path: &Path) {
+        let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
+        self.paths.retain(|p| *p != path);
+        self.paths.insert(0, path);
+        self.paths.truncate(MOST);
+        if let Some(file) = &self.file {
+            let write = || -> std::io::Result<()> {
+                std::fs::create_dir_all(file.parent().unwrap_or(Path::new(".")))?;
+                std::fs::write(file, serde_json::to_string_pretty(&self.paths)?)
+            };
+            let _ = write();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_one_stands_first_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = Some(folder.path().join("state/recent.json"));
+        let mut recent = Recent::read(file.clone());
+        for name in ["/a", "/b", "/a"] {
+            recent.add(Path::new(name));
+        }
+        assert_eq!(recent.paths, [PathBuf::from("/a"), PathBuf::from("/b")]);
+        assert_eq!(Recent::read(file).paths, recent.paths);
+    }
+}

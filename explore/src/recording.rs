@@ -1,0 +1,119 @@
+//! What a person did, frame by frame, to be played again.
+
+use crate::camera::Viewpoint;
+use crate::transfer::Curve;
+use anyhow::Result;
+use entire_core::GaussianLobe;
+use entire_core::scene::{Arcball, ControlPoint};
+
+/// Most frames of a recording.
+pub(crate) const MOST_FRAMES: usize = 1_000_000;
+
+/// A transfer function.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RecordedTransfer {
+    /// Gaussian lobes in the color ramp of the core.
+    Lobes(Vec<GaussianLobe>),
+    /// Control points, ascending.
+    Points(Vec<ControlPoint>),
+}
+
+/// A frame that was drawn.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecordedFrame {
+    /// The pose of the eye about the volume's center.
+    pub camera: Arcball,
+    /// Whether the camera jumped here.
+    pub camera_switched: bool,
+    /// The transfer function, where it differs from the frame before.
+    pub transfer: Option<RecordedTransfer>,
+    /// Whether it was replaced, not dragged.
+    pub transfer_switched: bool,
+}
+
+/// A recorded session.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recording {
+    /// Vertical field of view, degrees.
+    pub fov_y_degrees: f32,
+    /// Every frame in order; the first has a transfer function.
+    pub frames: Vec<RecordedFrame>,
+}
+
+/// A recording in the making.
+#[derive(Debug)]
+pub(crate) struct Recorder {
+    recording: Recording,
+    last: Option<(Arcball, Curve)>,
+    /// Whether a frame was panned, which path files do not hold.
+    pub(crate) panned: bool,
+}
+
+/// Degrees, and ratio of distances, beyond which the camera counts as having jumped.
+const JUMP: (f32, f32) = (20.0, 1.5);
+
+impl Recorder {
+    pub(crate) fn new(fov_y_degrees: f32) -> Self {
+        Self { recording: Recording { fov_y_degrees, frames: Vec::new() }, last: None, panned: false }
+    }
+
+    /// Notes a frame.
+    ///
+    /// # Errors
+    /// When the transfer function is none.
+    pub(crate) fn note(&mut self, view: &Viewpoint, curve: &Curve, replaced: bool) -> Result<()> {
+        if self.recording.frames.len() >= MOST_FRAMES {
+            return Ok(());
+        }
+        self.panned |= view.target != glam::Vec3::ZERO;
+        let mut camera = view.arcball();
+        let mut switched = false;
+        if let Some((before, _)) = &self.last {
+            // Angles go on beyond a turn, so that what lies between two frames is the short way.
+            camera.ry += 360.0 * ((before.ry - camera.ry) / 360.0).round();
+            let turned = (camera.ry - before.ry).abs().max((camera.rx - before.rx).abs());
+            let moved = (camera.dz / before.dz).max(before.dz / camera.dz);
+            switched = turned > JUMP.0 || moved > JUMP.1;
+        }
+        let changed = self.last.as_ref().is_none_or(|(_, before)| before != curve);
+        let transfer = if changed { Some(curve.recorded()?) } else { None };
+        self.recording.frames.push(RecordedFrame {
+            camera,
+            camera_switched: switched,
+            transfer,
+            transfer_switched: changed && replaced,
+        });
+        self.last = Some((camera, curve.clone()));
+        Ok(())
+    }
+
+    pub(crate) fn frames(&self) -> usize {
+        self.recording.frames.len()
+    }
+
+    pub(crate) fn finish(self) -> Recording {
+        self.recording
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::histogram::Histogram;
+
+    #[test]
+    fn changes_and_jumps_are_noted_and_angles_go_on() {
+        let curve = |name| Curve::preset(name, &Histogram { counts: vec![5; 256] }).unwrap();
+        let mut recorder = Recorder::new(45.0);
+        let mut view = Viewpoint { ry: 350.0, ..Default::default() };
+        recorder.note(&view, &curve("shell"), true).unwrap();
+        view.ry = 5.0;
+        recorder.note(&view, &curve("shell"), true).unwrap();
+        view.ry = 60.0;
+        recorder.note(&view, &curve("core"), true).unwrap();
+        let frames = recorder.finish().frames;
+        assert_eq!(frames[1].camera.ry, 365.0);
+        assert_eq!(frames.iter().map(|f| f.camera_switched).collect::<Vec<_>>(), [false, false, true]);
+        assert_eq!(frames.iter().map(|f| f.transfer.is_some()).collect::<Vec<_>>(), [true, false, true]);
+    }
+}

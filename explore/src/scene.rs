@@ -1,0 +1,156 @@
+//! The volume in the window, on the device and off it.
+
+use crate::camera::Placement;
+use crate::histogram::Histogram;
+use crate::host::VolumeSource;
+use anyhow::{Result, ensure};
+use entire_core::scene::{Scalars, VolumeView};
+use entire_vk_raycaster::VulkanRaycaster;
+use glam::Vec3;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// First and last voxel of a part along each axis.
+pub(crate) type Crop = [[usize; 2]; 3];
+
+/// A volume that is on the device, all of it or a part.
+pub(crate) struct Scene {
+    pub(crate) path: PathBuf,
+    /// Which of a time series.
+    pub(crate) index: usize,
+    pub(crate) whole: Arc<dyn VolumeSource>,
+    pub(crate) crop: Option<Crop>,
+    pub(crate) placement: Placement,
+    pub(crate) raycaster: VulkanRaycaster,
+    pub(crate) histogram: Histogram,
+    pub(crate) facts: Facts,
+}
+
+/// What is said of a volume.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Facts {
+    pub(crate) dims: [usize; 3],
+    pub(crate) kind: &'static str,
+    pub(crate) range: (f32, f32),
+    pub(crate) spacing: Vec3,
+    /// Half the whole box in its scene space.
+    pub(crate) half_extent: Vec3,
+}
+
+impl Facts {
+    pub(crate) fn of(view: &VolumeView<'_>) -> Self {
+        Self {
+            dims: view.dims(),
+            kind: view.scalar_type().name(),
+            range: view.range(),
+            spacing: view.spacing(),
+            half_extent: view.half_extent(),
+        }
+    }
+
+    /// The corners of a part, or of all, in the whole's scene space.
+    pub(crate) fn corners(&self, crop: Option<Crop>) -> [Vec3; 2] {
+        let end =
+            |a: usize, voxel: usize| self.half_extent[a] * (2.0 * voxel as f32 / self.dims[a] as f32 - 1.0);
+        let Some(crop) = crop else { return [-self.half_extent, self.half_extent] };
+        [
+            Vec3::from_array([0, 1, 2].map(|a| end(a, crop[a][0]))),
+            Vec3::from_array([0, 1, 2].map(|a| end(a, crop[a][1] + 1))),
+        ]
+    }
+}
+
+/// A part of a volume, copied, so that renderer and predictor both know it for what it is.
+pub(crate) struct Part {
+    voxels: Voxels,
+    dims: [usize; 3],
+    spacing: Vec3,
+    range: (f32, f32),
+}
+
+enum Voxels {
+    U8(Vec<u8>),
+    U16(Vec<u16>),
+    I16(Vec<i16>),
+    F32(Vec<f32>),
+}
+
+impl Part {
+    /// Copies the voxels of a part; the range stays the whole's.
+    ///
+    /// # Errors
+    /// For a part beyond the volume, or voxels of an unknown type.
+    pub(crate) fn new(view: &VolumeView<'_>, crop: Crop) -> Result<(Self, Placement)> {
+        for (axis, ([low, high], n)) in ["x", "y", "z"].iter().zip(crop.iter().zip(view.dims())) {
+            ensure!(
+                low <= high && *high < n,
+                "the part has voxels {low} to {high} along {axis}; the volume has 0 to {}",
+                n - 1
+            );
+        }
+        let dims = crop.map(|[low, high]| high - low + 1);
+        let voxels = match view.scalars() {
+            Scalars::U8(v) => Voxels::U8(copy(v, view, crop)),
+            Scalars::U16(v) => Voxels::U16(copy(v, view, crop)),
+            Scalars::I16(v) => Voxels::I16(copy(v, view, crop)),
+            Scalars::F32(v) => Voxels::F32(copy(v, view, crop)),
+            other => anyhow::bail!("voxels of type {} cannot be cropped", other.scalar_type().name()),
+        };
+        let part = Self { voxels, dims, spacing: view.spacing(), range: view.range() };
+        let corners = Facts::of(view).corners(Some(crop));
+        let radius = part.view().bounding_radius() / view.bounding_radius();
+        Ok((part, Placement { center: 0.5 * (corners[0] + corners[1]), radius }))
+    }
+}
+
+fn copy<T: Copy>(all: &[T], view: &VolumeView<'_>, crop: Crop) -> Vec<T> {
+    let [x, y, z] = crop;
+    let mut out = Vec::with_capacity(crop.iter().map(|[l, h]| h - l + 1).product());
+    for k in z[0]..=z[1] {
+        for j in y[0]..=y[1] {
+            let stride = view.strides()[0];
+            let row = view.index(x[0], j, k);
+            out.extend((0..=x[1] - x[0]).map(|i| all[row + i * stride]));
+        }
+    }
+    out
+}
+
+impl VolumeSource for Part {
+    fn view(&self) -> VolumeView<'_> {
+        let scalars = match &self.voxels {
+            Voxels::U8(v) => Scalars::U8(v),
+            Voxels::U16(v) => Scalars::U16(v),
+            Voxels::I16(v) => Scalars::I16(v),
+            Voxels::F32(v) => Scalars::F32(v),
+        };
+        VolumeView::with_known_range(scalars, self.dims, self.range)
+            .and_then(|v| v.with_spacing(self.spacing.to_array()))
+            .expect("a part of a checked volume")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_part_holds_its_voxels_and_knows_where_it_lies() {
+        let voxels: Vec<u16> = (0..4 * 6 * 8).collect();
+        let view =
+            VolumeView::new(Scalars::U16(&voxels), [4, 6, 8]).unwrap().with_spacing([1.0, 2.0, 0.5]).unwrap();
+        let (part, placement) = Part::new(&view, [[1, 2], [0, 3], [4, 7]]).unwrap();
+        let cut = part.view();
+        assert_eq!((cut.dims(), cut.range()), ([2, 4, 4], view.range()));
+        for (x, y, z) in [(0, 0, 0), (1, 3, 3), (1, 0, 2)] {
+            assert_eq!(cut.value(x, y, z), view.value(x + 1, y, z + 4));
+        }
+        // A voxel's corner is at one place of the world in both.
+        let world = |v: &VolumeView<'_>, at: Vec3| at * v.spacing() - 0.5 * v.extent();
+        let of_whole = world(&view, Vec3::new(1.0, 0.0, 4.0)) / view.bounding_radius();
+        let of_part = world(&cut, Vec3::ZERO) / cut.bounding_radius() * placement.radius + placement.center;
+        assert!((of_whole - of_part).length() < 1e-6, "{of_whole} {of_part}");
+        assert!(Part::new(&view, [[1, 4], [0, 3], [4, 7]]).is_err());
+        assert!(Part::new(&view, [[2, 1], [0, 3], [4, 7]]).is_err());
+    }
+}

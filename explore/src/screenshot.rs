@@ -1,0 +1,70 @@
+//! Pictures at full quality for files, made in slices.
+
+use crate::refine::Cursor;
+use anyhow::{Context, Result};
+use entire_core::scene::Frame;
+use entire_vk_raycaster::VulkanRaycaster;
+use std::path::{Path, PathBuf};
+
+/// A picture in the making.
+pub(crate) struct Screenshot {
+    pub(crate) file: PathBuf,
+    frame: Frame,
+    cursor: Cursor,
+    rgb: Vec<u8>,
+}
+
+impl Screenshot {
+    /// `expected`: seconds of the whole frame.
+    pub(crate) fn new(file: PathBuf, frame: Frame, expected: f64) -> Self {
+        let rgb = vec![0; frame.pixels() as usize * 3];
+        Self { file, frame, cursor: Cursor::new(frame.width(), frame.height(), expected), rgb }
+    }
+
+    pub(crate) fn share(&self) -> f64 {
+        self.cursor.share()
+    }
+
+    /// Goes on for about `budget` seconds; true once the file is written.
+    ///
+    /// # Errors
+    /// Those of the raycaster, and when the file cannot be written.
+    pub(crate) fn slice(&mut self, raycaster: &mut VulkanRaycaster, budget: f64) -> Result<bool> {
+        let (frame, rgb) = (&self.frame, &mut self.rgb);
+        let width = frame.width() as usize;
+        self.cursor.slice(budget, |region| {
+            let rendered = raycaster.render_region(frame, region)?;
+            let found = rendered.image.rgba.as_chunks::<4>().0.chunks_exact(region.width as usize);
+            for (row, pixels) in found.enumerate() {
+                let start = ((region.y as usize + row) * width + region.x as usize) * 3;
+                let out = &mut rgb[start..start + 3 * region.width as usize];
+                for (out, pixel) in out.as_chunks_mut::<3>().0.iter_mut().zip(pixels) {
+                    // Over black, which premultiplied colors already are.
+                    out.copy_from_slice(&pixel[..3]);
+                }
+            }
+            Ok(rendered.time.wall)
+        })?;
+        if self.cursor.is_done() {
+            write_png(&self.file, frame.width(), frame.height(), rgb)?;
+        }
+        Ok(self.cursor.is_done())
+    }
+}
+
+/// Writes 8-bit RGB.
+///
+/// # Errors
+/// When the file cannot be written.
+pub(crate) fn write_png(path: &Path, width: u32, height: u32, rgb: &[u8]) -> Result<()> {
+    let write = || -> Result<()> {
+        let file = std::io::BufWriter::new(std::fs::File::create(path)?);
+        let mut encoder = png::Encoder::new(file, width, height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(rgb)?;
+        Ok(writer.finish()?)
+    };
+    write().with_context(|| format!("cannot write {}", path.display()))
+}

@@ -1,0 +1,164 @@
+//! Events from a file in the place of a person's: JSON lines, each an object with one action and the number of
+//! the drawn frame, counted from 0, before which it happens.
+//!
+//! | action | value |
+//! |---|---|
+//! | `camera` | `[rx, ry, dz]`: degrees, degrees, bounding-sphere radii; a cut |
+//! | `spin` | `[right, down]`: degrees per frame from here on |
+//! | `zoom` | factor of the distance |
+//! | `pan` | `[right, down]` in heights of the view |
+//! | `preset` | the name of a preset |
+//! | `lobes` | `[[center, width, height], …]` |
+//! | `drag` | `[center, height]` per frame: the first lobe moves from here on |
+//! | `controller` | its name |
+//! | `steering` | true or false |
+//! | `target` | seconds |
+//! | `shading`, `skipping` | a mode's name |
+//! | `size` | `[width, height]` of the window, pixels |
+//! | `open` | a volume file |
+//! | `screenshot` | `{"file": …, "size": [width, height]}`; the script waits for it |
+//! | `rest` | true: waits until the picture is at full quality |
+//! | `full_frame` | true: draws the view at full quality in one go, for the log |
+//! | `crop` | `[[first, last], …]` voxels along x, y, z; null for all |
+//! | `map` | true: counts where the samples go |
+//! | `save_transfer`, `load_transfer` | a file |
+//! | `undo` | true |
+//! | `record`, `save_recording` | true; a path file |
+//! | `lose_device` | true: the device counts as lost |
+//! | `quit` | true: closes the window |
+
+use anyhow::{Context, Result, ensure};
+use serde::Deserialize;
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+
+/// Largest script, bytes.
+const MOST_BYTES: u64 = 16 << 20;
+
+/// What happens.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Action {
+    Camera([f32; 3]),
+    Spin([f32; 2]),
+    Zoom(f32),
+    Pan([f32; 2]),
+    Preset(String),
+    Lobes(Vec<[f32; 3]>),
+    Drag([f32; 2]),
+    Controller(String),
+    Steering(bool),
+    Target(f64),
+    Shading(String),
+    Skipping(String),
+    Size([u32; 2]),
+    Open(PathBuf),
+    /// First and last voxel along x, y, z; null for all.
+    Crop(Option<[[usize; 2]; 3]>),
+    Screenshot(Shot),
+    Rest(bool),
+    FullFrame(bool),
+    Map(bool),
+    SaveTransfer(PathBuf),
+    LoadTransfer(PathBuf),
+    Undo(bool),
+    Record(bool),
+    SaveRecording(PathBuf),
+    LoseDevice(bool),
+    Quit(bool),
+}
+
+/// A picture to write.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Shot {
+    pub(crate) file: PathBuf,
+    pub(crate) size: [u32; 2],
+}
+
+#[derive(Deserialize)]
+struct Line {
+    frame: u64,
+    #[serde(flatten)]
+    action: Action,
+}
+
+/// Events in order.
+#[derive(Debug, Default)]
+pub(crate) struct Script {
+    events: VecDeque<(u64, Action)>,
+    pub(crate) spin: [f32; 2],
+    pub(crate) drag: [f32; 2],
+}
+
+impl Script {
+    /// # Errors
+    /// Names the line and what is wrong with it.
+    pub(crate) fn open(path: &Path) -> Result<Self> {
+        let shown = path.display();
+        let size = std::fs::metadata(path).with_context(|| format!("cannot read {shown}"))?.len();
+        ensure!(size <= MOST_BYTES, "{shown} has {size} bytes; a script has at most {MOST_BYTES}");
+        let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {shown}"))?;
+        Self::parse(&text).with_context(|| format!("{shown}"))
+    }
+
+    fn parse(text: &str) -> Result<Self> {
+        let mut events = VecDeque::new();
+        let mut last = 0;
+        for (i, line) in text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()) {
+            let Line { frame, action } =
+                serde_json::from_str(line).with_context(|| format!("line {}", i + 1))?;
+            ensure!(
+                frame >= last,
+                "line {} is for frame {frame}, after one for frame {last}; order them by frame",
+                i + 1
+            );
+            last = frame;
+            events.push_back((frame, action));
+        }
+        Ok(Self { events, ..Self::default() })
+    }
+
+    /// The next event before a frame, once it is due.
+    pub(crate) fn next(&mut self, frame: u64) -> Option<Action> {
+        self.events.pop_front_if(|(at, _)| *at <= frame).map(|(_, action)| action)
+    }
+
+    pub(crate) fn is_done(&self) -> bool {
+        self.events.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn events_come_in_order_before_their_frame() {
+        let text = r#"
+            {"frame": 0, "camera": [10, 20, 2.5]}
+            {"frame": 2, "preset": "core"}
+            {"frame": 2, "screenshot": {"file": "a.png", "size": [64, 48]}}
+            {"frame": 5, "quit": true}"#;
+        let mut script = Script::parse(text).unwrap();
+        assert_eq!(script.next(0), Some(Action::Camera([10.0, 20.0, 2.5])));
+        assert_eq!(script.next(0), None);
+        assert_eq!(script.next(3), Some(Action::Preset("core".into())));
+        assert!(matches!(script.next(3), Some(Action::Screenshot(_))));
+        assert!(script.next(4).is_none() && !script.is_done());
+        assert_eq!(script.next(5), Some(Action::Quit(true)));
+        assert!(script.is_done());
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_with_its_line() {
+        for (text, says) in [
+            ("{\"frame\": 1, \"spin\": [1, 2]}\n{\"frame\": 0, \"quit\": true}", "line 2 is for frame 0"),
+            ("{\"frame\": 1, \"dance\": true}", "line 1"),
+            ("{\"spin\": [1, 2]}", "line 1"),
+        ] {
+            let e = format!("{:#}", Script::parse(text).unwrap_err());
+            assert!(e.contains(says), "{text}: {e}");
+        }
+    }
+}

@@ -1,0 +1,236 @@
+//! What the interface shows and edits. The application acts on it.
+
+use crate::camera::Viewpoint;
+use crate::histogram::Histogram;
+use crate::host::Options;
+use crate::recent::Recent;
+use crate::recording::Recorder;
+use crate::scene::{Crop, Facts};
+use crate::steering::Steer;
+use crate::transfer::{Curve, Edited, Opacity};
+use crate::work_map::WorkMap;
+use egui::TextureId;
+use entire_core::scene::{COLOR_RAMP, Shading, Skipping};
+use entire_vk_raycaster::Region;
+use std::path::PathBuf;
+
+/// What a person asks for that the interface cannot do itself.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Command {
+    Open(PathBuf),
+    /// Opens a volume of the time series.
+    Step(usize),
+    Cancel,
+    Crop(Option<Crop>),
+    LoadTransfer(PathBuf),
+    SaveTransfer {
+        file: PathBuf,
+        paraview: bool,
+    },
+    Screenshot {
+        file: PathBuf,
+        size: [u32; 2],
+    },
+    SaveRecording(PathBuf),
+    /// Counts where the samples of the view go.
+    MapWork,
+    Forget,
+}
+
+/// What changed since the last frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Changed {
+    pub(crate) camera: bool,
+    /// The camera jumped.
+    pub(crate) cut: bool,
+    pub(crate) transfer: bool,
+    /// The transfer function was replaced.
+    pub(crate) replaced: bool,
+    /// Modes, sizes, target, controller: the picture is to be drawn anew.
+    pub(crate) settings: bool,
+}
+
+impl Changed {
+    /// Whether the picture is to be drawn anew.
+    pub(crate) fn any(&self) -> bool {
+        *self != Self::default()
+    }
+
+    /// Whether it changed abruptly.
+    pub(crate) fn abrupt(&self) -> bool {
+        self.cut || self.replaced
+    }
+}
+
+/// A picture as the interface shows it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Shown {
+    /// The steered picture. Its texture coordinates are set after the frame's size was chosen.
+    pub(crate) steered: TextureId,
+    /// The picture at full quality, its size, and what of it is done.
+    pub(crate) full: Option<(TextureId, [u32; 2], [Option<Region>; 2])>,
+}
+
+/// The wait for full quality.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Rest {
+    pub(crate) share: f64,
+    pub(crate) remaining: f64,
+    /// Seconds that it took, once it is done.
+    pub(crate) took: Option<f64>,
+}
+
+/// What is being dragged in the editor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Handle {
+    Point(usize),
+    Lobe(usize),
+    Width(usize),
+}
+
+/// Text that is typed.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Texts {
+    pub(crate) open: String,
+    pub(crate) transfer: String,
+    pub(crate) screenshot: String,
+    pub(crate) recording: String,
+}
+
+/// Everything that the interface knows.
+pub(crate) struct State {
+    pub(crate) steer: Steer,
+    pub(crate) view: Viewpoint,
+    pub(crate) edited: Edited,
+    pub(crate) shading: Shading,
+    pub(crate) skipping: Skipping,
+    pub(crate) termination: f32,
+    /// Opacity is shown by its cube root, so that small values can be set.
+    pub(crate) fine: bool,
+    pub(crate) selected: Option<Handle>,
+    pub(crate) dragged: Option<Handle>,
+
+    pub(crate) path: Option<PathBuf>,
+    pub(crate) facts: Option<Facts>,
+    pub(crate) histogram: Option<Histogram>,
+    pub(crate) bricks: String,
+    pub(crate) device: String,
+    pub(crate) predictor: String,
+    pub(crate) calibration: String,
+    pub(crate) crop: Option<Crop>,
+    pub(crate) crop_draft: Crop,
+
+    /// The volumes of a time series, and which of them is shown.
+    pub(crate) series: Vec<PathBuf>,
+    pub(crate) index: usize,
+    pub(crate) playing: bool,
+    /// Seconds for which each is shown.
+    pub(crate) hold: f32,
+
+    pub(crate) fly: bool,
+    pub(crate) show_box: bool,
+    pub(crate) show_axes: bool,
+    pub(crate) show_probe: bool,
+    pub(crate) show_work: bool,
+    pub(crate) work: Option<WorkMap>,
+    pub(crate) probe: Option<(usize, u32)>,
+
+    pub(crate) recorder: Option<Recorder>,
+    pub(crate) recent: Recent,
+    /// What is being loaded: the file, the stage, and the share that was read.
+    pub(crate) loading: Option<(String, &'static str, f32)>,
+    pub(crate) screenshot_share: Option<f64>,
+    pub(crate) screenshot_size: [u32; 2],
+    pub(crate) rest: Option<Rest>,
+    /// The last thing that is to be said, and whether it is an error.
+    pub(crate) said: Option<(String, bool)>,
+
+    pub(crate) changed: Changed,
+    pub(crate) commands: Vec<Command>,
+    pub(crate) texts: Texts,
+    pub(crate) picture: Option<Shown>,
+    /// Size of the view, pixels.
+    pub(crate) viewport: [u32; 2],
+}
+
+impl State {
+    pub(crate) fn new(options: &Options, steer: Steer) -> Self {
+        let ramp = Opacity::Points(vec![[0.0, 0.0], [1.0, 0.1]]);
+        Self {
+            steer,
+            view: Viewpoint::default(),
+            edited: Edited::new(Curve { opacity: ramp, colors: COLOR_RAMP.to_vec() }),
+            shading: options.shading,
+            skipping: options.skipping,
+            termination: options.termination,
+            fine: true,
+            selected: None,
+            dragged: None,
+            path: None,
+            facts: None,
+            histogram: None,
+            bricks: String::new(),
+            device: String::new(),
+            predictor: String::new(),
+            calibration: String::new(),
+            crop: None,
+            crop_draft: [[0, 0]; 3],
+            series: options.volumes.clone(),
+            index: 0,
+            playing: false,
+            hold: 0.5,
+            fly: false,
+            show_box: true,
+            show_axes: true,
+            show_probe: false,
+            show_work: false,
+            work: None,
+            probe: None,
+            recorder: None,
+            recent: Recent::load(),
+            loading: None,
+            screenshot_share: None,
+            screenshot_size: [1920, 1080],
+            rest: None,
+            said: None,
+            changed: Changed::default(),
+            commands: Vec::new(),
+            texts: Texts {
+                open: String::new(),
+                transfer: "transfer.json".into(),
+                screenshot: "screenshot.png".into(),
+                recording: "path.json".into(),
+            },
+            picture: None,
+            viewport: [0, 0],
+        }
+    }
+
+    /// Says something.
+    pub(crate) fn say(&mut self, text: impl Into<String>) {
+        self.said = Some((text.into(), false));
+    }
+
+    /// Says what went wrong.
+    pub(crate) fn complain(&mut self, error: &anyhow::Error) {
+        self.said = Some((format!("{error:#}"), true));
+    }
+
+    /// Takes over a preset.
+    pub(crate) fn preset(&mut self, name: &str) -> bool {
+        let Some(mut curve) = self.histogram.as_ref().and_then(|h| Curve::preset(name, h)) else {
+            return false;
+        };
+        curve.colors.clone_from(&self.edited.curve.colors);
+        self.replace(curve);
+        true
+    }
+
+    /// Replaces the transfer function.
+    pub(crate) fn replace(&mut self, curve: Curve) {
+        self.edited.replace(curve);
+        self.selected = None;
+        self.changed.transfer = true;
+        self.changed.replaced = true;
+    }
+}

@@ -1,0 +1,401 @@
+//! Plans every frame, hears how long it took, and remembers both for the graph.
+
+use crate::host::Steering;
+use anyhow::{Context, Result};
+use entire_core::adapt::ObserveFlags;
+use entire_core::control::{Reason, StepLimits};
+use entire_core::features::Changes;
+use entire_core::scene::{Frame, Shading, TransferTable};
+use entire_core::{GaussianLobe, Plan, Session, VolumeSummary};
+use std::collections::{HashMap, VecDeque};
+use std::sync::Arc;
+
+/// Frames that the graph shows.
+pub(crate) const REMEMBERED: usize = 300;
+
+/// Frames whose other work says what that of the next frame will be.
+const OTHER_WORK: usize = 15;
+
+/// The least share of the target that ray casting is planned with, whatever else the frame has to do.
+const LEAST_SHARE: f64 = 0.15;
+
+/// The step is coarsened alone up to this many times the finest one, then together with the image.
+const STEP_ALONE: f32 = 2.0;
+
+/// A frame that was drawn. Times are seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct FrameRecord {
+    pub(crate) number: u64,
+    /// From the first event that was looked at to the picture's handing over.
+    pub(crate) seconds: f64,
+    /// Of it, ray casting.
+    pub(crate) cast: f64,
+    /// Processor time of the thread that lays out and records the interface.
+    pub(crate) interface: f64,
+    pub(crate) target: f64,
+    /// Ray casting and everything else; NaN where nothing was expected.
+    pub(crate) predicted: f64,
+    pub(crate) upper: f64,
+    pub(crate) step: f32,
+    pub(crate) image_sample_distance: f32,
+    pub(crate) reason: Reason,
+    /// Whether something changed abruptly.
+    pub(crate) switched: bool,
+    /// What the frame would have taken at full quality, as predicted; NaN where unknown.
+    pub(crate) full: f64,
+}
+
+/// A plan with the frame to draw.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Planned {
+    pub(crate) plan: Plan,
+    /// The frame with the plan's step and image size.
+    pub(crate) frame: Frame,
+    /// Seconds that all other work of the frame is expected to take, so far and from here on.
+    pub(crate) other: f64,
+}
+
+/// A session with what it was told of.
+struct Loop {
+    session: Session,
+    volume: u64,
+    transfer: u64,
+}
+
+/// What sessions are told.
+struct Known {
+    summary: VolumeSummary,
+    steering: [Arc<dyn Steering>; 3],
+    table: Option<(TransferTable, Option<Vec<GaussianLobe>>)>,
+}
+
+/// Every controller's render loop; one of them steers.
+pub(crate) struct Steer {
+    /// Name and title.
+    pub(crate) controllers: Vec<(&'static str, &'static str)>,
+    /// Which of them steers.
+    pub(crate) controller: usize,
+    pub(crate) enabled: bool,
+    /// Seconds.
+    pub(crate) target: f64,
+    /// The coarsest step, and the most pixels between rays.
+    pub(crate) coarsest: f32,
+    pub(crate) distance: f32,
+    pub(crate) history: VecDeque<FrameRecord>,
+    /// Prediction for the frame at hand at full quality, seconds: expected and bound.
+    pub(crate) full: Option<(f64, f64)>,
+    loops: HashMap<(usize, usize), Loop>,
+    known: Option<Known>,
+    volume: u64,
+    transfer: u64,
+    changes: Changes,
+    other: VecDeque<f64>,
+}
+
+pub(crate) fn shading_index(shading: Shading) -> usize {
+    match shading {
+        Shading::None => 0,
+        Shading::Scatter => 2,
+        _ => 1,
+    }
+}
+
+impl Steer {
+    pub(crate) fn new(
+        controllers: Vec<(&'static str, &'static str)>,
+        controller: usize,
+        target: f64,
+    ) -> Self {
+        Self {
+            controllers,
+            controller,
+            enabled: true,
+            target,
+            coarsest: 16.0,
+            distance: 8.0,
+            history: VecDeque::with_capacity(REMEMBERED),
+            full: None,
+            loops: HashMap::new(),
+            known: None,
+            volume: 0,
+            transfer: 0,
+            changes: Changes::NONE,
+            other: VecDeque::with_capacity(OTHER_WORK),
+        }
+    }
+
+    /// A volume comes: what was learned stays where the predictor takes the new one's inputs as well, which
+    /// all do but those with features of the volume.
+    pub(crate) fn set_volume(&mut self, summary: VolumeSummary, steering: [Arc<dyn Steering>; 3]) {
+        self.known = Some(Known { summary, steering, table: None });
+        self.volume += 1;
+        self.full = None;
+    }
+
+    pub(crate) fn set_transfer(&mut self, table: TransferTable, lobes: Option<&[GaussianLobe]>) {
+        if let Some(known) = &mut self.known {
+            known.table = Some((table, lobes.map(<[GaussianLobe]>::to_vec)));
+            self.transfer += 1;
+        }
+    }
+
+    /// Announces a change that sessions cannot see.
+    pub(crate) fn camera_cut(&mut self) {
+        self.changes.camera = true;
+    }
+
+    /// Forgets what every controller learned.
+    pub(crate) fn forget(&mut self) {
+        self.loops.clear();
+        self.other.clear();
+    }
+
+    /// What predicts, for people.
+    pub(crate) fn predictor(&self, shading: Shading) -> String {
+        self.known.as_ref().map_or(String::new(), |k| k.steering[shading_index(shading)].title())
+    }
+
+    /// The rays along each side of the probe, and how many of them met the volume.
+    pub(crate) fn probe(&self, shading: Shading) -> Option<(usize, u32)> {
+        let running = self.loops.get(&(self.controller, shading_index(shading)))?;
+        let features = running.session.features();
+        Some((features.probe_side(), features.probe().rays()))
+    }
+
+    /// The session that steers, told of everything.
+    fn session(&mut self, shading: Shading) -> Result<&mut Session> {
+        let known = self.known.as_ref().context("no volume is open")?;
+        let key = (self.controller, shading_index(shading));
+        let steering = &known.steering[key.1];
+        if !self.loops.contains_key(&key) {
+            let session = steering.session(self.controllers[self.controller].0)?;
+            self.loops.insert(key, Loop { session, volume: 0, transfer: 0 });
+        }
+        let running = self.loops.get_mut(&key).context("a session that was made")?;
+        if running.volume != self.volume {
+            running.session.set_volume(known.summary.clone(), steering.volume_features());
+            running.volume = self.volume;
+            running.transfer = 0;
+        }
+        if running.transfer != self.transfer
+            && let Some((table, lobes)) = &known.table
+        {
+            running.session.set_transfer(table, lobes.as_deref())?;
+            running.transfer = self.transfer;
+        }
+        Ok(&mut running.session)
+    }
+
+    /// Seconds that a frame's other work takes from its plan on: the middle of the last frames'.
+    fn other_work(&self) -> f64 {
+        let mut all: Vec<f64> = self.other.iter().copied().collect();
+        all.sort_by(f64::total_cmp);
+        all.get(all.len() / 2).copied().unwrap_or(0.0)
+    }
+
+    /// Seconds that a frame is expected to take, and their bound.
+    pub(crate) fn predict(&mut self, frame: &Frame) -> Result<(f64, f64)> {
+        let p = self.session(frame.shading())?.predict(frame)?;
+        Ok((f64::from(p.seconds), f64::from(p.upper)))
+    }
+
+    /// Predicts the frame at full quality, for [`Steer::full`].
+    pub(crate) fn predict_full(&mut self, frame: &Frame) -> Result<()> {
+        self.full = Some(self.predict(&frame.with_step(1.0)?)?);
+        Ok(())
+    }
+
+    /// Plans a frame of full size at the reference step. `spent`: seconds that the frame has taken so far.
+    pub(crate) fn plan(&mut self, frame: &Frame, spent: f64) -> Result<Planned> {
+        let rest = self.other_work();
+        let other = spent + rest;
+        let target = (self.target - other).max(LEAST_SHARE * self.target);
+        let (enabled, limits, distance) = (self.enabled, StepLimits::new(1.0, self.coarsest)?, self.distance);
+        let changes = std::mem::replace(&mut self.changes, Changes::NONE);
+        let session = self.session(frame.shading())?;
+        session.set_enabled(enabled);
+        session.set_limits(limits);
+        session.set_max_image_sample_distance(distance, STEP_ALONE)?;
+        session.mark(changes);
+        let plan = session.plan(frame, target as f32)?;
+        let side = |n: u32| ((n as f32 / plan.image_sample_distance) as u32).max(1);
+        let drawn = Frame::new(*frame.camera(), side(frame.width()), side(frame.height()))?
+            .with_termination(frame.termination())?
+            .with_shading(frame.shading())
+            .with_skipping(frame.skipping())
+            .with_step(plan.step)?;
+        Ok(Planned { plan, frame: drawn, other })
+    }
+
+    /// Tells the session how long ray casting took. `unusual`: the time holds other work too.
+    pub(crate) fn observe(
+        &mut self,
+        planned: &Planned,
+        shading: Shading,
+        cast: f64,
+        unusual: bool,
+    ) -> Result<()> {
+        let flags = ObserveFlags { unusual, ..ObserveFlags::default() };
+        // A time that no frame can have (a suspended machine) is refused and leaves no trace.
+        let _ = self.session(shading)?.observe(planned.plan.id, cast as f32, flags);
+        Ok(())
+    }
+
+    /// Remembers a finished frame. `rest`: seconds of other work from the plan on.
+    pub(crate) fn remember(&mut self, record: FrameRecord, rest: f64) {
+        if self.other.len() == OTHER_WORK {
+            self.other.pop_front();
+        }
+        self.other.push_back(rest);
+        if self.history.len() == REMEMBERED {
+            self.history.pop_front();
+        }
+        self.history.push_back(record);
+    }
+}
+
+/// A frame's plan in words.
+pub(crate) fn words(record: &FrameRecord, controller: &str) -> String {
+    let ms = |seconds: f64| format!("{:.1} ms", seconds * 1e3);
+    let drawn = if record.image_sample_distance > 1.01 {
+        format!(
+            "step {:.2} and one ray for {:.1} × {:.1} pixels",
+            record.step, record.image_sample_distance, record.image_sample_distance
+        )
+    } else {
+        format!("step {:.2} and a ray for every pixel", record.step)
+    };
+    let expected = match (record.predicted.is_nan(), record.upper.is_nan()) {
+        (true, _) => "without a prediction".to_owned(),
+        (false, true) => format!("{} expected", ms(record.predicted)),
+        (false, false) => format!("{} expected, {} at most", ms(record.predicted), ms(record.upper)),
+    };
+    let target = ms(record.target);
+    let why = match record.reason {
+        Reason::Fits => format!("the finest that is expected to fit {target}"),
+        Reason::Damped => {
+            format!("on the way to what fits {target}, slowly, because nothing changed abruptly")
+        }
+        Reason::Held => {
+            format!("kept from the frame before: it still fits {target} and is close to the best")
+        }
+        Reason::FinestAllowed => format!("full quality fits {target}"),
+        Reason::TargetUnreachable => {
+            format!("the coarsest that the quality floor allows; even that is not expected to fit {target}")
+        }
+        Reason::History => "the prediction was not trusted here (out of its range, or wrong lately): recent \
+                            frames decided"
+            .to_owned(),
+        Reason::NoInformation => "the coarsest allowed: nothing is known yet".to_owned(),
+        Reason::Off => "steering is off".to_owned(),
+        Reason::Reactive => "a rule that knows past frames only".to_owned(),
+        _ => record.reason.name().to_owned(),
+    };
+    format!("{controller}: {drawn}; {why}. {expected}; it took {}.", ms(record.seconds))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use entire_core::features::SummaryOptions;
+    use entire_core::scene::{Arcball, Camera, Scalars, TransferFunction, VolumeView};
+
+    struct Untrained;
+
+    impl Steering for Untrained {
+        fn title(&self) -> String {
+            "untrained".into()
+        }
+
+        fn volume_features(&self) -> Option<&[f32]> {
+            None
+        }
+
+        fn session(&self, _: &str) -> Result<Session> {
+            Ok(Session::untrained())
+        }
+    }
+
+    fn steer() -> (Steer, Frame) {
+        let voxels = vec![100u8; 32 * 32 * 32];
+        let view = VolumeView::new(Scalars::U8(&voxels), [32; 3]).unwrap();
+        let lobes = vec![GaussianLobe { center: 0.4, width: 0.1, height: 0.1 }];
+        let mut steer = Steer::new(vec![("a", "A"), ("b", "B")], 0, 0.03);
+        let one: Arc<dyn Steering> = Arc::new(Untrained);
+        steer.set_volume(
+            VolumeSummary::new(&view, SummaryOptions::default()).unwrap(),
+            [one.clone(), one.clone(), one],
+        );
+        steer.set_transfer(TransferFunction::Gaussian(lobes.clone()).to_table().unwrap(), Some(&lobes));
+        let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).unwrap();
+        (steer, Frame::new(camera, 640, 480).unwrap())
+    }
+
+    /// Seconds of a frame that costs so much per ray and sample.
+    fn cost(frame: &Frame) -> f64 {
+        frame.pixels() as f64 * (2e-8 + 4e-7 / f64::from(frame.step()))
+    }
+
+    #[test]
+    fn the_whole_frame_is_held_with_its_other_work() {
+        let (mut steer, frame) = steer();
+        let (before, after) = (0.004, 0.006);
+        let mut last = 0.0;
+        for number in 0..40 {
+            let planned = steer.plan(&frame, before).unwrap();
+            let cast = cost(&planned.frame);
+            last = before + cast + after;
+            steer.observe(&planned, frame.shading(), cast, false).unwrap();
+            let record = FrameRecord {
+                number,
+                seconds: last,
+                cast,
+                interface: 0.0,
+                target: steer.target,
+                predicted: f64::from(planned.plan.seconds) + planned.other,
+                upper: f64::NAN,
+                step: planned.plan.step,
+                image_sample_distance: planned.plan.image_sample_distance,
+                reason: planned.plan.reason,
+                switched: false,
+                full: f64::NAN,
+            };
+            steer.remember(record, after);
+        }
+        assert!((last / steer.target - 1.0).abs() < 0.1, "{last}");
+        // Off, it is the full frame that is drawn.
+        steer.enabled = false;
+        let planned = steer.plan(&frame, before).unwrap();
+        assert_eq!(planned.frame, frame);
+        steer.predict_full(&frame).unwrap();
+        let (expected, _) = steer.full.unwrap();
+        assert!((expected / cost(&frame) - 1.0).abs() < 0.5, "{expected} {}", cost(&frame));
+    }
+
+    #[test]
+    fn controllers_learn_for_themselves_and_every_reason_has_words() {
+        let (mut steer, frame) = steer();
+        let first = steer.plan(&frame, 0.0).unwrap();
+        steer.observe(&first, frame.shading(), 0.5, false).unwrap();
+        let learned = steer.plan(&frame, 0.0).unwrap();
+        steer.controller = 1;
+        let other = steer.plan(&frame, 0.0).unwrap();
+        assert!(other.plan.seconds != learned.plan.seconds);
+        let record = FrameRecord {
+            number: 0,
+            seconds: 0.03,
+            cast: 0.02,
+            interface: 0.001,
+            target: 0.03,
+            predicted: 0.028,
+            upper: 0.031,
+            step: 2.0,
+            image_sample_distance: 1.5,
+            reason: Reason::Fits,
+            switched: false,
+            full: 0.1,
+        };
+        let text = words(&record, "hybrid");
+        assert!(text.contains("1.5 × 1.5 pixels") && text.contains("31.0 ms at most"), "{text}");
+    }
+}

@@ -1,0 +1,112 @@
+//! The interface: the view, the panels beside it, the graph below.
+
+mod editor;
+mod graph;
+mod panels;
+mod view;
+
+use crate::state::State;
+use egui::{Align, CentralPanel, Frame, Layout, Panel, ScrollArea, Ui};
+
+/// Lays out everything once.
+pub(crate) fn show(ui: &mut Ui, state: &mut State) {
+    keys(ui, state);
+    Panel::top("bar").show(ui, |ui| bar(ui, state));
+    Panel::bottom("graph").resizable(true).default_size(210.0).min_size(120.0).show(ui, |ui| {
+        graph::show(ui, state);
+    });
+    Panel::right("side").resizable(true).default_size(340.0).min_size(260.0).show(ui, |ui| {
+        ScrollArea::vertical().auto_shrink([false, false]).show(ui, |ui| {
+            editor::show(ui, state);
+            ui.separator();
+            panels::show(ui, state);
+        });
+    });
+    CentralPanel::default().frame(Frame::NONE).show(ui, |ui| view::show(ui, state));
+}
+
+/// The bar at the top: what is shown, what is under way, what was said last.
+fn bar(ui: &mut Ui, state: &mut State) {
+    use crate::state::Command;
+    ui.horizontal(|ui| {
+        ui.menu_button("Open", |ui| {
+            ui.label("A volume file (or drop one on the window):");
+            ui.text_edit_singleline(&mut state.texts.open);
+            if ui.button("Open").clicked() && !state.texts.open.trim().is_empty() {
+                state.commands.push(Command::Open(state.texts.open.trim().into()));
+                ui.close();
+            }
+            if !state.recent.paths.is_empty() {
+                ui.separator();
+                ui.weak("Opened before");
+            }
+            for path in state.recent.paths.clone() {
+                if ui.button(path.display().to_string()).clicked() {
+                    state.commands.push(Command::Open(path));
+                    ui.close();
+                }
+            }
+        });
+        if ui.add_enabled(state.edited.can_undo(), egui::Button::new("Undo")).clicked() && state.edited.undo()
+        {
+            state.changed.transfer = true;
+        }
+        if ui.add_enabled(state.edited.can_redo(), egui::Button::new("Redo")).clicked() && state.edited.redo()
+        {
+            state.changed.transfer = true;
+        }
+        ui.separator();
+        if let Some((file, stage, share)) = &state.loading {
+            let bar = egui::ProgressBar::new(*share).desired_width(90.0);
+            ui.add(bar);
+            ui.label(format!("{file}: {stage}"));
+            if ui.button("Cancel").clicked() {
+                state.commands.push(Command::Cancel);
+            }
+        } else if let (Some(path), Some(facts)) = (&state.path, &state.facts) {
+            let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+            let [x, y, z] = facts.dims;
+            ui.label(format!("{name} · {x} × {y} × {z} {}", facts.kind));
+        } else {
+            ui.weak("no volume; open one, or drop a file here");
+        }
+        ui.with_layout(Layout::right_to_left(Align::Center), |ui| {
+            if let Some((text, wrong)) = &state.said {
+                let color = if *wrong { ui.visuals().error_fg_color } else { ui.visuals().weak_text_color() };
+                ui.add(egui::Label::new(egui::RichText::new(text).color(color)).truncate())
+                    .on_hover_text(text.as_str());
+            }
+        });
+    });
+}
+
+/// Keys that hold everywhere but in text that is typed.
+fn keys(ui: &Ui, state: &mut State) {
+    use crate::camera::{Axis, Viewpoint};
+    use egui::{Key, Modifiers};
+    if ui.ctx().egui_wants_keyboard_input() {
+        return;
+    }
+    let pressed = |key| ui.input_mut(|i| i.consume_key(Modifiers::NONE, key));
+    let with_command = |key| ui.input_mut(|i| i.consume_key(Modifiers::COMMAND, key));
+    if with_command(Key::Z) && state.edited.undo() || with_command(Key::Y) && state.edited.redo() {
+        state.changed.transfer = true;
+    }
+    let jumps = [(Key::Num1, Axis::Front), (Key::Num2, Axis::Side), (Key::Num3, Axis::Top)];
+    for (key, axis) in jumps {
+        if pressed(key) {
+            state.view.look_along(axis);
+            state.changed.cut = true;
+        }
+    }
+    if pressed(Key::R) {
+        state.view = Viewpoint { fov_y: state.view.fov_y, ..Viewpoint::default() };
+        state.changed.cut = true;
+    }
+    if pressed(Key::F) {
+        state.fly = !state.fly;
+    }
+    if pressed(Key::Space) && state.series.len() > 1 {
+        state.playing = !state.playing;
+    }
+}

@@ -1,0 +1,234 @@
+//! The panels beside the view: steering, modes, camera, part, series, files.
+
+use crate::camera::{Axis, Viewpoint};
+use crate::recording::Recorder;
+use crate::state::{Command, State};
+use egui::{CollapsingHeader, ComboBox, DragValue, Slider, Ui};
+use entire_core::scene::{Shading, Skipping};
+
+pub(super) fn show(ui: &mut Ui, state: &mut State) {
+    steering(ui, state);
+    modes(ui, state);
+    CollapsingHeader::new("Camera").show(ui, |ui| camera(ui, state));
+    CollapsingHeader::new("Part of the volume").show(ui, |ui| part(ui, state));
+    if state.series.len() > 1 {
+        CollapsingHeader::new("Time series").default_open(true).show(ui, |ui| series(ui, state));
+    }
+    CollapsingHeader::new("Pictures and recordings").show(ui, |ui| files(ui, state));
+    CollapsingHeader::new("About this volume and machine").show(ui, |ui| about(ui, state));
+}
+
+fn steering(ui: &mut Ui, state: &mut State) {
+    ui.strong("Frame time");
+    let steer = &mut state.steer;
+    let mut ms = steer.target * 1e3;
+    let slider = Slider::new(&mut ms, 2.0..=500.0).logarithmic(true).suffix(" ms").text("target");
+    if ui.add(slider).changed() {
+        steer.target = ms / 1e3;
+        state.changed.settings = true;
+    }
+    ui.horizontal(|ui| {
+        state.changed.settings |= ui.checkbox(&mut steer.enabled, "steering").changed();
+        let titles: Vec<&str> = steer.controllers.iter().map(|c| c.1).collect();
+        ComboBox::from_id_salt("controller").selected_text(titles[steer.controller]).show_ui(ui, |ui| {
+            for (i, title) in titles.iter().enumerate() {
+                if ui.selectable_label(steer.controller == i, *title).clicked() {
+                    steer.controller = i;
+                    state.changed.settings = true;
+                }
+            }
+        });
+    });
+    ui.horizontal(|ui| {
+        ui.label("never coarser than step");
+        let step = DragValue::new(&mut steer.coarsest).range(1.0..=64.0).speed(0.1).max_decimals(1);
+        state.changed.settings |= ui.add(step).changed();
+        ui.label("and");
+        let distance = DragValue::new(&mut steer.distance).range(1.0..=16.0).speed(0.1).max_decimals(1);
+        state.changed.settings |= ui.add(distance).changed();
+        ui.label("pixels per ray");
+    });
+    if let Some((seconds, upper)) = steer.full {
+        let bound =
+            if upper.is_finite() { format!(", {:.0} ms at most", upper * 1e3) } else { String::new() };
+        ui.label(format!("full quality: {:.0} ms{bound}", seconds * 1e3));
+    }
+    ui.weak(&state.predictor);
+    ui.horizontal(|ui| {
+        if ui.button("Forget").on_hover_text("Every controller starts anew").clicked() {
+            state.commands.push(Command::Forget);
+        }
+        let copy = ui.button("Calibrate …").on_hover_text(
+            "Copies the command that calibrates the shipped model to this machine; open the volume again with \
+             --model afterwards",
+        );
+        if copy.clicked() && !state.calibration.is_empty() {
+            ui.ctx().copy_text(state.calibration.clone());
+            state.said = Some((format!("copied: {}", state.calibration), false));
+        }
+    });
+    ui.separator();
+}
+
+fn modes(ui: &mut Ui, state: &mut State) {
+    ui.horizontal(|ui| {
+        ui.label("shading");
+        for mode in [Shading::None, Shading::Local, Shading::Scatter] {
+            state.changed.settings |= ui.selectable_value(&mut state.shading, mode, mode.name()).clicked();
+        }
+    });
+    ui.horizontal(|ui| {
+        ui.label("skipping");
+        for mode in [Skipping::None, Skipping::Blocks, Skipping::Distance] {
+            state.changed.settings |= ui.selectable_value(&mut state.skipping, mode, mode.name()).clicked();
+        }
+    });
+    ui.horizontal(|ui| {
+        ui.checkbox(&mut state.show_box, "box");
+        ui.checkbox(&mut state.show_axes, "axes");
+        ui.checkbox(&mut state.show_probe, "probe")
+            .on_hover_text("The rays that the prediction is made from");
+        let map = ui.checkbox(&mut state.show_work, "work");
+        if map.on_hover_text("Where the samples of this view go, counted by the raycaster").changed()
+            && state.show_work
+        {
+            state.commands.push(Command::MapWork);
+        }
+    });
+    ui.separator();
+}
+
+fn camera(ui: &mut Ui, state: &mut State) {
+    ui.horizontal(|ui| {
+        for (name, axis) in [("front", Axis::Front), ("side", Axis::Side), ("top", Axis::Top)] {
+            if ui.button(name).clicked() {
+                state.view.look_along(axis);
+                state.changed.cut = true;
+            }
+        }
+        if ui.button("reset").clicked() {
+            state.view = Viewpoint::default();
+            state.changed.cut = true;
+        }
+        ui.toggle_value(&mut state.fly, "fly");
+    });
+    ui.horizontal(|ui| {
+        ui.label("field of view");
+        let mut degrees = state.view.fov_y;
+        if ui.add(DragValue::new(&mut degrees).range(1.0..=120.0).suffix("°")).changed() {
+            state.view.set_fov(degrees);
+            state.changed.camera = true;
+        }
+        if ui
+            .button("parallel")
+            .on_hover_text(
+                "The raycaster's camera is a perspective one: a lens of 1° from afar is nearly parallel",
+            )
+            .clicked()
+        {
+            state.view.set_fov(1.0);
+            state.changed.cut = true;
+        }
+    });
+    ui.horizontal(|ui| {
+        for (label, value, range) in [
+            ("rx", &mut state.view.rx, -90.0..=90.0),
+            ("ry", &mut state.view.ry, -360.0..=360.0),
+            ("distance", &mut state.view.distance, 0.02..=200.0),
+        ] {
+            ui.label(label);
+            state.changed.camera |=
+                ui.add(DragValue::new(value).range(range).speed(0.2).max_decimals(2)).changed();
+        }
+    });
+}
+
+fn part(ui: &mut Ui, state: &mut State) {
+    let Some(facts) = &state.facts else {
+        ui.weak("no volume");
+        return;
+    };
+    for (axis, name) in ["x", "y", "z"].iter().enumerate() {
+        ui.horizontal(|ui| {
+            let most = facts.dims[axis] - 1;
+            let [low, high] = &mut state.crop_draft[axis];
+            ui.label(*name);
+            ui.add(DragValue::new(low).range(0..=*high));
+            ui.label("to");
+            ui.add(DragValue::new(high).range(*low..=most));
+        });
+    }
+    ui.horizontal(|ui| {
+        let draft = state.crop_draft;
+        if ui.button("Crop").on_hover_text("Renderer and predictor both get the part alone").clicked() {
+            state.commands.push(Command::Crop(Some(draft)));
+        }
+        if ui.add_enabled(state.crop.is_some(), egui::Button::new("Whole")).clicked() {
+            state.commands.push(Command::Crop(None));
+        }
+    });
+}
+
+fn series(ui: &mut Ui, state: &mut State) {
+    let last = state.series.len() - 1;
+    let mut index = state.index;
+    ui.horizontal(|ui| {
+        ui.toggle_value(&mut state.playing, "play");
+        ui.add(DragValue::new(&mut state.hold).range(0.05..=10.0).speed(0.02).suffix(" s each"));
+    });
+    if ui.add(Slider::new(&mut index, 0..=last).text("step")).changed() && index != state.index {
+        state.commands.push(Command::Step(index));
+    }
+}
+
+fn files(ui: &mut Ui, state: &mut State) {
+    ui.horizontal(|ui| {
+        ui.add(egui::TextEdit::singleline(&mut state.texts.screenshot).desired_width(120.0));
+        let [width, height] = &mut state.screenshot_size;
+        ui.add(DragValue::new(width).range(1..=16384));
+        ui.label("×");
+        ui.add(DragValue::new(height).range(1..=16384));
+    });
+    ui.horizontal(|ui| {
+        if ui.button("as the view").clicked() {
+            state.screenshot_size = state.viewport;
+        }
+        if ui.button("Screenshot").on_hover_text("At full quality, whatever steering does").clicked() {
+            let file = state.texts.screenshot.trim().into();
+            state.commands.push(Command::Screenshot { file, size: state.screenshot_size });
+        }
+        if let Some(share) = state.screenshot_share {
+            ui.add(egui::ProgressBar::new(share as f32).desired_width(80.0));
+        }
+    });
+    ui.horizontal(|ui| {
+        ui.add(egui::TextEdit::singleline(&mut state.texts.recording).desired_width(120.0));
+        match &state.recorder {
+            None => {
+                if ui.button("Record").on_hover_text("A path file, which `entire steer` plays").clicked() {
+                    state.recorder = Some(Recorder::new(state.view.fov_y));
+                }
+            }
+            Some(recorder) => {
+                ui.label(format!("{} frames", recorder.frames()));
+                if recorder.panned {
+                    ui.weak("(paths look at the center: panning is left out)");
+                }
+                if ui.button("Save").clicked() {
+                    let file = state.texts.recording.trim().into();
+                    state.commands.push(Command::SaveRecording(file));
+                }
+            }
+        }
+    });
+}
+
+fn about(ui: &mut Ui, state: &State) {
+    ui.label(&state.device);
+    if let Some(facts) = &state.facts {
+        let [x, y, z] = facts.dims;
+        ui.label(format!("{x} × {y} × {z} voxels, {}, {} … {}", facts.kind, facts.range.0, facts.range.1));
+        ui.label(format!("spacing {} × {} × {}", facts.spacing.x, facts.spacing.y, facts.spacing.z));
+        ui.label(&state.bricks);
+    }
+}

@@ -1,0 +1,269 @@
+//! Memory that is kept for the day on which the system has none: so that small pieces (handles, texts, tables of a
+//! model) do not end the host's process.
+//!
+//! This library's own allocator is the system's. Where that refuses a piece of at most [`LARGEST`] bytes, the piece
+//! comes from a reserve that belongs to the library's image. Larger pieces are asked for by code that answers
+//! ENTIRE_OUT_OF_MEMORY. Calls that make or set something ask first whether half of the reserve is there
+//! ([`check`]), so that a call that is let in can end.
+//!
+//! The reserve is cut into blocks. A lock-free flag per block says whether it is held; a piece is a run of them.
+
+use crate::result::Failure;
+use crate::result::entire_result::ENTIRE_OUT_OF_MEMORY;
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::UnsafeCell;
+use std::ptr::null_mut;
+use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
+
+/// Largest piece that the reserve stands in for, bytes.
+const LARGEST: usize = 1 << 16;
+/// Bytes of a block, and the strictest alignment that the reserve gives.
+const BLOCK: usize = 256;
+/// Blocks in the reserve: 1 MiB.
+const BLOCKS: usize = 1 << 12;
+
+#[repr(C, align(256))]
+struct Memory(UnsafeCell<[u8; BLOCK * BLOCKS]>);
+
+// SAFETY: a block is touched only by who holds its flag.
+unsafe impl Sync for Memory {}
+
+/// Blocks of memory and who holds them.
+struct Reserve {
+    memory: Memory,
+    /// 1 where a block is held.
+    held: [AtomicU8; BLOCKS],
+    /// How many are held.
+    count: AtomicUsize,
+}
+
+static RESERVE: Reserve = Reserve::new();
+
+impl Reserve {
+    const fn new() -> Self {
+        Self {
+            memory: Memory(UnsafeCell::new([0; BLOCK * BLOCKS])),
+            held: [const { AtomicU8::new(0) }; BLOCKS],
+            count: AtomicUsize::new(0),
+        }
+    }
+
+    fn start(&self) -> *mut u8 {
+        self.memory.0.get().cast()
+    }
+
+    fn owns(&self, piece: *const u8) -> bool {
+        (piece as usize).wrapping_sub(self.start() as usize) < BLOCK * BLOCKS
+    }
+
+    /// A piece, or NULL where it is too large or no run of blocks is free.
+    #[cold]
+    fn take(&self, layout: Layout) -> *mut u8 {
+        if layout.size() > LARGEST || layout.align() > BLOCK {
+            return null_mut();
+        }
+        let wanted = layout.size().div_ceil(BLOCK).max(1);
+        let mut first = 0;
+        while first + wanted <= BLOCKS {
+            let run = &self.held[first..first + wanted];
+            let taken = run
+                .iter()
+                .position(|flag| flag.compare_exchange(0, 1, Ordering::Acquire, Ordering::Relaxed).is_err());
+            match taken {
+                None => {
+                    self.count.fetch_add(wanted, Ordering::Relaxed);
+                    // SAFETY: the run lies in the memory.
+                    return unsafe { self.start().add(first * BLOCK) };
+                }
+                Some(at) => {
+                    run[..at].iter().for_each(|flag| flag.store(0, Ordering::Release));
+                    first += at + 1;
+                }
+            }
+        }
+        null_mut()
+    }
+
+    /// Gives a piece back.
+    ///
+    /// # Safety
+    /// It comes from `take` with this size and is given back once.
+    #[cold]
+    unsafe fn give(&self, piece: *mut u8, size: usize) {
+        let first = (piece as usize - self.start() as usize) / BLOCK;
+        let blocks = size.div_ceil(BLOCK).max(1);
+        self.held[first..first + blocks].iter().for_each(|flag| flag.store(0, Ordering::Release));
+        self.count.fetch_sub(blocks, Ordering::Relaxed);
+    }
+}
+
+/// The system's allocator, with the reserve behind it.
+struct Allocator;
+
+#[global_allocator]
+static ALLOCATOR: Allocator = Allocator;
+
+// SAFETY: pieces come from the system or from the reserve, whose memory lies apart, and go back to where they came from.
+// Neither unwinds.
+unsafe impl GlobalAlloc for Allocator {
+    #[inline]
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: as the caller promises.
+        let piece = unsafe { System.alloc(layout) };
+        if piece.is_null() { RESERVE.take(layout) } else { piece }
+    }
+
+    #[inline]
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: as the caller promises.
+        let piece = unsafe { System.alloc_zeroed(layout) };
+        if !piece.is_null() {
+            return piece;
+        }
+        let piece = RESERVE.take(layout);
+        if !piece.is_null() {
+            // SAFETY: the piece has this size; blocks are used again, so that they must be cleared.
+            unsafe { piece.write_bytes(0, layout.size()) };
+        }
+        piece
+    }
+
+    #[inline]
+    unsafe fn dealloc(&self, piece: *mut u8, layout: Layout) {
+        // SAFETY: as the caller promises, the piece comes from here with this layout.
+        unsafe {
+            if RESERVE.owns(piece) {
+                RESERVE.give(piece, layout.size())
+            } else {
+                System.dealloc(piece, layout)
+            }
+        }
+    }
+
+    #[inline]
+    unsafe fn realloc(&self, piece: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        if !RESERVE.owns(piece) {
+            // SAFETY: as the caller promises; the piece is the system's.
+            let moved = unsafe { System.realloc(piece, layout, size) };
+            if !moved.is_null() {
+                return moved;
+            }
+        }
+        // SAFETY: as the caller promises, the size is not zero and does not overflow with this alignment.
+        let wanted = unsafe { Layout::from_size_align_unchecked(size, layout.align()) };
+        // SAFETY: as above.
+        let moved = if RESERVE.owns(piece) { unsafe { self.alloc(wanted) } } else { RESERVE.take(wanted) };
+        if !moved.is_null() {
+            // SAFETY: both pieces hold as many bytes; the old one is given up, as the caller promises.
+            unsafe {
+                moved.copy_from_nonoverlapping(piece, layout.size().min(size));
+                self.dealloc(piece, layout);
+            }
+        }
+        moved
+    }
+}
+
+/// Whether a call that makes or sets something may begin.
+///
+/// # Errors
+/// ENTIRE_OUT_OF_MEMORY where half of the reserve is held.
+pub(crate) fn check() -> Result<(), Failure> {
+    if RESERVE.count.load(Ordering::Relaxed) <= BLOCKS / 2 {
+        return Ok(());
+    }
+    Err(no_memory())
+}
+
+#[cold]
+fn no_memory() -> Failure {
+    Failure::new(
+        ENTIRE_OUT_OF_MEMORY,
+        "the system has no memory left for the library; free some, then try again",
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn layout(size: usize, align: usize) -> Layout {
+        Layout::from_size_align(size, align).unwrap()
+    }
+
+    #[test]
+    fn pieces_are_apart_aligned_and_given_back() {
+        static RESERVE: Reserve = Reserve::new();
+        let reserve = &RESERVE;
+        let sizes = [1, 255, 256, 257, 4096, LARGEST];
+        let mut pieces: Vec<(*mut u8, usize)> = Vec::new();
+        for size in sizes {
+            let piece = reserve.take(layout(size, 64));
+            assert!(!piece.is_null() && reserve.owns(piece) && (piece as usize).is_multiple_of(BLOCK));
+            // SAFETY: the piece has this size.
+            unsafe { piece.write_bytes(size as u8, size) };
+            pieces.push((piece, size));
+        }
+        for &(piece, size) in &pieces {
+            // SAFETY: as above, and written.
+            let bytes = unsafe { std::slice::from_raw_parts(piece, size) };
+            assert!(bytes.iter().all(|&b| b == size as u8), "another piece has written into this one");
+        }
+        for (piece, size) in pieces {
+            // SAFETY: taken above, once.
+            unsafe { reserve.give(piece, size) };
+        }
+        assert_eq!(reserve.count.load(Ordering::SeqCst), 0);
+        assert!(reserve.held.iter().all(|flag| flag.load(Ordering::SeqCst) == 0));
+    }
+
+    #[test]
+    fn what_is_too_large_or_not_there_is_refused() {
+        static RESERVE: Reserve = Reserve::new();
+        let reserve = &RESERVE;
+        assert!(reserve.take(layout(LARGEST + 1, 1)).is_null());
+        assert!(reserve.take(layout(1, 2 * BLOCK)).is_null());
+        let full = BLOCKS * BLOCK / LARGEST;
+        let pieces: Vec<*mut u8> = (0..full).map(|_| reserve.take(layout(LARGEST, 1))).collect();
+        assert!(pieces.iter().all(|piece| !piece.is_null()));
+        assert!(reserve.take(layout(1, 1)).is_null());
+        // SAFETY: taken above.
+        unsafe { reserve.give(pieces[3], LARGEST) };
+        assert_eq!(reserve.take(layout(LARGEST, 1)), pieces[3]);
+        let other = 1u8;
+        assert!(!reserve.owns(&raw const other));
+    }
+
+    #[test]
+    fn threads_take_pieces_of_their_own() {
+        static RESERVE: Reserve = Reserve::new();
+        let reserve = &RESERVE;
+        std::thread::scope(|scope| {
+            for thread in 0..4u8 {
+                scope.spawn(move || {
+                    for round in 0..if cfg!(miri) { 4 } else { 400 } {
+                        let size = 100 + 700 * (round % 7);
+                        let piece = reserve.take(layout(size, 1));
+                        if piece.is_null() {
+                            continue;
+                        }
+                        // SAFETY: the piece has this size and is this thread's.
+                        unsafe {
+                            piece.write_bytes(thread, size);
+                            std::thread::yield_now();
+                            assert!(std::slice::from_raw_parts(piece, size).iter().all(|&b| b == thread));
+                            reserve.give(piece, size);
+                        }
+                    }
+                });
+            }
+        });
+        assert_eq!(reserve.count.load(Ordering::SeqCst), 0);
+    }
+
+    #[test]
+    fn half_a_reserve_lets_calls_in() {
+        assert!(check().is_ok());
+        assert_eq!(no_memory().code, ENTIRE_OUT_OF_MEMORY);
+    }
+}

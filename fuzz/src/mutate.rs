@@ -1,0 +1,161 @@
+//! Mutations that know what stands where: numbers in text, and the length of a model's header.
+
+use crate::mutants::Mutants;
+
+/// A change of bytes that knows nothing of their format: takes the buffer, the bytes in use and the most that may be, and
+/// answers how many are in use.
+pub type Step = fn(&mut [u8], usize, usize) -> usize;
+
+/// Numbers that readers must think of.
+const WORDS: [&str; 22] = [
+    "0",
+    "1",
+    "2",
+    "-1",
+    "7",
+    "0.5",
+    "255",
+    "65536",
+    "1000000",
+    "4294967295",
+    "4294967296",
+    "9223372036854775807",
+    "18446744073709551615",
+    "18446744073709551616",
+    "1e39",
+    "1e300",
+    "1e309",
+    "1e-40",
+    "-0",
+    "nan",
+    "inf",
+    "",
+];
+
+/// A stream of random numbers; the same seed gives the same.
+pub struct Random(u64);
+
+impl Random {
+    /// The stream of a seed.
+    pub fn new(seed: u32) -> Self {
+        Self((u64::from(seed) << 1 | 1).wrapping_mul(0x9e37_79b9_7f4a_7c15))
+    }
+
+    /// The next 64 bits.
+    pub fn bits(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0.wrapping_mul(0x2545_f491_4f6c_dd1d)
+    }
+
+    /// A number below `n`; 0 for an `n` of 0.
+    pub fn below(&mut self, n: usize) -> usize {
+        ((u128::from(self.bits()) * n as u128) >> 64) as usize
+    }
+
+    /// A number near another, at an edge, or any.
+    pub fn number(&mut self, own: f64) -> f64 {
+        let unit = self.bits() as f64 / u64::MAX as f64;
+        let edges = [
+            0.0,
+            -0.0,
+            1.0,
+            -1.0,
+            0.01,
+            1e-12,
+            1e4,
+            1e12,
+            1e300,
+            f64::MIN_POSITIVE,
+            5e-324,
+            f64::MAX,
+            f64::NAN,
+            f64::INFINITY,
+        ];
+        match self.below(8) {
+            0 => edges[self.below(edges.len())],
+            1 => -own,
+            2 => own * 2.0 * unit,
+            3 => own + unit - 0.5,
+            4 => 10f64.powf(40.0 * unit - 20.0),
+            5 => f64::from_bits(self.bits() % 4),
+            6 => f64::from_bits(self.bits()),
+            _ => unit,
+        }
+    }
+}
+
+fn put(data: &mut [u8], bytes: &[u8], room: usize) -> usize {
+    let length = bytes.len().min(room).min(data.len());
+    data[..length].copy_from_slice(&bytes[..length]);
+    length
+}
+
+/// Puts another number in the place of one, doubles or drops a line, or changes the bytes by `step`.
+pub fn text(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
+    let mut random = Random::new(seed);
+    let mut bytes = data[..size].to_vec();
+    match random.below(4) {
+        0 | 1 => {
+            let part = |b: u8| b.is_ascii_digit() || matches!(b, b'.' | b'-' | b'+');
+            let starts: Vec<usize> =
+                (0..size).filter(|&i| bytes[i].is_ascii_digit() && (i == 0 || !part(bytes[i - 1]))).collect();
+            if starts.is_empty() {
+                return step(data, size, room);
+            }
+            let start = starts[random.below(starts.len())];
+            let end = (start..size).find(|&i| !part(bytes[i])).unwrap_or(size);
+            bytes.splice(start..end, WORDS[random.below(WORDS.len())].bytes());
+        }
+        2 => {
+            let mut lines: Vec<Vec<u8>> =
+                bytes.split_inclusive(|&b| b == b'\n').map(<[u8]>::to_vec).collect();
+            if lines.len() < 2 {
+                return step(data, size, room);
+            }
+            let (from, to) = (random.below(lines.len()), random.below(lines.len()));
+            if random.below(3) == 0 {
+                lines.remove(from);
+            } else {
+                let line = lines[from].clone();
+                lines.insert(to, line);
+            }
+            bytes = lines.concat();
+        }
+        _ => return step(data, size, room),
+    }
+    put(data, &bytes, room)
+}
+
+/// Changes a model's header or its tensors by `step` and repairs the header's length, or makes a model up.
+pub fn model(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
+    let mut random = Random::new(seed);
+    let header = data[..size]
+        .split_first_chunk::<8>()
+        .and_then(|(length, rest)| Some((usize::try_from(u64::from_le_bytes(*length)).ok()?, rest)))
+        .and_then(|(length, rest)| rest.split_at_checked(length));
+    let Some((header, tensors)) = header.filter(|_| random.below(8) > 0) else {
+        return put(data, &Mutants::new(random.bits(), &[]).next_file(), room);
+    };
+    let (mut header, mut tensors) = (header.to_vec(), tensors.to_vec());
+    let (part, spent) = if random.below(3) > 0 {
+        let spent = 8 + tensors.len();
+        (&mut header, spent)
+    } else {
+        let spent = 8 + header.len();
+        (&mut tensors, spent)
+    };
+    let (length, most) = (part.len(), room.saturating_sub(spent).max(part.len()));
+    part.resize(most, 0);
+    let length = if random.below(2) == 0 {
+        text(part, length, most, random.bits() as u32, step)
+    } else {
+        step(part, length, most)
+    };
+    part.truncate(length);
+    let mut bytes = (header.len() as u64).to_le_bytes().to_vec();
+    bytes.extend_from_slice(&header);
+    bytes.extend_from_slice(&tensors);
+    put(data, &bytes, room)
+}

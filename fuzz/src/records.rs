@@ -1,0 +1,112 @@
+//! What must hold for tables, manifests, paths and task lists.
+
+use crate::dataset::{Clock, Manifest, feature_table::FeatureTable, noise_floor, parse_table};
+use crate::farm::{By, Farm, Method, parse_tasks, plan, play, times};
+use crate::path::{MAX_FRAMES, PathFile};
+use std::fmt::Display;
+
+/// Frames of a path beyond which its frames are not worked out here: a million of them take a second.
+const MOST_PATH_FRAMES: u32 = 4096;
+
+/// An error says something.
+fn refused(error: impl Display) {
+    assert!(!format!("{error:#}").is_empty());
+}
+
+/// Every frame of an accepted table can be drawn, and its seconds are numbers.
+pub fn check_table(input: &[u8]) {
+    let frames = match parse_table(input, 3) {
+        Ok(frames) => frames,
+        Err(error) => return refused(error),
+    };
+    for frame in &frames {
+        assert!(frame.table == 3 && !frame.repeats.is_empty());
+        frame.scene.to_frame().expect("a checked scene can be drawn");
+        frame.scene.to_table().expect("a checked transfer function has a table");
+        for clock in [Clock::Auto, Clock::Device, Clock::Wall, Clock::Cpu] {
+            assert!(frame.seconds(clock).is_none_or(|s| s.is_finite() && s > 0.0));
+        }
+    }
+    let _ = noise_floor(&frames, Clock::Auto, |_| 1);
+}
+
+/// Every value of an accepted feature table is finite and can be found.
+pub fn check_features(input: &[u8]) {
+    let table = match FeatureTable::parse(input) {
+        Ok(table) => table,
+        Err(error) => return refused(error),
+    };
+    for (i, name) in table.columns().iter().enumerate() {
+        assert!(table.column(name).is_some_and(|at| at <= i));
+    }
+    if let Some(row) = table.row(1) {
+        assert!(row.len() == table.columns().len() && row.iter().all(|v| v.is_finite()));
+    }
+}
+
+/// An accepted manifest can be written and read again.
+pub fn check_manifest(input: &[u8]) {
+    let Ok(text) = std::str::from_utf8(input) else { return };
+    match Manifest::parse(text) {
+        Ok(manifest) => {
+            let written = serde_json::to_string(&manifest).expect("a manifest can be written");
+            Manifest::parse(&written).expect("a written manifest can be read");
+        }
+        Err(error) => refused(error),
+    }
+}
+
+/// Frames of an accepted path, sixteen or more of them, can be drawn, and their transfer functions have tables.
+pub fn check_path(input: &[u8]) {
+    let Ok(text) = std::str::from_utf8(input) else { return };
+    let file = match PathFile::parse(text) {
+        Ok(file) => file,
+        Err(error) => return refused(error),
+    };
+    if file.frames > MOST_PATH_FRAMES && file.frames <= MAX_FRAMES {
+        return;
+    }
+    let path = match file.resolve() {
+        Ok(path) => path,
+        Err(error) => return refused(error),
+    };
+    assert_eq!(path.frames.len(), file.frames as usize);
+    for frame in path.frames.iter().step_by((path.frames.len() / 16).max(1)) {
+        let camera = entire_core::scene::Camera::from_arcball(frame.camera).expect("an interpolated camera");
+        camera.with_fov_y_degrees(path.fov_y_degrees).expect("a checked field of view");
+        frame.transfer.function().to_table().expect("an interpolated transfer function");
+    }
+}
+
+/// Tasks of an accepted list can be planned, by any method, and every plan does each once.
+pub fn check_tasks(input: &[u8]) {
+    let (json, input) = match input.split_first() {
+        Some((b'j', rest)) => (true, rest),
+        Some((b'c', rest)) => (false, rest),
+        _ => return,
+    };
+    let tasks = match parse_tasks(input, json) {
+        Ok(tasks) => tasks,
+        Err(error) => return refused(error),
+    };
+    if tasks.len() > 64 {
+        return;
+    }
+    let farm = Farm { speeds: vec![1.0, 2.0, 0.5], dispatch: 0.01, window: 4 };
+    for by in [By::Predicted, By::Measured, By::Uniform] {
+        let Ok(seconds) = times(&tasks, by) else { continue };
+        for method in [Method::Static, Method::Longest, Method::Queue, Method::Arrival, Method::Affinity] {
+            let timeline =
+                plan(method, &seconds, &farm.speeds).and_then(|plan| play(&plan, &seconds, &tasks, &farm));
+            match timeline {
+                Ok(timeline) => {
+                    let mut done: Vec<usize> = timeline.spans.iter().map(|s| s.task).collect();
+                    done.sort_unstable();
+                    assert_eq!(done, (0..tasks.len()).collect::<Vec<_>>());
+                    assert!(timeline.makespan >= 0.0);
+                }
+                Err(error) => refused(error),
+            }
+        }
+    }
+}

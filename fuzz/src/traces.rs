@@ -1,0 +1,18 @@
+//! What must hold for traces.
+
+use crate::trace::Trace;
+
+/// An accepted trace has at least two steps at full size in every frame, positive seconds, and modes that are known.
+pub fn check_trace(input: &[u8]) {
+    let Ok(text) = std::str::from_utf8(input) else { return };
+    let trace = match Trace::parse(text) {
+        Ok(trace) => trace,
+        Err(error) => return assert!(!format!("{error:#}").is_empty()),
+    };
+    assert!(trace.draw.modes().is_ok() && !trace.volumes.is_empty());
+    assert!(trace.frames.len() <= trace.path.frames as usize);
+    for frame in &trace.frames {
+        assert!(frame.iter().filter(|p| p.scale == 1.0).count() >= 2);
+        assert!(frame.iter().flat_map(|p| &p.seconds).all(|s| s.is_finite() && *s > 0.0));
+    }
+}

@@ -1,0 +1,182 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""The bars of a machine's model: `entire calibrate` on the machine at hand, judged on volumes that it did not render.
+
+    bars_machine.py --data FOLDER [--out out/bars-machine] [--only STEP,…] [--steps]
+
+Prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short or missing. FOLDER holds ensembles/ and scans/.
+Every step leaves a file in --out and is passed over when that is there, so that the whole can be done in slices of a few
+minutes each on a quiet machine: --steps lists them, --only makes some and prints the bars that they are enough for.
+Needs Python 3.9 and `entire` (--bin), and nothing else.
+"""
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+# Members that no model has seen, and of each every so many time steps from the first on.
+MEMBERS = ("castro_blast/m04", "castro_blast/m05", "nyx_cosmology/m04", "nyx_cosmology/m05", "maestroex_bubbles/m03")
+MEMBER_STEPS = (3, 7, 11, 14)
+SCANS = ("ct_abdomen", "ct_bonsai", "ct_engine", "ct_head_stanford", "cta_avm", "mr_angio_head", "mr_icbm152",
+         "mr_t1_head", "mr_t2_brain", "uct_iguana", "uct_mouse_skull", "xa_aneurism", "ed_rhodopsin_3pqr")
+MODES = ("none", "local", "scatter")
+# Frames per volume; scattering takes several times as long a frame.
+FRAMES = {"none": 6, "local": 6, "scatter": 4}
+# Limits: median error and RMSE/SD on members, and on scans.
+LIMITS = {"none": (0.055, 0.06, 0.08, 0.10), "local": (0.05, 0.06, 0.08, 0.10), "scatter": (0.07, 0.08, None, None)}
+CALIBRATION_SECONDS = 90.0
+FEW_FRAMES = 20
+FEW_LIMIT = 0.10
+OBSERVED = 10
+BUSY_LIMIT = 0.08
+INVALID_LIMIT = 0
+
+
+class Machine:
+    def __init__(self, options):
+        self.entire = str(Path(options.bin).resolve())
+        self.data = Path(options.data).resolve()
+        self.out = Path(options.out).resolve()
+        self.out.mkdir(parents=True, exist_ok=True)
+
+    def run(self, *arguments, cwd=ROOT, **kept):
+        print("$ entire " + " ".join(map(str, arguments)), file=sys.stderr, flush=True)
+        subprocess.run([self.entire, *map(str, arguments)], cwd=cwd, check=True, stdout=sys.stderr, **kept)
+
+    def table(self, split, mode):
+        """Random frames of volumes that no calibration renders."""
+        if split == "members":
+            paths = [f"ensembles/{m}/t{t:04}.nrrd" for m in MEMBERS for t in MEMBER_STEPS]
+            more = ["--enlarge", 2]
+        else:
+            paths, more = [f"scans/{s}.nrrd" for s in SCANS], []
+        out = self.out / f"{split}-{mode}.csv"
+        # Interrupted, it goes on.
+        self.run("collect", *paths, "--out", out, "--shade", mode, "--frames", FRAMES[mode], "--repeats", 3, *more,
+                 "--seed", 202, "--resume", cwd=self.data)
+        self.run("features", "--data", out, "--probe-sides", "4,7", "--root", self.data)
+        (self.out / f"{split}-{mode}.done").touch()
+
+    def calibrate(self, name, mode, *more):
+        begin = time.monotonic()
+        self.run("calibrate", "--shade", mode, "--out", self.out / f"{name}.safetensors", *more)
+        seconds = time.monotonic() - begin
+        (self.out / f"{name}.json").write_text(json.dumps({"seconds": seconds, "load": os.getloadavg()}))
+
+    def calibrate_busy(self):
+        loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+        try:
+            self.calibrate("busy", "none")
+        finally:
+            for loop in loops:
+                loop.kill()
+                loop.wait()
+
+    def evaluate(self, model, split, mode):
+        """What `entire evaluate` finds; kept until model or table change."""
+        files = [self.out / f"{model}.safetensors", self.out / f"{split}-{mode}.csv"]
+        if not all(f.exists() for f in files) or not (self.out / f"{split}-{mode}.done").exists():
+            return None
+        into = self.out / f"evaluated-{model}-{split}-{mode}"
+        found = into / "evaluation.json"
+        if not found.exists() or found.stat().st_mtime < max(f.stat().st_mtime for f in files):
+            more = ["--observed", OBSERVED] if model == "busy" else []
+            self.run("evaluate", "--clock", "cpu", "--model", files[0], "--data", files[1], "--out", into, "--quiet",
+                     *more, cwd=self.data)
+        return json.loads(found.read_text())
+
+    def steps(self):
+        steps = {}
+        for mode in MODES:
+            for split in ("members", "scans"):
+                if split == "members" or LIMITS[mode][2] is not None:
+                    steps[f"{split}-{mode}"] = (f"{split}-{mode}.done", lambda s=split, m=mode: self.table(s, m))
+            steps[f"calibrate-{mode}"] = (f"model-{mode}.json", lambda m=mode: self.calibrate(f"model-{m}", m))
+        steps["calibrate-few"] = ("few.json", lambda: self.calibrate("few", "none", "--frames", FEW_FRAMES))
+        steps["calibrate-busy"] = ("busy.json", self.calibrate_busy)
+        return steps
+
+
+def bars(machine):
+    def metrics(found):
+        return found["predictors"][0]["metrics"] if found else {}
+
+    def read(name):
+        path = machine.out / f"{name}.json"
+        return json.loads(path.read_text()) if path.exists() else {}
+
+    for mode in MODES:
+        yield f"{mode}/calibrate-seconds", read(f"model-{mode}").get("seconds"), CALIBRATION_SECONDS
+    for mode in MODES:
+        member_error, member_rmse, scan_error, scan_rmse = LIMITS[mode]
+        found = metrics(machine.evaluate(f"model-{mode}", "members", mode))
+        yield f"{mode}/members/mdape", found.get("mdape"), member_error
+        yield f"{mode}/members/rmse-over-sd", found.get("rmse_over_sd"), member_rmse
+        if scan_error is not None:
+            found = metrics(machine.evaluate(f"model-{mode}", "scans", mode))
+            yield f"{mode}/scans/mdape", found.get("mdape"), scan_error
+            yield f"{mode}/scans/rmse-over-sd", found.get("rmse_over_sd"), scan_rmse
+    found = metrics(machine.evaluate("few", "members", "none"))
+    yield f"none/members/mdape-after-{FEW_FRAMES}-frames", found.get("mdape"), FEW_LIMIT
+    found = machine.evaluate("busy", "members", "none")
+    in_session = next(iter(found["in_session"].values()), {}) if found else {}
+    yield f"none/members/mdape-calibrated-busy-{OBSERVED}-observed", in_session.get("mdape"), BUSY_LIMIT
+    yield "shipped/predictions-not-positive", invalid(machine), INVALID_LIMIT
+
+
+def invalid(machine):
+    """Predictions that are no positive number of seconds: the test counts over all shipped models, tables and random inputs."""
+    kept = machine.out / "predictions.txt"
+    if not kept.exists():
+        cargo = os.environ.get("CARGO", "cargo")
+        done = subprocess.run([cargo, "test", "--quiet", "--package", "entire-cli", "--test", "predictions", "--", "--nocapture"],
+                              cwd=ROOT, stdout=subprocess.PIPE, text=True)
+        counts = [line.split()[-1] for line in done.stdout.splitlines() if line.startswith("predictions not positive:")]
+        if not counts:
+            return None
+        kept.write_text(counts[0])
+    return int(kept.read_text())
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", default=os.environ.get("DATA", ""), help="the folder that holds ensembles/ and scans/")
+    parser.add_argument("--out", default="out/bars-machine")
+    parser.add_argument("--bin", default="target/release/entire")
+    parser.add_argument("--only", default="", help="make these steps alone, comma-separated")
+    parser.add_argument("--steps", action="store_true", help="list the steps and whether each is done")
+    options = parser.parse_args()
+    if not options.data or not Path(options.data, "ensembles").is_dir():
+        sys.exit(f"bars_machine: {options.data or 'no folder'} holds no ensembles/; name the folder with --data or DATA=")
+    if not shutil.which(options.bin):
+        sys.exit(f"bars_machine: {options.bin} is not there; build it with `make build`, or name it with --bin")
+    machine = Machine(options)
+    steps = machine.steps()
+    if options.steps:
+        for name, (stamp, _) in steps.items():
+            print(f"{name:<18}{'done' if (machine.out / stamp).exists() else '-'}")
+        return 0
+    wanted = [s for s in options.only.split(",") if s] or list(steps)
+    unknown = [s for s in wanted if s not in steps]
+    if unknown:
+        sys.exit(f"bars_machine: no step {', '.join(unknown)}; there are {', '.join(steps)}")
+    for name in wanted:
+        stamp, make = steps[name]
+        if not (machine.out / stamp).exists():
+            make()
+    short = False
+    for name, value, limit in bars(machine):
+        ok = value is not None and value <= limit
+        short |= not ok
+        print(f"bar {name} {'-' if value is None else f'{value:.4g}'} {limit:g} {'ok' if ok else 'short'}", flush=True)
+    return 1 if short else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

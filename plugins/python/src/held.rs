@@ -1,0 +1,79 @@
+//! A volume as an adapter holds it.
+
+use crate::camera::Placement;
+use crate::frame::Shape;
+use crate::volume::Volume;
+use entire_core::scene::Frame;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyTuple;
+
+/// What changes seldom of a volume that is held to a frame time: where it stands in its scene, and how it is
+/// drawn. For :meth:`Session.steer`.
+///
+/// Parameters
+/// ----------
+/// volume : Volume
+/// to_world, direction, center
+///     As :meth:`Camera.scene` takes them.
+/// step : float
+///     The frames' own step in reference steps.
+/// shading, skipping, termination
+///     As in :meth:`Session.plan`.
+///
+/// Raises
+/// ------
+/// ValueError
+///     For a word that is none of those accepted.
+#[pyclass(frozen, module = "entire._native")]
+pub(crate) struct Held {
+    placement: Placement,
+    shape: Shape,
+}
+
+#[pymethods]
+impl Held {
+    #[new]
+    #[pyo3(signature = (volume, to_world, direction, center, *, step, shading, skipping, termination))]
+    #[allow(clippy::too_many_arguments, reason = "Python names them")]
+    fn new(
+        volume: &Volume,
+        to_world: [f64; 16],
+        direction: [f64; 9],
+        center: [f64; 3],
+        step: f32,
+        shading: &str,
+        skipping: &str,
+        termination: f32,
+    ) -> PyResult<Self> {
+        Ok(Self {
+            placement: Placement::new(volume, &to_world, &direction, center),
+            shape: Shape::new((1, 1), step, shading, skipping, termination)?,
+        })
+    }
+}
+
+impl Held {
+    /// The frame that the camera with this world-to-eye matrix sees.
+    pub(crate) fn frame(
+        &self,
+        to_eye: &Bound<'_, PyTuple>,
+        fov: f64,
+        parallel_scale: Option<f64>,
+        size: (i64, i64),
+        step: Option<f32>,
+    ) -> PyResult<Frame> {
+        let mut rows = [0.0; 16];
+        if to_eye.len() != rows.len() {
+            return Err(PyValueError::new_err(format!(
+                "to_eye has {} elements; it must have the 16 of a matrix, row by row",
+                to_eye.len()
+            )));
+        }
+        for (i, row) in rows.iter_mut().enumerate() {
+            *row = to_eye.get_borrowed_item(i)?.extract()?;
+        }
+        let camera = self.placement.camera(&rows, fov, parallel_scale)?;
+        self.shape.at(size, step).frame(camera.core)
+    }
+}

@@ -1,0 +1,99 @@
+//! What a session answers.
+
+use entire_core::control::Plan as CorePlan;
+use entire_core::predict::{Prediction as CorePrediction, Source};
+use pyo3::prelude::*;
+
+/// What to draw, and what to expect of it.
+#[pyclass(frozen, get_all, module = "entire")]
+pub(crate) struct Plan {
+    /// int : Names this plan in :meth:`Session.observe`.
+    id: u64,
+    /// float : Ray step in reference steps (smallest voxel spacings).
+    step: f32,
+    /// float : Pixels between rays along each side of the image, at least 1.
+    image_sample_distance: f32,
+    /// tuple of int : Width and height of the image to draw, in pixels.
+    size: (u32, u32),
+    /// float : Expected seconds; NaN where nothing is known.
+    seconds: f32,
+    /// float : Upper bound of the seconds; NaN where there is none.
+    upper: f32,
+    /// float : 0 inside the predictor's range, 1 at the edge of trust, growing beyond; NaN where unknown.
+    out_of_range: f32,
+    /// str : Why this step, in a word or two: "fits", "held", "damped", "finest allowed", ...
+    reason: &'static str,
+    /// float : Seconds that the frame may take.
+    target: f32,
+}
+
+impl Plan {
+    /// A plan of the core, with the size of its image and its target.
+    pub(crate) fn new(plan: CorePlan, size: (u32, u32), target: f32) -> Self {
+        Self {
+            id: plan.id,
+            step: plan.step,
+            image_sample_distance: plan.image_sample_distance,
+            size,
+            seconds: plan.seconds,
+            upper: plan.upper,
+            out_of_range: plan.out_of_range,
+            reason: plan.reason.name(),
+            target,
+        }
+    }
+
+    pub(crate) fn id(&self) -> u64 {
+        self.id
+    }
+}
+
+#[pymethods]
+impl Plan {
+    fn __repr__(&self) -> String {
+        format!(
+            "Plan(step {:.3}, {} x {} pixels, {:.2} ms expected of {:.2} ms: {})",
+            self.step,
+            self.size.0,
+            self.size.1,
+            1e3 * self.seconds,
+            1e3 * self.target,
+            self.reason
+        )
+    }
+}
+
+/// A predicted frame time.
+#[pyclass(frozen, get_all, module = "entire")]
+pub(crate) struct Prediction {
+    /// float : Expected seconds.
+    seconds: f32,
+    /// float : Upper bound of the seconds; NaN where there is none.
+    upper: f32,
+    /// float : As in :class:`Plan`.
+    out_of_range: f32,
+    /// str : "analytic", "network" or "history".
+    source: &'static str,
+}
+
+impl From<CorePrediction> for Prediction {
+    fn from(p: CorePrediction) -> Self {
+        let source = match p.source {
+            Source::Analytic => "analytic",
+            Source::Network => "network",
+            _ => "history",
+        };
+        Self { seconds: p.seconds, upper: p.upper, out_of_range: p.out_of_range, source }
+    }
+}
+
+#[pymethods]
+impl Prediction {
+    fn __repr__(&self) -> String {
+        format!("Prediction({:.3} ms, {})", 1e3 * self.seconds, self.source)
+    }
+
+    fn __float__(&self) -> f64 {
+        f64::from(self.seconds)
+    }
+}

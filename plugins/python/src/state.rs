@@ -1,0 +1,113 @@
+//! What a session keeps between calls.
+
+use crate::errors::{NotReadyError, raise};
+use crate::history::{Entry, History};
+use crate::plan::Plan;
+use crate::transfer::{Transfer, TransferFunction};
+use crate::volume::Data;
+use entire_core::adapt::{ObserveFlags, Verdict};
+use entire_core::control::{PENDING_PLANS, Plan as CorePlan, Session as Core};
+use entire_core::features::Changes;
+use entire_core::scene::{Camera as CoreCamera, Frame};
+use pyo3::prelude::*;
+use std::sync::Arc;
+
+/// A session of the core, what it was given last, and the frames it has seen.
+pub(crate) struct State {
+    pub(crate) core: Core,
+    pub(crate) volume: Option<Arc<Data>>,
+    transfer: Option<Arc<Transfer>>,
+    /// The camera of the last steered frame.
+    camera: Option<CoreCamera>,
+    plans: Box<[Option<(CorePlan, f32)>; PENDING_PLANS]>,
+    pub(crate) history: History,
+}
+
+impl State {
+    pub(crate) fn new(core: Core) -> Self {
+        Self {
+            core,
+            volume: None,
+            transfer: None,
+            camera: None,
+            plans: Box::new([None; PENDING_PLANS]),
+            history: History::default(),
+        }
+    }
+
+    /// Takes up a volume, with VolumeNet's output for it where the model takes one.
+    pub(crate) fn take_volume(
+        &mut self,
+        py: Python<'_>,
+        volume: &Arc<Data>,
+        features: Option<&[f32]>,
+    ) -> PyResult<()> {
+        self.core.set_volume(volume.summary(py)?.clone(), features);
+        self.volume = Some(volume.clone());
+        self.transfer = None;
+        Ok(())
+    }
+
+    /// Takes up a transfer function, where it is another one.
+    pub(crate) fn take_transfer(&mut self, transfer: &TransferFunction) -> PyResult<()> {
+        if self.transfer.as_ref().is_some_and(|t| Arc::ptr_eq(t, &transfer.0)) {
+            return Ok(());
+        }
+        let Some(volume) = &self.volume else {
+            return Err(NotReadyError::new_err(
+                "no volume is set; make the session with one, or call set_volume before the first frame",
+            ));
+        };
+        let table = transfer.0.table_for(volume)?;
+        self.core.set_transfer(&table, transfer.0.lobes()).map_err(raise)?;
+        self.transfer = Some(transfer.0.clone());
+        Ok(())
+    }
+
+    /// Marks a jump where the camera comes from somewhere else.
+    pub(crate) fn follow(&mut self, camera: CoreCamera) {
+        if self.camera.is_some_and(|before| crate::camera::jumps(&before, &camera)) {
+            self.core.mark(Changes { camera: true, ..Changes::NONE });
+        }
+        self.camera = Some(camera);
+    }
+
+    /// Plans a frame and keeps the plan for its observation.
+    pub(crate) fn plan(&mut self, frame: &Frame, target: f32) -> PyResult<(Plan, CorePlan)> {
+        let plan = self.core.plan(frame, target).map_err(raise)?;
+        let shrunk = |side: u32| ((f64::from(side) / f64::from(plan.image_sample_distance)) as u32).max(1);
+        let size = (shrunk(frame.width()), shrunk(frame.height()));
+        Ok((self.note(plan, size, target), plan))
+    }
+
+    /// Keeps a plan for its observation.
+    pub(crate) fn note(&mut self, plan: CorePlan, size: (u32, u32), target: f32) -> Plan {
+        self.plans[slot(plan.id)] = Some((plan, target));
+        Plan::new(plan, size, target)
+    }
+
+    /// Learns from the time of a planned frame, and keeps it in the history.
+    pub(crate) fn observe(&mut self, id: u64, seconds: f32, flags: ObserveFlags) -> PyResult<Verdict> {
+        let verdict = self.core.observe(id, seconds, flags).map_err(raise)?;
+        if let Some((plan, target)) = self.plans[slot(id)]
+            && plan.id == id
+        {
+            self.history.push(Entry {
+                plan: id,
+                target,
+                predicted: plan.seconds,
+                upper: plan.upper,
+                measured: seconds,
+                step: plan.step,
+                image_sample_distance: plan.image_sample_distance,
+                reason: plan.reason.name(),
+                verdict: verdict.name(),
+            });
+        }
+        Ok(verdict)
+    }
+}
+
+fn slot(id: u64) -> usize {
+    (id % PENDING_PLANS as u64) as usize
+}

@@ -1,0 +1,69 @@
+#!/usr/bin/env bash
+# Builds the fuzz targets and runs each for an equal part of SECONDS (default 60), or the targets that are named.
+#
+#   fuzz.sh smoke [SECONDS] [TARGET...]   from the committed corpus, always with the same seed; new inputs are thrown away
+#   fuzz.sh keep SECONDS [TARGET...]      with a new seed each time, from the committed corpus and what earlier runs kept
+#                                         under out/fuzz/TARGET, where new inputs stay
+#
+# A crash is kept under fuzz/artifacts and fails the run, after the other targets had their time.
+# Where the sanitizer is not to be had, the corpus and its mutations are replayed by the plain test.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+mode=${1:-smoke} seconds=${2:-60}
+shift $(($# < 2 ? $# : 2))
+
+plain() { # plain WHY
+    echo "note: $1; replaying the corpus and mutations of it without coverage feedback"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "fuzz-smoke: coverage-guided fuzzing: $1" >>"$ENTIRE_SKIPPED"
+    exec cargo test --package entire-cli --test hostile_files
+}
+
+case "$mode" in
+    smoke) seed=${FUZZ_SEED:-1} ;;
+    keep) seed=${FUZZ_SEED:-$((RANDOM * 32768 + RANDOM + 1))} ;;
+    *) echo "$mode is neither smoke nor keep" >&2 && exit 2 ;;
+esac
+case "$(uname -sm)" in
+    "Linux x86_64" | "Linux aarch64" | "Darwin "*) ;;
+    *) plain "the address sanitizer is not to be had on $(uname -sm)" ;;
+esac
+# libFuzzer itself is C++ and compiled by the build.
+command -v "${CXX:-c++}" >/dev/null || plain "there is no C++ compiler"
+
+# The sanitizer and coverage flags are unstable; the compiler takes them from a stable toolchain with this. The host is
+# named as target so that the flags are not for build scripts.
+export RUSTC_BOOTSTRAP=1 CARGO_INCREMENTAL=0
+host=$(rustc -vV | sed -n 's/^host: //p')
+coverage=(-Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4
+    -Cllvm-args=-sanitizer-coverage-inline-8bit-counters -Cllvm-args=-sanitizer-coverage-pc-table
+    -Cllvm-args=-sanitizer-coverage-trace-compares)
+export RUSTFLAGS="${coverage[*]} -Zsanitizer=address -Cdebug-assertions --cfg fuzzing"
+known=$(sed -n 's|^path = "fuzz_targets/\(.*\)\.rs"$|\1|p' fuzz/Cargo.toml | sort)
+targets=${*:-$known}
+for target in $targets; do
+    grep -qx "$target" <<<"$known" || { echo "there is no fuzz target $target; there are: "$known >&2 && exit 2; }
+done
+echo "building the fuzz targets"
+# Lock file and output stay in fuzz/, which is apart from the workspace.
+cargo build --quiet --release --manifest-path fuzz/Cargo.toml --target-dir fuzz/target --target "$host" \
+    $(printf -- '--bin %s ' $targets)
+
+each=$((seconds / $(wc -w <<<"$targets")))
+((each >= 1)) || each=1
+status=0
+for target in $targets; do
+    folder=$([[ $mode == keep ]] && echo "out/fuzz/$target" || mktemp -d)
+    mkdir -p "$folder" "fuzz/artifacts/$target" out/fuzz
+    log=out/fuzz/$target.log
+    echo "==> $target, $each s, seed $seed"
+    if ! "fuzz/target/$host/release/$target" "$folder" "fuzz/corpus/$target" \
+        -artifact_prefix="fuzz/artifacts/$target/" -seed="$seed" -max_total_time="$each" -max_len=65536 -timeout=30 \
+        -rss_limit_mb=1024 -malloc_limit_mb=256 -print_final_stats=1 -verbosity=0 >"$log" 2>&1; then
+        tail -n 40 "$log"
+        echo "FAILED: fuzz target $target; the input is under fuzz/artifacts/$target" >&2
+        status=1
+    fi
+    grep -h "number_of_executed_units\|peak_rss_mb" "$log" || true
+    [[ $mode == keep ]] || rm -r "$folder"
+done
+exit $status

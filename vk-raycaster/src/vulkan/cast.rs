@@ -1,0 +1,129 @@
+//! Casting the rays of a frame or of a part of it: tile by tile, brick by brick, window by window.
+
+use super::picture::{Picture, Region};
+use super::recording::{IMAGE_BYTES, Output, Tile, record_tile, tiles};
+use super::{Cast, LONG_DISPATCH_SECONDS, SMALLEST_TILE, VulkanRaycaster, add_counts, brick_order};
+use crate::clock::Stopwatch;
+use crate::renderer::{Error, FrameTime, Image, Rendered, Result, WorkCounts};
+use crate::setup::FAR;
+use entire_core::scene::Frame;
+
+/// Where the pixels go.
+enum Sink<'a> {
+    /// Rows of the region.
+    Host(&'a mut [u8]),
+    /// The region's place in the picture.
+    Picture(&'a mut Picture),
+}
+
+impl VulkanRaycaster {
+    /// Renders a part of a frame and reads it back; the pixels are those of the whole frame.
+    ///
+    /// # Errors
+    /// For a region beyond the frame; else as [`crate::Renderer::render`].
+    pub fn render_region(&mut self, frame: &Frame, region: Region) -> Result<Rendered> {
+        region.check(frame)?;
+        let mut rgba = vec![0; region.width as usize * region.height as usize * IMAGE_BYTES as usize];
+        let (time, counts) = self.cast(frame, region, Sink::Host(&mut rgba))?;
+        let image = Image { width: region.width, height: region.height, rgba };
+        Ok(Rendered { image, time, counts: self.options.count_work.then_some(counts) })
+    }
+
+    /// Renders a part of a frame into a picture that stays on the device, at the region's place in the frame;
+    /// what lies outside of the region stays. Returns once the device is done.
+    ///
+    /// # Errors
+    /// For a region beyond the frame or the picture, a picture of another device; else as
+    /// [`crate::Renderer::render`].
+    pub fn render_to(&mut self, frame: &Frame, region: Region, picture: &mut Picture) -> Result<FrameTime> {
+        region.check(frame)?;
+        if region.x + region.width > picture.width() || region.y + region.height > picture.height() {
+            return Err(Error::new(format!(
+                "the region of {} x {} pixels at {}, {} reaches beyond the picture of {} x {}",
+                region.width,
+                region.height,
+                region.x,
+                region.y,
+                picture.width(),
+                picture.height()
+            )));
+        }
+        if !picture.is_of(&self.shared_device()) {
+            return Err(Error::new("the picture is on another device; make one on this raycaster's"));
+        }
+        Ok(self.cast(frame, region, Sink::Picture(picture))?.0)
+    }
+
+    fn cast(&mut self, frame: &Frame, region: Region, mut sink: Sink<'_>) -> Result<(FrameTime, WorkCounts)> {
+        let watch = Stopwatch::start();
+        let mut plan = self.plan(frame)?;
+        let order = self.volume.as_ref().map(|v| brick_order(v, &plan.setup)).unwrap_or_default();
+        let bricks = self.volume.as_ref().map(|v| v.bricks.clone()).unwrap_or_default();
+        self.table_step = None;
+        let slot = self.engine.free_slot()?;
+        let mut counts = WorkCounts::default();
+        let mut device = self.has_timestamps().then_some(0.0);
+        let timestamps = device.is_some();
+        let class = plan.class;
+        let windowed = plan.last_window > 0.0 || bricks.len() > 1;
+        let cut = tiles(region.width, region.height, self.tile[class]);
+        for (i, &place) in cut.iter().enumerate() {
+            let tile = Tile { x: region.x + place.x, y: region.y + place.y, ..place };
+            let pass = format!("ray casting, tile {} of {}", i + 1, cut.len());
+            let mut begin = 0.0;
+            loop {
+                let last = begin >= plan.last_window;
+                for (visit, &brick) in order.iter().enumerate() {
+                    let mut setup = plan.setup;
+                    setup.resume = u32::from(begin > 0.0 || visit > 0);
+                    setup.window_end = if last { FAR } else { begin + plan.window };
+                    setup.set_brick(
+                        bricks[brick].low,
+                        bricks[brick].high,
+                        bricks[brick].origin,
+                        bricks[brick].dims,
+                    );
+                    let done = last && visit + 1 == order.len();
+                    let output = match &sink {
+                        Sink::Picture(p) if done => Output::Picture { image: p.image(), fresh: p.fresh },
+                        Sink::Picture(_) => Output::Device,
+                        Sink::Host(_) => Output::Host,
+                    };
+                    let table = plan.table.take();
+                    let commands =
+                        record_tile(&setup, tile, table, timestamps, self.options.count_work, output);
+                    let cast = Cast { pass: &pass, key: plan.key, tile, windowed, brick };
+                    let tile_watch = Stopwatch::start();
+                    let ticket = self.engine.start(slot, &cast, &commands)?;
+                    let found = self.engine.finish(ticket)?;
+                    device = device.zip(found.seconds).map(|(sum, s)| sum + s);
+                    if found.seconds.unwrap_or_else(|| tile_watch.wall()) > LONG_DISPATCH_SECONDS {
+                        self.tile[class] = (self.tile[class] / 2).max(SMALLEST_TILE.min(self.tile[class]));
+                    }
+                    if done {
+                        match &mut sink {
+                            Sink::Host(rgba) => join(rgba, region.width, place, found.image),
+                            Sink::Picture(picture) => picture.fresh = false,
+                        }
+                        add_counts(&mut counts, found.work);
+                    }
+                }
+                if last {
+                    break;
+                }
+                begin += plan.window;
+            }
+        }
+        self.table_step = Some(frame.step());
+        Ok((FrameTime { device, wall: watch.wall(), cpu: watch.cpu() }, counts))
+    }
+}
+
+/// Copies a finished tile into the image.
+fn join(rgba: &mut [u8], width: u32, tile: Tile, found: &[u8]) {
+    let row_bytes = tile.width as usize * 4;
+    for (y, row) in found.chunks_exact(row_bytes).enumerate() {
+        let start = ((tile.y as usize + y) * width as usize + tile.x as usize) * 4;
+        rgba[start..start + row_bytes].copy_from_slice(row);
+    }
+}

@@ -1,0 +1,120 @@
+//! Pictures that stay on the device, and parts of frames.
+
+use super::resources::{Image, Shape};
+use super::shared::SharedDevice;
+use crate::renderer::{Error, Result};
+use ash::vk;
+use entire_core::scene::Frame;
+
+/// A rectangle of a frame, in pixels from its upper left corner.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Region {
+    /// First column.
+    pub x: u32,
+    /// First row.
+    pub y: u32,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+impl Region {
+    /// All of a frame.
+    pub fn whole(frame: &Frame) -> Self {
+        Self { x: 0, y: 0, width: frame.width(), height: frame.height() }
+    }
+
+    /// Refuses a region that is empty or reaches beyond the frame.
+    pub(crate) fn check(&self, frame: &Frame) -> Result<()> {
+        let fits = |first: u32, count: u32, all: u32| {
+            count > 0 && first.checked_add(count).is_some_and(|end| end <= all)
+        };
+        if fits(self.x, self.width, frame.width()) && fits(self.y, self.height, frame.height()) {
+            return Ok(());
+        }
+        Err(Error::new(format!(
+            "the region of {} x {} pixels at {}, {} is empty or reaches beyond the frame of {} x {}",
+            self.width,
+            self.height,
+            self.x,
+            self.y,
+            frame.width(),
+            frame.height()
+        )))
+    }
+
+    /// Pixels.
+    pub fn pixels(&self) -> u64 {
+        u64::from(self.width) * u64::from(self.height)
+    }
+}
+
+/// A picture on the device, 8-bit RGBA in `R8G8B8A8_SRGB`: a viewer samples it and gets linear colors. It is
+/// in the layout `SHADER_READ_ONLY_OPTIMAL` between the calls that draw into it.
+pub struct Picture {
+    device: SharedDevice,
+    image: Image,
+    /// Whether nothing was drawn into it.
+    pub(super) fresh: bool,
+}
+
+impl Picture {
+    /// A picture, its contents undefined.
+    ///
+    /// # Errors
+    /// For a size of 0 or over [`SharedDevice::max_image_side`], and when the memory is full.
+    pub fn new(device: &SharedDevice, width: u32, height: u32) -> Result<Self> {
+        let longest = device.max_image_side();
+        if width == 0 || height == 0 || width > longest || height > longest {
+            return Err(Error::new(format!(
+                "a picture of {width} x {height} pixels; {} takes sides of 1 to {longest}",
+                device.name()
+            )));
+        }
+        let shape = Shape { extent: [width, height, 0], format: vk::Format::R8G8B8A8_SRGB, storage: false };
+        let image = Image::new(device.gpu(), "picture", shape)?;
+        Ok(Self { device: device.clone(), image, fresh: true })
+    }
+
+    /// Pixels along x.
+    pub fn width(&self) -> u32 {
+        self.image.shape.extent[0]
+    }
+
+    /// Pixels along y.
+    pub fn height(&self) -> u32 {
+        self.image.shape.extent[1]
+    }
+
+    /// A view of the image, to sample it by.
+    pub fn view(&self) -> vk::ImageView {
+        self.image.view()
+    }
+
+    /// Whether nothing was drawn into it, so that it must not be shown.
+    pub fn is_fresh(&self) -> bool {
+        self.fresh
+    }
+
+    pub(super) fn is_of(&self, device: &SharedDevice) -> bool {
+        std::sync::Arc::ptr_eq(self.device.gpu(), device.gpu())
+    }
+
+    pub(super) fn image(&self) -> vk::Image {
+        self.image.get()
+    }
+}
+
+impl Drop for Picture {
+    fn drop(&mut self) {
+        if self.device.is_lost() {
+            return;
+        }
+        let gpu = self.device.gpu();
+        let queue = gpu.queue();
+        // Whoever shows it may still be reading it. A failure means a lost device, which reads nothing.
+        // SAFETY: the queue is the device's, and the guard keeps other threads from it.
+        let _ = unsafe { gpu.device.queue_wait_idle(*queue) };
+    }
+}

@@ -1,0 +1,110 @@
+//! A device that others draw with as well: what shows the raycaster's pictures, and further raycasters.
+
+use super::gpu::Gpu;
+use super::{VulkanOptions, VulkanRaycaster};
+use crate::renderer::{Error, Result};
+use ash::vk;
+use std::sync::Arc;
+
+/// The device of a [`VulkanRaycaster`], kept open for as long as one of these, a raycaster or a
+/// [`Picture`](super::Picture) lives.
+///
+/// Whoever makes Vulkan objects from [`SharedDevice::device`] keeps a clone, and destroys them before it drops
+/// the clone.
+#[derive(Clone)]
+pub struct SharedDevice {
+    gpu: Arc<Gpu>,
+}
+
+impl SharedDevice {
+    pub(crate) fn new(gpu: Arc<Gpu>) -> Self {
+        Self { gpu }
+    }
+
+    pub(crate) fn gpu(&self) -> &Arc<Gpu> {
+        &self.gpu
+    }
+
+    /// The loader.
+    pub fn entry(&self) -> &ash::Entry {
+        self.gpu.entry()
+    }
+
+    /// The instance, made with [`VulkanOptions::surface_extensions`].
+    pub fn instance(&self) -> &ash::Instance {
+        &self.gpu.instance
+    }
+
+    /// The physical device.
+    pub fn physical_device(&self) -> vk::PhysicalDevice {
+        self.gpu.physical
+    }
+
+    /// The device.
+    pub fn device(&self) -> &ash::Device {
+        &self.gpu.device
+    }
+
+    /// The family of the one queue.
+    pub fn queue_family(&self) -> u32 {
+        self.gpu.family
+    }
+
+    /// Calls `use_queue` with the queue while nobody else submits to it. It must not call a raycaster of this
+    /// device.
+    pub fn with_queue<T>(&self, use_queue: impl FnOnce(vk::Queue) -> T) -> T {
+        let queue = self.gpu.queue();
+        use_queue(*queue)
+    }
+
+    /// The device's name.
+    pub fn name(&self) -> &str {
+        &self.gpu.name
+    }
+
+    /// Whether the device is a CPU in truth (llvmpipe, SwiftShader).
+    pub fn is_software(&self) -> bool {
+        self.gpu.is_cpu
+    }
+
+    /// Pixels along the longest side that an image may have.
+    pub fn max_image_side(&self) -> u32 {
+        self.gpu.limits.max_image_dimension2_d
+    }
+
+    /// Whether a call has answered that the device is lost: nothing runs on it any more.
+    pub fn is_lost(&self) -> bool {
+        self.gpu.is_lost()
+    }
+
+    /// The error of a Vulkan call on this device, with the remedy. The device is lost from then on where the
+    /// result says so.
+    pub fn error(&self, call: &str, result: vk::Result) -> Error {
+        if result == vk::Result::ERROR_DEVICE_LOST {
+            self.gpu.mark_lost();
+        }
+        super::gpu::call_failed(call, result, Some(&self.gpu.name))
+    }
+
+    /// What the validation layer has said so far; empty without validation.
+    pub fn validation_messages(&self) -> Vec<String> {
+        self.gpu.messages()
+    }
+}
+
+impl VulkanRaycaster {
+    /// A further raycaster on an open device, with a volume and transfer function of its own. Raycasters of
+    /// one device may be used from several threads, each from one.
+    ///
+    /// # Errors
+    /// When the device is lost or its memory is full.
+    pub fn on_device(device: &SharedDevice, options: VulkanOptions) -> Result<Self> {
+        device.gpu.check()?;
+        Self::on(Arc::clone(&device.gpu), options)
+    }
+
+    /// The device, to show pictures with or to open further raycasters on.
+    pub fn shared_device(&self) -> SharedDevice {
+        SharedDevice::new(self.engine.shared_gpu())
+    }
+}
