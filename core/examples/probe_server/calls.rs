@@ -16,8 +16,8 @@ const EVICTED: usize = 8 << 20;
 /// Camera poses per transfer function.
 const POSES: usize = 12;
 
-/// Voxels of the volumes that are summarized: 512 × 512 × this many planes of bytes, so that all types have as many
-/// bytes.
+/// Voxels of the volumes that are summarized: 512 × 512 × this many planes of bytes, so that all types have
+/// as many bytes.
 const PLANES: usize = 512;
 
 /// Seconds that a call takes.
@@ -187,8 +187,8 @@ fn plans(volumes: &mut Volumes, side: usize, cold: bool, shading: Shading) -> Ve
     out
 }
 
-/// `transfer/EDGE/first`: the first function of a volume; `…/edit`: another one; `…/plan`: another one and the first
-/// plan after it.
+/// `transfer/EDGE/first`: the first function of a volume; `…/edit`: another one; `…/plan`: another one and
+/// the first plan after it.
 fn transfers(volumes: &mut Volumes, edge: usize, what: &str) -> Vec<f64> {
     let summary = volumes.summary(edge);
     let frame = frames(Shading::None)[0];

@@ -1,4 +1,5 @@
-//! What the probe bars time, behind a line protocol so that two builds of the crate can be timed in turns: a line
+//! What the probe bars time, behind a line protocol so that two builds of the crate can be timed in turns: a
+//! line
 //! `NAME` in, a line `@@{"seconds": […]}` out, one number for each scene or call.
 //!
 //! The calls of [`calls`] need only what older versions of the crate have too; those below are of this one.

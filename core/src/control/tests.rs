@@ -625,7 +625,8 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
         let plan = ladder.plan(&frame, target).unwrap();
         let side = ladder.features().probe_side();
         // The plan is the one of a session with this probe alone.
-        assert_eq!(plan, session(None, side).plan(&frame, target).unwrap(), "{tolerance} {target}");
+        let same = session(None, side).plan(&frame, target).unwrap();
+        assert_eq!((plan.step, plan.seconds), (same.step, same.seconds), "{tolerance} {target}");
         // Predictions do not climb.
         assert_eq!(ladder.predict(&frame).unwrap().seconds, expected);
         side

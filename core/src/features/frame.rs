@@ -230,8 +230,8 @@ impl FrameFeatures {
         self.probe_side = side.min(MAX_PROBE_SIDE);
     }
 
-    /// By how much the probe is likely to be off: the standard error of the length among samples, as a share of it;
-    /// infinite where nobody knows.
+    /// By how much the probe is likely to be off: the standard error of the length among samples, as a share
+    /// of it; infinite where nobody knows.
     pub(crate) fn probe_error(&self) -> f32 {
         self.probe.error
     }

@@ -28,18 +28,19 @@ pub(super) struct Optics {
 /// Numbers kept of a cell's [`Optics`]: extinction and visible.
 pub(super) const OPTICS: usize = 2;
 
-/// Cells whose flags share a word: in the lower half, whether a cell is not empty, in the upper half, whether its
-/// [`Optics`] are those of the present table.
+/// Cells whose flags share a word: in the lower half, whether a cell is not empty, in the upper half, whether
+/// its [`Optics`] are those of the present table.
 pub(super) const FLAGGED: usize = 16;
 
-/// Runs of visible table entries up to which cells are compared with each run, many cells at a time; with more, each
-/// cell is looked up in a prefix table.
+/// Runs of visible table entries up to which cells are compared with each run, many cells at a time; with
+/// more, each cell is looked up in a prefix table.
 const MAX_RANGES: usize = 8;
 
 /// Emptiness and extinction of each cell of a volume under a transfer function.
 ///
-/// An edit decides at once which cells are empty. What a cell that is not empty does to a ray is computed when a ray first
-/// meets the cell, and kept until the next edit: an edit costs what its frame looks at, not what the volume holds.
+/// An edit decides at once which cells are empty. What a cell that is not empty does to a ray is computed
+/// when a ray first meets the cell, and kept until the next edit: an edit costs what its frame looks at, not
+/// what the volume holds.
 #[derive(Clone, Debug)]
 pub struct TransferSummary {
     /// Two bits per cell, of [`FLAGGED`] cells in a word.
@@ -50,8 +51,8 @@ pub struct TransferSummary {
     optics: Vec<[f32; OPTICS]>,
     /// Table entries with opacity below each entry.
     opaque: [u16; TABLE_LEN + 1],
-    /// Sum of transmittances over the correlation length below each entry. In double precision: differences of sums near
-    /// 256 must resolve transmittances near 1e-12.
+    /// Sum of transmittances over the correlation length below each entry. In double precision: differences
+    /// of sums near 256 must resolve transmittances near 1e-12.
     transmittance: [f64; TABLE_LEN + 1],
     grid: [usize; 3],
     /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
@@ -259,7 +260,8 @@ impl TransferSummary {
         self.flags[cell / FLAGGED] |= 1 << (FLAGGED + cell % FLAGGED);
     }
 
-    /// What is kept of all cells, for packets of rays: [`OPTICS`] numbers per cell, good where its flag says so.
+    /// What is kept of all cells, for packets of rays: [`OPTICS`] numbers per cell, good where its flag says
+    /// so.
     #[inline(always)]
     pub(super) fn kept_optics(&self) -> &[f32] {
         self.optics.as_flattened()

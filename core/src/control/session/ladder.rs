@@ -23,19 +23,20 @@ pub(super) struct Ladder {
 }
 
 impl Session {
-    /// Lets plans begin with a probe of 4² rays, and take one of 7², 11², 16² and at last `finest`² only while the error
-    /// that a probe estimates of itself could change the plan: while it is larger than `tolerance` (a share of the
-    /// frame's time, which changes the step by as much), unless even so the finest step surely meets the target, or the
-    /// coarsest surely does not. So `finest` bounds what a plan may cost, and most plans cost less.
-    /// [`crate::features::FrameFeatures::probe_side`] of [`Session::features`] tells how far the last one went.
-    /// [`Session::predict`] and [`Session::choose`] take the finest probe.
+    /// Lets plans begin with a probe of 4² rays, and take one of 7², 11², 16² and at last `finest`² only
+    /// while the error that a probe estimates of itself could change the plan: while it is larger than
+    /// `tolerance` (a share of the frame's time, which changes the step by as much), unless even so the
+    /// finest step surely meets the target, or the coarsest surely does not. So `finest` bounds what a plan
+    /// may cost, and most plans cost less. [`crate::features::FrameFeatures::probe_side`] of
+    /// [`Session::features`] tells how far the last one went. [`Session::predict`] and [`Session::choose`]
+    /// take the finest probe.
     ///
-    /// For linear cost models ([`crate::Predictor::any_probe_side`]); a network keeps the probe that it was trained
-    /// with.
+    /// For linear cost models ([`crate::Predictor::any_probe_side`]); a network keeps the probe that it was
+    /// trained with.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`], and for a tolerance that is
-    /// not in 0…1.
+    /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`], and for a tolerance
+    /// that is not in 0…1.
     pub fn with_probe_ladder(mut self, finest: usize, tolerance: f32) -> Result<Self> {
         if !(1..=MAX_PROBE_SIDE).contains(&finest) || !(0.0..=1.0).contains(&tolerance) {
             bail!(

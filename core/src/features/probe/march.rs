@@ -205,8 +205,8 @@ impl<'a> March<'a> {
         self.transfer.distance().is_some()
     }
 
-    /// Marches the first `count` rays, side by side where there is a level. Jumps of the distance map are followed ray by
-    /// ray.
+    /// Marches the first `count` rays, side by side where there is a level. Jumps of the distance map are
+    /// followed ray by ray.
     pub(super) fn all(&mut self, level: Option<Level>, rays: &mut [&mut [f32]; FIELDS], count: usize) {
         match level {
             Some(level) if !self.maps_distance() => super::packet::march(level, self, rays, count),
@@ -355,7 +355,8 @@ impl<'a> March<'a> {
         out
     }
 
-    /// Marches a shadow ray from a point in the box: length in occupied blocks, length in all, and empty blocks met.
+    /// Marches a shadow ray from a point in the box: length in occupied blocks, length in all, and empty
+    /// blocks met.
     fn shadow(&mut self, from: Vec3) -> (f32, f32, f32) {
         let direction = Vec3::from_array(SHADOW_DIRECTION);
         let mut t_exit = f32::INFINITY;
@@ -398,11 +399,11 @@ impl<'a> March<'a> {
     }
 }
 
-/// The cells along a ray, one after another, without branches (Amanatides and Woo). Several faces met at once are
-/// crossed at once.
+/// The cells along a ray, one after another, without branches (Amanatides and Woo). Several faces met at once
+/// are crossed at once.
 struct Walk {
-    /// t at which the ray leaves the present cell along each axis; infinite in the outermost cell, which reaches to the
-    /// box.
+    /// t at which the ray leaves the present cell along each axis; infinite in the outermost cell, which
+    /// reaches to the box.
     next: [f32; 3],
     /// Growth of t from face to face.
     delta: [f32; 3],

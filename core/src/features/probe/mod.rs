@@ -1,4 +1,5 @@
-//! The coarse ray probe: a few rays through the grid of cells, marched once per frame, evaluated for any step.
+//! The coarse ray probe: a few rays through the grid of cells, marched once per frame, evaluated for any
+//! step.
 
 mod march;
 mod packet;
@@ -33,8 +34,8 @@ const MAX_RAYS: usize = MAX_PROBE_SIDE * MAX_PROBE_SIDE;
 /// Chord lengths through empty cells are kept in half octaves from 2⁻⁴ to 2¹⁰ reference steps.
 const BINS: usize = 28;
 
-/// Work of an average ray that meets the box, as lengths in reference steps; [`super::FrameFeatures::work`] turns it
-/// into counts for a step.
+/// Work of an average ray that meets the box, as lengths in reference steps; [`super::FrameFeatures::work`]
+/// turns it into counts for a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Probe {
     pub(super) footprint: Footprint,
@@ -48,7 +49,8 @@ pub struct Probe {
     pub(super) empty: f32,
     /// Length in which samples have opacity.
     pub(super) visible: f32,
-    /// Runs of samples between jumps: how often a ray comes from an empty block (or from outside) into an occupied one.
+    /// Runs of samples between jumps: how often a ray comes from an empty block (or from outside) into an
+    /// occupied one.
     pub(super) runs: f32,
     /// Distance of rays that are the image's height apart, reference steps, at the mean depth of the samples.
     pub(super) spread: f32,
@@ -59,7 +61,8 @@ pub struct Probe {
     pub(super) all_max: f32,
     /// Image distance between neighboring probe rays in units of the image's height.
     pub(super) spacing: f32,
-    /// Visible length times the length in occupied blocks that a shadow ray covers; 0 unless the frame scatters.
+    /// Visible length times the length in occupied blocks that a shadow ray covers; 0 unless the frame
+    /// scatters.
     pub(super) shadow: f32,
     /// Visible length times the empty blocks that a shadow ray jumps over.
     pub(super) shadow_skips: f32,
@@ -97,9 +100,10 @@ impl Probe {
 
     /// Marches the probe's rays through a volume. The image's shape enters, its number of pixels does not.
     ///
-    /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `volume` must be the one that `transfer`
-    /// was made from; a summary of another grid gives [`Probe::NOTHING`]. `side` rays go along each side of the
-    /// footprint's bounding rectangle, [`MAX_PROBE_SIDE`] at most; with 0 the footprint alone is known.
+    /// A ray ends where the transmittance exp(−∫σ) falls to 1 − termination. `volume` must be the one that
+    /// `transfer` was made from; a summary of another grid gives [`Probe::NOTHING`]. `side` rays go along
+    /// each side of the footprint's bounding rectangle, [`MAX_PROBE_SIDE`] at most; with 0 the footprint
+    /// alone is known.
     #[cfg(test)]
     pub(crate) fn new(
         volume: &VolumeSummary,
@@ -110,7 +114,8 @@ impl Probe {
         Self::on(Level::detect(), volume, transfer, frame, side)
     }
 
-    /// As [`Probe::new`], with the instructions of a level. The numbers are the same on every level, to the last bit.
+    /// As [`Probe::new`], with the instructions of a level. The numbers are the same on every level, to the
+    /// last bit.
     pub(super) fn on(
         level: Level,
         volume: &VolumeSummary,
@@ -134,7 +139,8 @@ impl Probe {
         if side == 0 || footprint.share <= 0.0 || transfer.grid() != volume.cells() {
             return Self { footprint, ..Self::NOTHING };
         }
-        // Room for as many rays as there are, so that small probes do not pay for clearing that of large ones.
+        // Room for as many rays as there are, so that small probes do not pay for clearing that of large
+        // ones.
         match side {
             ..=4 => Self::cast::<16>(level, volume, transfer, frame, footprint, side),
             5..=8 => Self::cast::<64>(level, volume, transfer, frame, footprint, side),
@@ -188,7 +194,8 @@ impl Probe {
         let inv = 1.0 / hits as f32;
         let total = |field: usize| sum(&rays[field][..count]);
         let occupied = total(OCCUPIED);
-        // Depth along the view, weighted by the samples' length; where nothing is sampled, that of the volume's center.
+        // Depth along the view, weighted by the samples' length; where nothing is sampled, that of the
+        // volume's center.
         let depth = if occupied > 0.0 { total(DEPTH) / occupied } else { frame.camera().to_arcball().dz };
         let aspect = frame.width() as f32 / frame.height() as f32;
         let mut all = [0.0f32; ROOM];
@@ -298,7 +305,8 @@ fn sum(values: &[f32]) -> f32 {
     lanes[0]
 }
 
-/// The sum, over rays, of the largest value of a ray and its four neighbors; no value is negative. `W` must exceed
+/// The sum, over rays, of the largest value of a ray and its four neighbors; no value is negative. `W` must
+/// exceed
 /// `side` by 2.
 fn most_nearby<const W: usize>(values: &[f32], side: usize) -> f32 {
     let larger = |a: f32, b: f32| if b > a { b } else { a };
@@ -317,8 +325,8 @@ fn most_nearby<const W: usize>(values: &[f32], side: usize) -> f32 {
     sums[1..=side].iter().sum()
 }
 
-/// Standard error of the mean over the rays that hit, as a share of it, from how much rays beside each other differ:
-/// too large rather than too small, since each ray keeps to a part of the image of its own.
+/// Standard error of the mean over the rays that hit, as a share of it, from how much rays beside each other
+/// differ: too large rather than too small, since each ray keeps to a part of the image of its own.
 fn relative_error(values: &[f32], chords: &[f32], side: usize, hits: usize) -> f32 {
     let (mut squares, mut pairs) = (0.0f32, 0.0f32);
     for (values, chords) in values.chunks_exact(side).zip(chords.chunks_exact(side)) {
@@ -330,14 +338,16 @@ fn relative_error(values: &[f32], chords: &[f32], side: usize, hits: usize) -> f
         }
     }
     let total = sum(values);
-    match total > 0.0 && pairs > 0.0 {
-        true => libm::sqrtf(0.5 * squares / pairs * hits as f32) / total,
+    if total > 0.0 && pairs > 0.0 {
+        libm::sqrtf(0.5 * squares / pairs * hits as f32) / total
+    } else {
         // Nothing was sampled, or no two rays beside each other met the box: nobody knows.
-        false => f32::INFINITY,
+        f32::INFINITY
     }
 }
 
-/// Where in its stratum each ray goes: the additive recurrence of the plastic number, which fills the square evenly.
+/// Where in its stratum each ray goes: the additive recurrence of the plastic number, which fills the square
+/// evenly.
 static OFFSETS: [[f32; 2]; MAX_RAYS] = {
     let mut out = [[0.0; 2]; MAX_RAYS];
     let mut i = 0;

@@ -1,5 +1,6 @@
-//! Rays side by side through the grid of cells: as many as a vector has lanes, neighbors in the probe, each in the
-//! arithmetic of [`March::ray`] to the last bit. A lane whose ray has ended waits for the others of its packet.
+//! Rays side by side through the grid of cells: as many as a vector has lanes, neighbors in the probe, each
+//! in the arithmetic of [`March::ray`] to the last bit. A lane whose ray has ended waits for the others of
+//! its packet.
 
 use super::SHADOW_DIRECTION;
 use super::march::{
@@ -313,7 +314,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Marches shadow rays from points in the box: length in occupied blocks, length in all, and empty blocks met.
+    /// Marches shadow rays from points in the box: length in occupied blocks, length in all, and empty blocks
+    /// met.
     #[inline(always)]
     fn shadow(&mut self, from: Three<S>, lights: S::M) -> Three<S> {
         let simd = self.simd;

@@ -9,11 +9,11 @@ use crate::kernels::Executor;
 use crate::memory::reserve;
 use crate::scene::{ScalarType, Scalars, VolumeView};
 
-/// Makes a [`VolumeSummary`] of a volume that is never there as a whole, or of one so large that its caller wants to
-/// show progress or stop: slab by slab along z, in order, none of them kept.
+/// Makes a [`VolumeSummary`] of a volume that is never there as a whole, or of one so large that its caller
+/// wants to show progress or stop: slab by slab along z, in order, none of them kept.
 ///
-/// The summary is the one that [`VolumeSummary::new`] makes of the whole volume, to the last bit, however many slabs
-/// and threads it was made with.
+/// The summary is the one that [`VolumeSummary::new`] makes of the whole volume, to the last bit, however
+/// many slabs and threads it was made with.
 ///
 /// ```
 /// use entire_core::features::{SummaryBuilder, SummaryOptions, VolumeSummary};
@@ -52,8 +52,8 @@ enum Kind {
 }
 
 impl SummaryBuilder {
-    /// For a volume of `planes` planes along z; sizes along x and y, spacing, range and type are those of `like`, of
-    /// which no voxel is read.
+    /// For a volume of `planes` planes along z; sizes along x and y, spacing, range and type are those of
+    /// `like`, of which no voxel is read.
     ///
     /// # Errors
     /// As [`VolumeSummary::new`], and [`crate::ErrorKind::InvalidArgument`] for no planes.
@@ -75,20 +75,21 @@ impl SummaryBuilder {
         Ok(Self { summary, grid, map: Map::new(like), found, planes: 0 })
     }
 
-    /// The planes of the smallest slab that may be added next; `None` when all are there. A slab may hold any multiple
-    /// of as many planes, and ends with the volume at the latest.
+    /// The planes of the smallest slab that may be added next; `None` when all are there. A slab may hold any
+    /// multiple of as many planes, and ends with the volume at the latest.
     pub fn next_planes(&self) -> Option<core::ops::Range<usize>> {
         let [_, _, planes] = self.grid.dims;
         let end = (self.planes + self.grid.edge[2]).min(planes);
         (self.planes < planes).then_some(self.planes..end)
     }
 
-    /// Adds the slab that follows those before. Allocates working memory of a few rows of cells for each thread.
+    /// Adds the slab that follows those before. Allocates working memory of a few rows of cells for each
+    /// thread.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::SizeMismatch`] for a slab of other sizes than announced, or of a number of planes that
-    /// [`SummaryBuilder::next_planes`] does not allow; [`crate::ErrorKind::InvalidArgument`] for another type or range.
-    /// Nothing is scanned then.
+    /// [`crate::ErrorKind::SizeMismatch`] for a slab of other sizes than announced, or of a number of planes
+    /// that [`SummaryBuilder::next_planes`] does not allow; [`crate::ErrorKind::InvalidArgument`] for another
+    /// type or range. Nothing is scanned then.
     pub fn add(&mut self, slab: &VolumeView<'_>, executor: Executor<'_>) -> Result<()> {
         let ([x, y, planes], [width, height, all]) = (slab.dims(), self.grid.dims);
         let (edge, left) = (self.grid.edge[2], all - self.planes);

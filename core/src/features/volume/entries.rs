@@ -8,8 +8,8 @@ pub(super) struct Map {
     range: (f32, f32),
     /// Entries per stored unit; `None` where that is no ordinary number.
     scale: Option<f32>,
-    /// The entry that stands for each byte that was counted: of bytes the nearest to the stored value, of other types
-    /// the byte itself.
+    /// The entry that stands for each byte that was counted: of bytes the nearest to the stored value, of
+    /// other types the byte itself.
     pub(super) near: [u8; 256],
 }
 

@@ -99,8 +99,8 @@ impl VolumeSummary {
         Self::new_on(volume, options, Executor::serial())
     }
 
-    /// As [`VolumeSummary::new`] on threads that the caller gives; the summary does not depend on them. For progress,
-    /// for stopping and for volumes that are never there as a whole there is [`SummaryBuilder`].
+    /// As [`VolumeSummary::new`] on threads that the caller gives; the summary does not depend on them. For
+    /// progress, for stopping and for volumes that are never there as a whole there is [`SummaryBuilder`].
     ///
     /// # Errors
     /// As [`VolumeSummary::new`].
@@ -271,12 +271,14 @@ impl VolumeSummary {
         &self.quantiles[cell]
     }
 
-    /// Lowest and highest table entries that samples in each block can touch, where cells hold several blocks.
+    /// Lowest and highest table entries that samples in each block can touch, where cells hold several
+    /// blocks.
     pub(super) fn block_ranges(&self) -> (&[u8], &[u8]) {
         (&self.block_low, &self.block_high)
     }
 
-    /// Where the blocks of each cell begin, and where the last one's end; `None` where each cell is one block.
+    /// Where the blocks of each cell begin, and where the last one's end; `None` where each cell is one
+    /// block.
     pub(super) fn first_blocks(&self) -> Option<&[u32]> {
         (!self.first_block.is_empty()).then_some(&self.first_block)
     }

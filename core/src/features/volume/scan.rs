@@ -62,7 +62,8 @@ impl<T: Voxel> Found<T> {
         })
     }
 
-    /// Scans layers of cells that follow each other from cell layer `first` on. `slab` holds exactly their planes,
+    /// Scans layers of cells that follow each other from cell layer `first` on. `slab` holds exactly their
+    /// planes,
     /// `quantiles` has one place for each of their cells.
     pub(super) fn scan(
         &mut self,
@@ -103,7 +104,7 @@ impl<T: Voxel> Found<T> {
         let level = Level::detect();
         all(&mut tasks, level, executor);
         // A layer's first plane belongs to the bounds of the blocks before it as well.
-        let mut previous = before.len().checked_sub(plane).map(|at| &mut before[at..]);
+        let mut previous = last(before, plane);
         for task in tasks {
             if let Some(blocks) = previous {
                 for (block, [low, high]) in blocks.iter_mut().zip(task.back) {
@@ -112,10 +113,16 @@ impl<T: Voxel> Found<T> {
             }
             self.counts.iter_mut().zip(task.counts).for_each(|(a, b)| *a += b);
             self.non_finite += task.non_finite;
-            previous = task.bounds.len().checked_sub(plane).map(|at| &mut task.bounds[at..]);
+            previous = last(task.bounds, plane);
         }
         Ok(())
     }
+}
+
+/// The last `count` elements, if there are so many.
+fn last<T>(of: &mut [T], count: usize) -> Option<&mut [T]> {
+    let at = of.len().checked_sub(count)?;
+    Some(&mut of[at..])
 }
 
 fn all<T: Voxel>(tasks: &mut [Layers<'_, T>], level: Level, executor: Executor<'_>) {
@@ -219,8 +226,9 @@ const BATCH: usize = 4096;
 impl<T: Voxel> Layers<'_, T> {
     /// Bounds of the blocks in a row of cells, and the entries of its voxels.
     ///
-    /// A row of voxels enters the bounds of the blocks that it lies in and, where it is a block's first along y or
-    /// z, those of the blocks before. Rows are joined voxel by voxel and reduced along x once per row of blocks.
+    /// A row of voxels enters the bounds of the blocks that it lies in and, where it is a block's first along
+    /// y or z, those of the blocks before. Rows are joined voxel by voxel and reduced along x once per row of
+    /// blocks.
     #[inline(always)]
     fn bound(&mut self, cz: usize, cy: usize) {
         let grid = *self.grid;
@@ -340,7 +348,7 @@ fn bounds_of<T: Voxel>(
     let [across, down, _] = grid.blocks();
     let [xs, ys, zs]: [Range<usize>; 3] =
         core::array::from_fn(|a| cell[a].start / grid.block[a]..cell[a].end.div_ceil(grid.block[a]));
-    let mut out = nothing();
+    let mut out = nothing::<T>();
     for (z, y) in zs.flat_map(|z| ys.clone().map(move |y| (z, y))) {
         let line = across * (y + down * (z - first));
         for &[low, high] in &bounds[line + xs.start..line + xs.end] {
@@ -376,7 +384,8 @@ impl<T: Voxel> Joined<T> {
         }
     }
 
-    /// Widens the bounds of a row of blocks: a block's values are its own and the first one of the next block.
+    /// Widens the bounds of a row of blocks: a block's values are its own and the first one of the next
+    /// block.
     #[inline(always)]
     fn reduce(&self, block: usize, bounds: &mut [Bounds<T>]) {
         for (bx, bound) in bounds.iter_mut().enumerate() {
@@ -411,8 +420,8 @@ struct Batch<S> {
 }
 
 impl<S: Simd> Batch<S> {
-    /// Where few entries can occur, each is compared with all bytes; where many can, bytes are counted in four tables
-    /// in turn: in one, equal neighbors would wait for each other.
+    /// Where few entries can occur, each is compared with all bytes; where many can, bytes are counted in
+    /// four tables in turn: in one, equal neighbors would wait for each other.
     #[inline(always)]
     fn count(&self, bytes: &[u8], counts: &mut [[u32; 256]; 4]) {
         let [low, high] = self.bounds;
