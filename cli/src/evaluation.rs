@@ -157,7 +157,7 @@ pub fn warm_latency(
         let setting = Setting::of(&frame);
         for _ in 0..ROUNDS {
             let start = Instant::now();
-            features.measure(&summary, &transfer, std::hint::black_box(&frame));
+            features.measure(&summary, &mut transfer, std::hint::black_box(&frame));
             let inputs = Inputs {
                 features: &features,
                 setting,

@@ -329,7 +329,7 @@ pub fn measure<T: Send>(
                         if scene.skipping == Skipping::Distance {
                             transfer.prepare_distance();
                         }
-                        features.measure(summary, &transfer, &frame);
+                        features.measure(summary, &mut transfer, &frame);
                     }
                     let inputs = Inputs {
                         features: &features,

@@ -71,17 +71,21 @@ fn main() {
             });
             let mut features = FrameFeatures::new();
             report(&format!("{name}: frame features (probe), once per frame"), 2000, |i| {
-                features.measure(&volume, &transfer, black_box(&frame(i)));
+                features.measure(&volume, &mut transfer, black_box(&frame(i)));
             });
             report(&format!("{name}: frame features with scattering"), 2000, |i| {
-                features.measure(&volume, &transfer, black_box(&frame(i).with_shading(Shading::Scatter)));
+                features.measure(&volume, &mut transfer, black_box(&frame(i).with_shading(Shading::Scatter)));
             });
             report(&format!("{name}: distance map, once per edit where used"), 50, |_| {
                 transfer.update(&volume, t);
                 transfer.prepare_distance();
             });
             report(&format!("{name}: frame features with distance map"), 2000, |i| {
-                features.measure(&volume, &transfer, black_box(&frame(i).with_skipping(Skipping::Distance)));
+                features.measure(
+                    &volume,
+                    &mut transfer,
+                    black_box(&frame(i).with_skipping(Skipping::Distance)),
+                );
             });
             let model = AnalyticModel::new();
             let setting = Setting::of(&frame(0));

@@ -170,6 +170,7 @@ impl Curve {
     }
 
     /// A curve from what recordings and scripts hold.
+    #[cfg(test)]
     pub(crate) fn from_recorded(transfer: &RecordedTransfer) -> Self {
         match transfer {
             RecordedTransfer::Lobes(lobes) => {

@@ -134,7 +134,7 @@ impl Bench {
             let mut call = || -> Result<f64> {
                 let start = Instant::now();
                 if looks {
-                    features.measure(&self.summary, &transfer, std::hint::black_box(frame));
+                    features.measure(&self.summary, &mut transfer, std::hint::black_box(frame));
                 }
                 let inputs = Inputs {
                     features: &features,

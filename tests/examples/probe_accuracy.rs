@@ -70,7 +70,7 @@ fn main() {
                 let mut transfer = TransferSummary::new(&summary, &table);
                 transfer.prepare_distance();
                 let mut features = FrameFeatures::new();
-                features.measure(&summary, &transfer, &frame);
+                features.measure(&summary, &mut transfer, &frame);
                 let setting = Setting::of(&frame);
                 let work = features.work(&setting);
                 let share = |q| features.quantity(q, &setting, &work, Changes::NONE);

@@ -200,7 +200,7 @@ type Rooms = [(&'static str, &'static [&'static str])];
 const CORE: &Rooms = &[
     ("scene", &[]),
     ("kernels", &[]),
-    ("features", &["scene"]),
+    ("features", &["scene", "kernels"]),
     ("nn", &["kernels", "scene"]),
     ("model", &["nn", "kernels"]),
     ("predict", &["features", "model", "nn", "kernels", "scene"]),

@@ -81,7 +81,7 @@ fn estimated_work_is_the_counted_work() {
                 let mut transfer = TransferSummary::new(&summary, &table);
                 transfer.prepare_distance();
                 let mut features = FrameFeatures::new();
-                features.measure(&summary, &transfer, &frame);
+                features.measure(&summary, &mut transfer, &frame);
                 let work = features.work(&Setting::of(&frame));
                 let pairs = [
                     (work.rays, counts.rays),

@@ -317,13 +317,13 @@ mod tests {
         let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default()).unwrap();
         let lobes = crate::dataset::parse_lobes("0.3 0.0005 0.4;0.8 0.0003 0.9").unwrap();
         let table = TransferFunction::Gaussian(lobes).to_table().unwrap();
-        let transfer = TransferSummary::new(&summary, &table);
+        let mut transfer = TransferSummary::new(&summary, &table);
         let mut text = String::new();
         for (shading, dz) in [(Shading::None, 2.5), (Shading::Local, 1.1), (Shading::Scatter, 0.6)] {
             let camera = Camera::from_arcball(Arcball { rx: 25.0, ry: -60.0, dz }).unwrap();
             let frame = Frame::new(camera, 90, 70).unwrap().with_shading(shading);
             let mut features = FrameFeatures::with_probe_side(PROBE_SIDE);
-            features.measure(&summary, &transfer, &frame);
+            features.measure(&summary, &mut transfer, &frame);
             let setting = Setting::of(&frame);
             let work = features.work(&setting);
             for q in SceneQuantity::ALL {

@@ -129,8 +129,8 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
         let seconds: Vec<f32> = (index * per_volume..(index + 1) * per_volume)
             .into_par_iter()
             .map_init(
-                || (make(), FrameFeatures::with_probe_side(side)),
-                |(predictor, features), task| -> Result<f32> {
+                || (make(), FrameFeatures::with_probe_side(side), transfers.clone()),
+                |(predictor, features, transfers), task| -> Result<f32> {
                     let predictor = predictor.as_mut().map_err(|e| anyhow::anyhow!("{e:#}"))?;
                     let at = job.place(task);
                     let pose = job.cameras[at.camera];
@@ -141,7 +141,7 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
                         .with_termination(termination)?
                         .with_shading(shade)
                         .with_skipping(skip);
-                    let (transfer, lobes) = &transfers[at.transfer];
+                    let (transfer, lobes) = &mut transfers[at.transfer];
                     features.measure(&summary, transfer, &frame);
                     let predicted = predictor.predict(&Inputs {
                         features,

@@ -121,7 +121,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let lobes = crate::dataset::parse_lobes(lobes).unwrap();
             let table = TransferFunction::Gaussian(lobes.clone()).to_table().unwrap();
             let mut measured = FrameFeatures::with_probe_side(5);
-            measured.measure(&summary, &TransferSummary::new(&summary, &table), &frame);
+            measured.measure(&summary, &mut TransferSummary::new(&summary, &table), &frame);
             let setting = Setting::of(&frame);
             let asked = Inputs {
                 features: &measured,

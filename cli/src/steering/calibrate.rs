@@ -98,7 +98,7 @@ pub fn measure(
         transfer.prepare_distance();
         let camera = Camera::from_arcball(drawn.camera)?.with_fov_y_degrees(DEFAULT_FOV_Y_DEGREES)?;
         let frame = draw.frame(camera).with_context(place)?;
-        features.measure(summary, &transfer, &frame);
+        features.measure(summary, &mut transfer, &frame);
         // First-use work of the device, and of caches after the change of scene.
         for _ in 0..if scene == 0 { 2 } else { 1 } {
             renderer.render(&frame).with_context(place)?;

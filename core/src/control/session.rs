@@ -1,5 +1,6 @@
 //! One render loop: a volume, a transfer function, a predictor and a controller.
 
+mod ladder;
 mod state;
 
 use super::coarsening::Coarsening;
@@ -66,6 +67,7 @@ pub struct Session {
     volume_features: Option<Vec<f32>>,
     lobes: Option<Vec<GaussianLobe>>,
     pub(super) features: FrameFeatures,
+    ladder: Option<ladder::Ladder>,
     coarsening: Coarsening,
     enabled: bool,
     changes: Changes,
@@ -111,6 +113,7 @@ impl Session {
             volume_features: None,
             lobes: None,
             features,
+            ladder: None,
             coarsening: Coarsening::of_step(StepLimits::default()),
             enabled: true,
             changes: Changes { first: true, ..Changes::NONE },
@@ -260,7 +263,7 @@ impl Session {
     /// [`Session::predict`].
     pub fn plan(&mut self, frame: &Frame, target: f32) -> Result<Plan> {
         check_target(target)?;
-        self.measure(frame)?;
+        self.measure_for(frame, target)?;
         let changes = self.changes_for(frame);
         let setting = Setting::of(frame);
         if !self.enabled {
@@ -409,7 +412,8 @@ impl Session {
         self.last = None;
     }
 
-    fn measure(&mut self, frame: &Frame) -> Result<()> {
+    /// Casts the probe's rays.
+    fn cast(&mut self, frame: &Frame) -> Result<()> {
         let (Some(volume), Some(transfer)) = (&self.volume, &mut self.transfer) else {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             bail!(NotReady, "no {missing} is set; set volume and transfer function before the first frame");

@@ -598,3 +598,45 @@ fn a_late_observation_of_an_earlier_scene_does_not_move_this_one() {
     let after = now(&hybrid);
     assert!((after / before).ln().abs() < 0.02, "{before} {after}");
 }
+
+#[test]
+fn a_ladder_climbs_no_further_than_the_plan_needs() {
+    let voxels = sphere(64);
+    let view = VolumeView::new(Scalars::U8(&voxels), [64; 3]).unwrap();
+    let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    let l = lobes(0.4, 0.05);
+    let table = TransferFunction::Gaussian(l.clone()).to_table().unwrap();
+    let session = |ladder: Option<f32>, side: usize| {
+        let mut session = Session::untrained().with_probe_side(side).unwrap();
+        if let Some(tolerance) = ladder {
+            session = session.with_probe_ladder(24, tolerance).unwrap();
+        }
+        session.set_volume(summary.clone(), None);
+        session.set_transfer(&table, Some(&l)).unwrap();
+        session
+    };
+    let frame = frame(20.0, 30.0, 1.6);
+    let expected = session(None, 24).predict(&frame).unwrap().seconds;
+    let climbed = |tolerance: f32, target: f32| {
+        let mut ladder = session(Some(tolerance), 11);
+        let plan = ladder.plan(&frame, target).unwrap();
+        let side = ladder.features().probe_side();
+        // The plan is the one of a session with this probe alone.
+        let same = session(None, side).plan(&frame, target).unwrap();
+        assert_eq!((plan.step, plan.seconds), (same.step, same.seconds), "{tolerance} {target}");
+        // Predictions do not climb.
+        assert_eq!(ladder.predict(&frame).unwrap().seconds, expected);
+        side
+    };
+    // Any step will do, or none.
+    assert_eq!(climbed(0.0, 1e3), 4);
+    assert_eq!(climbed(0.0, 1e-9), 4);
+    // In between every error changes the step, a large one is let pass.
+    let target = 0.5 * expected;
+    assert_eq!(climbed(0.0, target), 24);
+    assert_eq!(climbed(1.0, target), 4);
+    let sides: Vec<usize> = [0.2, 0.1, 0.05, 0.02, 0.01].map(|t| climbed(t, target)).to_vec();
+    assert!(sides.is_sorted() && sides.iter().any(|s| (5..24).contains(s)), "{sides:?}");
+    assert!(Session::untrained().with_probe_ladder(0, 0.1).is_err());
+    assert!(Session::untrained().with_probe_ladder(11, f32::NAN).is_err());
+}

@@ -4,6 +4,7 @@ use super::{
     Footprint, MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_STEP, SceneFeature, SceneQuantity, TransferSummary,
     UnitCosts, VolumeSummary,
 };
+use crate::kernels::Level;
 use crate::scene::{Arcball, Frame, Shading, Skipping, ratios};
 use glam::Vec3;
 
@@ -145,6 +146,7 @@ pub(crate) const UNSHARED_SPACING: f64 = 2.0;
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameFeatures {
     probe_side: usize,
+    level: Level,
     probe: Probe,
     pose: Arcball,
     fov_y: f32,
@@ -180,6 +182,7 @@ impl FrameFeatures {
     pub fn with_probe_side(side: usize) -> Self {
         Self {
             probe_side: side.min(MAX_PROBE_SIDE),
+            level: Level::detect(),
             probe: Probe::NOTHING,
             pose: Arcball { rx: 0.0, ry: 0.0, dz: 0.0 },
             fov_y: 0.0,
@@ -199,8 +202,8 @@ impl FrameFeatures {
 
     /// Measures a frame. For [`Skipping::Distance`], call [`TransferSummary::prepare_distance`] first;
     /// without it, jumps are counted as with [`Skipping::Blocks`].
-    pub fn measure(&mut self, volume: &VolumeSummary, transfer: &TransferSummary, frame: &Frame) {
-        self.probe = Probe::new(volume, transfer, frame, self.probe_side);
+    pub fn measure(&mut self, volume: &VolumeSummary, transfer: &mut TransferSummary, frame: &Frame) {
+        self.probe = Probe::on(self.level, volume, transfer, frame, self.probe_side);
         self.pose = frame.camera().to_arcball();
         self.fov_y = frame.camera().fov_y();
         self.occupied_share = transfer.occupied_share();
@@ -225,6 +228,17 @@ impl FrameFeatures {
     /// Rays of the probe that met the volume in the frame that was measured last.
     pub fn probe_rays(&self) -> u32 {
         self.probe.rays
+    }
+
+    /// Rays along each side of the next probe.
+    pub(crate) fn set_probe_side(&mut self, side: usize) {
+        self.probe_side = side.min(MAX_PROBE_SIDE);
+    }
+
+    /// By how much the probe is likely to be off: the standard error of the length among samples, as a share
+    /// of it; infinite where nobody knows.
+    pub(crate) fn probe_error(&self) -> f32 {
+        self.probe.error
     }
 
     /// The probe behind the numbers.

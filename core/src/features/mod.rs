@@ -27,4 +27,4 @@ pub(crate) use probe::{Probe, SHADOW_STEP};
 pub use schema::{SceneFeature, SceneQuantity};
 pub use transfer::TransferSummary;
 pub(crate) use volume::{Geometry, QUANTILES};
-pub use volume::{SummaryOptions, VolumeSummary};
+pub use volume::{SummaryBuilder, SummaryOptions, VolumeSummary};

@@ -6,7 +6,7 @@ use crate::{ErrorKind, Result};
 use proptest::prelude::*;
 use std::vec::Vec;
 
-fn noise(n: usize, seed: u64) -> Vec<u8> {
+pub(super) fn noise(n: usize, seed: u64) -> Vec<u8> {
     let mut state = seed;
     (0..n)
         .map(|_| {
@@ -16,12 +16,12 @@ fn noise(n: usize, seed: u64) -> Vec<u8> {
         .collect()
 }
 
-fn summary(data: &[u8], dims: [usize; 3], cells_per_axis: usize) -> VolumeSummary {
+pub(super) fn summary(data: &[u8], dims: [usize; 3], cells_per_axis: usize) -> VolumeSummary {
     let view = VolumeView::new(Scalars::U8(data), dims).unwrap();
     VolumeSummary::new(&view, SummaryOptions { cells_per_axis }).unwrap()
 }
 
-fn table(opacity: impl Fn(usize) -> f32) -> TransferTable {
+pub(super) fn table(opacity: impl Fn(usize) -> f32) -> TransferTable {
     TransferTable::new(core::array::from_fn(|i| [0.5, 0.5, 0.5, opacity(i)])).unwrap()
 }
 
@@ -33,7 +33,7 @@ fn measured(volume: &VolumeSummary, table: &TransferTable, frame: &Frame) -> Fra
     let mut transfer = TransferSummary::new(volume, table);
     transfer.prepare_distance();
     let mut features = FrameFeatures::new();
-    features.measure(volume, &transfer, frame);
+    features.measure(volume, &mut transfer, frame);
     features
 }
 
@@ -94,13 +94,10 @@ fn uniform_volumes_have_the_tables_extinction() {
             let table = table(|i| if (90..=110).contains(&i) { alpha } else { 0.0 })
                 .with_unit_distance(unit)
                 .unwrap();
-            let t = TransferSummary::new(&s, &table);
+            let mut t = TransferSummary::new(&s, &table);
             let expected = -(1.0 - alpha).ln() / unit;
-            assert!(
-                (t.extinction(1, 1, 1) / expected - 1.0).abs() < 1e-2,
-                "{alpha} {unit}: {}",
-                t.extinction(1, 1, 1)
-            );
+            let found = t.extinction(&s, [1, 1, 1]);
+            assert!((found / expected - 1.0).abs() < 1e-2, "{alpha} {unit}: {found}");
             assert_eq!((t.occupied_share(), t.visible_share()), (1.0, 1.0));
         }
     }
@@ -182,10 +179,12 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
         [lo.floor() as u8, hi.ceil() as u8]
     };
     let mut total = [0u64; 256];
-    for (i, stats) in s.stats().iter().enumerate() {
+    let (low, high) = s.cell_ranges();
+    let (block_low, block_high) = s.block_ranges();
+    for i in 0..s.cell_count() {
         let c = [i % cells[0], i / cells[0] % cells[1], i / cells[0] / cells[1]];
         let from: [usize; 3] = std::array::from_fn(|a| c[a] * edge[a]);
-        assert_eq!([stats.low, stats.high], bounds(from, edge), "{what} {c:?}");
+        assert_eq!([low[i], high[i]], bounds(from, edge), "{what} {c:?}");
         let mut sorted = Vec::new();
         for z in from[2]..(from[2] + edge[2]).min(dims[2]) {
             for y in from[1]..(from[1] + edge[1]).min(dims[1]) {
@@ -196,19 +195,19 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
         }
         sorted.sort();
         sorted.iter().for_each(|&e| total[usize::from(e)] += 1);
-        for (k, &q) in stats.quantiles.iter().enumerate() {
+        for (k, &q) in s.quantiles(i).iter().enumerate() {
             // The smallest entry with more than k/QUANTILES of the voxels at or below it; the last bound is
             // the largest.
             let rank = (k * sorted.len() / QUANTILES).min(sorted.len() - 1);
             assert_eq!(q, sorted[rank], "{what} {c:?} bound {k}");
         }
-        if let Some(kept) = s.blocks_of(i) {
-            let mut kept = kept.iter();
+        if let Some(first) = s.first_blocks() {
+            let mut kept = (first[i] as usize..first[i + 1] as usize).map(|b| [block_low[b], block_high[b]]);
             let firsts = |a: usize| (from[a]..(from[a] + edge[a]).min(dims[a])).step_by(block[a]);
             for z in firsts(2) {
                 for y in firsts(1) {
                     for x in firsts(0) {
-                        assert_eq!(kept.next(), Some(&bounds([x, y, z], block)), "{what} {c:?}");
+                        assert_eq!(kept.next(), Some(bounds([x, y, z], block)), "{what} {c:?}");
                     }
                 }
             }
@@ -434,25 +433,25 @@ fn what_needs_no_probe_is_known_without_one() {
     let table = table(|i| if i > 100 { 0.3 } else { 0.0 });
     let mut transfer = TransferSummary::new(&volume, &table);
     transfer.prepare_distance();
-    let of = |side: usize, shading: Shading| {
+    let mut of = |side: usize, shading: Shading| {
         let frame = frame(20.0, 30.0, 1.7, 200).with_shading(shading);
         let setting = Setting::of(&frame);
         let mut features = FrameFeatures::with_probe_side(side);
-        features.measure(&volume, &transfer, &frame);
+        features.measure(&volume, &mut transfer, &frame);
         let work = features.work(&setting);
         SceneQuantity::ALL
             .iter()
             .map(|&q| features.quantity(q, &setting, &work, Changes::NONE))
             .collect::<Vec<f64>>()
     };
-    let both = |side| [of(side, Shading::Local), of(side, Shading::Scatter)].concat();
+    let mut both = |side| [of(side, Shading::Local), of(side, Shading::Scatter)].concat();
     let (without, with) = (both(0), both(PROBE_SIDE));
     for (k, q) in SceneQuantity::ALL.iter().enumerate() {
         let at = [k, k + SceneQuantity::ALL.len()];
         let same = at.iter().all(|&i| without[i] == with[i]);
         assert_eq!(same, !q.needs_probe(), "{}", q.name());
     }
-    let of = |side| of(side, Shading::None);
+    let mut of = |side| of(side, Shading::None);
     // Finer probes estimate the same thing with less scatter; beyond the finest there is nothing.
     let samples = SceneQuantity::ALL.iter().position(|q| *q == SceneQuantity::Samples).unwrap();
     let finest = of(MAX_PROBE_SIDE)[samples];

@@ -15,7 +15,7 @@ impl Level {
             }
             #[cfg(target_arch = "x86_64")]
             Isa::Avx2 => {
-                // SAFETY: the level proves AVX2, FMA and F16C.
+                // SAFETY: the level proves AVX2, FMA, F16C and POPCNT.
                 unsafe { super::x86_64::avx2::enter(kernel) }
             }
             _ => kernel.run(super::scalar::Scalar),
@@ -34,7 +34,7 @@ impl Level {
             }
             #[cfg(target_arch = "x86_64")]
             Isa::Avx2 | Isa::Avx512 => {
-                // SAFETY: both levels prove AVX2, FMA and F16C.
+                // SAFETY: both levels prove AVX2, FMA, F16C and POPCNT.
                 unsafe { super::x86_64::avx2::enter(kernel) }
             }
             _ => kernel.run(super::scalar::Scalar),

@@ -18,7 +18,7 @@ pub(crate) const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 pub enum Isa {
     /// Portable Rust, vectorized by the compiler; the standard that the others are tested against.
     Scalar,
-    /// x86-64 with AVX2, FMA and F16C.
+    /// x86-64 with AVX2, FMA, F16C and POPCNT.
     Avx2,
     /// x86-64 with AVX-512 F, BW, DQ and VL (and everything of [`Isa::Avx2`]).
     Avx512,
@@ -228,6 +228,7 @@ fn probe() -> u32 {
     let leaf1 = __cpuid(1);
     let (fma, osxsave, avx, f16c) =
         (bit(leaf1.ecx, 12), bit(leaf1.ecx, 27), bit(leaf1.ecx, 28), bit(leaf1.ecx, 29));
+    let popcnt = bit(leaf1.ecx, 23);
     if !osxsave {
         return 0;
     }
@@ -237,7 +238,7 @@ fn probe() -> u32 {
     let zmm = state & 0b1110_0110 == 0b1110_0110;
     let leaf7 = __cpuid_count(7, 0);
     let mut found = 0;
-    if ymm && avx && fma && f16c && bit(leaf7.ebx, 5) {
+    if ymm && avx && fma && f16c && popcnt && bit(leaf7.ebx, 5) {
         found |= HAS_AVX2;
         if zmm && [16, 17, 30, 31].into_iter().all(|n| bit(leaf7.ebx, n)) {
             found |= HAS_AVX512;
@@ -291,7 +292,8 @@ mod tests {
     fn agrees_with_the_standard_library() {
         let avx2 = std::is_x86_feature_detected!("avx2")
             && std::is_x86_feature_detected!("fma")
-            && std::is_x86_feature_detected!("f16c");
+            && std::is_x86_feature_detected!("f16c")
+            && std::is_x86_feature_detected!("popcnt");
         let avx512 = avx2
             && std::is_x86_feature_detected!("avx512f")
             && std::is_x86_feature_detected!("avx512bw")

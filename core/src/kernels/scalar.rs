@@ -24,6 +24,7 @@ fn zip<T: Copy>(a: Four<T>, b: Four<T>, f: impl Fn(T, T) -> T) -> Four<T> {
 impl Simd for Scalar {
     type F = Four<f32>;
     type I = Four<i32>;
+    type M = Four<bool>;
     const LANES: usize = 4;
     const TILE_ROWS: usize = 6;
     const TILE_VECTORS: usize = 2;
@@ -139,6 +140,100 @@ impl Simd for Scalar {
         let bytes = map(v, |v| (v.clamp(0.0, 255.0) + SHIFT - SHIFT) as u8);
         // SAFETY: the caller vouches for room for four bytes at `p`.
         unsafe { p.cast::<[u8; 4]>().write(bytes.0) }
+    }
+    #[inline(always)]
+    fn write_i(self, v: Self::I, to: &mut [i32; 16]) {
+        to[..4].copy_from_slice(&v.0);
+    }
+    #[inline(always)]
+    fn div(self, a: Self::F, b: Self::F) -> Self::F {
+        zip(a, b, |a, b| a / b)
+    }
+    #[inline(always)]
+    fn sqrt(self, a: Self::F) -> Self::F {
+        map(a, libm::sqrtf)
+    }
+    #[inline(always)]
+    fn lt(self, a: Self::F, b: Self::F) -> Self::M {
+        Four(core::array::from_fn(|i| a.0[i] < b.0[i]))
+    }
+    #[inline(always)]
+    fn le(self, a: Self::F, b: Self::F) -> Self::M {
+        Four(core::array::from_fn(|i| a.0[i] <= b.0[i]))
+    }
+    #[inline(always)]
+    fn and_m(self, a: Self::M, b: Self::M) -> Self::M {
+        zip(a, b, |a, b| a & b)
+    }
+    #[inline(always)]
+    fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M {
+        zip(a, b, |a, b| a & !b)
+    }
+    #[inline(always)]
+    fn any(self, m: Self::M) -> bool {
+        m.0[0] | m.0[1] | m.0[2] | m.0[3]
+    }
+    #[inline(always)]
+    fn lane_bits(self, m: Self::M) -> u32 {
+        (0..4).map(|i| u32::from(m.0[i]) << i).sum()
+    }
+    #[inline(always)]
+    fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F {
+        Four(core::array::from_fn(|i| if m.0[i] { yes.0[i] } else { no.0[i] }))
+    }
+    #[inline(always)]
+    fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I {
+        Four(core::array::from_fn(|i| if m.0[i] { yes.0[i] } else { no.0[i] }))
+    }
+    #[inline(always)]
+    fn splat_i(self, x: i32) -> Self::I {
+        Four([x; 4])
+    }
+    #[inline(always)]
+    fn add_if(self, a: Self::I, m: Self::M, b: Self::I) -> Self::I {
+        Four(core::array::from_fn(|i| if m.0[i] { a.0[i].wrapping_add(b.0[i]) } else { a.0[i] }))
+    }
+    #[inline(always)]
+    fn mul_i(self, a: Self::I, b: i32) -> Self::I {
+        map(a, |a| a.wrapping_mul(b))
+    }
+    #[inline(always)]
+    fn trunc(self, v: Self::F) -> Self::I {
+        map(v, |v| v as i32)
+    }
+    #[inline(always)]
+    fn as_f(self, v: Self::I) -> Self::F {
+        map(v, |v| f32::from_bits(v as u32))
+    }
+    #[inline(always)]
+    fn gather(self, from: &[u32], index: Self::I) -> Self::I {
+        let last = from.len() - 1;
+        map(index, |i| from[(i as u32 as usize).min(last)] as i32)
+    }
+    #[inline(always)]
+    fn test(self, words: Self::I, place: Self::I) -> Self::M {
+        Four(core::array::from_fn(|i| words.0[i] >> place.0[i] & 1 != 0))
+    }
+    #[inline(always)]
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
+        map(a, |a| (a as u32 >> BITS) as i32)
+    }
+    #[inline(always)]
+    fn and_i(self, a: Self::I, b: i32) -> Self::I {
+        map(a, |a| a & b)
+    }
+    #[inline(always)]
+    fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {
+        bytes.iter().map(|&b| u32::from(b == value)).sum()
+    }
+    #[inline(always)]
+    fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {
+        let mut n = 0;
+        for i in 0..4 {
+            to[n] = v.0[i];
+            n += usize::from(m.0[i]);
+        }
+        n
     }
 }
 

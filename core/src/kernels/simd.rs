@@ -24,6 +24,8 @@ pub(crate) trait Simd: Copy + 'static {
     type F: Copy;
     /// A vector of `LANES` i32.
     type I: Copy;
+    /// A choice of lanes.
+    type M: Copy;
     /// 4, 8 or 16.
     const LANES: usize;
     /// Rows and vectors of the accumulator tile that fits the register file.
@@ -91,6 +93,67 @@ pub(crate) trait Simd: Copy + 'static {
     /// # Safety
     /// `p` must be valid for writing `LANES` bytes.
     unsafe fn store_u8(self, p: *mut u8, v: Self::F);
+
+    /// The first `LANES` numbers.
+    ///
+    /// # Panics
+    /// When there are fewer.
+    #[inline(always)]
+    fn read(self, from: &[f32]) -> Self::F {
+        assert!(from.len() >= Self::LANES, "fewer numbers than lanes");
+        // SAFETY: as many numbers as lanes are there.
+        unsafe { self.load(from.as_ptr()) }
+    }
+    /// Writes the first `LANES` numbers.
+    ///
+    /// # Panics
+    /// When there is less room.
+    #[inline(always)]
+    fn write(self, v: Self::F, to: &mut [f32]) {
+        assert!(to.len() >= Self::LANES, "less room than lanes");
+        // SAFETY: there is room for as many numbers as lanes.
+        unsafe { self.store(to.as_mut_ptr(), v) }
+    }
+    /// Writes the first `LANES` integers.
+    fn write_i(self, v: Self::I, to: &mut [i32; 16]);
+    /// a / b, correctly rounded.
+    fn div(self, a: Self::F, b: Self::F) -> Self::F;
+    /// Square root, correctly rounded.
+    fn sqrt(self, a: Self::F) -> Self::F;
+    /// a < b; not where either is NaN.
+    fn lt(self, a: Self::F, b: Self::F) -> Self::M;
+    /// a ≤ b; not where either is NaN.
+    fn le(self, a: Self::F, b: Self::F) -> Self::M;
+    fn and_m(self, a: Self::M, b: Self::M) -> Self::M;
+    /// a without b.
+    fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M;
+    /// Whether any lane is chosen.
+    fn any(self, m: Self::M) -> bool;
+    /// A bit per lane, the first lane lowest.
+    fn lane_bits(self, m: Self::M) -> u32;
+    /// `yes` in the chosen lanes, `no` in the others.
+    fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F;
+    fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I;
+    fn splat_i(self, x: i32) -> Self::I;
+    /// a + b in the chosen lanes, a in the others.
+    fn add_if(self, a: Self::I, m: Self::M, b: Self::I) -> Self::I;
+    fn mul_i(self, a: Self::I, b: i32) -> Self::I;
+    /// Rounds towards zero; what no i32 holds gives anything.
+    fn trunc(self, v: Self::F) -> Self::I;
+    /// The same bits as floating-point numbers.
+    fn as_f(self, v: Self::I) -> Self::F;
+    /// The words at `index`, taken as unsigned; beyond the end, the last one. There must be one.
+    fn gather(self, from: &[u32], index: Self::I) -> Self::I;
+    /// Whether bit `place`, 0 to 31, of each word is set.
+    fn test(self, words: Self::I, place: Self::I) -> Self::M;
+    /// Shifts zeros in from the left.
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I;
+    fn and_i(self, a: Self::I, b: i32) -> Self::I;
+    /// Writes the chosen lanes one after another, and gives their number. There must be room for 16.
+    fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize;
+
+    /// How many bytes have a value. There must be fewer than 2³².
+    fn count_bytes(self, bytes: &[u8], value: u8) -> u32;
 
     /// SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise, within
     /// the tolerance of [`selu`](super::selu). NaN stays NaN.

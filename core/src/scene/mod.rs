@@ -14,4 +14,4 @@ pub use transfer::{
     COLOR_RAMP, ControlPoint, GaussianLobe, OPACITY_FLOOR, TABLE_LEN, TransferFunction, TransferTable,
 };
 pub use volume::{MAX_REPEATED_VOXELS, MAX_VOLUME_EDGE, ScalarType, Scalars, VolumeView};
-pub(crate) use volume::{bounding_radius, check_edges, check_spacing, ratios};
+pub(crate) use volume::{bounding_radius, check_edges, check_spacing, normalize, ratios};

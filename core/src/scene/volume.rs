@@ -296,38 +296,62 @@ impl<'a> VolumeView<'a> {
     /// Maps a stored value to [0, 1] over the range: clamped, NaN → 0; an empty range maps everything to 0.
     #[inline]
     pub fn normalize(&self, value: f32) -> f32 {
-        let (lo, hi) = self.range;
-        let width = hi - lo;
-        if width <= 0.0 || value.is_nan() {
-            return 0.0;
-        }
-        // Written so that an infinite width (f32::MIN…f32::MAX) still gives a number in [0, 1].
-        let t = if width.is_finite() {
-            (value - lo) / width
-        } else {
-            (value * 0.5 - lo * 0.5) / (hi * 0.5 - lo * 0.5)
-        };
-        t.clamp(0.0, 1.0)
+        normalize(self.range, value)
     }
 
     fn default_range(&self) -> (f32, f32) {
-        if self.scalar_type() == ScalarType::U8 {
-            return (0.0, 255.0);
-        }
-        let (mut lo, mut hi) = (f32::INFINITY, f32::NEG_INFINITY);
-        for z in 0..self.dims[2] {
-            for y in 0..self.dims[1] {
-                for x in 0..self.dims[0] {
-                    let v = self.value(x, y, z);
-                    if v.is_finite() {
-                        lo = lo.min(v);
-                        hi = hi.max(v);
-                    }
-                }
-            }
-        }
+        let (lo, hi) = match self.scalars {
+            Scalars::U8(_) => return (0.0, 255.0),
+            Scalars::U16(values) => self.extremes(values, f32::from),
+            Scalars::I16(values) => self.extremes(values, f32::from),
+            Scalars::F32(values) => self.extremes(values, |v| v),
+        };
         if lo <= hi { (lo, hi) } else { (0.0, 1.0) }
     }
+
+    /// The least and the greatest finite value; the greater first where there is none.
+    fn extremes<T: Copy>(&self, values: &[T], number: impl Fn(T) -> f32) -> (f32, f32) {
+        /// Side by side, so that compilers vectorize.
+        const LANES: usize = 32;
+        let mut lanes = ([f32::INFINITY; LANES], [f32::NEG_INFINITY; LANES]);
+        let mut take = |values: &[T]| {
+            for ((lo, hi), &v) in lanes.0.iter_mut().zip(&mut lanes.1).zip(values) {
+                let v = number(v);
+                let v = if v.is_finite() { v } else { f32::NAN };
+                *lo = if v < *lo { v } else { *lo };
+                *hi = if v > *hi { v } else { *hi };
+            }
+        };
+        let ([nx, ny, nz], stride) = (self.dims, self.strides[0]);
+        for (z, y) in (0..nz).flat_map(|z| (0..ny).map(move |y| (z, y))) {
+            let at = self.index(0, y, z);
+            if stride == 1 {
+                let (chunks, rest) = values[at..at + nx].as_chunks::<LANES>();
+                chunks.iter().for_each(|chunk| take(chunk));
+                take(rest);
+            } else {
+                (0..nx).for_each(|x| take(&values[at + x * stride..][..1]));
+            }
+        }
+        let lo = lanes.0.into_iter().fold(f32::INFINITY, f32::min);
+        (lo, lanes.1.into_iter().fold(f32::NEG_INFINITY, f32::max))
+    }
+}
+
+/// As [`VolumeView::normalize`] over a range.
+#[inline]
+pub(crate) fn normalize((lo, hi): (f32, f32), value: f32) -> f32 {
+    let width = hi - lo;
+    if width <= 0.0 || value.is_nan() {
+        return 0.0;
+    }
+    // Written so that an infinite width (f32::MIN…f32::MAX) still gives a number in [0, 1].
+    let t = if width.is_finite() {
+        (value - lo) / width
+    } else {
+        (value * 0.5 - lo * 0.5) / (hi * 0.5 - lo * 0.5)
+    };
+    t.clamp(0.0, 1.0)
 }
 
 /// The checks of [`VolumeView::with_spacing`], for everything that has a spacing.

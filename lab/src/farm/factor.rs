@@ -133,14 +133,14 @@ mod tests {
         let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
         let lobes = vec![GaussianLobe { center: 0.5, width: 0.05, height: 0.1 }];
         let table = TransferFunction::Gaussian(lobes.clone()).to_table().unwrap();
-        let transfer = TransferSummary::new(&summary, &table);
+        let mut transfer = TransferSummary::new(&summary, &table);
         (0..160)
             .map(|i| {
                 let turn = i as f32 * 137.508 % 360.0;
                 let camera = Arcball { rx: (i * 31 % 80) as f32, ry: turn, dz: 1.5 + (i % 7) as f32 * 0.2 };
                 let frame = Frame::new(Camera::from_arcball(camera).unwrap(), 64, 64).unwrap();
                 let mut features = FrameFeatures::new();
-                features.measure(&summary, &transfer, &frame);
+                features.measure(&summary, &mut transfer, &frame);
                 let x = f64::from(Camera::from_arcball(camera).unwrap().ray_basis(64, 64).3.x.abs());
                 let seconds = law(x, f64::from(camera.dz));
                 Sample {

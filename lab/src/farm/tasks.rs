@@ -44,7 +44,7 @@ impl Recorded {
             let mut transfer = TransferSummary::new(&summaries[volume], &table);
             transfer.prepare_distance();
             let frame = trace.frame(&path, &draw, index)?;
-            features.measure(&summaries[volume], &transfer, &frame);
+            features.measure(&summaries[volume], &mut transfer, &frame);
             for p in trace.frames[index].iter().filter(|p| p.scale == 1.0) {
                 self.samples.push(Sample {
                     scene: self.scenes,
@@ -174,7 +174,7 @@ pub fn tasks_of_trace(trace: &Trace, fitting: &Fitting<'_>) -> Result<Vec<Task>>
         }
         let frame = trace.frame(&path, &draw, index)?;
         let begin = std::time::Instant::now();
-        features.measure(&summaries[volume], &transfer, &frame);
+        features.measure(&summaries[volume], &mut transfer, &frame);
         let lobes = at.transfer.lobes();
         let setting = Setting::of(&frame);
         let predicted = predictor.predict(&Inputs {

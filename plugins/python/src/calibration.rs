@@ -76,7 +76,7 @@ impl Calibration {
                 transfer.prepare_distance();
             }
             let mut features = FrameFeatures::new();
-            features.measure(summary, &transfer, &frame);
+            features.measure(summary, &mut transfer, &frame);
             Measurement::new(&features, &Setting::of(&frame), seconds)
         });
         self.0.lock(py)?.push(measurement);

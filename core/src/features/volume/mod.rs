@@ -1,14 +1,20 @@
 //! What is kept of a volume: a grid of cells with value bounds and quantiles.
 
+mod builder;
+mod entries;
 mod scan;
+#[cfg(test)]
+mod tests;
+
+pub use builder::SummaryBuilder;
 
 use crate::error::bail;
+use crate::kernels::Executor;
 use crate::memory::{copied, filled};
-use crate::scene::{ScalarType, Scalars, VolumeView, bounding_radius, check_edges, check_spacing};
+use crate::scene::{ScalarType, VolumeView, bounding_radius, check_edges, check_spacing};
 use crate::{Error, ErrorKind, Result};
 use alloc::vec::Vec;
 use glam::Vec3;
-use scan::{Entries, copy, entries, to_positions};
 
 /// Edge of the blocks that renderers skip by, in voxels.
 pub(crate) const BLOCK_EDGE: usize = 8;
@@ -48,18 +54,6 @@ pub(crate) struct Geometry {
     pub reference_step: f32,
 }
 
-/// Value bounds and quantiles of one cell, as indices into a 256-entry table.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct CellStats {
-    /// Lowest table entry that a sample in the cell can touch (interpolation with the voxels beyond its far
-    /// side included).
-    pub(super) low: u8,
-    /// Highest such entry.
-    pub(super) high: u8,
-    /// Ascending quantile bounds of the cell's own voxels.
-    pub(super) quantiles: [u8; QUANTILES + 1],
-}
-
 /// What is kept of a volume: about 12 bytes per cell of 8³ voxels, never the voxels.
 ///
 /// Cell (i, j, k) with edge e holds the samples between the centers of voxels e·i and e·(i + 1) along each
@@ -79,10 +73,16 @@ pub struct VolumeSummary {
     edge: [usize; 3],
     /// Voxels along each axis of a block.
     block: [usize; 3],
-    stats: Vec<CellStats>,
+    /// Lowest entry of a 256-entry table that a sample in each cell can touch (interpolation with the voxels
+    /// beyond its far side included), and the highest.
+    low: Vec<u8>,
+    high: Vec<u8>,
+    /// Ascending quantile bounds of each cell's own voxels, as table entries.
+    quantiles: Vec<[u8; QUANTILES + 1]>,
     /// Bounds of the blocks inside each cell, cell after cell; `first_block[c]..first_block[c + 1]`. Empty
     /// where every cell is one block.
-    blocks: Vec<[u8; 2]>,
+    block_low: Vec<u8>,
+    block_high: Vec<u8>,
     first_block: Vec<u32>,
     histogram: [f32; 256],
     non_finite_share: f32,
@@ -90,33 +90,24 @@ pub struct VolumeSummary {
 }
 
 impl VolumeSummary {
-    /// Scans a volume once.
+    /// Scans a volume once, on the calling thread.
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with
     /// more blocks than can be indexed, [`ErrorKind::OutOfMemory`] where there is no room for what is kept.
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
-        let mut summary = Self::layout(volume.dims(), volume.spacing(), volume.scalar_type(), options)?;
-        match volume.scalars() {
-            Scalars::U8(s) => {
-                // Everything kept is monotone in the stored byte: bytes are counted, and mapped at the end.
-                let mut positions: [f32; 256] = core::array::from_fn(|v| v as f32);
-                to_positions(volume, &mut positions);
-                let mut map = Entries { low: [0; 256], high: [0; 256], near: [0; 256] };
-                entries(&positions, [&mut map.low, &mut map.high, &mut map.near]);
-                let total = summary.scan(volume, &map, |at, [low, high, near]| {
-                    copy(s, at, near, |v| v);
-                    low.copy_from_slice(near);
-                    high.copy_from_slice(near);
-                    0
-                })?;
-                summary.remapped = total[0] == 0;
-            }
-            Scalars::U16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from))?,
-            Scalars::I16(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, f32::from))?,
-            Scalars::F32(s) => summary.scan_numbers(volume, |at, row| copy(s, at, row, |v| v))?,
-        }
-        Ok(summary)
+        Self::new_on(volume, options, Executor::Serial)
+    }
+
+    /// As [`VolumeSummary::new`] on threads that the caller gives; the summary does not depend on them. For
+    /// progress, for stopping and for volumes that are never there as a whole there is [`SummaryBuilder`].
+    ///
+    /// # Errors
+    /// As [`VolumeSummary::new`].
+    pub fn new_on(volume: &VolumeView<'_>, options: SummaryOptions, executor: Executor<'_>) -> Result<Self> {
+        let mut builder = SummaryBuilder::new(volume, volume.dims()[2], options)?;
+        builder.add(volume, executor)?;
+        builder.finish()
     }
 
     /// From bounds that the renderer already has: one (low, high) pair of normalized scalars per brick of
@@ -161,10 +152,9 @@ impl VolumeSummary {
             let (a, b) = (clean(bound[0]), clean(bound[1]));
             let (lo, hi) = (a.min(b), a.max(b));
             smallest = smallest.min(lo);
-            let stats = &mut summary.stats[i];
-            stats.low = entry_below(lo);
-            stats.high = entry_above(hi);
-            for (k, q) in stats.quantiles.iter_mut().enumerate() {
+            summary.low[i] = entry_below(lo);
+            summary.high[i] = entry_above(hi);
+            for (k, q) in summary.quantiles[i].iter_mut().enumerate() {
                 *q = entry_near(lo + (hi - lo) * k as f32 / QUANTILES as f32);
             }
         }
@@ -179,8 +169,11 @@ impl VolumeSummary {
     /// [`ErrorKind::OutOfMemory`] where there is no room for it.
     pub fn try_clone(&self) -> Result<Self> {
         Ok(Self {
-            stats: copied(&self.stats)?,
-            blocks: copied(&self.blocks)?,
+            low: copied(&self.low)?,
+            high: copied(&self.high)?,
+            quantiles: copied(&self.quantiles)?,
+            block_low: copied(&self.block_low)?,
+            block_high: copied(&self.block_high)?,
             first_block: copied(&self.first_block)?,
             ..*self
         })
@@ -237,8 +230,8 @@ impl VolumeSummary {
             x < self.cells[0] && y < self.cells[1] && z < self.cells[2],
             "cell {x}, {y}, {z} outside the grid"
         );
-        let s = &self.stats[x + self.cells[0] * (y + self.cells[1] * z)];
-        (s.low, s.high)
+        let cell = x + self.cells[0] * (y + self.cells[1] * z);
+        (self.low[cell], self.high[cell])
     }
 
     /// Share of voxels per table entry; sums to 1.
@@ -263,16 +256,31 @@ impl VolumeSummary {
         self.dims.iter().map(|&n| n as f64).product()
     }
 
-    pub(super) fn stats(&self) -> &[CellStats] {
-        &self.stats
+    /// Number of cells.
+    pub(super) fn cell_count(&self) -> usize {
+        self.low.len()
     }
 
-    /// Bounds of the blocks of a cell, or `None` where the cell is one block.
-    pub(super) fn blocks_of(&self, cell: usize) -> Option<&[[u8; 2]]> {
-        if self.first_block.is_empty() {
-            return None;
-        }
-        Some(&self.blocks[self.first_block[cell] as usize..self.first_block[cell + 1] as usize])
+    /// Lowest and highest table entries that samples in each cell can touch.
+    pub(super) fn cell_ranges(&self) -> (&[u8], &[u8]) {
+        (&self.low, &self.high)
+    }
+
+    /// Quantile bounds of a cell's voxels.
+    pub(super) fn quantiles(&self, cell: usize) -> &[u8; QUANTILES + 1] {
+        &self.quantiles[cell]
+    }
+
+    /// Lowest and highest table entries that samples in each block can touch, where cells hold several
+    /// blocks.
+    pub(super) fn block_ranges(&self) -> (&[u8], &[u8]) {
+        (&self.block_low, &self.block_high)
+    }
+
+    /// Where the blocks of each cell begin, and where the last one's end; `None` where each cell is one
+    /// block.
+    pub(super) fn first_blocks(&self) -> Option<&[u32]> {
+        (!self.first_block.is_empty()).then_some(&self.first_block)
     }
 
     fn layout(
@@ -307,7 +315,6 @@ impl VolumeSummary {
         let radius = bounding_radius(extent);
         let geometry =
             Geometry { half_extent: 0.5 * extent / radius, reference_step: spacing.min_element() / radius };
-        let empty = CellStats { low: 255, high: 0, quantiles: [0; QUANTILES + 1] };
         Ok(Self {
             dims,
             spacing,
@@ -316,8 +323,11 @@ impl VolumeSummary {
             cells,
             edge,
             block: edge.map(|e| e.min((e / BLOCKS_PER_CELL_AXIS).max(BLOCK_EDGE))),
-            stats: filled(n, empty)?,
-            blocks: Vec::new(),
+            low: filled(n, 255)?,
+            high: filled(n, 0)?,
+            quantiles: filled(n, [0; QUANTILES + 1])?,
+            block_low: Vec::new(),
+            block_high: Vec::new(),
             first_block: Vec::new(),
             histogram: [0.0; 256],
             non_finite_share: 0.0,
@@ -327,9 +337,9 @@ impl VolumeSummary {
 
     fn histogram_from_quantiles(&mut self) {
         let mut sum = [0.0f64; 256];
-        let share = 1.0 / (self.stats.len() * QUANTILES) as f64;
-        for stats in &self.stats {
-            for pair in stats.quantiles.windows(2) {
+        let share = 1.0 / (self.quantiles.len() * QUANTILES) as f64;
+        for quantiles in &self.quantiles {
+            for pair in quantiles.windows(2) {
                 let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
                 let each = share / (b - a + 1) as f64;
                 sum[a..=b].iter_mut().for_each(|s| *s += each);

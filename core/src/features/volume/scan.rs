@@ -1,277 +1,456 @@
-//! The scan of a volume: bounds of blocks, quantiles of cells and the histogram, in one pass over the rows.
+//! The scan of a volume: bounds of blocks, quantiles of cells and the histogram, in one pass over the voxels.
 
-use super::{LARGEST_INDEX, QUANTILES, VolumeSummary};
+use super::QUANTILES;
+use super::entries::{Map, Voxel};
 use crate::Result;
-use crate::memory::{filled, reserve};
-use crate::scene::{ScalarType, VolumeView};
+use crate::kernels::{Executor, Kernel, Level, Simd};
+use crate::memory::{filled, room};
+use crate::scene::VolumeView;
 use alloc::vec::Vec;
+use core::ops::Range;
 
-impl VolumeSummary {
-    /// As [`scan`](Self::scan) for numbers that are mapped first. `read((start, stride), out)` copies a row's
-    /// values.
-    pub(super) fn scan_numbers(
-        &mut self,
-        volume: &VolumeView<'_>,
-        read: impl Fn((usize, usize), &mut [f32]),
-    ) -> Result<()> {
-        let mut row = filled(self.dims[0], 0.0f32)?;
-        let same: [u8; 256] = core::array::from_fn(|v| v as u8);
-        let (mut smallest, mut largest) = (f32::INFINITY, f32::NEG_INFINITY);
-        self.scan(volume, &Entries { low: same, high: same, near: same }, |at, out| {
-            read(at, &mut row);
-            let non_finite = row.iter().map(|v| u32::from(!v.is_finite())).sum();
-            for &v in &row {
-                smallest = smallest.min(v);
-                largest = largest.max(v);
-            }
-            to_positions(volume, &mut row);
-            entries(&row, out);
-            non_finite
-        })?;
-        self.remapped =
-            self.scalar_type == ScalarType::F32 || smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
-        Ok(())
+/// Cells and blocks of a volume, each along x, y, z.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Grid {
+    /// Voxels.
+    pub(super) dims: [usize; 3],
+    /// Cells.
+    pub(super) cells: [usize; 3],
+    /// Voxels of a cell.
+    pub(super) edge: [usize; 3],
+    /// Voxels of a block; cells hold whole blocks.
+    pub(super) block: [usize; 3],
+}
+
+impl Grid {
+    /// Number of blocks.
+    pub(super) fn blocks(&self) -> [usize; 3] {
+        core::array::from_fn(|a| self.dims[a].div_ceil(self.block[a]))
     }
 
-    /// Reads every voxel once. `fetch((start, stride), [low, high, near])` writes three bytes per voxel of a
-    /// row, from which `map` leads to table entries without changing their order, and says how many of them
-    /// are not finite. Gives how often each byte was written as `near`.
-    ///
-    /// A row enters the bounds of the blocks that it lies in and, where it is a block's first along y or z,
-    /// those of the blocks before. Rows are joined voxel by voxel and reduced along x once per block.
+    /// Voxels of a cell (or block of that `size`) along an axis, from the volume's beginning.
+    fn span(&self, i: usize, size: usize, axis: usize) -> Range<usize> {
+        i * size..((i + 1) * size).min(self.dims[axis])
+    }
+}
+
+/// Bounds of the values in a block.
+pub(super) type Bounds<T> = [T; 2];
+
+/// Bounds of nothing.
+fn nothing<T: Voxel>() -> Bounds<T> {
+    [T::HIGHEST, T::LOWEST]
+}
+
+/// What a scan has found so far.
+#[derive(Clone, Debug)]
+pub(super) struct Found<T> {
+    /// Bounds of each block of the volume, the first voxels of the blocks after it included.
+    pub(super) bounds: Vec<Bounds<T>>,
+    /// How many voxels have each entry (of bytes: each stored value).
+    pub(super) counts: [u64; 256],
+    /// Voxels that are NaN or infinite.
+    pub(super) non_finite: u64,
+}
+
+impl<T: Voxel> Found<T> {
+    pub(super) fn new(grid: &Grid) -> Result<Self> {
+        Ok(Self {
+            bounds: filled(grid.blocks().iter().product(), nothing())?,
+            counts: [0; 256],
+            non_finite: 0,
+        })
+    }
+
+    /// Scans layers of cells that follow each other from cell layer `first` on. `slab` holds exactly their
+    /// planes,
+    /// `quantiles` has one place for each of their cells.
     pub(super) fn scan(
         &mut self,
-        volume: &VolumeView<'_>,
-        map: &Entries,
-        mut fetch: impl FnMut((usize, usize), [&mut [u8]; 3]) -> u32,
-    ) -> Result<[u64; 256]> {
-        let (dims, edge, cells, block) = (self.dims, self.edge, self.cells, self.block);
-        let n: [usize; 3] = core::array::from_fn(|a| dims[a].div_ceil(block[a]));
-        let mut bounds = filled(n[0] * n[1] * n[2], [255u8, 0u8])?;
-        let [mut low, mut high] = [filled(dims[0], 0u8)?, filled(dims[0], 0u8)?];
-        // Own rows of one block row, and those that the blocks before it along y, z and both see of it.
-        let joined = || Joined::new(dims[0]);
-        let mut joined = [joined()?, joined()?, joined()?, joined()?];
-        // The rows of one row of cells.
-        let mut near = filled(edge[2].min(dims[2]) * edge[1].min(dims[1]) * dims[0], 0u8)?;
-        let mut counts = [[0u32; 256]; 4];
-        let mut total = [0u64; 256];
-        let mut non_finite = 0u64;
-        let span = |i: usize, size: usize, axis: usize| i * size..((i + 1) * size).min(dims[axis]);
-        for (cz, cy) in (0..cells[2]).flat_map(|z| (0..cells[1]).map(move |y| (z, y))) {
-            let (zs, ys) = (span(cz, edge[2], 2), span(cy, edge[1], 1));
-            for bz in zs.start / block[2]..zs.end.div_ceil(block[2]) {
-                for by in ys.start / block[1]..ys.end.div_ceil(block[1]) {
-                    joined.iter_mut().for_each(Joined::clear);
-                    for z in span(bz, block[2], 2) {
-                        for y in span(by, block[1], 1) {
-                            let row = ((z - zs.start) * ys.len() + y - ys.start) * dims[0];
-                            let near = &mut near[row..row + dims[0]];
-                            let at = (volume.index(0, y, z), volume.strides()[0]);
-                            non_finite += u64::from(fetch(at, [&mut low, &mut high, near]));
-                            let (first_y, first_z) = (y == by * block[1], z == bz * block[2]);
-                            for (j, takes) in
-                                joined.iter_mut().zip([true, first_y, first_z, first_y && first_z])
-                            {
-                                if takes {
-                                    j.add(&low, &high);
-                                }
-                            }
-                        }
-                    }
-                    for (j, back) in joined.iter().zip([[0, 0], [1, 0], [0, 1], [1, 1]]) {
-                        if by >= back[0] && bz >= back[1] {
-                            let line = n[0] * (by - back[0] + n[1] * (bz - back[1]));
-                            j.reduce(block[0], &mut bounds[line..][..n[0]]);
-                        }
-                    }
+        grid: &Grid,
+        map: &Map,
+        (slab, voxels): (&VolumeView<'_>, &[T]),
+        first: usize,
+        quantiles: &mut [[u8; QUANTILES + 1]],
+        executor: Executor<'_>,
+    ) -> Result<()> {
+        let layers = slab.dims()[2].div_ceil(grid.edge[2]);
+        let [across, down, _] = grid.blocks();
+        let plane = across * down;
+        let per_layer = grid.edge[2] / grid.block[2];
+        let (before, bounds) = self.bounds.split_at_mut(first * per_layer * plane);
+        let (mut quantiles, mut bounds) = (quantiles, bounds);
+        let parts = executor.threads().clamp(1, layers);
+        let mut tasks = room(parts)?;
+        for i in 0..parts {
+            let own = layers * i / parts..layers * (i + 1) / parts;
+            let (q, more) = quantiles.split_at_mut(own.len() * grid.cells[0] * grid.cells[1]);
+            let blocks = (own.len() * per_layer * plane).min(bounds.len());
+            let (b, rest) = bounds.split_at_mut(blocks);
+            (quantiles, bounds) = (more, rest);
+            tasks.push(Layers {
+                grid,
+                map,
+                source: Source { slab, voxels, first: first * grid.edge[2] },
+                layers: first + own.start..first + own.end,
+                quantiles: q,
+                bounds: b,
+                back: filled(plane, nothing())?,
+                scratch: Scratch::new(grid, slab)?,
+                counts: [0; 256],
+                non_finite: 0,
+            });
+        }
+        let level = Level::detect();
+        all(&mut tasks, level, executor);
+        // A layer's first plane belongs to the bounds of the blocks before it as well.
+        let mut previous = last(before, plane);
+        for task in tasks {
+            if let Some(blocks) = previous {
+                for (block, [low, high]) in blocks.iter_mut().zip(task.back) {
+                    *block = [block[0].lesser(low), block[1].greater(high)];
                 }
             }
-            let rows = &near[..zs.len() * ys.len() * dims[0]];
-            for cx in 0..cells[0] {
-                counts.iter_mut().for_each(|c| c.fill(0));
-                for row in rows.chunks_exact(dims[0]) {
-                    count_entries(&row[span(cx, edge[0], 0)], &mut counts);
-                }
-                let [a, b, c, d] = &counts;
-                let histogram: [u64; 256] =
-                    core::array::from_fn(|i| [a, b, c, d].iter().map(|c| u64::from(c[i])).sum());
-                total.iter_mut().zip(&histogram).for_each(|(t, &h)| *t += h);
-                let stats = &mut self.stats[cx + cells[0] * (cy + cells[1] * cz)];
-                stats.quantiles = quantiles(&histogram).map(|q| map.near[usize::from(q)]);
-            }
-        }
-        for b in &mut bounds {
-            *b = [map.low[usize::from(b[0])], map.high[usize::from(b[1])]];
-        }
-        self.gather_blocks(&bounds, n)?;
-        let mut mapped = [0u64; 256];
-        for (&entry, &t) in map.near.iter().zip(&total) {
-            mapped[usize::from(entry)] += t;
-        }
-        let voxels = self.voxels();
-        for (h, &t) in self.histogram.iter_mut().zip(&mapped) {
-            *h = (t as f64 / voxels) as f32;
-        }
-        self.non_finite_share = (non_finite as f64 / voxels) as f32;
-        Ok(total)
-    }
-
-    /// Bounds of cells from those of their blocks, which are kept where a cell holds several.
-    fn gather_blocks(&mut self, bounds: &[[u8; 2]], n: [usize; 3]) -> Result<()> {
-        let per_cell: [usize; 3] = core::array::from_fn(|a| self.edge[a] / self.block[a]);
-        let split = self.block != self.edge;
-        if split {
-            reserve(&mut self.first_block, self.stats.len() + 1)?;
-            self.first_block.push(0);
-            reserve(&mut self.blocks, bounds.len())?;
-        }
-        for (index, stats) in self.stats.iter_mut().enumerate() {
-            let c = [
-                index % self.cells[0],
-                index / self.cells[0] % self.cells[1],
-                index / self.cells[0] / self.cells[1],
-            ];
-            let range = |a: usize| c[a] * per_cell[a]..((c[a] + 1) * per_cell[a]).min(n[a]);
-            for bz in range(2) {
-                for by in range(1) {
-                    for bx in range(0) {
-                        let b = bounds[bx + n[0] * (by + n[1] * bz)];
-                        stats.low = stats.low.min(b[0]);
-                        stats.high = stats.high.max(b[1]);
-                        if split {
-                            self.blocks.push(b);
-                        }
-                    }
-                }
-            }
-            if split {
-                self.first_block.push(self.blocks.len() as u32);
-            }
+            self.counts.iter_mut().zip(task.counts).for_each(|(a, b)| *a += b);
+            self.non_finite += task.non_finite;
+            previous = last(task.bounds, plane);
         }
         Ok(())
     }
 }
 
-/// Table entries: at or below a position, at or above it, and nearest.
-pub(super) struct Entries {
-    pub(super) low: [u8; 256],
-    pub(super) high: [u8; 256],
-    pub(super) near: [u8; 256],
+/// The last `count` elements, if there are so many.
+fn last<T>(of: &mut [T], count: usize) -> Option<&mut [T]> {
+    let at = of.len().checked_sub(count)?;
+    Some(&mut of[at..])
+}
+
+fn all<T: Voxel>(tasks: &mut [Layers<'_, T>], level: Level, executor: Executor<'_>) {
+    match tasks {
+        [] => {}
+        [task] => level.run(task),
+        tasks => {
+            let (a, b) = tasks.split_at_mut(tasks.len() / 2);
+            executor.join(|| all(a, level, executor), || all(b, level, executor));
+        }
+    }
+}
+
+/// Where voxels are.
+#[derive(Clone, Copy)]
+struct Source<'a, T> {
+    slab: &'a VolumeView<'a>,
+    voxels: &'a [T],
+    /// The slab's first plane.
+    first: usize,
+}
+
+impl<T: Voxel> Source<'_, T> {
+    /// The voxels of a row side by side, copied to `scratch` where they do not lie so.
+    #[inline(always)]
+    fn row<'s>(&'s self, scratch: &'s mut [T], y: usize, z: usize) -> &'s [T] {
+        let at = self.slab.index(0, y, z - self.first);
+        let (n, stride) = (self.slab.dims()[0], self.slab.strides()[0]);
+        if stride == 1 {
+            return &self.voxels[at..at + n];
+        }
+        for (i, slot) in scratch.iter_mut().enumerate() {
+            *slot = self.voxels[at + i * stride];
+        }
+        scratch
+    }
+}
+
+/// Layers of cells that one thread scans.
+struct Layers<'a, T> {
+    grid: &'a Grid,
+    map: &'a Map,
+    source: Source<'a, T>,
+    layers: Range<usize>,
+    /// Of the cells of these layers.
+    quantiles: &'a mut [[u8; QUANTILES + 1]],
+    /// Of the blocks of these layers.
+    bounds: &'a mut [Bounds<T>],
+    /// What the first plane gives to the bounds of the blocks before.
+    back: Vec<Bounds<T>>,
+    counts: [u64; 256],
+    non_finite: u64,
+    scratch: Scratch<T>,
+}
+
+impl<T: Voxel> Kernel for &mut Layers<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        for cz in self.layers.clone() {
+            for cy in 0..self.grid.cells[1] {
+                self.bound(cz, cy);
+                self.count(simd, cz, cy);
+            }
+        }
+    }
+}
+
+/// Working memory of one thread.
+struct Scratch<T> {
+    /// Own rows of one row of blocks, and those that the blocks before it along y, z and both see of it.
+    joined: [Joined<T>; 4],
+    /// A row whose voxels do not lie side by side.
+    row: Vec<T>,
+    /// Entries of the rows of one row of cells.
+    entries: Vec<u8>,
+    /// Entries of a cell side by side.
+    batch: Vec<u8>,
+    counts: [[u32; 256]; 4],
+}
+
+impl<T: Voxel> Scratch<T> {
+    fn new(grid: &Grid, slab: &VolumeView<'_>) -> Result<Self> {
+        let Grid { dims, edge, .. } = *grid;
+        let joined = || Joined::new(dims[0]);
+        let rows = edge[1].min(dims[1]) * edge[2].min(dims[2]);
+        Ok(Self {
+            joined: [joined()?, joined()?, joined()?, joined()?],
+            row: filled(if slab.strides()[0] == 1 { 0 } else { dims[0] }, T::LOWEST)?,
+            entries: filled(if T::IS_ENTRY { 0 } else { rows * dims[0] }, 0)?,
+            batch: filled(BATCH, 0)?,
+            counts: [[0; 256]; 4],
+        })
+    }
+}
+
+/// Most entries that are counted at a time.
+const BATCH: usize = 4096;
+
+impl<T: Voxel> Layers<'_, T> {
+    /// Bounds of the blocks in a row of cells, and the entries of its voxels.
+    ///
+    /// A row of voxels enters the bounds of the blocks that it lies in and, where it is a block's first along
+    /// y or z, those of the blocks before. Rows are joined voxel by voxel and reduced along x once per row of
+    /// blocks.
+    #[inline(always)]
+    fn bound(&mut self, cz: usize, cy: usize) {
+        let grid = *self.grid;
+        let (source, scratch) = (self.source, &mut self.scratch);
+        let (block, width) = (grid.block, grid.dims[0]);
+        let [across, down, _] = grid.blocks();
+        let first_block = self.layers.start * (grid.edge[2] / block[2]);
+        let (zs, ys) = (grid.span(cz, grid.edge[2], 2), grid.span(cy, grid.edge[1], 1));
+        let mut non_finite = 0;
+        for bz in zs.start / block[2]..zs.end.div_ceil(block[2]) {
+            for by in ys.start / block[1]..ys.end.div_ceil(block[1]) {
+                scratch.joined.iter_mut().for_each(Joined::clear);
+                for z in grid.span(bz, block[2], 2) {
+                    for y in grid.span(by, block[1], 1) {
+                        let row = source.row(&mut scratch.row, y, z);
+                        let (first_y, first_z) = (y == by * block[1], z == bz * block[2]);
+                        let takes = [true, first_y, first_z, first_y && first_z];
+                        for (joined, _) in scratch.joined.iter_mut().zip(takes).filter(|(_, takes)| *takes) {
+                            joined.add(row);
+                        }
+                        if !T::IS_ENTRY {
+                            let at = ((z - zs.start) * ys.len() + y - ys.start) * width;
+                            non_finite +=
+                                u64::from(T::entries(row, self.map, &mut scratch.entries[at..at + width]));
+                        }
+                    }
+                }
+                for (joined, back) in scratch.joined.iter().zip([[0, 0], [1, 0], [0, 1], [1, 1]]) {
+                    if by < back[0] || bz < back[1] {
+                        continue;
+                    }
+                    let line = across * (by - back[0]);
+                    if bz - back[1] < first_block {
+                        joined.reduce(block[0], &mut self.back[line..][..across]);
+                    } else {
+                        let line = line + across * down * (bz - back[1] - first_block);
+                        joined.reduce(block[0], &mut self.bounds[line..][..across]);
+                    }
+                }
+            }
+        }
+        self.non_finite += non_finite;
+    }
+
+    /// Quantiles of a row of cells.
+    #[inline(always)]
+    fn count<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
+        let grid = *self.grid;
+        let (source, scratch) = (self.source, &mut self.scratch);
+        let width = grid.dims[0];
+        let (zs, ys) = (grid.span(cz, grid.edge[2], 2), grid.span(cy, grid.edge[1], 1));
+        for cx in 0..grid.cells[0] {
+            let xs = grid.span(cx, grid.edge[0], 0);
+            let total = xs.len() * ys.len() * zs.len();
+            let first_block = self.layers.start * (grid.edge[2] / grid.block[2]);
+            let [low, high] = bounds_of(&grid, self.bounds, first_block, [&xs, &ys, &zs]);
+            let [low, high] = [T::entry_of(low, self.map), T::entry_of(high, self.map)];
+            let cell = cx + grid.cells[0] * (cy + grid.cells[1] * (cz - self.layers.start));
+            if low == high {
+                self.counts[usize::from(low)] += total as u64;
+                self.quantiles[cell] = [self.map.near[usize::from(low)]; QUANTILES + 1];
+                continue;
+            }
+            let batch = Batch { simd, bounds: [low, high] };
+            let mut filled = 0;
+            for (r, (z, y)) in zs.clone().flat_map(|z| ys.clone().map(move |y| (z, y))).enumerate() {
+                let bytes = if !T::IS_ENTRY {
+                    &scratch.entries[r * width..][xs.clone()]
+                } else {
+                    T::bytes(&source.row(&mut scratch.row, y, z)[xs.clone()])
+                };
+                for piece in bytes.chunks(BATCH) {
+                    if filled + piece.len() > BATCH {
+                        batch.count(&scratch.batch[..filled], &mut scratch.counts);
+                        filled = 0;
+                    }
+                    copy(piece, &mut scratch.batch[filled..filled + piece.len()]);
+                    filled += piece.len();
+                }
+            }
+            batch.count(&scratch.batch[..filled], &mut scratch.counts);
+            let out = &mut self.quantiles[cell];
+            let range = usize::from(low)..usize::from(high) + 1;
+            let [a, b, c, d] = &mut scratch.counts;
+            let (mut below, mut next) = (0u64, 0usize);
+            let mut last = low;
+            for entry in range.clone() {
+                let n = u64::from(a[entry]) + u64::from(b[entry]) + u64::from(c[entry]) + u64::from(d[entry]);
+                if n == 0 {
+                    continue;
+                }
+                self.counts[entry] += n;
+                below += n;
+                last = entry as u8;
+                // Bound k is the smallest entry with more than k/QUANTILES of the voxels at or below it.
+                while next < QUANTILES && below * QUANTILES as u64 > (next * total) as u64 {
+                    out[next] = self.map.near[entry];
+                    next += 1;
+                }
+            }
+            out[QUANTILES] = self.map.near[usize::from(last)];
+            for table in [a, b, c, d] {
+                table[range.clone()].fill(0);
+            }
+        }
+    }
+}
+
+/// Bounds of a cell from those of its blocks, the layers of blocks from `first` on.
+#[inline(always)]
+fn bounds_of<T: Voxel>(
+    grid: &Grid,
+    bounds: &[Bounds<T>],
+    first: usize,
+    cell: [&Range<usize>; 3],
+) -> Bounds<T> {
+    let [across, down, _] = grid.blocks();
+    let [xs, ys, zs]: [Range<usize>; 3] =
+        core::array::from_fn(|a| cell[a].start / grid.block[a]..cell[a].end.div_ceil(grid.block[a]));
+    let mut out = nothing::<T>();
+    for (z, y) in zs.flat_map(|z| ys.clone().map(move |y| (z, y))) {
+        let line = across * (y + down * (z - first));
+        for &[low, high] in &bounds[line + xs.start..line + xs.end] {
+            out = [out[0].lesser(low), out[1].greater(high)];
+        }
+    }
+    out
 }
 
 /// Several rows, joined voxel by voxel.
-struct Joined {
-    low: Vec<u8>,
-    high: Vec<u8>,
+struct Joined<T> {
+    low: Vec<T>,
+    high: Vec<T>,
 }
 
-impl Joined {
+impl<T: Voxel> Joined<T> {
     fn new(len: usize) -> Result<Self> {
-        Ok(Self { low: filled(len, 255)?, high: filled(len, 0)? })
+        Ok(Self { low: filled(len, T::HIGHEST)?, high: filled(len, T::LOWEST)? })
     }
 
+    #[inline(always)]
     fn clear(&mut self) {
-        self.low.fill(255);
-        self.high.fill(0);
+        self.low.fill(T::HIGHEST);
+        self.high.fill(T::LOWEST);
     }
 
-    fn add(&mut self, low: &[u8], high: &[u8]) {
-        self.low.iter_mut().zip(low).for_each(|(a, &b)| *a = (*a).min(b));
-        self.high.iter_mut().zip(high).for_each(|(a, &b)| *a = (*a).max(b));
+    #[inline(always)]
+    fn add(&mut self, row: &[T]) {
+        for ((low, high), &v) in self.low.iter_mut().zip(&mut self.high).zip(row) {
+            let v = v.known();
+            *low = low.lesser(v);
+            *high = high.greater(v);
+        }
     }
 
     /// Widens the bounds of a row of blocks: a block's values are its own and the first one of the next
     /// block.
-    fn reduce(&self, block: usize, bounds: &mut [[u8; 2]]) {
+    #[inline(always)]
+    fn reduce(&self, block: usize, bounds: &mut [Bounds<T>]) {
         for (bx, bound) in bounds.iter_mut().enumerate() {
             let range = bx * block..(bx * block + block + 1).min(self.low.len());
-            bound[0] = self.low[range.clone()].iter().fold(bound[0], |a, &b| a.min(b));
-            bound[1] = self.high[range].iter().fold(bound[1], |a, &b| a.max(b));
+            bound[0] = self.low[range.clone()].iter().fold(bound[0], |a, &b| a.lesser(b));
+            bound[1] = self.high[range].iter().fold(bound[1], |a, &b| a.greater(b));
         }
     }
 }
 
-/// The entries of positions in 0…255, in arithmetic that compilers vectorize.
-pub(super) fn entries(positions: &[f32], [low, high, near]: [&mut [u8]; 3]) {
-    /// 2²³: adding it rounds to an integer, which then stands in the low bits.
-    const SHIFT: f32 = 8_388_608.0;
-    let below = |v: f32| {
-        let rounded = (v + SHIFT) - SHIFT;
-        if rounded > v { rounded - 1.0 } else { rounded }
-    };
-    let byte = |whole: f32| (whole + SHIFT).to_bits() as u8;
-    for (((&p, low), high), near) in positions.iter().zip(low).zip(high).zip(near) {
-        let floor = below(p);
-        *low = byte(floor);
-        *high = byte(if floor < p { floor + 1.0 } else { floor });
-        *near = byte(below(p + 0.5));
+/// Copies a row of a cell; most have one of few lengths, for which no function is called.
+#[inline(always)]
+fn copy(from: &[u8], to: &mut [u8]) {
+    fn fixed<const N: usize>(from: &[u8], to: &mut [u8]) -> bool {
+        match (<&[u8; N]>::try_from(from), <&mut [u8; N]>::try_from(to)) {
+            (Ok(from), Ok(to)) => {
+                *to = *from;
+                true
+            }
+            _ => false,
+        }
+    }
+    if !(fixed::<8>(from, to) || fixed::<16>(from, to) || fixed::<32>(from, to)) {
+        to.copy_from_slice(from);
     }
 }
 
-/// Counts bytes in four tables in turn: in one, equal neighbors would wait for each other.
-fn count_entries(bytes: &[u8], counts: &mut [[u32; 256]; 4]) {
-    let (fours, rest) = bytes.as_chunks::<4>();
-    for four in fours {
-        for (table, &b) in counts.iter_mut().zip(four) {
-            table[usize::from(b)] += 1;
-        }
-    }
-    for &b in rest {
-        counts[0][usize::from(b)] += 1;
-    }
+/// Counts entries that all lie within bounds.
+struct Batch<S> {
+    simd: S,
+    bounds: [u8; 2],
 }
 
-pub(super) fn copy<T: Copy, U>(
-    from: &[T],
-    (start, stride): (usize, usize),
-    out: &mut [U],
-    to: impl Fn(T) -> U,
-) {
-    if stride == 1 {
-        let n = out.len();
-        for (slot, &v) in out.iter_mut().zip(&from[start..start + n]) {
-            *slot = to(v);
+impl<S: Simd> Batch<S> {
+    /// Where few entries can occur, each is compared with all bytes; where many can, bytes are counted in
+    /// four tables in turn: in one, equal neighbors would wait for each other.
+    #[inline(always)]
+    fn count(&self, bytes: &[u8], counts: &mut [[u32; 256]; 4]) {
+        let [low, high] = self.bounds;
+        let [a, b, c, d] = counts;
+        if usize::from(high - low) < 2 * S::LANES {
+            let mut left = bytes.len() as u32;
+            for entry in low..high {
+                let n = self.simd.count_bytes(bytes, entry);
+                a[usize::from(entry)] += n;
+                left -= n;
+            }
+            a[usize::from(high)] += left;
+            return;
         }
-    } else {
-        for (i, slot) in out.iter_mut().enumerate() {
-            *slot = to(from[start + i * stride]);
+        let (eights, rest) = bytes.as_chunks::<8>();
+        for &eight in eights {
+            let word = u64::from_le_bytes(eight);
+            let byte = |i: u32| (word >> (8 * i)) as u8 as usize;
+            a[byte(0)] += 1;
+            b[byte(1)] += 1;
+            c[byte(2)] += 1;
+            d[byte(3)] += 1;
+            a[byte(4)] += 1;
+            b[byte(5)] += 1;
+            c[byte(6)] += 1;
+            d[byte(7)] += 1;
         }
-    }
-}
-
-/// Turns stored values into table positions, 0…255, as [`VolumeView::normalize`] does.
-pub(super) fn to_positions(volume: &VolumeView<'_>, row: &mut [f32]) {
-    let (low, high) = volume.range();
-    let width = high - low;
-    let scale = 255.0 / width;
-    if width > 0.0 && scale > 0.0 && scale.is_finite() {
-        for p in row {
-            let t = (*p - low) * scale;
-            // In this order NaN becomes 0.
-            let t = if t > 0.0 { t } else { 0.0 };
-            *p = if t < 255.0 { t } else { 255.0 };
-        }
-    } else {
-        row.iter_mut().for_each(|p| *p = volume.normalize(*p) * 255.0);
-    }
-}
-
-fn quantiles(histogram: &[u64; 256]) -> [u8; QUANTILES + 1] {
-    let voxels: u64 = histogram.iter().sum();
-    let mut out = [0u8; QUANTILES + 1];
-    let (mut below, mut next) = (0u64, 0usize);
-    for (entry, &n) in histogram.iter().enumerate() {
-        below += n;
-        // Bound k is the smallest entry with more than k/QUANTILES of the voxels at or below it.
-        while next < QUANTILES && below * QUANTILES as u64 > next as u64 * voxels {
-            out[next] = entry as u8;
-            next += 1;
-        }
-        if next == QUANTILES {
-            break;
+        for &byte in rest {
+            a[usize::from(byte)] += 1;
         }
     }
-    out[QUANTILES] = histogram.iter().rposition(|&n| n > 0).unwrap_or(0) as u8;
-    out
 }

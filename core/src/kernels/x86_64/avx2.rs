@@ -1,14 +1,14 @@
-//! AVX2, FMA and F16C: the one file with these `#[target_feature]`s.
+//! AVX2, FMA, F16C and POPCNT: the one file with these `#[target_feature]`s.
 
 use crate::kernels::simd::{Kernel, Simd};
 use core::arch::x86_64::*;
 
-/// Token of AVX2, FMA and F16C; made only inside [`enter`].
+/// Token of AVX2, FMA, F16C and POPCNT; made only inside [`enter`].
 #[derive(Clone, Copy)]
 pub(crate) struct Avx2(());
 
-/// Runs a kernel with AVX2, FMA and F16C.
-#[target_feature(enable = "avx2,fma,f16c")]
+/// Runs a kernel with AVX2, FMA, F16C and POPCNT.
+#[target_feature(enable = "avx2,fma,f16c,popcnt")]
 pub(crate) fn enter<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx2(()))
 }
@@ -16,6 +16,8 @@ pub(crate) fn enter<K: Kernel>(kernel: K) -> K::Output {
 impl Simd for Avx2 {
     type F = __m256;
     type I = __m256i;
+    /// The sign bits choose.
+    type M = __m256;
     const LANES: usize = 8;
     const TILE_ROWS: usize = 6;
     const TILE_VECTORS: usize = 2;
@@ -175,5 +177,144 @@ impl Simd for Avx2 {
             let v = _mm_packs_epi32(_mm256_castsi256_si128(v), _mm256_extracti128_si256::<1>(v));
             _mm_storel_epi64(p.cast(), _mm_packus_epi16(v, v));
         }
+    }
+    #[inline(always)]
+    fn write_i(self, v: Self::I, to: &mut [i32; 16]) {
+        // SAFETY: token; there is room for 16.
+        unsafe { _mm256_storeu_si256(to.as_mut_ptr().cast(), v) }
+    }
+    #[inline(always)]
+    fn div(self, a: Self::F, b: Self::F) -> Self::F {
+        // SAFETY: token.
+        unsafe { _mm256_div_ps(a, b) }
+    }
+    #[inline(always)]
+    fn sqrt(self, a: Self::F) -> Self::F {
+        // SAFETY: token.
+        unsafe { _mm256_sqrt_ps(a) }
+    }
+    #[inline(always)]
+    fn lt(self, a: Self::F, b: Self::F) -> Self::M {
+        // SAFETY: token.
+        unsafe { _mm256_cmp_ps::<_CMP_LT_OQ>(a, b) }
+    }
+    #[inline(always)]
+    fn le(self, a: Self::F, b: Self::F) -> Self::M {
+        // SAFETY: token.
+        unsafe { _mm256_cmp_ps::<_CMP_LE_OQ>(a, b) }
+    }
+    #[inline(always)]
+    fn and_m(self, a: Self::M, b: Self::M) -> Self::M {
+        // SAFETY: token.
+        unsafe { _mm256_and_ps(a, b) }
+    }
+    #[inline(always)]
+    fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M {
+        // SAFETY: token.
+        unsafe { _mm256_andnot_ps(b, a) }
+    }
+    #[inline(always)]
+    fn any(self, m: Self::M) -> bool {
+        // SAFETY: token.
+        unsafe { _mm256_movemask_ps(m) != 0 }
+    }
+    #[inline(always)]
+    fn lane_bits(self, m: Self::M) -> u32 {
+        // SAFETY: token.
+        unsafe { _mm256_movemask_ps(m) as u32 }
+    }
+    #[inline(always)]
+    fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F {
+        // SAFETY: token.
+        unsafe { _mm256_blendv_ps(no, yes, m) }
+    }
+    #[inline(always)]
+    fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I {
+        // SAFETY: token.
+        unsafe {
+            let (yes, no) = (_mm256_castsi256_ps(yes), _mm256_castsi256_ps(no));
+            _mm256_castps_si256(_mm256_blendv_ps(no, yes, m))
+        }
+    }
+    #[inline(always)]
+    fn splat_i(self, x: i32) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm256_set1_epi32(x) }
+    }
+    #[inline(always)]
+    fn add_if(self, a: Self::I, m: Self::M, b: Self::I) -> Self::I {
+        self.select_i(m, self.add_i(a, b), a)
+    }
+    #[inline(always)]
+    fn mul_i(self, a: Self::I, b: i32) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm256_mullo_epi32(a, _mm256_set1_epi32(b)) }
+    }
+    #[inline(always)]
+    fn trunc(self, v: Self::F) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm256_cvttps_epi32(v) }
+    }
+    #[inline(always)]
+    fn as_f(self, v: Self::I) -> Self::F {
+        // SAFETY: token.
+        unsafe { _mm256_castsi256_ps(v) }
+    }
+    #[inline(always)]
+    fn gather(self, from: &[u32], index: Self::I) -> Self::I {
+        assert!(!from.is_empty() && from.len() <= i32::MAX as usize, "no word, or too many");
+        // SAFETY: token; indices end at the last word.
+        unsafe {
+            let index = _mm256_min_epu32(index, _mm256_set1_epi32(from.len() as i32 - 1));
+            _mm256_i32gather_epi32::<4>(from.as_ptr().cast(), index)
+        }
+    }
+    #[inline(always)]
+    fn test(self, words: Self::I, place: Self::I) -> Self::M {
+        // SAFETY: token. The bit asked for becomes the sign.
+        unsafe { _mm256_castsi256_ps(_mm256_slli_epi32::<31>(_mm256_srlv_epi32(words, place))) }
+    }
+    #[inline(always)]
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm256_srl_epi32(a, _mm_cvtsi32_si128(BITS as i32)) }
+    }
+    #[inline(always)]
+    fn and_i(self, a: Self::I, b: i32) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm256_and_si256(a, _mm256_set1_epi32(b)) }
+    }
+    #[inline(always)]
+    fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {
+        let mut count = 0u64;
+        // Bytes of a sum overflow after 255 vectors.
+        for part in bytes.chunks(255 * 32) {
+            let (vectors, rest) = part.as_chunks::<32>();
+            // SAFETY: token; each vector has 32 bytes.
+            let sums: [u64; 4] = unsafe {
+                let sought = _mm256_set1_epi8(value as i8);
+                let mut sum = _mm256_setzero_si256();
+                for v in vectors {
+                    let same = _mm256_cmpeq_epi8(_mm256_loadu_si256(v.as_ptr().cast()), sought);
+                    sum = _mm256_sub_epi8(sum, same);
+                }
+                core::mem::transmute(_mm256_sad_epu8(sum, _mm256_setzero_si256()))
+            };
+            count += sums.iter().sum::<u64>();
+            count += rest.iter().map(|&b| u64::from(b == value)).sum::<u64>();
+        }
+        count as u32
+    }
+    #[inline(always)]
+    fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {
+        let mut lanes = [0.0f32; 8];
+        self.write(v, &mut lanes);
+        let chosen = self.lane_bits(m);
+        let mut n = 0;
+        for (i, lane) in lanes.into_iter().enumerate() {
+            to[n] = lane;
+            n += (chosen >> i & 1) as usize;
+        }
+        n
     }
 }

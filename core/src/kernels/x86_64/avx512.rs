@@ -8,13 +8,13 @@ use core::arch::x86_64::*;
 pub(crate) struct Avx512<const VNNI: bool>(());
 
 /// Runs a kernel with AVX-512 F, BW, DQ and VL.
-#[target_feature(enable = "avx2,fma,f16c,avx512f,avx512bw,avx512dq,avx512vl")]
+#[target_feature(enable = "avx2,fma,f16c,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 pub(crate) fn enter<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx512::<false>(()))
 }
 
 /// Runs a kernel with AVX-512 F, BW, DQ, VL and VNNI.
-#[target_feature(enable = "avx2,fma,f16c,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni")]
+#[target_feature(enable = "avx2,fma,f16c,popcnt,avx512f,avx512bw,avx512dq,avx512vl,avx512vnni")]
 pub(crate) fn enter_vnni<K: Kernel>(kernel: K) -> K::Output {
     kernel.run(Avx512::<true>(()))
 }
@@ -22,6 +22,7 @@ pub(crate) fn enter_vnni<K: Kernel>(kernel: K) -> K::Output {
 impl<const VNNI: bool> Simd for Avx512<VNNI> {
     type F = __m512;
     type I = __m512i;
+    type M = __mmask16;
     const LANES: usize = 16;
     const TILE_ROWS: usize = 6;
     const TILE_VECTORS: usize = 4;
@@ -185,5 +186,124 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
             let v = _mm512_max_epi32(_mm512_cvtps_epi32(v), _mm512_setzero_si512());
             _mm_storeu_si128(p.cast(), _mm512_cvtusepi32_epi8(v));
         }
+    }
+    #[inline(always)]
+    fn write_i(self, v: Self::I, to: &mut [i32; 16]) {
+        // SAFETY: token; there is room for 16.
+        unsafe { _mm512_storeu_si512(to.as_mut_ptr().cast(), v) }
+    }
+    #[inline(always)]
+    fn div(self, a: Self::F, b: Self::F) -> Self::F {
+        // SAFETY: token.
+        unsafe { _mm512_div_ps(a, b) }
+    }
+    #[inline(always)]
+    fn sqrt(self, a: Self::F) -> Self::F {
+        // SAFETY: token.
+        unsafe { _mm512_sqrt_ps(a) }
+    }
+    #[inline(always)]
+    fn lt(self, a: Self::F, b: Self::F) -> Self::M {
+        // SAFETY: token.
+        unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(a, b) }
+    }
+    #[inline(always)]
+    fn le(self, a: Self::F, b: Self::F) -> Self::M {
+        // SAFETY: token.
+        unsafe { _mm512_cmp_ps_mask::<_CMP_LE_OQ>(a, b) }
+    }
+    #[inline(always)]
+    fn and_m(self, a: Self::M, b: Self::M) -> Self::M {
+        a & b
+    }
+    #[inline(always)]
+    fn and_not_m(self, a: Self::M, b: Self::M) -> Self::M {
+        a & !b
+    }
+    #[inline(always)]
+    fn any(self, m: Self::M) -> bool {
+        m != 0
+    }
+    #[inline(always)]
+    fn lane_bits(self, m: Self::M) -> u32 {
+        u32::from(m)
+    }
+    #[inline(always)]
+    fn select(self, m: Self::M, yes: Self::F, no: Self::F) -> Self::F {
+        // SAFETY: token.
+        unsafe { _mm512_mask_blend_ps(m, no, yes) }
+    }
+    #[inline(always)]
+    fn select_i(self, m: Self::M, yes: Self::I, no: Self::I) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_mask_blend_epi32(m, no, yes) }
+    }
+    #[inline(always)]
+    fn splat_i(self, x: i32) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_set1_epi32(x) }
+    }
+    #[inline(always)]
+    fn add_if(self, a: Self::I, m: Self::M, b: Self::I) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_mask_add_epi32(a, m, a, b) }
+    }
+    #[inline(always)]
+    fn mul_i(self, a: Self::I, b: i32) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_mullo_epi32(a, _mm512_set1_epi32(b)) }
+    }
+    #[inline(always)]
+    fn trunc(self, v: Self::F) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_cvttps_epi32(v) }
+    }
+    #[inline(always)]
+    fn as_f(self, v: Self::I) -> Self::F {
+        // SAFETY: token.
+        unsafe { _mm512_castsi512_ps(v) }
+    }
+    #[inline(always)]
+    fn gather(self, from: &[u32], index: Self::I) -> Self::I {
+        assert!(!from.is_empty() && from.len() <= i32::MAX as usize, "no word, or too many");
+        // SAFETY: token; indices end at the last word.
+        unsafe {
+            let index = _mm512_min_epu32(index, _mm512_set1_epi32(from.len() as i32 - 1));
+            _mm512_i32gather_epi32::<4>(index, from.as_ptr().cast())
+        }
+    }
+    #[inline(always)]
+    fn test(self, words: Self::I, place: Self::I) -> Self::M {
+        // SAFETY: token.
+        unsafe { _mm512_test_epi32_mask(_mm512_srlv_epi32(words, place), _mm512_set1_epi32(1)) }
+    }
+    #[inline(always)]
+    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_srli_epi32::<BITS>(a) }
+    }
+    #[inline(always)]
+    fn and_i(self, a: Self::I, b: i32) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_and_si512(a, _mm512_set1_epi32(b)) }
+    }
+    #[inline(always)]
+    fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {
+        let (vectors, rest) = bytes.as_chunks::<64>();
+        let mut count = rest.iter().map(|&b| u32::from(b == value)).sum();
+        for v in vectors {
+            // SAFETY: token; the vector has 64 bytes.
+            let same = unsafe {
+                _mm512_cmpeq_epi8_mask(_mm512_loadu_si512(v.as_ptr().cast()), _mm512_set1_epi8(value as i8))
+            };
+            count += same.count_ones();
+        }
+        count
+    }
+    #[inline(always)]
+    fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {
+        // SAFETY: token. In a register, then stored: compressing stores are slow on some machines.
+        self.write(unsafe { _mm512_maskz_compress_ps(m, v) }, to);
+        m.count_ones() as usize
     }
 }

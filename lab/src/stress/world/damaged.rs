@@ -22,10 +22,10 @@ pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Resu
     let block = Block::ball(16, 0.0);
     let summary = VolumeSummary::new(&block.view()?, SummaryOptions::default())?;
     let table = TransferFunction::Gaussian(shell()).to_table()?;
-    let transfer = TransferSummary::new(&summary, &table);
+    let mut transfer = TransferSummary::new(&summary, &table);
     let frame = Frame::new(Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 })?, 64, 64)?;
     let mut features = FrameFeatures::new();
-    features.measure(&summary, &transfer, &frame);
+    features.measure(&summary, &mut transfer, &frame);
     let mut noise = Noise::new(28);
     let (mut refused, mut read) = (0, 0);
     let mut check = |bytes: &[u8], what: &str| match Model::from_bytes(bytes).and_then(|m| load(&m)) {

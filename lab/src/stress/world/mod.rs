@@ -99,13 +99,13 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
         ))
         .to_table()?;
         machine.renderer().set_transfer(&table)?;
-        let transfer = TransferSummary::new(&summary, &table);
+        let mut transfer = TransferSummary::new(&summary, &table);
         let camera =
             Arcball { rx: 90.0 * noise.uniform() as f32, ry: 15.0 * k as f32, dz: 1.3 + 0.1 * k as f32 };
         let side = machine.grown() * [24, 40, 64][k % 3];
         for step in [1.0, 2.0, 5.0] {
             let frame = Frame::new(Camera::from_arcball(camera)?, side, side)?.with_step(step)?;
-            features.measure(&summary, &transfer, &frame);
+            features.measure(&summary, &mut transfer, &frame);
             let seconds = machine.seconds(&frame)?;
             rows.push(Measurement::new(&features, &Setting::of(&frame), seconds));
         }

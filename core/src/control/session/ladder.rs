@@ -1,0 +1,99 @@
+//! A probe that begins coarse.
+
+use super::Session;
+use crate::Result;
+use crate::error::bail;
+use crate::features::{MAX_PROBE_SIDE, Setting};
+use crate::predict::Prediction;
+use crate::scene::Frame;
+
+/// Rays along each side of the probes that a plan begins with, coarsest first.
+const SIDES: [usize; 4] = [4, 7, 11, 16];
+
+/// The probe is taken to be off by at most as many of its standard errors.
+const STANDARD_ERRORS: f32 = 2.0;
+
+/// How far a plan looks.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ladder {
+    /// Rays along each side of the finest probe.
+    finest: usize,
+    /// Share of a frame's time that a plan need not know.
+    tolerance: f32,
+}
+
+impl Session {
+    /// Lets plans begin with a probe of 4² rays, and take one of 7², 11², 16² and at last `finest`² only
+    /// while the error that a probe estimates of itself could change the plan: while it is larger than
+    /// `tolerance` (a share of the frame's time, which changes the step by as much), unless even so the
+    /// finest step surely meets the target, or the coarsest surely does not. So `finest` bounds what a plan
+    /// may cost, and most plans cost less. [`crate::features::FrameFeatures::probe_side`] of
+    /// [`Session::features`] tells how far the last one went. [`Session::predict`] and [`Session::choose`]
+    /// take the finest probe.
+    ///
+    /// For linear cost models ([`crate::Predictor::any_probe_side`]); a network keeps the probe that it was
+    /// trained with.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`], and for a tolerance
+    /// that is not in 0…1.
+    pub fn with_probe_ladder(mut self, finest: usize, tolerance: f32) -> Result<Self> {
+        if !(1..=MAX_PROBE_SIDE).contains(&finest) || !(0.0..=1.0).contains(&tolerance) {
+            bail!(
+                InvalidArgument,
+                "a probe of up to {finest} rays along each side, with a tolerance of {tolerance}, was asked for; accepted are \
+                 1 to {MAX_PROBE_SIDE} rays and a share of 0 to 1"
+            );
+        }
+        if self.predictor.any_probe_side() {
+            self.ladder = Some(Ladder { finest, tolerance });
+        }
+        Ok(self)
+    }
+
+    /// Measures a frame as finely as anything may.
+    pub(super) fn measure(&mut self, frame: &Frame) -> Result<()> {
+        if let Some(ladder) = self.ladder {
+            self.features.set_probe_side(ladder.finest);
+        }
+        self.cast(frame)
+    }
+
+    /// Measures a frame as finely as its plan needs.
+    pub(super) fn measure_for(&mut self, frame: &Frame, target: f32) -> Result<()> {
+        let Some(ladder) = self.ladder else { return self.cast(frame) };
+        for side in SIDES.into_iter().filter(|&side| side < ladder.finest) {
+            self.features.set_probe_side(side);
+            self.cast(frame)?;
+            if self.suffices(frame, target, ladder.tolerance)? {
+                return Ok(());
+            }
+        }
+        self.measure(frame)
+    }
+
+    /// Whether the plan would stay as it is, however wrong the probe is likely to be.
+    fn suffices(&mut self, frame: &Frame, target: f32, tolerance: f32) -> Result<bool> {
+        let error = STANDARD_ERRORS * self.features.probe_error();
+        if error <= tolerance {
+            return Ok(true);
+        }
+        if !error.is_finite() {
+            return Ok(false);
+        }
+        let changes = self.changes_for(frame);
+        let limits = self.coarsening.limits();
+        let (controller, mut cost) = self.costing(changes, Setting::of(frame))?;
+        let finest = controller.correct(&cost.at(limits.finest), changes);
+        let slower = Prediction {
+            seconds: finest.seconds * (1.0 + error),
+            upper: finest.upper * (1.0 + error),
+            ..finest
+        };
+        if controller.fits(&slower, target) {
+            return Ok(true);
+        }
+        let coarsest = controller.correct(&cost.at(limits.coarsest), changes);
+        Ok(coarsest.seconds > target * (1.0 + error))
+    }
+}

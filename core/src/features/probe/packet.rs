@@ -1,0 +1,377 @@
+//! Rays side by side through the grid of cells: as many as a vector has lanes, neighbors in the probe, each
+//! in the arithmetic of [`March::ray`] to the last bit. A lane whose ray has ended waits for the others of
+//! its packet.
+
+use super::SHADOW_DIRECTION;
+use super::march::{
+    CHORD, DEPTH, DRAW, EMPTY, FIELDS, KEPT, March, OCCUPIED, RUNS, SHADOW, SHADOW_ALL, SHADOW_SKIPS,
+    TERMINATED, TINY, U, V, VISIBLE,
+};
+use crate::features::transfer::{FLAGGED, OPTICS};
+use crate::kernels::{Kernel, Level, Simd};
+
+/// Marches the first `count` rays. `rays` must have room for a multiple of 16.
+pub(super) fn march(level: Level, march: &mut March<'_>, rays: &mut [&mut [f32]; FIELDS], count: usize) {
+    level.run(Packets { march, rays, count });
+}
+
+struct Packets<'a, 'm, 'r> {
+    march: &'a mut March<'m>,
+    rays: &'a mut [&'r mut [f32]; FIELDS],
+    count: usize,
+}
+
+impl Kernel for Packets<'_, '_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let mut packet = Packet { simd, march: self.march, kept: [0.0; KEPT], kept_count: 0 };
+        let mut at = 0;
+        while at < self.count {
+            packet.march(self.rays, at, self.count - at);
+            at += S::LANES;
+        }
+        packet.march.block_skips.add_all(&packet.kept, packet.kept_count);
+    }
+}
+
+/// Three vectors.
+type Three<S> = [<S as Simd>::F; 3];
+
+/// The cells along each ray, one after another (as [`super::march::Walk`]).
+struct Walk<S: Simd> {
+    next: Three<S>,
+    delta: Three<S>,
+    last: Three<S>,
+    stride: [S::I; 3],
+    index: S::I,
+}
+
+struct Packet<'a, 'm, S> {
+    simd: S,
+    march: &'a mut March<'m>,
+    /// Lengths of chords through empty cells, to be counted.
+    kept: [f32; KEPT],
+    kept_count: usize,
+}
+
+impl<S: Simd> Packet<'_, '_, S> {
+    #[inline(always)]
+    fn walk(&self, start: Three<S>, direction: Three<S>, t_enter: S::F) -> Walk<S> {
+        let simd = self.simd;
+        let (zero, one) = (simd.splat(0.0), simd.splat(1.0));
+        let none = simd.splat(f32::INFINITY);
+        let mut walk = Walk {
+            next: [zero; 3],
+            delta: [zero; 3],
+            last: [zero; 3],
+            stride: [simd.zero_i(); 3],
+            index: simd.zero_i(),
+        };
+        let mut stride = 1i32;
+        for k in 0..3 {
+            let furthest = simd.splat((self.march.grid[k] - 1) as f32);
+            let whole = simd.trunc(simd.min(simd.max(start[k], zero), furthest));
+            let cell = simd.to_f(whole);
+            let forward = simd.lt(zero, direction[k]);
+            let inverse = simd.div(one, direction[k]);
+            let face = simd.select(forward, simd.add(cell, one), cell);
+            let left = simd.select(forward, simd.sub(furthest, cell), cell);
+            let first = simd.add(t_enter, simd.mul(simd.sub(face, start[k]), inverse));
+            let first = simd.max(first, t_enter);
+            let delta = simd.max(inverse, simd.sub(zero, inverse));
+            walk.delta[k] = delta;
+            walk.last[k] = simd.add(first, simd.mul(simd.sub(left, simd.splat(0.5)), delta));
+            walk.next[k] = simd.select(simd.lt(zero, left), first, none);
+            walk.stride[k] = simd.select_i(forward, simd.splat_i(stride), simd.splat_i(-stride));
+            walk.index = simd.add_i(walk.index, simd.mul_i(whole, stride));
+            stride *= self.march.grid[k];
+        }
+        walk
+    }
+
+    /// t at which each ray leaves its cell.
+    #[inline(always)]
+    fn leaves(&self, walk: &Walk<S>) -> S::F {
+        self.simd.min(self.simd.min(walk.next[0], walk.next[1]), walk.next[2])
+    }
+
+    /// Goes on to the next cell. A ray that has left the box goes nowhere in particular, and is not alive.
+    ///
+    /// That nothing here waits for what a cell does to its ray lets the next cells be fetched meanwhile.
+    #[inline(always)]
+    fn advance(&self, walk: &mut Walk<S>) {
+        let simd = self.simd;
+        let t = self.leaves(walk);
+        let none = simd.splat(f32::INFINITY);
+        for k in 0..3 {
+            let crosses = simd.le(walk.next[k], t);
+            let further = simd.add(walk.next[k], walk.delta[k]);
+            let further = simd.select(simd.lt(walk.last[k], further), none, further);
+            walk.next[k] = simd.select(crosses, further, walk.next[k]);
+            walk.index = simd.add_if(walk.index, crosses, walk.stride[k]);
+        }
+    }
+
+    /// In which of `lanes` the cell is not empty; what those cells do to a ray is known then.
+    #[inline(always)]
+    fn full(&mut self, index: S::I, lanes: S::M) -> S::M {
+        let simd = self.simd;
+        let words = simd.gather(self.march.transfer.flags(), simd.shift_right::<{ FLAGGED.ilog2() }>(index));
+        let place = simd.and_i(index, FLAGGED as i32 - 1);
+        let full = simd.and_m(simd.test(words, place), lanes);
+        let known = simd.test(words, simd.add_i(place, simd.splat_i(FLAGGED as i32)));
+        let unknown = simd.and_not_m(full, known);
+        if simd.any(unknown) {
+            let mut cells = [0i32; 16];
+            simd.write_i(index, &mut cells);
+            self.march.compute(&cells, simd.lane_bits(unknown));
+        }
+        full
+    }
+
+    /// Extinction and visible share of the cells.
+    #[inline(always)]
+    fn optics(&self, index: S::I) -> (S::F, S::F) {
+        let simd = self.simd;
+        let kept = bytemuck::cast_slice(self.march.transfer.kept_optics());
+        let first = simd.mul_i(index, OPTICS as i32);
+        let second = simd.add_i(first, simd.splat_i(1));
+        (simd.as_f(simd.gather(kept, first)), simd.as_f(simd.gather(kept, second)))
+    }
+
+    /// Occupied share of the cells.
+    #[inline(always)]
+    fn share(&self, index: S::I) -> S::F {
+        match self.march.transfer.occupied_shares() {
+            [] => self.simd.splat(1.0),
+            shares => self.simd.as_f(self.simd.gather(bytemuck::cast_slice(shares), index)),
+        }
+    }
+
+    /// Marches up to `LANES` rays from `at` on, `count` of which exist.
+    #[inline(always)]
+    fn march(&mut self, rays: &mut [&mut [f32]; FIELDS], at: usize, count: usize) {
+        let simd = self.simd;
+        let zero = simd.splat(0.0);
+        let half = simd.splat(0.5);
+        let (u, v) = (simd.read(&rays[U][at..]), simd.read(&rays[V][at..]));
+        let mut draw = simd.read(&rays[DRAW][at..]);
+        let existing = simd.lt(simd.read(&LANE_NUMBERS), simd.splat(count.min(S::LANES) as f32));
+
+        let mut direction = [zero; 3];
+        let mut safe = [zero; 3];
+        let (mut t_enter, mut t_exit) = (zero, simd.splat(f32::INFINITY));
+        for k in 0..3 {
+            let m = &*self.march;
+            let along = simd.add(simd.splat(m.forward[k]), simd.mul(u, simd.splat(m.right[k])));
+            let d = simd.add(along, simd.mul(v, simd.splat(m.up[k])));
+            let least = simd.select(simd.lt(d, zero), simd.splat(-TINY), simd.splat(TINY));
+            let magnitude = simd.max(d, simd.sub(zero, d));
+            direction[k] = d;
+            safe[k] = simd.select(simd.lt(magnitude, simd.splat(TINY)), least, d);
+            let inverse = simd.div(simd.splat(1.0), safe[k]);
+            let (origin, extent) = (m.eye[k], m.half_extent[k]);
+            let a = simd.mul(simd.splat(-extent - origin), inverse);
+            let b = simd.mul(simd.splat(extent - origin), inverse);
+            t_enter = simd.max(t_enter, simd.min(a, b));
+            t_exit = simd.min(t_exit, simd.max(a, b));
+        }
+        let mut alive = simd.and_m(simd.lt(t_enter, t_exit), existing);
+        let square = |k: usize| simd.mul(direction[k], direction[k]);
+        let length = simd.sqrt(simd.add(simd.add(square(0), square(1)), square(2)));
+        // Reference steps per unit of t.
+        let rate = simd.mul(length, simd.splat(self.march.per_step));
+        let chord = simd.select(alive, simd.mul(simd.sub(t_exit, t_enter), rate), zero);
+        simd.write(chord, &mut rays[CHORD][at..]);
+
+        let m = &*self.march;
+        let mut start = [zero; 3];
+        let mut pace = [zero; 3];
+        for k in 0..3 {
+            let entry = simd.add(simd.splat(m.eye[k]), simd.mul(t_enter, safe[k]));
+            let inside = simd.add(entry, simd.splat(m.half_extent[k]));
+            start[k] = simd.sub(simd.mul(inside, simd.splat(m.scale[k])), simd.splat(m.shift[k]));
+            pace[k] = simd.mul(safe[k], simd.splat(m.scale[k]));
+        }
+        let split = m.block;
+        let block_chord = split.map(|b| {
+            let side = |k: usize, area: f32| {
+                let d = simd.max(direction[k], simd.sub(zero, direction[k]));
+                simd.mul(d, simd.splat(area))
+            };
+            // In the order of the products of `March::ray`: |d|·b·c is not |d|·(b·c).
+            let x = simd.mul(side(0, b.y), simd.splat(b.z));
+            let y = simd.mul(side(1, b.x), simd.splat(b.z));
+            let z = simd.mul(side(2, b.x), simd.splat(b.y));
+            let volume = simd.mul(rate, simd.splat(b.x * b.y * b.z));
+            simd.div(volume, simd.add(simd.add(x, y), z))
+        });
+        let scatters = m.scatters;
+        let depth_end = simd.splat(m.depth_end);
+        let mut walk = self.walk(start, pace, t_enter);
+        let mut t = t_enter;
+        let mut depth = zero;
+        let (mut occupied, mut empty, mut visible) = (zero, zero, zero);
+        let (mut runs, mut far, mut terminated) = (zero, zero, zero);
+        let mut lit = simd.splat(-1.0);
+        let mut was_occupied = simd.lt(zero, zero);
+        // A ray crosses each face of the grid once.
+        let mut left = self.march.grid.iter().sum::<i32>() + 3;
+        while simd.any(alive) && left > 0 {
+            left -= 1;
+            let t_next = simd.min(self.leaves(&walk), t_exit);
+            let length = simd.mul(simd.max(simd.sub(t_next, t), zero), rate);
+            let cell = walk.index;
+            self.advance(&mut walk);
+            let full = self.full(cell, alive);
+            let hollow = simd.and_not_m(alive, full);
+            if simd.any(hollow) {
+                empty = simd.select(hollow, simd.add(empty, length), empty);
+                if split.is_none() {
+                    self.kept_count += simd.compress(hollow, length, &mut self.kept[self.kept_count..]);
+                    if self.kept_count > KEPT - 16 {
+                        self.march.block_skips.add_all(&self.kept, self.kept_count);
+                        self.kept_count = 0;
+                    }
+                }
+            }
+            let mut goes_on = simd.and_m(simd.lt(t_next, t_exit), alive);
+            if simd.any(full) {
+                let ((extinction, shows), share) = (self.optics(cell), self.share(cell));
+                let d = simd.mul(extinction, length);
+                let sum = simd.add(depth, d);
+                let ends = simd.and_m(simd.le(depth_end, sum), full);
+                let mut used = length;
+                if simd.any(ends) {
+                    let part = simd.mul(simd.div(simd.sub(depth_end, depth), d), length);
+                    used = simd.select(ends, part, length);
+                    terminated = simd.select(ends, simd.splat(1.0), terminated);
+                    goes_on = simd.and_not_m(goes_on, ends);
+                }
+                depth = simd.select(full, sum, depth);
+                let inside = simd.mul(used, share);
+                occupied = simd.select(full, simd.add(occupied, inside), occupied);
+                let moment = simd.mul(simd.mul(inside, half), simd.add(t, t_next));
+                far = simd.select(full, simd.add(far, moment), far);
+                let begins = simd.and_not_m(full, was_occupied);
+                runs = simd.select(begins, simd.add(runs, simd.splat(1.0)), runs);
+                let shown = simd.mul(used, shows);
+                visible = simd.select(full, simd.add(visible, shown), visible);
+                if scatters {
+                    let shines = simd.and_m(simd.lt(zero, shown), full);
+                    let keep = simd.div(shown, visible);
+                    let keeps = simd.and_m(simd.lt(draw, keep), shines);
+                    let redrawn = simd.div(draw, keep);
+                    let there = simd.add(t, simd.mul(redrawn, simd.sub(t_next, t)));
+                    lit = simd.select(keeps, there, lit);
+                    let passed = simd.div(simd.sub(draw, keep), simd.sub(simd.splat(1.0), keep));
+                    draw = simd.select(shines, simd.select(keeps, redrawn, passed), draw);
+                }
+                if let Some(chord) = block_chord {
+                    let partial = simd.and_m(simd.lt(share, simd.splat(1.0)), full);
+                    let hollow = simd.sub(used, inside);
+                    empty = simd.select(partial, simd.add(empty, hollow), empty);
+                    let more = simd.mul(simd.div(hollow, chord), share);
+                    runs = simd.select(partial, simd.add(runs, more), runs);
+                }
+            }
+            was_occupied = full;
+            t = t_next;
+            alive = goes_on;
+        }
+        for (field, value) in [
+            (OCCUPIED, occupied),
+            (EMPTY, empty),
+            (VISIBLE, visible),
+            (RUNS, runs),
+            (DEPTH, far),
+            (TERMINATED, terminated),
+        ] {
+            simd.write(value, &mut rays[field][at..]);
+        }
+        if let Some(chord) = block_chord {
+            let mut chords = [0.0f32; 16];
+            simd.write(chord, &mut chords);
+            for i in 0..count.min(S::LANES) {
+                if rays[CHORD][at + i] > 0.0 {
+                    self.march.block_skips.add_many(chords[i], rays[EMPTY][at + i]);
+                }
+            }
+        }
+        let lights = simd.le(zero, lit);
+        if scatters && simd.any(lights) {
+            let mut from = [zero; 3];
+            for k in 0..3 {
+                from[k] = simd.add(simd.splat(self.march.eye[k]), simd.mul(lit, safe[k]));
+            }
+            let [inside, all, skips] = self.shadow(from, lights);
+            for (field, value) in [(SHADOW, inside), (SHADOW_ALL, all), (SHADOW_SKIPS, skips)] {
+                let value = simd.select(lights, simd.mul(visible, value), zero);
+                simd.write(value, &mut rays[field][at..]);
+            }
+        }
+    }
+
+    /// Marches shadow rays from points in the box: length in occupied blocks, length in all, and empty blocks
+    /// met.
+    #[inline(always)]
+    fn shadow(&mut self, from: Three<S>, lights: S::M) -> Three<S> {
+        let simd = self.simd;
+        let zero = simd.splat(0.0);
+        let direction = glam::Vec3::from_array(SHADOW_DIRECTION);
+        let mut t_exit = simd.splat(f32::INFINITY);
+        let mut start = [zero; 3];
+        let mut pace = [zero; 3];
+        for k in 0..3 {
+            let m = &*self.march;
+            let extent = simd.splat(m.half_extent[k]);
+            let scale = simd.splat(m.scale[k]);
+            t_exit = simd.min(t_exit, simd.div(simd.sub(extent, from[k]), simd.splat(direction[k])));
+            start[k] = simd.sub(simd.mul(simd.add(from[k], extent), scale), simd.splat(m.shift[k]));
+            pace[k] = simd.mul(simd.splat(direction[k]), scale);
+        }
+        let rate = simd.splat(direction.length() * self.march.per_step);
+        let end = simd.splat(self.march.shadow_end);
+        let mut walk = self.walk(start, pace, zero);
+        let (mut t, mut depth, mut occupied, mut skips) = (zero, zero, zero, zero);
+        let mut all = simd.mul(simd.max(t_exit, zero), rate);
+        let mut alive = simd.and_m(simd.lt(zero, t_exit), lights);
+        let mut left = self.march.grid.iter().sum::<i32>() + 3;
+        while simd.any(alive) && left > 0 {
+            left -= 1;
+            let t_next = simd.min(self.leaves(&walk), t_exit);
+            let length = simd.mul(simd.max(simd.sub(t_next, t), zero), rate);
+            let cell = walk.index;
+            self.advance(&mut walk);
+            let full = self.full(cell, alive);
+            let hollow = simd.and_not_m(alive, full);
+            skips = simd.select(hollow, simd.add(skips, simd.splat(1.0)), skips);
+            let mut goes_on = simd.and_m(simd.lt(t_next, t_exit), alive);
+            if simd.any(full) {
+                let ((extinction, _), share) = (self.optics(cell), self.share(cell));
+                let d = simd.mul(extinction, length);
+                let sum = simd.add(depth, d);
+                let ends = simd.and_m(simd.le(end, sum), full);
+                let mut inside = simd.mul(length, share);
+                if simd.any(ends) {
+                    let used = simd.div(simd.sub(end, depth), d);
+                    let last = simd.mul(simd.mul(used, length), share);
+                    inside = simd.select(ends, last, inside);
+                    let reached = simd.add(t, simd.mul(used, simd.sub(t_next, t)));
+                    all = simd.select(ends, simd.mul(reached, rate), all);
+                    goes_on = simd.and_not_m(goes_on, ends);
+                }
+                depth = simd.select(full, sum, depth);
+                occupied = simd.select(full, simd.add(occupied, inside), occupied);
+            }
+            t = t_next;
+            alive = goes_on;
+        }
+        [occupied, all, skips]
+    }
+}
+
+static LANE_NUMBERS: [f32; 16] =
+    [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0];

@@ -1,0 +1,214 @@
+//! A summary made slab by slab.
+
+use super::entries::{Map, Voxel};
+use super::scan::{Found, Grid};
+use super::{LARGEST_INDEX, SummaryOptions, VolumeSummary};
+use crate::Result;
+use crate::error::bail;
+use crate::kernels::Executor;
+use crate::memory::reserve;
+use crate::scene::{ScalarType, Scalars, VolumeView};
+
+/// Makes a [`VolumeSummary`] of a volume that is never there as a whole, or of one so large that its caller
+/// wants to show progress or stop: slab by slab along z, in order, none of them kept.
+///
+/// The summary is the one that [`VolumeSummary::new`] makes of the whole volume, to the last bit, however
+/// many slabs and threads it was made with.
+///
+/// ```
+/// use entire_core::features::{SummaryBuilder, SummaryOptions, VolumeSummary};
+/// use entire_core::kernels::Executor;
+/// use entire_core::scene::{Scalars, VolumeView};
+///
+/// let voxels: Vec<u16> = (0..40 * 30 * 20).map(|i| i as u16).collect();
+/// let (range, options) = ((0.0, 24_000.0), SummaryOptions::default());
+/// let slab = |planes: std::ops::Range<usize>| {
+///     let part = &voxels[40 * 30 * planes.start..40 * 30 * planes.end];
+///     VolumeView::with_known_range(Scalars::U16(part), [40, 30, planes.len()], range)
+/// };
+/// let mut builder = SummaryBuilder::new(&slab(0..8)?, 20, options)?;
+/// while let Some(planes) = builder.next_planes() {
+///     builder.add(&slab(planes)?, Executor::Serial)?; // or stop here, and drop the builder
+/// }
+/// assert_eq!(builder.finish()?, VolumeSummary::new(&slab(0..20)?, options)?);
+/// # entire_core::Result::Ok(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct SummaryBuilder {
+    summary: VolumeSummary,
+    grid: Grid,
+    map: Map,
+    found: Kind,
+    /// Planes that were scanned.
+    planes: usize,
+}
+
+#[derive(Clone, Debug)]
+enum Kind {
+    U8(Found<u8>),
+    U16(Found<u16>),
+    I16(Found<i16>),
+    F32(Found<f32>),
+}
+
+impl SummaryBuilder {
+    /// For a volume of `planes` planes along z; sizes along x and y, spacing, range and type are those of
+    /// `like`, of which no voxel is read.
+    ///
+    /// # Errors
+    /// As [`VolumeSummary::new`], and [`crate::ErrorKind::InvalidArgument`] for no planes.
+    pub fn new(like: &VolumeView<'_>, planes: usize, options: SummaryOptions) -> Result<Self> {
+        let [x, y, _] = like.dims();
+        if planes == 0 {
+            bail!(InvalidArgument, "a volume of 0 planes was announced; it must have at least 1");
+        }
+        crate::scene::check_edges([x, y, planes])?;
+        let summary = VolumeSummary::layout([x, y, planes], like.spacing(), like.scalar_type(), options)?;
+        let grid =
+            Grid { dims: summary.dims, cells: summary.cells, edge: summary.edge, block: summary.block };
+        let found = match like.scalars() {
+            Scalars::U8(_) => Kind::U8(Found::new(&grid)?),
+            Scalars::U16(_) => Kind::U16(Found::new(&grid)?),
+            Scalars::I16(_) => Kind::I16(Found::new(&grid)?),
+            Scalars::F32(_) => Kind::F32(Found::new(&grid)?),
+        };
+        Ok(Self { summary, grid, map: Map::new(like), found, planes: 0 })
+    }
+
+    /// The planes of the smallest slab that may be added next; `None` when all are there. A slab may hold any
+    /// multiple of as many planes, and ends with the volume at the latest.
+    pub fn next_planes(&self) -> Option<core::ops::Range<usize>> {
+        let [_, _, planes] = self.grid.dims;
+        let end = (self.planes + self.grid.edge[2]).min(planes);
+        (self.planes < planes).then_some(self.planes..end)
+    }
+
+    /// Adds the slab that follows those before. Allocates working memory of a few rows of cells for each
+    /// thread.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::SizeMismatch`] for a slab of other sizes than announced, or of a number of planes
+    /// that [`SummaryBuilder::next_planes`] does not allow; [`crate::ErrorKind::InvalidArgument`] for another
+    /// type or range. Nothing is scanned then.
+    pub fn add(&mut self, slab: &VolumeView<'_>, executor: Executor<'_>) -> Result<()> {
+        let ([x, y, planes], [width, height, all]) = (slab.dims(), self.grid.dims);
+        let (edge, left) = (self.grid.edge[2], all - self.planes);
+        let whole = planes.is_multiple_of(edge) || planes == left;
+        if [x, y] != [width, height] || planes > left || !whole {
+            bail!(
+                SizeMismatch,
+                "a slab of {x} x {y} x {planes} voxels was added after {} of {all} planes of {width} x {height} voxels; \
+                 slabs have these sizes, in whole multiples of {edge} planes or all that are left",
+                self.planes
+            );
+        }
+        if slab.range() != self.map.range() {
+            bail!(
+                InvalidArgument,
+                "a slab has the range {:?}, the volume {:?}; give every slab the volume's range",
+                slab.range(),
+                self.map.range()
+            );
+        }
+        let first = self.planes / edge;
+        let per_layer = self.grid.cells[0] * self.grid.cells[1];
+        let quantiles = &mut self.summary.quantiles[first * per_layer..];
+        let (grid, map) = (&self.grid, &self.map);
+        match (&mut self.found, slab.scalars()) {
+            (Kind::U8(f), Scalars::U8(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
+            (Kind::U16(f), Scalars::U16(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
+            (Kind::I16(f), Scalars::I16(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
+            (Kind::F32(f), Scalars::F32(v)) => f.scan(grid, map, (slab, v), first, quantiles, executor)?,
+            (_, scalars) => bail!(
+                InvalidArgument,
+                "a slab of {} was added to a volume of {}; slabs have the volume's type",
+                scalars.scalar_type().name(),
+                self.summary.scalar_type.name()
+            ),
+        }
+        self.planes += planes;
+        Ok(())
+    }
+
+    /// The summary, once every plane was added.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NotReady`] before.
+    pub fn finish(self) -> Result<VolumeSummary> {
+        if let Some(next) = self.next_planes() {
+            bail!(
+                NotReady,
+                "{} of {} planes were added; add the planes from {} on",
+                self.planes,
+                self.grid.dims[2],
+                next.start
+            );
+        }
+        let Self { mut summary, grid, map, found, .. } = self;
+        match found {
+            Kind::U8(f) => finish(&mut summary, &grid, &map, f)?,
+            Kind::U16(f) => finish(&mut summary, &grid, &map, f)?,
+            Kind::I16(f) => finish(&mut summary, &grid, &map, f)?,
+            Kind::F32(f) => finish(&mut summary, &grid, &map, f)?,
+        }
+        Ok(summary)
+    }
+}
+
+/// What follows from all voxels: bounds of cells, the histogram, and whether values are remapped.
+fn finish<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, map: &Map, found: Found<T>) -> Result<()> {
+    let bounds = &found.bounds;
+    let (mut smallest, mut largest) = (f32::INFINITY, f32::NEG_INFINITY);
+    for &[low, high] in bounds {
+        (smallest, largest) = (smallest.min(low.number()), largest.max(high.number()));
+    }
+    summary.remapped =
+        summary.scalar_type == ScalarType::F32 || smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
+    gather(summary, grid, bounds, map)?;
+    let mut mapped = [0u64; 256];
+    for (&entry, &n) in map.near.iter().zip(&found.counts) {
+        mapped[usize::from(entry)] += n;
+    }
+    let voxels = summary.voxels();
+    for (h, &n) in summary.histogram.iter_mut().zip(&mapped) {
+        *h = (n as f64 / voxels) as f32;
+    }
+    summary.non_finite_share = (found.non_finite as f64 / voxels) as f32;
+    Ok(())
+}
+
+/// Bounds of cells from those of their blocks, which are kept where a cell holds several.
+fn gather<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, bounds: &[[T; 2]], map: &Map) -> Result<()> {
+    let n = grid.blocks();
+    let per_cell: [usize; 3] = core::array::from_fn(|a| grid.edge[a] / grid.block[a]);
+    let split = grid.block != grid.edge;
+    if split {
+        reserve(&mut summary.first_block, summary.low.len() + 1)?;
+        summary.first_block.push(0);
+        reserve(&mut summary.block_low, bounds.len())?;
+        reserve(&mut summary.block_high, bounds.len())?;
+    }
+    let [nx, ny, nz] = grid.cells;
+    let cells = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
+    for (index, c) in cells.enumerate() {
+        let range = |a: usize| c[a] * per_cell[a]..((c[a] + 1) * per_cell[a]).min(n[a]);
+        for bz in range(2) {
+            for by in range(1) {
+                let line = n[0] * (by + n[1] * bz);
+                for &[low, high] in &bounds[line + range(0).start..line + range(0).end] {
+                    let (low, high) = (map.below(low), map.above(high));
+                    summary.low[index] = Ord::min(summary.low[index], low);
+                    summary.high[index] = Ord::max(summary.high[index], high);
+                    if split {
+                        summary.block_low.push(low);
+                        summary.block_high.push(high);
+                    }
+                }
+            }
+        }
+        if split {
+            summary.first_block.push(summary.block_low.len() as u32);
+        }
+    }
+    Ok(())
+}

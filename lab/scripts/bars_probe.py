@@ -1,0 +1,156 @@
+#!/usr/bin/env python3
+"""Measures the bars of the probe, of transfer functions and of volume summaries: one line `bar NAME VALUE LIMIT ok|short`
+each; exit status 1 when any is short.
+
+usage: bars_probe.py --before REVISION [--rounds N] [--work FOLDER] [--only TEXT] [--no-build]
+
+Builds core/examples/probe_server twice, from the working tree and from REVISION (in a git worktree under FOLDER, with the
+calls of today's example), and asks both in turns, in random order, N rounds long. A scene's time is the smallest of all
+rounds, a figure the mean over its scenes. Ratios are today's over the commit before.
+"""
+import argparse
+import json
+import pathlib
+import random
+import shutil
+import subprocess
+import sys
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+EXAMPLE = "core/examples/probe_server"
+# The part of the example that older versions can be built with needs a main function.
+MAIN_BEFORE = """//! The calls of a later version.
+
+mod calls;
+
+fn main() {
+    calls::serve(&mut calls::Volumes::default(), &mut |_, _| None);
+}
+"""
+MODES = ["none", "scatter"]
+EDGES = [256, 512, 768]
+TYPES = ["u8", "u16", "f32"]
+BYTES = 512 * 512 * 512
+# Microseconds of a new transfer function, first call, and the share of the time before.
+FIRST = {256: 60, 512: 120, 768: 400}
+SPEED = {"u8": 2.5, "u16": 3.0, "f32": 3.0}
+
+
+def build(where, target):
+    subprocess.run(
+        ["cargo", "build", "--release", "--package", "entire-core", "--features", "rayon", "--example", "probe_server",
+         "--target-dir", target], cwd=where, check=True,
+    )
+
+
+def prepare(revision, work):
+    """A worktree of the revision with today's calls."""
+    tree = work / "before"
+    commit = subprocess.run(["git", "rev-parse", f"{revision}^{{commit}}"], cwd=ROOT, check=True, capture_output=True,
+                            text=True).stdout.strip()
+    if not tree.exists():
+        subprocess.run(["git", "worktree", "prune"], cwd=ROOT, check=True)
+        subprocess.run(["git", "worktree", "add", "--detach", str(tree), commit], cwd=ROOT, check=True)
+    subprocess.run(["git", "checkout", "--quiet", "--detach", commit], cwd=tree, check=True)
+    to = tree / EXAMPLE
+    to.mkdir(parents=True, exist_ok=True)
+    shutil.copy(ROOT / EXAMPLE / "calls.rs", to / "calls.rs")
+    (to / "main.rs").write_text(MAIN_BEFORE)
+    return tree
+
+
+class Server:
+    def __init__(self, binary):
+        self.process = subprocess.Popen([binary], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+    def ask(self, name):
+        self.process.stdin.write(name + "\n")
+        self.process.stdin.flush()
+        for line in self.process.stdout:
+            if line.startswith("@@"):
+                answer = json.loads(line[2:])
+                if "err" in answer:
+                    raise SystemExit(f"{name}: {answer['err']}")
+                return answer["seconds"]
+        raise SystemExit(f"{name}: the server ended")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--before", required=True, help="the revision to compare with")
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--work", default=str(ROOT / "target/bars-probe"))
+    parser.add_argument("--only", default="", help="ask only for names that hold this text")
+    parser.add_argument("--build-only", action="store_true", help="build, and measure nothing")
+    parser.add_argument("--no-build", action="store_true", help="take the programs that were built last")
+    options = parser.parse_args()
+    work = pathlib.Path(options.work).resolve()
+    targets = {side: work / f"{side}-build" for side in ("today", "before")}
+    if not options.no_build:
+        work.mkdir(parents=True, exist_ok=True)
+        build(ROOT, targets["today"])
+        build(prepare(options.before, work), targets["before"])
+
+    if options.build_only:
+        return
+
+    plans = [f"plan/{side}/{heat}/{mode}" for side in (11, 24) for heat in ("warm", "cold") for mode in MODES]
+    transfers = [f"transfer/{edge}/{what}" for edge in EDGES for what in ("first", "edit", "plan")]
+    volumes = [f"{what}/{kind}" for kind in TYPES for what in ("summary", "read")]
+    today_only = [f"summary2/{kind}" for kind in TYPES]
+    asked = [n for n in plans + transfers + volumes + today_only if options.only in n]
+    best = {}
+    servers = {side: Server(target / "release/examples/probe_server") for side, target in targets.items()}
+    for _ in range(options.rounds):
+        for name in asked:
+            for side in random.sample(["today", "before"], 2):
+                if side == "before" and name in today_only:
+                    continue
+                seconds = servers[side].ask(name)
+                known = best.get((side, name))
+                best[side, name] = [min(a, b) for a, b in zip(known, seconds)] if known else seconds
+
+    mean = {key: sum(v) / len(v) for key, v in best.items()}
+    for name in asked:
+        figures = "  ".join(f"{side} {mean[side, name] * 1e6:10.1f} us" for side in ("today", "before")
+                            if (side, name) in mean)
+        print(f"{name:24} {figures}")
+    short = False
+
+    def bar(name, value, limit, at_most=True):
+        nonlocal short
+        ok = value <= limit if at_most else value >= limit
+        short |= not ok
+        print(f"bar {name} {value:.3g} {limit:.3g} {'ok' if ok else 'short'}", flush=True)
+
+    def ratio(ours, theirs):
+        """Of figures that were asked for."""
+        keys = ("today", ours), ("before", theirs)
+        return mean[keys[0]] / mean[keys[1]] if all(k in mean for k in keys) else None
+
+    for mode in MODES:
+        for name, ours, theirs, limit in [
+            ("plan_11_warm", f"plan/11/warm/{mode}", f"plan/11/warm/{mode}", 0.33),
+            ("plan_11_cold", f"plan/11/cold/{mode}", f"plan/11/cold/{mode}", 0.4),
+            ("plan_24_cold_over_11", f"plan/24/cold/{mode}", f"plan/11/cold/{mode}", 1.0),
+        ]:
+            if (value := ratio(ours, theirs)) is not None:
+                bar(f"{name}_{mode}", value, limit)
+    for edge in EDGES:
+        name = f"transfer/{edge}/first"
+        if (value := ratio(name, name)) is not None:
+            bar(f"transfer_{edge}_us", mean["today", name] * 1e6, FIRST[edge])
+            bar(f"transfer_{edge}", value, 0.1)
+    for kind in TYPES:
+        if ("today", f"summary/{kind}") not in mean or ("today", f"read/{kind}") not in mean:
+            continue
+        own, read = mean["today", f"summary/{kind}"], mean["today", f"read/{kind}"]
+        limit = min(SPEED[kind], 0.7 * BYTES / read * 1e-9)
+        bar(f"summary_{kind}_gb_per_s", BYTES / own * 1e-9, limit, at_most=False)
+        if ("today", f"summary2/{kind}") in mean:
+            bar(f"summary_{kind}_two_threads", own / mean["today", f"summary2/{kind}"], 1.7, at_most=False)
+    sys.exit(short)
+
+
+if __name__ == "__main__":
+    main()
