@@ -59,7 +59,8 @@ fn probe_describes_the_device() -> Result<(), Failed> {
     Ok(())
 }
 
-/// A device that does not finish in the time it is given: one line, status 1, and the process ends while the device works.
+/// A device that does not finish in the time it is given: one line, status 1, and the process ends while the
+/// device works.
 fn a_hanging_device_ends_in_one_line() -> Result<(), Failed> {
     let folder = workshop();
     let arguments = [

@@ -9,17 +9,22 @@ use crate::result::entire_result::{self, *};
 use crate::sink;
 use std::any::Any;
 use std::cell::{Cell, RefCell};
-use std::ffi::{CString, c_char};
+use std::ffi::c_char;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Once;
 
 /// What the body of an entry point returns.
 pub(crate) type Outcome = Result<(), Failure>;
 
+/// Longest text of a thread's last failure, its closing NUL included.
+const TEXT_BYTES: usize = 2048;
+
 thread_local! {
     /// Whether the last call of this thread failed; its text stands in `TEXT`.
     static FAILED: Cell<bool> = const { Cell::new(false) };
-    static TEXT: RefCell<CString> = RefCell::new(CString::default());
+    /// In place: what is dropped with its thread is registered at its first use, for which the C library asks
+    /// for memory and ends the process where there is none.
+    static TEXT: RefCell<[u8; TEXT_BYTES]> = const { RefCell::new([0; TEXT_BYTES]) };
     /// How many guards are open on this thread, for the panic hook.
     static DEPTH: Cell<u32> = const { Cell::new(0) };
     /// Where and why this thread panicked inside a guard.
@@ -28,10 +33,11 @@ thread_local! {
 
 /// Why the calling thread's last call failed, as a sentence that names what was wrong and what to do; empty
 /// after a call that succeeded. Never NULL; valid until the thread's next call of any function but this one.
+/// At most 2047 bytes; entire_<noun>_last_error has the whole text of a handle's failure.
 #[unsafe(no_mangle)]
 pub extern "C" fn entire_last_error() -> *const c_char {
     if FAILED.try_with(Cell::get).unwrap_or(false) {
-        TEXT.try_with(|text| text.borrow().as_ptr()).unwrap_or(c"".as_ptr())
+        TEXT.try_with(|text| text.borrow().as_ptr().cast()).unwrap_or(c"".as_ptr())
     } else {
         c"".as_ptr()
     }
@@ -167,11 +173,25 @@ fn failed(failure: Failure) -> entire_result {
     // A second net: a log callback or an allocation that unwinds here must not reach C either.
     let _ = catch_unwind(AssertUnwindSafe(|| {
         sink::emit(sink::ENTIRE_LOG_ERROR, &failure.message);
-        let text = sink::c_text(&failure.message);
-        let _ = TEXT.try_with(|slot| *slot.borrow_mut() = text);
+        let _ = TEXT.try_with(|slot| keep(&failure.message, &mut slot.borrow_mut()));
         let _ = FAILED.try_with(|failed| failed.set(true));
     }));
     code
+}
+
+/// Writes a text with its closing NUL, cut at a character; a NUL inside becomes the replacement character.
+fn keep(text: &str, out: &mut [u8; TEXT_BYTES]) {
+    let mut end = 0;
+    for character in text.chars() {
+        let character = if character == '\0' { char::REPLACEMENT_CHARACTER } else { character };
+        let next = end + character.len_utf8();
+        if next >= TEXT_BYTES {
+            break;
+        }
+        character.encode_utf8(&mut out[end..next]);
+        end = next;
+    }
+    out[end] = 0;
 }
 
 #[cold]
@@ -292,6 +312,21 @@ mod tests {
             assert_eq!(error_of(probe), "no such file");
             freeing(probe);
         }
+    }
+
+    #[test]
+    fn a_text_is_cut_at_a_character_and_ends_with_its_nul() {
+        let mut out = [7; TEXT_BYTES];
+        let kept =
+            |out: &[u8; TEXT_BYTES]| CStr::from_bytes_until_nul(out).unwrap().to_str().unwrap().to_owned();
+        keep("a\0b", &mut out);
+        assert_eq!(kept(&out), "a\u{fffd}b");
+        keep(&"é".repeat(3000), &mut out);
+        assert_eq!(kept(&out), "é".repeat((TEXT_BYTES - 1) / 2));
+        keep("", &mut out);
+        assert_eq!(kept(&out), "");
+        assert_eq!(guard(|| Err(Failure::new(ENTIRE_IO, "x".repeat(5000)))), ENTIRE_IO);
+        assert_eq!(last_error(), "x".repeat(TEXT_BYTES - 1));
     }
 
     #[test]

@@ -1,12 +1,13 @@
-//! Memory that is kept for the day on which the system has none: so that small pieces (handles, texts, tables of a
-//! model) do not end the host's process.
+//! Memory that is kept for the day on which the system has none: so that small pieces (handles, texts, tables
+//! of a model) do not end the host's process.
 //!
-//! This library's own allocator is the system's. Where that refuses a piece of at most [`LARGEST`] bytes, the piece
-//! comes from a reserve that belongs to the library's image. Larger pieces are asked for by code that answers
-//! ENTIRE_OUT_OF_MEMORY. Calls that make or set something ask first whether half of the reserve is there
-//! ([`check`]), so that a call that is let in can end.
+//! This library's own allocator is the system's. Where that refuses a piece of at most [`LARGEST`] bytes, the
+//! piece comes from a reserve that belongs to the library's image. Larger pieces are asked for by code that
+//! answers ENTIRE_OUT_OF_MEMORY. Calls that make or set something ask first whether half of the reserve is
+//! there ([`check`]), so that a call that is let in can end.
 //!
-//! The reserve is cut into blocks. A lock-free flag per block says whether it is held; a piece is a run of them.
+//! The reserve is cut into blocks. A lock-free flag per block says whether it is held; a piece is a run of
+//! them.
 
 use crate::result::Failure;
 use crate::result::entire_result::ENTIRE_OUT_OF_MEMORY;
@@ -103,8 +104,8 @@ struct Allocator;
 #[global_allocator]
 static ALLOCATOR: Allocator = Allocator;
 
-// SAFETY: pieces come from the system or from the reserve, whose memory lies apart, and go back to where they came from.
-// Neither unwinds.
+// SAFETY: pieces come from the system or from the reserve, whose memory lies apart, and go back to where they
+// came from. Neither unwinds.
 unsafe impl GlobalAlloc for Allocator {
     #[inline]
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {

@@ -1,7 +1,7 @@
 //! The readers under test, what must hold for whatever they give back, and mutations that know their formats.
 //!
-//! The command's readers are compiled from where they are: the rest of the command (with dependencies that no reader
-//! needs) would take minutes to build with a sanitizer.
+//! The command's readers are compiled from where they are: the rest of the command (with dependencies that no
+//! reader needs) would take minutes to build with a sanitizer.
 
 #![allow(dead_code, unused_imports, reason = "parts of modules that no target calls")]
 

@@ -2,8 +2,8 @@
 
 use crate::mutants::Mutants;
 
-/// A change of bytes that knows nothing of their format: takes the buffer, the bytes in use and the most that may be, and
-/// answers how many are in use.
+/// A change of bytes that knows nothing of their format: takes the buffer, the bytes in use and the most that
+/// may be, and answers how many are in use.
 pub type Step = fn(&mut [u8], usize, usize) -> usize;
 
 /// Numbers that readers must think of.

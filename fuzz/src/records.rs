@@ -56,7 +56,8 @@ pub fn check_manifest(input: &[u8]) {
     }
 }
 
-/// Frames of an accepted path, sixteen or more of them, can be drawn, and their transfer functions have tables.
+/// Frames of an accepted path, sixteen or more of them, can be drawn, and their transfer functions have
+/// tables.
 pub fn check_path(input: &[u8]) {
     let Ok(text) = std::str::from_utf8(input) else { return };
     let file = match PathFile::parse(text) {

@@ -91,8 +91,8 @@ thread_local! {
     });
 }
 
-/// A refused state changes nothing. One that is taken up is saved as such, gives plans with numbers, and leaves a
-/// session that goes on learning.
+/// A refused state changes nothing. One that is taken up is saved as such, gives plans with numbers, and
+/// leaves a session that goes on learning.
 pub fn check_state(input: &[u8]) {
     SESSION.with_borrow_mut(|(session, fresh)| {
         session.load_state(fresh).expect("the state of a new session");

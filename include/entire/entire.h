@@ -1085,6 +1085,7 @@ const char *entire_result_name(uint32_t result);
 /**
  * Why the calling thread's last call failed, as a sentence that names what was wrong and what to do; empty
  * after a call that succeeded. Never NULL; valid until the thread's next call of any function but this one.
+ * At most 2047 bytes; entire_<noun>_last_error has the whole text of a handle's failure.
  */
 const char *entire_last_error(void);
 
@@ -1507,10 +1508,10 @@ entire_result entire_session_set_enabled(struct entire_session *session, uint32_
 entire_result entire_session_mark(struct entire_session *session, uint32_t changes);
 
 /**
- * Names the renderer whose frames are observed and the clock that times them, such as "vtkGPUVolumeRayCastMapper"
- * and "wall". What was learned of one does not hold for another: saved states carry both names, and
- * entire_session_load_state refuses those of others. Sessions start with empty names, which are names like any
- * other. Call it before loading and before saving.
+ * Names the renderer whose frames are observed and the clock that times them, such as
+ * "vtkGPUVolumeRayCastMapper" and "wall". What was learned of one does not hold for another: saved states
+ * carry both names, and entire_session_load_state refuses those of others. Sessions start with empty names,
+ * which are names like any other. Call it before loading and before saving.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
  * ENTIRE_NULL_ARGUMENT.
@@ -1535,9 +1536,9 @@ entire_result entire_session_save_state(const struct entire_session *session,
 /**
  * Takes up what an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED (a
- * whole state, but of another model, renderer or clock: entire_session_set_timing_source), ENTIRE_SIZE_MISMATCH
- * (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED
+ * (a whole state, but of another model, renderer or clock: entire_session_set_timing_source),
+ * ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_load_state(struct entire_session *session,
                                         const uint8_t *bytes,

@@ -33,7 +33,9 @@ fn predicted(summary: VolumeSummary) -> [f32; 2] {
     session.set_volume(summary, None);
     session.set_transfer(&table(), None).expect("a transfer function");
     let pose = Camera::from_arcball(Arcball { rx: 20.0, ry: 35.0, dz: 2.0 }).expect("a camera");
-    let mut view = glam::camera::rh::view::look_at_mat4(Vec3::new(1.5, 0.5, 1.8), Vec3::ZERO, Vec3::Y);
+    // A pose in radii, moved away from the volume in its unit of length.
+    let other = Camera::from_arcball(Arcball { rx: -15.0, ry: 250.0, dz: 2.6 }).expect("a camera");
+    let mut view = other.view();
     view.w_axis *= Vec3::splat(radius).extend(1.0);
     let view = Camera::from_world_view(view, Vec3::ZERO, radius)
         .unwrap_or_else(|e| panic!("a camera around a radius of {radius}: {e}"));

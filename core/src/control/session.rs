@@ -161,8 +161,8 @@ impl Session {
     /// Sets the transfer function, and its Gaussian lobes where it has them.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::OutOfMemory`] where there is
-    /// no room for what is kept; nothing has changed then.
+    /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::OutOfMemory`] where there
+    /// is no room for what is kept; nothing has changed then.
     pub fn set_transfer(&mut self, table: &TransferTable, lobes: Option<&[GaussianLobe]>) -> Result<()> {
         let Some(volume) = &self.volume else {
             bail!(NotReady, "no volume is set; set the volume before its transfer function");
@@ -391,8 +391,8 @@ impl Session {
         Ok(self.controller.observe(&observed))
     }
 
-    /// Takes the newest plan back, where the caller draws no frame with it: its id goes to the next plan, which
-    /// follows on the frame before it. Any other id changes nothing.
+    /// Takes the newest plan back, where the caller draws no frame with it: its id goes to the next plan,
+    /// which follows on the frame before it. Any other id changes nothing.
     pub fn withdraw(&mut self, id: u64) {
         if id == 0 || id.checked_add(1) != Some(self.next_id) {
             return;

@@ -115,8 +115,8 @@ impl VolumeNet {
     ///
     /// # Errors
     /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) unless `features` holds
-    /// [`feature_len`](Self::feature_len) numbers; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is
-    /// no room for the working memory;
+    /// [`feature_len`](Self::feature_len) numbers; [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there
+    /// is no room for the working memory;
     /// [`InvalidArgument`](crate::ErrorKind::InvalidArgument) for a volume that [`Resampler::resample`]
     /// refuses.
     pub fn encode(

@@ -75,8 +75,8 @@ pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] without nodes, for more than [`MAX_NODES`], for a speed that is not
-/// finite and positive, or a time that is negative or not finite; [`crate::ErrorKind::OutOfMemory`] where there
-/// is no room for the assignment.
+/// finite and positive, or a time that is negative or not finite; [`crate::ErrorKind::OutOfMemory`] where
+/// there is no room for the assignment.
 pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment> {
     check(times, speeds)?;
     let mut loads = filled(speeds.len(), 0.0f64)?;

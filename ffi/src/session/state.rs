@@ -8,10 +8,10 @@ use crate::result::Failure;
 use crate::result::entire_result::{self, *};
 use std::ffi::c_char;
 
-/// Names the renderer whose frames are observed and the clock that times them, such as "vtkGPUVolumeRayCastMapper"
-/// and "wall". What was learned of one does not hold for another: saved states carry both names, and
-/// entire_session_load_state refuses those of others. Sessions start with empty names, which are names like any
-/// other. Call it before loading and before saving.
+/// Names the renderer whose frames are observed and the clock that times them, such as
+/// "vtkGPUVolumeRayCastMapper" and "wall". What was learned of one does not hold for another: saved states
+/// carry both names, and entire_session_load_state refuses those of others. Sessions start with empty names,
+/// which are names like any other. Call it before loading and before saving.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
 /// ENTIRE_NULL_ARGUMENT.
@@ -65,9 +65,9 @@ pub unsafe extern "C" fn entire_session_save_state(
 
 /// Takes up what an earlier session saved. Pending plans are forgotten. A failed call changes nothing.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED (a
-/// whole state, but of another model, renderer or clock: entire_session_set_timing_source), ENTIRE_SIZE_MISMATCH
-/// (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (bytes that are cut short, damaged or not a state), ENTIRE_UNSUPPORTED
+/// (a whole state, but of another model, renderer or clock: entire_session_set_timing_source),
+/// ENTIRE_SIZE_MISMATCH (over ENTIRE_MAX_STATE_BYTES), ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_load_state(
     session: *mut entire_session,

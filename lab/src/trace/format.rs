@@ -110,8 +110,8 @@ impl Trace {
         let trace = Self::open_begun(path)?;
         ensure!(
             trace.is_complete(),
-            "{} holds {} frames, its path has {}: its recording was interrupted; go on with the same `entire-lab record` \
-             and --resume",
+            "{} holds {} frames, its path has {}: its recording was interrupted; go on with the same \
+             `entire-lab record` and --resume",
             path.display(),
             trace.frames.len(),
             trace.path.frames
