@@ -68,3 +68,29 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
     let (code, text) = run(&[]);
     assert!(code == Some(1) && text.contains("--training"), "{text}");
 }
+
+#[test]
+fn a_simulated_farm_does_all_tasks_and_pays_for_bundles() {
+    let dir = tempfile::tempdir().unwrap();
+    let list = dir.path().join("tasks.csv");
+    let rows: String =
+        (0..64).map(|i| format!("t{i},1,{},v,0\n", if i % 2 == 0 { 1.0 } else { 2.0 })).collect();
+    std::fs::write(&list, "task,predicted_s,measured_s,volume,load_s\n".to_owned() + &rows).unwrap();
+    let run = |more: &[&str]| -> serde_json::Value {
+        let output = lab(&[&["farm-simulate", list.to_str().unwrap(), "--slots", "4"][..], more].concat());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let plain = run(&["--arrival"]);
+    assert_eq!(plain["lower_bound_s"], 24.0);
+    // Ones and twos in turn on four slots, without bundles: the queue ends at the bound or a task later.
+    let plain = plain["makespan_s"].as_f64().unwrap();
+    assert!((24.0..=25.0).contains(&plain), "{plain}");
+    let paid = run(&["--arrival", "--latency", "0.5", "--overhead", "0"]);
+    // Each of the 64 bundles of one task costs half a second of a slot.
+    assert_eq!(paid["bundles"], 64);
+    let makespan = paid["makespan_s"].as_f64().unwrap();
+    assert!((32.0..=35.0).contains(&makespan), "{makespan}");
+    let scaled = run(&["--scale", "2", "--arrival"])["makespan_s"].as_f64().unwrap();
+    assert!((scaled - 2.0 * plain).abs() < 1e-9, "{scaled}");
+}

@@ -1,7 +1,8 @@
 //! `entire farm`: render an image database on whatever runs tasks.
 
+use crate::farm::database::{self, Database};
 use crate::farm::dispatch::Order;
-use crate::farm::drive::{self, Database};
+use crate::farm::drive;
 use crate::farm::engine::{Bundle, Engine, HyperQueue, Local, Places, Slurm};
 use crate::farm::job::Job;
 use crate::farm::planner::{Planner, Sent, Setting, State};
@@ -89,7 +90,8 @@ pub struct Options {
     /// Seconds that sending a bundle costs a slot, instead of the engine's own figure.
     #[arg(long, value_name = "SECONDS")]
     pub overhead: Option<f64>,
-    /// Longest time that the engine runs a bundle (90s, 30m, 2h): HyperQueue's worker limit, Slurm's partition.
+    /// Longest time that the engine runs a bundle (90s, 30m, 2h): HyperQueue's worker limit, Slurm's
+    /// partition.
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub time_limit: Option<f64>,
     /// The Python that has HyperQueue's package.
@@ -107,7 +109,8 @@ pub struct Options {
     /// Write a report (HTML) when done; alone with --dry-run it tells of what is done.
     #[arg(long, value_name = "FILE.html")]
     pub report: Option<PathBuf>,
-    /// Write the tasks with their expected seconds as a list (CSV) that `entire schedule` and predict.list read.
+    /// Write the tasks with their expected seconds as a list (CSV) that `entire schedule` and predict.list
+    /// read.
     #[arg(long, value_name = "TASKS.csv")]
     pub save_tasks: Option<PathBuf>,
     /// Render nothing: write an OpenJD job template (JSON) whose tasks are bundles of equal expected time.
@@ -267,9 +270,9 @@ fn setting(options: &Options, slots: usize) -> Setting {
 }
 
 fn dry_run(job: &Job, base: Vec<f32>, options: &Options) -> Result<()> {
-    let done = drive::done(job)?;
+    let done = database::done(job)?;
     let plan = |slots: usize| {
-        let mut planner = drive::planner(job, base.clone(), setting(options, slots));
+        let mut planner = database::planner(job, base.clone(), setting(options, slots));
         for (task, seconds) in &done {
             planner.done_before(*task, 0, *seconds);
         }

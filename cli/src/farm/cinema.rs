@@ -1,5 +1,5 @@
-//! Cinema Specification D: a folder `NAME.cdb` with a table `data.csv`, one row per image; columns whose names
-//! begin with FILE hold paths relative to the folder.
+//! Cinema Specification D: a folder `NAME.cdb` with a table `data.csv`, one row per image; columns whose
+//! names begin with FILE hold paths relative to the folder.
 
 use super::job::Job;
 use super::record::Answer;

@@ -1,5 +1,5 @@
-//! Which task next: longest first with late binding. Where loading costs, a node stays with the volume that it
-//! holds as long as that pays.
+//! Which task next: longest first with late binding. Where loading costs, a node stays with the volume that
+//! it holds as long as that pays.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};

@@ -432,8 +432,8 @@ impl Learner {
             .collect();
         let stride = n.div_ceil(KEPT).max(1);
         self.residuals = errors.iter().step_by(stride).map(|e| *e as f32).collect();
-        // How far the machine itself wanders: means of consecutive eighths beyond what their tasks' own errors
-        // explain.
+        // How far the machine itself wanders: means of consecutive eighths beyond what their tasks' own
+        // errors explain.
         const PARTS: usize = 8;
         self.drift = 0.0;
         if n >= 4 * PARTS {

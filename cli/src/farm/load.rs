@@ -37,7 +37,8 @@ impl Loads {
         let slot = &mut self.seen[volume][kind];
         slot.0 += seconds;
         slot.1 += 1;
-        // Least squares through per-volume means, each weighing its count; a rate alone where sizes are alike.
+        // Least squares through per-volume means, each weighing its count; a rate alone where sizes are
+        // alike.
         let (mut n, mut x, mut y, mut xx, mut xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
         for (bytes, seen) in self.bytes.iter().zip(&self.seen) {
             let (sum, count) = (seen[kind].0, f64::from(seen[kind].1));

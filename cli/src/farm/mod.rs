@@ -3,11 +3,12 @@
 //!
 //! [`list`] has task lists and static assignments (`entire schedule`). The rest is `entire farm`: a job file
 //! becomes tasks ([`job`]), tasks get expected times ([`predict`], [`learn`], [`load`]), a planner hands them
-//! out in bundles ([`planner`], [`dispatch`]), an engine runs them ([`engine`], [`worker`]), the journal keeps
-//! what is done ([`journal`], [`spool`]). The simulator ([`simulate`]) runs the same planner.
+//! out in bundles ([`planner`], [`dispatch`]), an engine runs them ([`engine`], [`worker`]), the journal
+//! keeps what is done ([`journal`], [`spool`]). The simulator ([`simulate`]) runs the same planner.
 
 pub mod cinema;
 pub mod command;
+pub mod database;
 pub mod dispatch;
 pub mod drive;
 pub mod engine;

@@ -15,7 +15,8 @@ const DRAWN: usize = 4096;
 const DRAWS: usize = 200;
 /// Tasks up to which the expected end plays the plan with loads and bundles.
 const PLAYED: usize = 20_000;
-/// Share of the work in which some tasks are sent for the sake of learning, and how many of them: one in four.
+/// Share of the work in which some tasks are sent for the sake of learning, and how many of them: one in
+/// four.
 const EXPLORED: (f64, u32) = (0.1, 4);
 
 /// Where a task stands.
@@ -258,7 +259,8 @@ impl Planner {
         self.refresh();
         self.next_stage();
         let early = (self.done as f64) < EXPLORED.0 * self.wanted as f64;
-        self.dispatcher.set_explore(if early && self.setting.learn { EXPLORED.1 } else { 0 });
+        let explores = early && self.setting.learn && self.setting.order == Order::LongestFirst;
+        self.dispatcher.set_explore(if explores { EXPLORED.1 } else { 0 });
         let (learner, loads, slots) = (&self.learner, &self.loads, &self.slots);
         let of_slot = slot.map(|s| &slots[s]);
         let load = |v: usize| loads.seconds(v, of_slot.is_some_and(|s| s.loaded.contains(&(v as u32))));

@@ -67,8 +67,8 @@ fn of_list(job: &Job, list: &std::path::Path) -> Result<Vec<f32>> {
     let missing = out.iter().filter(|v| v.is_nan()).count();
     ensure!(
         missing == 0,
-        "{}: {missing} of the job's {} tasks are not in it; `entire farm JOB --save-tasks FILE` writes a list \
-         with all ids",
+        "{}: {missing} of the job's {} tasks are not in it; `entire farm JOB --save-tasks FILE` writes a \
+         list with all ids",
         list.display(),
         job.len()
     );

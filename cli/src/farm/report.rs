@@ -225,8 +225,8 @@ fn gains(page: &mut Page, run: &Run) -> Result<()> {
         table.row(vec![name.into(), format!("{end:.2}").into(), format!("{:.3}", end / bound).into()]);
     }
     let text = format!(
-        "Measured seconds of the tasks of this run, without loading, replayed on {slots} equal slots; the last \
-         line is the run itself."
+        "Measured seconds of the tasks of this run, without loading, replayed on {slots} equal slots; the \
+         last line is the run itself."
     );
     page.table(&table, &text);
     Ok(())

@@ -30,6 +30,7 @@ pub(super) struct Session {
     command: Vec<String>,
     limit: Option<Duration>,
     running: Option<Running>,
+    fresh: bool,
 }
 
 struct Running {
@@ -48,7 +49,7 @@ impl Drop for Running {
 impl Session {
     /// A program with its arguments, and how long a task may take.
     pub(super) fn new(command: Vec<String>, limit: Option<Duration>) -> Self {
-        Self { command, limit, running: None }
+        Self { command, limit, running: None, fresh: false }
     }
 
     fn start(&self) -> Result<Running> {
@@ -70,12 +71,18 @@ impl Session {
         Ok(Running { child, input, lines })
     }
 
-    /// Has a task rendered to `out`.
+    /// Has a task rendered to `out`. Where the program was started for it and tells its own seconds, what
+    /// the start took counts as loading.
     ///
     /// # Errors
     /// When the program cannot be started, ends, answers with an error or not in time.
     pub(super) fn ask(&mut self, order: &Order, out: &Path, log: &Path) -> Result<Reply> {
-        let result = self.try_ask(order, out, log);
+        let clock = Instant::now();
+        self.fresh = false;
+        let mut result = self.try_ask(order, out, log);
+        if let (true, Ok(Reply { seconds: Some(seconds), load_s, .. })) = (self.fresh, &mut result) {
+            *load_s = Some((clock.elapsed().as_secs_f64() - *seconds).max(load_s.unwrap_or(0.0)));
+        }
         if result.is_err() {
             // What state it is in is not known: the next task gets a new one.
             self.running = None;
@@ -93,7 +100,10 @@ impl Session {
         }
         let running = match self.running.take() {
             Some(running) => running,
-            None => self.start()?,
+            None => {
+                self.fresh = true;
+                self.start()?
+            }
         };
         let running = self.running.insert(running);
         let mut log_file = File::create(log).with_context(|| format!("cannot write {}", log.display()))?;

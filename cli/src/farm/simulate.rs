@@ -80,7 +80,8 @@ enum Event {
     Lost { bundle: u64, slot: usize },
 }
 
-/// Runs a plan to its end. `ask_at` are shares of the true work at which the planner says when it will be done.
+/// Runs a plan to its end. `ask_at` are shares of the true work at which the planner says when it will be
+/// done.
 pub fn simulate(planner: &mut Planner, world: &World, ask_at: &[f64]) -> Outcome {
     let slots = world.speeds.len();
     let mut rng = ChaCha8Rng::seed_from_u64(world.seed);

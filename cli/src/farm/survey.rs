@@ -66,7 +66,8 @@ pub fn text(
         .map(|t| planner.expected(t))
         .sum();
     let mut out = format!(
-        "{} tasks: {} volumes x {} views x {} transfer functions x {} sizes x {} steps; {done} of {all} done\n",
+        "{} tasks: {} volumes x {} views x {} transfer functions x {} sizes x {} steps; {done} of {all} \
+         done\n",
         job.len(),
         job.volumes.len(),
         job.cameras.len(),

@@ -163,7 +163,7 @@ impl Worker {
         let mut spool = open_spool(&path)?;
         let cancel = self.state.join("cancel").join(number.to_string());
         for order in bundle.tasks.iter().filter(|o| !done.contains(&o.task)) {
-            if cancel.exists() || super::drive::run_number(&self.state) != Some(bundle.run) {
+            if cancel.exists() || super::database::run_number(&self.state) != Some(bundle.run) {
                 break;
             }
             append(&mut spool, &Line::Begin { begins: order.task.clone() })?;

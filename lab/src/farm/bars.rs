@@ -1,18 +1,18 @@
-//! The bars of `entire farm` that need no engine: schedules of recorded frames, loads, foretold ends, planning
-//! at scale. The simulator runs the planner that drives real engines.
+//! The bars of `entire farm` that need no engine: schedules of recorded frames, loads, foretold ends,
+//! planning at scale. The simulator runs the planner that drives real engines.
 
 use super::search::{Problem, best_of};
 use super::tables::{HELD_OUT, tasks};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
 use entire_cli::farm::dispatch::Order;
-use entire_cli::farm::drive;
 use entire_cli::farm::job::Job;
 use entire_cli::farm::learn::{Shape, TOLD};
 use entire_cli::farm::load::Loads;
 use entire_cli::farm::planner::{Planner, Setting};
 use entire_cli::farm::simulate::{World, simulate};
 use entire_cli::farm::{Task, predict, volume_numbers};
+use entire_cli::farm::{database, drive};
 use entire_cli::metrics::median;
 use entire_core::schedule::{assign_longest_first, lower_bound};
 use rand_chacha::ChaCha8Rng;
@@ -62,8 +62,8 @@ pub fn worst_static(tasks: &[Task]) -> Result<(f64, usize)> {
     Ok(worst)
 }
 
-/// Loading costs 4 mean frames, 8 nodes: the plan's end over the best that local search finds, which knows the
-/// measured times.
+/// Loading costs 4 mean frames, 8 nodes: the plan's end over the best that local search finds, which knows
+/// the measured times.
 ///
 /// # Errors
 /// Never in practice.
@@ -162,7 +162,7 @@ pub fn at_scale(folder: &Path) -> Result<(f64, f64, f64)> {
     let job = Job::open(&file)?;
     let base = predict::base(&job)?;
     let how = Setting { overhead: 0.05, ..setting(1000) };
-    let mut planner = drive::planner(&job, base, how);
+    let mut planner = database::planner(&job, base, how);
     for stage in drive::stages(&job, false, |_| true) {
         planner.add_stage(stage);
     }

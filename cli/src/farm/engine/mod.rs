@@ -38,8 +38,8 @@ pub enum Event {
     Down(String),
 }
 
-/// An engine. All engines run the same worker (`entire farm-worker`), which writes images and answers into the
-/// database's folder; that folder must be reachable from every node under the same path.
+/// An engine. All engines run the same worker (`entire farm-worker`), which writes images and answers into
+/// the database's folder; that folder must be reachable from every node under the same path.
 pub trait Engine {
     /// Its name.
     fn name(&self) -> &'static str;

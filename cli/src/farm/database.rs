@@ -1,0 +1,237 @@
+//! A job's database on the disk: what is done, by the journal and by what workers wrote since.
+
+use super::cinema::{self, Row};
+use super::drive::Options;
+use super::job::Job;
+use super::journal::Journal;
+use super::learn::{Shape, TOLD, UNKNOWN};
+use super::load::Loads;
+use super::planner::{Planner, Setting};
+use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, Order, parse_id};
+use super::spool;
+use crate::files::{make_folder, write_whole};
+use anyhow::{Context, Result, ensure};
+use std::collections::HashMap;
+use std::path::Path;
+
+/// The number of the run that is under way.
+pub fn run_number(state: &Path) -> Option<u64> {
+    std::fs::read_to_string(state.join("run")).ok()?.trim().parse().ok()
+}
+
+/// A job's database, open for writing: journal, and what is done.
+pub struct Database<'a> {
+    pub(super) job: &'a Job,
+    pub(super) journal: Journal,
+    pub(super) numbers: HashMap<u64, u32>,
+    /// What is known of every task that is done.
+    pub(super) done: HashMap<u32, Row>,
+    pub(super) quarantined: HashMap<u32, String>,
+    pub(super) run: u64,
+}
+
+impl<'a> Database<'a> {
+    /// Opens the database of a job: makes its folders, locks it, reads its journal, takes over what workers
+    /// have finished since the last driver ended.
+    ///
+    /// # Errors
+    /// When it was begun before and `resume` is not set, another driver is at work, or a file cannot be read
+    /// or written.
+    pub fn open(job: &'a Job, options: &Options) -> Result<Self> {
+        let state = job.state();
+        for folder in ["spool", "orders", "cancel", "logs", "parts", "quarantine"] {
+            make_folder(&state.join(folder))?;
+        }
+        let numbers = job.numbers();
+        ensure!(numbers.len() == job.len(), "two tasks have one id; change the job's name of a volume");
+        let (mut done, mut quarantined) = (HashMap::new(), HashMap::new());
+        let mut begun = false;
+        let number = |task: &str| parse_id(task).and_then(|id| numbers.get(&id).copied());
+        let journal = Journal::open(&state, |entry| {
+            match entry {
+                Entry::Run { format, .. } => {
+                    begun = true;
+                    ensure!(
+                        format == JOURNAL_FORMAT,
+                        "its format is {format:?}; this version reads {JOURNAL_FORMAT:?}"
+                    );
+                }
+                Entry::Done { answer, predicted_s } => {
+                    if let Some(task) = number(&answer.task) {
+                        quarantined.remove(&task);
+                        done.entry(task).or_insert(Row { answer, predicted_s });
+                    }
+                }
+                Entry::Quarantined { task, error, .. } => {
+                    if let Some(task) = number(&task) {
+                        quarantined.insert(task, error);
+                    }
+                }
+                Entry::Failed { .. } | Entry::Lost { .. } | Entry::Eta { .. } => {}
+            }
+            Ok(())
+        })?;
+        ensure!(
+            options.resume || !begun,
+            "{} was begun before; go on with --resume, or give another output",
+            job.output.display()
+        );
+        let run = run_number(&state).unwrap_or(0) + 1;
+        // From here on workers of the run before begin no further task.
+        write_whole(&state.join("run"), run.to_string().as_bytes())?;
+        let renderer = serde_json::to_vec(&job.renderer)?;
+        write_whole(&state.join("renderer.json"), &renderer)?;
+        if options.retry_quarantined {
+            quarantined.clear();
+        }
+        let mut new = Self { job, journal, numbers, done, quarantined, run };
+        new.take_over()?;
+        new.check_images(options.verify)?;
+        Ok(new)
+    }
+
+    /// The number of this run.
+    pub fn run(&self) -> u64 {
+        self.run
+    }
+
+    /// Takes over what workers wrote to the spool and no driver to the journal.
+    pub fn take_over(&mut self) -> Result<()> {
+        let state = self.job.state();
+        let folder = state.join("spool");
+        let mut files = Vec::new();
+        for found in
+            std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?
+        {
+            files.push(found?.path());
+        }
+        for file in &files {
+            for line in spool::lines(file)? {
+                let Line::Answer(answer) = line else { continue };
+                let Some(&task) = parse_id(&answer.task).and_then(|id| self.numbers.get(&id)) else {
+                    continue;
+                };
+                if answer.error.is_none() && !self.done.contains_key(&task) && self.is_there(&answer, true) {
+                    self.finish(task, answer, f64::NAN)?;
+                }
+            }
+        }
+        self.journal.flush()?;
+        for file in files {
+            let _ = std::fs::remove_file(file);
+        }
+        for name in ["orders", "cancel", "parts"] {
+            let _ = std::fs::remove_dir_all(state.join(name));
+            make_folder(&state.join(name))?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn finish(&mut self, task: u32, answer: Answer, predicted_s: f64) -> Result<()> {
+        let predicted_s = if predicted_s.is_finite() { predicted_s } else { answer.seconds };
+        self.journal.add(&Entry::Done { answer: answer.clone(), predicted_s })?;
+        self.quarantined.remove(&task);
+        self.done.insert(task, Row { answer, predicted_s });
+        Ok(())
+    }
+
+    fn is_there(&self, answer: &Answer, whole: bool) -> bool {
+        let Some(id) = parse_id(&answer.task) else { return false };
+        let path = self.job.output.join(self.job.image(id));
+        let length = std::fs::metadata(&path).map(|m| m.len());
+        if length.ok() != Some(answer.bytes) {
+            return false;
+        }
+        !whole || std::fs::read(&path).is_ok_and(|bytes| crc32fast::hash(&bytes) == answer.crc32)
+    }
+
+    /// Images that are gone or damaged are rendered again.
+    fn check_images(&mut self, whole: bool) -> Result<()> {
+        let missing: Vec<u32> =
+            self.done.iter().filter(|(_, row)| !self.is_there(&row.answer, whole)).map(|(t, _)| *t).collect();
+        for task in &missing {
+            self.done.remove(task);
+        }
+        if !missing.is_empty() {
+            crate::files::note(&format!(
+                "{} images that the journal names are gone or damaged; they are rendered again",
+                missing.len()
+            ));
+        }
+        Ok(())
+    }
+
+    /// The plan of what is left, corrected by what is done; nothing waits in it.
+    pub fn plan(&self, base: Vec<f32>, setting: Setting) -> Planner {
+        let mut planner = planner(self.job, base, setting);
+        for (task, row) in &self.done {
+            planner.done_before(*task, 0, row.answer.seconds);
+        }
+        planner.refresh();
+        planner
+    }
+
+    /// A task for a worker.
+    pub fn order(&self, task: u32, predicted_s: f64) -> Order {
+        let job = self.job;
+        let at = job.place(task as usize);
+        let (volume, pose) = (&job.volumes[at.volume], job.cameras[at.camera]);
+        let id = job.id(task as usize);
+        Order {
+            task: format!("{id:016x}"),
+            volume: volume.path.clone(),
+            volume_name: volume.name.clone(),
+            time: volume.time,
+            range: volume.range,
+            camera: [pose.rx, pose.ry, pose.dz],
+            fov_y_deg: job.fov_y_deg,
+            transfer_name: job.transfers[at.transfer].name.clone(),
+            transfer: job.transfers[at.transfer].transfer.clone(),
+            size: job.sizes[at.size],
+            step: job.steps[at.step],
+            image: job.image(id),
+            predicted_s,
+        }
+    }
+
+    /// Writes the database's table.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write_table(&self) -> Result<()> {
+        cinema::write(self.job, &self.done)
+    }
+}
+
+/// The tasks that a job's journal names as done, with their seconds.
+///
+/// # Errors
+/// When there is a journal that cannot be read.
+pub fn done(job: &Job) -> Result<Vec<(u32, f64)>> {
+    if !job.state().join("journal.jsonl").exists() {
+        return Ok(Vec::new());
+    }
+    let numbers = job.numbers();
+    let mut out = Vec::new();
+    for entry in super::journal::entries(&job.state())? {
+        if let Entry::Done { answer, .. } = entry
+            && let Some(&task) = parse_id(&answer.task).and_then(|id| numbers.get(&id))
+        {
+            out.push((task, answer.seconds));
+        }
+    }
+    Ok(out)
+}
+
+/// Whether volumes are loaded apart from rendering.
+fn tells_loads(job: &Job) -> bool {
+    !matches!(job.renderer, super::job::Renderer::Command { .. })
+}
+
+/// The plan of a job for an engine of so many slots.
+pub fn planner(job: &Job, base: Vec<f32>, setting: Setting) -> Planner {
+    let bytes = job.volumes.iter().map(|v| v.bytes as f64).collect();
+    let told = job.predict.model.is_some() || job.predict.list.is_some();
+    let shape = Shape::of_job(job, base).with_constant(if told { TOLD } else { UNKNOWN });
+    Planner::new(shape, Loads::new(bytes, tells_loads(job)), setting)
+}

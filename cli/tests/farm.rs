@@ -1,0 +1,304 @@
+//! `entire farm` as processes: databases are rendered whole, whatever is killed, and what fails is set aside.
+
+use std::collections::{BTreeMap, HashSet};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+mod support;
+use support::{entire, refuses, stderr, succeeds};
+#[path = "support/ball.rs"]
+mod ball;
+
+const RENDERER: &str = "[renderer]\nkind = \"entire\"\ndevice = \"cpu\"\n";
+
+/// A folder with a volume and a job of 2 x 10 x 2 tasks.
+fn setting(renderer: &str) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    ball::write(&dir.path().join("a ball's $(x).nrrd"));
+    ball::write(&dir.path().join("second.nrrd"));
+    let job = format!(
+        "name = \"db\"\nsizes = [\"48x32\"]\nsteps = [1.0, 2.0]\n\
+         [[volumes]]\nfiles = [\"*.nrrd\"]\nseries = true\nname = \"ball\"\n\
+         [[cameras]]\nkind = \"orbit\"\nviews = 10\nelevation_deg = 15.0\ndistances_radii = [2.5]\n\
+         [[transfer]]\nname = \"one\"\nlobes = [[0.5, 0.05, 0.4]]\n{renderer}"
+    );
+    std::fs::write(dir.path().join("job.toml"), job).unwrap();
+    dir
+}
+
+/// Paths and bytes of a database's images.
+fn images(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut out = BTreeMap::new();
+    for part in std::fs::read_dir(folder.join("db.cdb/image")).unwrap() {
+        for file in std::fs::read_dir(part.unwrap().path()).unwrap() {
+            let path = file.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            // What a killed writer left in part is not an image.
+            if name.ends_with(".png") {
+                let bytes = std::fs::read(&path).unwrap();
+                out.insert(path.strip_prefix(folder).unwrap().to_owned(), bytes);
+            }
+        }
+    }
+    out
+}
+
+fn table(folder: &Path) -> Vec<BTreeMap<String, String>> {
+    let mut reader = csv::Reader::from_path(folder.join("db.cdb/data.csv")).unwrap();
+    reader.deserialize().map(|r| r.unwrap()).collect()
+}
+
+fn journal(folder: &Path) -> String {
+    std::fs::read_to_string(folder.join("db.cdb/.farm/journal.jsonl")).unwrap()
+}
+
+#[test]
+fn a_database_is_rendered_and_its_table_names_every_image() {
+    let dir = setting(RENDERER);
+    let said = succeeds(dir.path(), &["farm", "job.toml", "--slots", "2", "--report", "r.html", "--quiet"]);
+    assert!(said.contains("40 of 40 images"), "{said}");
+    let rows = table(dir.path());
+    assert_eq!(rows.len(), 40);
+    let files: HashSet<&str> = rows.iter().map(|r| r["FILE"].as_str()).collect();
+    assert_eq!(files.len(), 40);
+    for row in &rows {
+        assert!(dir.path().join("db.cdb").join(&row["FILE"]).is_file());
+        assert!(row["measured_s"].parse::<f64>().unwrap() > 0.0);
+        assert!(row["predicted_s"].parse::<f64>().unwrap() > 0.0);
+    }
+    assert_eq!(rows.iter().map(|r| r["time"].as_str()).collect::<HashSet<_>>().len(), 2);
+    let page = std::fs::read_to_string(dir.path().join("r.html")).unwrap();
+    assert!(page.contains("Predicted against measured") && page.contains("local-0"));
+    // The same picture that `entire render` draws.
+    let row = &rows[7];
+    let camera = format!("{},{},{}", row["rx_deg"], row["ry_deg"], row["dz_radii"]);
+    succeeds(
+        dir.path(),
+        &[
+            "render",
+            "a ball's $(x).nrrd",
+            "--camera",
+            &camera,
+            "--tf",
+            "0.5,0.05,0.4",
+            "--size",
+            "48x32",
+            "--step",
+            &row["step"],
+            "--device",
+            "cpu",
+            "--out",
+            "one.png",
+        ],
+    );
+    let (one, other) = (dir.path().join("one.png"), dir.path().join("db.cdb").join(&row["FILE"]));
+    assert_eq!(std::fs::read(one).unwrap(), std::fs::read(other).unwrap());
+    // What is done is neither begun anew nor done twice.
+    refuses(dir.path(), &["farm", "job.toml", "--quiet"], &["--resume"]);
+    let said = succeeds(dir.path(), &["farm", "job.toml", "--resume", "--quiet"]);
+    assert!(said.contains("40 of 40 images, 0 of them"), "{said}");
+    assert_eq!(journal(dir.path()).matches("\"done\"").count(), 40);
+    // An image that was damaged is found and rendered again.
+    let whole = images(dir.path());
+    let victim = dir.path().join(whole.keys().next().unwrap());
+    let mut bytes = std::fs::read(&victim).unwrap();
+    bytes[40] ^= 1;
+    std::fs::write(&victim, bytes).unwrap();
+    let said = succeeds(dir.path(), &["farm", "job.toml", "--resume", "--verify", "--quiet"]);
+    assert!(said.contains("40 of 40 images, 1 of them"), "{said}");
+    assert_eq!(images(dir.path()), whole);
+    // A job that has grown renders what is new.
+    let text = std::fs::read_to_string(dir.path().join("job.toml")).unwrap();
+    std::fs::write(dir.path().join("job.toml"), text.replace("[1.0, 2.0]", "[1.0, 2.0, 4.0]")).unwrap();
+    let said = succeeds(dir.path(), &["farm", "job.toml", "--resume", "--preview", "--quiet"]);
+    assert!(said.contains("60 of 60 images, 20 of them"), "{said}");
+}
+
+fn start(folder: &Path, arguments: &[&str]) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_entire"))
+        .args(arguments)
+        .current_dir(folder)
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+/// The children of a process, on Linux.
+fn children(of: u32) -> Vec<u32> {
+    let Ok(processes) = std::fs::read_dir("/proc") else { return Vec::new() };
+    let parent = |pid: u32| -> Option<u32> {
+        let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+        stat.rsplit_once(')')?.1.split_whitespace().nth(1)?.parse().ok()
+    };
+    let numbers = processes.filter_map(|p| p.ok()?.file_name().to_str()?.parse().ok());
+    numbers.filter(|pid| parent(*pid) == Some(of)).collect()
+}
+
+fn kill(pid: u32, signal: &str) {
+    let _ = Command::new("kill").args([signal, &pid.to_string()]).status();
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn drivers_and_workers_are_killed_and_nothing_is_lost() {
+    let reference = setting(RENDERER);
+    succeeds(reference.path(), &["farm", "job.toml", "--slots", "2", "--quiet"]);
+    let dir = setting(RENDERER);
+    let mut arguments = vec!["farm", "job.toml", "--slots", "2", "--quiet"];
+    for round in 0..6u64 {
+        let mut driver = start(dir.path(), &arguments);
+        std::thread::sleep(Duration::from_millis(30 + 37 * round));
+        for worker in children(driver.id()) {
+            kill(worker, "-KILL");
+        }
+        std::thread::sleep(Duration::from_millis(20 * round));
+        kill(driver.id(), "-KILL");
+        driver.wait().unwrap();
+        if arguments.len() == 5 && dir.path().join("db.cdb/.farm/journal.jsonl").exists() {
+            arguments.push("--resume");
+        }
+    }
+    // Ctrl-C: what is at hand is finished, and the way on is told.
+    let mut driver = start(dir.path(), &arguments);
+    std::thread::sleep(Duration::from_millis(60));
+    kill(driver.id(), "-INT");
+    driver.wait().unwrap();
+    if arguments.len() == 5 && journal(dir.path()).contains("\"run\"") {
+        arguments.push("--resume");
+    }
+    succeeds(dir.path(), &arguments);
+    // Job files are alike, so ids and images are: none lost, none wrong.
+    assert_eq!(images(dir.path()), images(reference.path()));
+    assert_eq!(table(dir.path()).len(), 40);
+    let text = journal(dir.path());
+    let done: Vec<&str> = text.lines().filter(|l| l.contains("\"done\"")).collect();
+    assert_eq!(done.len(), 40);
+}
+
+#[test]
+fn two_drivers_do_not_work_on_one_database() {
+    let renderer =
+        "[renderer]\nkind = \"command\"\ncommand = [\"sh\", \"-c\", \"sleep 5; exit 1\", \"{out}\"]\n";
+    let dir = setting(renderer);
+    let mut first = start(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
+    let lock = dir.path().join("db.cdb/.farm/run");
+    while !lock.exists() {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let output = entire(dir.path(), &["farm", "job.toml", "--resume", "--quiet"]);
+    assert!(stderr(&output).contains("another `entire farm`"), "{}", stderr(&output));
+    kill(first.id(), "-KILL");
+    first.wait().unwrap();
+}
+
+#[test]
+fn programs_get_names_as_they_are_and_failures_are_set_aside() {
+    // The program copies its image from a real one; it fails for one view, and says why.
+    let script = "#!/bin/sh\n[ -f \"$1\" ] || { echo \"no volume $1\"; exit 3; }\n\
+                  [ \"$2\" = 36 ] && { echo \"this view is broken\"; exit 4; }\ncp picture.png \"$3\"\n";
+    let renderer = "[renderer]\nkind = \"command\"\n\
+                    command = [\"sh\", \"draw.sh\", \"{volume}\", \"{ry_deg}\", \"{out}\"]\n";
+    let dir = setting(renderer);
+    std::fs::write(dir.path().join("draw.sh"), script).unwrap();
+    succeeds(
+        dir.path(),
+        &[
+            "render",
+            "second.nrrd",
+            "--camera",
+            "1,2,3",
+            "--tf",
+            "0.5,0.05,0.4",
+            "--size",
+            "48x32",
+            "--device",
+            "cpu",
+            "--out",
+            "picture.png",
+        ],
+    );
+    let output = entire(dir.path(), &["farm", "job.toml", "--slots", "2", "--quiet"]);
+    let said = stderr(&output);
+    assert!(said.contains("4 tasks were given up") && said.contains("--retry-quarantined"), "{said}");
+    assert_eq!(table(dir.path()).len(), 36);
+    let logs = std::fs::read_dir(dir.path().join("db.cdb/.farm/quarantine")).unwrap();
+    let logs: Vec<String> = logs.map(|f| std::fs::read_to_string(f.unwrap().path()).unwrap()).collect();
+    assert_eq!(logs.len(), 4);
+    assert!(logs.iter().all(|l| l.contains("this view is broken")), "{logs:?}");
+    // Three attempts each.
+    assert_eq!(journal(dir.path()).matches("\"failed\"").count(), 8);
+    // Mended, they are rendered; the others are not rendered again.
+    std::fs::write(dir.path().join("draw.sh"), script.replace("= 36", "= 999")).unwrap();
+    let said = succeeds(
+        dir.path(),
+        &["farm", "job.toml", "--slots", "2", "--resume", "--retry-quarantined", "--quiet"],
+    );
+    assert!(said.contains("40 of 40 images, 4 of them"), "{said}");
+}
+
+#[test]
+fn a_program_that_stays_is_asked_line_by_line_and_started_again() {
+    // It answers three tasks and ends: every fourth task is lost with it and tried again.
+    let script = "n=0\nwhile read -r line; do\n\
+                  n=$((n + 1)); [ $n -gt 3 ] && exit 1\n\
+                  id=$(printf %s \"$line\" | sed 's/.*\"task\":\"\\([0-9a-f]*\\)\".*/\\1/')\n\
+                  out=$(printf %s \"$line\" | sed 's/.*\"out\":\"\\([^\"]*\\)\".*/\\1/')\n\
+                  cp picture.png \"$out\"; echo starting\n\
+                  echo \"{\\\"task\\\": \\\"$id\\\", \\\"seconds\\\": 0.5}\"\n\
+                  done\n";
+    let dir = setting("[renderer]\nkind = \"session\"\ncommand = [\"sh\", \"stay.sh\"]\n");
+    std::fs::write(dir.path().join("stay.sh"), script).unwrap();
+    succeeds(
+        dir.path(),
+        &[
+            "render",
+            "second.nrrd",
+            "--camera",
+            "1,2,3",
+            "--tf",
+            "0.5,0.05,0.4",
+            "--size",
+            "48x32",
+            "--device",
+            "cpu",
+            "--out",
+            "picture.png",
+        ],
+    );
+    let said = succeeds(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
+    assert!(said.contains("40 of 40 images"), "{said}");
+}
+
+#[test]
+fn plans_cost_nothing_and_mistakes_are_named() {
+    let dir = setting(RENDERER);
+    let arguments = ["farm", "job.toml", "--dry-run", "--slots", "4", "--deadline", "1h", "--price", "0.5"];
+    let said = succeeds(dir.path(), &arguments);
+    assert!(
+        said.contains("40 tasks: 2 volumes x 10 views") && said.contains("cheapest for 1:00 h"),
+        "{said}"
+    );
+    assert!(!dir.path().join("db.cdb").exists());
+    succeeds(dir.path(), &["farm", "job.toml", "--dry-run", "--save-tasks", "tasks.csv"]);
+    let list = std::fs::read_to_string(dir.path().join("tasks.csv")).unwrap();
+    assert_eq!(list.lines().count(), 41);
+    succeeds(dir.path(), &["schedule", "tasks.csv", "--nodes", "4", "--out", "a.csv"]);
+    // The list tells what tasks take.
+    let text = std::fs::read_to_string(dir.path().join("job.toml")).unwrap();
+    std::fs::write(dir.path().join("told.toml"), text + "\n[predict]\nlist = \"tasks.csv\"\n").unwrap();
+    let said = succeeds(dir.path(), &["farm", "told.toml", "--dry-run"]);
+    assert!(said.contains("the list "), "{said}");
+    let said = succeeds(dir.path(), &["farm", "job.toml", "--openjd", "t.json", "--slots", "2"]);
+    let template: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(dir.path().join("t.json")).unwrap()).unwrap();
+    assert_eq!(template["specificationVersion"], "jobtemplate-2023-09", "{said}");
+    refuses(dir.path(), &["farm", "none.toml"], &["cannot read the job file none.toml"]);
+    refuses(dir.path(), &["farm", "job.toml", "--slots", "0"], &["--slots is 0"]);
+    refuses(
+        dir.path(),
+        &["farm", "job.toml", "--resume", "--engine", "hyperqueue", "--python", "no-such-python"],
+        &["no-such-python", "--python"],
+    );
+}

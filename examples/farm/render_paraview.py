@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Renders tasks of `entire farm` with ParaView: `[renderer] kind = "pvbatch"`, `script = "render_paraview.py"`.
+
+A task comes per line of standard input, as JSON; the answer goes to standard output, as JSON. The volume stays as long as
+tasks are of the same file. A camera is what the project's arcball makes of it: turned about x, then about y, at a distance in
+radii of the volume's bounding sphere."""
+
+import json
+import math
+import os
+import time
+
+from paraview import simple
+
+EXP_POINTS = 64
+
+
+def opacity(transfer):
+    """Points (position, red, green, blue, opacity) of a transfer function."""
+    if "points" in transfer:
+        return [(p["position"], *p["color"], p["opacity"]) for p in transfer["points"]]
+    out = []
+    for i in range(EXP_POINTS):
+        s = i / (EXP_POINTS - 1)
+        height = sum(l["height"] * math.exp(-((s - l["center"]) ** 2) / l["width"]) for l in transfer["lobes"])
+        out.append((s, s, 0.5, 1.0 - s, min(height, 1.0)))
+    return out
+
+
+class Scene:
+    def __init__(self):
+        simple._DisableFirstRenderCameraReset()
+        self.view = simple.CreateView("RenderView")
+        self.view.OrientationAxesVisibility = 0
+        self.view.UseColorPaletteForBackground = 0
+        self.view.Background = [0.0, 0.0, 0.0]
+        self.path = None
+        self.source = None
+
+    def load(self, path):
+        if self.source is not None:
+            simple.Delete(self.source)
+        self.source = simple.OpenDataFile(path)
+        self.source.UpdatePipeline()
+        information = self.source.GetPointDataInformation()
+        self.array = information.GetArray(0)
+        self.display = simple.Show(self.source, self.view)
+        self.display.SetRepresentationType("Volume")
+        simple.ColorBy(self.display, ("POINTS", self.array.GetName()))
+        self.path = path
+
+    def draw(self, task):
+        begin = time.perf_counter()
+        load_s = 0.0
+        if task["volume"] != self.path:
+            self.load(task["volume"])
+            load_s = time.perf_counter() - begin
+        low, high = task["range"] or self.array.GetRange()
+        points = opacity(task["transfer"])
+        colors = simple.GetColorTransferFunction(self.array.GetName())
+        opacities = simple.GetOpacityTransferFunction(self.array.GetName())
+        colors.RGBPoints = [v for s, r, g, b, _ in points for v in (low + s * (high - low), r, g, b)]
+        opacities.Points = [v for s, _, _, _, o in points for v in (low + s * (high - low), o, 0.5, 0.0)]
+        bounds = self.source.GetDataInformation().GetBounds()
+        center = [(bounds[2 * a] + bounds[2 * a + 1]) / 2 for a in range(3)]
+        radius = math.dist(bounds[::2], bounds[1::2]) / 2
+        rx, ry = (math.radians(v) for v in task["camera"][:2])
+        away = task["camera"][2] * radius
+        direction = [math.cos(rx) * math.sin(ry), math.sin(rx), math.cos(rx) * math.cos(ry)]
+        up = [-math.sin(rx) * math.sin(ry), math.cos(rx), -math.sin(rx) * math.cos(ry)]
+        self.view.CameraFocalPoint = center
+        self.view.CameraPosition = [c + away * d for c, d in zip(center, direction)]
+        self.view.CameraViewUp = up
+        self.view.CameraViewAngle = task["fov_y_deg"]
+        self.view.ViewSize = task["size"]
+        simple.Render(self.view)
+        simple.SaveScreenshot(task["out"], self.view, ImageResolution=task["size"])
+        return {"task": task["task"], "load_s": load_s, "seconds": time.perf_counter() - begin - load_s}
+
+
+# ParaView puts objects of its own in the places of sys.stdin and sys.stdout.
+tasks, answers = os.fdopen(0), os.fdopen(os.dup(1), "w")
+scene = Scene()
+for line in tasks:
+    task = json.loads(line)
+    try:
+        answer = scene.draw(task)
+    except Exception as error:
+        answer = {"task": task["task"], "error": f"{type(error).__name__}: {error}"}
+    print(json.dumps(answer), file=answers, flush=True)

@@ -1,0 +1,347 @@
+"""The bars of `entire farm` that need engines: real HyperQueue and Slurm runs, and kills at random moments.
+
+Prints what it measures and one line `bar NAME VALUE LIMIT ok|short` per bar; ends with status 1 when one is short.
+
+    python3 lab/scripts/farm/engines.py --bin target/release --python VENV/bin/python --out out/farm-bars PART…
+
+Parts: hq-frames, hq-sleeping, slurm, kills, full. What an engine lacks is said, and its bars are short."""
+
+import argparse
+import csv
+import hashlib
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+SHORT = []
+
+
+def bar(name, value, limit):
+    ok = value is not None and value <= limit
+    print(f"bar {name} {'-' if value is None else f'{value:.4f}'} {limit:.4f} {'ok' if ok else 'short'}", flush=True)
+    if not ok:
+        SHORT.append(name)
+
+
+def lower_bound(times, slots):
+    """All work over all slots, or the longest task: no order ends earlier."""
+    return max(sum(times) / slots, max(times))
+
+
+class Farm:
+    def __init__(self, options):
+        self.entire = Path(options.bin).resolve() / "entire"
+        self.lab = Path(options.bin).resolve() / "entire-lab"
+        self.python = options.python
+        self.out = Path(options.out).resolve()
+        self.root = Path(__file__).resolve().parents[3]
+
+    def job(self, name, renderer, volumes, views, size, predict="", steps="1.0"):
+        """Writes a job file; the database of a run before is removed."""
+        folder = self.out / name
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        files = ", ".join(json.dumps(str(v)) for v in volumes)
+        text = f"""name = "db"
+sizes = ["{size}"]
+steps = [{steps}]
+[[volumes]]
+files = [{files}]
+[[cameras]]
+kind = "orbit"
+views = {views}
+elevation_deg = 20.0
+distances_radii = [2.0]
+[[transfer]]
+name = "one"
+lobes = [[0.5, 0.05, 0.2], [0.8, 0.02, 0.5]]
+{renderer}
+{predict}"""
+        file = folder / "job.toml"
+        file.write_text(text)
+        return file
+
+    def run(self, job, *arguments, check=True):
+        command = [str(self.entire), "farm", str(job), "--quiet", *arguments]
+        done = subprocess.run(command, capture_output=True, text=True)
+        if check and done.returncode:
+            raise RuntimeError(f"{' '.join(command)}: {done.stderr}")
+        return done
+
+    def journal(self, job):
+        lines = (job.parent / "db.cdb/.farm/journal.jsonl").read_text().splitlines()
+        entries = [json.loads(line) for line in lines]
+        done = [e["done"]["answer"] for e in entries if "done" in e]
+        begin = next(e["run"]["at"] for e in reversed(entries) if "run" in e)
+        return begin, done
+
+    def measure(self, job):
+        """Makespan since the engine was up, seconds of the tasks with loading, number of bundles."""
+        begin, done = self.journal(job)
+        end = max(a["end"] for a in done)
+        return end - begin, [a["seconds"] + a["load_s"] for a in done], len({a["bundle"] for a in done})
+
+    def recorded(self, job, frames):
+        """A list of recorded times, predicted and measured, by the job's ids."""
+        rows = self.ids(job)
+        times = job.parent / "times.csv"
+        with times.open("w") as file:
+            table = csv.writer(file)
+            table.writerow(["task", "predicted_s", "measured_s", "volume", "load_s"])
+            for i, row in enumerate(rows):
+                table.writerow([row["task"], *frames[i % len(frames)], row["volume"], 0])
+        return times
+
+    def ids(self, job):
+        """Ids and predicted seconds of a job's tasks, in its order."""
+        file = job.parent / "ids.csv"
+        self.run(job, "--dry-run", "--save-tasks", str(file))
+        return list(csv.DictReader(file.open()))
+
+    def sleeping(self, name, engine, slots, frames, order="longest", views=64):
+        """384 tasks that sleep for recorded times, on an engine."""
+        volumes = sorted((self.root / "data").glob("*/*/*.nrrd"))[:6]
+        times = self.out / name / "times.csv"
+        command = json.dumps([str(self.lab), "farm-stand-in", str(times)])
+        renderer = f'[renderer]\nkind = "session"\ncommand = {command}\n'
+        job = self.job(name, renderer, volumes, views, "8x8")
+        self.recorded(job, frames)
+        told = job.parent / "told.toml"
+        told.write_text(job.read_text() + '\n[predict]\nlist = "times.csv"\n')
+        self.run(told, *engine, "--slots", str(slots), "--order", order)
+        return (*self.measure(told), times)
+
+    def hyperqueue(self):
+        return ["--engine", "hyperqueue", "--python", self.python]
+
+    def overhead(self, name, engine, slots):
+        """Seconds of a slot that a bundle costs: bundles of one task that takes no time."""
+        makespan, _, bundles, _ = self.sleeping(name, [*engine, "--overhead", "0"], slots, [(0.0, 0.0)], views=32)
+        return makespan * slots / bundles
+
+    def simulate(self, times, slots, latency, *arguments):
+        command = [str(self.lab), "farm-simulate", str(times), "--slots", str(slots), "--latency", str(latency)]
+        return json.loads(subprocess.run([*command, *arguments], capture_output=True, text=True, check=True).stdout)
+
+
+def frames_of(farm, mean):
+    """384 frames of six volumes that were rendered here, predicted by a shipped model and measured, scaled to a mean."""
+    file = farm.out / "recorded.json"
+    if not file.exists():
+        record(farm, [])
+    found = json.loads(file.read_text())
+    factor = mean * len(found) / sum(m for _, m in found)
+    return [(p * factor, m * factor) for p, m in found]
+
+
+def record(farm, engine):
+    """Renders the paper's case, six volumes and 64 views each, and keeps what was predicted and measured."""
+    volumes = sorted((farm.root / "data").glob("*/*/*.nrrd"))[:6]
+    own = '[renderer]\nkind = "entire"\ndevice = "cpu"\n'
+    model = f'[predict]\nmodel = "{farm.root}/models/unshaded-selected.safetensors"\n'
+    job = farm.job("hq-frames", own, volumes, 64, "384x384", model)
+    predicted = farm.ids(job)
+    farm.run(job, *engine, "--slots", str(os.cpu_count()))
+    measured = {a["task"]: a["seconds"] for a in farm.journal(job)[1]}
+    frames = [(float(row["predicted_s"]), measured[row["task"]]) for row in predicted]
+    (farm.out / "recorded.json").write_text(json.dumps(frames))
+    return job
+
+
+def hq_frames(farm):
+    slots = os.cpu_count()
+    # What a bundle costs is measured with frames of a few pixels.
+    own = '[renderer]\nkind = "entire"\ndevice = "cpu"\n'
+    volumes = sorted((farm.root / "data").glob("*/*/*.nrrd"))[:6]
+    tiny = farm.job("hq-tiny", own, volumes, 16, "8x8")
+    farm.run(tiny, *farm.hyperqueue(), "--slots", str(slots), "--overhead", "0")
+    makespan, times, bundles = farm.measure(tiny)
+    overhead = (makespan * slots - sum(times)) / bundles
+    job = record(farm, farm.hyperqueue())
+    makespan, times, bundles = farm.measure(job)
+    bound = lower_bound(times, slots)
+    cost = overhead * bundles / slots
+    print(f"hyperqueue, {len(times)} real frames, {slots} workers: {makespan:.3f} s, bound {bound:.3f} s, {bundles} "
+          f"bundles of {1e3 * overhead:.1f} ms: {cost:.3f} s", flush=True)
+    bar("farm-hyperqueue-frames-of-bound-and-overhead", makespan / (bound + cost), 1.05)
+
+
+def hq_sleeping(farm):
+    slots = 64
+    frames = frames_of(farm, 10.0)
+    seconds = [m for _, m in frames]
+    found = {}
+    for order in ["arrival", "uniform", "longest"]:
+        makespan, times, bundles, table = farm.sleeping(f"hq-{order}", farm.hyperqueue(), slots, frames, order)
+        found[order] = makespan
+        bound = lower_bound(seconds, slots)
+        print(f"hyperqueue, {len(times)} sleeping tasks, {slots} workers, {order}: {makespan:.3f} s, bound {bound:.3f} s, "
+              f"{makespan / bound:.4f}, {bundles} bundles", flush=True)
+    # The simulator's latency is fitted to the run in arrival order and judged on the others.
+    low, high = 0.0, 2.0
+    for _ in range(30):
+        middle = (low + high) / 2
+        got = farm.simulate(table, slots, middle, "--arrival")["makespan_s"]
+        low, high = (middle, high) if got < found["arrival"] else (low, middle)
+    worst = 0.0
+    for order, options in [("longest", []), ("uniform", ["--uniform"])]:
+        got = farm.simulate(table, slots, low, *options)["makespan_s"]
+        worst = max(worst, abs(got / found[order] - 1))
+        print(f"simulator, latency {1e3 * low:.1f} ms a bundle: {order} {got:.3f} s, the engine {found[order]:.3f} s", flush=True)
+    print(f"simulator against hyperqueue: error at most {100 * worst:.1f} %", flush=True)
+    bar("farm-hyperqueue-sleeping-of-bound", found["longest"] / lower_bound(seconds, slots), 1.04)
+
+
+def slurm(farm):
+    folder = farm.out / "slurm"
+    shutil.rmtree(folder, ignore_errors=True)
+    script = Path(__file__).with_name("slurm.sh")
+    started = subprocess.run([str(script), "start", str(folder)], capture_output=True, text=True)
+    if started.returncode:
+        print(f"slurm: {started.stderr.strip()}")
+        bar("farm-slurm-of-bound-and-overhead", None, 1.10)
+        return
+    os.environ["SLURM_CONF"] = started.stdout.strip()
+    try:
+        engine = ["--engine", "slurm"]
+        overhead = farm.overhead("slurm-empty", engine, 4)
+        makespan, times, bundles, table = farm.sleeping("slurm-sleeping", engine, 4, frames_of(farm, 0.5))
+        bound = lower_bound(times, 4)
+        cost = overhead * bundles / 4
+        print(f"slurm, {len(times)} sleeping tasks, 4 nodes: {makespan:.3f} s, bound {bound:.3f} s, {bundles} bundles of "
+              f"{overhead:.3f} s: {cost:.3f} s; over the bound alone {makespan / bound:.4f}", flush=True)
+        got = farm.simulate(table, 4, overhead, "--overhead", str(overhead))["makespan_s"]
+        print(f"simulator against slurm: {got:.3f} s, error {100 * abs(got / makespan - 1):.1f} %", flush=True)
+        bar("farm-slurm-of-bound-and-overhead", makespan / (bound + cost), 1.10)
+    finally:
+        subprocess.run([str(script), "stop", str(folder)])
+
+
+def pictures(job):
+    folder = job.parent / "db.cdb/image"
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.glob("*/*.png")}
+
+
+def descendants(pid):
+    found = subprocess.run(["ps", "-eo", "pid=,ppid="], capture_output=True, text=True).stdout
+    parent = {int(a): int(b) for a, b in (line.split() for line in found.splitlines())}
+    out, grown = {pid}, True
+    while grown:
+        more = {p for p, of in parent.items() if of in out} - out
+        grown = bool(more)
+        out |= more
+    return out - {pid}
+
+
+def kills(farm, runs):
+    volumes = sorted((farm.root / "data").glob("*/*/*.nrrd"))[:3]
+    own = '[renderer]\nkind = "entire"\ndevice = "cpu"\n'
+    reference = farm.job("kill-reference", own, volumes, 40, "96x96")
+    farm.run(reference, "--slots", "2")
+    right = pictures(reference)
+    draw = random.Random(11)
+    lost = wrong = killed = twice = 0
+    hq = subprocess.run([farm.python, "-c", "import hyperqueue"], capture_output=True).returncode == 0
+    for run in range(runs):
+        engine = farm.hyperqueue() if hq and run % 2 else []
+        job = farm.job(f"kill-{run}", own, volumes, 40, "96x96")
+        begun = job.parent / "db.cdb/.farm/journal.jsonl"
+        for _ in range(60):
+            more = ["--resume"] if begun.exists() and begun.stat().st_size else []
+            command = [str(farm.entire), "farm", str(job), "--quiet", "--slots", "2", *engine, *more]
+            driver = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            # A worker or the engine, some more of them, then the driver itself.
+            until = time.time() + draw.uniform(0.2, 1.2)
+            while driver.poll() is None and time.time() < until:
+                time.sleep(draw.uniform(0.02, 0.3))
+                below = sorted(descendants(driver.pid))
+                if below and draw.random() < 0.7:
+                    try:
+                        os.kill(draw.choice(below), signal.SIGKILL)
+                        killed += 1
+                    except ProcessLookupError:
+                        pass
+            if driver.poll() is None:
+                driver.kill()
+                killed += 1
+            if driver.wait() == 0:
+                break
+        farm.run(job, "--slots", "2", "--resume", "--retry-quarantined", *engine)
+        found = pictures(job)
+        lost += len(right.keys() - found.keys())
+        wrong += sum(1 for name in found if right.get(name) != found[name])
+        done = [e["task"] for e in farm.journal(job)[1]]
+        twice += len(done) - len(set(done))
+        rows = sum(1 for _ in (job.parent / "db.cdb/data.csv").open()) - 1
+        lost += len(right) - rows
+    print(f"kills: {runs} runs of {len(right)} images, {killed} processes killed, {lost} images lost, {wrong} wrong, {twice} "
+          "recorded twice", flush=True)
+    bar("farm-kills-lost-or-wrong", float(lost + wrong), 0.0)
+
+
+def full(farm):
+    """A disk that is full in the middle of a run, and has room again."""
+    folder = farm.out / "full-disk"
+    folder.mkdir(parents=True, exist_ok=True)
+    mount = ["mount", "-t", "tmpfs", "-o"]
+    if subprocess.run([*mount, "size=400k", "tmpfs", str(folder)], capture_output=True).returncode:
+        print("full: only root can mount a small disk; not measured", flush=True)
+        bar("farm-full-disk-lost-or-wrong", None, 0.0)
+        return
+    try:
+        volumes = sorted((farm.root / "data").glob("*/*/*.nrrd"))[:2]
+        own = '[renderer]\nkind = "entire"\ndevice = "cpu"\n'
+        reference = farm.job("full-reference", own, volumes, 40, "96x96")
+        farm.run(reference, "--slots", "2")
+        right = pictures(reference)
+        job = folder / "job.toml"
+        job.write_text(reference.read_text())
+        ended = farm.run(job, "--slots", "2", check=False)
+        before = len(pictures(job))
+        print(f"full: {before} of {len(right)} images, then: {ended.stderr.strip()}", flush=True)
+        told = ended.returncode == 1 and "--resume" in ended.stderr and before < len(right)
+        subprocess.run([*mount, "remount,size=64m", "tmpfs", str(folder)], check=True)
+        farm.run(job, "--slots", "2", "--resume")
+        found = pictures(job)
+        bad = sum(1 for name in right if right[name] != found.get(name))
+        bar("farm-full-disk-lost-or-wrong", float(bad) if told else None, 0.0)
+    finally:
+        subprocess.run(["umount", str(folder)])
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--bin", default="target/release")
+    parser.add_argument("--python", default=sys.executable)
+    parser.add_argument("--out", default="out/farm-bars")
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("parts", nargs="*", default=["hq-frames", "hq-sleeping", "slurm", "kills", "full"])
+    options = parser.parse_args()
+    farm = Farm(options)
+    has_hq = subprocess.run([options.python, "-c", "import hyperqueue"], capture_output=True).returncode == 0
+    for part in options.parts:
+        if part.startswith("hq") and not has_hq:
+            print(f"{part}: {options.python} has no hyperqueue (pip install hyperqueue)")
+            bar({"hq-frames": "farm-hyperqueue-frames-of-bound-and-overhead",
+                 "hq-sleeping": "farm-hyperqueue-sleeping-of-bound"}[part], None, 1.0)
+        elif part == "hq-frames":
+            hq_frames(farm)
+        elif part == "hq-sleeping":
+            hq_sleeping(farm)
+        elif part == "slurm":
+            slurm(farm)
+        elif part == "kills":
+            kills(farm, options.runs)
+        elif part == "full":
+            full(farm)
+    if SHORT:
+        sys.exit("short: " + ", ".join(SHORT))
+
+
+main()

@@ -1,0 +1,19 @@
+# Render farms on engines: HyperQueue's Python package goes into target/farm, Slurm's programs come from the distribution.
+# FARM_PYTHON: a Python that has hyperqueue (and for the tests cinemasci and openjd-cli).
+
+.PHONY: test-farm
+test-farm: ## Run entire farm on processes, HyperQueue and Slurm, read its database as Cinema does (engines installed where they may be)
+	@CARGO="$(CARGO)" scripts/test-farm.sh
+
+# What needs no engine first; then real engines, which want a quiet machine. FARM_PARTS: hq-frames hq-sleeping slurm kills full.
+FARM_OUT ?= out/farm-bars
+FARM_PARTS ?= hq-frames hq-sleeping slurm kills full
+
+.PHONY: bars-farm
+bars-farm: ## Measure the bars of render farms; fails when one is short
+	$(CARGO) build --release --quiet --package entire-cli --bin entire --package entire-lab --bin entire-lab
+	@status=0; \
+	target/release/entire-lab farm-bars --out "$(FARM_OUT)" --bars || status=1; \
+	python=$$(scripts/test-farm.sh python) || status=1; \
+	python3 lab/scripts/farm/engines.py --bin target/release --python "$$python" --out "$(FARM_OUT)" $(FARM_PARTS) || status=1; \
+	exit $$status
