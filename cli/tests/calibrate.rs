@@ -73,6 +73,13 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     let refused = run(at, &arguments);
     assert!(!refused.status.success() && stderr(&refused).contains("predicts cpu seconds"), "{refused:?}");
 
+    // The same frames as a log of some renderer: fitted to without rendering.
+    let fitted =
+        run(at, &["calibrate", "--data", "frames.csv", "--out", "logged.safetensors", "--threads", "1"]);
+    assert!(fitted.status.success() && stdout(&fitted).contains("to expect"), "{}", stderr(&fitted));
+    let logged = Model::from_bytes(&std::fs::read(at.join("logged.safetensors")).unwrap()).unwrap();
+    assert!(load(&logged).is_ok() && logged.metadata()["entire.clock"] == "cpu");
+
     // `predict` takes it by itself.
     let columns: usize = model.inputs().iter().map(|g| g.size).sum();
     std::fs::write(at.join("rows.csv"), vec!["1.5"; columns].join(",") + "\n").unwrap();

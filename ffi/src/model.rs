@@ -285,6 +285,7 @@ pub unsafe extern "C" fn entire_model_open_machine(
     // SAFETY: the pointer is as the crate's documentation demands.
     guard(|| unsafe {
         check_pointer(model, "model (output)")?;
+        reserve::check()?;
         let mode = crate::frame::shading(shading)?.name();
         let path = data_folder()
             .ok_or_else(|| {

@@ -1112,6 +1112,17 @@ const char *entire_simd_level(void);
 entire_result entire_model_open(const char *path, struct entire_model **model);
 
 /**
+ * Reads the model of this machine for a shading mode, as `entire calibrate` left it in the user's data
+ * folder: entire/machine-none.safetensors, machine-local.safetensors or machine-scatter.safetensors below
+ * XDG_DATA_HOME, else below LOCALAPPDATA on Windows and ~/.local/share elsewhere. Its metadata key
+ * entire.clock says whether it predicts cpu, wall or device seconds.
+ *
+ * Fails with ENTIRE_IO (this machine was not calibrated for the mode; the text says how to), else as
+ * entire_model_open.
+ */
+entire_result entire_model_open_machine(entire_shading shading, struct entire_model **model);
+
+/**
  * Reads a model from the bytes of a model file; they may be freed when the call returns.
  *
  * Fails with ENTIRE_INVALID_MODEL, ENTIRE_INVALID_TENSOR, ENTIRE_SIZE_MISMATCH (over

@@ -12,10 +12,13 @@ pub mod place;
 pub mod pool;
 pub mod report;
 
-use crate::dataset::{Clock, TimedFrame, noise_floor};
-use crate::fit::{Observed, PriorModel};
+use crate::dataset::{Clock, Table, Timed, TimedFrame, noise_floor, timed};
+use crate::fit::analytic::counts;
+use crate::fit::{FitContext, Observed, PriorModel, blank_prior};
+use crate::inputs::Layout;
 use anyhow::{Context, Result, ensure};
 use entire_core::model::ModelFile;
+use entire_core::predict::{COSTS, UnitCosts};
 use entire_core::scene::{Shading, Skipping};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
@@ -118,10 +121,10 @@ pub fn calibrate(
     let random: Vec<bool> = frames.iter().map(|f| pool.candidates[f.number as usize].random).collect();
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
-    let chosen = threads.install(|| split.choose(&observed, judged))?;
+    let chosen = threads.install(|| split.choose(&observed, &UnitCosts::SOFTWARE, judged))?;
     let noise = noise_floor(&frames, settings.clock, |f| passes.get(&f.number).copied().unwrap_or(1));
     let report = Report::new(
-        settings,
+        (settings.shading, settings.clock),
         prior.map(|p| p.0.as_str()),
         &observed,
         &chosen,
@@ -132,7 +135,77 @@ pub fn calibrate(
         start.elapsed().as_secs_f64(),
     )?;
     let mut file = chosen.file;
-    report.write_into(&mut file, renderer, &observed, &chosen.crossed)?;
+    report.write_into(&mut file, (renderer.backend(), &renderer.device()), &observed, &chosen.crossed)?;
     bar.finish_and_clear();
     Ok(Calibrated { file, report, frames })
+}
+
+/// Fits a model to frames that some renderer logged, as [`calibrate`] does to those that it renders: nothing
+/// is drawn. Volumes are opened where features are not kept beside the tables.
+///
+/// # Errors
+/// When fewer than [`FEWEST_FRAMES`] have the shading and the clock, or inputs cannot be computed.
+pub fn calibrate_to_tables(
+    tables: &[Table],
+    (shading, clock): (Shading, Clock),
+    prior: Option<&(String, ModelFile)>,
+    threads: &rayon::ThreadPool,
+) -> Result<(ModelFile, Report)> {
+    let start = Instant::now();
+    let (frames, seconds): (Vec<&TimedFrame>, Vec<f64>) =
+        timed(tables, clock, Some(shading))?.into_iter().unzip();
+    ensure!(
+        frames.len() >= FEWEST_FRAMES,
+        "{} frames with shading {}; at least {FEWEST_FRAMES} are needed",
+        frames.len(),
+        shading.name()
+    );
+    let file = match prior {
+        Some((_, file)) => file.clone(),
+        None => blank_prior()?,
+    };
+    let layout = Layout::of_model(&file.to_model()?)?;
+    let hidden = ProgressBar::hidden();
+    let context = FitContext { tables, pool: threads, bar: &hidden, stop: &|| false };
+    let rows = layout.rows(tables, &frames, threads, &hidden)?;
+    let part = Timed { frames: &frames, seconds: &seconds };
+    // Another renderer may convert stored values or wait for memory; tables from before that was counted hold
+    // no such work.
+    let renderer = UnitCosts::CONVERTING;
+    let (renderer, work) = match counts(&context, part, &renderer, layout.probe_side()) {
+        Ok(work) => (renderer, work),
+        Err(_) => (UnitCosts::SOFTWARE, counts(&context, part, &UnitCosts::SOFTWARE, layout.probe_side())?),
+    };
+    let observed: Vec<Observed> = frames
+        .iter()
+        .zip(rows.chunks_exact(layout.width()))
+        .zip(work)
+        .zip(&seconds)
+        .map(|(((f, row), counted), &seconds)| {
+            let mut work = [1.0; COSTS];
+            for (slot, c) in work[1..].iter_mut().zip(counted) {
+                *slot = f64::from(c);
+            }
+            Observed { row: row.to_vec(), work, seconds, group: f.scene.volume.clone() }
+        })
+        .collect();
+    let split = PriorModel::new(&file)?;
+    let chosen = threads.install(|| split.choose(&observed, &renderer, |_| true))?;
+    let noise = noise_floor(frames.iter().copied(), clock, |f| tables[f.table].passes());
+    let report = Report::new(
+        (shading, clock),
+        prior.map(|p| p.0.as_str()),
+        &observed,
+        &chosen,
+        |_| true,
+        noise,
+        others::Others::default(),
+        (0, 0),
+        start.elapsed().as_secs_f64(),
+    )?;
+    let manifest = tables.iter().find_map(|t| t.manifest.as_ref());
+    let device = manifest.map_or(("not stated", "not stated"), |m| (m.renderer.as_str(), m.device.as_str()));
+    let mut file = chosen.file;
+    report.write_into(&mut file, device, &observed, &chosen.crossed)?;
+    Ok((file, report))
 }

@@ -1,16 +1,15 @@
 //! What a calibration says of itself, to people and in the model file.
 
-use super::Settings;
 use super::others::Others;
 use crate::bound;
-use crate::dataset::NoiseFloor;
+use crate::dataset::{Clock, NoiseFloor};
 use crate::fit::{Belief, Chosen, Observed};
 use crate::machine;
 use crate::metrics::{Metrics, bootstrap_by_group};
 use anyhow::{Context, Result};
 use entire_core::model::{ModelFile, keys};
 use entire_core::predict::Calibration;
-use entire_vk_raycaster::Renderer;
+use entire_core::scene::Shading;
 use serde::Serialize;
 use serde_json::json;
 use std::fmt::Write as _;
@@ -65,7 +64,7 @@ impl Report {
     /// When there are none.
     #[expect(clippy::too_many_arguments, reason = "everything that a calibration knows of itself, once")]
     pub fn new(
-        settings: &Settings,
+        (shading, clock): (Shading, Clock),
         prior: Option<&str>,
         observed: &[Observed],
         chosen: &Chosen,
@@ -87,8 +86,8 @@ impl Report {
         volumes.sort_unstable();
         volumes.dedup();
         Ok(Self {
-            shading: settings.shading.name(),
-            clock: settings.clock.name(),
+            shading: shading.name(),
+            clock: clock.name(),
             frames: observed.len(),
             volumes: volumes.len(),
             rounds,
@@ -147,8 +146,16 @@ impl Report {
             &mut out,
             "measured",
             format!(
-                "{} frames of {} volumes, shading {}, clock {}, {} rounds, {} warm-up renderings discarded",
-                self.frames, self.volumes, self.shading, self.clock, self.rounds, self.warm_ups
+                "{} frames of {} volumes, shading {}, clock {}{}",
+                self.frames,
+                self.volumes,
+                self.shading,
+                self.clock,
+                if self.rounds == 0 {
+                    String::new()
+                } else {
+                    format!(", {} rounds, {} warm-up renderings discarded", self.rounds, self.warm_ups)
+                }
             ),
         );
         if let Some(noise) = self.noise {
@@ -191,7 +198,7 @@ impl Report {
     pub fn write_into(
         &self,
         file: &mut ModelFile,
-        renderer: &dyn Renderer,
+        (renderer, device): (&str, &str),
         observed: &[Observed],
         crossed: &[f64],
     ) -> Result<()> {
@@ -204,8 +211,8 @@ impl Report {
         }
         bound::set(file, &upper)?;
         file.set_metadata(crate::clock::CLOCK_KEY, self.clock);
-        file.set_metadata(keys::RENDERER, renderer.backend());
-        file.set_metadata(keys::DEVICE, renderer.device());
+        file.set_metadata(keys::RENDERER, renderer);
+        file.set_metadata(keys::DEVICE, device);
         file.set_metadata(keys::STEP_REFERENCE, "smallest voxel spacing");
         let prior = self.prior.as_deref().map(|p| {
             std::path::Path::new(p)

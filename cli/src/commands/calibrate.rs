@@ -1,8 +1,8 @@
 //! `entire calibrate`: a model of this machine, in a minute and a half.
 
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
-use crate::calibrate::{Calibrated, Settings, calibrate};
-use crate::dataset::{Clock, Writer};
+use crate::calibrate::{Calibrated, Settings, calibrate, calibrate_to_tables};
+use crate::dataset::{Clock, Writer, read_tables};
 use crate::device::{self, Device};
 use crate::files::{check_model_out, make_folder_of, note, read_model_file, write_whole};
 use crate::interrupt;
@@ -11,6 +11,7 @@ use crate::progress::templated_bar;
 use crate::steering::race::shipped_file;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
+use entire_core::model::ModelFile;
 use entire_core::scene::Shading;
 use std::path::{Path, PathBuf};
 
@@ -28,11 +29,24 @@ use std::path::{Path, PathBuf};
         no shading, the volumes in data/, into the user's data folder
   entire calibrate --shade all
         one model for each shading mode, a minute and a half each
-  entire calibrate skull.nrrd engine.vti --shade local --out here.safetensors")]
+  entire calibrate skull.nrrd engine.vti --shade local --out here.safetensors
+  entire calibrate --data log.csv --clock wall --out my-renderer.safetensors
+        frames that a renderer of your own logged: nothing is rendered")]
 pub struct Options {
     /// Volume files; unless given those in data/, of its ensembles the members that models are trained on.
     #[arg(value_name = "VOLUME")]
     pub volumes: Vec<PathBuf>,
+    /// Timing tables that a renderer of your own logged, instead of rendering: their frames with the shading
+    /// and the clock are what is fitted to. Needs --out.
+    #[arg(
+        long,
+        num_args = 1..,
+        value_name = "CSV",
+        requires = "out",
+        conflicts_with_all = ["volumes", "table", "seconds", "frames", "skip", "termination", "min_size",
+            "max_size", "steps", "device", "seed"]
+    )]
+    pub data: Vec<PathBuf>,
     /// What each sample computes, or all modes one after another.
     #[arg(long, value_enum, default_value_t)]
     pub shade: ShadeOrAll,
@@ -137,6 +151,9 @@ fn out_of(options: &Options, shading: Shading) -> Result<PathBuf> {
 /// Volumes or models that cannot be read, a renderer that fails or lacks the clock, a file that cannot be
 /// written, interruption before there was anything to fit.
 pub fn run(options: &Options) -> Result<()> {
+    if !options.data.is_empty() {
+        return from_tables(options);
+    }
     let volumes = if options.volumes.is_empty() {
         let folder = Path::new(DATA_FOLDER);
         ensure!(
@@ -165,10 +182,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut written = 0;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
     for (&shading, out) in options.shade.modes().iter().zip(&outs) {
-        let prior = match &options.prior {
-            Some(path) => Some((path.display().to_string(), read_model_file(path)?.0)),
-            None => shipped_file(shading)?.map(|(path, file)| (path.display().to_string(), file)),
-        };
+        let prior = prior_of(options, shading)?;
         if prior.is_none() {
             note(
                 "models/ is not here: the calibration starts from the unit costs of a software renderer; run it in \
@@ -207,6 +221,34 @@ pub fn run(options: &Options) -> Result<()> {
             note("interrupted; what was measured until then is what the model was fitted to");
             break;
         }
+    }
+    Ok(())
+}
+
+/// The model to start from, by its name: the one that is named, else the shipped one.
+fn prior_of(options: &Options, shading: Shading) -> Result<Option<(String, ModelFile)>> {
+    Ok(match &options.prior {
+        Some(path) => Some((path.display().to_string(), read_model_file(path)?.0)),
+        None => shipped_file(shading)?.map(|(path, file)| (path.display().to_string(), file)),
+    })
+}
+
+/// Fits to frames that were logged.
+fn from_tables(options: &Options) -> Result<()> {
+    let tables = read_tables(&options.data)?;
+    let threads = thread_pool(options.threads)?;
+    for &shading in options.shade.modes() {
+        let out = out_of(options, shading)?;
+        check_model_out(&out)?;
+        let prior = prior_of(options, shading)?;
+        let (file, report) =
+            calibrate_to_tables(&tables, (shading, options.clock), prior.as_ref(), &threads)?;
+        write_whole(&out, &file.to_bytes()?)?;
+        print!("{}", report.text());
+        for warning in report.warnings() {
+            println!("{:<11}{warning}", "note");
+        }
+        println!("{:<11}{} ({:.0} s)", "wrote", out.display(), report.seconds);
     }
     Ok(())
 }

@@ -31,7 +31,7 @@ pub(super) fn fit_analytic(
 }
 
 /// The counts that unit costs stand for, one row per frame; 0 for those that cost nothing.
-pub(super) fn counts(
+pub(crate) fn counts(
     context: &FitContext<'_>,
     part: Timed<'_>,
     costs: &UnitCosts,

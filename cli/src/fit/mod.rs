@@ -9,7 +9,7 @@
 //!   as dense layers that carry `log_estimated_seconds` past the network.
 
 mod adapt;
-mod analytic;
+pub(crate) mod analytic;
 mod blank;
 mod compose;
 mod least_squares;

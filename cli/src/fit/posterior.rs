@@ -30,6 +30,13 @@ pub struct Belief {
     pub weights: f64,
 }
 
+impl Belief {
+    /// How freely observations move the model.
+    fn freedom(&self) -> f64 {
+        self.costs + self.weights
+    }
+}
+
 /// What cross-validation chooses among.
 const COSTS_SD: [f64; 4] = [0.0, 0.15, 0.5, 1.5];
 const WEIGHTS_SD: [(f64, f64); 7] =
@@ -48,7 +55,7 @@ const ROUNDS: usize = 6;
 const FOLDS: usize = 7;
 
 /// Least cost that is thought possible of work whose cost the prior model does not know, as a share of what a
-/// software renderer's would be at the prior's speed.
+/// renderer of the kind would pay at the prior's speed.
 const UNKNOWN_SHARE: f64 = 0.1;
 
 /// A model file split into what is fitted and what stays.
@@ -168,17 +175,17 @@ impl Split {
 
     /// Unit costs that observations may move: those of the prior model, and a little of what it does not know
     /// and a software renderer pays for.
-    fn prior_costs(&self, frames: &[Observed]) -> [f64; COSTS] {
+    fn prior_costs(&self, frames: &[Observed], renderer: &UnitCosts) -> [f64; COSTS] {
         let mut ratios: Vec<f64> = frames
             .iter()
-            .map(|f| dot(&self.costs, &f.work) / dot(&UnitCosts::SOFTWARE.0, &f.work))
+            .map(|f| dot(&self.costs, &f.work) / dot(&renderer.0, &f.work))
             .filter(|r| r.is_finite() && *r > 0.0)
             .collect();
         let speed = median(&mut ratios).unwrap_or(1.0);
         let mut out = self.costs;
-        for (cost, software) in out.iter_mut().zip(&UnitCosts::SOFTWARE.0) {
+        for (cost, known) in out.iter_mut().zip(&renderer.0) {
             if *cost == 0.0 {
-                *cost = UNKNOWN_SHARE * speed * software;
+                *cost = UNKNOWN_SHARE * speed * known;
             }
         }
         out
@@ -284,17 +291,24 @@ impl Split {
     }
 
     /// Fits frames of this machine, believing the prior as much as cross-validation by group calls for.
+    /// `renderer` holds costs of a renderer of the kind, for work whose cost the prior does not know;
+    /// `judged` says by which frames the choice is made.
     ///
     /// # Errors
     /// Without frames, or when rows are not the model's.
-    pub fn choose(&self, frames: &[Observed], judged: impl Fn(usize) -> bool) -> Result<Chosen> {
+    pub fn choose(
+        &self,
+        frames: &[Observed],
+        renderer: &UnitCosts,
+        judged: impl Fn(usize) -> bool,
+    ) -> Result<Chosen> {
         ensure!(!frames.is_empty(), "there are no frames to calibrate to");
         ensure!(
             frames.iter().all(|f| f.row.len() == self.inputs),
             "a frame does not have the {} inputs that the model takes",
             self.inputs
         );
-        let prior = self.prior_costs(frames);
+        let prior = self.prior_costs(frames, renderer);
         let prepared: Vec<Prepared> = frames
             .iter()
             .map(|f| Prepared { psi: self.activations(&f.row), work: f.work, log: f.seconds.ln() })
@@ -339,9 +353,18 @@ impl Split {
             };
             score(&pick(crossed), &pick(&measured))
         };
+        // The strongest belief that is as good as the best, as far as so few frames can tell (the rule of one
+        // standard error).
+        let scores: Vec<f64> = tried.iter().map(|t| score(&t.1)).collect();
+        let best = scores.iter().copied().fold(f64::INFINITY, f64::min);
+        let frames_judged = (0..frames.len()).filter(|i| judged(*i)).count();
+        let enough = best + 1.0 / (frames_judged.max(1) as f64).sqrt();
         let (belief, crossed) = tried
             .into_iter()
-            .min_by(|a, b| score(&a.1).total_cmp(&score(&b.1)))
+            .zip(scores)
+            .filter(|(_, score)| *score <= enough)
+            .min_by(|a, b| a.0.0.freedom().total_cmp(&b.0.0.freedom()).then(a.1.total_cmp(&b.1)))
+            .map(|(tried, _)| tried)
             .context("nothing was cross-validated")?;
         let fitted = self.fit(&prior, &all, belief);
         Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: count })

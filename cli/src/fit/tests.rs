@@ -224,7 +224,7 @@ fn a_posterior_finds_another_machines_unit_costs_and_keeps_the_rest() {
             group: format!("v{}", i % 6),
         })
         .collect();
-    let chosen = model.choose(&frames, |_| true).unwrap();
+    let chosen = model.choose(&frames, &UnitCosts::SOFTWARE, |_| true).unwrap();
     assert_eq!(chosen.folds, 6);
     // Costs must move for this, and cross-validation says so.
     assert!(chosen.belief.costs > 0.0, "{:?}", chosen.belief);
@@ -239,12 +239,13 @@ fn a_posterior_finds_another_machines_unit_costs_and_keeps_the_rest() {
     assert!(middle < 0.03 && errors[errors.len() - 1] < 0.2, "{middle} {errors:?}");
     // Two volumes are too few to choose by: the prior's shape at this machine's speed.
     let few: Vec<Observed> = frames.iter().filter(|f| f.group.as_str() < "v2").cloned().collect();
-    assert_eq!(model.choose(&few, |_| true).unwrap().folds, 0);
-    assert!(model.choose(&[], |_| true).is_err());
+    assert_eq!(model.choose(&few, &UnitCosts::SOFTWARE, |_| true).unwrap().folds, 0);
+    assert!(model.choose(&[], &UnitCosts::SOFTWARE, |_| true).is_err());
 }
 
 #[test]
 fn ten_frames_set_the_speed_and_no_model_but_a_residual_one_is_a_prior() {
+    use entire_core::predict::UnitCosts;
     let prior = blank_prior().unwrap();
     let model = PriorModel::new(&prior).unwrap();
     let width: usize = prior.to_model().unwrap().inputs().iter().map(|g| g.size).sum();
@@ -258,7 +259,7 @@ fn ten_frames_set_the_speed_and_no_model_but_a_residual_one_is_a_prior() {
             Observed { row, work, seconds: 3.0 * estimate, group: format!("v{}", i % 3) }
         })
         .collect();
-    let chosen = model.choose(&frames, |_| true).unwrap();
+    let chosen = model.choose(&frames, &UnitCosts::SOFTWARE, |_| true).unwrap();
     for (p, f) in chosen.crossed.iter().zip(&frames) {
         assert!((p / f.seconds - 1.0).abs() < 0.05, "{p} {}", f.seconds);
     }
