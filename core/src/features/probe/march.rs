@@ -228,6 +228,7 @@ impl<'a> March<'a> {
     }
 
     /// Marches the first `count` rays, one after another.
+    #[allow(clippy::needless_range_loop, reason = "the ray of every field")]
     pub(super) fn one_by_one(&mut self, rays: &mut [&mut [f32]; FIELDS], count: usize) {
         for i in 0..count {
             let direction = self.forward + rays[U][i] * self.right + rays[V][i] * self.up;

@@ -187,7 +187,7 @@ impl Voxel for f32 {
     }
     #[inline(always)]
     fn known(self) -> Self {
-        if self == self { self } else { f32::NEG_INFINITY }
+        if self.is_nan() { f32::NEG_INFINITY } else { self }
     }
     #[inline(always)]
     fn is_non_finite(self) -> bool {

@@ -23,7 +23,7 @@ impl Volume {
             .map(|i: usize| {
                 state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
                 // Constant cells among others.
-                if i / 7000 % 2 == 0 { 9 } else { (state >> 24) as u8 }
+                if (i / 7000).is_multiple_of(2) { 9 } else { (state >> 24) as u8 }
             })
             .collect();
         let floats = bytes.iter().map(|&b| match b {
