@@ -281,8 +281,18 @@ fn wrong_usage_exits_with_2_and_help_shows_examples() {
         assert!(!stderr(&output).contains("panicked"));
     }
     for command in [
-        "collect", "features", "train", "evaluate", "predict", "encode", "render", "probe", "steer",
-        "schedule", "demo",
+        "calibrate",
+        "collect",
+        "features",
+        "train",
+        "evaluate",
+        "predict",
+        "encode",
+        "render",
+        "probe",
+        "steer",
+        "schedule",
+        "demo",
     ] {
         let help = succeeds(folder.path(), &[command, "--help"]);
         assert!(help.contains("Examples:") && help.contains(&format!("entire {command}")), "{help}");

@@ -75,8 +75,7 @@ impl Report {
         seconds: f64,
     ) -> Result<Self> {
         let (mut predicted, mut measured, mut groups) = (Vec::new(), Vec::new(), Vec::new());
-        for (i, (f, p)) in observed.iter().zip(&chosen.crossed).enumerate().filter(|(i, _)| judged(*i)) {
-            debug_assert!(i < observed.len());
+        for (_, (f, p)) in observed.iter().zip(&chosen.crossed).enumerate().filter(|(i, _)| judged(*i)) {
             predicted.push(*p);
             measured.push(f.seconds);
             groups.push(f.group.clone());

@@ -265,10 +265,10 @@ impl Split {
                 rhs[i] -= precision * t;
             }
             let deviation = belief.weights * self.root_mean_square;
-            for i in 0..width {
+            for (i, (w, mean)) in fitted.weights.iter().zip(&expected).enumerate().take(width) {
                 let precision = 1.0 / (deviation * deviation);
                 gram[(k + i) * m + k + i] += precision;
-                rhs[k + i] -= precision * (fitted.weights[i] - expected[i]);
+                rhs[k + i] -= precision * (w - mean);
             }
             gram[m * m - 1] += 1e-6;
             let Some(step) = solve(&mut gram, rhs) else { break };
