@@ -169,8 +169,9 @@ impl Curve {
         Ok(RecordedTransfer::Points(points.collect()))
     }
 
-    /// A curve from what recordings and scripts hold.
-    pub(crate) fn from_recorded(transfer: &RecordedTransfer) -> Self {
+    /// A curve from what recordings hold.
+    #[cfg(test)]
+    fn from_recorded(transfer: &RecordedTransfer) -> Self {
         match transfer {
             RecordedTransfer::Lobes(lobes) => {
                 Self { opacity: Opacity::Lobes(lobes.clone()), colors: COLOR_RAMP.to_vec() }
