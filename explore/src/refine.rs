@@ -81,7 +81,8 @@ impl Cursor {
             let region =
                 Region { x: self.x, y: self.y, width: columns, height: BAND.min(self.height - self.y) };
             let seconds = work(region)?;
-            self.piece = (seconds / f64::from(columns.div_ceil(PIECE))).max(1e-7);
+            let whole = f64::from(PIECE) * f64::from(BAND);
+            self.piece = (seconds / region.pixels() as f64 * whole).max(1e-7);
             self.spent += seconds;
             self.x += columns;
             if self.x >= self.width {

@@ -169,9 +169,9 @@ impl Curve {
         Ok(RecordedTransfer::Points(points.collect()))
     }
 
-    /// A curve from what recordings and scripts hold.
+    /// A curve from what recordings hold.
     #[cfg(test)]
-    pub(crate) fn from_recorded(transfer: &RecordedTransfer) -> Self {
+    fn from_recorded(transfer: &RecordedTransfer) -> Self {
         match transfer {
             RecordedTransfer::Lobes(lobes) => {
                 Self { opacity: Opacity::Lobes(lobes.clone()), colors: COLOR_RAMP.to_vec() }

@@ -52,7 +52,7 @@ class Person:
             stderr=subprocess.PIPE,
             text=True,
         )
-        self.id = display.window("entire explore · ")
+        self.id = display.window("entire explore - ")
         display.xdotool("windowmove", "--sync", self.id, 0, 0)
         display.xdotool("windowfocus", "--sync", self.id)
         self.settle()

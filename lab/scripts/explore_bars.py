@@ -80,7 +80,7 @@ def latency(command, display, folder):
         stderr=subprocess.PIPE,
         text=True,
     )
-    window = display.window("entire explore · ")
+    window = display.window("entire explore - ")
     display.xdotool("windowmove", "--sync", window, 0, 0)
     display.xdotool("windowfocus", "--sync", window)
     x = display.xdotool

@@ -106,7 +106,7 @@ impl App {
         let state = &mut self.state;
         let title = scene.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
         if let Some(window) = &self.window {
-            window.set_title(&format!("entire explore · {title}"));
+            window.set_title(&format!("entire explore - {title}"));
         }
         if state.series.get(scene.index) != Some(&scene.path) {
             state.series = vec![scene.path.clone()];
