@@ -95,7 +95,7 @@ fn what_cannot_be_calibrated_is_said() {
     let at = dir.path();
     volumes(at);
     refuses(at, &["calibrate"], &["data/ is not here", "name volume files"]);
-    refuses(at, &["calibrate", "gone.nrrd", "--out", "m.safetensors"], &["gone.nrrd"]);
+    refuses_after_output(at, &["calibrate", "gone.nrrd", "--out", "m.safetensors"], &["gone.nrrd"]);
     // The CPU twin has no time stamps.
     let mut arguments = vec!["calibrate", "a.nrrd", "--clock", "device", "--out", "m.safetensors"];
     arguments.extend(QUICK);

@@ -146,7 +146,10 @@ mod tests {
             assert_eq!(cut.value(x, y, z), view.value(x + 1, y, z + 4));
         }
         // A voxel's corner is at one place of the world in both.
-        let world = |v: &VolumeView<'_>, at: Vec3| at * v.spacing() - v.half_extent();
+        let world = |v: &VolumeView<'_>, at: Vec3| {
+            let corner = Vec3::from_array(v.dims().map(|n| n as f32)) * v.spacing() * 0.5;
+            at * v.spacing() - corner
+        };
         let of_whole = world(&view, Vec3::new(1.0, 0.0, 4.0)) / view.bounding_radius();
         let of_part = world(&cut, Vec3::ZERO) / cut.bounding_radius() * placement.radius + placement.center;
         assert!((of_whole - of_part).length() < 1e-6, "{of_whole} {of_part}");

@@ -317,6 +317,11 @@ typedef uint32_t entire_log_level;
 typedef void (*entire_log_callback)(void *user_data, entire_log_level level, const char *message);
 
 /**
+ * What is computed at each sample: one of the `ENTIRE_SHADING_*` numbers.
+ */
+typedef uint32_t entire_shading;
+
+/**
  * What a prediction network's output stands for: one of the `ENTIRE_TARGET_*` numbers.
  */
 typedef uint32_t entire_target;
@@ -589,11 +594,6 @@ typedef uint32_t entire_unit;
  * How a frame's camera is given: one of the two `ENTIRE_CAMERA_*` numbers.
  */
 typedef uint32_t entire_camera;
-
-/**
- * What is computed at each sample: one of the `ENTIRE_SHADING_*` numbers.
- */
-typedef uint32_t entire_shading;
 
 /**
  * How empty space is skipped: one of the `ENTIRE_SKIPPING_*` numbers.

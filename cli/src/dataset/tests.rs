@@ -224,7 +224,7 @@ fn tails_warm_up_and_drift_do_not_lift_the_noise_floor() {
         .map(|i| {
             let seconds = 1e-3 * 1.005f64.powi(i as i32 / 2);
             // A first repeat that is slower where frames are quick; a second pass 10 % slower than the first.
-            let warm_up = if i < 500 { 0.4 } else { 0.05 };
+            let warm_up = if i < 600 { 0.4 } else { 0.05 };
             let tail = if i % 50 == 0 { 2.0 } else { 0.0 };
             let logs: Vec<f64> = [0.0, 0.1]
                 .iter()
@@ -237,7 +237,7 @@ fn tails_warm_up_and_drift_do_not_lift_the_noise_floor() {
     let floor = noise_floor(&frames, Clock::Wall, |_| 2).unwrap();
     assert!((floor.log_sd - 0.03).abs() < 2e-3, "{floor:?}");
     assert!((floor.log_sd_of_median - 0.03 * (std::f64::consts::FRAC_PI_2 / 6.0).sqrt()).abs() < 1e-3);
-    assert!((floor.drift.unwrap() - 0.1).abs() < 5e-3, "{floor:?}");
+    assert!((floor.drift.unwrap() - 0.1).abs() < 1e-2, "{floor:?}");
     assert!((floor.warm_up - 0.05).abs() < 2e-2, "{floor:?}");
 }
 
@@ -274,7 +274,8 @@ fn manifests_keep_unknown_keys_and_refuse_other_formats() {
     assert_eq!(Manifest::read(&table).unwrap(), Some(manifest.clone()));
     manifest.format = "2".into();
     manifest.write(&table).unwrap();
-    assert!(Manifest::read(&table).unwrap_err().to_string().contains("entire-timings-1"));
+    let said = format!("{:#}", Manifest::read(&table).unwrap_err());
+    assert!(said.contains("entire-timings-1"), "{said}");
 }
 
 #[test]

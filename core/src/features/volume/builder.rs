@@ -17,7 +17,7 @@ use crate::scene::{ScalarType, Scalars, VolumeView};
 ///
 /// ```
 /// use entire_core::features::{SummaryBuilder, SummaryOptions, VolumeSummary};
-/// use entire_core::kernels::Executor;
+/// use entire_core::nn::Executor;
 /// use entire_core::scene::{Scalars, VolumeView};
 ///
 /// let voxels: Vec<u16> = (0..40 * 30 * 20).map(|i| i as u16).collect();
