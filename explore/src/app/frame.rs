@@ -70,7 +70,8 @@ impl App {
         let cpu = thread_seconds();
         let mut primitives = self.egui.tessellate(output.shapes, output.pixels_per_point);
         if let Some(pictures) = &self.pictures {
-            aim(&mut primitives, pictures);
+            let refined = drawn.is_none() && self.refined;
+            aim(&mut primitives, pictures, drawn.is_some(), refined);
         }
         let Some(presenter) = &mut self.presenter else { return Ok(()) };
         let presented = presenter.show(output.pixels_per_point, &primitives, output.textures_delta)?;
@@ -260,8 +261,9 @@ fn presenter_waits(presenter: &Option<crate::present::Presenter>) -> bool {
     presenter.as_ref().is_some_and(crate::present::Presenter::waits_for_display)
 }
 
-/// Points the interface's pictures at their textures, and the steered one at the part that is in use.
-fn aim(primitives: &mut [ClippedPrimitive], pictures: &Pictures) {
+/// Points the interface's pictures at their textures, and the steered one at the part that is in use. Where a
+/// frame was `cast` the refined picture is out of date; where that is whole (`refined`) it hides the steered one.
+fn aim(primitives: &mut [ClippedPrimitive], pictures: &Pictures, cast: bool, refined: bool) {
     let share = [0, 1].map(|a| {
         let (used, all) = (pictures.used[a] as f32, pictures.size[a] as f32);
         // What lies beyond the part in use must not be blended in.
@@ -269,6 +271,14 @@ fn aim(primitives: &mut [ClippedPrimitive], pictures: &Pictures) {
     });
     for primitive in primitives {
         let Primitive::Mesh(mesh) = &mut primitive.primitive else { continue };
+        let hidden = match mesh.texture_id {
+            STEERED => refined || pictures.steered.is_fresh(),
+            FULL => cast || pictures.full.is_fresh(),
+            _ => false,
+        };
+        if hidden {
+            mesh.clear();
+        }
         if mesh.texture_id == STEERED {
             mesh.texture_id = pictures.steered_id;
             for vertex in &mut mesh.vertices {

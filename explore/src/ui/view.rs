@@ -61,14 +61,9 @@ pub(super) fn show(ui: &mut Ui, state: &mut State) {
 
 fn picture(painter: &Painter, rect: Rect, shown: &Shown) {
     let unit = Rect::from_min_max(Pos2::ZERO, pos2(1.0, 1.0));
-    let Some((full, [width, height], covered)) = shown.full else {
-        painter.image(shown.steered, rect, unit, Color32::WHITE);
-        return;
-    };
-    let whole = covered[0].is_some_and(|r| r.width == width && r.height == height);
-    if !whole {
-        painter.image(shown.steered, rect, unit, Color32::WHITE);
-    }
+    // Which of the two is drawn in the end is known once it is known whether a frame is cast.
+    painter.image(shown.steered, rect, unit, Color32::WHITE);
+    let Some((full, [width, height], covered)) = shown.full else { return };
     for region in covered.into_iter().flatten() {
         let at = |x: u32, y: u32| pos2(x as f32 / width as f32, y as f32 / height as f32);
         let uv =
