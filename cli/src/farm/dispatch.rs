@@ -62,11 +62,16 @@ pub struct Dispatcher {
     counts: Vec<u32>,
     holders: Vec<u32>,
     heap: BinaryHeap<Front>,
+    /// Which volumes have an entry in the heap; its seconds may be outdated and are checked when it comes up.
+    listed: Vec<bool>,
     pending: usize,
     asked: u32,
     sent: Vec<u32>,
     /// Every so many questions are answered with a task for the sake of learning; 0 for never.
     explore: u32,
+    /// Whether loading costs enough to heed it, and at which question that was looked at.
+    loading: bool,
+    looked: u32,
     uniform: bool,
     arrival: bool,
     rng: ChaCha8Rng,
@@ -95,10 +100,13 @@ impl Dispatcher {
             counts: vec![0; volumes],
             holders: vec![0; volumes],
             heap: BinaryHeap::new(),
+            listed: vec![false; volumes],
             pending: 0,
             asked: 0,
             sent: vec![0; volumes],
             explore: 0,
+            loading: false,
+            looked: 0,
             uniform: false,
             arrival: order == Order::Arrival,
             rng: ChaCha8Rng::seed_from_u64(11),
@@ -157,6 +165,8 @@ impl Dispatcher {
         let place = lane.partition_point(|t| self.key(*t) <= key);
         lane.insert(place, task);
         self.lanes[v] = lane;
+        // It may be longer than the entry says.
+        self.listed[v] = false;
         self.push_front(v);
     }
 
@@ -193,6 +203,7 @@ impl Dispatcher {
             self.work[v] = lane.iter().map(|t| f64::from(seconds[*t as usize])).sum();
         }
         self.heap.clear();
+        self.listed.fill(false);
         for v in 0..self.lanes.len() {
             self.push_front(v);
         }
@@ -206,7 +217,11 @@ impl Dispatcher {
         while self.lanes[v].last().is_some_and(|t| !self.waits[*t as usize]) {
             self.lanes[v].pop();
         }
+        if self.listed[v] {
+            return;
+        }
         if let Some(&task) = self.lanes[v].last() {
+            self.listed[v] = true;
             self.heap.push(Front { seconds: self.key(task), volume: v as u32 });
         }
     }
@@ -248,12 +263,14 @@ impl Dispatcher {
         self.asked += 1;
         let slots = ask.slots.max(1) as f64;
         let total = self.work();
-        let loads: f64 = (0..self.lanes.len())
-            .filter(|v| self.counts[*v] > 0 && ask.held != Some(*v))
-            .map(|v| (ask.load)(v))
-            .sum();
-        let loading = ask.keeps && !self.arrival && loads > 0.002 * total / slots;
-        let volume = if loading {
+        // With many tasks this changes slowly.
+        if self.pending < 10_000 || self.looked == 0 || self.asked - self.looked >= 64 {
+            self.looked = self.asked;
+            let open = (0..self.lanes.len()).filter(|v| self.counts[*v] > 0 && ask.held != Some(*v));
+            let loads: f64 = open.map(|v| (ask.load)(v)).sum();
+            self.loading = ask.keeps && !self.arrival && loads > 0.002 * total / slots;
+        }
+        let volume = if self.loading {
             self.choose(ask, total / slots)?
         } else {
             if self.explore > 0 && self.asked.is_multiple_of(self.explore) {
@@ -290,6 +307,7 @@ impl Dispatcher {
     fn longest(&mut self) -> Option<usize> {
         while let Some(front) = self.heap.pop() {
             let v = front.volume as usize;
+            self.listed[v] = false;
             while self.lanes[v].last().is_some_and(|t| !self.waits[*t as usize]) {
                 self.lanes[v].pop();
             }

@@ -386,6 +386,13 @@ impl Job {
         for (what, hashes) in ["volumes", "cameras", "transfer", "sizes", "steps"].iter().zip(&job.hashes) {
             let mut seen = HashSet::new();
             if let Some(i) = hashes.iter().position(|h| !seen.insert(h)) {
+                if let Some(volume) = job.volumes.get(i).filter(|_| *what == "volumes") {
+                    bail!(
+                        "volumes: {} is not the first by the name {}; give it a name",
+                        volume.path.display(),
+                        volume.name
+                    );
+                }
                 bail!("{what}: entry {i} is there twice; give each once");
             }
         }

@@ -57,7 +57,6 @@ pub struct Setting {
 struct Slot {
     held: Option<usize>,
     loaded: HashSet<u32>,
-    gone: bool,
 }
 
 /// A bundle that was sent.
@@ -270,7 +269,7 @@ impl Planner {
             keeps: of_slot.is_some(),
             load: &load,
             overhead: self.overhead,
-            slots: slots.iter().filter(|s| !s.gone).count(),
+            slots: slots.len(),
             limit: self.setting.limit.unwrap_or(f64::INFINITY) / 2.0,
             blind: learner.observed() < 8 && !learner.shape().is_told(),
         };
@@ -405,9 +404,9 @@ impl Planner {
         let stride = all.div_ceil(DRAWN).max(1);
         let scale = all as f64 / all.div_ceil(stride).max(1) as f64;
         let drawn: Vec<u32> = tasks.iter().copied().skip(stride / 2).step_by(stride).collect();
-        let live: Vec<usize> = (0..self.slots.len()).filter(|s| !self.slots[*s].gone).collect();
-        let speeds: Vec<f64> =
-            live.iter().map(|s| if self.setting.bound { self.learner.speed(*s) } else { 1.0 }).collect();
+        let speeds: Vec<f64> = (0..self.slots.len())
+            .map(|s| if self.setting.bound { self.learner.speed(s) } else { 1.0 })
+            .collect();
         let expected: Vec<f64> = drawn.iter().map(|t| f64::from(self.dispatcher.seconds(*t))).collect();
         let sampled = stride > 1;
         // With every task: as a queue. With a sample: all work over all speed.
@@ -427,7 +426,7 @@ impl Planner {
         let busy_of = |seconds: &mut dyn FnMut(&Running) -> f64| {
             let mut busy = vec![0.0; speeds.len()];
             for (k, (r, elapsed)) in rest.iter().enumerate() {
-                let place = r.sent.slot.and_then(|s| live.iter().position(|l| *l == s)).unwrap_or(k);
+                let place = r.sent.slot.unwrap_or(k);
                 let Some(slot) = busy.get_mut(place) else {
                     // More bundles than slots: those wait their turn behind the others.
                     let least = busy.iter_mut().min_by(|a, b| f64::total_cmp(a, b));
