@@ -1,5 +1,5 @@
 /* entire_model: reading, describing, predicting, encoding, and every way in which they fail. */
-#define _POSIX_C_SOURCE 200809L
+#define _XOPEN_SOURCE 700
 #include "check.h"
 #include <math.h>
 #include <stdlib.h>

@@ -233,6 +233,7 @@ mod tests {
     use crate::model::{InputGroup, ModelFile};
     use crate::nn::{DenseParts, Dtype, Normalization, PredNetParts, Target};
     use crate::scene::{Arcball, Camera, Frame, GaussianLobe};
+    use alloc::vec;
 
     fn model(
         groups: &[(&str, usize)],

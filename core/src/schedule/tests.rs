@@ -1,5 +1,6 @@
 use super::*;
 use crate::ErrorKind;
+use alloc::vec;
 use proptest::prelude::*;
 
 fn ones(n: usize) -> Vec<f64> {
