@@ -1,7 +1,7 @@
 //! Saved states of a session: mutations that stay sealed, and what must hold for whatever loads.
 
 use crate::mutate::{Random, Step};
-use entire_core::adapt::ObserveFlags;
+use entire_core::control::ObserveFlags;
 use entire_core::control::Session;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};

@@ -10,7 +10,7 @@ use crate::volume::{Volume, Watcher};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use entire_core::Session;
-use entire_core::adapt::Prior;
+use entire_core::control::Prior;
 use entire_core::model::Model;
 use entire_core::predict::AnalyticModel;
 use entire_core::scene::{Arcball, Shading, VolumeView};
