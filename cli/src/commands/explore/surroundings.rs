@@ -127,14 +127,14 @@ impl Host for Surroundings {
     fn calibration(&self, volume: &Path, shading: Shading) -> String {
         let set = match shading {
             Shading::None => "unshaded",
-            other => other.name(),
+            other => other.into(),
         };
         let shown = volume.display();
         format!(
             "entire collect {shown} --shade {} --out timings.csv && entire train --data timings.csv --calibrate \
              models/{set}-selected.safetensors --out calibrated.safetensors && entire explore {shown} --model \
              calibrated.safetensors",
-            shading.name()
+            shading
         )
     }
 }
