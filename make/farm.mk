@@ -5,7 +5,7 @@
 test-farm: ## Run entire farm on processes, HyperQueue and Slurm, read its database as Cinema does (engines installed where they may be)
 	@CARGO="$(CARGO)" scripts/test-farm.sh
 
-# What needs no engine first; then real engines, which want a quiet machine. FARM_PARTS: hq-frames hq-sleeping slurm kills full.
+# The paper's case (384 frames of six volumes) and what else needs no engine first; then real engines, which want a quiet machine. FARM_PARTS: hq-frames hq-sleeping slurm kills full.
 FARM_OUT ?= out/farm-bars
 FARM_PARTS ?= hq-frames hq-sleeping slurm kills full
 
@@ -13,7 +13,15 @@ FARM_PARTS ?= hq-frames hq-sleeping slurm kills full
 bars-farm: ## Measure the bars of render farms; fails when one is short
 	$(CARGO) build --release --quiet --package entire-cli --bin entire --package entire-lab --bin entire-lab
 	@status=0; \
+	bash lab/scripts/farm/traces.sh "$(FARM_OUT)" cpu || status=1; \
+	target/release/entire-lab farm --trace "$(FARM_OUT)/farm.json" --training "$(FARM_OUT)/farm-training.json" --probe-side 24 \
+		--save-tasks "$(FARM_OUT)/farm-tasks.csv" --report "$(FARM_OUT)/static" --bars || status=1; \
 	target/release/entire-lab farm-bars --out "$(FARM_OUT)" --bars || status=1; \
 	python=$$(scripts/test-farm.sh python) || status=1; \
 	python3 lab/scripts/farm/engines.py --bin target/release --python "$$python" --out "$(FARM_OUT)" $(FARM_PARTS) || status=1; \
 	exit $$status
+
+.PHONY: check-farm-simulator
+check-farm-simulator: ## Compare the simulator of farms with SimGrid on list schedules (skipped where SimGrid is not there)
+	$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
+	python3 lab/scripts/farm/simgrid.py --bin target/release

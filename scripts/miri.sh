@@ -36,6 +36,8 @@ portable=(
     model::tests::bytes_need_no_alignment_and_have_one_order
     scene::volume::tests::declared_sizes_are_refused_before_a_voxel_is_read
     control::tests::a_saved_state_is_bound_to_its_model_renderer_and_clock
+    control::tests::a_saved_state_moves_between_machines_of_any_byte_order
+    predict::network::tests::a_models_identity_is_the_same_on_every_machine
     nn::prednet::tests::a_batch_without_scratch_or_with_wrong_sizes_is_refused
     nn::prednet::tests::small_networks_agree_with_plain_loops
 )

@@ -1,17 +1,20 @@
 #!/usr/bin/env bash
 # Tests `entire farm` end to end: processes of this machine, HyperQueue, Slurm, Cinema's reader, OpenJD's checker. What is not
-# there and may not be installed is skipped by name.
+# there and cannot be installed is skipped by name.
 #
 #   scripts/test-farm.sh           all tests
 #   scripts/test-farm.sh python    only makes the Python environment and prints its Python
 #
 # FARM_PYTHON   a Python that has hyperqueue, cinemasci and openjd-cli; else an environment is made in target/farm
+# FARM_BIN      the command `entire` to test; else the one that cargo builds for its tests
 set -euo pipefail
 cd "$(dirname "$0")/.."
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 work=$(mktemp -d)
 slurm=
-trap '[[ -z $slurm ]] || lab/scripts/farm/slurm.sh stop "$work/slurm"; rm -rf "$work"' EXIT
+trap '[[ -z $slurm ]] || lab/scripts/farm/slurm.sh stop "$work/slurm"; rm -rf "$work" || { sleep 2; rm -rf "$work"; }' EXIT
+# No part may hang: a farm of this script takes seconds.
+within=(timeout --kill-after=10 120)
 
 skip() { # skip NAME REASON
     echo "test-farm: $1: skipped: $2" >&2
@@ -27,21 +30,25 @@ python() {
         return
     fi
     local folder=$target/farm
-    if ! [[ -x $folder/bin/python ]]; then
-        python3 -m venv "$folder" >&2 || return 1
+    if ! [[ -x $folder/bin/pip ]]; then
+        "${within[@]}" python3 -m venv --clear "$folder" >&2 || return 1
     fi
     local package
     for package in "${packages[@]}"; do
         [[ -e $folder/made-${package%%=*} ]] && continue
+        [[ ${ENTIRE_SETUP_INSTALL:-yes} != no ]] || continue
         # Those that do not install here are skipped by name below.
-        if "$folder/bin/python" -m pip install --quiet --disable-pip-version-check "$package" >&2; then
+        if "${within[@]}" "$folder/bin/python" -m pip install --quiet --disable-pip-version-check --retries 1 \
+            --timeout 15 "$package" >&2; then
             touch "$folder/made-${package%%=*}"
         fi
     done
     echo "$folder/bin/python"
 }
 
-has() { "$python" -c "import $1" 2>/dev/null; }
+has() { "$python" -c "import $1" 2>"$work/has.log"; }
+# lacks PACKAGE: why `has` said no
+lacks() { echo "$(tail -n 1 "$work/has.log") (pip install $1)"; }
 
 python=$(python || true)
 python=${python:-python3}
@@ -50,9 +57,14 @@ if [[ ${1:-} == python ]]; then
     exit 0
 fi
 
-${CARGO:-cargo} test --quiet --package entire-cli --test farm
-${CARGO:-cargo} build --quiet --package entire-cli --bin entire
-entire=$target/debug/entire
+if [[ -n ${FARM_BIN:-} ]]; then
+    entire=$(realpath "$FARM_BIN")
+else
+    # Tests of a package build its commands beside them.
+    ${CARGO:-cargo} test --quiet --package entire-cli --test farm
+    entire=$target/debug/entire
+fi
+farm() { "${within[@]}" "$entire" farm "$@" --quiet; }
 
 job() { # job NAME: 3 volumes, 8 views, 2 transfer functions
     cat >"$work/$1.toml" <<TOML
@@ -84,54 +96,67 @@ same() { # same NAME: the images of a job are those of the reference
     echo "test-farm: $1: ok"
 }
 
-"$entire" farm "$(job reference)" --slots 2 --quiet >/dev/null
+farm "$(job reference)" --slots 2 >/dev/null
 echo "test-farm: local: ok"
 
 if has hyperqueue; then
-    "$entire" farm "$(job hyperqueue)" --engine hyperqueue --python "$python" --slots 2 --quiet >/dev/null
+    farm "$(job hyperqueue)" --engine hyperqueue --python "$python" --slots 2 >/dev/null
     same hyperqueue
     # A worker's time limit, and a request that must stay below it.
-    "$entire" farm "$(job limited)" --engine hyperqueue --python "$python" --slots 2 --time-limit 1h --quiet >/dev/null
+    farm "$(job limited)" --engine hyperqueue --python "$python" --slots 2 --time-limit 1h >/dev/null
     same limited
 else
-    skip hyperqueue "Python has no hyperqueue (pip install hyperqueue)"
+    skip hyperqueue "$(lacks hyperqueue)"
 fi
 
 if ! command -v slurmctld >/dev/null && [[ $(id -u) == 0 ]] && command -v apt-get >/dev/null &&
     [[ ${ENTIRE_SETUP_INSTALL:-yes} != no ]]; then
     echo "test-farm: installing slurm-wlm and munge with apt-get"
-    env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends slurm-wlm munge >"$work/apt" 2>&1 || true
+    "${within[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends slurm-wlm munge \
+        >"$work/apt" 2>&1 || echo "test-farm: apt-get: $(tail -n 1 "$work/apt")" >&2
 fi
-if SLURM_CONF=$(lab/scripts/farm/slurm.sh start "$work/slurm" 2>"$work/slurm.log"); then
-    slurm=yes
+# From here on there may be processes to end.
+slurm=yes
+if SLURM_CONF=$("${within[@]}" lab/scripts/farm/slurm.sh start "$work/slurm" 2>"$work/slurm.log"); then
     export SLURM_CONF
-    "$entire" farm "$(job slurm)" --engine slurm --quiet >/dev/null
+    farm "$(job slurm)" --engine slurm >/dev/null
     same slurm
 else
-    skip slurm "$(tail -n 1 "$work/slurm.log")"
+    cat "$work/slurm.log" >&2
+    skip slurm "$(sed '/^$/d' "$work/slurm.log" | tail -n 1 | sed 's/^slurm.sh: //')"
 fi
 
 if has cinemasci; then
     "$python" scripts/read-cinema.py "$work/reference.cdb"
     echo "test-farm: cinema: ok"
 else
-    skip cinema "Python has no cinemasci (pip install cinemasci)"
+    skip cinema "$(lacks cinemasci)"
 fi
 
 openjd=$(dirname "$python")/openjd
 if [[ -x $openjd ]]; then
-    "$entire" farm "$(job template)" --openjd "$work/template.json" --slots 2 --quiet >/dev/null
+    farm "$(job template)" --openjd "$work/template.json" --slots 2 >/dev/null
     "$openjd" check "$work/template.json"
-    "$openjd" run "$work/template.json" --step Render -p Entire="$entire" >"$work/openjd.log" 2>&1 ||
+    "${within[@]}" "$openjd" run "$work/template.json" --step Render -p Entire="$entire" >"$work/openjd.log" 2>&1 ||
         { tail -n 20 "$work/openjd.log" >&2; exit 1; }
-    said=$("$entire" farm "$work/template.toml" --resume --quiet)
+    said=$(farm "$work/template.toml" --resume)
     grep -q ' 0 of them' <<<"$said" || { echo "test-farm: openjd: not all images were rendered: $said" >&2; exit 1; }
     same template
 else
     skip openjd "there is no openjd (pip install openjd-cli)"
 fi
 
-if command -v pvbatch >/dev/null; then
+display=()
+if command -v xvfb-run >/dev/null && [[ -z ${DISPLAY:-} ]]; then
+    display=(xvfb-run -a -s "-screen 0 1280x900x24 -noreset")
+fi
+echo "import paraview.simple" >"$work/import.py"
+if ! command -v pvbatch >/dev/null; then
+    skip paraview "there is no pvbatch (apt-get install paraview python3-paraview)"
+elif ! "${within[@]}" pvbatch "$work/import.py" >"$work/pvbatch.log" 2>&1; then
+    # Some distributions package pvbatch and its Python modules apart.
+    skip paraview "pvbatch: $(sed '/^$/d' "$work/pvbatch.log" | tail -n 1) (apt-get install python3-paraview)"
+else
     cat >"$work/paraview.toml" <<TOML
 name = "paraview"
 sizes = ["64x64"]
@@ -150,12 +175,8 @@ kind = "pvbatch"
 script = "$PWD/examples/farm/render_paraview.py"
 timeout_s = 120
 TOML
-    if command -v xvfb-run >/dev/null && [[ -z ${DISPLAY:-} ]]; then
-        xvfb-run -a -s "-screen 0 1280x900x24 -noreset" "$entire" farm "$work/paraview.toml" --slots 1 --quiet
-    else
-        "$entire" farm "$work/paraview.toml" --slots 1 --quiet
-    fi
+    "${within[@]}" ${display[@]+"${display[@]}"} "$entire" farm "$work/paraview.toml" --slots 1 --quiet
+    [[ $(find "$work/paraview.cdb/image" -name "*.png" | wc -l) == 4 ]] ||
+        { echo "test-farm: paraview: not all images were rendered" >&2; exit 1; }
     echo "test-farm: paraview: ok"
-else
-    skip paraview "there is no pvbatch (apt-get install paraview)"
 fi

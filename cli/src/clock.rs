@@ -126,7 +126,7 @@ mod tests {
     use entire_core::predict::AnalyticModel;
 
     fn model(clock: Option<Clock>, provenance: Option<&str>) -> Model {
-        let mut file = AnalyticModel::new().to_model_file().unwrap();
+        let mut file = AnalyticModel::default().to_model_file().unwrap();
         if let Some(clock) = clock {
             set(&mut file, clock);
         }

@@ -60,7 +60,7 @@ pub fn resample(volume: &Volume, edge: usize) -> Result<Volume> {
 fn trilinear(view: &VolumeView<'_>, dims: [usize; 3]) -> Vec<f32> {
     // Per axis and target index: the two source indices and the weight of the second.
     let axes: [Vec<(usize, usize, f32)>; 3] = std::array::from_fn(|a| {
-        let n = view.dims()[a];
+        let n = view.shape().dims[a];
         (0..dims[a])
             .map(|i| {
                 let at = ((i as f32 + 0.5) * n as f32 / dims[a] as f32 - 0.5).clamp(0.0, (n - 1) as f32);
@@ -98,8 +98,8 @@ mod tests {
         // Along x at y = 0: 0, a quarter, three quarters, 100; both slices alike.
         assert_eq!(d[..4], [0, 25, 75, 100]);
         assert_eq!(d[..16], d[16..]);
-        assert_eq!(e.view().half_extent(), v.view().half_extent());
-        assert!((e.view().bounding_radius() / v.view().bounding_radius() - 1.0).abs() < 1e-6);
+        assert_eq!(e.view().shape().half_extent, v.view().shape().half_extent);
+        assert!((e.view().shape().bounding_radius / v.view().shape().bounding_radius - 1.0).abs() < 1e-6);
         assert_eq!(e.view().range(), (0.0, 255.0));
         assert!(enlarge(&v, 0).is_err() && enlarge(&v, 9).is_err());
     }
@@ -109,8 +109,8 @@ mod tests {
         let v = Volume::new(VolumeData::U8((0..64).collect()), [4, 4, 4], [1.0, 2.0, 3.0], "v").unwrap();
         let r = resample(&v, 2).unwrap();
         assert_eq!((r.dims(), r.spacing()), ([2; 3], [2.0, 4.0, 6.0]));
-        assert_eq!(r.view().half_extent(), v.view().half_extent());
-        assert!((r.view().bounding_radius() / v.view().bounding_radius() - 1.0).abs() < 1e-6);
+        assert_eq!(r.view().shape().half_extent, v.view().shape().half_extent);
+        assert!((r.view().shape().bounding_radius / v.view().shape().bounding_radius - 1.0).abs() < 1e-6);
         assert_eq!(r.view().range(), (0.0, 255.0));
         // The mean of the eight voxels around the new one's center.
         let VolumeData::F32(d) = r.data() else { panic!("the type") };

@@ -107,7 +107,7 @@ pub fn warm_latency(
         .collect();
     let parts = model.prednet().context("the model file holds no PredNet")?;
     let net = PredNet::new(parts)?;
-    let mut scratch = net.scratch()?;
+    let mut scratch = net.scratch(1)?;
     let middle = |mut times: Vec<f64>| median(&mut times).unwrap_or(f64::NAN);
     let width = layout.width();
     let mut times = Vec::new();
@@ -147,21 +147,21 @@ pub fn warm_latency(
     let (mut all, mut transfer_times) = (Vec::new(), Vec::new());
     for f in of_volume {
         let (frame, table) = (f.scene.to_frame()?, f.scene.to_table()?);
-        let mut transfer = TransferSummary::new(&summary, &table);
+        let mut transfer = TransferSummary::new(&summary, &table)?;
         let start = Instant::now();
-        transfer.update(&summary, std::hint::black_box(&table));
+        transfer.update(&summary, std::hint::black_box(&table))?;
         if f.scene.skipping == entire_core::scene::Skipping::Distance {
             transfer.prepare_distance();
         }
         transfer_times.push(start.elapsed().as_secs_f64());
-        let setting = Setting::of(&frame);
+        let setting = Setting::from(&frame);
         for _ in 0..ROUNDS {
             let start = Instant::now();
-            features.measure(&summary, &mut transfer, std::hint::black_box(&frame));
+            features.measure(&summary, &mut transfer, std::hint::black_box(&frame))?;
             let inputs = Inputs {
                 features: &features,
                 setting,
-                changes: Changes::NONE,
+                changes: Changes::default(),
                 camera: f.scene.camera,
                 volume_features: Some(&code),
                 lobes: Some(&f.scene.lobes),
@@ -201,12 +201,12 @@ pub fn in_session(
                 features = Some(code);
             }
             let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default())?;
-            session.set_volume(summary, features.as_deref());
+            session.set_volume(summary, features.clone());
             shown = Some(key);
         }
         session.set_transfer(&f.scene.to_table()?, Some(&f.scene.lobes))?;
         let frame = f.scene.to_frame()?;
-        let (_, plan) = session.choose(&frame, &[Setting::of(&frame)], NO_TARGET)?;
+        let (_, plan) = session.choose(&frame, &[Setting::from(&frame)], NO_TARGET)?;
         out.push(f64::from(plan.seconds));
         session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
     }

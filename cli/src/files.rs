@@ -4,7 +4,7 @@ use crate::volume::{Stream, Volume};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::model::{Model, ModelFile};
 use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};
-use std::fs::File;
+use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Read, Write};
 use std::path::Path;
 
@@ -132,6 +132,23 @@ pub fn write_whole_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> Result
 /// As [`write_whole`].
 pub fn write_json(path: &Path, value: &impl serde::Serialize) -> Result<()> {
     write_whole(path, (serde_json::to_string_pretty(value)? + "\n").as_bytes())
+}
+
+/// Locks a file for this process alone, as [`File::try_lock`]: a process that another thread is starting holds a
+/// copy of the lock until its program runs, so a lock that is held is tried for a third of a second.
+///
+/// # Errors
+/// As [`File::try_lock`].
+pub fn try_lock(file: &File) -> Result<(), TryLockError> {
+    let mut locked = file.try_lock();
+    for _ in 0..10 {
+        if !matches!(locked, Err(TryLockError::WouldBlock)) {
+            break;
+        }
+        std::thread::sleep(std::time::Duration::from_millis(30));
+        locked = file.try_lock();
+    }
+    locked
 }
 
 /// A whole file, decompressed where its name ends in `.gz`.

@@ -12,7 +12,7 @@ use entire_core::features::{
 };
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{Executor, PredNetParts, VolumeNet, VolumeNetParts};
-use entire_core::predict::{COST_QUANTITIES, GroupKind, InputLayout, InputValues, Inputs, UnitCosts};
+use entire_core::predict::{COST_QUANTITIES, COSTS, GroupKind, InputLayout, InputValues, Inputs, UnitCosts};
 use entire_core::scene::{Arcball, GaussianLobe, Skipping};
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
@@ -69,7 +69,7 @@ impl Layout {
         let layout = InputLayout::of_model(model)?;
         let encoder = model.volumenet().map(Encoder::new).transpose()?;
         ensure!(
-            encoder.is_some() || !layout.takes(GroupKind::VolumeFeatures),
+            encoder.is_some() || layout.groups.iter().all(|g| g.0 != GroupKind::VolumeFeatures),
             "the model takes volume_features and its file holds no VolumeNet; write both into one file"
         );
         Ok(Self { layout, encoder })
@@ -77,6 +77,7 @@ impl Layout {
 
     /// The same with another number of rays along each side of the probe.
     pub fn with_probe_side(self, probe_side: usize) -> Self {
+        let probe_side = if self.layout.probe_side > 0 { probe_side } else { 0 };
         Self { layout: InputLayout { probe_side, ..self.layout }, ..self }
     }
 
@@ -92,7 +93,7 @@ impl Layout {
 
     /// Rays along each side of the probe; 0 where no input needs it.
     pub fn probe_side(&self) -> usize {
-        self.layout.probe_side()
+        self.layout.probe_side
     }
 
     /// Numbers per frame.
@@ -129,11 +130,11 @@ impl Layout {
     }
 
     fn encoder(&self) -> Option<&Encoder> {
-        self.encoder.as_ref().filter(|_| self.layout.takes(GroupKind::VolumeFeatures))
+        self.encoder.as_ref().filter(|_| self.groups().any(|g| g == GroupKind::VolumeFeatures))
     }
 
     fn needs_summary(&self) -> bool {
-        self.layout.takes(GroupKind::SceneFeatures)
+        self.groups().any(|g| g == GroupKind::SceneFeatures)
     }
 
     /// Writes one frame's inputs.
@@ -271,7 +272,7 @@ impl InputValues for KeptValues<'_> {
             .map(|(q, &cost)| if cost == 0.0 { Some(0.0) } else { self.kept(*q) })
             .collect();
         // In single precision, as the table holds it of other costs.
-        Some(f64::from(costs.seconds_of_quantities(&work?) as f32))
+        Some(f64::from(seconds_of(costs, &work?) as f32))
     }
 }
 
@@ -325,16 +326,16 @@ pub fn measure<T: Send>(
                     let frame = scene.to_frame()?;
                     let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
                     if let Some(summary) = &volume_summary {
-                        let mut transfer = TransferSummary::new(summary, &scene.to_table()?);
+                        let mut transfer = TransferSummary::new(summary, &scene.to_table()?)?;
                         if scene.skipping == Skipping::Distance {
                             transfer.prepare_distance();
                         }
-                        features.measure(summary, &mut transfer, &frame);
+                        features.measure(summary, &mut transfer, &frame)?;
                     }
                     let inputs = Inputs {
                         features: &features,
-                        setting: Setting::of(&frame),
-                        changes: Changes::NONE,
+                        setting: Setting::from(&frame),
+                        changes: Changes::default(),
                         camera: scene.camera,
                         volume_features: encoder.map(|_| &code[..]),
                         lobes: Some(&scene.lobes),
@@ -380,6 +381,20 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
         "volume {name} has {have:?} voxels and {} says {want:?}; is it another file of the same name?",
         table.path.display()
     );
+}
+
+/// What unit costs are paid for: one frame, then values of [`COST_QUANTITIES`], in their order.
+pub(crate) fn work_of(counts: [f32; COSTS - 1]) -> [f64; COSTS] {
+    let mut work = [1.0; COSTS];
+    for (slot, count) in work[1..].iter_mut().zip(counts) {
+        *slot = f64::from(count);
+    }
+    work
+}
+
+/// Seconds that unit costs give for values of [`COST_QUANTITIES`], in their order.
+pub(crate) fn seconds_of(costs: &UnitCosts, counts: &[f32]) -> f64 {
+    costs.0[0] + costs.0[1..].iter().zip(counts).map(|(c, &v)| c * f64::from(v)).sum::<f64>()
 }
 
 #[cfg(test)]

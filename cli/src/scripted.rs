@@ -23,7 +23,8 @@ impl Default for ScriptedRenderer {
 impl ScriptedRenderer {
     /// The law without noise.
     pub(crate) fn seconds(&self, weight: f64, frame: &Frame) -> f64 {
-        self.fixed + frame.pixels() as f64 * weight * self.per_sample / f64::from(frame.step())
+        let pixels = f64::from(frame.width) * f64::from(frame.height);
+        self.fixed + pixels * weight * self.per_sample / f64::from(frame.step)
     }
 
     pub(crate) fn weight(table: &TransferTable) -> f64 {
@@ -61,11 +62,11 @@ impl Renderer for ScriptedRenderer {
         let noise = (self.noise * (normal.sum::<f64>() - 6.0)).exp();
         let seconds = self.seconds(weight, frame) * noise;
         // Coarser steps make a picture that differs more: one gray level per step.
-        let level = (frame.step() * 2.0).min(255.0) as u8;
+        let level = (frame.step * 2.0).min(255.0) as u8;
         let image = Image {
-            width: frame.width(),
-            height: frame.height(),
-            rgba: vec![level; frame.pixels() as usize * 4],
+            width: frame.width,
+            height: frame.height,
+            rgba: vec![level; frame.width as usize * frame.height as usize * 4],
         };
         let time = FrameTime { device: Some(seconds), wall: seconds, cpu: Some(seconds) };
         Ok(Rendered { image, time, counts: None })

@@ -56,7 +56,8 @@ impl Renderer for Teacher {
 
     fn set_transfer(&mut self, table: &TransferTable) -> Result<Preparation> {
         let summary = self.summary.as_ref().ok_or_else(|| Error::new("no volume was set"))?;
-        self.transfer = Some(TransferSummary::new(summary, table));
+        let transfer = TransferSummary::new(summary, table);
+        self.transfer = Some(transfer.map_err(|e| Error::new(e.to_string()))?);
         Ok(Preparation::default())
     }
 
@@ -64,14 +65,14 @@ impl Renderer for Teacher {
         let (Some(summary), Some(transfer)) = (&self.summary, &mut self.transfer) else {
             return Err(Error::new("volume and transfer function were not set"));
         };
-        if frame.skipping() == Skipping::Distance {
+        if frame.skipping == Skipping::Distance {
             transfer.prepare_distance();
         }
-        self.features.measure(summary, transfer, frame);
+        self.features.measure(summary, transfer, frame).map_err(|e| Error::new(e.to_string()))?;
         let inputs = Inputs {
             features: &self.features,
-            setting: Setting::of(frame),
-            changes: Changes::NONE,
+            setting: Setting::from(frame),
+            changes: Changes::default(),
             // Scene features hold what counts of it.
             camera: Arcball { rx: 0.0, ry: 0.0, dz: 2.0 },
             volume_features: None,

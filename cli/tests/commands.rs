@@ -160,6 +160,34 @@ fn render_writes_a_picture_and_tells_what_it_took() {
 }
 
 #[test]
+fn render_draws_parallel_rays_whatever_the_distance() {
+    let folder = workshop();
+    let draw = |camera: &str, more: &[&str]| {
+        let arguments = render("ball.nrrd", camera, "0.3,0.02,0.4,0.9,0.01,0.8", "40x30", more);
+        let printed = succeeds(folder.path(), &arguments);
+        let json: serde_json::Value = serde_json::from_str(&printed).unwrap();
+        (json, picture(&folder.path().join("out.png")).2)
+    };
+    let lit = |rgb: &[u8]| rgb.chunks(3).filter(|p| p.iter().any(|&v| v > 4)).count() as f64;
+    let (near, seen) = draw("-20,35,2", &["--json", "--parallel-scale", "1.1"]);
+    let (far, same) = draw("-20,35,900", &["--json", "--parallel-scale", "1.1"]);
+    assert_eq!((&near["samples"], &seen), (&far["samples"], &same));
+    assert_eq!(near["camera"]["parallel_scale"], 1.1);
+    assert!(near["camera"]["fov_y_deg"].is_null());
+    // Half the scale shows everything twice as wide and high.
+    let (_, close) = draw("-20,35,2", &["--json", "--parallel-scale", "0.55"]);
+    let ratio = lit(&close) / lit(&seen);
+    assert!((3.2..4.8).contains(&ratio), "{ratio}");
+    let (lens, other) = draw("-20,35,2", &["--json"]);
+    assert!(other != seen && lens["camera"]["parallel_scale"].is_null());
+    refuses(
+        folder.path(),
+        &render("ball.nrrd", "0,0,2", "0.5,0.1,0.5", "8x8", &["--parallel-scale", "0"]),
+        &["parallel scale is 0", "1e-6"],
+    );
+}
+
+#[test]
 fn render_skips_without_changing_the_picture_and_range_changes_it() {
     let folder = workshop();
     let mut pictures = Vec::new();

@@ -5,8 +5,8 @@ use entire_cli::dataset::{Table, TimedFrame};
 use entire_cli::fit::predict_rows;
 use entire_cli::inputs::Layout;
 use entire_core::model::{Model, ModelFile};
-use entire_core::nn::PredNet;
-use entire_core::predict::checked_seconds;
+use entire_core::nn::{Executor, PredNet};
+use entire_core::predict::check_predictions;
 use indicatif::ProgressBar;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -77,16 +77,23 @@ fn every_prediction_is_a_positive_number_of_seconds() {
                 .map(|(mean, std)| mean + reach * std * (2.0 * rng.random::<f32>() - 1.0))
                 .collect();
             let mut raw = vec![0.0; rows];
-            net.predict_batch(&inputs, &mut raw, &mut net.batch_scratch(192).unwrap()).unwrap();
+            net.predict_batch(
+                Executor::Serial,
+                &inputs,
+                &mut raw,
+                std::slice::from_mut(&mut net.scratch(192).unwrap()),
+            )
+            .unwrap();
             for value in raw {
-                match checked_seconds(value) {
-                    Ok((seconds, clamped)) => {
-                        not_positive += usize::from(invalid(f64::from(seconds)));
-                        brought += usize::from(clamped);
+                let mut seconds = [value];
+                match check_predictions(&mut seconds) {
+                    Ok(clamped) => {
+                        not_positive += usize::from(invalid(f64::from(seconds[0])));
+                        brought += clamped;
                     }
                     Err(e) => {
                         assert!(
-                            !value.is_finite() && e.message().contains("finite"),
+                            !value.is_finite() && e.to_string().contains("finite"),
                             "{}: {e}",
                             path.display()
                         );

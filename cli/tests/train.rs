@@ -255,7 +255,7 @@ fn a_smooth_cost_is_learned_with_every_loss_and_target() {
         // The file's network gives the same seconds.
         let parts = trained.to_parts();
         let net = entire_core::nn::PredNet::new(&parts).unwrap();
-        let mut scratch = net.scratch().unwrap();
+        let mut scratch = net.scratch(1).unwrap();
         for (row, p) in vx.chunks(2).zip(trained.predict(&pool(1), &vx).unwrap()) {
             let q = f64::from(net.predict(row, &mut scratch));
             assert!(

@@ -493,7 +493,7 @@ fn main() {
                 let rows = 384;
                 let x: Vec<f32> = (0..inputs * rows).map(|_| normal.next()).collect();
                 let (mut scratch, mut batch) =
-                    (net.scratch().expect("memory"), net.batch_scratch(rows).expect("memory"));
+                    (net.scratch(1).expect("memory"), net.scratch(rows).expect("memory"));
                 let mut seconds = vec![0.0; rows];
                 let row = &x[..inputs];
                 for _ in 0..50 {
@@ -511,7 +511,13 @@ fn main() {
                     clock,
                     || {},
                     || {
-                        net.predict_batch(&x, &mut seconds, &mut batch).expect("sizes that fit");
+                        net.predict_batch(
+                            Executor::Serial,
+                            &x,
+                            &mut seconds,
+                            std::slice::from_mut(&mut batch),
+                        )
+                        .expect("sizes that fit");
                     },
                 );
                 let line = Row {
@@ -631,7 +637,7 @@ fn accuracy(arguments: &[String]) {
     let measured = rest.first().map(|path| numbers(path));
     let predict = |storage| {
         let net = PredNet::with(parts, Level::detect(), storage).expect("a network");
-        let mut scratch = net.scratch().expect("memory");
+        let mut scratch = net.scratch(1).expect("memory");
         x.chunks_exact(net.inputs()).map(|row| f64::from(net.predict(row, &mut scratch))).collect::<Vec<_>>()
     };
     let exact = predict(Storage::F32);

@@ -6,8 +6,10 @@
 
 use entire_core::control::ObserveFlags;
 use entire_core::control::Session;
-use entire_core::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
-use entire_core::predict::AnalyticModel;
+use entire_core::features::{
+    Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
+};
+use entire_core::predict::{AnalyticModel, Inputs, Predictor};
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, Scalars, Shading, Skipping, TransferFunction, TransferTable,
     VolumeView,
@@ -65,34 +67,50 @@ fn main() {
         let volume = VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary");
         let tables = [table(0.9, 0.02), table(0.5, 0.02), table(0.7, 0.9)];
         for (name, t) in ["sparse", "thin everywhere", "opaque"].iter().zip(&tables) {
-            let mut transfer = TransferSummary::new(&volume, t);
+            let mut transfer = TransferSummary::new(&volume, t).expect("a summary");
             report(&format!("{name}: transfer summary, once per edit"), 200, |_| {
-                transfer.update(&volume, black_box(t))
+                transfer.update(&volume, black_box(t)).expect("a summary")
             });
-            let mut features = FrameFeatures::new();
+            let mut features = FrameFeatures::default();
             report(&format!("{name}: frame features (probe), once per frame"), 2000, |i| {
-                features.measure(&volume, &mut transfer, black_box(&frame(i)));
+                features.measure(&volume, &mut transfer, black_box(&frame(i))).expect("a frame");
             });
             report(&format!("{name}: frame features with scattering"), 2000, |i| {
-                features.measure(&volume, &mut transfer, black_box(&frame(i).with_shading(Shading::Scatter)));
+                features
+                    .measure(
+                        &volume,
+                        &mut transfer,
+                        black_box(&Frame { shading: Shading::Scatter, ..frame(i) }),
+                    )
+                    .expect("a frame");
             });
             report(&format!("{name}: distance map, once per edit where used"), 50, |_| {
-                transfer.update(&volume, t);
+                transfer.update(&volume, t).expect("a summary");
                 transfer.prepare_distance();
             });
             report(&format!("{name}: frame features with distance map"), 2000, |i| {
-                features.measure(
-                    &volume,
-                    &mut transfer,
-                    black_box(&frame(i).with_skipping(Skipping::Distance)),
-                );
+                features
+                    .measure(
+                        &volume,
+                        &mut transfer,
+                        black_box(&Frame { skipping: Skipping::Distance, ..frame(i) }),
+                    )
+                    .expect("a frame");
             });
-            let model = AnalyticModel::new();
-            let setting = Setting::of(&frame(0));
+            let mut model = AnalyticModel::default();
+            let setting = Setting::from(&frame(0));
+            let inputs = Inputs {
+                features: &features,
+                setting,
+                changes: Changes::default(),
+                camera: frame(0).camera.to_arcball(),
+                volume_features: None,
+                lobes: None,
+            };
             report(&format!("{name}: 100 further steps evaluated"), 1000, |i| {
                 for k in 0..100 {
-                    let s = setting.with_step(1.0 + 0.1 * k as f32 + 1e-4 * i as f32);
-                    black_box(model.parts(&features, &s));
+                    let s = Setting { step: 1.0 + 0.1 * k as f32 + 1e-4 * i as f32, ..setting };
+                    black_box(model.terms(&Inputs { setting: s, ..inputs }).expect("a prediction"));
                 }
             });
         }

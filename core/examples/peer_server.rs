@@ -16,7 +16,7 @@ use entire_core::nn::{
     ConvBlockParts, DenseParts, Dtype, Executor, Helper, Normalization, PredNet, PredNetParts, Resampler,
     SELU_ALPHA, SELU_SCALE, Storage, Target, VolumeNet, VolumeNetParts,
 };
-use entire_core::scene::{Scalars, VolumeView};
+use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
 use safetensors::SafeTensors;
 use std::collections::HashMap;
 use std::io::{BufRead, Write};
@@ -43,7 +43,10 @@ fn options() -> Result<Options, Problem> {
                 storage =
                     Storage::ALL.into_iter().find(|s| s.to_string() == name).ok_or("no such storage")?;
             }
-            "--level" => level = Level::exactly(value()?.parse()?).ok_or("this CPU lacks the level")?,
+            "--level" => {
+                let isa = value()?.parse()?;
+                level = Level::available().find(|l| l.isa() == isa).ok_or("this CPU lacks the level")?;
+            }
             _ => models = Some(PathBuf::from(argument)),
         }
     }
@@ -95,17 +98,17 @@ fn case<'a>(options: &'a Options, helper: &'a Helper, name: &str, rows: usize) -
     let x = inputs(&options.models, rows)?;
     let executor = if options.threads > 1 { Executor::Helper(helper) } else { Executor::Serial };
     if rows == 1 {
-        let mut scratch = net.scratch()?;
+        let mut scratch = net.scratch(1)?;
         return Ok(match options.threads {
             1 => Box::new(move || f64::from(net.predict(&x, &mut scratch))),
             _ => Box::new(move || f64::from(net.predict_on(executor, &x, &mut scratch))),
         });
     }
-    let scratch = || net.batch_scratch(rows.div_ceil(options.threads));
+    let scratch = || net.scratch(rows.div_ceil(options.threads));
     let mut scratches = (0..options.threads).map(|_| scratch()).collect::<Result<Vec<_>, _>>()?;
     let mut y = vec![0.0; rows];
     Ok(Box::new(move || {
-        net.predict_batch_on(executor, &x, &mut y, &mut scratches).expect("sizes that fit");
+        net.predict_batch(executor, &x, &mut y, &mut scratches).expect("sizes that fit");
         y.iter().copied().map(f64::from).sum()
     }))
 }
@@ -159,7 +162,11 @@ fn encoding<'a>(options: &'a Options, helper: &'a Helper, name: &str) -> Result<
     Ok(Box::new(move || {
         let view = if from_floats {
             // The range whose map to [-1, 1] changes nothing: the peers feed the floats as they are.
-            VolumeView::new(Scalars::F32(&volume), [128; 3]).and_then(|view| view.with_range(-1.0, 1.0))
+            VolumeView::with(
+                Scalars::F32(&volume),
+                [128; 3],
+                VolumeOptions { range: Some((-1.0, 1.0)), ..VolumeOptions::default() },
+            )
         } else {
             VolumeView::new(Scalars::U8(&bytes), [128; 3])
         };
@@ -240,8 +247,8 @@ fn accuracy(options: &Options, name: &str, rows: usize) -> Result<f64, Problem> 
     let x = inputs(&options.models, rows)?;
     let exact: Vec<f64> = x.chunks_exact(net.inputs()).map(|row| float64(&parts, row).exp()).collect();
     let mut batch = vec![0.0; rows];
-    net.predict_batch(&x, &mut batch, &mut net.batch_scratch(rows)?)?;
-    let mut scratch = net.scratch()?;
+    net.predict_batch(Executor::Serial, &x, &mut batch, std::slice::from_mut(&mut net.scratch(rows)?))?;
+    let mut scratch = net.scratch(1)?;
     let single: Vec<f32> = x.chunks_exact(net.inputs()).map(|row| net.predict(row, &mut scratch)).collect();
     let error = |found: &[f32]| {
         let errors = exact.iter().zip(found).map(|(&y, &f)| (f64::from(f) - y).abs() / y);
@@ -267,7 +274,7 @@ fn small(options: &Options, cold: bool, seconds: f64) -> Result<String, Problem>
         target: Target::LogSeconds,
     };
     let net = PredNet::with(&parts, options.level, options.storage)?;
-    let (x, mut scratch) = ([0.7f32; 24], net.scratch()?);
+    let (x, mut scratch) = ([0.7f32; 24], net.scratch(1)?);
     if !cold {
         let mut case: Case<'_> =
             Box::new(move || f64::from(net.predict(std::hint::black_box(&x), &mut scratch)));

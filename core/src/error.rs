@@ -28,7 +28,7 @@ pub enum ErrorKind {
     OutOfMemory = 104,
 }
 
-/// An error that says what was wrong and what to do about it.
+/// An error that says what was wrong and what to do about it: `Display` writes the text.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error {
     kind: ErrorKind,
@@ -48,11 +48,6 @@ impl Error {
     /// The kind, for code that decides.
     pub fn kind(&self) -> ErrorKind {
         self.kind
-    }
-
-    /// The text, for people.
-    pub fn message(&self) -> &str {
-        &self.message
     }
 }
 

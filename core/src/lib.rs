@@ -54,7 +54,7 @@
 //! use entire_core::{Model, Session};
 //!
 //! // Bytes of a model file; here those of an analytic model.
-//! let bytes = AnalyticModel::new().to_model_file()?.to_bytes()?;
+//! let bytes = AnalyticModel::default().to_model_file()?.to_bytes()?;
 //! let model = Model::from_bytes(&bytes)?;
 //! let session = Session::new(load(&model)?, HybridOptions::default());
 //! # let _ = session;
@@ -67,12 +67,10 @@
 //! Hot calls (predict, plan, observe) never allocate, lock or call the system once set-up is done. A
 //! prediction is a pure function: same model, same inputs, same SIMD level, same bits, with and without the
 //! feature `std`.
-#![cfg_attr(not(feature = "std"), no_std)]
+#![cfg_attr(not(any(feature = "std", test)), no_std)]
 #![deny(unsafe_code)]
 
 extern crate alloc;
-#[cfg(all(test, not(feature = "std")))]
-extern crate std;
 
 mod adapt;
 pub mod control;

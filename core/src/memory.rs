@@ -30,6 +30,11 @@ pub(crate) fn filled<T: Clone>(len: usize, value: T) -> Result<Vec<T>> {
     Ok(out)
 }
 
+/// `len` zeros, as fresh memory has them: what is not touched costs nothing.
+pub(crate) fn zeroed<T: bytemuck::Zeroable>(len: usize) -> Result<Vec<T>> {
+    bytemuck::allocation::try_zeroed_vec(len).map_err(|()| no_memory())
+}
+
 /// Room for `len` elements in all, and for some more where the vector has grown before: what grows piece by
 /// piece is moved a few times, not once per piece.
 pub(crate) fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {
@@ -71,6 +76,7 @@ mod tests {
     use alloc::vec;
 
     #[test]
+    #[cfg_attr(miri, ignore = "Miri ends where an allocator says no")]
     fn what_cannot_be_had_is_an_error() {
         assert_eq!(room::<u64>(usize::MAX).unwrap_err().kind(), ErrorKind::OutOfMemory);
         assert_eq!(filled(isize::MAX as usize, 1u8).unwrap_err().kind(), ErrorKind::OutOfMemory);

@@ -43,18 +43,20 @@ fn plan_choose_predict_and_observe_never_allocate() {
     let tables = [0.0f32, 0.02, 0.9].map(|a| {
         TransferTable::new(core::array::from_fn(|i| [0.5, 0.5, 0.5, a * i as f32 / 255.0])).expect("a table")
     });
-    let predictors: [Box<dyn Predictor + Send>; 2] = [Box::new(AnalyticModel::new()), Box::new(network())];
+    let predictors: [Box<dyn Predictor + Send>; 2] =
+        [Box::new(AnalyticModel::default()), Box::new(network())];
     for predictor in predictors {
         let mut session = Session::new(predictor, Default::default());
         session.set_volume(volume.clone(), None);
         session.set_transfer(&tables[0], None).expect("a volume is set");
         for i in 0..200usize {
             let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: i as f32, dz: 1.5 }).expect("a camera");
-            let frame = Frame::new(camera, 64 + i as u32 % 3, 64)
-                .expect("a frame")
-                .with_shading([Shading::None, Shading::Local, Shading::Scatter][i / 20 % 3])
-                .with_skipping([Skipping::None, Skipping::Blocks, Skipping::Distance][i / 7 % 3]);
-            let settings = [1.0, 2.0, 4.0].map(|step| Setting::of(&frame).with_step(step));
+            let frame = Frame {
+                shading: [Shading::None, Shading::Local, Shading::Scatter][i / 20 % 3],
+                skipping: [Skipping::None, Skipping::Blocks, Skipping::Distance][i / 7 % 3],
+                ..Frame::new(camera, 64 + i as u32 % 3, 64).expect("a frame")
+            };
+            let settings = [1.0, 2.0, 4.0].map(|step| Setting { step, ..Setting::from(&frame) });
             assert_no_alloc(|| {
                 if i % 10 == 0 {
                     session.set_transfer(&tables[i / 10 % 3], None).expect("a volume is set");

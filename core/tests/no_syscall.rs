@@ -137,7 +137,7 @@ mod child {
             .map(|(level, storage)| PredNet::with(&parts, level, storage).expect("a network"))
             .collect();
         let mut scratches: Vec<_> =
-            nets.iter().map(|net| (net.scratch().unwrap(), net.batch_scratch(40).unwrap())).collect();
+            nets.iter().map(|net| (net.scratch(1).unwrap(), net.scratch(40).unwrap())).collect();
         let inputs: Vec<f32> = (0..16 * 40).map(number).collect();
         let mut seconds = vec![0.0; 40];
         let mut fine = true;
@@ -145,7 +145,9 @@ mod child {
         for _ in 0..100 {
             for (net, (one, many)) in nets.iter().zip(&mut scratches) {
                 fine &= net.predict(&inputs[..16], one).is_finite();
-                fine &= net.predict_batch(&inputs, &mut seconds, many).is_ok();
+                fine &= net
+                    .predict_batch(Executor::Serial, &inputs, &mut seconds, std::slice::from_mut(many))
+                    .is_ok();
             }
         }
         end(fine)

@@ -6,7 +6,7 @@ use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::predict::Prediction;
 use entire_core::scene::{
     Arcball, Camera, Frame, GaussianLobe, ScalarType, Scalars, Shading, Skipping, TransferFunction,
-    VolumeView,
+    VolumeOptions, VolumeView,
 };
 use glam::{Mat3, Mat4, Vec3};
 
@@ -26,9 +26,11 @@ fn voxels() -> Vec<u8> {
 fn summaries(unit: f32) -> [VolumeSummary; 2] {
     let spacing = SPACING.map(|s| s * unit);
     let voxels = voxels();
-    let view = VolumeView::new(Scalars::U8(&voxels), DIMS).unwrap().with_spacing(spacing).unwrap();
+    let view =
+        VolumeView::with(Scalars::U8(&voxels), DIMS, VolumeOptions { spacing, ..VolumeOptions::default() })
+            .unwrap();
     let whole = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
-    assert_eq!(whole.bounding_radius().to_bits(), view.bounding_radius().to_bits(), "{unit}");
+    assert_eq!(whole.shape().bounding_radius.to_bits(), view.shape().bounding_radius.to_bits(), "{unit}");
     let bricks: Vec<[f32; 2]> = (0..5 * 3 * 4).map(|i| [0.01 * i as f32, 0.4 + 0.01 * i as f32]).collect();
     let bricks = VolumeSummary::from_bricks(DIMS, spacing, ScalarType::U8, [8; 3], &bricks).unwrap();
     [whole, bricks]
@@ -52,13 +54,13 @@ fn predictions(unit: f32) -> Vec<Prediction> {
         .unwrap();
     let mut out = Vec::new();
     for summary in summaries(unit) {
-        let cameras = cameras(summary.bounding_radius());
+        let cameras = cameras(summary.shape().bounding_radius);
         let mut session = Session::untrained();
         session.set_volume(summary, None);
         session.set_transfer(&table, None).unwrap();
         for camera in cameras {
             let frame = Frame::new(camera, 320, 240).unwrap();
-            for frame in [frame, frame.with_shading(Shading::Scatter).with_skipping(Skipping::Distance)] {
+            for frame in [frame, Frame { shading: Shading::Scatter, skipping: Skipping::Distance, ..frame }] {
                 out.push(session.predict(&frame).unwrap());
             }
         }
@@ -99,9 +101,9 @@ fn any_other_unit_changes_rounding_alone() {
 #[test]
 fn bricks_refuse_the_spacings_that_voxels_refuse() {
     let voxels = voxels();
-    let view = VolumeView::new(Scalars::U8(&voxels), DIMS).unwrap();
     for spacing in [[1e-31; 3], [1e31; 3], [1.0, 1.0, 1e7], [0.0, 1.0, 1.0], [f32::NAN, 1.0, 1.0]] {
-        let from_voxels = view.with_spacing(spacing).unwrap_err();
+        let options = VolumeOptions { spacing, ..VolumeOptions::default() };
+        let from_voxels = VolumeView::with(Scalars::U8(&voxels), DIMS, options).unwrap_err();
         let from_bricks =
             VolumeSummary::from_bricks(DIMS, spacing, ScalarType::U8, [64; 3], &[[0.0, 1.0]]).unwrap_err();
         assert_eq!(from_voxels, from_bricks);

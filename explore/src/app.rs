@@ -197,16 +197,7 @@ impl App {
         }
         self.open_device()?;
         if self.scene.is_none() && self.loading.is_none() && !self.state.series.is_empty() {
-            let path = self.state.series[0].clone();
-            self.start(Job {
-                path,
-                index: 0,
-                source: None,
-                crop: None,
-                curve: None,
-                shading: self.state.shading,
-                skipping: self.state.skipping,
-            })?;
+            self.load(self.state.series[0].clone())?;
         }
         Ok(())
     }
@@ -217,6 +208,9 @@ impl App {
         let first = VulkanRaycaster::new(self.vulkan.clone()).context("the window needs a Vulkan device")?;
         let device = first.shared_device();
         self.state.device = first.device();
+        // Smoothed edges are twice the triangles, each of which a software driver feels.
+        let software = first.limits().is_some_and(|limits| limits.is_software);
+        self.egui.tessellation_options_mut(|options| options.feathering = !software);
         drop(first);
         let presenter = Presenter::new(&device, window)?;
         if let Some(input) = &mut self.input {

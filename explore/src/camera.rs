@@ -5,7 +5,11 @@ use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
 use glam::{Mat3, Mat4, Vec3};
 
 /// Nearest and farthest distance from what is looked at, bounding-sphere radii.
-const DISTANCES: std::ops::RangeInclusive<f32> = 0.02..=200.0;
+pub(crate) const DISTANCES: std::ops::RangeInclusive<f32> = 0.02..=200.0;
+
+/// Distance of an orthographic view's eye from the volume's center, or as much farther as the view is panned:
+/// the volume lies before it. Nothing that is seen depends on it.
+const ORTHOGRAPHIC_DISTANCE: f32 = 2.0;
 
 /// Where a part of a volume lies in the whole, in the whole's scene space.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -25,17 +29,27 @@ pub(crate) struct Viewpoint {
     /// As [`Arcball`]'s, degrees.
     pub(crate) rx: f32,
     pub(crate) ry: f32,
-    /// From the point that is looked at, bounding-sphere radii.
+    /// From the point that is looked at, bounding-sphere radii. With an orthographic view, the distance from
+    /// which the field of view would show as much.
     pub(crate) distance: f32,
     /// The point that is looked at.
     pub(crate) target: Vec3,
     /// Vertical field of view, degrees.
     pub(crate) fov_y: f32,
+    /// Whether rays are parallel.
+    pub(crate) orthographic: bool,
 }
 
 impl Default for Viewpoint {
     fn default() -> Self {
-        Self { rx: 20.0, ry: 30.0, distance: 2.6, target: Vec3::ZERO, fov_y: DEFAULT_FOV_Y_DEGREES }
+        Self {
+            rx: 20.0,
+            ry: 30.0,
+            distance: 2.6,
+            target: Vec3::ZERO,
+            fov_y: DEFAULT_FOV_Y_DEGREES,
+            orthographic: false,
+        }
     }
 }
 
@@ -43,8 +57,27 @@ impl Default for Viewpoint {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Axis {
     Front,
-    Side,
+    Right,
     Top,
+    Back,
+    Left,
+    Bottom,
+}
+
+impl Axis {
+    pub(crate) const ALL: [Self; 6] =
+        [Self::Front, Self::Right, Self::Top, Self::Back, Self::Left, Self::Bottom];
+
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Front => "front",
+            Self::Right => "right",
+            Self::Top => "top",
+            Self::Back => "back",
+            Self::Left => "left",
+            Self::Bottom => "bottom",
+        }
+    }
 }
 
 impl Viewpoint {
@@ -63,20 +96,49 @@ impl Viewpoint {
         self.target + self.distance * self.axes()[2]
     }
 
+    /// Half of the height that is seen at what is looked at, bounding-sphere radii.
+    fn half_height(&self) -> f32 {
+        self.distance * (0.5 * self.fov_y.to_radians()).tan()
+    }
+
+    /// Half of the height that is seen, with an orthographic view.
+    pub(crate) fn parallel_scale(&self) -> Option<f32> {
+        self.orthographic.then(|| self.half_height())
+    }
+
+    /// Sets the half of the height that is seen.
+    pub(crate) fn set_parallel_scale(&mut self, scale: f32) {
+        self.zoom(scale / self.half_height());
+    }
+
+    /// The default view through the lens at hand.
+    pub(crate) fn reset(&mut self) {
+        *self = Self { fov_y: self.fov_y, orthographic: self.orthographic, ..Self::default() };
+    }
+
     /// The camera of a part of the volume.
     pub(crate) fn camera(&self, placement: Placement) -> Result<Camera> {
         let camera = if self.target == Vec3::ZERO && placement == Placement::WHOLE {
             Camera::from_arcball(self.arcball())?
         } else {
-            let back = Mat4::from_translation(Vec3::new(0.0, 0.0, -self.distance));
+            let distance =
+                if self.orthographic { ORTHOGRAPHIC_DISTANCE + self.target.length() } else { self.distance };
+            let back = Mat4::from_translation(Vec3::new(0.0, 0.0, -distance));
             let view = back * self.rotation() * Mat4::from_translation(-self.target);
             Camera::from_world_view(view, placement.center, placement.radius)?
         };
-        Ok(camera.with_fov_y_degrees(self.fov_y)?)
+        Ok(match self.parallel_scale() {
+            Some(scale) => camera.with_parallel_scale(scale / placement.radius)?,
+            None => camera.with_fov_y_degrees(self.fov_y)?,
+        })
     }
 
-    /// The pose about the volume's center; where the view is panned, that of the eye.
+    /// The pose about the volume's center; where the view is panned, that of the eye. An orthographic view has
+    /// its direction, and stands before the volume.
     pub(crate) fn arcball(&self) -> Arcball {
+        if self.orthographic {
+            return Arcball { rx: self.rx, ry: self.ry, dz: ORTHOGRAPHIC_DISTANCE };
+        }
         if self.target == Vec3::ZERO {
             return Arcball { rx: self.rx, ry: self.ry, dz: self.distance };
         }
@@ -90,7 +152,7 @@ impl Viewpoint {
     }
 
     pub(crate) fn set_arcball(&mut self, pose: Arcball) {
-        *self = Self { rx: pose.rx, ry: pose.ry, distance: pose.dz, target: Vec3::ZERO, fov_y: self.fov_y };
+        *self = Self { rx: pose.rx, ry: pose.ry, distance: pose.dz, target: Vec3::ZERO, ..*self };
     }
 
     /// Turns about what is looked at, degrees.
@@ -101,13 +163,13 @@ impl Viewpoint {
 
     /// Moves what is looked at, in heights of the view at its distance.
     pub(crate) fn pan(&mut self, right: f32, down: f32) {
-        let height = 2.0 * self.distance * (0.5 * self.fov_y.to_radians()).tan();
+        let height = 2.0 * self.half_height();
         let [x, y, _] = self.axes();
         self.target += height * (down * y - right * x);
         self.target = self.target.clamp(Vec3::splat(-4.0), Vec3::splat(4.0));
     }
 
-    /// Multiplies the distance.
+    /// Multiplies the distance, and so the scale of an orthographic view.
     pub(crate) fn zoom(&mut self, factor: f32) {
         if factor.is_finite() && factor > 0.0 {
             self.distance = (self.distance * factor).clamp(*DISTANCES.start(), *DISTANCES.end());
@@ -122,8 +184,12 @@ impl Viewpoint {
         self.target = eye - self.distance * self.axes()[2];
     }
 
-    /// Moves the eye, bounding-sphere radii.
-    pub(crate) fn walk(&mut self, forward: f32, right: f32, up: f32) {
+    /// Moves the eye, bounding-sphere radii. Going forward in an orthographic view zooms.
+    pub(crate) fn walk(&mut self, mut forward: f32, right: f32, up: f32) {
+        if self.orthographic {
+            self.zoom((-forward).exp());
+            forward = 0.0;
+        }
         let [x, y, z] = self.axes();
         self.target += right * x + up * y - forward * z;
         self.target = self.target.clamp(Vec3::splat(-4.0), Vec3::splat(4.0));
@@ -133,8 +199,11 @@ impl Viewpoint {
     pub(crate) fn look_along(&mut self, axis: Axis) {
         (self.rx, self.ry) = match axis {
             Axis::Front => (0.0, 0.0),
-            Axis::Side => (0.0, 90.0),
+            Axis::Right => (0.0, 90.0),
             Axis::Top => (90.0, 0.0),
+            Axis::Back => (0.0, 180.0),
+            Axis::Left => (0.0, -90.0),
+            Axis::Bottom => (-90.0, 0.0),
         };
         self.target = Vec3::ZERO;
     }
@@ -152,6 +221,10 @@ impl Viewpoint {
     /// behind the eye. `aspect` is width over height.
     pub(crate) fn project(&self, point: Vec3, aspect: f32) -> Option<[f32; 2]> {
         let [x, y, z] = self.axes();
+        if let Some(scale) = self.parallel_scale() {
+            let across = point - self.target;
+            return Some([across.dot(x) / (scale * aspect), across.dot(y) / scale]);
+        }
         let from_eye = point - self.eye();
         let depth = -from_eye.dot(z);
         let half = (0.5 * self.fov_y.to_radians()).tan();
@@ -201,6 +274,56 @@ mod tests {
             let a = whole.view().transform_point3(p);
             let b = cut.view().transform_point3((p - part.center) / part.radius);
             assert!((a / a.z - b / b.z).length() < 1e-5, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn an_orthographic_view_shows_as_much_of_what_is_looked_at() {
+        let mut view = Viewpoint { target: Vec3::new(0.1, -0.2, 0.05), ..Default::default() };
+        let across = view.target + 0.4 * view.axes()[1];
+        let before = view.project(across, 1.5).unwrap();
+        view.orthographic = true;
+        let after = view.project(across, 1.5).unwrap();
+        assert!((before[1] - after[1]).abs() < 1e-5, "{before:?} {after:?}");
+        // Whatever lies nearer or farther is seen as large.
+        assert!((view.project(across + 0.7 * view.axes()[2], 1.5).unwrap()[1] - after[1]).abs() < 1e-5);
+        let scale = view.parallel_scale().unwrap();
+        view.zoom(0.5);
+        assert!((view.parallel_scale().unwrap() - 0.5 * scale).abs() < 1e-6);
+        view.walk(0.3, 0.0, 0.0);
+        assert!(view.parallel_scale().unwrap() < 0.45 * scale, "going forward zooms");
+        view.set_parallel_scale(0.8);
+        assert!((view.parallel_scale().unwrap() - 0.8).abs() < 1e-6);
+        view.reset();
+        assert_eq!(view, Viewpoint { orthographic: true, ..Default::default() });
+    }
+
+    #[test]
+    fn an_orthographic_camera_projects_as_the_view_does() {
+        let view = Viewpoint { orthographic: true, target: Vec3::new(0.3, 0.1, -0.6), ..Default::default() };
+        let part = Placement { center: Vec3::new(0.3, 0.1, -0.2), radius: 0.4 };
+        for placement in [Placement::WHOLE, part] {
+            let camera = view.camera(placement).unwrap();
+            let (origin, direction) = camera.ray_basis(300, 200);
+            // The ray through a point of the image meets the point of the scene that is seen there.
+            for point in [Vec3::new(0.35, 0.0, -0.1), Vec3::new(0.2, 0.3, -0.4)] {
+                let [u, v] = view.project(point, 1.5).unwrap();
+                let from = origin[0] + u * origin[1] + v * origin[2];
+                let to = (point - placement.center) / placement.radius - from;
+                let depth = to.dot(direction[0]);
+                assert!((to - depth * direction[0]).length() < 1e-4 && depth > 0.0, "{to} {depth}");
+            }
+        }
+    }
+
+    #[test]
+    fn views_along_axes_look_along_them() {
+        let eyes = [[0, 0, 1], [1, 0, 0], [0, 1, 0], [0, 0, -1], [-1, 0, 0], [0, -1, 0]];
+        for (axis, eye) in Axis::ALL.into_iter().zip(eyes) {
+            let mut view = Viewpoint::default();
+            view.look_along(axis);
+            let expected = Vec3::from_array(eye.map(|v| v as f32));
+            assert!((view.axes()[2] - expected).length() < 1e-6, "{}", axis.name());
         }
     }
 

@@ -17,13 +17,13 @@ pub(crate) struct Histogram {
 impl Histogram {
     /// Of every voxel, or of [`SAMPLED`] spread evenly.
     pub(crate) fn of(view: &VolumeView<'_>) -> Self {
-        let [nx, ny, _] = view.dims();
-        let stride = (view.voxels() / SAMPLED).max(1);
+        let [nx, ny, _] = view.shape().dims;
+        let stride = (view.shape().voxels / SAMPLED).max(1);
         // A stride that shares no factor with the rows walks through all of them.
         let stride = if stride.is_multiple_of(2) { stride + 1 } else { stride };
         let mut counts = vec![0; BINS];
         let mut i = 0;
-        while i < view.voxels() {
+        while i < view.shape().voxels {
             let (x, rest) = (i as usize % nx, i as usize / nx);
             let s = view.normalize(view.value(x, rest % ny, rest / ny));
             counts[((s * (BINS - 1) as f32 + 0.5) as usize).min(BINS - 1)] += 1;

@@ -182,7 +182,7 @@ impl Worker {
 /// Those of the raycaster.
 pub(crate) fn warm(raycaster: &mut VulkanRaycaster, shading: Shading, skipping: Skipping) -> Result<()> {
     let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.6 })?;
-    let frame = Frame::new(camera, 16, 16)?.with_step(8.0)?.with_shading(shading).with_skipping(skipping);
+    let frame = Frame { step: 8.0, shading, skipping, ..Frame::new(camera, 16, 16)? }.checked()?;
     raycaster.render(&frame)?;
     Ok(())
 }

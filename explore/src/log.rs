@@ -3,7 +3,7 @@
 use crate::steering::FrameRecord;
 use anyhow::{Context, Result};
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{LineWriter, Write};
 use std::path::Path;
 
 /// What stands beside a frame's record.
@@ -17,11 +17,14 @@ pub(crate) struct Beside<'a> {
     /// Seconds of the frame before its plan, and those of the interface on the device.
     pub(crate) before: f64,
     pub(crate) shown: f64,
+    /// Processor seconds in which the picture was handed to the display, which are none of the interface's.
+    pub(crate) handing: f64,
 }
 
 /// A table in the making.
 pub(crate) struct Log {
-    out: BufWriter<File>,
+    /// By lines, so that a row is there for who watches.
+    out: LineWriter<File>,
 }
 
 impl Log {
@@ -29,12 +32,12 @@ impl Log {
     /// When the file cannot be made.
     pub(crate) fn create(path: &Path) -> Result<Self> {
         let file = File::create(path).with_context(|| format!("cannot write {}", path.display()))?;
-        let mut out = BufWriter::new(file);
+        let mut out = LineWriter::new(file);
         writeln!(
             out,
             "frame,kind,seconds,cast_seconds,interface_cpu_seconds,before_seconds,shown_seconds,target_seconds,\
              predicted_seconds,upper_seconds,full_seconds,step,image_sample_distance,width,height,reason,switched,\
-             controller,input_frames,resident_bytes"
+             controller,input_frames,resident_bytes,handing_cpu_seconds"
         )?;
         Ok(Self { out })
     }
@@ -46,7 +49,7 @@ impl Log {
     pub(crate) fn frame(&mut self, r: &FrameRecord, b: &Beside<'_>) -> Result<()> {
         writeln!(
             self.out,
-            "{},frame,{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.4},{:.4},{},{},{},{},{},{},{}",
+            "{},frame,{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.6},{:.4},{:.4},{},{},{},{},{},{},{},{:.6}",
             r.number,
             r.seconds,
             r.cast,
@@ -65,7 +68,8 @@ impl Log {
             u8::from(r.switched),
             b.controller,
             b.input_frames,
-            resident_bytes()
+            resident_bytes(),
+            b.handing
         )?;
         Ok(())
     }
@@ -83,7 +87,7 @@ impl Log {
     ) -> Result<()> {
         writeln!(
             self.out,
-            "{frame},{kind},{seconds:.6},{cast:.6},,,{longest:.6},{target:.6},,,,,,,,,,,,{}",
+            "{frame},{kind},{seconds:.6},{cast:.6},,,{longest:.6},{target:.6},,,,,,,,,,,,{},",
             resident_bytes()
         )?;
         Ok(())

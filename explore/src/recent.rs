@@ -1,5 +1,6 @@
 //! The volumes that were opened last.
 
+use crate::whole::write_whole;
 use std::path::{Path, PathBuf};
 
 /// Files that are kept.
@@ -36,9 +37,9 @@ impl Recent {
         self.paths.insert(0, path);
         self.paths.truncate(MOST);
         if let Some(file) = &self.file {
-            let write = || -> std::io::Result<()> {
+            let write = || -> anyhow::Result<()> {
                 std::fs::create_dir_all(file.parent().unwrap_or(Path::new(".")))?;
-                std::fs::write(file, serde_json::to_string_pretty(&self.paths)?)
+                write_whole(file, serde_json::to_string_pretty(&self.paths)?.as_bytes())
             };
             let _ = write();
         }

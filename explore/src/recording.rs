@@ -23,6 +23,8 @@ pub enum RecordedTransfer {
 pub struct RecordedFrame {
     /// The pose of the eye about the volume's center.
     pub camera: Arcball,
+    /// Half of the height that an orthographic view shows, bounding-sphere radii; none for a perspective one.
+    pub parallel_scale: Option<f32>,
     /// Whether the camera jumped here.
     pub camera_switched: bool,
     /// The transfer function, where it differs from the frame before.
@@ -44,12 +46,12 @@ pub struct Recording {
 #[derive(Debug)]
 pub(crate) struct Recorder {
     recording: Recording,
-    last: Option<(Arcball, Curve)>,
+    last: Option<(Arcball, Option<f32>, Curve)>,
     /// Whether a frame was panned, which path files do not hold.
     pub(crate) panned: bool,
 }
 
-/// Degrees, and ratio of distances, beyond which the camera counts as having jumped.
+/// Degrees, and ratio of distances or scales, beyond which the camera counts as having jumped.
 const JUMP: (f32, f32) = (20.0, 1.5);
 
 impl Recorder {
@@ -68,22 +70,29 @@ impl Recorder {
         self.panned |= view.target != glam::Vec3::ZERO;
         let mut camera = view.arcball();
         let mut switched = false;
-        if let Some((before, _)) = &self.last {
+        let parallel_scale = view.parallel_scale();
+        if let Some((before, scale, _)) = &self.last {
             // Angles go on beyond a turn, so that what lies between two frames is the short way.
             camera.ry += 360.0 * ((before.ry - camera.ry) / 360.0).round();
             let turned = (camera.ry - before.ry).abs().max((camera.rx - before.rx).abs());
-            let moved = (camera.dz / before.dz).max(before.dz / camera.dz);
-            switched = turned > JUMP.0 || moved > JUMP.1;
+            let moved = match (parallel_scale, *scale) {
+                (None, None) => camera.dz / before.dz,
+                (Some(now), Some(then)) => now / then,
+                // Another projection.
+                _ => f32::INFINITY,
+            };
+            switched = turned > JUMP.0 || moved.max(1.0 / moved) > JUMP.1;
         }
-        let changed = self.last.as_ref().is_none_or(|(_, before)| before != curve);
+        let changed = self.last.as_ref().is_none_or(|(.., before)| before != curve);
         let transfer = if changed { Some(curve.recorded()?) } else { None };
         self.recording.frames.push(RecordedFrame {
             camera,
+            parallel_scale,
             camera_switched: switched,
             transfer,
             transfer_switched: changed && replaced,
         });
-        self.last = Some((camera, curve.clone()));
+        self.last = Some((camera, parallel_scale, curve.clone()));
         Ok(())
     }
 
@@ -111,9 +120,21 @@ mod tests {
         recorder.note(&view, &curve("shell"), true).unwrap();
         view.ry = 60.0;
         recorder.note(&view, &curve("core"), true).unwrap();
+        // Orthographic from here on, and zoomed.
+        view.orthographic = true;
+        recorder.note(&view, &curve("core"), true).unwrap();
+        view.zoom(0.9);
+        recorder.note(&view, &curve("core"), true).unwrap();
+        view.zoom(0.5);
+        recorder.note(&view, &curve("core"), true).unwrap();
         let frames = recorder.finish().frames;
         assert_eq!(frames[1].camera.ry, 365.0);
-        assert_eq!(frames.iter().map(|f| f.camera_switched).collect::<Vec<_>>(), [false, false, true]);
-        assert_eq!(frames.iter().map(|f| f.transfer.is_some()).collect::<Vec<_>>(), [true, false, true]);
+        let switched: Vec<bool> = frames.iter().map(|f| f.camera_switched).collect();
+        assert_eq!(switched, [false, false, true, true, false, true]);
+        let edited: Vec<bool> = frames.iter().map(|f| f.transfer.is_some()).collect();
+        assert_eq!(edited, [true, false, true, false, false, false]);
+        let scales: Vec<Option<f32>> = frames.iter().map(|f| f.parallel_scale).collect();
+        assert_eq!(scales[..3], [None; 3]);
+        assert!((scales[4].unwrap() / scales[3].unwrap() - 0.9).abs() < 1e-5);
     }
 }

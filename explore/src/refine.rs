@@ -109,7 +109,7 @@ pub(crate) struct Refinement {
 impl Refinement {
     /// `expected`: seconds of the whole frame.
     pub(crate) fn new(frame: Frame, expected: f64) -> Self {
-        let cursor = Cursor::new(frame.width(), frame.height(), expected);
+        let cursor = Cursor::new(frame.width, frame.height, expected);
         Self { frame, cursor, begin: Instant::now(), longest: 0.0, cast: 0.0 }
     }
 

@@ -4,7 +4,7 @@ use crate::camera::Placement;
 use crate::histogram::Histogram;
 use crate::host::VolumeSource;
 use anyhow::{Result, ensure};
-use entire_core::scene::{Scalars, VolumeView};
+use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
 use entire_vk_raycaster::VulkanRaycaster;
 use glam::Vec3;
 use std::path::PathBuf;
@@ -40,11 +40,11 @@ pub(crate) struct Facts {
 impl Facts {
     pub(crate) fn of(view: &VolumeView<'_>) -> Self {
         Self {
-            dims: view.dims(),
-            kind: view.scalar_type().into(),
+            dims: view.shape().dims,
+            kind: view.scalars().scalar_type().into(),
             range: view.range(),
-            spacing: view.spacing(),
-            half_extent: view.half_extent(),
+            spacing: view.shape().spacing,
+            half_extent: view.shape().half_extent,
         }
     }
 
@@ -81,7 +81,7 @@ impl Part {
     /// # Errors
     /// For a part beyond the volume, or voxels of an unknown type.
     pub(crate) fn new(view: &VolumeView<'_>, crop: Crop) -> Result<(Self, Placement)> {
-        for (axis, ([low, high], n)) in ["x", "y", "z"].iter().zip(crop.iter().zip(view.dims())) {
+        for (axis, ([low, high], n)) in ["x", "y", "z"].iter().zip(crop.iter().zip(view.shape().dims)) {
             ensure!(
                 low <= high && *high < n,
                 "the part has voxels {low} to {high} along {axis}; the volume has 0 to {}",
@@ -96,9 +96,9 @@ impl Part {
             Scalars::F32(v) => Voxels::F32(copy(v, view, crop)),
             other => anyhow::bail!("voxels of type {} cannot be cropped", other.scalar_type()),
         };
-        let part = Self { voxels, dims, spacing: view.spacing(), range: view.range() };
+        let part = Self { voxels, dims, spacing: view.shape().spacing, range: view.range() };
         let corners = Facts::of(view).corners(Some(crop));
-        let radius = part.view().bounding_radius() / view.bounding_radius();
+        let radius = part.view().shape().bounding_radius / view.shape().bounding_radius;
         Ok((part, Placement { center: 0.5 * (corners[0] + corners[1]), radius }))
     }
 }
@@ -108,8 +108,8 @@ fn copy<T: Copy>(all: &[T], view: &VolumeView<'_>, crop: Crop) -> Vec<T> {
     let mut out = Vec::with_capacity(crop.iter().map(|[l, h]| h - l + 1).product());
     for k in z[0]..=z[1] {
         for j in y[0]..=y[1] {
-            let stride = view.strides()[0];
-            let row = view.index(x[0], j, k);
+            let [stride, along_y, along_z] = view.strides();
+            let row = x[0] * stride + j * along_y + k * along_z;
             out.extend((0..=x[1] - x[0]).map(|i| all[row + i * stride]));
         }
     }
@@ -124,9 +124,9 @@ impl VolumeSource for Part {
             Voxels::I16(v) => Scalars::I16(v),
             Voxels::F32(v) => Scalars::F32(v),
         };
-        VolumeView::with_known_range(scalars, self.dims, self.range)
-            .and_then(|v| v.with_spacing(self.spacing.to_array()))
-            .expect("a part of a checked volume")
+        let options =
+            VolumeOptions { strides: None, spacing: self.spacing.to_array(), range: Some(self.range) };
+        VolumeView::with(scalars, self.dims, options).expect("a part of a checked volume")
     }
 }
 
@@ -137,21 +137,26 @@ mod tests {
     #[test]
     fn a_part_holds_its_voxels_and_knows_where_it_lies() {
         let voxels: Vec<u16> = (0..4 * 6 * 8).collect();
-        let view =
-            VolumeView::new(Scalars::U16(&voxels), [4, 6, 8]).unwrap().with_spacing([1.0, 2.0, 0.5]).unwrap();
+        let view = VolumeView::with(
+            Scalars::U16(&voxels),
+            [4, 6, 8],
+            VolumeOptions { spacing: [1.0, 2.0, 0.5], ..VolumeOptions::default() },
+        )
+        .unwrap();
         let (part, placement) = Part::new(&view, [[1, 2], [0, 3], [4, 7]]).unwrap();
         let cut = part.view();
-        assert_eq!((cut.dims(), cut.range()), ([2, 4, 4], view.range()));
+        assert_eq!((cut.shape().dims, cut.range()), ([2, 4, 4], view.range()));
         for (x, y, z) in [(0, 0, 0), (1, 3, 3), (1, 0, 2)] {
             assert_eq!(cut.value(x, y, z), view.value(x + 1, y, z + 4));
         }
         // A voxel's corner is at one place of the world in both.
         let world = |v: &VolumeView<'_>, at: Vec3| {
-            let corner = Vec3::from_array(v.dims().map(|n| n as f32)) * v.spacing() * 0.5;
-            at * v.spacing() - corner
+            let corner = Vec3::from_array(v.shape().dims.map(|n| n as f32)) * v.shape().spacing * 0.5;
+            at * v.shape().spacing - corner
         };
-        let of_whole = world(&view, Vec3::new(1.0, 0.0, 4.0)) / view.bounding_radius();
-        let of_part = world(&cut, Vec3::ZERO) / cut.bounding_radius() * placement.radius + placement.center;
+        let of_whole = world(&view, Vec3::new(1.0, 0.0, 4.0)) / view.shape().bounding_radius;
+        let of_part =
+            world(&cut, Vec3::ZERO) / cut.shape().bounding_radius * placement.radius + placement.center;
         assert!((of_whole - of_part).length() < 1e-6, "{of_whole} {of_part}");
         assert!(Part::new(&view, [[1, 4], [0, 3], [4, 7]]).is_err());
         assert!(Part::new(&view, [[2, 1], [0, 3], [4, 7]]).is_err());

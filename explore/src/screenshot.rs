@@ -1,7 +1,8 @@
 //! Pictures at full quality for files, made in slices.
 
 use crate::refine::Cursor;
-use anyhow::{Context, Result};
+use crate::whole::write_whole;
+use anyhow::Result;
 use entire_core::scene::Frame;
 use entire_vk_raycaster::VulkanRaycaster;
 use std::path::{Path, PathBuf};
@@ -17,8 +18,8 @@ pub(crate) struct Screenshot {
 impl Screenshot {
     /// `expected`: seconds of the whole frame.
     pub(crate) fn new(file: PathBuf, frame: Frame, expected: f64) -> Self {
-        let rgb = vec![0; frame.pixels() as usize * 3];
-        Self { file, frame, cursor: Cursor::new(frame.width(), frame.height(), expected), rgb }
+        let rgb = vec![0; frame.width as usize * frame.height as usize * 3];
+        Self { file, frame, cursor: Cursor::new(frame.width, frame.height, expected), rgb }
     }
 
     pub(crate) fn share(&self) -> f64 {
@@ -31,7 +32,7 @@ impl Screenshot {
     /// Those of the raycaster, and when the file cannot be written.
     pub(crate) fn slice(&mut self, raycaster: &mut VulkanRaycaster, budget: f64) -> Result<bool> {
         let (frame, rgb) = (&self.frame, &mut self.rgb);
-        let width = frame.width() as usize;
+        let width = frame.width as usize;
         self.cursor.slice(budget, |region| {
             let rendered = raycaster.render_region(frame, region)?;
             let found = rendered.image.rgba.as_chunks::<4>().0.chunks_exact(region.width as usize);
@@ -46,7 +47,7 @@ impl Screenshot {
             Ok(rendered.time.wall)
         })?;
         if self.cursor.is_done() {
-            write_png(&self.file, frame.width(), frame.height(), rgb)?;
+            write_png(&self.file, frame.width, frame.height, rgb)?;
         }
         Ok(self.cursor.is_done())
     }
@@ -57,14 +58,12 @@ impl Screenshot {
 /// # Errors
 /// When the file cannot be written.
 pub(crate) fn write_png(path: &Path, width: u32, height: u32, rgb: &[u8]) -> Result<()> {
-    let write = || -> Result<()> {
-        let file = std::io::BufWriter::new(std::fs::File::create(path)?);
-        let mut encoder = png::Encoder::new(file, width, height);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        let mut writer = encoder.write_header()?;
-        writer.write_image_data(rgb)?;
-        Ok(writer.finish()?)
-    };
-    write().with_context(|| format!("cannot write {}", path.display()))
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, width, height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(rgb)?;
+    writer.finish()?;
+    write_whole(path, &bytes)
 }

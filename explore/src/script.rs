@@ -5,7 +5,9 @@
 //! |---|---|
 //! | `camera` | `[rx, ry, dz]`: degrees, degrees, bounding-sphere radii; a cut |
 //! | `spin` | `[right, down]`: degrees per frame from here on |
-//! | `zoom` | factor of the distance |
+//! | `view` | `front`, `right`, `top`, `back`, `left` or `bottom` |
+//! | `orthographic` | true or false |
+//! | `zoom` | factor of the distance, or of an orthographic view's scale |
 //! | `pan` | `[right, down]` in heights of the view |
 //! | `preset` | the name of a preset |
 //! | `lobes` | `[[center, width, height], …]` |
@@ -41,6 +43,8 @@ const MOST_BYTES: u64 = 16 << 20;
 pub(crate) enum Action {
     Camera([f32; 3]),
     Spin([f32; 2]),
+    View(String),
+    Orthographic(bool),
     Zoom(f32),
     Pan([f32; 2]),
     Preset(String),

@@ -119,7 +119,7 @@ impl Steer {
             known: None,
             volume: 0,
             transfer: 0,
-            changes: Changes::NONE,
+            changes: Changes::default(),
             other: VecDeque::with_capacity(OTHER_WORK),
         }
     }
@@ -173,7 +173,9 @@ impl Steer {
         }
         let running = self.loops.get_mut(&key).context("a session that was made")?;
         if running.volume != self.volume {
-            running.session.set_volume(known.summary.clone(), steering.volume_features());
+            running
+                .session
+                .set_volume(known.summary.clone(), steering.volume_features().map(<[f32]>::to_vec));
             running.volume = self.volume;
             running.transfer = 0;
         }
@@ -186,22 +188,23 @@ impl Steer {
         Ok(&mut running.session)
     }
 
-    /// Seconds that a frame's other work takes from its plan on: the middle of the last frames'.
+    /// Seconds that a frame's other work takes from its plan on: what three of four of the last frames stayed
+    /// below, since the plan's bound is one of ray casting alone.
     fn other_work(&self) -> f64 {
         let mut all: Vec<f64> = self.other.iter().copied().collect();
         all.sort_by(f64::total_cmp);
-        all.get(all.len() / 2).copied().unwrap_or(0.0)
+        all.get(all.len() * 3 / 4).copied().unwrap_or(0.0)
     }
 
     /// Seconds that a frame is expected to take, and their bound.
     pub(crate) fn predict(&mut self, frame: &Frame) -> Result<(f64, f64)> {
-        let p = self.session(frame.shading())?.predict(frame)?;
+        let p = self.session(frame.shading)?.predict(frame)?;
         Ok((f64::from(p.seconds), f64::from(p.upper)))
     }
 
     /// Predicts the frame at full quality, for [`Steer::full`].
     pub(crate) fn predict_full(&mut self, frame: &Frame) -> Result<()> {
-        self.full = Some(self.predict(&frame.with_step(1.0)?)?);
+        self.full = Some(self.predict(&Frame { step: 1.0, ..*frame }.checked()?)?);
         Ok(())
     }
 
@@ -212,19 +215,22 @@ impl Steer {
         let target = (self.target - other).max(LEAST_SHARE * self.target);
         let (enabled, limits, distance) =
             (self.enabled, StepLimits { finest: 1.0, coarsest: self.coarsest }, self.distance);
-        let changes = std::mem::replace(&mut self.changes, Changes::NONE);
-        let session = self.session(frame.shading())?;
+        let changes = std::mem::take(&mut self.changes);
+        let session = self.session(frame.shading)?;
         session.set_enabled(enabled);
         session.set_limits(limits)?;
         session.set_max_image_sample_distance(distance, STEP_ALONE)?;
         session.mark(changes);
         let plan = session.plan(frame, target as f32)?;
         let side = |n: u32| ((n as f32 / plan.image_sample_distance) as u32).max(1);
-        let drawn = Frame::new(*frame.camera(), side(frame.width()), side(frame.height()))?
-            .with_termination(frame.termination())?
-            .with_shading(frame.shading())
-            .with_skipping(frame.skipping())
-            .with_step(plan.step)?;
+        let drawn = Frame {
+            termination: frame.termination,
+            shading: frame.shading,
+            skipping: frame.skipping,
+            step: plan.step,
+            ..Frame::new(frame.camera, side(frame.width), side(frame.height))?
+        }
+        .checked()?;
         Ok(Planned { plan, frame: drawn, other })
     }
 
@@ -334,7 +340,7 @@ mod tests {
 
     /// Seconds of a frame that costs so much per ray and sample.
     fn cost(frame: &Frame) -> f64 {
-        frame.pixels() as f64 * (2e-8 + 4e-7 / f64::from(frame.step()))
+        f64::from(frame.width) * f64::from(frame.height) * (2e-8 + 4e-7 / f64::from(frame.step))
     }
 
     #[test]
@@ -346,7 +352,7 @@ mod tests {
             let planned = steer.plan(&frame, before).unwrap();
             let cast = cost(&planned.frame);
             last = before + cast + after;
-            steer.observe(&planned, frame.shading(), cast, false).unwrap();
+            steer.observe(&planned, frame.shading, cast, false).unwrap();
             let record = FrameRecord {
                 number,
                 seconds: last,
@@ -377,7 +383,7 @@ mod tests {
     fn controllers_learn_for_themselves_and_every_reason_has_words() {
         let (mut steer, frame) = steer();
         let first = steer.plan(&frame, 0.0).unwrap();
-        steer.observe(&first, frame.shading(), 0.5, false).unwrap();
+        steer.observe(&first, frame.shading, 0.5, false).unwrap();
         let learned = steer.plan(&frame, 0.0).unwrap();
         steer.controller = 1;
         let other = steer.plan(&frame, 0.0).unwrap();

@@ -24,11 +24,14 @@ impl WorkMap {
     /// # Errors
     /// When the frame is none.
     pub(crate) fn new(frame: &Frame) -> Result<Self> {
-        let coarse = Frame::new(*frame.camera(), CELLS[0] * CELL_PIXELS, CELLS[1] * CELL_PIXELS)?
-            .with_termination(frame.termination())?
-            .with_shading(frame.shading())
-            .with_skipping(frame.skipping())
-            .with_step(1.0)?;
+        let coarse = Frame {
+            termination: frame.termination,
+            shading: frame.shading,
+            skipping: frame.skipping,
+            step: 1.0,
+            ..Frame::new(frame.camera, CELLS[0] * CELL_PIXELS, CELLS[1] * CELL_PIXELS)?
+        }
+        .checked()?;
         Ok(Self { samples: vec![0.0; (CELLS[0] * CELLS[1]) as usize], next: 0, frame: coarse })
     }
 

@@ -16,6 +16,13 @@ pub const ENTIRE_CAMERA_ARCBALL: entire_camera = 1;
 /// By entire_frame.view, volume_center and volume_radius.
 pub const ENTIRE_CAMERA_VIEW: entire_camera = 2;
 
+/// How a camera projects: one of the two `ENTIRE_PROJECTION_*` numbers.
+pub type entire_projection = u32;
+/// By entire_frame.fov_y; rays leave the eye.
+pub const ENTIRE_PROJECTION_PERSPECTIVE: entire_projection = 1;
+/// By entire_frame.parallel_scale; rays leave the plane through the eye, all along the view (orthographic).
+pub const ENTIRE_PROJECTION_PARALLEL: entire_projection = 2;
+
 /// What is computed at each sample: one of the `ENTIRE_SHADING_*` numbers.
 pub type entire_shading = u32;
 /// Color and opacity of the transfer function alone.
@@ -46,7 +53,8 @@ pub struct entire_frame {
     pub height: u32,
     /// ENTIRE_CAMERA_ARCBALL (default) or ENTIRE_CAMERA_VIEW.
     pub camera: entire_camera,
-    /// Vertical field of view in degrees, over 0 and up to 179; default 45.
+    /// Vertical field of view in degrees, over 0 and up to 179; default 45. Not read with
+    /// ENTIRE_PROJECTION_PARALLEL.
     pub fov_y: f32,
     /// Rotation about x and y in degrees (positive raises the eye, moves it to the right), and the eye's
     /// distance from the volume's center in multiples of its bounding-sphere radius. Default 0, 0, 3.
@@ -70,6 +78,12 @@ pub struct entire_frame {
     pub skipping: entire_skipping,
     /// Not 0 where ray starts are jittered; default 0.
     pub jitter: u32,
+    /// ENTIRE_PROJECTION_PERSPECTIVE (default) or ENTIRE_PROJECTION_PARALLEL.
+    pub projection: entire_projection,
+    /// Half of the height that a parallel projection shows: world units with ENTIRE_CAMERA_VIEW (VTK's
+    /// ParallelScale), bounding-sphere radii with ENTIRE_CAMERA_ARCBALL. From 1e-6 to 1e6 radii; default NaN,
+    /// to be set with ENTIRE_PROJECTION_PARALLEL.
+    pub parallel_scale: f32,
 }
 
 // SAFETY: repr(C), struct_size first, integers and floats only.
@@ -91,6 +105,8 @@ unsafe impl ByValue for entire_frame {
             shading: ENTIRE_SHADING_NONE,
             skipping: ENTIRE_SKIPPING_BLOCKS,
             jitter: 0,
+            projection: ENTIRE_PROJECTION_PERSPECTIVE,
+            parallel_scale: f32::NAN,
         }
     }
 }
@@ -125,7 +141,9 @@ no_padding!(entire_frame {
     termination,
     shading,
     skipping,
-    jitter
+    jitter,
+    projection,
+    parallel_scale
 });
 // An element of arrays: it never changes.
 const _: () = assert!(size_of::<entire_setting>() == 20);
@@ -169,10 +187,10 @@ fn skipping(number: u32) -> Result<Skipping, Failure> {
 impl entire_frame {
     /// The core's frame. `radius`: the bounding-sphere radius where the volume is known.
     pub(crate) fn checked(&self, radius: Option<f32>) -> Result<Frame, Failure> {
-        let camera = match self.camera {
+        let (camera, unit) = match self.camera {
             ENTIRE_CAMERA_ARCBALL => {
                 let [rx, ry, dz] = self.arcball;
-                Camera::from_arcball(Arcball { rx, ry, dz })?
+                (Camera::from_arcball(Arcball { rx, ry, dz })?, 1.0)
             }
             ENTIRE_CAMERA_VIEW => {
                 let radius = if self.volume_radius.is_nan() { radius } else { Some(self.volume_radius) };
@@ -183,7 +201,7 @@ impl entire_frame {
                     )
                 })?;
                 let view = Mat4::from_cols_array(&self.view);
-                Camera::from_world_view(view, Vec3::from_array(self.volume_center), radius)?
+                (Camera::from_world_view(view, Vec3::from_array(self.volume_center), radius)?, radius)
             }
             other => {
                 return Err(Failure::new(
@@ -194,12 +212,28 @@ impl entire_frame {
                 ));
             }
         };
-        Ok(Frame::new(camera.with_fov_y_degrees(self.fov_y)?, self.width, self.height)?
-            .with_step(self.step)?
-            .with_termination(self.termination)?
-            .with_shading(shading(self.shading)?)
-            .with_skipping(skipping(self.skipping)?)
-            .with_jitter(self.jitter != 0))
+        let camera = match self.projection {
+            ENTIRE_PROJECTION_PERSPECTIVE => camera.with_fov_y_degrees(self.fov_y)?,
+            ENTIRE_PROJECTION_PARALLEL => camera.with_parallel_scale(self.parallel_scale / unit)?,
+            other => {
+                return Err(Failure::new(
+                    ENTIRE_INVALID_ARGUMENT,
+                    format!(
+                        "projection is {other}; it must be ENTIRE_PROJECTION_PERSPECTIVE (1) or \
+                         ENTIRE_PROJECTION_PARALLEL (2)"
+                    ),
+                ));
+            }
+        };
+        Ok(Frame {
+            step: self.step,
+            termination: self.termination,
+            shading: shading(self.shading)?,
+            skipping: skipping(self.skipping)?,
+            jitter: self.jitter != 0,
+            ..Frame::new(camera, self.width, self.height)?
+        }
+        .checked()?)
     }
 }
 

@@ -135,7 +135,7 @@ impl Loaded {
         let prednet = match model.prednet() {
             Some(parts) => {
                 let net = PredNet::with(parts, *level, stored(parts))?;
-                let scratch = Pool::filled(|| net.scratch())?;
+                let scratch = Pool::filled(|| net.scratch(1))?;
                 Some((Arc::new(net), scratch))
             }
             None => None,
@@ -172,7 +172,7 @@ impl Loaded {
     /// The volume features that the model's predictions take: ready ones, or the encoder's; `None` where it
     /// takes none.
     pub(crate) fn features_of(&self, volume: &Volume) -> Result<Option<Vec<f32>>, Failure> {
-        let Some(size) = self.model.input_size(GroupKind::VolumeFeatures.name()) else { return Ok(None) };
+        let Some(size) = self.model.input_size(GroupKind::VolumeFeatures) else { return Ok(None) };
         if let Some(ready) = &volume.features {
             if ready.len() != size {
                 return Err(Failure::new(
@@ -522,7 +522,7 @@ pub unsafe extern "C" fn entire_model_predict(
             let inputs = slice(inputs, input_count, "inputs")?;
             let (net, pool) = loaded.prednet()?;
             check_inputs(inputs, net.inputs(), 1)?;
-            let predicted = pool.with(|| net.scratch(), |scratch| net.predict(inputs, scratch))?;
+            let predicted = pool.with(|| net.scratch(1), |scratch| net.predict(inputs, scratch))?;
             write(seconds, frame_time(predicted)?, "seconds (output)")
         })
     }
@@ -559,12 +559,14 @@ pub unsafe extern "C" fn entire_model_predict_batch(
                 return Ok(());
             }
             check_inputs(inputs, net.inputs(), rows)?;
-            let scratch = || net.batch_scratch(ROWS_AT_ONCE);
+            let scratch = || net.scratch(ROWS_AT_ONCE);
             // Apart from the caller's memory, which a failed call leaves as it was.
             let mut predicted = Vec::new();
             predicted.try_reserve_exact(rows)?;
             predicted.resize(rows, 0.0f32);
-            loaded.rows.with(scratch, |scratch| net.predict_batch(inputs, &mut predicted, scratch))??;
+            loaded.rows.with(scratch, |scratch| {
+                net.predict_batch(Executor::Serial, inputs, &mut predicted, std::slice::from_mut(scratch))
+            })??;
             for (row, answer) in predicted.iter_mut().enumerate() {
                 *answer = frame_time(*answer)
                     .map_err(|why| Failure::new(why.code, format!("row {row}: {}", why.message)))?;

@@ -16,12 +16,12 @@ use std::cell::UnsafeCell;
 use std::ptr::null_mut;
 use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
 
-/// Largest piece that the reserve stands in for, bytes.
-const LARGEST: usize = 1 << 16;
+/// Largest piece that the reserve stands in for, bytes. (Miri runs some thousand times slower: less of all.)
+const LARGEST: usize = if cfg!(miri) { 1 << 12 } else { 1 << 16 };
 /// Bytes of a block, and the strictest alignment that the reserve gives.
 const BLOCK: usize = 256;
 /// Blocks in the reserve: 1 MiB.
-const BLOCKS: usize = 1 << 12;
+const BLOCKS: usize = if cfg!(miri) { 1 << 7 } else { 1 << 12 };
 
 #[repr(C, align(256))]
 struct Memory(UnsafeCell<[u8; BLOCK * BLOCKS]>);

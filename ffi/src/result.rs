@@ -1,6 +1,6 @@
 //! Result codes, and the failure that becomes one.
 
-use entire_core::predict::{LONGEST_PREDICTION, checked_seconds};
+use entire_core::predict::{PREDICTED_SECONDS, check_predictions};
 use entire_core::{Error, ErrorKind};
 use std::collections::TryReserveError;
 use std::ffi::{CStr, c_char};
@@ -117,15 +117,16 @@ impl Failure {
 /// Whether a number can be the seconds that a frame takes.
 #[inline]
 pub(crate) fn is_frame_time(seconds: f32) -> bool {
-    seconds > 0.0 && seconds < LONGEST_PREDICTION
+    seconds > 0.0 && seconds < *PREDICTED_SECONDS.end()
 }
 
 /// A network's answer as the seconds that a frame takes. One under 1e-6, as networks give for
 /// cheap frames, is the shortest prediction of all.
 #[inline]
 pub(crate) fn frame_time(answer: f32) -> Result<f32, Failure> {
-    match checked_seconds(answer) {
-        Ok((seconds, _)) if is_frame_time(seconds) => Ok(seconds),
+    let mut seconds = answer;
+    match check_predictions(std::slice::from_mut(&mut seconds)) {
+        Ok(_) if is_frame_time(seconds) => Ok(seconds),
         _ => Err(no_prediction(answer)),
     }
 }
@@ -137,8 +138,9 @@ pub(crate) fn no_prediction(seconds: f32) -> Failure {
         ENTIRE_INVALID_MODEL,
         format!(
             "the model predicts {seconds} s for this frame; a frame time is over 0 and under \
-             {LONGEST_PREDICTION} s. The inputs are far from what the model was trained on, or its weights are \
-             damaged: use another model"
+             {} s. The inputs are far from what the model was trained on, or its weights are \
+             damaged: use another model",
+            PREDICTED_SECONDS.end()
         ),
     )
 }
@@ -182,7 +184,7 @@ impl From<Error> for Failure {
             // A kind that this file does not list; tests/kinds.rs fails when there is one.
             _ => ENTIRE_UNSUPPORTED,
         };
-        Self::new(code, error.message())
+        Self::new(code, error.to_string())
     }
 }
 

@@ -11,7 +11,7 @@ use crate::result::entire_result::{self, *};
 use crate::result::{Failure, copied};
 use crate::sink;
 use entire_core::features::{SummaryOptions, VolumeSummary};
-use entire_core::scene::{ScalarType, Scalars, VolumeView};
+use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
 use std::ffi::{c_char, c_void};
 use std::mem::size_of;
 use std::sync::OnceLock;
@@ -313,8 +313,8 @@ pub unsafe extern "C" fn entire_volume_new(
 
 fn log_volume(view: &VolumeView<'_>) {
     if sink::enabled(sink::ENTIRE_LOG_INFO) {
-        let ([x, y, z], (low, high)) = (view.dims(), view.range());
-        let name = view.scalar_type().to_string();
+        let ([x, y, z], (low, high)) = (view.shape().dims, view.range());
+        let name = view.scalars().scalar_type().to_string();
         sink::emit(
             sink::ENTIRE_LOG_INFO,
             &format!("volume of {x} x {y} x {z} {name} voxels, range {low} to {high}"),
@@ -402,15 +402,13 @@ unsafe fn take_voxels(desc: &entire_volume_desc) -> Result<Voxels, Failure> {
             "some strides are ENTIRE_STRIDE_CONTIGUOUS and some are not; set all three or none",
         ));
     }
-    let view = if contiguous {
-        VolumeView::new(scalars, desc.dims)?
-    } else {
-        VolumeView::with_strides(scalars, desc.dims, desc.strides)?
+    let [low, high] = desc.range;
+    let options = VolumeOptions {
+        strides: (!contiguous).then_some(desc.strides),
+        spacing: desc.spacing,
+        range: desc.range.iter().any(|end| !end.is_nan()).then_some((low, high)),
     };
-    let mut view = view.with_spacing(desc.spacing)?;
-    if desc.range.iter().any(|end| !end.is_nan()) {
-        view = view.with_range(desc.range[0], desc.range[1])?;
-    }
+    let view = VolumeView::with(scalars, desc.dims, options)?;
     Ok(Voxels { view, _copy: copy })
 }
 
@@ -551,17 +549,17 @@ unsafe fn describe(volume: &Volume, info: *mut entire_volume_info) -> Outcome {
     let mut out =
         entire_volume_info { scalar_type: volume.scalar_type, feature_count, ..ByValue::defaults() };
     if let Some(Voxels { view, .. }) = &volume.voxels {
-        out.dims = view.dims();
-        out.spacing = view.spacing().to_array();
+        out.dims = view.shape().dims;
+        out.spacing = view.shape().spacing.to_array();
         out.range = view.range().into();
-        out.bounding_radius = view.bounding_radius();
-        out.reference_step = view.spacing().min_element();
+        out.bounding_radius = view.shape().bounding_radius;
+        out.reference_step = view.shape().spacing.min_element();
         out.has_voxels = 1;
     } else if let Some(summary) = volume.summary.get() {
-        out.dims = summary.dims();
-        out.spacing = summary.spacing().to_array();
-        out.bounding_radius = summary.bounding_radius();
-        out.reference_step = summary.spacing().min_element();
+        out.dims = summary.shape().dims;
+        out.spacing = summary.shape().spacing.to_array();
+        out.bounding_radius = summary.shape().bounding_radius;
+        out.reference_step = summary.shape().spacing.min_element();
     }
     // SAFETY: as the caller promises.
     unsafe { write_struct(info, &out) }

@@ -8,7 +8,9 @@ use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::model::Model;
 use entire_core::nn::{Executor, PredNet, VolumeNet};
 use entire_core::predict;
-use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
+use entire_core::scene::{
+    Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeOptions, VolumeView,
+};
 use std::io::Write;
 use std::process::{Command, Stdio};
 
@@ -61,14 +63,20 @@ fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
         output.stdout.chunks_exact(4).map(|b| f32::from_ne_bytes([b[0], b[1], b[2], b[3]])).collect();
 
     let mut wanted = Vec::new();
-    let mut scratch = net.scratch().unwrap();
+    let mut scratch = net.scratch(1).unwrap();
     for row in inputs.chunks_exact(net.inputs()) {
-        wanted.push(predict::checked_seconds(net.predict(row, &mut scratch)).unwrap().0);
+        let mut seconds = [net.predict(row, &mut scratch)];
+        predict::check_predictions(&mut seconds).unwrap();
+        wanted.extend(seconds);
     }
 
     let voxels = toy_volume();
-    let view =
-        VolumeView::new(Scalars::U8(&voxels), [5, 7, 11]).unwrap().with_spacing([1.0, 2.0, 7.0]).unwrap();
+    let view = VolumeView::with(
+        Scalars::U8(&voxels),
+        [5, 7, 11],
+        VolumeOptions { spacing: [1.0, 2.0, 7.0], ..VolumeOptions::default() },
+    )
+    .unwrap();
     let encoder = VolumeNet::new(model.volumenet().unwrap()).unwrap();
     let mut features = vec![0.0; encoder.feature_len()];
     encoder.encode(&view, &mut encoder.scratch(), Executor::Serial, &mut features).unwrap();
@@ -77,7 +85,7 @@ fn predictions_features_and_plans_are_the_same_bits_in_rust_and_c() {
     let lobes = [GaussianLobe { center: 0.5, width: 0.05, height: 0.3 }];
     let table = TransferFunction::Gaussian(lobes.to_vec()).to_table().unwrap();
     let mut session = Session::new(predict::load(&model).unwrap(), HybridOptions::default());
-    session.set_volume(VolumeSummary::new(&view, SummaryOptions::default()).unwrap(), Some(&features));
+    session.set_volume(VolumeSummary::new(&view, SummaryOptions::default()).unwrap(), Some(features.clone()));
     session.set_transfer(&table, Some(&lobes)).unwrap();
     for i in 0..50u8 {
         let pose = Arcball { rx: f32::from(i), ry: 7.0 * f32::from(i), dz: 3.0 };

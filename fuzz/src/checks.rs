@@ -10,9 +10,9 @@ pub fn check_volume<E: std::fmt::Display>(read: Result<Volume, E>) {
     match read {
         Ok(volume) => {
             let view = volume.view();
-            assert_eq!(view.voxels(), volume.data().len() as u64);
-            assert!(view.half_extent().is_finite() && view.reference_step() > 0.0);
-            let [x, y, z] = view.dims();
+            assert_eq!(view.shape().voxels, volume.data().len() as u64);
+            assert!(view.shape().half_extent.is_finite() && view.shape().reference_step > 0.0);
+            let [x, y, z] = view.shape().dims;
             assert!((0.0..=1.0).contains(&view.normalize(view.value(x - 1, y - 1, z - 1))));
         }
         Err(error) => assert!(!format!("{error:#}").is_empty()),
@@ -27,7 +27,7 @@ pub fn check_model<E: std::fmt::Display>(read: Result<Model, E>) {
     };
     if let Some(parts) = model.prednet() {
         let net = PredNet::new(parts).expect("a checked model can be built");
-        let mut scratch = net.scratch().expect("memory for one row");
+        let mut scratch = net.scratch(1).expect("memory for one row");
         let _ = net.predict(&vec![0.5; net.inputs()], &mut scratch);
     }
     if let Some(parts) = model.volumenet().filter(|parts| parts.input <= 16) {

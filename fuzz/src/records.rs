@@ -72,9 +72,8 @@ pub fn check_path(input: &[u8]) {
         Err(error) => return refused(error),
     };
     assert_eq!(path.frames.len(), file.frames as usize);
-    for frame in path.frames.iter().step_by((path.frames.len() / 16).max(1)) {
-        let camera = entire_core::scene::Camera::from_arcball(frame.camera).expect("an interpolated camera");
-        camera.with_fov_y_degrees(path.fov_y_degrees).expect("a checked field of view");
+    for (i, frame) in path.frames.iter().enumerate().step_by((path.frames.len() / 16).max(1)) {
+        path.camera(i).expect("an interpolated camera");
         frame.transfer.function().to_table().expect("an interpolated transfer function");
     }
 }

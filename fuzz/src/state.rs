@@ -56,7 +56,8 @@ pub fn seal(bytes: &mut Vec<u8>) {
 pub fn mutate(data: &mut [u8], size: usize, room: usize, seed: u32, step: Step) -> usize {
     let mut random = Random::new(seed);
     let mut body = data[..size.saturating_sub(SEAL)].to_vec();
-    if body.len() < 36 || random.below(200) == 0 {
+    // At least one number.
+    if body.len() < 40 || random.below(200) == 0 {
         body = learned();
         body.truncate(body.len() - SEAL);
     }
@@ -97,7 +98,7 @@ pub fn check_state(input: &[u8]) {
     SESSION.with_borrow_mut(|(session, fresh)| {
         session.load_state(fresh).expect("the state of a new session");
         if let Err(error) = session.load_state(input) {
-            assert!(!error.message().is_empty());
+            assert!(!error.to_string().is_empty());
             assert_eq!(&session.save_state(), fresh, "a refused state has changed the session");
             return;
         }

@@ -601,6 +601,11 @@ typedef uint32_t entire_camera;
 typedef uint32_t entire_skipping;
 
 /**
+ * How a camera projects: one of the two `ENTIRE_PROJECTION_*` numbers.
+ */
+typedef uint32_t entire_projection;
+
+/**
  * A frame to draw. Fill with entire_frame_init, then set what differs.
  */
 typedef struct entire_frame {
@@ -621,7 +626,8 @@ typedef struct entire_frame {
      */
     entire_camera camera;
     /**
-     * Vertical field of view in degrees, over 0 and up to 179; default 45.
+     * Vertical field of view in degrees, over 0 and up to 179; default 45. Not read with
+     * ENTIRE_PROJECTION_PARALLEL.
      */
     float fov_y;
     /**
@@ -664,6 +670,16 @@ typedef struct entire_frame {
      * Not 0 where ray starts are jittered; default 0.
      */
     uint32_t jitter;
+    /**
+     * ENTIRE_PROJECTION_PERSPECTIVE (default) or ENTIRE_PROJECTION_PARALLEL.
+     */
+    entire_projection projection;
+    /**
+     * Half of the height that a parallel projection shows: world units with ENTIRE_CAMERA_VIEW (VTK's
+     * ParallelScale), bounding-sphere radii with ENTIRE_CAMERA_ARCBALL. From 1e-6 to 1e6 radii; default NaN,
+     * to be set with ENTIRE_PROJECTION_PARALLEL.
+     */
+    float parallel_scale;
 } entire_frame;
 
 /**
@@ -949,6 +965,16 @@ typedef struct entire_setting {
  * By entire_frame.view, volume_center and volume_radius.
  */
 #define ENTIRE_CAMERA_VIEW 2
+
+/**
+ * By entire_frame.fov_y; rays leave the eye.
+ */
+#define ENTIRE_PROJECTION_PERSPECTIVE 1
+
+/**
+ * By entire_frame.parallel_scale; rays leave the plane through the eye, all along the view (orthographic).
+ */
+#define ENTIRE_PROJECTION_PARALLEL 2
 
 /**
  * Color and opacity of the transfer function alone.

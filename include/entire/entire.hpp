@@ -184,6 +184,20 @@ struct frame : entire_frame {
         height = image_height;
     }
 
+    // Parallel rays: half of the height that is seen, in world units with look, in bounding-sphere radii with orbit.
+    frame &parallel(float scale) {
+        projection = ENTIRE_PROJECTION_PARALLEL;
+        parallel_scale = scale;
+        return *this;
+    }
+
+    // A perspective: the vertical field of view in degrees.
+    frame &perspective(float degrees) {
+        projection = ENTIRE_PROJECTION_PERSPECTIVE;
+        fov_y = degrees;
+        return *this;
+    }
+
     // The eye on the arcball: degrees about x and y, distance in bounding-sphere radii.
     frame &orbit(float rx, float ry, float dz) {
         camera = ENTIRE_CAMERA_ARCBALL;

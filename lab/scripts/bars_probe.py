@@ -22,9 +22,28 @@ EXAMPLE = "core/examples/probe_server"
 MAIN_BEFORE = """//! The calls of a later version.
 
 mod calls;
+mod scene;
 
 fn main() {
     calls::serve(&mut calls::Volumes::default(), &mut |_, _| None);
+}
+"""
+# How the revision before makes what is timed, in place of the example's scene.rs.
+SCENE_BEFORE = """//! How that version of the crate makes what is timed.
+
+use entire_core::control::Session;
+use entire_core::scene::{Camera, Frame, Scalars, Shading, VolumeView};
+
+pub(crate) fn volume(scalars: Scalars<'_>, dims: [usize; 3], range: (f32, f32)) -> VolumeView<'_> {
+    VolumeView::with_known_range(scalars, dims, range).expect("a volume")
+}
+
+pub(crate) fn frame(camera: Camera, shading: Shading) -> Frame {
+    Frame::new(camera, 1024, 768).expect("a frame").with_shading(shading)
+}
+
+pub(crate) fn session(side: usize) -> Session {
+    Session::untrained().with_probe_side(side).expect("a side")
 }
 """
 MODES = ["none", "scatter"]
@@ -55,6 +74,7 @@ def prepare(revision, work):
     to = tree / EXAMPLE
     to.mkdir(parents=True, exist_ok=True)
     shutil.copy(ROOT / EXAMPLE / "calls.rs", to / "calls.rs")
+    (to / "scene.rs").write_text(SCENE_BEFORE)
     (to / "main.rs").write_text(MAIN_BEFORE)
     return tree
 

@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -67,6 +68,8 @@ def steering(command, display, folder):
     good &= bar("explore_mean_error", sum(map(abs, errors)) / FRAMES, 0.12)
     cpu = numbers(rows, "interface_cpu_seconds")
     good &= bar("explore_interface_ms", middle(cpu) * 1e3, 2.0, 3)
+    handing = middle(numbers(rows, "handing_cpu_seconds"))
+    print(f"     the same thread hands the picture to the display in {handing * 1e3:.3f} ms (not in that bar)")
     shown = middle(numbers(rows, "shown_seconds"))
     print(f"     the device draws the interface in {shown * 1e3:.1f} ms (median; part of the frame, not of that bar)")
     return good
@@ -89,6 +92,7 @@ def latency(command, display, folder):
         x("mousedown", 1)
         for i in range(25):
             x("mousemove", 200 + 8 * i, 300 + 3 * turn)
+            time.sleep(0.015)
         x("mouseup", 1)
     x("key", "ctrl+q")
     _, said = program.communicate(timeout=120)

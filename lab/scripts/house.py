@@ -4,6 +4,7 @@
 
     house.py [--quick] [--bin-dir target/release]     prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short
     house.py --measure-build OLD NEW                  CPU seconds of a release build of `entire` at two revisions
+    house.py --measure-setup REVISION                 seconds of `make demo` and `make test` of a clone, each from nothing built
 
 --quick leaves out what needs cargo or built programs. Needs Python 3.9 and git, and nothing else.
 """
@@ -15,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,6 +25,8 @@ README_LINES = 120
 FIRST_CODE_LINE = 40
 FILE_LINES = 700
 PUBLIC_ITEMS = 250
+# Seconds on two processors, from nothing but downloaded crates.
+SETUP_SECONDS = {"demo": 140, "test": 1180}
 # Crates that only studies use.
 STUDY_CRATES = ("forust-ml", "image-compare")
 SOURCE_ROOMS = ("core", "ffi", "cli", "vk-raycaster", "plugins", "lab")
@@ -266,6 +270,26 @@ def build_seconds(revision):
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
+def setup_seconds(revision):
+    """Target, wall and CPU seconds, and exit status of the two set-up commands in a clone of a revision, each with an
+    empty target folder. What they print goes to out/house/."""
+    logs = ROOT / "out/house"
+    logs.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="house-") as folder:
+        tree = Path(folder) / "tree"
+        subprocess.run(["git", "clone", "--quiet", "--no-hardlinks", ROOT, tree], check=True)
+        subprocess.run(["git", "checkout", "--quiet", revision], cwd=tree, check=True)
+        kept = {name: value for name, value in os.environ.items() if name not in ("CARGO_TARGET_DIR", "MAKEFLAGS")}
+        for target in SETUP_SECONDS:
+            shutil.rmtree(tree / "target", ignore_errors=True)
+            begin, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
+            with open(logs / f"{target}.log", "w", encoding="utf-8") as log:
+                done = subprocess.run(["make", target], cwd=tree, env=kept, stdout=log, stderr=subprocess.STDOUT)
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+            yield target, time.monotonic() - begin, cpu, done.returncode
+
+
 # --------------------------------------------------------------------------------------------------------------- main
 
 
@@ -274,8 +298,16 @@ def main():
     parser.add_argument("--quick", action="store_true", help="leave out what needs cargo or built programs")
     parser.add_argument("--bin-dir", type=Path, help="where `entire` and `entire-lab` are (default target/release)")
     parser.add_argument("--measure-build", nargs=2, metavar=("OLD", "NEW"), help="two revisions to build and compare")
+    parser.add_argument("--measure-setup", metavar="REVISION", help="a revision to clone and set up")
     options = parser.parse_args()
     bars = Bars()
+
+    if options.measure_setup:
+        for target, seconds, cpu, status in setup_seconds(options.measure_setup):
+            load = " ".join(f"{x:.1f}" for x in os.getloadavg())
+            print(f"make {target}: {seconds:.0f} s, {cpu:.0f} CPU s, exit status {status}, load {load}; out/house/{target}.log", flush=True)
+            bars.say(f"{target}-seconds", f"{seconds:.0f}", SETUP_SECONDS[target], status == 0 and seconds <= SETUP_SECONDS[target])
+        return int(bars.short)
 
     if options.measure_build:
         old, new = (build_seconds(revision) for revision in options.measure_build)

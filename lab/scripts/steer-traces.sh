@@ -54,21 +54,4 @@ if [ -d "$data/ensembles" ]; then
     [ -n "$first" ] && trace fingers-cuts "$first" --enlarge 2 --generate cuts --frames "$frames"
 fi
 
-# Six volumes, 64 poses each, one transfer function: what a farm renders for an image database. Schedules are judged by
-# medians of five; both recordings are of one renderer: remove both together.
-if [ ! -e "$out/farm.json" ]; then
-    "$lab" record data/nyx_cosmology/m04/t0010.nrrd data/castro_blast/m04/t0012.nrrd \
-        data/castro_blast/m05/t0012.nrrd data/maestroex_bubbles/m03/t0010.nrrd data/maestroex_bubbles/m03/t0015.nrrd \
-        data/nyx_cosmology/m01/t0010.nrrd --enlarge 2 --hold 64 --path examples/paths/farm.json --steps 1,2 \
-        --repeats 5 "${common[@]}" --name farm --out "$out/part.json"
-    mv "$out/part.json" "$out/farm.json"
-fi
-
-# What the farm rendered before: other volumes of the same simulations, other poses, the same transfer function.
-if [ ! -e "$out/farm-training.json" ]; then
-    "$lab" record data/nyx_cosmology/m01/t0005.nrrd data/nyx_cosmology/m02/t0010.nrrd \
-        data/castro_blast/m01/t0008.nrrd data/castro_blast/m02/t0012.nrrd data/maestroex_bubbles/m01/t0010.nrrd \
-        data/maestroex_bubbles/m01/t0015.nrrd --enlarge 2 --hold 48 --path examples/paths/farm-training.json \
-        --steps 1,2 --repeats 5 "${common[@]}" --name farm-training --out "$out/part.json"
-    mv "$out/part.json" "$out/farm-training.json"
-fi
+ENTIRE_LAB=$lab bash lab/scripts/farm/traces.sh "$out" "$clock"

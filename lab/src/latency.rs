@@ -65,7 +65,7 @@ impl Bench {
             .map(|i| {
                 let s = drawn.draw(99, "latency", i);
                 let frame =
-                    Frame::new(Camera::from_arcball(s.camera)?, s.width, s.height)?.with_shading(shading);
+                    Frame { shading, ..Frame::new(Camera::from_arcball(s.camera)?, s.width, s.height)? };
                 let table = TransferFunction::Gaussian(s.lobes.clone()).to_table()?;
                 Ok((frame, table, s.lobes))
             })
@@ -87,7 +87,7 @@ impl Bench {
 
     fn round(&mut self, model: &Model) -> Result<Latency> {
         let mut predictor = load(model)?;
-        let looks = model.inputs().iter().any(|g| g.name == GroupKind::SceneFeatures.name());
+        let looks = model.input_size(GroupKind::SceneFeatures).is_some();
         let codes = model.volumenet().map_or(0, |v| v.fc.outputs);
         let side = predictor.probe_side();
         self.round_of(looks.then_some(side), codes, |inputs| {
@@ -123,24 +123,24 @@ impl Bench {
         let code = vec![0.1f32; codes];
         let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
         let Some((_, first, _)) = self.scenes.first() else { return Err(anyhow::anyhow!("no scenes")) };
-        let mut transfer = TransferSummary::new(&self.summary, first);
+        let mut transfer = TransferSummary::new(&self.summary, first)?;
         let (mut cold, mut warm, mut transfers) = (Vec::new(), Vec::new(), Vec::new());
         for (frame, table, lobes) in &self.scenes {
             let start = Instant::now();
             if looks {
-                transfer.update(&self.summary, table);
+                transfer.update(&self.summary, table)?;
                 transfers.push(start.elapsed().as_secs_f64());
             }
             let mut call = || -> Result<f64> {
                 let start = Instant::now();
                 if looks {
-                    features.measure(&self.summary, &mut transfer, std::hint::black_box(frame));
+                    features.measure(&self.summary, &mut transfer, std::hint::black_box(frame))?;
                 }
                 let inputs = Inputs {
                     features: &features,
-                    setting: Setting::of(frame),
-                    changes: Changes::NONE,
-                    camera: if looks { features.pose() } else { frame.camera().to_arcball() },
+                    setting: Setting::from(frame),
+                    changes: Changes::default(),
+                    camera: if looks { features.pose() } else { frame.camera.to_arcball() },
                     volume_features: Some(&code),
                     lobes: Some(lobes),
                 };

@@ -17,6 +17,8 @@ struct Lab {
 enum Command {
     /// Make and judge every predictor of a study; accuracy against latency in one report.
     Study(commands::study::Options),
+    /// Hold every table and figure of the paper against ours.
+    Paper(commands::paper::Options),
     /// Find the cheapest predictor that is good enough, and the inputs that it can do without.
     Select(commands::select::Options),
     /// Record what every frame of a path costs at a grid of ray steps.
@@ -25,12 +27,16 @@ enum Command {
     Replay(commands::replay::Options),
     /// Play the scenes in which methods of holding a frame time break.
     Stress(commands::stress::Options),
+    /// Study a device: pictures, costs, tables, models, frames held; one report.
+    GpuStudy(commands::gpu_study::Options),
     /// Compare every way to balance a render farm.
     Farm(commands::farm::Options),
     /// Measure the bars of render farms that need no engine.
     FarmBars(commands::farm_bars::BarsOptions),
     /// Simulate a farm on a task list.
     FarmSimulate(commands::farm_bars::SimulateOptions),
+    /// Simulate a farm on a volume that is too large for a node.
+    FarmSortLast(commands::farm_sort_last::Options),
     /// Stand in for a renderer in `entire farm`.
     FarmStandIn(commands::farm_bars::StandInOptions),
 }
@@ -38,13 +44,16 @@ enum Command {
 fn main() -> ExitCode {
     program::run("entire-lab", || match &Lab::parse().command {
         Command::Study(options) => commands::study::run(options),
+        Command::Paper(options) => commands::paper::run(options),
         Command::Select(options) => commands::select::run(options),
         Command::Record(options) => commands::record::run(options),
         Command::Replay(options) => commands::replay::run(options),
         Command::Stress(options) => commands::stress::run(options),
+        Command::GpuStudy(options) => commands::gpu_study::run(options),
         Command::Farm(options) => commands::farm::run(options),
         Command::FarmBars(options) => commands::farm_bars::run_bars(options),
         Command::FarmSimulate(options) => commands::farm_bars::run_simulate(options),
+        Command::FarmSortLast(options) => commands::farm_sort_last::run(options),
         Command::FarmStandIn(options) => commands::farm_bars::run_stand_in(options),
     })
 }

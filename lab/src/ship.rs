@@ -8,7 +8,7 @@ use entire_cli::files::{make_folder, read_model_file, write_whole};
 use entire_cli::fit::{DtypeChoice, FitContext, predict};
 use entire_cli::metrics::{BoundMetrics, Metrics};
 use entire_cli::split::TimedFrames;
-use entire_core::model::{Key, ModelFile};
+use entire_core::model::{GroupKind, Key, ModelFile};
 use serde_json::json;
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -212,7 +212,7 @@ fn card(
             md,
             "\nScene features, in order: {}. Rays along each side of the probe: {}.",
             model.scene_features().join(", "),
-            entire_core::predict::InputLayout::of_model(&model)?.probe_side()
+            entire_core::predict::InputLayout::of_model(&model)?.probe_side
         );
     }
     let _ = writeln!(md, "\n## Data\n");
@@ -245,7 +245,7 @@ fn card(
             ))
         );
     }
-    if model.input_size("scene_features").is_some() {
+    if model.input_size(GroupKind::SceneFeatures).is_some() {
         for path in &set.other_steps {
             let _ = writeln!(md, "- training, other ray steps: `data/timings/{}`", file_name(path));
         }

@@ -27,7 +27,7 @@ use entire_cli::steering::play::DrawSettings;
 use entire_cli::steering::sizes::{resized, scale_at, scaled_size, volume_at};
 use entire_cli::volume::Volume;
 use entire_core::features::{SummaryOptions, VolumeSummary};
-use entire_core::scene::{Camera, Frame};
+use entire_core::scene::Frame;
 use entire_vk_raycaster::{Image, Renderer};
 use image_compare::Algorithm;
 use indicatif::ProgressBar;
@@ -189,7 +189,7 @@ impl Trace {
 }
 
 fn drawn_frame(path: &FlightPath, draw: &DrawSettings, scale: f32, index: usize) -> Result<Frame> {
-    let camera = Camera::from_arcball(path.frames[index].camera)?.with_fov_y_degrees(path.fov_y_degrees)?;
+    let camera = path.camera(index)?;
     let (width, height) = scaled_size((draw.width, draw.height), scale);
     DrawSettings { width, height, ..*draw }.frame(camera)
 }
@@ -259,7 +259,7 @@ fn record_on(
         }
         let frame =
             drawn_frame(&path, &draw, scale_at(recording.scales, index), index).with_context(place)?;
-        let full = (frame.width(), frame.height());
+        let full = (frame.width, frame.height);
         let grid = recording.grid(index);
         if swapped || at.transfer_changed {
             renderer.render(&frame).with_context(place)?;
@@ -272,8 +272,8 @@ fn record_on(
             for (k, &(step, scale)) in grid.iter().enumerate() {
                 let (width, height) = scaled_size(full, scale);
                 let small = DrawSettings { width, height, ..draw };
-                let drawn = if scale == 1.0 { frame } else { small.frame(*frame.camera())? };
-                let rendered = renderer.render(&drawn.with_step(step)?).with_context(place)?;
+                let drawn = if scale == 1.0 { frame } else { small.frame(frame.camera)? };
+                let rendered = renderer.render(&Frame { step, ..drawn }.checked()?).with_context(place)?;
                 seconds[k].push(draw.seconds(&Timing::new(rendered.time, rendered.counts))?);
                 if round > 0 {
                     continue;

@@ -26,6 +26,38 @@ fn help_shows_examples_and_wrong_usage_exits_with_2() {
 }
 
 #[test]
+fn record_says_where_it_cannot_write_before_anything_is_drawn() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let volume = root.join("data/mr_banana.nrrd");
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("file");
+    std::fs::write(&file, "x").unwrap();
+    // Holds for every user: what should be the folder is a file.
+    let out = file.join("trace.json");
+    let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
+        .args([
+            "record",
+            "--generate",
+            "orbit",
+            "--frames",
+            "8",
+            "--size",
+            "24x24",
+            "--device",
+            "cpu",
+            "--out",
+        ])
+        .args([&out, &volume])
+        .output()
+        .unwrap();
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.starts_with("entire-lab: cannot make the folder") && said.lines().count() == 1, "{said}");
+    assert!(said.contains(file.to_str().unwrap()), "{said}");
+    assert_eq!(std::fs::read(&file).unwrap(), b"x");
+}
+
+#[test]
 fn select_says_what_it_cannot_do_before_any_candidate_is_made() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/none-members.csv.gz");
     let data = data.to_str().unwrap();

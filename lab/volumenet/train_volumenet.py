@@ -61,6 +61,12 @@ def options() -> argparse.Namespace:
     )
     parser.add_argument("--val-members", type=lambda s: s.split(","), help="dataset/member,... for validation")
     parser.add_argument("--test-members", type=lambda s: s.split(","), help="dataset/member,... for testing")
+    parser.add_argument(
+        "--parts",
+        type=Path,
+        metavar="JSON",
+        help='the split as it is to be: {"train": [...], "validation": [...], "test": [...]} of dataset/member/file',
+    )
     parser.add_argument("--dtype", choices=("f32", "f16", "bf16"), default="f16", help="how weights are stored")
     parser.add_argument("--encoder-only", action="store_true", help="leave the decoder out of the model file")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
@@ -76,7 +82,21 @@ def options() -> argparse.Namespace:
 
 
 def split(files: list[VolumeFile], args: argparse.Namespace) -> dict[str, list[VolumeFile]]:
-    """Training, validation and test volumes; a member is only torn apart where --split volume asks for it."""
+    """Training, validation and test volumes; a member is torn apart only where --split volume or --parts asks for it."""
+    if args.parts:
+        if args.test_members or args.val_members:
+            sys.exit("--val-members and --test-members do not go with --parts")
+        named = json.loads(args.parts.read_text())
+        by_name = {f"{f.member}/{f.path.name}": f for f in files}
+        parts = {}
+        for name in ("train", "validation", "test"):
+            missing = [v for v in named.get(name, []) if v not in by_name]
+            if missing:
+                sys.exit(f"{args.parts}: {name} names {missing[0]}, which is not under {args.data}")
+            parts[name] = [by_name[v] for v in named.get(name, [])]
+        if not parts["train"]:
+            sys.exit(f"{args.parts} names no volume for training")
+        return parts
     if args.split == "volume":
         if args.test_members or args.val_members:
             sys.exit("--val-members and --test-members go with --split member")
@@ -240,7 +260,7 @@ def main() -> None:
         "members": {name: sorted({f.member for f in members}) for name, members in parts.items()},
         "volumes": {name: len(members) for name, members in parts.items()},
         "files": {name: [f"{f.member}/{f.path.name}" for f in found] for name, found in parts.items()},
-        "split_by": args.split,
+        "split_by": "volume" if args.parts else args.split,
         "channels": list(args.channels),
         "settings": {
             "batch": args.batch,

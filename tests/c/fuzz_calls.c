@@ -201,6 +201,8 @@ static entire_frame any_frame(void) {
     frame.shading = kind(3);
     frame.skipping = kind(3);
     frame.jitter = (uint32_t)below(2);
+    frame.projection = one_in(3) ? kind(2) : ENTIRE_PROJECTION_PERSPECTIVE;
+    frame.parallel_scale = number(0.01f, 10);
     return frame;
 }
 

@@ -109,6 +109,9 @@ static void frames(void) {
     REFUSE(frame.camera = 3, "camera is 3");
     REFUSE(frame.fov_y = 180, "field of view");
     REFUSE(frame.fov_y = NAN, "field of view");
+    REFUSE(frame.projection = 3, "projection is 3");
+    REFUSE(frame.projection = ENTIRE_PROJECTION_PARALLEL, "parallel scale is NaN");
+    REFUSE((frame.projection = ENTIRE_PROJECTION_PARALLEL, frame.parallel_scale = 0), "parallel scale is 0");
     REFUSE(frame.arcball[0] = NAN, "angles");
     REFUSE(frame.arcball[2] = 0, "distance");
     REFUSE(frame.step = 0, "step");
@@ -144,6 +147,23 @@ static void frames(void) {
     frame.view[14] = -3 - 4 * radius;
     OK(entire_session_predict(session, &frame, &b));
     CHECK(fabsf(a.seconds - b.seconds) < 0.01f * a.seconds);
+
+    /* Parallel rays: by arcball in radii and by matrix in world units, from any distance before the volume. */
+    frame = toy_frame();
+    frame.projection = ENTIRE_PROJECTION_PARALLEL;
+    frame.parallel_scale = 0.8f;
+    OK(entire_session_predict(session, &frame, &a));
+    frame.camera = ENTIRE_CAMERA_VIEW;
+    frame.parallel_scale = 0.8f * radius;
+    frame.volume_center[0] = 1, frame.volume_center[1] = 2, frame.volume_center[2] = 3;
+    for (float distance = 2; distance < 1000; distance *= 7) {
+        frame.view[12] = -1, frame.view[13] = -2, frame.view[14] = -3 - distance * radius;
+        OK(entire_session_predict(session, &frame, &b));
+        CHECK(fabsf(a.seconds - b.seconds) < 1e-3f * a.seconds);
+    }
+    frame.parallel_scale = 0.4f * radius;
+    OK(entire_session_predict(session, &frame, &b));
+    CHECK(b.seconds > a.seconds);
     a.struct_size = 3;
     EXPECT(ENTIRE_STRUCT_SIZE, entire_session_predict(session, &frame, &a));
     entire_session_free(session);

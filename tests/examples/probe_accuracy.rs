@@ -57,23 +57,25 @@ fn main() {
                 let scene = distribution.draw(1, path, index as u64);
                 let table = TransferFunction::Gaussian(scene.lobes.clone()).to_table().expect("a table");
                 renderer.set_transfer(&table).expect("the transfer function");
-                let frame = Frame::new(
-                    Camera::from_arcball(scene.camera).expect("a camera"),
-                    scene.width,
-                    scene.height,
-                )
-                .and_then(|f| f.with_step(scene.step))
-                .expect("a frame")
-                .with_shading(shading)
-                .with_skipping(skipping);
+                let frame = Frame {
+                    shading,
+                    skipping,
+                    ..Frame::new(
+                        Camera::from_arcball(scene.camera).expect("a camera"),
+                        scene.width,
+                        scene.height,
+                    )
+                    .and_then(|f| Frame { step: scene.step, ..f }.checked())
+                    .expect("a frame")
+                };
                 let counts = renderer.render(&frame).expect("a picture").counts.expect("counts");
-                let mut transfer = TransferSummary::new(&summary, &table);
+                let mut transfer = TransferSummary::new(&summary, &table).expect("a summary");
                 transfer.prepare_distance();
-                let mut features = FrameFeatures::new();
-                features.measure(&summary, &mut transfer, &frame);
-                let setting = Setting::of(&frame);
+                let mut features = FrameFeatures::default();
+                features.measure(&summary, &mut transfer, &frame).expect("a frame");
+                let setting = Setting::from(&frame);
                 let work = features.work(&setting);
-                let share = |q| features.quantity(q, &setting, &work, Changes::NONE);
+                let share = |q| features.quantity(q, &setting, &work, Changes::default());
                 let terminated = share(SceneQuantity::TerminatedShare);
                 let occupied = share(SceneQuantity::OccupiedShare);
                 // The twin counts shadow samples with the primary ones.

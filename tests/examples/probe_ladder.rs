@@ -35,7 +35,7 @@ fn main() {
     assert!(!volumes.is_empty(), "give at least one volume file");
     let distribution = SceneDistribution::default();
     let session = |summary: &VolumeSummary| {
-        let mut session = Session::untrained().with_probe_side(FINEST).expect("a side");
+        let mut session = Session::untrained().with_probe(FINEST, None).expect("a side");
         session.set_volume(summary.clone(), None);
         session.set_limits(StepLimits { finest: 0.5, coarsest: 8.0 }).expect("limits");
         session
@@ -51,7 +51,7 @@ fn main() {
             let frame = Frame::new(camera, 512, 512).expect("a frame");
             let mut fixed = session(&summary);
             fixed.set_transfer(&table, None).expect("a volume is set");
-            let finest = frame.with_step(0.5).expect("a step");
+            let finest = Frame { step: 0.5, ..frame };
             let seconds = fixed.predict(&finest).expect("a prediction").seconds;
             scenes.push((summary.clone(), table, frame, seconds));
         }
@@ -71,7 +71,7 @@ fn main() {
         for (summary, table, frame, _) in &scenes {
             let mut fixed = session(summary);
             fixed.set_transfer(table, None).expect("a volume is set");
-            let mut ladder = session(summary).with_probe_ladder(FINEST, tolerance).expect("a ladder");
+            let mut ladder = session(summary).with_probe(FINEST, Some(tolerance)).expect("a ladder");
             ladder.set_transfer(table, None).expect("a volume is set");
             let best = fixed.plan(frame, target).expect("a plan").step;
             let step = ladder.plan(frame, target).expect("a plan").step;

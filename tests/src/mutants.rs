@@ -5,7 +5,7 @@
 use entire_core::features::{Changes, FrameFeatures, Setting};
 use entire_core::model::{GroupKind, Key, Model};
 use entire_core::nn::{Executor, PredNet, VolumeNet, VolumeNetParts};
-use entire_core::predict::{Inputs, check_batch, checked_seconds, load};
+use entire_core::predict::{Inputs, check_predictions, load};
 use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, VolumeView};
 use serde_json::{Map, Value, json};
 
@@ -369,7 +369,7 @@ pub fn exercise(bytes: &[u8]) -> Outcome {
     let model = match Model::from_bytes(bytes) {
         Ok(model) => model,
         Err(error) => {
-            assert!(!error.message().is_empty());
+            assert!(!error.to_string().is_empty());
             return out;
         }
     };
@@ -378,16 +378,18 @@ pub fn exercise(bytes: &[u8]) -> Outcome {
     if let Some(parts) = model.prednet() {
         let net = PredNet::new(parts).expect("a checked network can be built");
         let row = vec![100.0; net.inputs()];
-        let mut scratch = net.scratch().expect("memory for one row");
-        if let Ok((seconds, _)) = checked_seconds(net.predict(&row, &mut scratch)) {
-            usable(seconds);
+        let mut scratch = net.scratch(1).expect("memory for one row");
+        let mut seconds = [net.predict(&row, &mut scratch)];
+        if check_predictions(&mut seconds).is_ok() {
+            seconds.into_iter().for_each(usable);
             out.predicted = true;
         }
         let mut batch = [0.0; 2];
         let rows = [&row[..], &row[..]].concat();
-        let mut scratch = net.batch_scratch(2).expect("memory for two rows");
-        net.predict_batch(&rows, &mut batch, &mut scratch).expect("a batch that fits");
-        if check_batch(&mut batch).is_ok() {
+        let mut scratch = net.scratch(2).expect("memory for two rows");
+        net.predict_batch(Executor::Serial, &rows, &mut batch, std::slice::from_mut(&mut scratch))
+            .expect("a batch that fits");
+        if check_predictions(&mut batch).is_ok() {
             batch.into_iter().for_each(usable);
         }
         predict_one(&model, usable);
@@ -411,15 +413,15 @@ fn predict_one(model: &Model, usable: impl Fn(f32)) {
     let Ok(mut predictor) = load(model) else { return };
     let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).expect("a camera");
     let frame = Frame::new(camera, 640, 480).expect("a frame");
-    let size = |group: &str| model.input_size(group).unwrap_or(0);
-    let volume_features = vec![0.5; size(GroupKind::VolumeFeatures.name())];
+    let size = |group| model.input_size(group).unwrap_or(0);
+    let volume_features = vec![0.5; size(GroupKind::VolumeFeatures)];
     let lobe = GaussianLobe { center: 0.5, width: 0.1, height: 0.5 };
-    let lobes = vec![lobe; size(GroupKind::TransferFunction.name()) / 3];
-    let features = FrameFeatures::new();
+    let lobes = vec![lobe; size(GroupKind::TransferFunction) / 3];
+    let features = FrameFeatures::default();
     let inputs = Inputs {
         features: &features,
-        setting: Setting::of(&frame),
-        changes: Changes::NONE,
+        setting: Setting::from(&frame),
+        changes: Changes::default(),
         camera: camera.to_arcball(),
         volume_features: Some(&volume_features),
         lobes: Some(&lobes),

@@ -248,7 +248,7 @@ const CLI: &Rooms = &[
             "report",
         ],
     ),
-    ("collection", &["dataset", "enlarge", "scenes", "volume"]),
+    ("collection", &["dataset", "enlarge", "machine", "scenes", "volume"]),
     (
         "calibrate",
         &[
@@ -319,6 +319,7 @@ const CLI: &Rooms = &[
 const LAB: &Rooms = &[
     ("bars", &[]),
     ("calibration", &[]),
+    ("gpu", &[]),
     ("latency", &[]),
     ("stress", &[]),
     ("trace", &[]),
@@ -327,7 +328,23 @@ const LAB: &Rooms = &[
     ("replay", &["bars", "trace"]),
     ("study", &["bars", "latency", "trees"]),
     ("ship", &["latency", "study"]),
-    ("commands", &["bars", "calibration", "farm", "latency", "replay", "ship", "stress", "study", "trace"]),
+    ("paper", &["bars", "calibration", "latency", "study"]),
+    (
+        "commands",
+        &[
+            "bars",
+            "calibration",
+            "farm",
+            "gpu",
+            "latency",
+            "paper",
+            "replay",
+            "ship",
+            "stress",
+            "study",
+            "trace",
+        ],
+    ),
 ];
 
 /// The rooms that a crate's source folder has: its folders, and its files but for the two that open it; those

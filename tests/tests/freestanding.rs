@@ -34,13 +34,13 @@ fn model() -> Vec<u8> {
         output: Some(Normalization { mean: vec![-4.0], std: vec![0.5] }),
         target: Target::LogSeconds,
     };
-    let group = |name: &str, size| InputGroup { name: name.into(), size };
+    let group = |kind: GroupKind, size| InputGroup { name: kind.to_string(), size };
     let groups = [
-        group(GroupKind::VolumeFeatures.name(), 4),
-        group(GroupKind::Camera.name(), 3),
-        group(GroupKind::Resolution.name(), 2),
-        group(GroupKind::TransferFunction.name(), 9),
-        group(GroupKind::StepSize.name(), 1),
+        group(GroupKind::VolumeFeatures, 4),
+        group(GroupKind::Camera, 3),
+        group(GroupKind::Resolution, 2),
+        group(GroupKind::TransferFunction, 9),
+        group(GroupKind::StepSize, 1),
     ];
     let mut file = ModelFile::default();
     file.set_prednet(&prednet, &groups).unwrap();

@@ -4,8 +4,8 @@
 use entire_core::ErrorKind;
 use entire_core::features::{Changes, FrameFeatures, Setting};
 use entire_core::model::{InputGroup, Model, ModelFile};
-use entire_core::nn::{DenseParts, Dtype, PredNet, PredNetParts, Target};
-use entire_core::predict::{Inputs, Prediction, check_batch, checked_seconds, load};
+use entire_core::nn::{DenseParts, Dtype, Executor, PredNet, PredNetParts, Target};
+use entire_core::predict::{Inputs, Prediction, check_predictions, load};
 use entire_core::scene::{Arcball, Camera, Frame};
 use std::path::Path;
 
@@ -33,11 +33,11 @@ fn model(first: f32, last: [f32; 4], target: Target) -> Model {
 fn predict(model: &Model) -> entire_core::Result<Prediction> {
     let camera = Camera::from_arcball(Arcball { rx: 10.0, ry: 20.0, dz: 2.0 }).expect("a camera");
     let frame = Frame::new(camera, 640, 480).expect("a frame");
-    let features = FrameFeatures::new();
+    let features = FrameFeatures::default();
     load(model).expect("a predictor").predict(&Inputs {
         features: &features,
-        setting: Setting::of(&frame),
-        changes: Changes::NONE,
+        setting: Setting::from(&frame),
+        changes: Changes::default(),
         camera: camera.to_arcball(),
         volume_features: None,
         lobes: None,
@@ -56,7 +56,7 @@ fn weights_that_leave_single_precision_are_an_error_and_never_a_time() {
     ] {
         let error = predict(&model(huge, last, target)).expect_err(what);
         assert_eq!(error.kind(), ErrorKind::InvalidModel, "{what}");
-        assert!(error.message().contains("train the model again"), "{error}");
+        assert!(error.to_string().contains("train the model again"), "{error}");
     }
     // An exponential that overflows although its argument is finite.
     assert!(predict(&model(1.0, [1.0; 4], Target::LogSeconds)).is_err());
@@ -80,18 +80,17 @@ fn times_that_are_not_positive_are_the_shortest_one_and_not_trusted() {
 
 #[test]
 fn only_finite_outputs_are_times_and_the_rest_is_brought_into_range() {
-    for (raw, expected) in [
-        (0.5, (0.5, false)),
-        (-1.0, (1e-6, true)),
-        (0.0, (1e-6, true)),
-        (1e30, (1e9, true)),
-        (2.0, (2.0, false)),
-    ] {
-        assert_eq!(checked_seconds(raw), Ok(expected));
+    for (raw, expected) in
+        [(0.5, (0.5, 0)), (-1.0, (1e-6, 1)), (0.0, (1e-6, 1)), (1e30, (1e9, 1)), (2.0, (2.0, 0))]
+    {
+        let mut seconds = [raw];
+        let brought = check_predictions(&mut seconds).expect("a finite number");
+        assert_eq!((seconds[0], brought), expected);
     }
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
-        let error = checked_seconds(bad).expect_err("not a number of seconds");
+        let error = check_predictions(&mut [0.5, bad]).expect_err("not a number of seconds");
         assert_eq!(error.kind(), ErrorKind::InvalidModel, "{error}");
+        assert!(error.to_string().contains("row 1"), "{error}");
     }
 }
 
@@ -122,9 +121,14 @@ fn shipped_models_give_times_for_ten_thousand_random_inputs() {
             .map(|(mean, std)| mean + 3.0 * std * uniform())
             .collect();
         let mut seconds = vec![0.0; ROWS];
-        net.predict_batch(&inputs, &mut seconds, &mut net.batch_scratch(192).expect("memory"))
-            .expect("a batch");
-        check_batch(&mut seconds).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        net.predict_batch(
+            Executor::Serial,
+            &inputs,
+            &mut seconds,
+            std::slice::from_mut(&mut net.scratch(192).expect("memory")),
+        )
+        .expect("a batch");
+        check_predictions(&mut seconds).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         assert!(seconds.iter().all(|s| s.is_finite() && *s > 0.0), "{}", path.display());
         tried += 1;
     }

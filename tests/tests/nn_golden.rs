@@ -2,7 +2,7 @@
 //! level that this CPU lacks is reported as ignored.
 
 use entire_core::model::Model;
-use entire_core::nn::{Dtype, PredNet, Storage};
+use entire_core::nn::{Dtype, Executor, PredNet, Storage};
 use entire_core::nn::{Isa, Level};
 use entire_tests::levels::on_every_level;
 use libtest_mimic::{Arguments, Trial};
@@ -51,12 +51,18 @@ fn prednets_agree(level: Level) {
             let tolerance = PredNet::tolerance(storage, stored(&model));
             let exact = tolerance == PredNet::tolerance(Storage::F32, stored(&model));
             let allowed = |y: f64| tolerance * if exact { y.abs() } else { scale };
-            let mut scratch = net.scratch().expect("memory");
+            let mut scratch = net.scratch(1).expect("memory");
             let single: Vec<f32> = inputs.iter().map(|row| net.predict(row, &mut scratch)).collect();
             for rows in [1, 2, 5, 192] {
-                let mut scratch = net.batch_scratch(rows).expect("memory");
+                let mut scratch = net.scratch(rows).expect("memory");
                 let mut batch = vec![0.0; inputs.len()];
-                net.predict_batch(&inputs.concat(), &mut batch, &mut scratch).expect("a batch");
+                net.predict_batch(
+                    Executor::Serial,
+                    &inputs.concat(),
+                    &mut batch,
+                    std::slice::from_mut(&mut scratch),
+                )
+                .expect("a batch");
                 for (i, &y) in expected.iter().enumerate() {
                     for (how, found) in [("predict", single[i]), ("predict_batch", batch[i])] {
                         let error = (f64::from(found) - y).abs();
@@ -97,12 +103,22 @@ fn batches_do_not_depend_on_their_cut(level: Level) {
             let net = PredNet::with(model.prednet().expect("a PredNet"), level, storage).expect("a network");
             let many: Vec<f32> = inputs.iter().cycle().take(401).flatten().copied().collect();
             let mut expected = vec![0.0; 401];
-            net.predict_batch(&many, &mut expected, &mut net.batch_scratch(192).expect("memory"))
-                .expect("a batch");
+            net.predict_batch(
+                Executor::Serial,
+                &many,
+                &mut expected,
+                std::slice::from_mut(&mut net.scratch(192).expect("memory")),
+            )
+            .expect("a batch");
             for rows in [1, 7, 100, 1000] {
                 let mut found = vec![0.0; 401];
-                net.predict_batch(&many, &mut found, &mut net.batch_scratch(rows).expect("memory"))
-                    .expect("a batch");
+                net.predict_batch(
+                    Executor::Serial,
+                    &many,
+                    &mut found,
+                    std::slice::from_mut(&mut net.scratch(rows).expect("memory")),
+                )
+                .expect("a batch");
                 assert_eq!(found, expected, "{rows} rows at once, {storage}");
             }
             for (i, y) in expected.iter().enumerate() {
@@ -117,7 +133,7 @@ fn bad_inputs_have_an_answer(level: Level) {
         let (model, (inputs, _)) = (model(&case), rows(&case));
         for storage in Storage::ALL {
             let net = PredNet::with(model.prednet().expect("a PredNet"), level, storage).expect("a network");
-            let mut scratch = net.scratch().expect("memory");
+            let mut scratch = net.scratch(1).expect("memory");
             let row = &inputs[0];
             let good = net.predict(row, &mut scratch);
             assert!(good.is_finite());
@@ -140,14 +156,24 @@ fn bad_inputs_have_an_answer(level: Level) {
             );
             let mut out = [0.0; 2];
             assert!(
-                net.predict_batch(row, &mut out, &mut scratch).is_err(),
+                net.predict_batch(Executor::Serial, row, &mut out, std::slice::from_mut(&mut scratch))
+                    .is_err(),
                 "inputs for one, outputs for two"
             );
             assert!(
-                net.predict_batch(row, &mut out[..1], &mut Default::default()).is_err(),
+                net.predict_batch(
+                    Executor::Serial,
+                    row,
+                    &mut out[..1],
+                    std::slice::from_mut(&mut Default::default())
+                )
+                .is_err(),
                 "an empty scratch"
             );
-            assert!(net.predict_batch(&[], &mut [], &mut scratch).is_ok(), "nothing to do");
+            assert!(
+                net.predict_batch(Executor::Serial, &[], &mut [], std::slice::from_mut(&mut scratch)).is_ok(),
+                "nothing to do"
+            );
         }
     }
 }

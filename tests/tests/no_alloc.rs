@@ -99,18 +99,24 @@ fn predictions_allocate_nothing() {
         for storage in Storage::ALL {
             let net = PredNet::with(&network(), level, storage).expect("a network");
             let inputs: Vec<f32> = (0..16 * 100).map(|i| (i % 37) as f32 * 0.1).collect();
-            let mut scratch = net.scratch().expect("memory");
+            let mut scratch = net.scratch(1).expect("memory");
             let mut seconds = vec![0.0; 100];
-            let mut scratches = [(); 2].map(|()| net.batch_scratch(30).expect("memory"));
+            let mut scratches = [(); 2].map(|()| net.scratch(30).expect("memory"));
             let calls = allocations(|| {
                 let mut sum = 0.0;
                 for row in inputs.chunks_exact(16) {
                     sum += net.predict(row, &mut scratch);
                     sum += net.predict_on(Executor::Helper(&helper), row, &mut scratch);
                 }
-                net.predict_batch(&inputs, &mut seconds, &mut scratches[0]).expect("a batch");
+                net.predict_batch(
+                    Executor::Serial,
+                    &inputs,
+                    &mut seconds,
+                    std::slice::from_mut(&mut scratches[0]),
+                )
+                .expect("a batch");
                 sum += seconds[99];
-                net.predict_batch_on(Executor::Helper(&helper), &inputs, &mut seconds, &mut scratches)
+                net.predict_batch(Executor::Helper(&helper), &inputs, &mut seconds, &mut scratches)
                     .expect("a batch in two parts");
                 assert!((sum + seconds[0]).is_finite());
             });

@@ -4,7 +4,7 @@
 use entire_cli::scenes::SceneDistribution;
 use entire_cli::volume::Volume;
 use entire_core::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
-use entire_core::scene::{Camera, Frame, Shading, Skipping, TransferFunction};
+use entire_core::scene::{Camera, DEFAULT_FOV_Y_DEGREES, Frame, Shading, Skipping, TransferFunction};
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use std::path::{Path, PathBuf};
 
@@ -54,11 +54,15 @@ fn estimated_work_is_the_counted_work() {
         steps: vec![1.0, 2.0, 4.0],
         ..SceneDistribution::default()
     };
-    for (shading, skipping) in [
-        (Shading::None, Skipping::None),
-        (Shading::Local, Skipping::Blocks),
-        (Shading::None, Skipping::Distance),
-        (Shading::Scatter, Skipping::Blocks),
+    for (shading, skipping, parallel) in [
+        (Shading::None, Skipping::None, false),
+        (Shading::Local, Skipping::Blocks, false),
+        (Shading::None, Skipping::Distance, false),
+        (Shading::Scatter, Skipping::Blocks, false),
+        (Shading::None, Skipping::None, true),
+        (Shading::Local, Skipping::Blocks, true),
+        (Shading::None, Skipping::Distance, true),
+        (Shading::Scatter, Skipping::Blocks, true),
     ] {
         let mut errors: [Vec<f64>; 4] = Default::default();
         for path in &shipped() {
@@ -71,18 +75,25 @@ fn estimated_work_is_the_counted_work() {
                 let scene = distribution.draw(5, volume.name(), index);
                 let table = TransferFunction::Gaussian(scene.lobes.clone()).to_table().expect("a table");
                 renderer.set_transfer(&table).expect("the transfer function");
-                let camera = Camera::from_arcball(scene.camera).expect("a camera");
-                let frame = Frame::new(camera, scene.width, scene.height)
-                    .and_then(|f| f.with_step(scene.step))
-                    .expect("a frame")
-                    .with_shading(shading)
-                    .with_skipping(skipping);
+                let mut camera = Camera::from_arcball(scene.camera).expect("a camera");
+                if parallel {
+                    // As much as the lens shows of the plane through the center.
+                    let scale = scene.camera.dz * (0.5 * DEFAULT_FOV_Y_DEGREES.to_radians()).tan();
+                    camera = camera.with_parallel_scale(scale).expect("a scale");
+                }
+                let frame = Frame {
+                    shading,
+                    skipping,
+                    ..Frame::new(camera, scene.width, scene.height)
+                        .and_then(|f| Frame { step: scene.step, ..f }.checked())
+                        .expect("a frame")
+                };
                 let counts = renderer.render(&frame).expect("a picture").counts.expect("counts");
-                let mut transfer = TransferSummary::new(&summary, &table);
+                let mut transfer = TransferSummary::new(&summary, &table).expect("a summary");
                 transfer.prepare_distance();
-                let mut features = FrameFeatures::new();
-                features.measure(&summary, &mut transfer, &frame);
-                let work = features.work(&Setting::of(&frame));
+                let mut features = FrameFeatures::default();
+                features.measure(&summary, &mut transfer, &frame).expect("a frame");
+                let work = features.work(&Setting::from(&frame));
                 let pairs = [
                     (work.rays, counts.rays),
                     (work.samples + work.shadow_samples, counts.samples),
@@ -104,7 +115,10 @@ fn estimated_work_is_the_counted_work() {
                 let m = median(errors);
                 let tolerance =
                     if shading == Shading::Scatter { SCATTER_TOLERANCE } else { MEDIAN_TOLERANCE };
-                assert!(m < tolerance, "{shading:?} {skipping:?}: median error of {name} is {m}");
+                assert!(
+                    m < tolerance,
+                    "{shading:?} {skipping:?}, parallel {parallel}: median error of {name} is {m}"
+                );
             }
         }
         assert!(errors[1].len() >= 12, "too few scenes with work");

@@ -3,7 +3,8 @@
 use entire_core::control::Session;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{
-    Arcball, Camera, Frame, GaussianLobe, ScalarType, Scalars, TransferFunction, TransferTable, VolumeView,
+    Arcball, Camera, Frame, GaussianLobe, ScalarType, Scalars, TransferFunction, TransferTable,
+    VolumeOptions, VolumeView,
 };
 use glam::Vec3;
 
@@ -28,7 +29,7 @@ fn table() -> TransferTable {
 
 /// Seconds of two cameras around a volume: by angles, and by a view matrix in the volume's unit.
 fn predicted(summary: VolumeSummary) -> [f32; 2] {
-    let radius = summary.bounding_radius();
+    let radius = summary.shape().bounding_radius;
     let mut session = Session::untrained();
     session.set_volume(summary, None);
     session.set_transfer(&table(), None).expect("a transfer function");
@@ -61,8 +62,8 @@ fn units() -> impl Iterator<Item = f32> {
 fn a_volume_of_voxels_costs_the_same_in_any_unit() {
     let voxels = voxels();
     let of = |unit: f32| {
-        let view = VolumeView::new(Scalars::U8(&voxels), DIMS).expect("a volume");
-        let view = view.with_spacing(SPACING.map(|s| s * unit)).expect("a spacing");
+        let options = VolumeOptions { spacing: SPACING.map(|s| s * unit), ..VolumeOptions::default() };
+        let view = VolumeView::with(Scalars::U8(&voxels), DIMS, options).expect("a volume");
         predicted(VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary"))
     };
     let expected = of(1.0);

@@ -15,7 +15,7 @@
 
 mod common;
 
-use entire_core::scene::{Arcball, Camera, Frame, Scalars, Skipping, VolumeView};
+use entire_core::scene::{Arcball, Camera, Frame, Scalars, Skipping, VolumeOptions, VolumeView};
 use entire_vk_raycaster::{Preparation, Renderer, VulkanOptions, VulkanRaycaster};
 use std::error::Error;
 use std::io::{BufRead, Write};
@@ -52,7 +52,7 @@ impl Server {
             "distance" => Skipping::Distance,
             _ => return Err(format!("no skipping mode {mode:?}").into()),
         };
-        Ok(self.frame.ok_or("no camera was set")?.with_skipping(skipping))
+        Ok(Frame { skipping, ..self.frame.ok_or("no camera was set")? })
     }
 
     fn answer(&mut self, line: &str) -> Result<String, Box<dyn Error>> {
@@ -72,7 +72,11 @@ impl Server {
                 let dims = numbers(&rest[..3])?;
                 let spacing = numbers(&rest[3..])?;
                 let data = std::fs::read(file)?;
-                let view = VolumeView::new(Scalars::U8(&data), dims)?.with_spacing(spacing)?;
+                let view = VolumeView::with(
+                    Scalars::U8(&data),
+                    dims,
+                    VolumeOptions { spacing, ..VolumeOptions::default() },
+                )?;
                 let p = self.renderer.set_volume(&view)?;
                 self.volume = Some((dims, spacing));
                 Ok(format!("{{{}}}", preparation(&p)))
@@ -92,7 +96,7 @@ impl Server {
                 let (dims, spacing) = self.volume.ok_or("no volume was set")?;
                 let camera = Camera::from_arcball(Arcball { rx, ry, dz })?.with_fov_y_degrees(30.0)?;
                 self.frame = Some(Frame::new(camera, width, height)?);
-                let (eye, _, up, forward) = camera.ray_basis(width, height);
+                let ([eye, ..], [forward, _, up]) = camera.ray_basis(width, height);
                 let extent = [0, 1, 2].map(|a| dims[a] as f32 * spacing[a]);
                 let radius = 0.5 * extent.iter().map(|e| e * e).sum::<f32>().sqrt();
                 let eye = eye.to_array();

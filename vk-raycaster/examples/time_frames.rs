@@ -30,19 +30,22 @@ fn main() -> Result<(), Box<dyn Error>> {
     let view = VolumeView::new(Scalars::U8(&data), dims)?;
     let pose = Arcball { rx: number("rx", "20")?, ry: number("ry", "30")?, dz: number("dz", "3.8637")? };
     let size: u32 = get("size", "512").parse()?;
-    let frame = Frame::new(Camera::from_arcball(pose)?.with_fov_y_degrees(30.0)?, size, size)?
-        .with_step(number("step", "1")?)?
-        .with_termination(number("termination", "0.99")?)?
-        .with_shading(match get("shade", "none").as_str() {
+    let frame = Frame {
+        step: number("step", "1")?,
+        termination: number("termination", "0.99")?,
+        shading: match get("shade", "none").as_str() {
             "none" => Shading::None,
             "local" => Shading::Local,
             _ => Shading::Scatter,
-        })
-        .with_skipping(match get("skip", "blocks").as_str() {
+        },
+        skipping: match get("skip", "blocks").as_str() {
             "none" => Skipping::None,
             "blocks" => Skipping::Blocks,
             _ => Skipping::Distance,
-        });
+        },
+        ..Frame::new(Camera::from_arcball(pose)?.with_fov_y_degrees(30.0)?, size, size)?
+    }
+    .checked()?;
     let fetch = match get("fetch", "").as_str() {
         "sampler" => Some(VoxelFetch::Sampler),
         "texels" => Some(VoxelFetch::Texels),

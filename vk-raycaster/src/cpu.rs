@@ -8,7 +8,7 @@
 use crate::blocks::{BLOCK_EDGE, BlockMap, EMPTY_BIT, SkipMap, check_edge};
 use crate::clock::Stopwatch;
 use crate::renderer::{Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts};
-use crate::setup::{FrameSetup, SHADOW_STEP, SHADOW_TERMINATION, SMALLEST_ADVANCE, is_shaded};
+use crate::setup::{FrameSetup, SHADOW_STEP, SHADOW_TERMINATION, SMALLEST_ADVANCE, check, is_shaded};
 use crate::table::{Classifier, StepTable};
 use crate::voxels::{PreparedVolume, Voxel, with_voxels};
 use entire_core::scene::{Frame, Shading, Skipping, TransferTable, VolumeView};
@@ -40,16 +40,17 @@ impl CpuRaycaster {
     /// row by row from the top, with the counts.
     ///
     /// # Errors
-    /// When volume or transfer function were not set.
+    /// When volume or transfer function were not set, or as [`Frame::checked`].
     pub fn render_linear(&self, frame: &Frame) -> Result<(Vec<[f32; 4]>, WorkCounts)> {
+        check(frame)?;
         let (Some((volume, _)), Some(classifier), Some(skip)) = (&self.volume, &self.classifier, &self.skip)
         else {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             return Err(Error::new(format!("nothing to render: no {missing} was set")));
         };
         let setup = FrameSetup::new(&volume.geometry, skip.edge, skip.dims, frame);
-        let table = classifier.step_table(frame.step());
-        let mut pixels = vec![[0.0; 4]; frame.width() as usize * frame.height() as usize];
+        let table = classifier.step_table(frame.step);
+        let mut pixels = vec![[0.0; 4]; frame.width as usize * frame.height as usize];
         let counts = with_voxels!(&volume.voxels, voxels => {
             let dims = volume.geometry.dims;
             Caster { setup: &setup, table: &table, skip, frame, voxels, dims }.trace_all(&mut pixels)
@@ -115,7 +116,7 @@ impl Renderer for CpuRaycaster {
         let (pixels, counts) = self.render_linear(frame)?;
         let rgba = pixels.iter().flat_map(|p| p.map(to_byte)).collect();
         let time = FrameTime { device: None, wall: watch.wall(), cpu: watch.cpu() };
-        let image = Image { width: frame.width(), height: frame.height(), rgba };
+        let image = Image { width: frame.width, height: frame.height, rgba };
         Ok(Rendered { image, time, counts: Some(counts) })
     }
 }
@@ -146,7 +147,7 @@ struct Caster<'a, V> {
 
 impl<V: Voxel> Caster<'_, V> {
     fn trace_all(&self, pixels: &mut [[f32; 4]]) -> WorkCounts {
-        let width = self.frame.width() as usize;
+        let width = self.frame.width as usize;
         pixels
             .par_chunks_mut(width)
             .enumerate()
@@ -170,6 +171,7 @@ impl<V: Voxel> Caster<'_, V> {
         let s = self.setup;
         let u = (x as f32 + 0.5) * s.pixel_width - 1.0;
         let v = 1.0 - (y as f32 + 0.5) * s.pixel_height;
+        let eye = [0, 1, 2].map(|a| s.eye[a] + u * s.origin_right[a] + v * s.origin_up[a]);
         let d = [0, 1, 2].map(|a| s.forward[a] + u * s.right[a] + v * s.up[a]);
         let length = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
         let direction = d.map(|d| d / length);
@@ -180,8 +182,8 @@ impl<V: Voxel> Caster<'_, V> {
         let inverse = advance.map(|d| 1.0 / d);
         let (mut enter, mut exit) = (0.0f32, f32::INFINITY);
         for a in 0..3 {
-            let near = (0.0 - s.eye[a]) * inverse[a];
-            let far = (s.dims[a] - s.eye[a]) * inverse[a];
+            let near = (0.0 - eye[a]) * inverse[a];
+            let far = (s.dims[a] - eye[a]) * inverse[a];
             enter = enter.max(near.min(far));
             exit = exit.min(near.max(far));
         }
@@ -190,7 +192,7 @@ impl<V: Voxel> Caster<'_, V> {
         }
         let offset = if s.jitter != 0 { jitter(x, y) } else { 0.5 };
         let start = enter + offset;
-        let first = [0, 1, 2].map(|a| s.eye[a] + start * advance[a]);
+        let first = [0, 1, 2].map(|a| eye[a] + start * advance[a]);
         Some(Ray { direction, first, advance, inverse, count: (exit - start).ceil() })
     }
 
@@ -211,7 +213,7 @@ impl<V: Voxel> Caster<'_, V> {
                 counts.samples += 1;
                 let [r, g, b, alpha] = self.classify(self.position(&p));
                 if alpha > 0.0 {
-                    let color = match self.frame.shading() {
+                    let color = match self.frame.shading {
                         Shading::None => [r, g, b],
                         Shading::Scatter => self.scatter(&p, [r, g, b], counts),
                         _ => self.light(&p, &ray.direction, [r, g, b]),
@@ -242,7 +244,7 @@ impl<V: Voxel> Caster<'_, V> {
         k: f32,
         count: f32,
     ) -> (bool, f32) {
-        if self.frame.skipping() == Skipping::None {
+        if self.frame.skipping == Skipping::None {
             return (false, count);
         }
         let edge = self.setup.block_edge;
@@ -253,8 +255,7 @@ impl<V: Voxel> Caster<'_, V> {
         }
         let entry = self.skip.bytes[(block[2] * self.skip.dims[1] + block[1]) * self.skip.dims[0] + block[0]];
         let empty = entry & EMPTY_BIT != 0;
-        let distance =
-            if empty && self.frame.skipping() == Skipping::Blocks { 1 } else { entry & !EMPTY_BIT };
+        let distance = if empty && self.frame.skipping == Skipping::Blocks { 1 } else { entry & !EMPTY_BIT };
         let mut exit = f32::INFINITY;
         for a in 0..3 {
             // The face through which the ray leaves the cube of blocks around this one.

@@ -9,12 +9,13 @@
 //! Both renderers follow this text, in 32-bit floats and with the operations in the same order.
 //!
 //! *Space.* Voxel coordinates p: the box spans 0…n along each axis (n voxels), voxel i is centered at i +
-//! 0.5. A ray goes through a pixel's center. With the frame's step δ (multiples of the reference step, the
-//! smallest spacing), D is the ray's advance per step in voxel coordinates.
+//! 0.5. A ray goes through a pixel's center, from the eye or, with parallel rays, from the plane through it.
+//! With the frame's step δ (multiples of the reference step, the smallest spacing), D is the ray's advance per
+//! step in voxel coordinates.
 //!
-//! *Samples.* The ray meets the box in
-//! \[t_in, t_out), in steps from the eye and not before it. Sample k = 0, 1, … lies at t_k = t_in + ½ + k
-//! while t_k < t_out. With jitter, ½ is replaced by a hash of the pixel in \[0, 1).
+//! *Samples.* The ray meets the box in \[t_in, t_out), in steps from its origin and not before it. Sample
+//! k = 0, 1, … lies at t_k = t_in + ½ + k while t_k < t_out. With jitter, ½ is replaced by a hash of the pixel
+//! in \[0, 1).
 //!
 //! *Value.* Voxels are mapped to \[0, 1] over the volume's range (clamped; NaN is the low end) and
 //! interpolated trilinearly between voxel centers, clamped to the edge: the normalized scalar s. Integer
@@ -23,8 +24,8 @@
 //!
 //! *Classification.* The 256-entry table is looked up at 255·s, linear between neighbors. Its opacities are
 //! corrected to the step, α′ = 1 − (1 − α)^(δ / unit distance). Opacities below
-//! [`OPACITY_FLOOR`](entire_core::scene::OPACITY_FLOOR) per reference step count as zero, so that the tails
-//! of a Gaussian lobe leave empty space to skip.
+//! 1/32768 per reference step count as zero ([`TransferTable::is_visible`](entire_core::scene::TransferTable::is_visible)),
+//! so that the tails of a Gaussian lobe leave empty space to skip.
 //!
 //! *Compositing.* Front to back, C += (1 − A)·α′·c, A += (1 − A)·α′. The ray stops once A reaches the frame's
 //! termination opacity; 1 means never. The image holds C and A, 8 bits each, over black.

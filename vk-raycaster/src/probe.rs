@@ -137,7 +137,7 @@ fn frame(pose: (f32, f32, f32), fov: f32, edge: u32) -> Result<Frame> {
     Camera::from_arcball(Arcball { rx, ry, dz })
         .and_then(|c| c.with_fov_y_degrees(fov))
         .and_then(|c| Frame::new(c, edge, edge))
-        .and_then(|f| f.with_termination(1.0))
+        .and_then(|f| Frame { termination: 1.0, ..f }.checked())
         .map_err(from_core)
 }
 
@@ -156,7 +156,7 @@ fn median(mut values: Vec<f64>) -> f64 {
 /// Renders a shaded frame, counted, and compares it with the twin's.
 fn agree(renderer: &mut dyn Renderer, view: &VolumeView<'_>) -> Result<Agreement> {
     let table = table(&[(0.0, 0.0), (0.1, 0.0), (1.0, 0.3)])?;
-    let frame = frame((25.0, 40.0, 2.5), 45.0, 96)?.with_shading(Shading::Local);
+    let frame = Frame { shading: Shading::Local, ..frame((25.0, 40.0, 2.5), 45.0, 96)? };
     let mut twin = CpuRaycaster::new();
     twin.set_volume(view)?;
     twin.set_transfer(&table)?;
@@ -275,8 +275,8 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         view: view(&blobs)?,
         table: table(&[(0.0, 1.0)])?,
         frame: |edge| {
-            let f = frame((0.0, 0.0, 50.0), 1.0, edge)?.with_skipping(Skipping::None);
-            f.with_termination(0.99).map_err(from_core)
+            let f = Frame { skipping: Skipping::None, ..frame((0.0, 0.0, 50.0), 1.0, edge)? };
+            Frame { termination: 0.99, ..f }.checked().map_err(from_core)
         },
         grows: true,
     })?;
@@ -284,7 +284,7 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
     let (seconds, times, counts) = prober.time(&Scene {
         view: view(&blobs)?,
         table: faint,
-        frame: |edge| Ok(frame((0.0, 0.0, 50.0), 1.0, edge)?.with_skipping(Skipping::None)),
+        frame: |edge| Ok(Frame { skipping: Skipping::None, ..frame((0.0, 0.0, 50.0), 1.0, edge)? }),
         grows: true,
     })?;
     let rest = |what: &str, seconds: f64, counts: &WorkCounts| {
@@ -297,8 +297,9 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
         view: view(&specks)?,
         table: table(&[(0.0, 0.001), (0.2, 0.002), (0.5, 1.0)])?,
         frame: |edge| {
-            let f = frame((20.0, 30.0, 0.05), 120.0, edge)?.with_skipping(Skipping::None).with_jitter(true);
-            f.with_termination(0.95).map_err(from_core)
+            let f =
+                Frame { skipping: Skipping::None, jitter: true, ..frame((20.0, 30.0, 0.05), 120.0, edge)? };
+            Frame { termination: 0.95, ..f }.checked().map_err(from_core)
         },
         grows: true,
     })?;
@@ -307,7 +308,7 @@ pub fn probe(renderer: &mut dyn Renderer, options: ProbeOptions) -> Result<Probe
     let (seconds, _, counts) = prober.time(&Scene {
         view: view(&empty)?,
         table: table(&[(0.0, 0.0), (0.5, 0.0), (1.0, 1.0)])?,
-        frame: |edge| Ok(frame((20.0, 30.0, 50.0), 2.0, edge)?.with_skipping(Skipping::Blocks)),
+        frame: |edge| Ok(Frame { skipping: Skipping::Blocks, ..frame((20.0, 30.0, 50.0), 2.0, edge)? }),
         grows: true,
     })?;
     // The jump that a ray in place of its one sample makes is in both.

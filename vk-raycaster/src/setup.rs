@@ -1,6 +1,7 @@
 //! What a frame hands to its rays: the numbers that the shader reads as its uniform block and the twin as a
 //! struct.
 
+use crate::renderer::{Error, Result};
 use crate::voxels::Geometry;
 use entire_core::scene::{Frame, Shading};
 
@@ -19,15 +20,15 @@ pub(crate) const SMALLEST_ADVANCE: f32 = 1e-9;
 /// Beyond every sample.
 pub(crate) const FAR: f32 = 3.0e38;
 
-/// Everything a ray needs to know of its frame. Laid out as a uniform block: fifteen rows of 16 bytes.
+/// Everything a ray needs to know of its frame. Laid out as a uniform block: seventeen rows of 16 bytes.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub(crate) struct FrameSetup {
-    /// The eye in voxel coordinates.
+    /// Origin of the ray through the image's middle in voxel coordinates (see `Camera::ray_basis`).
     pub(crate) eye: [f32; 3],
     /// 2 / image width.
     pub(crate) pixel_width: f32,
-    /// Ray basis in scene space (see `Camera::ray_basis`).
+    /// Directions in scene space.
     pub(crate) forward: [f32; 3],
     /// 2 / image height.
     pub(crate) pixel_height: f32,
@@ -79,14 +80,20 @@ pub(crate) struct FrameSetup {
     pub(crate) pad_origin: f32,
     pub(crate) brick_dims: [f32; 3],
     pub(crate) pad_dims: f32,
+    /// From the middle's origin to those of rays half an image to the right and up, in voxels; 0 but with
+    /// parallel rays.
+    pub(crate) origin_right: [f32; 3],
+    pub(crate) pad_right: f32,
+    pub(crate) origin_up: [f32; 3],
+    pub(crate) pad_up: f32,
 }
 
 impl FrameSetup {
     pub(crate) fn new(volume: &Geometry, block_edge: usize, blocks: [usize; 3], frame: &Frame) -> Self {
-        let (eye, right, up, forward) = frame.camera().ray_basis(frame.width(), frame.height());
+        let (origin, [forward, right, up]) = frame.camera.ray_basis(frame.width, frame.height);
         let dims = volume.dims.map(|n| n as f64);
-        let eye = eye.to_array().map(f64::from);
-        let step = f64::from(frame.step()) * volume.reference_step();
+        let [eye, origin_right, origin_up] = origin.map(|o| o.to_array().map(f64::from));
+        let step = f64::from(frame.step) * volume.reference_step();
         // Voxels per unit of scene space along each axis.
         let density = [0, 1, 2].map(|a| dims[a] / (2.0 * volume.half_extent[a]));
         let light = LIGHT_DIRECTION.map(f64::from);
@@ -94,13 +101,13 @@ impl FrameSetup {
         let light = [0, 1, 2].map(|a| light[a] / length * step * f64::from(SHADOW_STEP) * density[a]);
         Self {
             eye: [0, 1, 2].map(|a| ((eye[a] + volume.half_extent[a]) * density[a]) as f32),
-            pixel_width: (2.0 / f64::from(frame.width())) as f32,
+            pixel_width: (2.0 / f64::from(frame.width)) as f32,
             forward: forward.to_array(),
-            pixel_height: (2.0 / f64::from(frame.height())) as f32,
+            pixel_height: (2.0 / f64::from(frame.height)) as f32,
             right: right.to_array(),
-            termination: if frame.termination() < 1.0 { frame.termination() } else { 2.0 },
+            termination: if frame.termination < 1.0 { frame.termination } else { 2.0 },
             up: up.to_array(),
-            jitter: u32::from(frame.jitter()),
+            jitter: u32::from(frame.jitter),
             advance: density.map(|d| (d * step) as f32),
             scale: volume.scale,
             dims: dims.map(|n| n as f32),
@@ -110,8 +117,8 @@ impl FrameSetup {
             light: light.map(|l| l as f32),
             tile_x: 0,
             light_inverse: light.map(|l| 1.0 / (l as f32)),
-            tile_width: frame.width(),
-            tile_height: frame.height(),
+            tile_width: frame.width,
+            tile_height: frame.height,
             resume: 0,
             window_end: FAR,
             block_edge: block_edge as f32,
@@ -125,6 +132,10 @@ impl FrameSetup {
             pad_origin: 0.0,
             brick_dims: dims.map(|n| n as f32),
             pad_dims: 0.0,
+            origin_right: [0, 1, 2].map(|a| (origin_right[a] * density[a]) as f32),
+            pad_right: 0.0,
+            origin_up: [0, 1, 2].map(|a| (origin_up[a] * density[a]) as f32),
+            pad_up: 0.0,
         }
     }
 
@@ -144,35 +155,48 @@ impl FrameSetup {
     }
 }
 
+/// Refuses a frame that cannot be drawn.
+///
+/// # Errors
+/// As [`Frame::checked`].
+pub(crate) fn check(frame: &Frame) -> Result<()> {
+    frame.checked().map(drop).map_err(|e| Error::new(e.to_string()))
+}
+
 /// Whether samples of a frame are shaded.
 pub(crate) fn is_shaded(frame: &Frame) -> bool {
-    frame.shading() != Shading::None
+    frame.shading != Shading::None
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::voxels::PreparedVolume;
-    use entire_core::scene::{Arcball, Camera, Scalars, VolumeView};
+    use entire_core::scene::{Arcball, Camera, Scalars, VolumeOptions, VolumeView};
 
     #[test]
     fn the_uniform_block_has_the_layout_of_the_shader() {
-        assert_eq!(size_of::<FrameSetup>(), 15 * 16);
+        assert_eq!(size_of::<FrameSetup>(), 17 * 16);
         assert_eq!(core::mem::offset_of!(FrameSetup, advance), 64);
         assert_eq!(core::mem::offset_of!(FrameSetup, light), 112);
         assert_eq!(core::mem::offset_of!(FrameSetup, tile_height), 144);
         assert_eq!(core::mem::offset_of!(FrameSetup, blocks), 160);
         assert_eq!(core::mem::offset_of!(FrameSetup, brick_dims), 224);
+        assert_eq!(core::mem::offset_of!(FrameSetup, origin_up), 256);
     }
 
     #[test]
     fn eye_and_advance_are_in_voxels() {
         let data = vec![0u8; 8 * 4 * 2];
-        let view =
-            VolumeView::new(Scalars::U8(&data), [8, 4, 2]).unwrap().with_spacing([1.0, 2.0, 4.0]).unwrap();
+        let view = VolumeView::with(
+            Scalars::U8(&data),
+            [8, 4, 2],
+            VolumeOptions { spacing: [1.0, 2.0, 4.0], ..VolumeOptions::default() },
+        )
+        .unwrap();
         let volume = PreparedVolume::new(&view).geometry;
         let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 }).unwrap();
-        let frame = Frame::new(camera, 4, 4).unwrap().with_step(0.5).unwrap();
+        let frame = Frame { step: 0.5, ..Frame::new(camera, 4, 4).unwrap() };
         let setup = FrameSetup::new(&volume, 8, [1, 1, 1], &frame);
         // The box is a cube of edge 8: half its diagonal is 4√3; the eye stands two of those from the center.
         assert!((setup.eye[0] - 4.0).abs() < 1e-5 && (setup.eye[1] - 2.0).abs() < 1e-5);
@@ -181,7 +205,7 @@ mod tests {
             assert!((a - want).abs() < 1e-6);
         }
         assert_eq!(setup.termination, 0.99);
-        let off = FrameSetup::new(&volume, 8, [1, 1, 1], &frame.with_termination(1.0).unwrap());
+        let off = FrameSetup::new(&volume, 8, [1, 1, 1], &Frame { termination: 1.0, ..frame });
         assert!(off.termination > 1.0);
     }
 }

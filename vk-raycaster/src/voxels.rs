@@ -40,9 +40,9 @@ impl PreparedVolume {
             Scalars::I16(s) => integers(view, s, less_minimum),
             _ => (Voxels::F32(gather(view, |v| view.normalize(v))), 255.0, 0.0),
         };
-        let spacing = view.spacing().to_array().map(f64::from);
+        let spacing = view.shape().spacing.to_array().map(f64::from);
         let smallest = spacing.iter().copied().fold(f64::INFINITY, f64::min);
-        let dims = view.dims();
+        let dims = view.shape().dims;
         let extent = [0, 1, 2].map(|a| dims[a] as f64 * spacing[a]);
         let diagonal = extent.iter().map(|e| e * e).sum::<f64>().sqrt();
         let geometry = Geometry {
@@ -103,11 +103,11 @@ fn gather_as<T: Copy + Send + Sync, U: Copy + Default + Send + Sync>(
     stored: &[T],
     map: impl Fn(T) -> U + Sync,
 ) -> Vec<U> {
-    let [nx, ny, nz] = view.dims();
+    let [nx, ny, nz] = view.shape().dims;
+    let [stride, along_y, along_z] = view.strides();
     let mut out = vec![U::default(); nx * ny * nz];
     out.par_chunks_mut(nx).enumerate().for_each(|(row, out)| {
-        let start = view.index(0, row % ny, row / ny);
-        let stride = view.strides()[0];
+        let start = row % ny * along_y + row / ny * along_z;
         for (x, o) in out.iter_mut().enumerate() {
             *o = map(stored[start + x * stride]);
         }
@@ -116,11 +116,11 @@ fn gather_as<T: Copy + Send + Sync, U: Copy + Default + Send + Sync>(
 }
 
 fn gather(view: &VolumeView<'_>, map: impl Fn(f32) -> f32 + Sync) -> Vec<f32> {
-    debug_assert_eq!(view.scalar_type(), ScalarType::F32);
+    debug_assert_eq!(view.scalars().scalar_type(), ScalarType::F32);
     match view.scalars() {
         Scalars::F32(s) => gather_as(view, s, map),
         other => {
-            let indices: Vec<f32> = (0..other.len()).map(|i| other.get(i)).collect();
+            let indices: Vec<f32> = other.iter().collect();
             gather_as(view, &indices, map)
         }
     }
@@ -164,6 +164,7 @@ pub(crate) use with_voxels;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use entire_core::scene::VolumeOptions;
 
     fn position(volume: &PreparedVolume, i: usize) -> f32 {
         with_voxels!(&volume.voxels, v => v[i].to_f32()) * volume.geometry.scale + volume.geometry.bias
@@ -191,7 +192,12 @@ mod tests {
     #[test]
     fn narrower_ranges_clamp_before_interpolation() {
         let words = [0u16, 100, 200, 60000];
-        let v = VolumeView::new(Scalars::U16(&words), [4, 1, 1]).unwrap().with_range(100.0, 200.0).unwrap();
+        let v = VolumeView::with(
+            Scalars::U16(&words),
+            [4, 1, 1],
+            VolumeOptions { range: Some((100.0, 200.0)), ..VolumeOptions::default() },
+        )
+        .unwrap();
         let p = PreparedVolume::new(&v);
         assert_eq!([0, 1, 2, 3].map(|i| position(&p, i).round()), [0.0, 0.0, 255.0, 255.0]);
     }
@@ -202,7 +208,12 @@ mod tests {
         let p = PreparedVolume::new(&VolumeView::new(Scalars::U16(&v), [4, 1, 1]).unwrap());
         assert_eq!(position(&p, 3), 0.0);
         let data: Vec<u8> = (0..60).collect();
-        let view = VolumeView::with_strides(Scalars::U8(&data[16..]), [2, 2, 2], [1, 3, 12]).unwrap();
+        let view = VolumeView::with(
+            Scalars::U8(&data[16..]),
+            [2, 2, 2],
+            VolumeOptions { strides: Some([1, 3, 12]), ..VolumeOptions::default() },
+        )
+        .unwrap();
         match PreparedVolume::new(&view).voxels {
             Voxels::U8(v) => assert_eq!(v, [16, 17, 19, 20, 28, 29, 31, 32]),
             _ => panic!("bytes stay bytes"),
@@ -212,10 +223,14 @@ mod tests {
     #[test]
     fn geometry_is_relative_to_the_smallest_spacing() {
         let data = [0u8; 8];
-        let v =
-            VolumeView::new(Scalars::U8(&data), [4, 2, 1]).unwrap().with_spacing([0.5, 1.0, 4.0]).unwrap();
+        let v = VolumeView::with(
+            Scalars::U8(&data),
+            [4, 2, 1],
+            VolumeOptions { spacing: [0.5, 1.0, 4.0], ..VolumeOptions::default() },
+        )
+        .unwrap();
         let p = PreparedVolume::new(&v);
         assert_eq!(p.geometry.relative_spacing, [1.0, 2.0, 8.0]);
-        assert!((p.geometry.reference_step() - f64::from(v.reference_step())).abs() < 1e-7);
+        assert!((p.geometry.reference_step() - f64::from(v.shape().reference_step)).abs() < 1e-7);
     }
 }

@@ -320,7 +320,8 @@ fn a_frame_that_takes_too_long_is_given_up_while_it_runs() -> Outcome {
     let voxels = field_bytes(dims);
     let view = VolumeView::new(Scalars::U8(&voxels), dims)?;
     // A small copy may be done before anybody looks; the frame is not.
-    let large = frame(20.0, 35.0, 2.5, 512, 512).with_step(0.25)?.with_shading(Shading::Scatter);
+    let large =
+        Frame { step: 0.25, shading: Shading::Scatter, ..frame(20.0, 35.0, 2.5, 512, 512) }.checked()?;
     let error = gpu
         .set_volume(&view)
         .and_then(|_| gpu.set_transfer(&medium()))

@@ -2,8 +2,10 @@
 
 mod common;
 
-use common::{camera, constant, field_bytes, field_voxels, frame, medium, opaque, transparent};
-use entire_core::scene::{Camera, Frame, Scalars, Shading, Skipping, TABLE_LEN, TransferTable, VolumeView};
+use common::{camera, constant, field_bytes, field_voxels, frame, medium, opaque, parallel, transparent};
+use entire_core::scene::{
+    Camera, Frame, Scalars, Shading, Skipping, TABLE_LEN, TransferTable, VolumeOptions, VolumeView,
+};
 use entire_vk_raycaster::{CpuRaycaster, Renderer, WorkCounts};
 
 fn twin(view: &VolumeView<'_>, table: &TransferTable) -> CpuRaycaster {
@@ -21,13 +23,14 @@ fn largest_difference(a: &[[f32; 4]], b: &[[f32; 4]]) -> f32 {
     a.iter().flatten().zip(b.iter().flatten()).fold(0.0, |m, (a, b)| m.max((a - b).abs()))
 }
 
+fn mean_difference(a: &[[f32; 4]], b: &[[f32; 4]]) -> f32 {
+    let sum: f32 = a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| (a - b).abs()).sum();
+    sum / (4 * a.len()) as f32
+}
+
 /// Looks along −z through the middle of a 1 × 1 image.
 fn central_ray(dz: f32) -> Frame {
-    Frame::new(camera(0.0, 0.0, dz), 1, 1)
-        .unwrap()
-        .with_skipping(Skipping::None)
-        .with_termination(1.0)
-        .unwrap()
+    Frame { skipping: Skipping::None, termination: 1.0, ..Frame::new(camera(0.0, 0.0, dz), 1, 1).unwrap() }
 }
 
 #[test]
@@ -37,7 +40,7 @@ fn homogeneous_slab_absorbs_by_its_thickness() {
         for alpha in [0.001f32, 0.05, 0.5] {
             let r = twin(&bytes(&data, [n, n, n]), &constant(alpha));
             for step in [0.5, 1.0, 3.0] {
-                let (p, counts) = r.render_linear(&central_ray(3.0).with_step(step).unwrap()).unwrap();
+                let (p, counts) = r.render_linear(&Frame { step, ..central_ray(3.0) }).unwrap();
                 // Samples at half steps cover the slab up to half a step at its far end.
                 let taken = (n as f64 / f64::from(step) - 0.5).ceil();
                 assert_eq!(counts.samples as f64, taken, "{n} {step}");
@@ -48,6 +51,73 @@ fn homogeneous_slab_absorbs_by_its_thickness() {
                 }
             }
         }
+    }
+}
+
+#[test]
+fn parallel_rays_take_the_samples_of_their_chords() {
+    // Along an axis every ray crosses the whole box: n / step samples each, whatever the distance, in as many
+    // pixels as the box's face covers.
+    let (n, alpha) = (32usize, 0.05f32);
+    let data = vec![100u8; n * n * n];
+    let r = twin(&bytes(&data, [n; 3]), &constant(alpha));
+    let half = 1.0 / 3f32.sqrt();
+    for (rx, ry) in [(0.0, 0.0), (0.0, 180.0), (0.0, -90.0), (90.0, 0.0)] {
+        for dz in [0.7, 3.0, 1e5] {
+            for (scale, step) in [(2.0 * half, 0.5f32), (4.0 * half, 2.0)] {
+                let base = parallel((rx, ry, dz), scale, 64, 64);
+                let f = Frame { skipping: Skipping::None, termination: 1.0, step, ..base };
+                let (p, counts) = r.render_linear(&f).unwrap();
+                let rays = (64.0 * half / scale).powi(2) as u64;
+                assert_eq!(counts.rays, rays, "{rx} {ry} {dz} {scale}");
+                let taken = (n as f64 / f64::from(step) - 0.5).ceil();
+                assert_eq!(counts.samples as f64, rays as f64 * taken, "{rx} {ry} {dz} {scale}");
+                let want = 1.0 - (1.0 - f64::from(alpha)).powf(taken * f64::from(step));
+                let seen = p.iter().filter(|p| p[3] > 0.0);
+                assert!(seen.clone().all(|p| (f64::from(p[3]) - want).abs() < 2e-5));
+                assert_eq!(seen.count() as u64, rays);
+            }
+        }
+        // The plane that the rays leave cuts the box in the middle: half of the samples are left.
+        let f = Frame { skipping: Skipping::None, ..parallel((rx, ry, 1e-6), 2.0 * half, 64, 64) };
+        let (_, counts) = r.render_linear(&Frame { termination: 1.0, ..f }).unwrap();
+        assert_eq!(counts.samples, counts.rays * n as u64 / 2, "{rx} {ry}");
+    }
+    // In any direction, all chords together fill the box: samples = volume · pixels / (seen area · step).
+    for (rx, ry) in [(30.0, 40.0), (-55.0, 200.0)] {
+        let f = parallel((rx, ry, 4.0), 1.1, 400, 300);
+        let f = Frame { skipping: Skipping::None, termination: 1.0, step: 0.5, ..f };
+        let (_, counts) = r.render_linear(&f).unwrap();
+        let volume = 8.0 * f64::from(half).powi(3);
+        let step = 0.5 * 2.0 * f64::from(half) / n as f64;
+        let want = volume * 400.0 * 300.0 / (4.0 * 1.1 * 1.1 * 400.0 / 300.0 * step);
+        // A ray takes its chord's length in steps, rounded to a whole number.
+        assert!((counts.samples as f64 / want - 1.0).abs() < 2e-3, "{} {want}", counts.samples);
+    }
+}
+
+#[test]
+fn parallel_rays_draw_the_limit_of_a_narrow_lens_far_away() {
+    let dims = [40, 32, 36];
+    let data = field_bytes(dims);
+    let r = twin(&bytes(&data, dims), &medium());
+    for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+        let p = parallel((25.0, 40.0, 500.0), 0.9, 60, 48);
+        let p = Frame { shading, ..p };
+        let (straight, counts) = r.render_linear(&p).unwrap();
+        let mut last = f32::INFINITY;
+        for distance in [5.0f32, 50.0, 500.0] {
+            let fov = 2.0 * (0.9 / distance).atan().to_degrees();
+            let lens = camera(25.0, 40.0, distance).with_fov_y_degrees(fov).unwrap();
+            let (seen, near) = r.render_linear(&Frame { camera: lens, ..p }).unwrap();
+            let off = mean_difference(&seen, &straight);
+            assert!(off < 0.25 * last, "{shading:?} {distance}: {off} after {last}");
+            last = off;
+            if distance == 500.0 {
+                assert!((near.samples as f64 / counts.samples as f64 - 1.0).abs() < 5e-3);
+            }
+        }
+        assert!(last < 0.25 / 255.0, "{shading:?}: {last}");
     }
 }
 
@@ -108,11 +178,11 @@ fn shells_composite_front_to_back() {
     let back = (1.0 - front) * (1.0 - 0.7f32.powi(4));
     for skipping in [Skipping::None, Skipping::Blocks, Skipping::Distance] {
         let r = twin(&bytes(&data, [n; 3]), &table);
-        let (p, _) = r.render_linear(&central_ray(3.0).with_skipping(skipping)).unwrap();
+        let (p, _) = r.render_linear(&Frame { skipping, ..central_ray(3.0) }).unwrap();
         assert!((p[0][0] - front).abs() < 1e-5 && (p[0][1] - back).abs() < 1e-5, "{:?}", p[0]);
         assert!((p[0][3] - front - back).abs() < 1e-5);
         let (p, _) = r
-            .render_linear(&Frame::new(camera(0.0, 180.0, 3.0), 1, 1).unwrap().with_skipping(skipping))
+            .render_linear(&Frame { skipping, ..Frame::new(camera(0.0, 180.0, 3.0), 1, 1).unwrap() })
             .unwrap();
         assert!((p[0][1] - (1.0 - 0.7f32.powi(4))).abs() < 1e-5, "from behind green is in front");
     }
@@ -122,10 +192,15 @@ fn shells_composite_front_to_back() {
 fn halving_the_step_converges() {
     let dims = [40, 32, 36];
     let data = field_voxels(dims);
-    let view = VolumeView::new(Scalars::F32(&data), dims).unwrap().with_range(0.0, 1.0).unwrap();
+    let view = VolumeView::with(
+        Scalars::F32(&data),
+        dims,
+        VolumeOptions { range: Some((0.0, 1.0)), ..VolumeOptions::default() },
+    )
+    .unwrap();
     let r = twin(&view, &medium());
     let image = |step: f32| {
-        let f = frame(25.0, 40.0, 3.0, 40, 30).with_step(step).unwrap().with_termination(1.0).unwrap();
+        let f = Frame { step, termination: 1.0, ..frame(25.0, 40.0, 3.0, 40, 30) };
         r.render_linear(&f).unwrap().0
     };
     let reference = image(1.0 / 32.0);
@@ -145,15 +220,21 @@ fn halving_the_step_converges() {
 fn skipping_changes_nothing_but_the_work() {
     let dims = [37, 41, 53];
     let data = field_bytes(dims);
-    let view = bytes(&data, dims).with_spacing([1.0, 1.5, 0.7]).unwrap();
+    let spacing = VolumeOptions { spacing: [1.0, 1.5, 0.7], ..VolumeOptions::default() };
+    let view = VolumeView::with(Scalars::U8(&data), dims, spacing).unwrap();
     for table in [transparent(), medium(), opaque(), constant(0.0)] {
         let r = twin(&view, &table);
         for shading in [Shading::None, Shading::Local, Shading::Scatter] {
             for step in [0.5, 1.0, 3.0] {
-                for dz in [3.0, 0.4] {
-                    let base = frame(20.0, -35.0, dz, 33, 21).with_shading(shading).with_step(step).unwrap();
+                for base in [
+                    frame(20.0, -35.0, 3.0, 33, 21),
+                    frame(20.0, -35.0, 0.4, 33, 21),
+                    parallel((20.0, -35.0, 3.0), 0.9, 33, 21),
+                    parallel((0.0, 90.0, 0.2), 0.5, 33, 21),
+                ] {
+                    let base = Frame { shading, step, ..base };
                     let [none, blocks, distance] = [Skipping::None, Skipping::Blocks, Skipping::Distance]
-                        .map(|s| r.render_linear(&base.with_skipping(s)).unwrap());
+                        .map(|s| r.render_linear(&Frame { skipping: s, ..base }).unwrap());
                     assert_eq!(none.0, blocks.0);
                     assert_eq!(none.0, distance.0);
                     assert!(none.1.skips == 0 && none.1.rays == blocks.1.rays);
@@ -178,7 +259,7 @@ fn distance_map_takes_fewer_jumps_through_sparse_volumes() {
     let r = twin(&bytes(&data, [n; 3]), &opaque());
     let f = frame(10.0, 20.0, 3.0, 40, 40);
     let (_, blocks) = r.render_linear(&f).unwrap();
-    let (_, distance) = r.render_linear(&f.with_skipping(Skipping::Distance)).unwrap();
+    let (_, distance) = r.render_linear(&Frame { skipping: Skipping::Distance, ..f }).unwrap();
     assert!(distance.skips * 2 < blocks.skips, "{distance:?} {blocks:?}");
     assert_eq!(distance.samples, blocks.samples);
 }
@@ -190,7 +271,7 @@ fn early_termination_saves_samples_and_little_light() {
     let r = twin(&bytes(&data, dims), &opaque());
     let f = frame(0.0, 30.0, 3.0, 64, 64);
     let (stopped, few) = r.render_linear(&f).unwrap();
-    let (full, many) = r.render_linear(&f.with_termination(1.0).unwrap()).unwrap();
+    let (full, many) = r.render_linear(&Frame { termination: 1.0, ..f }).unwrap();
     assert!(few.samples < many.samples);
     assert!(largest_difference(&stopped, &full) <= 0.0101);
 }
@@ -203,7 +284,7 @@ fn transparent_tables_give_black_and_opaque_ones_stop_at_the_first_sample() {
     let (p, counts) = r.render_linear(&f).unwrap();
     assert!(p.iter().all(|p| *p == [0.0; 4]));
     assert!(counts.samples == 0 && counts.skips >= counts.rays && counts.rays > 0);
-    let (_, counts) = r.render_linear(&f.with_skipping(Skipping::None)).unwrap();
+    let (_, counts) = r.render_linear(&Frame { skipping: Skipping::None, ..f }).unwrap();
     assert!(counts.samples > 10 * counts.rays / 2);
 
     let r = twin(&bytes(&data, [20; 3]), &constant(1.0));
@@ -252,7 +333,7 @@ fn thin_and_constant_volumes_render() {
         ] {
             let r = twin(&view, &constant(0.5));
             for shading in [Shading::None, Shading::Local, Shading::Scatter] {
-                let f = frame(33.0, 20.0, 3.0, 31, 17).with_shading(shading).with_step(0.25).unwrap();
+                let f = Frame { shading, step: 0.25, ..frame(33.0, 20.0, 3.0, 31, 17) };
                 let (p, counts) = r.render_linear(&f).unwrap();
                 assert!(counts.samples > 0, "{dims:?}");
                 assert!(p.iter().flatten().all(|v| (0.0..=1.0).contains(v)));
@@ -277,9 +358,24 @@ fn scalar_types_agree() {
         |view: VolumeView<'_>| twin(&view, &medium()).render_linear(&frame(15.0, 70.0, 2.5, 48, 36)).unwrap();
     let a = render(bytes(&bytes8, dims));
     for view in [
-        VolumeView::new(Scalars::F32(&exact), dims).unwrap().with_range(0.0, 255.0).unwrap(),
-        VolumeView::new(Scalars::U16(&words), dims).unwrap().with_range(7.0, 25507.0).unwrap(),
-        VolumeView::new(Scalars::I16(&signed), dims).unwrap().with_range(-9000.0, 7320.0).unwrap(),
+        VolumeView::with(
+            Scalars::F32(&exact),
+            dims,
+            VolumeOptions { range: Some((0.0, 255.0)), ..VolumeOptions::default() },
+        )
+        .unwrap(),
+        VolumeView::with(
+            Scalars::U16(&words),
+            dims,
+            VolumeOptions { range: Some((7.0, 25507.0)), ..VolumeOptions::default() },
+        )
+        .unwrap(),
+        VolumeView::with(
+            Scalars::I16(&signed),
+            dims,
+            VolumeOptions { range: Some((-9000.0, 7320.0)), ..VolumeOptions::default() },
+        )
+        .unwrap(),
     ] {
         let b = render(view);
         assert!(largest_difference(&a.0, &b.0) < 1e-3);
@@ -293,7 +389,7 @@ fn lighting_dims_edges_and_scattering_casts_shadows() {
     let r = twin(&bytes(&data, dims), &opaque());
     let f = frame(0.0, 20.0, 3.0, 48, 48);
     let sum = |s| {
-        let (p, c) = r.render_linear(&f.with_shading(s)).unwrap();
+        let (p, c) = r.render_linear(&Frame { shading: s, ..f }).unwrap();
         (p.iter().map(|p| f64::from(p[0])).sum::<f64>(), p.iter().map(|p| f64::from(p[3])).sum::<f64>(), c)
     };
     let (plain, alpha, none) = sum(Shading::None);
@@ -312,7 +408,7 @@ fn shadow_of_a_slab_has_its_closed_form() {
     let data = vec![9u8; n * n * n];
     let alpha = 0.02f32;
     let r = twin(&bytes(&data, [n; 3]), &constant(alpha));
-    let f = central_ray(3.0).with_shading(Shading::Scatter);
+    let f = Frame { shading: Shading::Scatter, ..central_ray(3.0) };
     let (p, counts) = r.render_linear(&f).unwrap();
     // The sum over the samples, each with its own shadow length, by double precision.
     let light = entire_vk_raycaster::LIGHT_DIRECTION.map(f64::from);
@@ -341,8 +437,8 @@ fn jitter_moves_samples_within_a_step() {
     let r = twin(&bytes(&data, dims), &medium());
     let f = frame(5.0, 15.0, 3.0, 40, 40);
     let (plain, _) = r.render_linear(&f).unwrap();
-    let (a, _) = r.render_linear(&f.with_jitter(true)).unwrap();
-    let (b, _) = r.render_linear(&f.with_jitter(true)).unwrap();
+    let (a, _) = r.render_linear(&Frame { jitter: true, ..f }).unwrap();
+    let (b, _) = r.render_linear(&Frame { jitter: true, ..f }).unwrap();
     assert!(a == b && a != plain);
     assert!(largest_difference(&a, &plain) < 0.1);
 }

@@ -3,8 +3,10 @@
 
 mod common;
 
-use common::{constant, field_bytes, field_voxels, frame, medium, opaque, transparent};
-use entire_core::scene::{Frame, Scalars, Shading, Skipping, TransferTable, VolumeView};
+use common::{camera, constant, field_bytes, field_voxels, frame, medium, opaque, parallel, transparent};
+use entire_core::scene::{
+    Camera, Frame, Scalars, Shading, Skipping, TransferTable, VolumeOptions, VolumeView,
+};
 use entire_vk_raycaster::{
     BLOCK_EDGES, CpuRaycaster, Picture, Region, Renderer, VoxelFetch, VulkanOptions, VulkanRaycaster,
     WorkCounts,
@@ -50,18 +52,30 @@ fn scenes() -> Vec<Scene> {
     add("opaque", frame(70.0, -20.0, 3.0, 61, 47), opaque());
     add("axis-aligned", frame(0.0, 0.0, 3.0, 32, 32), medium());
     add("from above", frame(90.0, 0.0, 2.0, 33, 31), medium());
-    add("half step", frame(10.0, 200.0, 2.5, 40, 30).with_step(0.5).unwrap(), medium());
-    add("triple step", frame(10.0, 200.0, 2.5, 40, 30).with_step(3.0).unwrap(), medium());
+    add("half step", Frame { step: 0.5, ..frame(10.0, 200.0, 2.5, 40, 30) }, medium());
+    add("triple step", Frame { step: 3.0, ..frame(10.0, 200.0, 2.5, 40, 30) }, medium());
     add("inside", frame(15.0, 45.0, 0.3, 50, 38), medium());
     add("at the center", frame(0.0, 10.0, 1e-4, 24, 24), transparent());
     add("one pixel", frame(5.0, 5.0, 2.0, 1, 1), medium());
     add("one row", frame(5.0, 5.0, 2.0, 37, 1), medium());
-    add("no termination", frame(30.0, 30.0, 2.5, 40, 40).with_termination(1.0).unwrap(), opaque());
-    add("early termination", frame(30.0, 30.0, 2.5, 40, 40).with_termination(0.5).unwrap(), opaque());
-    add("jitter", frame(30.0, 30.0, 2.5, 40, 40).with_jitter(true), medium());
+    add("no termination", Frame { termination: 1.0, ..frame(30.0, 30.0, 2.5, 40, 40) }, opaque());
+    add("early termination", Frame { termination: 0.5, ..frame(30.0, 30.0, 2.5, 40, 40) }, opaque());
+    add("jitter", Frame { jitter: true, ..frame(30.0, 30.0, 2.5, 40, 40) }, medium());
     add("invisible", frame(30.0, 30.0, 2.5, 40, 40), constant(0.0));
     add("solid", frame(30.0, 30.0, 2.5, 40, 40), constant(1.0));
     add("misses", frame(0.0, 0.0, 800.0, 9, 9), medium());
+    add("parallel", parallel((25.0, -140.0, 3.0), 1.1, 61, 47), medium());
+    add("parallel, opaque, from behind", parallel((-50.0, 160.0, 1.6), 0.9, 47, 61), opaque());
+    add("parallel along an axis", parallel((0.0, 90.0, 2.0), 0.8, 32, 32), medium());
+    add("parallel from below", parallel((-90.0, 0.0, 5.0), 1.0, 33, 31), opaque());
+    add("parallel, the plane in the box", parallel((35.0, 30.0, 0.1), 1.0, 50, 38), medium());
+    add("parallel, close", parallel((15.0, 45.0, 2.5), 0.05, 40, 30), transparent());
+    add("parallel, far away", parallel((15.0, 45.0, 5e4), 1.2, 40, 30), medium());
+    let view = glam::Mat4::from_translation(glam::Vec3::new(0.4, -0.3, 0.0)) * camera(10.0, 70.0, 2.0).view();
+    let aside =
+        Camera::from_world_view(view, glam::Vec3::ZERO, 1.0).unwrap().with_parallel_scale(0.6).unwrap();
+    let aside = Frame { jitter: true, ..Frame::new(aside, 41, 37).unwrap() };
+    add("parallel, moved aside", aside, medium());
     all
 }
 
@@ -94,7 +108,12 @@ impl Data {
             ("f32", Scalars::F32(&self.floats)),
         ]
         .map(|(name, s)| {
-            let view = VolumeView::new(s, self.dims).unwrap().with_spacing([1.0, 1.4, 0.8]).unwrap();
+            let view = VolumeView::with(
+                s,
+                self.dims,
+                VolumeOptions { spacing: [1.0, 1.4, 0.8], ..VolumeOptions::default() },
+            )
+            .unwrap();
             (name, view)
         })
         .to_vec()
@@ -127,7 +146,7 @@ fn compare(fetch: VoxelFetch, bytes_only: bool) -> Outcome {
             twin.set_transfer(&scene.table)?;
             for shading in SHADINGS {
                 for skipping in SKIPPINGS {
-                    let frame = scene.frame.with_shading(shading).with_skipping(skipping);
+                    let frame = Frame { shading, skipping, ..scene.frame };
                     let name = format!("{kind}, {}, {}, {}", scene.name, shading, skipping);
                     let (a, b) = (gpu.render(&frame)?, twin.render(&frame)?);
                     let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
@@ -173,7 +192,7 @@ fn odd_volumes() -> Outcome {
                 gpu.set_transfer(&table)?;
                 twin.set_transfer(&table)?;
                 for shading in SHADINGS {
-                    let f = frame(33.0, 20.0, 2.0, 31, 17).with_shading(shading).with_step(0.3).unwrap();
+                    let f = Frame { shading, step: 0.3, ..frame(33.0, 20.0, 2.0, 31, 17) };
                     let (a, b) = (gpu.render(&f)?, twin.render(&f)?);
                     let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
                     if largest > LARGEST || mean > MEAN {
@@ -200,7 +219,7 @@ fn blocks_of_every_edge_match_the_twin() -> Outcome {
             gpu.set_transfer(&opaque())?;
             twin.set_transfer(&opaque())?;
             for skipping in SKIPPINGS {
-                let f = frame(20.0, 35.0, 2.5, 61, 47).with_skipping(skipping).with_shading(Shading::Local);
+                let f = Frame { skipping, shading: Shading::Local, ..frame(20.0, 35.0, 2.5, 61, 47) };
                 let (a, b) = (gpu.render(&f)?, twin.render(&f)?);
                 let (largest, _) = difference(&a.image.rgba, &b.image.rgba);
                 if largest > LARGEST || gpu.is_software() && a.counts != b.counts {
@@ -230,7 +249,7 @@ fn homogeneous_slab() -> Outcome {
     for alpha in [0.001f32, 0.02, 0.3] {
         gpu.set_transfer(&constant(alpha))?;
         for step in [0.5, 1.0, 2.0] {
-            let f = frame(0.0, 0.0, 3.0, 1, 1).with_step(step).unwrap().with_termination(1.0).unwrap();
+            let f = Frame { step, termination: 1.0, ..frame(0.0, 0.0, 3.0, 1, 1) };
             let found = gpu.render(&f)?.image.rgba[3];
             let want = (1.0 - (1.0 - f64::from(alpha)).powi(32)) * 255.0;
             if (f64::from(found) - want).abs() > 1.0 {
@@ -249,7 +268,7 @@ fn skipping_changes_nothing() -> Outcome {
     for table in [transparent(), medium(), opaque()] {
         gpu.set_transfer(&table)?;
         let f = frame(25.0, -50.0, 2.5, 64, 48);
-        let [none, blocks, distance] = SKIPPINGS.map(|s| gpu.render(&f.with_skipping(s)));
+        let [none, blocks, distance] = SKIPPINGS.map(|s| gpu.render(&Frame { skipping: s, ..f }));
         let (none, blocks, distance) = (none?, blocks?, distance?);
         if none.image != blocks.image || none.image != distance.image {
             return Err("the pictures differ".into());
@@ -286,7 +305,7 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
             twin.set_transfer(&scene.table)?;
             for shading in [Shading::None, Shading::Local] {
                 for skipping in SKIPPINGS {
-                    let frame = scene.frame.with_shading(shading).with_skipping(skipping);
+                    let frame = Frame { shading, skipping, ..scene.frame };
                     let name = format!("{kind}, {}, {}, {}", scene.name, shading, skipping);
                     let (a, b) = (gpu.render(&frame)?, twin.render(&frame)?);
                     let (largest, mean) = difference(&a.image.rgba, &b.image.rgba);
@@ -300,7 +319,7 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
             }
         }
     }
-    let scatter = gpu.render(&frame(0.0, 0.0, 3.0, 8, 8).with_shading(Shading::Scatter));
+    let scatter = gpu.render(&Frame { shading: Shading::Scatter, ..frame(0.0, 0.0, 3.0, 8, 8) });
     if !scatter.is_err_and(|e| e.to_string().contains("one texture")) {
         return Err("single scattering in bricks".into());
     }
@@ -311,7 +330,7 @@ fn bricks_match_the_twin(fetch: VoxelFetch) -> Outcome {
     twin.set_volume(&view)?;
     gpu.set_transfer(&medium())?;
     twin.set_transfer(&medium())?;
-    let f = frame(10.0, 30.0, 2.5, 30, 20).with_shading(Shading::Scatter);
+    let f = Frame { shading: Shading::Scatter, ..frame(10.0, 30.0, 2.5, 30, 20) };
     let (largest, _) = difference(&gpu.render(&f)?.image.rgba, &twin.render(&f)?.image.rgba);
     if largest > LARGEST {
         return Err(format!("after bricks: {largest}").into());
@@ -325,7 +344,7 @@ fn regions_are_parts_of_the_whole() -> Outcome {
     let data = field_bytes([40; 3]);
     gpu.set_volume(&VolumeView::new(Scalars::U8(&data), [40; 3]).unwrap())?;
     gpu.set_transfer(&medium())?;
-    let f = frame(25.0, 70.0, 2.2, 75, 61).with_jitter(true).with_shading(Shading::Local);
+    let f = Frame { jitter: true, shading: Shading::Local, ..frame(25.0, 70.0, 2.2, 75, 61) };
     let whole = gpu.render(&f)?;
     let mut picture = Picture::new(&gpu.shared_device(), 80, 64)?;
     if !picture.is_fresh() {
@@ -406,9 +425,10 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
     let frames: Vec<Frame> = (0..7u16)
         .map(|i| {
             let size = 40 + 9 * u32::from(i);
-            frame(10.0, 20.0 * f32::from(i), 2.5, size, 50)
-                .with_step([1.0, 0.5, 2.0][usize::from(i) % 3])
-                .unwrap()
+            Frame {
+                step: [1.0, 0.5, 2.0][usize::from(i) % 3],
+                ..frame(10.0, 20.0 * f32::from(i), 2.5, size, 50)
+            }
         })
         .collect();
     let mut wanted = std::collections::VecDeque::new();
@@ -464,14 +484,18 @@ fn frames_in_flight_are_the_rendered_ones() -> Outcome {
 fn counting_changes_no_picture() -> Outcome {
     let mut gpu = open_validated(Some(VoxelFetch::Packed))?;
     let data = Data::new([37, 53, 29]);
-    let view =
-        VolumeView::new(Scalars::U8(&data.bytes), data.dims).unwrap().with_spacing([1.0, 1.4, 0.8]).unwrap();
+    let view = VolumeView::with(
+        Scalars::U8(&data.bytes),
+        data.dims,
+        VolumeOptions { spacing: [1.0, 1.4, 0.8], ..VolumeOptions::default() },
+    )
+    .unwrap();
     gpu.set_volume(&view)?;
     for scene in scenes() {
         gpu.set_transfer(&scene.table)?;
         for shading in SHADINGS {
             for skipping in SKIPPINGS {
-                let frame = scene.frame.with_shading(shading).with_skipping(skipping);
+                let frame = Frame { shading, skipping, ..scene.frame };
                 let [counted, timed] = [true, false].map(|count| {
                     gpu.set_count_work(count);
                     gpu.render(&frame)
@@ -487,12 +511,12 @@ fn counting_changes_no_picture() -> Outcome {
         }
     }
     // Windows, with each variant.
-    let frame = frame(20.0, 30.0, 2.5, 19, 14).with_step(1.0 / 64.0).unwrap().with_shading(Shading::Scatter);
+    let frame = Frame { step: 1.0 / 64.0, shading: Shading::Scatter, ..frame(20.0, 30.0, 2.5, 19, 14) };
     gpu.set_transfer(&transparent().with_unit_distance(16.0).unwrap())?;
     for skipping in SKIPPINGS {
         let [counted, timed] = [true, false].map(|count| {
             gpu.set_count_work(count);
-            gpu.render(&frame.with_skipping(skipping))
+            gpu.render(&Frame { skipping, ..frame })
         });
         if counted?.image != timed?.image {
             return Err(format!("windows, {}", skipping).into());
@@ -513,8 +537,8 @@ fn long_rays_are_cast_in_windows() -> Outcome {
     gpu.set_transfer(&thin)?;
     twin.set_transfer(&thin)?;
     for skipping in SKIPPINGS {
-        let f = frame(20.0, 30.0, 2.5, 5, 4).with_step(0.125).unwrap().with_shading(Shading::Scatter);
-        let (a, b) = (gpu.render(&f.with_skipping(skipping))?, twin.render(&f.with_skipping(skipping))?);
+        let f = Frame { step: 0.125, shading: Shading::Scatter, ..frame(20.0, 30.0, 2.5, 5, 4) };
+        let (a, b) = (gpu.render(&Frame { skipping, ..f })?, twin.render(&Frame { skipping, ..f })?);
         let (largest, _) = difference(&a.image.rgba, &b.image.rgba);
         let exact = !gpu.is_software() || a.counts == b.counts;
         if largest > LARGEST || !exact {
@@ -528,7 +552,7 @@ fn tiles_join_without_seams() -> Outcome {
     let dims = [40; 3];
     let data = field_bytes(dims);
     let view = VolumeView::new(Scalars::U8(&data), dims).unwrap();
-    let f = frame(10.0, 60.0, 2.0, 150, 91).with_jitter(true);
+    let f = Frame { jitter: true, ..frame(10.0, 60.0, 2.0, 150, 91) };
     let mut images = vec![];
     for tile in [None, Some(64), Some(24)] {
         let mut gpu = open(VulkanOptions { tile, validation: false, ..Default::default() })?;
@@ -576,7 +600,7 @@ fn volume_and_table_may_change_between_frames() -> Outcome {
         gpu.set_transfer(&table)?;
         twin.set_transfer(&table)?;
         for step in [1.0, 2.0, 1.0] {
-            let f = f.with_step(step).unwrap();
+            let f = Frame { step, ..f };
             let (largest, _) = difference(&gpu.render(&f)?.image.rgba, &twin.render(&f)?.image.rgba);
             if largest > LARGEST {
                 return Err(format!("{dims:?} step {step}: {largest}").into());
@@ -590,7 +614,12 @@ fn oversized_volumes_are_refused_with_size_and_limit() -> Outcome {
     let mut gpu = open(VulkanOptions::default())?;
     // A broadcast axis: a huge volume in one byte.
     let data = [1u8];
-    let view = VolumeView::with_strides(Scalars::U8(&data), [1 << 20, 1, 1], [0, 0, 0]).unwrap();
+    let view = VolumeView::with(
+        Scalars::U8(&data),
+        [1 << 20, 1, 1],
+        VolumeOptions { strides: Some([0, 0, 0]), ..VolumeOptions::default() },
+    )
+    .unwrap();
     match gpu.set_volume(&view) {
         Err(e) if e.to_string().contains("1048576 x 1 x 1") && e.to_string().contains("at most") => Ok(()),
         other => Err(format!("{other:?}").into()),

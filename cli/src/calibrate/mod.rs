@@ -15,10 +15,10 @@ pub mod report;
 use crate::dataset::{Clock, Table, Timed, TimedFrame, noise_floor, timed};
 use crate::fit::analytic::counts;
 use crate::fit::{FitContext, Observed, PriorModel, blank_prior};
-use crate::inputs::Layout;
+use crate::inputs::{Layout, work_of};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::ModelFile;
-use entire_core::predict::{COSTS, UnitCosts};
+use entire_core::predict::UnitCosts;
 use entire_core::scene::{Shading, Skipping};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
@@ -182,10 +182,7 @@ pub fn calibrate_to_tables(
         .zip(work)
         .zip(&seconds)
         .map(|(((f, row), counted), &seconds)| {
-            let mut work = [1.0; COSTS];
-            for (slot, c) in work[1..].iter_mut().zip(counted) {
-                *slot = f64::from(c);
-            }
+            let work = work_of(counted);
             Observed { row: row.to_vec(), work, seconds, group: f.scene.volume.clone() }
         })
         .collect();

@@ -4,11 +4,11 @@ use super::Settings;
 use crate::collection::Job;
 use crate::dataset::{Scene, Table, TimedFrame};
 use crate::fit::blank_prior;
-use crate::inputs::{Layout, measure};
+use crate::inputs::{Layout, measure, work_of};
 use crate::scenes::{DEFAULT_RADII, SceneDistribution};
 use crate::volume::Volume;
 use anyhow::{Context, Result, ensure};
-use entire_core::features::{Changes, SceneFeature};
+use entire_core::features::Changes;
 use entire_core::model::ModelFile;
 use entire_core::predict::{COST_QUANTITIES, COSTS};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
@@ -73,7 +73,7 @@ impl Pool {
         let mut places = Vec::new();
         for (v, path) in settings.volumes.iter().enumerate() {
             let volume = Volume::open(path).with_context(|| path.display().to_string())?;
-            let voxels = volume.view().voxels();
+            let voxels = volume.view().shape().voxels;
             let factors: &[usize] = if voxels < SMALL_VOLUME { &[2, 1] } else { &[1] };
             let job = Job::from_path(path);
             for &factor in factors {
@@ -109,7 +109,6 @@ impl Pool {
             None => blank_prior()?,
         };
         let layout = Layout::of_model(&prior.to_model()?)?;
-        let counts: Vec<SceneFeature> = COST_QUANTITIES.iter().map(|&q| SceneFeature::linear(q)).collect();
         let tables = [Table {
             path: PathBuf::new(),
             manifest: None,
@@ -123,19 +122,16 @@ impl Pool {
         let known = measure(&tables, &refs, Some(layout.probe_side()), None, threads, &bar, |_, inputs| {
             let mut row = vec![0.0; layout.width()];
             layout.write(inputs, &mut row)?;
-            let mut work = vec![0.0; counts.len()];
-            inputs.features.write(&counts, &inputs.setting, Changes::NONE, &mut work);
-            Ok((row, work))
+            let work = inputs.features.work(&inputs.setting);
+            let count = |q| inputs.features.quantity(q, &inputs.setting, &work, Changes::default()) as f32;
+            Ok((row, COST_QUANTITIES.map(count)))
         })?;
         let candidates: Vec<Candidate> = frames
             .iter()
             .zip(known)
             .zip(places)
             .map(|((frame, (row, counted)), (volume, factor, random))| {
-                let mut work = [1.0; COSTS];
-                for (slot, c) in work[1..].iter_mut().zip(counted) {
-                    *slot = f64::from(c);
-                }
+                let work = work_of(counted);
                 Candidate { volume, factor, scene: frame.scene.clone(), row, work, random }
             })
             .collect();

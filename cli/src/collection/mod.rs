@@ -14,10 +14,8 @@ pub use passes::{collect_passes, pass_files};
 pub use protocol::{Job, Protocol, differences};
 
 use crate::dataset::{Scene, Timing, Writer};
-use crate::enlarge::{enlarge, resample};
 use crate::volume::Volume;
 use anyhow::{Context, Result};
-use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
 use std::path::Path;
@@ -33,6 +31,47 @@ pub struct Outcome {
     pub discarded: u64,
     /// Whether it was stopped before the end.
     pub interrupted: bool,
+}
+
+/// A scene's repeats.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TimedScene {
+    /// What each took; `None` where it was stopped before the last.
+    pub repeats: Option<Vec<Timing>>,
+    /// Renderings that were discarded first.
+    pub discarded: u64,
+}
+
+/// Renders a scene of the renderer's volume so many times, after as many more that are discarded as `warm_up`
+/// says; it counts down. `stop` is asked before every rendering.
+///
+/// # Errors
+/// A scene that cannot be drawn, a renderer that fails.
+pub fn time_scene(
+    renderer: &mut dyn Renderer,
+    scene: &Scene,
+    repeats: u32,
+    warm_up: &mut u32,
+    stop: &dyn Fn() -> bool,
+) -> Result<TimedScene> {
+    let frame = scene.to_frame()?;
+    renderer.set_transfer(&scene.to_table()?)?;
+    let mut out = TimedScene { repeats: None, discarded: 0 };
+    let mut timings = Vec::with_capacity(repeats as usize);
+    while timings.len() < repeats as usize {
+        if stop() {
+            return Ok(out);
+        }
+        let rendered = renderer.render(&frame)?;
+        if *warm_up > 0 {
+            *warm_up -= 1;
+            out.discarded += 1;
+            continue;
+        }
+        timings.push(Timing::new(rendered.time, rendered.counts));
+    }
+    out.repeats = Some(timings);
+    Ok(out)
 }
 
 /// Collects frames of each job in turn, skipping those that the table has. Frame `i` of job `j` has number
@@ -65,52 +104,20 @@ pub fn collect(
         }
         let shown = job.path.display();
         progress.set_message(format!("{shown}"));
-        let volume = open(&job.path).with_context(|| format!("{shown}"))?;
-        let volume = if let Some(edge) = protocol.proxy {
-            resample(&volume, edge).with_context(|| format!("{shown}"))?
-        } else if protocol.enlarge == 1 {
-            volume
-        } else {
-            enlarge(&volume, protocol.enlarge).with_context(|| format!("{shown}"))?
-        };
+        let volume = protocol.sized(open(&job.path).with_context(|| format!("{shown}"))?);
+        let volume = volume.with_context(|| format!("{shown}"))?;
         renderer.set_volume(&volume.view()).with_context(|| format!("{shown}"))?;
-        let seed_name = job.seed_name();
         let mut warm_up = protocol.warm_up;
         for index in missing {
-            let drawn = protocol.scenes.draw(protocol.seed, &seed_name, index);
-            let scene = Scene {
-                volume: job.path.to_string_lossy().into_owned(),
-                member: job.member.clone(),
-                time_step: job.time_step,
-                dims: volume.dims().map(|n| n as u32),
-                camera: drawn.camera,
-                fov_y_degrees: DEFAULT_FOV_Y_DEGREES,
-                width: drawn.width,
-                height: drawn.height,
-                step: drawn.step,
-                shading: protocol.shading,
-                skipping: protocol.skipping,
-                termination: protocol.termination,
-                lobes: drawn.lobes,
-            };
+            let scene = protocol.scene(job, volume.dims(), index);
             let number = first + index;
-            let place = || format!("{shown}, frame {number}");
-            let frame = scene.to_frame().with_context(place)?;
-            renderer.set_transfer(&scene.to_table().with_context(place)?).with_context(place)?;
-            let mut repeats = Vec::with_capacity(protocol.repeats as usize);
-            while repeats.len() < protocol.repeats as usize {
-                if stop() {
-                    outcome.interrupted = true;
-                    return Ok(outcome);
-                }
-                let rendered = renderer.render(&frame).with_context(place)?;
-                if warm_up > 0 {
-                    warm_up -= 1;
-                    outcome.discarded += 1;
-                    continue;
-                }
-                repeats.push(Timing::new(rendered.time, rendered.counts));
-            }
+            let timed = time_scene(renderer, &scene, protocol.repeats, &mut warm_up, stop)
+                .with_context(|| format!("{shown}, frame {number}"))?;
+            outcome.discarded += timed.discarded;
+            let Some(repeats) = timed.repeats else {
+                outcome.interrupted = true;
+                return Ok(outcome);
+            };
             table.append(number, &scene, &repeats)?;
             outcome.done += 1;
             progress.inc(1);

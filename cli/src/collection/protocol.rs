@@ -1,11 +1,16 @@
 //! What is collected and how, as a manifest keeps it.
 
-use crate::dataset::{Manifest, parse_shading, parse_skipping};
+use crate::dataset::{MANIFEST_FORMAT, Manifest, Scene, parse_shading, parse_skipping};
+use crate::enlarge::{enlarge, resample};
+use crate::machine;
 use crate::scenes::SceneDistribution;
+use crate::volume::Volume;
 use anyhow::{Context, Result, ensure};
 use entire_core::scene::{DEFAULT_FOV_Y_DEGREES, Shading, Skipping};
+use entire_vk_raycaster::Renderer;
 use serde::Deserialize;
 use serde_json::json;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A volume to collect frames of.
@@ -139,6 +144,63 @@ impl Protocol {
         Ok((protocol, jobs.collect()))
     }
 
+    /// Frame `index` of a job whose volume has so many voxels as it is rendered.
+    pub fn scene(&self, job: &Job, dims: [usize; 3], index: u64) -> Scene {
+        let drawn = self.scenes.draw(self.seed, &job.seed_name(), index);
+        Scene {
+            volume: job.path.to_string_lossy().into_owned(),
+            member: job.member.clone(),
+            time_step: job.time_step,
+            dims: dims.map(|n| n as u32),
+            camera: drawn.camera,
+            fov_y_degrees: DEFAULT_FOV_Y_DEGREES,
+            width: drawn.width,
+            height: drawn.height,
+            step: drawn.step,
+            shading: self.shading,
+            skipping: self.skipping,
+            termination: self.termination,
+            lobes: drawn.lobes,
+        }
+    }
+
+    /// A volume as it is rendered: resampled or enlarged where that is asked for.
+    ///
+    /// # Errors
+    /// For an edge or a factor that is not accepted.
+    pub fn sized(&self, volume: Volume) -> Result<Volume> {
+        match self.proxy {
+            Some(edge) => resample(&volume, edge),
+            None if self.enlarge == 1 => Ok(volume),
+            None => enlarge(&volume, self.enlarge),
+        }
+    }
+
+    /// The manifest of a table of these jobs that begins now.
+    ///
+    /// # Errors
+    /// For more repeats than can be counted.
+    pub fn manifest(&self, jobs: &[Job], renderer: &dyn Renderer) -> Result<Manifest> {
+        let repeats = self
+            .repeats
+            .checked_mul(self.passes)
+            .with_context(|| format!("{} repeats in {} passes are too many", self.repeats, self.passes))?;
+        Ok(Manifest {
+            format: MANIFEST_FORMAT.into(),
+            created: machine::now(),
+            machine: machine::machine(),
+            renderer: renderer.backend().into(),
+            device: renderer.device(),
+            driver: driver_of(renderer),
+            commit: machine::version(),
+            seed: self.seed,
+            repeats,
+            step_reference: "smallest voxel spacing".into(),
+            settings: self.settings(jobs),
+            other: BTreeMap::new(),
+        })
+    }
+
     /// As the manifest of a table of these jobs keeps it.
     pub fn settings(&self, jobs: &[Job]) -> serde_json::Value {
         let mut settings = json!({
@@ -167,6 +229,16 @@ impl Protocol {
     /// What [`super::Outcome`] counts.
     pub fn counted(&self) -> &'static str {
         if self.passes > 1 { "frames of all passes" } else { "frames" }
+    }
+}
+
+/// The driver with its version: what a Vulkan device's description ends with. Empty for the CPU twin, which
+/// has none.
+fn driver_of(renderer: &dyn Renderer) -> String {
+    let device = renderer.device();
+    match device.rsplit_once(", ") {
+        Some((_, driver)) if renderer.backend() == "vulkan" => driver.to_owned(),
+        _ => String::new(),
     }
 }
 

@@ -1,7 +1,7 @@
 //! `entire collect`: render many random frames of volumes and write down how long each took.
 
 use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pass_files};
-use crate::dataset::{Clock, MANIFEST_FORMAT, Manifest, Table, Writer, noise_floor};
+use crate::dataset::{Clock, Manifest, Table, Writer, noise_floor};
 use crate::device;
 use crate::files::read_model_file;
 use crate::interrupt;
@@ -14,7 +14,6 @@ use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_vk_raycaster::Renderer;
 use serde_json::json;
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// Render many random frames of volumes and write down how long each took.
@@ -128,16 +127,6 @@ fn protocol(options: &Options) -> Protocol {
     }
 }
 
-/// The driver with its version: what a Vulkan device's description ends with. Empty for the CPU twin, which
-/// has none.
-fn driver_of(renderer: &dyn Renderer) -> String {
-    let device = renderer.device();
-    match device.rsplit_once(", ") {
-        Some((_, driver)) if renderer.backend() == "vulkan" => driver.to_owned(),
-        _ => String::new(),
-    }
-}
-
 fn jobs(options: &Options) -> Result<Vec<Job>> {
     let mut jobs: Vec<Job> = options.volumes.iter().map(|p| Job::from_path(p)).collect();
     match options.member.len() {
@@ -189,9 +178,6 @@ pub fn run(options: &Options) -> Result<()> {
         protocol.frames > 0 && protocol.repeats > 0 && protocol.passes > 0,
         "--frames, --repeats and --passes must be at least 1"
     );
-    let repeats = protocol.repeats.checked_mul(protocol.passes).with_context(|| {
-        format!("{} repeats in {} passes are too many", protocol.repeats, protocol.passes)
-    })?;
     ensure!(
         protocol.termination > 0.0 && protocol.termination <= 1.0,
         "--termination is {}; it must lie in (0, 1], 1 for never",
@@ -208,20 +194,7 @@ pub fn run(options: &Options) -> Result<()> {
         None => device::open(options.render.device)?,
     };
 
-    let mut manifest = Manifest {
-        format: MANIFEST_FORMAT.into(),
-        created: machine::now(),
-        machine: machine::machine(),
-        renderer: renderer.backend().into(),
-        device: renderer.device(),
-        driver: driver_of(renderer.as_ref()),
-        commit: machine::version(),
-        seed: protocol.seed,
-        repeats,
-        step_reference: "smallest voxel spacing".into(),
-        settings: protocol.settings(&jobs),
-        other: BTreeMap::new(),
-    };
+    let mut manifest = protocol.manifest(&jobs, renderer.as_ref())?;
     let mut runs = Vec::new();
     let mut table = if options.resume {
         if let Some(old) = Manifest::read(&options.out)? {

@@ -17,7 +17,7 @@ use crate::steering::report::{Story, table, write};
 use crate::volume::Volume;
 use anyhow::{Context, Result, ensure};
 use entire_core::control::StepLimits;
-use entire_core::scene::{Arcball, Camera, VolumeView};
+use entire_core::scene::{Arcball, Camera, Frame, VolumeView};
 use entire_vk_raycaster::Renderer;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -114,7 +114,7 @@ fn fit_size(
     renderer.set_volume(view)?;
     renderer.set_transfer(&transfer)?;
     let camera = Camera::from_arcball(Arcball { rx: 15.0, ry: 30.0, dz: 2.2 })?;
-    let frame = draw.frame(camera)?.with_step(2.0)?;
+    let frame = Frame { step: 2.0, ..draw.frame(camera)? }.checked()?;
     renderer.render(&frame)?;
     const TRIALS: u32 = 4;
     let begin = Instant::now();
@@ -176,7 +176,7 @@ pub fn run(options: &Options) -> Result<()> {
     ensure!(options.calibrate >= 8, "--calibrate is {}; at least 8 scenes are needed", options.calibrate);
     let shown = file.display().to_string();
     let volume = Volume::open(&file)?;
-    let factor = options.enlarge.unwrap_or(if volume.view().voxels() < SMALL_VOLUME { 2 } else { 1 });
+    let factor = options.enlarge.unwrap_or(if volume.view().shape().voxels < SMALL_VOLUME { 2 } else { 1 });
     let volume = if factor == 1 { volume } else { enlarge(&volume, factor)? };
     let view = volume.view();
     let described = describe(&shown, &volume, factor);

@@ -13,8 +13,9 @@ use std::path::PathBuf;
 ///
 /// Every frame is planned before it is drawn and told to the predictor afterwards; a graph shows both beside
 /// the target. Whenever nothing changes the picture is refined to full quality, in slices that never take
-/// longer than the target. Without --model the shipped model steers where the working folder is the
-/// project's, else an untrained one; both learn from the frames. Drag to turn, shift-drag to pan, scroll to
+/// longer than the target. Without --model the machine's model steers where `entire calibrate --clock wall`
+/// made one, else the shipped model where the working folder is the project's, else an untrained one; all
+/// learn from the frames. Drag to turn, shift-drag to pan, scroll to
 /// zoom, F to fly, 1 2 3 to look along an axis, R to reset, Ctrl+Z to take back.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:

@@ -66,7 +66,7 @@ pub fn run(options: &Options) -> Result<()> {
         let tables = [table];
         let frames: Vec<&TimedFrame> = tables[0].frames.iter().collect();
         ensure!(!frames.is_empty(), "{} has no frames; collect some with `entire collect`", path.display());
-        let mut columns: Vec<String> = SceneQuantity::ALL.iter().map(|q| q.name().to_owned()).collect();
+        let mut columns: Vec<String> = SceneQuantity::ALL.iter().map(|q| q.to_string()).collect();
         let bar = templated_bar(options.quiet, INPUTS_BAR);
         let mut rows = measure(&tables, &frames, Some(PROBE_SIDE), None, &pool, &bar, |_, inputs| {
             let work = inputs.features.work(&inputs.setting);

@@ -6,7 +6,7 @@ use crate::options::ShadeOption;
 use anyhow::{Context, Result, bail};
 use entire_core::model::{InputGroup, Model};
 use entire_core::nn::PredNet;
-use entire_core::predict::{LONGEST_PREDICTION, SHORTEST_PREDICTION, check_batch};
+use entire_core::predict::{PREDICTED_SECONDS, check_predictions};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
@@ -61,7 +61,7 @@ pub fn run(options: &Options) -> Result<()> {
 fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
     let mut reader =
         csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(csv::Trim::All).from_reader(table);
-    let mut scratch = net.scratch()?;
+    let mut scratch = net.scratch(1)?;
     let mut inputs = Vec::with_capacity(net.inputs());
     let mut seconds = Vec::new();
     let mut record = csv::ByteRecord::new();
@@ -109,12 +109,14 @@ fn predict(net: &PredNet, model: &Model, table: impl Read) -> Result<Vec<f32>> {
     if seconds.is_empty() {
         bail!("holds no row; one row per frame is expected, {} columns each", net.inputs());
     }
-    let outside = check_batch(&mut seconds)?;
+    let outside = check_predictions(&mut seconds)?;
     if outside > 0 {
         note(&format!(
-            "{outside} of {} predictions were outside of {SHORTEST_PREDICTION:e} to {LONGEST_PREDICTION:e} seconds \
+            "{outside} of {} predictions were outside of {:e} to {:e} seconds \
              and are printed as the nearer end",
-            seconds.len()
+            seconds.len(),
+            PREDICTED_SECONDS.start(),
+            PREDICTED_SECONDS.end()
         ));
     }
     Ok(seconds)

@@ -4,10 +4,11 @@ use crate::device;
 use crate::files::{open_volume, parse_list, parse_numbers, parse_range, write_whole};
 use crate::metrics::median;
 use crate::options::RenderArgs;
+use crate::path::camera;
 use crate::report::encode_png;
 use anyhow::{Context, Result};
 use entire_core::scene::{
-    Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
+    Arcball, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, Shading, Skipping, TransferFunction,
 };
 use entire_vk_raycaster::Rendered;
 use serde_json::json;
@@ -48,6 +49,9 @@ pub struct Options {
     /// Vertical field of view in degrees.
     #[arg(long, default_value_t = DEFAULT_FOV_Y_DEGREES, value_name = "DEGREES", allow_hyphen_values = true)]
     pub fov: f32,
+    /// Parallel (orthographic) projection: half of the height that is seen, in bounding-sphere radii.
+    #[arg(long, value_name = "RADII", conflicts_with = "fov", allow_hyphen_values = true)]
+    pub parallel_scale: Option<f32>,
     /// Scalar range that maps to [0, 1]; else 0…255 for unsigned bytes, the finite minimum…maximum for other
     /// types.
     #[arg(long, value_name = "LO,HI", value_parser = parse_range, allow_hyphen_values = true)]
@@ -100,12 +104,15 @@ fn parse_size(text: &str) -> Result<(u32, u32), String> {
 /// Runs the command.
 pub fn run(options: &Options) -> Result<()> {
     // Everything that can be wrong is checked before the volume is loaded.
-    let camera = Camera::from_arcball(options.camera)?.with_fov_y_degrees(options.fov)?;
-    let frame = Frame::new(camera, options.size.0, options.size.1)?
-        .with_step(options.step)?
-        .with_termination(options.render.termination)?
-        .with_shading(options.render.shade.into())
-        .with_skipping(options.render.skip.into());
+    let camera = camera(options.camera, options.fov, options.parallel_scale)?;
+    let frame = Frame {
+        step: options.step,
+        termination: options.render.termination,
+        shading: options.render.shade.into(),
+        skipping: options.render.skip.into(),
+        ..Frame::new(camera, options.size.0, options.size.1)?
+    }
+    .checked()?;
     let table = TransferFunction::Gaussian(options.tf.0.clone()).to_table()?;
     let volume = open_volume(&options.volume, options.range)?;
     let mut renderer = device::open(options.render.device)?;
@@ -137,23 +144,24 @@ pub fn run(options: &Options) -> Result<()> {
         let range = view.range();
         let json = json!({
             "volume": options.volume.to_string_lossy(),
-            "dims": view.dims(),
-            "scalar_type": view.scalar_type().to_string(),
+            "dims": view.shape().dims,
+            "scalar_type": view.scalars().scalar_type().to_string(),
             "range": [short(range.0), short(range.1)],
             "camera": {
                 "rx_deg": short(options.camera.rx),
                 "ry_deg": short(options.camera.ry),
                 "dz_radii": short(options.camera.dz),
-                "fov_y_deg": short(options.fov),
+                "fov_y_deg": options.parallel_scale.is_none().then(|| short(options.fov)),
+                "parallel_scale": options.parallel_scale.map(short),
             },
             "tf": options.tf.0.iter().map(|l| [l.center, l.width, l.height].map(short)).collect::<Vec<_>>(),
             "width": image.width,
             "height": image.height,
-            "step": short(frame.step()),
+            "step": short(frame.step),
             "shade": Shading::from(options.render.shade).to_string(),
             "skip": Skipping::from(options.render.skip).to_string(),
             "block_edge": options.block_edge,
-            "termination": short(frame.termination()),
+            "termination": short(frame.termination),
             "backend": renderer.backend(),
             "device": renderer.device(),
             "clock": clock,

@@ -282,6 +282,10 @@ fn write_log(
                  tables do not hold"
             )
         };
+        ensure!(
+            at.parallel_scale.is_none(),
+            "--log needs perspective cameras; frame {i} has a parallel one, which timing tables do not hold"
+        );
         let volume = playback.volumes[i];
         for records in &playback.records {
             let r = &records[i];

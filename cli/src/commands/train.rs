@@ -450,7 +450,7 @@ fn card(
     );
     let _ = writeln!(md, "## Inputs\n");
     for (group, size) in trained.layout.sizes() {
-        let _ = writeln!(md, "- `{}`, {} number{}", group.name(), size, if size == 1 { "" } else { "s" });
+        let _ = writeln!(md, "- `{group}`, {size} number{}", if size == 1 { "" } else { "s" });
     }
     if !trained.layout.scene_features().is_empty() {
         let _ = writeln!(md, "\nScene features, in order: {}.", names(&trained.layout).join(", "));

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 /// Counts up whenever the core computes another value of a quantity for the same frame; features kept before
 /// are refused then.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// What the first line begins with.
 const MARK: &str = "# entire-features 1";
@@ -37,7 +37,7 @@ pub struct FeatureTable {
 
 /// Tells apart what the first `count` quantities are and what they mean.
 fn schema_of(count: usize) -> u64 {
-    let names: Vec<&str> = SceneQuantity::ALL.iter().take(count).map(|q| q.name()).collect();
+    let names: Vec<&str> = SceneQuantity::ALL.iter().take(count).map(|&q| q.into()).collect();
     fnv1a(format!("{VERSION} {}", names.join(",")).as_bytes())
 }
 
@@ -70,9 +70,9 @@ pub fn encoder_id(parts: &VolumeNetParts) -> String {
 /// The column of a quantity, for a probe with so many rays along each side.
 pub fn quantity_column(quantity: SceneQuantity, probe_side: usize) -> String {
     if probe_side == PROBE_SIDE || !quantity.needs_probe() {
-        quantity.name().to_owned()
+        quantity.to_string()
     } else {
-        format!("{}@{probe_side}", quantity.name())
+        format!("{quantity}@{probe_side}")
     }
 }
 
@@ -190,8 +190,8 @@ impl FeatureTable {
             path.display(),
             table.display()
         );
-        let pixels = found.column(SceneQuantity::Pixels.name());
-        let rays = found.column(SceneQuantity::Step.name());
+        let pixels = found.column(SceneQuantity::Pixels.into());
+        let rays = found.column(SceneQuantity::Step.into());
         for f in frames {
             let fits = found.row(f.number).is_some_and(|row| {
                 let is = |column: Option<usize>, value: f32| column.is_none_or(|c| row[c] == value);
@@ -317,23 +317,23 @@ mod tests {
         let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default()).unwrap();
         let lobes = crate::dataset::parse_lobes("0.3 0.0005 0.4;0.8 0.0003 0.9").unwrap();
         let table = TransferFunction::Gaussian(lobes).to_table().unwrap();
-        let mut transfer = TransferSummary::new(&summary, &table);
+        let mut transfer = TransferSummary::new(&summary, &table).unwrap();
         let mut text = String::new();
         for (shading, dz) in [(Shading::None, 2.5), (Shading::Local, 1.1), (Shading::Scatter, 0.6)] {
             let camera = Camera::from_arcball(Arcball { rx: 25.0, ry: -60.0, dz }).unwrap();
-            let frame = Frame::new(camera, 90, 70).unwrap().with_shading(shading);
+            let frame = Frame { shading, ..Frame::new(camera, 90, 70).unwrap() };
             let mut features = FrameFeatures::with_probe_side(PROBE_SIDE);
-            features.measure(&summary, &mut transfer, &frame);
-            let setting = Setting::of(&frame);
+            features.measure(&summary, &mut transfer, &frame).unwrap();
+            let setting = Setting::from(&frame);
             let work = features.work(&setting);
             for q in SceneQuantity::ALL {
-                let value = features.quantity(*q, &setting, &work, Changes::NONE);
-                text += &format!("{} {value:.3e}\n", q.name());
+                let value = features.quantity(*q, &setting, &work, Changes::default());
+                text += &format!("{q} {value:.3e}\n");
             }
         }
         assert_eq!(
             (VERSION, format!("{:016x}", fnv1a(text.as_bytes()))),
-            (1, "b814b71f8b7b4853".into()),
+            (2, "3f6ee9b37a81a413".into()),
             "{text}"
         );
     }

@@ -44,11 +44,14 @@ impl Scene {
     /// When a value lies outside what the core accepts; the message is the core's.
     pub fn to_frame(&self) -> Result<Frame> {
         let camera = Camera::from_arcball(self.camera)?.with_fov_y_degrees(self.fov_y_degrees)?;
-        Ok(Frame::new(camera, self.width, self.height)?
-            .with_step(self.step)?
-            .with_termination(self.termination)?
-            .with_shading(self.shading)
-            .with_skipping(self.skipping))
+        Ok(Frame {
+            step: self.step,
+            termination: self.termination,
+            shading: self.shading,
+            skipping: self.skipping,
+            ..Frame::new(camera, self.width, self.height)?
+        }
+        .checked()?)
     }
 
     /// The transfer function.

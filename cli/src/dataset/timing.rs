@@ -181,8 +181,8 @@ pub struct NoiseFloor {
     pub median_relative_deviation: f64,
     /// Median over frames of ln(first repeat / last one) within a pass: what warming up costs.
     pub warm_up: f64,
-    /// Largest less smallest of the passes' medians of ln(pass median / frame median): how far the machine
-    /// drifted. `None` for a single pass.
+    /// Largest less smallest of the passes' medians of ln(pass median / geometric mean of the frame's pass
+    /// medians): how far the machine drifted. `None` for a single pass.
     pub drift: Option<f64>,
     /// Frames with at least two repeats.
     pub frames: usize,
@@ -308,15 +308,15 @@ fn without_trend(logs: &mut [Logs]) {
 
 fn drift(logs: &[Logs]) -> Option<f64> {
     let most = logs.iter().map(|l| l.passes).max().filter(|&p| p > 1)?;
-    let offsets: Vec<f64> = (0..most)
-        .filter_map(|pass| {
-            let of_pass = logs.iter().filter_map(|l| {
-                let mut repeats = l.by_pass().nth(pass).filter(|_| l.passes > 1)?.to_vec();
-                Some(median(&mut repeats)? - l.median)
-            });
-            median(&mut of_pass.collect::<Vec<_>>())
-        })
-        .collect();
+    let mut offsets: Vec<Vec<f64>> = vec![Vec::new(); most];
+    for l in logs.iter().filter(|l| l.passes > 1) {
+        let medians: Vec<f64> = l.by_pass().filter_map(|p| median(&mut p.to_vec())).collect();
+        let mean = medians.iter().sum::<f64>() / medians.len() as f64;
+        for (offsets, m) in offsets.iter_mut().zip(&medians) {
+            offsets.push(m - mean);
+        }
+    }
+    let offsets: Vec<f64> = offsets.iter_mut().filter_map(|o| median(o)).collect();
     let ends = |f: fn(f64, f64) -> f64| offsets.iter().copied().reduce(f);
     Some(ends(f64::max)? - ends(f64::min)?)
 }

@@ -2,6 +2,7 @@
 
 use super::table::parse;
 use super::{COLUMNS, Scene, Timing, format_lobes};
+use crate::files::try_lock;
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_vk_raycaster::WorkCounts;
 use std::collections::HashSet;
@@ -154,7 +155,7 @@ impl Writer {
 
 /// Takes the table for this process alone. The lock goes with the process, however that ends.
 fn lock(file: &File, path: &Path) -> Result<()> {
-    match file.try_lock() {
+    match try_lock(file) {
         Ok(()) => Ok(()),
         Err(std::fs::TryLockError::WouldBlock) => bail!(
             "{} is being written by another process; wait until that has ended, or choose another name",

@@ -3,6 +3,7 @@
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use rayon::prelude::*;
 use std::cmp::Ordering;
 use std::collections::BinaryHeap;
 
@@ -191,17 +192,21 @@ impl Dispatcher {
 
     fn sort(&mut self) {
         let (seconds, waits) = (&self.seconds, &self.waits);
-        for (v, lane) in self.lanes.iter_mut().enumerate() {
-            lane.retain(|t| waits[*t as usize]);
-            if self.arrival || self.uniform {
-                lane.sort_unstable_by(|a, b| b.cmp(a));
-            } else {
-                // Positive numbers sort as their bits do.
-                lane.sort_unstable_by_key(|t| (seconds[*t as usize].to_bits(), u32::MAX - t));
-            }
-            lane.dedup();
-            self.work[v] = lane.iter().map(|t| f64::from(seconds[*t as usize])).sum();
-        }
+        let by_number = self.arrival || self.uniform;
+        self.lanes.par_iter_mut().zip(&mut self.work).for_each(|(lane, work)| {
+            let waiting = lane.iter().filter(|t| waits[**t as usize]);
+            // A task as a number that sorts as it does, the longest last: positive seconds sort as their bits.
+            let key = |t: u32| {
+                let bits = if by_number { 0 } else { seconds[t as usize].to_bits() };
+                u64::from(bits) << 32 | u64::from(u32::MAX - t)
+            };
+            let mut keys: Vec<u64> = waiting.map(|t| key(*t)).collect();
+            keys.sort_unstable();
+            keys.dedup();
+            lane.clear();
+            lane.extend(keys.iter().map(|k| u32::MAX - *k as u32));
+            *work = lane.iter().map(|t| f64::from(seconds[*t as usize])).sum();
+        });
         self.heap.clear();
         self.listed.fill(false);
         for v in 0..self.lanes.len() {

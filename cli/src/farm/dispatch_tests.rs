@@ -72,3 +72,36 @@ fn a_node_stays_with_its_volume_where_loading_costs() {
     assert_eq!(changes, 3);
     assert_eq!(d.pending(), 0);
 }
+
+#[test]
+fn orders_are_those_of_a_plain_search() {
+    // Many equal times, corrections on the way, tasks that come back: each question is answered with the longest
+    // that waits, of equal ones that of the first volume and the first number.
+    let n = 900u32;
+    let seconds =
+        |round: u32| (0..n).map(|t| 0.5 + ((t * 7919 + round * 31) % 97) as f32 / 8.0).collect::<Vec<_>>();
+    let volume: Vec<u32> = (0..n).map(|t| t * 31 % 11).collect();
+    let mut d = Dispatcher::new(seconds(0), volume.clone(), 11, Order::LongestFirst);
+    let mut waits = vec![true; n as usize];
+    d.add(0..n);
+    let mut known = seconds(0);
+    for step in 0..n {
+        if step % 60 == 59 {
+            known = seconds(step);
+            // One that was sent waits again, and its place is found with the others'.
+            let back = (0..n).find(|t| !waits[*t as usize]).unwrap();
+            waits[back as usize] = true;
+            d.add_again(back);
+            d.reorder(known.clone());
+        }
+        let longest = (0..n)
+            .filter(|t| waits[*t as usize])
+            .max_by(|a, b| {
+                let key = |t: u32| (known[t as usize].to_bits(), std::cmp::Reverse((volume[t as usize], t)));
+                key(*a).cmp(&key(*b))
+            })
+            .unwrap();
+        assert_eq!(d.next(&ask(None, &|_| 0.0, 5)), Some(vec![longest]), "{step}");
+        waits[longest as usize] = false;
+    }
+}

@@ -2,6 +2,7 @@
 //! One writer at a time, by a lock on a file beside it.
 
 use super::record::Entry;
+use crate::files::try_lock;
 use anyhow::{Context, Result, bail};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{BufRead, BufReader, Seek, SeekFrom, Write};
@@ -26,7 +27,7 @@ impl Journal {
         let lock_path = state.join("lock");
         let lock = OpenOptions::new().create(true).write(true).truncate(false).open(&lock_path);
         let lock = lock.with_context(|| format!("cannot open {}", lock_path.display()))?;
-        match lock.try_lock() {
+        match try_lock(&lock) {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => bail!(
                 "another `entire farm` is at work on this database ({} is locked); wait for it or end it",

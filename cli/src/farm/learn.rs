@@ -9,10 +9,13 @@
 
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
+pub(crate) use super::gauss::normal;
+use super::gauss::{back, cholesky, forward, normal_below};
 use super::job::Job;
 use entire_core::scene::Camera;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use rayon::prelude::*;
 
 /// Terms of a task before its transfer function: a constant, ln base, ln pixels, ln step, ln distance, shares
 /// of the view direction along x and y and their squares.
@@ -30,6 +33,16 @@ const MAX_TRANSFERS: usize = 64;
 /// Standard deviations that the residual, volumes and nodes have before anything is seen, and how many
 /// observations that is worth.
 const BEFORE: (f64, f64) = (0.15, 4.0);
+/// The same of volumes, where a model or a list tells: the largest that shipped models have on frames of volumes
+/// that they were not made from (`entire evaluate` on the tables local-timestep, scatter-timestep, none-inside,
+/// none-later and none-steps-members of `data/timings`: 0.03 to 0.07).
+const BEFORE_TOLD: f64 = 0.07;
+/// There, the standard deviation of the prior of ln base: twice the largest slope of ln(measured / base) over
+/// ln base on the same tables.
+const SLOPE_TOLD: f64 = 0.04;
+/// There, long tasks are told better than short ones: ln of a residual's standard deviation falls by this for
+/// every unit of ln base (the same tables: 0.14 to 0.26), up to so many units from the mean.
+const CALMER_TOLD: (f64, f64) = (0.2, 4.0);
 /// Residuals beyond so many standard deviations are taken for this many: one hung task says little of the
 /// others.
 const HUBER: f64 = 4.0;
@@ -73,7 +86,7 @@ impl Shape {
         let mut terms = Vec::with_capacity(job.cameras.len() * sizes * steps);
         for camera in &job.cameras {
             let direction = Camera::from_arcball(*camera)
-                .map(|c| c.ray_basis(2, 2).3.to_array().map(|v| f64::from(v.abs())))
+                .map(|c| c.ray_basis(2, 2).1[0].to_array().map(|v| f64::from(v.abs())))
                 .unwrap_or([0.0; 3]);
             for size in &job.sizes {
                 for step in &job.steps {
@@ -98,11 +111,16 @@ impl Shape {
         let n = job.len();
         let (mut volume, mut row, mut transfer) =
             (Vec::with_capacity(n), Vec::with_capacity(n), Vec::with_capacity(n));
-        for task in 0..n {
-            let at = job.place(task);
-            volume.push(at.volume as u32);
-            row.push(((at.camera * sizes + at.size) * steps + at.step) as u32);
-            transfer.push(at.transfer.min(u16::MAX as usize) as u16);
+        // In the order of `Job::place`.
+        let per_camera = sizes * steps;
+        for v in 0..job.volumes.len() {
+            volume.resize(volume.len() + n / job.volumes.len(), v as u32);
+            for camera in 0..job.cameras.len() {
+                for t in 0..job.transfers.len() {
+                    row.extend((camera * per_camera) as u32..((camera + 1) * per_camera) as u32);
+                    transfer.resize(row.len(), t.min(u16::MAX as usize) as u16);
+                }
+            }
         }
         Self::new(base, volume, row, transfer, terms, job.volumes.len(), job.transfers.len())
     }
@@ -168,10 +186,14 @@ pub struct Learner {
     mean_base: f64,
     seen: Vec<Seen>,
     refit_at: usize,
+    /// How many observations it is fitted to.
+    fitted: usize,
     beta: Vec<f64>,
     /// Lower triangular factor L of the precision of β: L·Lᵀ.
     factor: Vec<f64>,
     effects: Vec<f64>,
+    /// Effective number of the nodes' speeds.
+    used_nodes: f64,
     /// Precision of each volume's effect for a given β, and Σx over its observations.
     precisions: Vec<f64>,
     sums: Vec<Vec<f64>>,
@@ -196,18 +218,21 @@ impl Learner {
         let d = FIXED + shape.transfers;
         let mean_base = shape.base.iter().map(|b| f64::from(*b)).sum::<f64>() / shape.len().max(1) as f64;
         let volumes = shape.volumes;
+        let before = if shape.is_told() { BEFORE_TOLD } else { BEFORE.0 };
         let mut new = Self {
             shape,
             mean_base,
             seen: Vec::new(),
             refit_at: 1,
+            used_nodes: 0.0,
+            fitted: 0,
             beta: vec![0.0; d],
             factor: Vec::new(),
             effects: vec![0.0; volumes],
             precisions: Vec::new(),
             sums: Vec::new(),
             sigma2: BEFORE.0.powi(2),
-            tau2: BEFORE.0.powi(2),
+            tau2: before.powi(2),
             drift: 0.0,
             nodes: Vec::new(),
             residuals: Vec::new(),
@@ -234,6 +259,16 @@ impl Learner {
     /// Speed of a node, 1 where nothing is known of it.
     pub fn speed(&self, node: usize) -> f64 {
         self.nodes.get(node).map_or(1.0, |o| (-o).exp())
+    }
+
+    /// How much smaller than on average a task's own error is: its standard deviation is that of the model over
+    /// this.
+    fn calm(&self, task: usize) -> f64 {
+        if !self.shape.is_told() {
+            return 1.0;
+        }
+        let (slope, most) = CALMER_TOLD;
+        (slope * (f64::from(self.shape.base[task]) - self.mean_base).clamp(-most, most)).exp()
     }
 
     fn x(&self, task: usize, out: &mut [f64]) {
@@ -263,12 +298,12 @@ impl Learner {
     /// Expected seconds on a node of speed 1.
     pub fn seconds(&self, task: usize) -> f64 {
         let log = f64::from(self.shape.base[task]) + self.log_of(&self.beta, &self.effects, task);
-        (log + 0.5 * self.sigma2).exp()
+        (log + 0.5 * self.sigma2 / self.calm(task).powi(2)).exp()
     }
 
     /// Expected seconds of all tasks.
     pub fn all_seconds(&self) -> Vec<f32> {
-        (0..self.shape.len()).map(|t| self.seconds(t) as f32).collect()
+        (0..self.shape.len()).into_par_iter().with_min_len(4096).map(|t| self.seconds(t) as f32).collect()
     }
 
     /// Takes note of a time. True when the model was fitted anew: expected seconds have changed.
@@ -286,6 +321,11 @@ impl Learner {
         due
     }
 
+    /// Whether it is fitted to everything that was observed.
+    pub fn is_fresh(&self) -> bool {
+        self.fitted == self.seen.len()
+    }
+
     /// Fits to everything that was observed.
     pub fn refit(&mut self) {
         let d = self.beta.len();
@@ -301,29 +341,32 @@ impl Learner {
             let mut sums_y = vec![0.0; self.shape.volumes];
             for s in &self.seen {
                 let task = s.task as usize;
+                let calm = self.calm(task);
+                let weight = calm * calm;
                 let mut y = s.y - self.nodes[s.node as usize];
                 if round > 0 && self.seen.len() >= 30 {
                     let middle = self.log_of(&self.beta, &self.effects, task);
-                    y = y.clamp(middle - clip, middle + clip);
+                    y = y.clamp(middle - clip / calm, middle + clip / calm);
                 }
                 self.x(task, &mut x);
                 let used: Vec<usize> = (0..d).filter(|k| x[*k] != 0.0).collect();
                 let v = self.shape.volume(task);
                 for &i in &used {
-                    xty[i] += x[i] * y;
-                    sums[v][i] += x[i];
+                    xty[i] += weight * x[i] * y;
+                    sums[v][i] += weight * x[i];
                     for &j in &used {
-                        xtx[i * d + j] += x[i] * x[j];
+                        xtx[i * d + j] += weight * x[i] * x[j];
                     }
                 }
-                counts[v] += 1.0;
-                sums_y[v] += y;
-                yy += y * y;
+                counts[v] += weight;
+                sums_y[v] += weight * y;
+                yy += weight * y * y;
             }
             self.solve(&xtx, &xty, yy, &counts, sums, &sums_y);
             self.fit_nodes();
         }
         self.keep_residuals();
+        self.fitted = self.seen.len();
     }
 
     fn solve(
@@ -338,7 +381,12 @@ impl Learner {
         let d = self.beta.len();
         let n = self.seen.len() as f64;
         let constant = self.shape.constant;
-        let sd = |k: usize| if k == 0 { constant } else { PRIOR.get(k).copied().unwrap_or(PRIOR_TRANSFER) };
+        let told = self.shape.is_told();
+        let sd = |k: usize| match k {
+            0 => constant,
+            1 if told => SLOPE_TOLD,
+            _ => PRIOR.get(k).copied().unwrap_or(PRIOR_TRANSFER),
+        };
         let prior = |k: usize| sd(k).powi(2).recip();
         for _ in 0..if n > 0.0 { 12 } else { 1 } {
             let (s2, t2) = (self.sigma2, self.tau2);
@@ -385,8 +433,9 @@ impl Learner {
                     fit += u * u;
                 }
                 let (before, worth) = BEFORE;
-                let free = (n - used - used_volumes).max(0.0);
+                let free = (n - used - used_volumes - self.used_nodes).max(0.0);
                 self.sigma2 = ((square.max(0.0) + worth * before * before) / (free + worth)).max(1e-8);
+                let before = if told { BEFORE_TOLD } else { before };
                 self.tau2 = ((fit + worth * before * before) / (used_volumes + worth)).max(1e-8);
             }
             self.precisions = precisions;
@@ -399,16 +448,24 @@ impl Learner {
         let clip = HUBER * self.sigma2.sqrt();
         for s in &self.seen {
             let error = s.y - self.log_of(&self.beta, &self.effects, s.task as usize);
-            let node = s.node as usize;
-            sums[node].0 += error.clamp(self.nodes[node] - clip, self.nodes[node] + clip);
-            sums[node].1 += 1.0;
+            let (node, calm) = (s.node as usize, self.calm(s.task as usize));
+            let weight = calm * calm;
+            let (low, high) = (self.nodes[node] - clip / calm, self.nodes[node] + clip / calm);
+            sums[node].0 += weight * error.clamp(low, high);
+            sums[node].1 += weight;
         }
+        self.used_nodes = 0.0;
         if self.nodes.len() < 2 {
             return;
         }
-        let shrink = self.sigma2 / BEFORE.0.powi(2);
+        // How far nodes differ beyond what their tasks' own errors explain. One time per node says nothing of it.
+        let of_nodes: f64 =
+            sums.iter().filter(|s| s.1 > 0.0).map(|(sum, n)| sum * sum / n - self.sigma2).sum();
+        let variance = of_nodes / sums.iter().map(|s| s.1).sum::<f64>().max(1.0);
+        let shrink = if variance > 0.0 { self.sigma2 / variance } else { f64::INFINITY };
         for (node, (sum, n)) in self.nodes.iter_mut().zip(&sums) {
             *node = sum / (n + shrink);
+            self.used_nodes += n / (n + shrink);
         }
         // Speeds are relative: their mean belongs to the constant.
         let known = sums.iter().filter(|s| s.1 > 0.0).count().max(1) as f64;
@@ -427,7 +484,7 @@ impl Learner {
             .iter()
             .map(|s| {
                 let middle = self.log_of(&self.beta, &self.effects, s.task as usize);
-                s.y - middle - self.nodes[s.node as usize]
+                (s.y - middle - self.nodes[s.node as usize]) * self.calm(s.task as usize)
             })
             .collect();
         let stride = n.div_ceil(KEPT).max(1);
@@ -473,6 +530,7 @@ impl Learner {
 
     /// Seconds of a task in a draw, with an error of its own.
     pub fn drawn_seconds(&self, draw: &Draw, task: usize, rng: &mut ChaCha8Rng) -> f64 {
+        let calm = self.calm(task);
         let error = if self.residuals.len() >= 50 {
             let r = self.residuals[(rng.next_u64() % self.residuals.len() as u64) as usize];
             f64::from(r)
@@ -480,7 +538,32 @@ impl Learner {
             self.sigma2.sqrt() * normal(rng)
         };
         let log = self.log_of(&draw.beta, &draw.effects, task);
-        (f64::from(self.shape.base[task]) + log + draw.drift + error).exp()
+        (f64::from(self.shape.base[task]) + log + draw.drift + error / calm).exp()
+    }
+
+    /// As [`Learner::drawn_seconds`], of a task that has run for so many seconds; and how probable the draw makes
+    /// that it has.
+    pub fn drawn_beyond(&self, draw: &Draw, task: usize, seconds: f64, rng: &mut ChaCha8Rng) -> (f64, f64) {
+        let log =
+            f64::from(self.shape.base[task]) + self.log_of(&draw.beta, &draw.effects, task) + draw.drift;
+        let calm = self.calm(task);
+        let least = (seconds.ln() - log) * calm;
+        // What nothing in the model explains is still possible.
+        const LEAST: f64 = 1e-3;
+        let probable = if self.residuals.len() >= 50 {
+            let beyond = self.residuals.iter().filter(|r| f64::from(**r) > least).count();
+            beyond as f64 / self.residuals.len() as f64
+        } else {
+            1.0 - normal_below(least / self.sigma2.sqrt())
+        };
+        for _ in 0..64 {
+            let drawn = self.drawn_seconds(draw, task, rng);
+            if drawn > seconds {
+                return (drawn, probable.max(LEAST));
+            }
+        }
+        // Far beyond: as much of itself again as its scatter.
+        (seconds * (1.0 + 0.5 * self.sigma2.sqrt() / calm), probable.max(LEAST))
     }
 
     /// A time that a group of tasks stays below in all but a share of cases, by draws: seconds one after the
@@ -518,52 +601,6 @@ impl Learner {
         }
         Draw { beta, effects, drift: self.drift * normal(rng) }
     }
-}
-
-/// A number from the standard normal distribution.
-pub(crate) fn normal(rng: &mut ChaCha8Rng) -> f64 {
-    let mut unit = || ((rng.next_u64() >> 11) as f64 + 0.5) / (1u64 << 53) as f64;
-    (-2.0 * unit().ln()).sqrt() * (std::f64::consts::TAU * unit()).cos()
-}
-
-/// Replaces a symmetric positive definite matrix by its lower triangular factor.
-fn cholesky(a: &mut [f64], d: usize) {
-    for j in 0..d {
-        for k in 0..j {
-            let l = a[j * d + k];
-            for i in j..d {
-                a[i * d + j] -= a[i * d + k] * l;
-            }
-        }
-        let root = a[j * d + j].max(1e-300).sqrt();
-        for i in j..d {
-            a[i * d + j] /= root;
-        }
-    }
-}
-
-/// Solves L·x = b.
-fn forward(l: &[f64], b: &[f64], d: usize) -> Vec<f64> {
-    let mut x = b.to_vec();
-    for i in 0..d {
-        for k in 0..i {
-            x[i] -= l[i * d + k] * x[k];
-        }
-        x[i] /= l[i * d + i];
-    }
-    x
-}
-
-/// Solves Lᵀ·x = b.
-fn back(l: &[f64], b: &[f64], d: usize) -> Vec<f64> {
-    let mut x = b.to_vec();
-    for i in (0..d).rev() {
-        for k in i + 1..d {
-            x[i] -= l[k * d + i] * x[k];
-        }
-        x[i] /= l[i * d + i];
-    }
-    x
 }
 
 #[cfg(test)]

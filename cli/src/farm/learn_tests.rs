@@ -107,3 +107,32 @@ fn the_posterior_is_that_of_the_whole_system() {
         assert!((own - solved[k]).abs() < 0.01, "{k}: {own} {}", solved[k]);
     }
 }
+
+#[test]
+fn the_normal_distribution_is_that_of_tables() {
+    for (x, share) in [(0.0, 0.5), (1.0, 0.841_344_746), (-2.5, 0.006_209_665), (3.5, 0.999_767_371)] {
+        assert!((normal_below(x) - share).abs() < 1e-8, "{x}: {}", normal_below(x));
+    }
+    assert!((normal_below(-6.0) / 9.865_876e-10 - 1.0).abs() < 1e-5, "{}", normal_below(-6.0));
+    // The series and the fraction meet.
+    assert!((normal_below(-3.0) / normal_below(-3.000_000_1) - 1.0).abs() < 1e-5);
+}
+
+#[test]
+fn a_task_that_still_runs_is_drawn_longer_and_says_how_probable_that_is() {
+    let (mut learner, truth) = world(0.1);
+    for t in (0..1200).step_by(40) {
+        learner.observe(t, 0, truth[t]);
+    }
+    learner.refit();
+    let mut rng = rng();
+    let draw = learner.draw(&mut rng);
+    let middle = learner.seconds(7);
+    let (mut last, mut all) = (1.0, Vec::new());
+    for share in [0.3, 0.9, 1.0, 1.2, 3.0] {
+        let (seconds, probable) = learner.drawn_beyond(&draw, 7, share * middle, &mut rng);
+        assert!(seconds > share * middle && probable <= last, "{share}: {seconds} {probable}");
+        (last, all) = (probable, [all, vec![probable]].concat());
+    }
+    assert!(all[0] > 0.999 && all[4] < 0.01, "{all:?}");
+}

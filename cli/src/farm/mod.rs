@@ -12,6 +12,7 @@ pub mod database;
 pub mod dispatch;
 pub mod drive;
 pub mod engine;
+mod gauss;
 pub mod job;
 pub mod journal;
 pub mod learn;

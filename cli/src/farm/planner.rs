@@ -4,17 +4,12 @@
 use super::dispatch::{Ask, Dispatcher, Order};
 use super::learn::{Learner, Shape};
 use super::load::Loads;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
-use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap, HashSet, VecDeque};
+use std::collections::{BTreeMap, HashSet, VecDeque};
 
-/// Tasks that are drawn one by one for the expected end; of more a sample stands for all.
-const DRAWN: usize = 4096;
-/// Draws of the expected end.
-const DRAWS: usize = 200;
-/// Tasks up to which the expected end plays the plan with loads and bundles.
-const PLAYED: usize = 20_000;
+#[path = "eta.rs"]
+mod eta;
+pub use eta::queue_end;
+
 /// Share of the work in which some tasks are sent for the sake of learning, and how many of them: one in
 /// four.
 const EXPLORED: (f64, u32) = (0.1, 4);
@@ -271,7 +266,7 @@ impl Planner {
             overhead: self.overhead,
             slots: slots.len(),
             limit: self.setting.limit.unwrap_or(f64::INFINITY) / 2.0,
-            blind: learner.observed() < 8 && !learner.shape().is_told(),
+            blind: self.setting.learn && learner.observed() < 8 && !learner.shape().is_told(),
         };
         let tasks = self.dispatcher.next(&ask)?;
         let volume = learner.shape().volume(tasks[0] as usize);
@@ -388,112 +383,6 @@ impl Planner {
         out.sort_by(|a, b| b.elapsed_s.total_cmp(&a.elapsed_s));
         out
     }
-
-    /// Seconds until all is done: 5, 50 and 95 percent of draws.
-    pub fn eta(&self, now: f64) -> [f64; 3] {
-        let mut rng = ChaCha8Rng::seed_from_u64(5);
-        let mut tasks: Vec<u32> = self.stages.iter().flatten().copied().collect();
-        tasks.extend(self.dispatcher.waiting());
-        let all = tasks.len();
-        tasks.sort_unstable_by(|a, b| {
-            self.dispatcher.seconds(*b).total_cmp(&self.dispatcher.seconds(*a)).then(a.cmp(b))
-        });
-        if self.setting.order == Order::Arrival {
-            tasks.sort_unstable();
-        }
-        let stride = all.div_ceil(DRAWN).max(1);
-        let scale = all as f64 / all.div_ceil(stride).max(1) as f64;
-        let drawn: Vec<u32> = tasks.iter().copied().skip(stride / 2).step_by(stride).collect();
-        let speeds: Vec<f64> = (0..self.slots.len())
-            .map(|s| if self.setting.bound { self.learner.speed(s) } else { 1.0 })
-            .collect();
-        let expected: Vec<f64> = drawn.iter().map(|t| f64::from(self.dispatcher.seconds(*t))).collect();
-        let sampled = stride > 1;
-        // With every task: as a queue. With a sample: all work over all speed.
-        let end = |times: &[f64], busy: &[f64]| {
-            if sampled {
-                let work = scale * times.iter().sum::<f64>();
-                (work / speeds.iter().sum::<f64>()) + busy.iter().sum::<f64>() / busy.len().max(1) as f64
-            } else {
-                queue_end(times, busy, &speeds)
-            }
-        };
-        let rest: Vec<(&Running, f64)> = self
-            .running
-            .values()
-            .map(|r| (r, (now - r.begun.unwrap_or(if self.setting.bound { r.at } else { now })).max(0.0)))
-            .collect();
-        let busy_of = |seconds: &mut dyn FnMut(&Running) -> f64| {
-            let mut busy = vec![0.0; speeds.len()];
-            for (k, (r, elapsed)) in rest.iter().enumerate() {
-                let place = r.sent.slot.unwrap_or(k);
-                let Some(slot) = busy.get_mut(place) else {
-                    // More bundles than slots: those wait their turn behind the others.
-                    let least = busy.iter_mut().min_by(|a, b| f64::total_cmp(a, b));
-                    if let Some(least) = least {
-                        *least += seconds(r);
-                    }
-                    continue;
-                };
-                let whole = seconds(r);
-                // What a task is known to take already is not drawn again.
-                *slot += (whole - elapsed).max(0.05 * whole);
-            }
-            busy
-        };
-        let middle_busy = busy_of(&mut |r| r.sent.expected_s);
-        let plain = end(&expected, &middle_busy);
-        let extra = self.extra(all, &middle_busy, &speeds, plain);
-        let mut ends: Vec<f64> = (0..DRAWS)
-            .map(|_| {
-                let draw = self.learner.draw(&mut rng);
-                let times: Vec<f64> =
-                    drawn.iter().map(|t| self.learner.drawn_seconds(&draw, *t as usize, &mut rng)).collect();
-                let busy = busy_of(&mut |r| {
-                    let load = (r.sent.expected_s
-                        - r.sent.predicted_s.iter().map(|s| f64::from(*s)).sum::<f64>())
-                    .max(0.0);
-                    let tasks = r.sent.tasks.iter();
-                    load + tasks
-                        .map(|t| self.learner.drawn_seconds(&draw, *t as usize, &mut rng))
-                        .sum::<f64>()
-                });
-                end(&times, &busy) + extra
-            })
-            .collect();
-        ends.sort_by(f64::total_cmp);
-        [ends[DRAWS / 20], ends[DRAWS / 2], ends[DRAWS - 1 - DRAWS / 20]]
-    }
-
-    /// What loading and sending bundles add to a plain queue, by playing the plan on expected times.
-    fn extra(&self, all: usize, busy: &[f64], speeds: &[f64], plain: f64) -> f64 {
-        if all == 0 {
-            return 0.0;
-        }
-        if all > PLAYED {
-            let mean = self.dispatcher.work() / all as f64;
-            let per_bundle = (50.0 * self.overhead / mean.max(1e-9)).clamp(1.0, 4096.0);
-            return all as f64 / per_bundle * self.overhead / speeds.len().max(1) as f64;
-        }
-        let mut copy = self.clone();
-        copy.setting.learn = false;
-        let bound = copy.setting.bound;
-        let mut free: BinaryHeap<Reverse<(Time, usize)>> =
-            busy.iter().enumerate().map(|(slot, at)| Reverse((Time(*at), slot))).collect();
-        let mut last = 0.0f64;
-        while let Some(Reverse((Time(at), slot))) = free.pop() {
-            let asked = bound.then_some(slot).filter(|s| *s < copy.slots.len());
-            match copy.next(asked, at) {
-                Some(sent) => {
-                    let end = at + copy.overhead + sent.expected_s;
-                    last = last.max(end);
-                    free.push(Reverse((Time(end), slot)));
-                }
-                None => last = last.max(at),
-            }
-        }
-        last - plain
-    }
 }
 
 /// A time that can be put in order.
@@ -512,18 +401,4 @@ impl Ord for Time {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
         self.0.total_cmp(&other.0)
     }
-}
-
-/// When a queue is over: tasks in order, each to the slot that is free first.
-pub fn queue_end(times: &[f64], busy: &[f64], speeds: &[f64]) -> f64 {
-    let mut last = busy.iter().copied().fold(0.0, f64::max);
-    let mut free: BinaryHeap<Reverse<(Time, usize)>> =
-        busy.iter().enumerate().map(|(slot, at)| Reverse((Time(*at), slot))).collect();
-    for time in times {
-        let Some(Reverse((Time(at), slot))) = free.pop() else { return f64::INFINITY };
-        let end = at + time / speeds[slot];
-        last = last.max(end);
-        free.push(Reverse((Time(end), slot)));
-    }
-    last
 }

@@ -44,13 +44,16 @@ pub fn base(job: &Job) -> Result<Vec<f32>> {
     if job.predict.model.is_some() || looks(job) {
         return of_views(job);
     }
-    let pixels: Vec<f64> = job.sizes.iter().map(|s| f64::from(s[0]) * f64::from(s[1])).collect();
-    Ok((0..job.len())
+    // Size and step come round with every transfer function.
+    let one = job.sizes.len() * job.steps.len();
+    let round: Vec<f32> = (0..one)
         .map(|task| {
             let at = job.place(task);
-            (1e-9 * NANOSECONDS * pixels[at.size] / f64::from(job.steps[at.step])).ln() as f32
+            let [width, height] = job.sizes[at.size].map(f64::from);
+            (1e-9 * NANOSECONDS * width * height / f64::from(job.steps[at.step])).ln() as f32
         })
-        .collect())
+        .collect();
+    Ok(round.iter().copied().cycle().take(job.len()).collect())
 }
 
 fn of_list(job: &Job, list: &std::path::Path) -> Result<Vec<f32>> {
@@ -88,7 +91,7 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
     let make = || -> Result<Box<dyn Predictor + Send>> {
         Ok(match &model {
             Some(model) => load(model)?,
-            None => Box::new(AnalyticModel::new()),
+            None => Box::new(AnalyticModel::default()),
         })
     };
     let side = match (&model, job.predict.probe_side) {
@@ -120,7 +123,7 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
         };
         let mut transfers = Vec::new();
         for named in &job.transfers {
-            let mut transfer = TransferSummary::new(&summary, &named.transfer.function().to_table()?);
+            let mut transfer = TransferSummary::new(&summary, &named.transfer.function().to_table()?)?;
             if skip == Skipping::Distance {
                 transfer.prepare_distance();
             }
@@ -136,17 +139,20 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
                     let pose = job.cameras[at.camera];
                     let [width, height] = job.sizes[at.size];
                     let camera = Camera::from_arcball(pose)?.with_fov_y_degrees(job.fov_y_deg)?;
-                    let frame = Frame::new(camera, width, height)?
-                        .with_step(job.steps[at.step])?
-                        .with_termination(termination)?
-                        .with_shading(shade)
-                        .with_skipping(skip);
+                    let frame = Frame {
+                        step: job.steps[at.step],
+                        termination,
+                        shading: shade,
+                        skipping: skip,
+                        ..Frame::new(camera, width, height)?
+                    }
+                    .checked()?;
                     let (transfer, lobes) = &mut transfers[at.transfer];
-                    features.measure(&summary, transfer, &frame);
+                    features.measure(&summary, transfer, &frame)?;
                     let predicted = predictor.predict(&Inputs {
                         features,
-                        setting: Setting::of(&frame),
-                        changes: Changes::NONE,
+                        setting: Setting::from(&frame),
+                        changes: Changes::default(),
                         camera: pose,
                         volume_features: code.as_deref(),
                         lobes: lobes.as_deref(),

@@ -5,10 +5,10 @@ use super::job::Job;
 use super::planner::queue_end;
 use super::record::{Answer, Entry};
 use super::show::duration;
+use crate::farm::list::lower_bound;
 use crate::machine::Provenance;
 use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use anyhow::{Result, ensure};
-use entire_core::schedule::lower_bound;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 

@@ -31,6 +31,8 @@ pub(super) struct Session {
     limit: Option<Duration>,
     running: Option<Running>,
     fresh: bool,
+    /// Whether the program ended during the last task.
+    ended: bool,
 }
 
 struct Running {
@@ -49,7 +51,7 @@ impl Drop for Running {
 impl Session {
     /// A program with its arguments, and how long a task may take.
     pub(super) fn new(command: Vec<String>, limit: Option<Duration>) -> Self {
-        Self { command, limit, running: None, fresh: false }
+        Self { command, limit, running: None, fresh: false, ended: false }
     }
 
     fn start(&self) -> Result<Running> {
@@ -72,14 +74,19 @@ impl Session {
     }
 
     /// Has a task rendered to `out`. Where the program was started for it and tells its own seconds, what
-    /// the start took counts as loading.
+    /// the start took counts as loading. A program that ends after it has answered other tasks may have run
+    /// out of something: a new one is asked once more.
     ///
     /// # Errors
     /// When the program cannot be started, ends, answers with an error or not in time.
     pub(super) fn ask(&mut self, order: &Order, out: &Path, log: &Path) -> Result<Reply> {
-        let clock = Instant::now();
-        self.fresh = false;
+        let mut clock = Instant::now();
         let mut result = self.try_ask(order, out, log);
+        if result.is_err() && self.ended && !self.fresh {
+            self.running = None;
+            clock = Instant::now();
+            result = self.try_ask(order, out, log);
+        }
         if let (true, Ok(Reply { seconds: Some(seconds), load_s, .. })) = (self.fresh, &mut result) {
             *load_s = Some((clock.elapsed().as_secs_f64() - *seconds).max(load_s.unwrap_or(0.0)));
         }
@@ -95,6 +102,7 @@ impl Session {
     }
 
     fn try_ask(&mut self, order: &Order, out: &Path, log: &Path) -> Result<Reply> {
+        (self.fresh, self.ended) = (false, false);
         if self.running.as_mut().is_some_and(|r| !matches!(r.child.try_wait(), Ok(None))) {
             self.running = None;
         }
@@ -112,12 +120,15 @@ impl Session {
         let sent = writeln!(running.input, "{value}").and_then(|()| running.input.flush());
         let clock = Instant::now();
         let program = self.command[0].clone();
-        let ended = || format!("the renderer {program:?} ended: {}", tail(log));
+        let text = || format!("the renderer {program:?} ended: {}", tail(log));
         loop {
             let left = self.limit.map_or(Duration::from_secs(3600), |l| l.saturating_sub(clock.elapsed()));
             let line = match running.lines.recv_timeout(left) {
                 Ok(line) => line,
-                Err(RecvTimeoutError::Disconnected) => bail!(ended()),
+                Err(RecvTimeoutError::Disconnected) => {
+                    self.ended = true;
+                    bail!(text())
+                }
                 Err(RecvTimeoutError::Timeout) if self.limit.is_some_and(|l| clock.elapsed() >= l) => bail!(
                     "the renderer gave no answer within {} s (timeout_s)",
                     self.limit.unwrap_or_default().as_secs_f64()
@@ -129,7 +140,8 @@ impl Session {
                 _ => writeln!(log_file, "{line}")?,
             }
             if sent.is_err() && running.lines.try_recv().is_err() {
-                bail!(ended());
+                self.ended = true;
+                bail!(text());
             }
         }
     }

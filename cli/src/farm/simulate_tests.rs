@@ -1,10 +1,10 @@
 use super::*;
 use crate::farm::dispatch::Order;
 use crate::farm::learn::Shape;
+use crate::farm::list::lower_bound;
 use crate::farm::list::simulate_queue;
 use crate::farm::load::Loads;
 use crate::farm::planner::Setting;
-use entire_core::schedule::lower_bound;
 
 fn times(n: usize) -> Vec<f64> {
     (0..n).map(|i| 0.5 + (i * 7919 % 1000) as f64 / 250.0).collect()
@@ -32,13 +32,13 @@ fn world(seconds: Vec<f64>, slots: usize) -> World {
 }
 
 #[test]
-fn without_costs_it_ends_with_the_plain_queue() {
+fn without_costs_it_is_the_plain_queue() {
     let seconds = times(300);
     let mut p = planner(&seconds, &vec![0; 300], vec![0.0], 7, false);
     let out = simulate(&mut p, &world(seconds.clone(), 7), &[]);
     let order = entire_core::schedule::longest_first(&seconds).unwrap();
     let queue = simulate_queue(&order, &seconds, &[1.0; 7], 0.0).unwrap();
-    assert!((out.makespan / queue.makespan - 1.0).abs() < 1e-3, "{} {}", out.makespan, queue.makespan);
+    assert!((out.makespan - queue.makespan).abs() < 1e-6, "{} {}", out.makespan, queue.makespan);
     assert_eq!(out.ran.len(), 300);
     assert!(p.is_over() && p.progress() == (300, 300));
 }
@@ -74,7 +74,6 @@ fn slow_nodes_are_learned_and_get_less() {
 }
 
 #[test]
-#[ignore = "the interval holds in 13 of 20 runs where volumes are mispredicted by 15 %; 18 are aimed at"]
 fn the_end_is_foretold() {
     // Predictions that are wrong by a factor and per volume: corrected after a tenth.
     let (mut hits, mut errors) = (0, Vec::new());
@@ -112,4 +111,39 @@ fn known_loads_are_waited_for_and_counted() {
     assert!((busy - seconds.iter().sum::<f64>() - 8.0 * out.loads as f64).abs() < 1e-6);
     // Six volumes on eight nodes need at least eight loads; a few more even it out.
     assert!((8..=16).contains(&out.loads), "{}", out.loads);
+}
+
+/// The end that is foretold after a tenth of the work and the end, of tasks whose times a model told that errs by
+/// 0.05 per volume and 0.15 per task.
+fn foretold(seed: u64, slots: usize) -> ([f64; 3], f64) {
+    use crate::farm::learn::{TOLD, normal};
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let base: Vec<f64> = (0..384).map(|_| 0.05 * (0.8 * normal(&mut rng)).exp()).collect();
+    let volume: Vec<usize> = (0..384).map(|i| i % 13).collect();
+    let off: Vec<f64> = (0..13).map(|_| 0.05 * normal(&mut rng)).collect();
+    let constant = 0.1 * normal(&mut rng);
+    let truth = (0..384).map(|i| base[i] * (constant + off[volume[i]] + 0.15 * normal(&mut rng)).exp());
+    let mut w = world(truth.collect(), slots);
+    let setting =
+        Setting { slots, bound: true, overhead: 0.0, limit: None, order: Order::LongestFirst, learn: true };
+    let shape = Shape::of_volumes(&base, &volume).with_constant(TOLD);
+    let mut p = Planner::new(shape, Loads::known(vec![0.0; 13]), setting);
+    p.add_stage((0..384).collect());
+    w.volume = volume;
+    (w.load_cold, w.load_warm) = (vec![0.0; 13], vec![0.0; 13]);
+    let out = simulate(&mut p, &w, &[0.1]);
+    (out.said[0].end, out.makespan)
+}
+
+#[test]
+fn on_many_nodes_the_end_is_not_foretold_by_what_is_done_first() {
+    // The first tasks that are done are those that took less than expected, on nodes that seem fast.
+    let (mut hits, mut later, n) = (0, 0.0, 60);
+    for seed in 0..n {
+        let ([low, middle, high], end) = foretold(seed, 16 + 16 * (seed as usize % 2));
+        hits += u32::from((low..=high).contains(&end));
+        later += (end / middle).ln() / n as f64;
+    }
+    assert!((48..=59).contains(&hits), "{hits} of {n}");
+    assert!(later.abs() < 0.02, "{later}");
 }

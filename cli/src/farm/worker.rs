@@ -238,11 +238,14 @@ impl Own {
         let (shade, skip, termination, _) = self.settings;
         let [rx, ry, dz] = order.camera;
         let camera = Camera::from_arcball(Arcball { rx, ry, dz })?.with_fov_y_degrees(order.fov_y_deg)?;
-        let frame = Frame::new(camera, order.size[0], order.size[1])?
-            .with_step(order.step)?
-            .with_termination(termination)?
-            .with_shading(shade)
-            .with_skipping(skip);
+        let frame = Frame {
+            step: order.step,
+            termination,
+            shading: shade,
+            skipping: skip,
+            ..Frame::new(camera, order.size[0], order.size[1])?
+        }
+        .checked()?;
         let clock = Instant::now();
         let mut load_s = 0.0;
         if self.held.as_ref().is_none_or(|(path, range)| *path != order.volume || *range != order.range) {

@@ -97,7 +97,8 @@ pub fn calibrate_to_rows(file: &ModelFile, rows: &[f32], seconds: &[f64]) -> Res
 pub fn transfer(file: &ModelFile, context: &FitContext<'_>, frames: Timed<'_>) -> Result<ModelFile> {
     let model = file.to_model()?;
     let layout = Layout::of_model(&model)?;
-    let carried = layout.scene_features().last() == Some(&SceneFeature::log(SceneQuantity::EstimatedSeconds));
+    let carried = layout.scene_features().last()
+        == Some(&SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
     let parts = model.prednet().context("the model file holds no PredNet")?;
     ensure!(
         carried && parts.target == Target::LogSeconds && model.metadata().contains_key(Key::UnitCosts.name()),

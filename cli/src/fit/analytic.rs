@@ -2,7 +2,7 @@
 
 use super::FitContext;
 use crate::dataset::Timed;
-use crate::inputs::Layout;
+use crate::inputs::{Layout, seconds_of, work_of};
 use anyhow::Result;
 use entire_core::features::SceneFeature;
 use entire_core::predict::{AnalyticModel, COST_QUANTITIES, COSTS, GroupKind, Measurement, UnitCosts};
@@ -17,9 +17,9 @@ pub(super) fn fit_analytic(
     let measurements: Vec<Measurement> = counts(context, training, default, probe_side)?
         .iter()
         .zip(training.seconds)
-        .map(|(row, &seconds)| Measurement::from_work(row, seconds))
+        .map(|(row, &seconds)| Measurement { work: work_of(*row), seconds })
         .collect();
-    let mut model = AnalyticModel::new();
+    let mut model = AnalyticModel::default();
     let report = model.fit(default, &measurements)?;
     let text = format!(
         "fitted to {} frames, {} refused, median error {:.2} %",
@@ -42,7 +42,7 @@ pub(crate) fn counts(
         return Ok(vec![[0.0; COSTS - 1]; part.frames.len()]);
     }
     let features: Vec<SceneFeature> =
-        asked.iter().map(|&i| SceneFeature::linear(COST_QUANTITIES[i])).collect();
+        asked.iter().map(|&i| SceneFeature { quantity: COST_QUANTITIES[i], log: false }).collect();
     let layout = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?.with_probe_side(probe_side);
     let rows = layout.rows(context.tables, part.frames, context.pool, &ProgressBar::hidden())?;
     Ok(rows
@@ -63,5 +63,5 @@ pub(super) fn estimates(
     costs: &UnitCosts,
     probe_side: usize,
 ) -> Result<Vec<f64>> {
-    Ok(counts(context, part, costs, probe_side)?.iter().map(|row| costs.seconds_of_quantities(row)).collect())
+    Ok(counts(context, part, costs, probe_side)?.iter().map(|row| seconds_of(costs, row)).collect())
 }

@@ -12,18 +12,18 @@ use entire_core::predict::{GroupKind, UnitCosts};
 /// Mean and standard deviation of what the factor takes, of the order that random scenes have; the fit only
 /// needs numbers of like size.
 const INPUTS: [(SceneFeature, f32, f32); 12] = [
-    (SceneFeature::log(SceneQuantity::Pixels), 10.5, 1.6),
-    (SceneFeature::log(SceneQuantity::SamplesPerPixel), 3.0, 1.5),
-    (SceneFeature::log(SceneQuantity::SkipsPerPixel), 1.5, 1.0),
-    (SceneFeature::log(SceneQuantity::ShadedPerPixel), 1.0, 3.0),
-    (SceneFeature::log(SceneQuantity::ShadowPerPixel), 0.0, 4.0),
-    (SceneFeature::log(SceneQuantity::RunsPerRay), 0.5, 0.7),
-    (SceneFeature::log(SceneQuantity::RaySpacing), 0.0, 1.0),
-    (SceneFeature::linear(SceneQuantity::TerminatedShare), 0.1, 0.2),
-    (SceneFeature::log(SceneQuantity::Divergence), -1.5, 1.0),
-    (SceneFeature::linear(SceneQuantity::OccupiedShare), 0.5, 0.3),
-    (SceneFeature::log(SceneQuantity::MeanChord), 4.6, 0.6),
-    (SceneFeature::log(SceneQuantity::Voxels), 15.0, 1.3),
+    (SceneFeature { quantity: SceneQuantity::Pixels, log: true }, 10.5, 1.6),
+    (SceneFeature { quantity: SceneQuantity::SamplesPerPixel, log: true }, 3.0, 1.5),
+    (SceneFeature { quantity: SceneQuantity::SkipsPerPixel, log: true }, 1.5, 1.0),
+    (SceneFeature { quantity: SceneQuantity::ShadedPerPixel, log: true }, 1.0, 3.0),
+    (SceneFeature { quantity: SceneQuantity::ShadowPerPixel, log: true }, 0.0, 4.0),
+    (SceneFeature { quantity: SceneQuantity::RunsPerRay, log: true }, 0.5, 0.7),
+    (SceneFeature { quantity: SceneQuantity::RaySpacing, log: true }, 0.0, 1.0),
+    (SceneFeature { quantity: SceneQuantity::TerminatedShare, log: false }, 0.1, 0.2),
+    (SceneFeature { quantity: SceneQuantity::Divergence, log: true }, -1.5, 1.0),
+    (SceneFeature { quantity: SceneQuantity::OccupiedShare, log: false }, 0.5, 0.3),
+    (SceneFeature { quantity: SceneQuantity::MeanChord, log: true }, 4.6, 0.6),
+    (SceneFeature { quantity: SceneQuantity::Voxels, log: true }, 15.0, 1.3),
 ];
 
 /// Unit costs of a software renderer, times a factor of 1 that is linear in a few logarithms.
@@ -49,7 +49,7 @@ pub fn blank_prior() -> Result<ModelFile> {
         target: Target::LogSeconds,
     };
     let mut features: Vec<SceneFeature> = INPUTS.iter().map(|i| i.0).collect();
-    features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
+    features.push(SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
     let layout =
         Layout::new(&[GroupKind::SceneFeatures], features, 0, None)?.with_unit_costs(UnitCosts::SOFTWARE);
     let mut file = ModelFile::default();

@@ -23,7 +23,7 @@ pub use adapt::{calibrate, calibrate_to_rows, transfer};
 pub use blank::blank_prior;
 pub use least_squares::solve;
 pub use posterior::{Belief, Chosen, Observed, Posterior, Split as PriorModel};
-pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss};
+pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss, standard_features};
 
 use crate::dataset::{Table, TimedFrame};
 use crate::inputs::Layout;
@@ -31,7 +31,7 @@ use crate::train::EpochRecord;
 use anyhow::{Context as _, Result};
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::PredNet;
-use entire_core::predict::check_batch;
+use entire_core::predict::check_predictions;
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
 
@@ -76,9 +76,9 @@ pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64
 /// # Errors
 /// When it gives no number for a row.
 pub fn rows_by_network(net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
-    let mut scratch = net.scratch()?;
+    let mut scratch = net.scratch(1)?;
     let mut seconds: Vec<f32> = rows.chunks_exact(width).map(|row| net.predict(row, &mut scratch)).collect();
-    check_batch(&mut seconds)?;
+    check_predictions(&mut seconds)?;
     Ok(seconds.into_iter().map(f64::from).collect())
 }
 

@@ -113,8 +113,8 @@ impl Split {
     pub fn new(file: &ModelFile) -> Result<Self> {
         let model = file.to_model()?;
         let layout = InputLayout::of_model(&model)?;
-        let carried =
-            layout.scene_features.last() == Some(&SceneFeature::log(SceneQuantity::EstimatedSeconds));
+        let carried = layout.scene_features.last()
+            == Some(&SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
         let parts = model.prednet().context("the model file holds no PredNet")?.clone();
         let (Some(UnitCosts(costs)), true) =
             (layout.unit_costs, carried && parts.target == Target::LogSeconds)
@@ -148,7 +148,7 @@ impl Split {
         let psi = out.activations(&mean);
         let total = f64::from(
             entire_core::nn::PredNet::new(&out.parts)?
-                .predict(&mean, &mut entire_core::nn::PredNet::new(&out.parts)?.scratch()?),
+                .predict(&mean, &mut entire_core::nn::PredNet::new(&out.parts)?.scratch(1)?),
         )
         .ln();
         out.constant = total - f64::from(mean[inputs - 1]) - dot(&psi, &out.weights);

@@ -140,7 +140,7 @@ impl Default for Recipe {
             kind: Kind::Prednet,
             layers: vec![64, 64],
             preset: None,
-            inputs: vec![GroupKind::SceneFeatures.name().into()],
+            inputs: vec![GroupKind::SceneFeatures.to_string()],
             scene_features: Vec::new(),
             probe_side: None,
             converting: false,
@@ -189,6 +189,34 @@ fn ratios_of(seconds: &[f64], estimates: &[f64]) -> Vec<f64> {
     seconds.iter().zip(estimates).map(|(t, e)| t / e).collect()
 }
 
+/// The scene features that a small model takes unless told otherwise: logarithms of counts and lengths,
+/// shares, modes.
+pub fn standard_features() -> Vec<SceneFeature> {
+    use SceneQuantity as Q;
+    [
+        (Q::Pixels, true),
+        (Q::SamplesPerPixel, true),
+        (Q::SkipsPerPixel, true),
+        (Q::ShadedPerPixel, true),
+        (Q::ShadowPerPixel, true),
+        (Q::RunsPerRay, true),
+        (Q::RaySpacing, true),
+        (Q::FootprintShare, false),
+        (Q::TerminatedShare, false),
+        (Q::Divergence, true),
+        (Q::OccupiedShare, false),
+        (Q::VisibleShare, true),
+        (Q::MeanExtinction, true),
+        (Q::MeanChord, true),
+        (Q::Tilt, false),
+        (Q::Turn, false),
+        (Q::Step, true),
+        (Q::Voxels, true),
+    ]
+    .map(|(quantity, log)| SceneFeature { quantity, log })
+    .to_vec()
+}
+
 impl Recipe {
     /// The scene features that are asked for.
     ///
@@ -196,7 +224,7 @@ impl Recipe {
     /// For a name that is not known.
     pub fn features(&self) -> Result<Vec<SceneFeature>> {
         if self.scene_features.is_empty() {
-            return Ok(SceneFeature::STANDARD.to_vec());
+            return Ok(standard_features());
         }
         self.scene_features.iter().map(|n| Ok(n.trim().parse()?)).collect()
     }
@@ -244,7 +272,7 @@ impl Recipe {
         ensure!(
             self.kind != Kind::Residual
                 || self.fine_tune.is_some()
-                || self.inputs.iter().map(|g| g.trim()).eq([GroupKind::SceneFeatures.name()]),
+                || self.inputs.iter().map(|g| g.trim()).eq([<&str>::from(GroupKind::SceneFeatures)]),
             "a residual model takes scene_features alone; leave other --inputs away"
         );
         ensure!(
@@ -412,7 +440,7 @@ impl Recipe {
             &settings,
         )?;
         let mut features = layout.scene_features().to_vec();
-        features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
+        features.push(SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
         let logs: Vec<f64> = estimated.iter().map(|e| e.ln()).collect();
         let n = logs.len() as f64;
         let mean = logs.iter().sum::<f64>() / n;

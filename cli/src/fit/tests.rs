@@ -3,6 +3,7 @@
 use super::compose::{carry_past, side_by_side};
 use super::*;
 use crate::dataset::Timed;
+use crate::inputs::seconds_of;
 use crate::options::thread_pool;
 use crate::train::Network;
 use entire_core::features::{SceneFeature, SceneQuantity};
@@ -40,9 +41,9 @@ fn networks_side_by_side_give_the_mean_of_their_logarithms() {
         let each: Vec<PredNet> = members.iter().map(|m| PredNet::new(m).unwrap()).collect();
         for x in [[0.0f32, 0.0, 0.0], [1.0, -2.0, 3.0], [9.0, 9.0, -9.0]] {
             let mean: f64 =
-                each.iter().map(|n| f64::from(n.predict(&x, &mut n.scratch().unwrap())).ln()).sum::<f64>()
+                each.iter().map(|n| f64::from(n.predict(&x, &mut n.scratch(1).unwrap())).ln()).sum::<f64>()
                     / 3.0;
-            let found = f64::from(one.predict(&x, &mut one.scratch().unwrap())).ln();
+            let found = f64::from(one.predict(&x, &mut one.scratch(1).unwrap())).ln();
             assert!((found - mean).abs() < 1e-5, "{widths:?} {x:?}: {found} {mean}");
         }
     }
@@ -95,13 +96,16 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
     let summary = VolumeSummary::new(&volume.view(), SummaryOptions::default()).unwrap();
     let analytic = AnalyticModel::from_costs(std::array::from_fn(|i| 1e-6 * (1.0 + i as f64))).unwrap();
     let costs = analytic.costs();
-    let inputs = [SceneFeature::log(SceneQuantity::Pixels), SceneFeature::linear(SceneQuantity::MeanChord)];
+    let inputs = [
+        SceneFeature { quantity: SceneQuantity::Pixels, log: true },
+        SceneFeature { quantity: SceneQuantity::MeanChord, log: false },
+    ];
     for widths in [&[2, 1][..], &[2, 4, 1], &[2, 6, 5, 1], &[2, 4, 4, 3, 1]] {
         let mut ratio = network(widths, 3);
         ratio.output = Some(Normalization { mean: vec![0.2], std: vec![0.3] });
         let carried = carry_past(ratio.clone(), -3.0, 1.5);
         let mut features = inputs.to_vec();
-        features.push(SceneFeature::log(SceneQuantity::EstimatedSeconds));
+        features.push(SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
         let wide = Layout::new(&[GroupKind::SceneFeatures], features, 0, None)
             .unwrap()
             .with_probe_side(5)
@@ -121,25 +125,27 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             let lobes = crate::dataset::parse_lobes(lobes).unwrap();
             let table = TransferFunction::Gaussian(lobes.clone()).to_table().unwrap();
             let mut measured = FrameFeatures::with_probe_side(5);
-            measured.measure(&summary, &mut TransferSummary::new(&summary, &table), &frame);
-            let setting = Setting::of(&frame);
+            measured
+                .measure(&summary, &mut TransferSummary::new(&summary, &table).expect("a summary"), &frame)
+                .expect("a frame");
+            let setting = Setting::from(&frame);
             let asked = Inputs {
                 features: &measured,
                 setting,
-                changes: Changes::NONE,
+                changes: Changes::default(),
                 camera,
                 volume_features: None,
                 lobes: Some(&lobes),
             };
             let work = measured.work(&setting);
-            let quantity = |q| measured.quantity(q, &setting, &work, Changes::NONE);
+            let quantity = |q| measured.quantity(q, &setting, &work, Changes::default());
             let x = [
                 (quantity(SceneQuantity::Pixels) + 1.0).ln() as f32,
                 quantity(SceneQuantity::MeanChord) as f32,
             ];
             let counts = COST_QUANTITIES.map(|q| quantity(q) as f32);
-            let expected = costs.seconds_of_quantities(&counts)
-                * f64::from(factor.predict(&x, &mut factor.scratch().unwrap()));
+            let expected =
+                seconds_of(&costs, &counts) * f64::from(factor.predict(&x, &mut factor.scratch(1).unwrap()));
             // Far from the shortest time that a network gives, where nothing could be told apart.
             assert!((1e-4..1e4).contains(&expected), "{expected}");
             let predicted = f64::from(predictor.predict(&asked).unwrap().seconds);
@@ -265,7 +271,7 @@ fn ten_frames_set_the_speed_and_no_model_but_a_residual_one_is_a_prior() {
     for (p, f) in chosen.crossed.iter().zip(&frames) {
         assert!((p / f.seconds - 1.0).abs() < 0.05, "{p} {}", f.seconds);
     }
-    let analytic = AnalyticModel::new().to_model_file().unwrap();
+    let analytic = AnalyticModel::default().to_model_file().unwrap();
     let error = PriorModel::new(&analytic).err().unwrap().to_string();
     assert!(error.contains("--model-kind residual"), "{error}");
 }

@@ -43,7 +43,8 @@ impl Generated {
         );
         let values = Values::of(volume);
         let share = |p: u32| (u64::from(frames) * u64::from(p) / 100).min(u64::from(frames) - 1) as u32;
-        let camera = |rx_deg, ry_deg, dz_radii| Some(CameraPose { rx_deg, ry_deg, dz_radii });
+        let camera =
+            |rx_deg, ry_deg, dz_radii| Some(CameraPose { rx_deg, ry_deg, dz_radii, parallel_scale: None });
         let key = |p: u32, camera, transfer: Option<Transfer>, switch| Keyframe {
             frame: share(p),
             camera,
@@ -102,11 +103,11 @@ impl Values {
     /// From up to 100 000 voxels, evenly spread. Voxels at the low end of the range are taken for background
     /// where enough others are left.
     fn of(volume: &VolumeView<'_>) -> Self {
-        let [nx, ny, nz] = volume.dims();
-        let stride = (volume.voxels() / 100_000).max(1);
+        let [nx, ny, nz] = volume.shape().dims;
+        let stride = (volume.shape().voxels / 100_000).max(1);
         // A stride that shares no factor with the rows walks through all of them.
         let stride = if stride.is_multiple_of(2) { stride + 1 } else { stride };
-        let mut all: Vec<f32> = (0..volume.voxels())
+        let mut all: Vec<f32> = (0..volume.shape().voxels)
             .step_by(stride as usize)
             .map(|i| {
                 let (x, rest) = (i as usize % nx, i as usize / nx);

@@ -16,17 +16,18 @@
 //!
 //! * `frame`, required: frame number from 0.
 //! * `camera`, required at frame 0: `{"rx_deg": …, "ry_deg": …, "dz_radii": …}`. Arcball angles, and the
-//!   distance in bounding-sphere radii.
+//!   distance in bounding-sphere radii. With `"parallel_scale": …` besides, its projection is parallel
+//!   (orthographic): half of the height that is seen, in bounding-sphere radii, in place of the field of view.
 //! * `transfer`, required at frame 0: `{"lobes": [{"center": …, "width": …, "height": …}, …]}` or
 //!   `{"points": [{"position": …, "color": [r, g, b], "opacity": …}, …]}`.
 //! * `switch`: with `true`, what this keyframe gives holds from its frame on at once, and the former value
 //!   before.
 //!
 //! Camera and transfer function are two tracks; a keyframe may give either or both. Between keyframes of a
-//! track, angles go linearly in degrees as they stand (0 to 720 is two turns), the distance in its logarithm;
-//! lobes go in pairs by position in the list: center and height linearly, width in its logarithm; points go
+//! track, angles go linearly in degrees as they stand (0 to 720 is two turns), the distance and the parallel
+//! scale in their logarithms; lobes go in pairs by position in the list: center and height linearly, width in its logarithm; points go
 //! in pairs, every number linearly. Two transfer functions of different kinds or lengths cannot be
-//! interpolated; the later one must switch.
+//! interpolated, and neither can a perspective and a parallel camera; the later one must switch.
 
 mod generated;
 mod target;
@@ -107,6 +108,9 @@ pub struct CameraPose {
     pub ry_deg: f32,
     /// Distance, bounding-sphere radii.
     pub dz_radii: f32,
+    /// Half of the height that a parallel projection shows, bounding-sphere radii; none for a perspective one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub parallel_scale: Option<f32>,
 }
 
 /// A transfer function.
@@ -208,10 +212,12 @@ impl Transfer {
 impl CameraPose {
     fn mix(self, other: Self, t: f32) -> Self {
         let go = |a: f32, b: f32| a + t * (b - a);
+        let grow = |a: f32, b: f32| go(a.ln(), b.ln()).exp();
         Self {
             rx_deg: go(self.rx_deg, other.rx_deg),
             ry_deg: go(self.ry_deg, other.ry_deg),
-            dz_radii: go(self.dz_radii.ln(), other.dz_radii.ln()).exp(),
+            dz_radii: grow(self.dz_radii, other.dz_radii),
+            parallel_scale: self.parallel_scale.zip(other.parallel_scale).map(|(a, b)| grow(a, b)),
         }
     }
 
@@ -263,8 +269,10 @@ impl PartialEq for TransferAt {
 /// One frame of a path.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathFrame {
-    /// The camera.
+    /// The camera's pose.
     pub camera: Arcball,
+    /// Half of the height that a parallel projection shows, bounding-sphere radii; none for a perspective one.
+    pub parallel_scale: Option<f32>,
     /// The transfer function.
     pub transfer: TransferAt,
     /// Whether the transfer function differs from the frame before (true for the first).
@@ -352,9 +360,16 @@ impl PathFile {
                 place()
             );
             if let Some(pose) = key.camera {
-                Camera::from_arcball(pose.arcball())
-                    .and_then(|c| c.with_fov_y_degrees(self.fov_y_deg))
-                    .with_context(place)?;
+                camera(pose.arcball(), self.fov_y_deg, pose.parallel_scale).with_context(place)?;
+                if let Some((frame, _, before)) = cameras.last() {
+                    let before: &CameraPose = before;
+                    ensure!(
+                        key.switch || before.parallel_scale.is_some() == pose.parallel_scale.is_some(),
+                        "{}: one of the cameras here and at frame {frame} has a parallel_scale, the other none; \
+                         they cannot be interpolated; give it to both, or \"switch\": true",
+                        place()
+                    );
+                }
                 cameras.push((key.frame, key.switch, pose));
             }
             if let Some(transfer) = &key.transfer {
@@ -393,6 +408,7 @@ impl PathFile {
             let real = |switched: bool| switched && index > 0;
             frames.push(PathFrame {
                 camera: camera.arcball(),
+                parallel_scale: camera.parallel_scale,
                 transfer,
                 transfer_changed,
                 transfer_switched: real(transfer_switched),
@@ -401,6 +417,16 @@ impl PathFile {
         }
         Ok(FlightPath { name: self.name.clone(), fov_y_degrees: self.fov_y_deg, frames })
     }
+}
+
+/// The camera of a pose: with a parallel scale its projection is parallel, else it has the field of view, in
+/// degrees, which is checked in any case.
+///
+/// # Errors
+/// As the core's.
+pub(crate) fn camera(pose: Arcball, fov_y: f32, parallel_scale: Option<f32>) -> entire_core::Result<Camera> {
+    let camera = Camera::from_arcball(pose)?.with_fov_y_degrees(fov_y)?;
+    parallel_scale.map_or(Ok(camera), |scale| camera.with_parallel_scale(scale))
 }
 
 /// Where a frame lies on a track: the keyframe at or before it, the share of the way to the next one, and
@@ -429,6 +455,15 @@ impl FlightPath {
             flight.name = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
         }
         Ok(flight)
+    }
+
+    /// The camera of a frame.
+    ///
+    /// # Errors
+    /// As the core's; none for a path that was [resolved](PathFile::resolve).
+    pub fn camera(&self, index: usize) -> Result<Camera> {
+        let at = &self.frames[index];
+        Ok(camera(at.camera, self.fov_y_degrees, at.parallel_scale)?)
     }
 
     /// Frames where something switched abruptly.

@@ -40,6 +40,36 @@ fn tracks_interpolate_hold_and_switch() {
 }
 
 #[test]
+fn parallel_cameras_are_interpolated_in_their_scale_and_switch_to_others() {
+    let text = GOOD.replacen("\"dz_radii\": 4}", "\"dz_radii\": 4, \"parallel_scale\": 1.6}", 1).replacen(
+        "\"dz_radii\": 1}",
+        "\"dz_radii\": 1, \"parallel_scale\": 0.4}",
+        1,
+    );
+    let file = PathFile::parse(&text).unwrap();
+    assert_eq!(PathFile::parse(&serde_json::to_string(&file).unwrap()).unwrap(), file);
+    let path = file.resolve().unwrap();
+    let scale = path.frames[5].parallel_scale.unwrap();
+    assert!((scale - 0.8).abs() < 1e-5, "{scale}");
+    let at = |i: usize| path.frames[i].camera;
+    let expected = Camera::from_arcball(at(5)).unwrap().with_parallel_scale(scale).unwrap();
+    assert_eq!(path.camera(5).unwrap(), expected);
+    assert_eq!(good().camera(5).unwrap(), Camera::from_arcball(at(5)).unwrap());
+    // To a perspective one it can only switch.
+    let other = |more: &str| {
+        let last = format!("\"dz_radii\": 1}}{more}}}");
+        PathFile::parse(&text.replacen("\"dz_radii\": 1, \"parallel_scale\": 0.4}}", &last, 1))
+            .unwrap()
+            .resolve()
+    };
+    let said = format!("{:#}", other("").unwrap_err());
+    assert!(said.contains("keyframe 3 (frame 10)") && said.contains("\"switch\": true"), "{said}");
+    let path = other(", \"switch\": true").unwrap();
+    let scales = [9, 10].map(|i: usize| path.frames[i].parallel_scale);
+    assert_eq!((scales, path.switches()), ([Some(1.6), None], vec![6, 10]));
+}
+
+#[test]
 fn files_round_trip() {
     let file = PathFile::parse(GOOD).unwrap();
     let again = PathFile::parse(&serde_json::to_string_pretty(&file).unwrap()).unwrap();
@@ -73,6 +103,7 @@ fn every_mistake_is_named() {
             "neither camera nor transfer",
         ),
         ("\"frames\": 11,", "\"frames\": 11, \"fov_y_deg\": 200,", "field of view is 200"),
+        ("\"dz_radii\": 4", "\"dz_radii\": 4, \"parallel_scale\": 0", "(frame 0): parallel scale is 0 "),
         ("\"frames\": 11,", "\"frames\": 11, \"speed\": 2,", "unknown field `speed`"),
     ] {
         let message = wrong(from, to);

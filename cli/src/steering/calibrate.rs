@@ -6,10 +6,10 @@ use crate::dataset::Timing;
 use crate::metrics::median;
 use crate::scenes::SceneDistribution;
 use anyhow::{Context, Result, ensure};
-use entire_core::features::{Changes, FrameFeatures, SceneFeature, Setting, TransferSummary, VolumeSummary};
-use entire_core::predict::{AnalyticModel, FitReport, Inputs, Measurement, UnitCosts};
+use entire_core::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
+use entire_core::predict::{AnalyticModel, FitReport, InputLayout, Inputs, Measurement, UnitCosts};
 use entire_core::scene::{
-    Arcball, Camera, DEFAULT_FOV_Y_DEGREES, GaussianLobe, TransferFunction, VolumeView,
+    Arcball, Camera, DEFAULT_FOV_Y_DEGREES, Frame, GaussianLobe, TransferFunction, VolumeView,
 };
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
@@ -48,18 +48,21 @@ impl Sample {
         Inputs {
             features: &self.features,
             setting: self.setting,
-            changes: Changes::NONE,
+            changes: Changes::default(),
             camera: self.camera,
             volume_features,
             lobes: Some(&self.lobes),
         }
     }
 
-    /// Its scene features.
-    pub fn inputs(&self, features: &[SceneFeature]) -> Vec<f32> {
-        let mut out = vec![0.0; features.len()];
-        self.features.write(features, &self.setting, Changes::NONE, &mut out);
-        out
+    /// Its row of scene features.
+    ///
+    /// # Errors
+    /// As [`InputLayout::write`].
+    pub fn inputs(&self, layout: &InputLayout) -> Result<Vec<f32>> {
+        let mut out = vec![0.0; layout.width()];
+        layout.write(&self.predictor_inputs(None), &mut out)?;
+        Ok(out)
     }
 }
 
@@ -86,7 +89,7 @@ pub fn measure(
     ensure!(scenes > 0 && repeats > 0, "calibration needs at least one scene, rendered at least once");
     renderer.set_volume(volume)?;
     let mut samples = Vec::with_capacity(scenes * CALIBRATION_STEPS.len());
-    let mut features = FrameFeatures::new();
+    let mut features = FrameFeatures::default();
     progress.set_length(scenes as u64);
     progress.reset_eta();
     for scene in 0..scenes {
@@ -94,11 +97,11 @@ pub fn measure(
         let drawn = distribution.draw(seed, name, scene as u64);
         let table = TransferFunction::Gaussian(drawn.lobes.clone()).to_table().with_context(place)?;
         renderer.set_transfer(&table).with_context(place)?;
-        let mut transfer = TransferSummary::new(summary, &table);
+        let mut transfer = TransferSummary::new(summary, &table)?;
         transfer.prepare_distance();
         let camera = Camera::from_arcball(drawn.camera)?.with_fov_y_degrees(DEFAULT_FOV_Y_DEGREES)?;
         let frame = draw.frame(camera).with_context(place)?;
-        features.measure(summary, &mut transfer, &frame);
+        features.measure(summary, &mut transfer, &frame)?;
         // First-use work of the device, and of caches after the change of scene.
         for _ in 0..if scene == 0 { 2 } else { 1 } {
             renderer.render(&frame).with_context(place)?;
@@ -107,7 +110,7 @@ pub fn measure(
             if stop() {
                 return Ok(None);
             }
-            let frame = frame.with_step(step)?;
+            let frame = Frame { step, ..frame }.checked()?;
             let mut seconds = Vec::with_capacity(repeats);
             for _ in 0..repeats {
                 let rendered = renderer.render(&frame).with_context(place)?;
@@ -117,7 +120,7 @@ pub fn measure(
             samples.push(Sample {
                 scene,
                 features: features.clone(),
-                setting: Setting::of(&frame),
+                setting: Setting::from(&frame),
                 camera: drawn.camera,
                 lobes: drawn.lobes.clone(),
                 seconds,
@@ -158,7 +161,7 @@ pub fn fit_analytic(samples: &[Sample]) -> Result<(AnalyticModel, FitReport)> {
         .filter(|s| !s.held_out())
         .map(|s| Measurement::new(&s.features, &s.setting, s.seconds))
         .collect();
-    let mut model = AnalyticModel::new();
+    let mut model = AnalyticModel::default();
     let report = model.fit(&UnitCosts::SOFTWARE, &measurements)?;
     Ok((model, report))
 }

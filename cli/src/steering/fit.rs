@@ -1,11 +1,10 @@
 //! Predictors fitted to this machine, and the choice between them.
 
 use super::calibrate::{HOLD_OUT_EVERY, Quality, Sample, fit_analytic};
-use crate::fit::calibrate_to_rows;
+use crate::fit::{calibrate_to_rows, standard_features};
 use crate::train::{Network, Samples, Settings, train};
 use anyhow::{Context, Result};
 use entire_core::control::Prior;
-use entire_core::features::SceneFeature;
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{Executor, Target, VolumeNet};
 use entire_core::predict::{GroupKind, InputLayout, ModelPredictor, Predictor, load};
@@ -34,7 +33,7 @@ impl SteeringModel {
     /// When the model holds no predictor, or the volume cannot be encoded.
     pub fn new(title: String, model: Model, volume: &VolumeView<'_>) -> Result<Self> {
         let mut volume_features = None;
-        if model.input_size(GroupKind::VolumeFeatures.name()).is_some()
+        if model.input_size(GroupKind::VolumeFeatures).is_some()
             && let Some(parts) = model.volumenet()
         {
             let net = VolumeNet::new(parts)?;
@@ -99,23 +98,23 @@ impl SteeringModel {
     }
 }
 
-/// A small network on [`SceneFeature::STANDARD`], trained on ln(seconds) of the samples that are not held
+/// A small network on [`standard_features`], trained on ln(seconds) of the samples that are not held
 /// out; a fifth of those decides when to stop. Single-threaded: the frames are few.
 ///
 /// # Errors
 /// When there are too few samples.
 pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
-    let features = SceneFeature::STANDARD;
-    let collect = |judge: bool| {
+    let layout = InputLayout::new(&[GroupKind::SceneFeatures], standard_features(), 0, 0)?;
+    let collect = |judge: bool| -> Result<(Vec<f32>, Vec<f64>)> {
         let mut inputs = Vec::new();
         let mut seconds = Vec::new();
         for s in samples.iter().filter(|s| !s.held_out() && (s.scene % 5 == 4) == judge) {
-            inputs.extend(s.inputs(features));
+            inputs.extend(s.inputs(&layout)?);
             seconds.push(s.seconds);
         }
-        (inputs, seconds)
+        Ok((inputs, seconds))
     };
-    let ((inputs, seconds), (judge_inputs, judge_seconds)) = (collect(false), collect(true));
+    let ((inputs, seconds), (judge_inputs, judge_seconds)) = (collect(false)?, collect(true)?);
     let settings = Settings {
         epochs: 600,
         batch: 32,
@@ -127,7 +126,7 @@ pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
         ..Settings::default()
     };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().context("cannot start a thread")?;
-    let widths = [features.len(), HIDDEN[0], HIDDEN[1], 1];
+    let widths = [layout.width(), HIDDEN[0], HIDDEN[1], 1];
     let trained = train(
         &pool,
         Network::<f32>::random(&widths, seed)?,
@@ -138,8 +137,7 @@ pub fn fit_network(samples: &[Sample], seed: u64) -> Result<ModelFile> {
         |_| ControlFlow::Continue(()),
     )?;
     let mut file = ModelFile::default();
-    InputLayout::new(&[GroupKind::SceneFeatures], features.to_vec(), 0, 0)?
-        .store(&trained.to_parts(), &mut file)?;
+    layout.store(&trained.to_parts(), &mut file)?;
     Ok(file)
 }
 

@@ -49,10 +49,13 @@ impl DrawSettings {
     /// # Errors
     /// When the core refuses a value.
     pub fn frame(&self, camera: Camera) -> Result<Frame> {
-        Ok(Frame::new(camera, self.width, self.height)?
-            .with_termination(self.termination)?
-            .with_shading(self.shading)
-            .with_skipping(self.skipping))
+        Ok(Frame {
+            termination: self.termination,
+            shading: self.shading,
+            skipping: self.skipping,
+            ..Frame::new(camera, self.width, self.height)?
+        }
+        .checked()?)
     }
 
     /// Seconds of a measurement by the clock that counts.
@@ -206,10 +209,10 @@ fn settings(frame: &Frame, distances: &[f32], limits: StepLimits) -> Vec<(Settin
     let error = |s: &(Setting, f32)| model.error(s.0.step, 1.0 / s.1);
     let mut out: Vec<(Setting, f32)> = Vec::new();
     for &distance in std::iter::once(&1.0).chain(distances) {
-        let (width, height) = scaled_size((frame.width(), frame.height()), 1.0 / distance);
+        let (width, height) = scaled_size((frame.width, frame.height), 1.0 / distance);
         for i in 0..STEP_CHOICES {
             let step = limits.clamp((low + (high - low) * i as f32 / (STEP_CHOICES - 1) as f32).exp());
-            out.push((Setting { step, width, height, ..Setting::of(frame) }, distance));
+            out.push((Setting { step, width, height, ..Setting::from(frame) }, distance));
         }
     }
     out.sort_by(|a, b| error(a).total_cmp(&error(b)));
@@ -266,7 +269,9 @@ pub fn play(
             shown = volume_of(index);
             renderer.set_volume(volume.view).with_context(place)?;
             for contender in contenders.iter_mut() {
-                contender.session.set_volume(volume.summary.clone(), task.volume_features);
+                contender
+                    .session
+                    .set_volume(volume.summary.clone(), task.volume_features.map(<[f32]>::to_vec));
             }
         }
         if at.transfer_changed || swapped {
@@ -277,7 +282,7 @@ pub fn play(
                 contender.session.set_transfer(&table, lobes.as_deref()).with_context(place)?;
             }
         }
-        let camera = Camera::from_arcball(at.camera)?.with_fov_y_degrees(task.path.fov_y_degrees)?;
+        let camera = task.path.camera(index).with_context(place)?;
         let (width, height) = playback.sizes[index];
         let frame = DrawSettings { width, height, ..*draw }.frame(camera).with_context(place)?;
         // First-use work of the device and uploads are nobody's fault.
@@ -294,7 +299,7 @@ pub fn play(
             let chooses = contenders[c].chooses_image_sample_distance;
             let session = &mut contenders[c].session;
             if at.camera_switched {
-                session.mark(Changes { camera: true, ..Changes::NONE });
+                session.mark(Changes { camera: true, ..Changes::default() });
             }
             let target = playback.targets[index] as f32;
             let (plan, drawn, image_sample_distance) = if chooses && !task.image_sample_distances.is_empty() {
@@ -306,9 +311,10 @@ pub fn play(
             } else {
                 (session.plan(&frame, target).with_context(place)?, frame, 1.0)
             };
-            let rendered = renderer.render(&drawn.with_step(plan.step)?).with_context(place)?;
+            let rendered =
+                renderer.render(&Frame { step: plan.step, ..drawn }.checked()?).with_context(place)?;
             let picture =
-                resized(&rendered.image, frame.width(), frame.height()).context("an image without pixels")?;
+                resized(&rendered.image, frame.width, frame.height).context("an image without pixels")?;
             let measured = Timing::new(rendered.time, rendered.counts);
             let seconds = draw.seconds(&measured)?;
             session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
@@ -365,7 +371,7 @@ mod tests {
     fn path() -> FlightPath {
         let lobes = |height| Some(Transfer::Lobes(vec![Lobe { center: 0.5, width: 0.05, height }]));
         let key = |frame, transfer, switch| Keyframe { frame, camera: None, transfer, switch };
-        let camera = Some(CameraPose { rx_deg: 0.0, ry_deg: 0.0, dz_radii: 2.0 });
+        let camera = Some(CameraPose { rx_deg: 0.0, ry_deg: 0.0, dz_radii: 2.0, parallel_scale: None });
         PathFile {
             format: PATH_FORMAT.into(),
             name: "scripted".into(),

@@ -33,7 +33,7 @@ pub use element::{Element, Endian};
 pub use stream::{Companions, Folder, NoCompanions, Stream, Watcher};
 
 use anyhow::{Context, Result, bail};
-use entire_core::scene::{ScalarType, Scalars, VolumeView};
+use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -63,7 +63,12 @@ impl VolumeData {
 
     /// Number of voxels.
     pub fn len(&self) -> usize {
-        self.scalars().len()
+        match self {
+            Self::U8(v) => v.len(),
+            Self::U16(v) => v.len(),
+            Self::I16(v) => v.len(),
+            Self::F32(v) => v.len(),
+        }
     }
 
     /// Whether there is no voxel.
@@ -186,14 +191,15 @@ impl Volume {
         spacing: [f32; 3],
         name: impl Into<String>,
     ) -> Result<Self> {
-        let view = VolumeView::new(data.scalars(), dims)?.with_spacing(spacing)?;
-        if view.voxels() != data.len() as u64 {
+        let view =
+            VolumeView::with(data.scalars(), dims, VolumeOptions { spacing, ..VolumeOptions::default() })?;
+        if view.shape().voxels != data.len() as u64 {
             bail!(
                 "volume of {} x {} x {} has {} voxels, the data has {}; check the sizes",
                 dims[0],
                 dims[1],
                 dims[2],
-                view.voxels(),
+                view.shape().voxels,
                 data.len()
             );
         }
@@ -268,7 +274,11 @@ impl Volume {
 
     fn checked_view(&self, range: Option<(f32, f32)>) -> Result<VolumeView<'_>, entire_core::Error> {
         let range = range.unwrap_or(self.found_range);
-        VolumeView::with_known_range(self.data.scalars(), self.dims, range)?.with_spacing(self.spacing)
+        VolumeView::with(
+            self.data.scalars(),
+            self.dims,
+            VolumeOptions { range: Some(range), spacing: self.spacing, ..VolumeOptions::default() },
+        )
     }
 
     /// Sets the scalar range that maps to [0, 1]; `None` for the default.

@@ -98,7 +98,7 @@ fn scaled(data: VolumeData, slope: f64, intercept: f64) -> Result<VolumeData> {
         );
     }
     let scalars = data.scalars();
-    values.extend((0..scalars.len()).map(|i| scale(scalars.get(i))));
+    values.extend(scalars.iter().map(scale));
     Ok(VolumeData::F32(values))
 }
 

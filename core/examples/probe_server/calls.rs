@@ -1,5 +1,6 @@
 //! Plans, transfer functions and volume summaries, timed.
 
+use crate::scene;
 use entire_core::control::Session;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{
@@ -103,7 +104,7 @@ impl Volumes {
             Voxels::U16(v) => (Scalars::U16(v), (0.0, 40_000.0)),
             Voxels::F32(v) => (Scalars::F32(v), (-300.0, 700.0)),
         };
-        VolumeView::with_known_range(scalars, dims, range).expect("a volume")
+        scene::volume(scalars, dims, range)
     }
 
     /// The bytes of the large volume, summed.
@@ -127,8 +128,8 @@ impl Volumes {
     fn summary(&mut self, edge: usize) -> VolumeSummary {
         let summary = self.sessions.entry(edge).or_insert_with(|| {
             let voxels = blobs([edge; 3], |v| (40_000.0 * v) as u16);
-            let view = VolumeView::with_known_range(Scalars::U16(&voxels), [edge; 3], (0.0, 40_000.0));
-            VolumeSummary::new(&view.expect("a volume"), SummaryOptions::default()).expect("a summary")
+            let view = scene::volume(Scalars::U16(&voxels), [edge; 3], (0.0, 40_000.0));
+            VolumeSummary::new(&view, SummaryOptions::default()).expect("a summary")
         });
         summary.clone()
     }
@@ -155,7 +156,7 @@ fn frames(shading: Shading) -> Vec<Frame> {
         .map(|i| {
             let pose = Arcball { rx: 20.0, ry: 30.0 * i as f32, dz: 1.2 + 0.1 * i as f32 };
             let camera = Camera::from_arcball(pose).expect("a camera");
-            Frame::new(camera, 1024, 768).expect("a frame").with_shading(shading)
+            scene::frame(camera, shading)
         })
         .collect()
 }
@@ -163,7 +164,7 @@ fn frames(shading: Shading) -> Vec<Frame> {
 /// One number per scene: `plan/SIDE/warm|cold/none|scatter`.
 fn plans(volumes: &mut Volumes, side: usize, cold: bool, shading: Shading) -> Vec<f64> {
     let summary = volumes.summary(256);
-    let mut session = Session::untrained().with_probe_side(side).expect("a side");
+    let mut session = scene::session(side);
     session.set_volume(summary, None);
     let mut out = Vec::new();
     for table in &tables() {

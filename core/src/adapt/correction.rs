@@ -451,7 +451,7 @@ mod tests {
                 broken.covariance[4][0] = sign * 1.01 * bound;
                 let error = Correction::new(prior).load(&mut Reader(&saved(&broken))).unwrap_err();
                 assert_eq!(error.kind(), ErrorKind::InvalidArgument);
-                assert!(error.message().contains("positive definite"), "{error}");
+                assert!(error.to_string().contains("positive definite"), "{error}");
             }
         }
     }

@@ -110,7 +110,7 @@ impl Coarsening {
     pub(super) fn setting(&self, full: Setting, c: f32) -> Setting {
         let (step, level, distance) = self.at(c);
         if level == 0 {
-            return full.with_step(step);
+            return Setting { step, ..full };
         }
         let shrunk = |side: u32| ((f64::from(side) / distance) as u32).max(1);
         Setting { step, width: shrunk(full.width), height: shrunk(full.height), ..full }

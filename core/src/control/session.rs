@@ -9,7 +9,7 @@ use super::{
 };
 use crate::adapt::{ObserveFlags, Prior, Verdict, check_seconds};
 use crate::error::bail;
-use crate::features::{Changes, FrameFeatures, MAX_PROBE_SIDE, Setting, TransferSummary, VolumeSummary};
+use crate::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use crate::memory::{copied, reserve};
 use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Source, TERMS};
 use crate::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
@@ -91,7 +91,7 @@ impl Session {
 
     /// Without any model: the analytic model with default costs, which observations correct.
     pub fn untrained() -> Self {
-        Self::new(Box::new(AnalyticModel::new()), HybridOptions::default())
+        Self::new(Box::new(AnalyticModel::default()), HybridOptions::default())
     }
 
     /// With any controller.
@@ -101,13 +101,13 @@ impl Session {
     ) -> Self {
         // A predictor that needs no probe is scaled by a model that does.
         let features = match predictor.probe_side() {
-            0 => FrameFeatures::new(),
+            0 => FrameFeatures::default(),
             side => FrameFeatures::with_probe_side(side),
         };
         Self {
             predictor,
             controller,
-            shape: AnalyticModel::new(),
+            shape: AnalyticModel::default(),
             volume: None,
             transfer: None,
             volume_features: None,
@@ -116,7 +116,7 @@ impl Session {
             ladder: None,
             coarsening: Coarsening::of_step(StepLimits::default()),
             enabled: true,
-            changes: Changes { first: true, ..Changes::NONE },
+            changes: Changes { first: true, ..Changes::default() },
             last: None,
             last_termination: f32::NAN,
             pending: Box::new([None; PENDING_PLANS]),
@@ -125,33 +125,9 @@ impl Session {
         }
     }
 
-    /// Measures frames with `side`² probe rays: fewer cost less time and scatter more (see
-    /// [`FrameFeatures::with_probe_side`]). For linear cost models ([`Predictor::any_probe_side`]); a network
-    /// keeps the side that it was trained with.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`].
-    pub fn with_probe_side(mut self, side: usize) -> Result<Self> {
-        if !(1..=MAX_PROBE_SIDE).contains(&side) {
-            bail!(
-                InvalidArgument,
-                "the probe is to have {side} rays along each side; accepted are 1 to {MAX_PROBE_SIDE}"
-            );
-        }
-        if self.predictor.any_probe_side() {
-            self.features = FrameFeatures::with_probe_side(side);
-        }
-        Ok(self)
-    }
-
     /// Sets the volume by its summary, and VolumeNet's output for it where the model takes one. The transfer
-    /// function must be set again.
-    pub fn set_volume(&mut self, volume: VolumeSummary, volume_features: Option<&[f32]>) {
-        self.set_volume_with(volume, volume_features.map(<[f32]>::to_vec));
-    }
-
-    /// As [`Session::set_volume`], the features handed over: nothing is allocated.
-    pub fn set_volume_with(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) {
+    /// function must be set again. Nothing is allocated.
+    pub fn set_volume(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) {
         self.volume = Some(volume);
         self.volume_features = volume_features;
         self.transfer = None;
@@ -175,8 +151,8 @@ impl Session {
             (_, None) => {}
         }
         match &mut self.transfer {
-            Some(transfer) => transfer.try_update(volume, table)?,
-            None => self.transfer = Some(TransferSummary::try_new(volume, table)?),
+            Some(transfer) => transfer.update(volume, table)?,
+            None => self.transfer = Some(TransferSummary::new(volume, table)?),
         }
         match (&mut self.lobes, lobes) {
             (Some(kept), Some(new)) => {
@@ -252,7 +228,7 @@ impl Session {
     pub fn predict(&mut self, frame: &Frame) -> Result<Prediction> {
         self.measure(frame)?;
         let changes = self.changes_for(frame);
-        let terms = self.terms_at(changes, &Setting::of(frame))?;
+        let terms = self.terms_at(changes, &Setting::from(frame))?;
         Ok(self.controller.correct(&terms, changes))
     }
 
@@ -265,19 +241,19 @@ impl Session {
         check_target(target)?;
         self.measure_for(frame, target)?;
         let changes = self.changes_for(frame);
-        let setting = Setting::of(frame);
+        let setting = Setting::from(frame);
         if !self.enabled {
             self.begin(changes, setting)?;
             let own = self.terms_at(changes, &setting)?;
-            let p = self.controller.correct(&own, Changes::NONE);
+            let p = self.controller.correct(&own, Changes::default());
             let decision = Decision {
-                step: frame.step(),
+                step: frame.step,
                 seconds: p.seconds,
                 upper: p.upper,
                 out_of_range: p.out_of_range,
                 reason: Reason::Off,
             };
-            return Ok(self.note(frame, target, changes, own, decision, (frame.step(), 1.0)));
+            return Ok(self.note(frame, target, changes, own, decision, (frame.step, 1.0)));
         }
         let limits = self.coarsening.limits();
         let (controller, mut cost) = self.costing(changes, setting)?;
@@ -316,19 +292,19 @@ impl Session {
         let distance = settings.iter().any(|s| s.skipping == Skipping::Distance);
         let mut widest = *frame;
         if scatters {
-            widest = widest.with_shading(Shading::Scatter);
+            widest = Frame { shading: Shading::Scatter, ..widest };
         }
         if distance {
-            widest = widest.with_skipping(Skipping::Distance);
+            widest = Frame { skipping: Skipping::Distance, ..widest };
         }
         self.measure(&widest)?;
         let changes = self.changes_for(frame);
-        self.begin(changes, Setting::of(&widest))?;
+        self.begin(changes, Setting::from(&widest))?;
         let mut fastest: Option<(usize, CostTerms, Prediction)> = None;
         let mut chosen = None;
         for (i, setting) in settings.iter().enumerate() {
             let terms = self.terms_at(changes, setting)?;
-            let p = self.controller.correct(&terms, Changes::NONE);
+            let p = self.controller.correct(&terms, Changes::default());
             if self.controller.fits(&p, target) {
                 chosen = Some((i, terms, p));
                 break;
@@ -408,7 +384,7 @@ impl Session {
     pub fn reset(&mut self) {
         self.controller.reset();
         self.pending.fill(None);
-        self.changes = Changes { first: true, ..Changes::NONE };
+        self.changes = Changes { first: true, ..Changes::default() };
         self.last = None;
     }
 
@@ -418,11 +394,10 @@ impl Session {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             bail!(NotReady, "no {missing} is set; set volume and transfer function before the first frame");
         };
-        if frame.skipping() == Skipping::Distance {
+        if frame.skipping == Skipping::Distance {
             transfer.prepare_distance();
         }
-        self.features.measure(volume, transfer, frame);
-        Ok(())
+        self.features.measure(volume, transfer, frame)
     }
 
     /// Lets the controller know of a frame whose setting it does not choose.
@@ -463,10 +438,10 @@ impl Session {
     fn changes_for(&self, frame: &Frame) -> Changes {
         let mut changes = self.changes;
         if let Some(last) = &self.last {
-            changes.size |= last.width != frame.width() || last.height != frame.height();
-            changes.mode |= last.shading != frame.shading()
-                || last.skipping != frame.skipping()
-                || self.last_termination != frame.termination();
+            changes.size |= last.width != frame.width || last.height != frame.height;
+            changes.mode |= last.shading != frame.shading
+                || last.skipping != frame.skipping
+                || self.last_termination != frame.termination;
         }
         changes
     }
@@ -483,7 +458,7 @@ impl Session {
         if self.predictor.knows_step() {
             return self.predictor.terms(&inputs);
         }
-        let reference = Inputs { setting: setting.with_step(1.0), ..inputs };
+        let reference = Inputs { setting: Setting { step: 1.0, ..*setting }, ..inputs };
         let terms = self.predictor.terms(&reference)?;
         Ok(scaled(terms, &self.shape, &self.features, setting))
     }
@@ -508,9 +483,9 @@ impl Session {
             scene: self.controller.scene(),
             observed: false,
         });
-        self.changes = Changes::NONE;
-        self.last = Some(Setting::of(frame));
-        self.last_termination = frame.termination();
+        self.changes = Changes::default();
+        self.last = Some(Setting::from(frame));
+        self.last_termination = frame.termination;
         Plan {
             id,
             step,
@@ -526,7 +501,7 @@ impl Session {
 /// The prediction at the reference step, brought to a step by the analytic model's ratio.
 fn scaled(terms: CostTerms, shape: &AnalyticModel, features: &FrameFeatures, setting: &Setting) -> CostTerms {
     let at = shape.parts(features, setting).seconds();
-    let reference = shape.parts(features, &setting.with_step(1.0)).seconds();
+    let reference = shape.parts(features, &Setting { step: 1.0, ..*setting }).seconds();
     let ratio = if reference > 0.0 { at / reference } else { 1.0 };
     let mut parts = [0.0; TERMS];
     for (slot, part) in parts.iter_mut().zip(&terms.parts) {
@@ -573,7 +548,7 @@ impl Cost<'_> {
         let reference = match self.reference {
             Some((width, terms)) if width == setting.width => terms,
             _ => {
-                let inputs = Inputs { setting: setting.with_step(1.0), ..self.inputs };
+                let inputs = Inputs { setting: Setting { step: 1.0, ..setting }, ..self.inputs };
                 let terms = self.predictor.terms(&inputs).unwrap_or(unknown);
                 self.reference = Some((setting.width, terms));
                 terms

@@ -61,11 +61,6 @@ impl UnitCosts {
     pub(crate) fn seconds(&self, work: &[f64; COSTS]) -> f64 {
         self.0.iter().zip(work).map(|(c, w)| c * w).sum()
     }
-
-    /// Seconds for values of [`COST_QUANTITIES`], in their order; those that are missing count as 0.
-    pub fn seconds_of_quantities(&self, values: &[f32]) -> f64 {
-        self.0[0] + self.0[1..].iter().zip(values).map(|(c, &v)| c * f64::from(v)).sum::<f64>()
-    }
 }
 
 impl FrameFeatures {
@@ -74,7 +69,7 @@ impl FrameFeatures {
         let work = self.work(setting);
         let mut out = [1.0; COSTS];
         for (slot, &quantity) in out[1..].iter_mut().zip(&COST_QUANTITIES) {
-            *slot = self.quantity(quantity, setting, &work, Changes::NONE);
+            *slot = self.quantity(quantity, setting, &work, Changes::default());
         }
         out
     }

@@ -3,7 +3,7 @@
 use crate::scene::Camera;
 use glam::Vec3;
 
-/// What a perspective image sees of a box, in image coordinates u, v in [−1, 1] (u to the right, v up).
+/// What an image sees of a box, in image coordinates u, v in [−1, 1] (u to the right, v up).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Footprint {
     /// Share of the image's area that the box covers, 0…1.
@@ -26,10 +26,14 @@ impl Footprint {
     /// Projects a box of half size `half_extent` about the origin into a `width` × `height` image.
     ///
     /// The faces that the eye sees from inside (or would see through the box) project one to one onto the
-    /// covered region, from outside as from inside; each is clipped to the frustum and its area summed.
-    /// Pixels are not rounded.
+    /// covered region, from outside as from inside; each is clipped to what the image shows and its area
+    /// summed. With parallel rays these are the faces that they leave through, as far as they lie before the
+    /// plane that the rays come from. Pixels are not rounded.
     pub(crate) fn new(half_extent: Vec3, camera: &Camera, width: u32, height: u32) -> Self {
-        let (eye, right, up, forward) = camera.ray_basis(width, height);
+        let parallel = camera.is_parallel();
+        let (origin, direction) = camera.ray_basis(width, height);
+        let (eye, forward) = (origin[0], direction[0]);
+        let [_, right, up] = if parallel { origin } else { direction };
         let (inv_u, inv_v) = (1.0 / right.length_squared(), 1.0 / up.length_squared());
         let inside = eye.abs().cmple(half_extent).all();
         let mut out = Self { inside, low: [f32::INFINITY; 2], high: [f32::NEG_INFINITY; 2], ..Self::NOTHING };
@@ -37,7 +41,12 @@ impl Footprint {
         let mut moment = [0.0f32; 2];
         for axis in 0..3 {
             for sign in [-1.0f32, 1.0] {
-                if sign * eye[axis] >= half_extent[axis] {
+                let behind = if parallel {
+                    sign * forward[axis] <= 0.0
+                } else {
+                    sign * eye[axis] >= half_extent[axis]
+                };
+                if behind {
                     continue;
                 }
                 let (b, c) = ((axis + 1) % 3, (axis + 2) % 3);
@@ -49,6 +58,9 @@ impl Footprint {
                     corner[c] = sc * half_extent[c];
                     let q = Vec3::from_array(corner) - eye;
                     polygon.push([q.dot(right) * inv_u, q.dot(up) * inv_v, q.dot(forward)]);
+                }
+                if parallel {
+                    polygon = polygon.before_the_plane();
                 }
                 for plane in [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]] {
                     polygon = polygon.clip(plane);
@@ -71,17 +83,19 @@ impl Footprint {
     }
 }
 
-/// A convex polygon in homogeneous image coordinates (x, y, w): the image is |x| ≤ w, |y| ≤ w. A
-/// quadrilateral clipped by four planes has at most eight corners.
+/// Most corners of a polygon: a quadrilateral clipped by five planes.
+const CORNERS: usize = 9;
+
+/// A convex polygon in homogeneous image coordinates (x, y, w): the image is |x| ≤ w, |y| ≤ w.
 #[derive(Clone, Copy)]
 struct Polygon {
-    corners: [[f32; 3]; 8],
+    corners: [[f32; 3]; CORNERS],
     len: usize,
 }
 
 impl Default for Polygon {
     fn default() -> Self {
-        Self { corners: [[0.0; 3]; 8], len: 0 }
+        Self { corners: [[0.0; 3]; CORNERS], len: 0 }
     }
 }
 
@@ -111,11 +125,20 @@ impl Polygon {
         out
     }
 
+    /// Of a polygon in (x, y, depth): the part of positive depth, seen by parallel rays.
+    fn before_the_plane(&self) -> Self {
+        let mut out = self.clip([0.0, 0.0]);
+        for corner in &mut out.corners[..out.len] {
+            corner[2] = 1.0;
+        }
+        out
+    }
+
     fn measure(&self, area: &mut f32, moment: &mut [f32; 2], low: &mut [f32; 2], high: &mut [f32; 2]) {
         if self.len < 3 {
             return;
         }
-        let mut points = [[0.0f32; 2]; 8];
+        let mut points = [[0.0f32; 2]; CORNERS];
         for (p, c) in points.iter_mut().zip(&self.corners[..self.len]) {
             let inv = 1.0 / c[2].max(1.0e-20);
             *p = [(c[0] * inv).clamp(-1.0, 1.0), (c[1] * inv).clamp(-1.0, 1.0)];
@@ -164,8 +187,13 @@ mod tests {
                 (15.0, 200.0, 0.3),
                 (10.0, 20.0, 8.0),
             ] {
-                for (w, height) in [(200, 200), (300, 120), (90, 240)] {
-                    let camera = camera(rx, ry, dz);
+                let lens = camera(rx, ry, dz);
+                // Whole, and cut by the image's border; from near, the plane goes through the box.
+                let parallel = [0.4, 1.3].map(|scale| lens.with_parallel_scale(scale).unwrap());
+                let sizes = [(200, 200), (300, 120), (90, 240)];
+                for ((w, height), camera) in
+                    sizes.into_iter().flat_map(|size| [lens, parallel[0], parallel[1]].map(|c| (size, c)))
+                {
                     let f = Footprint::new(h, &camera, w, height);
                     let mut count = 0;
                     for y in 0..height {
@@ -183,7 +211,7 @@ mod tests {
                     let share = count as f32 / (w * height) as f32;
                     assert!(
                         (share - f.share).abs() < 0.01,
-                        "{h} {rx} {ry} {dz} {w}x{height}: {share} {}",
+                        "{h} {camera:?} {w}x{height}: {share} {}",
                         f.share
                     );
                 }

@@ -1,9 +1,10 @@
 //! What one frame will do, for any ray step and image size of the same shape.
 
 use super::{
-    Footprint, MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_STEP, SceneFeature, SceneQuantity, TransferSummary,
-    UnitCosts, VolumeSummary,
+    Footprint, MAX_PROBE_SIDE, PROBE_SIDE, Probe, SHADOW_STEP, SceneQuantity, TransferSummary, UnitCosts,
+    VolumeSummary,
 };
+use crate::Result;
 use crate::kernels::Level;
 use crate::scene::{Arcball, Frame, Shading, Skipping, ratios};
 use glam::Vec3;
@@ -14,7 +15,7 @@ const ALONG_SIDE: usize = 3;
 /// Shares of the voxel borders crossed by rays that lie across x, y and z: those of ALONG_SIDE² rays through
 /// the footprint's rectangle, averaged, or of the central ray where the box is not seen.
 fn along(frame: &Frame, spacing: Vec3, footprint: &Footprint) -> Vec3 {
-    let (_, right, up, forward) = frame.camera().ray_basis(frame.width(), frame.height());
+    let (_, [forward, right, up]) = frame.camera.ray_basis(frame.width, frame.height);
     // A ray of direction d crosses |d| / spacing borders per unit of length along each axis, whatever the
     // unit.
     let spacing = ratios(spacing);
@@ -54,25 +55,14 @@ pub struct Setting {
     pub skipping: Skipping,
 }
 
-impl Setting {
-    /// The setting of a frame.
-    pub fn of(frame: &Frame) -> Self {
-        Self {
-            step: frame.step(),
-            width: frame.width(),
-            height: frame.height(),
-            shading: frame.shading(),
-            skipping: frame.skipping(),
-        }
-    }
-
-    /// The same with another ray step.
-    pub fn with_step(self, step: f32) -> Self {
-        Self { step, ..self }
+impl From<&Frame> for Setting {
+    fn from(frame: &Frame) -> Self {
+        let Frame { step, width, height, shading, skipping, .. } = *frame;
+        Self { step, width, height, shading, skipping }
     }
 }
 
-/// What the caller knows to differ from the frame before.
+/// What the caller knows to differ from the frame before. By default nothing but the camera, which moves smoothly.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Changes {
     /// No frame came before, or the first one after a pipeline was built.
@@ -90,10 +80,6 @@ pub struct Changes {
 }
 
 impl Changes {
-    /// Nothing changed but the camera's smooth motion.
-    pub const NONE: Self =
-        Self { first: false, transfer: false, volume: false, size: false, mode: false, camera: false };
-
     /// Whether anything did that makes the frames before a bad guide.
     pub(crate) fn any(&self) -> bool {
         self.first || self.transfer || self.volume || self.size || self.mode || self.camera
@@ -140,7 +126,7 @@ pub(crate) const UNSHARED_SPACING: f64 = 2.0;
 
 /// What a camera sees of a volume under a transfer function, measured once per frame.
 ///
-/// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::work`] and [`FrameFeatures::write`] then
+/// [`FrameFeatures::measure`] marches the probe; [`FrameFeatures::work`] and [`FrameFeatures::quantity`] then
 /// evaluate any step, skipping and size (of the same shape) without marching again, and other shadings too
 /// except that single scattering must be the measured frame's. Nothing here allocates.
 #[derive(Clone, Debug, PartialEq)]
@@ -164,18 +150,14 @@ pub struct FrameFeatures {
 }
 
 impl Default for FrameFeatures {
+    /// Features of nothing, to be measured with [`PROBE_SIDE`]² rays.
     fn default() -> Self {
-        Self::new()
+        Self::with_probe_side(PROBE_SIDE)
     }
 }
 
 impl FrameFeatures {
-    /// Features of nothing: no ray meets anything. Frames are measured with [`PROBE_SIDE`]² rays.
-    pub fn new() -> Self {
-        Self::with_probe_side(PROBE_SIDE)
-    }
-
-    /// As [`FrameFeatures::new`], to be measured with `side`² rays, `side` at most [`MAX_PROBE_SIDE`]: the
+    /// Features of nothing: no ray meets anything. Frames are to be measured with `side`² rays, `side` at most [`MAX_PROBE_SIDE`]: the
     /// time that a measurement takes and the variance of what it estimates both go with the number of rays.
     /// With 0 no ray is cast, and quantities that [need the probe](SceneQuantity::needs_probe) are those of
     /// nothing.
@@ -202,10 +184,19 @@ impl FrameFeatures {
 
     /// Measures a frame. For [`Skipping::Distance`], call [`TransferSummary::prepare_distance`] first;
     /// without it, jumps are counted as with [`Skipping::Blocks`].
-    pub fn measure(&mut self, volume: &VolumeSummary, transfer: &mut TransferSummary, frame: &Frame) {
+    ///
+    /// # Errors
+    /// As [`Frame::checked`].
+    pub fn measure(
+        &mut self,
+        volume: &VolumeSummary,
+        transfer: &mut TransferSummary,
+        frame: &Frame,
+    ) -> Result<()> {
+        frame.checked()?;
         self.probe = Probe::on(self.level, volume, transfer, frame, self.probe_side);
-        self.pose = frame.camera().to_arcball();
-        self.fov_y = frame.camera().fov_y();
+        self.pose = frame.camera.to_arcball();
+        self.fov_y = frame.camera.fov_y();
         self.occupied_share = transfer.occupied_share();
         self.visible_share = transfer.visible_share();
         self.mean_opacity = transfer.mean_opacity();
@@ -214,10 +205,11 @@ impl FrameFeatures {
         self.max_opacity = transfer.max_opacity();
         self.voxels = volume.voxels() as f32;
         self.bytes_per_voxel = volume.scalar_type().bytes() as f32;
-        let spacing = volume.spacing();
+        let spacing = volume.shape().spacing;
         self.cells_per_step = spacing.min_element() / spacing.max_element();
         self.remapped = volume.remapped();
         self.along = along(frame, spacing, self.probe.footprint());
+        Ok(())
     }
 
     /// Rays along each side of the probe.
@@ -367,14 +359,5 @@ impl FrameFeatures {
     fn far(&self, work: &Work) -> f64 {
         let voxels = f64::from(self.voxels);
         work.samples * work.unshared() * voxels / (voxels + CACHED_VOXELS)
-    }
-
-    /// Writes features in the order asked for; `out` and `features` are walked together to the shorter end.
-    pub fn write(&self, features: &[SceneFeature], setting: &Setting, changes: Changes, out: &mut [f32]) {
-        let work = self.work(setting);
-        for (slot, feature) in out.iter_mut().zip(features) {
-            let value = self.quantity(feature.quantity, setting, &work, changes);
-            *slot = if feature.log { feature.quantity.log(value) } else { value as f32 };
-        }
     }
 }

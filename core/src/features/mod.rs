@@ -8,6 +8,7 @@
 //!   once per frame and then evaluated for any ray step and image size.
 //! * [`SceneFeature`]: the names under which a model file asks for these numbers.
 
+mod classify;
 mod cost;
 mod footprint;
 mod frame;
@@ -26,5 +27,5 @@ pub use probe::{MAX_PROBE_SIDE, PROBE_SIDE};
 pub(crate) use probe::{Probe, SHADOW_STEP};
 pub use schema::{SceneFeature, SceneQuantity};
 pub use transfer::TransferSummary;
-pub(crate) use volume::{Geometry, QUANTILES};
+pub(crate) use volume::QUANTILES;
 pub use volume::{SummaryBuilder, SummaryOptions, VolumeSummary};

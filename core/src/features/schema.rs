@@ -38,8 +38,8 @@ macro_rules! quantities {
             /// Every quantity, in the order of the table.
             pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
 
-            /// The name used in model files.
-            pub const fn name(self) -> &'static str {
+            /// The name used in model files: what `Display` writes.
+            pub(crate) const fn name(self) -> &'static str {
                 match self { $(Self::$variant => $name,)* }
             }
 
@@ -138,6 +138,18 @@ quantities! {
     FarZ, "far_z", "samples", 1.0, yes, yes, "the same across z";
 }
 
+impl fmt::Display for SceneQuantity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl From<SceneQuantity> for &'static str {
+    fn from(quantity: SceneQuantity) -> Self {
+        quantity.name()
+    }
+}
+
 impl SceneQuantity {
     /// The log variant of a value: ln(value + floor), −69 where that is not positive.
     pub(crate) fn log(self, value: f64) -> f32 {
@@ -152,41 +164,6 @@ pub struct SceneFeature {
     pub quantity: SceneQuantity,
     /// Whether ln(value + floor) is meant instead of the value.
     pub log: bool,
-}
-
-impl SceneFeature {
-    /// The value itself.
-    pub const fn linear(quantity: SceneQuantity) -> Self {
-        Self { quantity, log: false }
-    }
-
-    /// The logarithm.
-    pub const fn log(quantity: SceneQuantity) -> Self {
-        Self { quantity, log: true }
-    }
-
-    /// The features that a small model takes unless told otherwise: logarithms of counts and lengths, shares,
-    /// modes.
-    pub const STANDARD: &'static [Self] = &[
-        Self::log(SceneQuantity::Pixels),
-        Self::log(SceneQuantity::SamplesPerPixel),
-        Self::log(SceneQuantity::SkipsPerPixel),
-        Self::log(SceneQuantity::ShadedPerPixel),
-        Self::log(SceneQuantity::ShadowPerPixel),
-        Self::log(SceneQuantity::RunsPerRay),
-        Self::log(SceneQuantity::RaySpacing),
-        Self::linear(SceneQuantity::FootprintShare),
-        Self::linear(SceneQuantity::TerminatedShare),
-        Self::log(SceneQuantity::Divergence),
-        Self::linear(SceneQuantity::OccupiedShare),
-        Self::log(SceneQuantity::VisibleShare),
-        Self::log(SceneQuantity::MeanExtinction),
-        Self::log(SceneQuantity::MeanChord),
-        Self::linear(SceneQuantity::Tilt),
-        Self::linear(SceneQuantity::Turn),
-        Self::log(SceneQuantity::Step),
-        Self::log(SceneQuantity::Voxels),
-    ];
 }
 
 impl FromStr for SceneFeature {

@@ -1,8 +1,9 @@
 //! What a transfer function makes of a volume: emptiness and extinction of each cell.
 
 use super::VolumeSummary;
+use super::classify::{Visible, classify, share};
 use crate::Result;
-use crate::memory::reserve;
+use crate::memory::zeroed;
 use crate::scene::{TABLE_LEN, TransferTable};
 use alloc::vec::Vec;
 
@@ -25,16 +26,45 @@ pub(super) struct Optics {
     pub(super) occupied: f32,
 }
 
-/// Numbers kept of a cell's [`Optics`]: extinction and visible.
-pub(super) const OPTICS: usize = 2;
+/// What is kept of a cell in one word, which packets of rays read at once: from the lowest bit on, the root of
+/// the visible share in 1/1023, extinction as a floating-point number without sign (10 bits of mantissa, 5 of
+/// exponent, 2⁻²⁷ at least), and around them the number of the edit in which it was computed. Both are zero for
+/// an empty cell, and not both for another.
+pub(super) mod packed {
+    /// Bits of the visible share's root.
+    pub(crate) const SHOWS: u32 = 0x0000_03ff;
+    /// Bits of the extinction. Where they stand, they are those of an f32 but for [`EXPONENT`].
+    pub(crate) const EXTINCTION: u32 = 0x0fff_e000;
+    /// Added to the bits of the extinction, gives those of the f32.
+    pub(crate) const EXPONENT: u32 = (127 - 27) << 23;
+    /// Of the visible share's root.
+    pub(crate) const UNIT: f32 = 1.0 / 1023.0;
+    /// Bits of the edit's number.
+    pub(crate) const EDIT: u32 = !(SHOWS | EXTINCTION);
+    /// Edits until numbers repeat.
+    pub(super) const EDITS: u32 = 1 << 7;
 
-/// Cells whose flags share a word: in the lower half, whether a cell is not empty, in the upper half, whether
-/// its [`Optics`] are those of the present table.
-pub(super) const FLAGGED: usize = 16;
+    /// The bits of an edit's number below [`EDITS`].
+    pub(super) fn edit(number: u32) -> u32 {
+        number << 28 | number >> 4 << 10
+    }
 
-/// Runs of visible table entries up to which cells are compared with each run, many cells at a time; with
-/// more, each cell is looked up in a prefix table.
-const MAX_RANGES: usize = 8;
+    /// The word of a cell that is not empty, without the edit.
+    pub(super) fn pack(extinction: f32, visible: f32) -> u32 {
+        let least = f32::from_bits(EXPONENT);
+        // Rounds to the bits that are kept.
+        let extinction = extinction.max(least).to_bits() + (1 << 12) - EXPONENT;
+        let shows = (libm::sqrtf(visible) * 1023.0 + 0.5) as u32;
+        extinction.min(EXTINCTION) & EXTINCTION | shows.clamp(1, SHOWS)
+    }
+
+    /// Extinction and visible share.
+    #[inline(always)]
+    pub(super) fn unpack(word: u32) -> (f32, f32) {
+        let root = (word & SHOWS) as f32 * UNIT;
+        (f32::from_bits((word & EXTINCTION) + EXPONENT), root * root)
+    }
+}
 
 /// Emptiness and extinction of each cell of a volume under a transfer function.
 ///
@@ -43,12 +73,16 @@ const MAX_RANGES: usize = 8;
 /// what the volume holds.
 #[derive(Clone, Debug)]
 pub struct TransferSummary {
-    /// Two bits per cell, of [`FLAGGED`] cells in a word.
-    flags: Vec<u32>,
+    /// A bit per cell, set where it is not empty.
+    full: Vec<u64>,
     /// Share of each cell's blocks that are not empty, where cells hold several blocks; else nothing.
     occupied: Vec<f32>,
-    /// The [`Optics`] of each cell whose flag says that they are known.
-    optics: Vec<[f32; OPTICS]>,
+    /// What is known of each cell, [`packed`].
+    cells: Vec<u32>,
+    /// The number of the present edit, as it stands in a cell's word; never 0, which fresh memory holds.
+    edit: u32,
+    /// The same as a plain number.
+    edits: u32,
     /// Table entries with opacity below each entry.
     opaque: [u16; TABLE_LEN + 1],
     /// Sum of transmittances over the correlation length below each entry. In double precision: differences
@@ -58,7 +92,8 @@ pub struct TransferSummary {
     /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
     distance: Vec<u8>,
     distance_ready: bool,
-    /// Working memory: flags of blocks, or two lines of cells.
+    /// Working memory: a bit per block, and two lines of cells.
+    bits: Vec<u64>,
     line: Vec<u8>,
     occupied_share: f32,
     mean_opacity: f32,
@@ -71,26 +106,21 @@ pub struct TransferSummary {
 impl TransferSummary {
     /// Applies a table to a volume.
     ///
-    /// # Panics
-    /// Where there is no memory for three numbers per cell of the volume; see [`TransferSummary::try_new`].
-    pub fn new(volume: &VolumeSummary, table: &TransferTable) -> Self {
-        Self::try_new(volume, table).unwrap_or_else(|error| panic!("{error}"))
-    }
-
-    /// As [`TransferSummary::new`].
-    ///
     /// # Errors
-    /// [`crate::ErrorKind::OutOfMemory`] where there is no room for three numbers per cell of the volume.
-    pub fn try_new(volume: &VolumeSummary, table: &TransferTable) -> Result<Self> {
+    /// [`crate::ErrorKind::OutOfMemory`] where there is no room for two words per cell of the volume.
+    pub fn new(volume: &VolumeSummary, table: &TransferTable) -> Result<Self> {
         let mut summary = Self {
-            flags: Vec::new(),
+            full: Vec::new(),
             occupied: Vec::new(),
-            optics: Vec::new(),
+            cells: Vec::new(),
+            edit: 0,
+            edits: 0,
             opaque: [0; TABLE_LEN + 1],
             transmittance: [0.0; TABLE_LEN + 1],
             grid: volume.cells(),
             distance: Vec::new(),
             distance_ready: false,
+            bits: Vec::new(),
             line: Vec::new(),
             occupied_share: 0.0,
             mean_opacity: 0.0,
@@ -99,42 +129,37 @@ impl TransferSummary {
             visible_share: 0.0,
             max_opacity: 0.0,
         };
-        summary.try_update(volume, table)?;
+        summary.update(volume, table)?;
         Ok(summary)
     }
 
     /// Applies another table, or the table to another volume. Allocates only when the volume has more cells
     /// than any before it.
     ///
-    /// # Panics
-    /// As [`TransferSummary::new`].
-    pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) {
-        if let Err(error) = self.try_update(volume, table) {
-            panic!("{error}");
-        }
-    }
-
-    /// As [`TransferSummary::update`].
-    ///
     /// # Errors
-    /// As [`TransferSummary::try_new`]; nothing has changed then.
-    pub fn try_update(&mut self, volume: &VolumeSummary, table: &TransferTable) -> Result<()> {
+    /// As [`TransferSummary::new`]; nothing has changed then.
+    pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) -> Result<()> {
         let n = volume.cell_count();
         let longest = volume.cells().into_iter().max().unwrap_or(1);
-        let line = (2 * longest).max(n).max(volume.block_ranges().0.len()).max(self.line.len());
         let shares = if volume.first_blocks().is_some() { n } else { 0 };
-        reserve(&mut self.flags, n.div_ceil(FLAGGED))?;
-        reserve(&mut self.occupied, shares)?;
-        reserve(&mut self.optics, n)?;
-        reserve(&mut self.distance, n)?;
-        reserve(&mut self.line, line)?;
-        self.flags.resize(n.div_ceil(FLAGGED), 0);
-        self.occupied.resize(shares, 0.0);
-        self.optics.resize(n, [0.0; OPTICS]);
-        self.distance.resize(n, 0);
-        self.line.resize(line, 0);
+        // One word more: shares are counted across words.
+        let words = volume.block_ranges().0.len().div_ceil(64) + 1;
+        let full = longer(&self.full, n.div_ceil(64))?;
+        let bits = longer(&self.bits, words)?;
+        let occupied = longer(&self.occupied, shares)?;
+        let cells = longer(&self.cells, n)?;
+        let distance = longer(&self.distance, n)?;
+        let line = longer(&self.line, 2 * longest)?;
+        // Nothing fails from here on.
+        fit(&mut self.full, full, n.div_ceil(64));
+        fit(&mut self.bits, bits, words);
+        fit(&mut self.occupied, occupied, shares);
+        fit(&mut self.cells, cells, n);
+        fit(&mut self.distance, distance, n);
+        fit(&mut self.line, line, 2 * longest);
         self.grid = volume.cells();
         self.distance_ready = false;
+        self.begin_edit();
         self.read_table(volume, table);
         self.classify(volume);
         Ok(())
@@ -173,79 +198,49 @@ impl TransferSummary {
     fn classify(&mut self, volume: &VolumeSummary) {
         let (low, high) = volume.cell_ranges();
         let n = low.len();
-        let mut ranges = [(0u8, 0u8); MAX_RANGES];
-        let ranges = self.visible_ranges(&mut ranges);
-        let mut sum = 0.0f64;
-        match volume.first_blocks() {
-            None => {
-                let flags = &mut self.line[..n];
-                flag(low, high, ranges, &self.opaque, flags);
-                // 128 flags at most: their sum fits a byte.
-                let count: u64 = flags.chunks(128).map(|f| u64::from(f.iter().copied().sum::<u8>())).sum();
-                sum = count as f64;
-                pack(flags, &mut self.flags);
-            }
+        let visible = Visible::new(&self.opaque);
+        let sum = match volume.first_blocks() {
+            None => classify(&visible, low, high, &mut self.full) as f64,
             Some(first) => {
-                let (block_low, block_high) = volume.block_ranges();
-                let flags = &mut self.line[..block_low.len()];
-                flag(block_low, block_high, ranges, &self.opaque, flags);
-                for (occupied, range) in self.occupied.iter_mut().zip(first.windows(2)) {
-                    let flags = &flags[range[0] as usize..range[1] as usize];
-                    let full = match <[u8; 8]>::try_from(flags) {
-                        // Eight flags of 0 or 1: the product's highest byte is their sum.
-                        Ok(eight) => {
-                            (u64::from_le_bytes(eight).wrapping_mul(0x0101_0101_0101_0101) >> 56) as usize
-                        }
-                        Err(_) => flags.iter().map(|&f| usize::from(f)).sum(),
-                    };
-                    *occupied = if full == 0 { 0.0 } else { full as f32 / flags.len() as f32 };
-                    sum += f64::from(*occupied);
-                }
-                let flags = &mut self.line[..n];
-                for (flag, &occupied) in flags.iter_mut().zip(&self.occupied) {
-                    *flag = u8::from(occupied > 0.0);
-                }
-                pack(flags, &mut self.flags);
+                let (low, high) = volume.block_ranges();
+                classify(&visible, low, high, &mut self.bits);
+                let per_cell = |a: usize| volume.cell_edge()[a] / volume.block_edge()[a];
+                let most = (0..3).map(per_cell).product();
+                share(&self.bits, first, most, &mut self.occupied, &mut self.full)
             }
-        }
+        };
         self.occupied_share = (sum / n as f64) as f32;
     }
 
-    /// The runs of visible entries as (first, last), or `None` where there are more than [`MAX_RANGES`].
-    fn visible_ranges<'a>(&self, out: &'a mut [(u8, u8); MAX_RANGES]) -> Option<&'a [(u8, u8)]> {
-        let mut len = 0;
-        let mut open = false;
-        for i in 0..TABLE_LEN {
-            let visible = self.opaque[i + 1] > self.opaque[i];
-            if visible && !open {
-                if len == MAX_RANGES {
-                    return None;
-                }
-                out[len] = (i as u8, i as u8);
-                len += 1;
-            } else if visible {
-                out[len - 1].1 = i as u8;
-            }
-            open = visible;
+    /// Forgets what is known of cells under the table before.
+    fn begin_edit(&mut self) {
+        let edits = self.edits % (packed::EDITS - 1) + 1;
+        if edits < self.edits {
+            self.cells.fill(0);
         }
-        Some(&out[..len])
+        (self.edits, self.edit) = (edits, packed::edit(edits));
     }
 
-    /// What a cell that is not empty does to a ray.
+    /// What a cell does to a ray, `None` where it is empty or outside the grid.
     #[inline(always)]
-    pub(super) fn optics(&mut self, volume: &VolumeSummary, cell: usize) -> Optics {
-        let known = self.flags[cell / FLAGGED] >> (FLAGGED + cell % FLAGGED) & 1 != 0;
-        if !known {
-            self.compute(volume, cell);
+    pub(super) fn optics(&mut self, volume: &VolumeSummary, cell: usize) -> Option<Optics> {
+        let mut word = *self.cells.get(cell)? ^ self.edit;
+        if word & packed::EDIT != 0 {
+            word = self.compute(volume, cell) ^ self.edit;
         }
-        let [extinction, visible] = self.optics[cell];
-        Optics { extinction, visible, occupied: self.occupied.get(cell).copied().unwrap_or(1.0) }
+        let (extinction, visible) = packed::unpack(word);
+        let occupied = self.occupied.get(cell).copied().unwrap_or(1.0);
+        (word != 0).then_some(Optics { extinction, visible, occupied })
     }
 
     /// Computes what a cell does to a ray, and keeps it until the next edit.
     #[cold]
     #[inline(never)]
-    pub(super) fn compute(&mut self, volume: &VolumeSummary, cell: usize) {
+    pub(super) fn compute(&mut self, volume: &VolumeSummary, cell: usize) -> u32 {
+        if !self.is_occupied(cell) {
+            self.cells[cell] = self.edit;
+            return self.edit;
+        }
         let (mut t, mut v) = (0.0f32, 0.0f32);
         for pair in volume.quantiles(cell).windows(2) {
             let (a, b) = (usize::from(pair[0]), usize::from(pair[1]));
@@ -256,15 +251,15 @@ impl TransferSummary {
         let t = (t * (1.0 / super::QUANTILES as f32)).clamp(1.0e-12, 1.0);
         let visible = (v * (1.0 / super::QUANTILES as f32)).clamp(0.0, 1.0);
         let extinction = -libm::logf(t) * (1.0 / CORRELATION_LENGTH);
-        self.optics[cell] = [extinction, visible];
-        self.flags[cell / FLAGGED] |= 1 << (FLAGGED + cell % FLAGGED);
+        let word = packed::pack(extinction, visible) | self.edit;
+        self.cells[cell] = word;
+        word
     }
 
-    /// What is kept of all cells, for packets of rays: [`OPTICS`] numbers per cell, good where its flag says
-    /// so.
+    /// The words of all cells, for packets of rays, and the bits of the present edit in them.
     #[inline(always)]
-    pub(super) fn kept_optics(&self) -> &[f32] {
-        self.optics.as_flattened()
+    pub(super) fn words(&self) -> (&[u32], u32) {
+        (&self.cells, self.edit)
     }
 
     /// Share of each cell's blocks that are not empty, where cells hold several blocks; else nothing.
@@ -275,19 +270,13 @@ impl TransferSummary {
 
     /// Number of cells.
     pub(super) fn cell_count(&self) -> usize {
-        self.optics.len()
-    }
-
-    /// Flags of [`FLAGGED`] cells in each word.
-    #[inline(always)]
-    pub(super) fn flags(&self) -> &[u32] {
-        &self.flags
+        self.cells.len()
     }
 
     /// Whether a cell is not empty; what lies outside the grid is.
     #[inline(always)]
     pub(super) fn is_occupied(&self, cell: usize) -> bool {
-        self.flags.get(cell / FLAGGED).is_some_and(|word| word >> (cell % FLAGGED) & 1 != 0)
+        self.full.get(cell / 64).is_some_and(|word| word >> (cell % 64) & 1 != 0)
     }
 
     /// Share of the volume's blocks that are not empty.
@@ -340,7 +329,7 @@ impl TransferSummary {
         let g = self.grid;
         assert!(x < g[0] && y < g[1] && z < g[2], "cell {x}, {y}, {z} outside the grid");
         let cell = x + g[0] * (y + g[1] * z);
-        if self.is_occupied(cell) { self.optics(volume, cell).extinction } else { 0.0 }
+        self.optics(volume, cell).map_or(0.0, |optics| optics.extinction)
     }
 
     pub(super) fn grid(&self) -> [usize; 3] {
@@ -354,7 +343,7 @@ impl TransferSummary {
             return;
         }
         let [nx, ny, _] = self.grid;
-        for (cells, &word) in self.distance.chunks_mut(FLAGGED).zip(&self.flags) {
+        for (cells, &word) in self.distance.chunks_mut(64).zip(&self.full) {
             for (i, d) in cells.iter_mut().enumerate() {
                 *d = if word >> i & 1 != 0 { 0 } else { u8::MAX };
             }
@@ -388,37 +377,17 @@ impl TransferSummary {
     }
 }
 
-/// Writes 1 for each pair of bounds between which a table entry is visible, else 0.
-fn flag(low: &[u8], high: &[u8], ranges: Option<&[(u8, u8)]>, opaque: &[u16; TABLE_LEN + 1], out: &mut [u8]) {
-    let Some(ranges) = ranges else {
-        for ((&low, &high), out) in low.iter().zip(high).zip(out) {
-            *out = u8::from(opaque[usize::from(high) + 1] != opaque[usize::from(low)]);
-        }
-        return;
-    };
-    /// Pairs at a time: small enough that they stay in the nearest cache from range to range.
-    const BATCH: usize = 4096;
-    for ((low, high), out) in low.chunks(BATCH).zip(high.chunks(BATCH)).zip(out.chunks_mut(BATCH)) {
-        out.fill(0);
-        for &(first, last) in ranges {
-            for ((&low, &high), out) in low.iter().zip(high).zip(&mut *out) {
-                *out |= u8::from(low <= last) & u8::from(high >= first);
-            }
-        }
-    }
+/// A longer vector of zeros in place of one that has no room for `len` elements; what is not touched of it costs
+/// nothing.
+fn longer<T: bytemuck::Zeroable>(vector: &Vec<T>, len: usize) -> Result<Option<Vec<T>>> {
+    if len <= vector.capacity() { Ok(None) } else { zeroed(len).map(Some) }
 }
 
-/// Packs flags of 0 and 1 into the lower halves of words.
-fn pack(flags: &[u8], words: &mut [u32]) {
-    for (flags, word) in flags.chunks(FLAGGED).zip(words) {
-        *word = 0;
-        for (i, eight) in flags.chunks(8).enumerate() {
-            let mut bytes = [0; 8];
-            bytes[..eight.len()].copy_from_slice(eight);
-            // Bit 8k of the flags goes to bit 56 + k of the product; nothing else reaches those bits.
-            let byte = u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56;
-            *word |= (byte as u32) << (8 * i);
-        }
+/// Takes the longer vector, if there is one, and makes it as long as asked for.
+fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Vec<T>>, len: usize) {
+    match longer {
+        Some(longer) => *vector = longer,
+        None => vector.resize(len, T::zeroed()),
     }
 }
 

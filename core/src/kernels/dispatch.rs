@@ -1,7 +1,9 @@
 //! From a level to a kernel compiled for it: the only place that knows every instruction set.
 
+#[cfg(target_arch = "x86_64")]
+use super::Isa;
+use super::Level;
 use super::simd::Kernel;
-use super::{Isa, Level};
 
 impl Level {
     /// Runs a kernel with this level's instructions.

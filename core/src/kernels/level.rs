@@ -103,7 +103,7 @@ impl Level {
     }
 
     /// The level of exactly this instruction set, or `None` where the CPU (or the architecture) lacks it.
-    pub fn exactly(isa: Isa) -> Option<Self> {
+    pub(crate) fn exactly(isa: Isa) -> Option<Self> {
         let found = features();
         match isa {
             Isa::Scalar => Some(Self::SCALAR),
@@ -269,7 +269,7 @@ mod tests {
         }
         let error = "AVX-512".parse::<Isa>().unwrap_err();
         assert_eq!(error.kind(), ErrorKind::InvalidArgument);
-        assert!(error.message().contains("avx512"), "{error}");
+        assert!(error.to_string().contains("avx512"), "{error}");
     }
 
     #[test]

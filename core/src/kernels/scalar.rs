@@ -211,16 +211,28 @@ impl Simd for Scalar {
         map(index, |i| from[(i as u32 as usize).min(last)] as i32)
     }
     #[inline(always)]
-    fn test(self, words: Self::I, place: Self::I) -> Self::M {
-        Four(core::array::from_fn(|i| words.0[i] >> place.0[i] & 1 != 0))
-    }
-    #[inline(always)]
-    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
-        map(a, |a| (a as u32 >> BITS) as i32)
-    }
-    #[inline(always)]
     fn and_i(self, a: Self::I, b: i32) -> Self::I {
         map(a, |a| a & b)
+    }
+    #[inline(always)]
+    fn xor_i(self, a: Self::I, b: Self::I) -> Self::I {
+        zip(a, b, |a, b| a ^ b)
+    }
+    #[inline(always)]
+    fn nonzero(self, a: Self::I) -> Self::M {
+        map(a, |a| a != 0)
+    }
+    #[inline(always)]
+    fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64 {
+        let mut bits = 0;
+        for (i, (low, high)) in low.as_chunks::<8>().0.iter().zip(high.as_chunks::<8>().0).enumerate() {
+            let flags: [u8; 8] =
+                core::array::from_fn(|k| u8::from(low[k] <= last) & u8::from(high[k] >= first));
+            // Bit 8k of the flags goes to bit 56 + k of the product; nothing else reaches those bits.
+            let byte = u64::from_le_bytes(flags).wrapping_mul(0x0102_0408_1020_4080) >> 56;
+            bits |= byte << (8 * i);
+        }
+        bits
     }
     #[inline(always)]
     fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {

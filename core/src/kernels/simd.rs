@@ -114,6 +114,16 @@ pub(crate) trait Simd: Copy + 'static {
         // SAFETY: there is room for as many numbers as lanes.
         unsafe { self.store(to.as_mut_ptr(), v) }
     }
+    /// The first `LANES` integers.
+    ///
+    /// # Panics
+    /// When there are fewer.
+    #[inline(always)]
+    fn read_i(self, from: &[i32]) -> Self::I {
+        assert!(from.len() >= Self::LANES, "fewer numbers than lanes");
+        // SAFETY: as many integers as lanes are there.
+        unsafe { self.load_bytes(from.as_ptr().cast()) }
+    }
     /// Writes the first `LANES` integers.
     fn write_i(self, v: Self::I, to: &mut [i32; 16]);
     /// a / b, correctly rounded.
@@ -144,14 +154,15 @@ pub(crate) trait Simd: Copy + 'static {
     fn as_f(self, v: Self::I) -> Self::F;
     /// The words at `index`, taken as unsigned; beyond the end, the last one. There must be one.
     fn gather(self, from: &[u32], index: Self::I) -> Self::I;
-    /// Whether bit `place`, 0 to 31, of each word is set.
-    fn test(self, words: Self::I, place: Self::I) -> Self::M;
-    /// Shifts zeros in from the left.
-    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I;
     fn and_i(self, a: Self::I, b: i32) -> Self::I;
+    fn xor_i(self, a: Self::I, b: Self::I) -> Self::I;
+    /// Which lanes are not zero.
+    fn nonzero(self, a: Self::I) -> Self::M;
     /// Writes the chosen lanes one after another, and gives their number. There must be room for 16.
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize;
 
+    /// A bit for each pair of bounds, set where `low` ≤ `last` and `high` ≥ `first`.
+    fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64;
     /// How many bytes have a value. There must be fewer than 2³².
     fn count_bytes(self, bytes: &[u8], value: u8) -> u32;
 

@@ -112,7 +112,8 @@ impl ModelFile {
     }
 
     /// Names of the tensors in alphabetical order.
-    pub fn tensor_names(&self) -> impl Iterator<Item = &str> {
+    #[cfg(test)]
+    pub(crate) fn tensor_names(&self) -> impl Iterator<Item = &str> {
         self.tensors.keys().map(String::as_str)
     }
 

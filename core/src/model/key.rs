@@ -2,6 +2,7 @@
 
 use crate::Result;
 use crate::error::bail;
+use crate::names::names;
 use alloc::string::String;
 use core::fmt;
 use core::str::FromStr;
@@ -113,24 +114,15 @@ impl GroupKind {
     pub(crate) fn find(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|g| g.name() == name)
     }
-
-    /// The name used in model files.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::VolumeFeatures => "volume_features",
-            Self::Camera => "camera",
-            Self::Resolution => "resolution",
-            Self::TransferFunction => "transfer_function",
-            Self::StepSize => "step_size",
-            Self::SceneFeatures => "scene_features",
-        }
-    }
 }
 
-impl fmt::Display for GroupKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
+names! { GroupKind:
+    VolumeFeatures "volume_features",
+    Camera "camera",
+    Resolution "resolution",
+    TransferFunction "transfer_function",
+    StepSize "step_size",
+    SceneFeatures "scene_features",
 }
 
 impl FromStr for GroupKind {

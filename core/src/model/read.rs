@@ -62,9 +62,9 @@ impl Model {
         &self.inputs
     }
 
-    /// The size of a named group, or `None` where the model has no such group.
-    pub fn input_size(&self, name: &str) -> Option<usize> {
-        self.inputs.iter().find(|group| group.name == name).map(|group| group.size)
+    /// The size of an input group, or `None` where the model has no such group.
+    pub fn input_size(&self, group: GroupKind) -> Option<usize> {
+        self.inputs.iter().find(|own| own.name == group.name()).map(|group| group.size)
     }
 
     /// PredNet's weights, or `None` where the file lacks one.

@@ -18,7 +18,7 @@ impl From<Dtype> for Storage {
     }
 }
 
-/// Working memory of predictions, made by [`PredNet::scratch`] or [`PredNet::batch_scratch`]; one per thread.
+/// Working memory of predictions, made by [`PredNet::scratch`]; one per thread.
 #[derive(Clone, Debug, Default)]
 pub struct PredScratch {
     mlp: MlpScratch,
@@ -126,22 +126,13 @@ impl PredNet {
         self.mlp.memory()
     }
 
-    /// Working memory for [`predict`](Self::predict). [`predict_batch`](Self::predict_batch) works with it
-    /// too, row by row.
+    /// Working memory for [`predict`](Self::predict), and for batches of which `rows` rows are worked on at once: 1 for
+    /// single predictions, which then go through batches row by row; at most 384 are used.
     ///
     /// # Errors
     ///
     /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for it.
-    pub fn scratch(&self) -> Result<PredScratch> {
-        self.batch_scratch(1)
-    }
-
-    /// Working memory for batches; `rows` is how many rows are worked on at once, at most 384 are used.
-    ///
-    /// # Errors
-    ///
-    /// [`OutOfMemory`](crate::ErrorKind::OutOfMemory) where there is no room for it.
-    pub fn batch_scratch(&self, rows: usize) -> Result<PredScratch> {
+    pub fn scratch(&self, rows: usize) -> Result<PredScratch> {
         Ok(PredScratch { mlp: self.mlp.scratch(rows)? })
     }
 
@@ -169,14 +160,16 @@ impl PredNet {
         }
     }
 
-    /// As [`predict_batch`](Self::predict_batch), the rows split over as many parts as there are `scratches`:
-    /// same bits.
+    /// Predicts many frames: `inputs` holds one row of [`inputs`](Self::inputs) numbers per element of
+    /// `seconds`. Rows are as in [`predict`](Self::predict), up to the order of summation, and are split over as many
+    /// parts as there are `scratches`; a row's result depends neither on the others, nor on the executor, nor on the
+    /// scratches. Never allocates on success.
     ///
     /// # Errors
     ///
-    /// As [`predict_batch`](Self::predict_batch), and [`InvalidArgument`](crate::ErrorKind::InvalidArgument)
-    /// without any scratch.
-    pub fn predict_batch_on(
+    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) when the lengths disagree or a scratch is another
+    /// network's; [`InvalidArgument`](crate::ErrorKind::InvalidArgument) without any scratch.
+    pub fn predict_batch(
         &self,
         executor: Executor<'_>,
         inputs: &[f32],
@@ -184,41 +177,29 @@ impl PredNet {
         scratches: &mut [PredScratch],
     ) -> Result<()> {
         match scratches {
-            [] => bail!(InvalidArgument, "no scratch given: make one per thread with batch_scratch"),
-            [scratch] => self.predict_batch(inputs, seconds, scratch),
+            [] => bail!(InvalidArgument, "no scratch given: make one per thread with PredNet::scratch"),
+            [scratch] => self.rows(inputs, seconds, scratch),
             _ => {
                 let parts = scratches.len();
                 let (left, right) = scratches.split_at_mut(parts / 2);
                 // Whole tiles of six rows on the left.
                 let rows = (seconds.len() * left.len() / parts).next_multiple_of(6).min(seconds.len());
                 let Some((inputs_left, inputs_right)) = inputs.split_at_checked(rows * self.inputs()) else {
-                    return self.predict_batch(inputs, seconds, &mut right[0]);
+                    return self.rows(inputs, seconds, &mut right[0]);
                 };
                 let (seconds_left, seconds_right) = seconds.split_at_mut(rows);
                 let (mut first, mut second) = (Ok(()), Ok(()));
                 executor.join(
-                    || first = self.predict_batch_on(executor, inputs_left, seconds_left, left),
-                    || second = self.predict_batch_on(executor, inputs_right, seconds_right, right),
+                    || first = self.predict_batch(executor, inputs_left, seconds_left, left),
+                    || second = self.predict_batch(executor, inputs_right, seconds_right, right),
                 );
                 first.and(second)
             }
         }
     }
 
-    /// Predicts many frames: `inputs` holds one row of [`inputs`](Self::inputs) numbers per element of
-    /// `seconds`. Rows are as in [`predict`](Self::predict), up to the order of summation; a row's result
-    /// does not depend on the others, nor on the scratch's size. Never allocates on success.
-    ///
-    /// # Errors
-    ///
-    /// [`SizeMismatch`](crate::ErrorKind::SizeMismatch) when the lengths disagree or the scratch is another
-    /// network's.
-    pub fn predict_batch(
-        &self,
-        inputs: &[f32],
-        seconds: &mut [f32],
-        scratch: &mut PredScratch,
-    ) -> Result<()> {
+    /// Predicts rows with one scratch.
+    fn rows(&self, inputs: &[f32], seconds: &mut [f32], scratch: &mut PredScratch) -> Result<()> {
         if self.mlp.forward_rows(inputs, seconds, &mut scratch.mlp).is_none() {
             bail!(
                 SizeMismatch,
@@ -325,9 +306,9 @@ mod tests {
                 for storage in Storage::ALL {
                     let tolerance = PredNet::tolerance(storage, Dtype::F32);
                     let net = PredNet::with(&parts, level, storage).unwrap();
-                    let mut scratch = net.scratch().unwrap();
+                    let mut scratch = net.scratch(1).unwrap();
                     let mut batch = vec![0.0; rows];
-                    net.predict_batch(&inputs, &mut batch, &mut net.batch_scratch(rows).unwrap()).unwrap();
+                    net.predict_batch(Executor::Serial, &inputs, &mut batch, std::slice::from_mut(&mut net.scratch(rows).unwrap())).unwrap();
                     for (i, row) in inputs.chunks(sizes[0]).enumerate() {
                         let split = net.predict_on(Executor::Serial, row, &mut scratch);
                         let single = net.predict(row, &mut scratch);
@@ -359,10 +340,16 @@ mod tests {
                 for storage in Storage::ALL {
                     let net = PredNet::with(&parts, level, storage).unwrap();
                     let mut batch = vec![0.0; rows];
-                    net.predict_batch(&inputs, &mut batch, &mut net.batch_scratch(rows).unwrap()).unwrap();
+                    net.predict_batch(
+                        Executor::Serial,
+                        &inputs,
+                        &mut batch,
+                        std::slice::from_mut(&mut net.scratch(rows).unwrap()),
+                    )
+                    .unwrap();
                     for (row, &in_batch) in inputs.chunks(sizes[0]).zip(&batch) {
                         let exact = plain(&parts, row);
-                        let single = net.predict(row, &mut net.scratch().unwrap());
+                        let single = net.predict(row, &mut net.scratch(1).unwrap());
                         let tolerance = if storage == Storage::F32 {
                             PredNet::tolerance(storage, Dtype::F32)
                         } else {
@@ -391,19 +378,22 @@ mod tests {
             for level in Level::available() {
                 for storage in Storage::ALL {
                     let net = PredNet::with(&parts, level, storage).unwrap();
-                    let (mut one, mut two) = (net.scratch().unwrap(), net.scratch().unwrap());
+                    let (mut one, mut two) = (net.scratch(1).unwrap(), net.scratch(1).unwrap());
                     for row in x.chunks_exact(16).take(5) {
                         let split = net.predict_on(Executor::Helper(&helper), row, &mut two);
                         assert_eq!(net.predict(row, &mut one).to_bits(), split.to_bits(), "{level}");
                     }
                     let (mut whole, mut parted) = ([0.0; 50], [0.0; 50]);
-                    net.predict_batch(&x, &mut whole, &mut net.batch_scratch(50).unwrap()).unwrap();
-                    let mut scratches = [
-                        net.batch_scratch(9).unwrap(),
-                        net.batch_scratch(9).unwrap(),
-                        net.batch_scratch(9).unwrap(),
-                    ];
-                    net.predict_batch_on(Executor::Helper(&helper), &x, &mut parted, &mut scratches).unwrap();
+                    net.predict_batch(
+                        Executor::Serial,
+                        &x,
+                        &mut whole,
+                        std::slice::from_mut(&mut net.scratch(50).unwrap()),
+                    )
+                    .unwrap();
+                    let mut scratches =
+                        [net.scratch(9).unwrap(), net.scratch(9).unwrap(), net.scratch(9).unwrap()];
+                    net.predict_batch(Executor::Helper(&helper), &x, &mut parted, &mut scratches).unwrap();
                     assert_eq!(whole, parted, "{level}");
                 }
             }
@@ -431,7 +421,7 @@ mod tests {
         let mut parts = parts(&[4, 8, 1], Target::Seconds, 3);
         parts.layers[1].weight[5] = 1e6;
         let error = PredNet::with(&parts, Level::detect(), Storage::F16).unwrap_err();
-        assert!(error.message().contains("prednet.1.weight[5]"), "{error}");
+        assert!(error.to_string().contains("prednet.1.weight[5]"), "{error}");
         assert!(PredNet::with(&parts, Level::detect(), Storage::Bf16).is_ok());
     }
 
@@ -439,9 +429,9 @@ mod tests {
     fn a_batch_without_scratch_or_with_wrong_sizes_is_refused() {
         let net = PredNet::new(&parts(&[4, 8, 1], Target::Seconds, 3)).unwrap();
         let mut y = [0.0; 3];
-        assert!(net.predict_batch_on(Executor::Serial, &[0.0; 12], &mut y, &mut []).is_err());
-        let mut scratches = [net.scratch().unwrap(), net.scratch().unwrap()];
-        assert!(net.predict_batch_on(Executor::Serial, &[0.0; 11], &mut y, &mut scratches).is_err());
-        assert!(net.predict_batch_on(Executor::Serial, &[0.0; 1], &mut y, &mut scratches).is_err());
+        assert!(net.predict_batch(Executor::Serial, &[0.0; 12], &mut y, &mut []).is_err());
+        let mut scratches = [net.scratch(1).unwrap(), net.scratch(1).unwrap()];
+        assert!(net.predict_batch(Executor::Serial, &[0.0; 11], &mut y, &mut scratches).is_err());
+        assert!(net.predict_batch(Executor::Serial, &[0.0; 1], &mut y, &mut scratches).is_err());
     }
 }

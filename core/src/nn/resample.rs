@@ -225,6 +225,7 @@ fn split(
 mod tests {
     use super::*;
     use crate::ErrorKind;
+    use crate::scene::VolumeOptions;
     use alloc::vec;
 
     /// The definition, in float64: the weight of input voxel `j` in output `i` along one axis.
@@ -294,7 +295,7 @@ mod tests {
                 assert!(
                     error <= f64::from(RESAMPLE_TOLERANCE) && (0.0..=1.0).contains(&o),
                     "{:?} {:?} to {n} at {level}: output {i} is {o}, expected {e}",
-                    view.scalar_type(),
+                    view.scalars().scalar_type(),
                     view.dims()
                 );
             }
@@ -343,6 +344,12 @@ mod tests {
         }
     }
 
+    /// The same voxels over another range.
+    fn ranged<'a>(view: &VolumeView<'a>, range: (f32, f32)) -> VolumeView<'a> {
+        let options = VolumeOptions { range: Some(range), ..VolumeOptions::default() };
+        VolumeView::with(view.scalars(), view.dims(), options).unwrap()
+    }
+
     #[test]
     fn every_type_and_shape_meets_the_definition() {
         for (seed, (dims, n)) in SHAPES.into_iter().enumerate() {
@@ -351,14 +358,19 @@ mod tests {
             let bytes: Vec<u8> = (0..voxels).map(|_| next() as u8).collect();
             let view = VolumeView::new(Scalars::U8(&bytes), dims).unwrap();
             check(&view, n);
-            check(&view.with_range(-3.5, 300.0).unwrap(), n);
-            check(&view.with_range(40.0, 200.5).unwrap(), n);
+            check(&ranged(&view, (-3.5, 300.0)), n);
+            check(&ranged(&view, (40.0, 200.5)), n);
             let words: Vec<u16> = (0..voxels).map(|_| 60000 + next() as u16 % 1000).collect();
             check(&VolumeView::new(Scalars::U16(&words), dims).unwrap(), n);
             let signed: Vec<i16> = (0..voxels).map(|_| next() as i16).collect();
             check(&VolumeView::new(Scalars::I16(&signed), dims).unwrap(), n);
             check(
-                &VolumeView::new(Scalars::I16(&signed), dims).unwrap().with_range(-100.0, 9000.0).unwrap(),
+                &VolumeView::with(
+                    Scalars::I16(&signed),
+                    dims,
+                    VolumeOptions { range: Some((-100.0, 9000.0)), ..VolumeOptions::default() },
+                )
+                .unwrap(),
                 n,
             );
             let floats: Vec<f32> = (0..voxels)
@@ -385,7 +397,7 @@ mod tests {
         let constant = [4.5f32; 385];
         let view = VolumeView::new(Scalars::F32(&constant), dims).unwrap();
         check(&view, 8);
-        check(&view.with_range(0.0, 5.0).unwrap(), 8);
+        check(&ranged(&view, (0.0, 5.0)), 8);
         check(&VolumeView::new(Scalars::F32(&[f32::NAN; 385]), dims).unwrap(), 8);
     }
 
@@ -403,8 +415,24 @@ mod tests {
             ([8, 5, 16], [1, 0, 40]),
             ([8, 16, 16], [0, 1, 40]),
         ] {
-            check(&VolumeView::with_strides(Scalars::U8(&data), dims, strides).unwrap(), 8);
-            check(&VolumeView::with_strides(Scalars::I16(&words), dims, strides).unwrap(), 8);
+            check(
+                &VolumeView::with(
+                    Scalars::U8(&data),
+                    dims,
+                    VolumeOptions { strides: Some(strides), ..VolumeOptions::default() },
+                )
+                .unwrap(),
+                8,
+            );
+            check(
+                &VolumeView::with(
+                    Scalars::I16(&words),
+                    dims,
+                    VolumeOptions { strides: Some(strides), ..VolumeOptions::default() },
+                )
+                .unwrap(),
+                8,
+            );
         }
     }
 
@@ -414,7 +442,12 @@ mod tests {
         let dims = [128, 128, 128];
         for value in [0.1f32, 0.7, 0.3333] {
             let floats = vec![value; 128 * 128 * 128];
-            let view = VolumeView::new(Scalars::F32(&floats), dims).unwrap().with_range(0.0, 1.0).unwrap();
+            let view = VolumeView::with(
+                Scalars::F32(&floats),
+                dims,
+                VolumeOptions { range: Some((0.0, 1.0)), ..VolumeOptions::default() },
+            )
+            .unwrap();
             let mut out = [0.0; 8];
             Resampler::default().resample(&view, 2, &mut out, Executor::Serial).unwrap();
             for o in out {
@@ -480,7 +513,7 @@ mod tests {
         assert_eq!(e.kind(), ErrorKind::InvalidArgument);
         let e = resampler.resample(&view, 2, &mut [0.0; 7], Executor::Serial).unwrap_err();
         assert_eq!(e.kind(), ErrorKind::SizeMismatch);
-        assert!(e.message().contains("2 x 2 x 2") && e.message().contains('7'));
+        assert!(e.to_string().contains("2 x 2 x 2") && e.to_string().contains('7'));
         let e = resampler.resample(&view, usize::MAX, &mut [0.0; 7], Executor::Serial).unwrap_err();
         assert_eq!(e.kind(), ErrorKind::InvalidArgument);
     }

@@ -288,6 +288,7 @@ mod tests {
     use crate::ErrorKind;
     use crate::nn::conv3d::reference;
     use crate::nn::{ConvBlockParts, DenseParts, Dtype};
+    use crate::scene::VolumeOptions;
     use alloc::vec;
 
     fn noise(seed: u64) -> impl FnMut() -> f32 {
@@ -441,17 +442,44 @@ mod tests {
         }
         let cube = [n; 3];
         let views = [
-            VolumeView::new(Scalars::I16(&words), cube).unwrap().with_range(-30000.0, 30000.0).unwrap(),
-            VolumeView::new(Scalars::U16(&unsigned), cube).unwrap().with_range(2768.0, 62768.0).unwrap(),
-            VolumeView::new(Scalars::F32(&floats), cube).unwrap().with_range(-30000.0, 30000.0).unwrap(),
-            VolumeView::with_strides(Scalars::F32(&transposed), cube, [n * n, n, 1])
-                .unwrap()
-                .with_range(-30000.0, 30000.0)
-                .unwrap(),
-            VolumeView::with_strides(Scalars::F32(&padded[3..]), cube, [1, n + 5, n * (n + 5)])
-                .unwrap()
-                .with_range(-30000.0, 30000.0)
-                .unwrap(),
+            VolumeView::with(
+                Scalars::I16(&words),
+                cube,
+                VolumeOptions { range: Some((-30000.0, 30000.0)), ..VolumeOptions::default() },
+            )
+            .unwrap(),
+            VolumeView::with(
+                Scalars::U16(&unsigned),
+                cube,
+                VolumeOptions { range: Some((2768.0, 62768.0)), ..VolumeOptions::default() },
+            )
+            .unwrap(),
+            VolumeView::with(
+                Scalars::F32(&floats),
+                cube,
+                VolumeOptions { range: Some((-30000.0, 30000.0)), ..VolumeOptions::default() },
+            )
+            .unwrap(),
+            VolumeView::with(
+                Scalars::F32(&transposed),
+                cube,
+                VolumeOptions {
+                    strides: Some([n * n, n, 1]),
+                    range: Some((-30000.0, 30000.0)),
+                    ..VolumeOptions::default()
+                },
+            )
+            .unwrap(),
+            VolumeView::with(
+                Scalars::F32(&padded[3..]),
+                cube,
+                VolumeOptions {
+                    strides: Some([1, n + 5, n * (n + 5)]),
+                    range: Some((-30000.0, 30000.0)),
+                    ..VolumeOptions::default()
+                },
+            )
+            .unwrap(),
         ];
         for level in Level::available() {
             let net = VolumeNet::with(&parts, level).unwrap();
@@ -459,7 +487,7 @@ mod tests {
                 assert_close(
                     &encode(&net, view),
                     &expected,
-                    &alloc::format!("{:?} {level}", view.scalar_type()),
+                    &alloc::format!("{:?} {level}", view.scalars().scalar_type()),
                 );
             }
         }
@@ -574,7 +602,7 @@ mod tests {
             change(&mut parts);
             let error = VolumeNet::new(&parts).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::InvalidTensor);
-            assert!(error.message().contains(text), "{}", error.message());
+            assert!(error.to_string().contains(text), "{}", error.to_string());
         };
         refused(&|p| p.input = 0, "input edge");
         refused(&|p| p.blocks.clear(), "no block");

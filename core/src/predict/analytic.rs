@@ -91,16 +91,6 @@ impl Measurement {
     pub fn new(features: &FrameFeatures, setting: &Setting, seconds: f64) -> Self {
         Self { work: features.cost_work(setting), seconds }
     }
-
-    /// From values of [`COST_QUANTITIES`], in their order; those that are missing count as 0.
-    pub fn from_work(quantities: &[f32], seconds: f64) -> Self {
-        let mut work = [0.0; COSTS];
-        work[0] = 1.0;
-        for (slot, &value) in work[1..].iter_mut().zip(quantities) {
-            *slot = f64::from(value);
-        }
-        Self { work, seconds }
-    }
 }
 
 /// How well a fit describes what it was fitted to.
@@ -129,14 +119,8 @@ pub struct AnalyticModel {
 }
 
 impl Default for AnalyticModel {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl AnalyticModel {
     /// The model of a machine never measured: unit costs of a software renderer on a few cores.
-    pub fn new() -> Self {
+    fn default() -> Self {
         Self {
             costs: UnitCosts::SOFTWARE.0,
             fitted: false,
@@ -144,7 +128,9 @@ impl AnalyticModel {
             range: FeatureRange::unknown(),
         }
     }
+}
 
+impl AnalyticModel {
     /// A model with given unit costs in seconds: of a frame, then of each of [`COST_QUANTITIES`].
     ///
     /// # Errors
@@ -162,7 +148,7 @@ impl AnalyticModel {
         if costs.iter().all(|&c| c == 0.0) {
             bail!(InvalidArgument, "all unit costs are zero; at least one must be positive");
         }
-        Ok(Self { costs, fitted: true, ..Self::new() })
+        Ok(Self { costs, fitted: true, ..Self::default() })
     }
 
     /// Fits the unit costs to measured frames by non-negative least squares, reweighted in rounds until it
@@ -280,7 +266,10 @@ impl AnalyticModel {
             output: None,
             target: Target::Seconds,
         };
-        let features = COST_QUANTITIES[..used - 1].iter().map(|&q| SceneFeature::linear(q)).collect();
+        let features = COST_QUANTITIES[..used - 1]
+            .iter()
+            .map(|&quantity| SceneFeature { quantity, log: false })
+            .collect();
         InputLayout::new(&[GroupKind::SceneFeatures], features, 0, 0)?.store(&parts, &mut file)?;
         let stored = Stored {
             level: UPPER_LEVEL,
@@ -342,7 +331,7 @@ impl AnalyticModel {
     }
 
     /// The cost in parts for a frame at a setting.
-    pub fn parts(&self, features: &FrameFeatures, setting: &Setting) -> CostTerms {
+    pub(crate) fn parts(&self, features: &FrameFeatures, setting: &Setting) -> CostTerms {
         let work = features.cost_work(setting);
         let mut sums = [0.0f64; TERMS];
         for ((cost, amount), part) in self.costs.iter().zip(&work).zip(PART_OF) {
@@ -381,7 +370,8 @@ impl Predictor for AnalyticModel {
     }
 
     fn identity(&self) -> u32 {
-        crc32fast::hash(bytemuck::cast_slice(&self.costs))
+        // Little-endian whatever the machine, so that a saved state fits its model on any.
+        crc32fast::hash(self.costs.map(f64::to_le_bytes).as_flattened())
     }
 
     fn log_sd(&self) -> Option<f32> {
@@ -466,7 +456,7 @@ mod tests {
 
     #[test]
     fn exact_times_give_back_their_costs() {
-        let mut model = AnalyticModel::new();
+        let mut model = AnalyticModel::default();
         let report = model.fit(&UnitCosts::SOFTWARE, &measurements(200, 0.0, false)).unwrap();
         assert!(report.median_error < 2e-3 && report.p95_error < 1e-2, "{report:?}");
         for (i, (&c, &t)) in model.costs().0.iter().zip(&TRUTH).enumerate().take(7) {
@@ -484,7 +474,7 @@ mod tests {
         for m in &mut rows {
             m.seconds = dot(&truth, &m.work);
         }
-        let (mut plain, mut asked) = (AnalyticModel::new(), AnalyticModel::new());
+        let (mut plain, mut asked) = (AnalyticModel::default(), AnalyticModel::default());
         let report = plain.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
         assert!(plain.costs().0[COMMON_COSTS..].iter().all(|&c| c == 0.0) && report.median_error > 0.02);
         assert!(asked.fit(&UnitCosts::CONVERTING, &rows).unwrap().median_error < 3e-3);
@@ -504,7 +494,7 @@ mod tests {
 
     #[test]
     fn noise_and_outliers_do_not_carry_it_away() {
-        let mut model = AnalyticModel::new();
+        let mut model = AnalyticModel::default();
         let report = model.fit(&UnitCosts::SOFTWARE, &measurements(200, 0.1, true)).unwrap();
         assert!(report.median_error < 0.06, "{report:?}");
         let clean = measurements(50, 0.0, false);
@@ -518,7 +508,7 @@ mod tests {
     #[test]
     fn a_handful_of_equal_frames_is_enough_to_set_the_scale() {
         let one = measurements(1, 0.0, false)[0];
-        let mut model = AnalyticModel::new();
+        let mut model = AnalyticModel::default();
         model.fit(&UnitCosts::SOFTWARE, &[one; 3]).unwrap();
         assert!((model.seconds_of(&one.work) / one.seconds - 1.0).abs() < 0.02);
         let mut double = one.work;
@@ -534,7 +524,7 @@ mod tests {
             rows.push(Measurement { seconds, ..rows[0] });
         }
         rows.push(Measurement { work: [f64::NAN; COSTS], seconds: 1.0 });
-        let mut model = AnalyticModel::new();
+        let mut model = AnalyticModel::default();
         let report = model.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
         assert_eq!((report.used, report.refused), (20, 5));
         // A time that no frame takes teaches nothing, the longest that one takes does.
@@ -553,12 +543,12 @@ mod tests {
         );
         assert_eq!(model, before);
         assert!(AnalyticModel::from_costs([0.0; COSTS]).is_err());
-        assert!(AnalyticModel::from_costs([-1.0; COSTS]).unwrap_err().message().contains("frame"));
+        assert!(AnalyticModel::from_costs([-1.0; COSTS]).unwrap_err().to_string().contains("frame"));
     }
 
     #[test]
     fn range_scores_rise_outside_what_was_seen() {
-        let mut model = AnalyticModel::new();
+        let mut model = AnalyticModel::default();
         let rows = measurements(100, 0.0, false);
         assert!(model.range.score(&range_point(&rows[0].work)).is_nan());
         model.fit(&UnitCosts::SOFTWARE, &rows).unwrap();

@@ -35,7 +35,7 @@ pub struct Prediction {
 /// A prediction as a sum of parts that can be corrected apart from each other.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CostTerms {
-    /// Seconds of each part, none negative; [`CostTerms::seconds`] is their sum.
+    /// Seconds of each part, none negative; their sum is the prediction.
     pub parts: [f32; TERMS],
     /// As [`Prediction::out_of_range`].
     pub out_of_range: f32,
@@ -53,7 +53,7 @@ impl CostTerms {
     }
 
     /// The sum of the parts.
-    pub fn seconds(&self) -> f32 {
+    pub(crate) fn seconds(&self) -> f32 {
         self.parts.iter().sum()
     }
 }

@@ -79,8 +79,8 @@ pub struct InputLayout {
     pub unit_costs: Option<UnitCosts>,
     /// Whether Gaussian lobes go in by ascending center, or as they are given.
     pub sorted_lobes: bool,
-    /// Rays along each side of the probe behind scene features that need one, 1 to [`MAX_PROBE_SIDE`]; see
-    /// [`InputLayout::probe_side`].
+    /// Rays along each side of the probe behind the scene features, 1 to [`MAX_PROBE_SIDE`]; 0 where none of them
+    /// needs a probe.
     pub probe_side: usize,
 }
 
@@ -123,10 +123,10 @@ impl InputLayout {
         }
         Ok(Self {
             groups: sized,
+            probe_side: if need_probe(&scene_features) { PROBE_SIDE } else { 0 },
             scene_features,
             unit_costs: None,
             sorted_lobes: false,
-            probe_side: PROBE_SIDE,
         })
     }
 
@@ -143,22 +143,14 @@ impl InputLayout {
             .map(|group| Ok((group.name.parse::<GroupKind>()?, group.size)))
             .collect::<Result<Vec<_>>>()?;
         let scene_features = model.scene_features().iter().map(|n| n.parse()).collect::<Result<Vec<_>>>()?;
-        let mut layout = Self {
+        let probe_side = if need_probe(&scene_features) { stated_probe_side(model)? } else { 0 };
+        Ok(Self {
             groups,
             scene_features,
             unit_costs: UnitCosts::of(model)?,
             sorted_lobes: takes_sorted_lobes(model)?,
-            probe_side: PROBE_SIDE,
-        };
-        if layout.probe_side() > 0 {
-            layout.probe_side = stated_probe_side(model)?;
-        }
-        Ok(layout)
-    }
-
-    /// Rays along each side of the probe behind the inputs; 0 where none needs the probe.
-    pub fn probe_side(&self) -> usize {
-        if self.scene_features.iter().any(|f| f.quantity.needs_probe()) { self.probe_side } else { 0 }
+            probe_side,
+        })
     }
 
     /// Whether the ray step enters any input.
@@ -170,11 +162,6 @@ impl InputLayout {
     /// Numbers per row.
     pub fn width(&self) -> usize {
         self.groups.iter().map(|(_, size)| size).sum()
-    }
-
-    /// Whether a group is among them.
-    pub fn takes(&self, group: GroupKind) -> bool {
-        self.groups.iter().any(|g| g.0 == group)
     }
 
     /// Puts a network with this layout into a model file: the network's tensors and what its inputs are.
@@ -193,8 +180,8 @@ impl InputLayout {
         }
         if !self.scene_features.is_empty() {
             file.set_scene_features(&self.scene_features)?;
-            if ![0, PROBE_SIDE].contains(&self.probe_side()) {
-                file.metadata.insert(Key::ProbeSide.into(), self.probe_side().to_string());
+            if ![0, PROBE_SIDE].contains(&self.probe_side) {
+                file.metadata.insert(Key::ProbeSide.into(), self.probe_side.to_string());
             }
         }
         Ok(())
@@ -306,6 +293,11 @@ impl InputLayout {
     }
 }
 
+/// Whether rays must be cast to know these features.
+fn need_probe(features: &[SceneFeature]) -> bool {
+    features.iter().any(|f| f.quantity.needs_probe())
+}
+
 fn copy(group: GroupKind, values: &[f32], out: &mut [f32]) -> Result<()> {
     if out.len() != values.len() {
         bail!(
@@ -381,7 +373,7 @@ mod tests {
     #[test]
     fn a_layout_knows_the_step_by_its_group_or_by_any_feature_that_depends_on_it() {
         let of = |groups: &[GroupKind], quantity| {
-            InputLayout::new(groups, vec![SceneFeature::log(quantity)], 1, 1).unwrap().knows_step()
+            InputLayout::new(groups, vec![SceneFeature { quantity, log: true }], 1, 1).unwrap().knows_step()
         };
         for &quantity in SceneQuantity::ALL {
             assert_eq!(of(&[GroupKind::SceneFeatures], quantity), quantity.depends_on_step());
@@ -396,13 +388,13 @@ mod tests {
             assert_eq!(e.kind(), ErrorKind::InvalidArgument);
             e
         };
-        assert!(says(&[]).message().contains("at least one input group"));
-        assert!(says(&[GroupKind::Camera, GroupKind::Camera]).message().contains("camera is named twice"));
-        assert!(says(&[GroupKind::VolumeFeatures]).message().contains("volume_features needs an encoder"));
-        assert!(says(&[GroupKind::TransferFunction]).message().contains("at least one Gaussian lobe"));
-        assert!(says(&[GroupKind::SceneFeatures]).message().contains("scene_features names no feature"));
+        assert!(says(&[]).to_string().contains("at least one input group"));
+        assert!(says(&[GroupKind::Camera, GroupKind::Camera]).to_string().contains("camera is named twice"));
+        assert!(says(&[GroupKind::VolumeFeatures]).to_string().contains("volume_features needs an encoder"));
+        assert!(says(&[GroupKind::TransferFunction]).to_string().contains("at least one Gaussian lobe"));
+        assert!(says(&[GroupKind::SceneFeatures]).to_string().contains("scene_features names no feature"));
         let layout = InputLayout::new(&[GroupKind::StepSize, GroupKind::Camera], Vec::new(), 0, 0).unwrap();
-        assert_eq!((layout.width(), layout.probe_side()), (4, 0));
-        assert!(layout.takes(GroupKind::Camera) && !layout.takes(GroupKind::Resolution));
+        assert_eq!((layout.width(), layout.probe_side), (4, 0));
+        assert!(layout.groups.iter().map(|g| g.0).eq([GroupKind::StepSize, GroupKind::Camera]));
     }
 }

@@ -22,4 +22,5 @@ pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
 pub use layout::{InputLayout, InputValues};
 pub use network::{ModelPredictor, load};
 pub(crate) use seconds::CLAMPED_SCORE;
-pub use seconds::{LONGEST_FRAME, LONGEST_PREDICTION, SHORTEST_PREDICTION, check_batch, checked_seconds};
+pub(crate) use seconds::checked_seconds;
+pub use seconds::{LONGEST_FRAME, PREDICTED_SECONDS, check_predictions};

@@ -125,10 +125,10 @@ impl ModelPredictor {
         let calibration = Stored::of(model)?
             .and_then(|s| s.log_factor)
             .map_or(Calibration::default(), |log_factor| Calibration { log_factor });
-        let scratch = net.scratch()?;
+        let scratch = net.scratch(1)?;
         Ok(Self {
             knows_step: layout.knows_step(),
-            probe_side: layout.probe_side(),
+            probe_side: layout.probe_side,
             layout,
             net,
             spread,
@@ -166,6 +166,15 @@ impl ModelPredictor {
 /// A checksum of everything behind a model's predictions: the weights, what goes in, and the metadata, which
 /// names the renderer, the device and the clock where they are known.
 fn identity_of(model: &Model) -> u32 {
+    // Little-endian whatever the machine, so that a saved state fits its model on any.
+    let numbers = |hash: &mut crc32fast::Hasher, values: &[f32]| {
+        let mut bytes = [0; 256];
+        for chunk in values.chunks(64) {
+            let bytes = &mut bytes[..4 * chunk.len()];
+            bytes.as_chunks_mut().0.iter_mut().zip(chunk).for_each(|(b, v)| *b = v.to_le_bytes());
+            hash.update(bytes);
+        }
+    };
     let mut hash = crc32fast::Hasher::new();
     for (key, value) in model.metadata() {
         for text in [key, value] {
@@ -176,12 +185,12 @@ fn identity_of(model: &Model) -> u32 {
     if let Some(net) = model.prednet() {
         for layer in &net.layers {
             hash.update(&(layer.inputs as u64).to_le_bytes());
-            hash.update(bytemuck::cast_slice(&layer.weight));
-            hash.update(bytemuck::cast_slice(&layer.bias));
+            numbers(&mut hash, &layer.weight);
+            numbers(&mut hash, &layer.bias);
         }
         for norm in [&net.input, &net.output].into_iter().flatten() {
-            hash.update(bytemuck::cast_slice(&norm.mean));
-            hash.update(bytemuck::cast_slice(&norm.std));
+            numbers(&mut hash, &norm.mean);
+            numbers(&mut hash, &norm.std);
         }
     }
     hash.finalize()
@@ -271,12 +280,20 @@ mod tests {
     fn inputs<'a>(features: &'a FrameFeatures, x: &'a [f32], lobes: &'a [GaussianLobe]) -> Inputs<'a> {
         Inputs {
             features,
-            setting: Setting::of(&frame()).with_step(3.0),
-            changes: Changes::NONE,
+            setting: Setting { step: 3.0, ..Setting::from(&frame()) },
+            changes: Changes::default(),
             camera: Arcball { rx: 10.0, ry: 20.0, dz: 2.0 },
             volume_features: Some(x),
             lobes: Some(lobes),
         }
+    }
+
+    #[test]
+    fn a_models_identity_is_the_same_on_every_machine() {
+        let norm = Normalization { mean: vec![1.0, 2.0, 3.0], std: vec![4.0, 5.0, 6.0] };
+        let identity = |norm| identity_of(&model(&[("camera", 3)], &[], Target::LogSeconds, norm));
+        // Of the little-endian bytes, by zlib.
+        assert_eq!([identity(None), identity(Some(norm))], [3_801_741_576, 2_685_955_157]);
     }
 
     #[test]
@@ -295,7 +312,7 @@ mod tests {
             None,
         );
         let mut p = ModelPredictor::new(&m).unwrap();
-        let features = FrameFeatures::new();
+        let features = FrameFeatures::default();
         let lobes = [GaussianLobe { center: 0.1, width: 0.2, height: 0.3 }];
         let x = [7.0, 8.0];
         let inputs = inputs(&features, &x, &lobes);
@@ -328,7 +345,7 @@ mod tests {
             }
             ModelPredictor::new(&file.to_model().unwrap())
         };
-        let features = FrameFeatures::new();
+        let features = FrameFeatures::default();
         let late = GaussianLobe { center: 0.9, width: 0.2, height: 0.3 };
         let early = GaussianLobe { center: 0.1, width: 0.4, height: 0.5 };
         let (given, swapped) = ([late, early], [early, late]);
@@ -343,7 +360,7 @@ mod tests {
 
     #[test]
     fn a_group_that_was_not_supplied_is_an_error_and_never_zero() {
-        let features = FrameFeatures::new();
+        let features = FrameFeatures::default();
         let lobes = [GaussianLobe { center: 0.1, width: 0.2, height: 0.3 }; 2];
         let x = [1.0];
         let full = inputs(&features, &x, &lobes);
@@ -351,7 +368,7 @@ mod tests {
             let mut p = ModelPredictor::new(&model(&[group], &[], Target::Seconds, None)).unwrap();
             let e = p.predict(inputs).unwrap_err();
             assert_eq!(e.kind(), ErrorKind::MissingInput);
-            assert!(e.message().contains(text), "{e}");
+            assert!(e.to_string().contains(text), "{e}");
         };
         check(("volume_features", 2), &Inputs { volume_features: None, ..full }, "none were supplied");
         check(("volume_features", 2), &full, "supplies 1");
@@ -394,7 +411,7 @@ mod tests {
         for bad in ["0", "25", "-1", "seven", ""] {
             let e = of(&["samples"], Some(bad)).unwrap_err();
             assert_eq!(e.kind(), ErrorKind::InvalidModel);
-            assert!(e.message().contains("entire.probe_side") && e.message().contains("1 to 24"), "{e}");
+            assert!(e.to_string().contains("entire.probe_side") && e.to_string().contains("1 to 24"), "{e}");
         }
     }
 
@@ -404,7 +421,7 @@ mod tests {
         let m = model(&[("resolution", 2)], &[], Target::Seconds, Some(norm));
         let mut p = ModelPredictor::new(&m).unwrap();
         assert!(!p.knows_step());
-        let features = FrameFeatures::new();
+        let features = FrameFeatures::default();
         let mut i = inputs(&features, &[], &[]);
         assert_eq!(p.predict(&i).unwrap().out_of_range, 0.0);
         i.setting.width = 164;
@@ -444,7 +461,7 @@ mod tests {
         }
         assert_eq!(back.calibration.log_factor, 0.25);
         // The same file through the network's path gives the same seconds.
-        let features = FrameFeatures::new();
+        let features = FrameFeatures::default();
         let inputs = inputs(&features, &[], &[]);
         let mut net = ModelPredictor::new(&model).unwrap();
         let (a, b) = (load(&model).unwrap().predict(&inputs).unwrap(), net.predict(&inputs).unwrap());

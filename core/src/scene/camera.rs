@@ -1,4 +1,4 @@
-//! The camera: arcball angles and distance, or any rigid view matrix, with a field of view.
+//! The camera: arcball angles and distance, or any rigid view matrix, with a field of view or parallel rays.
 
 use crate::Result;
 use crate::error::bail;
@@ -18,13 +18,35 @@ pub struct Arcball {
     pub dz: f32,
 }
 
-/// A perspective camera in scene space: origin at the volume's center, unit = bounding-sphere radius. It
-/// looks along −z of its own space, y up.
+/// What a camera projects by.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Lens {
+    /// Rays leave the eye; vertical field of view in radians.
+    Perspective { fov_y: f32 },
+    /// Rays leave the plane through the eye, all along the view; half of the height that is seen.
+    Parallel { scale: f32 },
+}
+
+impl Lens {
+    const DEFAULT: Self = Self::Perspective { fov_y: DEFAULT_FOV_Y_DEGREES.to_radians() };
+}
+
+/// A camera in scene space: origin at the volume's center, unit = bounding-sphere radius. It looks along −z of
+/// its own space, y up. Its projection is a perspective one ([`Camera::with_fov_y_degrees`]) or a parallel one
+/// ([`Camera::with_parallel_scale`]); what lies behind the eye, or behind the plane that parallel rays leave,
+/// is not seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     view: Mat4,
-    fov_y: f32,
+    lens: Lens,
 }
+
+/// Smallest and largest [`Camera::with_parallel_scale`], bounding-sphere radii.
+const PARALLEL_SCALES: core::ops::RangeInclusive<f32> = 1e-6..=1e6;
+
+/// Distance of the plane that parallel rays leave from the center, where the eye is farther away: in front of
+/// everything that can be seen, and near enough to lose no digits.
+const PARALLEL_DISTANCE: f32 = 2.0;
 
 impl Camera {
     /// A camera on the arcball, with the default field of view. With all angles 0 the eye stands at (0, 0,
@@ -46,7 +68,7 @@ impl Camera {
         }
         let rotation = Mat4::from_rotation_x(reduce_degrees(rx)) * Mat4::from_rotation_y(-reduce_degrees(ry));
         let view = Mat4::from_translation(Vec3::new(0.0, 0.0, -dz)) * rotation;
-        Ok(Self { view, fov_y: DEFAULT_FOV_Y_DEGREES.to_radians() })
+        Ok(Self { view, lens: Lens::DEFAULT })
     }
 
     /// A camera from a rigid world-to-eye matrix (as OpenGL and VTK have it: column-major, looking along −z),
@@ -79,10 +101,10 @@ impl Camera {
             r.z_axis.extend(0.0),
             eye_of_center.extend(1.0),
         );
-        Ok(Self { view, fov_y: DEFAULT_FOV_Y_DEGREES.to_radians() })
+        Ok(Self { view, lens: Lens::DEFAULT })
     }
 
-    /// Sets the vertical field of view in degrees.
+    /// A perspective projection with a vertical field of view in degrees.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] unless it lies in (0, 179].
@@ -90,7 +112,26 @@ impl Camera {
         if !(degrees > 0.0 && degrees <= 179.0) {
             bail!(InvalidArgument, "vertical field of view is {degrees} degrees; it must lie in (0, 179]");
         }
-        self.fov_y = degrees.to_radians();
+        self.lens = Lens::Perspective { fov_y: degrees.to_radians() };
+        Ok(self)
+    }
+
+    /// A parallel (orthographic) projection. `scale` is half of the height that is seen, in bounding-sphere
+    /// radii: VTK's `ParallelScale` over the world radius. The picture does not depend on the distance of an
+    /// eye that stands before the volume.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] unless it lies in 1e-6 … 1e6.
+    pub fn with_parallel_scale(mut self, scale: f32) -> Result<Self> {
+        if !PARALLEL_SCALES.contains(&scale) {
+            bail!(
+                InvalidArgument,
+                "parallel scale is {scale} bounding-sphere radii; it must lie in {:e} to {:e}",
+                PARALLEL_SCALES.start(),
+                PARALLEL_SCALES.end()
+            );
+        }
+        self.lens = Lens::Parallel { scale };
         Ok(self)
     }
 
@@ -99,9 +140,26 @@ impl Camera {
         self.view
     }
 
-    /// Vertical field of view in radians.
+    /// Vertical field of view in radians; of a parallel camera the default, which goes with the distance that
+    /// [`Camera::to_arcball`] gives.
     pub(crate) fn fov_y(&self) -> f32 {
-        self.fov_y
+        match self.lens {
+            Lens::Perspective { fov_y } => fov_y,
+            Lens::Parallel { .. } => DEFAULT_FOV_Y_DEGREES.to_radians(),
+        }
+    }
+
+    /// Whether rays are parallel.
+    pub(crate) fn is_parallel(&self) -> bool {
+        matches!(self.lens, Lens::Parallel { .. })
+    }
+
+    /// Height that is seen at a depth, bounding-sphere radii.
+    pub(crate) fn height_at(&self, depth: f32) -> f32 {
+        match self.lens {
+            Lens::Perspective { fov_y } => 2.0 * libm::tanf(0.5 * fov_y) * depth,
+            Lens::Parallel { scale } => 2.0 * scale,
+        }
     }
 
     /// The eye in scene space.
@@ -112,14 +170,25 @@ impl Camera {
 
     /// The arcball pose that a model's `camera` group takes: angles from the eye's position about the center
     /// (pan and roll have no place in it), angles in (−180, 180], the distance as it is.
+    ///
+    /// Of a parallel camera: the angles of its direction, and the distance from which the default field of
+    /// view sees as much, scale / tan([`DEFAULT_FOV_Y_DEGREES`] / 2).
     pub fn to_arcball(&self) -> Arcball {
-        let eye = self.eye();
-        let dz = eye.length();
+        let (from, dz) = match self.lens {
+            Lens::Perspective { .. } => {
+                let eye = self.eye();
+                (eye, eye.length())
+            }
+            Lens::Parallel { scale } => {
+                let dz = scale / libm::tanf(0.5 * self.fov_y());
+                (Mat3::from_mat4(self.view).row(2) * dz, dz)
+            }
+        };
         if dz.is_nan() || dz <= 1e-12 {
             return Arcball { rx: 0.0, ry: 0.0, dz: 0.0 };
         }
-        let rx = libm::asinf((eye.y / dz).clamp(-1.0, 1.0)).to_degrees();
-        let ry = libm::atan2f(eye.x, eye.z).to_degrees();
+        let rx = libm::asinf((from.y / dz).clamp(-1.0, 1.0)).to_degrees();
+        let ry = libm::atan2f(from.x, from.z).to_degrees();
         Arcball { rx, ry, dz }
     }
 
@@ -127,20 +196,36 @@ impl Camera {
     /// halves, y down: origin and unit direction in scene space.
     #[cfg(test)]
     pub(crate) fn ray(&self, px: f32, py: f32, width: u32, height: u32) -> (Vec3, Vec3) {
-        let (origin, right, up, forward) = self.ray_basis(width, height);
+        let (origin, direction) = self.ray_basis(width, height);
         let u = 2.0 * px / width as f32 - 1.0;
         let v = 1.0 - 2.0 * py / height as f32;
-        (origin, (forward + u * right + v * up).normalize())
+        let at = |basis: [Vec3; 3]| basis[0] + u * basis[1] + v * basis[2];
+        (at(origin), at(direction).normalize())
     }
 
-    /// The basis of primary rays, for renderers: eye, then the image plane's half-width vector,
-    /// half-height vector and forward unit vector. A ray's direction is `forward + u·right + v·up`, u and v
-    /// in [−1, 1].
-    pub fn ray_basis(&self, width: u32, height: u32) -> (Vec3, Vec3, Vec3, Vec3) {
+    /// The basis of primary rays, for renderers. The ray at (u, v) of the image, both in [−1, 1], u to the
+    /// right and v up, leaves `origin[0] + u·origin[1] + v·origin[2]` along `direction[0] + u·direction[1] +
+    /// v·direction[2]` (not of unit length), where `(origin, direction)` is what this returns.
+    ///
+    /// The first of each are the eye and the unit vector that points forward. The others are half the width
+    /// and half the height of what is seen: at distance 1 and in the directions with a perspective
+    /// projection, where the origins' are 0; in the origins with a parallel one, where the directions' are 0.
+    pub fn ray_basis(&self, width: u32, height: u32) -> ([Vec3; 3], [Vec3; 3]) {
         let r = Mat3::from_mat4(self.view).transpose();
-        let half_height = libm::tanf(0.5 * self.fov_y);
+        let half_height = match self.lens {
+            Lens::Perspective { fov_y } => libm::tanf(0.5 * fov_y),
+            Lens::Parallel { scale } => scale,
+        };
         let half_width = half_height * width as f32 / height as f32;
-        (self.eye(), r.x_axis * half_width, r.y_axis * half_height, -r.z_axis)
+        let (right, up, forward) = (r.x_axis * half_width, r.y_axis * half_height, -r.z_axis);
+        match self.lens {
+            Lens::Perspective { .. } => ([self.eye(), Vec3::ZERO, Vec3::ZERO], [forward, right, up]),
+            Lens::Parallel { .. } => {
+                let mut view = self.view;
+                view.w_axis.z = view.w_axis.z.max(-PARALLEL_DISTANCE);
+                ([Self { view, ..*self }.eye(), right, up], [forward, Vec3::ZERO, Vec3::ZERO])
+            }
+        }
     }
 }
 
@@ -208,6 +293,42 @@ mod tests {
     }
 
     #[test]
+    fn parallel_rays_run_along_the_view_and_leave_its_plane() {
+        for (rx, ry, dz) in [(0.0, 0.0, 1.5), (25.0, 130.0, 0.3), (-70.0, 10.0, 2e5)] {
+            let camera = arc(rx, ry, dz).with_parallel_scale(0.8).unwrap();
+            let (_, forward) = camera.ray(32.0, 16.0, 64, 32);
+            for (x, y) in [(0.0, 0.0), (64.0, 32.0), (10.5, 30.5)] {
+                let (origin, direction) = camera.ray(x, y, 64, 32);
+                assert_eq!(direction, forward);
+                let eye = camera.view().transform_point3(origin);
+                let (u, v) = (x / 32.0 - 1.0, 1.0 - y / 16.0);
+                // Twice as wide as high, at the eye's depth or 2 before the center.
+                let depth = if dz > PARALLEL_DISTANCE { dz - PARALLEL_DISTANCE } else { 0.0 };
+                assert!((eye.truncate() - glam::Vec2::new(1.6 * u, 0.8 * v)).length() < 1e-5 * dz.max(1.0));
+                assert!((eye.z + depth).abs() < 1e-5 * dz.max(1.0), "{eye} {dz}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_parallel_camera_counts_as_the_default_lens_that_sees_as_much() {
+        let half = (0.5 * DEFAULT_FOV_Y_DEGREES.to_radians()).tan();
+        let lens = arc(25.0, 130.0, 2.5);
+        let parallel = arc(25.0, 130.0, 7.0).with_parallel_scale(2.5 * half).unwrap();
+        let (a, b) = (lens.to_arcball(), parallel.to_arcball());
+        assert!((a.rx - b.rx).abs() < 1e-3 && (a.ry - b.ry).abs() < 1e-3 && (a.dz - b.dz).abs() < 1e-5);
+        assert!((lens.height_at(2.5) - parallel.height_at(9.0)).abs() < 1e-5);
+        assert_eq!(lens.fov_y(), parallel.fov_y());
+        // Moved across, it looks the same way.
+        let across = Mat4::from_translation(Vec3::new(0.3, -0.2, 0.0)) * parallel.view();
+        let across =
+            Camera::from_world_view(across, Vec3::ZERO, 1.0).unwrap().with_parallel_scale(1.0).unwrap();
+        assert!((across.to_arcball().rx - b.rx).abs() < 1e-3);
+        // A field of view makes it a perspective camera again.
+        assert_eq!(parallel.with_fov_y_degrees(45.0).unwrap(), arc(25.0, 130.0, 7.0));
+    }
+
+    #[test]
     fn bad_poses_are_refused() {
         for (rx, ry, dz) in [
             (f32::NAN, 0.0, 1.0),
@@ -220,6 +341,9 @@ mod tests {
         }
         for fov in [0.0, -3.0, 180.0, f32::NAN] {
             assert!(arc(0.0, 0.0, 1.0).with_fov_y_degrees(fov).is_err());
+        }
+        for scale in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e-7, 2e6] {
+            assert!(arc(0.0, 0.0, 1.0).with_parallel_scale(scale).is_err());
         }
     }
 }

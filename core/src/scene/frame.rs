@@ -44,17 +44,36 @@ names! { Skipping:
     Distance "distance",
 }
 
-/// A frame to draw, beside its volume and transfer function.
+/// A frame to draw, beside its volume and transfer function. [`Frame::new`] has the usual modes; others are set by
+/// name:
+///
+/// ```
+/// # use entire_core::scene::{Arcball, Camera, Frame, Shading};
+/// # let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 30.0, dz: 2.0 })?;
+/// let frame = Frame { step: 2.0, shading: Shading::Local, ..Frame::new(camera, 640, 480)? }.checked()?;
+/// # let _ = frame;
+/// # Ok::<(), entire_core::Error>(())
+/// ```
+///
+/// Whatever takes a frame refuses one that [`Frame::checked`] refuses.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
-    camera: Camera,
-    width: u32,
-    height: u32,
-    step: f32,
-    shading: Shading,
-    skipping: Skipping,
-    termination: f32,
-    jitter: bool,
+    /// From where.
+    pub camera: Camera,
+    /// Image width in pixels, 1 to [`MAX_IMAGE_SIDE`].
+    pub width: u32,
+    /// Image height in pixels, 1 to [`MAX_IMAGE_SIDE`].
+    pub height: u32,
+    /// Ray step in multiples of the reference step, 1/64 to 4096.
+    pub step: f32,
+    /// What is computed at each sample.
+    pub shading: Shading,
+    /// How empty space is skipped.
+    pub skipping: Skipping,
+    /// Accumulated opacity at which a ray stops, over 0 to 1; 1 switches early termination off.
+    pub termination: f32,
+    /// Whether ray starts are jittered.
+    pub jitter: bool,
 }
 
 impl Frame {
@@ -64,13 +83,7 @@ impl Frame {
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a size of 0 or over [`MAX_IMAGE_SIDE`].
     pub fn new(camera: Camera, width: u32, height: u32) -> Result<Self> {
-        if width == 0 || height == 0 || width > MAX_IMAGE_SIDE || height > MAX_IMAGE_SIDE {
-            bail!(
-                InvalidArgument,
-                "image size is {width} x {height}; both sides must lie in 1…{MAX_IMAGE_SIDE} pixels"
-            );
-        }
-        Ok(Self {
+        Self {
             camera,
             width,
             height,
@@ -79,94 +92,31 @@ impl Frame {
             skipping: Skipping::Blocks,
             termination: 0.99,
             jitter: false,
-        })
+        }
+        .checked()
     }
 
-    /// Sets the ray step in multiples of the reference step.
+    /// The frame itself, where it can be drawn.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless it lies in [1/64, 4096].
-    pub fn with_step(mut self, step: f32) -> Result<Self> {
+    /// [`crate::ErrorKind::InvalidArgument`] for a size of 0 or over [`MAX_IMAGE_SIDE`], a step outside of [1/64, 4096]
+    /// or a termination outside of (0, 1].
+    #[inline]
+    pub fn checked(self) -> Result<Self> {
+        let Self { width, height, step, termination, .. } = self;
+        if width == 0 || height == 0 || width > MAX_IMAGE_SIDE || height > MAX_IMAGE_SIDE {
+            bail!(
+                InvalidArgument,
+                "image size is {width} x {height}; both sides must lie in 1…{MAX_IMAGE_SIDE} pixels"
+            );
+        }
         if !(1.0 / 64.0..=4096.0).contains(&step) {
             bail!(InvalidArgument, "ray step is {step} reference steps; it must lie in [0.015625, 4096]");
         }
-        self.step = step;
-        Ok(self)
-    }
-
-    /// Sets the accumulated opacity at which a ray stops; 1 switches early termination off.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless it lies in (0, 1].
-    pub fn with_termination(mut self, opacity: f32) -> Result<Self> {
-        if !(opacity > 0.0 && opacity <= 1.0) {
-            bail!(InvalidArgument, "termination opacity is {opacity}; it must lie in (0, 1], 1 for none");
+        if !(termination > 0.0 && termination <= 1.0) {
+            bail!(InvalidArgument, "termination opacity is {termination}; it must lie in (0, 1], 1 for none");
         }
-        self.termination = opacity;
         Ok(self)
-    }
-
-    /// Sets the shading mode.
-    pub fn with_shading(mut self, shading: Shading) -> Self {
-        self.shading = shading;
-        self
-    }
-
-    /// Sets the skipping mode.
-    pub fn with_skipping(mut self, skipping: Skipping) -> Self {
-        self.skipping = skipping;
-        self
-    }
-
-    /// Switches jittered ray starts on or off.
-    pub fn with_jitter(mut self, jitter: bool) -> Self {
-        self.jitter = jitter;
-        self
-    }
-
-    /// The camera.
-    pub fn camera(&self) -> &Camera {
-        &self.camera
-    }
-
-    /// Image width in pixels.
-    pub fn width(&self) -> u32 {
-        self.width
-    }
-
-    /// Image height in pixels.
-    pub fn height(&self) -> u32 {
-        self.height
-    }
-
-    /// Number of pixels.
-    pub fn pixels(&self) -> u64 {
-        u64::from(self.width) * u64::from(self.height)
-    }
-
-    /// Ray step in multiples of the reference step.
-    pub fn step(&self) -> f32 {
-        self.step
-    }
-
-    /// Shading mode.
-    pub fn shading(&self) -> Shading {
-        self.shading
-    }
-
-    /// Skipping mode.
-    pub fn skipping(&self) -> Skipping {
-        self.skipping
-    }
-
-    /// Accumulated opacity at which a ray stops.
-    pub fn termination(&self) -> f32 {
-        self.termination
-    }
-
-    /// Whether ray starts are jittered.
-    pub fn jitter(&self) -> bool {
-        self.jitter
     }
 }
 
@@ -180,12 +130,17 @@ mod tests {
         let camera = Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 }).unwrap();
         assert!(Frame::new(camera, 0, 5).is_err() && Frame::new(camera, 5, MAX_IMAGE_SIDE + 1).is_err());
         let frame = Frame::new(camera, 1, 1).unwrap();
-        for bad in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e9] {
-            assert!(frame.with_step(bad).is_err());
+        assert_eq!(frame.checked(), Ok(frame));
+        for step in [0.0, -1.0, f32::NAN, f32::INFINITY, 1e9] {
+            assert!(Frame { step, ..frame }.checked().is_err(), "{step}");
         }
-        for bad in [0.0, 1.1, f32::NAN] {
-            assert!(frame.with_termination(bad).is_err());
+        for termination in [0.0, 1.1, f32::NAN] {
+            assert!(Frame { termination, ..frame }.checked().is_err(), "{termination}");
         }
-        assert_eq!(frame.with_step(2.0).unwrap().step(), 2.0);
+        assert!(Frame { step: 2.0, termination: 1.0, ..frame }.checked().is_ok());
+        assert!(
+            Frame { width: 0, ..frame }.checked().is_err()
+                && Frame { height: 1 << 20, ..frame }.checked().is_err()
+        );
     }
 }

@@ -10,8 +10,8 @@ mod volume;
 pub use camera::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
 pub use frame::{Frame, MAX_IMAGE_SIDE, Shading, Skipping};
 pub use nodes::{ColorNode, Nodes, OpacityNode};
-pub use transfer::{
-    COLOR_RAMP, ControlPoint, GaussianLobe, OPACITY_FLOOR, TABLE_LEN, TransferFunction, TransferTable,
+pub use transfer::{COLOR_RAMP, ControlPoint, GaussianLobe, TABLE_LEN, TransferFunction, TransferTable};
+pub use volume::{
+    MAX_REPEATED_VOXELS, MAX_VOLUME_EDGE, ScalarType, Scalars, Shape, VolumeOptions, VolumeView,
 };
-pub use volume::{MAX_REPEATED_VOXELS, MAX_VOLUME_EDGE, ScalarType, Scalars, VolumeView};
-pub(crate) use volume::{bounding_radius, check_edges, check_spacing, normalize, ratios};
+pub(crate) use volume::{check_edges, check_spacing, normalize, ratios};

@@ -231,7 +231,7 @@ mod tests {
         let refuse = |nodes: Vec<OpacityNode>, words: &str| {
             let e = table(nodes, vec![], 0.0, 1.0).unwrap_err();
             assert_eq!(e.kind(), crate::ErrorKind::InvalidArgument);
-            assert!(e.message().contains(words), "{e}");
+            assert!(e.to_string().contains(words), "{e}");
         };
         refuse(vec![node(f64::NAN, 0.1, 0.5, 0.0)], "opacity node 0: position");
         refuse(vec![node(1.0, 0.1, 0.5, 0.0), node(0.5, 0.1, 0.5, 0.0)], "opacity node 1 at 0.5 lies before");
@@ -240,7 +240,9 @@ mod tests {
         refuse(vec![node(0.0, 0.5, -0.1, 0.0)], "midpoint");
         refuse(vec![node(0.0, 0.5, 0.5, f64::NAN)], "sharpness");
         let color = ColorNode { position: 0.0, color: [0.0, 2.0, 0.0], midpoint: 0.5, sharpness: 0.0 };
-        assert!(table(vec![], vec![color], 0.0, 1.0).unwrap_err().message().contains("color node 0: value"));
+        assert!(
+            table(vec![], vec![color], 0.0, 1.0).unwrap_err().to_string().contains("color node 0: value")
+        );
         assert!(table(vec![], vec![], 1.0, 0.0).is_err());
         assert!(table(vec![], vec![], f64::NAN, 0.0).is_err());
     }

@@ -14,7 +14,7 @@ pub const TABLE_LEN: usize = 256;
 /// Opacities below this, per reference step, count as zero, so that the tails of a Gaussian lobe leave empty
 /// space to skip. A ray of 1000 reference steps through such a medium would gather an opacity of at most
 /// 0.03.
-pub const OPACITY_FLOOR: f32 = 1.0 / 32768.0;
+pub(crate) const OPACITY_FLOOR: f32 = 1.0 / 32768.0;
 
 /// A Gaussian lobe of the opacity function O(s) = Σ h·exp(−(s − c)²/w) (paper, section "PredNet: Rendering
 /// Time Prediction").
@@ -161,7 +161,7 @@ impl TransferTable {
         out
     }
 
-    /// Whether entry `index` counts as having any opacity (see [`OPACITY_FLOOR`]).
+    /// Whether entry `index` counts as having any opacity: at least 1/32768 per reference step.
     ///
     /// # Panics
     /// When `index` is not below [`TABLE_LEN`].
@@ -361,7 +361,7 @@ mod tests {
         };
         assert!(lobe(f32::NAN, 0.1, 0.1).is_err());
         assert!(lobe(0.5, 0.0, 0.1).is_err());
-        assert!(lobe(0.5, 0.1, -0.1).unwrap_err().message().contains("lobe 0: height"));
+        assert!(lobe(0.5, 0.1, -0.1).unwrap_err().to_string().contains("lobe 0: height"));
         assert!(lobe(0.5, 0.1, f32::INFINITY).is_err());
         let point = |position, opacity| ControlPoint { position, color: [0.0; 3], opacity };
         assert!(TransferFunction::Points(vec![]).to_table().is_err());

@@ -59,19 +59,19 @@ pub enum Scalars<'a> {
 }
 
 impl Scalars<'_> {
+    /// The elements as floats, in order.
+    pub fn iter(&self) -> impl Iterator<Item = f32> + '_ {
+        (0..self.len()).map(|i| self.get(i))
+    }
+
     /// Number of elements in the slice.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         match self {
             Self::U8(s) => s.len(),
             Self::U16(s) => s.len(),
             Self::I16(s) => s.len(),
             Self::F32(s) => s.len(),
         }
-    }
-
-    /// Whether the slice has no element.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
     }
 
     /// The element type.
@@ -86,13 +86,66 @@ impl Scalars<'_> {
 
     /// The element at `index`, as a float.
     #[inline]
-    pub fn get(&self, index: usize) -> f32 {
+    pub(crate) fn get(&self, index: usize) -> f32 {
         match self {
             Self::U8(s) => f32::from(s[index]),
             Self::U16(s) => f32::from(s[index]),
             Self::I16(s) => f32::from(s[index]),
             Self::F32(s) => s[index],
         }
+    }
+}
+
+/// Sizes of a volume and the lengths that follow from them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Shape {
+    /// Voxels along x, y, z.
+    pub dims: [usize; 3],
+    /// Number of voxels.
+    pub voxels: u64,
+    /// Voxel spacing along x, y, z, in world units.
+    pub spacing: Vec3,
+    /// Radius of the box's bounding sphere in world units: the unit of length of scene space. Samples are centered in
+    /// their voxels: the box reaches half a voxel beyond the outermost ones.
+    pub bounding_radius: f32,
+    /// Half the box in scene space, so its length is 1.
+    pub half_extent: Vec3,
+    /// The reference ray step in scene space: the smallest voxel spacing.
+    pub reference_step: f32,
+}
+
+impl Shape {
+    pub(crate) fn new(dims: [usize; 3], spacing: Vec3) -> Self {
+        let extent = Vec3::new(dims[0] as f32, dims[1] as f32, dims[2] as f32) * spacing;
+        let bounding_radius = bounding_radius(extent);
+        Self {
+            dims,
+            voxels: dims.iter().map(|&n| n as u64).product(),
+            spacing,
+            bounding_radius,
+            half_extent: 0.5 * extent / bounding_radius,
+            reference_step: spacing.min_element() / bounding_radius,
+        }
+    }
+}
+
+/// What is known of a volume beside its voxels and sizes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VolumeOptions {
+    /// Elements from one voxel to the next along x, y, z; without them x runs fastest, without gaps. They may be zero
+    /// (a broadcast axis) and may overlap, as long as there are at most [`MAX_REPEATED_VOXELS`] voxels then.
+    pub strides: Option<[usize; 3]>,
+    /// Voxel spacing along x, y, z, in any common unit of length; 1 by default.
+    pub spacing: [f32; 3],
+    /// The scalar range that maps to [0, 1] (an ensemble shares one). Without it 0…255 for unsigned bytes, the finite
+    /// minimum…maximum for other types, which takes a scan over the voxels.
+    pub range: Option<(f32, f32)>,
+}
+
+impl Default for VolumeOptions {
+    fn default() -> Self {
+        Self { strides: None, spacing: [1.0; 3], range: None }
     }
 }
 
@@ -118,30 +171,28 @@ impl<'a> VolumeView<'a> {
     /// [`MAX_VOLUME_EDGE`] or when the slice is too short for the sizes or their product overflows. No voxel
     /// is read before all this is checked.
     pub fn new(scalars: Scalars<'a>, dims: [usize; 3]) -> Result<Self> {
-        let row = dims[0];
-        let slice = row.checked_mul(dims[1]).ok_or_else(|| overflow(dims))?;
-        Self::with_strides(scalars, dims, [1, row, slice])
+        Self::with(scalars, dims, VolumeOptions::default())
     }
 
-    /// As [`VolumeView::new`] with strides in elements. Strides may be zero (a broadcast axis) and may
-    /// overlap, as long as there are at most [`MAX_REPEATED_VOXELS`] voxels then.
+    /// As [`VolumeView::new`] with what is known beside the sizes. With a range, no voxel is looked at.
     ///
     /// # Errors
-    /// As [`VolumeView::new`], and [`ErrorKind::SizeMismatch`] for more voxels than that.
-    pub fn with_strides(scalars: Scalars<'a>, dims: [usize; 3], strides: [usize; 3]) -> Result<Self> {
+    /// As [`VolumeView::new`]; [`ErrorKind::SizeMismatch`] for strides that repeat elements of more than
+    /// [`MAX_REPEATED_VOXELS`] voxels; [`ErrorKind::InvalidArgument`] unless the spacings are finite, positive, within
+    /// 1e-30…1e30, the largest at most 1e6 times the smallest, and unless both ends of a range are finite and
+    /// `low <= high`.
+    pub fn with(scalars: Scalars<'a>, dims: [usize; 3], options: VolumeOptions) -> Result<Self> {
+        let strides = match options.strides {
+            Some(strides) => strides,
+            None => [1, dims[0], dims[0].checked_mul(dims[1]).ok_or_else(|| overflow(dims))?],
+        };
         let mut view = Self::unranged(scalars, dims, strides)?;
-        view.range = view.default_range();
+        view.spacing = check_spacing(options.spacing)?;
+        view.range = match options.range {
+            Some(range) => check_range(range)?,
+            None => view.default_range(),
+        };
         Ok(view)
-    }
-
-    /// As [`VolumeView::new`] with a scalar range that is known, so that no voxel is looked at.
-    ///
-    /// # Errors
-    /// As [`VolumeView::new`] and [`VolumeView::with_range`].
-    pub fn with_known_range(scalars: Scalars<'a>, dims: [usize; 3], range: (f32, f32)) -> Result<Self> {
-        let row = dims[0];
-        let slice = row.checked_mul(dims[1]).ok_or_else(|| overflow(dims))?;
-        Self::unranged(scalars, dims, [1, row, slice])?.with_range(range.0, range.1)
     }
 
     fn unranged(scalars: Scalars<'a>, dims: [usize; 3], strides: [usize; 3]) -> Result<Self> {
@@ -186,43 +237,18 @@ impl<'a> VolumeView<'a> {
         Ok(Self { scalars, dims, strides, spacing: Vec3::ONE, range: (0.0, 1.0) })
     }
 
-    /// Sets the voxel spacing along x, y, z (any common unit of length).
-    ///
-    /// # Errors
-    /// [`ErrorKind::InvalidArgument`] unless all three are finite, positive, within 1e-30…1e30, and the
-    /// largest is at most 1e6 times the smallest.
-    pub fn with_spacing(mut self, spacing: [f32; 3]) -> Result<Self> {
-        self.spacing = check_spacing(spacing)?;
-        Ok(self)
-    }
-
-    /// Sets the scalar range that maps to [0, 1] (an ensemble shares one).
-    ///
-    /// # Errors
-    /// [`ErrorKind::InvalidArgument`] unless both ends are finite and `low <= high`.
-    pub fn with_range(mut self, low: f32, high: f32) -> Result<Self> {
-        if !(low.is_finite() && high.is_finite() && low <= high) {
-            bail!(
-                InvalidArgument,
-                "scalar range is {low}…{high}; both ends must be finite and the low end not above the high one"
-            );
-        }
-        self.range = (low, high);
-        Ok(self)
-    }
-
     /// The voxels.
     pub fn scalars(&self) -> Scalars<'a> {
         self.scalars
     }
 
-    /// The element type.
-    pub fn scalar_type(&self) -> ScalarType {
-        self.scalars.scalar_type()
+    /// Sizes and lengths of the box.
+    pub fn shape(&self) -> Shape {
+        Shape::new(self.dims, self.spacing)
     }
 
     /// Voxels along x, y, z.
-    pub fn dims(&self) -> [usize; 3] {
+    pub(crate) fn dims(&self) -> [usize; 3] {
         self.dims
     }
 
@@ -237,13 +263,8 @@ impl<'a> VolumeView<'a> {
         self.strides == [1, self.dims[0], self.dims[0] * self.dims[1]]
     }
 
-    /// Number of voxels.
-    pub fn voxels(&self) -> u64 {
-        self.dims.iter().map(|&n| n as u64).product()
-    }
-
     /// Voxel spacing along x, y, z.
-    pub fn spacing(&self) -> Vec3 {
+    pub(crate) fn spacing(&self) -> Vec3 {
         self.spacing
     }
 
@@ -252,30 +273,9 @@ impl<'a> VolumeView<'a> {
         self.range
     }
 
-    /// World size of the volume's box: voxels × spacing (voxel-centered samples, the box reaches half a voxel
-    /// beyond).
-    pub(crate) fn extent(&self) -> Vec3 {
-        Vec3::new(self.dims[0] as f32, self.dims[1] as f32, self.dims[2] as f32) * self.spacing
-    }
-
-    /// Radius of the bounding sphere in world units: the unit of length of scene space.
-    pub fn bounding_radius(&self) -> f32 {
-        bounding_radius(self.extent())
-    }
-
-    /// Half the box in scene space (unit = bounding-sphere radius), so its length is 1.
-    pub fn half_extent(&self) -> Vec3 {
-        0.5 * self.extent() / self.bounding_radius()
-    }
-
-    /// The reference ray step in scene space: the smallest voxel spacing.
-    pub fn reference_step(&self) -> f32 {
-        self.spacing.min_element() / self.bounding_radius()
-    }
-
     /// Element index of a voxel. Panics in debug builds when out of bounds.
     #[inline]
-    pub fn index(&self, x: usize, y: usize, z: usize) -> usize {
+    pub(crate) fn index(&self, x: usize, y: usize, z: usize) -> usize {
         debug_assert!(x < self.dims[0] && y < self.dims[1] && z < self.dims[2]);
         x * self.strides[0] + y * self.strides[1] + z * self.strides[2]
     }
@@ -421,6 +421,16 @@ fn overflow(dims: [usize; 3]) -> Error {
     )
 }
 
+fn check_range((low, high): (f32, f32)) -> Result<(f32, f32)> {
+    if !(low.is_finite() && high.is_finite() && low <= high) {
+        bail!(
+            InvalidArgument,
+            "scalar range is {low}…{high}; both ends must be finite and the low end not above the high one"
+        );
+    }
+    Ok((low, high))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -441,10 +451,29 @@ mod tests {
     #[test]
     fn a_known_range_is_taken_without_a_scan() {
         let floats = [f32::NAN, -2.0, 9.0, 6.0];
-        let v = VolumeView::with_known_range(Scalars::F32(&floats), [4, 1, 1], (0.0, 12.0)).unwrap();
+        let v = VolumeView::with(
+            Scalars::F32(&floats),
+            [4, 1, 1],
+            VolumeOptions { range: Some((0.0, 12.0)), ..VolumeOptions::default() },
+        )
+        .unwrap();
         assert_eq!((v.range(), v.normalized(3, 0, 0)), ((0.0, 12.0), 0.5));
-        assert!(VolumeView::with_known_range(Scalars::F32(&floats), [4, 1, 1], (1.0, 0.0)).is_err());
-        assert!(VolumeView::with_known_range(Scalars::F32(&floats), [4, 2, 1], (0.0, 1.0)).is_err());
+        assert!(
+            VolumeView::with(
+                Scalars::F32(&floats),
+                [4, 1, 1],
+                VolumeOptions { range: Some((1.0, 0.0)), ..VolumeOptions::default() }
+            )
+            .is_err()
+        );
+        assert!(
+            VolumeView::with(
+                Scalars::F32(&floats),
+                [4, 2, 1],
+                VolumeOptions { range: Some((0.0, 1.0)), ..VolumeOptions::default() }
+            )
+            .is_err()
+        );
     }
 
     #[test]
@@ -470,7 +499,12 @@ mod tests {
     fn strides_address_a_sub_block() {
         // The 2 x 2 x 2 corner at (1, 1, 1) of a 3 x 4 x 5 volume.
         let data: Vec<u16> = (0..60).collect();
-        let v = VolumeView::with_strides(Scalars::U16(&data[1 + 3 + 12..]), [2, 2, 2], [1, 3, 12]).unwrap();
+        let v = VolumeView::with(
+            Scalars::U16(&data[1 + 3 + 12..]),
+            [2, 2, 2],
+            VolumeOptions { strides: Some([1, 3, 12]), ..VolumeOptions::default() },
+        )
+        .unwrap();
         assert_eq!(v.value(0, 0, 0), 16.0);
         assert_eq!(v.value(1, 1, 1), 32.0);
         assert!(!v.is_contiguous());
@@ -482,9 +516,10 @@ mod tests {
         let kind = |d| VolumeView::new(Scalars::U8(&data), d).unwrap_err();
         assert_eq!(kind([0, 1, 1]).kind(), ErrorKind::InvalidArgument);
         assert_eq!(kind([11, 1, 1]).kind(), ErrorKind::SizeMismatch);
-        assert!(kind([3, 2, 2]).message().contains("needs 12 elements, the slice has 10"));
+        assert!(kind([3, 2, 2]).to_string().contains("needs 12 elements, the slice has 10"));
         assert_eq!(kind([usize::MAX, usize::MAX, 2]).kind(), ErrorKind::SizeMismatch);
-        let v = VolumeView::new(Scalars::U8(&data), [10, 1, 1]).unwrap();
+        let with = |options| VolumeView::with(Scalars::U8(&data), [10, 1, 1], options).map_err(|e| e.kind());
+        let refused = Some(ErrorKind::InvalidArgument);
         for bad in [
             [0.0, 1.0, 1.0],
             [1.0, -1.0, 1.0],
@@ -492,15 +527,24 @@ mod tests {
             [1.0, 1.0, f32::INFINITY],
             [1.0, 1.0, 1e7],
         ] {
-            assert_eq!(v.with_spacing(bad).unwrap_err().kind(), ErrorKind::InvalidArgument);
+            assert_eq!(with(VolumeOptions { spacing: bad, ..VolumeOptions::default() }).err(), refused);
         }
-        assert!(v.with_range(2.0, 1.0).is_err() && v.with_range(f32::NAN, 1.0).is_err());
+        for bad in [(2.0, 1.0), (f32::NAN, 1.0), (0.0, f32::INFINITY)] {
+            assert_eq!(with(VolumeOptions { range: Some(bad), ..VolumeOptions::default() }).err(), refused);
+        }
+        assert_eq!(with(VolumeOptions::default()).unwrap().range(), (0.0, 255.0));
     }
 
     #[test]
     fn declared_sizes_are_refused_before_a_voxel_is_read() {
         let one = [0.0f32];
-        let strided = |n: [usize; 3], strides| VolumeView::with_strides(Scalars::F32(&one), n, strides);
+        let strided = |n: [usize; 3], strides| {
+            VolumeView::with(
+                Scalars::F32(&one),
+                n,
+                VolumeOptions { strides: Some(strides), ..VolumeOptions::default() },
+            )
+        };
         for (n, says) in [
             (200_000, "at most 134217728 voxels"),
             (1 << 21, "an axis has at most 1048576"),
@@ -508,40 +552,61 @@ mod tests {
         ] {
             let error = strided([n; 3], [0; 3]).unwrap_err();
             assert_eq!(error.kind(), ErrorKind::SizeMismatch, "{n}");
-            assert!(error.message().contains(says), "{error}");
+            assert!(error.to_string().contains(says), "{error}");
         }
         // Axes that overlap repeat elements as well.
         let voxels = [0u8; 3 * 512 + 1];
-        let overlapping = |n: usize| VolumeView::with_strides(Scalars::U8(&voxels), [n; 3], [1; 3]);
+        let overlapping = |n: usize| {
+            VolumeView::with(
+                Scalars::U8(&voxels),
+                [n; 3],
+                VolumeOptions { strides: Some([1; 3]), ..VolumeOptions::default() },
+            )
+        };
         assert!(overlapping(512).is_ok(), "2^27 voxels are accepted");
         assert!(overlapping(513).is_err());
         // A volume that repeats nothing is bounded by its own elements alone.
-        assert!(VolumeView::with_strides(Scalars::U8(&voxels), [512, 1, 1], [3, 9, 9]).is_ok());
+        assert!(
+            VolumeView::with(
+                Scalars::U8(&voxels),
+                [512, 1, 1],
+                VolumeOptions { strides: Some([3, 9, 9]), ..VolumeOptions::default() }
+            )
+            .is_ok()
+        );
     }
 
     #[test]
     fn geometry_holds_in_any_unit_of_length() {
         let data = [0u8; 4 * 2];
-        let plain = VolumeView::new(Scalars::U8(&data), [4, 2, 1]).unwrap();
-        let expected = plain.with_spacing([0.5, 1.0, 4.0]).unwrap();
+        let spaced = |spacing| {
+            let options = VolumeOptions { spacing, ..VolumeOptions::default() };
+            VolumeView::with(Scalars::U8(&data), [4, 2, 1], options)
+        };
+        let expected = spaced([0.5, 1.0, 4.0]).unwrap();
         for unit in [1e-29f32, 1e-12, 1e24, 1e29] {
-            let v = plain.with_spacing([0.5 * unit, unit, 4.0 * unit]).unwrap();
-            assert!((v.half_extent() - expected.half_extent()).length() < 1e-6, "{unit}");
-            assert!((v.reference_step() - expected.reference_step()).abs() < 1e-6, "{unit}");
+            let v = spaced([0.5 * unit, unit, 4.0 * unit]).unwrap();
+            assert!((v.shape().half_extent - expected.shape().half_extent).length() < 1e-6, "{unit}");
+            assert!((v.shape().reference_step - expected.shape().reference_step).abs() < 1e-6, "{unit}");
         }
         for unit in [1e-31, 1e31] {
-            assert!(plain.with_spacing([unit; 3]).is_err());
+            assert!(spaced([unit; 3]).is_err());
         }
     }
 
     #[test]
     fn geometry_is_spacing_aware() {
         let data = [0u8; 4 * 2];
-        let v =
-            VolumeView::new(Scalars::U8(&data), [4, 2, 1]).unwrap().with_spacing([0.5, 1.0, 4.0]).unwrap();
-        assert_eq!(v.extent(), Vec3::new(2.0, 2.0, 4.0));
-        assert!((v.bounding_radius() - 0.5 * 24f32.sqrt()).abs() < 1e-6);
-        assert!((v.half_extent().length() - 1.0).abs() < 1e-6);
-        assert!((v.reference_step() - 0.5 / v.bounding_radius()).abs() < 1e-7);
+        let v = VolumeView::with(
+            Scalars::U8(&data),
+            [4, 2, 1],
+            VolumeOptions { spacing: [0.5, 1.0, 4.0], ..VolumeOptions::default() },
+        )
+        .unwrap();
+        let extent = 2.0 * v.shape().half_extent * v.shape().bounding_radius;
+        assert!((extent - Vec3::new(2.0, 2.0, 4.0)).length() < 1e-6, "{extent}");
+        assert!((v.shape().bounding_radius - 0.5 * 24f32.sqrt()).abs() < 1e-6);
+        assert!((v.shape().half_extent.length() - 1.0).abs() < 1e-6);
+        assert!((v.shape().reference_step - 0.5 / v.shape().bounding_radius).abs() < 1e-7);
     }
 }

@@ -3,8 +3,6 @@
 //! Tasks are given by their times on a node of speed 1; a node of speed 2 takes half of them. An assignment
 //! is made from *predicted* times and judged by *measured* ones: [`Assignment::makespan`] takes any times.
 
-mod exchange;
-
 use crate::Result;
 use crate::error::bail;
 use crate::memory::{collected, filled};
@@ -23,12 +21,13 @@ pub struct Assignment {
 }
 
 impl Assignment {
-    /// Total time of each node for given task times and node speeds.
+    /// Time until the last node is done, for given task times and node speeds.
     ///
     /// # Errors
     /// [`crate::ErrorKind::SizeMismatch`] when `times` or `speeds` have another length than this assignment
-    /// has tasks or nodes; [`crate::ErrorKind::InvalidArgument`] for a time or speed that is not usable.
-    pub(crate) fn loads(&self, times: &[f64], speeds: &[f64]) -> Result<Vec<f64>> {
+    /// has tasks or nodes; [`crate::ErrorKind::InvalidArgument`] for a time or speed that is not usable, or a task on a
+    /// node that there is not.
+    pub fn makespan(&self, times: &[f64], speeds: &[f64]) -> Result<f64> {
         check(times, speeds)?;
         if times.len() != self.node_of.len() || speeds.len() != self.nodes {
             bail!(
@@ -42,18 +41,12 @@ impl Assignment {
         }
         let mut loads = filled(self.nodes, 0.0)?;
         for (&node, &time) in self.node_of.iter().zip(times) {
-            loads[node] += time / speeds[node];
+            let Some(load) = loads.get_mut(node) else {
+                bail!(InvalidArgument, "the assignment names node {node}, there are {}", self.nodes);
+            };
+            *load += time / speeds[node];
         }
-        Ok(loads)
-    }
-
-    /// Time until the last node is done.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::SizeMismatch`] when `times` or `speeds` have another length than this assignment
-    /// has tasks or nodes; [`crate::ErrorKind::InvalidArgument`] for a time or speed that is not usable.
-    pub fn makespan(&self, times: &[f64], speeds: &[f64]) -> Result<f64> {
-        Ok(self.loads(times, speeds)?.into_iter().fold(0.0, f64::max))
+        Ok(loads.into_iter().fold(0.0, f64::max))
     }
 }
 
@@ -88,26 +81,6 @@ pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment>
         node_of[task] = node;
     }
     Ok(Assignment { node_of, nodes: speeds.len() })
-}
-
-/// No schedule without preemption ends before this: all work over all speed, and for every k the k longest
-/// tasks over the k fastest nodes.
-///
-/// # Errors
-/// As [`assign_longest_first`].
-pub fn lower_bound(times: &[f64], speeds: &[f64]) -> Result<f64> {
-    check(times, speeds)?;
-    let mut fastest = speeds.to_vec();
-    fastest.sort_by(|a, b| b.total_cmp(a));
-    let order = longest_first(times)?;
-    let mut bound = times.iter().sum::<f64>() / speeds.iter().sum::<f64>();
-    let (mut work, mut speed) = (0.0, 0.0);
-    for (&task, &s) in order.iter().zip(&fastest) {
-        work += times[task];
-        speed += s;
-        bound = bound.max(work / speed);
-    }
-    Ok(bound)
 }
 
 fn check(times: &[f64], speeds: &[f64]) -> Result<()> {

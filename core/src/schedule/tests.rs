@@ -33,21 +33,6 @@ fn grahams_worst_case_is_met_exactly() {
     let times = [3.0, 3.0, 2.0, 2.0, 2.0];
     let a = assign_longest_first(&times, &ones(2)).unwrap();
     assert_eq!(a.makespan(&times, &ones(2)).unwrap(), 7.0);
-    assert_eq!(lower_bound(&times, &ones(2)).unwrap(), 6.0);
-}
-
-#[test]
-fn exchanges_repair_grahams_worst_case() {
-    let times = [3.0, 3.0, 2.0, 2.0, 2.0];
-    let mut a = assign_longest_first(&times, &ones(2)).unwrap();
-    a.exchange(&times, &ones(2)).unwrap();
-    assert_eq!(a.makespan(&times, &ones(2)).unwrap(), 6.0);
-    // All on one node of three: moves alone bring it down.
-    let mut a = Assignment { node_of: vec![1; 9], nodes: 3 };
-    a.exchange(&[1.0; 9], &ones(3)).unwrap();
-    assert_eq!(a.loads(&[1.0; 9], &ones(3)).unwrap(), [3.0, 3.0, 3.0]);
-    assert!(Assignment { node_of: vec![0; 2], nodes: 1 }.exchange(&[1.0], &ones(1)).is_err());
-    assert!(Assignment { node_of: vec![5; 1], nodes: 1 }.exchange(&[1.0], &ones(1)).is_err());
 }
 
 #[test]
@@ -66,25 +51,19 @@ fn fast_nodes_get_more() {
 }
 
 #[test]
-fn one_long_task_bounds_everything() {
-    let mut times = vec![1.0; 20];
-    times[19] = 100.0;
-    assert_eq!(lower_bound(&times, &ones(8)).unwrap(), 100.0);
-    assert_eq!(lower_bound(&times, &[1.0, 4.0]).unwrap(), 25.0);
-}
-
-#[test]
 fn nonsense_is_refused_with_the_culprit_named() {
     let kind = |r: Result<Assignment>| r.unwrap_err();
-    assert!(kind(assign_longest_first(&[1.0], &[])).message().contains("no nodes"));
-    assert!(kind(assign_longest_first(&[1.0, f64::NAN], &[1.0])).message().contains("task 1"));
-    assert!(kind(assign_longest_first(&[-1.0], &[1.0])).message().contains("task 0"));
-    assert!(kind(assign_longest_first(&[1.0], &[1.0, 0.0])).message().contains("node 1"));
+    assert!(kind(assign_longest_first(&[1.0], &[])).to_string().contains("no nodes"));
+    assert!(kind(assign_longest_first(&[1.0, f64::NAN], &[1.0])).to_string().contains("task 1"));
+    assert!(kind(assign_longest_first(&[-1.0], &[1.0])).to_string().contains("task 0"));
+    assert!(kind(assign_longest_first(&[1.0], &[1.0, 0.0])).to_string().contains("node 1"));
     let many = alloc::vec![1.0; MAX_NODES + 1];
     assert!(assign_longest_first(&[1.0], &many[1..]).is_ok());
-    assert!(kind(assign_longest_first(&[1.0], &many)).message().contains("1048577 nodes, at most 1048576"));
+    assert!(kind(assign_longest_first(&[1.0], &many)).to_string().contains("1048577 nodes, at most 1048576"));
     let a = assign_longest_first(&[1.0, 2.0], &[1.0]).unwrap();
     assert_eq!(a.makespan(&[1.0], &[1.0]).unwrap_err().kind(), ErrorKind::SizeMismatch);
+    let astray = Assignment { node_of: vec![5], nodes: 1 }.makespan(&[1.0], &[1.0]).unwrap_err();
+    assert!(astray.to_string().contains("names node 5, there are 1"), "{astray}");
     assert_eq!(assign_longest_first(&[], &[1.0]).unwrap().makespan(&[], &[1.0]).unwrap(), 0.0);
 }
 
@@ -95,19 +74,6 @@ proptest! {
     fn longest_first_is_within_grahams_bound_of_the_optimum(times in prop::collection::vec(0.01f64..10.0, 1..9), nodes in 1usize..4) {
         let best = optimum(&times, nodes);
         let got = assign_longest_first(&times, &ones(nodes)).unwrap().makespan(&times, &ones(nodes)).unwrap();
-        let bound = lower_bound(&times, &ones(nodes)).unwrap();
-        prop_assert!(bound <= best * (1.0 + 1e-12));
         prop_assert!(got <= best * (4.0 / 3.0 - 1.0 / (3.0 * nodes as f64)) + 1e-9);
-    }
-
-    #[test]
-    fn exchanges_never_do_harm(times in prop::collection::vec(0.0f64..10.0, 1..60), speeds in prop::collection::vec(0.2f64..4.0, 1..9)) {
-        let before = assign_longest_first(&times, &speeds).unwrap();
-        let mut after = before.clone();
-        after.exchange(&times, &speeds).unwrap();
-        let (b, a) = (before.makespan(&times, &speeds).unwrap(), after.makespan(&times, &speeds).unwrap());
-        prop_assert!(a <= b * (1.0 + 1e-12), "{a} {b}");
-        prop_assert!(a >= lower_bound(&times, &speeds).unwrap() * (1.0 - 1e-12));
-        prop_assert!(after.node_of.len() == times.len() && after.node_of.iter().all(|&n| n < speeds.len()));
     }
 }

@@ -1,12 +1,14 @@
 //! What a person or a script asks for.
 
 use super::{App, Waiting};
+use crate::camera::Axis;
 use crate::exchange;
 use crate::loading::Job;
 use crate::scene::Crop;
 use crate::script::Action;
 use crate::state::Command;
 use crate::transfer::{Curve, Opacity};
+use crate::whole::write_whole;
 use crate::work_map::WorkMap;
 use anyhow::{Context, Result, bail};
 use ash::vk;
@@ -82,7 +84,7 @@ impl App {
         } else {
             exchange::to_own(curve)?
         };
-        std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))
+        write_whole(file, text.as_bytes())
     }
 
     fn save_recording(&mut self, file: &Path) -> Result<()> {
@@ -93,7 +95,7 @@ impl App {
         self.host.save_recording(file, &recorder.finish())
     }
 
-    fn load(&mut self, path: PathBuf) -> Result<()> {
+    pub(super) fn load(&mut self, path: PathBuf) -> Result<()> {
         self.start(Job {
             path,
             index: 0,
@@ -169,6 +171,15 @@ impl App {
             Action::Camera([rx, ry, dz]) => {
                 state.view.set_arcball(Arcball { rx, ry, dz });
                 state.changed.cut = true;
+            }
+            Action::View(name) => {
+                let axis = Axis::ALL.into_iter().find(|a| a.name() == name);
+                state.view.look_along(axis.with_context(|| format!("there is no view {name:?}"))?);
+                state.changed.cut = true;
+            }
+            Action::Orthographic(on) => {
+                state.changed.cut |= state.view.orthographic != on;
+                state.view.orthographic = on;
             }
             Action::Zoom(factor) => {
                 state.view.zoom(factor);

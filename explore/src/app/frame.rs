@@ -3,6 +3,7 @@
 use super::{App, FULL, Pictures, STEERED, Waiting};
 use crate::loading::{Loaded, warm};
 use crate::log::{Beside, thread_seconds};
+use crate::present::Presented;
 use crate::state::{Changed, Shown};
 use crate::steering::{FrameRecord, Planned};
 use crate::transfer::Edited;
@@ -75,7 +76,7 @@ impl App {
         }
         let Some(presenter) = &mut self.presenter else { return Ok(()) };
         let presented = presenter.show(output.pixels_per_point, &primitives, output.textures_delta)?;
-        interface += thread_seconds() - cpu;
+        interface += thread_seconds() - cpu - presented.handing;
         if !presented.shown {
             self.redraw();
         }
@@ -84,7 +85,7 @@ impl App {
             let waited = if presenter_waits(&self.presenter) { presented.display } else { 0.0 };
             let seconds = begin.elapsed().as_secs_f64() - waited;
             let lag = event_at.map_or(0, |at| self.shown - at);
-            self.note(&drawn, seconds, interface, presented.device, lag)?;
+            self.note(&drawn, seconds, interface, &presented, lag)?;
         }
         Ok(())
     }
@@ -212,7 +213,7 @@ impl App {
         let planned = state.steer.plan(&frame, before)?;
         let whole = Region::whole(&planned.frame);
         let cast = scene.raycaster.render_to(&planned.frame, whole, &mut pictures.steered)?.wall;
-        state.steer.observe(&planned, frame.shading(), cast, false)?;
+        state.steer.observe(&planned, frame.shading, cast, false)?;
         pictures.used = [whole.width, whole.height];
         state.picture = Some(Shown { steered: STEERED, full: None });
         state.probe = state.steer.probe(state.shading);
@@ -223,7 +224,14 @@ impl App {
     }
 
     /// Remembers and logs a drawn frame.
-    fn note(&mut self, drawn: &Drawn, seconds: f64, interface: f64, device: f64, lag: u64) -> Result<()> {
+    fn note(
+        &mut self,
+        drawn: &Drawn,
+        seconds: f64,
+        interface: f64,
+        presented: &Presented,
+        lag: u64,
+    ) -> Result<()> {
         let Drawn { planned, cast, before, switched } = *drawn;
         let steer = &mut self.state.steer;
         let record = FrameRecord {
@@ -247,8 +255,16 @@ impl App {
                 let opened = asked.elapsed().as_secs_f64();
                 log.event(self.number, "open", [opened, cast, seconds], steer.target)?;
             }
-            let (width, height) = (planned.frame.width(), planned.frame.height());
-            let beside = Beside { controller, input_frames: lag, width, height, before, shown: device };
+            let (width, height) = (planned.frame.width, planned.frame.height);
+            let beside = Beside {
+                controller,
+                input_frames: lag,
+                width,
+                height,
+                before,
+                shown: presented.device,
+                handing: presented.handing,
+            };
             log.frame(&record, &beside)?;
         }
         self.asked = None;
@@ -263,22 +279,23 @@ fn presenter_waits(presenter: &Option<crate::present::Presenter>) -> bool {
 
 /// Points the interface's pictures at their textures, and the steered one at the part that is in use. Where a
 /// frame was `cast` the refined picture is out of date; where that is whole (`refined`) it hides the steered one.
-fn aim(primitives: &mut [ClippedPrimitive], pictures: &Pictures, cast: bool, refined: bool) {
+/// Hidden meshes are dropped: an empty one is drawn still, and what it is drawn with must have been drawn before.
+fn aim(primitives: &mut Vec<ClippedPrimitive>, pictures: &Pictures, cast: bool, refined: bool) {
     let share = [0, 1].map(|a| {
         let (used, all) = (pictures.used[a] as f32, pictures.size[a] as f32);
         // What lies beyond the part in use must not be blended in.
         if pictures.used == pictures.size { 1.0 } else { (used - 0.5) / all }
     });
+    primitives.retain(|primitive| {
+        let Primitive::Mesh(mesh) = &primitive.primitive else { return true };
+        match mesh.texture_id {
+            STEERED => !refined && !pictures.steered.is_fresh(),
+            FULL => !cast && !pictures.full.is_fresh(),
+            _ => true,
+        }
+    });
     for primitive in primitives {
         let Primitive::Mesh(mesh) = &mut primitive.primitive else { continue };
-        let hidden = match mesh.texture_id {
-            STEERED => refined || pictures.steered.is_fresh(),
-            FULL => cast || pictures.full.is_fresh(),
-            _ => false,
-        };
-        if hidden {
-            mesh.clear();
-        }
         if mesh.texture_id == STEERED {
             mesh.texture_id = pictures.steered_id;
             for vertex in &mut mesh.vertices {

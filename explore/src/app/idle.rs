@@ -20,7 +20,7 @@ const SHOW_EVERY: Duration = Duration::from_millis(250);
 
 /// The share of the target that a slice is planned with: the rest is for what a slice finds dearer than the
 /// one before.
-const SLICE_SHARE: f64 = 0.8;
+const SLICE_SHARE: f64 = 0.75;
 
 impl App {
     /// Works for one slice at most; answers when to be called again.
@@ -86,10 +86,13 @@ impl App {
     /// The view at full quality.
     pub(super) fn full_frame(&self, [width, height]: [u32; 2]) -> Result<Frame> {
         let placement = self.scene.as_ref().map_or(crate::camera::Placement::WHOLE, |s| s.placement);
-        Ok(Frame::new(self.state.view.camera(placement)?, width, height)?
-            .with_termination(self.state.termination)?
-            .with_shading(self.state.shading)
-            .with_skipping(self.state.skipping))
+        Ok(Frame {
+            termination: self.state.termination,
+            shading: self.state.shading,
+            skipping: self.state.skipping,
+            ..Frame::new(self.state.view.camera(placement)?, width, height)?
+        }
+        .checked()?)
     }
 
     /// Seconds that a frame is expected to take; NaN where nothing is known.

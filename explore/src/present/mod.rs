@@ -5,6 +5,7 @@
 
 mod swapchain;
 
+use crate::log::thread_seconds;
 use anyhow::{Context, Result, anyhow};
 use ash::vk;
 use egui::epaint::textures::TexturesDelta;
@@ -45,6 +46,9 @@ pub(crate) struct Presented {
     pub(crate) display: f64,
     /// Seconds that the device took to draw the interface.
     pub(crate) device: f64,
+    /// Processor seconds of this thread in which the picture was handed to the display. Software drivers copy
+    /// it there pixel by pixel, whatever it shows.
+    pub(crate) handing: f64,
 }
 
 /// The window's side of the device.
@@ -249,7 +253,7 @@ impl Presenter {
         presented.display += begin.elapsed().as_secs_f64();
         if let Some(index) = acquired {
             let begin = Instant::now();
-            self.draw(index, pixels_per_point, primitives)?;
+            presented.handing = self.draw(index, pixels_per_point, primitives)?;
             presented.device = begin.elapsed().as_secs_f64();
             presented.shown = true;
         }
@@ -261,10 +265,10 @@ impl Presenter {
         Ok(presented)
     }
 
-    /// Records, submits, presents and waits.
-    fn draw(&mut self, index: u32, pixels_per_point: f32, primitives: &[ClippedPrimitive]) -> Result<()> {
+    /// Records, submits, presents and waits; gives [`Presented::handing`].
+    fn draw(&mut self, index: u32, pixels_per_point: f32, primitives: &[ClippedPrimitive]) -> Result<f64> {
         let (Some(egui), Some(swapchain)) = (&mut self.egui, &mut self.swapchain) else {
-            return Ok(());
+            return Ok(0.0);
         };
         let device = &self.device;
         let failed = |call: &'static str| move |r| device.error(call, r);
@@ -302,13 +306,15 @@ impl Presenter {
                 .with_queue(|queue| d.queue_submit(queue, &submit, self.fence))
                 .map_err(failed("vkQueueSubmit"))?;
         }
+        let cpu = thread_seconds();
         swapchain.present(index)?;
+        let handing = thread_seconds() - cpu;
         // SAFETY: the fence was submitted above; it is reset only once it has signaled.
         unsafe {
             d.wait_for_fences(&[self.fence], true, LONGEST_WAIT).map_err(failed("vkWaitForFences"))?;
             d.reset_fences(&[self.fence]).map_err(failed("vkResetFences"))?;
         }
-        Ok(())
+        Ok(handing)
     }
 }
 

@@ -40,7 +40,8 @@ pub(super) fn show(ui: &mut Ui, state: &State) {
     let high: Vec<f64> = bounded.iter().map(|r| r.upper.max(r.predicted) * 1e3).collect();
     let target = steer.target * 1e3;
     let most = history.iter().map(|r| r.seconds * 1e3).fold(2.0 * target, f64::max);
-    let height = ui.available_height();
+    // Both fill the panel to the point: it takes the height of what is in it, and the view the rest.
+    let height = ui.available_height() - ui.spacing().item_spacing.y;
     let plot = |id: &str, height: f32| {
         Plot::new(id)
             .height(height)
@@ -61,20 +62,23 @@ pub(super) fn show(ui: &mut Ui, state: &State) {
             .style(LineStyle::Dashed { length: 4.0 })
             .allow_hover(false)
     };
-    plot("times", 0.68 * height).legend(Legend::default()).show(ui, |plot| {
-        plot.set_plot_bounds_x(first..=first + REMEMBERED as f64);
-        plot.set_plot_bounds_y(0.0..=most.min(4.0 * target));
-        if xs.len() > 1 {
-            let band = FilledArea::new("predicted to bound", &xs, &low, &high);
-            plot.add(band.fill_color(PREDICTED.gamma_multiply(0.18)));
-        }
-        switches.iter().for_each(|x| plot.vline(mark(*x)));
-        plot.line(Line::new("full quality, ms", ms(|r| r.full * 1e3)).color(FULL).width(1.0));
-        plot.line(Line::new("predicted, ms", ms(|r| r.predicted * 1e3)).color(PREDICTED).width(1.2));
-        plot.line(Line::new("measured, ms", ms(|r| r.seconds * 1e3)).color(MEASURED).width(1.5));
-        plot.hline(HLine::new("target", target).color(TARGET));
-    });
-    plot("steps", 0.30 * height).show(ui, |plot| {
+    plot("times", 0.7 * height).legend(Legend::default().text_style(egui::TextStyle::Small)).show(
+        ui,
+        |plot| {
+            plot.set_plot_bounds_x(first..=first + REMEMBERED as f64);
+            plot.set_plot_bounds_y(0.0..=most.min(4.0 * target));
+            if xs.len() > 1 {
+                let band = FilledArea::new("predicted to bound", &xs, &low, &high);
+                plot.add(band.fill_color(PREDICTED.gamma_multiply(0.18)));
+            }
+            switches.iter().for_each(|x| plot.vline(mark(*x)));
+            plot.line(Line::new("full quality, ms", ms(|r| r.full * 1e3)).color(FULL).width(1.0));
+            plot.line(Line::new("predicted, ms", ms(|r| r.predicted * 1e3)).color(PREDICTED).width(1.2));
+            plot.line(Line::new("measured, ms", ms(|r| r.seconds * 1e3)).color(MEASURED).width(1.5));
+            plot.hline(HLine::new("target", target).color(TARGET));
+        },
+    );
+    plot("steps", 0.3 * height).show(ui, |plot| {
         let most = history.iter().map(|r| f64::from(r.step)).fold(2.0, f64::max);
         plot.set_plot_bounds_x(first..=first + REMEMBERED as f64);
         plot.set_plot_bounds_y(0.0..=1.05 * most);

@@ -82,7 +82,7 @@ fn bar(ui: &mut Ui, state: &mut State) {
 
 /// Keys that hold everywhere but in text that is typed.
 fn keys(ui: &Ui, state: &mut State) {
-    use crate::camera::{Axis, Viewpoint};
+    use crate::camera::Axis;
     use crate::state::Command;
     use egui::{Key, Modifiers};
     if ui.ctx().egui_wants_keyboard_input() {
@@ -90,8 +90,13 @@ fn keys(ui: &Ui, state: &mut State) {
     }
     let pressed = |key| ui.input_mut(|i| i.consume_key(Modifiers::NONE, key));
     let with_command = |key| ui.input_mut(|i| i.consume_key(Modifiers::COMMAND, key));
-    if with_command(Key::Z) && state.edited.undo() || with_command(Key::Y) && state.edited.redo() {
-        state.changed.transfer = true;
+    // A slow frame may bring several presses.
+    let times = |modifiers, key| ui.input_mut(|i| i.count_and_consume_key(modifiers, key));
+    for _ in 0..times(Modifiers::COMMAND | Modifiers::SHIFT, Key::Z) + times(Modifiers::COMMAND, Key::Y) {
+        state.changed.transfer |= state.edited.redo();
+    }
+    for _ in 0..times(Modifiers::COMMAND, Key::Z) {
+        state.changed.transfer |= state.edited.undo();
     }
     if with_command(Key::Q) {
         state.quit = true;
@@ -100,15 +105,20 @@ fn keys(ui: &Ui, state: &mut State) {
         let file = state.texts.screenshot.trim().into();
         state.commands.push(Command::Screenshot { file, size: state.screenshot_size });
     }
-    let jumps = [(Key::Num1, Axis::Front), (Key::Num2, Axis::Side), (Key::Num3, Axis::Top)];
-    for (key, axis) in jumps {
-        if pressed(key) {
+    // As modelers have it: 1, 2, 3 from the front, the right and the top, from the other side with Ctrl.
+    let axes = [Key::Num1, Key::Num2, Key::Num3].into_iter().cycle().zip(Axis::ALL);
+    for (i, (key, axis)) in axes.enumerate() {
+        if if i < 3 { pressed(key) } else { with_command(key) } {
             state.view.look_along(axis);
             state.changed.cut = true;
         }
     }
+    if pressed(Key::Num5) {
+        state.view.orthographic = !state.view.orthographic;
+        state.changed.cut = true;
+    }
     if pressed(Key::R) {
-        state.view = Viewpoint { fov_y: state.view.fov_y, ..Viewpoint::default() };
+        state.view.reset();
         state.changed.cut = true;
     }
     if pressed(Key::F) {

@@ -1,6 +1,6 @@
 //! The panels beside the view: steering, modes, camera, part, series, files.
 
-use crate::camera::{Axis, Viewpoint};
+use crate::camera::{Axis, DISTANCES, Viewpoint};
 use crate::recording::Recorder;
 use crate::state::{Command, State};
 use egui::{CollapsingHeader, ComboBox, DragValue, Slider, Ui};
@@ -101,19 +101,24 @@ fn modes(ui: &mut Ui, state: &mut State) {
 }
 
 fn camera(ui: &mut Ui, state: &mut State) {
-    ui.horizontal(|ui| {
-        for (name, axis) in [("front", Axis::Front), ("side", Axis::Side), ("top", Axis::Top)] {
-            if ui.button(name).clicked() {
-                state.view.look_along(axis);
+    for (row, control) in Axis::ALL.chunks(3).zip(["", "Ctrl+"]) {
+        ui.horizontal(|ui| {
+            for (i, axis) in row.iter().enumerate() {
+                if ui.button(axis.name()).on_hover_text(format!("{control}{}", i + 1)).clicked() {
+                    state.view.look_along(*axis);
+                    state.changed.cut = true;
+                }
+            }
+            if !control.is_empty() {
+                return;
+            }
+            if ui.button("reset").clicked() {
+                state.view = Viewpoint::default();
                 state.changed.cut = true;
             }
-        }
-        if ui.button("reset").clicked() {
-            state.view = Viewpoint::default();
-            state.changed.cut = true;
-        }
-        ui.toggle_value(&mut state.fly, "fly");
-    });
+            ui.toggle_value(&mut state.fly, "fly");
+        });
+    }
     ui.horizontal(|ui| {
         ui.label("field of view");
         let mut degrees = state.view.fov_y;
@@ -121,26 +126,27 @@ fn camera(ui: &mut Ui, state: &mut State) {
             state.view.set_fov(degrees);
             state.changed.camera = true;
         }
-        if ui
-            .button("parallel")
-            .on_hover_text(
-                "The raycaster's camera is a perspective one: a lens of 1° from afar is nearly parallel",
-            )
-            .clicked()
-        {
-            state.view.set_fov(1.0);
-            state.changed.cut = true;
-        }
+        let toggle = ui.toggle_value(&mut state.view.orthographic, "orthographic");
+        state.changed.cut |= toggle.on_hover_text("Parallel rays, without perspective (5)").changed();
     });
     ui.horizontal(|ui| {
-        for (label, value, range) in [
-            ("rx", &mut state.view.rx, -90.0..=90.0),
-            ("ry", &mut state.view.ry, -360.0..=360.0),
-            ("distance", &mut state.view.distance, 0.02..=200.0),
-        ] {
+        for (label, value, range) in
+            [("rx", &mut state.view.rx, -90.0..=90.0), ("ry", &mut state.view.ry, -360.0..=360.0)]
+        {
             ui.label(label);
             state.changed.camera |=
                 ui.add(DragValue::new(value).range(range).speed(0.2).max_decimals(2)).changed();
+        }
+        if let Some(mut scale) = state.view.parallel_scale() {
+            ui.label("scale").on_hover_text("Half of the height that is seen, in bounding-sphere radii");
+            if ui.add(DragValue::new(&mut scale).range(1e-3..=100.0).speed(0.01).max_decimals(3)).changed() {
+                state.view.set_parallel_scale(scale);
+                state.changed.camera = true;
+            }
+        } else {
+            ui.label("distance");
+            let distance = DragValue::new(&mut state.view.distance).range(DISTANCES);
+            state.changed.camera |= ui.add(distance.speed(0.2).max_decimals(2)).changed();
         }
     });
 }

@@ -98,7 +98,7 @@ fn mouse(ui: &Ui, state: &mut State, response: &egui::Response, rect: Rect) {
         }
     }
     if response.double_clicked() {
-        state.view = crate::camera::Viewpoint { fov_y: state.view.fov_y, ..Default::default() };
+        state.view.reset();
         state.changed.cut = true;
     }
 }

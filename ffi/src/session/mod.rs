@@ -67,11 +67,11 @@ pub unsafe extern "C" fn entire_session_new(
         limits.check()?;
         let hybrid = hybrid_options(&options)?;
         let predicts: Box<dyn Predictor + Send> =
-            if model.is_null() { Box::new(AnalyticModel::new()) } else { borrow(model)?.predictor()? };
+            if model.is_null() { Box::new(AnalyticModel::default()) } else { borrow(model)?.predictor()? };
         let model = if model.is_null() { None } else { Some(share(model)) };
         let mut made = Session::new(predicts, hybrid);
         if options.probe_side != 0 {
-            made = made.with_probe_side(options.probe_side as usize)?;
+            made = made.with_probe(options.probe_side as usize, None)?;
         }
         made.set_limits(limits)?;
         write(session, give(Loop { session: made, model, volume: None }), "session (output)")

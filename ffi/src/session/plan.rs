@@ -288,7 +288,7 @@ pub unsafe extern "C" fn entire_session_choose(
                 ));
             }
             let given = slice(settings, setting_count, "settings")?;
-            let mut settings = [entire_core::features::Setting::of(&frame); ENTIRE_MAX_SETTINGS];
+            let mut settings = [entire_core::features::Setting::from(&frame); ENTIRE_MAX_SETTINGS];
             for (slot, setting) in settings.iter_mut().zip(given) {
                 *slot = setting.checked()?;
             }

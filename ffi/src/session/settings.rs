@@ -47,8 +47,8 @@ pub unsafe extern "C" fn entire_session_set_volume(
                 None => None,
             };
             let kept = summary.try_clone()?;
-            state.volume = Some((kept.spacing(), kept.bounding_radius()));
-            state.session.set_volume_with(kept, features);
+            state.volume = Some((kept.shape().spacing, kept.shape().bounding_radius));
+            state.session.set_volume(kept, features);
             Ok(())
         })
     }

@@ -2,6 +2,9 @@
 
 pub mod farm;
 pub mod farm_bars;
+pub mod farm_sort_last;
+pub mod gpu_study;
+pub mod paper;
 pub mod record;
 pub mod replay;
 pub mod select;

@@ -5,14 +5,13 @@ use crate::latency::Bench;
 use anyhow::{Context, Result, ensure};
 use entire_cli::dataset::{Clock, noise_floor, read_tables};
 use entire_cli::files::{check_model_out, write_whole};
-use entire_cli::fit::{FitContext, FittedModel, Kind, Recipe, predict};
+use entire_cli::fit::{FitContext, FittedModel, Kind, Recipe, predict, standard_features};
 use entire_cli::metrics::Metrics;
 use entire_cli::options::thread_pool;
 use entire_cli::progress::templated_bar;
 use entire_cli::report::{Column, Table};
 use entire_cli::split::TimedFrames;
 use entire_cli::{bound, interrupt, machine};
-use entire_core::features::SceneFeature;
 use entire_core::model::Key;
 use serde_json::json;
 use std::path::PathBuf;
@@ -136,11 +135,8 @@ pub fn run(options: &Options) -> Result<()> {
         ("analytic".to_owned(), Recipe { kind: Kind::Analytic, ..base.clone() }),
         ("log-linear".to_owned(), Recipe { kind: Kind::Linear, ..base.clone() }),
     ];
-    let bare: Vec<String> = SceneFeature::STANDARD
-        .iter()
-        .filter(|f| !f.quantity.needs_probe())
-        .map(ToString::to_string)
-        .collect();
+    let bare: Vec<String> =
+        standard_features().iter().filter(|f| !f.quantity.needs_probe()).map(ToString::to_string).collect();
     for width in [8, 16, 32] {
         for layers in [vec![width], vec![width, width]] {
             let widths = layers.iter().map(ToString::to_string).collect::<Vec<_>>().join("-");
@@ -209,7 +205,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut dropped = Vec::new();
     // Backward elimination; the analytic model has no features to drop.
     while current.recipe.kind != Kind::Analytic {
-        let features: Vec<String> = current.recipe.features()?.iter().map(SceneFeature::to_string).collect();
+        let features: Vec<String> = current.recipe.features()?.iter().map(ToString::to_string).collect();
         if features.len() < 2 {
             break;
         }

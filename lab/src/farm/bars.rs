@@ -8,13 +8,14 @@ use anyhow::{Context, Result};
 use entire_cli::farm::dispatch::Order;
 use entire_cli::farm::job::Job;
 use entire_cli::farm::learn::{Shape, TOLD};
+use entire_cli::farm::list::lower_bound;
 use entire_cli::farm::load::Loads;
 use entire_cli::farm::planner::{Planner, Setting};
 use entire_cli::farm::simulate::{World, simulate};
 use entire_cli::farm::{Task, predict, volume_numbers};
 use entire_cli::farm::{database, drive};
 use entire_cli::metrics::median;
-use entire_core::schedule::{assign_longest_first, lower_bound};
+use entire_core::schedule::assign_longest_first;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use std::path::Path;
@@ -263,7 +264,7 @@ pub fn all(data: &Path, models: &Path, folder: &Path, starts: u64, runs: u64) ->
     thousand_nodes(main)?;
     println!("planning: {peak:.3} GB at most, {first:.2} s to the first bundle");
     let mut bars = vec![
-        Bar::at_most("farm-static-longest-first-of-measured-worst", Some(all_frames.max(paper)), 1.04),
+        Bar::at_most("farm-static-random-scenes-worst", Some(all_frames.max(paper)), 1.04),
         Bar::at_most("farm-loads-of-local-search", Some(loads), 1.05),
         Bar::at_most("farm-eta-median-error", Some(error), 0.05),
         Bar::at_least("farm-eta-interval-holds", Some(share), 0.85),

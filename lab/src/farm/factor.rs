@@ -24,9 +24,9 @@ const LIMIT: f64 = 0.5;
 /// share and step, the divergence of neighboring rays.
 fn terms(features: &FrameFeatures, setting: &Setting, camera: Arcball) -> Option<[f64; TERMS]> {
     let work = features.work(setting);
-    let of = |q: SceneQuantity| features.quantity(q, setting, &work, Changes::NONE);
+    let of = |q: SceneQuantity| features.quantity(q, setting, &work, Changes::default());
     let log = |v: f64| v.max(1e-3).ln();
-    let (_, _, _, forward) = Camera::from_arcball(camera).ok()?.ray_basis(setting.width, setting.height);
+    let (_, [forward, ..]) = Camera::from_arcball(camera).ok()?.ray_basis(setting.width, setting.height);
     let [x, y, z] = forward.to_array().map(|v| f64::from(v.abs()));
     let out = [
         x,
@@ -133,20 +133,20 @@ mod tests {
         let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
         let lobes = vec![GaussianLobe { center: 0.5, width: 0.05, height: 0.1 }];
         let table = TransferFunction::Gaussian(lobes.clone()).to_table().unwrap();
-        let mut transfer = TransferSummary::new(&summary, &table);
+        let mut transfer = TransferSummary::new(&summary, &table).unwrap();
         (0..160)
             .map(|i| {
                 let turn = i as f32 * 137.508 % 360.0;
                 let camera = Arcball { rx: (i * 31 % 80) as f32, ry: turn, dz: 1.5 + (i % 7) as f32 * 0.2 };
                 let frame = Frame::new(Camera::from_arcball(camera).unwrap(), 64, 64).unwrap();
-                let mut features = FrameFeatures::new();
-                features.measure(&summary, &mut transfer, &frame);
-                let x = f64::from(Camera::from_arcball(camera).unwrap().ray_basis(64, 64).3.x.abs());
+                let mut features = FrameFeatures::default();
+                features.measure(&summary, &mut transfer, &frame).expect("a frame");
+                let x = f64::from(Camera::from_arcball(camera).unwrap().ray_basis(64, 64).1[0].x.abs());
                 let seconds = law(x, f64::from(camera.dz));
                 Sample {
                     scene: i,
                     features,
-                    setting: Setting::of(&frame),
+                    setting: Setting::from(&frame),
                     camera,
                     lobes: lobes.clone(),
                     seconds,

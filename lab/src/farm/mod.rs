@@ -4,6 +4,7 @@ pub mod bars;
 mod compare;
 mod factor;
 mod search;
+pub mod sort_last;
 pub mod stand_in;
 mod tables;
 mod tasks;

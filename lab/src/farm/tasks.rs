@@ -41,15 +41,15 @@ impl Recorded {
         for (index, at) in path.frames.iter().enumerate() {
             let volume = trace.volume_at(index);
             let table = at.transfer.function().to_table()?;
-            let mut transfer = TransferSummary::new(&summaries[volume], &table);
+            let mut transfer = TransferSummary::new(&summaries[volume], &table)?;
             transfer.prepare_distance();
             let frame = trace.frame(&path, &draw, index)?;
-            features.measure(&summaries[volume], &mut transfer, &frame);
+            features.measure(&summaries[volume], &mut transfer, &frame)?;
             for p in trace.frames[index].iter().filter(|p| p.scale == 1.0) {
                 self.samples.push(Sample {
                     scene: self.scenes,
                     features: features.clone(),
-                    setting: Setting::of(&frame).with_step(p.step),
+                    setting: Setting { step: p.step, ..Setting::from(&frame) },
                     camera: at.camera,
                     lobes: at.transfer.lobes().unwrap_or_default(),
                     seconds: median(&mut p.seconds.clone()).context("a point without a time")?,
@@ -67,7 +67,7 @@ impl Recorded {
             self.samples.iter().zip(&self.volumes).filter(|(_, v)| keep(**v)).map(|(s, _)| s).collect();
         let measured: Vec<Measurement> =
             kept.iter().map(|s| Measurement::new(&s.features, &s.setting, s.seconds)).collect();
-        let mut model = AnalyticModel::new();
+        let mut model = AnalyticModel::default();
         model.fit(&UnitCosts::SOFTWARE, &measured)?;
         let pairs = kept.iter().map(|s| Ok((*s, predicted(&mut model, s)?))).collect::<Result<Vec<_>>>()?;
         Ok((model, Factor::fit(&pairs)))
@@ -168,20 +168,20 @@ pub fn tasks_of_trace(trace: &Trace, fitting: &Fitting<'_>) -> Result<Vec<Task>>
     for (index, at) in path.frames.iter().enumerate() {
         let volume = trace.volume_at(index);
         let table = at.transfer.function().to_table()?;
-        let mut transfer = TransferSummary::new(&summaries[volume], &table);
+        let mut transfer = TransferSummary::new(&summaries[volume], &table)?;
         if draw.skipping == Skipping::Distance {
             transfer.prepare_distance();
         }
         let frame = trace.frame(&path, &draw, index)?;
         let begin = std::time::Instant::now();
-        features.measure(&summaries[volume], &mut transfer, &frame);
+        features.measure(&summaries[volume], &mut transfer, &frame)?;
         let lobes = at.transfer.lobes();
-        let setting = Setting::of(&frame);
+        let setting = Setting::from(&frame);
         let predicted = predictor.predict(&Inputs {
             features: &features,
             setting,
-            changes: Changes::NONE,
-            camera: at.camera,
+            changes: Changes::default(),
+            camera: at.parallel_scale.map_or(at.camera, |_| features.pose()),
             volume_features: volume_features.as_deref(),
             lobes: lobes.as_deref(),
         })?;

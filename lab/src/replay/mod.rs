@@ -134,7 +134,7 @@ pub fn replay(
         let volume = recorded.trace.volume_at(index);
         let swapped = volume != shown;
         if swapped {
-            session.set_volume(recorded.summaries[volume].clone(), volume_features);
+            session.set_volume(recorded.summaries[volume].clone(), volume_features.map(<[f32]>::to_vec));
             shown = volume;
         }
         if at.transfer_changed || swapped {
@@ -142,7 +142,7 @@ pub fn replay(
             session.set_transfer(&table, at.transfer.lobes().as_deref()).with_context(place)?;
         }
         if at.camera_switched {
-            session.mark(Changes { camera: true, ..Changes::NONE });
+            session.mark(Changes { camera: true, ..Changes::default() });
         }
         let frame = recorded.trace.frame(&recorded.path, &draw, index).with_context(place)?;
         let target = targets[index];

@@ -51,7 +51,7 @@ impl Shot {
         speed: 1.0,
         wrong: 1.0,
         fixed_known: 2e-3,
-        changes: Changes::NONE,
+        changes: STEADY,
         target: 25e-3,
         heard: Heard::True,
         unusual: false,
@@ -60,8 +60,11 @@ impl Shot {
     };
 }
 
-const TRANSFER: Changes = Changes { transfer: true, ..Changes::NONE };
-const MODE: Changes = Changes { mode: true, ..Changes::NONE };
+/// Nothing changed.
+const STEADY: Changes =
+    Changes { first: false, transfer: false, volume: false, size: false, mode: false, camera: false };
+const TRANSFER: Changes = Changes { transfer: true, ..STEADY };
+const MODE: Changes = Changes { mode: true, ..STEADY };
 
 /// A script: frame number and noise to shot, how many frames, how strong the machine's noise is.
 struct Script<'a> {
@@ -129,7 +132,7 @@ fn play_script(
             feasible: clean(coarsest) <= shot.target,
             upper: f64::from(decision.upper),
             predicted: f64::from(decision.seconds),
-            first: shot.changes != Changes::NONE,
+            first: shot.changes != Changes::default(),
             excused: shot.excused,
             part: shot.part,
         };
@@ -203,7 +206,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
                 Shot {
                     work: if dense { 160e-3 } else { 20e-3 },
                     wrong: wrong.next(i == 0 || new, n),
-                    changes: if new { TRANSFER } else { Changes::NONE },
+                    changes: if new { TRANSFER } else { Changes::default() },
                     ..Shot::PLAIN
                 }
             },
@@ -216,7 +219,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
                     fixed: if drag { 6e-3 } else { 2e-3 },
                     work: if drag { 60e-3 * (1.0 + 0.5 * ((i - 60) as f64 / 30.0).sin()) } else { 60e-3 },
                     wrong: wrong.next(i == 0 || i == 60, n),
-                    changes: if drag { TRANSFER } else { Changes::NONE },
+                    changes: if drag { TRANSFER } else { Changes::default() },
                     ..Shot::PLAIN
                 }
             },
@@ -228,7 +231,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
                 Shot {
                     speed: if build { 40.0 } else { 1.0 },
                     wrong: wrong.next(build, n),
-                    changes: if i == 150 { MODE } else { Changes::NONE },
+                    changes: if i == 150 { MODE } else { Changes::default() },
                     unusual: i == 150,
                     excused: build,
                     ..Shot::PLAIN
@@ -285,7 +288,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
                         Source::Analytic,
                     )
                 };
-                let changes = Changes { first: i == 0, ..Changes::NONE };
+                let changes = Changes { first: i == 0, ..Changes::default() };
                 let d = c.plan(&mut PlanRequest { target: 25e-3, limits, changes, cost: &mut cost });
                 let clean = shot.fixed + shot.work * f64::from(d.step).powf(-EXPONENT);
                 let seconds = clean * (0.03 * noise.normal()).exp();
@@ -323,7 +326,7 @@ pub fn play(scene: usize, method: ControllerKind, soak: u64) -> Option<Verdict> 
                 Shot {
                     work: if i / 50 % 2 == 1 { 225e-3 } else { 15e-3 },
                     wrong: wrong.next(i == 0 || new, n),
-                    changes: if new { MODE } else { Changes::NONE },
+                    changes: if new { MODE } else { Changes::default() },
                     ..Shot::PLAIN
                 }
             },
@@ -491,7 +494,7 @@ fn long_run(method: ControllerKind, frames: u64) -> Verdict {
             work: if end { 60e-3 } else { 60e-3 * scale * (1.0 + 0.5 * (i as f64 / 300.0).sin()) },
             speed: if !end && i / 1500 % 2 == 1 { 2.5 } else { 1.0 },
             wrong: wrong.next(new || i == frames as usize, n),
-            changes: if new || i == frames as usize { TRANSFER } else { Changes::NONE },
+            changes: if new || i == frames as usize { TRANSFER } else { Changes::default() },
             heard,
             ..Shot::PLAIN
         }

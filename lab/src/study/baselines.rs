@@ -21,6 +21,32 @@ pub(super) fn constant(on: &OnSet<'_>, out: &mut Findings) {
     }
 }
 
+/// A line, by least squares.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Line {
+    middle: (f64, f64),
+    slope: f64,
+}
+
+impl Line {
+    /// Through some points (x, y).
+    pub(crate) fn through(points: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
+        let n = points.clone().count() as f64;
+        let (mx, my) = points.clone().fold((0.0, 0.0), |(x, y), p| (x + p.0 / n, y + p.1 / n));
+        let (mut xx, mut xy) = (0.0, 0.0);
+        for (x, y) in points {
+            xx += (x - mx) * (x - mx);
+            xy += (x - mx) * (y - my);
+        }
+        Self { middle: (mx, my), slope: if xx > 0.0 { xy / xx } else { 0.0 } }
+    }
+
+    /// Its value.
+    pub(crate) fn at(&self, x: f64) -> f64 {
+        self.middle.1 + self.slope * (x - self.middle.0)
+    }
+}
+
 /// The low-resolution proxy: seconds as a linear function of those of the same frame on 64³ voxels.
 pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut Findings) -> Result<()> {
     let (set, training, splits) = (on.set, &on.data.one_step.all, &on.data.splits);
@@ -36,14 +62,7 @@ pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut
     };
     let pairs = paired(training);
     ensure!(pairs.len() > 2, "set {}: low_resolution holds no frames of the training tables", set.name);
-    let n = pairs.len() as f64;
-    let (mx, my) = pairs.iter().fold((0.0, 0.0), |(x, y), (i, l)| (x + l / n, y + training.seconds[*i] / n));
-    let (mut xx, mut xy) = (0.0, 0.0);
-    for (i, l) in &pairs {
-        xx += (l - mx) * (l - mx);
-        xy += (l - mx) * (training.seconds[*i] - my);
-    }
-    let slope = if xx > 0.0 { xy / xx } else { 0.0 };
+    let line = Line::through(pairs.iter().map(|(i, l)| (*l, training.seconds[*i])));
     for (split, part) in set.splits.iter().zip(splits) {
         let pairs = paired(part);
         if pairs.is_empty() {
@@ -53,7 +72,7 @@ pub(super) fn proxy(on: &OnSet<'_>, low: &BTreeMap<(usize, u64), f64>, out: &mut
             frames: pairs.iter().map(|(i, _)| part.frames[*i]).collect(),
             seconds: pairs.iter().map(|(i, _)| part.seconds[*i]).collect(),
         };
-        let predicted: Vec<f64> = pairs.iter().map(|(_, l)| my + slope * (l - mx)).collect();
+        let predicted: Vec<f64> = pairs.iter().map(|(_, l)| line.at(*l)).collect();
         out.results.extend(judge(&set.name, &split.name, PROXY, "baseline", &sub, &predicted, None));
     }
     let mut times: Vec<f64> = low.values().copied().collect();
@@ -74,25 +93,45 @@ pub(super) fn low_resolution(
 ) -> Result<BTreeMap<(usize, u64), f64>> {
     let mut low = BTreeMap::new();
     for (index, table) in tables.iter().enumerate() {
-        let name = table.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let Some(path) = set.low_resolution.get(&name) else { continue };
-        let other = Table::read_without_features(path, 0)?;
-        let by_number: BTreeMap<u64, &TimedFrame> = other.frames.iter().map(|f| (f.number, f)).collect();
-        for f in &table.frames {
-            let Some(twin) = by_number.get(&f.number) else { continue };
-            // All but the number of voxels.
-            let as_large = Scene { dims: f.scene.dims, ..twin.scene.clone() };
-            ensure!(
-                as_large == f.scene,
-                "{}: frame {} shows another scene than in {name}; collect it with the same seed, volumes and \
-                 settings",
-                path.display(),
-                f.number
-            );
-            if let Some(t) = twin.seconds(clock) {
-                low.insert((index, f.number), t);
-            }
-        }
+        let Some(path) = set.low_resolution.get(&file_name(table)) else { continue };
+        twins((index, table), path, clock, &mut low)?;
     }
     Ok(low)
+}
+
+fn file_name(table: &Table) -> String {
+    table.path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// Seconds of a table's frames by another table, which holds them on fewer voxels, by the table's place and
+/// the frame's number.
+///
+/// # Errors
+/// When the other table cannot be read, or one of its frames shows another scene than the frame of its
+/// number.
+pub(crate) fn twins(
+    (index, table): (usize, &Table),
+    path: &std::path::Path,
+    clock: Clock,
+    low: &mut BTreeMap<(usize, u64), f64>,
+) -> Result<()> {
+    let name = file_name(table);
+    let other = Table::read_without_features(path, 0)?;
+    let by_number: BTreeMap<u64, &TimedFrame> = other.frames.iter().map(|f| (f.number, f)).collect();
+    for f in &table.frames {
+        let Some(twin) = by_number.get(&f.number) else { continue };
+        // All but the number of voxels.
+        let as_large = Scene { dims: f.scene.dims, ..twin.scene.clone() };
+        ensure!(
+            as_large == f.scene,
+            "{}: frame {} shows another scene than in {name}; collect it with the same seed, volumes and \
+             settings",
+            path.display(),
+            f.number
+        );
+        if let Some(t) = twin.seconds(clock) {
+            low.insert((index, f.number), t);
+        }
+    }
+    Ok(())
 }

@@ -16,6 +16,9 @@ mod runner;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use baselines::{Line, twins};
+pub(crate) use runner::Bounds;
+
 pub use bars::bars;
 pub use description::{Limits, Named, Set, Ship, SplitTables, Study, clock, read};
 pub use findings::{CALIBRATION_FRAMES, CONSTANT, Findings, Fit, PROXY, Point, SplitResult};

@@ -24,7 +24,7 @@ use serde_json::json;
 use std::path::PathBuf;
 
 /// What an upper bound follows from.
-pub(super) enum Bounds<'a> {
+pub(crate) enum Bounds<'a> {
     /// Frames; the validation frames where there are none.
     Frames(&'a TimedFrames<'a>),
     /// Frames that were predicted without their group.
@@ -32,7 +32,7 @@ pub(super) enum Bounds<'a> {
 }
 
 /// Training frames, each predicted without its ensemble member.
-pub(super) struct Crossed {
+pub(crate) struct Crossed {
     pub(super) predicted: Vec<f64>,
     pub(super) measured: Vec<f64>,
     /// The member of each.
@@ -114,7 +114,7 @@ pub struct Runner<'a> {
 
 impl Runner<'_> {
     /// Makes a predictor, or takes the one that was made of the same data and recipe before.
-    pub(super) fn made(
+    pub(crate) fn made(
         &self,
         key: &str,
         recipe: &Recipe,

@@ -1,6 +1,7 @@
 //! Fitting the cost model to frames of the host's renderer.
 
 use crate::camera::Camera;
+use crate::detach::detached;
 use crate::errors::raise;
 use crate::frame::Shape;
 use crate::lock::Guarded;
@@ -70,15 +71,16 @@ impl Calibration {
         let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.core)?;
         let summary = volume.0.summary(py)?;
         let table = tf.0.table_for(&volume.0)?;
-        let measurement = py.detach(|| {
-            let mut transfer = TransferSummary::new(summary, &table);
-            if frame.skipping() == Skipping::Distance {
+        let measurement: entire_core::Result<Measurement> = detached(py, || {
+            let mut transfer = TransferSummary::new(summary, &table)?;
+            if frame.skipping == Skipping::Distance {
                 transfer.prepare_distance();
             }
-            let mut features = FrameFeatures::new();
-            features.measure(summary, &mut transfer, &frame);
-            Measurement::new(&features, &Setting::of(&frame), seconds)
+            let mut features = FrameFeatures::default();
+            features.measure(summary, &mut transfer, &frame)?;
+            Ok(Measurement::new(&features, &Setting::from(&frame), seconds))
         });
+        let measurement = measurement.map_err(raise)?;
         self.0.lock(py)?.push(measurement);
         Ok(())
     }
@@ -91,13 +93,12 @@ impl Calibration {
     fn fit_bytes<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyBytes>, f64)> {
         let measurements = self.0.lock(py)?;
         let measurements: &Vec<Measurement> = &measurements;
-        let (bytes, error) = py
-            .detach(|| {
-                let mut model = AnalyticModel::new();
-                let report = model.fit(&UnitCosts::SOFTWARE, measurements)?;
-                Ok((model.to_model_file()?.to_bytes()?, report.median_error))
-            })
-            .map_err(raise)?;
+        let (bytes, error) = detached(py, || {
+            let mut model = AnalyticModel::default();
+            let report = model.fit(&UnitCosts::SOFTWARE, measurements)?;
+            Ok((model.to_model_file()?.to_bytes()?, report.median_error))
+        })
+        .map_err(raise)?;
         Ok((PyBytes::new(py, &bytes), error))
     }
 }

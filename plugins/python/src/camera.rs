@@ -14,45 +14,73 @@ use pyo3::prelude::*;
 #[derive(Clone, PartialEq)]
 pub(crate) struct Camera {
     pub(crate) core: CoreCamera,
+    lens: Lens,
+}
+
+/// How a camera projects.
+#[derive(Clone, Copy, PartialEq)]
+enum Lens {
     /// Vertical field of view, degrees.
-    fov: f32,
+    Perspective(f32),
+    /// Half of the height that is seen, bounding-sphere radii.
+    Parallel(f32),
+}
+
+impl Lens {
+    /// `scale` is half of the height that a parallel projection shows, in units of which the bounding-sphere
+    /// radius is `radius`.
+    fn new(fov: f32, scale: Option<f64>, radius: f32) -> Self {
+        scale.map_or(Self::Perspective(fov), |scale| Self::Parallel((scale / f64::from(radius)) as f32))
+    }
 }
 
 impl Camera {
-    fn new(core: CoreCamera, fov: f32) -> PyResult<Self> {
-        Ok(Self { core: core.with_fov_y_degrees(fov).map_err(raise)?, fov })
+    fn new(core: CoreCamera, lens: Lens) -> PyResult<Self> {
+        let core = match lens {
+            Lens::Perspective(fov) => core.with_fov_y_degrees(fov),
+            Lens::Parallel(scale) => core.with_parallel_scale(scale),
+        };
+        Ok(Self { core: core.map_err(raise)?, lens })
     }
 }
 
 /// Largest cosine between the volume's axes that still counts as a right angle.
 const SQUARE: f64 = 0.02;
 
-/// Vertical field of view of the perspective camera that stands for a parallel one, degrees.
-const PARALLEL_FOV: f64 = 2.0;
-
 fn matrix(rows: [[f64; 4]; 4]) -> DMat4 {
     DMat4::from_cols_array_2d(&rows).transpose()
 }
 
 /// A camera from a world-to-eye matrix, about a volume's center.
-pub(crate) fn from_view(volume: &Volume, rows: [[f64; 4]; 4], fov: f32) -> PyResult<Camera> {
+pub(crate) fn from_view(
+    volume: &Volume,
+    rows: [[f64; 4]; 4],
+    fov: f32,
+    scale: Option<f64>,
+) -> PyResult<Camera> {
     // Moved to the center in double precision: worlds far from their origin lose digits otherwise.
     let view = matrix(rows) * DMat4::from_translation(DVec3::from_array(volume.0.center()));
+    let radius = volume.0.radius();
     Camera::new(
-        CoreCamera::from_world_view(view.as_mat4(), Vec3::ZERO, volume.0.radius()).map_err(raise)?,
-        fov,
+        CoreCamera::from_world_view(view.as_mat4(), Vec3::ZERO, radius).map_err(raise)?,
+        Lens::new(fov, scale, radius),
     )
 }
 
-pub(crate) fn from_arcball(rx: f32, ry: f32, dz: f32, fov: f32) -> PyResult<Camera> {
-    Camera::new(CoreCamera::from_arcball(Arcball { rx, ry, dz }).map_err(raise)?, fov)
+pub(crate) fn from_arcball(rx: f32, ry: f32, dz: f32, fov: f32, scale: Option<f64>) -> PyResult<Camera> {
+    Camera::new(CoreCamera::from_arcball(Arcball { rx, ry, dz }).map_err(raise)?, Lens::new(fov, scale, 1.0))
 }
 
 /// Whether a renderer that goes from one camera to another jumps: see [`Camera::jumps_from`].
 pub(crate) fn jumps(before: &CoreCamera, camera: &CoreCamera) -> bool {
     let (now, then) = (camera.view(), before.view());
     let turned = (now.row(2) - then.row(2)).abs();
-    let ratio = now.w_axis.z / then.w_axis.z;
+    // Of parallel cameras the scale; 0 for perspective ones.
+    let scales = [camera, before].map(|c| c.ray_basis(1, 1).0[2].length());
+    let ratio = match scales {
+        [0.0, 0.0] => now.w_axis.z / then.w_axis.z,
+        [now, then] => now / then,
+    };
     turned.x.max(turned.y).max(turned.z) > 0.5 || !(ratio > 0.67 && ratio < 1.5)
 }
 
@@ -100,16 +128,11 @@ impl Placement {
         // A rotation as exact as single precision needs; a mirrored volume counts as its mirror image.
         let z = x.cross(y).normalize();
         let y = z.cross(x).normalize();
-        let mut eye = to_eye.transform_point3(self.center) / scale;
-        let mut angle = fov;
-        if let Some(parallel) = parallel_scale {
-            // An eye far away that sees as much.
-            angle = PARALLEL_FOV;
-            eye.z = -parallel / scale / (0.5 * angle).to_radians().tan();
-        }
+        let eye = to_eye.transform_point3(self.center) / scale;
+        let lens = Lens::new(fov as f32, parallel_scale.map(|p| p / scale), self.radius);
         let view = DMat4::from_cols(x.extend(0.0), y.extend(0.0), z.extend(0.0), eye.extend(1.0));
         let view: Mat4 = view.as_mat4();
-        Camera::new(CoreCamera::from_world_view(view, Vec3::ZERO, self.radius).map_err(raise)?, angle as f32)
+        Camera::new(CoreCamera::from_world_view(view, Vec3::ZERO, self.radius).map_err(raise)?, lens)
     }
 }
 
@@ -125,15 +148,18 @@ impl Camera {
     ///     Distance from the center in radii of the volume's bounding sphere, over 0.
     /// fov : float, optional
     ///     Vertical field of view in degrees, over 0 and up to 179. Default 45.
+    /// parallel_scale : float, optional
+    ///     Half of the height that a parallel (orthographic) projection shows, in radii of the volume's
+    ///     bounding sphere; `fov` is not used with it.
     ///
     /// Raises
     /// ------
     /// ValueError
-    ///     For an angle that is not finite, a distance or a field of view out of range.
+    ///     For an angle that is not finite, a distance, a field of view or a scale out of range.
     #[staticmethod]
-    #[pyo3(signature = (rx, ry, dz, fov = DEFAULT_FOV_Y_DEGREES))]
-    fn arcball(rx: f32, ry: f32, dz: f32, fov: f32) -> PyResult<Self> {
-        from_arcball(rx, ry, dz, fov)
+    #[pyo3(signature = (rx, ry, dz, fov = DEFAULT_FOV_Y_DEGREES, *, parallel_scale = None))]
+    fn arcball(rx: f32, ry: f32, dz: f32, fov: f32, parallel_scale: Option<f64>) -> PyResult<Self> {
+        from_arcball(rx, ry, dz, fov, parallel_scale)
     }
 
     /// A camera at a point of the world.
@@ -150,19 +176,24 @@ impl Camera {
     ///     A direction that points up in the picture; not along the view. Default 0, 1, 0.
     /// fov : float, optional
     ///     Vertical field of view in degrees. Default 45.
+    /// parallel_scale : float, optional
+    ///     Half of the height that a parallel (orthographic) projection shows, in world units; `fov` is not
+    ///     used with it.
     ///
     /// Raises
     /// ------
     /// ValueError
     ///     Where eye and target are one point, `up` points along the view, or a number is not finite.
     #[staticmethod]
-    #[pyo3(signature = (volume, eye, target = None, up = [0.0, 1.0, 0.0], fov = DEFAULT_FOV_Y_DEGREES))]
+    #[pyo3(signature = (volume, eye, target = None, up = [0.0, 1.0, 0.0], fov = DEFAULT_FOV_Y_DEGREES, *,
+        parallel_scale = None))]
     fn look_at(
         volume: &Volume,
         eye: [f64; 3],
         target: Option<[f64; 3]>,
         up: [f64; 3],
         fov: f32,
+        parallel_scale: Option<f64>,
     ) -> PyResult<Self> {
         let at = DVec3::from_array(eye);
         let target = target.map_or(DVec3::from_array(volume.0.center()), DVec3::from_array);
@@ -177,7 +208,7 @@ impl Camera {
         }
         let row = |axis: DVec3| [axis.x, axis.y, axis.z, -axis.dot(at)];
         let rows = [row(right), row(right.cross(forward)), row(-forward), [0.0, 0.0, 0.0, 1.0]];
-        from_view(volume, rows, fov)
+        from_view(volume, rows, fov, parallel_scale)
     }
 
     /// A camera from a world-to-eye matrix.
@@ -191,15 +222,18 @@ impl Camera {
     ///     looking along -z. A rotation and a translation; no scale, no projection.
     /// fov : float, optional
     ///     Vertical field of view in degrees. Default 45.
+    /// parallel_scale : float, optional
+    ///     Half of the height that a parallel (orthographic) projection shows, in world units; `fov` is not
+    ///     used with it.
     ///
     /// Raises
     /// ------
     /// ValueError
     ///     For a matrix that is no rotation and translation.
     #[staticmethod]
-    #[pyo3(signature = (volume, matrix, fov = DEFAULT_FOV_Y_DEGREES))]
-    fn view(volume: &Volume, matrix: [[f64; 4]; 4], fov: f32) -> PyResult<Self> {
-        from_view(volume, matrix, fov)
+    #[pyo3(signature = (volume, matrix, fov = DEFAULT_FOV_Y_DEGREES, *, parallel_scale = None))]
+    fn view(volume: &Volume, matrix: [[f64; 4]; 4], fov: f32, parallel_scale: Option<f64>) -> PyResult<Self> {
+        from_view(volume, matrix, fov, parallel_scale)
     }
 
     /// A camera of a scene whose volume may itself be moved, turned and scaled.
@@ -261,16 +295,17 @@ impl Camera {
         let center = DVec3::from_array(volume.0.center());
         let parallel = w.length() <= 1e-12 * y.length();
         let (eye, forward, up, fov);
+        let mut scale = None;
         if parallel {
             let back = x.cross(y).normalize_or_zero();
-            let half = matrix[3][3] / y.length();
-            fov = PARALLEL_FOV;
-            // The point of the volume's depth that the picture's middle shows, and an eye far before it.
+            let half = (matrix[3][3] / y.length()).abs();
+            (fov, scale) = (f64::from(DEFAULT_FOV_Y_DEGREES), Some(half));
+            // The point of the volume's depth that the picture's middle shows, and an eye before the volume.
             let at = (x / x.length_squared()) * (-matrix[0][3] - x.dot(center))
                 + (y / y.length_squared()) * (-matrix[1][3] - y.dot(center));
             forward = if back.dot(z) > 0.0 { back } else { -back };
             up = y.normalize_or_zero();
-            eye = center + at - forward * (half.abs() / (0.5 * fov).to_radians().tan());
+            eye = center + at - forward * (2.0 * f64::from(volume.0.radius()));
         } else {
             let solve = DMat3::from_cols(x, y, w).transpose();
             let known = DVec3::new(-matrix[0][3], -matrix[1][3], -matrix[3][3]);
@@ -288,11 +323,11 @@ impl Camera {
         }
         let row = |axis: DVec3| [axis.x, axis.y, axis.z, -axis.dot(eye)];
         let rows = [row(right), row(up), row(-forward), [0.0, 0.0, 0.0, 1.0]];
-        from_view(volume, rows, fov as f32)
+        from_view(volume, rows, fov as f32, scale)
     }
 
     /// Whether a renderer that goes from `before` to this camera jumps: turns by more than a third of a right
-    /// angle, or changes its distance by half.
+    /// angle, changes its distance (or its scale) by half, or its projection.
     ///
     /// Parameters
     /// ----------
@@ -307,17 +342,30 @@ impl Camera {
     }
 
     /// tuple of float : Elevation and azimuth in degrees, and distance in radii, of the arcball pose with the
-    /// same eye.
+    /// same eye; of a parallel camera, the pose from which the default field of view sees as much.
     #[getter]
     fn pose(&self) -> (f32, f32, f32) {
         let Arcball { rx, ry, dz } = self.core.to_arcball();
         (rx, ry, dz)
     }
 
-    /// float : Vertical field of view in degrees.
+    /// float or None : Vertical field of view in degrees; none with a parallel projection.
     #[getter]
-    fn fov(&self) -> f32 {
-        self.fov
+    fn fov(&self) -> Option<f32> {
+        match self.lens {
+            Lens::Perspective(fov) => Some(fov),
+            Lens::Parallel(_) => None,
+        }
+    }
+
+    /// float or None : Half of the height that a parallel projection shows, in radii; none with a perspective
+    /// one.
+    #[getter]
+    fn parallel_scale(&self) -> Option<f32> {
+        match self.lens {
+            Lens::Perspective(_) => None,
+            Lens::Parallel(scale) => Some(scale),
+        }
     }
 
     fn __eq__(&self, other: &Self) -> bool {
@@ -326,6 +374,9 @@ impl Camera {
 
     fn __repr__(&self) -> String {
         let (rx, ry, dz) = self.pose();
-        format!("Camera(rx {rx:.1}, ry {ry:.1}, dz {dz:.3}, fov {:.1})", self.fov)
+        match self.lens {
+            Lens::Perspective(fov) => format!("Camera(rx {rx:.1}, ry {ry:.1}, dz {dz:.3}, fov {fov:.1})"),
+            Lens::Parallel(scale) => format!("Camera(rx {rx:.1}, ry {ry:.1}, parallel_scale {scale:.3})"),
+        }
     }
 }

@@ -1,5 +1,6 @@
 //! The command `entire` inside the wheel.
 
+use crate::detach::detached;
 use pyo3::prelude::*;
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -18,5 +19,5 @@ use std::process::ExitCode;
 ///     status 2.
 #[pyfunction]
 pub(crate) fn command(py: Python<'_>, args: Vec<OsString>) -> i32 {
-    i32::from(py.detach(|| entire_cli::main_with_args(args)) != ExitCode::SUCCESS)
+    i32::from(detached(py, || entire_cli::main_with_args(args)) != ExitCode::SUCCESS)
 }

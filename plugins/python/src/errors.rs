@@ -34,7 +34,7 @@ create_exception!(
 
 /// The exception for an error of the library.
 pub(crate) fn raise(error: Error) -> PyErr {
-    let text = error.message().to_owned();
+    let text = error.to_string();
     match error.kind() {
         ErrorKind::InvalidModel | ErrorKind::InvalidTensor | ErrorKind::Unsupported => {
             ModelError::new_err(text)

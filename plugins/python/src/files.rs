@@ -1,5 +1,6 @@
 //! Files, whole or absent.
 
+use crate::detach::detached;
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -18,6 +19,6 @@ use std::path::PathBuf;
 ///     Names the file that cannot be written.
 #[pyfunction]
 pub(crate) fn write_whole(py: Python<'_>, path: PathBuf, data: &[u8]) -> PyResult<()> {
-    py.detach(|| entire_cli::files::write_whole(&path, data))
+    detached(py, || entire_cli::files::write_whole(&path, data))
         .map_err(|error| PyOSError::new_err(format!("{error:#}")))
 }

@@ -2,7 +2,7 @@
 
 use crate::camera::{Camera, from_arcball, from_view};
 use crate::errors::raise;
-use crate::volume::{Volume, asarray};
+use crate::volume::{Volume, asarray, astype};
 use entire_core::scene::{Camera as CoreCamera, Frame, Shading, Skipping};
 use numpy::{PyReadonlyArray2, PyReadonlyArray3};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -56,11 +56,14 @@ impl Shape {
 
     pub(crate) fn frame(&self, camera: CoreCamera) -> PyResult<Frame> {
         let build = || {
-            Ok(Frame::new(camera, self.size.0, self.size.1)?
-                .with_step(self.step)?
-                .with_termination(self.termination)?
-                .with_shading(self.shading)
-                .with_skipping(self.skipping))
+            Frame {
+                step: self.step,
+                termination: self.termination,
+                shading: self.shading,
+                skipping: self.skipping,
+                ..Frame::new(camera, self.size.0, self.size.1)?
+            }
+            .checked()
         };
         build().map_err(raise)
     }
@@ -85,19 +88,21 @@ pub(crate) fn cameras(given: &Bound<'_, PyAny>, volume: &Volume, fov: f32) -> Py
     let at = |i: usize| move |e: PyErr| PyValueError::new_err(format!("camera {i}: {e}"));
     match shape[..] {
         [_, 3] => {
-            let rows: PyReadonlyArray2<'_, f32> = array.call_method1("astype", ("float32",))?.extract()?;
+            let rows: PyReadonlyArray2<'_, f32> = astype(&array, "float32")?.extract()?;
             let rows = rows.as_array();
             let poses = rows.outer_iter().enumerate();
-            poses.map(|(i, r)| from_arcball(r[0], r[1], r[2], fov).map(|c| c.core).map_err(at(i))).collect()
+            poses
+                .map(|(i, r)| from_arcball(r[0], r[1], r[2], fov, None).map(|c| c.core).map_err(at(i)))
+                .collect()
         }
         [_, 4, 4] => {
-            let all: PyReadonlyArray3<'_, f64> = array.call_method1("astype", ("float64",))?.extract()?;
+            let all: PyReadonlyArray3<'_, f64> = astype(&array, "float64")?.extract()?;
             let all = all.as_array();
             let matrices = all.outer_iter().enumerate();
             matrices
                 .map(|(i, m)| {
                     let rows = std::array::from_fn(|r| std::array::from_fn(|c| m[[r, c]]));
-                    from_view(volume, rows, fov).map(|c| c.core).map_err(at(i))
+                    from_view(volume, rows, fov, None).map(|c| c.core).map_err(at(i))
                 })
                 .collect()
         }

@@ -1,5 +1,6 @@
 //! A lock that neither stalls the interpreter nor survives a fork in a state that nobody can leave.
 
+use crate::detach::detached;
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -33,7 +34,7 @@ impl<T: Send> Guarded<T> {
                          in the child",
                     ));
                 }
-                py.detach(|| self.value.lock().map(SendGuard).map_err(drop)).map_err(|()| poisoned())?.0
+                detached(py, || self.value.lock().map(SendGuard).map_err(drop)).map_err(|()| poisoned())?.0
             }
         };
         self.process.store(std::process::id(), Ordering::Relaxed);

@@ -1,5 +1,6 @@
 //! Model files.
 
+use crate::detach::detached;
 use crate::errors::{ModelError, raise};
 use crate::lock::Guarded;
 use crate::volume::{Data, Volume};
@@ -37,7 +38,7 @@ impl Loaded {
 
     /// VolumeNet's output for a volume, where predictions take it.
     pub(crate) fn features_of(&self, py: Python<'_>, volume: &Data) -> PyResult<Option<Vec<f32>>> {
-        if self.file.input_size(GroupKind::VolumeFeatures.name()).is_none() {
+        if self.file.input_size(GroupKind::VolumeFeatures).is_none() {
             return Ok(None);
         }
         self.encode(py, volume).map(Some)
@@ -52,7 +53,7 @@ impl Loaded {
         };
         let mut scratch = self.scratch.lock(py)?;
         let scratch = &mut *scratch;
-        py.detach(|| {
+        detached(py, || {
             let mut features = vec![0.0; encoder.feature_len()];
             let scratch = scratch.get_or_insert_with(|| encoder.scratch());
             encoder.encode(volume.view(), scratch, Executor::Serial, &mut features)?;
@@ -70,7 +71,7 @@ pub(crate) struct Model(pub(crate) Arc<Loaded>);
 impl Model {
     #[new]
     fn new(py: Python<'_>, data: Vec<u8>) -> PyResult<Self> {
-        let loaded = py.detach(|| {
+        let loaded = detached(py, || {
             let file = File::from_bytes(&data)?;
             let net = file.prednet().map(PredNet::new).transpose()?.map(Arc::new);
             let encoder = file.volumenet().map(VolumeNet::new).transpose()?;

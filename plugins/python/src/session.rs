@@ -1,6 +1,7 @@
 //! One render loop.
 
 use crate::camera::Camera;
+use crate::detach::detached;
 use crate::errors::{NotReadyError, raise};
 use crate::frame::{Shape, cameras};
 use crate::held::Held;
@@ -95,13 +96,13 @@ impl Session {
         check(trust_limit > 0.0, "trust_limit", trust_limit, "positive (math.inf to trust always)")?;
         let predictor: Box<dyn Predictor + Send> = match model {
             Some(model) => model.0.predictor()?,
-            None => Box::new(AnalyticModel::new()),
+            None => Box::new(AnalyticModel::default()),
         };
         let options =
             HybridOptions { miss_rate, tolerance, trust_limit, damping, ..HybridOptions::default() };
         let mut core = Core::new(predictor, options);
         if let Some(side) = probe_side {
-            core = core.with_probe_side(side).map_err(raise)?;
+            core = core.with_probe(side, None).map_err(raise)?;
         }
         let made = Self { state: Guarded::new(State::new(core)), model: model.map(|m| m.0.clone()) };
         if let Some(volume) = volume {
@@ -197,7 +198,7 @@ impl Session {
     ///     The renderer has to build something first, or draws on another device.
     #[pyo3(signature = (*, camera = false, mode = false, first = false))]
     fn mark(&self, py: Python<'_>, camera: bool, mode: bool, first: bool) -> PyResult<()> {
-        self.state(py)?.core.mark(Changes { camera, mode, first, ..Changes::NONE });
+        self.state(py)?.core.mark(Changes { camera, mode, first, ..Changes::default() });
         Ok(())
     }
 
@@ -314,7 +315,7 @@ impl Session {
             let _ = state.observe(due.id(), seconds as f32, ObserveFlags { unusual: false, cancelled });
         }
         let frame = held.frame(to_eye, fov, parallel_scale, size, step)?;
-        state.follow(*frame.camera());
+        state.follow(frame.camera);
         state.core.set_enabled(enabled);
         let planned = state.plan(&frame, target);
         state.core.set_enabled(true);
@@ -363,7 +364,7 @@ impl Session {
         let (frame, mut state) = self.begin(py, camera, tf, shape)?;
         let settings: Vec<Setting> = settings
             .into_iter()
-            .map(|(step, (width, height))| Setting { step, width, height, ..Setting::of(&frame) })
+            .map(|(step, (width, height))| Setting { step, width, height, ..Setting::from(&frame) })
             .collect();
         let (index, plan) = state.core.choose(&frame, &settings, target).map_err(raise)?;
         let drawn = settings[index];
@@ -479,7 +480,7 @@ impl Session {
         let frames = all.into_iter().map(|camera| shape.frame(camera)).collect::<PyResult<Vec<_>>>()?;
         let core = &mut state.core;
         let seconds =
-            py.detach(|| frames.iter().map(|frame| core.predict(frame).map(|p| p.seconds)).collect());
+            detached(py, || frames.iter().map(|frame| core.predict(frame).map(|p| p.seconds)).collect());
         Ok(PyArray1::from_vec(py, Result::<Vec<f32>, _>::map_err(seconds, raise)?))
     }
 
@@ -489,6 +490,23 @@ impl Session {
         state.core.reset();
         state.history.clear();
         Ok(())
+    }
+
+    /// Names the renderer whose frames are observed and the clock that times them. What was learned of one
+    /// does not hold for another: saved states carry both names, and :meth:`load_state` refuses those of
+    /// others. Sessions start with empty names.
+    ///
+    /// Parameters
+    /// ----------
+    /// renderer, clock : str
+    ///     At most 256 bytes each.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For a longer name.
+    fn set_timing_source(&self, py: Python<'_>, renderer: &str, clock: &str) -> PyResult<()> {
+        self.state(py)?.core.set_timing_source(renderer, clock).map_err(raise)
     }
 
     /// What was learned, as bytes for :meth:`load_state`.
@@ -507,6 +525,8 @@ impl Session {
     /// ------
     /// ValueError
     ///     For bytes that are cut short, damaged or of another controller.
+    /// ModelError
+    ///     For a whole state of another model, renderer or clock (:meth:`set_timing_source`).
     fn load_state(&self, py: Python<'_>, state: &[u8]) -> PyResult<()> {
         self.state(py)?.core.load_state(state).map_err(raise)
     }

@@ -42,7 +42,7 @@ impl State {
         volume: &Arc<Data>,
         features: Option<&[f32]>,
     ) -> PyResult<()> {
-        self.core.set_volume(volume.summary(py)?.clone(), features);
+        self.core.set_volume(volume.summary(py)?.clone(), features.map(<[f32]>::to_vec));
         self.volume = Some(volume.clone());
         self.transfer = None;
         Ok(())
@@ -67,7 +67,7 @@ impl State {
     /// Marks a jump where the camera comes from somewhere else.
     pub(crate) fn follow(&mut self, camera: CoreCamera) {
         if self.camera.is_some_and(|before| crate::camera::jumps(&before, &camera)) {
-            self.core.mark(Changes { camera: true, ..Changes::NONE });
+            self.core.mark(Changes { camera: true, ..Changes::default() });
         }
         self.camera = Some(camera);
     }
@@ -76,7 +76,7 @@ impl State {
     pub(crate) fn plan(&mut self, frame: &Frame, target: f32) -> PyResult<(Plan, CorePlan)> {
         let plan = self.core.plan(frame, target).map_err(raise)?;
         let shrunk = |side: u32| ((f64::from(side) / f64::from(plan.image_sample_distance)) as u32).max(1);
-        let size = (shrunk(frame.width()), shrunk(frame.height()));
+        let size = (shrunk(frame.width), shrunk(frame.height));
         Ok((self.note(plan, size, target), plan))
     }
 

@@ -1,7 +1,7 @@
 //! What is opaque, and in which color.
 
 use crate::errors::raise;
-use crate::volume::{Data, asarray};
+use crate::volume::{Data, asarray, astype};
 use entire_core::scene::{
     ColorNode, ControlPoint, GaussianLobe, Nodes, OpacityNode, TransferFunction as Description, TransferTable,
 };
@@ -214,7 +214,7 @@ impl TransferFunction {
         unit_distance: Option<f32>,
         unit_length: Option<f32>,
     ) -> PyResult<Self> {
-        let array = asarray(samples)?.call_method1("astype", ("float32",))?;
+        let array = astype(&asarray(samples)?, "float32")?;
         let shape: Vec<usize> = array.getattr("shape")?.extract()?;
         let samples: Vec<[f32; 4]> = match shape[..] {
             [_] => array.extract::<Vec<f32>>()?.into_iter().map(|a| [1.0, 1.0, 1.0, a]).collect(),

@@ -1,8 +1,9 @@
 //! Voxels in a NumPy array.
 
+use crate::detach::{calling, detached};
 use crate::errors::raise;
 use entire_core::features::{SummaryOptions, VolumeSummary};
-use entire_core::scene::{ScalarType, Scalars, VolumeView};
+use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
 use glam::Vec3;
 use numpy::{PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -32,21 +33,21 @@ impl Data {
             return Ok(summary);
         }
         let summary =
-            py.detach(|| VolumeSummary::new(&self.view, SummaryOptions::default())).map_err(raise)?;
+            detached(py, || VolumeSummary::new(&self.view, SummaryOptions::default())).map_err(raise)?;
         Ok(self.summary.get_or_init(|| summary))
     }
 
     pub(crate) fn spacing(&self) -> Vec3 {
-        self.view.spacing()
+        self.view.shape().spacing
     }
 
     pub(crate) fn radius(&self) -> f32 {
-        self.view.bounding_radius()
+        self.view.shape().bounding_radius
     }
 
     /// World position of the middle of the voxels.
     pub(crate) fn center(&self) -> [f64; 3] {
-        let (dims, spacing) = (self.view.dims(), self.view.spacing());
+        let (dims, spacing) = (self.view.shape().dims, self.view.shape().spacing);
         std::array::from_fn(|a| self.origin[a] + 0.5 * (dims[a] as f64 - 1.0) * f64::from(spacing[a]))
     }
 }
@@ -96,7 +97,13 @@ static ASARRAY: PyOnceLock<Py<PyAny>> = PyOnceLock::new();
 
 /// `numpy.asarray`.
 pub(crate) fn asarray<'py>(array: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyAny>> {
-    ASARRAY.import(array.py(), "numpy", "asarray")?.call1((array,))
+    let asarray = ASARRAY.import(array.py(), "numpy", "asarray")?;
+    calling(array.py(), || asarray.call1((array,)))
+}
+
+/// `array.astype(dtype)`.
+pub(crate) fn astype<'py>(array: &Bound<'py, PyAny>, dtype: &str) -> PyResult<Bound<'py, PyAny>> {
+    calling(array.py(), || array.call_method1("astype", (dtype,)))
 }
 
 fn convert<'py>(array: &Bound<'py, PyAny>, dtype: &str) -> PyResult<Bound<'py, PyUntypedArray>> {
@@ -107,10 +114,13 @@ fn convert<'py>(array: &Bound<'py, PyAny>, dtype: &str) -> PyResult<Bound<'py, P
     let quiet = PyDict::new(py);
     // Values beyond float32 become infinities, which count as the ends of the range.
     quiet.set_item("over", "ignore")?;
-    let state = numpy.call_method("errstate", (), Some(&quiet))?;
-    state.call_method0("__enter__")?;
-    let made = array.call_method("astype", (dtype,), Some(&options));
-    state.call_method1("__exit__", (py.None(), py.None(), py.None()))?;
+    let made = calling(py, || {
+        let state = numpy.call_method("errstate", (), Some(&quiet))?;
+        state.call_method0("__enter__")?;
+        let made = array.call_method("astype", (dtype,), Some(&options));
+        state.call_method1("__exit__", (py.None(), py.None(), py.None()))?;
+        made
+    });
     Ok(made?.cast_into::<PyUntypedArray>()?)
 }
 
@@ -210,20 +220,8 @@ impl Volume {
                 _ => Scalars::F32(elements(at, count)),
             }
         };
-        let view = py
-            .detach(|| {
-                let view = match range {
-                    Some((low, high)) if strides == [1, dims[0], dims[0] * dims[1]] => {
-                        VolumeView::with_known_range(scalars, dims, (low, high))?
-                    }
-                    Some((low, high)) => {
-                        VolumeView::with_strides(scalars, dims, strides)?.with_range(low, high)?
-                    }
-                    None => VolumeView::with_strides(scalars, dims, strides)?,
-                };
-                view.with_spacing(spacing)
-            })
-            .map_err(raise)?;
+        let options = VolumeOptions { strides: Some(strides), spacing, range };
+        let view = detached(py, || VolumeView::with(scalars, dims, options)).map_err(raise)?;
         let owner = kept.into_any().unbind();
         Ok(Self(Arc::new(Data { view, origin, summary: OnceLock::new(), copied, owner })))
     }
@@ -231,7 +229,7 @@ impl Volume {
     /// tuple of int : Voxels along x, y and z.
     #[getter]
     fn shape(&self) -> (usize, usize, usize) {
-        self.0.view.dims().into()
+        self.0.view.shape().dims.into()
     }
 
     /// tuple of float : Distances between voxels along x, y and z.
@@ -278,9 +276,9 @@ impl Volume {
     }
 
     fn __repr__(&self) -> String {
-        let ([x, y, z], s) = (self.0.view.dims(), self.0.spacing());
+        let ([x, y, z], s) = (self.0.view.shape().dims, self.0.spacing());
         let (low, high) = self.0.view.range();
-        let kind = self.0.view.scalar_type().to_string();
+        let kind = self.0.view.scalars().scalar_type().to_string();
         format!("Volume({x} x {y} x {z} {kind}, spacing ({}, {}, {}), range {low} to {high})", s.x, s.y, s.z)
     }
 }

@@ -113,9 +113,9 @@ def test_cameras_from_vispys_matrices(canvas, fov):
         assert camera.fov == pytest.approx(fov, abs=0.1)
         assert camera.pose[2] * volume.radius == pytest.approx(120, rel=0.05)
     else:
-        # An eye far away that sees 100 voxels.
-        seen = 2 * camera.pose[2] * volume.radius * np.tan(np.radians(camera.fov / 2))
-        assert seen == pytest.approx(100, rel=0.02)
+        # Parallel rays that see 100 voxels.
+        assert camera.fov is None
+        assert 2 * camera.parallel_scale * volume.radius == pytest.approx(100, rel=0.02)
 
 
 @pytest.fixture

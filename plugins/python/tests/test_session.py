@@ -122,6 +122,69 @@ def test_a_volume_must_be_followed_by_its_transfer_function(voxels, tf):
     session.plan(CAMERA, tf, (64, 64), 0.01)
 
 
+def test_saved_states_are_bound_to_renderer_and_clock(voxels, tf):
+    def named(renderer, clock):
+        session = entire.Session(entire.Volume(voxels))
+        session.set_timing_source(renderer, clock)
+        return session
+
+    first = named("a renderer", "device")
+    for i in range(8):
+        plan = first.plan(entire.Camera.arcball(20, 7 * i, 2.5), tf, (640, 480), target=0.01)
+        first.observe(plan, 0.02)
+    state = first.save_state()
+    named("a renderer", "device").load_state(state)
+    for other, says in ((named("another", "device"), "renderer"), (named("a renderer", "wall"), "clock")):
+        with pytest.raises(entire.ModelError, match=says):
+            other.load_state(state)
+    with pytest.raises(entire.ModelError, match="renderer"):
+        entire.Session(entire.Volume(voxels)).load_state(state)
+    with pytest.raises(ValueError, match="256"):
+        first.set_timing_source("x" * 257, "")
+
+
+def test_parallel_cameras_agree(voxels, tf):
+    volume = entire.Volume(voxels[:, :40, :30], (1, 2, 0.5), origin=(100, -50, 7))
+    center, radius = np.array(volume.center), volume.radius
+    session = entire.Session(volume)
+
+    def seconds(camera):
+        return session.predict(camera, tf, (100, 80)).seconds
+
+    straight = entire.Camera.arcball(0, 0, 2.5, parallel_scale=0.9)
+    assert straight.fov is None and straight.parallel_scale == pytest.approx(0.9)
+    assert entire.Camera.arcball(0, 0, 2.5).parallel_scale is None
+    cameras = [straight]
+    # Nothing depends on the distance.
+    for distance in (2.5, 40):
+        eye = center + distance * radius * np.array((0, 0, 1))
+        view = np.eye(4)
+        view[:3, 3] = -eye
+        cameras += [
+            entire.Camera.look_at(volume, eye, parallel_scale=0.9 * radius),
+            entire.Camera.view(volume, view, parallel_scale=0.9 * radius),
+            entire.Camera.scene(
+                volume, view.ravel(), np.eye(4).ravel(), np.eye(3).ravel(), center, 45.0, 0.9 * radius
+            ),
+        ]
+    # The matrix that OpenGL has: half of the height is 0.9 radii, the width is by 100 : 80.
+    clip = np.diag([1 / (0.9 * radius * 1.25), 1 / (0.9 * radius), -0.01, 1.0]) @ view
+    cameras.append(entire.Camera.projection(volume, clip))
+    times = [seconds(camera) for camera in cameras]
+    assert np.allclose(times, times[0], rtol=1e-3), times
+    # A narrow lens far away sees nearly the same.
+    angle = 2 * np.degrees(np.arctan(0.9 / 300))
+    assert seconds(entire.Camera.arcball(0, 0, 300, angle)) == pytest.approx(times[0], rel=0.02)
+    # Jumps are those of the scale and of the projection.
+    assert not cameras[4].jumps_from(cameras[1])
+    assert entire.Camera.arcball(0, 0, 2.5, parallel_scale=0.5).jumps_from(straight)
+    assert entire.Camera.arcball(0, 0, 2.5).jumps_from(straight)
+    assert straight.jumps_from(entire.Camera.arcball(0, 0, 2.5))
+    for bad in (0, -1, float("nan")):
+        with pytest.raises(ValueError, match="parallel scale"):
+            entire.Camera.arcball(0, 0, 2.5, parallel_scale=bad)
+
+
 def test_cameras_agree(voxels, tf):
     volume = entire.Volume(voxels[:, :40, :30], (1, 2, 0.5), origin=(100, -50, 7))
     center, radius = np.array(volume.center), volume.radius

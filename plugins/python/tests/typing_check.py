@@ -11,6 +11,8 @@ import entire
 volume: entire.Volume = entire.Volume(np.zeros((4, 4, 4), np.uint16), (1, 1, 2), axes="xyz", range=(0, 100))
 tf: entire.TransferFunction = entire.TransferFunction.points([(0, 0), (1, 0.5)])
 camera: entire.Camera = entire.Camera.look_at(volume, (0, 0, 50))
+parallel: entire.Camera = entire.Camera.arcball(20, 30, 2.5, parallel_scale=0.9)
+scale: float | None = parallel.parallel_scale
 session: entire.Session = entire.Session(volume, model="unshaded-selected")
 plan: entire.Plan = session.plan(camera, tf, (640, 480), 1 / 30, shading="local")
 verdict: str = session.observe(plan, 0.02)

@@ -305,12 +305,9 @@ std::string ReadCamera(
       vtkMath::DegreesFromRadians(
         std::atan(std::tan(vtkMath::RadiansFromDegrees(0.5 * angle)) * size[1] / std::max(1, size[0])));
   }
-  if (camera->GetParallelProjection())
-  {
-    // An eye far away that sees as much.
-    angle = 2.0;
-    eye[2] = -camera->GetParallelScale() / scale / std::tan(vtkMath::RadiansFromDegrees(0.5 * angle));
-  }
+  const bool parallel = camera->GetParallelProjection() != 0;
+  frame.projection = parallel ? ENTIRE_PROJECTION_PARALLEL : ENTIRE_PROJECTION_PERSPECTIVE;
+  frame.parallel_scale = static_cast<float>(camera->GetParallelScale() / scale);
   frame.fov_y = static_cast<float>(angle);
   frame.camera = ENTIRE_CAMERA_VIEW;
   for (int column = 0; column < 3; ++column)

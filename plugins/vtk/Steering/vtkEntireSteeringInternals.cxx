@@ -385,20 +385,26 @@ std::string vtkEntireSteering::vtkInternals::Try(const std::vector<std::uint8_t>
     auto loaded = any.value().load_state(state);
     return loaded || loaded.code() == ENTIRE_UNSUPPORTED ? std::string() : loaded.message();
   }
+  // Where none takes it, the reason is that of the one whose state would be saved: the last that was drawn.
   std::string failure;
   const Leaves leaves = this->Drawing;
+  const std::shared_ptr<Leaf> last = this->LastLeaf.lock();
   for (const auto& leaf : leaves)
   {
     std::optional<entire::session> trial;
-    failure = this->NewSession(*leaf, trial);
-    if (failure.empty())
+    std::string why = this->NewSession(*leaf, trial);
+    if (why.empty())
     {
       auto loaded = trial->load_state(state);
       if (loaded)
       {
         return {};
       }
-      failure = loaded.message();
+      why = loaded.message();
+    }
+    if (failure.empty() || leaf == last)
+    {
+      failure = std::move(why);
     }
   }
   return failure;

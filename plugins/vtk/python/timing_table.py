@@ -186,6 +186,20 @@ def read_nrrd(path):
     return Volume(path, voxels.reshape(z, y, x), spacing)
 
 
+def resampled(volume, edge):
+    """A volume of `edge` voxels along every axis, trilinear at the new voxels' centers; the box stays."""
+    voxels = volume.voxels.astype(np.float64)
+    for axis, size in enumerate(voxels.shape):
+        at = np.clip((np.arange(edge) + 0.5) * size / edge - 0.5, 0.0, size - 1.0)
+        low = np.minimum(at.astype(int), max(size - 2, 0))
+        high = np.minimum(low + 1, size - 1)
+        shape = [-1 if a == axis else 1 for a in range(3)]
+        part = (at - low).reshape(shape)
+        voxels = voxels.take(low, axis) * (1.0 - part) + voxels.take(high, axis) * part
+    spacing = tuple(s * n / edge for s, n in zip(volume.spacing, volume.dims))
+    return Volume(volume.name, np.clip(np.rint(voxels), 0, 255).astype(np.uint8), spacing)
+
+
 def write_nrrd(path, voxels, spacing=(1.0, 1.0, 1.0)):
     """Writes [z, y, x] bytes."""
     z, y, x = voxels.shape
@@ -226,6 +240,9 @@ def arguments(description):
     parser.add_argument("--max-size", type=int, default=1024, help="longest image side, pixels")
     parser.add_argument("--steps", default="1", help="ray steps to draw from, smallest voxel spacings, comma-separated")
     parser.add_argument("--shade", choices=("none", "local"), default="none")
+    parser.add_argument(
+        "--proxy", type=int, metavar="EDGE", help="draw every volume resampled to so many voxels an edge instead"
+    )
     return parser
 
 
@@ -267,6 +284,8 @@ def collect(options, renderer):
 def volume_frames(options, renderer, path, steps, number, repeat):
     """Draws a volume's frames and yields each one's rows; the first has this number and this repeat."""
     volume = read_nrrd(path)
+    if options.proxy:
+        volume = resampled(volume, options.proxy)
     member, time_step = volume.place()
     renderer.load(volume)
     for index in range(options.frames):

@@ -4,7 +4,7 @@
 
 extern crate alloc;
 
-use alloc::string::String;
+use alloc::string::{String, ToString};
 use alloc::vec;
 use alloc::vec::Vec;
 use core::fmt::Write;
@@ -18,7 +18,7 @@ use entire_core::scene::{Scalars, VolumeView};
 /// # Errors
 /// The core's message, or "the model has no …".
 pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
-    let text = |e: entire_core::Error| String::from(e.message());
+    let text = |e: entire_core::Error| e.to_string();
     let failed = |_| String::from("cannot write");
     let model = Model::from_bytes(model).map_err(text)?;
     let prednet = model.prednet().ok_or("the model has no PredNet")?;
@@ -26,7 +26,7 @@ pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
     for level in Level::available() {
         for storage in [Storage::F32, Storage::F16, Storage::Bf16] {
             let net = PredNet::with(prednet, level, storage).map_err(text)?;
-            let mut scratch = net.scratch().map_err(text)?;
+            let mut scratch = net.scratch(1).map_err(text)?;
             let mut inputs = vec![0.0f32; net.inputs() * 3];
             for (i, x) in inputs.iter_mut().enumerate() {
                 *x = (i * 37 % 101) as f32 / 50.0 - 1.0;
@@ -36,7 +36,8 @@ pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
                 write!(out, " {:08x}", net.predict(row, &mut scratch).to_bits()).map_err(failed)?;
             }
             let mut seconds = [0.0f32; 3];
-            net.predict_batch(&inputs, &mut seconds, &mut scratch).map_err(text)?;
+            net.predict_batch(Executor::Serial, &inputs, &mut seconds, core::slice::from_mut(&mut scratch))
+                .map_err(text)?;
             for s in seconds {
                 write!(out, " {:08x}", s.to_bits()).map_err(failed)?;
             }
@@ -54,7 +55,8 @@ pub fn report(model: &[u8], out: &mut dyn Write) -> Result<(), String> {
             for scalars in [Scalars::U8(&bytes), Scalars::F32(&floats)] {
                 let view = VolumeView::new(scalars, dims).map_err(text)?;
                 net.encode(&view, &mut scratch, Executor::Serial, &mut features).map_err(text)?;
-                write!(out, "volumenet {} {:?} {dims:?}", level.isa(), view.scalar_type()).map_err(failed)?;
+                write!(out, "volumenet {} {:?} {dims:?}", level.isa(), view.scalars().scalar_type())
+                    .map_err(failed)?;
                 for f in &features {
                     write!(out, " {:08x}", f.to_bits()).map_err(failed)?;
                 }

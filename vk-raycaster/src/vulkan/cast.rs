@@ -114,7 +114,7 @@ impl VulkanRaycaster {
                 begin += plan.window;
             }
         }
-        self.table_step = Some(frame.step());
+        self.table_step = Some(frame.step);
         Ok((FrameTime { device, wall: watch.wall(), cpu: watch.cpu() }, counts))
     }
 }

@@ -18,7 +18,7 @@ use crate::clock::Stopwatch;
 use crate::renderer::{
     DeviceLimits, Error, FrameTime, Image, Preparation, Rendered, Renderer, Result, WorkCounts,
 };
-use crate::setup::{FAR, FrameSetup};
+use crate::setup::{FAR, FrameSetup, check};
 use crate::table::Classifier;
 use crate::voxels::{Geometry, PreparedVolume};
 use engine::{Cast, Engine, STATE_BYTES, ShaderKey, Ticket};
@@ -289,7 +289,7 @@ impl VulkanRaycaster {
     pub fn enqueue(&mut self, frame: &Frame) -> Result<()> {
         let watch = Stopwatch::start();
         let plan = self.plan(frame)?;
-        let (width, height) = (frame.width(), frame.height());
+        let (width, height) = (frame.width, frame.height);
         let bricks = self.volume.as_ref().map_or(0, |v| v.bricks.len());
         let tile = Tile { x: 0, y: 0, width, height };
         if width.max(height) > self.tile[plan.class] || plan.last_window > 0.0 || bricks != 1 {
@@ -312,7 +312,7 @@ impl VulkanRaycaster {
         let cast =
             Cast { pass: "ray casting, a frame in flight", key: plan.key, tile, windowed: false, brick: 0 };
         let ticket = self.engine.start(slot, &cast, &commands)?;
-        self.table_step = Some(frame.step());
+        self.table_step = Some(frame.step);
         self.in_flight.push_back(Enqueued {
             ticket,
             width,
@@ -342,6 +342,7 @@ impl VulkanRaycaster {
 
     /// What the dispatches of a frame have in common.
     fn plan(&self, frame: &Frame) -> Result<Plan> {
+        check(frame)?;
         let (Some(volume), Some(classifier)) = (&self.volume, &self.classifier) else {
             let missing = if self.volume.is_none() { "volume" } else { "transfer function" };
             return Err(Error::new(format!("nothing to render: no {missing} was set")));
@@ -352,7 +353,7 @@ impl VulkanRaycaster {
             ));
         }
         let bricked = volume.bricks.len() > 1;
-        if bricked && frame.shading() == Shading::Scatter {
+        if bricked && frame.shading == Shading::Scatter {
             return Err(Error::new(format!(
                 "single scattering needs the volume in one texture, on {} it takes {} bricks; crop or \
                  downsample it, or render on the CPU",
@@ -360,10 +361,10 @@ impl VulkanRaycaster {
                 volume.bricks.len()
             )));
         }
-        let class = shading_index(frame.shading());
+        let class = shading_index(frame.shading);
         let key = ShaderKey {
             shading: class as u32,
-            skipping: match frame.skipping() {
+            skipping: match frame.skipping {
                 Skipping::None => 0,
                 Skipping::Blocks => 1,
                 _ => 2,
@@ -372,14 +373,14 @@ impl VulkanRaycaster {
             counting: u32::from(self.options.count_work),
             packets: u32::from(
                 volume.fetch == VoxelFetch::Packed
-                    && frame.skipping() != Skipping::None
+                    && frame.skipping != Skipping::None
                     && !self.options.count_work
                     && self.engine.gpu().subgroup_arithmetic,
             ),
             bricks: u32::from(bricked),
         };
-        let step = volume.geometry.reference_step() * f64::from(frame.step());
-        let window = if self.is_software() { window(step, frame.shading()) } else { FAR };
+        let step = volume.geometry.reference_step() * f64::from(frame.step);
+        let window = if self.is_software() { window(step, frame.shading) } else { FAR };
         let longest = longest_ray(step) as f32;
         Ok(Plan {
             setup: FrameSetup::new(&volume.geometry, volume.blocks.edge, volume.blocks.dims, frame),
@@ -387,8 +388,8 @@ impl VulkanRaycaster {
             key,
             window,
             last_window: (longest / window).ceil().max(1.0).mul_add(window, -window).max(0.0),
-            table: (self.table_step != Some(frame.step()))
-                .then(|| upload::table_texels(volume.fetch, &classifier.step_table(frame.step()))),
+            table: (self.table_step != Some(frame.step))
+                .then(|| upload::table_texels(volume.fetch, &classifier.step_table(frame.step))),
         })
     }
 
@@ -462,7 +463,7 @@ impl Renderer for VulkanRaycaster {
     fn set_volume(&mut self, view: &VolumeView<'_>) -> Result<Preparation> {
         let all = Stopwatch::start();
         let mut preparation = Preparation::default();
-        upload::check_size(self.engine.gpu(), view.dims(), self.options.largest_texture)?;
+        upload::check_size(self.engine.gpu(), view.shape().dims, self.options.largest_texture)?;
         self.engine.drain()?;
         let prepared = PreparedVolume::new(view);
         let plan =
@@ -525,11 +526,17 @@ fn add_counts(counts: &mut WorkCounts, work: &[u8]) {
     }
 }
 
-/// The bricks from front to back: along each axis every ray goes away from the eye, so the number of bricks
-/// between orders them.
+/// The bricks from front to back: along each axis every ray goes away from the eye, or from the side of the box
+/// that parallel rays come from, so the number of bricks between orders them.
 fn brick_order(volume: &DeviceVolume, setup: &FrameSetup) -> Vec<usize> {
+    let parallel = setup.origin_up != [0.0; 3];
     let inside = |brick: &Brick, a: usize| {
-        let cell = (setup.eye[a] - 0.5).clamp(0.0, setup.dims[a] - 1.0).floor();
+        let from = match parallel {
+            true if setup.forward[a] > 0.0 => 0.0,
+            true => setup.dims[a],
+            false => setup.eye[a],
+        };
+        let cell = (from - 0.5).clamp(0.0, setup.dims[a] - 1.0).floor();
         brick.low[a] as f32 <= cell && cell <= brick.high[a] as f32
     };
     let at = |i: usize| {

@@ -22,7 +22,7 @@ pub struct Region {
 impl Region {
     /// All of a frame.
     pub fn whole(frame: &Frame) -> Self {
-        Self { x: 0, y: 0, width: frame.width(), height: frame.height() }
+        Self { x: 0, y: 0, width: frame.width, height: frame.height }
     }
 
     /// Refuses a region that is empty or reaches beyond the frame.
@@ -30,17 +30,12 @@ impl Region {
         let fits = |first: u32, count: u32, all: u32| {
             count > 0 && first.checked_add(count).is_some_and(|end| end <= all)
         };
-        if fits(self.x, self.width, frame.width()) && fits(self.y, self.height, frame.height()) {
+        if fits(self.x, self.width, frame.width) && fits(self.y, self.height, frame.height) {
             return Ok(());
         }
         Err(Error::new(format!(
             "the region of {} x {} pixels at {}, {} is empty or reaches beyond the frame of {} x {}",
-            self.width,
-            self.height,
-            self.x,
-            self.y,
-            frame.width(),
-            frame.height()
+            self.width, self.height, self.x, self.y, frame.width, frame.height
         )))
     }
 

@@ -51,6 +51,10 @@ struct FrameSetup {
     pad_origin: f32,
     brick_dims: vec3<f32>,
     pad_dims: f32,
+    origin_right: vec3<f32>,
+    pad_right: f32,
+    origin_up: vec3<f32>,
+    pad_up: f32,
 }
 
 @group(0) @binding(0) var<storage, read> setup: FrameSetup;
@@ -360,14 +364,15 @@ fn scatter(p: vec3<f32>, color: vec3<f32>) -> vec3<f32> {
 fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
     let u = (f32(pixel.x) + 0.5) * setup.pixel_width - 1.0;
     let v = 1.0 - (f32(pixel.y) + 0.5) * setup.pixel_height;
+    let eye = setup.eye + u * setup.origin_right + v * setup.origin_up;
     let d = setup.forward + u * setup.right + v * setup.up;
     let length = sqrt(d.x * d.x + d.y * d.y + d.z * d.z);
     let direction = d / length;
     let product = direction * setup.advance;
     let advance = select(product, vec3<f32>(SMALLEST_ADVANCE), abs(product) < vec3<f32>(SMALLEST_ADVANCE));
     let inverse = 1.0 / advance;
-    let near = (vec3<f32>(0.0) - setup.eye) * inverse;
-    let far = (dims - setup.eye) * inverse;
+    let near = (vec3<f32>(0.0) - eye) * inverse;
+    let far = (dims - eye) * inverse;
     let closer = min(near, far);
     let farther = max(near, far);
     let enter = max(max(max(closer.x, closer.y), closer.z), 0.0);
@@ -381,7 +386,7 @@ fn trace(pixel: vec2<u32>, index: u32) -> vec4<f32> {
         offset = jitter(pixel.x, pixel.y);
     }
     let start = enter + offset;
-    let first = setup.eye + start * advance;
+    let first = eye + start * advance;
     let count = ceil(exit - start);
     let termination = setup.termination;
     var k = 0.0;

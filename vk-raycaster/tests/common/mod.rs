@@ -12,6 +12,11 @@ pub(crate) fn frame(rx: f32, ry: f32, dz: f32, width: u32, height: u32) -> Frame
     Frame::new(camera(rx, ry, dz), width, height).unwrap()
 }
 
+/// A frame of parallel rays: `scale` is half of the height that is seen.
+pub(crate) fn parallel((rx, ry, dz): (f32, f32, f32), scale: f32, width: u32, height: u32) -> Frame {
+    Frame::new(camera(rx, ry, dz).with_parallel_scale(scale).unwrap(), width, height).unwrap()
+}
+
 /// A smooth field with empty corners: three blobs on a gentle ramp inside a ball, in [0, 1].
 pub(crate) fn field(x: f32, y: f32, z: f32) -> f32 {
     let ball = 1.0 - (x * x + y * y + z * z).sqrt();

@@ -1,10 +1,12 @@
 //! What the window needs of this program: readers of volumes, predictors, controllers, path files.
 
+use crate::calibrate::place::machine_model;
+use crate::dataset::Clock;
 use crate::files::write_json;
 use crate::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Point, Transfer};
 use crate::steering::contenders::{ControllerKind, controller};
 use crate::steering::fit::SteeringModel;
-use crate::steering::race::shipped_model;
+use crate::steering::race::shipped_file;
 use crate::steering::rivals::StepResponse;
 use crate::volume::{Volume, Watcher};
 use anyhow::{Context, Result};
@@ -80,7 +82,7 @@ impl Steering for Predicts {
         let kind = ControllerKind::from_name(name).with_context(|| format!("no controller {name:?}"))?;
         let predictor = match &self.model {
             Some(model) => model.predictor()?,
-            None => Box::new(AnalyticModel::new()),
+            None => Box::new(AnalyticModel::default()),
         };
         // What a model knows of its errors holds on the machine that it was fitted on.
         let prior = match predictor.log_sd() {
@@ -99,17 +101,17 @@ impl Host for Surroundings {
     }
 
     fn steering(&self, volume: &VolumeView<'_>, shading: Shading) -> Result<Arc<dyn Steering>> {
-        let calibrated = self.model.is_some();
-        let model = match &self.model {
-            Some((title, model)) => Some(SteeringModel::new(title.clone(), model.clone(), volume)?),
-            None => match shipped_model(shading)? {
-                Some((title, file)) => {
-                    let title = title.trim_end_matches(", calibrated").to_owned();
-                    Some(SteeringModel::new(title, file.to_model()?, volume)?)
-                }
-                None => None,
+        // A model of another clock than the window's says nothing of its frames.
+        let here = machine_model(shading)?.filter(|(.., clock)| *clock == Some(Clock::Wall));
+        let (title, model, calibrated) = match (&self.model, here) {
+            (Some((title, model)), _) => (title.clone(), model.clone(), true),
+            (None, Some((path, file, _))) => (path.display().to_string(), file.to_model()?, true),
+            (None, None) => match shipped_file(shading)? {
+                Some((path, file)) => (path.display().to_string(), file.to_model()?, false),
+                None => return Ok(Arc::new(Predicts { model: None, calibrated: false })),
             },
         };
+        let model = Some(SteeringModel::new(title, model, volume)?);
         Ok(Arc::new(Predicts { model, calibrated }))
     }
 
@@ -125,17 +127,8 @@ impl Host for Surroundings {
     }
 
     fn calibration(&self, volume: &Path, shading: Shading) -> String {
-        let set = match shading {
-            Shading::None => "unshaded",
-            other => other.into(),
-        };
-        let shown = volume.display();
-        format!(
-            "entire collect {shown} --shade {} --out timings.csv && entire train --data timings.csv --calibrate \
-             models/{set}-selected.safetensors --out calibrated.safetensors && entire explore {shown} --model \
-             calibrated.safetensors",
-            shading
-        )
+        // The window's frames are timed on the host.
+        format!("entire calibrate --shade {shading} --clock wall && entire explore {}", volume.display())
     }
 }
 
@@ -147,7 +140,8 @@ fn path_file(recording: &Recording) -> PathFile {
         .collect();
     let pose = |i: usize| {
         let Arcball { rx, ry, dz } = frames[i].camera;
-        CameraPose { rx_deg: rx, ry_deg: ry, dz_radii: dz }
+        let parallel_scale = frames[i].parallel_scale;
+        CameraPose { rx_deg: rx, ry_deg: ry, dz_radii: dz, parallel_scale }
     };
     let mut held: Option<Transfer> = None;
     for (i, frame) in frames.iter().enumerate() {
@@ -214,6 +208,7 @@ mod tests {
         let at = |ry| Arcball { rx: 10.0, ry, dz: 2.0 };
         let frame = |ry, camera_switched, transfer| RecordedFrame {
             camera: at(ry),
+            parallel_scale: None,
             camera_switched,
             transfer,
             transfer_switched: false,
@@ -229,16 +224,20 @@ mod tests {
                 RecordedFrame { transfer_switched: true, ..frame(90.0, false, lobes(0.3)) },
                 frame(90.0, false, None),
                 frame(90.0, false, lobes(0.4)),
+                RecordedFrame { parallel_scale: Some(0.8), ..frame(90.0, true, None) },
+                RecordedFrame { parallel_scale: Some(0.7), ..frame(95.0, false, None) },
             ],
         };
         let file = path_file(&recording);
         let path = file.resolve().unwrap();
         assert_eq!(path.fov_y_degrees, 40.0);
         let angles: Vec<f32> = path.frames.iter().map(|f| f.camera.ry).collect();
-        assert_eq!(angles, [0.0, 0.0, 0.0, 4.0, 90.0, 90.0, 90.0, 90.0], "{file:?}");
-        assert_eq!(path.switches(), [4, 5], "the drag is no switch");
+        assert_eq!(angles, [0.0, 0.0, 0.0, 4.0, 90.0, 90.0, 90.0, 90.0, 90.0, 95.0], "{file:?}");
+        assert_eq!(path.switches(), [4, 5, 8], "the drag is no switch");
+        let scales: Vec<_> = path.frames[7..].iter().map(|f| f.parallel_scale).collect();
+        assert_eq!(scales, [None, Some(0.8), Some(0.7)]);
         let heights: Vec<f32> = path.frames.iter().map(|f| f.transfer.lobes().unwrap()[0].height).collect();
-        assert_eq!(heights, [0.1, 0.1, 0.1, 0.1, 0.1, 0.3, 0.3, 0.4]);
+        assert_eq!(heights, [0.1, 0.1, 0.1, 0.1, 0.1, 0.3, 0.3, 0.4, 0.4, 0.4]);
     }
 
     #[test]
@@ -250,7 +249,7 @@ mod tests {
         let host = Surroundings { model: None };
         let progress = Arc::new(Progress::default());
         let volume = host.open(&file, &progress).unwrap();
-        assert_eq!((volume.view().dims(), progress.share()), ([64; 3], 1.0));
+        assert_eq!((volume.view().shape().dims, progress.share()), ([64; 3], 1.0));
         let progress = Arc::new(Progress::default());
         progress.cancel();
         let error = host.open(&file, &progress).err().unwrap();

@@ -1,11 +1,15 @@
 //! Task lists, and which node does what in which order.
 
 mod affinity;
+mod bound;
+mod exchange;
 mod queue;
 #[cfg(test)]
 mod tests;
 
 pub use affinity::{AffinityTask, simulate_affinity};
+pub use bound::lower_bound;
+pub use exchange::exchange;
 pub use queue::{Span, Timeline, simulate_queue};
 
 use crate::files::read_bytes;
@@ -220,7 +224,7 @@ pub fn plan(method: Method, deciding: &[f64], speeds: &[f64]) -> Result<Plan> {
         Method::Longest => Plan::Assigned(assign_longest_first(deciding, speeds)?, order),
         Method::Static => {
             let mut assignment = assign_longest_first(deciding, speeds)?;
-            assignment.exchange(deciding, speeds)?;
+            exchange(&mut assignment, deciding, speeds)?;
             Plan::Assigned(assignment, order)
         }
         Method::Queue => Plan::Queued(order),

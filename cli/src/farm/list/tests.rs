@@ -1,7 +1,6 @@
 //! Task lists, and what the simulated queues promise.
 
 use super::*;
-use entire_core::schedule::lower_bound;
 use proptest::prelude::*;
 
 fn ones(n: usize) -> Vec<f64> {
@@ -76,6 +75,32 @@ fn nonsense_is_refused() {
     }
 }
 
+#[test]
+fn exchanges_repair_grahams_worst_case() {
+    // Two nodes, tasks 3 3 2 2 2: longest first ends at 7, the best schedule at 6.
+    let times = [3.0, 3.0, 2.0, 2.0, 2.0];
+    let mut a = assign_longest_first(&times, &ones(2)).unwrap();
+    assert_eq!(a.makespan(&times, &ones(2)).unwrap(), 7.0);
+    assert_eq!(lower_bound(&times, &ones(2)).unwrap(), 6.0);
+    exchange(&mut a, &times, &ones(2)).unwrap();
+    assert_eq!(a.makespan(&times, &ones(2)).unwrap(), 6.0);
+    // All on one node of three: moves alone bring it down.
+    let mut a = Assignment { node_of: vec![1; 9], nodes: 3 };
+    exchange(&mut a, &[1.0; 9], &ones(3)).unwrap();
+    assert_eq!([0, 1, 2].map(|n| a.node_of.iter().filter(|&&of| of == n).count()), [3, 3, 3]);
+    assert!(exchange(&mut Assignment { node_of: vec![0; 2], nodes: 1 }, &[1.0], &ones(1)).is_err());
+    assert!(exchange(&mut Assignment { node_of: vec![5; 1], nodes: 1 }, &[1.0], &ones(1)).is_err());
+}
+
+#[test]
+fn one_long_task_bounds_everything() {
+    let mut times = vec![1.0; 20];
+    times[19] = 100.0;
+    assert_eq!(lower_bound(&times, &ones(8)).unwrap(), 100.0);
+    assert_eq!(lower_bound(&times, &[1.0, 4.0]).unwrap(), 25.0);
+    assert!(lower_bound(&times, &[]).is_err() && lower_bound(&[f64::NAN], &[1.0]).is_err());
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
@@ -115,5 +140,29 @@ proptest! {
         let few = simulate_queue(&order, &times, &ones(nodes), 0.0).unwrap().makespan;
         let more = simulate_queue(&order, &times, &ones(nodes + 1), 0.0).unwrap().makespan;
         prop_assert!(more <= few * (1.0 + 1e-12));
+    }
+
+    #[test]
+    fn no_assignment_beats_the_bound(times in prop::collection::vec(0.01f64..10.0, 1..9), nodes in 1usize..4) {
+        // The shortest makespan of all assignments.
+        let all = nodes.pow(times.len() as u32);
+        let best = (0..all)
+            .map(|code| {
+                let node_of = (0..times.len()).map(|t| code / nodes.pow(t as u32) % nodes).collect();
+                Assignment { node_of, nodes }.makespan(&times, &ones(nodes)).unwrap()
+            })
+            .fold(f64::INFINITY, f64::min);
+        prop_assert!(lower_bound(&times, &ones(nodes)).unwrap() <= best * (1.0 + 1e-12));
+    }
+
+    #[test]
+    fn exchanges_never_do_harm(times in prop::collection::vec(0.0f64..10.0, 1..60), speeds in prop::collection::vec(0.2f64..4.0, 1..9)) {
+        let before = assign_longest_first(&times, &speeds).unwrap();
+        let mut after = before.clone();
+        exchange(&mut after, &times, &speeds).unwrap();
+        let (b, a) = (before.makespan(&times, &speeds).unwrap(), after.makespan(&times, &speeds).unwrap());
+        prop_assert!(a <= b * (1.0 + 1e-12), "{a} {b}");
+        prop_assert!(a >= lower_bound(&times, &speeds).unwrap() * (1.0 - 1e-12));
+        prop_assert!(after.node_of.len() == times.len() && after.node_of.iter().all(|&n| n < speeds.len()));
     }
 }

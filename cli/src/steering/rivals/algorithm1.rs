@@ -28,7 +28,7 @@ impl Controller for Algorithm1 {
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         let terms = (request.cost)(1.0);
-        let at_reference = terms.seconds();
+        let at_reference = terms.parts.iter().sum::<f32>();
         if !(at_reference.is_finite() && at_reference > 0.0) {
             return decision(request.limits.coarsest, f32::NAN, f32::NAN, Reason::NoInformation);
         }

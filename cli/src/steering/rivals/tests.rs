@@ -40,7 +40,7 @@ fn every_controller_survives_any_observation() {
             let target = [1e-3, 0.03, 5.0][i / 7 % 3];
             let base = (noise.normal() * 2.0).exp() as f32 * 0.02;
             let mut cost = |step: f32| CostTerms::whole(base / step, 0.0, Source::Analytic);
-            let changes = Changes { transfer: i % 50 == 0, first: i == 0, ..Changes::NONE };
+            let changes = Changes { transfer: i % 50 == 0, first: i == 0, ..Changes::default() };
             let limits = StepLimits { finest: 0.5, coarsest: 20.0 };
             let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut cost });
             assert!((0.5..=20.0).contains(&decision.step), "{} {i} {decision:?}", controller.name());
@@ -128,7 +128,7 @@ fn play(controller: &mut dyn Controller, plant: &Plant, frames: usize, seed: u64
             parts[4] = (wrong * work * f64::from(step).powf(-EXPONENT)) as f32;
             CostTerms { parts, out_of_range: 0.0, source: Source::Analytic }
         };
-        let changes = Changes { first: i == 0, transfer: switched, ..Changes::NONE };
+        let changes = Changes { first: i == 0, transfer: switched, ..Changes::default() };
         let target = (plant.target)(i);
         let decision =
             controller.plan(&mut PlanRequest { target, limits: plant.limits, changes, cost: &mut cost });

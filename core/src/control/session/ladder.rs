@@ -3,7 +3,7 @@
 use super::Session;
 use crate::Result;
 use crate::error::bail;
-use crate::features::{MAX_PROBE_SIDE, Setting};
+use crate::features::{FrameFeatures, MAX_PROBE_SIDE, Setting};
 use crate::predict::Prediction;
 use crate::scene::Frame;
 
@@ -23,30 +23,38 @@ pub(super) struct Ladder {
 }
 
 impl Session {
-    /// Lets plans begin with a probe of 4² rays, and take one of 7², 11², 16² and at last `finest`² only
-    /// while the error that a probe estimates of itself could change the plan: while it is larger than
-    /// `tolerance` (a share of the frame's time, which changes the step by as much), unless even so the
-    /// finest step surely meets the target, or the coarsest surely does not. So `finest` bounds what a plan
-    /// may cost, and most plans cost less. [`crate::features::FrameFeatures::probe_side`] of
-    /// [`Session::features`] tells how far the last one went. [`Session::predict`] and [`Session::choose`]
-    /// take the finest probe.
+    /// Measures frames with `side`² probe rays: fewer cost less time and scatter more (see
+    /// [`FrameFeatures::with_probe_side`]). For linear cost models
+    /// ([`crate::Predictor::any_probe_side`]); a network keeps the probe that it was trained with.
     ///
-    /// For linear cost models ([`crate::Predictor::any_probe_side`]); a network keeps the probe that it was
-    /// trained with.
+    /// With a `tolerance`, plans begin with a probe of 4² rays, and take one of 7², 11², 16² and at last `side`² only
+    /// while the error that a probe estimates of itself could change the plan: while it is larger than the tolerance (a
+    /// share of the frame's time, which changes the step by as much), unless even so the finest step surely meets the
+    /// target, or the coarsest surely does not. So `side` bounds what a plan may cost, and most plans cost less.
+    /// [`FrameFeatures::probe_side`] of [`Session::features`] tells how far the last one went.
+    /// [`Session::predict`] and [`Session::choose`] take the finest probe.
     ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a side of 0 or over [`MAX_PROBE_SIDE`], and for a tolerance
     /// that is not in 0…1.
-    pub fn with_probe_ladder(mut self, finest: usize, tolerance: f32) -> Result<Self> {
-        if !(1..=MAX_PROBE_SIDE).contains(&finest) || !(0.0..=1.0).contains(&tolerance) {
+    pub fn with_probe(mut self, side: usize, tolerance: Option<f32>) -> Result<Self> {
+        if !(1..=MAX_PROBE_SIDE).contains(&side) {
             bail!(
                 InvalidArgument,
-                "a probe of up to {finest} rays along each side, with a tolerance of {tolerance}, was asked for; accepted are \
-                 1 to {MAX_PROBE_SIDE} rays and a share of 0 to 1"
+                "the probe is to have {side} rays along each side; accepted are 1 to {MAX_PROBE_SIDE}"
+            );
+        }
+        if let Some(share) = tolerance
+            && !(0.0..=1.0).contains(&share)
+        {
+            bail!(
+                InvalidArgument,
+                "the probe's tolerance is {share}; a share of the frame's time from 0 to 1 is accepted"
             );
         }
         if self.predictor.any_probe_side() {
-            self.ladder = Some(Ladder { finest, tolerance });
+            self.features = FrameFeatures::with_probe_side(side);
+            self.ladder = tolerance.map(|tolerance| Ladder { finest: side, tolerance });
         }
         Ok(self)
     }
@@ -83,7 +91,7 @@ impl Session {
         }
         let changes = self.changes_for(frame);
         let limits = self.coarsening.limits();
-        let (controller, mut cost) = self.costing(changes, Setting::of(frame))?;
+        let (controller, mut cost) = self.costing(changes, Setting::from(frame))?;
         let finest = controller.correct(&cost.at(limits.finest), changes);
         let slower = Prediction {
             seconds: finest.seconds * (1.0 + error),

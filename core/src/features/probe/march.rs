@@ -1,8 +1,9 @@
 //! One ray after another through the grid of cells, and what packets of rays share with it.
 
 use super::{BINS, Chords, SHADOW_DIRECTION, SHADOW_OPACITY};
-use crate::features::{Geometry, TransferSummary, VolumeSummary};
+use crate::features::{TransferSummary, VolumeSummary};
 use crate::kernels::Level;
+use crate::scene::Shape;
 use crate::scene::{Frame, Shading};
 use glam::Vec3;
 
@@ -49,10 +50,10 @@ impl ChordCounts {
     const NOTHING: Self = Self { count: [0; BINS], length: [0; BINS] };
 
     /// Of a chord, and of a reference step.
-    const UNIT: f32 = 1048576.0;
+    pub(super) const UNIT: f32 = 1048576.0;
 
     /// Longer chords are taken as this long, in reference steps.
-    const LONGEST: f32 = 2040.0;
+    pub(super) const LONGEST: f32 = 2040.0;
 
     #[inline(always)]
     fn bin(length: f32) -> u32 {
@@ -75,17 +76,27 @@ impl ChordCounts {
         self.length[bin] += u64::from(Self::units(length));
     }
 
-    /// Adds chords.
+    /// Adds the first `count` chords, their lengths in [`Self::UNIT`]s beside them.
     #[inline(always)]
-    pub(super) fn add_all(&mut self, lengths: &[f32; KEPT], count: usize) {
+    pub(super) fn add_all(&mut self, lengths: &[f32; KEPT], units: &[u32; KEPT], count: usize) {
         /// Where the number of chords stands above their length.
         const ONE: u64 = 1 << 40;
         let bins = lengths.map(Self::bin);
-        let units = lengths.map(Self::units);
         // Four tables in turn: in one, equal neighbors would wait for each other.
         let mut sums = [[0u64; 32]; 4];
-        for (i, (&bin, &units)) in bins.iter().zip(&units).enumerate().take(count) {
-            sums[i % 4][bin as usize % 32] += ONE + u64::from(units);
+        let [a, b, c, d] = &mut sums;
+        let one = |sums: &mut [u64; 32], bin: u32, units: u32| {
+            sums[bin as usize % 32] += ONE + u64::from(units);
+        };
+        let (fours, rest) = bins[..count].as_chunks::<4>();
+        for (&[i, j, k, l], &[s, t, u, v]) in fours.iter().zip(units.as_chunks::<4>().0) {
+            one(a, i, s);
+            one(b, j, t);
+            one(c, k, u);
+            one(d, l, v);
+        }
+        for (&bin, &units) in rest.iter().zip(&units[count - rest.len()..]) {
+            one(a, bin, units);
         }
         for bin in 0..BINS {
             let sum: u64 = sums.iter().map(|s| s[bin]).sum();
@@ -114,10 +125,9 @@ pub(super) struct March<'a> {
     pub(super) volume: &'a VolumeSummary,
     pub(super) transfer: &'a mut TransferSummary,
     pub(super) grid: [i32; 3],
-    pub(super) eye: Vec3,
-    pub(super) right: Vec3,
-    pub(super) up: Vec3,
-    pub(super) forward: Vec3,
+    /// As [`crate::scene::Camera::ray_basis`] gives them.
+    pub(super) origin: [Vec3; 3],
+    pub(super) direction: [Vec3; 3],
     pub(super) half_extent: Vec3,
     /// Cells per scene unit along each axis.
     pub(super) scale: Vec3,
@@ -171,27 +181,25 @@ impl<'a> March<'a> {
         volume: &'a VolumeSummary,
         transfer: &'a mut TransferSummary,
         frame: &Frame,
-        geometry: Geometry,
+        shape: Shape,
     ) -> Self {
-        let dims = Vec3::from_array(volume.dims().map(|n| n as f32));
+        let dims = Vec3::from_array(shape.dims.map(|n| n as f32));
         let edge = Vec3::from_array(volume.cell_edge().map(|n| n as f32));
         let block = Vec3::from_array(volume.block_edge().map(|n| n as f32));
-        let voxel = 2.0 * geometry.half_extent / dims;
-        let termination = frame.termination();
-        let (eye, right, up, forward) = frame.camera().ray_basis(frame.width(), frame.height());
+        let voxel = 2.0 * shape.half_extent / dims;
+        let termination = frame.termination;
+        let (origin, direction) = frame.camera.ray_basis(frame.width, frame.height);
         Self {
             volume,
             transfer,
             grid: volume.cells().map(|n| n as i32),
-            eye,
-            right,
-            up,
-            forward,
-            half_extent: geometry.half_extent,
+            origin,
+            direction,
+            half_extent: shape.half_extent,
             scale: 1.0 / (voxel * edge),
             shift: 0.5 / edge,
-            scatters: frame.shading() == Shading::Scatter,
-            per_step: 1.0 / geometry.reference_step,
+            scatters: frame.shading == Shading::Scatter,
+            per_step: 1.0 / shape.reference_step,
             depth_end: if termination < 1.0 { -libm::log1pf(-termination) } else { f32::INFINITY },
             shadow_end: -libm::log1pf(-SHADOW_OPACITY),
             block: (block != edge).then_some(block * voxel),
@@ -231,8 +239,8 @@ impl<'a> March<'a> {
     #[allow(clippy::needless_range_loop, reason = "the ray of every field")]
     pub(super) fn one_by_one(&mut self, rays: &mut [&mut [f32]; FIELDS], count: usize) {
         for i in 0..count {
-            let direction = self.forward + rays[U][i] * self.right + rays[V][i] * self.up;
-            let ray = self.ray(self.eye, direction, rays[DRAW][i]);
+            let at = |[middle, right, up]: [Vec3; 3]| middle + rays[U][i] * right + rays[V][i] * up;
+            let ray = self.ray(at(self.origin), at(self.direction), rays[DRAW][i]);
             rays[CHORD][i] = ray.chord;
             rays[OCCUPIED][i] = ray.occupied;
             rays[EMPTY][i] = ray.empty;
@@ -279,26 +287,9 @@ impl<'a> March<'a> {
             let t_next = walk.leaves().min(t_exit);
             let length = (t_next - t).max(0.0) * rate;
             let cell = walk.index as usize;
-            if !self.transfer.is_occupied(cell) {
-                was_occupied = false;
-                out.empty += length;
-                if mean_block_chord.is_none() {
-                    self.block_skips.add_one(length);
-                }
-                if let Some(distance) = self.transfer.distance() {
-                    let index = walk.index;
-                    let (nx, ny) = (self.grid[0], self.grid[1]);
-                    let place = [index % nx, index / nx % ny, index / nx / ny];
-                    if !jump.covers(place) {
-                        jump.finish(&mut self.distance_skips);
-                        jump = Jump { from: place, reach: i32::from(distance[cell]), length: 0.0 };
-                    }
-                    jump.length += length;
-                }
-            } else {
+            if let Some(here) = self.transfer.optics(self.volume, cell) {
                 jump.finish(&mut self.distance_skips);
                 jump = Jump::NONE;
-                let here = self.transfer.optics(self.volume, cell);
                 let d = here.extinction * length;
                 let (used, ends) = if depth + d >= self.depth_end {
                     ((self.depth_end - depth) / d * length, true)
@@ -308,7 +299,7 @@ impl<'a> March<'a> {
                 let inside = used * here.occupied;
                 out.occupied += inside;
                 // A view's rays have unit length along its axis: t is depth.
-                out.depth += inside * 0.5 * (t + t_next);
+                out.depth += inside * (t + t_next);
                 out.runs += if was_occupied { 0.0 } else { 1.0 };
                 was_occupied = true;
                 let shown = used * here.visible;
@@ -336,6 +327,22 @@ impl<'a> March<'a> {
                     break;
                 }
                 depth += d;
+            } else {
+                was_occupied = false;
+                out.empty += length;
+                if mean_block_chord.is_none() {
+                    self.block_skips.add_one(length);
+                }
+                if let Some(distance) = self.transfer.distance() {
+                    let index = walk.index;
+                    let (nx, ny) = (self.grid[0], self.grid[1]);
+                    let place = [index % nx, index / nx % ny, index / nx / ny];
+                    if !jump.covers(place) {
+                        jump.finish(&mut self.distance_skips);
+                        jump = Jump { from: place, reach: i32::from(distance[cell]), length: 0.0 };
+                    }
+                    jump.length += length;
+                }
             }
             if t_next >= t_exit {
                 break;
@@ -343,6 +350,7 @@ impl<'a> March<'a> {
             t = t_next;
             walk.advance();
         }
+        out.depth *= 0.5;
         jump.finish(&mut self.distance_skips);
         if let Some(chord) = mean_block_chord {
             self.block_skips.add_many(chord, out.empty);
@@ -374,10 +382,7 @@ impl<'a> March<'a> {
             let t_next = walk.leaves().min(t_exit);
             let length = (t_next - t).max(0.0) * rate;
             let cell = walk.index as usize;
-            if !self.transfer.is_occupied(cell) {
-                skips += 1.0;
-            } else {
-                let here = self.transfer.optics(self.volume, cell);
+            if let Some(here) = self.transfer.optics(self.volume, cell) {
                 let d = here.extinction * length;
                 if depth + d >= end {
                     let used = (end - depth) / d;
@@ -389,6 +394,8 @@ impl<'a> March<'a> {
                 }
                 depth += d;
                 occupied += length * here.occupied;
+            } else {
+                skips += 1.0;
             }
             if t_next >= t_exit {
                 break;

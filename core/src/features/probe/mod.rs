@@ -134,8 +134,8 @@ impl Probe {
         frame: &Frame,
         side: usize,
     ) -> Self {
-        let geometry = volume.geometry();
-        let footprint = Footprint::new(geometry.half_extent, frame.camera(), frame.width(), frame.height());
+        let shape = volume.shape();
+        let footprint = Footprint::new(shape.half_extent, &frame.camera, frame.width, frame.height);
         if side == 0 || footprint.share <= 0.0 || transfer.grid() != volume.cells() {
             return Self { footprint, ..Self::NOTHING };
         }
@@ -161,7 +161,7 @@ impl Probe {
         footprint: Footprint,
         side: usize,
     ) -> Self {
-        let geometry = volume.geometry();
+        let shape = volume.shape();
         let count = side * side;
         let per_side = 1.0 / side as f32;
         let (low, high) = (footprint.low, footprint.high);
@@ -176,7 +176,7 @@ impl Probe {
                 rays[DRAW][i] = OFFSETS[count - 1 - i][0];
             }
         }
-        let mut march = March::new(volume, transfer, frame, geometry);
+        let mut march = March::new(volume, transfer, frame, shape);
         march.all(level, &mut rays, count);
         let mut hits = rays[CHORD][..count].iter().filter(|&&c| c > 0.0).count();
         if hits == 0 {
@@ -196,8 +196,8 @@ impl Probe {
         let occupied = total(OCCUPIED);
         // Depth along the view, weighted by the samples' length; where nothing is sampled, that of the
         // volume's center.
-        let depth = if occupied > 0.0 { total(DEPTH) / occupied } else { frame.camera().to_arcball().dz };
-        let aspect = frame.width() as f32 / frame.height() as f32;
+        let depth = if occupied > 0.0 { total(DEPTH) / occupied } else { frame.camera.to_arcball().dz };
+        let aspect = frame.width as f32 / frame.height as f32;
         let mut all = [0.0f32; ROOM];
         for ((all, &occupied), &empty) in all.iter_mut().zip(&*rays[OCCUPIED]).zip(&*rays[EMPTY]) {
             *all = occupied + empty;
@@ -205,8 +205,7 @@ impl Probe {
         // A pixel that misses the box waits for its neighbors too, so misses count.
         let most = if side <= 14 { most_nearby::<16> } else { most_nearby::<32> };
         let (occupied_max, all_max) = (most(&rays[OCCUPIED][..count], side), most(&all[..count], side));
-        let sampled =
-            if frame.skipping() == Skipping::None { &all[..count] } else { &rays[OCCUPIED][..count] };
+        let sampled = if frame.skipping == Skipping::None { &all[..count] } else { &rays[OCCUPIED][..count] };
         let error = relative_error(sampled, &rays[CHORD][..count], side, hits);
         let block_skips = block_skips.mean(inv);
         Self {
@@ -218,7 +217,7 @@ impl Probe {
             empty: total(EMPTY) * inv,
             visible: total(VISIBLE) * inv,
             runs: total(RUNS) * inv,
-            spread: 2.0 * libm::tanf(0.5 * frame.camera().fov_y()) * depth / geometry.reference_step,
+            spread: frame.camera.height_at(depth) / shape.reference_step,
             terminated: total(TERMINATED) * inv,
             occupied_max: occupied_max * inv,
             all_max: all_max * inv,

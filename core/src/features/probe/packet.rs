@@ -1,13 +1,13 @@
-//! Rays side by side through the grid of cells: as many as a vector has lanes, neighbors in the probe, each
-//! in the arithmetic of [`March::ray`] to the last bit. A lane whose ray has ended waits for the others of
-//! its packet.
+//! Rays side by side through the grid of cells: as many as a vector has lanes, each in the arithmetic of
+//! [`March::ray`] to the last bit. A lane whose ray has ended waits for the others of its packet, so that a
+//! packet holds rays that cross about as many cells.
 
-use super::SHADOW_DIRECTION;
 use super::march::{
-    CHORD, DEPTH, DRAW, EMPTY, FIELDS, KEPT, March, OCCUPIED, RUNS, SHADOW, SHADOW_ALL, SHADOW_SKIPS,
-    TERMINATED, TINY, U, V, VISIBLE,
+    CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, KEPT, March, OCCUPIED, RUNS, SHADOW, SHADOW_ALL,
+    SHADOW_SKIPS, TERMINATED, TINY, U, V, VISIBLE,
 };
-use crate::features::transfer::{FLAGGED, OPTICS};
+use super::{MAX_RAYS, SHADOW_DIRECTION};
+use crate::features::transfer::packed;
 use crate::kernels::{Kernel, Level, Simd};
 
 /// Marches the first `count` rays. `rays` must have room for a multiple of 16.
@@ -27,14 +27,29 @@ impl Kernel for Packets<'_, '_, '_> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let mut packet = Packet { simd, march: self.march, kept: [0.0; KEPT], kept_count: 0 };
+        let mut order = [0i32; MAX_RAYS + 16];
+        let hits = packet.sort(self.rays, self.count, &mut order);
         let mut at = 0;
-        while at < self.count {
-            packet.march(self.rays, at, self.count - at);
+        while at < hits {
+            packet.march(self.rays, &order[at..], hits - at);
             at += S::LANES;
         }
-        packet.march.block_skips.add_all(&packet.kept, packet.kept_count);
+        packet.add_kept();
     }
 }
+
+/// Where the rays of a packet enter and leave the box, and how they run through it.
+struct Chords<S: Simd> {
+    origin: Three<S>,
+    direction: Three<S>,
+    /// `direction`, no component too near to zero.
+    safe: Three<S>,
+    t_enter: S::F,
+    t_exit: S::F,
+}
+
+/// Lengths that rays are sorted by.
+const LENGTHS: usize = 64;
 
 /// Three vectors.
 type Three<S> = [<S as Simd>::F; 3];
@@ -114,31 +129,33 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// In which of `lanes` the cell is not empty; what those cells do to a ray is known then.
+    /// The words of the cells without the present edit's number, and in which of `lanes` a cell is not empty.
+    /// What those cells do to a ray is known then.
     #[inline(always)]
-    fn full(&mut self, index: S::I, lanes: S::M) -> S::M {
+    fn look(&mut self, index: S::I, lanes: S::M) -> (S::I, S::M) {
         let simd = self.simd;
-        let words = simd.gather(self.march.transfer.flags(), simd.shift_right::<{ FLAGGED.ilog2() }>(index));
-        let place = simd.and_i(index, FLAGGED as i32 - 1);
-        let full = simd.and_m(simd.test(words, place), lanes);
-        let known = simd.test(words, simd.add_i(place, simd.splat_i(FLAGGED as i32)));
-        let unknown = simd.and_not_m(full, known);
+        let (words, edit) = self.march.transfer.words();
+        let edit = simd.splat_i(edit as i32);
+        let mut found = simd.xor_i(simd.gather(words, index), edit);
+        let unknown = simd.and_m(simd.nonzero(simd.and_i(found, packed::EDIT as i32)), lanes);
         if simd.any(unknown) {
             let mut cells = [0i32; 16];
             simd.write_i(index, &mut cells);
             self.march.compute(&cells, simd.lane_bits(unknown));
+            found = simd.xor_i(simd.gather(self.march.transfer.words().0, index), edit);
         }
-        full
+        (found, simd.and_m(simd.nonzero(found), lanes))
     }
 
-    /// Extinction and visible share of the cells.
+    /// Extinction and visible share of what [`Self::look`] found.
     #[inline(always)]
-    fn optics(&self, index: S::I) -> (S::F, S::F) {
+    fn optics(&self, found: S::I) -> (S::F, S::F) {
         let simd = self.simd;
-        let kept = bytemuck::cast_slice(self.march.transfer.kept_optics());
-        let first = simd.mul_i(index, OPTICS as i32);
-        let second = simd.add_i(first, simd.splat_i(1));
-        (simd.as_f(simd.gather(kept, first)), simd.as_f(simd.gather(kept, second)))
+        let bits = simd.and_i(found, packed::EXTINCTION as i32);
+        let extinction = simd.as_f(simd.add_i(bits, simd.splat_i(packed::EXPONENT as i32)));
+        let root = simd.to_f(simd.and_i(found, packed::SHOWS as i32));
+        let root = simd.mul(root, simd.splat(packed::UNIT));
+        (extinction, simd.mul(root, root))
     }
 
     /// Occupied share of the cells.
@@ -150,47 +167,133 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Marches up to `LANES` rays from `at` on, `count` of which exist.
+    /// Where rays through these places of the image meet the box.
     #[inline(always)]
-    fn march(&mut self, rays: &mut [&mut [f32]; FIELDS], at: usize, count: usize) {
+    fn chords(&self, u: S::F, v: S::F) -> Chords<S> {
         let simd = self.simd;
         let zero = simd.splat(0.0);
-        let half = simd.splat(0.5);
-        let (u, v) = (simd.read(&rays[U][at..]), simd.read(&rays[V][at..]));
-        let mut draw = simd.read(&rays[DRAW][at..]);
-        let existing = simd.lt(simd.read(&LANE_NUMBERS), simd.splat(count.min(S::LANES) as f32));
-
+        let mut origins = [zero; 3];
         let mut direction = [zero; 3];
         let mut safe = [zero; 3];
         let (mut t_enter, mut t_exit) = (zero, simd.splat(f32::INFINITY));
         for k in 0..3 {
             let m = &*self.march;
-            let along = simd.add(simd.splat(m.forward[k]), simd.mul(u, simd.splat(m.right[k])));
-            let d = simd.add(along, simd.mul(v, simd.splat(m.up[k])));
+            let at = |[middle, right, up]: [glam::Vec3; 3]| {
+                let along = simd.add(simd.splat(middle[k]), simd.mul(u, simd.splat(right[k])));
+                simd.add(along, simd.mul(v, simd.splat(up[k])))
+            };
+            let (origin, d) = (at(m.origin), at(m.direction));
             let least = simd.select(simd.lt(d, zero), simd.splat(-TINY), simd.splat(TINY));
             let magnitude = simd.max(d, simd.sub(zero, d));
+            origins[k] = origin;
             direction[k] = d;
             safe[k] = simd.select(simd.lt(magnitude, simd.splat(TINY)), least, d);
             let inverse = simd.div(simd.splat(1.0), safe[k]);
-            let (origin, extent) = (m.eye[k], m.half_extent[k]);
-            let a = simd.mul(simd.splat(-extent - origin), inverse);
-            let b = simd.mul(simd.splat(extent - origin), inverse);
+            let extent = m.half_extent[k];
+            let a = simd.mul(simd.sub(simd.splat(-extent), origin), inverse);
+            let b = simd.mul(simd.sub(simd.splat(extent), origin), inverse);
             t_enter = simd.max(t_enter, simd.min(a, b));
             t_exit = simd.min(t_exit, simd.max(a, b));
         }
+        Chords { origin: origins, direction, safe, t_enter, t_exit }
+    }
+
+    /// The rays that meet the box by the number of cells on their way, in groups; gives how many they are. The
+    /// others have no chord.
+    #[inline(always)]
+    fn sort(&self, rays: &mut [&mut [f32]; FIELDS], count: usize, order: &mut [i32; MAX_RAYS + 16]) -> usize {
+        let simd = self.simd;
+        let zero = simd.splat(0.0);
+        let cells = self.march.grid.iter().sum::<i32>() as f32;
+        let mut groups = [0u8; MAX_RAYS + 16];
+        let mut ends = [0u16; LENGTHS + 1];
+        let mut lanes = [0i32; 16];
+        let mut at = 0;
+        while at < count {
+            let ray = self.chords(simd.read(&rays[U][at..]), simd.read(&rays[V][at..]));
+            let mut pace = zero;
+            for k in 0..3 {
+                let d = simd.max(ray.direction[k], simd.sub(zero, ray.direction[k]));
+                pace = simd.add(pace, simd.mul(d, simd.splat(self.march.scale[k])));
+            }
+            let met = simd.mul(simd.sub(ray.t_exit, ray.t_enter), pace);
+            let group = simd.mul(met, simd.splat((LENGTHS - 2) as f32 / cells));
+            let group = simd.add(simd.min(group, simd.splat((LENGTHS - 2) as f32)), simd.splat(1.0));
+            let group = simd.select(simd.lt(ray.t_enter, ray.t_exit), group, zero);
+            simd.write_i(simd.trunc(group), &mut lanes);
+            for (i, &group) in lanes.iter().enumerate().take(S::LANES.min(count - at)) {
+                let group = group as usize % LENGTHS;
+                groups[at + i] = group as u8;
+                ends[group + 1] += 1;
+            }
+            simd.write(zero, &mut rays[CHORD][at..]);
+            at += S::LANES;
+        }
+        // Of group 0 are those that miss the box; the others go after each other from the first place on.
+        ends[1] = 0;
+        for group in 1..LENGTHS {
+            ends[group + 1] += ends[group];
+        }
+        for (ray, &group) in groups.iter().enumerate().take(count).filter(|(_, group)| **group != 0) {
+            let place = &mut ends[usize::from(group)];
+            order[usize::from(*place)] = ray as i32;
+            *place += 1;
+        }
+        usize::from(ends[LENGTHS - 1])
+    }
+
+    /// Counts the chords that were kept.
+    #[inline(always)]
+    fn add_kept(&mut self) {
+        let simd = self.simd;
+        let mut units = [0u32; KEPT];
+        for (lengths, units) in self.kept.chunks_exact(16).zip(units.as_chunks_mut::<16>().0) {
+            let mut at = 0;
+            while at < 16 {
+                let length = simd.min(simd.read(&lengths[at..]), simd.splat(ChordCounts::LONGEST));
+                let mut lanes = [0i32; 16];
+                simd.write_i(simd.trunc(simd.mul(length, simd.splat(ChordCounts::UNIT))), &mut lanes);
+                units[at..at + S::LANES].copy_from_slice(bytemuck::cast_slice(&lanes[..S::LANES]));
+                at += S::LANES;
+            }
+        }
+        self.march.block_skips.add_all(&self.kept, &units, self.kept_count);
+        self.kept_count = 0;
+    }
+
+    /// Gives numbers to the rays of a packet that exist.
+    #[inline(always)]
+    fn spread(&self, value: S::F, field: &mut [f32], order: &[i32], count: usize) {
+        let mut lanes = [0.0f32; 16];
+        self.simd.write(value, &mut lanes);
+        for (&lane, &ray) in lanes.iter().zip(order).take(S::LANES.min(count)) {
+            field[ray as usize] = lane;
+        }
+    }
+
+    /// Marches the first `LANES` rays of `order`, `count` of which exist.
+    #[inline(always)]
+    fn march(&mut self, rays: &mut [&mut [f32]; FIELDS], order: &[i32], count: usize) {
+        let simd = self.simd;
+        let zero = simd.splat(0.0);
+        let own = simd.read_i(order);
+        let of_own = |field: usize| simd.as_f(simd.gather(bytemuck::cast_slice(&*rays[field]), own));
+        let (u, v, mut draw) = (of_own(U), of_own(V), of_own(DRAW));
+        let existing = simd.lt(simd.read(&LANE_NUMBERS), simd.splat(count.min(S::LANES) as f32));
+        let Chords { origin, direction, safe, t_enter, t_exit } = self.chords(u, v);
         let mut alive = simd.and_m(simd.lt(t_enter, t_exit), existing);
         let square = |k: usize| simd.mul(direction[k], direction[k]);
         let length = simd.sqrt(simd.add(simd.add(square(0), square(1)), square(2)));
         // Reference steps per unit of t.
         let rate = simd.mul(length, simd.splat(self.march.per_step));
         let chord = simd.select(alive, simd.mul(simd.sub(t_exit, t_enter), rate), zero);
-        simd.write(chord, &mut rays[CHORD][at..]);
+        self.spread(chord, rays[CHORD], order, count);
 
         let m = &*self.march;
         let mut start = [zero; 3];
         let mut pace = [zero; 3];
         for k in 0..3 {
-            let entry = simd.add(simd.splat(m.eye[k]), simd.mul(t_enter, safe[k]));
+            let entry = simd.add(origin[k], simd.mul(t_enter, safe[k]));
             let inside = simd.add(entry, simd.splat(m.half_extent[k]));
             start[k] = simd.sub(simd.mul(inside, simd.splat(m.scale[k])), simd.splat(m.shift[k]));
             pace[k] = simd.mul(safe[k], simd.splat(m.scale[k]));
@@ -217,6 +320,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         let (mut runs, mut far, mut terminated) = (zero, zero, zero);
         let mut lit = simd.splat(-1.0);
         let mut was_occupied = simd.lt(zero, zero);
+        let mut kept_count = self.kept_count;
         // A ray crosses each face of the grid once.
         let mut left = self.march.grid.iter().sum::<i32>() + 3;
         while simd.any(alive) && left > 0 {
@@ -225,21 +329,22 @@ impl<S: Simd> Packet<'_, '_, S> {
             let length = simd.mul(simd.max(simd.sub(t_next, t), zero), rate);
             let cell = walk.index;
             self.advance(&mut walk);
-            let full = self.full(cell, alive);
+            let (found, full) = self.look(cell, alive);
             let hollow = simd.and_not_m(alive, full);
             if simd.any(hollow) {
                 empty = simd.select(hollow, simd.add(empty, length), empty);
                 if split.is_none() {
-                    self.kept_count += simd.compress(hollow, length, &mut self.kept[self.kept_count..]);
-                    if self.kept_count > KEPT - 16 {
-                        self.march.block_skips.add_all(&self.kept, self.kept_count);
-                        self.kept_count = 0;
+                    kept_count += simd.compress(hollow, length, &mut self.kept[kept_count..]);
+                    if kept_count > KEPT - 16 {
+                        self.kept_count = kept_count;
+                        self.add_kept();
+                        kept_count = 0;
                     }
                 }
             }
             let mut goes_on = simd.and_m(simd.lt(t_next, t_exit), alive);
             if simd.any(full) {
-                let ((extinction, shows), share) = (self.optics(cell), self.share(cell));
+                let ((extinction, shows), share) = (self.optics(found), self.share(cell));
                 let d = simd.mul(extinction, length);
                 let sum = simd.add(depth, d);
                 let ends = simd.and_m(simd.le(depth_end, sum), full);
@@ -253,7 +358,7 @@ impl<S: Simd> Packet<'_, '_, S> {
                 depth = simd.select(full, sum, depth);
                 let inside = simd.mul(used, share);
                 occupied = simd.select(full, simd.add(occupied, inside), occupied);
-                let moment = simd.mul(simd.mul(inside, half), simd.add(t, t_next));
+                let moment = simd.mul(inside, simd.add(t, t_next));
                 far = simd.select(full, simd.add(far, moment), far);
                 let begins = simd.and_not_m(full, was_occupied);
                 runs = simd.select(begins, simd.add(runs, simd.splat(1.0)), runs);
@@ -281,22 +386,24 @@ impl<S: Simd> Packet<'_, '_, S> {
             t = t_next;
             alive = goes_on;
         }
+        self.kept_count = kept_count;
         for (field, value) in [
             (OCCUPIED, occupied),
             (EMPTY, empty),
             (VISIBLE, visible),
             (RUNS, runs),
-            (DEPTH, far),
+            (DEPTH, simd.mul(far, simd.splat(0.5))),
             (TERMINATED, terminated),
         ] {
-            simd.write(value, &mut rays[field][at..]);
+            self.spread(value, rays[field], order, count);
         }
         if let Some(chord) = block_chord {
             let mut chords = [0.0f32; 16];
             simd.write(chord, &mut chords);
-            for i in 0..count.min(S::LANES) {
-                if rays[CHORD][at + i] > 0.0 {
-                    self.march.block_skips.add_many(chords[i], rays[EMPTY][at + i]);
+            for (&chord, &ray) in chords.iter().zip(order).take(count.min(S::LANES)) {
+                let ray = ray as usize;
+                if rays[CHORD][ray] > 0.0 {
+                    self.march.block_skips.add_many(chord, rays[EMPTY][ray]);
                 }
             }
         }
@@ -304,12 +411,12 @@ impl<S: Simd> Packet<'_, '_, S> {
         if scatters && simd.any(lights) {
             let mut from = [zero; 3];
             for k in 0..3 {
-                from[k] = simd.add(simd.splat(self.march.eye[k]), simd.mul(lit, safe[k]));
+                from[k] = simd.add(origin[k], simd.mul(lit, safe[k]));
             }
             let [inside, all, skips] = self.shadow(from, lights);
             for (field, value) in [(SHADOW, inside), (SHADOW_ALL, all), (SHADOW_SKIPS, skips)] {
                 let value = simd.select(lights, simd.mul(visible, value), zero);
-                simd.write(value, &mut rays[field][at..]);
+                self.spread(value, rays[field], order, count);
             }
         }
     }
@@ -345,12 +452,12 @@ impl<S: Simd> Packet<'_, '_, S> {
             let length = simd.mul(simd.max(simd.sub(t_next, t), zero), rate);
             let cell = walk.index;
             self.advance(&mut walk);
-            let full = self.full(cell, alive);
+            let (found, full) = self.look(cell, alive);
             let hollow = simd.and_not_m(alive, full);
             skips = simd.select(hollow, simd.add(skips, simd.splat(1.0)), skips);
             let mut goes_on = simd.and_m(simd.lt(t_next, t_exit), alive);
             if simd.any(full) {
-                let ((extinction, _), share) = (self.optics(cell), self.share(cell));
+                let ((extinction, _), share) = (self.optics(found), self.share(cell));
                 let d = simd.mul(extinction, length);
                 let sum = simd.add(depth, d);
                 let ends = simd.and_m(simd.le(end, sum), full);

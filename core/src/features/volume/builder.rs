@@ -18,13 +18,14 @@ use crate::scene::{ScalarType, Scalars, VolumeView};
 /// ```
 /// use entire_core::features::{SummaryBuilder, SummaryOptions, VolumeSummary};
 /// use entire_core::nn::Executor;
-/// use entire_core::scene::{Scalars, VolumeView};
+/// use entire_core::scene::{Scalars, VolumeOptions, VolumeView};
 ///
 /// let voxels: Vec<u16> = (0..40 * 30 * 20).map(|i| i as u16).collect();
 /// let (range, options) = ((0.0, 24_000.0), SummaryOptions::default());
 /// let slab = |planes: std::ops::Range<usize>| {
 ///     let part = &voxels[40 * 30 * planes.start..40 * 30 * planes.end];
-///     VolumeView::with_known_range(Scalars::U16(part), [40, 30, planes.len()], range)
+///     let known = VolumeOptions { range: Some(range), ..VolumeOptions::default() };
+///     VolumeView::with(Scalars::U16(part), [40, 30, planes.len()], known)
 /// };
 /// let mut builder = SummaryBuilder::new(&slab(0..8)?, 20, options)?;
 /// while let Some(planes) = builder.next_planes() {
@@ -63,9 +64,10 @@ impl SummaryBuilder {
             bail!(InvalidArgument, "a volume of 0 planes was announced; it must have at least 1");
         }
         crate::scene::check_edges([x, y, planes])?;
-        let summary = VolumeSummary::layout([x, y, planes], like.spacing(), like.scalar_type(), options)?;
+        let summary =
+            VolumeSummary::layout([x, y, planes], like.spacing(), like.scalars().scalar_type(), options)?;
         let grid =
-            Grid { dims: summary.dims, cells: summary.cells, edge: summary.edge, block: summary.block };
+            Grid { dims: summary.shape.dims, cells: summary.cells, edge: summary.edge, block: summary.block };
         let found = match like.scalars() {
             Scalars::U8(_) => Kind::U8(Found::new(&grid)?),
             Scalars::U16(_) => Kind::U16(Found::new(&grid)?),

@@ -11,7 +11,7 @@ pub use builder::SummaryBuilder;
 use crate::error::bail;
 use crate::kernels::Executor;
 use crate::memory::{copied, filled};
-use crate::scene::{ScalarType, VolumeView, bounding_radius, check_edges, check_spacing};
+use crate::scene::{ScalarType, Shape, VolumeView, check_edges, check_spacing};
 use crate::{Error, ErrorKind, Result};
 use alloc::vec::Vec;
 use glam::Vec3;
@@ -45,15 +45,6 @@ impl Default for SummaryOptions {
     }
 }
 
-/// The box that rays meet, in scene space (origin at its center, unit = bounding-sphere radius).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Geometry {
-    /// Half the box.
-    pub half_extent: Vec3,
-    /// The reference ray step.
-    pub reference_step: f32,
-}
-
 /// What is kept of a volume: about 12 bytes per cell of 8³ voxels, never the voxels.
 ///
 /// Cell (i, j, k) with edge e holds the samples between the centers of voxels e·i and e·(i + 1) along each
@@ -63,10 +54,8 @@ pub(crate) struct Geometry {
 /// skips.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VolumeSummary {
-    dims: [usize; 3],
-    spacing: Vec3,
     scalar_type: ScalarType,
-    geometry: Geometry,
+    shape: Shape,
     /// Cells along each axis.
     cells: [usize; 3],
     /// Voxels along each axis of a cell.
@@ -90,23 +79,15 @@ pub struct VolumeSummary {
 }
 
 impl VolumeSummary {
-    /// Scans a volume once, on the calling thread.
+    /// Scans a volume once, on the calling thread. For threads, for progress, for stopping and for volumes that are
+    /// never there as a whole there is [`SummaryBuilder`].
     ///
     /// # Errors
     /// [`ErrorKind::InvalidArgument`] for options out of range, [`ErrorKind::SizeMismatch`] for a volume with
     /// more blocks than can be indexed, [`ErrorKind::OutOfMemory`] where there is no room for what is kept.
     pub fn new(volume: &VolumeView<'_>, options: SummaryOptions) -> Result<Self> {
-        Self::new_on(volume, options, Executor::Serial)
-    }
-
-    /// As [`VolumeSummary::new`] on threads that the caller gives; the summary does not depend on them. For
-    /// progress, for stopping and for volumes that are never there as a whole there is [`SummaryBuilder`].
-    ///
-    /// # Errors
-    /// As [`VolumeSummary::new`].
-    pub fn new_on(volume: &VolumeView<'_>, options: SummaryOptions, executor: Executor<'_>) -> Result<Self> {
         let mut builder = SummaryBuilder::new(volume, volume.dims()[2], options)?;
-        builder.add(volume, executor)?;
+        builder.add(volume, Executor::Serial)?;
         builder.finish()
     }
 
@@ -115,7 +96,7 @@ impl VolumeSummary {
     /// included. Values inside a brick are taken as spread evenly between its bounds. NaN bounds count as 0.
     ///
     /// # Errors
-    /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with_spacing`]
+    /// [`ErrorKind::InvalidArgument`] for a size or edge of 0 or a spacing that [`VolumeView::with`]
     /// refuses, [`ErrorKind::SizeMismatch`] for a size over [`crate::scene::MAX_VOLUME_EDGE`] or when the
     /// number of bricks is not the one that sizes and edge give, [`ErrorKind::OutOfMemory`] where there is no
     /// room for what is kept.
@@ -179,30 +160,14 @@ impl VolumeSummary {
         })
     }
 
-    /// Voxels along x, y, z.
-    pub fn dims(&self) -> [usize; 3] {
-        self.dims
-    }
-
-    /// Voxel spacing along x, y, z.
-    pub fn spacing(&self) -> Vec3 {
-        self.spacing
-    }
-
-    /// Radius of the bounding sphere in world units, as in [`VolumeView::bounding_radius`].
-    pub fn bounding_radius(&self) -> f32 {
-        let [x, y, z] = self.dims.map(|n| n as f32);
-        bounding_radius(Vec3::new(x, y, z) * self.spacing)
+    /// Sizes of the volume and lengths of its box.
+    pub fn shape(&self) -> Shape {
+        self.shape
     }
 
     /// The element type of the volume.
     pub(crate) fn scalar_type(&self) -> ScalarType {
         self.scalar_type
-    }
-
-    /// The box that rays meet.
-    pub(crate) fn geometry(&self) -> Geometry {
-        self.geometry
     }
 
     /// Cells along x, y, z.
@@ -253,7 +218,7 @@ impl VolumeSummary {
 
     /// Number of voxels.
     pub(crate) fn voxels(&self) -> f64 {
-        self.dims.iter().map(|&n| n as f64).product()
+        self.shape.dims.iter().map(|&n| n as f64).product()
     }
 
     /// Number of cells.
@@ -311,15 +276,9 @@ impl VolumeSummary {
         edge: [usize; 3],
     ) -> Result<Self> {
         let n = count(cells, dims)?;
-        let extent = Vec3::new(dims[0] as f32, dims[1] as f32, dims[2] as f32) * spacing;
-        let radius = bounding_radius(extent);
-        let geometry =
-            Geometry { half_extent: 0.5 * extent / radius, reference_step: spacing.min_element() / radius };
         Ok(Self {
-            dims,
-            spacing,
             scalar_type,
-            geometry,
+            shape: Shape::new(dims, spacing),
             cells,
             edge,
             block: edge.map(|e| e.min((e / BLOCKS_PER_CELL_AXIS).max(BLOCK_EDGE))),

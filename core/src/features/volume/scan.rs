@@ -28,6 +28,12 @@ impl Grid {
         core::array::from_fn(|a| self.dims[a].div_ceil(self.block[a]))
     }
 
+    /// Bytes from one cell's entries to the next one's: no power of two, by which cells would share few lines of
+    /// the cache.
+    fn room(&self) -> usize {
+        self.edge.iter().product::<usize>() + 64
+    }
+
     /// Voxels of a cell (or block of that `size`) along an axis, from the volume's beginning.
     fn span(&self, i: usize, size: usize, axis: usize) -> Range<usize> {
         i * size..((i + 1) * size).min(self.dims[axis])
@@ -198,30 +204,26 @@ struct Scratch<T> {
     joined: [Joined<T>; 4],
     /// A row whose voxels do not lie side by side.
     row: Vec<T>,
-    /// Entries of the rows of one row of cells.
-    entries: Vec<u8>,
-    /// Entries of a cell side by side.
-    batch: Vec<u8>,
+    /// Entries of a row.
+    line: Vec<u8>,
+    /// Entries of one row of cells, those of a cell side by side.
+    cells: Vec<u8>,
     counts: [[u32; 256]; 4],
 }
 
 impl<T: Voxel> Scratch<T> {
     fn new(grid: &Grid, slab: &VolumeView<'_>) -> Result<Self> {
-        let Grid { dims, edge, .. } = *grid;
+        let dims = grid.dims;
         let joined = || Joined::new(dims[0]);
-        let rows = edge[1].min(dims[1]) * edge[2].min(dims[2]);
         Ok(Self {
             joined: [joined()?, joined()?, joined()?, joined()?],
             row: filled(if slab.strides()[0] == 1 { 0 } else { dims[0] }, T::LOWEST)?,
-            entries: filled(if T::IS_ENTRY { 0 } else { rows * dims[0] }, 0)?,
-            batch: filled(BATCH, 0)?,
+            line: filled(if T::IS_ENTRY { 0 } else { dims[0] }, 0)?,
+            cells: filled(grid.cells[0] * grid.room(), 0)?,
             counts: [[0; 256]; 4],
         })
     }
 }
-
-/// Most entries that are counted at a time.
-const BATCH: usize = 4096;
 
 impl<T: Voxel> Layers<'_, T> {
     /// Bounds of the blocks in a row of cells, and the entries of its voxels.
@@ -233,7 +235,7 @@ impl<T: Voxel> Layers<'_, T> {
     fn bound(&mut self, cz: usize, cy: usize) {
         let grid = *self.grid;
         let (source, scratch) = (self.source, &mut self.scratch);
-        let (block, width) = (grid.block, grid.dims[0]);
+        let (block, per_cell) = (grid.block, grid.room());
         let [across, down, _] = grid.blocks();
         let first_block = self.layers.start * (grid.edge[2] / block[2]);
         let (zs, ys) = (grid.span(cz, grid.edge[2], 2), grid.span(cy, grid.edge[1], 1));
@@ -249,11 +251,14 @@ impl<T: Voxel> Layers<'_, T> {
                         for (joined, _) in scratch.joined.iter_mut().zip(takes).filter(|(_, takes)| *takes) {
                             joined.add(row);
                         }
-                        if !T::IS_ENTRY {
-                            let at = ((z - zs.start) * ys.len() + y - ys.start) * width;
-                            non_finite +=
-                                u64::from(T::entries(row, self.map, &mut scratch.entries[at..at + width]));
-                        }
+                        let entries = if T::IS_ENTRY {
+                            T::bytes(row)
+                        } else {
+                            non_finite += u64::from(T::entries(row, self.map, &mut scratch.line));
+                            &scratch.line
+                        };
+                        let place = (z - zs.start) * ys.len() + y - ys.start;
+                        deal(entries, grid.edge[0], place, per_cell, &mut scratch.cells);
                     }
                 }
                 for (joined, back) in scratch.joined.iter().zip([[0, 0], [1, 0], [0, 1], [1, 1]]) {
@@ -277,8 +282,7 @@ impl<T: Voxel> Layers<'_, T> {
     #[inline(always)]
     fn count<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
         let grid = *self.grid;
-        let (source, scratch) = (self.source, &mut self.scratch);
-        let width = grid.dims[0];
+        let (scratch, per_cell) = (&mut self.scratch, grid.room());
         let (zs, ys) = (grid.span(cz, grid.edge[2], 2), grid.span(cy, grid.edge[1], 1));
         for cx in 0..grid.cells[0] {
             let xs = grid.span(cx, grid.edge[0], 0);
@@ -293,23 +297,7 @@ impl<T: Voxel> Layers<'_, T> {
                 continue;
             }
             let batch = Batch { simd, bounds: [low, high] };
-            let mut filled = 0;
-            for (r, (z, y)) in zs.clone().flat_map(|z| ys.clone().map(move |y| (z, y))).enumerate() {
-                let bytes = if !T::IS_ENTRY {
-                    &scratch.entries[r * width..][xs.clone()]
-                } else {
-                    T::bytes(&source.row(&mut scratch.row, y, z)[xs.clone()])
-                };
-                for piece in bytes.chunks(BATCH) {
-                    if filled + piece.len() > BATCH {
-                        batch.count(&scratch.batch[..filled], &mut scratch.counts);
-                        filled = 0;
-                    }
-                    copy(piece, &mut scratch.batch[filled..filled + piece.len()]);
-                    filled += piece.len();
-                }
-            }
-            batch.count(&scratch.batch[..filled], &mut scratch.counts);
+            batch.count(&scratch.cells[cx * per_cell..][..total], &mut scratch.counts);
             let out = &mut self.quantiles[cell];
             let range = usize::from(low)..usize::from(high) + 1;
             let [a, b, c, d] = &mut scratch.counts;
@@ -396,20 +384,32 @@ impl<T: Voxel> Joined<T> {
     }
 }
 
-/// Copies a row of a cell; most have one of few lengths, for which no function is called.
+/// Gives each cell its part of a row's entries: `edge` of them, of which the row is number `place`. There is room
+/// for `per_cell` entries of each cell.
 #[inline(always)]
-fn copy(from: &[u8], to: &mut [u8]) {
-    fn fixed<const N: usize>(from: &[u8], to: &mut [u8]) -> bool {
-        match (<&[u8; N]>::try_from(from), <&mut [u8; N]>::try_from(to)) {
-            (Ok(from), Ok(to)) => {
-                *to = *from;
-                true
-            }
-            _ => false,
+fn deal(entries: &[u8], edge: usize, place: usize, per_cell: usize, cells: &mut [u8]) {
+    #[inline(always)]
+    fn fixed<const N: usize>(entries: &[u8], place: usize, per_cell: usize, cells: &mut [u8]) {
+        let (parts, rest) = entries.as_chunks::<N>();
+        for (part, cell) in parts.iter().zip(cells.chunks_exact_mut(per_cell)) {
+            cell[N * place..N * place + N].copy_from_slice(part);
+        }
+        let last = &mut cells[parts.len() * per_cell..];
+        if !rest.is_empty() {
+            last[rest.len() * place..][..rest.len()].copy_from_slice(rest);
         }
     }
-    if !(fixed::<8>(from, to) || fixed::<16>(from, to) || fixed::<32>(from, to)) {
-        to.copy_from_slice(from);
+    // Most cells have one of few edges, for which no function is called.
+    match edge {
+        4 => fixed::<4>(entries, place, per_cell, cells),
+        8 => fixed::<8>(entries, place, per_cell, cells),
+        16 => fixed::<16>(entries, place, per_cell, cells),
+        32 => fixed::<32>(entries, place, per_cell, cells),
+        _ => {
+            for (part, cell) in entries.chunks(edge).zip(cells.chunks_exact_mut(per_cell)) {
+                cell[part.len() * place..][..part.len()].copy_from_slice(part);
+            }
+        }
     }
 }
 
@@ -426,7 +426,7 @@ impl<S: Simd> Batch<S> {
     fn count(&self, bytes: &[u8], counts: &mut [[u32; 256]; 4]) {
         let [low, high] = self.bounds;
         let [a, b, c, d] = counts;
-        if usize::from(high - low) < 2 * S::LANES {
+        if usize::from(high - low) < 3 * S::LANES {
             let mut left = bytes.len() as u32;
             for entry in low..high {
                 let n = self.simd.count_bytes(bytes, entry);

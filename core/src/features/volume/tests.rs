@@ -4,6 +4,7 @@ use super::*;
 use crate::ErrorKind;
 use crate::kernels::Helper;
 use crate::scene::Scalars;
+use crate::scene::VolumeOptions;
 use std::vec::Vec;
 
 const DIMS: [usize; 3] = [37, 21, 43];
@@ -44,7 +45,12 @@ impl Volume {
         let voxels = DIMS[0] * DIMS[1];
         let part = voxels * planes.start..voxels * planes.end;
         let view = |scalars, range| {
-            VolumeView::with_known_range(scalars, [DIMS[0], DIMS[1], planes.len()], range).unwrap()
+            VolumeView::with(
+                scalars,
+                [DIMS[0], DIMS[1], planes.len()],
+                VolumeOptions { range: Some(range), ..VolumeOptions::default() },
+            )
+            .unwrap()
         };
         [
             view(Scalars::U8(&self.bytes[part.clone()]), (0.0, 255.0)),
@@ -53,6 +59,13 @@ impl Volume {
             view(Scalars::F32(&self.floats[part]), (-30.0, 50.0)),
         ]
     }
+}
+
+/// The summary of a whole volume on the executor's threads.
+fn summary_on(whole: &VolumeView<'_>, options: SummaryOptions, executor: Executor<'_>) -> VolumeSummary {
+    let mut builder = SummaryBuilder::new(whole, whole.dims()[2], options).unwrap();
+    builder.add(whole, executor).unwrap();
+    builder.finish().unwrap()
 }
 
 #[test]
@@ -66,7 +79,7 @@ fn slabs_and_threads_change_no_bit() {
                 let options = SummaryOptions { cells_per_axis };
                 let expected = VolumeSummary::new(whole, options).unwrap();
                 for executor in [Executor::Serial, Executor::Helper(&helper)] {
-                    assert_eq!(VolumeSummary::new_on(whole, options, executor).unwrap(), expected);
+                    assert_eq!(summary_on(whole, options, executor), expected);
                     for multiple in [1, 2] {
                         let mut builder = SummaryBuilder::new(whole, DIMS[2], options).unwrap();
                         while let Some(planes) = builder.next_planes() {
@@ -91,7 +104,7 @@ fn pools_change_no_bit() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         for whole in volume.slabs(0..DIMS[2]) {
             let options = SummaryOptions::default();
-            let found = VolumeSummary::new_on(&whole, options, Executor::Rayon(&pool)).unwrap();
+            let found = summary_on(&whole, options, Executor::Rayon(&pool));
             assert_eq!(found, VolumeSummary::new(&whole, options).unwrap());
         }
     }
@@ -111,7 +124,8 @@ fn slabs_that_do_not_fit_are_refused_and_leave_no_trace() {
     assert_eq!(builder.add(&part, executor).unwrap_err().kind(), ErrorKind::SizeMismatch);
     assert_eq!(builder.add(&words, executor).unwrap_err().kind(), ErrorKind::InvalidArgument);
     assert_eq!(builder.add(&eight_words, executor).unwrap_err().kind(), ErrorKind::InvalidArgument);
-    let other = eight.with_range(0.0, 254.0).unwrap();
+    let shifted = VolumeOptions { range: Some((0.0, 254.0)), ..VolumeOptions::default() };
+    let other = VolumeView::with(eight.scalars(), eight.dims(), shifted).unwrap();
     assert_eq!(builder.add(&other, executor).unwrap_err().kind(), ErrorKind::InvalidArgument);
     assert_eq!(builder.clone().finish().unwrap_err().kind(), ErrorKind::NotReady);
     builder.add(&eight, executor).unwrap();

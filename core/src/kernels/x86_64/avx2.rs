@@ -270,19 +270,37 @@ impl Simd for Avx2 {
         }
     }
     #[inline(always)]
-    fn test(self, words: Self::I, place: Self::I) -> Self::M {
-        // SAFETY: token. The bit asked for becomes the sign.
-        unsafe { _mm256_castsi256_ps(_mm256_slli_epi32::<31>(_mm256_srlv_epi32(words, place))) }
-    }
-    #[inline(always)]
-    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
-        // SAFETY: token.
-        unsafe { _mm256_srl_epi32(a, _mm_cvtsi32_si128(BITS as i32)) }
-    }
-    #[inline(always)]
     fn and_i(self, a: Self::I, b: i32) -> Self::I {
         // SAFETY: token.
         unsafe { _mm256_and_si256(a, _mm256_set1_epi32(b)) }
+    }
+    #[inline(always)]
+    fn xor_i(self, a: Self::I, b: Self::I) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm256_xor_si256(a, b) }
+    }
+    #[inline(always)]
+    fn nonzero(self, a: Self::I) -> Self::M {
+        // SAFETY: token. What is zero turns to all ones, and those around.
+        unsafe {
+            let zero = _mm256_cmpeq_epi32(a, _mm256_setzero_si256());
+            _mm256_castsi256_ps(_mm256_xor_si256(zero, _mm256_set1_epi32(-1)))
+        }
+    }
+    #[inline(always)]
+    fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64 {
+        let half = |at: usize| {
+            // SAFETY: token; both have 64 bytes, and `at` is 0 or 32.
+            unsafe {
+                let (first, last) = (_mm256_set1_epi8(first as i8), _mm256_set1_epi8(last as i8));
+                let low = _mm256_loadu_si256(low.as_ptr().add(at).cast());
+                let high = _mm256_loadu_si256(high.as_ptr().add(at).cast());
+                let begins = _mm256_cmpeq_epi8(_mm256_min_epu8(low, last), low);
+                let ends = _mm256_cmpeq_epi8(_mm256_max_epu8(high, first), high);
+                u64::from(_mm256_movemask_epi8(_mm256_and_si256(begins, ends)) as u32)
+            }
+        };
+        half(0) | half(32) << 32
     }
     #[inline(always)]
     fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {

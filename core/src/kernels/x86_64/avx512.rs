@@ -273,30 +273,47 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         }
     }
     #[inline(always)]
-    fn test(self, words: Self::I, place: Self::I) -> Self::M {
-        // SAFETY: token.
-        unsafe { _mm512_test_epi32_mask(_mm512_srlv_epi32(words, place), _mm512_set1_epi32(1)) }
-    }
-    #[inline(always)]
-    fn shift_right<const BITS: u32>(self, a: Self::I) -> Self::I {
-        // SAFETY: token.
-        unsafe { _mm512_srli_epi32::<BITS>(a) }
-    }
-    #[inline(always)]
     fn and_i(self, a: Self::I, b: i32) -> Self::I {
         // SAFETY: token.
         unsafe { _mm512_and_si512(a, _mm512_set1_epi32(b)) }
     }
     #[inline(always)]
+    fn xor_i(self, a: Self::I, b: Self::I) -> Self::I {
+        // SAFETY: token.
+        unsafe { _mm512_xor_si512(a, b) }
+    }
+    #[inline(always)]
+    fn nonzero(self, a: Self::I) -> Self::M {
+        // SAFETY: token.
+        unsafe { _mm512_test_epi32_mask(a, a) }
+    }
+    #[inline(always)]
+    fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64 {
+        // SAFETY: token; both have 64 bytes.
+        unsafe {
+            let low = _mm512_loadu_si512(low.as_ptr().cast());
+            let high = _mm512_loadu_si512(high.as_ptr().cast());
+            _mm512_cmple_epu8_mask(low, _mm512_set1_epi8(last as i8))
+                & _mm512_cmpge_epu8_mask(high, _mm512_set1_epi8(first as i8))
+        }
+    }
+    #[inline(always)]
     fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {
-        let (vectors, rest) = bytes.as_chunks::<64>();
-        let mut count = rest.iter().map(|&b| u32::from(b == value)).sum();
-        for v in vectors {
+        let same = |v: &[u8; 64]| {
             // SAFETY: token; the vector has 64 bytes.
-            let same = unsafe {
+            let mask = unsafe {
                 _mm512_cmpeq_epi8_mask(_mm512_loadu_si512(v.as_ptr().cast()), _mm512_set1_epi8(value as i8))
             };
-            count += same.count_ones();
+            mask.count_ones()
+        };
+        let (vectors, rest) = bytes.as_chunks::<64>();
+        let mut count = rest.iter().map(|&b| u32::from(b == value)).sum();
+        let (fours, vectors) = vectors.as_chunks::<4>();
+        for [a, b, c, d] in fours {
+            count += (same(a) + same(b)) + (same(c) + same(d));
+        }
+        for v in vectors {
+            count += same(v);
         }
         count
     }

@@ -9,7 +9,7 @@ use entire_core::control::ObserveFlags;
 use entire_core::control::{Session, StepLimits};
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::{
-    Arcball, Camera, Frame, GaussianLobe, Scalars, Skipping, TransferFunction, VolumeView,
+    Arcball, Camera, Frame, GaussianLobe, Scalars, Skipping, TransferFunction, VolumeOptions, VolumeView,
 };
 use entire_vk_raycaster::{CpuRaycaster, Renderer};
 use std::error::Error;
@@ -21,7 +21,11 @@ const SWITCH: usize = 30;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let voxels = nested_shells();
-    let volume = VolumeView::new(Scalars::U8(&voxels), DIMS)?.with_spacing([1.0, 1.0, 1.5])?;
+    let volume = VolumeView::with(
+        Scalars::U8(&voxels),
+        DIMS,
+        VolumeOptions { spacing: [1.0, 1.0, 1.5], ..VolumeOptions::default() },
+    )?;
     let thin = TransferFunction::Gaussian(vec![GaussianLobe { center: 0.5, width: 0.05, height: 0.01 }]);
     let dense = TransferFunction::Gaussian(vec![GaussianLobe { center: 0.8, width: 0.01, height: 0.9 }]);
 
@@ -47,7 +51,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         let frame = frame_at(i)?;
         let plan = session.plan(&frame, target as f32)?;
-        let seconds = renderer.render(&frame.with_step(plan.step)?)?.time.seconds();
+        let seconds = renderer.render(&Frame { step: plan.step, ..frame })?.time.seconds();
         session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
         over += usize::from(seconds > 1.25 * target);
         println!(
@@ -65,7 +69,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 /// A slow orbit, at the reference step until the plan says otherwise.
 fn frame_at(i: usize) -> Result<Frame, entire_core::Error> {
     let camera = Camera::from_arcball(Arcball { rx: 20.0, ry: 3.0 * i as f32, dz: 2.4 })?;
-    Ok(Frame::new(camera, 160, 120)?.with_skipping(Skipping::Blocks))
+    Ok(Frame { skipping: Skipping::Blocks, ..Frame::new(camera, 160, 120)? })
 }
 
 /// Shells around the center whose values rise inwards.

@@ -22,21 +22,21 @@ pub(super) fn damaged(method: ControllerKind, machine: &mut Machine<'_>) -> Resu
     let block = Block::ball(16, 0.0);
     let summary = VolumeSummary::new(&block.view()?, SummaryOptions::default())?;
     let table = TransferFunction::Gaussian(shell()).to_table()?;
-    let mut transfer = TransferSummary::new(&summary, &table);
+    let mut transfer = TransferSummary::new(&summary, &table)?;
     let frame = Frame::new(Camera::from_arcball(Arcball { rx: 0.0, ry: 0.0, dz: 2.0 })?, 64, 64)?;
-    let mut features = FrameFeatures::new();
-    features.measure(&summary, &mut transfer, &frame);
+    let mut features = FrameFeatures::default();
+    features.measure(&summary, &mut transfer, &frame)?;
     let mut noise = Noise::new(28);
     let (mut refused, mut read) = (0, 0);
     let mut check = |bytes: &[u8], what: &str| match Model::from_bytes(bytes).and_then(|m| load(&m)) {
-        Err(e) if e.message().is_empty() => broken.push(format!("{what}: refused without a reason")),
+        Err(e) if e.to_string().is_empty() => broken.push(format!("{what}: refused without a reason")),
         Err(_) => refused += 1,
         Ok(mut predictor) => {
             read += 1;
             let inputs = Inputs {
                 features: &features,
-                setting: Setting::of(&frame),
-                changes: Changes::NONE,
+                setting: Setting::from(&frame),
+                changes: Changes::default(),
                 camera: features.pose(),
                 volume_features: None,
                 lobes: None,

@@ -72,7 +72,7 @@ impl Machine<'_> {
     fn seconds(&mut self, frame: &Frame) -> Result<f64> {
         let rendered = self.renderer().render(frame)?;
         match self {
-            Self::Scripted(_) => Ok(law(frame.pixels() as f64, &rendered.counts.context("the twin counts")?)),
+            Self::Scripted(_) => Ok(law(pixels(frame), &rendered.counts.context("the twin counts")?)),
             Self::Real(_, clock) => {
                 entire_cli::dataset::Timing::new(rendered.time, rendered.counts).seconds(*clock).with_context(
                     || format!("the renderer has no {} clock; choose another with --clock", clock.name()),
@@ -89,7 +89,7 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
     let summary = VolumeSummary::new(&view, SummaryOptions::default())?;
     machine.renderer().set_volume(&view)?;
     let mut rows = Vec::new();
-    let mut features = FrameFeatures::new();
+    let mut features = FrameFeatures::default();
     let mut noise = Noise::new(3);
     for k in 0..24 {
         let table = TransferFunction::Gaussian(lobes(
@@ -99,31 +99,35 @@ fn fitted(machine: &mut Machine<'_>) -> Result<AnalyticModel> {
         ))
         .to_table()?;
         machine.renderer().set_transfer(&table)?;
-        let mut transfer = TransferSummary::new(&summary, &table);
+        let mut transfer = TransferSummary::new(&summary, &table)?;
         let camera =
             Arcball { rx: 90.0 * noise.uniform() as f32, ry: 15.0 * k as f32, dz: 1.3 + 0.1 * k as f32 };
         let side = machine.grown() * [24, 40, 64][k % 3];
         for step in [1.0, 2.0, 5.0] {
-            let frame = Frame::new(Camera::from_arcball(camera)?, side, side)?.with_step(step)?;
-            features.measure(&summary, &mut transfer, &frame);
+            let frame = Frame { step, ..Frame::new(Camera::from_arcball(camera)?, side, side)? }.checked()?;
+            features.measure(&summary, &mut transfer, &frame)?;
             let seconds = machine.seconds(&frame)?;
-            rows.push(Measurement::new(&features, &Setting::of(&frame), seconds));
+            rows.push(Measurement::new(&features, &Setting::from(&frame), seconds));
         }
     }
-    let mut model = AnalyticModel::new();
+    let mut model = AnalyticModel::default();
     model.fit(&UnitCosts::SOFTWARE, &rows)?;
     Ok(model)
+}
+
+fn pixels(frame: &Frame) -> f64 {
+    f64::from(frame.width) * f64::from(frame.height)
 }
 
 /// One frame's time at a step.
 fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Result<f64> {
     let twin = match machine {
         Machine::Scripted(twin) => twin.as_mut(),
-        Machine::Real(..) => return Ok(shot.speed * machine.seconds(&frame.with_step(step)?)?),
+        Machine::Real(..) => return Ok(shot.speed * machine.seconds(&Frame { step, ..*frame }.checked()?)?),
     };
-    let drawn = Frame::new(*frame.camera(), shot.drawn.0, shot.drawn.1)?.with_step(step)?;
+    let drawn = Frame { step, ..Frame::new(frame.camera, shot.drawn.0, shot.drawn.1)? }.checked()?;
     let counts = twin.render(&drawn)?.counts.context("the twin counts")?;
-    let scale = frame.pixels() as f64 / drawn.pixels() as f64;
+    let scale = pixels(frame) / pixels(&drawn);
     let up = |n: u64| (n as f64 * scale) as u64;
     let counts = WorkCounts {
         rays: up(counts.rays),
@@ -131,7 +135,7 @@ fn truth(machine: &mut Machine<'_>, shot: &Shot, frame: &Frame, step: f32) -> Re
         skips: up(counts.skips),
         shaded: up(counts.shaded),
     };
-    Ok(shot.speed * law(frame.pixels() as f64, &counts))
+    Ok(shot.speed * law(pixels(frame), &counts))
 }
 
 /// Plays a scene of this file. On a real machine the rules leave room for its noise, which nobody can
@@ -184,7 +188,7 @@ pub fn play(number: usize, method: ControllerKind, machine: &mut Machine<'_>) ->
         }
         shown = Some((shot.volume, shot.lobes.clone()));
         if shot.camera_cut {
-            who.session.mark(Changes { camera: true, ..Changes::NONE });
+            who.session.mark(Changes { camera: true, ..Changes::default() });
         }
         let frame = Frame::new(Camera::from_arcball(shot.camera)?, grown * shot.size.0, grown * shot.size.1)?;
         if machine.is_real() && edited {

@@ -2,7 +2,7 @@
 
 use super::super::{Limits, Noise};
 use anyhow::Result;
-use entire_core::scene::{Arcball, GaussianLobe, Scalars, VolumeView};
+use entire_core::scene::{Arcball, GaussianLobe, Scalars, VolumeOptions, VolumeView};
 
 /// A volume of a scene.
 #[derive(Clone)]
@@ -41,7 +41,11 @@ impl Block {
     }
 
     pub(super) fn view(&self) -> Result<VolumeView<'_>> {
-        Ok(VolumeView::new(Scalars::F32(&self.voxels), self.dims)?.with_spacing(self.spacing)?)
+        Ok(VolumeView::with(
+            Scalars::F32(&self.voxels),
+            self.dims,
+            VolumeOptions { spacing: self.spacing, ..VolumeOptions::default() },
+        )?)
     }
 }
 

@@ -1,0 +1,51 @@
+#!/usr/bin/env bash
+# Puts everything that a study of a GPU needs into one folder that runs on a machine without network and without Rust:
+# out/gpu-study-folder/ (programs, models, volumes, the Vulkan loader). Copy it there and run ./run.sh, or `make gpu-study`.
+#   FOLDER   where it goes, out/gpu-study-folder unless given
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
+folder=${FOLDER:-out/gpu-study-folder}
+${CARGO:-cargo} build --release --quiet --package entire-cli --bin entire --package entire-lab --bin entire-lab
+rm -rf "$folder"
+mkdir -p "$folder/bin" "$folder/lib" "$folder/models"
+for program in entire entire-lab; do
+    cp "$target/release/$program" "$folder/bin/"
+    ! command -v strip >/dev/null || strip "$folder/bin/$program"
+done
+cp models/*-selected.safetensors "$folder/models/"
+cp -r data "$folder/data"
+rm -rf "$folder/data/timings"
+# The loader of Vulkan drivers: drivers for computation alone often come without it.
+loader=$(ldconfig -p 2>/dev/null | awk '/libvulkan\.so\.1 / && !found { print $NF; found = 1 }')
+if [[ -n $loader ]]; then cp -L "$loader" "$folder/lib/libvulkan.so.1"; else rmdir "$folder/lib"; fi
+cat >"$folder/run.sh" <<'RUN'
+#!/usr/bin/env bash
+# Studies this machine's Vulkan device in at most nine minutes: report.html in OUT (results/ unless given). Run again, it
+# goes on with what is missing. Options go to `bin/entire-lab gpu-study` (--help lists them).
+set -euo pipefail
+here=$(cd "$(dirname "$0")" && pwd)
+out=${OUT:-$here/results}
+mkdir -p "$out"
+out=$(cd "$out" && pwd)
+cd "$here"
+# A loader and a manifest of the driver where the system has none.
+if [[ -e lib/libvulkan.so.1 ]] && ! ldconfig -p 2>/dev/null | awk '/libvulkan\.so\.1 / { found = 1 } END { exit !found }'; then
+    export LD_LIBRARY_PATH="$here/lib${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}"
+fi
+if ! compgen -G "/usr/share/vulkan/icd.d/*.json" >/dev/null && ! compgen -G "/etc/vulkan/icd.d/*.json" >/dev/null &&
+    [[ -z ${VK_DRIVER_FILES:-}${VK_ICD_FILENAMES:-} ]]; then
+    for driver in libGLX_nvidia.so.0 libEGL_nvidia.so.0; do
+        if ldconfig -p 2>/dev/null | awk -v d="$driver" '$1 == d { found = 1 } END { exit !found }'; then
+            printf '{"file_format_version": "1.0.0", "ICD": {"library_path": "%s", "api_version": "1.3.0"}}\n' "$driver" >"$out/icd.json"
+            export VK_DRIVER_FILES="$out/icd.json" VK_ICD_FILENAMES="$out/icd.json"
+            break
+        fi
+    done
+fi
+exec bin/entire-lab gpu-study --data data --out "$out" "$@"
+RUN
+chmod +x "$folder/run.sh"
+size=$(du -sm "$folder" | cut -f1)
+echo "$folder: $size MiB; copy it to the machine with the GPU and run ./run.sh"
+((size <= 60)) || { echo "$folder is over 60 MiB" >&2; exit 1; }

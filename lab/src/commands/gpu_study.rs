@@ -1,0 +1,231 @@
+//! `entire-lab gpu-study`: everything that a device with a driver of its own can be asked in minutes.
+
+use crate::bars::{self, Bar};
+use crate::gpu::pictures::{Difference, compare};
+use crate::gpu::report::{Found, MODES};
+use crate::gpu::steps::{self, Extent, Step, held_out};
+use crate::gpu::{Outcome, Outcomes, State};
+use anyhow::{Context, Result};
+use entire_cli::dataset::{Clock, Table};
+use entire_cli::device::Device;
+use entire_cli::files::{make_folder, read_text, write_json};
+use entire_cli::interrupt;
+use entire_cli::metrics::median;
+use entire_cli::progress::progress_bar;
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+use std::time::{Duration, Instant};
+
+/// Study a device: pictures, costs, tables, models, frames held; one report.
+///
+/// Takes at most --seconds. A step that runs out of time is cut short or left out, and named; the same command
+/// with the same --out goes on with what is missing. Needs no network: `make gpu-study` puts everything that
+/// it needs into one folder that can be copied to a machine.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire-lab gpu-study --out out/gpu-study
+  entire-lab gpu-study --short --device vulkan --seconds 120 --out out/gpu-short
+  ENTIRE_DEVICE=NVIDIA entire-lab gpu-study --out nvidia")]
+pub struct Options {
+    /// What renders.
+    #[arg(long, value_enum, default_value = "vulkan")]
+    pub device: Device,
+    /// Which clock counts.
+    #[arg(long, value_enum, default_value = "device")]
+    pub clock: Clock,
+    /// Wall seconds that all of it may take.
+    #[arg(long, default_value_t = 530.0, value_name = "SECONDS")]
+    pub seconds: f64,
+    /// Shading modes to study.
+    #[arg(long, value_delimiter = ',', default_values = MODES, value_parser = MODES, value_name = "SHADE,…")]
+    pub shade: Vec<String>,
+    /// Small images, few frames: a test of the whole on a software driver.
+    #[arg(long)]
+    pub short: bool,
+    /// The folder with the project's volumes.
+    #[arg(long, default_value = "data", value_name = "DIR")]
+    pub data: PathBuf,
+    /// The `entire` command; unless given, the one beside this program.
+    #[arg(long, value_name = "FILE")]
+    pub entire: Option<PathBuf>,
+    /// Folder for the results.
+    #[arg(long, default_value = "out/gpu-study", value_name = "DIR")]
+    pub out: PathBuf,
+}
+
+/// A run: where, until when, and what was done.
+struct Study<'a> {
+    options: &'a Options,
+    entire: PathBuf,
+    deadline: Instant,
+    stop: std::sync::Arc<AtomicBool>,
+    outcomes: Outcomes,
+    bar: indicatif::ProgressBar,
+}
+
+impl Study<'_> {
+    fn left(&self) -> f64 {
+        self.deadline.saturating_duration_since(Instant::now()).as_secs_f64()
+    }
+
+    fn keep(&mut self, outcome: Outcome) -> Result<()> {
+        self.bar.println(format!(
+            "{:<24} {:<10} {:6.1} s",
+            outcome.step,
+            outcome.state.name(),
+            outcome.seconds
+        ));
+        self.outcomes.keep(outcome, &self.options.out)
+    }
+
+    fn run(&mut self, step: &Step) -> Result<()> {
+        self.bar.set_message(step.name.clone());
+        if self.outcomes.has(&step.name) {
+            return Ok(());
+        }
+        let outcome = if self.left() < 1.0 {
+            Outcome {
+                step: step.name.clone(),
+                state: State::LeftOut,
+                seconds: 0.0,
+                said: "no time was left; raise --seconds, or run the command again".into(),
+            }
+        } else {
+            steps::run(step, &self.entire, &self.options.out, self.deadline, &self.stop)?
+        };
+        self.keep(outcome)
+    }
+
+    fn pictures(&mut self, volumes: &[PathBuf], extent: Extent) -> Result<()> {
+        if self.outcomes.has("pictures") {
+            return Ok(());
+        }
+        self.bar.set_message("pictures");
+        let begin = Instant::now();
+        let folder = self.options.out.join("pictures");
+        make_folder(&folder)?;
+        let compared =
+            compare(self.options.device, &volumes[..volumes.len().min(2)], extent.picture, &folder);
+        let (state, said) = match &compared {
+            Ok(found) => (State::Done, format!("{} pictures", found.len())),
+            Err(error) => (State::Failed, format!("{error:#}")),
+        };
+        if let Ok(found) = &compared {
+            write_json(&self.options.out.join("pictures.json"), found)?;
+        }
+        self.keep(Outcome { step: "pictures".into(), state, seconds: begin.elapsed().as_secs_f64(), said })
+    }
+}
+
+fn name_of(device: Device) -> &'static str {
+    match device {
+        Device::Auto => "auto",
+        Device::Vulkan => "vulkan",
+        Device::Cpu => "cpu",
+    }
+}
+
+fn json(path: &Path) -> Option<Value> {
+    serde_json::from_str(&read_text(path, 1 << 24).ok()?).ok()
+}
+
+/// What a folder holds.
+fn found(out: &Path, outcomes: Outcomes, clock: Clock) -> Found {
+    let mut tables = Vec::new();
+    let mut evaluations = Vec::new();
+    for mode in MODES {
+        for kind in ["frames", "large"] {
+            let table = out.join(format!("{kind}-{mode}.csv"));
+            if let Ok(table) = Table::read_without_features(&table, 0) {
+                tables.push((kind, mode, table.frames));
+            }
+            let evaluated = out.join(format!("evaluated-{kind}-{mode}")).join("evaluation.json");
+            evaluations.extend(json(&evaluated).map(|v| (kind, mode, v)));
+        }
+    }
+    let pictures: Option<Vec<Difference>> =
+        json(&out.join("pictures.json")).and_then(|v| serde_json::from_value(v).ok());
+    Found {
+        outcomes,
+        probe: json(&out.join("probe.json")),
+        pictures: pictures.unwrap_or_default(),
+        tables,
+        evaluations,
+        switches: json(&out.join("switches").join("summary.json")),
+        clock,
+    }
+}
+
+/// Half of the median time of the frames that are about as large as those to hold.
+fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
+    let table = Table::read_without_features(&out.join("frames-none.csv"), 0).ok()?;
+    let pixels = u64::from(extent.held_size).pow(2);
+    let near = |w: u32, h: u32| (pixels / 3..=pixels * 3).contains(&(u64::from(w) * u64::from(h)));
+    let of = |near_only: bool| -> Vec<f64> {
+        let wanted = table.frames.iter().filter(|f| !near_only || near(f.scene.width, f.scene.height));
+        wanted.filter_map(|f| f.seconds(clock)).collect()
+    };
+    let half = |mut seconds: Vec<f64>| median(&mut seconds).map(|m| 0.5 * m);
+    half(of(true)).or_else(|| half(of(false)))
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// No volumes, no command `entire`, files that cannot be written, a bar that is short.
+pub fn run(options: &Options) -> Result<()> {
+    let extent = if options.short { Extent::SHORT } else { Extent::FULL };
+    let volumes = held_out(&options.data)?;
+    let entire = match &options.entire {
+        Some(path) => path.clone(),
+        None => std::env::current_exe().context("where is this program?")?.with_file_name("entire"),
+    };
+    anyhow::ensure!(entire.is_file(), "{} is not there; name the command with --entire", entire.display());
+    make_folder(&options.out.join("logs"))?;
+    let bar = progress_bar("gpu-study");
+    let mut study = Study {
+        options,
+        entire,
+        deadline: Instant::now() + Duration::from_secs_f64(options.seconds.clamp(10.0, 86_400.0)),
+        stop: interrupt::flag()?,
+        outcomes: Outcomes::of(&options.out)?,
+        bar,
+    };
+    let (device, clock) = (name_of(options.device), options.clock);
+    let mut all = vec![steps::probe(device)];
+    for mode in MODES.into_iter().filter(|m| options.shade.iter().any(|s| s == m)) {
+        all.extend(steps::of_mode(mode, &options.out, &volumes, (device, clock.name()), extent));
+    }
+    study.bar.set_length(all.len() as u64 + 2);
+    for (at, step) in all.iter().enumerate() {
+        study.run(step)?;
+        study.bar.inc(1);
+        if at == 0 {
+            study.pictures(&volumes, extent)?;
+            study.bar.inc(1);
+        }
+        // Held frames need the first mode's model, and count for more than the last mode's table.
+        if step.name == "evaluate-frames-none"
+            && let Some(target) = target(&options.out, clock, extent)
+        {
+            study.run(&steps::switches(&options.out, &volumes[0], (device, clock.name()), target, extent))?;
+            study.bar.inc(1);
+        }
+    }
+    study.bar.finish_and_clear();
+    let found = found(&options.out, study.outcomes, clock);
+    let rendered_by =
+        found.probe.as_ref().and_then(|p| p["device"].as_str()).unwrap_or("not known").to_owned();
+    let page = options.out.join("report.html");
+    found.page(rendered_by).write(&page)?;
+    println!("{}\n{}\n{}", found.steps().to_text(), found.times().to_text(), found.errors().to_text());
+    println!("{}", found.held().to_text());
+    println!("Report: {}", page.display());
+    let missing =
+        found.outcomes.0.iter().filter(|o| matches!(o.state, State::Failed | State::LeftOut)).count();
+    bars::print(&[
+        Bar::at_most("gpu-study-steps-missing", Some(missing as f64), 0.0),
+        Bar::at_most("gpu-study-picture-difference-of-255", found.worst_picture().map(f64::from), 2.0),
+    ])
+}

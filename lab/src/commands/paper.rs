@@ -1,0 +1,344 @@
+//! `entire-lab paper`: the paper's evaluation, row by row.
+
+use super::{farm, replay};
+use crate::bars;
+use crate::paper::{
+    self, Paper, Place, Selection, Work, cases, collect, description, encode, pictures, places, report,
+    train, yt,
+};
+use anyhow::{Context, Result, ensure};
+use clap::{Subcommand, ValueEnum};
+use description::Panel;
+use entire_cli::device::{self, Device};
+use entire_cli::interrupt;
+use entire_cli::options::thread_pool;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Hold every table and figure of the paper against ours.
+///
+/// Collects frames as the paper does, trains its networks as it does, and writes one report. Everything is kept
+/// in OUT: a command that was stopped goes on where it was, and nothing is made twice.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire-lab paper all --data ../shared/data
+  entire-lab paper collect --data ../shared/data --data-sets castro_blast --modes none --budget 20
+  entire-lab paper encode --data ../shared/data --sizes 64 --features 2 --python venv/bin/python
+  entire-lab paper train --data ../shared/data --only overall,ablation --runs 1
+  entire-lab paper report --bars")]
+pub struct Options {
+    #[command(subcommand)]
+    step: Step,
+}
+
+#[derive(Debug, Subcommand)]
+enum Step {
+    /// Every step, one after another.
+    All(AllOptions),
+    /// Render frames: our raycaster in every mode with the low-resolution proxy in the same run, and yt.
+    Collect(StepOptions),
+    /// Train VolumeNets.
+    Encode(EncodeOptions),
+    /// Train predictors on what was collected and judge them.
+    Train(TrainOptions),
+    /// Write the report from what was kept.
+    Report(ReportOptions),
+}
+
+/// What every step takes.
+#[derive(Debug, Clone, clap::Args)]
+pub struct StepOptions {
+    /// The description: data sets, splits, modes, sizes, numbers of frames, epochs, runs.
+    #[arg(long, value_name = "JSON", default_value = "data/timings/paper.json")]
+    pub description: PathBuf,
+    /// Folder that holds the data sets, or `ensembles` with them.
+    #[arg(long, value_name = "FOLDER", default_value = "data")]
+    pub data: PathBuf,
+    /// Folder for everything made.
+    #[arg(long, value_name = "FOLDER", default_value = "out/paper")]
+    pub out: PathBuf,
+    /// Only these data sets.
+    #[arg(long, value_delimiter = ',', value_name = "NAMES")]
+    pub data_sets: Vec<String>,
+    /// Only these modes: none, local, scatter, yt.
+    #[arg(long, value_delimiter = ',', value_name = "MODES")]
+    pub modes: Vec<String>,
+    /// Stop after so many minutes, keeping what is done.
+    #[arg(long, value_name = "MINUTES")]
+    pub budget: Option<f64>,
+    /// What renders.
+    #[arg(long, value_enum, default_value_t)]
+    pub device: Device,
+    /// A Python with yt, and with what lab/volumenet/requirements.txt names.
+    #[arg(long, value_name = "PROGRAM", default_value = "python3")]
+    pub python: PathBuf,
+    /// Threads; all logical processors unless given.
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// No progress bars.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// `encode`
+#[derive(Debug, Clone, clap::Args)]
+pub struct EncodeOptions {
+    #[command(flatten)]
+    step: StepOptions,
+    #[command(flatten)]
+    which: WhichEncoders,
+}
+
+#[derive(Debug, Clone, Default, clap::Args)]
+struct WhichEncoders {
+    /// Only these input sides.
+    #[arg(long, value_delimiter = ',', value_name = "SIDES")]
+    sizes: Vec<usize>,
+    /// Only these lengths of the feature vector.
+    #[arg(long, value_delimiter = ',', value_name = "LENGTHS")]
+    features: Vec<usize>,
+    /// Leave out the encoders of all data sets together and the capacity sweep.
+    #[arg(long)]
+    own_only: bool,
+}
+
+/// `train`
+#[derive(Debug, Clone, clap::Args)]
+pub struct TrainOptions {
+    #[command(flatten)]
+    step: StepOptions,
+    #[command(flatten)]
+    how: HowToTrain,
+}
+
+#[derive(Debug, Clone, Default, clap::Args)]
+struct HowToTrain {
+    /// Only these parts.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "PARTS")]
+    only: Vec<Panel>,
+    /// Trainings of every network, instead of the description's.
+    #[arg(long, value_name = "N")]
+    runs: Option<usize>,
+    /// Epochs of every network of the paper, instead of the description's.
+    #[arg(long, value_name = "N")]
+    epochs: Option<usize>,
+    /// What `make steer-traces` recorded, for use case 1.
+    #[arg(long, value_name = "FOLDER", default_value = "out/steer")]
+    steer: PathBuf,
+}
+
+/// `report`
+#[derive(Debug, Clone, clap::Args)]
+pub struct ReportOptions {
+    #[command(flatten)]
+    step: StepOptions,
+    #[command(flatten)]
+    how: HowToReport,
+}
+
+#[derive(Debug, Clone, Default, clap::Args)]
+struct HowToReport {
+    /// Results to take where OUT has none of a part: what --keep wrote.
+    #[arg(long, value_name = "JSON.gz")]
+    kept: Option<PathBuf>,
+    /// Write all results into one small file.
+    #[arg(long, value_name = "JSON.gz")]
+    keep: Option<PathBuf>,
+    /// Print one line per bar, `bar NAME VALUE LIMIT ok|short`, and fail when one is short.
+    #[arg(long)]
+    bars: bool,
+}
+
+/// `all`
+#[derive(Debug, Clone, clap::Args)]
+pub struct AllOptions {
+    #[command(flatten)]
+    step: StepOptions,
+    #[command(flatten)]
+    which: WhichEncoders,
+    #[command(flatten)]
+    train: HowToTrain,
+    #[command(flatten)]
+    report: HowToReport,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad options or files, a step that fails, being stopped, and, with --bars, when one is short.
+pub fn run(options: &Options) -> Result<()> {
+    let none = (WhichEncoders::default(), HowToTrain::default(), HowToReport::default());
+    match &options.step {
+        Step::Collect(step) => with(step, &none.1, &|work| collect_all(work, step)),
+        Step::Encode(o) => with(&o.step, &none.1, &|work| encode_all(work, &o.step, &o.which)),
+        Step::Train(o) => with(&o.step, &o.how, &|work| train_all(work, &o.step, &o.how)),
+        Step::Report(o) => with(&o.step, &none.1, &|work| report_all(work, &o.how)),
+        Step::All(o) => with(&o.step, &o.train, &|work| {
+            collect_all(work, &o.step)?;
+            encode_all(work, &o.step, &o.which)?;
+            train_all(work, &o.step, &o.train)?;
+            report_all(work, &o.report)
+        }),
+    }
+}
+
+fn with(step: &StepOptions, train: &HowToTrain, f: &dyn Fn(&Work<'_>) -> Result<()>) -> Result<()> {
+    let mut paper: Paper = description::read(&step.description)?;
+    if let Some(runs) = train.runs {
+        ensure!(runs > 0, "--runs is 0; at least 1 is needed");
+        paper.runs = runs;
+    }
+    if let Some(epochs) = train.epochs {
+        ensure!(epochs > 0, "--epochs is 0; at least 1 is needed");
+        paper.network.epochs = epochs;
+    }
+    let stop = interrupt::flag()?;
+    let pool = thread_pool(step.threads)?;
+    let selection = Selection { data_sets: step.data_sets.clone(), modes: step.modes.clone() };
+    if let Some(mode) = step
+        .modes
+        .iter()
+        .find(|m| !description::RAYCASTER_MODES.contains(&m.as_str()) && *m != description::YT)
+    {
+        anyhow::bail!("--modes names {mode:?}; none, local, scatter and yt are accepted");
+    }
+    let deadline = match step.budget {
+        Some(minutes) => {
+            ensure!(
+                minutes.is_finite() && minutes > 0.0 && minutes < 1e6,
+                "--budget is {minutes}; a positive number of minutes is needed"
+            );
+            Some(Instant::now() + Duration::from_secs_f64(60.0 * minutes))
+        }
+        None => None,
+    };
+    let interrupted = || interrupt::requested(&stop);
+    f(&Work {
+        paper: &paper,
+        selection: &selection,
+        data: &step.data,
+        out: &step.out,
+        python: &step.python,
+        pool: &pool,
+        quiet: step.quiet,
+        deadline,
+        interrupted: &interrupted,
+    })
+}
+
+fn found(work: &Work<'_>) -> Result<Vec<Place>> {
+    places(work.paper, work.selection, work.data)
+}
+
+fn collect_all(work: &Work<'_>, step: &StepOptions) -> Result<()> {
+    let places = found(work)?;
+    let mut renderer = device::open(step.device)?;
+    collect::collect(work, &places, renderer.as_mut())?;
+    places.iter().try_for_each(|p| yt::collect(work, p))
+}
+
+fn encode_all(work: &Work<'_>, step: &StepOptions, which: &WhichEncoders) -> Result<()> {
+    let places = found(work)?;
+    let mut wanted = encode::encoders(work, &places, &which.sizes, &which.features);
+    if which.own_only {
+        wanted.retain(|e| e.set != encode::ALL && e.channels.is_empty());
+    }
+    encode::encode(work, &places, &wanted, step.threads)
+}
+
+fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()> {
+    let wanted = |p: Panel| how.only.is_empty() || how.only.contains(&p);
+    train::train(work, &how.only)?;
+    if wanted(Panel::Pictures) {
+        let mut renderer = device::open(step.device)?;
+        pictures::draw(work, &found(work)?, renderer.as_mut())?;
+    }
+    if wanted(Panel::Balancing) {
+        balance(work)?;
+    }
+    if wanted(Panel::Steering) {
+        steer(work, how)?;
+    }
+    Ok(())
+}
+
+/// Use case 2: the paper's assignment, and every other way of `entire-lab farm` in a report of its own.
+fn balance(work: &Work<'_>) -> Result<()> {
+    cases::balance(work.out, &work.paper.orbit)?;
+    for (set, mode) in work.paper.panels.get(&Panel::Varied).into_iter().flatten() {
+        let tasks = cases::tasks_path(work.out, set, mode);
+        if tasks.exists() {
+            farm::run(&farm::Options {
+                tasks: Some(tasks),
+                trace: None,
+                calibration: Vec::new(),
+                training: Vec::new(),
+                probe_side: entire_core::features::PROBE_SIDE,
+                save_tasks: None,
+                dispatch: 0.0,
+                window: 64,
+                report: work.out.join("cases").join(format!("farm-{set}-{mode}")),
+                bars: false,
+            })?;
+        }
+    }
+    Ok(())
+}
+
+/// Use case 1: recorded paths under every controller, the paper's network among the predictors.
+fn steer(work: &Work<'_>, how: &HowToTrain) -> Result<()> {
+    let calibration = how.steer.join("calibration.csv");
+    let traces = how.steer.join("traces");
+    let Some((set, mode)) = work.paper.panels.get(&Panel::Steering).and_then(|p| p.first()) else {
+        return Ok(());
+    };
+    let prefix = format!("{set}-{mode}-volumes-network-1-");
+    let models = work.out.join("models");
+    let network = std::fs::read_dir(&models).ok().and_then(|entries| {
+        entries
+            .flatten()
+            .map(|e| e.path())
+            .find(|p| p.file_name().is_some_and(|n| n.to_string_lossy().starts_with(&prefix)))
+    });
+    if !calibration.exists() || !traces.is_dir() || network.is_none() {
+        eprintln!(
+            "note: use case 1 needs recorded paths in {} (make steer-traces) and the network of {set}; it is left out",
+            how.steer.display()
+        );
+        return Ok(());
+    }
+    let fail = || format!("cannot read {}", traces.display());
+    let mut files: Vec<PathBuf> =
+        std::fs::read_dir(&traces).with_context(fail)?.flatten().map(|e| e.path()).collect();
+    files.retain(|p| p.extension().is_some_and(|e| e == "json"));
+    files.sort();
+    let out = work.out.join("cases").join("steering");
+    let text = ["5fps", "10fps", "20fps", "40fps"];
+    replay::run(&replay::Options {
+        traces: files,
+        calibration: vec![calibration.clone()],
+        model: network,
+        targets: text.map(str::to_owned).to_vec(),
+        controllers: entire_cli::steering::contenders::ControllerKind::value_variants().to_vec(),
+        limits: (1.0, 16.0),
+        rounds: 1,
+        out: out.clone(),
+        bars: false,
+    })?;
+    cases::steering(work.out, &out, &calibration, (set, mode))
+}
+
+fn report_all(work: &Work<'_>, how: &HowToReport) -> Result<()> {
+    let started = Instant::now();
+    let material = report::material(work.paper, work.out, how.kept.as_deref())?;
+    if let Some(path) = &how.keep {
+        paper::keep(&material.all, path)?;
+        println!("wrote {}", path.display());
+    }
+    let found = report::write(work.paper, &material, work.out, started)?;
+    println!("wrote {}", work.out.join("report.html").display());
+    if how.bars {
+        bars::print(&found)?;
+    }
+    Ok(())
+}

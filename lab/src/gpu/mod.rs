@@ -1,0 +1,108 @@
+//! One run over a device within a given time: pictures against the CPU twin, what the device needs for each
+//! part of a frame, tables in all shading modes, the machine's models, switches held, and a report. Every step
+//! is kept when it is done, so that a run that was ended goes on.
+
+pub mod pictures;
+pub mod report;
+pub mod steps;
+
+use anyhow::{Context, Result};
+use entire_cli::files::{read_text, write_json};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// How a step ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum State {
+    /// Whole.
+    Done,
+    /// Ended at its time; what it had is used.
+    CutShort,
+    /// It says why.
+    Failed,
+    /// There was no time left for it.
+    LeftOut,
+}
+
+impl State {
+    /// In words.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Done => "done",
+            Self::CutShort => "cut short",
+            Self::Failed => "failed",
+            Self::LeftOut => "left out",
+        }
+    }
+}
+
+/// What became of a step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Outcome {
+    /// The step's name.
+    pub step: String,
+    /// How it ended.
+    pub state: State,
+    /// Wall seconds that it took.
+    pub seconds: f64,
+    /// The last line that it said.
+    pub said: String,
+}
+
+/// The outcomes of a folder, kept after each step.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Outcomes(pub Vec<Outcome>);
+
+impl Outcomes {
+    const FILE: &str = "steps.json";
+
+    /// Those of an earlier run in this folder; none where there was no run.
+    ///
+    /// # Errors
+    /// When the file is there and is not one of these.
+    pub fn of(folder: &Path) -> Result<Self> {
+        let path = folder.join(Self::FILE);
+        if !path.exists() {
+            return Ok(Self::default());
+        }
+        serde_json::from_str(&read_text(&path, 1 << 20)?)
+            .with_context(|| format!("{} is damaged; remove it to begin anew", path.display()))
+    }
+
+    /// Whether a step needs to run no more.
+    pub fn has(&self, step: &str) -> bool {
+        self.0.iter().any(|o| o.step == step && matches!(o.state, State::Done | State::CutShort))
+    }
+
+    /// Keeps an outcome, in place of an earlier one of the same step.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn keep(&mut self, outcome: Outcome, folder: &Path) -> Result<()> {
+        match self.0.iter_mut().find(|o| o.step == outcome.step) {
+            Some(old) => *old = outcome,
+            None => self.0.push(outcome),
+        }
+        write_json(&folder.join(Self::FILE), self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outcomes_are_kept_and_failed_steps_run_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut outcomes = Outcomes::of(dir.path()).unwrap();
+        let of = |state| Outcome { step: "probe".into(), state, seconds: 1.0, said: "so".into() };
+        outcomes.keep(of(State::Failed), dir.path()).unwrap();
+        assert!(!Outcomes::of(dir.path()).unwrap().has("probe"));
+        outcomes.keep(of(State::CutShort), dir.path()).unwrap();
+        let read = Outcomes::of(dir.path()).unwrap();
+        assert!(read.has("probe") && read.0.len() == 1 && read == outcomes);
+        std::fs::write(dir.path().join("steps.json"), "[{").unwrap();
+        assert!(Outcomes::of(dir.path()).unwrap_err().to_string().contains("remove it"));
+    }
+}

@@ -1,0 +1,77 @@
+//! Pictures of a device beside those of the CPU twin.
+
+use anyhow::{Context, Result};
+use entire_cli::device::{self, Device};
+use entire_cli::files::{open_volume, write_whole};
+use entire_cli::report::encode_png;
+use entire_core::scene::{Arcball, Camera, Frame, GaussianLobe, Shading, Skipping, TransferFunction};
+use entire_vk_raycaster::{CpuRaycaster, Renderer};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Cameras that pictures are taken from; the last stands inside.
+const CAMERAS: [(f32, f32, f32); 4] =
+    [(0.0, 0.0, 2.5), (25.0, 40.0, 1.6), (-60.0, 130.0, 3.0), (10.0, -75.0, 0.4)];
+
+/// How far a picture is off.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Difference {
+    /// The volume file's name.
+    pub volume: String,
+    /// What each sample computes.
+    pub shading: String,
+    /// The camera's number.
+    pub camera: usize,
+    /// The largest difference of a channel, of 255.
+    pub largest: u8,
+    /// The mean difference of the channels, of 255.
+    pub mean: f64,
+    /// Whether device and twin count the same samples; `None` where one of them does not count.
+    pub same_samples: Option<bool>,
+}
+
+/// Draws every volume in every shading mode from every camera on the device and on the CPU twin. The pictures
+/// of the device stay in the folder.
+///
+/// # Errors
+/// When a volume cannot be read or a renderer fails.
+pub fn compare(device: Device, volumes: &[PathBuf], side: u32, folder: &Path) -> Result<Vec<Difference>> {
+    let mut renderer = device::open(device)?;
+    let mut twin = CpuRaycaster::new();
+    renderer.count_work(true);
+    let table = TransferFunction::Gaussian(vec![
+        GaussianLobe { center: 0.35, width: 0.004, height: 0.05 },
+        GaussianLobe { center: 0.75, width: 0.01, height: 0.4 },
+    ])
+    .to_table()?;
+    let mut found = Vec::new();
+    for path in volumes {
+        let volume = open_volume(path, None)?;
+        renderer.set_volume(&volume.view()).with_context(|| path.display().to_string())?;
+        twin.set_volume(&volume.view())?;
+        renderer.set_transfer(&table)?;
+        twin.set_transfer(&table)?;
+        let name =
+            path.components().rev().take(3).map(|c| c.as_os_str().to_string_lossy()).collect::<Vec<_>>();
+        let name = name.into_iter().rev().collect::<Vec<_>>().join("/");
+        for shading in [Shading::None, Shading::Local, Shading::Scatter] {
+            for (camera, (rx, ry, dz)) in CAMERAS.into_iter().enumerate() {
+                let view = Camera::from_arcball(Arcball { rx, ry, dz })?;
+                let frame = Frame { shading, skipping: Skipping::Blocks, ..Frame::new(view, side, side)? };
+                let (drawn, expected) = (renderer.render(&frame)?, twin.render(&frame)?);
+                let pairs = || drawn.image.rgba.iter().zip(&expected.image.rgba).map(|(a, b)| a.abs_diff(*b));
+                let file = format!("{}-{shading}-{camera}.png", name.replace('/', "-"));
+                write_whole(&folder.join(file), &encode_png(&drawn.image)?)?;
+                found.push(Difference {
+                    volume: name.clone(),
+                    shading: shading.to_string(),
+                    camera,
+                    largest: pairs().max().unwrap_or(0),
+                    mean: pairs().map(f64::from).sum::<f64>() / drawn.image.rgba.len() as f64,
+                    same_samples: drawn.counts.zip(expected.counts).map(|(a, b)| a.samples == b.samples),
+                });
+            }
+        }
+    }
+    Ok(found)
+}

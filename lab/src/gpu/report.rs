@@ -1,0 +1,226 @@
+//! The page of a device's study.
+
+use super::pictures::Difference;
+use super::{Outcomes, State};
+use entire_cli::dataset::{Clock, TimedFrame};
+use entire_cli::machine::Provenance;
+use entire_cli::metrics::median;
+use entire_cli::report::{Axis, Chart, Column, Mark, Page, Series, Table};
+use serde_json::Value;
+
+/// The shading modes, in the order of their cost.
+pub const MODES: [&str; 3] = ["none", "local", "scatter"];
+
+/// What a run found; what is missing was not made.
+pub struct Found {
+    /// How every step ended.
+    pub outcomes: Outcomes,
+    /// What `entire probe --json` printed.
+    pub probe: Option<Value>,
+    /// Pictures beside the twin's.
+    pub pictures: Vec<Difference>,
+    /// Tables: kind (`frames`, `large`), mode, frames.
+    pub tables: Vec<(&'static str, &'static str, Vec<TimedFrame>)>,
+    /// Evaluations: kind, mode, what `entire evaluate` wrote.
+    pub evaluations: Vec<(&'static str, &'static str, Value)>,
+    /// What `entire steer` wrote.
+    pub switches: Option<Value>,
+    /// The clock whose seconds are told.
+    pub clock: Clock,
+}
+
+fn number(value: &Value, path: &[&str]) -> Option<f64> {
+    path.iter().try_fold(value, |v, key| v.get(key))?.as_f64()
+}
+
+fn shown(value: Option<f64>, factor: f64, digits: usize) -> String {
+    value.map_or_else(|| "-".to_owned(), |v| format!("{:.digits$}", v * factor))
+}
+
+impl Found {
+    /// How every step ended.
+    pub fn steps(&self) -> Table {
+        let mut table = Table::new(vec![
+            Column::text("step"),
+            Column::text("state"),
+            Column::number("s"),
+            Column::text("said"),
+        ]);
+        for o in &self.outcomes.0 {
+            let said: String = o.said.chars().take(160).collect();
+            table.row(vec![
+                o.step.as_str().into(),
+                o.state.name().into(),
+                format!("{:.1}", o.seconds).into(),
+                said.into(),
+            ]);
+        }
+        table
+    }
+
+    /// Errors of the machine's models on volumes that they did not see.
+    pub fn errors(&self) -> Table {
+        let mut table = Table::new(vec![
+            Column::text("shading"),
+            Column::text("frames"),
+            Column::number("n"),
+            Column::number("median error / %"),
+            Column::number("RMSE/SD"),
+            Column::number("noise / %"),
+            Column::number("in a session, median error / %"),
+        ]);
+        for (kind, mode, found) in &self.evaluations {
+            let one = &found["predictors"][0];
+            let session = found["in_session"].as_object().and_then(|o| o.values().next());
+            table.row(vec![
+                (*mode).into(),
+                (*kind).into(),
+                shown(number(one, &["metrics", "frames"]), 1.0, 0).into(),
+                shown(number(one, &["metrics", "mdape"]), 100.0, 1).into(),
+                shown(number(one, &["metrics", "rmse_over_sd"]), 1.0, 3).into(),
+                shown(number(found, &["noise_floor", "median_relative_deviation"]), 100.0, 1).into(),
+                shown(session.and_then(|s| number(s, &["mdape"])), 100.0, 1).into(),
+            ]);
+        }
+        table
+    }
+
+    /// Median seconds by mode and image size.
+    pub fn times(&self) -> Table {
+        const EDGES: [u64; 4] = [0, 128 * 128, 512 * 512, u64::MAX];
+        let mut columns =
+            vec![Column::text("shading"), Column::text("frames"), Column::number("voxels, most")];
+        columns.extend(["below 128² pixels / ms", "128² to 512²", "512² and more"].map(Column::number));
+        let mut table = Table::new(columns);
+        for (kind, mode, frames) in &self.tables {
+            let most =
+                frames.iter().map(|f| f.scene.dims.iter().map(|d| u64::from(*d)).product::<u64>()).max();
+            let mut row =
+                vec![(*mode).into(), (*kind).into(), most.map_or("-".into(), |m| format!("{m}").into())];
+            for edge in EDGES.windows(2) {
+                let inside = |f: &&TimedFrame| {
+                    let pixels = u64::from(f.scene.width) * u64::from(f.scene.height);
+                    (edge[0]..edge[1]).contains(&pixels)
+                };
+                let mut seconds: Vec<f64> =
+                    frames.iter().filter(inside).filter_map(|f| f.seconds(self.clock)).collect();
+                row.push(shown(median(&mut seconds), 1e3, 3).into());
+            }
+            table.row(row);
+        }
+        table
+    }
+
+    /// How each rule held its frames.
+    pub fn held(&self) -> Table {
+        let mut table = Table::new(vec![
+            Column::text("controller"),
+            Column::number("> 1.1 T / %"),
+            Column::number("> 1.25 T / %"),
+            Column::number("|t-T|/T / %"),
+            Column::number("PSNR / dB"),
+        ]);
+        let controllers = self.switches.as_ref().and_then(|s| s["controllers"].as_object());
+        for (name, c) in controllers.into_iter().flatten() {
+            table.row(vec![
+                name.as_str().into(),
+                shown(number(c, &["missed_by_10_percent"]), 100.0, 1).into(),
+                shown(number(c, &["missed_by_25_percent"]), 100.0, 1).into(),
+                shown(number(c, &["mean_error"]), 100.0, 1).into(),
+                shown(number(c, &["mean_psnr"]), 1.0, 1).into(),
+            ]);
+        }
+        table
+    }
+
+    /// The largest difference of a picture from the twin's, of 255; `None` where none was drawn.
+    pub fn worst_picture(&self) -> Option<u8> {
+        self.pictures.iter().map(|d| d.largest).max()
+    }
+
+    /// The page.
+    pub fn page(&self, device: String) -> Page {
+        let mut page = Page::new(
+            "What this device does",
+            "Pictures against the CPU twin, the cost of each part of a frame, frame times in three shading modes, \
+             models that the device calibrated, and frames held across switches.",
+        );
+        page.table(&self.steps(), "Steps. What was cut short is used as far as it came.");
+        page.heading("Pictures");
+        let mut worst = Table::new(vec![
+            Column::text("volume"),
+            Column::text("shading"),
+            Column::number("camera"),
+            Column::number("largest difference / 255"),
+            Column::number("mean"),
+            Column::text("same samples"),
+        ]);
+        for d in &self.pictures {
+            let same = d.same_samples.map_or("-", |s| if s { "yes" } else { "no" });
+            worst.row(vec![
+                d.volume.as_str().into(),
+                d.shading.as_str().into(),
+                d.camera.to_string().into(),
+                d.largest.to_string().into(),
+                format!("{:.4}", d.mean).into(),
+                same.into(),
+            ]);
+        }
+        page.table(
+            &worst,
+            "Every channel of every pixel, device against the CPU twin; 2 of 255 are accepted.",
+        );
+        if let Some(probe) = &self.probe {
+            page.heading("The device");
+            let mut numbers = Table::new(vec![Column::text("quantity"), Column::text("value")]);
+            for group in ["limits", "timestamps", "numbers"] {
+                for (name, value) in probe[group].as_object().into_iter().flatten() {
+                    numbers.row(vec![
+                        name.as_str().into(),
+                        value.to_string().trim_matches('"').to_owned().into(),
+                    ]);
+                }
+            }
+            page.table(&numbers, "As `entire probe` tells them.");
+        }
+        page.heading("Frame times");
+        page.table(&self.times(), "Median milliseconds of frames that no calibration rendered.");
+        let axis = |label: &str| Axis::log(label);
+        let mut chart =
+            Chart::new("Frame times by image size", axis("pixels"), axis("seconds")).size(900.0, 420.0);
+        for (kind, mode, frames) in &self.tables {
+            let points = frames
+                .iter()
+                .filter_map(|f| {
+                    let pixels = f64::from(f.scene.width) * f64::from(f.scene.height);
+                    let seconds = f.seconds(self.clock)?;
+                    (seconds > 0.0).then(|| (pixels, seconds, String::new()))
+                })
+                .collect();
+            chart = chart.series(Series::new(format!("{mode}, {kind}"), Mark::Points(points)));
+        }
+        page.chart(&chart, "Every frame of the tables.");
+        page.heading("Predictions");
+        page.table(
+            &self.errors(),
+            "The models that `entire calibrate` made here, on volumes that it did not render; noise is what repeats \
+             of one frame differ by. In a session every frame is predicted, then observed.",
+        );
+        if self.switches.is_some() {
+            page.heading("Frames held");
+            page.table(
+                &self.held(),
+                "An orbit with three abrupt switches of the transfer function; T is the target.",
+            );
+        }
+        let failed =
+            self.outcomes.0.iter().filter(|o| matches!(o.state, State::Failed | State::LeftOut)).count();
+        if failed > 0 {
+            page.paragraph(&format!(
+                "{failed} steps are missing: see the first table, and logs/ beside this page."
+            ));
+        }
+        page.facts(Provenance::of(device).facts());
+        page
+    }
+}

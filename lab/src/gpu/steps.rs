@@ -1,0 +1,290 @@
+//! The steps of a device's study: which commands they run, how long each may take, and how it is ended.
+
+use super::{Outcome, State};
+use anyhow::{Context, Result, ensure};
+use entire_cli::interrupt;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command};
+use std::sync::atomic::AtomicBool;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// Between looks at a running command.
+const LOOK: Duration = Duration::from_millis(50);
+/// What a command has to end by itself after it was asked to.
+const GRACE: Duration = Duration::from_secs(10);
+/// Members of ensembles that `entire calibrate` does not render when it is left to choose.
+const HELD_OUT: [&str; 3] = ["m03", "m04", "m05"];
+
+/// How much is done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// Frames per volume of the tables.
+    pub frames: u32,
+    /// Longest image side of the tables, pixels.
+    pub max_size: u32,
+    /// How much volumes are enlarged, along each axis.
+    pub enlarge: u32,
+    /// … in the tables of large volumes; 0 for no such tables.
+    pub enlarge_large: u32,
+    /// Seconds that calibration may take, each mode.
+    pub calibration: f64,
+    /// Seconds that a table may take.
+    pub table: f64,
+    /// Sides of the image whose frames are held, pixels.
+    pub held_size: u32,
+    /// Frames that are held.
+    pub held_frames: u32,
+    /// Volumes, at most.
+    pub volumes: usize,
+    /// Sides of the pictures that are compared, pixels.
+    pub picture: u32,
+}
+
+impl Extent {
+    /// For a device that draws a frame in milliseconds.
+    pub const FULL: Self = Self {
+        frames: 40,
+        max_size: 1024,
+        enlarge: 2,
+        enlarge_large: 6,
+        calibration: 40.0,
+        table: 35.0,
+        held_size: 512,
+        held_frames: 240,
+        volumes: 16,
+        picture: 256,
+    };
+    /// For tests on a software driver.
+    pub const SHORT: Self = Self {
+        frames: 6,
+        max_size: 96,
+        enlarge: 1,
+        enlarge_large: 0,
+        calibration: 30.0,
+        table: 20.0,
+        held_size: 48,
+        held_frames: 40,
+        volumes: 3,
+        picture: 64,
+    };
+}
+
+/// A command that runs as a process of its own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Step {
+    /// Its name, and that of its log.
+    pub name: String,
+    /// What the command is given.
+    pub arguments: Vec<String>,
+    /// Wall seconds that it may take.
+    pub seconds: f64,
+    /// Whether what it has when it is ended is of use.
+    pub partial: bool,
+    /// The file that its standard output goes to, beside the logs.
+    pub output: Option<String>,
+    /// Files that an attempt before may have left, and that it begins without.
+    pub anew: Vec<PathBuf>,
+}
+
+fn step(name: String, seconds: f64, partial: bool, arguments: Vec<String>) -> Step {
+    Step { name, arguments, seconds, partial, output: None, anew: Vec::new() }
+}
+
+fn words(parts: &[&str]) -> Vec<String> {
+    parts.iter().map(|p| (*p).to_owned()).collect()
+}
+
+/// Volumes of members that no calibration renders, in the order of their names.
+///
+/// # Errors
+/// When the folder holds none.
+pub fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = Vec::new();
+    let folders = |path: &Path| -> Vec<PathBuf> {
+        std::fs::read_dir(path).map_or_else(|_| Vec::new(), |d| d.flatten().map(|e| e.path()).collect())
+    };
+    for ensemble in folders(data) {
+        for member in HELD_OUT {
+            found.extend(
+                folders(&ensemble.join(member))
+                    .into_iter()
+                    .filter(|p| p.extension().is_some_and(|e| e == "nrrd")),
+            );
+        }
+    }
+    found.sort();
+    ensure!(
+        !found.is_empty(),
+        "{} holds no ENSEMBLE/{}/*.nrrd; name a folder like the project's data/ with --data",
+        data.display(),
+        HELD_OUT.join("|")
+    );
+    Ok(found)
+}
+
+/// The commands up to the tables of a mode: its model, frames that the model did not see, and its errors on
+/// them.
+pub fn of_mode(
+    mode: &str,
+    out: &Path,
+    volumes: &[PathBuf],
+    (device, clock): (&str, &str),
+    extent: Extent,
+) -> Vec<Step> {
+    let file = |name: String| out.join(name).to_string_lossy().into_owned();
+    let model = file(format!("machine-{mode}.safetensors"));
+    let mut calibrate = words(&["calibrate", "--shade", mode, "--clock", clock, "--device", device, "--out"]);
+    calibrate.extend([model.clone(), "--table".into(), file(format!("calibrate-{mode}.csv"))]);
+    calibrate.extend(["--seconds".into(), extent.calibration.to_string()]);
+    let anew = ["csv", "manifest.json"].map(|e| out.join(format!("calibrate-{mode}.{e}"))).to_vec();
+    let seconds = extent.calibration + 30.0;
+    let mut steps = vec![Step { anew, ..step(format!("calibrate-{mode}"), seconds, false, calibrate) }];
+    let mut tables = Vec::new();
+    for (name, enlarge) in
+        [(format!("frames-{mode}"), extent.enlarge), (format!("large-{mode}"), extent.enlarge_large)]
+    {
+        if enlarge == 0 {
+            continue;
+        }
+        let table = file(format!("{name}.csv"));
+        let mut collect = words(&["collect"]);
+        // Large ones take long to load, and say the same of another size.
+        let most = if enlarge == extent.enlarge { extent.volumes } else { 2 };
+        collect.extend(volumes.iter().take(most).map(|v| v.to_string_lossy().into_owned()));
+        collect.extend(words(&["--shade", mode, "--device", device, "--repeats", "3", "--min-size", "32"]));
+        collect.extend(["--max-size".into(), extent.max_size.to_string()]);
+        collect.extend(["--frames".into(), extent.frames.to_string()]);
+        collect.extend(["--enlarge".into(), enlarge.to_string(), "--seed".into(), "41".into()]);
+        collect.extend(["--resume".into(), "--out".into(), table.clone()]);
+        steps.push(step(name, extent.table, true, collect));
+        tables.push(table);
+    }
+    for (name, table) in ["frames", "large"].iter().zip(&tables) {
+        let mut evaluate = words(&["evaluate", "--quiet", "--clock", clock, "--observed", "10", "--model"]);
+        evaluate.extend([model.clone(), "--data".into(), table.clone()]);
+        evaluate.extend(["--out".into(), file(format!("evaluated-{name}-{mode}"))]);
+        steps.push(step(format!("evaluate-{name}-{mode}"), 60.0, false, evaluate));
+    }
+    steps
+}
+
+/// What the device needs for each part of a frame.
+pub fn probe(device: &str) -> Step {
+    let arguments = words(&["probe", "--json", "--device", device]);
+    Step { output: Some("probe.json".into()), ..step("probe".into(), 60.0, false, arguments) }
+}
+
+/// A path with three switches, held at a target under five rules.
+pub fn switches(out: &Path, volume: &Path, device: (&str, &str), target: f64, extent: Extent) -> Step {
+    let (device, clock) = device;
+    let mut steer = words(&["steer", &volume.to_string_lossy(), "--generate", "switches"]);
+    steer.extend(words(&["--device", device, "--clock", clock, "--model"]));
+    steer.push(out.join("machine-none.safetensors").to_string_lossy().into_owned());
+    steer.extend(["--enlarge".into(), extent.enlarge.to_string()]);
+    steer.extend(["--size".into(), format!("{0}x{0}", extent.held_size)]);
+    steer.extend(["--frames".into(), extent.held_frames.to_string()]);
+    steer.extend(["--target".into(), format!("{target}s")]);
+    steer.extend(["--out".into(), out.join("switches").to_string_lossy().into_owned()]);
+    step("switches".into(), 90.0, false, steer)
+}
+
+/// Runs a step's command, at most until its time or the deadline: then it is asked to end, as by Ctrl-C, and
+/// ended where it does not. Its output goes to `OUT/logs/NAME.txt`.
+///
+/// # Errors
+/// When the command cannot be started, or the user asked to stop.
+pub fn run(step: &Step, entire: &Path, out: &Path, deadline: Instant, stop: &AtomicBool) -> Result<Outcome> {
+    let begin = Instant::now();
+    let end = deadline.min(begin + Duration::from_secs_f64(step.seconds));
+    for left in &step.anew {
+        // It need not be there.
+        let _ = std::fs::remove_file(left);
+    }
+    let log = out.join("logs").join(format!("{}.txt", step.name));
+    let said = File::create(&log).with_context(|| format!("cannot write {}", log.display()))?;
+    let output = match &step.output {
+        Some(name) => File::create(out.join(name)).with_context(|| format!("cannot write {name}"))?,
+        None => said.try_clone()?,
+    };
+    let mut child = Command::new(entire)
+        .args(&step.arguments)
+        .stdin(std::process::Stdio::null())
+        .stdout(output)
+        .stderr(said)
+        .spawn()
+        .with_context(|| format!("cannot run {}; name the command with --entire", entire.display()))?;
+    let mut cut = false;
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break Some(status);
+        }
+        if interrupt::requested(stop) || Instant::now() >= end {
+            cut = true;
+            break finish(&mut child)?;
+        }
+        sleep(LOOK);
+    };
+    ensure!(!interrupt::requested(stop), "stopped; the same command goes on where this ended");
+    let text = std::fs::read_to_string(&log).unwrap_or_default();
+    let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or_default().to_owned();
+    let state = match (cut, status.is_some_and(|s| s.success())) {
+        (false, true) => State::Done,
+        (true, _) if step.partial => State::CutShort,
+        _ => State::Failed,
+    };
+    let said = if cut && state == State::Failed { format!("took too long: {last}") } else { last };
+    Ok(Outcome { step: step.name.clone(), state, seconds: begin.elapsed().as_secs_f64(), said })
+}
+
+/// Asks a process to end, and ends it where it does not.
+fn finish(child: &mut Child) -> Result<Option<std::process::ExitStatus>> {
+    // It may have ended by itself meanwhile.
+    let _ = kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGINT);
+    let asked = Instant::now();
+    while asked.elapsed() < GRACE {
+        if let Some(status) = child.try_wait()? {
+            return Ok(Some(status));
+        }
+        sleep(LOOK);
+    }
+    child.kill().context("cannot end a command that does not end")?;
+    Ok(Some(child.wait()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shell(script: &str, seconds: f64, partial: bool) -> Outcome {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::create_dir(dir.path().join("logs")).unwrap();
+        let step = step("s".into(), seconds, partial, words(&["-c", script]));
+        let deadline = Instant::now() + Duration::from_secs(60);
+        run(&step, Path::new("/bin/sh"), dir.path(), deadline, &AtomicBool::new(false)).unwrap()
+    }
+
+    #[test]
+    fn a_step_is_done_failed_or_cut_short_and_its_last_line_is_kept() {
+        let done = shell("echo one; echo two", 30.0, false);
+        assert_eq!((done.state, done.said.as_str()), (State::Done, "two"));
+        let failed = shell("echo no device >&2; exit 1", 30.0, true);
+        assert_eq!((failed.state, failed.said.as_str()), (State::Failed, "no device"));
+        let endless = "trap 'echo kept; exit 130' INT; while :; do sleep 0.05; done";
+        let cut = shell(endless, 0.3, true);
+        assert_eq!((cut.state, cut.said.as_str()), (State::CutShort, "kept"));
+        let useless = shell(endless, 0.3, false);
+        assert_eq!((useless.state, useless.said.as_str()), (State::Failed, "took too long: kept"));
+    }
+
+    #[test]
+    fn volumes_that_no_calibration_renders_are_found_in_the_projects_data() {
+        let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data");
+        let found = held_out(&data).unwrap();
+        assert!(found.len() >= 4 && found.iter().all(|p| p.is_file()));
+        assert!(held_out(Path::new("nowhere")).unwrap_err().to_string().contains("--data"));
+    }
+}

@@ -1,0 +1,93 @@
+//! What the study says about its bars.
+
+use super::description::{Panel, Paper, YT};
+use super::encode::{ALL, Encoder, Record};
+use super::judge::NETWORK;
+use super::report::{Shown, ours_of};
+use super::results::{Results, Row};
+use super::volumes::BY_VOLUMES;
+use crate::bars::Bar;
+
+/// What is known about an encoder's reconstruction of held-out volumes.
+pub struct Reconstruction {
+    /// The encoder.
+    pub encoder: Encoder,
+    /// What its training wrote down.
+    pub record: Record,
+}
+
+impl Reconstruction {
+    /// Peak signal-to-noise ratio of test volumes of the data set, dB.
+    pub fn psnr(&self) -> Option<f64> {
+        self.record.psnr("test", &self.encoder.set)
+    }
+}
+
+/// The n-th smallest of some numbers, counted from 1: what holds for at least n of them.
+fn nth(mut values: Vec<f64>, n: usize) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(n.checked_sub(1)?).copied()
+}
+
+/// The bars: whatever is missing is short.
+pub fn bars(
+    paper: &Paper,
+    all: &[Results],
+    shown: &[Shown],
+    reconstructions: &[Reconstruction],
+    seconds: f64,
+) -> Vec<Bar> {
+    let limits = &paper.limits;
+    let missing = shown.iter().filter(|s| !s.there || s.command.is_empty()).count();
+    let mut out = vec![Bar::at_most("paper/labels-without-a-table-or-figure", Some(missing as f64), 0.0)];
+    // As the paper: on its split, with at least its number of frames of every training volume.
+    let full = |r: &&Results| r.panel == Panel::Overall && complete(r);
+    let overall: Vec<&Results> = all.iter().filter(full).collect();
+    let network = |r: &Results| r.row(BY_VOLUMES, NETWORK).cloned();
+    let ratios = |of: &dyn Fn(&Row) -> Option<f64>, yt: bool| -> Vec<f64> {
+        // One value per data set: its best mode.
+        let mut best: std::collections::BTreeMap<&str, f64> = std::collections::BTreeMap::new();
+        for r in overall.iter().filter(|r| (r.mode == YT) == yt) {
+            if let Some(v) = network(r).as_ref().and_then(of) {
+                let slot = best.entry(&r.set).or_insert(f64::INFINITY);
+                *slot = slot.min(v);
+            }
+        }
+        best.into_values().collect()
+    };
+    let constant = |r: &Row| r.over_constant;
+    let lvrp = |r: &Row| r.over_lvrp;
+    let n = limits.data_sets;
+    let mut at_most =
+        |name: &str, value, limit| out.push(Bar::at_most(format!("paper/{name}"), value, limit));
+    at_most("raycaster-rmse-over-constant", nth(ratios(&constant, false), n), limits.over_constant);
+    at_most("yt-rmse-over-constant", nth(ratios(&constant, true), 1), limits.over_constant);
+    at_most("raycaster-rmse-over-lvrp", nth(ratios(&lvrp, false), n), limits.over_lvrp);
+    at_most("yt-rmse-over-lvrp", nth(ratios(&lvrp, true), 1), limits.over_lvrp);
+    for r in &overall {
+        let ratio = ours_of(r, BY_VOLUMES).zip(network(r)).map(|(o, p)| o.rmse / p.rmse);
+        at_most(&format!("{}/{}/ours-over-network", r.set, r.mode), ratio, limits.ours_over_network);
+    }
+    if overall.is_empty() {
+        at_most("ours-over-network", None, limits.ours_over_network);
+    }
+    let (size, features) = paper.encoders.main;
+    let mut psnr: Vec<f64> = reconstructions
+        .iter()
+        .filter(|r| r.encoder.channels.is_empty() && r.encoder.set != ALL)
+        .filter(|r| (r.encoder.size, r.encoder.features) == (size, features))
+        .filter_map(Reconstruction::psnr)
+        .collect();
+    psnr.sort_by(|a, b| b.total_cmp(a));
+    out.push(Bar::at_least("paper/reconstruction-psnr-db", psnr.get(n - 1).copied(), limits.psnr));
+    out.push(Bar::at_most("paper/report-seconds", Some(seconds), limits.report_seconds));
+    out
+}
+
+/// Whether the frames of the training volumes are as many as the description asks for.
+fn complete(results: &Results) -> bool {
+    let times = results.facts.iter().find(|f| f.name == "times");
+    let expected = times.and_then(|t| t.values.get("expected frames")).copied();
+    let frames = times.and_then(|t| t.values.get("frames")).copied();
+    expected.zip(frames).is_some_and(|(e, f)| f >= e)
+}

@@ -1,0 +1,303 @@
+//! Frames of our raycaster: every mode and the low-resolution proxy of a volume in one go, volume by volume.
+
+use super::Work;
+use super::description::{Panel, Paper, RAYCASTER_MODES};
+use super::volumes::Place;
+use anyhow::{Context, Result, bail, ensure};
+use entire_cli::collection::{Job, Protocol, differences, time_scene};
+use entire_cli::dataset::{Manifest, Scene, Writer, parse_shading};
+use entire_cli::files::make_folder;
+use entire_cli::machine;
+use entire_cli::progress::templated_bar;
+use entire_cli::scenes::SceneDistribution;
+use entire_cli::volume::Volume;
+use entire_core::scene::{Arcball, Skipping};
+use entire_vk_raycaster::Renderer;
+use indicatif::ProgressBar;
+use serde_json::json;
+use std::path::{Path, PathBuf};
+
+/// Which frames a table holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Random ones of every volume.
+    Random,
+    /// One parameter varied at a time, and an orbit.
+    Varied,
+}
+
+/// The table of a data set and mode; `low` is that of its low-resolution proxy.
+pub fn table_path(out: &Path, set: &str, mode: &str, kind: Kind, low: bool) -> PathBuf {
+    let kind = if kind == Kind::Varied { "-varied" } else { "" };
+    let low = if low { "-low" } else { "" };
+    out.join("tables").join(format!("{set}-{mode}{kind}{low}.csv"))
+}
+
+/// How the frames of a mode are rendered.
+///
+/// # Errors
+/// For a mode that is none.
+pub fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol> {
+    let own = paper.in_mode.get(mode).copied().unwrap_or_default();
+    Ok(Protocol {
+        frames: paper.frames.training,
+        repeats: own.repeats.unwrap_or(paper.repeats),
+        passes: 1,
+        warm_up: paper.warm_up,
+        seed: paper.seed,
+        scenes: SceneDistribution {
+            max_size: own.max_size.unwrap_or(paper.scenes.max_size),
+            ..paper.scenes.clone()
+        },
+        shading: parse_shading(mode)?,
+        skipping: Skipping::Blocks,
+        termination: 0.99,
+        enlarge: if low { 1 } else { paper.enlarge },
+        proxy: low.then_some(paper.proxy),
+    })
+}
+
+/// Experiments in which one parameter is varied, by the frame numbers that they have: thousands.
+pub const EXPERIMENTS: [&str; 4] = ["volume", "image resolution", "transfer function", "camera pose"];
+/// The frame numbers of the orbit for load balancing start here.
+pub const ORBIT: u64 = 10_000;
+/// Frame numbers of one experiment.
+pub const PER_EXPERIMENT: u64 = 1_000;
+
+/// A frame to render: its number, its volume's place among the jobs, what it shows but for mode and voxels.
+#[derive(Clone, Debug)]
+struct Wanted {
+    number: u64,
+    job: usize,
+    scene: Scene,
+}
+
+/// The frames of the experiments: one test volume of the split by volumes and one drawn frame are the middle
+/// around which a parameter is varied. The volumes that are varied are those held out.
+fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
+    let Some(parts) = place.split(super::volumes::BY_VOLUMES) else { return Ok(Vec::new()) };
+    let protocol = protocol(paper, mode, false)?;
+    let find = |name: &String| place.jobs.iter().position(|j| super::volumes::name_of(j) == *name);
+    let middle = parts.test.first().and_then(find).context("no test volume")?;
+    let (least, most) = (f64::from(protocol.scenes.min_size), f64::from(protocol.scenes.max_size));
+    let side = (least * most).sqrt().round() as u32;
+    let count = paper.frames.varied;
+    // Frames beyond those of any table: nothing was trained on them.
+    let drawn = |job: usize, index: u64| protocol.scene(&place.jobs[job], [1; 3], 1_000_000 + index);
+    let base = Scene { width: side, height: side, ..drawn(middle, 0) };
+    let mut out = Vec::new();
+    let mut add = |experiment: u64, i: u32, job: usize, scene: Scene| {
+        out.push(Wanted { number: experiment * PER_EXPERIMENT + u64::from(i), job, scene });
+    };
+    let held_out = parts.test.iter().chain(&parts.validation).filter_map(find);
+    for (i, job) in (0..).zip(held_out) {
+        add(0, i, job, base.clone());
+    }
+    for i in 0..count {
+        let share = f64::from(i) / f64::from((count - 1).max(1));
+        let side = (least + (most - least) * share).round() as u32;
+        add(1, i, middle, Scene { width: side, height: side, ..base.clone() });
+        let lobes = drawn(middle, 1 + u64::from(i)).lobes;
+        add(2, i, middle, Scene { lobes, ..base.clone() });
+        // Three times around while rising, at the middle's distance.
+        let angle = 3.0 * 360.0 * share;
+        let camera = Arcball {
+            rx: (80.0 * share) as f32,
+            ry: ((angle + 180.0).rem_euclid(360.0) - 180.0) as f32,
+            dz: base.camera.dz,
+        };
+        add(3, i, middle, Scene { camera, ..base.clone() });
+    }
+    let all: Vec<usize> = parts.test.iter().chain(&parts.validation).filter_map(find).collect();
+    for (v, &job) in all.iter().take(paper.orbit.volumes).enumerate() {
+        for p in 0..paper.orbit.poses {
+            let share = p as f64 / paper.orbit.poses as f64;
+            let camera = Arcball { rx: 20.0, ry: (360.0 * share - 180.0) as f32, dz: base.camera.dz };
+            let size = paper.orbit.size;
+            let scene = Scene { camera, width: size, height: size, ..base.clone() };
+            out.push(Wanted { number: ORBIT + (v * paper.orbit.poses + p) as u64, job, scene });
+        }
+    }
+    Ok(out)
+}
+
+/// A table that is being written.
+struct Open {
+    writer: Writer,
+    manifest: Manifest,
+    path: PathBuf,
+    protocol: Protocol,
+    frames: Vec<Wanted>,
+    kind: Kind,
+    low: bool,
+}
+
+impl Open {
+    fn new(
+        path: PathBuf,
+        protocol: Protocol,
+        (kind, low): (Kind, bool),
+        jobs: &[Job],
+        renderer: &dyn Renderer,
+    ) -> Result<Self> {
+        let mut manifest = protocol.manifest(jobs, renderer)?;
+        let mut runs = Vec::new();
+        if let Some(old) = Manifest::read(&path)? {
+            let found = differences(&old, &manifest);
+            ensure!(
+                found.is_empty(),
+                "cannot go on with {}: {}; remove it, or choose another --out",
+                path.display(),
+                found.join("; ")
+            );
+            runs = old.other.get("runs").and_then(|r| r.as_array().cloned()).unwrap_or_default();
+            manifest.created = old.created;
+        }
+        runs.push(json!({ "started": machine::now(), "load_average_at_start": machine::load_average(),
+            "commit": machine::version() }));
+        manifest.other.insert("runs".into(), json!(runs));
+        let writer = Writer::resume(&path, manifest.repeats)?;
+        manifest.write(&path)?;
+        Ok(Self { writer, manifest, path, protocol, frames: Vec::new(), kind, low })
+    }
+
+    /// Notes when this run ended.
+    fn close(mut self) -> Result<()> {
+        if let Some(last) = self.manifest.other.get_mut("runs").and_then(|r| r.as_array_mut()?.last_mut()) {
+            last["ended"] = json!(machine::now());
+            last["load_average_at_end"] = json!(machine::load_average());
+        }
+        self.manifest.write(&self.path)
+    }
+}
+
+/// What is missing of a data set: its tables, each with the frames that it lacks.
+fn missing(work: &Work<'_>, place: &Place, renderer: &dyn Renderer) -> Result<Vec<Open>> {
+    let paper = work.paper;
+    let mut tables = Vec::new();
+    let modes = place.set.modes.iter().filter(|m| RAYCASTER_MODES.contains(&m.as_str()));
+    for mode in modes.filter(|m| work.selection.has_mode(m)) {
+        let asked = |panel: &Panel| {
+            let of = paper.panels.get(panel);
+            of.is_some_and(|p| p.iter().any(|(s, m)| *s == place.set.name && m == mode))
+        };
+        let varied = if asked(&Panel::Varied) { varied(place, paper, mode)? } else { Vec::new() };
+        for (kind, low) in
+            [(Kind::Random, false), (Kind::Random, true), (Kind::Varied, false), (Kind::Varied, true)]
+        {
+            if kind == Kind::Varied && varied.is_empty() {
+                continue;
+            }
+            let protocol = protocol(paper, mode, low)?;
+            let path = table_path(work.out, &place.set.name, mode, kind, low);
+            let mut open = Open::new(path, protocol, (kind, low), &place.jobs, renderer)?;
+            let mut frames = if kind == Kind::Varied {
+                varied.clone()
+            } else {
+                let mut all = Vec::new();
+                for (j, job) in place.jobs.iter().enumerate() {
+                    let count = if low { paper.frames.held_out } else { place.frames_of(job, paper) };
+                    for i in 0..u64::from(count) {
+                        let number = j as u64 * u64::from(paper.frames.training) + i;
+                        all.push(Wanted { number, job: j, scene: open.protocol.scene(job, [1; 3], i) });
+                    }
+                }
+                all
+            };
+            frames.retain(|w| !open.writer.done().contains(&w.number));
+            open.frames = frames;
+            tables.push(open);
+        }
+    }
+    Ok(tables)
+}
+
+/// Collects what is missing. Of every volume, first the frames that each needs, then the others of training
+/// volumes, so that a part of the time gives a part of every split.
+///
+/// # Errors
+/// A volume that cannot be read, a renderer that fails, a table of other settings, and being stopped.
+pub fn collect(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
+    make_folder(&work.out.join("tables"))?;
+    let template = "collect [{bar:30}] {pos}/{len}, {eta} left  {wide_msg}";
+    for place in places {
+        let mut tables = missing(work, place, renderer)?;
+        let bar = templated_bar(work.quiet, template);
+        bar.set_length(tables.iter().map(|t| t.frames.len() as u64).sum());
+        bar.reset_eta();
+        let few = u64::from(work.paper.frames.held_out);
+        let each = u64::from(work.paper.frames.training);
+        let mut result = Ok(());
+        for round in 0..2 {
+            for j in 0..place.jobs.len() {
+                let now = |table: &Open, w: &Wanted| {
+                    let of_few = table.kind == Kind::Varied || w.number % each < few;
+                    w.job == j && of_few == (round == 0)
+                };
+                if result.is_ok() {
+                    result = of_volume(work, place, j, &mut tables, &now, renderer, &bar);
+                }
+            }
+        }
+        bar.finish_and_clear();
+        tables.into_iter().try_for_each(Open::close)?;
+        result.with_context(|| format!("{}: finished frames are kept", place.set.name))?;
+    }
+    Ok(())
+}
+
+/// Renders frames of one volume, at both resolutions and in all modes.
+fn of_volume(
+    work: &Work<'_>,
+    place: &Place,
+    j: usize,
+    tables: &mut [Open],
+    now: &dyn Fn(&Open, &Wanted) -> bool,
+    renderer: &mut dyn Renderer,
+    bar: &ProgressBar,
+) -> Result<()> {
+    let job = &place.jobs[j];
+    let shown = job.path.display().to_string();
+    let mut source: Option<Volume> = None;
+    for low in [false, true] {
+        let mut loaded: Option<[usize; 3]> = None;
+        for table in tables.iter_mut().filter(|t| t.low == low) {
+            let wanted: Vec<Wanted> = table.frames.iter().filter(|w| now(table, w)).cloned().collect();
+            let mut warm_up = table.protocol.warm_up;
+            for w in wanted {
+                if work.stop() {
+                    bail!("{}", work.stopped());
+                }
+                let fail = || format!("{shown}, frame {}", w.number);
+                let dims = match loaded {
+                    Some(dims) => dims,
+                    None => {
+                        bar.set_message(shown.clone());
+                        if source.is_none() {
+                            source = Some(Volume::open(place.root.join(&job.path))?);
+                        }
+                        let volume = source.clone().context("no volume")?;
+                        let volume = table.protocol.sized(volume).with_context(fail)?;
+                        renderer.set_volume(&volume.view()).with_context(fail)?;
+                        *loaded.insert(volume.dims())
+                    }
+                };
+                let scene = Scene {
+                    volume: super::volumes::name_of(job),
+                    member: job.member.clone(),
+                    time_step: job.time_step,
+                    dims: dims.map(|n| n as u32),
+                    shading: table.protocol.shading,
+                    ..w.scene
+                };
+                let stop = || work.stop();
+                let timed = time_scene(renderer, &scene, table.protocol.repeats, &mut warm_up, &stop);
+                let Some(repeats) = timed.with_context(fail)?.repeats else { bail!("{}", work.stopped()) };
+                table.writer.append(w.number, &scene, &repeats)?;
+                table.frames.retain(|f| f.number != w.number);
+                bar.inc(1);
+            }
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,370 @@
+//! What the study of the paper is asked for: its JSON file.
+
+use anyhow::{Context, Result, bail, ensure};
+use entire_cli::files::read_text;
+use entire_cli::fit::Recipe;
+use entire_cli::scenes::SceneDistribution;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// The description, as its file holds it. Paths are relative to the file's folder.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Paper {
+    /// Title of the report.
+    pub title: String,
+    /// Whose seconds count.
+    pub clock: String,
+    /// Seed of the scenes.
+    pub seed: u64,
+    /// Frames per volume.
+    pub frames: FrameCounts,
+    /// How often each frame is rendered.
+    pub repeats: u32,
+    /// Renderings thrown away after each volume is loaded.
+    pub warm_up: u32,
+    /// Enlargement of the volumes at load.
+    pub enlarge: usize,
+    /// Edge of the volumes behind the low-resolution proxy (LVRP), voxels.
+    pub proxy: usize,
+    /// What scenes are drawn from.
+    pub scenes: SceneDistribution,
+    /// What is otherwise in a mode, whose frames take far longer.
+    #[serde(default)]
+    pub in_mode: BTreeMap<String, InMode>,
+    /// Data sets.
+    pub data_sets: Vec<DataSet>,
+    /// yt's frames, which its collector takes.
+    pub yt: YtFrames,
+    /// VolumeNets.
+    pub encoders: Encoders,
+    /// Trainings of one network from different seeds, for deviations.
+    pub runs: usize,
+    /// The paper's network.
+    pub network: Recipe,
+    /// Ours, by mode.
+    pub ours: BTreeMap<String, Recipe>,
+    /// Shares of the training frames, for the study of their number.
+    pub shares: Vec<f64>,
+    /// Layers of PredNet to compare.
+    pub depths: Vec<String>,
+    /// Layers of PredNet on which encoders are compared.
+    pub encoder_depth: String,
+    /// The two architectures of the final selection: encoder's input side, features, layers.
+    pub finalists: Vec<(usize, usize, String)>,
+    /// Fine-tuning.
+    pub tuning: Tuning,
+    /// Load balancing.
+    pub orbit: Orbit,
+    /// For each part of the study, the data sets and modes that it is made of; `overall` is made of all.
+    pub panels: BTreeMap<Panel, Vec<(String, String)>>,
+    /// The paper's tables and figures.
+    pub labels: Vec<Label>,
+    /// What the bars ask for.
+    pub limits: Limits,
+}
+
+/// What is otherwise in a mode.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InMode {
+    /// How often each frame is rendered.
+    pub repeats: Option<u32>,
+    /// Longest image side, pixels.
+    pub max_size: Option<u32>,
+}
+
+/// Frames per volume.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FrameCounts {
+    /// Of a training volume.
+    pub training: u32,
+    /// Of a validation or test volume; and, of every volume, on few voxels: what the proxy's line is fitted to.
+    pub held_out: u32,
+    /// Of one parameter varied at a time.
+    pub varied: u32,
+}
+
+/// A data set.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DataSet {
+    /// Its folder's name, in the data folder or in `ensembles` there.
+    pub name: String,
+    /// The name in reports.
+    pub title: String,
+    /// What it is in the paper, where it is there.
+    #[serde(default)]
+    pub paper: Option<String>,
+    /// Modes to collect: `none`, `local`, `scatter`, `yt`.
+    pub modes: Vec<String>,
+    /// Whether it only tests what was learned from the others: volumes of another kind.
+    #[serde(default)]
+    pub only_tests: bool,
+    /// The harder split.
+    #[serde(default)]
+    pub members: Option<MemberSplit>,
+}
+
+/// Which ensemble members serve what in the harder split; all others are learned from.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MemberSplit {
+    /// Decides when training stops; a tenth of the other volumes where there is none.
+    #[serde(default)]
+    pub validation: BTreeSet<String>,
+    /// Tested on.
+    pub test: BTreeSet<String>,
+}
+
+/// How yt's frames are collected.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct YtFrames {
+    /// The collector.
+    pub script: PathBuf,
+    /// How often each frame is drawn.
+    pub repeats: u32,
+    /// Shortest image side, pixels.
+    pub min_size: u32,
+    /// Longest image side, pixels.
+    pub max_size: u32,
+}
+
+/// Which VolumeNets are trained, and how.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Encoders {
+    /// The training script.
+    pub script: PathBuf,
+    /// Input sides.
+    pub sizes: Vec<usize>,
+    /// Lengths of the feature vector.
+    pub features: Vec<usize>,
+    /// Epochs.
+    pub epochs: usize,
+    /// Epochs without a better validation loss after which training stops.
+    pub patience: usize,
+    /// Input side and features of the encoder that every part uses which compares none.
+    pub main: (usize, usize),
+    /// Encoders that ship, for splits that the study trains none for: of the main one's size, then others.
+    pub shipped: Vec<PathBuf>,
+    /// Widths of the blocks, for the capacity sweep, and the data set and input side that it is made on.
+    pub capacity: Capacity,
+}
+
+/// The capacity sweep: reconstruction by the widths of the encoder's blocks.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Capacity {
+    /// Data sets.
+    pub data_sets: Vec<String>,
+    /// Input side.
+    pub size: usize,
+    /// Features.
+    pub features: usize,
+    /// Output channels of the blocks, one entry per VolumeNet.
+    pub channels: Vec<Vec<usize>>,
+}
+
+/// Fine-tuning of a pre-trained network.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tuning {
+    /// Mode of the data sets that it is pre-trained on, all of them together.
+    pub mode: String,
+    /// Numbers of frames that it is fine-tuned to.
+    pub frames: Vec<usize>,
+    /// Epochs of fine-tuning.
+    pub epochs: usize,
+    /// Other renderers' tables: name, table to learn from, table to test on.
+    pub renderers: Vec<(String, PathBuf, PathBuf)>,
+    /// The device's name in the report, and a folder with tables of the same names from another device.
+    #[serde(default)]
+    pub device: Option<(String, PathBuf)>,
+}
+
+/// Load balancing: images of a few time steps from many poses of an orbit.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Orbit {
+    /// Time steps.
+    pub volumes: usize,
+    /// Poses of each.
+    pub poses: usize,
+    /// Sides of the images, pixels.
+    pub size: u32,
+}
+
+/// A part of the study; each is made and kept by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
+pub enum Panel {
+    /// Every data set and mode: the network, ours, the mean of 15 %, LVRP; by volumes, members, modality.
+    Overall,
+    /// The network without one of its inputs.
+    Ablation,
+    /// One parameter varied at a time.
+    Varied,
+    /// The number of training frames.
+    Samples,
+    /// The number of PredNet's layers.
+    Depth,
+    /// Encoders of other sizes and lengths.
+    Encoders,
+    /// The two best architectures over renderers.
+    Final,
+    /// Fine-tuning to other renderers, devices and data sets.
+    Tuning,
+    /// Use case 1: holding a frame time.
+    Steering,
+    /// Use case 2: load balancing.
+    Balancing,
+    /// Renderings.
+    Pictures,
+}
+
+impl Panel {
+    /// The name in files and commands.
+    pub fn name(self) -> String {
+        serde_json::to_value(self).ok().and_then(|v| v.as_str().map(str::to_owned)).unwrap_or_default()
+    }
+}
+
+/// A table or figure of the paper.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Label {
+    /// The paper's label.
+    pub label: String,
+    /// What it shows.
+    pub title: String,
+    /// The part that makes its counterpart.
+    pub panel: Panel,
+    /// The command that makes it.
+    pub command: String,
+    /// The paper's numbers.
+    #[serde(default)]
+    pub paper: Option<Numbers>,
+    /// A picture of ours that is kept elsewhere.
+    #[serde(default)]
+    pub picture: Option<PathBuf>,
+    /// What differs from the paper by nature.
+    #[serde(default)]
+    pub note: String,
+}
+
+/// A table of the paper's numbers.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Numbers {
+    /// Headings; the first is of the rows' names.
+    pub columns: Vec<String>,
+    /// Rows: a name, then numbers; `null` where the paper has none.
+    pub rows: Vec<(String, Vec<Option<f64>>)>,
+}
+
+/// What the bars ask for.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Limits {
+    /// RMSE of the network over that of the mean of 15 %.
+    pub over_constant: f64,
+    /// The same over LVRP's.
+    pub over_lvrp: f64,
+    /// RMSE of ours over the network's.
+    pub ours_over_network: f64,
+    /// Data sets for which they must hold.
+    pub data_sets: usize,
+    /// Reconstruction of held-out volumes, dB.
+    pub psnr: f64,
+    /// Seconds that the report may take.
+    pub report_seconds: f64,
+}
+
+/// Modes of our raycaster.
+pub const RAYCASTER_MODES: [&str; 3] = ["none", "local", "scatter"];
+/// The mode of frames that yt drew.
+pub const YT: &str = "yt";
+
+impl Paper {
+    /// A data set by its name.
+    pub fn data_set(&self, name: &str) -> Option<&DataSet> {
+        self.data_sets.iter().find(|d| d.name == name)
+    }
+
+    /// Ours for a mode.
+    ///
+    /// # Errors
+    /// Where the description has none.
+    pub fn ours_for(&self, mode: &str) -> Result<&Recipe> {
+        self.ours.get(mode).with_context(|| format!("the description has no recipe `ours` for mode {mode:?}"))
+    }
+}
+
+/// Reads a description.
+///
+/// # Errors
+/// When the file cannot be read or says something that it may not.
+pub fn read(path: &Path) -> Result<Paper> {
+    let text = read_text(path, 16 << 20).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut paper: Paper = serde_json::from_str(&text)
+        .with_context(|| format!("{} is no description of the paper's study", path.display()))?;
+    let folder = path.parent().unwrap_or(Path::new("")).to_owned();
+    let place = |p: &mut PathBuf| *p = folder.join(&*p);
+    place(&mut paper.yt.script);
+    place(&mut paper.encoders.script);
+    paper.encoders.shipped.iter_mut().for_each(place);
+    paper.tuning.renderers.iter_mut().for_each(|(_, a, b)| {
+        place(a);
+        place(b);
+    });
+    paper.labels.iter_mut().filter_map(|l| l.picture.as_mut()).for_each(place);
+    paper.tuning.device.iter_mut().for_each(|(_, p)| place(p));
+    check(&paper).with_context(|| format!("{}", path.display()))?;
+    Ok(paper)
+}
+
+fn check(paper: &Paper) -> Result<()> {
+    ensure!(
+        paper.frames.held_out > 0 && paper.frames.held_out <= paper.frames.training,
+        "frames: {} of held-out volumes and {} of training ones; at least 1 and no more than those of training",
+        paper.frames.held_out,
+        paper.frames.training
+    );
+    ensure!(paper.in_mode.values().all(|m| m.repeats != Some(0)), "in_mode: repeats is 0; it is at least 1");
+    ensure!(paper.repeats > 0 && paper.yt.repeats > 0 && paper.runs > 0, "repeats and runs are at least 1");
+    ensure!(!paper.encoders.shipped.is_empty(), "encoders: shipped names none");
+    paper.scenes.check()?;
+    let mut names = BTreeSet::new();
+    for d in &paper.data_sets {
+        ensure!(names.insert(d.name.as_str()), "the data set {:?} stands there twice", d.name);
+        if let Some(mode) = d.modes.iter().find(|m| !RAYCASTER_MODES.contains(&m.as_str()) && *m != YT) {
+            bail!("{}: mode {mode:?}; none, local, scatter or yt is accepted", d.name);
+        }
+        d.modes.iter().try_for_each(|m| paper.ours_for(m).map(|_| ()))?;
+    }
+    for (panel, sets) in &paper.panels {
+        for (set, mode) in sets {
+            let known = paper.data_set(set).is_some_and(|d| d.modes.contains(mode));
+            ensure!(known, "panels: {} names {set} in mode {mode}, which is not collected", panel.name());
+        }
+    }
+    let mut labels = BTreeSet::new();
+    for label in &paper.labels {
+        ensure!(labels.insert(label.label.as_str()), "the label {:?} stands there twice", label.label);
+        for (name, row) in label.paper.iter().flat_map(|p| p.rows.iter()) {
+            let columns = label.paper.as_ref().map_or(0, |p| p.columns.len());
+            ensure!(
+                row.len() + 1 == columns,
+                "{}: row {name:?} has {} numbers under {columns} headings",
+                label.label,
+                row.len()
+            );
+        }
+    }
+    Ok(())
+}

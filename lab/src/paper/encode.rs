@@ -1,0 +1,217 @@
+//! VolumeNets of every size asked for, by the training script: of each data set, of all together, and of
+//! other widths for the capacity sweep.
+
+use super::Work;
+use super::volumes::{BY_VOLUMES, Place};
+use anyhow::{Context, Result, bail, ensure};
+use entire_cli::files::{make_folder, read_text, write_json};
+use serde::Deserialize;
+use serde_json::json;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::Duration;
+
+/// The name of the encoder of all data sets.
+pub const ALL: &str = "all";
+
+/// What is to be trained.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Encoder {
+    /// A data set, or [`ALL`].
+    pub set: String,
+    /// Input side.
+    pub size: usize,
+    /// Length of the feature vector.
+    pub features: usize,
+    /// Widths of the blocks; the script's own where there are none.
+    pub channels: Vec<usize>,
+}
+
+impl Encoder {
+    /// Where it is kept.
+    pub fn path(&self, out: &Path) -> PathBuf {
+        let Self { set, size, features, channels } = self;
+        let widths: Vec<String> = channels.iter().map(ToString::to_string).collect();
+        let widths = if widths.is_empty() { String::new() } else { format!("-c{}", widths.join("-")) };
+        out.join("volumenet").join(format!("{set}-{size}f{features}{widths}.safetensors"))
+    }
+
+    /// What the script wrote down about it, where it is trained.
+    ///
+    /// # Errors
+    /// When the record cannot be read.
+    pub fn record(&self, out: &Path) -> Result<Option<Record>> {
+        let path = self.path(out).with_extension("json");
+        if !path.exists() {
+            return Ok(None);
+        }
+        let text = read_text(&path, 64 << 20)?;
+        serde_json::from_str(&text).map(Some).with_context(|| format!("{} is no record", path.display()))
+    }
+}
+
+/// What the training script writes beside a model.
+#[derive(Clone, Debug, Deserialize)]
+pub struct Record {
+    /// What it was made of.
+    pub provenance: Provenance,
+    /// How long it took.
+    pub seconds: f64,
+}
+
+/// See [`Record`].
+#[derive(Clone, Debug, Deserialize)]
+pub struct Provenance {
+    /// Mean over volumes, dB, by part and data set.
+    pub psnr_db: BTreeMap<String, BTreeMap<String, f64>>,
+    /// Epochs that ran.
+    pub epochs_run: usize,
+    /// The epoch whose weights were kept.
+    pub best_epoch: usize,
+    /// Why it ended.
+    pub stopped: String,
+    /// Machine and library.
+    pub machine: String,
+    /// Volumes by part.
+    pub volumes: BTreeMap<String, usize>,
+}
+
+impl Record {
+    /// Whether the training came to its end.
+    pub fn complete(&self) -> bool {
+        !self.provenance.stopped.starts_with("interrupted")
+    }
+
+    /// Peak signal-to-noise ratio of a part of a data set, dB.
+    pub fn psnr(&self, part: &str, set: &str) -> Option<f64> {
+        self.provenance.psnr_db.get(part)?.get(set).copied()
+    }
+}
+
+/// Every encoder of the study that data sets at hand can be learned for; those asked for by size and length.
+pub fn encoders(work: &Work<'_>, places: &[Place], sizes: &[usize], features: &[usize]) -> Vec<Encoder> {
+    let asked = &work.paper.encoders;
+    let wanted = |list: &[usize], n: usize| list.is_empty() || list.contains(&n);
+    let mut out = Vec::new();
+    let names = places.iter().filter(|p| !p.splits.is_empty()).map(|p| p.set.name.clone());
+    for set in names.chain([ALL.to_owned()]) {
+        for &size in asked.sizes.iter().filter(|n| wanted(sizes, **n)) {
+            for &length in asked.features.iter().filter(|n| wanted(features, **n)) {
+                out.push(Encoder { set: set.clone(), size, features: length, channels: Vec::new() });
+            }
+        }
+    }
+    let capacity = &asked.capacity;
+    if wanted(sizes, capacity.size) && wanted(features, capacity.features) {
+        let sets = capacity.data_sets.iter().filter(|s| places.iter().any(|p| p.set.name == **s));
+        for set in sets {
+            for channels in &capacity.channels {
+                let (size, features) = (capacity.size, capacity.features);
+                out.push(Encoder { set: set.clone(), size, features, channels: channels.clone() });
+            }
+        }
+    }
+    // The one that everything else uses comes first.
+    let main = asked.main;
+    out.sort_by_key(|e| {
+        (!e.channels.is_empty(), e.set == ALL, (e.size, e.features) != main, e.size, e.features)
+    });
+    out
+}
+
+/// Trains what is missing.
+///
+/// # Errors
+/// When Python or the script fails, and when it is stopped.
+pub fn encode(work: &Work<'_>, places: &[Place], encoders: &[Encoder], threads: Option<usize>) -> Result<()> {
+    make_folder(&work.out.join("volumenet"))?;
+    let root = places.first().context("no data set")?.root.clone();
+    for (i, encoder) in encoders.iter().enumerate() {
+        if encoder.record(work.out)?.is_some_and(|r| r.complete()) {
+            continue;
+        }
+        if work.stop() {
+            bail!("{}", work.stopped());
+        }
+        let parts_of: Vec<&Place> = places
+            .iter()
+            .filter(|p| !p.splits.is_empty() && (encoder.set == ALL || p.set.name == encoder.set))
+            .collect();
+        ensure!(
+            parts_of.iter().all(|p| p.root == root),
+            "the data sets lie in several folders; an encoder of all is trained from one"
+        );
+        println!(
+            "encode {} of {}: {}, {}³, F = {}",
+            i + 1,
+            encoders.len(),
+            encoder.set,
+            encoder.size,
+            encoder.features
+        );
+        train(work, encoder, &parts_of, &root, threads)?;
+    }
+    Ok(())
+}
+
+fn train(
+    work: &Work<'_>,
+    encoder: &Encoder,
+    places: &[&Place],
+    root: &Path,
+    threads: Option<usize>,
+) -> Result<()> {
+    let asked = &work.paper.encoders;
+    let union = |part: fn(&super::volumes::Parts) -> &BTreeSet<String>| -> Vec<String> {
+        places.iter().filter_map(|p| p.split(BY_VOLUMES)).flat_map(|s| part(s).iter().cloned()).collect()
+    };
+    let to = encoder.path(work.out);
+    let parts = to.with_extension("parts.json");
+    write_json(
+        &parts,
+        &json!({ "train": union(|s| &s.training), "validation": union(|s| &s.validation), "test": union(|s| &s.test) }),
+    )?;
+    let names: Vec<&str> = places.iter().map(|p| p.set.name.as_str()).collect();
+    let mut command = Command::new(work.python);
+    command
+        .arg(&asked.script)
+        .args(["--datasets", &names.join(","), "--resume"])
+        .args(["--size", &encoder.size.to_string(), "--features", &encoder.features.to_string()])
+        .args(["--epochs", &asked.epochs.to_string(), "--patience", &asked.patience.to_string()])
+        .arg("--data")
+        .arg(root)
+        .arg("--parts")
+        .arg(&parts)
+        .arg("--out")
+        .arg(&to);
+    if !encoder.channels.is_empty() {
+        let widths: Vec<String> = encoder.channels.iter().map(ToString::to_string).collect();
+        command.args(["--channels", &widths.join(",")]);
+    }
+    if let Some(threads) = threads {
+        command.args(["--threads", &threads.to_string()]);
+    }
+    let mut child = command.spawn().with_context(|| format!("cannot start {}", work.python.display()))?;
+    let mut told = false;
+    let status = loop {
+        if let Some(status) = child.try_wait().context("cannot wait for the training")? {
+            break status;
+        }
+        if work.stop() && !told {
+            // The script ends after its batch and keeps the best weights.
+            told = true;
+            let _ = Command::new("kill").args(["-TERM", &child.id().to_string()]).status();
+        }
+        std::thread::sleep(Duration::from_millis(200));
+    };
+    if told {
+        bail!("{}", work.stopped());
+    }
+    ensure!(
+        status.success(),
+        "{} failed; name a Python with lab/volumenet/requirements.txt by --python",
+        asked.script.display()
+    );
+    Ok(())
+}

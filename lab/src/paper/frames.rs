@@ -1,0 +1,196 @@
+//! The frames of a data set and mode: its tables with their features, and the twins on few voxels.
+
+use super::Work;
+use super::collect::{Kind, table_path};
+use super::description::{DataSet, Panel};
+use super::encode::{ALL, Encoder};
+use super::volumes::{BY_VOLUMES, Parts, Place, places};
+use crate::study::twins;
+use anyhow::{Context, Result};
+use entire_cli::commands::features;
+use entire_cli::dataset::feature_table::{FeatureTable, code_column, encoder_id, quantity_column};
+use entire_cli::dataset::{Clock, Table};
+use entire_cli::files::open_model;
+use entire_cli::split::TimedFrames;
+use entire_core::features::{PROBE_SIDE, SceneQuantity};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// The tables of a data set and mode.
+pub(super) struct Loaded {
+    /// All of them; frames name theirs by its place here.
+    pub(super) tables: Vec<Table>,
+    /// Where the frames of the experiments are, where they were collected.
+    pub(super) varied: Option<usize>,
+    /// Volumes of another kind: title and place of the table.
+    pub(super) modalities: Vec<(String, usize)>,
+    /// Seconds on few voxels, by table and frame number.
+    pub(super) low: BTreeMap<(usize, u64), f64>,
+}
+
+/// Frames of a split.
+pub(super) struct SplitFrames<'a> {
+    /// Learned from.
+    pub(super) training: TimedFrames<'a>,
+    /// Decides when training stops.
+    pub(super) validation: TimedFrames<'a>,
+    /// Tested on.
+    pub(super) test: TimedFrames<'a>,
+}
+
+impl Loaded {
+    /// Reads the tables; `None` where the frames were not collected. Features that are missing beside them
+    /// are computed.
+    pub(super) fn read(work: &Work<'_>, place: &Place, mode: &str, clock: Clock) -> Result<Option<Self>> {
+        let main = table_path(work.out, &place.set.name, mode, Kind::Random, false);
+        if !main.exists() {
+            return Ok(None);
+        }
+        let mut out = Self { tables: Vec::new(), varied: None, modalities: Vec::new(), low: BTreeMap::new() };
+        out.add(work, place, mode, Kind::Random, clock)?;
+        if table_path(work.out, &place.set.name, mode, Kind::Varied, false).exists() {
+            out.varied = Some(out.add(work, place, mode, Kind::Varied, clock)?);
+        }
+        for set in work.paper.data_sets.iter().filter(|d| d.only_tests) {
+            let found = table_path(work.out, &set.name, mode, Kind::Random, false).exists();
+            if let (true, Some(other)) = (found, Place::find(set, work.data)?) {
+                let at = out.add(work, &other, mode, Kind::Random, clock)?;
+                out.modalities.push((set.title.clone(), at));
+            }
+        }
+        Ok(Some(out))
+    }
+
+    fn add(&mut self, work: &Work<'_>, place: &Place, mode: &str, kind: Kind, clock: Clock) -> Result<usize> {
+        let path = table_path(work.out, &place.set.name, mode, kind, false);
+        with_features(work, place, &path)?;
+        let index = self.tables.len();
+        let table = Table { root: Some(place.root.clone()), ..Table::read(&path, index)? };
+        let low = table_path(work.out, &place.set.name, mode, kind, true);
+        if low.exists() {
+            twins((index, &table), &low, clock, &mut self.low)?;
+        }
+        self.tables.push(table);
+        Ok(index)
+    }
+
+    /// The frames of a split. Of volumes that are held out, only so many as the description says.
+    pub(super) fn split(&self, work: &Work<'_>, parts: &Parts, clock: Clock) -> SplitFrames<'_> {
+        let of = |names: &BTreeSet<String>, most: u32| {
+            let each = u64::from(work.paper.frames.training);
+            let wanted = self.tables[0]
+                .frames
+                .iter()
+                .filter(|f| names.contains(&f.scene.volume) && f.number % each < u64::from(most));
+            TimedFrames::of(wanted, clock)
+        };
+        let counts = work.paper.frames;
+        SplitFrames {
+            training: of(&parts.training, counts.training),
+            validation: of(&parts.validation, counts.held_out),
+            test: of(&parts.test, counts.held_out),
+        }
+    }
+
+    /// All frames of a table.
+    pub(super) fn all(&self, table: usize, clock: Clock) -> TimedFrames<'_> {
+        TimedFrames::of(&self.tables[table].frames, clock)
+    }
+}
+
+/// The encoders that a data set's frames are encoded by: its own and those of all, as far as they are
+/// trained, and those that ship. Volumes that only test are encoded by every data set's.
+fn encoders_of(work: &Work<'_>, set: &DataSet) -> Result<Vec<PathBuf>> {
+    let mut out = Vec::new();
+    for encoder in trained(work, None)? {
+        if set.only_tests || encoder.set == set.name || encoder.set == ALL {
+            out.push(encoder.path(work.out));
+        }
+    }
+    out.extend(work.paper.encoders.shipped.iter().cloned());
+    Ok(out)
+}
+
+/// The encoders that are trained, of one data set where it is named; not those of the capacity sweep.
+pub(super) fn trained(work: &Work<'_>, set: Option<&str>) -> Result<Vec<Encoder>> {
+    let asked = &work.paper.encoders;
+    let mut out = Vec::new();
+    let names = work.paper.data_sets.iter().map(|d| d.name.as_str()).chain([ALL]);
+    for name in names.filter(|n| set.is_none_or(|s| s == *n)) {
+        for &size in &asked.sizes {
+            for &features in &asked.features {
+                let encoder = Encoder { set: name.to_owned(), size, features, channels: Vec::new() };
+                if encoder.record(work.out)?.is_some_and(|r| r.complete()) {
+                    out.push(encoder);
+                }
+            }
+        }
+    }
+    Ok(out)
+}
+
+/// The encoder of the parts that compare none, and what it is. Of the split by volumes, that of the data set
+/// where it is trained: of the size asked for, else of another with as many features. Otherwise the one that
+/// ships, which saw none of the test members.
+pub(super) fn main_encoder(work: &Work<'_>, set: &str, split: &str) -> Result<(PathBuf, String)> {
+    let (size, features) = work.paper.encoders.main;
+    if split == BY_VOLUMES {
+        let mut own = trained(work, Some(set))?;
+        own.retain(|e| e.features == features);
+        own.sort_by_key(|e| e.size != size);
+        if let Some(found) = own.first() {
+            let what =
+                format!("VolumeNet {}³F{} of this data set's training volumes", found.size, found.features);
+            return Ok((found.path(work.out), what));
+        }
+    }
+    let path = work.paper.encoders.shipped[0].clone();
+    let name = path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    Ok((path, format!("{name} as shipped, of members of three data sets together")))
+}
+
+/// Computes the features beside a table unless they are there.
+fn with_features(work: &Work<'_>, place: &Place, path: &Path) -> Result<()> {
+    let table = Table::read_without_features(path, 0)?;
+    let encoders = encoders_of(work, &place.set)?;
+    let mut sides: Vec<usize> = work.paper.ours.values().filter_map(|r| r.probe_side).collect();
+    sides.retain(|s| *s != PROBE_SIDE);
+    sides.sort_unstable();
+    sides.dedup();
+    // Features of a table that has grown since are refused; they are made anew.
+    let there = FeatureTable::beside(path, &table.frames, table.hash).ok().flatten();
+    let mut wanted: Vec<String> =
+        sides.iter().map(|&s| quantity_column(SceneQuantity::SamplesPerPixel, s)).collect();
+    for encoder in &encoders {
+        let model = open_model(encoder)?;
+        let parts = model.volumenet().with_context(|| format!("{} holds no VolumeNet", encoder.display()))?;
+        wanted.push(code_column(&encoder_id(parts), 0));
+    }
+    if there.is_some_and(|t| wanted.iter().all(|w| t.column(w).is_some())) {
+        return Ok(());
+    }
+    features::run(&features::Options {
+        data: vec![path.to_owned()],
+        volumenet: encoders,
+        probe_sides: sides,
+        root: Some(place.root.clone()),
+        threads: Some(work.pool.current_num_threads()),
+        quiet: work.quiet,
+    })
+}
+
+/// The data sets and modes that a part of the study is made of, as far as they are asked for and there.
+pub(super) fn of_panel(work: &Work<'_>, panel: Panel) -> Result<Vec<(Place, String)>> {
+    let all = places(work.paper, work.selection, work.data)?;
+    let named = work.paper.panels.get(&panel);
+    let mut out = Vec::new();
+    for place in all.into_iter().filter(|p| !p.set.only_tests) {
+        for mode in place.set.modes.clone() {
+            let wanted = named.is_none_or(|n| n.iter().any(|(s, m)| *s == place.set.name && *m == mode));
+            if wanted && work.selection.has_mode(&mode) {
+                out.push((place.clone(), mode));
+            }
+        }
+    }
+    Ok(out)
+}

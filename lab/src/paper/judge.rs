@@ -1,0 +1,211 @@
+//! Predictors made on the frames of a data set and mode, and judged: the paper's network and ours from several
+//! seeds, the mean of 15 % of the frames, the low-resolution proxy.
+
+use super::Work;
+use super::frames::{Loaded, SplitFrames};
+use super::results::Row;
+use super::volumes::Place;
+use crate::latency::Bench;
+use crate::study::{Bounds, Line, Runner};
+use anyhow::{Context, Result};
+use entire_cli::dataset::{Clock, TimedFrame};
+use entire_cli::enlarge::enlarge;
+use entire_cli::evaluation::PROBE_SHARE;
+use entire_cli::fit::{FitContext, Recipe, predict};
+use entire_cli::metrics::{Metrics, median, percentile};
+use entire_cli::split::TimedFrames;
+use entire_cli::volume::Volume;
+use entire_core::model::{Model, ModelFile};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// The paper's network in tables.
+pub(super) const NETWORK: &str = "the paper's network";
+/// Ours in tables.
+pub(super) const OURS: &str = "ours: analytic × factor";
+/// The mean of 15 % of the frames.
+pub(super) const CONSTANT: &str = "mean of 15 % (Bruder et al.)";
+/// The low-resolution proxy.
+pub(super) const LVRP: &str = "LVRP";
+
+/// A data set and mode at work.
+pub(super) struct At<'a> {
+    /// What every step works with.
+    pub(super) work: &'a Work<'a>,
+    /// The data set.
+    pub(super) place: &'a Place,
+    /// The mode.
+    pub(super) mode: &'a str,
+    /// Its frames.
+    pub(super) loaded: &'a Loaded,
+    /// Whose seconds count.
+    pub(super) clock: Clock,
+    /// Makes models and keeps them.
+    pub(super) runner: &'a Runner<'a>,
+    /// What fitting works with.
+    pub(super) context: FitContext<'a>,
+}
+
+/// What a predictor is made as.
+pub(super) struct Method<'a> {
+    /// Its name in tables and in the names of model files.
+    pub(super) name: &'a str,
+    /// Tells model files of one name apart.
+    pub(super) key: &'a str,
+    /// How.
+    pub(super) recipe: Recipe,
+}
+
+impl At<'_> {
+    /// Makes a predictor once from every seed, or takes those that were made before.
+    pub(super) fn runs<'f>(
+        &self,
+        method: &Method<'_>,
+        runs: usize,
+        parts: impl Fn(usize) -> (TimedFrames<'f>, TimedFrames<'f>),
+    ) -> Result<Vec<(ModelFile, PathBuf)>> {
+        let mut out = Vec::with_capacity(runs);
+        for run in 1..=runs {
+            let recipe =
+                Recipe { seed: method.recipe.seed + 100 * (run as u64 - 1), ..method.recipe.clone() };
+            let (training, validation) = parts(run);
+            let none = TimedFrames::default();
+            let key = format!("{}-{}-{}-{run}", self.place.set.name, self.mode, method.key);
+            let bounds = Bounds::Frames(&none);
+            out.push(
+                self.runner
+                    .made(&key, &recipe, &self.context, (&training, &validation), &bounds)
+                    .with_context(|| {
+                        format!("{}, {}, {}, run {run}", self.place.set.name, self.mode, method.name)
+                    })?,
+            );
+        }
+        Ok(out)
+    }
+
+    /// As [`At::runs`], on a split's frames.
+    pub(super) fn on_split(
+        &self,
+        method: &Method<'_>,
+        runs: usize,
+        frames: &SplitFrames<'_>,
+    ) -> Result<Vec<Model>> {
+        let made = self.runs(method, runs, |_| (frames.training.clone(), frames.validation.clone()))?;
+        made.iter().map(|(file, _)| Ok(file.to_model()?)).collect()
+    }
+
+    /// What every model predicts for some frames.
+    pub(super) fn predictions(&self, models: &[Model], frames: &[&TimedFrame]) -> Result<Vec<Vec<f64>>> {
+        models.iter().map(|m| predict(m, &self.context, frames)).collect()
+    }
+
+    /// The proxy's line, fitted to the training frames; `None` where too few were rendered on few voxels.
+    pub(super) fn proxy(&self, training: &TimedFrames<'_>) -> Option<Line> {
+        let pairs: Vec<(f64, f64)> = training
+            .frames
+            .iter()
+            .zip(&training.seconds)
+            .filter_map(|(f, t)| Some((*self.loaded.low.get(&(f.table, f.number))?, *t)))
+            .collect();
+        (pairs.len() > 2).then(|| Line::through(pairs.iter().copied()))
+    }
+
+    /// What the proxy predicts; `None` where it has not all of the frames.
+    pub(super) fn by_proxy(&self, line: Option<Line>, frames: &[&TimedFrame]) -> Option<Vec<f64>> {
+        let line = line?;
+        frames.iter().map(|f| Some(line.at(*self.loaded.low.get(&(f.table, f.number))?))).collect()
+    }
+
+    /// Where latencies are measured: on a volume as it is rendered.
+    pub(super) fn bench(&self) -> Result<Bench> {
+        let job = self.place.jobs.first().context("no volume")?;
+        let volume = Volume::open(self.place.root.join(&job.path))?;
+        let factor = self.work.paper.enlarge;
+        let volume = if factor > 1 { enlarge(&volume, factor)? } else { volume };
+        let shading = self.loaded.tables[0].frames.first().context("no frame")?.scene.shading;
+        Bench::new(&volume, shading)
+    }
+}
+
+/// Predictors on one set of frames, beside the baselines.
+pub(super) struct Judge<'a> {
+    split: String,
+    frames: &'a TimedFrames<'a>,
+    constant: Option<f64>,
+    lvrp: Option<f64>,
+    /// What was found.
+    pub(super) rows: Vec<Row>,
+}
+
+impl<'a> Judge<'a> {
+    /// Begins with the baselines.
+    pub(super) fn new(
+        at: &At<'_>,
+        split: &str,
+        frames: &'a TimedFrames<'a>,
+        line: Option<Line>,
+        with_constant: bool,
+    ) -> Self {
+        let mut out = Self { split: split.to_owned(), frames, constant: None, lvrp: None, rows: Vec::new() };
+        if with_constant {
+            let draws: Vec<Vec<f64>> = (1..=at.work.paper.runs.max(5) as u64)
+                .map(|seed| {
+                    let count = (PROBE_SHARE * frames.frames.len() as f64).ceil().max(1.0) as usize;
+                    let seen = frames.sample(count, seed).0.seconds;
+                    let mean = seen.iter().sum::<f64>() / seen.len().max(1) as f64;
+                    vec![mean; frames.frames.len()]
+                })
+                .collect();
+            out.add(CONSTANT, &draws);
+            out.constant = out.rows.last().map(|r| r.rmse);
+        }
+        if let Some(predicted) = at.by_proxy(line, &frames.frames) {
+            out.add(LVRP, &[predicted]);
+            out.lvrp = out.rows.last().map(|r| r.rmse);
+            let mut times: Vec<f64> = frames
+                .frames
+                .iter()
+                .filter_map(|f| at.loaded.low.get(&(f.table, f.number)).copied())
+                .collect();
+            if let Some(row) = out.rows.last_mut() {
+                row.latency = median(&mut times);
+            }
+        }
+        for row in &mut out.rows {
+            row.over_constant = out.constant.map(|c| row.rmse / c);
+            row.over_lvrp = out.lvrp.map(|c| row.rmse / c);
+        }
+        out
+    }
+
+    /// Judges a predictor of several runs; nothing where there are no frames.
+    pub(super) fn add(&mut self, name: &str, runs: &[Vec<f64>]) {
+        let measured = &self.frames.seconds;
+        let metrics: Vec<Metrics> = runs.iter().filter_map(|p| Metrics::new(p, measured)).collect();
+        let Some(first) = metrics.first() else { return };
+        let n = metrics.len() as f64;
+        let rmse = metrics.iter().map(|m| m.rmse).sum::<f64>() / n;
+        let squares = metrics.iter().map(|m| (m.rmse - rmse).powi(2)).sum::<f64>();
+        let mut errors: Vec<f64> =
+            runs.iter().flat_map(|p| p.iter().zip(measured).map(|(p, t)| (p - t).powi(2))).collect();
+        errors.sort_by(f64::total_cmp);
+        let mut each: Vec<f64> = metrics.iter().map(|m| m.rmse).collect();
+        self.rows.push(Row {
+            name: name.to_owned(),
+            split: self.split.clone(),
+            frames: first.frames,
+            runs: metrics.len(),
+            rmse,
+            rmse_sd: if metrics.len() > 1 { (squares / (n - 1.0)).sqrt() } else { 0.0 },
+            rmse_median: median(&mut each).unwrap_or(rmse),
+            sd: first.sd,
+            mean: measured.iter().sum::<f64>() / measured.len() as f64,
+            over_constant: self.constant.map(|c| rmse / c),
+            over_lvrp: self.lvrp.map(|c| rmse / c),
+            mdape: metrics.iter().map(|m| m.mdape).sum::<f64>() / n,
+            latency: None,
+            squared_errors: [0.05, 0.25, 0.5, 0.75, 0.95].map(|q| percentile(&errors, q)),
+            more: BTreeMap::new(),
+        });
+    }
+}

@@ -1,0 +1,113 @@
+//! Renderings of the data sets: how they look, how they change over time, and the poses behind G.
+
+use super::Work;
+use super::collect::protocol;
+use super::description::{Panel, RAYCASTER_MODES};
+use super::encode::Encoder;
+use super::results::{Results, kept, write};
+use super::volumes::{BY_VOLUMES, Place};
+use anyhow::{Context, Result, bail};
+use entire_cli::dataset::{Scene, parse_lobes};
+use entire_cli::files::{fnv1a, make_folder, write_whole};
+use entire_cli::report::encode_png;
+use entire_cli::volume::Volume;
+use entire_core::scene::Arcball;
+use entire_vk_raycaster::Renderer;
+use std::process::Command;
+
+/// Side of a picture, pixels.
+const SIDE: u32 = 192;
+/// The transfer function: a veil and two shells.
+const LOBES: &str = "0.3 0.003 0.012;0.6 0.003 0.04;0.88 0.006 0.6";
+/// The poses behind G: those of the paper's figure are three, too.
+const POSES: [(f32, f32); 3] = [(15.0, 20.0), (35.0, 140.0), (60.0, -100.0)];
+
+/// Draws what is missing.
+///
+/// # Errors
+/// A volume that cannot be read, a renderer that fails, and being stopped.
+pub fn draw(work: &Work<'_>, places: &[Place], renderer: &mut dyn Renderer) -> Result<()> {
+    let folder = work.out.join("pictures");
+    make_folder(&folder)?;
+    for place in places {
+        let Some(mode) = place.set.modes.iter().find(|m| RAYCASTER_MODES.contains(&m.as_str())) else {
+            continue;
+        };
+        let encoders = reconstructed(work, place)?;
+        let text = format!("{LOBES} {SIDE} {} {:?}", place.jobs.len(), encoders);
+        let mark = format!("{:016x}", fnv1a(text.as_bytes()));
+        let set = &place.set.name;
+        if kept(work.out, Panel::Pictures, set, mode, &mark)?.is_some() {
+            continue;
+        }
+        if work.stop() {
+            bail!("{}", work.stopped());
+        }
+        let mut results = Results::new(Panel::Pictures, set, mode, mark);
+        results.device = renderer.device();
+        results.machine = entire_cli::machine::machine();
+        let protocol = protocol(work.paper, mode, false)?;
+        let first = &place.jobs[0].member;
+        let of_member: Vec<usize> =
+            (0..place.jobs.len()).filter(|j| place.jobs[*j].member == *first).collect();
+        let last = of_member.len() - 1;
+        let mut shots: Vec<(usize, &str, (f32, f32))> =
+            [0, last / 3, 2 * last / 3, last].map(|k| (of_member[k], "over time", POSES[0])).to_vec();
+        shots.dedup();
+        shots.extend(POSES.map(|pose| (of_member[last], "pose", pose)));
+        for (n, (j, what, (rx, ry))) in shots.into_iter().enumerate() {
+            let job = &place.jobs[j];
+            let fail = || job.path.display().to_string();
+            let volume = protocol.sized(Volume::open(place.root.join(&job.path))?).with_context(fail)?;
+            renderer.set_volume(&volume.view()).with_context(fail)?;
+            let scene = Scene {
+                camera: Arcball { rx, ry, dz: 2.5 },
+                width: SIDE,
+                height: SIDE,
+                lobes: parse_lobes(LOBES)?,
+                ..protocol.scene(job, volume.dims(), 0)
+            };
+            renderer.set_transfer(&scene.to_table()?).with_context(fail)?;
+            let image = renderer.render(&scene.to_frame()?).with_context(fail)?.image;
+            let name = format!("{set}-{n}.png");
+            write_whole(&folder.join(&name), &encode_png(&image)?)?;
+            results.pictures.push((name, format!("{what}: {}", job.path.display())));
+        }
+        for encoder in encoders {
+            let name = format!("{set}-{}f{}-reconstruction.png", encoder.size, encoder.features);
+            reconstruct(work, place, &encoder, &name)?;
+            let caption = format!(
+                "reconstruction: middle slices of test volumes above, VolumeNet {}³F{} below",
+                encoder.size, encoder.features
+            );
+            results.pictures.push((name, caption));
+        }
+        write(work.out, &results)?;
+    }
+    Ok(())
+}
+
+/// The encoders whose reconstructions are drawn: with as many features as the main one.
+fn reconstructed(work: &Work<'_>, place: &Place) -> Result<Vec<Encoder>> {
+    let mut found = super::frames::trained(work, Some(&place.set.name))?;
+    found.retain(|e| e.features == work.paper.encoders.main.1);
+    Ok(found)
+}
+
+fn reconstruct(work: &Work<'_>, place: &Place, encoder: &Encoder, name: &str) -> Result<()> {
+    let Some(parts) = place.split(BY_VOLUMES) else { return Ok(()) };
+    let script = work.paper.encoders.script.with_file_name("reconstruct.py");
+    let mut command = Command::new(work.python);
+    command.arg(&script).arg("--model").arg(encoder.path(work.out));
+    command.arg("--out").arg(work.out.join("pictures").join(name));
+    command.args(parts.test.iter().take(4).map(|v| place.root.join(v)));
+    let output = command.output().with_context(|| format!("cannot start {}", work.python.display()))?;
+    if !output.status.success() {
+        bail!(
+            "{} failed: {}; name a Python with lab/volumenet/requirements.txt by --python",
+            script.display(),
+            String::from_utf8_lossy(&output.stderr).lines().last().unwrap_or_default()
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,212 @@
+//! The report: every table and figure of the paper beside ours, with the command that makes it.
+
+use super::bars::{Reconstruction, bars};
+use super::description::{Label, Paper};
+use super::encode::{ALL, Encoder};
+use super::judge::OURS;
+use super::results::{Results, Row, read_all};
+use super::sections::{Section, section};
+use crate::bars::Bar;
+use anyhow::{Context, Result};
+use entire_cli::files::{make_folder, read_bytes, write_json, write_whole};
+use entire_cli::machine;
+use entire_cli::report::{Column, Page, Table};
+use serde_json::json;
+use std::path::Path;
+use std::time::Instant;
+
+/// A label in the report.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    /// The paper's label.
+    pub label: String,
+    /// Whether there is a table or figure of ours.
+    pub there: bool,
+    /// The command that makes it.
+    pub command: String,
+    /// Our number and the paper's, in words.
+    pub summary: String,
+}
+
+/// What the report is made of.
+pub struct Material {
+    /// What was found.
+    pub all: Vec<Results>,
+    /// How well encoders reconstruct.
+    pub reconstructions: Vec<Reconstruction>,
+}
+
+/// Reads what every step kept: the results of a folder, and a kept file's where the folder lacks them.
+///
+/// # Errors
+/// When a file cannot be read.
+pub fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Material> {
+    let all = read_all(out, kept)?;
+    let asked = &paper.encoders;
+    let mut reconstructions = Vec::new();
+    let names = paper.data_sets.iter().map(|d| d.name.as_str()).chain([ALL]);
+    for set in names {
+        let mut wanted = Vec::new();
+        for &size in &asked.sizes {
+            for &features in &asked.features {
+                wanted.push(Encoder { set: set.to_owned(), size, features, channels: Vec::new() });
+            }
+        }
+        for channels in &asked.capacity.channels {
+            let (size, features) = (asked.capacity.size, asked.capacity.features);
+            wanted.push(Encoder { set: set.to_owned(), size, features, channels: channels.clone() });
+        }
+        for encoder in wanted {
+            if let Some(record) = encoder.record(out)? {
+                reconstructions.push(Reconstruction { encoder, record });
+            }
+        }
+    }
+    Ok(Material { all, reconstructions })
+}
+
+/// Ours on a split.
+pub(super) fn ours_of<'a>(results: &'a Results, split: &str) -> Option<&'a Row> {
+    results.row(split, OURS)
+}
+
+/// Writes report.html, rows.md, and rows.json; returns the bars. `started` says since when it has been at work.
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -> Result<Vec<Bar>> {
+    make_folder(out)?;
+    let mut page = Page::new(
+        paper.title.as_str(),
+        "Every table and figure of the paper beside ours, by the paper's protocol: its split, its frames per \
+         volume, its networks, its baselines. Errors are root mean squared errors in seconds. Hardware and volumes \
+         are others than the paper's, so the ratios are what compares: over the standard deviation of the times, \
+         over the mean of 15 % of the frames, over the low-resolution proxy. What was not measured says so and \
+         names its command.",
+    );
+    let sections: Vec<(&Label, Section)> =
+        paper.labels.iter().map(|l| (l, section(paper, l, material, out))).collect();
+    let shown: Vec<Shown> = sections
+        .iter()
+        .map(|(l, s)| Shown {
+            label: l.label.clone(),
+            there: s.there(),
+            command: l.command.clone(),
+            summary: s.summary.clone(),
+        })
+        .collect();
+    page.heading("Row by row");
+    page.table(&rows_table(paper, &shown, ""), "");
+    for (label, section) in &sections {
+        page.heading(&format!("{} ({})", label.title, label.label));
+        if let Some(numbers) = &label.paper {
+            page.table(&numbers_table(numbers), "The paper's numbers.");
+        }
+        if !section.there() {
+            page.paragraph(&format!("Not measured. This makes it: {}", label.command));
+        }
+        for (table, caption) in &section.tables {
+            page.table(table, caption);
+        }
+        for (chart, caption) in &section.charts {
+            page.chart(chart, caption);
+        }
+        let mut shots = Vec::new();
+        for (file, caption) in &section.pictures {
+            shots.push((picture(out, file)?, caption.clone()));
+        }
+        if !shots.is_empty() {
+            page.pictures(shots.iter().map(|(png, caption)| (png.as_slice(), caption.clone())));
+        }
+        for text in &section.notes {
+            page.paragraph(text);
+        }
+        if !label.note.is_empty() {
+            page.paragraph(&label.note);
+        }
+        page.paragraph(&format!("Command: {}", label.command));
+    }
+    let found =
+        bars(paper, &material.all, &shown, &material.reconstructions, started.elapsed().as_secs_f64());
+    page.heading("Bars");
+    let mut table = Table::new(vec![
+        Column::text("bar"),
+        Column::number("found"),
+        Column::number("asked for"),
+        Column::text("holds"),
+    ]);
+    for b in &found {
+        table.row(vec![
+            b.name.clone().into(),
+            b.value.map_or("-".into(), |v| format!("{v:.4}")).into(),
+            format!("{:.4}", b.limit).into(),
+            if b.ok { "yes" } else { "short" }.into(),
+        ]);
+    }
+    page.table(&table, "");
+    page.heading("Where the numbers come from");
+    let mut facts = vec![
+        ("Program", format!("entire {}", machine::version())),
+        ("Date of the report", machine::now()),
+        ("Results", format!("{} parts", material.all.len())),
+    ];
+    let mut devices: Vec<String> = material
+        .all
+        .iter()
+        .filter(|r| !r.device.is_empty())
+        .map(|r| format!("{} on {}", r.device, r.machine))
+        .collect();
+    devices.sort();
+    devices.dedup();
+    facts.push(("Rendered by", devices.join("; ")));
+    page.facts(facts);
+    page.write(&out.join("report.html"))?;
+    write_whole(&out.join("rows.md"), rows_table(paper, &shown, "`").to_markdown().as_bytes())?;
+    let rows: Vec<serde_json::Value> = shown
+        .iter()
+        .map(|s| json!({ "label": s.label, "there": s.there, "ours": s.summary, "command": s.command }))
+        .collect();
+    write_json(&out.join("rows.json"), &rows)?;
+    Ok(found)
+}
+
+/// A picture's bytes: one of those that the steps drew, or one that the description names.
+fn picture(out: &Path, file: &str) -> Result<Vec<u8>> {
+    let drawn = out.join("pictures").join(file);
+    read_bytes(if drawn.exists() { &drawn } else { Path::new(file) })
+        .with_context(|| format!("cannot read the picture {file}"))
+}
+
+/// One row per label. `quote` stands around commands, as Markdown has it.
+fn rows_table(paper: &Paper, shown: &[Shown], quote: &str) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("label"),
+        Column::text("what"),
+        Column::text("ours"),
+        Column::text("command"),
+    ]);
+    for (label, s) in paper.labels.iter().zip(shown) {
+        let ours = if s.there { s.summary.as_str() } else { "not measured" };
+        table.row(vec![
+            label.label.as_str().into(),
+            label.title.as_str().into(),
+            ours.into(),
+            format!("{quote}{}{quote}", s.command).into(),
+        ]);
+    }
+    table
+}
+
+fn numbers_table(numbers: &super::description::Numbers) -> Table {
+    let mut columns: Vec<Column> = Vec::new();
+    for (i, c) in numbers.columns.iter().enumerate() {
+        columns.push(if i == 0 { Column::text(c) } else { Column::number(c) });
+    }
+    let mut table = Table::new(columns);
+    for (name, row) in &numbers.rows {
+        let mut cells = vec![name.as_str().into()];
+        cells.extend(row.iter().map(|v| v.map_or("-".into(), |v| format!("{v}")).into()));
+        table.row(cells);
+    }
+    table
+}

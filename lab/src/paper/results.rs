@@ -1,0 +1,207 @@
+//! What the study found, in one small file for every part of it, data set and mode.
+
+use super::description::Panel;
+use anyhow::{Context, Result};
+use entire_cli::files::{
+    gzip, make_folder, make_folder_of, read_decompressed, read_text, write_json, write_whole,
+};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// How a predictor did on some frames.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// The predictor.
+    pub name: String,
+    /// The split, or the experiment.
+    pub split: String,
+    /// Frames judged on.
+    pub frames: usize,
+    /// Trainings behind it.
+    pub runs: usize,
+    /// Mean over the runs, seconds.
+    pub rmse: f64,
+    /// Standard deviation over the runs, seconds.
+    pub rmse_sd: f64,
+    /// Median over the runs, seconds.
+    pub rmse_median: f64,
+    /// Standard deviation of the measured seconds.
+    pub sd: f64,
+    /// Mean of the measured seconds.
+    pub mean: f64,
+    /// RMSE over that of the mean of 15 % of the frames.
+    pub over_constant: Option<f64>,
+    /// RMSE over that of the low-resolution proxy.
+    pub over_lvrp: Option<f64>,
+    /// Median of |predicted − measured| / measured, mean over the runs.
+    pub mdape: f64,
+    /// Seconds of one prediction, where it was measured.
+    pub latency: Option<f64>,
+    /// Squared errors of all runs: 5th, 25th, 50th, 75th, 95th percentile.
+    pub squared_errors: [f64; 5],
+    /// Other numbers.
+    #[serde(default)]
+    pub more: BTreeMap<String, f64>,
+}
+
+/// A line of a chart.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Curve {
+    /// The chart that it belongs to.
+    pub chart: String,
+    /// What it is.
+    pub name: String,
+    /// What runs along x.
+    pub x: String,
+    /// (x, y).
+    pub points: Vec<(f64, f64)>,
+}
+
+/// Named numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Fact {
+    /// What they are of.
+    pub name: String,
+    /// By name.
+    pub values: BTreeMap<String, f64>,
+}
+
+/// What one part of the study found for one data set and mode.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Results {
+    /// Tells apart what it was made of.
+    pub identity: String,
+    /// The part of the study.
+    pub panel: Panel,
+    /// The data set.
+    pub set: String,
+    /// The mode.
+    pub mode: String,
+    /// Frames learned from, validated on and tested on, by split.
+    pub frames: BTreeMap<String, [usize; 3]>,
+    /// The encoder behind the network.
+    pub encoder: String,
+    /// What the frames were measured on.
+    pub device: String,
+    /// Its machine.
+    pub machine: String,
+    /// Errors.
+    pub rows: Vec<Row>,
+    /// Lines.
+    pub curves: Vec<Curve>,
+    /// Other numbers.
+    pub facts: Vec<Fact>,
+    /// Pictures' files beside this one, with captions.
+    #[serde(default)]
+    pub pictures: Vec<(String, String)>,
+    /// When it was made.
+    pub made: String,
+    /// By which program.
+    pub program: String,
+    /// Seconds that it took.
+    pub seconds: f64,
+}
+
+impl Results {
+    /// Nothing yet.
+    pub fn new(panel: Panel, set: &str, mode: &str, identity: String) -> Self {
+        Self {
+            identity,
+            panel,
+            set: set.to_owned(),
+            mode: mode.to_owned(),
+            frames: BTreeMap::new(),
+            encoder: String::new(),
+            device: String::new(),
+            machine: String::new(),
+            rows: Vec::new(),
+            curves: Vec::new(),
+            facts: Vec::new(),
+            pictures: Vec::new(),
+            made: entire_cli::machine::now(),
+            program: entire_cli::machine::version(),
+            seconds: 0.0,
+        }
+    }
+
+    /// A row.
+    pub fn row(&self, split: &str, name: &str) -> Option<&Row> {
+        self.rows.iter().find(|r| r.split == split && r.name == name)
+    }
+}
+
+/// Where the results of a part are kept.
+pub(super) fn path(out: &Path, panel: Panel, set: &str, mode: &str) -> PathBuf {
+    out.join("results").join(format!("{}-{set}-{mode}.json", panel.name()))
+}
+
+/// Writes results down.
+///
+/// # Errors
+/// When the file cannot be written.
+pub(super) fn write(out: &Path, results: &Results) -> Result<()> {
+    make_folder(&out.join("results"))?;
+    write_json(&path(out, results.panel, &results.set, &results.mode), results)
+}
+
+/// The results of this identity, where they were made before.
+///
+/// # Errors
+/// When the file cannot be read.
+pub(super) fn kept(
+    out: &Path,
+    panel: Panel,
+    set: &str,
+    mode: &str,
+    identity: &str,
+) -> Result<Option<Results>> {
+    let path = path(out, panel, set, mode);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let found: Results = one(&read_text(&path, 256 << 20)?, &path)?;
+    Ok((found.identity == identity).then_some(found))
+}
+
+fn one(text: &str, path: &Path) -> Result<Results> {
+    serde_json::from_str(text).with_context(|| format!("{} holds no results of this version", path.display()))
+}
+
+/// All results of a folder, and those of one kept file for parts that the folder lacks.
+///
+/// # Errors
+/// When a file cannot be read.
+pub(super) fn read_all(out: &Path, kept: Option<&Path>) -> Result<Vec<Results>> {
+    let mut all: BTreeMap<(Panel, String, String), Results> = BTreeMap::new();
+    let mut add = |r: Results| all.insert((r.panel, r.set.clone(), r.mode.clone()), r);
+    if let Some(path) = kept {
+        let bytes = read_decompressed(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let found: Vec<Results> = serde_json::from_slice(&bytes)
+            .with_context(|| format!("{} holds no results of this version", path.display()))?;
+        found.into_iter().for_each(|r| {
+            add(r);
+        });
+    }
+    let folder = out.join("results");
+    if folder.is_dir() {
+        for entry in
+            std::fs::read_dir(&folder).with_context(|| format!("cannot read {}", folder.display()))?
+        {
+            let path = entry?.path();
+            if path.extension().is_some_and(|e| e == "json") {
+                add(one(&read_text(&path, 256 << 20)?, &path)?);
+            }
+        }
+    }
+    Ok(all.into_values().collect())
+}
+
+/// Writes all results into one compressed file, which `read_all` takes.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn keep(all: &[Results], path: &Path) -> Result<()> {
+    make_folder_of(path)?;
+    write_whole(path, &gzip(&serde_json::to_vec(all)?)?)
+}

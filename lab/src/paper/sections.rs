@@ -1,0 +1,649 @@
+//! Our counterpart of each table and figure.
+
+use super::cases::NODES;
+use super::description::{Label, Paper};
+use super::encode::ALL;
+use super::judge::{CONSTANT, LVRP, NETWORK, OURS};
+use super::report::Material;
+use super::results::{Curve, Results, Row};
+use super::volumes::{BY_MODALITY, BY_VOLUMES};
+use entire_cli::report::{Axis, Chart, Column, Mark, Series, Table};
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// What stands in the report under a label.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Section {
+    /// Tables with captions.
+    pub(super) tables: Vec<(Table, String)>,
+    /// Charts with captions.
+    pub(super) charts: Vec<(Chart, String)>,
+    /// Pictures' files with captions.
+    pub(super) pictures: Vec<(String, String)>,
+    /// Paragraphs.
+    pub(super) notes: Vec<String>,
+    /// One line for the overview.
+    pub(super) summary: String,
+}
+
+impl Section {
+    /// Whether there is a table or figure.
+    pub(super) fn there(&self) -> bool {
+        !self.tables.is_empty() || !self.charts.is_empty() || !self.pictures.is_empty()
+    }
+}
+
+/// Our counterpart of a label, of what there is.
+pub(super) fn section(paper: &Paper, label: &Label, material: &Material, out: &Path) -> Section {
+    let of: Vec<&Results> = material.all.iter().filter(|r| r.panel == label.panel).collect();
+    let mut s = Section::default();
+    match label.label.as_str() {
+        "tab:dataset" => times(paper, &of, &mut s),
+        "tab:overall" => overall(paper, &of, &mut s),
+        "fig:error_distribution" => distributions(paper, &of, &mut s),
+        "fig:nyx_results" | "fig:time_vis" => varied_curves(paper, &of, &mut s),
+        "tab:quantitative" => each(paper, &of, &mut s, errors_table),
+        "tab:ablation" => each(paper, &of, &mut s, errors_table),
+        "fig:num_sample_search" => samples(paper, &of, &mut s),
+        "tab:prednet_select_1" => each(paper, &of, &mut s, errors_table),
+        "tab:feature_select_1" | "tab:feature_select_2" => {
+            encoders(paper, &of, &mut s);
+            reconstructions(paper, material, &mut s);
+        }
+        "tab:final_select" => finalists(paper, &of, &mut s),
+        "fig:umap_dataset" => codes(&of, &mut s),
+        "fig:fine_tune_overall" | "fig:fine_tune_qualitative" => tuning(&of, &mut s),
+        "fig:control" => steering(&of, &mut s),
+        "fig:control_methods" => curves_of(&of, "G", "time over that at the reference step", &mut s),
+        "fig:loadbalancing" => balancing(paper, &of, &mut s),
+        "fig:data_evolve" => pictures(&of, "over time", out, &mut s),
+        "fig:dataset" => pictures(&of, "", out, &mut s),
+        "fig:control_poses" => pictures(&of, "pose", out, &mut s),
+        "fig:volunenet_reconstruction" => pictures(&of, "reconstruction", out, &mut s),
+        _ => {}
+    }
+    if let Some(path) = &label.picture {
+        s.pictures.push((path.display().to_string(), label.title.clone()));
+        s.summary = "a picture".into();
+    }
+    let mut devices: Vec<String> =
+        of.iter().filter(|r| !r.device.is_empty()).map(|r| format!("{} ({})", r.device, r.machine)).collect();
+    devices.sort();
+    devices.dedup();
+    if s.there() && !devices.is_empty() {
+        s.notes.push(format!("Measured with {}.", devices.join("; ")));
+    }
+    s
+}
+
+fn title(paper: &Paper, r: &Results) -> String {
+    let name = paper.data_set(&r.set).map_or(r.set.as_str(), |d| d.title.as_str());
+    let mode = match r.mode.as_str() {
+        "none" => "unshaded",
+        "local" => "local lighting",
+        "scatter" => "single scattering",
+        other => other,
+    };
+    format!("{name}, {mode}")
+}
+
+/// Seconds with four digits that count.
+fn seconds(v: f64) -> String {
+    if v == 0.0 || !v.is_finite() {
+        return "0".into();
+    }
+    let digits = (3 - v.abs().log10().floor() as i32).clamp(0, 8) as usize;
+    format!("{v:.digits$}")
+}
+
+fn ratio(v: Option<f64>) -> String {
+    v.map_or("-".into(), |v| format!("{v:.3}"))
+}
+
+fn each(paper: &Paper, of: &[&Results], s: &mut Section, table: fn(&Results) -> Table) {
+    for r in of.iter().filter(|r| !r.rows.is_empty()) {
+        let frames = r.frames.get(BY_VOLUMES).map_or(String::new(), |f| {
+            format!(" {} training, {} validation and {} test frames.", f[0], f[1], f[2])
+        });
+        s.tables.push((table(r), format!("{}.{frames} Network on: {}.", title(paper, r), r.encoder)));
+        let found = r.row(BY_VOLUMES, NETWORK).or_else(|| r.rows.iter().find(|x| x.name == NETWORK));
+        if let Some(row) = found {
+            s.summary = format!("{}: {} ± {} s", title(paper, r), seconds(row.rmse), seconds(row.rmse_sd));
+        } else if let Some(best) = r
+            .rows
+            .iter()
+            .filter(|x| x.name != CONSTANT && x.name != LVRP)
+            .min_by(|a, b| a.rmse.total_cmp(&b.rmse))
+        {
+            s.summary = format!("{}: best {} with {} s", title(paper, r), best.name, seconds(best.rmse));
+        }
+    }
+}
+
+/// Errors of every predictor of a part.
+fn errors_table(r: &Results) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("on"),
+        Column::text("predictor"),
+        Column::number("RMSE, s"),
+        Column::number("STD over runs"),
+        Column::number("runs"),
+        Column::number("RMSE/SD"),
+        Column::number("over the mean of 15 %"),
+        Column::number("over LVRP"),
+        Column::number("MdAPE, %"),
+        Column::number("prediction, ms"),
+        Column::number("test frames"),
+    ]);
+    for row in &r.rows {
+        table.row(vec![
+            row.split.as_str().into(),
+            row.name.as_str().into(),
+            seconds(row.rmse).into(),
+            if row.runs > 1 { seconds(row.rmse_sd) } else { "-".into() }.into(),
+            row.runs.to_string().into(),
+            format!("{:.3}", row.rmse / row.sd).into(),
+            ratio(row.over_constant).into(),
+            ratio(row.over_lvrp).into(),
+            format!("{:.1}", 100.0 * row.mdape).into(),
+            row.latency.map_or("-".into(), |l| format!("{:.3}", 1e3 * l)).into(),
+            row.frames.to_string().into(),
+        ]);
+    }
+    table
+}
+
+fn times(paper: &Paper, of: &[&Results], s: &mut Section) {
+    let mut table = Table::new(vec![
+        Column::text("data set, renderer"),
+        Column::number("members"),
+        Column::number("volumes"),
+        Column::number("voxels"),
+        Column::number("frames"),
+        Column::number("mean time, s"),
+        Column::number("SD, s"),
+    ]);
+    let mut parts = Vec::new();
+    for r in of {
+        let Some(f) = r.facts.iter().find(|f| f.name == "times") else { continue };
+        let v = |k: &str| f.values.get(k).copied().unwrap_or(0.0);
+        table.row(vec![
+            title(paper, r).into(),
+            v("members").to_string().into(),
+            v("volumes").to_string().into(),
+            format!("{}×{}×{}", v("x"), v("y"), v("z")).into(),
+            v("frames").to_string().into(),
+            seconds(v("mean")).into(),
+            seconds(v("sd")).into(),
+        ]);
+        parts.push(format!("{} {} ({})", title(paper, r), seconds(v("mean")), seconds(v("sd"))));
+    }
+    if !parts.is_empty() {
+        s.tables.push((table, "Voxels as rendered.".into()));
+        s.summary = parts.join("; ");
+    }
+}
+
+fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
+    let mut table = Table::new(vec![
+        Column::text("data set, renderer"),
+        Column::number("training frames"),
+        Column::number("network, RMSE s"),
+        Column::number("± runs"),
+        Column::number("ms"),
+        Column::number("mean of 15 %, s"),
+        Column::number("LVRP, s"),
+        Column::number("LVRP, ms"),
+        Column::number("ours, s"),
+        Column::number("± runs"),
+        Column::number("ms"),
+        Column::number("network/SD"),
+        Column::number("network/mean"),
+        Column::number("network/LVRP"),
+        Column::number("ours/network"),
+    ]);
+    let mut parts = Vec::new();
+    for r in of {
+        let find = |name: &str| r.row(BY_VOLUMES, name);
+        let Some(network) = find(NETWORK) else { continue };
+        let s_of = |row: Option<&Row>| row.map_or("-".into(), |x| seconds(x.rmse));
+        let ms = |row: Option<&Row>| {
+            row.and_then(|x| x.latency).map_or("-".to_owned(), |l| format!("{:.3}", 1e3 * l))
+        };
+        let ours = find(OURS);
+        table.row(vec![
+            title(paper, r).into(),
+            r.frames.get(BY_VOLUMES).map_or(0, |f| f[0]).to_string().into(),
+            seconds(network.rmse).into(),
+            format!("{} ({})", seconds(network.rmse_sd), network.runs).into(),
+            ms(Some(network)).into(),
+            s_of(find(CONSTANT)).into(),
+            s_of(find(LVRP)).into(),
+            ms(find(LVRP)).into(),
+            s_of(ours).into(),
+            ours.map_or("-".into(), |o| seconds(o.rmse_sd)).into(),
+            ms(ours).into(),
+            format!("{:.3}", network.rmse / network.sd).into(),
+            ratio(network.over_constant).into(),
+            ratio(network.over_lvrp).into(),
+            ratio(ours.map(|o| o.rmse / network.rmse)).into(),
+        ]);
+        parts.push(format!(
+            "{}: {} of the mean, {} of LVRP, ours {} of the network",
+            title(paper, r),
+            ratio(network.over_constant),
+            ratio(network.over_lvrp),
+            ratio(ours.map(|o| o.rmse / network.rmse))
+        ));
+    }
+    if parts.is_empty() {
+        return;
+    }
+    s.summary = parts.join("; ");
+    s.tables.push((table, "The paper's split: volumes at random.".into()));
+    for r in of {
+        if r.rows.iter().any(|x| x.split != BY_VOLUMES) {
+            s.tables.push((
+                errors_table(r),
+                format!(
+                    "{}: the paper's split beside whole ensemble members and volumes of another kind ({BY_MODALITY}). \
+                     Network by volumes on: {}.",
+                    title(paper, r),
+                    r.encoder
+                ),
+            ));
+        }
+    }
+    let mut chart = Chart::new(
+        "Accuracy against latency, the paper's split",
+        Axis::log("one prediction, ms"),
+        Axis::log("RMSE / SD"),
+    );
+    for (i, name) in [NETWORK, OURS, LVRP].into_iter().enumerate() {
+        let points: Vec<(f64, f64, String)> = of
+            .iter()
+            .filter_map(|r| {
+                let row = r.row(BY_VOLUMES, name)?;
+                Some((1e3 * row.latency?, row.rmse / row.sd, title(paper, r)))
+            })
+            .collect();
+        if !points.is_empty() {
+            chart = chart.series(Series::new(name, Mark::Points(points)).color(i));
+        }
+    }
+    s.charts.push((chart, "Lower left is better.".into()));
+}
+
+fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
+    let shown: Vec<&&Results> = of.iter().filter(|r| r.row(BY_VOLUMES, NETWORK).is_some()).collect();
+    if shown.is_empty() {
+        return;
+    }
+    let names: Vec<String> = shown.iter().map(|r| title(paper, r)).collect();
+    let times: Vec<(f64, [f64; 5])> = shown
+        .iter()
+        .enumerate()
+        .filter_map(|(i, r)| {
+            let v = &r.facts.iter().find(|f| f.name == "times")?.values;
+            Some((
+                i as f64,
+                ["p5", "p25", "p50", "p75", "p95"].map(|k| v.get(k).copied().unwrap_or(f64::NAN)),
+            ))
+        })
+        .collect();
+    let axis = || Axis::categories("data set, renderer", names.clone());
+    s.charts.push((
+        Chart::new("Rendering times", axis(), Axis::log("seconds"))
+            .series(Series::new("5th, 25th, 50th, 75th, 95th percentile", Mark::Boxes(times)).color(0)),
+        "All frames.".into(),
+    ));
+    let mut chart = Chart::new("Squared errors", axis(), Axis::log("seconds squared"));
+    for (k, name) in [NETWORK, OURS].into_iter().enumerate() {
+        let boxes = shown
+            .iter()
+            .enumerate()
+            .filter_map(|(i, r)| {
+                Some((i as f64 - 0.15 + 0.3 * k as f64, r.row(BY_VOLUMES, name)?.squared_errors))
+            })
+            .collect();
+        chart = chart.series(Series::new(name, Mark::Boxes(boxes)).color(k));
+    }
+    s.charts.push((chart, "Test frames of the paper's split, all runs.".into()));
+    s.summary = format!("{} distributions of times and squared errors", shown.len());
+}
+
+/// One chart for every chart name among curves.
+fn charts(title: &str, curves: &[&Curve], y: &str) -> Vec<Chart> {
+    let names: BTreeSet<&str> = curves.iter().map(|c| c.chart.as_str()).collect();
+    names
+        .into_iter()
+        .map(|name| {
+            let of: Vec<&&Curve> = curves.iter().filter(|c| c.chart == name).collect();
+            let x = of.first().map_or(String::new(), |c| c.x.clone());
+            let mut chart = Chart::new(format!("{title}: {name}"), Axis::linear(x), Axis::linear(y));
+            for (i, c) in of.iter().enumerate() {
+                chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i));
+            }
+            chart
+        })
+        .collect()
+}
+
+fn varied_curves(paper: &Paper, of: &[&Results], s: &mut Section) {
+    for r in of {
+        let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart != "orbit").collect();
+        for chart in charts(&title(paper, r), &shown, "seconds") {
+            s.charts.push((chart, "One parameter varied, the others held; first run.".into()));
+        }
+        s.summary = format!("{}: 4 experiments with measured, predicted and LVRP's times", title(paper, r));
+    }
+}
+
+fn samples(paper: &Paper, of: &[&Results], s: &mut Section) {
+    for r in of {
+        let points: Vec<(f64, f64)> =
+            r.rows.iter().filter_map(|row| Some((*row.more.get("share")?, row.rmse))).collect();
+        let band: Vec<(f64, f64, f64)> = r
+            .rows
+            .iter()
+            .filter_map(|row| Some((*row.more.get("share")?, row.rmse - row.rmse_sd, row.rmse + row.rmse_sd)))
+            .collect();
+        if points.is_empty() {
+            continue;
+        }
+        let chart = Chart::new(
+            title(paper, r),
+            Axis::linear("share of the training frames"),
+            Axis::linear("RMSE, s"),
+        )
+        .series(Series::new("± standard deviation", Mark::Band(band)).color(0))
+        .series(Series::new("mean over runs", Mark::Line(points)).color(0));
+        s.charts.push((chart, "Frames drawn anew for every run.".into()));
+    }
+    each(paper, of, s, errors_table);
+}
+
+fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {
+    for r in of.iter().filter(|r| r.rows.iter().any(|x| x.more.contains_key("size"))) {
+        let mut table = Table::new(vec![
+            Column::text("encoder"),
+            Column::number("PSNR training, dB"),
+            Column::number("validation"),
+            Column::number("test"),
+            Column::number("encoding, ms"),
+            Column::number("RMSE, s"),
+            Column::number("± runs"),
+            Column::number("over the mean of 15 %"),
+            Column::number("epochs"),
+        ]);
+        for row in r.rows.iter().filter(|x| x.more.contains_key("size")) {
+            let db = |k: &str| row.more.get(k).map_or("-".to_owned(), |v| format!("{v:.2}"));
+            table.row(vec![
+                row.name.as_str().into(),
+                db("psnr train").into(),
+                db("psnr validation").into(),
+                db("psnr test").into(),
+                row.latency.map_or("-".into(), |l| format!("{:.2}", 1e3 * l)).into(),
+                seconds(row.rmse).into(),
+                seconds(row.rmse_sd).into(),
+                ratio(row.over_constant).into(),
+                row.more.get("epochs").map_or("-".into(), |e| format!("{e:.0}")).into(),
+            ]);
+        }
+        s.tables.push((table, format!("{}: PredNet {} on each.", title(paper, r), paper.encoder_depth)));
+    }
+}
+
+fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
+    if material.reconstructions.is_empty() {
+        return;
+    }
+    let mut table = Table::new(vec![
+        Column::text("of"),
+        Column::text("encoder"),
+        Column::text("channels"),
+        Column::number("training, dB"),
+        Column::number("validation"),
+        Column::number("test"),
+        Column::number("epochs"),
+        Column::number("seconds"),
+        Column::text("ended"),
+    ]);
+    let mut best = Vec::new();
+    for r in &material.reconstructions {
+        let e = &r.encoder;
+        let parts = ["train", "validation", "test"];
+        let sets: Vec<&str> = if e.set == ALL {
+            paper.data_sets.iter().map(|d| d.name.as_str()).collect()
+        } else {
+            vec![e.set.as_str()]
+        };
+        for set in sets {
+            if r.record.psnr("train", set).is_none() {
+                continue;
+            }
+            let widths: Vec<String> = e.channels.iter().map(ToString::to_string).collect();
+            let mut cells = vec![
+                if e.set == ALL { format!("{set}, of all") } else { set.to_owned() }.into(),
+                format!("{}³F{}", e.size, e.features).into(),
+                if widths.is_empty() { "as they are".into() } else { widths.join("-") }.into(),
+            ];
+            cells.extend(
+                parts.map(|p| r.record.psnr(p, set).map_or("-".into(), |v| format!("{v:.2}")).into()),
+            );
+            cells.push(r.record.provenance.epochs_run.to_string().into());
+            cells.push(format!("{:.0}", r.record.seconds).into());
+            cells.push(r.record.provenance.stopped.as_str().into());
+            table.row(cells);
+        }
+        if let Some(v) =
+            r.psnr().filter(|_| (e.size, e.features) == paper.encoders.main && e.channels.is_empty())
+        {
+            best.push(format!("{} {}³F{} {v:.1} dB", e.set, e.size, e.features));
+        }
+    }
+    s.tables.push((table, "Peak signal-to-noise ratio of the reconstruction, mean over volumes.".into()));
+    s.summary = if best.is_empty() { "encoders of other sizes".into() } else { best.join("; ") };
+}
+
+fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
+    // An architecture counts where every renderer has it.
+    let shown: Vec<&&Results> = of.iter().filter(|r| r.rows.iter().any(|x| x.name.contains('→'))).collect();
+    let Some(first) = shown.first() else { return };
+    let names: Vec<&str> =
+        first.rows.iter().filter(|x| x.name.contains('→')).map(|x| x.name.as_str()).collect();
+    let mut columns = vec![Column::text("data set, renderer")];
+    columns.extend(
+        names.iter().flat_map(|n| [Column::number(format!("{n}: RMSE, s")), Column::number("RD, %")]),
+    );
+    let mut table = Table::new(columns);
+    let mut deviations = vec![Vec::new(); names.len()];
+    for r in &shown {
+        let errors: Vec<Option<f64>> = names.iter().map(|n| Some(r.row(BY_VOLUMES, n)?.rmse)).collect();
+        let best = errors.iter().flatten().copied().fold(f64::INFINITY, f64::min);
+        let mut cells = vec![title(paper, r).into()];
+        for (i, e) in errors.iter().enumerate() {
+            cells.push(e.map_or("-".into(), seconds).into());
+            cells.push(e.map_or("-".into(), |e| format!("{:.1}", 100.0 * (e / best - 1.0))).into());
+            deviations[i].extend(e.map(|e| e / best - 1.0));
+        }
+        table.row(cells);
+    }
+    let mut cells = vec!["mean relative deviation".into()];
+    for d in &deviations {
+        cells.push("".into());
+        cells.push(format!("{:.1}", 100.0 * d.iter().sum::<f64>() / d.len().max(1) as f64).into());
+    }
+    table.row(cells);
+    s.tables.push((table, "RD: relative deviation from the best.".into()));
+    s.summary = format!("{} over {} renderers and data sets", names.join(" beside "), shown.len());
+}
+
+fn codes(of: &[&Results], s: &mut Section) {
+    for chart in ["features, own", "features, shipped"] {
+        let curves: Vec<&Curve> =
+            of.iter().filter(|r| r.mode != super::description::YT).flat_map(|r| &r.curves).collect();
+        let mut seen = BTreeSet::new();
+        let of: Vec<&&Curve> =
+            curves.iter().filter(|c| c.chart == chart && seen.insert(c.name.as_str())).collect();
+        if of.is_empty() {
+            continue;
+        }
+        let what = if chart.ends_with("own") {
+            "each data set's own encoder"
+        } else {
+            "the encoder of all that ships"
+        };
+        let mut drawn = Chart::new(
+            format!("Feature vectors by {what}"),
+            Axis::linear("feature 1"),
+            Axis::linear("feature 2"),
+        )
+        .size(860.0, 420.0);
+        for (i, c) in of.iter().enumerate() {
+            let points = c.points.iter().map(|p| (p.0, p.1, String::new())).collect();
+            drawn = drawn.series(Series::new(c.name.as_str(), Mark::Points(points)).color(i));
+        }
+        s.charts.push((drawn, "A dot per volume. With two features there is nothing to reduce.".into()));
+        s.summary = format!("{} ensemble members", of.len());
+    }
+}
+
+fn tuning(of: &[&Results], s: &mut Section) {
+    for r in of {
+        let names: BTreeSet<&str> = r.curves.iter().map(|c| c.chart.as_str()).collect();
+        for name in names {
+            let mut chart =
+                Chart::new(name, Axis::log("frames learned from"), Axis::log("RMSE, s, median of runs"));
+            for (i, c) in r.curves.iter().filter(|c| c.chart == name).enumerate() {
+                chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i));
+            }
+            s.charts.push((chart, "From the network that was pre-trained on all data sets.".into()));
+        }
+        let mut table = Table::new(vec![
+            Column::text("taken to"),
+            Column::number("pre-trained as it was, s"),
+            Column::number("ours as it was, s"),
+            Column::number("mean, s"),
+            Column::number("SD, s"),
+            Column::number("frames judged on"),
+        ]);
+        for f in &r.facts {
+            let v = |k: &str| f.values.get(k).map_or("-".into(), |v| seconds(*v));
+            table.row(vec![
+                f.name.as_str().into(),
+                v("pre-trained, as it was").into(),
+                v("ours, as it was").into(),
+                v("mean").into(),
+                v("sd").into(),
+                f.values.get("judged on").map_or("-".into(), |v| format!("{v}")).into(),
+            ]);
+        }
+        if !r.facts.is_empty() {
+            s.tables.push((table, "Without any frame of what it is taken to.".into()));
+        }
+        s.summary = r.facts.iter().map(|f| f.name.clone()).collect::<Vec<_>>().join(", ");
+    }
+}
+
+fn steering(of: &[&Results], s: &mut Section) {
+    for r in of.iter().filter(|r| !r.facts.is_empty()) {
+        let mut keys: Vec<&String> = Vec::new();
+        for k in r.facts.iter().flat_map(|f| f.values.keys()) {
+            if !keys.contains(&k) {
+                keys.push(k);
+            }
+        }
+        let mut columns = vec![Column::text("controller")];
+        columns.extend(keys.iter().map(|k| Column::number(k.replace('_', " "))));
+        let mut table = Table::new(columns);
+        for f in &r.facts {
+            let mut cells = vec![f.name.as_str().into()];
+            cells.extend(
+                keys.iter().map(|k| f.values.get(*k).map_or("-".into(), |v| format!("{v:.4}")).into()),
+            );
+            table.row(cells);
+        }
+        s.tables.push((
+            table,
+            "Every controller on every path, by `entire-lab replay` with the paper's network.".into(),
+        ));
+        s.summary = format!("{} controllers", r.facts.len());
+    }
+}
+
+fn curves_of(of: &[&Results], chart: &str, y: &str, s: &mut Section) {
+    for r in of {
+        let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == chart).collect();
+        let mut drawn = Chart::new(
+            chart,
+            Axis::linear(shown.first().map_or(String::new(), |c| c.x.clone())),
+            Axis::linear(y),
+        );
+        for c in &shown {
+            let own = c.name == chart;
+            let name = if own { c.name.as_str() } else { "" };
+            drawn = drawn.series(Series::new(name, Mark::Line(c.points.clone())).color(usize::from(!own)));
+        }
+        if !shown.is_empty() {
+            s.charts.push((drawn, "A line per scene, and their median.".into()));
+            s.summary = format!("{} curves", shown.len() - 1);
+        }
+    }
+}
+
+fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
+    let methods = ["GT", NETWORK, OURS, "uniform"];
+    for r in of {
+        let mut chart = Chart::new(
+            title(paper, r),
+            Axis::categories("nodes", NODES.iter().map(ToString::to_string).collect()),
+            Axis::linear("load of a node over GT's slowest"),
+        );
+        let mut table = Table::new(
+            std::iter::once(Column::text("nodes"))
+                .chain(methods.iter().map(|m| Column::number(format!("{m}: slowest node over GT's"))))
+                .collect(),
+        );
+        let fact = |name: &str, nodes: usize| {
+            r.facts.iter().find(|f| f.name == name && f.values.get("nodes") == Some(&(nodes as f64)))
+        };
+        for (k, name) in methods.iter().enumerate() {
+            let boxes = NODES
+                .iter()
+                .enumerate()
+                .filter_map(|(i, n)| {
+                    let v = &fact(name, *n)?.values;
+                    let at = i as f64 - 0.3 + 0.2 * k as f64;
+                    let of = |q: &str| v.get(q).copied().unwrap_or(f64::NAN);
+                    Some((at, ["p5", "p25", "p50", "p75", "p95"].map(of)))
+                })
+                .collect();
+            chart = chart.series(Series::new(*name, Mark::Boxes(boxes)).color(k));
+        }
+        let mut worst = 0.0f64;
+        for n in NODES {
+            let slowest = |m: &str| fact(m, n).and_then(|f| f.values.get("slowest").copied());
+            let mut cells = vec![n.to_string().into()];
+            cells.extend(methods.iter().map(|m| ratio(slowest(m)).into()));
+            if slowest("GT").is_some() {
+                table.row(cells);
+            }
+            worst = worst.max(slowest(NETWORK).unwrap_or(0.0));
+        }
+        s.charts.push((chart, "Static assignment, longest first.".into()));
+        s.tables.push((table, String::new()));
+        s.summary = format!("{}: at most {:.1} % over GT", title(paper, r), 100.0 * (worst - 1.0));
+    }
+}
+
+fn pictures(of: &[&Results], what: &str, out: &Path, s: &mut Section) {
+    for r in of {
+        for (file, caption) in r.pictures.iter().filter(|(_, c)| c.starts_with(what)) {
+            if out.join("pictures").join(file).exists() {
+                s.pictures.push((file.clone(), format!("{}, {caption}", r.set)));
+            }
+        }
+    }
+    s.summary = format!("{} pictures", s.pictures.len());
+}

@@ -1,0 +1,521 @@
+//! Trains the networks of every part of the study on the frames at hand and judges them.
+
+use super::collect::{EXPERIMENTS, ORBIT, PER_EXPERIMENT};
+use super::description::{Panel, Paper, RAYCASTER_MODES};
+use super::frames::{Loaded, SplitFrames, main_encoder, of_panel, trained};
+use super::judge::{At, Judge, Method, NETWORK, OURS};
+use super::results::{Curve, Fact, Results, kept, write};
+use super::volumes::{BY_MODALITY, BY_VOLUMES, Parts, Place};
+use super::{Work, tuning};
+use crate::study::{Runner, clock};
+use anyhow::{Context, Result, bail};
+use entire_cli::dataset::Table;
+use entire_cli::dataset::feature_table::{FeatureTable, code_column, encoder_id};
+use entire_cli::files::{fnv1a, open_model, read_bytes};
+use entire_cli::fit::{FitContext, Recipe};
+use entire_cli::metrics::percentile;
+use entire_cli::progress::templated_bar;
+use entire_cli::split::TimedFrames;
+use entire_core::model::Model;
+use entire_core::nn::{Executor, VolumeNet};
+use entire_core::predict::GroupKind;
+use indicatif::ProgressBar;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Counts up whenever the same frames give other results.
+const MADE_AS: u32 = 1;
+
+/// The parts that are made of the frames of one data set and mode each.
+const BY_SET: [Panel; 7] = [
+    Panel::Overall,
+    Panel::Ablation,
+    Panel::Varied,
+    Panel::Samples,
+    Panel::Depth,
+    Panel::Encoders,
+    Panel::Final,
+];
+
+/// Makes what is missing of the parts asked for (all where none is named).
+///
+/// # Errors
+/// When tables cannot be read, a training fails, and when it is stopped.
+pub fn train(work: &Work<'_>, panels: &[Panel]) -> Result<()> {
+    let clock = clock(&work.paper.clock)?;
+    let wanted = |p: Panel| panels.is_empty() || panels.contains(&p);
+    let bar = templated_bar(work.quiet, "train [{bar:30}] {pos}/{len} parts  {wide_msg}");
+    let stop = || work.stop();
+    let runner = Runner { pool: work.pool, models: work.out.join("models"), bar: &bar, stop: &stop };
+    let mut todo: Vec<(Place, String, Vec<Panel>)> = Vec::new();
+    for panel in BY_SET.into_iter().filter(|p| wanted(*p)) {
+        for (place, mode) in of_panel(work, panel)? {
+            match todo.iter_mut().find(|t| t.0.set.name == place.set.name && t.1 == mode) {
+                Some(t) => t.2.push(panel),
+                None => todo.push((place, mode, vec![panel])),
+            }
+        }
+    }
+    bar.set_length(todo.iter().map(|t| t.2.len() as u64).sum::<u64>() + u64::from(wanted(Panel::Tuning)));
+    for (place, mode, panels) in &todo {
+        let Some(loaded) = Loaded::read(work, place, mode, clock)? else {
+            eprintln!("note: no frames of {} in mode {mode}; collect them first", place.set.name);
+            bar.inc(panels.len() as u64);
+            continue;
+        };
+        let hidden = ProgressBar::hidden();
+        let context = FitContext { tables: &loaded.tables, pool: work.pool, bar: &hidden, stop: &stop };
+        let at = At { work, place, mode, loaded: &loaded, clock, runner: &runner, context };
+        for &panel in panels {
+            if work.stop() {
+                bail!("{}", work.stopped());
+            }
+            let mark = identity(work, panel, &place.set.name, &loaded.tables)?;
+            if kept(work.out, panel, &place.set.name, mode, &mark)?.is_none() {
+                let started = Instant::now();
+                let mut results = Results::new(panel, &place.set.name, mode, mark);
+                let made = at.make(panel, &mut results);
+                // What was stopped says so, whatever it failed with.
+                if work.stop() {
+                    bail!("{}", work.stopped());
+                }
+                made.with_context(|| format!("{} of {} in mode {mode}", panel.name(), place.set.name))?;
+                results.seconds = started.elapsed().as_secs_f64();
+                if let Some(m) = &loaded.tables[0].manifest {
+                    (results.device, results.machine) = (m.device.clone(), m.machine.clone());
+                }
+                write(work.out, &results)?;
+            }
+            bar.inc(1);
+        }
+    }
+    if wanted(Panel::Tuning) {
+        tuning::tune(work, clock, &runner)?;
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(())
+}
+
+/// Tells apart what a part was made of.
+pub(super) fn identity(work: &Work<'_>, panel: Panel, set: &str, tables: &[Table]) -> Result<String> {
+    let p: &Paper = work.paper;
+    let bare = |r: &Recipe| Recipe { volumenet: None, ..r.clone() };
+    let ours: BTreeMap<&String, Recipe> = p.ours.iter().map(|(m, r)| (m, bare(r))).collect();
+    let mut text = format!(
+        "{MADE_AS} {} {set} {} {} {} {}",
+        env!("CARGO_PKG_VERSION"),
+        panel.name(),
+        p.clock,
+        p.runs,
+        serde_json::to_string(&(p.frames, bare(&p.network), ours, &p.shares, &p.depths, &p.encoder_depth))?,
+    );
+    text += &serde_json::to_string(&(&p.finalists, &p.tuning.frames, p.tuning.epochs, p.orbit.poses))?;
+    for table in tables {
+        text +=
+            &format!(" {:016x} {:016x}", table.hash, table.features.as_ref().map_or(0, FeatureTable::hash));
+    }
+    for split in [BY_VOLUMES, super::volumes::BY_MEMBERS] {
+        let bytes = read_bytes(&main_encoder(work, set, split)?.0)?;
+        text += &format!(" {:016x}", fnv1a(&bytes));
+    }
+    Ok(format!("{:016x}", fnv1a(text.as_bytes())))
+}
+
+impl At<'_> {
+    fn make(&self, panel: Panel, results: &mut Results) -> Result<()> {
+        match panel {
+            Panel::Overall => self.overall(results),
+            Panel::Ablation => self.ablation(results),
+            Panel::Varied => self.varied(results),
+            Panel::Samples => self.samples(results),
+            Panel::Depth => self.depth(results),
+            Panel::Encoders => self.encoders(results),
+            Panel::Final => self.finalists(results),
+            other => bail!("{} is made of other things than frames", other.name()),
+        }
+    }
+
+    fn paper(&self) -> &Paper {
+        self.work.paper
+    }
+
+    fn parts(&self, split: &str) -> Result<&Parts> {
+        self.place.split(split).with_context(|| format!("{} has no split by {split}", self.place.set.name))
+    }
+
+    fn frames(&self, split: &str) -> Result<SplitFrames<'_>> {
+        Ok(self.loaded.split(self.work, self.parts(split)?, self.clock))
+    }
+
+    /// The paper's network with an encoder.
+    fn network(&self, split: &str) -> Result<(Recipe, String)> {
+        let (path, what) = main_encoder(self.work, &self.place.set.name, split)?;
+        Ok((Recipe { volumenet: Some(path), ..self.paper().network.clone() }, what))
+    }
+
+    fn networks(&self, split: &str, frames: &SplitFrames<'_>) -> Result<Vec<Model>> {
+        let (recipe, _) = self.network(split)?;
+        let key = format!("{split}-network");
+        self.on_split(&Method { name: NETWORK, key: &key, recipe }, self.paper().runs, frames)
+    }
+
+    fn ours(&self, split: &str, frames: &SplitFrames<'_>) -> Result<Vec<Model>> {
+        let recipe = self.paper().ours_for(self.mode)?.clone();
+        let key = format!("{split}-ours");
+        self.on_split(&Method { name: OURS, key: &key, recipe }, self.paper().runs, frames)
+    }
+
+    /// The network without one of its inputs.
+    fn without(&self, input: &str, frames: &SplitFrames<'_>) -> Result<Vec<Model>> {
+        let (mut recipe, _) = self.network(BY_VOLUMES)?;
+        recipe.inputs.retain(|i| i != input);
+        if input == GroupKind::VolumeFeatures.to_string() {
+            recipe.volumenet = None;
+        }
+        let key = format!("{BY_VOLUMES}-without-{input}");
+        self.on_split(&Method { name: input, key: &key, recipe }, self.paper().runs, frames)
+    }
+
+    fn note_frames(&self, results: &mut Results, split: &str, frames: &SplitFrames<'_>) -> Result<()> {
+        results.encoder = self.network(BY_VOLUMES)?.1;
+        let count = |f: &TimedFrames<'_>| f.frames.len();
+        let counts = [count(&frames.training), count(&frames.validation), count(&frames.test)];
+        results.frames.insert(split.to_owned(), counts);
+        Ok(())
+    }
+
+    fn overall(&self, results: &mut Results) -> Result<()> {
+        let all = self.loaded.all(0, self.clock);
+        let n = all.seconds.len() as f64;
+        let mean = all.seconds.iter().sum::<f64>() / n;
+        let sd = (all.seconds.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / n).sqrt();
+        let mut sorted = all.seconds.clone();
+        sorted.sort_by(f64::total_cmp);
+        let dims = all.frames.first().map_or([0; 3], |f| f.scene.dims);
+        let members: std::collections::BTreeSet<&str> =
+            self.place.jobs.iter().map(|j| j.member.as_str()).collect();
+        let mut values: BTreeMap<String, f64> = [
+            ("frames", n),
+            (
+                "expected frames",
+                self.place.jobs.iter().map(|j| f64::from(self.place.frames_of(j, self.paper()))).sum(),
+            ),
+            ("mean", mean),
+            ("sd", sd),
+            ("members", members.len() as f64),
+            ("volumes", self.place.jobs.len() as f64),
+            ("x", f64::from(dims[0])),
+            ("y", f64::from(dims[1])),
+            ("z", f64::from(dims[2])),
+        ]
+        .map(|(k, v)| (k.to_owned(), v))
+        .into();
+        for (name, share) in [("p5", 0.05), ("p25", 0.25), ("p50", 0.5), ("p75", 0.75), ("p95", 0.95)] {
+            values.insert(name.into(), percentile(&sorted, share));
+        }
+        results.facts.push(Fact { name: "times".into(), values });
+        self.code_curves(results)?;
+        let mut bench = RAYCASTER_MODES.contains(&self.mode).then(|| self.bench()).transpose()?;
+        for parts in &self.place.splits {
+            let frames = self.frames(parts.name)?;
+            if frames.training.frames.is_empty() || frames.test.frames.is_empty() {
+                continue;
+            }
+            self.note_frames(results, parts.name, &frames)?;
+            let line = self.proxy(&frames.training);
+            let networks = self.networks(parts.name, &frames)?;
+            let ours = self.ours(parts.name, &frames)?;
+            let mut judge = Judge::new(self, parts.name, &frames.test, line, true);
+            for (name, models) in [(NETWORK, &networks), (OURS, &ours)] {
+                judge.add(name, &self.predictions(models, &frames.test.frames)?);
+                if let (Some(bench), Some(row)) = (&mut bench, judge.rows.last_mut()) {
+                    row.latency = Some(bench.latency(&models[0])?.cold);
+                }
+            }
+            results.rows.append(&mut judge.rows);
+            if parts.name != BY_VOLUMES {
+                continue;
+            }
+            for (title, table) in &self.loaded.modalities {
+                let few = u64::from(self.paper().frames.held_out);
+                let each = u64::from(self.paper().frames.training);
+                let other = self.loaded.all(*table, self.clock).parted(|f| f.number % each < few).0;
+                let split = format!("{BY_MODALITY}: {title}");
+                let mut judge = Judge::new(self, &split, &other, line, true);
+                for (name, models) in [(NETWORK, &networks), (OURS, &ours)] {
+                    judge.add(name, &self.predictions(models, &other.frames)?);
+                }
+                results.rows.append(&mut judge.rows);
+            }
+        }
+        Ok(())
+    }
+
+    /// What the main encoder and the one that ships say about every volume, a line per ensemble member.
+    fn code_curves(&self, results: &mut Results) -> Result<()> {
+        let features = self.loaded.tables[0].features.as_ref().context("no features")?;
+        let encoders = [
+            (main_encoder(self.work, &self.place.set.name, BY_VOLUMES)?.0, "own"),
+            (self.paper().encoders.shipped[0].clone(), "shipped"),
+        ];
+        for (path, chart) in encoders {
+            let model = open_model(&path)?;
+            let id = encoder_id(model.volumenet().context("no VolumeNet")?);
+            let (Some(x), Some(y)) =
+                (features.column(&code_column(&id, 0)), features.column(&code_column(&id, 1)))
+            else {
+                continue;
+            };
+            for table in std::iter::once(&self.loaded.tables[0])
+                .chain(self.loaded.modalities.iter().map(|(_, t)| &self.loaded.tables[*t]))
+            {
+                let mut by_member: BTreeMap<String, BTreeMap<String, (f64, f64)>> = BTreeMap::new();
+                let Some(kept) = &table.features else { continue };
+                for f in &table.frames {
+                    let Some(row) = kept.row(f.number) else { continue };
+                    let set = f.scene.volume.split('/').next().unwrap_or_default();
+                    let member = format!("{set}/{}", f.scene.member);
+                    let code = (f64::from(row[x]), f64::from(row[y]));
+                    by_member.entry(member).or_default().insert(f.scene.volume.clone(), code);
+                }
+                for (member, codes) in by_member {
+                    let points = codes.into_values().collect();
+                    results.curves.push(Curve {
+                        chart: format!("features, {chart}"),
+                        name: member.trim_end_matches('/').to_owned(),
+                        x: "feature 1".into(),
+                        points,
+                    });
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn ablation(&self, results: &mut Results) -> Result<()> {
+        let frames = self.frames(BY_VOLUMES)?;
+        self.note_frames(results, BY_VOLUMES, &frames)?;
+        let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, self.proxy(&frames.training), true);
+        let networks = self.networks(BY_VOLUMES, &frames)?;
+        judge.add(NETWORK, &self.predictions(&networks, &frames.test.frames)?);
+        for input in &self.paper().network.inputs {
+            let models = self.without(input, &frames)?;
+            judge.add(&format!("without {}", plain(input)), &self.predictions(&models, &frames.test.frames)?);
+        }
+        results.rows.append(&mut judge.rows);
+        Ok(())
+    }
+
+    fn varied(&self, results: &mut Results) -> Result<()> {
+        let table = self.loaded.varied.context("no frames of one parameter varied at a time")?;
+        let frames = self.frames(BY_VOLUMES)?;
+        self.note_frames(results, BY_VOLUMES, &frames)?;
+        let line = self.proxy(&frames.training);
+        let networks = self.networks(BY_VOLUMES, &frames)?;
+        let ours = self.ours(BY_VOLUMES, &frames)?;
+        let all = self.loaded.all(table, self.clock);
+        let inputs = [
+            GroupKind::VolumeFeatures,
+            GroupKind::Resolution,
+            GroupKind::TransferFunction,
+            GroupKind::Camera,
+        ];
+        for (i, (experiment, input)) in EXPERIMENTS.iter().zip(inputs).enumerate() {
+            let of = all.parted(|f| f.number < ORBIT && f.number / PER_EXPERIMENT == i as u64).0;
+            let models = self.without(&input.to_string(), &frames)?;
+            let mut judge = Judge::new(self, experiment, &of, line, true);
+            let by_network = self.predictions(&networks, &of.frames)?;
+            let by_ours = self.predictions(&ours, &of.frames)?;
+            judge.add(NETWORK, &by_network);
+            judge.add(
+                &format!("without {}", plain(&input.to_string())),
+                &self.predictions(&models, &of.frames)?,
+            );
+            judge.add(OURS, &by_ours);
+            results.rows.append(&mut judge.rows);
+            let x = |k: usize| {
+                if i == 1 { f64::from(of.frames[k].scene.width) } else { k as f64 }
+            };
+            let mut curve = |name: &str, y: &[f64]| {
+                results.curves.push(Curve {
+                    chart: (*experiment).to_owned(),
+                    name: name.to_owned(),
+                    x: if i == 1 { "image side, pixels" } else { "frame" }.into(),
+                    points: y.iter().enumerate().map(|(k, t)| (x(k), *t)).collect(),
+                });
+            };
+            curve("measured", &of.seconds);
+            if let Some(p) = by_network.first() {
+                curve(NETWORK, p);
+            }
+            if let Some(p) = by_ours.first() {
+                curve(OURS, p);
+            }
+            if let Some(p) = self.by_proxy(line, &of.frames) {
+                curve(super::judge::LVRP, &p);
+            }
+        }
+        // The orbit, for load balancing.
+        let orbit = all.parted(|f| f.number >= ORBIT).0;
+        let by_network = self.predictions(&networks[..1], &orbit.frames)?;
+        let by_ours = self.predictions(&ours[..1], &orbit.frames)?;
+        for (name, y) in [("measured", &orbit.seconds), (NETWORK, &by_network[0]), (OURS, &by_ours[0])] {
+            results.curves.push(Curve {
+                chart: "orbit".into(),
+                name: name.into(),
+                x: "task".into(),
+                points: y.iter().enumerate().map(|(k, t)| (k as f64, *t)).collect(),
+            });
+        }
+        Ok(())
+    }
+
+    fn samples(&self, results: &mut Results) -> Result<()> {
+        let frames = self.frames(BY_VOLUMES)?;
+        self.note_frames(results, BY_VOLUMES, &frames)?;
+        let (recipe, _) = self.network(BY_VOLUMES)?;
+        let line = self.proxy(&frames.training);
+        let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, line, true);
+        for &share in self.paper().shares.iter().chain([&1.0]) {
+            let count = ((share * frames.training.frames.len() as f64).round() as usize).max(2);
+            let predicted = if share < 1.0 {
+                let key = format!("{BY_VOLUMES}-network-{share:.2}");
+                let method = Method { name: NETWORK, key: &key, recipe: recipe.clone() };
+                let made = self.runs(&method, self.paper().runs, |run| {
+                    (frames.training.sample(count, run as u64).0, frames.validation.clone())
+                })?;
+                let models: Vec<Model> =
+                    made.iter().map(|(f, _)| Ok(f.to_model()?)).collect::<Result<_>>()?;
+                self.predictions(&models, &frames.test.frames)?
+            } else {
+                self.predictions(&self.networks(BY_VOLUMES, &frames)?, &frames.test.frames)?
+            };
+            judge.add(&format!("{share:.2}"), &predicted);
+            if let Some(row) = judge.rows.last_mut() {
+                row.more.insert("training frames".into(), count as f64);
+                row.more.insert("share".into(), share);
+            }
+        }
+        results.rows.append(&mut judge.rows);
+        Ok(())
+    }
+
+    fn depth(&self, results: &mut Results) -> Result<()> {
+        let frames = self.frames(BY_VOLUMES)?;
+        self.note_frames(results, BY_VOLUMES, &frames)?;
+        let mut bench = RAYCASTER_MODES.contains(&self.mode).then(|| self.bench()).transpose()?;
+        let line = self.proxy(&frames.training);
+        let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, line, true);
+        for preset in &self.paper().depths {
+            let (network, _) = self.network(BY_VOLUMES)?;
+            let models = self.with_layers(preset, network, "", &frames)?;
+            judge.add(preset, &self.predictions(&models, &frames.test.frames)?);
+            if let (Some(bench), Some(row)) = (&mut bench, judge.rows.last_mut()) {
+                row.latency = Some(bench.latency(&models[0])?.cold);
+            }
+        }
+        results.rows.append(&mut judge.rows);
+        Ok(())
+    }
+
+    /// The network with other layers; of the same layers and encoder as the study's it is that one.
+    fn with_layers(
+        &self,
+        preset: &str,
+        network: Recipe,
+        encoder: &str,
+        frames: &SplitFrames<'_>,
+    ) -> Result<Vec<Model>> {
+        let same = self.network(BY_VOLUMES)?.0;
+        let recipe = Recipe { preset: Some(preset.to_owned()), ..network };
+        if recipe == same {
+            return self.networks(BY_VOLUMES, frames);
+        }
+        let key = format!("{BY_VOLUMES}-{encoder}{preset}");
+        self.on_split(&Method { name: preset, key: &key, recipe }, self.paper().runs, frames)
+    }
+
+    fn encoders(&self, results: &mut Results) -> Result<()> {
+        let frames = self.frames(BY_VOLUMES)?;
+        self.note_frames(results, BY_VOLUMES, &frames)?;
+        let set = &self.place.set.name;
+        let line = self.proxy(&frames.training);
+        let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, line, true);
+        for encoder in trained(self.work, Some(set))? {
+            let path = encoder.path(self.work.out);
+            let name = format!("{}³F{}", encoder.size, encoder.features);
+            let record = encoder.record(self.work.out)?.context("no record")?;
+            let network = Recipe { volumenet: Some(path.clone()), ..self.paper().network.clone() };
+            let key = format!("{}f{}-", encoder.size, encoder.features);
+            let models = self.with_layers(&self.paper().encoder_depth, network, &key, &frames)?;
+            judge.add(&name, &self.predictions(&models, &frames.test.frames)?);
+            let Some(row) = judge.rows.last_mut() else { continue };
+            row.latency = Some(self.encoding(&path)?);
+            row.more.insert("size".into(), encoder.size as f64);
+            row.more.insert("features".into(), encoder.features as f64);
+            row.more.insert("epochs".into(), record.provenance.epochs_run as f64);
+            row.more.insert("training seconds".into(), record.seconds);
+            for part in ["train", "validation", "test"] {
+                if let Some(v) = record.psnr(part, set) {
+                    row.more.insert(format!("psnr {part}"), v);
+                }
+            }
+        }
+        results.rows.append(&mut judge.rows);
+        Ok(())
+    }
+
+    /// Seconds that encoding a volume takes, on one thread.
+    fn encoding(&self, path: &Path) -> Result<f64> {
+        let model = open_model(path)?;
+        let net = VolumeNet::new(model.volumenet().context("no VolumeNet")?)?;
+        let job = self.place.jobs.first().context("no volume")?;
+        let volume = entire_cli::volume::Volume::open(self.place.root.join(&job.path))?;
+        let (mut scratch, mut code) = (net.scratch(), vec![0.0; net.feature_len()]);
+        let mut times = Vec::new();
+        for _ in 0..5 {
+            let started = Instant::now();
+            net.encode(&volume.view(), &mut scratch, Executor::Serial, &mut code)?;
+            times.push(started.elapsed().as_secs_f64());
+        }
+        entire_cli::metrics::median(&mut times).context("no time")
+    }
+
+    fn finalists(&self, results: &mut Results) -> Result<()> {
+        let frames = self.frames(BY_VOLUMES)?;
+        self.note_frames(results, BY_VOLUMES, &frames)?;
+        let trained = trained(self.work, Some(&self.place.set.name))?;
+        let mut judge = Judge::new(self, BY_VOLUMES, &frames.test, self.proxy(&frames.training), true);
+        for (size, features, preset) in &self.paper().finalists {
+            let Some(encoder) = trained.iter().find(|e| e.size == *size && e.features == *features) else {
+                eprintln!(
+                    "note: {} has no VolumeNet {size}³F{features}; train it with `entire-lab paper encode`",
+                    self.place.set.name
+                );
+                continue;
+            };
+            let path: PathBuf = encoder.path(self.work.out);
+            let network = Recipe { volumenet: Some(path), ..self.paper().network.clone() };
+            let models = self.with_layers(preset, network, &format!("{size}f{features}-"), &frames)?;
+            judge.add(
+                &format!("{size}³F{features}→{preset}"),
+                &self.predictions(&models, &frames.test.frames)?,
+            );
+        }
+        results.rows.append(&mut judge.rows);
+        Ok(())
+    }
+}
+
+/// An input group in words.
+fn plain(input: &str) -> String {
+    match input {
+        "volume_features" => "feature vector".into(),
+        "resolution" => "image resolution".into(),
+        "transfer_function" => "transfer function".into(),
+        "camera" => "camera pose".into(),
+        other => other.replace('_', " "),
+    }
+}

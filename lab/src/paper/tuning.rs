@@ -1,0 +1,206 @@
+//! Fine-tuning: the network pre-trained on all data sets together, taken to other renderers, devices and kinds
+//! of volumes with few frames; beside networks from nothing, and ours in closed form.
+
+use super::Work;
+use super::collect::{Kind, table_path};
+use super::description::Panel;
+use super::frames::Loaded;
+use super::judge::{NETWORK, OURS};
+use super::results::{Curve, Fact, Results, kept, write};
+use super::train::identity;
+use super::volumes::{BY_VOLUMES, Selection, places};
+use crate::study::{Bounds, Runner};
+use anyhow::{Result, bail};
+use entire_cli::dataset::{Clock, Table};
+use entire_cli::fit::{FitContext, Recipe, calibrate, predict, transfer};
+use entire_cli::metrics::{Metrics, median};
+use entire_cli::split::TimedFrames;
+use entire_core::model::ModelFile;
+use indicatif::ProgressBar;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// The set's name in results: all of them.
+pub(super) const TOGETHER: &str = "all";
+
+/// Where a pre-trained model is taken to: frames to learn from, frames to judge on.
+struct Target<'a> {
+    name: String,
+    learned: TimedFrames<'a>,
+    judged: TimedFrames<'a>,
+    /// Whether unit costs are others there.
+    renderer: bool,
+}
+
+/// Draws the curves unless they are there.
+///
+/// # Errors
+/// When tables cannot be read, a training fails, and when it is stopped.
+pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result<()> {
+    let paper = work.paper;
+    let mode = &paper.tuning.mode;
+    // Whatever is asked for otherwise, it is pre-trained on everything at hand.
+    let everything = Selection::default();
+    let all = places(paper, &everything, work.data)?;
+    let mut tables: Vec<Table> = Vec::new();
+    let mut pieces: Vec<(usize, usize)> = Vec::new();
+    for (p, place) in all.iter().enumerate() {
+        if !table_path(work.out, &place.set.name, mode, Kind::Random, false).exists() {
+            continue;
+        }
+        // Reading it computes the features that are missing.
+        if Loaded::read(work, place, mode, clock)?.is_none() {
+            continue;
+        }
+        let path = table_path(work.out, &place.set.name, mode, Kind::Random, false);
+        pieces.push((p, tables.len()));
+        tables.push(Table { root: Some(place.root.clone()), ..Table::read(&path, tables.len())? });
+    }
+    if pieces.iter().all(|(p, _)| all[*p].set.only_tests) {
+        eprintln!("note: no frames in mode {mode}; nothing to pre-train on");
+        return Ok(());
+    }
+    let mut renderers: Vec<(String, usize, usize)> = Vec::new();
+    let device = paper.tuning.device.iter().filter(|(_, folder)| folder.is_dir());
+    let others = device.flat_map(|(name, folder)| {
+        let of = |set: &str| folder.join(format!("{set}-{mode}.csv"));
+        let sets = all.iter().map(|p| p.set.name.clone()).filter(move |s| of(s).exists());
+        sets.map(move |s| (format!("{name}: {s}"), of(&s), PathBuf::new()))
+    });
+    for (name, learn, test) in paper.tuning.renderers.iter().cloned().chain(others) {
+        if !learn.exists() {
+            continue;
+        }
+        let first = tables.len();
+        tables.push(Table::read(&learn, first)?);
+        let second = if test.as_os_str().is_empty() { first } else { tables.len() };
+        if second != first {
+            tables.push(Table::read(&test, second)?);
+        }
+        renderers.push((name, first, second));
+    }
+    let mark = identity(work, Panel::Tuning, TOGETHER, &tables)?;
+    if kept(work.out, Panel::Tuning, TOGETHER, mode, &mark)?.is_some() {
+        return Ok(());
+    }
+    let started = Instant::now();
+    let mut results = Results::new(Panel::Tuning, TOGETHER, mode, mark);
+    let hidden = ProgressBar::hidden();
+    let context = FitContext { tables: &tables, pool: work.pool, bar: &hidden, stop: runner.stop };
+    let (mut training, mut validation) = (TimedFrames::default(), TimedFrames::default());
+    let mut targets = Vec::new();
+    let of_table = |t: usize| TimedFrames::of(&tables[t].frames, clock);
+    for (p, t) in &pieces {
+        let place = &all[*p];
+        match place.split(BY_VOLUMES) {
+            Some(parts) => {
+                training = training.and(of_table(*t).parted(|f| parts.training.contains(&f.scene.volume)).0);
+                let each = u64::from(paper.frames.training);
+                let few = u64::from(paper.frames.held_out);
+                let wanted = |f: &entire_cli::dataset::TimedFrame| {
+                    parts.validation.contains(&f.scene.volume) && f.number % each < few
+                };
+                validation = validation.and(of_table(*t).parted(wanted).0);
+            }
+            None => {
+                let (learned, judged) = halves(&of_table(*t));
+                targets.push(Target { name: place.set.title.clone(), learned, judged, renderer: false });
+            }
+        }
+    }
+    for (name, first, second) in &renderers {
+        let (learned, judged) =
+            if first == second { halves(&of_table(*first)) } else { (of_table(*first), of_table(*second)) };
+        targets.push(Target { name: name.clone(), learned, judged, renderer: first != second });
+    }
+    let network = Recipe { volumenet: Some(paper.encoders.shipped[0].clone()), ..paper.network.clone() };
+    let none = TimedFrames::default();
+    let parts = (&training, &validation);
+    let bounds = Bounds::Frames(&none);
+    let (_, pretrained) = runner.made("all-pretrained-network", &network, &context, parts, &bounds)?;
+    let ours = paper.ours_for(mode)?;
+    let (ours, _) = runner.made("all-pretrained-ours", ours, &context, parts, &bounds)?;
+    results.frames.insert("pre-training".into(), [training.frames.len(), validation.frames.len(), 0]);
+    for target in &targets {
+        let mut curves: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
+        let rmse = |file: &ModelFile| -> Result<f64> {
+            let predicted = predict(&file.to_model()?, &context, &target.judged.frames)?;
+            Ok(Metrics::new(&predicted, &target.judged.seconds).map_or(f64::NAN, |m| m.rmse))
+        };
+        let counts: Vec<usize> =
+            paper.tuning.frames.iter().copied().filter(|n| *n <= target.learned.frames.len()).collect();
+        for &count in &counts {
+            let mut found: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+            for run in 1..=paper.runs {
+                if work.stop() {
+                    bail!("{}", work.stopped());
+                }
+                let (few, _) = target.learned.sample(count, run as u64);
+                let seed = network.seed + 100 * (run as u64 - 1);
+                let key = |how: &str| format!("all-{}-{how}-{count}-{run}", target.name);
+                let tuned = Recipe {
+                    fine_tune: Some(pretrained.clone()),
+                    epochs: paper.tuning.epochs,
+                    preset: None,
+                    volumenet: None,
+                    seed,
+                    ..network.clone()
+                };
+                let (tuned, _) = runner.made(&key("tuned"), &tuned, &context, (&few, &none), &bounds)?;
+                found.entry("fine-tuned").or_default().push(rmse(&tuned)?);
+                let alone = Recipe { epochs: paper.tuning.epochs, seed, ..network.clone() };
+                let (alone, _) = runner.made(&key("alone"), &alone, &context, (&few, &none), &bounds)?;
+                found.entry("from nothing").or_default().push(rmse(&alone)?);
+                let moved = if target.renderer {
+                    transfer(&ours, &context, few.timed())?
+                } else {
+                    calibrate(&ours, &context, few.timed())?
+                };
+                let how = if target.renderer { "ours, transferred" } else { "ours, calibrated" };
+                found.entry(how).or_default().push(rmse(&moved)?);
+            }
+            for (how, mut errors) in found {
+                if let Some(middle) = median(&mut errors) {
+                    curves.entry(how).or_default().push((count as f64, middle));
+                }
+            }
+        }
+        let constant = {
+            let mean =
+                target.learned.seconds.iter().sum::<f64>() / target.learned.seconds.len().max(1) as f64;
+            let predicted = vec![mean; target.judged.frames.len()];
+            Metrics::new(&predicted, &target.judged.seconds)
+        };
+        let zero = predict(&entire_cli::files::open_model(&pretrained)?, &context, &target.judged.frames)?;
+        let zero = Metrics::new(&zero, &target.judged.seconds);
+        let mut values = BTreeMap::from([
+            ("learned from at most".to_owned(), target.learned.frames.len() as f64),
+            ("judged on".to_owned(), target.judged.frames.len() as f64),
+            ("ours, as it was".to_owned(), rmse(&ours)?),
+        ]);
+        values.extend(zero.map(|m| ("pre-trained, as it was".to_owned(), m.rmse)));
+        values.extend(constant.as_ref().map(|m| ("mean".to_owned(), m.rmse)));
+        values.extend(constant.as_ref().map(|m| ("sd".to_owned(), m.sd)));
+        results.facts.push(Fact { name: target.name.clone(), values });
+        for (how, points) in curves {
+            results.curves.push(Curve {
+                chart: target.name.clone(),
+                name: how.into(),
+                x: "frames learned from".into(),
+                points,
+            });
+        }
+    }
+    results.encoder = format!("as shipped; {NETWORK} and {OURS} are pre-trained on all data sets together");
+    results.seconds = started.elapsed().as_secs_f64();
+    if let Some(m) = tables.first().and_then(|t| t.manifest.as_ref()) {
+        (results.device, results.machine) = (m.device.clone(), m.machine.clone());
+    }
+    write(work.out, &results)
+}
+
+/// Frames to learn from and frames to judge on, at random.
+fn halves<'a>(all: &TimedFrames<'a>) -> (TimedFrames<'a>, TimedFrames<'a>) {
+    all.sample(all.frames.len() / 2, 11)
+}

@@ -1,0 +1,214 @@
+//! The volumes of a data set, and which of them serve what.
+
+use super::description::{DataSet, Paper};
+use anyhow::{Context, Result, ensure};
+use entire_cli::collection::Job;
+use entire_cli::files::fnv1a;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Which part of the study is asked for; everything where nothing is named.
+#[derive(Clone, Debug, Default)]
+pub struct Selection {
+    /// Data sets.
+    pub data_sets: Vec<String>,
+    /// Modes.
+    pub modes: Vec<String>,
+}
+
+impl Selection {
+    /// Whether a data set is asked for.
+    pub fn has(&self, set: &str) -> bool {
+        self.data_sets.is_empty() || self.data_sets.iter().any(|n| n == set)
+    }
+
+    /// Whether a mode is asked for.
+    pub fn has_mode(&self, mode: &str) -> bool {
+        self.modes.is_empty() || self.modes.iter().any(|n| n == mode)
+    }
+}
+
+/// Learned from, decides when training stops, tested on: volumes by name, no two parts with one in common.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Parts {
+    /// `volumes` or `members`.
+    pub name: &'static str,
+    /// Learned from.
+    pub training: BTreeSet<String>,
+    /// Decides when training stops.
+    pub validation: BTreeSet<String>,
+    /// Tested on.
+    pub test: BTreeSet<String>,
+}
+
+/// The paper's split: volumes at random, a tenth each for validation and test.
+pub(super) const BY_VOLUMES: &str = "volumes";
+/// The harder split: whole ensemble members.
+pub(super) const BY_MEMBERS: &str = "members";
+/// The hardest: volumes of another kind.
+pub(super) const BY_MODALITY: &str = "modality";
+
+/// A data set where it lies.
+#[derive(Clone, Debug)]
+pub struct Place {
+    /// What it is.
+    pub set: DataSet,
+    /// The folder that its volumes' names start from.
+    pub root: PathBuf,
+    /// Its volumes in order: a volume's place here numbers its frames. Paths start from `root`.
+    pub jobs: Vec<Job>,
+    /// How they are split; none where it only tests.
+    pub splits: Vec<Parts>,
+}
+
+impl Place {
+    /// Finds a data set; `None` where its folder is not there.
+    ///
+    /// # Errors
+    /// When its folder cannot be read or holds no volume.
+    pub fn find(set: &DataSet, data: &Path) -> Result<Option<Self>> {
+        let Some(root) =
+            [data.join("ensembles"), data.to_owned()].into_iter().find(|r| r.join(&set.name).is_dir())
+        else {
+            return Ok(None);
+        };
+        let mut files = Vec::new();
+        files_below(&root, Path::new(&set.name), &mut files)?;
+        files.sort();
+        ensure!(!files.is_empty(), "{} holds no .nrrd file", root.join(&set.name).display());
+        let jobs: Vec<Job> = files.iter().map(|f| Job::from_path(f)).collect();
+        let splits = if set.only_tests { Vec::new() } else { splits(set, &jobs)? };
+        Ok(Some(Self { set: set.clone(), root, jobs, splits }))
+    }
+
+    /// Frames that a volume needs: many where some split learns from it.
+    pub fn frames_of(&self, job: &Job, paper: &Paper) -> u32 {
+        let name = name_of(job);
+        let learned = self.splits.iter().any(|s| s.training.contains(&name));
+        if learned { paper.frames.training } else { paper.frames.held_out }
+    }
+
+    /// The split of a name.
+    pub fn split(&self, name: &str) -> Option<&Parts> {
+        self.splits.iter().find(|s| s.name == name)
+    }
+}
+
+/// A volume's name: its path from the data set's root.
+pub(super) fn name_of(job: &Job) -> String {
+    job.path.to_string_lossy().into_owned()
+}
+
+fn files_below(root: &Path, below: &Path, found: &mut Vec<PathBuf>) -> Result<()> {
+    let folder = root.join(below);
+    let fail = || format!("cannot read {}", folder.display());
+    for entry in std::fs::read_dir(&folder).with_context(fail)? {
+        let entry = entry.with_context(fail)?;
+        let path = below.join(entry.file_name());
+        if entry.path().is_dir() {
+            files_below(root, &path, found)?;
+        } else if path.extension().is_some_and(|e| e == "nrrd") {
+            found.push(path);
+        }
+    }
+    Ok(())
+}
+
+/// A tenth of some volumes, at least one, and the next tenth: in the order of a hash of their names, so that
+/// they are as good as drawn, and the same wherever the data lie.
+fn tenths<'a>(names: impl Iterator<Item = &'a String>) -> (BTreeSet<String>, BTreeSet<String>) {
+    let mut names: Vec<&String> = names.collect();
+    let tenth = ((names.len() as f64 / 10.0).round() as usize).max(1);
+    names.sort_by_key(|n| (fnv1a(n.as_bytes()), (*n).clone()));
+    let part = |from: usize| names.iter().skip(from).take(tenth).map(|n| (*n).clone()).collect();
+    (part(0), part(tenth))
+}
+
+fn splits(set: &DataSet, jobs: &[Job]) -> Result<Vec<Parts>> {
+    let all: BTreeSet<String> = jobs.iter().map(name_of).collect();
+    ensure!(all.len() >= 3, "{} has {} volumes; at least 3 are needed", set.name, all.len());
+    let (test, validation) = tenths(all.iter());
+    let training = all.iter().filter(|n| !test.contains(*n) && !validation.contains(*n)).cloned().collect();
+    let mut out = vec![Parts { name: BY_VOLUMES, training, validation, test }];
+    if let Some(members) = &set.members {
+        let of = |wanted: &BTreeSet<String>| -> BTreeSet<String> {
+            jobs.iter().filter(|j| wanted.contains(&j.member)).map(name_of).collect()
+        };
+        let test = of(&members.test);
+        let mut validation = of(&members.validation);
+        let mut training: BTreeSet<String> =
+            all.iter().filter(|n| !test.contains(*n) && !validation.contains(*n)).cloned().collect();
+        if validation.is_empty() {
+            validation = tenths(training.iter()).0;
+            training.retain(|n| !validation.contains(n));
+        }
+        // Where the data at hand lack these members there is no such split.
+        if !test.is_empty() && !training.is_empty() && !validation.is_empty() {
+            out.push(Parts { name: BY_MEMBERS, training, validation, test });
+        }
+    }
+    Ok(out)
+}
+
+/// The data sets of a study that are asked for and are there. Those that are not are said on standard error.
+///
+/// # Errors
+/// When one cannot be read, or none is there.
+pub fn places(paper: &Paper, selection: &Selection, data: &Path) -> Result<Vec<Place>> {
+    for name in &selection.data_sets {
+        let known = || paper.data_sets.iter().map(|d| d.name.as_str()).collect::<Vec<_>>().join(", ");
+        ensure!(paper.data_set(name).is_some(), "--data-sets names {name:?}; there are {}", known());
+    }
+    let mut found = Vec::new();
+    for set in paper.data_sets.iter().filter(|d| selection.has(&d.name)) {
+        match Place::find(set, data)? {
+            Some(place) => found.push(place),
+            None => eprintln!("note: {} is not in {}; it is left out", set.name, data.display()),
+        }
+    }
+    ensure!(
+        !found.is_empty(),
+        "{} holds none of the data sets; name the folder that holds them, or ensembles/, with --data",
+        data.display()
+    );
+    Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(members: Option<serde_json::Value>) -> DataSet {
+        let mut value = serde_json::json!({ "name": "e", "title": "E", "modes": ["none"] });
+        if let Some(m) = members {
+            value["members"] = m;
+        }
+        serde_json::from_value(value).unwrap()
+    }
+
+    fn jobs() -> Vec<Job> {
+        (0..40).map(|i| Job::from_path(Path::new(&format!("e/m0{}/t{:04}.nrrd", i % 4, i / 4)))).collect()
+    }
+
+    #[test]
+    fn splits_share_no_volume_and_leave_none_out() {
+        let found =
+            splits(&set(Some(serde_json::json!({ "validation": ["m02"], "test": ["m03"] }))), &jobs());
+        let found = found.unwrap();
+        assert_eq!(found.len(), 2);
+        for s in &found {
+            assert!(s.training.is_disjoint(&s.validation) && s.training.is_disjoint(&s.test));
+            assert!(s.validation.is_disjoint(&s.test));
+            assert_eq!(s.training.len() + s.validation.len() + s.test.len(), 40);
+        }
+        assert_eq!((found[0].validation.len(), found[0].test.len()), (4, 4));
+        assert!(found[1].test.iter().all(|n| n.contains("/m03/")));
+        assert_eq!(found[1].training.len(), 20);
+        // Without validation members, some of the other members' volumes serve.
+        let found = splits(&set(Some(serde_json::json!({ "test": ["m03"] }))), &jobs()).unwrap();
+        assert_eq!((found[1].training.len(), found[1].validation.len()), (27, 3));
+        // Members that are not there make no split.
+        assert_eq!(splits(&set(Some(serde_json::json!({ "test": ["m09"] }))), &jobs()).unwrap().len(), 1);
+        assert!(splits(&set(None), &jobs()[..2]).is_err());
+    }
+}

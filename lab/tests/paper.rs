@@ -1,0 +1,188 @@
+//! `entire-lab paper` end to end on the project's own volumes, as small as it gets.
+
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// The committed description, cut to two data sets, a few small frames and tiny networks.
+fn description(to: &Path) {
+    let text = std::fs::read_to_string(repository().join("data/timings/paper.json")).unwrap();
+    let mut d: Value = serde_json::from_str(&text).unwrap();
+    let absolute = |p: &str| json!(repository().join(p));
+    d["frames"] = json!({ "training": 8, "held_out": 4, "varied": 3 });
+    d["repeats"] = json!(1);
+    d["warm_up"] = json!(0);
+    d["enlarge"] = json!(1);
+    d["proxy"] = json!(12);
+    d["scenes"]["min_size"] = json!(16);
+    d["scenes"]["max_size"] = json!(32);
+    d["data_sets"] = json!([
+        { "name": "castro_blast", "title": "Castro", "modes": ["none"], "members": { "test": ["m05"] } },
+        { "name": "nyx_cosmology", "title": "Nyx", "modes": ["none"], "only_tests": true }
+    ]);
+    d["yt"]["script"] = absolute("examples/yt/collect_yt.py");
+    d["encoders"]["script"] = absolute("lab/volumenet/train_volumenet.py");
+    d["encoders"]["shipped"] = json!([absolute("models/volumenet-64f2.safetensors")]);
+    d["runs"] = json!(2);
+    d["network"]["preset"] = json!("0C32");
+    d["network"]["epochs"] = json!(2);
+    let ours = json!({ "kind": "residual", "layers": [4], "epochs": 2, "batch": 8, "probe_side": 5 });
+    d["ours"] = json!({ "none": ours });
+    d["shares"] = json!([0.5]);
+    d["depths"] = json!(["0C32", "1C32"]);
+    d["tuning"] = json!({ "mode": "none", "frames": [4], "epochs": 2, "renderers": [] });
+    d["orbit"] = json!({ "volumes": 2, "poses": 4, "size": 16 });
+    let own = json!([["castro_blast", "none"]]);
+    let names = ["ablation", "varied", "samples", "depth", "encoders", "final", "steering"];
+    d["panels"] =
+        names.map(|n| (n.to_owned(), own.clone())).into_iter().collect::<serde_json::Map<_, _>>().into();
+    for label in d["labels"].as_array_mut().unwrap() {
+        if label.get("picture").is_some() {
+            label["picture"] = absolute("docs/src/images/explore.png");
+        }
+    }
+    std::fs::write(to, d.to_string()).unwrap();
+}
+
+fn paper(folder: &Path, step: &str, more: &[&str]) -> (Output, String) {
+    let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
+        .args(["paper", step, "--quiet", "--threads", "2", "--device", "cpu", "--description", "paper.json"])
+        .arg("--data")
+        .arg(repository().join("data"))
+        .args(if more.contains(&"--out") { &[][..] } else { &["--out", "out"] })
+        .args(more)
+        .current_dir(folder)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!said.contains("panicked"), "{said}");
+    (output, said)
+}
+
+/// Bytes of every file of a folder.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    std::fs::read_dir(folder)
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .filter(|p| p.is_file())
+        .map(|p| (p.clone(), std::fs::read(p).unwrap()))
+        .collect()
+}
+
+fn lines(path: &Path) -> usize {
+    std::fs::read_to_string(path).unwrap().lines().count()
+}
+
+#[test]
+fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    description(&at.join("paper.json"));
+
+    // Stopped at once: what is there is kept and the message says how to go on.
+    let (output, said) = paper(at, "collect", &["--budget", "0.00001"]);
+    assert!(!output.status.success() && said.contains("the same command goes on"), "{said}");
+    let table = at.join("out/tables/castro_blast-none.csv");
+    let begun = lines(&table);
+    assert!(begun < 1 + 5 * 8, "{begun}");
+    // Cut off within a row, as a killed process would leave it.
+    let mut text = std::fs::read_to_string(&table).unwrap();
+    text.push_str("3,0,castro");
+    std::fs::write(&table, text).unwrap();
+    let (output, said) = paper(at, "collect", &[]);
+    assert!(output.status.success(), "{said}");
+    // Five volumes; the test volume of each split is learned from in the other one, but for those of both.
+    let rows = lines(&table) - 1;
+    assert!((5 * 4..=5 * 8).contains(&rows) && rows.is_multiple_of(4), "{rows}");
+    assert_eq!(lines(&at.join("out/tables/castro_blast-none-low.csv")) - 1, 5 * 4);
+    // Two held-out volumes, three experiments of three frames, an orbit of two volumes.
+    assert_eq!(lines(&at.join("out/tables/castro_blast-none-varied.csv")) - 1, 2 + 3 * 3 + 2 * 4);
+    assert_eq!(lines(&at.join("out/tables/nyx_cosmology-none.csv")) - 1, 4 * 4);
+    let before = std::fs::read(&table).unwrap();
+    assert!(paper(at, "collect", &[]).0.status.success());
+    assert_eq!(std::fs::read(&table).unwrap(), before);
+
+    // The report of nothing names every label and measures none.
+    let (output, _) = paper(at, "report", &["--bars"]);
+    assert_eq!(output.status.code(), Some(1));
+    let bars = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(bars.contains("bar paper/raycaster-rmse-over-constant - 0.3000 short"), "{bars}");
+
+    let (output, said) = paper(at, "train", &[]);
+    assert!(output.status.success(), "{said}");
+    let results = files(&at.join("out/results"));
+    for panel in ["overall", "ablation", "varied", "samples", "depth", "balancing", "pictures"] {
+        let name = at.join(format!("out/results/{panel}-castro_blast-none.json"));
+        assert!(results.contains_key(&name), "{panel}: {:?} {said}", results.keys());
+    }
+    let of = |name: &str| -> Value {
+        serde_json::from_slice(&results[&at.join("out/results").join(name)]).unwrap()
+    };
+    let overall = of("overall-castro_blast-none.json");
+    let rows = overall["rows"].as_array().unwrap();
+    for split in ["volumes", "members", "modality: Nyx"] {
+        let named: Vec<&str> =
+            rows.iter().filter(|r| r["split"] == split).map(|r| r["name"].as_str().unwrap()).collect();
+        assert_eq!(named.len(), 4, "{split}: {named:?}");
+    }
+    for row in rows {
+        let (rmse, over) = (row["rmse"].as_f64().unwrap(), row["over_constant"].as_f64().unwrap());
+        let constant = rows
+            .iter()
+            .find(|r| r["split"] == row["split"] && r["name"].as_str().unwrap().starts_with("mean of"))
+            .unwrap();
+        assert!((over - rmse / constant["rmse"].as_f64().unwrap()).abs() < 1e-9, "{row}");
+    }
+    assert_eq!(of("ablation-castro_blast-none.json")["rows"].as_array().unwrap().len(), 2 + 1 + 4);
+    let balanced = of("balancing-castro_blast-none.json");
+    let uniform = balanced["facts"].as_array().unwrap().iter().filter(|f| f["name"] == "GT");
+    assert!(uniform.clone().count() > 0 && uniform.into_iter().all(|f| f["values"]["slowest"] == 1.0));
+
+    // Nothing is made twice.
+    let models = files(&at.join("out/models"));
+    let (output, said) = paper(at, "train", &["--only", "overall,ablation,varied,samples,depth,tuning"]);
+    assert!(output.status.success(), "{said}");
+    assert_eq!(files(&at.join("out/models")), models);
+    assert_eq!(files(&at.join("out/results")), results);
+
+    // The report has every label, with a command, and says which are not measured.
+    let (output, said) = paper(at, "report", &["--bars", "--keep", "kept.json.gz"]);
+    let bars = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(bars.contains("bar paper/castro_blast/none/ours-over-network"), "{bars} {said}");
+    let rows: Vec<Value> =
+        serde_json::from_str(&std::fs::read_to_string(at.join("out/rows.json")).unwrap()).unwrap();
+    let missing: Vec<&str> =
+        rows.iter().filter(|r| r["there"] == false).map(|r| r["label"].as_str().unwrap()).collect();
+    // No encoder was trained and no path recorded here.
+    let expected = [
+        "fig:control",
+        "fig:control_methods",
+        "tab:feature_select_1",
+        "tab:feature_select_2",
+        "fig:volunenet_reconstruction",
+        "tab:final_select",
+    ];
+    assert_eq!(missing, expected);
+    assert!(bars.contains(&format!("labels-without-a-table-or-figure {}.0000", missing.len())), "{bars}");
+    assert!(rows.iter().all(|r| !r["command"].as_str().unwrap().is_empty()));
+    let html = std::fs::read_to_string(at.join("out/report.html")).unwrap();
+    assert!(html.contains("Not measured.") && html.contains("tab:prednet_select_1") && html.contains("<svg"));
+
+    // What was kept makes the same rows without the folder.
+    let (_, said) = paper(at, "report", &["--out", "elsewhere", "--kept", "kept.json.gz"]);
+    let again: Vec<Value> = serde_json::from_str(
+        &std::fs::read_to_string(at.join("elsewhere/rows.json")).unwrap_or_else(|e| panic!("{e} {said}")),
+    )
+    .unwrap();
+    let ours = |rows: &[Value], label: &str| {
+        rows.iter().find(|r| r["label"] == label).map(|r| r["ours"].clone()).unwrap()
+    };
+    for label in ["tab:overall", "tab:ablation", "fig:loadbalancing", "fig:fine_tune_overall"] {
+        assert_eq!(ours(&rows, label), ours(&again, label));
+    }
+}

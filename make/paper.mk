@@ -1,0 +1,13 @@
+# The paper's evaluation, row by row. PAPER_DATA: the folder that holds the data sets; the repository's own few volumes
+# unless given. PAPER_FLAGS: more options of `entire-lab paper all`, such as --budget 30 --python venv/bin/python.
+PAPER_DATA ?= data
+PAPER_OUT ?= out/paper
+PAPER_KEPT ?= $(wildcard data/timings/paper-results.json.gz)
+
+.PHONY: paper
+paper: setup ## Collect, encode, train and report as the paper does, a night at most: out/paper/report.html (PAPER_DATA=FOLDER)
+	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- paper all --data "$(PAPER_DATA)" --out "$(PAPER_OUT)" $(PAPER_FLAGS)
+
+.PHONY: bars-paper
+bars-paper: ## Write the paper's report from what is kept and print its bars (fails when one is short): bar NAME VALUE LIMIT ok|short
+	@$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- paper report --out "$(PAPER_OUT)" $(if $(PAPER_KEPT),--kept "$(PAPER_KEPT)") --bars

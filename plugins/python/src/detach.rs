@@ -1,0 +1,81 @@
+//! Long calls without the interpreter's lock, calls into Python that may let go of it, and the interpreter's end
+//! while some are running.
+//!
+//! A thread that asks for the lock of an interpreter that ends is unwound by force, which Rust frames end with an
+//! abort. So once the interpreter is about to end, such threads do not ask for it again: they stay where they are
+//! until the process is over. Only daemon threads come to that; others are waited for by Python.
+
+use pyo3::prelude::*;
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread::ThreadId;
+use std::time::{Duration, Instant};
+
+/// The thread that ends the interpreter, once it is about to end. Changes under its lock.
+static ENDING: OnceLock<ThreadId> = OnceLock::new();
+/// Threads in long calls or in Python's code that will ask for the lock.
+static AWAY: AtomicUsize = AtomicUsize::new(0);
+
+/// How long the end waits for threads that are just about to ask for the lock.
+const GRACE: Duration = Duration::from_millis(500);
+
+/// Whether the interpreter is about to end, by another thread than this one.
+fn is_ending() -> bool {
+    ENDING.get().is_some_and(|by| *by != std::thread::current().id())
+}
+
+/// Stays here until the process is over.
+fn stay() -> ! {
+    loop {
+        std::thread::park();
+    }
+}
+
+/// A thread that will ask for the lock, as long as this lives.
+struct Away;
+
+impl Away {
+    /// Where another thread is about to end the interpreter, this one goes no further.
+    fn new(py: Python<'_>) -> Self {
+        if is_ending() {
+            py.detach(|| stay());
+        }
+        AWAY.fetch_add(1, Ordering::SeqCst);
+        Self
+    }
+}
+
+impl Drop for Away {
+    fn drop(&mut self) {
+        AWAY.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+/// Runs a long call without the interpreter's lock.
+pub(crate) fn detached<T: Send>(py: Python<'_>, call: impl FnOnce() -> T + Send) -> T {
+    let _away = Away::new(py);
+    py.detach(|| {
+        let result = call();
+        if is_ending() {
+            AWAY.fetch_sub(1, Ordering::SeqCst);
+            stay();
+        }
+        result
+    })
+}
+
+/// Calls Python code, which may let go of the interpreter's lock and ask for it again.
+pub(crate) fn calling<T>(py: Python<'_>, call: impl FnOnce() -> T) -> T {
+    let _away = Away::new(py);
+    call()
+}
+
+/// Called by `atexit`: from here on no other thread asks for the lock again.
+#[pyfunction]
+pub(crate) fn end(py: Python<'_>) {
+    let _ = ENDING.set(std::thread::current().id());
+    let begin = Instant::now();
+    while AWAY.load(Ordering::SeqCst) > 0 && begin.elapsed() < GRACE {
+        py.detach(|| std::thread::sleep(Duration::from_millis(1)));
+    }
+}
