@@ -3,6 +3,7 @@
 
 pub mod bars;
 pub mod calibration;
+pub mod child;
 pub mod commands;
 pub mod farm;
 pub mod gpu;

@@ -319,7 +319,8 @@ const CLI: &Rooms = &[
 const LAB: &Rooms = &[
     ("bars", &[]),
     ("calibration", &[]),
-    ("gpu", &[]),
+    ("child", &[]),
+    ("gpu", &["child"]),
     ("latency", &[]),
     ("stress", &[]),
     ("trace", &[]),
@@ -328,7 +329,7 @@ const LAB: &Rooms = &[
     ("replay", &["bars", "trace"]),
     ("study", &["bars", "latency", "trees"]),
     ("ship", &["latency", "study"]),
-    ("paper", &["bars", "calibration", "latency", "study"]),
+    ("paper", &["bars", "calibration", "child", "latency", "study"]),
     (
         "commands",
         &[

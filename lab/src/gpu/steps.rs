@@ -1,19 +1,16 @@
 //! The steps of a device's study: which commands they run, how long each may take, and how it is ended.
 
 use super::{Outcome, State};
+use crate::child;
 use anyhow::{Context, Result, ensure};
 use entire_cli::interrupt;
-use nix::sys::signal::{Signal, kill};
-use nix::unistd::Pid;
+use nix::sys::signal::Signal;
 use std::fs::File;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command};
+use std::process::Command;
 use std::sync::atomic::AtomicBool;
-use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// Between looks at a running command.
-const LOOK: Duration = Duration::from_millis(50);
 /// What a command has to end by itself after it was asked to.
 const GRACE: Duration = Duration::from_secs(10);
 /// Members of ensembles that `entire calibrate` does not render when it is left to choose.
@@ -217,42 +214,18 @@ pub fn run(step: &Step, entire: &Path, out: &Path, deadline: Instant, stop: &Ato
         .stderr(said)
         .spawn()
         .with_context(|| format!("cannot run {}; name the command with --entire", entire.display()))?;
-    let mut cut = false;
-    let status = loop {
-        if let Some(status) = child.try_wait()? {
-            break Some(status);
-        }
-        if interrupt::requested(stop) || Instant::now() >= end {
-            cut = true;
-            break finish(&mut child)?;
-        }
-        sleep(LOOK);
-    };
+    let over = || interrupt::requested(stop) || Instant::now() >= end;
+    let child::Ended { status, asked: cut } = child::wait(&mut child, over, Signal::SIGINT, GRACE)?;
     ensure!(!interrupt::requested(stop), "stopped; the same command goes on where this ended");
     let text = std::fs::read_to_string(&log).unwrap_or_default();
     let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or_default().to_owned();
-    let state = match (cut, status.is_some_and(|s| s.success())) {
+    let state = match (cut, status.success()) {
         (false, true) => State::Done,
         (true, _) if step.partial => State::CutShort,
         _ => State::Failed,
     };
     let said = if cut && state == State::Failed { format!("took too long: {last}") } else { last };
     Ok(Outcome { step: step.name.clone(), state, seconds: begin.elapsed().as_secs_f64(), said })
-}
-
-/// Asks a process to end, and ends it where it does not.
-fn finish(child: &mut Child) -> Result<Option<std::process::ExitStatus>> {
-    // It may have ended by itself meanwhile.
-    let _ = kill(Pid::from_raw(child.id().cast_signed()), Signal::SIGINT);
-    let asked = Instant::now();
-    while asked.elapsed() < GRACE {
-        if let Some(status) = child.try_wait()? {
-            return Ok(Some(status));
-        }
-        sleep(LOOK);
-    }
-    child.kill().context("cannot end a command that does not end")?;
-    Ok(Some(child.wait()?))
 }
 
 #[cfg(test)]

@@ -3,14 +3,20 @@
 
 use super::Work;
 use super::volumes::{BY_VOLUMES, Place};
+use crate::child;
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::files::{make_folder, read_text, write_json};
+use nix::sys::signal::Signal;
 use serde::Deserialize;
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
+
+/// What a training has to end by itself after it was asked to: it ends its batch, judges every volume by its
+/// best weights and writes them. One that is killed goes on from its last epoch.
+const GRACE: Duration = Duration::from_secs(600);
 
 /// The name of the encoder of all data sets.
 pub const ALL: &str = "all";
@@ -193,23 +199,12 @@ fn train(
         command.args(["--threads", &threads.to_string()]);
     }
     let mut child = command.spawn().with_context(|| format!("cannot start {}", work.python.display()))?;
-    let mut told = false;
-    let status = loop {
-        if let Some(status) = child.try_wait().context("cannot wait for the training")? {
-            break status;
-        }
-        if work.stop() && !told {
-            // The script ends after its batch and keeps the best weights.
-            told = true;
-            let _ = Command::new("kill").args(["-TERM", &child.id().to_string()]).status();
-        }
-        std::thread::sleep(Duration::from_millis(200));
-    };
-    if told {
+    let ended = child::wait(&mut child, || work.stop(), Signal::SIGTERM, GRACE)?;
+    if ended.asked {
         bail!("{}", work.stopped());
     }
     ensure!(
-        status.success(),
+        ended.status.success(),
         "{} failed; name a Python with lab/volumenet/requirements.txt by --python",
         asked.script.display()
     );

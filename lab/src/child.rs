@@ -1,0 +1,80 @@
+//! Processes that a study starts: waited for, asked to end once their time is over, and killed where they do
+//! not.
+
+use anyhow::{Context, Result};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use std::process::{Child, ExitStatus};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+/// Between looks at a running process.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// How a process came to its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ended {
+    /// What it ended with.
+    pub status: ExitStatus,
+    /// Whether it was asked to end.
+    pub asked: bool,
+}
+
+/// Waits until a process ends. Once `over` says that its time is over (a deadline has passed, the user asked to
+/// stop), it is asked to end by `signal`; where it has not ended `grace` later, it is killed.
+///
+/// # Errors
+/// When the system refuses to wait for it or to kill it.
+pub fn wait(child: &mut Child, over: impl Fn() -> bool, signal: Signal, grace: Duration) -> Result<Ended> {
+    let mut asked: Option<Instant> = None;
+    loop {
+        if let Some(status) = child.try_wait().context("cannot wait for a command")? {
+            return Ok(Ended { status, asked: asked.is_some() });
+        }
+        match asked {
+            None if over() => {
+                // Nobody has waited for it, so the number is its own still; one that hears nothing is killed.
+                let _ = kill(Pid::from_raw(child.id().cast_signed()), signal);
+                asked = Some(Instant::now());
+            }
+            Some(at) if at.elapsed() >= grace => {
+                child.kill().context("cannot end a command that does not end")?;
+                let status = child.wait().context("cannot wait for a command")?;
+                return Ok(Ended { status, asked: true });
+            }
+            _ => {}
+        }
+        sleep(LOOK);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::os::unix::process::ExitStatusExt;
+    use std::process::Command;
+
+    /// A shell that does with SIGTERM what `on_term` says and runs on; its time is over once it is ready.
+    fn told_to_end(on_term: &str, grace: Duration) -> (Ended, Duration) {
+        let dir = tempfile::tempdir().unwrap();
+        let ready = dir.path().join("ready");
+        let script = format!("trap '{on_term}' TERM; : >'{}'; while :; do sleep 0.05; done", ready.display());
+        let mut child = Command::new("/bin/sh").args(["-c", &script]).spawn().unwrap();
+        let begin = Instant::now();
+        let ended = wait(&mut child, || ready.exists(), Signal::SIGTERM, grace).unwrap();
+        (ended, begin.elapsed())
+    }
+
+    #[test]
+    fn a_process_ends_by_itself_when_it_is_asked_or_when_it_is_killed() {
+        let mut child = Command::new("/bin/sh").args(["-c", "exit 3"]).spawn().unwrap();
+        let ended = wait(&mut child, || false, Signal::SIGTERM, Duration::ZERO).unwrap();
+        assert_eq!((ended.status.code(), ended.asked), (Some(3), false));
+        let (ended, _) = told_to_end("exit 7", Duration::from_secs(60));
+        assert_eq!((ended.status.code(), ended.asked), (Some(7), true));
+        let grace = Duration::from_millis(300);
+        let (ended, took) = told_to_end("", grace);
+        assert_eq!((ended.status.signal(), ended.asked), (Some(9), true));
+        assert!(took >= grace, "{took:?}");
+    }
+}
