@@ -12,7 +12,7 @@ cd "$(dirname "$0")/.."
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 work=$(mktemp -d)
 slurm=
-trap '[[ -z $slurm ]] || lab/scripts/farm/slurm.sh stop "$work/slurm"; rm -rf "$work" || { sleep 2; rm -rf "$work"; }' EXIT
+trap '[[ -z $slurm ]] || lab/scripts/farm/slurm.sh stop "$work/slurm"; rm -rf "$work"' EXIT
 # No part may hang: a farm of this script takes seconds.
 within=(timeout --kill-after=10 120)
 

@@ -2,20 +2,37 @@
 # A Slurm of four one-processor nodes on this host, without systemd: for tests and bars of `entire farm`.
 #
 #   slurm.sh start FOLDER      prints the path of slurm.conf, for SLURM_CONF
-#   slurm.sh stop FOLDER
+#   slurm.sh stop FOLDER       returns once the daemons have ended; those that run on after 20 s are killed
 #
 # Needs root, slurmctld, slurmd and munged (Debian: slurm-wlm, munge). Keys, sockets, logs and state lie in FOLDER.
 set -euo pipefail
 what=${1:?start or stop}
 folder=$(realpath -m "${2:?a folder}")
 
+# runs PID: one that has ended and that nobody has waited for runs no more
+runs() { grep -q '^State:[[:space:]]*[^XZ]' "/proc/$1/status" 2>/dev/null; }
+
+# ended SECONDS PID…: waits until all have ended; fails where one still runs after SECONDS
+ended() {
+    local end=$((SECONDS + $1)) pid
+    for pid in "${@:2}"; do
+        while runs "$pid"; do
+            ((SECONDS < end)) || return 1
+            sleep 0.1
+        done
+    done
+}
+
 stop() {
-    local file pid
+    local file pid pids=()
     for file in "$folder"/*.pid; do
-        [[ -e $file ]] || continue
-        pid=$(<"$file")
+        pid=$(cat "$file" 2>/dev/null) && [[ -n $pid ]] || continue
+        pids+=("$pid")
         kill "$pid" 2>/dev/null || true
     done
+    ended 20 "${pids[@]}" && return
+    kill -9 "${pids[@]}" 2>/dev/null || true
+    ended 5 "${pids[@]}" || echo "slurm.sh: a daemon does not end" >&2
 }
 
 if [[ $what == stop ]]; then
