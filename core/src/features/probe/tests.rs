@@ -142,9 +142,14 @@ fn parallel_rays_through_a_box_follow_from_its_volume_and_its_shadow() {
     }
 }
 
-/// Greatest difference of a quantity of parallel rays from that of a lens 1000 radii away, as a share: where a
-/// shadow ray starts is drawn, and a draw that falls beside another moves it.
-const LIMIT_TOLERANCE: f64 = 0.02;
+/// Greatest difference of a quantity of parallel rays from that of a lens 1000 radii away, as a share.
+const LIMIT_TOLERANCE: f64 = 0.01;
+
+/// … of a quantity that counts samples along shadow rays. Which visible point of a ray its shadow ray starts
+/// from is drawn by comparing a number with shares of lengths: where a share is next to that number, another
+/// point is kept, from which the shadow ray is far longer or shorter. Here that happens to 3 to 13 of the 121
+/// rays, and they make up nearly all of the difference.
+const SHADOW_LIMIT_TOLERANCE: f64 = 0.02;
 
 #[test]
 fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
@@ -171,8 +176,19 @@ fn parallel_rays_are_the_limit_of_a_narrow_lens_far_away() {
                     let [a, b] = [&one, &other].map(|(setting, features)| {
                         features.quantity(q, setting, &features.work(setting), Changes::default())
                     });
+                    let shadows = matches!(
+                        q,
+                        SceneQuantity::ShadowSamples
+                            | SceneQuantity::ShadowPerPixel
+                            | SceneQuantity::EstimatedSeconds
+                    );
+                    let tolerance = if shadows && shading == Shading::Scatter {
+                        SHADOW_LIMIT_TOLERANCE
+                    } else {
+                        LIMIT_TOLERANCE
+                    };
                     let apart = (a - b).abs();
-                    assert!(apart <= LIMIT_TOLERANCE * a.abs().max(1e-3), "{q} {rx} {ry} {scale}: {a}, {b}");
+                    assert!(apart <= tolerance * a.abs().max(1e-3), "{q} {rx} {ry} {scale}: {a}, {b}");
                 }
             }
         }
