@@ -160,9 +160,6 @@ pub fn run(options: Options, host: Arc<dyn Host>) -> Result<()> {
         failed: None,
     };
     event_loop.run_app(&mut app).map_err(|e| anyhow!("the window's events cannot be read: {e}"))?;
-    if let Some(log) = &mut app.log {
-        log.flush()?;
-    }
     // What the validation layer said, where it was asked to speak.
     let said = app.device.as_ref().map(SharedDevice::validation_messages).unwrap_or_default();
     if let Some(error) = app.failed.take() {

@@ -92,12 +92,6 @@ impl Log {
         )?;
         Ok(())
     }
-
-    /// # Errors
-    /// When it cannot be written.
-    pub(crate) fn flush(&mut self) -> Result<()> {
-        Ok(self.out.flush()?)
-    }
 }
 
 /// Memory of this process that is in use; 0 where the system does not tell.
