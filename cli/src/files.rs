@@ -277,9 +277,12 @@ mod tests {
         write_whole(&path, b"second").unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), b"second");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
-        let nowhere = folder.path().join("none").join("f.txt");
-        let said = format!("{:#}", write_whole(&nowhere, b"x").unwrap_err());
-        assert!(said.contains(&format!("cannot write {}", nowhere.display())), "{said}");
+        // Neither below a folder that is not there nor below a file, which stays as it was.
+        for nowhere in [folder.path().join("none").join("f.txt"), path.join("f.txt")] {
+            let said = format!("{:#}", write_whole(&nowhere, b"x").unwrap_err());
+            assert!(said.contains(&format!("cannot write {}", nowhere.display())), "{said}");
+        }
+        assert_eq!(std::fs::read(&path).unwrap(), b"second");
     }
 
     #[cfg(unix)]

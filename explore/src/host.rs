@@ -46,6 +46,12 @@ pub trait Host: Send + Sync {
     /// Name and title of every controller.
     fn controllers(&self) -> Vec<(&'static str, &'static str)>;
 
+    /// Writes a file, whole or not at all: an earlier one stays until then.
+    ///
+    /// # Errors
+    /// Names the file that cannot be written.
+    fn write_whole(&self, file: &Path, bytes: &[u8]) -> Result<()>;
+
     /// Writes a recorded session as a path file.
     ///
     /// # Errors

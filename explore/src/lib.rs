@@ -27,7 +27,6 @@ mod state;
 mod steering;
 mod transfer;
 mod ui;
-mod whole;
 mod work_map;
 
 pub use app::run;

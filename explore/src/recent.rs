@@ -1,6 +1,6 @@
 //! The volumes that were opened last.
 
-use crate::whole::write_whole;
+use anyhow::Result;
 use std::path::{Path, PathBuf};
 
 /// Files that are kept.
@@ -30,18 +30,19 @@ impl Recent {
         Self { file, paths }
     }
 
-    /// Puts a file first. That it cannot be kept is no error: it is a convenience.
-    pub(crate) fn add(&mut self, path: &Path) {
+    /// Puts a file first and keeps the list by `write`. That it cannot be kept is no error: it is a
+    /// convenience.
+    pub(crate) fn add(&mut self, path: &Path, write: impl FnOnce(&Path, &[u8]) -> Result<()>) {
         let path = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
         self.paths.retain(|p| *p != path);
         self.paths.insert(0, path);
         self.paths.truncate(MOST);
         if let Some(file) = &self.file {
-            let write = || -> anyhow::Result<()> {
+            let keep = || -> Result<()> {
                 std::fs::create_dir_all(file.parent().unwrap_or(Path::new(".")))?;
-                write_whole(file, serde_json::to_string_pretty(&self.paths)?.as_bytes())
+                write(file, serde_json::to_string_pretty(&self.paths)?.as_bytes())
             };
-            let _ = write();
+            let _ = keep();
         }
     }
 }
@@ -56,7 +57,7 @@ mod tests {
         let file = Some(folder.path().join("state/recent.json"));
         let mut recent = Recent::read(file.clone());
         for name in ["/a", "/b", "/a"] {
-            recent.add(Path::new(name));
+            recent.add(Path::new(name), |file, text| Ok(std::fs::write(file, text)?));
         }
         assert_eq!(recent.paths, [PathBuf::from("/a"), PathBuf::from("/b")]);
         assert_eq!(Recent::read(file).paths, recent.paths);

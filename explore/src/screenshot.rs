@@ -1,11 +1,11 @@
 //! Pictures at full quality for files, made in slices.
 
+use crate::host::Host;
 use crate::refine::Cursor;
-use crate::whole::write_whole;
 use anyhow::Result;
 use entire_core::scene::Frame;
 use entire_vk_raycaster::VulkanRaycaster;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// A picture in the making.
 pub(crate) struct Screenshot {
@@ -30,7 +30,12 @@ impl Screenshot {
     ///
     /// # Errors
     /// Those of the raycaster, and when the file cannot be written.
-    pub(crate) fn slice(&mut self, raycaster: &mut VulkanRaycaster, budget: f64) -> Result<bool> {
+    pub(crate) fn slice(
+        &mut self,
+        raycaster: &mut VulkanRaycaster,
+        budget: f64,
+        host: &dyn Host,
+    ) -> Result<bool> {
         let (frame, rgb) = (&self.frame, &mut self.rgb);
         let width = frame.width as usize;
         self.cursor.slice(budget, |region| {
@@ -47,17 +52,14 @@ impl Screenshot {
             Ok(rendered.time.wall)
         })?;
         if self.cursor.is_done() {
-            write_png(&self.file, frame.width, frame.height, rgb)?;
+            host.write_whole(&self.file, &png(frame.width, frame.height, rgb)?)?;
         }
         Ok(self.cursor.is_done())
     }
 }
 
-/// Writes 8-bit RGB.
-///
-/// # Errors
-/// When the file cannot be written.
-pub(crate) fn write_png(path: &Path, width: u32, height: u32, rgb: &[u8]) -> Result<()> {
+/// A PNG file of 8-bit RGB.
+fn png(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let mut encoder = png::Encoder::new(&mut bytes, width, height);
     encoder.set_color(png::ColorType::Rgb);
@@ -65,5 +67,5 @@ pub(crate) fn write_png(path: &Path, width: u32, height: u32, rgb: &[u8]) -> Res
     let mut writer = encoder.write_header()?;
     writer.write_image_data(rgb)?;
     writer.finish()?;
-    write_whole(path, &bytes)
+    Ok(bytes)
 }

@@ -8,7 +8,6 @@ use crate::scene::Crop;
 use crate::script::Action;
 use crate::state::Command;
 use crate::transfer::{Curve, Opacity};
-use crate::whole::write_whole;
 use crate::work_map::WorkMap;
 use anyhow::{Context, Result, bail};
 use ash::vk;
@@ -84,7 +83,7 @@ impl App {
         } else {
             exchange::to_own(curve)?
         };
-        write_whole(file, text.as_bytes())
+        self.host.write_whole(file, text.as_bytes())
     }
 
     fn save_recording(&mut self, file: &Path) -> Result<()> {

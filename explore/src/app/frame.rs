@@ -116,7 +116,7 @@ impl App {
         }
         state.index = scene.index;
         if self.scene.as_ref().is_none_or(|s| s.path != scene.path) {
-            state.recent.add(&scene.path);
+            state.recent.add(&scene.path, |file, text| self.host.write_whole(file, text));
         }
         if curve != state.edited.curve {
             state.edited = Edited::new(curve);

@@ -166,7 +166,7 @@ impl App {
             self.screenshot = None;
             return Ok(());
         };
-        let done = match shot.slice(&mut scene.raycaster, budget) {
+        let done = match shot.slice(&mut scene.raycaster, budget, &*self.host) {
             Ok(done) => done,
             Err(error) => {
                 (self.screenshot, self.state.screenshot_share) = (None, None);

@@ -2,7 +2,7 @@
 
 use crate::calibrate::place::machine_model;
 use crate::dataset::Clock;
-use crate::files::write_json;
+use crate::files::{write_json, write_whole};
 use crate::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Point, Transfer};
 use crate::steering::contenders::{ControllerKind, controller};
 use crate::steering::fit::SteeringModel;
@@ -117,6 +117,10 @@ impl Host for Surroundings {
 
     fn controllers(&self) -> Vec<(&'static str, &'static str)> {
         ControllerKind::value_variants().iter().map(|k| (k.name(), k.title())).collect()
+    }
+
+    fn write_whole(&self, file: &Path, bytes: &[u8]) -> Result<()> {
+        write_whole(file, bytes)
     }
 
     fn save_recording(&self, file: &Path, recording: &Recording) -> Result<()> {
