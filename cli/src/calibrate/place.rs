@@ -69,6 +69,20 @@ const VOLUMES: [&str; 6] = ["nrrd", "nhdr", "mha", "mhd", "vti", "nii"];
 /// # Errors
 /// When a folder cannot be read.
 pub fn volumes_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    volumes_of(folder, |member| member.is_none_or(|m| TRAINING_MEMBERS.contains(&m)))
+}
+
+/// Every volume below a folder that [`volumes_in`] passes over, by name: those of ensemble members that no model
+/// is trained on.
+///
+/// # Errors
+/// When a folder cannot be read.
+pub fn held_out_in(folder: &Path) -> Result<Vec<PathBuf>> {
+    volumes_of(folder, |member| member.is_some_and(|m| !TRAINING_MEMBERS.contains(&m)))
+}
+
+/// Every volume below a folder, by name, whose ensemble member, where it has one, is `wanted`.
+fn volumes_of(folder: &Path, wanted: impl Fn(Option<&str>) -> bool) -> Result<Vec<PathBuf>> {
     let mut out = Vec::new();
     let mut folders = vec![folder.to_owned()];
     while let Some(folder) = folders.pop() {
@@ -78,7 +92,7 @@ pub fn volumes_in(folder: &Path) -> Result<Vec<PathBuf>> {
                 folders.push(path);
             } else if path.extension().is_some_and(|e| VOLUMES.iter().any(|v| e == *v)) {
                 let member = Job::from_path(&path).member;
-                if member.is_empty() || TRAINING_MEMBERS.contains(&member.as_str()) {
+                if wanted(Some(member.as_str()).filter(|m| !m.is_empty())) {
                     out.push(path);
                 }
             }
@@ -86,4 +100,24 @@ pub fn volumes_in(folder: &Path) -> Result<Vec<PathBuf>> {
     }
     out.sort();
     Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_volume_is_calibrated_with_or_held_out() {
+        let data = tempfile::tempdir().unwrap();
+        let paths =
+            ["e/m01/t0001.nrrd", "e/m03/t0001.nrrd", "e/m03/t0002.nii", "e/m03/t0003.csv", "scan.nrrd"]
+                .map(|name| data.path().join(name));
+        for path in &paths {
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, "").unwrap();
+        }
+        let [seen, first, second, _, scan] = paths;
+        assert_eq!(volumes_in(data.path()).unwrap(), [seen, scan]);
+        assert_eq!(held_out_in(data.path()).unwrap(), [first, second]);
+    }
 }

@@ -3,6 +3,7 @@
 use super::{Outcome, State};
 use crate::child;
 use anyhow::{Context, Result, ensure};
+use entire_cli::calibrate::place::{TRAINING_MEMBERS, held_out_in};
 use entire_cli::interrupt;
 use nix::sys::signal::Signal;
 use std::fs::File;
@@ -13,8 +14,6 @@ use std::time::{Duration, Instant};
 
 /// What a command has to end by itself after it was asked to.
 const GRACE: Duration = Duration::from_secs(10);
-/// Members of ensembles that `entire calibrate` does not render when it is left to choose.
-const HELD_OUT: [&str; 3] = ["m03", "m04", "m05"];
 
 /// How much is done.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -95,30 +94,19 @@ fn words(parts: &[&str]) -> Vec<String> {
     parts.iter().map(|p| (*p).to_owned()).collect()
 }
 
-/// Volumes of members that no calibration renders, in the order of their names.
+/// Volumes of members that no calibration renders when it is left to choose, in the order of their names.
 ///
 /// # Errors
-/// When the folder holds none.
+/// When the folder cannot be read or holds none.
 pub fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
-    let mut found = Vec::new();
-    let folders = |path: &Path| -> Vec<PathBuf> {
-        std::fs::read_dir(path).map_or_else(|_| Vec::new(), |d| d.flatten().map(|e| e.path()).collect())
-    };
-    for ensemble in folders(data) {
-        for member in HELD_OUT {
-            found.extend(
-                folders(&ensemble.join(member))
-                    .into_iter()
-                    .filter(|p| p.extension().is_some_and(|e| e == "nrrd")),
-            );
-        }
-    }
-    found.sort();
+    let help = "name a folder like the project's data/ with --data";
+    let found =
+        held_out_in(data).with_context(|| format!("cannot read the folder {}; {help}", data.display()))?;
     ensure!(
         !found.is_empty(),
-        "{} holds no ENSEMBLE/{}/*.nrrd; name a folder like the project's data/ with --data",
+        "{} holds no ENSEMBLE/MEMBER/t*.nrrd but of the members {}, which models are trained on; {help}",
         data.display(),
-        HELD_OUT.join("|")
+        TRAINING_MEMBERS.join(", ")
     );
     Ok(found)
 }
