@@ -6,6 +6,7 @@ use crate::gpu::report::{Found, MODES};
 use crate::gpu::steps::{self, Extent, Step, held_out};
 use crate::gpu::{Outcome, Outcomes, State};
 use anyhow::{Context, Result};
+use clap::ValueEnum;
 use entire_cli::dataset::{Clock, Table};
 use entire_cli::device::Device;
 use entire_cli::files::{make_folder, read_text, write_json};
@@ -118,14 +119,6 @@ impl Study<'_> {
     }
 }
 
-fn name_of(device: Device) -> &'static str {
-    match device {
-        Device::Auto => "auto",
-        Device::Vulkan => "vulkan",
-        Device::Cpu => "cpu",
-    }
-}
-
 fn json(path: &Path) -> Option<Value> {
     serde_json::from_str(&read_text(path, 1 << 24).ok()?).ok()
 }
@@ -192,7 +185,8 @@ pub fn run(options: &Options) -> Result<()> {
         outcomes: Outcomes::of(&options.out)?,
         bar,
     };
-    let (device, clock) = (name_of(options.device), options.clock);
+    let named = options.device.to_possible_value().context("the device has no name among the options")?;
+    let (device, clock) = (named.get_name(), options.clock);
     let mut all = vec![steps::probe(device)];
     for mode in MODES.into_iter().filter(|m| options.shade.iter().any(|s| s == m)) {
         all.extend(steps::of_mode(mode, &options.out, &volumes, (device, clock.name()), extent));
