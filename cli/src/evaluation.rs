@@ -39,13 +39,10 @@ pub struct WarmLatency {
 /// frames are left out.
 pub fn by_kind(frames: &[&TimedFrame], predicted: &[f64], measured: &[f64]) -> Vec<(&'static str, Metrics)> {
     type Test = fn(&TimedFrame) -> bool;
-    fn pixels(f: &TimedFrame) -> u64 {
-        u64::from(f.scene.width) * u64::from(f.scene.height)
-    }
     let kinds: [(&'static str, Test); 6] = [
-        ("under 128² pixels", |f| pixels(f) < 128 * 128),
-        ("128² to 512² pixels", |f| (128 * 128..512 * 512).contains(&pixels(f))),
-        ("512² pixels and more", |f| pixels(f) >= 512 * 512),
+        ("under 128² pixels", |f| f.scene.pixels() < 128 * 128),
+        ("128² to 512² pixels", |f| (128 * 128..512 * 512).contains(&f.scene.pixels())),
+        ("512² pixels and more", |f| f.scene.pixels() >= 512 * 512),
         ("eye within 1 radius", |f| f.scene.camera.dz <= 1.0),
         ("finer than the reference step", |f| f.scene.step < 1.0),
         ("coarser than the reference step", |f| f.scene.step > 1.0),

@@ -54,6 +54,11 @@ impl Scene {
         .checked()?)
     }
 
+    /// Pixels of the image.
+    pub fn pixels(&self) -> u64 {
+        u64::from(self.width) * u64::from(self.height)
+    }
+
     /// The transfer function.
     pub fn transfer_function(&self) -> TransferFunction {
         TransferFunction::Gaussian(self.lobes.clone())

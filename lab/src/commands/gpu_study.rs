@@ -154,9 +154,9 @@ fn found(out: &Path, outcomes: Outcomes, clock: Clock) -> Found {
 fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
     let table = Table::read_without_features(&out.join("frames-none.csv"), 0).ok()?;
     let pixels = u64::from(extent.held_size).pow(2);
-    let near = |w: u32, h: u32| (pixels / 3..=pixels * 3).contains(&(u64::from(w) * u64::from(h)));
+    let near = pixels / 3..=pixels * 3;
     let of = |near_only: bool| -> Vec<f64> {
-        let wanted = table.frames.iter().filter(|f| !near_only || near(f.scene.width, f.scene.height));
+        let wanted = table.frames.iter().filter(|f| !near_only || near.contains(&f.scene.pixels()));
         wanted.filter_map(|f| f.seconds(clock)).collect()
     };
     let half = |mut seconds: Vec<f64>| median(&mut seconds).map(|m| 0.5 * m);

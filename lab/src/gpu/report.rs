@@ -98,10 +98,7 @@ impl Found {
             let mut row =
                 vec![(*mode).into(), (*kind).into(), most.map_or("-".into(), |m| format!("{m}").into())];
             for edge in EDGES.windows(2) {
-                let inside = |f: &&TimedFrame| {
-                    let pixels = u64::from(f.scene.width) * u64::from(f.scene.height);
-                    (edge[0]..edge[1]).contains(&pixels)
-                };
+                let inside = |f: &&TimedFrame| (edge[0]..edge[1]).contains(&f.scene.pixels());
                 let mut seconds: Vec<f64> =
                     frames.iter().filter(inside).filter_map(|f| f.seconds(self.clock)).collect();
                 row.push(shown(median(&mut seconds), 1e3, 3).into());
@@ -192,9 +189,8 @@ impl Found {
             let points = frames
                 .iter()
                 .filter_map(|f| {
-                    let pixels = f64::from(f.scene.width) * f64::from(f.scene.height);
                     let seconds = f.seconds(self.clock)?;
-                    (seconds > 0.0).then(|| (pixels, seconds, String::new()))
+                    (seconds > 0.0).then(|| (f.scene.pixels() as f64, seconds, String::new()))
                 })
                 .collect();
             chart = chart.series(Series::new(format!("{mode}, {kind}"), Mark::Points(points)));
