@@ -1,6 +1,7 @@
 //! Bars: what was asked for beside what was found, one line each.
 
 use anyhow::{Result, ensure};
+use entire_cli::report::{Column, Table};
 
 /// A bar.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +34,25 @@ impl std::fmt::Display for Bar {
         let found = self.value.map_or("-".into(), |v| format!("{v:.4}"));
         write!(f, "bar {} {found} {:.4} {}", self.name, self.limit, if self.ok { "ok" } else { "short" })
     }
+}
+
+/// Bars as a table.
+pub fn table(bars: &[Bar]) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("bar"),
+        Column::number("found"),
+        Column::number("asked for"),
+        Column::text("holds"),
+    ]);
+    for b in bars {
+        table.row(vec![
+            b.name.as_str().into(),
+            b.value.map(|v| format!("{v:.4}")).into(),
+            format!("{:.4}", b.limit).into(),
+            if b.ok { "yes" } else { "short" }.into(),
+        ]);
+    }
+    table
 }
 
 /// Prints bars, one line each.

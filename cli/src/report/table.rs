@@ -54,6 +54,13 @@ impl From<&str> for Cell {
     }
 }
 
+/// A dash where there is nothing to say.
+impl<T: Into<Self>> From<Option<T>> for Cell {
+    fn from(value: Option<T>) -> Self {
+        value.map_or_else(|| "-".into(), Into::into)
+    }
+}
+
 /// Tables of more columns are set smaller on a page, so that they need no scrolling.
 const WIDE: usize = 8;
 
@@ -177,7 +184,8 @@ mod tests {
         t.row(vec!["fixed".into(), "50.0".into()]);
         t.row(vec!["a|<b>".into(), "2.5".into()]);
         t.row(vec!["short".into()]);
-        t.mark_best(1, &[50.0, 2.5, f64::NAN], true);
+        t.row(vec!["nothing".into(), None::<String>.into()]);
+        t.mark_best(1, &[50.0, 2.5, f64::NAN, f64::NAN], true);
         t
     }
 
@@ -185,7 +193,8 @@ mod tests {
     fn one_description_prints_three_ways() {
         assert_eq!(
             table().to_text(),
-            "who    misses / %\n-----  ----------\nfixed        50.0\na|<b>        2.5*\nshort\n"
+            "who      misses / %\n-------  ----------\nfixed          50.0\na|<b>          2.5*\nshort\n\
+             nothing           -\n"
         );
         assert!(table().to_html().contains("<td>a|&#60;b&#62;</td><td class=\"n\"><b>2.5</b></td>"));
         assert!(table().to_markdown().contains("| a\\|<b> | **2.5** |"));

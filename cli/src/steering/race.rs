@@ -1,6 +1,6 @@
 //! A whole race: calibrate, choose a target, play a path under every controller.
 
-use super::calibrate::{Sample, measure, response, response_pairs};
+use super::calibrate::{Sample, measure, response};
 use super::contenders::{ControllerKind, contender};
 use super::fit::{Calibrated, Candidate, SteeringModel};
 use super::play::{Contender, DrawSettings, Playback, Shown, Task, play};
@@ -134,7 +134,7 @@ pub struct Prepared {
 impl Prepared {
     /// G, and what it was made from.
     pub fn response_curve(&self) -> ResponseCurve {
-        ResponseCurve { samples: response_pairs(&self.samples), points: self.response.points().collect() }
+        ResponseCurve::new(&self.samples, &self.response)
     }
 
     /// The predictor that steers.

@@ -1,12 +1,14 @@
 //! What is written of a playback: tables, CSV, JSON, and the page.
 
+use super::calibrate::{Sample, response_pairs};
 use super::contenders::ControllerKind;
 use super::fit::Candidate;
 use super::metrics::{BEST_PSNR, Metrics, SWITCH_FRAMES};
 use super::play::{DrawSettings, Playback};
+use super::rivals::StepResponse;
 use crate::files::{make_folder, write_json, write_whole};
 use crate::machine::Provenance;
-use crate::report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
+use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
 use anyhow::Result;
 use serde_json::{Value, json};
 use std::path::Path;
@@ -18,6 +20,28 @@ pub struct ResponseCurve {
     pub samples: Vec<(f32, f32)>,
     /// The curve.
     pub points: Vec<(f32, f32)>,
+}
+
+impl ResponseCurve {
+    /// A curve and the samples that it was made from.
+    pub fn new(samples: &[Sample], response: &StepResponse) -> Self {
+        Self { samples: response_pairs(samples), points: response.points().collect() }
+    }
+
+    /// The curve among its samples.
+    pub fn chart(&self) -> Chart {
+        let wide = |p: &(f32, f32)| (f64::from(p.0), f64::from(p.1));
+        let samples = self.samples.iter().map(wide).map(|(x, y)| (x, y, String::new())).collect();
+        let points = self.points.iter().map(wide).collect();
+        Chart::new(
+            "G: what a coarser step saves",
+            Axis::log("step / reference steps"),
+            Axis::log("relative frame time"),
+        )
+        .size(900.0, 300.0)
+        .series(Series::new("calibration scenes", Mark::Points(samples)).color(6))
+        .series(Series::new("G (median, never rising)", Mark::Line(points)).color(0))
+    }
 }
 
 /// Everything that a report tells beside the playback.
@@ -86,19 +110,18 @@ pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
         0 => f64::NAN,
         n => m.recovery_frames.iter().sum::<usize>() as f64 / n as f64,
     };
-    let or_dash = |v: Option<String>| Cell::from(v.unwrap_or_else(|| "-".into()));
     for (name, m) in names.iter().zip(metrics) {
         table.row(vec![
             title(name).into(),
             percent(m.missed_by_10_percent).into(),
             percent(m.missed_by_25_percent).into(),
             percent(m.mean_error).into(),
-            or_dash(m.mean_error_at_switches.map(percent)),
-            or_dash(m.mean_error_in_calm.map(percent)),
+            m.mean_error_at_switches.map(percent).into(),
+            m.mean_error_in_calm.map(percent).into(),
             format!("{:.1}", m.p95_seconds * 1e3).into(),
             format!("{:.1}", m.worst_seconds * 1e3).into(),
-            or_dash(recovery(m).is_finite().then(|| format!("{:.1}", recovery(m)))),
-            or_dash(m.mean_psnr.map(|p| format!("{p:.1}"))),
+            recovery(m).is_finite().then(|| format!("{:.1}", recovery(m))).into(),
+            m.mean_psnr.map(|p| format!("{p:.1}")).into(),
             format!("{:.2}", m.mean_step).into(),
         ]);
     }
@@ -114,6 +137,29 @@ pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
     mark(7, true, &|m| m.worst_seconds);
     mark(8, true, &recovery);
     mark(9, false, &|m| m.mean_psnr.unwrap_or(f64::NAN));
+    table
+}
+
+/// Predictors and their errors on held-out frames.
+pub fn candidates_table(candidates: &[Candidate]) -> Table {
+    let mut table = Table::new(vec![
+        Column::text("predictor"),
+        Column::number("held-out frames"),
+        Column::number("median error / %"),
+        Column::number("p95 error / %"),
+        Column::number("scatter of ln t"),
+        Column::text("steers"),
+    ]);
+    for c in candidates {
+        table.row(vec![
+            c.title.clone().into(),
+            c.held_out.frames.to_string().into(),
+            percent(c.held_out.median_error).into(),
+            percent(c.held_out.p95_error).into(),
+            format!("{:.3}", c.held_out.log_sd).into(),
+            if c.chosen { "yes" } else { "" }.into(),
+        ]);
+    }
     table
 }
 
@@ -333,27 +379,9 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     page.chart(&chart, "Likeness to the picture at the reference step; over 60 dB drawn as 60.");
 
     page.heading("Predictions");
-    let mut predictors = Table::new(vec![
-        Column::text("predictor"),
-        Column::number("held-out frames"),
-        Column::number("median error / %"),
-        Column::number("p95 error / %"),
-        Column::number("scatter of ln t"),
-        Column::text("steers"),
-    ]);
-    for c in &story.candidates {
-        predictors.row(vec![
-            c.title.clone().into(),
-            c.held_out.frames.to_string().into(),
-            percent(c.held_out.median_error).into(),
-            percent(c.held_out.p95_error).into(),
-            format!("{:.3}", c.held_out.log_sd).into(),
-            if c.chosen { "yes" } else { "" }.into(),
-        ]);
-    }
     if !story.candidates.is_empty() {
         page.table(
-            &predictors,
+            &candidates_table(&story.candidates),
             "Fitted to random frames of this volume on this machine, judged by others that were held out. \
              None shows a transfer function of the path.",
         );
@@ -380,27 +408,9 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
              where its upper bound would not fit.",
         );
     }
-    let ResponseCurve { samples, points: curve } = &story.response;
-    if !curve.is_empty() {
-        let wide = |p: &(f32, f32)| (f64::from(p.0), f64::from(p.1));
-        let chart = Chart::new(
-            "G: what a coarser step saves",
-            Axis::log("step / reference steps"),
-            Axis::log("relative frame time"),
-        )
-        .size(900.0, 300.0)
-        .series(
-            Series::new(
-                "calibration scenes",
-                Mark::Points(samples.iter().map(wide).map(|(x, y)| (x, y, String::new())).collect()),
-            )
-            .color(6),
-        )
-        .series(
-            Series::new("G (median, never rising)", Mark::Line(curve.iter().map(wide).collect())).color(0),
-        );
+    if !story.response.points.is_empty() {
         page.chart(
-            &chart,
+            &story.response.chart(),
             "Algorithm 1 and OLP use this one curve for all scenes. How far the scenes scatter about it is \
              what that costs them; the hybrid predicts each scene's own curve.",
         );

@@ -5,7 +5,7 @@ use super::{Outcomes, State};
 use entire_cli::dataset::{Clock, TimedFrame};
 use entire_cli::machine::Provenance;
 use entire_cli::metrics::median;
-use entire_cli::report::{Axis, Chart, Column, Mark, Page, Series, Table};
+use entire_cli::report::{Axis, Cell, Chart, Column, Mark, Page, Series, Table};
 use serde_json::Value;
 
 /// The shading modes, in the order of their cost.
@@ -33,8 +33,8 @@ fn number(value: &Value, path: &[&str]) -> Option<f64> {
     path.iter().try_fold(value, |v, key| v.get(key))?.as_f64()
 }
 
-fn shown(value: Option<f64>, factor: f64, digits: usize) -> String {
-    value.map_or_else(|| "-".to_owned(), |v| format!("{:.digits$}", v * factor))
+fn shown(value: Option<f64>, factor: f64, digits: usize) -> Cell {
+    value.map(|v| format!("{:.digits$}", v * factor)).into()
 }
 
 impl Found {
@@ -75,11 +75,11 @@ impl Found {
             table.row(vec![
                 (*mode).into(),
                 (*kind).into(),
-                shown(number(one, &["metrics", "frames"]), 1.0, 0).into(),
-                shown(number(one, &["metrics", "mdape"]), 100.0, 1).into(),
-                shown(number(one, &["metrics", "rmse_over_sd"]), 1.0, 3).into(),
-                shown(number(found, &["noise_floor", "median_relative_deviation"]), 100.0, 1).into(),
-                shown(session.and_then(|s| number(s, &["mdape"])), 100.0, 1).into(),
+                shown(number(one, &["metrics", "frames"]), 1.0, 0),
+                shown(number(one, &["metrics", "mdape"]), 100.0, 1),
+                shown(number(one, &["metrics", "rmse_over_sd"]), 1.0, 3),
+                shown(number(found, &["noise_floor", "median_relative_deviation"]), 100.0, 1),
+                shown(session.and_then(|s| number(s, &["mdape"])), 100.0, 1),
             ]);
         }
         table
@@ -95,13 +95,12 @@ impl Found {
         for (kind, mode, frames) in &self.tables {
             let most =
                 frames.iter().map(|f| f.scene.dims.iter().map(|d| u64::from(*d)).product::<u64>()).max();
-            let mut row =
-                vec![(*mode).into(), (*kind).into(), most.map_or("-".into(), |m| format!("{m}").into())];
+            let mut row = vec![(*mode).into(), (*kind).into(), most.map(|m| m.to_string()).into()];
             for edge in EDGES.windows(2) {
                 let inside = |f: &&TimedFrame| (edge[0]..edge[1]).contains(&f.scene.pixels());
                 let mut seconds: Vec<f64> =
                     frames.iter().filter(inside).filter_map(|f| f.seconds(self.clock)).collect();
-                row.push(shown(median(&mut seconds), 1e3, 3).into());
+                row.push(shown(median(&mut seconds), 1e3, 3));
             }
             table.row(row);
         }
@@ -121,10 +120,10 @@ impl Found {
         for (name, c) in controllers.into_iter().flatten() {
             table.row(vec![
                 name.as_str().into(),
-                shown(number(c, &["missed_by_10_percent"]), 100.0, 1).into(),
-                shown(number(c, &["missed_by_25_percent"]), 100.0, 1).into(),
-                shown(number(c, &["mean_error"]), 100.0, 1).into(),
-                shown(number(c, &["mean_psnr"]), 1.0, 1).into(),
+                shown(number(c, &["missed_by_10_percent"]), 100.0, 1),
+                shown(number(c, &["missed_by_25_percent"]), 100.0, 1),
+                shown(number(c, &["mean_error"]), 100.0, 1),
+                shown(number(c, &["mean_psnr"]), 1.0, 1),
             ]);
         }
         table
@@ -153,7 +152,7 @@ impl Found {
             Column::text("same samples"),
         ]);
         for d in &self.pictures {
-            let same = d.same_samples.map_or("-", |s| if s { "yes" } else { "no" });
+            let same = d.same_samples.map(|s| if s { "yes" } else { "no" });
             worst.row(vec![
                 d.volume.as_str().into(),
                 d.shading.as_str().into(),

@@ -129,21 +129,7 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
     let found =
         bars(paper, &material.all, &shown, &material.reconstructions, started.elapsed().as_secs_f64());
     page.heading("Bars");
-    let mut table = Table::new(vec![
-        Column::text("bar"),
-        Column::number("found"),
-        Column::number("asked for"),
-        Column::text("holds"),
-    ]);
-    for b in &found {
-        table.row(vec![
-            b.name.clone().into(),
-            b.value.map_or("-".into(), |v| format!("{v:.4}")).into(),
-            format!("{:.4}", b.limit).into(),
-            if b.ok { "yes" } else { "short" }.into(),
-        ]);
-    }
-    page.table(&table, "");
+    page.table(&crate::bars::table(&found), "");
     page.heading("Where the numbers come from");
     let mut facts = vec![
         ("Program", format!("entire {}", machine::version())),
@@ -205,7 +191,7 @@ fn numbers_table(numbers: &super::description::Numbers) -> Table {
     let mut table = Table::new(columns);
     for (name, row) in &numbers.rows {
         let mut cells = vec![name.as_str().into()];
-        cells.extend(row.iter().map(|v| v.map_or("-".into(), |v| format!("{v}")).into()));
+        cells.extend(row.iter().map(|v| v.map(|v| format!("{v}")).into()));
         table.row(cells);
     }
     table

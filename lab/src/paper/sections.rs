@@ -140,13 +140,13 @@ fn errors_table(r: &Results) -> Table {
             row.split.as_str().into(),
             row.name.as_str().into(),
             seconds(row.rmse).into(),
-            if row.runs > 1 { seconds(row.rmse_sd) } else { "-".into() }.into(),
+            (row.runs > 1).then(|| seconds(row.rmse_sd)).into(),
             row.runs.to_string().into(),
             format!("{:.3}", row.rmse / row.sd).into(),
             ratio(row.over_constant).into(),
             ratio(row.over_lvrp).into(),
             format!("{:.1}", 100.0 * row.mdape).into(),
-            row.latency.map_or("-".into(), |l| format!("{:.3}", 1e3 * l)).into(),
+            row.latency.map(|l| format!("{:.3}", 1e3 * l)).into(),
             row.frames.to_string().into(),
         ]);
     }
@@ -206,10 +206,8 @@ fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     for r in of {
         let find = |name: &str| r.row(BY_VOLUMES, name);
         let Some(network) = find(NETWORK) else { continue };
-        let s_of = |row: Option<&Row>| row.map_or("-".into(), |x| seconds(x.rmse));
-        let ms = |row: Option<&Row>| {
-            row.and_then(|x| x.latency).map_or("-".to_owned(), |l| format!("{:.3}", 1e3 * l))
-        };
+        let s_of = |row: Option<&Row>| row.map(|x| seconds(x.rmse));
+        let ms = |row: Option<&Row>| Some(format!("{:.3}", 1e3 * row?.latency?));
         let ours = find(OURS);
         table.row(vec![
             title(paper, r).into(),
@@ -221,7 +219,7 @@ fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
             s_of(find(LVRP)).into(),
             ms(find(LVRP)).into(),
             s_of(ours).into(),
-            ours.map_or("-".into(), |o| seconds(o.rmse_sd)).into(),
+            ours.map(|o| seconds(o.rmse_sd)).into(),
             ms(ours).into(),
             format!("{:.3}", network.rmse / network.sd).into(),
             ratio(network.over_constant).into(),
@@ -377,17 +375,17 @@ fn encoders(paper: &Paper, of: &[&Results], s: &mut Section) {
             Column::number("epochs"),
         ]);
         for row in r.rows.iter().filter(|x| x.more.contains_key("size")) {
-            let db = |k: &str| row.more.get(k).map_or("-".to_owned(), |v| format!("{v:.2}"));
+            let db = |k: &str| row.more.get(k).map(|v| format!("{v:.2}"));
             table.row(vec![
                 row.name.as_str().into(),
                 db("psnr train").into(),
                 db("psnr validation").into(),
                 db("psnr test").into(),
-                row.latency.map_or("-".into(), |l| format!("{:.2}", 1e3 * l)).into(),
+                row.latency.map(|l| format!("{:.2}", 1e3 * l)).into(),
                 seconds(row.rmse).into(),
                 seconds(row.rmse_sd).into(),
                 ratio(row.over_constant).into(),
-                row.more.get("epochs").map_or("-".into(), |e| format!("{e:.0}")).into(),
+                row.more.get("epochs").map(|e| format!("{e:.0}")).into(),
             ]);
         }
         s.tables.push((table, format!("{}: PredNet {} on each.", title(paper, r), paper.encoder_depth)));
@@ -428,9 +426,7 @@ fn reconstructions(paper: &Paper, material: &Material, s: &mut Section) {
                 format!("{}³F{}", e.size, e.features).into(),
                 if widths.is_empty() { "as they are".into() } else { widths.join("-") }.into(),
             ];
-            cells.extend(
-                parts.map(|p| r.record.psnr(p, set).map_or("-".into(), |v| format!("{v:.2}")).into()),
-            );
+            cells.extend(parts.map(|p| r.record.psnr(p, set).map(|v| format!("{v:.2}")).into()));
             cells.push(r.record.provenance.epochs_run.to_string().into());
             cells.push(format!("{:.0}", r.record.seconds).into());
             cells.push(r.record.provenance.stopped.as_str().into());
@@ -463,8 +459,8 @@ fn finalists(paper: &Paper, of: &[&Results], s: &mut Section) {
         let best = errors.iter().flatten().copied().fold(f64::INFINITY, f64::min);
         let mut cells = vec![title(paper, r).into()];
         for (i, e) in errors.iter().enumerate() {
-            cells.push(e.map_or("-".into(), seconds).into());
-            cells.push(e.map_or("-".into(), |e| format!("{:.1}", 100.0 * (e / best - 1.0))).into());
+            cells.push(e.map(seconds).into());
+            cells.push(e.map(|e| format!("{:.1}", 100.0 * (e / best - 1.0))).into());
             deviations[i].extend(e.map(|e| e / best - 1.0));
         }
         table.row(cells);
@@ -529,14 +525,14 @@ fn tuning(of: &[&Results], s: &mut Section) {
             Column::number("frames judged on"),
         ]);
         for f in &r.facts {
-            let v = |k: &str| f.values.get(k).map_or("-".into(), |v| seconds(*v));
+            let v = |k: &str| f.values.get(k).map(|v| seconds(*v));
             table.row(vec![
                 f.name.as_str().into(),
                 v("pre-trained, as it was").into(),
                 v("ours, as it was").into(),
                 v("mean").into(),
                 v("sd").into(),
-                f.values.get("judged on").map_or("-".into(), |v| format!("{v}")).into(),
+                f.values.get("judged on").map(|v| format!("{v}")).into(),
             ]);
         }
         if !r.facts.is_empty() {
@@ -559,9 +555,7 @@ fn steering(of: &[&Results], s: &mut Section) {
         let mut table = Table::new(columns);
         for f in &r.facts {
             let mut cells = vec![f.name.as_str().into()];
-            cells.extend(
-                keys.iter().map(|k| f.values.get(*k).map_or("-".into(), |v| format!("{v:.4}")).into()),
-            );
+            cells.extend(keys.iter().map(|k| f.values.get(*k).map(|v| format!("{v:.4}")).into()));
             table.row(cells);
         }
         s.tables.push((

@@ -6,10 +6,10 @@ use anyhow::Result;
 use entire_cli::files::{write_json, write_whole};
 use entire_cli::machine::Provenance;
 use entire_cli::report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table};
-use entire_cli::steering::calibrate::{Sample, response_pairs};
+use entire_cli::steering::calibrate::Sample;
 use entire_cli::steering::contenders::ControllerKind;
 use entire_cli::steering::fit::Calibrated;
-use entire_cli::steering::report::color;
+use entire_cli::steering::report::{ResponseCurve, candidates_table, color};
 use entire_cli::steering::rivals::StepResponse;
 use serde_json::json;
 use std::collections::BTreeSet;
@@ -29,8 +29,8 @@ pub struct Results<'a> {
     pub scores: &'a [Score],
 }
 
-fn percent(v: f64) -> String {
-    if v.is_nan() { "-".into() } else { format!("{:.1}", 100.0 * v) }
+fn percent(v: f64) -> Option<String> {
+    (!v.is_nan()).then(|| format!("{:.1}", 100.0 * v))
 }
 
 impl Results<'_> {
@@ -315,49 +315,15 @@ impl Results<'_> {
         page.heading("Every trial");
         page.table(&self.per_trial(), "Shares in percent, as in the first table.");
         page.heading("Predictors");
-        let mut predictors = Table::new(vec![
-            Column::text("predictor"),
-            Column::number("held-out frames"),
-            Column::number("median error / %"),
-            Column::number("p95 error / %"),
-            Column::text("steers"),
-        ]);
-        for c in &calibrated.candidates {
-            predictors.row(vec![
-                c.title.clone().into(),
-                c.held_out.frames.to_string().into(),
-                percent(c.held_out.median_error).into(),
-                percent(c.held_out.p95_error).into(),
-                if c.chosen { "yes" } else { "" }.into(),
-            ]);
-        }
         page.table(
-            &predictors,
+            &candidates_table(&calibrated.candidates),
             "Fitted to random scenes of other volumes on this machine, judged by scenes that were \
              held out.",
         );
-        let wide = |p: (f32, f32)| (f64::from(p.0), f64::from(p.1));
-        let chart = Chart::new(
-            "G: what a coarser step saves",
-            Axis::log("step / reference steps"),
-            Axis::log("relative frame time"),
-        )
-        .size(900.0, 300.0)
-        .series(
-            Series::new(
-                "calibration scenes",
-                Mark::Points(
-                    response_pairs(samples)
-                        .into_iter()
-                        .map(wide)
-                        .map(|(x, y)| (x, y, String::new()))
-                        .collect(),
-                ),
-            )
-            .color(6),
-        )
-        .series(Series::new("G", Mark::Line(response.points().map(wide).collect())).color(0));
-        page.chart(&chart, "Algorithm 1 and OLP use this one curve for all scenes.");
+        page.chart(
+            &ResponseCurve::new(samples, response).chart(),
+            "Algorithm 1 and OLP use this one curve for all scenes.",
+        );
         page.heading("Where this comes from");
         page.paragraph(
             "Every frame of a path was drawn at nine ray steps, all repeats, outside of any race; \

@@ -34,13 +34,12 @@ pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>)
             r.set == set && r.split == split && panel.is_none_or(|p| r.panel == p || r.panel == "baseline")
         })
         .collect();
-    let interval = |i: Option<(f64, f64)>, f: &dyn Fn(f64) -> String| {
-        i.map_or("-".into(), |(a, b)| format!("{}–{}", f(a), f(b)))
-    };
+    let interval =
+        |i: Option<(f64, f64)>, f: &dyn Fn(f64) -> String| i.map(|(a, b)| format!("{}–{}", f(a), f(b)));
     let percent = |v: f64| format!("{:.1}", 100.0 * v);
     for r in &rows {
         let m = &r.metrics;
-        let bound = |f: &dyn Fn(&BoundMetrics) -> String| r.bound.as_ref().map_or("-".into(), f);
+        let bound = |f: &dyn Fn(&BoundMetrics) -> String| r.bound.as_ref().map(f);
         let latency = found.latency(set, &r.predictor);
         table.row(vec![
             r.predictor.clone().into(),
@@ -55,8 +54,8 @@ pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>)
             bound(&|b| percent(b.coverage)).into(),
             bound(&|b| percent(b.slowest_coverage)).into(),
             bound(&|b| format!("{:.4}", b.pinball)).into(),
-            latency.map_or("-".into(), |l| format!("{:.2}", 1e6 * l.cold)).into(),
-            latency.map_or("-".into(), |l| format!("{:.1}", 1e6 * l.transfer)).into(),
+            latency.map(|l| format!("{:.2}", 1e6 * l.cold)).into(),
+            latency.map(|l| format!("{:.1}", 1e6 * l.transfer)).into(),
         ]);
     }
     let values = |f: fn(&SplitResult) -> f64| rows.iter().map(|r| f(r)).collect::<Vec<f64>>();
@@ -83,11 +82,11 @@ pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Ta
     let rule = by_rule(study, found, set);
     for f in found.fits.iter().filter(|f| f.set == set) {
         let Some(test) = found.of(set, split, &f.predictor).filter(|r| r.panel == "main") else { continue };
-        let of = |m: Option<&Metrics>, v: &dyn Fn(&Metrics) -> String| m.map_or("-".into(), v);
+        let of = |m: Option<&Metrics>, v: &dyn Fn(&Metrics) -> String| m.map(v);
         let share = |m: &Metrics| format!("{:.3}", m.rmse_over_sd);
         let percent = |m: &Metrics| format!("{:.1}", 100.0 * m.mdape);
         let (seen, crossed) = (Some(&f.seen), f.crossed.as_ref());
-        let cold = found.latency(set, &f.predictor).map_or("-".into(), |l| format!("{:.1}", 1e6 * l.cold));
+        let cold = found.latency(set, &f.predictor).map(|l| format!("{:.1}", 1e6 * l.cold));
         table.row(vec![
             f.predictor.clone().into(),
             of(seen, &share).into(),
@@ -148,7 +147,7 @@ fn frontier(found: &Findings, set: &str, split: &str) -> (Chart, Table) {
     ]);
     let mut before: Option<&(f64, f64, f64, String)> = None;
     for p in front {
-        let gain = before.map_or("-".into(), |b| format!("{:.4}", (b.2 - p.2) / (p.0 - b.0).max(1e-9)));
+        let gain = before.map(|b| format!("{:.4}", (b.2 - p.2) / (p.0 - b.0).max(1e-9)));
         knee.row(vec![
             p.3.clone().into(),
             format!("{:.2}", p.0).into(),
@@ -229,9 +228,7 @@ fn parts_table(found: &Findings, set: &str, split: &str) -> Table {
         let mut row = vec![r.predictor.clone().into()];
         for name in &names {
             let m = r.parts.iter().find(|(n, _)| n == name).map(|(_, m)| m);
-            row.push(
-                m.map_or("-".into(), |m| format!("{:.1} ({} frames)", 100.0 * m.mdape, m.frames)).into(),
-            );
+            row.push(m.map(|m| format!("{:.1} ({} frames)", 100.0 * m.mdape, m.frames)).into());
         }
         table.row(row);
     }
@@ -280,21 +277,7 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
         ),
     );
     page.heading("Bars");
-    let mut table = Table::new(vec![
-        Column::text("bar"),
-        Column::number("found"),
-        Column::number("at most"),
-        Column::text("holds"),
-    ]);
-    for b in bars(study, found) {
-        table.row(vec![
-            b.name.into(),
-            b.value.map_or("-".into(), |v| format!("{v:.4}")).into(),
-            format!("{:.4}", b.limit).into(),
-            if b.ok { "yes" } else { "short" }.into(),
-        ]);
-    }
-    page.table(&table, "");
+    page.table(&crate::bars::table(&bars(study, found)), "");
     for set in &study.sets {
         if let Some(split) = set.splits.iter().find(|s| s.main) {
             page.heading(&format!("{}: frames learned from, cross-validation, test", set.name));
