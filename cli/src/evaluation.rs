@@ -1,6 +1,6 @@
 //! What predictors are judged by: errors by kind of frame, the constant baseline, warm latency.
 
-use crate::dataset::{Table, TimedFrame};
+use crate::dataset::{Clock, NoiseFloor, Table, TimedFrame, noise_floor};
 use crate::inputs::{Layout, measure, open_volume};
 use crate::metrics::{Metrics, median};
 use crate::options::thread_pool;
@@ -35,30 +35,45 @@ pub struct WarmLatency {
     pub transfer_seconds: f64,
 }
 
+/// What a frame may be like.
+type Kind = (&'static str, fn(&TimedFrame) -> bool);
+
+const KINDS: [Kind; 6] = [
+    ("under 128² pixels", |f| f.scene.pixels() < 128 * 128),
+    ("128² to 512² pixels", |f| (128 * 128..512 * 512).contains(&f.scene.pixels())),
+    ("512² pixels and more", |f| f.scene.pixels() >= 512 * 512),
+    ("eye within 1 radius", |f| f.scene.camera.dz <= 1.0),
+    ("finer than the reference step", |f| f.scene.step < 1.0),
+    ("coarser than the reference step", |f| f.scene.step > 1.0),
+];
+
 /// Errors by image size, by whether the eye is near or inside the volume, and by ray step; kinds without
 /// frames are left out.
 pub fn by_kind(frames: &[&TimedFrame], predicted: &[f64], measured: &[f64]) -> Vec<(&'static str, Metrics)> {
-    type Test = fn(&TimedFrame) -> bool;
-    let kinds: [(&'static str, Test); 6] = [
-        ("under 128² pixels", |f| f.scene.pixels() < 128 * 128),
-        ("128² to 512² pixels", |f| (128 * 128..512 * 512).contains(&f.scene.pixels())),
-        ("512² pixels and more", |f| f.scene.pixels() >= 512 * 512),
-        ("eye within 1 radius", |f| f.scene.camera.dz <= 1.0),
-        ("finer than the reference step", |f| f.scene.step < 1.0),
-        ("coarser than the reference step", |f| f.scene.step > 1.0),
-    ];
-    kinds
-        .into_iter()
-        .filter_map(|(name, test)| {
-            let (p, t): (Vec<f64>, Vec<f64>) = frames
-                .iter()
-                .zip(predicted.iter().zip(measured))
-                .filter(|(f, _)| test(f))
-                .map(|(_, (p, t))| (*p, *t))
-                .unzip();
-            Some((name, Metrics::new(&p, &t)?))
-        })
-        .collect()
+    let errors = |(name, test): Kind| {
+        let (p, t): (Vec<f64>, Vec<f64>) = frames
+            .iter()
+            .zip(predicted.iter().zip(measured))
+            .filter(|(f, _)| test(f))
+            .map(|(_, (p, t))| (*p, *t))
+            .unzip();
+        Some((name, Metrics::new(&p, &t)?))
+    };
+    KINDS.into_iter().filter_map(errors).collect()
+}
+
+/// The noise floor of frames of each kind; kinds without repeated frames are left out. `passes` as for
+/// [`noise_floor`].
+pub fn noise_by_kind(
+    frames: &[&TimedFrame],
+    clock: Clock,
+    passes: impl Fn(&TimedFrame) -> usize,
+) -> Vec<(&'static str, NoiseFloor)> {
+    let floor = |(name, test): Kind| {
+        let of_kind = frames.iter().copied().filter(|f| test(f));
+        Some((name, noise_floor(of_kind, clock, &passes)?))
+    };
+    KINDS.into_iter().filter_map(floor).collect()
 }
 
 /// For each frame the mean time of a random share of its volume's frames, those probes included.

@@ -4,7 +4,9 @@ mod report;
 
 use crate::bound;
 use crate::dataset::{Clock, TimedFrame, noise_floor, read_tables, timed};
-use crate::evaluation::{PROBE_SHARE, WarmLatency, by_kind, in_session, probe_means, warm_latency};
+use crate::evaluation::{
+    PROBE_SHARE, WarmLatency, by_kind, in_session, noise_by_kind, probe_means, warm_latency,
+};
 use crate::files::{fnv1a, parse_model, read_model_bytes};
 use crate::fit::{predict_rows, rows_by_network};
 use crate::inputs::Layout;
@@ -128,7 +130,9 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let (refs, measured): (Vec<&TimedFrame>, Vec<f64>) = frames.into_iter().unzip();
     let groups: Vec<String> = refs.iter().map(|f| options.by.group(&f.scene)).collect();
-    let noise = noise_floor(refs.iter().copied(), clock, |f| tables[f.table].passes());
+    let passes = |f: &TimedFrame| tables[f.table].passes();
+    let noise = noise_floor(refs.iter().copied(), clock, passes);
+    let noise_by_kind = noise_by_kind(&refs, clock, passes);
 
     let mut predictors = Vec::new();
     for m in &models {
@@ -207,12 +211,13 @@ pub fn run(options: &Options) -> Result<()> {
         unseen_only: options.unseen,
         frames: refs.len(),
         noise_floor: noise,
+        noise_by_kind: &noise_by_kind,
         in_session: &sessions,
         predictors: &predictors,
     };
     let (overall, bias, by_group) = tables_of(&predictors, options.by);
     println!("{}", overall.to_text());
-    let more = detail_table(&predictors);
+    let more = detail_table(&predictors, &noise_by_kind);
     println!("{}", more.to_text());
     println!("median of predicted / measured - 1 by tenth of the frames, fastest first, %");
     println!("{}", bias.to_text());

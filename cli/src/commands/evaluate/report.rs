@@ -47,6 +47,8 @@ pub(super) struct Evaluation<'a> {
     pub(super) unseen_only: bool,
     pub(super) frames: usize,
     pub(super) noise_floor: Option<NoiseFloor>,
+    /// The same of frames of each kind.
+    pub(super) noise_by_kind: &'a [(&'static str, NoiseFloor)],
     /// Errors in a session by the model's name, of the frames after the observed ones.
     pub(super) in_session: &'a BTreeMap<String, Metrics>,
     pub(super) predictors: &'a [Predictor],
@@ -139,7 +141,8 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
 }
 
 /// Intervals, the upper bound and errors by kind of frame.
-pub(super) fn detail_table(predictors: &[Predictor]) -> Table {
+/// Intervals, bounds, and errors by kind of frame, with what the repeats of one frame would leave.
+pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, NoiseFloor)]) -> Table {
     let mut kinds: Vec<&str> = Vec::new();
     for (name, _) in predictors.iter().flat_map(|p| &p.by_kind) {
         if !kinds.contains(name) {
@@ -169,6 +172,15 @@ pub(super) fn detail_table(predictors: &[Predictor]) -> Table {
         for kind in &kinds {
             let m = p.by_kind.iter().find(|(k, _)| k == kind);
             row.push(m.map_or("-".into(), |(_, m)| format!("{:.2}", 100.0 * m.mdape)).into());
+        }
+        table.row(row);
+    }
+    if !noise.is_empty() {
+        let mut row = vec!["the truth, by the repeats of a frame".into()];
+        row.extend((0..4).map(|_| "-".into()));
+        for kind in &kinds {
+            let floor = noise.iter().find(|(k, _)| k == kind);
+            row.push(floor.map_or("-".into(), |(_, n)| format!("{:.2}", 100.0 * n.mdape())).into());
         }
         table.row(row);
     }
