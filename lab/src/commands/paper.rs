@@ -3,7 +3,7 @@
 use super::{farm, replay};
 use crate::bars;
 use crate::paper::{
-    self, Paper, Place, Selection, Work, cases, collect, description, encode, pictures, places, report,
+    Paper, Place, Selection, Work, cases, collect, description, encode, material, pictures, places, report,
     train, yt,
 };
 use anyhow::{Context, Result, ensure};
@@ -330,9 +330,9 @@ fn steer(work: &Work<'_>, how: &HowToTrain) -> Result<()> {
 
 fn report_all(work: &Work<'_>, how: &HowToReport) -> Result<()> {
     let started = Instant::now();
-    let material = report::material(work.paper, work.out, how.kept.as_deref())?;
+    let material = material::material(work.paper, work.out, how.kept.as_deref())?;
     if let Some(path) = &how.keep {
-        paper::keep(&material.all, path)?;
+        material::keep(&material, path)?;
         println!("wrote {}", path.display());
     }
     let found = report::write(work.paper, &material, work.out, started)?;

@@ -7,8 +7,10 @@ use super::report::{Shown, ours_of};
 use super::results::{Results, Row};
 use super::volumes::BY_VOLUMES;
 use crate::bars::Bar;
+use serde::{Deserialize, Serialize};
 
 /// What is known about an encoder's reconstruction of held-out volumes.
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Reconstruction {
     /// The encoder.
     pub encoder: Encoder,

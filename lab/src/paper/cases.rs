@@ -2,7 +2,7 @@
 
 use super::description::{Orbit, Panel};
 use super::judge::{NETWORK, OURS};
-use super::results::{Curve, Fact, Results, read_all, write};
+use super::results::{Curve, Fact, MEASURED, ORBIT_CHART, Results, read_all, write};
 use crate::calibration::samples_of;
 use anyhow::{Context, Result};
 use entire_cli::farm::{Method, Plan, Task, plan};
@@ -18,7 +18,7 @@ pub const NODES: [usize; 6] = [2, 4, 8, 16, 32, 64];
 /// Tasks of unknown times are assigned by an equal one.
 const UNIFORM: &str = "uniform";
 /// Tasks are assigned by what they take.
-const MEASURED: &str = "GT";
+const GROUND_TRUTH: &str = "GT";
 
 /// Where the tasks of the orbit are written down for `entire-lab farm`.
 pub fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
@@ -31,13 +31,13 @@ pub fn tasks_path(out: &Path, set: &str, mode: &str) -> PathBuf {
 /// # Errors
 /// When results cannot be read or written.
 pub fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
-    let all = read_all(out, None)?;
+    let all = read_all(out, Vec::new())?;
     for from in all.iter().filter(|r| r.panel == Panel::Varied) {
         let times = |name: &str| -> Option<Vec<f64>> {
-            let curve = from.curves.iter().find(|c| c.chart == "orbit" && c.name == name)?;
+            let curve = from.curves.iter().find(|c| c.chart == ORBIT_CHART && c.name == name)?;
             Some(curve.points.iter().map(|p| p.1).collect())
         };
-        let (Some(measured), Some(network), Some(ours)) = (times("measured"), times(NETWORK), times(OURS))
+        let (Some(measured), Some(network), Some(ours)) = (times(MEASURED), times(NETWORK), times(OURS))
         else {
             continue;
         };
@@ -54,7 +54,7 @@ pub fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
         for nodes in NODES.into_iter().filter(|n| *n <= measured.len()) {
             let mut slowest = 0.0;
             for (name, deciding) in
-                [(MEASURED, &measured), (NETWORK, &network), (OURS, &ours), (UNIFORM, &uniform)]
+                [(GROUND_TRUTH, &measured), (NETWORK, &network), (OURS, &ours), (UNIFORM, &uniform)]
             {
                 // A prediction that is not positive counts as very short.
                 let deciding: Vec<f64> = deciding.iter().map(|t| t.max(1e-6)).collect();
@@ -68,7 +68,7 @@ pub fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
                 }
                 loads.sort_by(f64::total_cmp);
                 let most = loads.last().copied().unwrap_or(0.0);
-                if name == MEASURED {
+                if name == GROUND_TRUTH {
                     slowest = most;
                 }
                 loads.iter_mut().for_each(|l| *l /= slowest);

@@ -61,6 +61,8 @@ pub fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol> {
 pub const EXPERIMENTS: [&str; 4] = ["volume", "image resolution", "transfer function", "camera pose"];
 /// The frame numbers of the orbit for load balancing start here.
 pub const ORBIT: u64 = 10_000;
+/// The frame numbers of the same orbit with a transfer function drawn for every pose start here.
+pub const DRAWN_ORBIT: u64 = 20_000;
 /// Frame numbers of one experiment.
 pub const PER_EXPERIMENT: u64 = 1_000;
 
@@ -115,7 +117,10 @@ fn varied(place: &Place, paper: &Paper, mode: &str) -> Result<Vec<Wanted>> {
             let camera = Arcball { rx: 20.0, ry: (360.0 * share - 180.0) as f32, dz: base.camera.dz };
             let size = paper.orbit.size;
             let scene = Scene { camera, width: size, height: size, ..base.clone() };
-            out.push(Wanted { number: ORBIT + (v * paper.orbit.poses + p) as u64, job, scene });
+            let index = (v * paper.orbit.poses + p) as u64;
+            let lobes = drawn(job, 1 + index).lobes;
+            out.push(Wanted { number: ORBIT + index, job, scene: scene.clone() });
+            out.push(Wanted { number: DRAWN_ORBIT + index, job, scene: Scene { lobes, ..scene } });
         }
     }
     Ok(out)

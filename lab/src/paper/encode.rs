@@ -7,7 +7,7 @@ use crate::child;
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::files::{make_folder, read_text, write_json};
 use nix::sys::signal::Signal;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ const GRACE: Duration = Duration::from_secs(600);
 pub const ALL: &str = "all";
 
 /// What is to be trained.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Encoder {
     /// A data set, or [`ALL`].
     pub set: String,
@@ -58,7 +58,7 @@ impl Encoder {
 }
 
 /// What the training script writes beside a model.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
     /// What it was made of.
     pub provenance: Provenance,
@@ -67,7 +67,7 @@ pub struct Record {
 }
 
 /// See [`Record`].
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Provenance {
     /// Mean over volumes, dB, by part and data set.
     pub psnr_db: BTreeMap<String, BTreeMap<String, f64>>,

@@ -11,6 +11,7 @@ pub mod description;
 pub mod encode;
 mod frames;
 mod judge;
+pub mod material;
 pub mod pictures;
 pub mod report;
 mod results;
@@ -22,7 +23,7 @@ pub mod yt;
 
 pub use bars::bars;
 pub use description::{Paper, read};
-pub use results::{Results, keep};
+pub use results::Results;
 pub use volumes::{Place, Selection, places};
 
 use std::time::Instant;

@@ -1,10 +1,10 @@
 //! The report: every table and figure of the paper beside ours, with the command that makes it.
 
-use super::bars::{Reconstruction, bars};
+use super::bars::bars;
 use super::description::{Label, Paper};
-use super::encode::{ALL, Encoder};
 use super::judge::OURS;
-use super::results::{Results, Row, read_all};
+use super::material::Material;
+use super::results::{Results, Row};
 use super::sections::{Section, section};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
@@ -28,43 +28,6 @@ pub struct Shown {
     pub summary: String,
 }
 
-/// What the report is made of.
-pub struct Material {
-    /// What was found.
-    pub all: Vec<Results>,
-    /// How well encoders reconstruct.
-    pub reconstructions: Vec<Reconstruction>,
-}
-
-/// Reads what every step kept: the results of a folder, and a kept file's where the folder lacks them.
-///
-/// # Errors
-/// When a file cannot be read.
-pub fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Material> {
-    let all = read_all(out, kept)?;
-    let asked = &paper.encoders;
-    let mut reconstructions = Vec::new();
-    let names = paper.data_sets.iter().map(|d| d.name.as_str()).chain([ALL]);
-    for set in names {
-        let mut wanted = Vec::new();
-        for &size in &asked.sizes {
-            for &features in &asked.features {
-                wanted.push(Encoder { set: set.to_owned(), size, features, channels: Vec::new() });
-            }
-        }
-        for channels in &asked.capacity.channels {
-            let (size, features) = (asked.capacity.size, asked.capacity.features);
-            wanted.push(Encoder { set: set.to_owned(), size, features, channels: channels.clone() });
-        }
-        for encoder in wanted {
-            if let Some(record) = encoder.record(out)? {
-                reconstructions.push(Reconstruction { encoder, record });
-            }
-        }
-    }
-    Ok(Material { all, reconstructions })
-}
-
 /// Ours on a split.
 pub(super) fn ours_of<'a>(results: &'a Results, split: &str) -> Option<&'a Row> {
     results.row(split, OURS)
@@ -85,7 +48,7 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
          names its command.",
     );
     let sections: Vec<(&Label, Section)> =
-        paper.labels.iter().map(|l| (l, section(paper, l, material, out))).collect();
+        paper.labels.iter().map(|l| (l, section(paper, l, material))).collect();
     let shown: Vec<Shown> = sections
         .iter()
         .map(|(l, s)| Shown {
@@ -113,7 +76,7 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
         }
         let mut shots = Vec::new();
         for (file, caption) in &section.pictures {
-            shots.push((picture(out, file)?, caption.clone()));
+            shots.push((picture(material, file)?, caption.clone()));
         }
         if !shots.is_empty() {
             page.pictures(shots.iter().map(|(png, caption)| (png.as_slice(), caption.clone())));
@@ -157,10 +120,11 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
 }
 
 /// A picture's bytes: one of those that the steps drew, or one that the description names.
-fn picture(out: &Path, file: &str) -> Result<Vec<u8>> {
-    let drawn = out.join("pictures").join(file);
-    read_bytes(if drawn.exists() { &drawn } else { Path::new(file) })
-        .with_context(|| format!("cannot read the picture {file}"))
+fn picture(material: &Material, file: &str) -> Result<Vec<u8>> {
+    match material.pictures.get(file) {
+        Some(drawn) => Ok(drawn.clone()),
+        None => read_bytes(Path::new(file)).with_context(|| format!("cannot read the picture {file}")),
+    }
 }
 
 /// One row per label. `quote` stands around commands, as Markdown has it.

@@ -2,9 +2,7 @@
 
 use super::description::Panel;
 use anyhow::{Context, Result};
-use entire_cli::files::{
-    gzip, make_folder, make_folder_of, read_decompressed, read_text, write_json, write_whole,
-};
+use entire_cli::files::{make_folder, read_text, write_json};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -57,6 +55,15 @@ pub struct Curve {
     /// (x, y).
     pub points: Vec<(f64, f64)>,
 }
+
+/// The chart of the orbit's times; its curve of measured times is [`MEASURED`].
+pub(super) const ORBIT_CHART: &str = "orbit";
+/// The chart of the orbit with drawn transfer functions: a curve per volume.
+pub(super) const DRAWN_CHART: &str = "orbit, drawn transfer functions";
+/// The curve of what was measured.
+pub(super) const MEASURED: &str = "measured";
+/// What runs along x where a curve has a point per frame.
+pub(super) const SORTED: &str = "frames, by their measured time";
 
 /// Named numbers.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -168,21 +175,13 @@ fn one(text: &str, path: &Path) -> Result<Results> {
     serde_json::from_str(text).with_context(|| format!("{} holds no results of this version", path.display()))
 }
 
-/// All results of a folder, and those of one kept file for parts that the folder lacks.
+/// All results of a folder, and those that were kept elsewhere of parts that the folder lacks.
 ///
 /// # Errors
 /// When a file cannot be read.
-pub(super) fn read_all(out: &Path, kept: Option<&Path>) -> Result<Vec<Results>> {
-    let mut all: BTreeMap<(Panel, String, String), Results> = BTreeMap::new();
-    let mut add = |r: Results| all.insert((r.panel, r.set.clone(), r.mode.clone()), r);
-    if let Some(path) = kept {
-        let bytes = read_decompressed(path).with_context(|| format!("cannot read {}", path.display()))?;
-        let found: Vec<Results> = serde_json::from_slice(&bytes)
-            .with_context(|| format!("{} holds no results of this version", path.display()))?;
-        found.into_iter().for_each(|r| {
-            add(r);
-        });
-    }
+pub(super) fn read_all(out: &Path, kept: Vec<Results>) -> Result<Vec<Results>> {
+    let key = |r: &Results| (r.panel, r.set.clone(), r.mode.clone());
+    let mut all: BTreeMap<_, Results> = kept.into_iter().map(|r| (key(&r), r)).collect();
     let folder = out.join("results");
     if folder.is_dir() {
         for entry in
@@ -190,18 +189,10 @@ pub(super) fn read_all(out: &Path, kept: Option<&Path>) -> Result<Vec<Results>> 
         {
             let path = entry?.path();
             if path.extension().is_some_and(|e| e == "json") {
-                add(one(&read_text(&path, 256 << 20)?, &path)?);
+                let found = one(&read_text(&path, 256 << 20)?, &path)?;
+                all.insert(key(&found), found);
             }
         }
     }
     Ok(all.into_values().collect())
-}
-
-/// Writes all results into one compressed file, which `read_all` takes.
-///
-/// # Errors
-/// When the file cannot be written.
-pub fn keep(all: &[Results], path: &Path) -> Result<()> {
-    make_folder_of(path)?;
-    write_whole(path, &gzip(&serde_json::to_vec(all)?)?)
 }

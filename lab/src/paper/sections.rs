@@ -4,12 +4,11 @@ use super::cases::NODES;
 use super::description::{Label, Paper};
 use super::encode::ALL;
 use super::judge::{CONSTANT, LVRP, NETWORK, OURS};
-use super::report::Material;
-use super::results::{Curve, Results, Row};
+use super::material::Material;
+use super::results::{Curve, DRAWN_CHART, ORBIT_CHART, Results, Row, SORTED};
 use super::volumes::{BY_MODALITY, BY_VOLUMES};
 use entire_cli::report::{Axis, Chart, Column, Mark, Series, Table};
 use std::collections::BTreeSet;
-use std::path::Path;
 
 /// What stands in the report under a label.
 #[derive(Clone, Debug, Default)]
@@ -34,14 +33,15 @@ impl Section {
 }
 
 /// Our counterpart of a label, of what there is.
-pub(super) fn section(paper: &Paper, label: &Label, material: &Material, out: &Path) -> Section {
+pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Section {
     let of: Vec<&Results> = material.all.iter().filter(|r| r.panel == label.panel).collect();
     let mut s = Section::default();
     match label.label.as_str() {
         "tab:dataset" => times(paper, &of, &mut s),
         "tab:overall" => overall(paper, &of, &mut s),
         "fig:error_distribution" => distributions(paper, &of, &mut s),
-        "fig:nyx_results" | "fig:time_vis" => varied_curves(paper, &of, &mut s),
+        "fig:nyx_results" => varied_curves(paper, &of, &mut s),
+        "fig:time_vis" => orbits(paper, &of, &mut s),
         "tab:quantitative" => each(paper, &of, &mut s, errors_table),
         "tab:ablation" => each(paper, &of, &mut s, errors_table),
         "fig:num_sample_search" => samples(paper, &of, &mut s),
@@ -52,14 +52,15 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material, out: &P
         }
         "tab:final_select" => finalists(paper, &of, &mut s),
         "fig:umap_dataset" => codes(&of, &mut s),
-        "fig:fine_tune_overall" | "fig:fine_tune_qualitative" => tuning(&of, &mut s),
+        "fig:fine_tune_overall" => tuning(&of, &mut s),
+        "fig:fine_tune_qualitative" => tuned_frames(&of, &mut s),
         "fig:control" => steering(&of, &mut s),
         "fig:control_methods" => curves_of(&of, "G", "time over that at the reference step", &mut s),
         "fig:loadbalancing" => balancing(paper, &of, &mut s),
-        "fig:data_evolve" => pictures(&of, "over time", out, &mut s),
-        "fig:dataset" => pictures(&of, "", out, &mut s),
-        "fig:control_poses" => pictures(&of, "pose", out, &mut s),
-        "fig:volunenet_reconstruction" => pictures(&of, "reconstruction", out, &mut s),
+        "fig:data_evolve" => pictures(&of, "over time", material, &mut s),
+        "fig:dataset" => pictures(&of, "", material, &mut s),
+        "fig:control_poses" => pictures(&of, "pose", material, &mut s),
+        "fig:volunenet_reconstruction" => pictures(&of, "reconstruction", material, &mut s),
         _ => {}
     }
     if let Some(path) = &label.picture {
@@ -329,11 +330,26 @@ fn charts(title: &str, curves: &[&Curve], y: &str) -> Vec<Chart> {
 
 fn varied_curves(paper: &Paper, of: &[&Results], s: &mut Section) {
     for r in of {
-        let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart != "orbit").collect();
+        let shown: Vec<&Curve> =
+            r.curves.iter().filter(|c| ![ORBIT_CHART, DRAWN_CHART].contains(&c.chart.as_str())).collect();
         for chart in charts(&title(paper, r), &shown, "seconds") {
             s.charts.push((chart, "One parameter varied, the others held; first run.".into()));
         }
         s.summary = format!("{}: 4 experiments with measured, predicted and LVRP's times", title(paper, r));
+    }
+}
+
+/// Times of each volume along an orbit.
+fn orbits(paper: &Paper, of: &[&Results], s: &mut Section) {
+    for r in of {
+        let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == DRAWN_CHART).collect();
+        let Some(first) = shown.first() else { continue };
+        let mut chart = Chart::new(title(paper, r), Axis::linear(&first.x), Axis::log("seconds"));
+        for (v, c) in shown.iter().enumerate() {
+            chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(v));
+        }
+        s.charts.push((chart, "A transfer function drawn for every pose.".into()));
+        s.summary = format!("{}: {} volumes along an orbit", title(paper, r), shown.len());
     }
 }
 
@@ -507,11 +523,13 @@ fn codes(of: &[&Results], s: &mut Section) {
 
 fn tuning(of: &[&Results], s: &mut Section) {
     for r in of {
-        let names: BTreeSet<&str> = r.curves.iter().map(|c| c.chart.as_str()).collect();
+        let names: BTreeSet<&str> =
+            r.curves.iter().filter(|c| c.x != SORTED).map(|c| c.chart.as_str()).collect();
         for name in names {
             let mut chart =
                 Chart::new(name, Axis::log("frames learned from"), Axis::log("RMSE, s, median of runs"));
-            for (i, c) in r.curves.iter().filter(|c| c.chart == name).enumerate() {
+            let of = r.curves.iter().filter(|c| c.chart == name && c.x != SORTED);
+            for (i, c) in of.enumerate() {
                 chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i));
             }
             s.charts.push((chart, "From the network that was pre-trained on all data sets.".into()));
@@ -539,6 +557,24 @@ fn tuning(of: &[&Results], s: &mut Section) {
             s.tables.push((table, "Without any frame of what it is taken to.".into()));
         }
         s.summary = r.facts.iter().map(|f| f.name.clone()).collect::<Vec<_>>().join(", ");
+    }
+}
+
+/// Times of single frames where a pre-trained model was taken to.
+fn tuned_frames(of: &[&Results], s: &mut Section) {
+    for r in of {
+        let names: BTreeSet<&str> =
+            r.curves.iter().filter(|c| c.x == SORTED).map(|c| c.chart.as_str()).collect();
+        for name in &names {
+            let mut chart = Chart::new(*name, Axis::linear(SORTED), Axis::log("seconds"));
+            for (i, c) in r.curves.iter().filter(|c| c.x == SORTED && c.chart == *name).enumerate() {
+                chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i));
+            }
+            s.charts.push((chart, "Frames that nothing was learned from, first run.".into()));
+        }
+        if !names.is_empty() {
+            s.summary = format!("frames of {}", names.into_iter().collect::<Vec<_>>().join(", "));
+        }
     }
 }
 
@@ -631,10 +667,10 @@ fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
     }
 }
 
-fn pictures(of: &[&Results], what: &str, out: &Path, s: &mut Section) {
+fn pictures(of: &[&Results], what: &str, material: &Material, s: &mut Section) {
     for r in of {
         for (file, caption) in r.pictures.iter().filter(|(_, c)| c.starts_with(what)) {
-            if out.join("pictures").join(file).exists() {
+            if material.pictures.contains_key(file) {
                 s.pictures.push((file.clone(), format!("{}, {caption}", r.set)));
             }
         }

@@ -1,10 +1,10 @@
 //! Trains the networks of every part of the study on the frames at hand and judges them.
 
-use super::collect::{EXPERIMENTS, ORBIT, PER_EXPERIMENT};
+use super::collect::{DRAWN_ORBIT, EXPERIMENTS, ORBIT, PER_EXPERIMENT};
 use super::description::{Panel, Paper, RAYCASTER_MODES};
 use super::frames::{Loaded, SplitFrames, main_encoder, of_panel, trained};
 use super::judge::{At, Judge, Method, NETWORK, OURS};
-use super::results::{Curve, Fact, Results, kept, write};
+use super::results::{Curve, DRAWN_CHART, Fact, MEASURED, ORBIT_CHART, Results, kept, write};
 use super::volumes::{BY_MODALITY, BY_VOLUMES, Parts, Place};
 use super::{Work, tuning};
 use crate::study::{Runner, clock};
@@ -346,7 +346,7 @@ impl At<'_> {
                     points: y.iter().enumerate().map(|(k, t)| (x(k), *t)).collect(),
                 });
             };
-            curve("measured", &of.seconds);
+            curve(MEASURED, &of.seconds);
             if let Some(p) = by_network.first() {
                 curve(NETWORK, p);
             }
@@ -358,15 +358,24 @@ impl At<'_> {
             }
         }
         // The orbit, for load balancing.
-        let orbit = all.parted(|f| f.number >= ORBIT).0;
+        let orbit = all.parted(|f| (ORBIT..DRAWN_ORBIT).contains(&f.number)).0;
         let by_network = self.predictions(&networks[..1], &orbit.frames)?;
         let by_ours = self.predictions(&ours[..1], &orbit.frames)?;
-        for (name, y) in [("measured", &orbit.seconds), (NETWORK, &by_network[0]), (OURS, &by_ours[0])] {
+        for (name, y) in [(MEASURED, &orbit.seconds), (NETWORK, &by_network[0]), (OURS, &by_ours[0])] {
             results.curves.push(Curve {
-                chart: "orbit".into(),
+                chart: ORBIT_CHART.into(),
                 name: name.into(),
                 x: "task".into(),
                 points: y.iter().enumerate().map(|(k, t)| (k as f64, *t)).collect(),
+            });
+        }
+        let drawn = all.parted(|f| f.number >= DRAWN_ORBIT).0;
+        for (v, times) in drawn.seconds.chunks(self.paper().orbit.poses.max(1)).enumerate() {
+            results.curves.push(Curve {
+                chart: DRAWN_CHART.into(),
+                name: drawn.frames[v * self.paper().orbit.poses].scene.volume.clone(),
+                x: "pose of the orbit".into(),
+                points: times.iter().enumerate().map(|(pose, t)| (pose as f64, *t)).collect(),
             });
         }
         Ok(())

@@ -6,7 +6,7 @@ use super::collect::{Kind, table_path};
 use super::description::Panel;
 use super::frames::Loaded;
 use super::judge::{NETWORK, OURS};
-use super::results::{Curve, Fact, Results, kept, write};
+use super::results::{Curve, Fact, MEASURED, Results, SORTED, kept, write};
 use super::train::identity;
 use super::volumes::{BY_VOLUMES, Selection, places};
 use crate::study::{Bounds, Runner};
@@ -32,6 +32,11 @@ struct Target<'a> {
     /// Whether unit costs are others there.
     renderer: bool,
 }
+
+/// Most frames of a chart that has a point per frame.
+const MOST_DRAWN: usize = 100;
+/// The least time that such a chart shows, seconds.
+const LEAST_DRAWN: f64 = 1e-4;
 
 /// Draws the curves unless they are there.
 ///
@@ -128,6 +133,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             let predicted = predict(&file.to_model()?, &context, &target.judged.frames)?;
             Ok(Metrics::new(&predicted, &target.judged.seconds).map_or(f64::NAN, |m| m.rmse))
         };
+        let mut last: Vec<(&str, ModelFile)> = Vec::new();
         let counts: Vec<usize> =
             paper.tuning.frames.iter().copied().filter(|n| *n <= target.learned.frames.len()).collect();
         for &count in &counts {
@@ -159,6 +165,9 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
                 };
                 let how = if target.renderer { "ours, transferred" } else { "ours, calibrated" };
                 found.entry(how).or_default().push(rmse(&moved)?);
+                if run == 1 {
+                    last = vec![("fine-tuned", tuned), ("from nothing", alone), (how, moved)];
+                }
             }
             for (how, mut errors) in found {
                 if let Some(middle) = median(&mut errors) {
@@ -173,6 +182,11 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             Metrics::new(&predicted, &target.judged.seconds)
         };
         let zero = predict(&entire_cli::files::open_model(&pretrained)?, &context, &target.judged.frames)?;
+        let mut drawn = vec![("pre-trained, as it was", zero.clone())];
+        for (how, file) in &last {
+            drawn.push((how, predict(&file.to_model()?, &context, &target.judged.frames)?));
+        }
+        results.curves.extend(frame_by_frame(target, &drawn));
         let zero = Metrics::new(&zero, &target.judged.seconds);
         let mut values = BTreeMap::from([
             ("learned from at most".to_owned(), target.learned.frames.len() as f64),
@@ -198,6 +212,24 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         (results.device, results.machine) = (m.device.clone(), m.machine.clone());
     }
     write(work.out, &results)
+}
+
+/// Measured and predicted times of frames in the order of the measured ones, [`MOST_DRAWN`] at most.
+fn frame_by_frame(target: &Target<'_>, predicted: &[(&str, Vec<f64>)]) -> Vec<Curve> {
+    let measured = &target.judged.seconds;
+    let mut order: Vec<usize> = (0..measured.len()).collect();
+    order.sort_by(|a, b| measured[*a].total_cmp(&measured[*b]));
+    let every = order.len().div_ceil(MOST_DRAWN).max(1);
+    let shown: Vec<usize> = order.into_iter().step_by(every).collect();
+    let curve = |name: &str, seconds: &[f64]| Curve {
+        chart: target.name.clone(),
+        name: name.into(),
+        x: SORTED.into(),
+        // The chart's axis is logarithmic; a prediction may be negative.
+        points: shown.iter().enumerate().map(|(k, i)| (k as f64, seconds[*i].max(LEAST_DRAWN))).collect(),
+    };
+    let drawn = predicted.iter().map(|(name, seconds)| curve(name, seconds));
+    std::iter::once(curve(MEASURED, measured)).chain(drawn).collect()
 }
 
 /// Frames to learn from and frames to judge on, at random.

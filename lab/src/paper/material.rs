@@ -1,0 +1,100 @@
+//! What the report is made of, and the one file that keeps all of it.
+
+use super::bars::Reconstruction;
+use super::description::Paper;
+use super::encode::{ALL, Encoder};
+use super::results::{Results, read_all};
+use anyhow::{Context, Result};
+use entire_cli::files::{gzip, make_folder_of, read_bytes, read_decompressed, write_whole};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// What the report is made of.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Material {
+    /// What was found.
+    pub all: Vec<Results>,
+    /// How well encoders reconstruct.
+    pub reconstructions: Vec<Reconstruction>,
+    /// PNG files by name.
+    #[serde(with = "base64_files")]
+    pub pictures: BTreeMap<String, Vec<u8>>,
+}
+
+/// Reads what every step kept, and of a kept file what the folder lacks.
+///
+/// # Errors
+/// When a file cannot be read.
+pub fn material(paper: &Paper, out: &Path, kept: Option<&Path>) -> Result<Material> {
+    let kept = kept.map(read).transpose()?.unwrap_or_default();
+    let all = read_all(out, kept.all)?;
+    let asked = &paper.encoders;
+    let mut reconstructions = Vec::new();
+    let names = paper.data_sets.iter().map(|d| d.name.as_str()).chain([ALL]);
+    for set in names {
+        let encoder = |size: usize, features: usize, channels: &[usize]| Encoder {
+            set: set.to_owned(),
+            size,
+            features,
+            channels: channels.to_vec(),
+        };
+        let pairs = asked.sizes.iter().flat_map(|s| asked.features.iter().map(|f| encoder(*s, *f, &[])));
+        let capacity = &asked.capacity;
+        let widths = capacity.channels.iter().map(|c| encoder(capacity.size, capacity.features, c));
+        for encoder in pairs.chain(widths) {
+            let before = || kept.reconstructions.iter().find(|r| r.encoder == encoder);
+            match encoder.record(out)? {
+                Some(record) => reconstructions.push(Reconstruction { encoder, record }),
+                None => reconstructions.extend(before().cloned()),
+            }
+        }
+    }
+    let mut pictures = kept.pictures;
+    for name in all.iter().flat_map(|r| &r.pictures).map(|(name, _)| name) {
+        let path = out.join("pictures").join(name);
+        if path.exists() {
+            pictures.insert(name.clone(), read_bytes(&path)?);
+        }
+    }
+    Ok(Material { all, reconstructions, pictures })
+}
+
+fn read(path: &Path) -> Result<Material> {
+    let bytes = read_decompressed(path).with_context(|| format!("cannot read {}", path.display()))?;
+    serde_json::from_slice(&bytes)
+        .with_context(|| format!("{} holds no results of this version", path.display()))
+}
+
+/// Writes everything into one compressed file, which [`material`] takes.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn keep(material: &Material, path: &Path) -> Result<()> {
+    make_folder_of(path)?;
+    write_whole(path, &gzip(&serde_json::to_vec(material)?)?)
+}
+
+/// Files' bytes as base64.
+mod base64_files {
+    use base64::Engine as _;
+    use base64::engine::general_purpose::STANDARD;
+    use serde::de::Error as _;
+    use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};
+    use std::collections::BTreeMap;
+
+    pub(super) fn serialize<S: Serializer>(
+        files: &BTreeMap<String, Vec<u8>>,
+        to: S,
+    ) -> Result<S::Ok, S::Error> {
+        let coded: BTreeMap<&String, String> = files.iter().map(|(k, v)| (k, STANDARD.encode(v))).collect();
+        coded.serialize(to)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(
+        from: D,
+    ) -> Result<BTreeMap<String, Vec<u8>>, D::Error> {
+        let coded = BTreeMap::<String, String>::deserialize(from)?;
+        coded.into_iter().map(|(k, v)| Ok((k, STANDARD.decode(v).map_err(D::Error::custom)?))).collect()
+    }
+}
