@@ -182,11 +182,12 @@ def missing_commands(pages, folder):
     """Commands and options that pages name and `--help` does not."""
     helps = {}
 
-    def text_of(program, command):
-        if (program, command) not in helps:
-            done = run(str(folder / program), command, "--help", timeout=60)
-            helps[program, command] = done.stdout if done.returncode == 0 else None
-        return helps[program, command]
+    def text_of(program, *command):
+        key = (program, *command)
+        if key not in helps:
+            done = run(str(folder / program), *command, "--help", timeout=60)
+            helps[key] = done.stdout if done.returncode == 0 else None
+        return helps[key]
 
     for page in pages:
         for line in page.shell():
@@ -200,6 +201,9 @@ def missing_commands(pages, folder):
                 if text is None:
                     yield f"{page.path}: `{words[0]} {words[1]}` is no command"
                     continue
+                if len(words) > 2 and re.fullmatch(r"[a-z]+", words[2]):
+                    # A step of the command, which has options of its own.
+                    text += text_of(*words[:3]) or ""
                 for option in re.findall(r"(?<!\S)--[a-z][a-z-]*", " ".join(words[2:])):
                     if not re.search(re.escape(option) + r"(?![a-z-])", text):
                         yield f"{page.path}: `{words[0]} {words[1]}` has no option {option}"
