@@ -137,9 +137,11 @@ def a_person_explores(command, display, folder):
     start = person.settle()
     # The editor stands in the upper right corner, 340 points wide: a handle for opacity is taken and pulled down,
     # wherever it is along the curve. One edit is enough; it is seen once the pointer is away from the editor, whose
-    # hint reaches into the view.
+    # hint reaches into the view, and the camera is back: where a frame is slow, a whole pull falls into it, and what
+    # lies where it ended is taken, which may be the view.
     def changed():
         display.xdotool("mousemove", 500, 740)
+        person.key("r")
         return tools.mean_difference(start, person.settle()) > 0.2
 
     for x in range(680, 985, 6):
