@@ -81,9 +81,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
     ]);
     for p in predictors {
         let m = &p.metrics;
-        let micro = |f: fn(&WarmLatency) -> f64| {
-            p.latency.as_ref().map_or("-".into(), |l| format!("{:.2}", 1e6 * f(l)))
-        };
+        let micro = |f: fn(&WarmLatency) -> f64| p.latency.as_ref().map(|l| format!("{:.2}", 1e6 * f(l)));
         overall.row(vec![
             p.name.clone().into(),
             m.frames.to_string().into(),
@@ -95,7 +93,7 @@ pub(super) fn tables_of(predictors: &[Predictor], by: GroupBy) -> (Table, Table,
             percent(m.p95).into(),
             percent(m.p99).into(),
             format!("{:.4}", m.r2_log).into(),
-            p.bound_coverage.map_or("-".into(), |c| format!("{:.1}", 100.0 * c)).into(),
+            p.bound_coverage.map(|c| format!("{:.1}", 100.0 * c)).into(),
             micro(|l| l.seconds).into(),
             micro(|l| l.network_seconds).into(),
             micro(|l| l.transfer_seconds).into(),
@@ -160,18 +158,18 @@ pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, Noi
     let mut table = Table::new(columns);
     for p in predictors {
         let range = |i: Option<(f64, f64)>, scale: f64, digits: usize| {
-            i.map_or("-".to_owned(), |(a, b)| format!("{:.digits$}–{:.digits$}", scale * a, scale * b))
+            i.map(|(a, b)| format!("{:.digits$}–{:.digits$}", scale * a, scale * b))
         };
         let mut row = vec![
             p.name.clone().into(),
             range(p.rmse_over_sd_interval, 1.0, 3).into(),
             range(p.mdape_interval, 100.0, 1).into(),
-            p.bound.map_or("-".into(), |b| format!("{:.1}", 100.0 * b.slowest_coverage)).into(),
-            p.bound.map_or("-".into(), |b| format!("{:.4}", b.pinball)).into(),
+            p.bound.map(|b| format!("{:.1}", 100.0 * b.slowest_coverage)).into(),
+            p.bound.map(|b| format!("{:.4}", b.pinball)).into(),
         ];
         for kind in &kinds {
             let m = p.by_kind.iter().find(|(k, _)| k == kind);
-            row.push(m.map_or("-".into(), |(_, m)| format!("{:.2}", 100.0 * m.mdape)).into());
+            row.push(m.map(|(_, m)| format!("{:.2}", 100.0 * m.mdape)).into());
         }
         table.row(row);
     }
@@ -180,7 +178,7 @@ pub(super) fn detail_table(predictors: &[Predictor], noise: &[(&'static str, Noi
         row.extend((0..4).map(|_| "-".into()));
         for kind in &kinds {
             let floor = noise.iter().find(|(k, _)| k == kind);
-            row.push(floor.map_or("-".into(), |(_, n)| format!("{:.2}", 100.0 * n.mdape())).into());
+            row.push(floor.map(|(_, n)| format!("{:.2}", 100.0 * n.mdape())).into());
         }
         table.row(row);
     }
