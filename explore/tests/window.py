@@ -37,6 +37,9 @@ def at(frame, **action):
     return json.dumps({"frame": frame, **action})
 
 
+# Beside every window, so that no pointer and no hint lies in a picture: Xvfb draws the pointer into its frame buffer.
+AWAY = (1390, 940)
+
 # How often in a row the picture must be the same, 0.3 s apart: on a busy machine a slice of the refinement takes long.
 STILL = 7
 
@@ -76,7 +79,8 @@ class Person:
         return float(last["step"]) <= 1 and float(last["image_sample_distance"]) <= 1
 
     def settle(self, seconds=40):
-        """Waits until the picture stands still, at full quality where that comes in time."""
+        """Takes the pointer away and waits until the picture stands still, at full quality where that comes in time."""
+        self.display.xdotool("mousemove", *AWAY)
         end = time.monotonic() + seconds
         before = self.view()
         still = 0
@@ -136,11 +140,10 @@ def a_person_explores(command, display, folder):
     person.key("r")
     start = person.settle()
     # The editor stands in the upper right corner, 340 points wide: a handle for opacity is taken and pulled down,
-    # wherever it is along the curve. One edit is enough; it is seen once the pointer is away from the editor, whose
-    # hint reaches into the view, and the camera is back: where a frame is slow, a whole pull falls into it, and what
-    # lies where it ended is taken, which may be the view.
+    # wherever it is along the curve. One edit is enough; it is seen once the editor's hint, which reaches into the view,
+    # is gone and the camera is back: where a frame is slow, a whole pull falls into it, and what lies where it ended is
+    # taken, which may be the view.
     def changed():
-        display.xdotool("mousemove", 500, 740)
         person.key("r")
         return tools.mean_difference(start, person.settle()) > 0.2
 
@@ -159,7 +162,8 @@ def a_person_explores(command, display, folder):
         if tools.largest_difference(start, back) <= 2:
             break
     apart = tools.largest_difference(start, back)
-    assert apart <= 2, f"what was edited is not taken back: {apart} of 255 apart, at rest: {person.rests()}"
+    where = tools.where_different(start, back)
+    assert apart <= 2, f"what was edited is not taken back: {apart} of 255 {where}, at rest: {person.rests()}"
 
     for key in "123":
         person.key(key)

@@ -166,6 +166,17 @@ def mean_difference(a, b):
     return sum(abs(x - y) for x, y in zip(a[2], b[2])) / max(1, len(a[2]))
 
 
+def where_different(a, b):
+    """In words: how many pixels of two pictures differ, and within which box."""
+    width = a[0]
+    places = [i // 3 for i, (x, y) in enumerate(zip(a[2], b[2])) if abs(x - y) > 2]
+    if not places:
+        return "nowhere"
+    across, down = [p % width for p in places], [p // width for p in places]
+    box = f"{min(across)}-{max(across)}, {min(down)}-{max(down)}"
+    return f"in {len(set(places))} pixels within {box}"
+
+
 def write_volume(path, edge):
     """A volume of bytes with some structure: a ball with rings in it."""
     low, high = edge // 2, edge
