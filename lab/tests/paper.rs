@@ -187,3 +187,35 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
         assert_eq!(ours(&rows, label), ours(&again, label));
     }
 }
+
+#[test]
+fn the_books_page_is_what_the_kept_results_make() {
+    let folder = tempfile::tempdir().unwrap();
+    let (pages, made) = (repository().join("docs/src"), folder.path().join("book"));
+    // Pictures that the book has already are linked, not written again.
+    std::fs::create_dir_all(made.join("images")).unwrap();
+    for entry in std::fs::read_dir(pages.join("images")).unwrap().map(Result::unwrap) {
+        if entry.path().is_file() {
+            std::fs::write(made.join("images").join(entry.file_name()), []).unwrap();
+        }
+    }
+    let output = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
+        .args(["paper", "report", "--quiet", "--kept", "data/timings/paper-results.json.gz"])
+        .arg("--out")
+        .arg(folder.path().join("out"))
+        .arg("--book")
+        .arg(&made)
+        .current_dir(repository())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let page = |folder: &Path| std::fs::read_to_string(folder.join("paper-tables.md")).unwrap();
+    assert!(
+        page(&made) == page(&pages),
+        "docs/src/paper-tables.md is out of date; its first lines say what writes it"
+    );
+    let names = |folder: &Path| {
+        files(&folder.join("images/paper")).into_keys().map(|p| p.file_name().unwrap().to_owned())
+    };
+    assert_eq!(names(&made).collect::<Vec<_>>(), names(&pages).collect::<Vec<_>>());
+}

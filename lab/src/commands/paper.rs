@@ -3,8 +3,8 @@
 use super::{farm, replay};
 use crate::bars;
 use crate::paper::{
-    Paper, Place, Selection, Work, cases, collect, description, encode, material, pictures, places, report,
-    train, yt,
+    Paper, Place, Selection, Work, book, cases, collect, description, encode, material, pictures, places,
+    report, train, yt,
 };
 use anyhow::{Context, Result, ensure};
 use clap::{Subcommand, ValueEnum};
@@ -144,6 +144,9 @@ struct HowToReport {
     /// Write all results into one small file.
     #[arg(long, value_name = "JSON.gz")]
     keep: Option<PathBuf>,
+    /// Write the book's page of the paper's tables, and its charts, into the folder of the book's pages.
+    #[arg(long, value_name = "FOLDER")]
+    book: Option<PathBuf>,
     /// Print one line per bar, `bar NAME VALUE LIMIT ok|short`, and fail when one is short.
     #[arg(long)]
     bars: bool,
@@ -334,6 +337,10 @@ fn report_all(work: &Work<'_>, how: &HowToReport) -> Result<()> {
     if let Some(path) = &how.keep {
         material::keep(&material, path)?;
         println!("wrote {}", path.display());
+    }
+    if let Some(pages) = &how.book {
+        book::write(work.paper, &material, pages)?;
+        println!("wrote {}", pages.join(book::PAGE).display());
     }
     let found = report::write(work.paper, &material, work.out, started)?;
     println!("wrote {}", work.out.join("report.html").display());

@@ -5,6 +5,7 @@
 //! with: tables of frames, encoders, models, and one file of results for every part of the study.
 
 mod bars;
+pub mod book;
 pub mod cases;
 pub mod collect;
 pub mod description;

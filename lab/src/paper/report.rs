@@ -120,7 +120,7 @@ pub fn write(paper: &Paper, material: &Material, out: &Path, started: Instant) -
 }
 
 /// A picture's bytes: one of those that the steps drew, or one that the description names.
-fn picture(material: &Material, file: &str) -> Result<Vec<u8>> {
+pub(super) fn picture(material: &Material, file: &str) -> Result<Vec<u8>> {
     match material.pictures.get(file) {
         Some(drawn) => Ok(drawn.clone()),
         None => read_bytes(Path::new(file)).with_context(|| format!("cannot read the picture {file}")),
@@ -147,7 +147,7 @@ fn rows_table(paper: &Paper, shown: &[Shown], quote: &str) -> Table {
     table
 }
 
-fn numbers_table(numbers: &super::description::Numbers) -> Table {
+pub(super) fn numbers_table(numbers: &super::description::Numbers) -> Table {
     let mut columns: Vec<Column> = Vec::new();
     for (i, c) in numbers.columns.iter().enumerate() {
         columns.push(if i == 0 { Column::text(c) } else { Column::number(c) });
