@@ -10,15 +10,17 @@ use super::results::{Curve, Fact, MEASURED, Results, SORTED, kept, write};
 use super::train::identity;
 use super::volumes::{BY_VOLUMES, Selection, places};
 use crate::study::{Bounds, Runner};
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
+use entire_cli::dataset::feature_table::{code_column, encoder_id};
 use entire_cli::dataset::{Clock, Table};
+use entire_cli::files::open_model;
 use entire_cli::fit::{FitContext, Recipe, calibrate, predict, transfer};
 use entire_cli::metrics::{Metrics, median};
 use entire_cli::split::TimedFrames;
 use entire_core::model::ModelFile;
 use indicatif::ProgressBar;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// The set's name in results: all of them.
@@ -67,6 +69,8 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         return Ok(());
     }
     let mut renderers: Vec<(String, usize, usize)> = Vec::new();
+    let shipped = open_model(&paper.encoders.shipped[0])?;
+    let code = code_column(&encoder_id(shipped.volumenet().context("no VolumeNet")?), 0);
     let device = paper.tuning.device.iter().filter(|(_, folder)| folder.is_dir());
     let others = device.flat_map(|(name, folder)| {
         let of = |set: &str| folder.join(format!("{set}-{mode}.csv"));
@@ -78,12 +82,26 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             continue;
         }
         let first = tables.len();
-        tables.push(Table::read(&learn, first)?);
-        let second = if test.as_os_str().is_empty() { first } else { tables.len() };
-        if second != first {
-            tables.push(Table::read(&test, second)?);
+        let read = |path: &Path, index: usize| -> Result<Table> {
+            let table = Table::read(path, index)?;
+            let mut roots = [work.data.to_owned(), work.data.join("ensembles")].into_iter();
+            let has = |r: &PathBuf| table.frames.first().is_some_and(|f| r.join(&f.scene.volume).exists());
+            Ok(Table { root: roots.find(has), ..table })
+        };
+        let mut found = vec![read(&learn, first)?];
+        if !test.as_os_str().is_empty() {
+            found.push(read(&test, first + 1)?);
         }
-        renderers.push((name, first, second));
+        // Volumes are needed where the features of the table that is kept lack the network's.
+        let bare = found.iter().filter(|t| t.features.as_ref().is_none_or(|f| f.column(&code).is_none()));
+        let lost = bare.flat_map(|t| t.frames.iter().map(move |f| (t, f)));
+        let lost = lost.map(|(t, f)| (t, &f.scene.volume)).find(|(t, v)| t.resolve_volume(v).is_none());
+        if let Some((_, volume)) = lost {
+            eprintln!("note: {name} is left out: {} has no {volume}", work.data.display());
+            continue;
+        }
+        renderers.push((name, first, first + found.len() - 1));
+        tables.extend(found);
     }
     let mark = identity(work, Panel::Tuning, TOGETHER, &tables)?;
     if kept(work.out, Panel::Tuning, TOGETHER, mode, &mark)?.is_some() {
@@ -181,7 +199,7 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             let predicted = vec![mean; target.judged.frames.len()];
             Metrics::new(&predicted, &target.judged.seconds)
         };
-        let zero = predict(&entire_cli::files::open_model(&pretrained)?, &context, &target.judged.frames)?;
+        let zero = predict(&open_model(&pretrained)?, &context, &target.judged.frames)?;
         let mut drawn = vec![("pre-trained, as it was", zero.clone())];
         for (how, file) in &last {
             drawn.push((how, predict(&file.to_model()?, &context, &target.judged.frames)?));
