@@ -8,7 +8,7 @@ use super::frames::Loaded;
 use super::judge::{NETWORK, OURS};
 use super::results::{Curve, Fact, MEASURED, Results, SORTED, kept, write};
 use super::train::identity;
-use super::volumes::{BY_VOLUMES, Selection, places};
+use super::volumes::{BY_VOLUMES, Selection, places, roots};
 use crate::study::{Bounds, Runner};
 use anyhow::{Context, Result, bail};
 use entire_cli::dataset::feature_table::{code_column, encoder_id};
@@ -84,9 +84,8 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         let first = tables.len();
         let read = |path: &Path, index: usize| -> Result<Table> {
             let table = Table::read(path, index)?;
-            let mut roots = [work.data.to_owned(), work.data.join("ensembles")].into_iter();
             let has = |r: &PathBuf| table.frames.first().is_some_and(|f| r.join(&f.scene.volume).exists());
-            Ok(Table { root: roots.find(has), ..table })
+            Ok(Table { root: roots(work.data).into_iter().find(has), ..table })
         };
         let mut found = vec![read(&learn, first)?];
         if !test.as_os_str().is_empty() {

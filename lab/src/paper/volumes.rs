@@ -67,9 +67,7 @@ impl Place {
     /// # Errors
     /// When its folder cannot be read or holds no volume.
     pub fn find(set: &DataSet, data: &Path) -> Result<Option<Self>> {
-        let Some(root) =
-            [data.join("ensembles"), data.to_owned()].into_iter().find(|r| r.join(&set.name).is_dir())
-        else {
+        let Some(root) = roots(data).into_iter().find(|r| r.join(&set.name).is_dir()) else {
             return Ok(None);
         };
         let mut files = Vec::new();
@@ -92,6 +90,11 @@ impl Place {
     pub fn split(&self, name: &str) -> Option<&Parts> {
         self.splits.iter().find(|s| s.name == name)
     }
+}
+
+/// The folders that volumes' names may start from.
+pub(super) fn roots(data: &Path) -> [PathBuf; 2] {
+    [data.join("ensembles"), data.to_owned()]
 }
 
 /// A volume's name: its path from the data set's root.
