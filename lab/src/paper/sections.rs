@@ -556,6 +556,26 @@ fn tuning(of: &[&Results], s: &mut Section) {
         if !r.facts.is_empty() {
             s.tables.push((table, "Without any frame of what it is taken to.".into()));
         }
+        let mut few = Table::new(vec![
+            Column::text("taken to"),
+            Column::text("predictor"),
+            Column::number("frames learned from"),
+            Column::number("RMSE, s"),
+        ]);
+        let points =
+            r.curves.iter().filter(|c| c.x != SORTED).flat_map(|c| c.points.iter().map(move |p| (c, p)));
+        for (c, (frames, rmse)) in points {
+            let frames = frames.to_string();
+            few.row(vec![
+                c.chart.as_str().into(),
+                c.name.as_str().into(),
+                frames.into(),
+                seconds(*rmse).into(),
+            ]);
+        }
+        if !r.curves.is_empty() {
+            s.tables.push((few, "With some; median of the runs.".into()));
+        }
         s.summary = r.facts.iter().map(|f| f.name.clone()).collect::<Vec<_>>().join(", ");
     }
 }
