@@ -27,7 +27,7 @@ pub struct Outcome {
     pub done: u64,
     /// Frames that are to be.
     pub total: u64,
-    /// Warm-up frames rendered and discarded in this run.
+    /// Warm-up renderings that were discarded in this run.
     pub discarded: u64,
     /// Whether it was stopped before the end.
     pub interrupted: bool,
@@ -44,6 +44,9 @@ pub struct TimedScene {
 
 /// Renders a scene of the renderer's volume so many times, after as many more that are discarded as `warm_up`
 /// says; it counts down. `stop` is asked before every rendering.
+///
+/// The first renderings of a scene are slower than the later ones: the image has another size, the transfer
+/// function is new. Where they shall not be timed, `warm_up` is at least as many as those.
 ///
 /// # Errors
 /// A scene that cannot be drawn, a renderer that fails.
@@ -111,6 +114,7 @@ pub fn collect(
         for index in missing {
             let scene = protocol.scene(job, volume.dims(), index);
             let number = first + index;
+            warm_up = warm_up.max(protocol.warm_up_repeats);
             let timed = time_scene(renderer, &scene, protocol.repeats, &mut warm_up, stop)
                 .with_context(|| format!("{shown}, frame {number}"))?;
             outcome.discarded += timed.discarded;

@@ -62,8 +62,10 @@ pub struct Protocol {
     pub repeats: u32,
     /// How often all volumes are gone through.
     pub passes: u32,
-    /// Frames discarded after each volume change.
+    /// Renderings discarded after each volume change.
     pub warm_up: u32,
+    /// Renderings of each frame discarded before its repeats; those after a volume change count.
+    pub warm_up_repeats: u32,
     /// Seed.
     pub seed: u64,
     /// What scenes are drawn from.
@@ -101,6 +103,8 @@ impl Protocol {
             resampled_to_edge: Option<usize>,
             #[serde(default = "one")]
             passes: u32,
+            #[serde(default)]
+            warm_up_repeats_discarded_per_frame: u32,
         }
         #[derive(Deserialize)]
         struct VolumeOf {
@@ -131,6 +135,7 @@ impl Protocol {
             repeats: manifest.repeats / s.passes,
             passes: s.passes,
             warm_up: s.warm_up_frames_discarded_per_volume,
+            warm_up_repeats: s.warm_up_repeats_discarded_per_frame,
             seed: manifest.seed,
             scenes: s.scenes,
             shading: parse_shading(&s.shading).with_context(|| unknown("shading", &s.shading))?,
@@ -222,6 +227,9 @@ impl Protocol {
         }
         if self.passes > 1 {
             settings["passes"] = json!(self.passes);
+        }
+        if self.warm_up_repeats > 0 {
+            settings["warm_up_repeats_discarded_per_frame"] = json!(self.warm_up_repeats);
         }
         settings
     }

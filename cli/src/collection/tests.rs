@@ -17,6 +17,7 @@ fn protocol() -> Protocol {
         repeats: 3,
         passes: 1,
         warm_up: 2,
+        warm_up_repeats: 0,
         seed: 11,
         scenes: SceneDistribution { max_size: 64, ..Default::default() },
         shading: Shading::None,
@@ -133,6 +134,23 @@ fn passes_make_one_table_whose_repeats_are_far_apart_and_can_be_stopped_anywhere
         assert!(!run(&out, 1000).interrupted);
         assert_eq!(without_times(&out), expected, "{stop_after}");
     }
+}
+
+#[test]
+fn warm_up_repeats_are_rendered_before_every_frame_and_not_timed() {
+    let dir = tempfile::tempdir().unwrap();
+    let (jobs, path) = (some_jobs(), dir.path().join("t.csv"));
+    let protocol = Protocol { warm_up: 2, warm_up_repeats: 1, ..protocol() };
+    let mut table = Writer::create(&path).unwrap();
+    let mut renderer = ScriptedRenderer::default();
+    let bar = ProgressBar::hidden();
+    let outcome = collect(&jobs, &protocol, &mut renderer, &mut tiny, &mut table, &|| false, &bar).unwrap();
+    // Two renderings of each volume's first frame, one of each other.
+    assert_eq!(outcome.discarded, outcome.total + jobs.len() as u64);
+    let frames = Table::read(&path, 0).unwrap().frames;
+    assert!(frames.len() == 8 && frames.iter().all(|f| f.repeats.len() == 3));
+    let manifest = protocol.manifest(&jobs, &renderer).unwrap();
+    assert_eq!(Protocol::of_manifest(&manifest).unwrap().0, protocol);
 }
 
 #[test]

@@ -35,24 +35,29 @@ pub struct Options {
     /// The table to write; its manifest goes beside it as NAME.manifest.json.
     #[arg(long, value_name = "FILE.csv")]
     pub out: PathBuf,
-    /// Collect the frames of this table anew: volumes, frames and all settings come from its manifest. Its
-    /// volume names start from the working folder.
+    /// Collect the frames of this table anew: volumes, frames and all settings come from its manifest, but
+    /// for --repeats, --passes and --warm-up-repeats where they are given. Its volume names start from the
+    /// working folder.
     #[arg(long, value_name = "TABLE", conflicts_with_all = [
-        "volumes", "frames", "repeats", "passes", "warm_up", "seed", "shade", "skip", "termination",
+        "volumes", "frames", "warm_up", "seed", "shade", "skip", "termination",
         "min_size", "max_size", "radii", "lobes", "steps", "member", "enlarge", "proxy",
     ])]
     pub like: Option<PathBuf>,
     /// Frames per volume.
     #[arg(long, default_value_t = 100, value_name = "N")]
     pub frames: u32,
-    /// How often each frame is rendered.
-    #[arg(long, default_value_t = 5, value_name = "R")]
-    pub repeats: u32,
+    /// How often each frame is rendered and timed [default: 5].
+    #[arg(long, value_name = "R")]
+    pub repeats: Option<u32>,
     /// Go through all volumes so often, with --repeats renderings of each frame every time: repeats minutes
-    /// apart show the machine's drift, which repeats at once do not.
-    #[arg(long, default_value_t = 1, value_name = "P")]
-    pub passes: u32,
-    /// Frames rendered and thrown away after each volume is loaded, so that first-use work is not timed.
+    /// apart show the machine's drift, which repeats at once do not [default: 1].
+    #[arg(long, value_name = "P")]
+    pub passes: Option<u32>,
+    /// Renderings of each frame that are thrown away before those that are timed: the first one, of a new
+    /// image size and a new transfer function, is slower than the others [default: 1].
+    #[arg(long, value_name = "N")]
+    pub warm_up_repeats: Option<u32>,
+    /// Renderings thrown away after each volume is loaded, so that first-use work is not timed.
     #[arg(long, default_value_t = 2, value_name = "N")]
     pub warm_up: u32,
     /// Seed of every random choice.
@@ -108,9 +113,10 @@ fn parse_lobe_range(text: &str) -> std::result::Result<(u32, u32), String> {
 fn protocol(options: &Options) -> Protocol {
     Protocol {
         frames: options.frames,
-        repeats: options.repeats,
-        passes: options.passes,
+        repeats: options.repeats.unwrap_or(5),
+        passes: options.passes.unwrap_or(1),
         warm_up: options.warm_up,
+        warm_up_repeats: options.warm_up_repeats.unwrap_or(1),
         seed: options.seed,
         scenes: SceneDistribution {
             radii: options.radii.clone(),
@@ -167,8 +173,11 @@ pub fn run(options: &Options) -> Result<()> {
             let manifest = Manifest::read(table)?.with_context(|| {
                 format!("{shown} has no manifest {}", Manifest::path_for(table).display())
             })?;
-            let (protocol, jobs) = Protocol::of_manifest(&manifest)
+            let (mut protocol, jobs) = Protocol::of_manifest(&manifest)
                 .with_context(|| format!("{} cannot be followed", Manifest::path_for(table).display()))?;
+            protocol.repeats = options.repeats.unwrap_or(protocol.repeats);
+            protocol.passes = options.passes.unwrap_or(protocol.passes);
+            protocol.warm_up_repeats = options.warm_up_repeats.unwrap_or(protocol.warm_up_repeats);
             check(&jobs, "run from the folder that its volume names start from")?;
             (protocol, jobs)
         }
@@ -263,12 +272,25 @@ pub fn run(options: &Options) -> Result<()> {
     let go_on = format!("go on with the same command and --resume ({})", options.out.display());
     let outcome = result.with_context(|| format!("finished frames are kept; {go_on}"))?;
     manifest.other.insert("runs".into(), note(Some(outcome)));
-    manifest.write(&options.out)?;
     if outcome.interrupted {
+        manifest.write(&options.out)?;
         bail!("interrupted after {} of {} {}; {go_on}", outcome.done, outcome.total, protocol.counted());
     }
+    let frames = Table::read(&options.out, 0)?.frames;
+    let mut noise = serde_json::Map::new();
+    let mut said = Vec::new();
+    for clock in [Clock::Auto, Clock::Cpu] {
+        if let Some(floor) = noise_floor(&frames, clock, |_| protocol.passes as usize) {
+            said.push(format!("clock {}: {}", clock.name(), floor.describe()));
+            noise.insert(clock.name().into(), json!(floor));
+        }
+    }
+    if !noise.is_empty() {
+        manifest.other.insert("noise".into(), noise.into());
+    }
+    manifest.write(&options.out)?;
     println!(
-        "{} frames of {} volume{} x {} repeats in {}; {} warm-up frames were rendered and discarded",
+        "{} frames of {} volume{} x {} repeats in {}; {} warm-up renderings were discarded",
         table.done().len(),
         jobs.len(),
         if jobs.len() == 1 { "" } else { "s" },
@@ -276,12 +298,7 @@ pub fn run(options: &Options) -> Result<()> {
         options.out.display(),
         outcome.discarded
     );
-    let frames = Table::read(&options.out, 0)?.frames;
-    for clock in [Clock::Auto, Clock::Cpu] {
-        if let Some(floor) = noise_floor(&frames, clock, |_| protocol.passes as usize) {
-            println!("clock {}: {}", clock.name(), floor.describe());
-        }
-    }
+    said.iter().for_each(|line| println!("{line}"));
     Ok(())
 }
 

@@ -105,6 +105,8 @@ pub struct Work {
     pub shadow_samples: f64,
     /// Runs of samples between jumps; 0 without skipping.
     pub runs: f64,
+    /// Segments of those runs, those of shadow rays included; 0 without skipping.
+    pub segments: f64,
     /// Distance of neighboring rays at the mean depth of the samples, reference steps.
     pub ray_spacing: f64,
 }
@@ -264,13 +266,14 @@ impl FrameFeatures {
         let tile = (0.5 * TILE_SIDE / (p.spacing * setting.height as f32)).min(1.0);
         let per_lane = per_ray + tile * (longest - length).max(0.0) * inv;
         let shaded = if setting.shading == Shading::None { 0.0 } else { p.visible * inv };
-        let (mut shadow, mut shadow_skips) = (0.0, 0.0);
+        let (mut shadow, mut shadow_skips, mut shadow_segments) = (0.0, 0.0, 0.0);
         if setting.shading == Shading::Scatter {
             let length = if skipping { p.shadow } else { p.shadow_all };
             // Shadow rays begin one of their steps away from the sample, and take the sample that crosses the
             // threshold.
             shadow = (inv * (length * inv * (1.0 / SHADOW_STEP) - 0.25 * p.visible)).max(0.0);
             shadow_skips = if skipping { p.shadow_skips * inv } else { 0.0 };
+            shadow_segments = p.shadow_segments * inv;
         }
         Work {
             pixels,
@@ -281,6 +284,7 @@ impl FrameFeatures {
             shaded: rays * f64::from(shaded),
             shadow_samples: rays * f64::from(shadow),
             runs: if skipping { rays * f64::from(p.runs) } else { 0.0 },
+            segments: if skipping { rays * f64::from(p.segments + shadow_segments) } else { 0.0 },
             ray_spacing: f64::from(p.spread / setting.height as f32),
         }
     }
@@ -304,6 +308,9 @@ impl FrameFeatures {
             Q::Runs => work.runs,
             Q::SpreadSamples => work.lane_samples * work.unshared(),
             Q::SpreadRuns => work.runs * work.unshared(),
+            Q::Segments => work.segments,
+            Q::SpreadSegments => work.segments * work.unshared(),
+            Q::SegmentsPerRay => work.segments / work.rays.max(1.0),
             Q::ShadedPerPixel => per_pixel(work.shaded),
             Q::ShadowPerPixel => per_pixel(work.shadow_samples),
             Q::RunsPerRay => work.runs / work.rays.max(1.0),

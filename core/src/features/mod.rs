@@ -12,6 +12,7 @@ mod classify;
 mod cost;
 mod footprint;
 mod frame;
+mod interior;
 mod probe;
 mod schema;
 #[cfg(test)]

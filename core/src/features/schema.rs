@@ -136,6 +136,13 @@ quantities! {
          volume beyond a cache, times `along_x`";
     FarY, "far_y", "samples", 1.0, yes, yes, "the same across y";
     FarZ, "far_z", "samples", 1.0, yes, yes, "the same across z";
+    Segments, "segments", "segments", 1.0, yes, yes,
+        "expected looks at the skip map for samples: a run is cut where the distance to the nearest empty \
+         block, which the map holds, is used up";
+    SpreadSegments, "spread_segments", "segments", 1.0, yes, yes,
+        "segments, each weighted by how little neighboring rays share";
+    SegmentsPerRay, "segments_per_ray", "segments/ray", 0.1, yes, yes,
+        "segments over rays that meet the volume's box";
 }
 
 impl fmt::Display for SceneQuantity {

@@ -2,6 +2,7 @@
 
 use super::VolumeSummary;
 use super::classify::{Visible, classify, share};
+use super::interior::Interior;
 use crate::Result;
 use crate::memory::zeroed;
 use crate::scene::{TABLE_LEN, TransferTable};
@@ -24,12 +25,14 @@ pub(super) struct Optics {
     pub(super) visible: f32,
     /// Share of the cell's blocks that are not empty.
     pub(super) occupied: f32,
+    /// One over the cells that a renderer samples here before it looks at its skip map again.
+    pub(super) looks: f32,
 }
 
 /// What is kept of a cell in one word, which packets of rays read at once: from the lowest bit on, the root of
 /// the visible share in 1/1023, extinction as a floating-point number without sign (10 bits of mantissa, 5 of
-/// exponent, 2⁻²⁷ at least), and around them the number of the edit in which it was computed. Both are zero for
-/// an empty cell, and not both for another.
+/// exponent, 2⁻²⁷ at least), how deep it lies among cells that are not empty ([`Interior`]), and around them the number of
+/// the edit in which it was computed. All but that are zero for an empty cell, and not all for another.
 pub(super) mod packed {
     /// Bits of the visible share's root.
     pub(crate) const SHOWS: u32 = 0x0000_03ff;
@@ -39,30 +42,35 @@ pub(super) mod packed {
     pub(crate) const EXPONENT: u32 = (127 - 27) << 23;
     /// Of the visible share's root.
     pub(crate) const UNIT: f32 = 1.0 / 1023.0;
+    /// Bits of the depth's class.
+    pub(crate) const DEPTH: u32 = 0x0000_0c00;
+    /// Times the bits of the class, what 2^−class lacks of the bits of 1.
+    pub(crate) const HALVING: u32 = 1 << 13;
     /// Bits of the edit's number.
-    pub(crate) const EDIT: u32 = !(SHOWS | EXTINCTION);
+    pub(crate) const EDIT: u32 = !(SHOWS | EXTINCTION | DEPTH);
     /// Edits until numbers repeat.
-    pub(super) const EDITS: u32 = 1 << 7;
+    pub(super) const EDITS: u32 = 1 << 5;
 
     /// The bits of an edit's number below [`EDITS`].
     pub(super) fn edit(number: u32) -> u32 {
-        number << 28 | number >> 4 << 10
+        number << 28 | number >> 4 << 12
     }
 
     /// The word of a cell that is not empty, without the edit.
-    pub(super) fn pack(extinction: f32, visible: f32) -> u32 {
+    pub(super) fn pack(extinction: f32, visible: f32, class: u32) -> u32 {
         let least = f32::from_bits(EXPONENT);
         // Rounds to the bits that are kept.
         let extinction = extinction.max(least).to_bits() + (1 << 12) - EXPONENT;
         let shows = (libm::sqrtf(visible) * 1023.0 + 0.5) as u32;
-        extinction.min(EXTINCTION) & EXTINCTION | shows.clamp(1, SHOWS)
+        extinction.min(EXTINCTION) & EXTINCTION | shows.clamp(1, SHOWS) | class << 10
     }
 
-    /// Extinction and visible share.
+    /// Extinction, visible share, and 2^−class of the depth.
     #[inline(always)]
-    pub(super) fn unpack(word: u32) -> (f32, f32) {
+    pub(super) fn unpack(word: u32) -> (f32, f32, f32) {
         let root = (word & SHOWS) as f32 * UNIT;
-        (f32::from_bits((word & EXTINCTION) + EXPONENT), root * root)
+        let looks = f32::from_bits(1.0f32.to_bits() - (word & DEPTH) * HALVING);
+        (f32::from_bits((word & EXTINCTION) + EXPONENT), root * root, looks)
     }
 }
 
@@ -75,6 +83,8 @@ pub(super) mod packed {
 pub struct TransferSummary {
     /// A bit per cell, set where it is not empty.
     full: Vec<u64>,
+    /// How deep the others lie among each other.
+    interior: Interior,
     /// Share of each cell's blocks that are not empty, where cells hold several blocks; else nothing.
     occupied: Vec<f32>,
     /// What is known of each cell, [`packed`].
@@ -111,6 +121,7 @@ impl TransferSummary {
     pub fn new(volume: &VolumeSummary, table: &TransferTable) -> Result<Self> {
         let mut summary = Self {
             full: Vec::new(),
+            interior: Interior::default(),
             occupied: Vec::new(),
             cells: Vec::new(),
             edit: 0,
@@ -145,6 +156,7 @@ impl TransferSummary {
         // One word more: shares are counted across words.
         let words = volume.block_ranges().0.len().div_ceil(64) + 1;
         let full = longer(&self.full, n.div_ceil(64))?;
+        let interior = self.interior.longer(volume.cells())?;
         let bits = longer(&self.bits, words)?;
         let occupied = longer(&self.occupied, shares)?;
         let cells = longer(&self.cells, n)?;
@@ -162,6 +174,7 @@ impl TransferSummary {
         self.begin_edit();
         self.read_table(volume, table);
         self.classify(volume);
+        self.interior.update(interior, self.grid, &self.full);
         Ok(())
     }
 
@@ -228,9 +241,9 @@ impl TransferSummary {
         if word & packed::EDIT != 0 {
             word = self.compute(volume, cell) ^ self.edit;
         }
-        let (extinction, visible) = packed::unpack(word);
+        let (extinction, visible, looks) = packed::unpack(word);
         let occupied = self.occupied.get(cell).copied().unwrap_or(1.0);
-        (word != 0).then_some(Optics { extinction, visible, occupied })
+        (word != 0).then_some(Optics { extinction, visible, occupied, looks })
     }
 
     /// Computes what a cell does to a ray, and keeps it until the next edit.
@@ -251,7 +264,8 @@ impl TransferSummary {
         let t = (t * (1.0 / super::QUANTILES as f32)).clamp(1.0e-12, 1.0);
         let visible = (v * (1.0 / super::QUANTILES as f32)).clamp(0.0, 1.0);
         let extinction = -libm::logf(t) * (1.0 / CORRELATION_LENGTH);
-        let word = packed::pack(extinction, visible) | self.edit;
+        let class = self.interior.class(&self.full, self.grid, cell);
+        let word = packed::pack(extinction, visible, class) | self.edit;
         self.cells[cell] = word;
         word
     }

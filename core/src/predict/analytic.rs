@@ -21,7 +21,7 @@ use alloc::vec::Vec;
 pub const TERMS: usize = 9;
 
 /// The part that each unit cost belongs to: work that goes together on every machine is corrected together.
-const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 3, 3, 5, 4, 5, 5, 5];
+const PART_OF: [usize; COSTS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 3, 3, 5, 3, 3, 4, 5, 5, 5];
 
 impl UnitCosts {
     /// What [`Key::UnitCosts`] holds.
@@ -67,6 +67,9 @@ impl UnitCosts {
         Ok(Some(out))
     }
 }
+
+/// Fewest scene features that a file of unit costs names: another affine model of fewer is a network.
+const FEWEST_NAMES: usize = 11;
 
 /// Rounds of reweighting in [`AnalyticModel::fit`].
 const ROUNDS: usize = 10;
@@ -289,9 +292,16 @@ impl AnalyticModel {
         let names = model.scene_features();
         let Some(net) = model.prednet() else { return Ok(None) };
         let [layer] = &net.layers[..] else { return Ok(None) };
+        // In order, none twice; a file of fewer names leaves the others' costs at zero.
+        let mut places = Vec::with_capacity(names.len());
+        for name in names {
+            match COST_QUANTITIES.iter().position(|q| name == q.name()) {
+                Some(at) if places.last().is_none_or(|last| *last < at) => places.push(at),
+                _ => return Ok(None),
+            }
+        }
         let fits = model.inputs().len() == 1
-            && [COMMON_COSTS - 1, COSTS - 1].contains(&names.len())
-            && names.iter().zip(&COST_QUANTITIES).all(|(n, q)| n == q.name())
+            && names.len() >= FEWEST_NAMES
             && net.input.is_none()
             && net.output.is_none()
             && net.target == Target::Seconds
@@ -301,8 +311,8 @@ impl AnalyticModel {
         }
         let mut costs = [0.0; COSTS];
         costs[0] = f64::from(layer.bias[0]);
-        for (cost, &w) in costs[1..].iter_mut().zip(&layer.weight) {
-            *cost = f64::from(w);
+        for (at, &w) in places.into_iter().zip(&layer.weight) {
+            costs[at + 1] = f64::from(w);
         }
         if costs.iter().all(|&c| c == 0.0) {
             return Ok(None);
@@ -412,7 +422,7 @@ mod tests {
     use super::*;
 
     const TRUTH: [f64; COSTS] =
-        [1e-3, 3e-9, 2e-8, 0.0, 4e-8, 1e-8, 9e-8, 0.0, 0.0, 2e-7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        [1e-3, 3e-9, 2e-8, 0.0, 4e-8, 1e-8, 9e-8, 0.0, 0.0, 2e-7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
 
     /// Work of frames as they come: counts over several decades, scattering never used.
     fn measurements(n: usize, noise: f64, outliers: bool) -> Vec<Measurement> {
@@ -438,6 +448,8 @@ mod tests {
                     0.0,
                     0.0,
                     rays * 3.0 * uniform(),
+                    0.0,
+                    0.0,
                     0.0,
                     0.0,
                     if i % 3 == 0 { samples } else { 0.0 },
@@ -469,7 +481,7 @@ mod tests {
     #[test]
     fn what_costs_nothing_by_default_is_solved_for_where_it_is_asked_for() {
         let mut truth = TRUTH;
-        (truth[12], truth[13]) = (7e-9, 3e-8);
+        (truth[COMMON_COSTS], truth[COMMON_COSTS + 1]) = (7e-9, 3e-8);
         let mut rows = measurements(200, 0.0, false);
         for m in &mut rows {
             m.seconds = dot(&truth, &m.work);
@@ -478,7 +490,7 @@ mod tests {
         let report = plain.fit(&UnitCosts::SOFTWARE, &rows).unwrap();
         assert!(plain.costs().0[COMMON_COSTS..].iter().all(|&c| c == 0.0) && report.median_error > 0.02);
         assert!(asked.fit(&UnitCosts::CONVERTING, &rows).unwrap().median_error < 3e-3);
-        for (i, t) in [(12, 7e-9), (13, 3e-8)] {
+        for (i, t) in [(COMMON_COSTS, 7e-9), (COMMON_COSTS + 1, 3e-8)] {
             assert!((asked.costs().0[i] / t - 1.0).abs() < 0.05, "{i}: {}", asked.costs().0[i]);
         }
         // The file names what costs something, and reads back.

@@ -1,7 +1,7 @@
 //! Non-negative least squares for a handful of unknowns.
 
 /// Most unknowns that [`nnls`] takes.
-const MAX_UNKNOWNS: usize = 16;
+const MAX_UNKNOWNS: usize = 24;
 
 /// Minimizes ‖A·x − b‖² over x ≥ 0, given the normal equations `gram` = AᵀA (row-major n × n) and `rhs` =
 /// Aᵀb, by the active-set method of Lawson and Hanson. Returns x; unknowns whose column is zero (or not
@@ -11,10 +11,13 @@ const MAX_UNKNOWNS: usize = 16;
 /// solvable.
 ///
 /// # Panics
-/// When n is over 16 or `gram` is not n × n.
+/// When n is over [`MAX_UNKNOWNS`] or `gram` is not n × n.
 pub(super) fn nnls(gram: &[f64], rhs: &[f64], x: &mut [f64]) {
     let n = rhs.len();
-    assert!(n <= MAX_UNKNOWNS && gram.len() == n * n && x.len() == n, "nnls takes up to 16 unknowns");
+    assert!(
+        n <= MAX_UNKNOWNS && gram.len() == n * n && x.len() == n,
+        "nnls takes up to {MAX_UNKNOWNS} unknowns"
+    );
     let mut scale = [0.0f64; MAX_UNKNOWNS];
     for i in 0..n {
         let d = gram[i * n + i];

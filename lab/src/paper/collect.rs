@@ -44,6 +44,7 @@ pub fn protocol(paper: &Paper, mode: &str, low: bool) -> Result<Protocol> {
         repeats: own.repeats.unwrap_or(paper.repeats),
         passes: 1,
         warm_up: paper.warm_up,
+        warm_up_repeats: 0,
         seed: paper.seed,
         scenes: SceneDistribution {
             max_size: own.max_size.unwrap_or(paper.scenes.max_size),

@@ -28,8 +28,11 @@ pub(super) const TERMINATED: usize = 9;
 pub(super) const SHADOW: usize = 10;
 pub(super) const SHADOW_SKIPS: usize = 11;
 pub(super) const SHADOW_ALL: usize = 12;
+/// Looks at the skip map for the samples of the ray, and of its shadow ray, times the visible length.
+pub(super) const SEGMENTS: usize = 13;
+pub(super) const SHADOW_SEGMENTS: usize = 14;
 /// How many numbers.
-pub(super) const FIELDS: usize = 13;
+pub(super) const FIELDS: usize = 15;
 
 /// Direction components nearer to zero than this are taken as this.
 pub(super) const TINY: f32 = 1.0e-9;
@@ -158,6 +161,8 @@ pub(super) struct Ray {
     pub(super) shadow: f32,
     pub(super) shadow_skips: f32,
     pub(super) shadow_all: f32,
+    pub(super) segments: f32,
+    pub(super) shadow_segments: f32,
     pub(super) terminated: bool,
 }
 
@@ -172,6 +177,8 @@ impl Ray {
         shadow: 0.0,
         shadow_skips: 0.0,
         shadow_all: 0.0,
+        segments: 0.0,
+        shadow_segments: 0.0,
         terminated: false,
     };
 }
@@ -251,6 +258,8 @@ impl<'a> March<'a> {
             rays[SHADOW][i] = ray.shadow;
             rays[SHADOW_SKIPS][i] = ray.shadow_skips;
             rays[SHADOW_ALL][i] = ray.shadow_all;
+            rays[SEGMENTS][i] = ray.segments;
+            rays[SHADOW_SEGMENTS][i] = ray.shadow_segments;
         }
     }
 
@@ -276,6 +285,8 @@ impl<'a> March<'a> {
             let d = direction.abs();
             rate * (b.x * b.y * b.z) / (d.x * b.y * b.z + d.y * b.x * b.z + d.z * b.x * b.y)
         });
+        // Borders of cells that are crossed per reference step.
+        let crossings = crossings(safe * self.scale) / rate;
         let mut t = t_enter;
         let mut depth = 0.0f32;
         // Current jump of the distance map: where it began, how far it reaches, its length so far.
@@ -300,6 +311,7 @@ impl<'a> March<'a> {
                 out.occupied += inside;
                 // A view's rays have unit length along its axis: t is depth.
                 out.depth += inside * (t + t_next);
+                out.segments += used * here.looks * crossings;
                 out.runs += if was_occupied { 0.0 } else { 1.0 };
                 was_occupied = true;
                 let shown = used * here.visible;
@@ -318,7 +330,9 @@ impl<'a> March<'a> {
                     let empty = used - inside;
                     out.empty += empty;
                     if let Some(chord) = mean_block_chord {
-                        out.runs += empty / chord * here.occupied;
+                        let more = empty / chord * here.occupied;
+                        out.runs += more;
+                        out.segments += more;
                         self.distance_skips.add_many(chord, empty);
                     }
                 }
@@ -356,7 +370,8 @@ impl<'a> March<'a> {
             self.block_skips.add_many(chord, out.empty);
         }
         if lit >= 0.0 {
-            let (occupied, all, skips) = self.shadow(origin + lit * safe);
+            let [occupied, all, skips, segments] = self.shadow(origin + lit * safe);
+            out.shadow_segments = out.visible * segments;
             out.shadow = out.visible * occupied;
             out.shadow_all = out.visible * all;
             out.shadow_skips = out.visible * skips;
@@ -364,9 +379,9 @@ impl<'a> March<'a> {
         out
     }
 
-    /// Marches a shadow ray from a point in the box: length in occupied blocks, length in all, and empty
-    /// blocks met.
-    fn shadow(&mut self, from: Vec3) -> (f32, f32, f32) {
+    /// Marches a shadow ray from a point in the box: length in occupied blocks, length in all, empty blocks
+    /// met, and looks at the skip map for samples.
+    fn shadow(&mut self, from: Vec3) -> [f32; 4] {
         let direction = Vec3::from_array(SHADOW_DIRECTION);
         let mut t_exit = f32::INFINITY;
         for k in 0..3 {
@@ -376,8 +391,10 @@ impl<'a> March<'a> {
         let start = (from + self.half_extent) * self.scale - self.shift;
         let mut walk = Walk::new(start, direction * self.scale, 0.0, self.grid);
         let rate = direction.length() * self.per_step;
+        let crossings = crossings(direction * self.scale) / rate;
         let end = self.shadow_end;
-        let (mut t, mut depth, mut occupied, mut skips) = (0.0f32, 0.0f32, 0.0f32, 0.0f32);
+        let (mut t, mut depth, mut occupied, mut skips, mut segments) =
+            (0.0f32, 0.0f32, 0.0f32, 0.0f32, 0.0f32);
         while t < t_exit {
             let t_next = walk.leaves().min(t_exit);
             let length = (t_next - t).max(0.0) * rate;
@@ -386,14 +403,16 @@ impl<'a> March<'a> {
                 let d = here.extinction * length;
                 if depth + d >= end {
                     let used = (end - depth) / d;
-                    return (
+                    return [
                         occupied + used * length * here.occupied,
                         (t + used * (t_next - t)) * rate,
                         skips,
-                    );
+                        segments + used * length * here.looks * crossings,
+                    ];
                 }
                 depth += d;
                 occupied += length * here.occupied;
+                segments += length * here.looks * crossings;
             } else {
                 skips += 1.0;
             }
@@ -403,8 +422,14 @@ impl<'a> March<'a> {
             t = t_next;
             walk.advance();
         }
-        (occupied, t_exit.max(0.0) * rate, skips)
+        [occupied, t_exit.max(0.0) * rate, skips, segments]
     }
+}
+
+/// Borders of cells that are crossed per t, along all axes together.
+fn crossings(pace: Vec3) -> f32 {
+    let pace = pace.abs();
+    pace.x + pace.y + pace.z
 }
 
 /// The cells along a ray, one after another, without branches (Amanatides and Woo). Several faces met at once

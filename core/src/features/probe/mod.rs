@@ -7,8 +7,8 @@ mod packet;
 mod tests;
 
 use self::march::{
-    CHORD, DEPTH, DRAW, EMPTY, FIELDS, March, OCCUPIED, RUNS, SHADOW, SHADOW_ALL, SHADOW_SKIPS, TERMINATED,
-    U, V, VISIBLE,
+    CHORD, DEPTH, DRAW, EMPTY, FIELDS, March, OCCUPIED, RUNS, SEGMENTS, SHADOW, SHADOW_ALL, SHADOW_SEGMENTS,
+    SHADOW_SKIPS, TERMINATED, U, V, VISIBLE,
 };
 use super::{Footprint, TransferSummary, VolumeSummary};
 use crate::kernels::Level;
@@ -52,6 +52,9 @@ pub(crate) struct Probe {
     /// Runs of samples between jumps: how often a ray comes from an empty block (or from outside) into an
     /// occupied one.
     pub(super) runs: f32,
+    /// Segments of those runs: how often a renderer looks at a skip map that holds the distance to the nearest
+    /// empty block, so that deep among occupied blocks a look lasts for several.
+    pub(super) segments: f32,
     /// Distance of rays that are the image's height apart, reference steps, at the mean depth of the samples.
     pub(super) spread: f32,
     /// Share of rays that terminate early.
@@ -68,6 +71,8 @@ pub(crate) struct Probe {
     pub(super) shadow_skips: f32,
     /// Visible length times the length of a shadow ray without skipping.
     pub(super) shadow_all: f32,
+    /// Visible length times the segments of a shadow ray.
+    pub(super) shadow_segments: f32,
     /// Standard error of the length among samples, as a share of it.
     pub(super) error: f32,
     block_skips: Chords,
@@ -85,6 +90,7 @@ impl Probe {
         empty: 0.0,
         visible: 0.0,
         runs: 0.0,
+        segments: 0.0,
         spread: 0.0,
         terminated: 0.0,
         occupied_max: 0.0,
@@ -93,6 +99,7 @@ impl Probe {
         shadow: 0.0,
         shadow_skips: 0.0,
         shadow_all: 0.0,
+        shadow_segments: 0.0,
         error: 0.0,
         block_skips: Chords::NOTHING,
         distance_skips: Chords::NOTHING,
@@ -217,6 +224,7 @@ impl Probe {
             empty: total(EMPTY) * inv,
             visible: total(VISIBLE) * inv,
             runs: total(RUNS) * inv,
+            segments: total(SEGMENTS) * inv,
             spread: frame.camera.height_at(depth) / shape.reference_step,
             terminated: total(TERMINATED) * inv,
             occupied_max: occupied_max * inv,
@@ -225,6 +233,7 @@ impl Probe {
             shadow: total(SHADOW) * inv,
             shadow_skips: total(SHADOW_SKIPS) * inv,
             shadow_all: total(SHADOW_ALL) * inv,
+            shadow_segments: total(SHADOW_SEGMENTS) * inv,
             error,
             block_skips,
             distance_skips: if mapped { distance_skips.mean(inv) } else { block_skips },

@@ -3,8 +3,8 @@
 //! packet holds rays that cross about as many cells.
 
 use super::march::{
-    CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, KEPT, March, OCCUPIED, RUNS, SHADOW, SHADOW_ALL,
-    SHADOW_SKIPS, TERMINATED, TINY, U, V, VISIBLE,
+    CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, KEPT, March, OCCUPIED, RUNS, SEGMENTS, SHADOW,
+    SHADOW_ALL, SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, TINY, U, V, VISIBLE,
 };
 use super::{MAX_RAYS, SHADOW_DIRECTION};
 use crate::features::transfer::packed;
@@ -147,15 +147,25 @@ impl<S: Simd> Packet<'_, '_, S> {
         (found, simd.and_m(simd.nonzero(found), lanes))
     }
 
-    /// Extinction and visible share of what [`Self::look`] found.
+    /// Extinction, visible share, and one over the cells between looks, of what [`Self::look`] found.
     #[inline(always)]
-    fn optics(&self, found: S::I) -> (S::F, S::F) {
+    fn optics(&self, found: S::I) -> Three<S> {
         let simd = self.simd;
         let bits = simd.and_i(found, packed::EXTINCTION as i32);
         let extinction = simd.as_f(simd.add_i(bits, simd.splat_i(packed::EXPONENT as i32)));
         let root = simd.to_f(simd.and_i(found, packed::SHOWS as i32));
         let root = simd.mul(root, simd.splat(packed::UNIT));
-        (extinction, simd.mul(root, root))
+        let class = simd.mul_i(simd.and_i(found, packed::DEPTH as i32), -(packed::HALVING as i32));
+        let looks = simd.as_f(simd.add_i(class, simd.splat_i(1.0f32.to_bits() as i32)));
+        [extinction, simd.mul(root, root), looks]
+    }
+
+    /// Borders of cells that rays cross per t, along all axes together.
+    #[inline(always)]
+    fn crossings(&self, pace: &Three<S>) -> S::F {
+        let simd = self.simd;
+        let [x, y, z] = pace.map(|p| simd.max(p, simd.sub(simd.splat(0.0), p)));
+        simd.add(simd.add(x, y), z)
     }
 
     /// Occupied share of the cells.
@@ -313,11 +323,12 @@ impl<S: Simd> Packet<'_, '_, S> {
         });
         let scatters = m.scatters;
         let depth_end = simd.splat(m.depth_end);
+        let crossings = simd.div(self.crossings(&pace), rate);
         let mut walk = self.walk(start, pace, t_enter);
         let mut t = t_enter;
         let mut depth = zero;
         let (mut occupied, mut empty, mut visible) = (zero, zero, zero);
-        let (mut runs, mut far, mut terminated) = (zero, zero, zero);
+        let (mut runs, mut segments, mut far, mut terminated) = (zero, zero, zero, zero);
         let mut lit = simd.splat(-1.0);
         let mut was_occupied = simd.lt(zero, zero);
         let mut kept_count = self.kept_count;
@@ -344,7 +355,7 @@ impl<S: Simd> Packet<'_, '_, S> {
             }
             let mut goes_on = simd.and_m(simd.lt(t_next, t_exit), alive);
             if simd.any(full) {
-                let ((extinction, shows), share) = (self.optics(found), self.share(cell));
+                let ([extinction, shows, looks], share) = (self.optics(found), self.share(cell));
                 let d = simd.mul(extinction, length);
                 let sum = simd.add(depth, d);
                 let ends = simd.and_m(simd.le(depth_end, sum), full);
@@ -360,6 +371,8 @@ impl<S: Simd> Packet<'_, '_, S> {
                 occupied = simd.select(full, simd.add(occupied, inside), occupied);
                 let moment = simd.mul(inside, simd.add(t, t_next));
                 far = simd.select(full, simd.add(far, moment), far);
+                let looked = simd.mul(simd.mul(used, looks), crossings);
+                segments = simd.select(full, simd.add(segments, looked), segments);
                 let begins = simd.and_not_m(full, was_occupied);
                 runs = simd.select(begins, simd.add(runs, simd.splat(1.0)), runs);
                 let shown = simd.mul(used, shows);
@@ -380,6 +393,7 @@ impl<S: Simd> Packet<'_, '_, S> {
                     empty = simd.select(partial, simd.add(empty, hollow), empty);
                     let more = simd.mul(simd.div(hollow, chord), share);
                     runs = simd.select(partial, simd.add(runs, more), runs);
+                    segments = simd.select(partial, simd.add(segments, more), segments);
                 }
             }
             was_occupied = full;
@@ -392,6 +406,7 @@ impl<S: Simd> Packet<'_, '_, S> {
             (EMPTY, empty),
             (VISIBLE, visible),
             (RUNS, runs),
+            (SEGMENTS, segments),
             (DEPTH, simd.mul(far, simd.splat(0.5))),
             (TERMINATED, terminated),
         ] {
@@ -413,18 +428,20 @@ impl<S: Simd> Packet<'_, '_, S> {
             for k in 0..3 {
                 from[k] = simd.add(origin[k], simd.mul(lit, safe[k]));
             }
-            let [inside, all, skips] = self.shadow(from, lights);
-            for (field, value) in [(SHADOW, inside), (SHADOW_ALL, all), (SHADOW_SKIPS, skips)] {
+            let [inside, all, skips, segments] = self.shadow(from, lights);
+            for (field, value) in
+                [(SHADOW, inside), (SHADOW_ALL, all), (SHADOW_SKIPS, skips), (SHADOW_SEGMENTS, segments)]
+            {
                 let value = simd.select(lights, simd.mul(visible, value), zero);
                 self.spread(value, rays[field], order, count);
             }
         }
     }
 
-    /// Marches shadow rays from points in the box: length in occupied blocks, length in all, and empty blocks
-    /// met.
+    /// Marches shadow rays from points in the box: length in occupied blocks, length in all, empty blocks met,
+    /// and looks at the skip map for samples.
     #[inline(always)]
-    fn shadow(&mut self, from: Three<S>, lights: S::M) -> Three<S> {
+    fn shadow(&mut self, from: Three<S>, lights: S::M) -> [S::F; 4] {
         let simd = self.simd;
         let zero = simd.splat(0.0);
         let direction = glam::Vec3::from_array(SHADOW_DIRECTION);
@@ -442,7 +459,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         let rate = simd.splat(direction.length() * self.march.per_step);
         let end = simd.splat(self.march.shadow_end);
         let mut walk = self.walk(start, pace, zero);
-        let (mut t, mut depth, mut occupied, mut skips) = (zero, zero, zero, zero);
+        let crossings = simd.div(self.crossings(&pace), rate);
+        let (mut t, mut depth, mut occupied, mut skips, mut segments) = (zero, zero, zero, zero, zero);
         let mut all = simd.mul(simd.max(t_exit, zero), rate);
         let mut alive = simd.and_m(simd.lt(zero, t_exit), lights);
         let mut left = self.march.grid.iter().sum::<i32>() + 3;
@@ -457,26 +475,30 @@ impl<S: Simd> Packet<'_, '_, S> {
             skips = simd.select(hollow, simd.add(skips, simd.splat(1.0)), skips);
             let mut goes_on = simd.and_m(simd.lt(t_next, t_exit), alive);
             if simd.any(full) {
-                let ((extinction, _), share) = (self.optics(found), self.share(cell));
+                let ([extinction, _, looks], share) = (self.optics(found), self.share(cell));
                 let d = simd.mul(extinction, length);
                 let sum = simd.add(depth, d);
                 let ends = simd.and_m(simd.le(end, sum), full);
                 let mut inside = simd.mul(length, share);
+                let mut looked = simd.mul(simd.mul(length, looks), crossings);
                 if simd.any(ends) {
                     let used = simd.div(simd.sub(end, depth), d);
                     let last = simd.mul(simd.mul(used, length), share);
                     inside = simd.select(ends, last, inside);
+                    let last = simd.mul(simd.mul(simd.mul(used, length), looks), crossings);
+                    looked = simd.select(ends, last, looked);
                     let reached = simd.add(t, simd.mul(used, simd.sub(t_next, t)));
                     all = simd.select(ends, simd.mul(reached, rate), all);
                     goes_on = simd.and_not_m(goes_on, ends);
                 }
                 depth = simd.select(full, sum, depth);
                 occupied = simd.select(full, simd.add(occupied, inside), occupied);
+                segments = simd.select(full, simd.add(segments, looked), segments);
             }
             t = t_next;
             alive = goes_on;
         }
-        [occupied, all, skips]
+        [occupied, all, skips, segments]
     }
 }
 
