@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 
 /// Counts up whenever the core computes another value of a quantity for the same frame; features kept before
 /// are refused then.
-pub const VERSION: u32 = 2;
+pub const VERSION: u32 = 3;
 
 /// What the first line begins with.
 const MARK: &str = "# entire-features 1";

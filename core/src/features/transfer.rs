@@ -264,7 +264,7 @@ impl TransferSummary {
         let t = (t * (1.0 / super::QUANTILES as f32)).clamp(1.0e-12, 1.0);
         let visible = (v * (1.0 / super::QUANTILES as f32)).clamp(0.0, 1.0);
         let extinction = -libm::logf(t) * (1.0 / CORRELATION_LENGTH);
-        let class = self.interior.class(&self.full, self.grid, cell);
+        let class = self.interior.class(self.grid, cell);
         let word = packed::pack(extinction, visible, class) | self.edit;
         self.cells[cell] = word;
         word
