@@ -333,7 +333,7 @@ mod tests {
         }
         assert_eq!(
             (VERSION, format!("{:016x}", fnv1a(text.as_bytes()))),
-            (2, "3f6ee9b37a81a413".into()),
+            (3, "4ce9de6e2b001810".into()),
             "{text}"
         );
     }

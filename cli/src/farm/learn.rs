@@ -35,7 +35,7 @@ const MAX_TRANSFERS: usize = 64;
 const BEFORE: (f64, f64) = (0.15, 4.0);
 /// The same of volumes, where a model or a list tells: the largest that shipped models have on frames of volumes
 /// that they were not made from (`entire evaluate` on the tables local-timestep, scatter-timestep, none-inside,
-/// none-later and none-steps-members of `data/timings`: 0.03 to 0.07).
+/// none-earlier and none-steps-members of `data/timings` as they once were: 0.03 to 0.07).
 const BEFORE_TOLD: f64 = 0.07;
 /// There, the standard deviation of the prior of ln base: twice the largest slope of ln(measured / base) over
 /// ln base on the same tables.
