@@ -235,9 +235,9 @@ mod tests {
         let failed = shell("echo no device >&2; exit 1", 30.0, true);
         assert_eq!((failed.state, failed.said.as_str()), (State::Failed, "no device"));
         let endless = "trap 'echo kept; exit 130' INT; while :; do sleep 0.05; done";
-        let cut = shell(endless, 0.3, true);
+        let cut = shell(endless, 3.0, true);
         assert_eq!((cut.state, cut.said.as_str()), (State::CutShort, "kept"));
-        let useless = shell(endless, 0.3, false);
+        let useless = shell(endless, 3.0, false);
         assert_eq!((useless.state, useless.said.as_str()), (State::Failed, "took too long: kept"));
     }
 
