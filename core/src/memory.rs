@@ -35,6 +35,20 @@ pub(crate) fn zeroed<T: bytemuck::Zeroable>(len: usize) -> Result<Vec<T>> {
     bytemuck::allocation::try_zeroed_vec(len).map_err(|()| no_memory())
 }
 
+/// A longer vector of zeros in place of one that has no room for `len` elements; what is not touched of it costs
+/// nothing.
+pub(crate) fn longer<T: bytemuck::Zeroable>(vector: &Vec<T>, len: usize) -> Result<Option<Vec<T>>> {
+    if len <= vector.capacity() { Ok(None) } else { zeroed(len).map(Some) }
+}
+
+/// Takes the longer vector, if there is one, and makes it as long as asked for.
+pub(crate) fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Vec<T>>, len: usize) {
+    match longer {
+        Some(longer) => *vector = longer,
+        None => vector.resize(len, T::zeroed()),
+    }
+}
+
 /// Room for `len` elements in all, and for some more where the vector has grown before: what grows piece by
 /// piece is moved a few times, not once per piece.
 pub(crate) fn reserve<T>(vector: &mut Vec<T>, len: usize) -> Result<()> {

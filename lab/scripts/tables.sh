@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Timing tables of data/timings collected anew on this machine, as their manifests say (`entire collect --like`), with their
-# scene features; the first rendering of every frame is thrown away. Makes out/tables/NAME.csv.gz for every NAME given; copy them to data/timings to train on them. Interrupted, it
-# goes on with the same command. Nothing else should run meanwhile.
+# scene features. The first rendering of every frame is thrown away, but for low-resolution proxies: LVRP renders those once.
+# Makes out/tables/NAME.csv.gz for every NAME given; copy them to data/timings to train on them. Interrupted, it goes on with
+# the same command. Nothing else should run meanwhile.
 #   DATA     the folder that holds ensembles/ and scans/
 #   OUT      where the tables go, out/tables unless given
 set -euo pipefail
@@ -15,10 +16,11 @@ mkdir -p "$out"
 cd "$data"
 for name in "$@"; do
     if [[ ! -e $out/$name.csv.gz ]]; then
-        resume=()
+        resume=() warm_up=(--warm-up-repeats 1)
+        [[ $name == *-64 ]] && warm_up=()
         [[ -e $out/$name.csv ]] && resume=(--resume)
         echo "==> $name"
-        "$entire" collect --like "$root/data/timings/$name.csv.gz" --warm-up-repeats 1 --out "$out/$name.csv" "${resume[@]}"
+        "$entire" collect --like "$root/data/timings/$name.csv.gz" --out "$out/$name.csv" "${warm_up[@]}" "${resume[@]}"
         gzip -9n "$out/$name.csv"
     fi
     # Low-resolution proxies are timed and never predicted.

@@ -42,26 +42,26 @@ pub struct TimedScene {
     pub discarded: u64,
 }
 
-/// Renders a scene of the renderer's volume so many times, after as many more that are discarded as `warm_up`
-/// says; it counts down. `stop` is asked before every rendering.
-///
-/// The first renderings of a scene are slower than the later ones: the image has another size, the transfer
-/// function is new. Where they shall not be timed, `warm_up` is at least as many as those.
+/// Renders a scene of the renderer's volume as often as the protocol says, after as many more that are discarded
+/// as `warm_up` says, and the protocol for each frame at least; it counts down. `stop` is asked before every
+/// rendering.
 ///
 /// # Errors
 /// A scene that cannot be drawn, a renderer that fails.
 pub fn time_scene(
     renderer: &mut dyn Renderer,
     scene: &Scene,
-    repeats: u32,
+    protocol: &Protocol,
     warm_up: &mut u32,
     stop: &dyn Fn() -> bool,
 ) -> Result<TimedScene> {
     let frame = scene.to_frame()?;
     renderer.set_transfer(&scene.to_table()?)?;
     let mut out = TimedScene { repeats: None, discarded: 0 };
-    let mut timings = Vec::with_capacity(repeats as usize);
-    while timings.len() < repeats as usize {
+    let repeats = protocol.repeats as usize;
+    let mut timings = Vec::with_capacity(repeats);
+    *warm_up = (*warm_up).max(protocol.warm_up_repeats);
+    while timings.len() < repeats {
         if stop() {
             return Ok(out);
         }
@@ -114,8 +114,7 @@ pub fn collect(
         for index in missing {
             let scene = protocol.scene(job, volume.dims(), index);
             let number = first + index;
-            warm_up = warm_up.max(protocol.warm_up_repeats);
-            let timed = time_scene(renderer, &scene, protocol.repeats, &mut warm_up, stop)
+            let timed = time_scene(renderer, &scene, protocol, &mut warm_up, stop)
                 .with_context(|| format!("{shown}, frame {number}"))?;
             outcome.discarded += timed.discarded;
             let Some(repeats) = timed.repeats else {

@@ -2,7 +2,7 @@
 //! looks at the skip map again.
 
 use crate::Result;
-use crate::memory::zeroed;
+use crate::memory::{fit, longer};
 use alloc::vec::Vec;
 
 /// Distances in cells to the nearest empty cell from which the classes of depth after the first begin. Class c
@@ -34,9 +34,7 @@ impl Interior {
         let words = row_words(grid) * grid[1] * grid[2];
         let mut out = [const { None }; BUFFERS];
         for (slot, present) in out.iter_mut().zip(&self.bits) {
-            if words > present.capacity() {
-                *slot = Some(zeroed(words)?);
-            }
+            *slot = longer(present, words)?;
         }
         Ok(out)
     }
@@ -45,10 +43,7 @@ impl Interior {
     pub(super) fn update(&mut self, longer: [Option<Vec<u64>>; BUFFERS], grid: [usize; 3], full: &[u64]) {
         let (words, [nx, ny, nz]) = (row_words(grid), grid);
         for (present, longer) in self.bits.iter_mut().zip(longer) {
-            if let Some(longer) = longer {
-                *present = longer;
-            }
-            present.resize(words * ny * nz, 0);
+            fit(present, longer, words * ny * nz);
         }
         let [second, third, fifth, a, b] = &mut self.bits;
         for (row, to) in b.chunks_exact_mut(words).enumerate() {

@@ -4,7 +4,7 @@ use super::VolumeSummary;
 use super::classify::{Visible, classify, share};
 use super::interior::Interior;
 use crate::Result;
-use crate::memory::zeroed;
+use crate::memory::{fit, longer};
 use crate::scene::{TABLE_LEN, TransferTable};
 use alloc::vec::Vec;
 
@@ -31,8 +31,8 @@ pub(super) struct Optics {
 
 /// What is kept of a cell in one word, which packets of rays read at once: from the lowest bit on, the root of
 /// the visible share in 1/1023, extinction as a floating-point number without sign (10 bits of mantissa, 5 of
-/// exponent, 2⁻²⁷ at least), how deep it lies among cells that are not empty ([`Interior`]), and around them the number of
-/// the edit in which it was computed. All but that are zero for an empty cell, and not all for another.
+/// exponent, 2⁻²⁷ at least), how deep it lies among cells that are not empty ([`Interior`]), and around them the
+/// number of the edit in which it was computed. All but that are zero for an empty cell, and not all for another.
 pub(super) mod packed {
     /// Bits of the visible share's root.
     pub(crate) const SHOWS: u32 = 0x0000_03ff;
@@ -388,20 +388,6 @@ impl TransferSummary {
     /// Chebyshev distances in cells to the nearest occupied cell (255 where there is none), once prepared.
     pub(super) fn distance(&self) -> Option<&[u8]> {
         self.distance_ready.then_some(&self.distance)
-    }
-}
-
-/// A longer vector of zeros in place of one that has no room for `len` elements; what is not touched of it costs
-/// nothing.
-fn longer<T: bytemuck::Zeroable>(vector: &Vec<T>, len: usize) -> Result<Option<Vec<T>>> {
-    if len <= vector.capacity() { Ok(None) } else { zeroed(len).map(Some) }
-}
-
-/// Takes the longer vector, if there is one, and makes it as long as asked for.
-fn fit<T: bytemuck::Zeroable + Clone>(vector: &mut Vec<T>, longer: Option<Vec<T>>, len: usize) {
-    match longer {
-        Some(longer) => *vector = longer,
-        None => vector.resize(len, T::zeroed()),
     }
 }
 

@@ -297,7 +297,7 @@ fn of_volume(
                     ..w.scene
                 };
                 let stop = || work.stop();
-                let timed = time_scene(renderer, &scene, table.protocol.repeats, &mut warm_up, &stop);
+                let timed = time_scene(renderer, &scene, &table.protocol, &mut warm_up, &stop);
                 let Some(repeats) = timed.with_context(fail)?.repeats else { bail!("{}", work.stopped()) };
                 table.writer.append(w.number, &scene, &repeats)?;
                 table.frames.retain(|f| f.number != w.number);
