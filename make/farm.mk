@@ -14,7 +14,7 @@ bars-farm: ## Measure the bars of render farms; fails when one is short
 	$(CARGO) build --release --quiet --package entire-cli --bin entire --package entire-lab --bin entire-lab
 	@status=0; \
 	bash lab/scripts/farm/traces.sh "$(FARM_OUT)" cpu || status=1; \
-	target/release/entire-lab farm --trace "$(FARM_OUT)/farm.json" --training "$(FARM_OUT)/farm-training.json" --probe-side 24 \
+	target/release/entire-lab farm --trace "$(FARM_OUT)/farm.json.gz" --training "$(FARM_OUT)/farm-training.json.gz" --probe-side 24 \
 		--save-tasks "$(FARM_OUT)/farm-tasks.csv" --report "$(FARM_OUT)/static" --bars || status=1; \
 	target/release/entire-lab farm-bars --out "$(FARM_OUT)" --bars || status=1; \
 	python=$$(scripts/test-farm.sh python) || status=1; \

@@ -1,5 +1,7 @@
 # Steering: recorded cost curves, their replay under every controller beside an oracle, the stress scenes, farm balancing.
-# STEER_DATA: more volumes that no predictor saw. STEER_CLOCK: cpu where the machine is shared. STEER_FRAMES: frames per path.
+# STEER_IN: recorded paths; those of the project, or what `make steer-traces` recorded here. STEER_DATA: more volumes that no
+# predictor saw. STEER_CLOCK: cpu where the machine is shared. STEER_FRAMES: frames per path.
+STEER_IN ?= data/steer
 STEER_OUT ?= out/steer
 STEER_CLOCK ?= cpu
 STEER_FRAMES ?= 96
@@ -11,18 +13,23 @@ steer-build:
 	@$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
 
 .PHONY: steer-traces
-steer-traces: setup steer-build ## Record the cost curves that the steering bars are taken from (what is there stays)
+steer-traces: setup steer-build ## Record cost curves on this machine, for `make bars-steer STEER_IN=out/steer` (what is there stays)
 	@CARGO="$(CARGO)" bash lab/scripts/steer-traces.sh "$(STEER_OUT)" "$(STEER_CLOCK)" "$(STEER_FRAMES)" "$(STEER_DATA)"
 
 .PHONY: bars-steer
-bars-steer: steer-traces ## Hold every controller against an oracle, the farm against its lower bound, all against the stress scenes; fails when short
+bars-steer: steer-build ## Hold every controller against an oracle, the farm against its lower bound, all against the stress scenes; fails when short
 	@status=0; \
-	target/release/entire-lab replay "$(STEER_OUT)"/traces/*.json --calibration "$(STEER_OUT)/calibration.csv" \
+	target/release/entire-lab replay "$(STEER_IN)"/traces/*.json.gz --calibration "$(STEER_IN)/calibration.csv.gz" \
 		--out "$(STEER_OUT)" --bars || status=1; \
-	target/release/entire-lab farm --trace "$(STEER_OUT)/farm.json" --training "$(STEER_OUT)/farm-training.json" \
+	target/release/entire-lab farm --trace "$(STEER_IN)/farm.json.gz" --training "$(STEER_IN)/farm-training.json.gz" \
 		--probe-side 24 --save-tasks "$(STEER_OUT)/farm-tasks.csv" --report "$(STEER_OUT)/farm" --bars || status=1; \
 	target/release/entire-lab stress --device auto --clock "$(STEER_CLOCK)" --out "$(STRESS_OUT)" || status=1; \
 	exit $$status
+
+.PHONY: tune
+tune: steer-build ## Search for better constants of the controller, on recorded paths of training volumes
+	@target/release/entire-lab tune "$(STEER_IN)"/training/*.json.gz --calibration "$(STEER_IN)/calibration.csv.gz" \
+		--out "$(STEER_OUT)/tune.json"
 
 .PHONY: stress
 stress: steer-build ## Play the 28 scenes in which methods break, with a run of a million frames: out/stress/report.html

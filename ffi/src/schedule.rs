@@ -13,9 +13,9 @@ use entire_core::schedule::assign_longest_first;
 /// NULL for nodes of speed 1. `node_of_task` receives a node number, from 0, per task, and `makespan`, which
 /// may be NULL, the seconds until the last node is done.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range), ENTIRE_SIZE_MISMATCH
-/// (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or ENTIRE_MAX_TASKS_TIMES_NODES), ENTIRE_OUT_OF_MEMORY,
-/// ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range, times that add up to more
+/// than a double holds), ENTIRE_SIZE_MISMATCH (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or
+/// ENTIRE_MAX_TASKS_TIMES_NODES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_schedule(
     seconds: *const f64,

@@ -699,7 +699,7 @@ typedef struct entire_session_options {
      */
     float coarsest_step;
     /**
-     * Share of frames that may exceed their upper bound, over 0 and under 1; default 0.05. Fewer exceed the
+     * Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer exceed the
      * target by more than `tolerance`, since not every bound reaches so far.
      */
     float miss_rate;
@@ -1017,7 +1017,7 @@ typedef struct entire_setting {
 #define ENTIRE_VERDICT_CLIPPED 1
 
 /**
- * Taken note of, not learned from: flagged, or the first frame.
+ * Taken note of, not learned from: unusual, or cancelled no later than it was expected to end.
  */
 #define ENTIRE_VERDICT_IGNORED 2
 
@@ -1587,9 +1587,9 @@ entire_result entire_session_load_state(struct entire_session *session,
  * NULL for nodes of speed 1. `node_of_task` receives a node number, from 0, per task, and `makespan`, which
  * may be NULL, the seconds until the last node is done.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range), ENTIRE_SIZE_MISMATCH
- * (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or ENTIRE_MAX_TASKS_TIMES_NODES), ENTIRE_OUT_OF_MEMORY,
- * ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_INVALID_ARGUMENT (no node, a time or speed that is out of range, times that add up to more
+ * than a double holds), ENTIRE_SIZE_MISMATCH (counts over ENTIRE_MAX_TASKS, ENTIRE_MAX_NODES or
+ * ENTIRE_MAX_TASKS_TIMES_NODES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_schedule(const double *seconds,
                               size_t task_count,

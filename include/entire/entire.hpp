@@ -290,6 +290,9 @@ public:
     }
     // Entries of red, green, blue, opacity.
     static result<transfer_function> from_table(span<const float> rgba) {
+        if (rgba.size() % 4 != 0)
+            return failure{ENTIRE_SIZE_MISMATCH, "rgba holds " + std::to_string(rgba.size()) +
+                                                     " floats; it must be four per entry"};
         entire_transfer_function *handle = nullptr;
         if (auto code = entire_transfer_function_from_table(rgba.data(), rgba.size() / 4, &handle))
             return failure::last(code);
@@ -353,6 +356,9 @@ public:
     // One row of inputs per element of `seconds`.
     status predict(span<const float> inputs, span<float> seconds) const {
         const std::size_t columns = seconds.empty() ? 0 : inputs.size() / seconds.size();
+        if (columns * seconds.size() != inputs.size())
+            return failure{ENTIRE_SIZE_MISMATCH, std::to_string(inputs.size()) + " inputs are no rows of one length for " +
+                                                     std::to_string(seconds.size()) + " frames"};
         return detail::done(
             entire_model_predict_batch(get(), inputs.data(), seconds.size(), columns, seconds.data()));
     }

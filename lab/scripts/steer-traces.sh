@@ -4,12 +4,12 @@
 set -euo pipefail
 out=$1 clock=$2 frames=$3 data=$4
 lab=${ENTIRE_LAB:-target/release/entire-lab}
-mkdir -p "$out/traces"
+mkdir -p "$out/traces" "$out/training"
 
 # Paths over volumes beside those of the repository: which bars are taken from them depends on what is there.
 found=() absent=()
 for pair in isabel_wrf:isabel-switches viscous_fingers:fingers-cuts; do
-    if [ -d "$data/ensembles/${pair%%:*}/run01" ] || [ -e "$out/traces/${pair#*:}.json" ]; then
+    if [ -d "$data/ensembles/${pair%%:*}/run01" ] || [ -e "$out/traces/${pair#*:}.json.gz" ]; then
         found+=("${pair#*:}")
     else
         absent+=("${pair#*:}")
@@ -17,24 +17,28 @@ for pair in isabel_wrf:isabel-switches viscous_fingers:fingers-cuts; do
 done
 echo "volumes in $data (STEER_DATA=folder): paths ${found[*]:-none}${absent:+; not there, so left out of the bars: ${absent[*]}}"
 
-common=(--clock "$clock" --size 256x256)
+# Three repeats: the oracle follows the median, the noise is what the repeats have around it.
+common=(--clock "$clock" --size 256x256 --repeats 3)
 
-if [ ! -e "$out/calibration.csv" ]; then
+if [ ! -e "$out/calibration.csv.gz" ]; then
     rm -f "$out/calibration.part.csv"
     "$lab" record data/castro_blast/m01/t0008.nrrd data/nyx_cosmology/m01/t0005.nrrd \
         data/maestroex_bubbles/m01/t0010.nrrd data/nyx_cosmology/m02/t0010.nrrd \
-        --enlarge 2 --calibration 16 --repeats 2 "${common[@]}" --out "$out/calibration.part.csv"
-    mv "$out/calibration.part.csv" "$out/calibration.csv"
+        --enlarge 2 --calibration 16 "${common[@]}" --out "$out/calibration.part.csv"
+    gzip -9 -n <"$out/calibration.part.csv" >"$out/calibration.part.csv.gz"
+    mv "$out/calibration.part.csv.gz" "$out/calibration.csv.gz"
+    rm "$out/calibration.part.csv"
 fi
 
-trace() { # trace NAME VOLUME... -- OPTION...
-    local name=$1
-    shift
-    local to="$out/traces/$name.json"
+record() { # record FOLDER NAME VOLUME... OPTION...
+    local name=$2 to="$out/$1/$2.json.gz"
+    shift 2
     [ -e "$to" ] && return
-    "$lab" record "$@" "${common[@]}" --name "$name" --out "$out/part.json"
-    mv "$out/part.json" "$to"
+    "$lab" record "$@" "${common[@]}" --name "$name" --out "$out/part.json.gz"
+    mv "$out/part.json.gz" "$to"
 }
+trace() { record traces "$@"; }
+training() { record training "$@"; }
 
 trace nyx-switches data/nyx_cosmology/m04/t0010.nrrd --enlarge 2 --generate switches --frames "$frames"
 trace castro-cuts data/castro_blast/m05/t0012.nrrd --enlarge 2 --generate cuts --frames "$frames"
@@ -53,5 +57,16 @@ if [ -d "$data/ensembles" ]; then
     first=$(find "$v" -name '*.nrrd' 2>/dev/null | sort | head -n 1 || true)
     [ -n "$first" ] && trace fingers-cuts "$first" --enlarge 2 --generate cuts --frames "$frames"
 fi
+
+# Paths that the controller's constants are chosen on: volumes that the paths above do not show.
+training train-switches data/nyx_cosmology/m01/t0005.nrrd --enlarge 2 --generate switches --frames 64
+training train-cuts data/castro_blast/m01/t0008.nrrd --enlarge 2 --generate cuts --frames 64
+training train-drag data/nyx_cosmology/m02/t0010.nrrd --enlarge 2 --generate drag --frames 64
+training train-fly-in data/castro_blast/m02/t0012.nrrd --enlarge 2 --generate fly-in --frames 64
+training train-orbit data/maestroex_bubbles/m01/t0010.nrrd --enlarge 2 --generate orbit --frames 64
+training train-resize data/castro_blast/m01/t0008.nrrd --enlarge 2 --generate switches --frames 64 \
+    --scales 0:1,21:0.6,42:1.2
+training train-series data/maestroex_bubbles/m01/t0010.nrrd data/maestroex_bubbles/m01/t0015.nrrd \
+    --enlarge 2 --hold 8 --generate orbit --frames 64
 
 ENTIRE_LAB=$lab bash lab/scripts/farm/traces.sh "$out" "$clock"

@@ -14,6 +14,14 @@ use std::path::PathBuf;
 /// # Errors
 /// When a table or a volume cannot be read.
 pub fn samples_of(tables: &[PathBuf], side: usize) -> Result<Vec<Sample>> {
+    Ok(samples_by_volume(tables, side)?.into_iter().map(|(_, sample)| sample).collect())
+}
+
+/// As [`samples_of`], each with the name of its volume.
+///
+/// # Errors
+/// As [`samples_of`].
+pub fn samples_by_volume(tables: &[PathBuf], side: usize) -> Result<Vec<(String, Sample)>> {
     let tables = read_tables(tables)?;
     let frames: Vec<&TimedFrame> = tables.iter().flat_map(|t| &t.frames).collect();
     let clock = [Clock::Cpu, Clock::Auto]
@@ -34,13 +42,14 @@ pub fn samples_of(tables: &[PathBuf], side: usize) -> Result<Vec<Sample>> {
         })
         .collect();
     inputs::measure(&tables, &frames, Some(side), None, &pool, &ProgressBar::hidden(), |frame, inputs| {
-        Ok(Sample {
+        let sample = Sample {
             scene: scenes[&(frame.table, frame.number)],
             features: inputs.features.clone(),
             setting: inputs.setting,
             camera: inputs.camera,
             lobes: frame.scene.lobes.clone(),
             seconds: frame.seconds(clock).context("a frame without a time")?,
-        })
+        };
+        Ok((frame.scene.volume.clone(), sample))
     })
 }

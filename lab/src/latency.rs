@@ -34,7 +34,15 @@ pub struct Latency {
     pub transfer: f64,
 }
 
+/// Frames that share a transfer function, where its cost is spread over them.
+const FRAMES_PER_TRANSFER: f64 = 30.0;
+
 impl Latency {
+    /// Median with cold caches of a session in which every 30th frame has a new transfer function.
+    pub fn with_changes(&self) -> f64 {
+        self.cold + self.transfer / FRAMES_PER_TRANSFER
+    }
+
     /// The shorter of each.
     fn min(self, other: Self) -> Self {
         Self {

@@ -25,6 +25,8 @@ enum Command {
     Record(commands::record::Options),
     /// Replay recorded cost curves under every controller and target, beside an oracle.
     Replay(commands::replay::Options),
+    /// Choose the controller's constants on recorded paths.
+    Tune(commands::tune::Options),
     /// Play the scenes in which methods of holding a frame time break.
     Stress(commands::stress::Options),
     /// Study a device: pictures, costs, tables, models, frames held; one report.
@@ -48,6 +50,7 @@ fn main() -> ExitCode {
         Command::Select(options) => commands::select::run(options),
         Command::Record(options) => commands::record::run(options),
         Command::Replay(options) => commands::replay::run(options),
+        Command::Tune(options) => commands::tune::run(options),
         Command::Stress(options) => commands::stress::run(options),
         Command::GpuStudy(options) => commands::gpu_study::run(options),
         Command::Farm(options) => commands::farm::run(options),

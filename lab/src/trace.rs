@@ -42,6 +42,18 @@ pub const TRACE_SCALES: [f32; 2] = [0.7, 0.5];
 /// Steps at which smaller images are drawn.
 pub const SCALED_STEPS: [f32; 4] = [1.0, 2.0, 4.0, 8.0];
 
+// Beside the file's reader, which knows files alone.
+impl TraceVolume {
+    /// Opens the volume, enlarged as it was drawn.
+    ///
+    /// # Errors
+    /// When the file cannot be read or the enlarged volume does not fit.
+    pub fn open(&self) -> Result<Volume> {
+        let volume = Volume::open(&self.file)?;
+        if self.enlarge == 1 { Ok(volume) } else { enlarge(&volume, self.enlarge) }
+    }
+}
+
 /// What a recording is told.
 #[derive(Clone, Debug)]
 pub struct Recording<'a> {
@@ -179,11 +191,7 @@ impl Trace {
     pub fn summaries(&self) -> Result<Vec<VolumeSummary>> {
         self.volumes
             .iter()
-            .map(|v| {
-                let volume = Volume::open(&v.file)?;
-                let volume = if v.enlarge == 1 { volume } else { enlarge(&volume, v.enlarge)? };
-                Ok(VolumeSummary::new(&volume.view(), SummaryOptions::default())?)
-            })
+            .map(|v| Ok(VolumeSummary::new(&v.open()?.view(), SummaryOptions::default())?))
             .collect()
     }
 }

@@ -13,7 +13,7 @@ fn text(bytes: &[u8]) -> String {
 
 #[test]
 fn help_shows_examples_and_wrong_usage_exits_with_2() {
-    for command in ["study", "select", "record", "replay", "stress", "farm"] {
+    for command in ["study", "select", "record", "replay", "tune", "stress", "farm"] {
         let output = lab(&[command, "--help"]);
         let help = text(&output.stdout);
         assert_eq!(output.status.code(), Some(0), "{command}");
@@ -74,4 +74,45 @@ fn select_says_what_it_cannot_do_before_any_candidate_is_made() {
         assert!(said.starts_with("entire-lab: ") && said.lines().count() == 1, "{said}");
     }
     assert!(!Path::new(&out).exists());
+}
+
+#[test]
+fn tune_says_what_recorded_paths_cost() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let tune = |traces: &[&str], targets: &str, more: &[&str]| {
+        Command::new(env!("CARGO_BIN_EXE_entire-lab"))
+            .arg("tune")
+            .args(traces.iter().map(|t| format!("data/steer/training/{t}.json.gz")))
+            .args(["--calibration", "data/steer/calibration.csv.gz", "--targets", targets])
+            .args(more)
+            .current_dir(&root)
+            .output()
+            .unwrap()
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("tune.json");
+    let both = ["train-orbit", "train-series"];
+    let output = tune(&both, "45fps,60fps", &["--rounds", "0", "--out", out.to_str().unwrap()]);
+    let said = text(&output.stdout);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert!(said.contains("train-orbit") && said.contains("no other value of any constant"), "{said}");
+    let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
+    assert_eq!(found["paths"], serde_json::json!(["train-orbit", "train-series"]));
+    let names = entire_core::control::HybridConstants::NAMES;
+    assert!(names.iter().all(|n| found["constants"][n].is_f64()), "{found}");
+    for path in 0..2 {
+        for (what, most) in [("fitted", 0.15), ("cold", 0.5)] {
+            let deviation = found["before"][path][what]["deviation"].as_f64().unwrap();
+            assert!(deviation > 0.0 && deviation < most, "{path} {what} {deviation}");
+        }
+    }
+    for (traces, targets, why) in [
+        (&both[..1], "45fps", "one path has no standard error"),
+        (&both[..], "3600s", "no target is worth playing on train-orbit"),
+    ] {
+        let output = tune(traces, targets, &["--rounds", "0"]);
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(1));
+        assert!(said.contains(why), "{said}");
+    }
 }

@@ -49,7 +49,8 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
                 chooses_image_sample_distance: false,
             };
             let played =
-                replay(&recorded, &mut who, None, &vec![1.0 / fps; n], StepLimits::default(), seed).unwrap();
+                replay(&recorded, &mut who, None, &vec![1.0 / fps; n], StepLimits::default(), seed, 0..n)
+                    .unwrap();
             let error = |range: std::ops::Range<usize>| {
                 median(played[range].iter().map(|f| (f.predicted / f.seconds - 1.0).abs()).collect())
             };

@@ -79,6 +79,9 @@ int main(int argc, char **argv) {
     CHECK(model.predict(inputs, both));
     CHECK(std::fabs(both[0] - alone) <= 1e-5f * alone && both[0] == both[1]);
     CHECK(model.predict(entire::span<const float>(inputs.data(), 3)).code() == ENTIRE_SIZE_MISMATCH);
+    std::vector<float> uneven = inputs;
+    uneven.push_back(1);
+    CHECK(model.predict(uneven, both).code() == ENTIRE_SIZE_MISMATCH);
 #if __cplusplus >= 202002L
     CHECK(model.predict(std::span<const float>(inputs).first(11)).value() == alone);
 #endif
@@ -93,6 +96,8 @@ int main(int argc, char **argv) {
     const entire_color_node colors[] = {{0, {0, 0, 1}, 0.5, 0}, {4095, {1, 0, 0}, 0.5, 0}};
     CHECK(entire::transfer_function::from_nodes(nodes, colors, 0, 4095));
     CHECK(entire::transfer_function::from_table(lobes.table().value()));
+    const float odd[5] = {0.1f, 0.2f, 0.3f, 0.4f, 0.5f};
+    CHECK(entire::transfer_function::from_table(entire::span<const float>(odd, 5)).code() == ENTIRE_SIZE_MISMATCH);
 
     entire::frame frame(64, 64);
     const auto plan = session.plan(frame.orbit(10, 20, 3), 0.02f).value();

@@ -329,7 +329,7 @@ const LAB: &Rooms = &[
     ("replay", &["bars", "trace"]),
     ("study", &["bars", "latency", "trees"]),
     ("ship", &["latency", "study"]),
-    ("paper", &["bars", "calibration", "child", "latency", "study"]),
+    ("paper", &["bars", "calibration", "child", "latency", "replay", "study", "trace"]),
     (
         "commands",
         &[

@@ -30,7 +30,7 @@ use crate::inputs::Layout;
 use crate::train::EpochRecord;
 use anyhow::{Context as _, Result};
 use entire_core::model::{Model, ModelFile};
-use entire_core::nn::PredNet;
+use entire_core::nn::{Level, PredNet, Storage};
 use entire_core::predict::check_predictions;
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
@@ -87,7 +87,28 @@ pub fn rows_by_network(net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<
 /// # Errors
 /// When its inputs cannot be computed.
 pub fn predict(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<Vec<f64>> {
+    let (rows, width) = rows_of(model, context, frames)?;
+    predict_rows(model, &rows, width)
+}
+
+/// As [`predict`], with the weights of the model's network stored otherwise than in its file.
+///
+/// # Errors
+/// As [`predict`]; a model without a network has no weights.
+pub fn predict_stored(
+    model: &Model,
+    storage: Storage,
+    context: &FitContext<'_>,
+    frames: &[&TimedFrame],
+) -> Result<Vec<f64>> {
+    let (rows, width) = rows_of(model, context, frames)?;
+    let parts = model.prednet().context("the model file holds no PredNet")?;
+    rows_by_network(&PredNet::with(parts, Level::detect(), storage)?, &rows, width)
+}
+
+/// A model's inputs for frames, and how many there are of each frame.
+fn rows_of(model: &Model, context: &FitContext<'_>, frames: &[&TimedFrame]) -> Result<(Vec<f32>, usize)> {
     let layout = Layout::of_model(model)?;
     let rows = layout.rows(context.tables, frames, context.pool, &ProgressBar::hidden())?;
-    predict_rows(model, &rows, layout.width())
+    Ok((rows, layout.width()))
 }

@@ -60,6 +60,8 @@ pub(crate) struct Correction {
     /// Frames since the scene was new.
     age: u64,
     prior: Prior,
+    /// Variance of ln of every unit cost about their common factor, under [`Prior::Unknown`].
+    unknown: f64,
 }
 
 const STATES: usize = TERMS + 1;
@@ -77,8 +79,9 @@ const CLIP: f64 = 3.0;
 const CLIP_BELOW: f64 = 2.0;
 
 impl Correction {
-    /// A correction that has seen nothing.
-    pub(crate) fn new(prior: Prior) -> Self {
+    /// A correction that has seen nothing. `unit_cost_sd` is the standard deviation of ln of every unit cost
+    /// about their common factor, under [`Prior::Unknown`].
+    pub(crate) fn new(prior: Prior, unit_cost_sd: f64) -> Self {
         let mut out = Self {
             state: [0.0; STATES],
             covariance: [[0.0; STATES]; STATES],
@@ -91,6 +94,7 @@ impl Correction {
             observations: 0,
             age: 0,
             prior,
+            unknown: unit_cost_sd * unit_cost_sd,
         };
         out.reset();
         out
@@ -99,7 +103,7 @@ impl Correction {
     /// Forgets everything.
     pub(crate) fn reset(&mut self) {
         let (common, single, change) = match self.prior {
-            Prior::Unknown => (9.0, 1.0, 0.04),
+            Prior::Unknown => (9.0, self.unknown, 0.04),
             Prior::Fitted { log_sd } => {
                 let sd = if log_sd.is_finite() { f64::from(log_sd).clamp(0.01, 1.0) } else { 0.3 };
                 // A model that was fitted here is right on the whole; it is wrong about single scenes.
@@ -414,7 +418,7 @@ mod tests {
             ];
             for (i, poison) in poisons.into_iter().enumerate() {
                 for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-                    let mut correction = Correction::new(prior);
+                    let mut correction = Correction::new(prior, 1.0);
                     poison(&mut correction, value);
                     for frame in 0..60 {
                         correction.advance(0.0);
@@ -431,7 +435,7 @@ mod tests {
     #[test]
     fn every_state_that_is_reached_is_loaded_and_indefinite_ones_are_not() {
         for prior in [Prior::Unknown, Prior::Fitted { log_sd: 0.01 }, Prior::Fitted { log_sd: 1.0 }] {
-            let mut correction = Correction::new(prior);
+            let mut correction = Correction::new(prior, 1.0);
             for frame in 0..3000u64 {
                 correction.advance([0.0, 0.0, 0.0, 0.3, 1.0][frame as usize % 5]);
                 let seconds = if frame / 400 % 2 == 0 { 0.01 } else { 3.0 } * (1.0 + (frame % 7) as f64);
@@ -439,7 +443,7 @@ mod tests {
                 // The same make-up for long: the filter becomes sure of one direction alone.
                 correction.observe(&terms(frame / 1000), seconds, standing, 1.0);
                 let bytes = saved(&correction);
-                let mut other = Correction::new(prior);
+                let mut other = Correction::new(prior, 1.0);
                 other.load(&mut Reader(&bytes)).unwrap();
                 assert_eq!(other.observations, correction.observations, "frame {frame}");
             }
@@ -449,7 +453,7 @@ mod tests {
                 let bound = libm::sqrt(broken.covariance[0][0] * broken.covariance[4][4]);
                 broken.covariance[0][4] = sign * 1.01 * bound;
                 broken.covariance[4][0] = sign * 1.01 * bound;
-                let error = Correction::new(prior).load(&mut Reader(&saved(&broken))).unwrap_err();
+                let error = Correction::new(prior, 1.0).load(&mut Reader(&saved(&broken))).unwrap_err();
                 assert_eq!(error.kind(), ErrorKind::InvalidArgument);
                 assert!(error.to_string().contains("positive definite"), "{error}");
             }

@@ -14,8 +14,8 @@ pub enum Verdict {
     Learned = 0,
     /// Far from what was expected: its pull was clipped.
     Clipped = 1,
-    /// Taken note of, not learned from: the caller flagged it, or it was the first frame after a pipeline was
-    /// built.
+    /// Taken note of, not learned from: the caller said that it is unusual, or cancelled it no later than it
+    /// was expected to end.
     Ignored = 2,
 }
 

@@ -1,5 +1,6 @@
 //! Feed-forward prediction, corrected online, with a margin that keeps its promise.
 
+use super::constants::HybridConstants;
 use super::smoothing::Smoothing;
 use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use crate::Result;
@@ -21,7 +22,7 @@ const DEFAULT_TOLERANCE: f32 = 0.1;
 /// Settings of [`Hybrid`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HybridOptions {
-    /// Share of calm frames that may exceed their upper bound, over 0 and under 1; 0.05 by default.
+    /// Share of calm frames that may exceed their upper bound, over 0 and at most 0.5; 0.05 by default.
     /// Fewer exceed the target plus `tolerance`, since not every bound reaches so far. Of the first frames of
     /// new scenes, at least 0.07 may.
     pub miss_rate: f32,
@@ -34,6 +35,8 @@ pub struct HybridOptions {
     pub damping: bool,
     /// Out-of-range score from which recent frames decide instead of the prediction.
     pub trust_limit: f32,
+    /// What recorded paths decide; the defaults do.
+    pub constants: HybridConstants,
 }
 
 impl Default for HybridOptions {
@@ -44,6 +47,7 @@ impl Default for HybridOptions {
             prior: Prior::Unknown,
             damping: true,
             trust_limit: 2.0,
+            constants: HybridConstants::default(),
         }
     }
 }
@@ -93,39 +97,21 @@ struct Last {
 
 /// Most evaluations of the cost in a step search, beside those at the limits.
 const EVALUATIONS: usize = 12;
-/// Relative changes of the step, or distances of the expected time from the target, below which the step is
-/// kept.
-const DEAD_BAND: f64 = 0.01;
-/// Largest move to a finer step in a calm frame, in ln(step), beside what the prediction calls for.
-const FINER: f64 = 0.16;
-/// Largest move to a coarser step in a calm frame where the expected time stays bearable, in ln(step).
-const COARSER: f64 = 0.17;
-/// Standard deviation of the predicted step curve's slope, d ln(seconds) / d ln(step).
-const SLOPE_SD: f64 = 0.1;
 /// Time over the target from which a frame is late, and below which finer moves are free.
 const LATE: f64 = 1.1;
 const EARLY: f64 = 0.5;
 /// Expected time over the target that a frame may have for the sake of a small move.
 const BEARABLE: f64 = 1.0;
-/// Distance of two predictions at one step (see [`distance`]) from which the frame before says nothing.
-const FAR: f64 = 0.35;
-/// Distance that frames of one scene may have without being announced as changed.
-const NEAR: f64 = 0.12;
-/// Novelty from which a frame is the first of a new scene.
-const NEW: f64 = 0.3;
-/// How fast the margin of calm frames moves.
-const CALM_PACE: f32 = 0.05;
-/// Margin of new scenes before any was seen: errors among scenes have heavy tails.
-const CHANGED_START: f64 = 2.5;
 
 impl Hybrid {
     /// A controller that has seen nothing.
     pub fn new(options: HybridOptions) -> Self {
+        let (calm, changed) = margins(&options);
         Self {
             options,
-            correction: Correction::new(options.prior),
-            calm: Margin::new(options.miss_rate, CALM_PACE),
-            changed: Margin::starting_at(CHANGED_START, options.miss_rate.max(NEW_SCENE_MISS_RATE), 0.3),
+            correction: Correction::new(options.prior, options.constants.unit_cost_sd),
+            calm,
+            changed,
             history: History::new(),
             last: None,
             announced: false,
@@ -155,7 +141,8 @@ impl Hybrid {
             Some(last) if !self.scene.first && step > 0.0 => libm::log(step / f64::from(last.step)),
             _ => 0.0,
         };
-        let sd = libm::sqrt(sd * sd + SLOPE_SD * SLOPE_SD * far * far);
+        let slope = self.options.constants.slope_sd * far;
+        let sd = libm::sqrt(sd * sd + slope * slope);
         let z = if self.scene.first { self.changed.multiple() } else { self.calm.multiple() };
         (seconds, seconds * libm::exp(z * sd))
     }
@@ -168,13 +155,27 @@ impl Hybrid {
             return if changes.any() { 1.0 } else { 0.0 };
         }
         // Small differences are of one scene: they count by their square.
-        let share = |d: f64| (d / FAR).clamp(0.0, 1.0);
+        let c = &self.options.constants;
+        let share = |d: f64| (d / c.far).clamp(0.0, 1.0);
         if changes.any() {
             let novelty = share(d) * share(d);
             if self.announced { novelty } else { novelty.max(0.5) }
         } else {
-            share(d - NEAR) * share(d - NEAR)
+            share(d - c.near) * share(d - c.near)
         }
+    }
+
+    /// Places the frame at hand: whether it goes on with the scene or begins one.
+    fn enter(&mut self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) {
+        let novelty = self.novelty(changes, cost);
+        let first = novelty >= self.options.constants.novel;
+        self.correction.advance(novelty);
+        let moved = self.last.map_or(f64::NAN, |last| {
+            libm::log(f64::from(cost(last.step).seconds()) / f64::from(last.terms.seconds()))
+        });
+        let offset = self.smoothing.advance(moved, if first { 1.0 } else { novelty });
+        self.scene = SceneMark { number: self.scene.number + u64::from(first), first, offset };
+        self.announced = changes.any();
     }
 
     /// The finest step within the limits whose `excess` is not positive, to about half a percent; `None` when
@@ -229,7 +230,8 @@ impl Controller for Hybrid {
 
     fn plan(&mut self, request: &mut PlanRequest<'_>) -> Decision {
         let limits = request.limits;
-        self.begin(request.changes, request.cost);
+        let c = self.options.constants;
+        self.enter(request.changes, request.cost);
         let target = f64::from(request.target);
         let ceiling = target * (1.0 + f64::from(self.options.tolerance.max(0.0)));
         let changes = request.changes;
@@ -308,26 +310,26 @@ impl Controller for Hybrid {
             let delta = libm::log(f64::from(step) / f64::from(last.step));
             let (seconds, upper) = judge(last.step);
             let off = libm::log(seconds / target);
-            let near =
-                libm::fabs(delta) < DEAD_BAND || (off > -DEAD_BAND && upper <= ceiling * (1.0 + DEAD_BAND));
-            if near && off <= DEAD_BAND {
+            let near = libm::fabs(delta) < c.dead_band
+                || (off > -c.dead_band && upper <= ceiling * (1.0 + c.dead_band));
+            if near && off <= c.dead_band {
                 step = last.step;
                 if reason == Reason::Fits {
                     reason = Reason::Held;
                 }
-            } else if delta > COARSER
+            } else if delta > c.coarser
                 && this.correction.settled()
-                && judge(limits.clamp(last.step * libm::exp(COARSER) as f32)).0 <= target * BEARABLE
+                && judge(limits.clamp(last.step * libm::exp(c.coarser) as f32)).0 <= target * BEARABLE
             {
-                step = limits.clamp(last.step * libm::exp(COARSER) as f32);
+                step = limits.clamp(last.step * libm::exp(c.coarser) as f32);
                 if reason == Reason::Fits {
                     reason = Reason::Damped;
                 }
-            } else if delta < -FINER
+            } else if delta < -c.finer
                 && this.correction.settled()
                 && last.seconds.is_none_or(|t| t > EARLY * target)
             {
-                step = limits.clamp(last.step * libm::exp(-FINER) as f32);
+                step = limits.clamp(last.step * libm::exp(-c.finer) as f32);
                 if matches!(reason, Reason::Fits | Reason::FinestAllowed) {
                     reason = Reason::Damped;
                 }
@@ -377,13 +379,12 @@ impl Controller for Hybrid {
             self.smoothing.observe(libm::log(seconds / corrected));
         }
         let changed = observed.changes.any() && observed.scene.first;
-        if !observed.changes.first {
+        if !observed.changes.first && standing != Standing::Past {
             let own = libm::fabs(libm::log(seconds / corrected));
             self.history.compare(observed.step, seconds, own, changed);
             match standing {
                 Standing::First => self.changed.observe(error),
-                Standing::Same => self.calm.observe(error),
-                Standing::Past => {}
+                _ => self.calm.observe(error),
             }
         }
         if self.correction.machine_changed() {
@@ -403,9 +404,7 @@ impl Controller for Hybrid {
 
     fn reset(&mut self) {
         self.correction.reset();
-        self.calm = Margin::new(self.options.miss_rate, CALM_PACE);
-        self.changed =
-            Margin::starting_at(CHANGED_START, self.options.miss_rate.max(NEW_SCENE_MISS_RATE), 0.3);
+        (self.calm, self.changed) = margins(&self.options);
         self.history = History::new();
         self.last = None;
         self.announced = false;
@@ -413,16 +412,18 @@ impl Controller for Hybrid {
         self.smoothing = Smoothing::new();
     }
 
-    fn begin(&mut self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) {
-        let novelty = self.novelty(changes, cost);
-        let first = novelty >= NEW;
-        self.correction.advance(novelty);
-        let moved = self.last.map_or(f64::NAN, |last| {
-            libm::log(f64::from(cost(last.step).seconds()) / f64::from(last.terms.seconds()))
-        });
-        let offset = self.smoothing.advance(moved, if first { 1.0 } else { novelty });
-        self.scene = SceneMark { number: self.scene.number + u64::from(first), first, offset };
-        self.announced = changes.any();
+    fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {
+        self.enter(changes, cost);
+        // Without a target no frame is held or damped against this one.
+        self.last = Some(Last { step, target: f32::NAN, terms: cost(step), seconds: None, late: 0 });
+    }
+
+    fn withdraw(&mut self) {
+        if self.scene.first {
+            // The scene begins with the next frame.
+            self.last = None;
+        }
+        self.announced = false;
     }
 
     fn scene(&self) -> SceneMark {
@@ -474,6 +475,16 @@ impl Controller for Hybrid {
         *self = next;
         Ok(())
     }
+}
+
+/// Margins of calm frames and of new scenes before any was seen.
+fn margins(options: &HybridOptions) -> (Margin, Margin) {
+    let c = &options.constants;
+    let rate = options.miss_rate.max(NEW_SCENE_MISS_RATE);
+    (
+        Margin::new(options.miss_rate, c.calm_pace as f32),
+        Margin::starting_at(c.changed_start, rate, c.changed_pace as f32),
+    )
 }
 
 /// How far two predictions for one step lie apart: the difference of their logarithms, and half of what

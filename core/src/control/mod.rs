@@ -5,7 +5,10 @@
 //! and later hears how long the frame took. None of them allocates after construction. [`Session`] joins a
 //! controller with a predictor and the scene's features for one render loop.
 
+#[cfg(test)]
+mod caller_tests;
 mod coarsening;
+mod constants;
 mod hybrid;
 mod session;
 mod smoothing;
@@ -13,6 +16,7 @@ mod smoothing;
 mod tests;
 
 pub use crate::adapt::{ObserveFlags, Prior, Verdict};
+pub use constants::HybridConstants;
 pub use hybrid::{Hybrid, HybridOptions};
 pub use session::{PENDING_PLANS, Plan, Session};
 
@@ -172,9 +176,13 @@ pub trait Controller {
     fn reset(&mut self);
 
     /// Tells that a frame begins whose setting is chosen elsewhere; [`Controller::plan`] needs no such call.
-    fn begin(&mut self, changes: Changes, cost: &mut dyn FnMut(f32) -> CostTerms) {
-        let _ = (changes, cost);
+    /// Frames are compared at `step`.
+    fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {
+        let _ = (changes, step, cost);
     }
+
+    /// Tells that the frame that began last is not drawn.
+    fn withdraw(&mut self) {}
 
     /// The scene that the frame that began last belongs to.
     fn scene(&self) -> SceneMark {

@@ -24,7 +24,8 @@ pub const PENDING_PLANS: usize = 64;
 /// What to draw, and what to expect of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plan {
-    /// Names this plan in [`Session::observe`]; never 0, never reused within a session's life.
+    /// Names this plan in [`Session::observe`]; never 0, and no other plan's within a session's life, but for
+    /// one that was taken back ([`Session::withdraw`]).
     pub id: u64,
     /// Ray step in multiples of the reference step.
     pub step: f32,
@@ -48,6 +49,8 @@ struct Pending {
     target: f32,
     changes: Changes,
     terms: CostTerms,
+    /// What the plan said, seconds; NaN where nothing was known.
+    expected: f32,
     scene: SceneMark,
     observed: bool,
 }
@@ -59,7 +62,7 @@ struct Pending {
 /// among the last [`PENDING_PLANS`]. Plan, choose, predict and observe never allocate.
 pub struct Session {
     predictor: Box<dyn Predictor + Send>,
-    controller: Box<dyn Controller + Send>,
+    pub(super) controller: Box<dyn Controller + Send>,
     /// Step curve for predictors that do not know the step.
     shape: AnalyticModel,
     volume: Option<VolumeSummary>,
@@ -269,22 +272,17 @@ impl Session {
     /// image shape must be the frame's for its features to hold; other sizes of that shape are free.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for no settings, a step that is not finite and positive, or an
-    /// empty image; else as [`Session::plan`].
+    /// [`crate::ErrorKind::InvalidArgument`] for no settings, a step or an image size that [`Frame::checked`]
+    /// refuses; else as [`Session::plan`].
     pub fn choose(&mut self, frame: &Frame, settings: &[Setting], target: f32) -> Result<(usize, Plan)> {
         check_target(target)?;
         if settings.is_empty() {
             bail!(InvalidArgument, "no settings to choose from; pass at least one, best quality first");
         }
         for (i, s) in settings.iter().enumerate() {
-            if !(s.step.is_finite() && s.step > 0.0) || s.width == 0 || s.height == 0 {
-                bail!(
-                    InvalidArgument,
-                    "setting {i} has step {} and size {} x {}; step and size must be positive",
-                    s.step,
-                    s.width,
-                    s.height
-                );
+            let drawn = Frame { step: s.step, width: s.width, height: s.height, ..*frame };
+            if let Err(e) = drawn.checked() {
+                bail!(InvalidArgument, "setting {i}: {e}");
             }
         }
         // One probe serves all settings; shadow rays are part of it only where a setting scatters.
@@ -351,8 +349,9 @@ impl Session {
         }
         check_seconds(seconds)?;
         pending.observed = true;
-        if flags.cancelled && seconds <= pending.terms.seconds() {
-            // It would have taken longer: that says nothing.
+        let over = seconds > pending.expected;
+        if flags.cancelled && !over {
+            // It would have taken longer than this, as was expected or for all that was known.
             return Ok(Verdict::Ignored);
         }
         let observed = Observed {
@@ -376,6 +375,7 @@ impl Session {
         let slot = &mut self.pending[(id % PENDING_PLANS as u64) as usize];
         if let Some(plan) = slot.take_if(|p| p.id == id && !p.observed) {
             self.next_id = id;
+            self.controller.withdraw();
             self.mark(plan.changes);
         }
     }
@@ -403,7 +403,7 @@ impl Session {
     /// Lets the controller know of a frame whose setting it does not choose.
     fn begin(&mut self, changes: Changes, setting: Setting) -> Result<()> {
         let (controller, mut cost) = self.costing(changes, setting)?;
-        controller.begin(changes, &mut |step| cost.at(step));
+        controller.begin(changes, setting.step, &mut |step| cost.at(step));
         Ok(())
     }
 
@@ -480,6 +480,7 @@ impl Session {
             target,
             changes,
             terms,
+            expected: decision.seconds,
             scene: self.controller.scene(),
             observed: false,
         });

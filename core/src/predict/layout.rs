@@ -243,17 +243,31 @@ impl InputLayout {
                         size / 3
                     );
                 };
-                if lobes.len() * 3 != size {
+                let wanted = size / 3;
+                if lobes.is_empty() || lobes.len() > wanted {
                     bail!(
                         MissingInput,
-                        "the model takes {} Gaussian lobes, the transfer function has {}; supply as many as \
-                         the model was trained with",
-                        size / 3,
+                        "the model takes {wanted} Gaussian lobes, the transfer function has {}; describe it by \
+                         at least one lobe and at most as many as the model was trained with",
                         lobes.len()
                     );
                 }
-                for (slot, lobe) in out.chunks_exact_mut(3).zip(lobes) {
-                    slot.copy_from_slice(&[lobe.center, lobe.width, lobe.height]);
+                // Of fewer lobes the tallest is shared out: equal parts of it add up to the same function.
+                let mut tallest = 0;
+                for (i, lobe) in lobes.iter().enumerate() {
+                    if lobe.height > lobes[tallest].height {
+                        tallest = i;
+                    }
+                }
+                let shares = (1 + wanted - lobes.len()) as f32;
+                for (i, slot) in out.chunks_exact_mut(3).enumerate() {
+                    let of = if i < lobes.len() { i } else { tallest };
+                    let GaussianLobe { center, width, height } = lobes[of];
+                    slot.copy_from_slice(&[
+                        center,
+                        width,
+                        if of == tallest { height / shares } else { height },
+                    ]);
                 }
                 if self.sorted_lobes {
                     sort_lobes(out);

@@ -193,6 +193,14 @@ fn identity_of(model: &Model) -> u32 {
             numbers(&mut hash, &norm.std);
         }
     }
+    if let Some(net) = model.volumenet() {
+        for block in &net.blocks {
+            numbers(&mut hash, &block.weight);
+            numbers(&mut hash, &block.bias);
+        }
+        numbers(&mut hash, &net.fc.weight);
+        numbers(&mut hash, &net.fc.bias);
+    }
     hash.finalize()
 }
 
@@ -250,6 +258,15 @@ mod tests {
         target: Target,
         norm: Option<Normalization>,
     ) -> Model {
+        model_file(groups, features, target, norm).to_model().unwrap()
+    }
+
+    fn model_file(
+        groups: &[(&str, usize)],
+        features: &[&str],
+        target: Target,
+        norm: Option<Normalization>,
+    ) -> ModelFile {
         let n: usize = groups.iter().map(|g| g.1).sum();
         let mut file = ModelFile::default();
         let parts = PredNetParts {
@@ -270,7 +287,7 @@ mod tests {
         if !features.is_empty() {
             file.set_scene_features(features).unwrap();
         }
-        file.to_model().unwrap()
+        file
     }
 
     fn frame() -> Frame {
@@ -294,6 +311,31 @@ mod tests {
         let identity = |norm| identity_of(&model(&[("camera", 3)], &[], Target::LogSeconds, norm));
         // Of the little-endian bytes, by zlib.
         assert_eq!([identity(None), identity(Some(norm))], [3_801_741_576, 2_685_955_157]);
+    }
+
+    #[test]
+    fn encoders_are_part_of_a_models_identity() {
+        let identity = |weight: f32, bias: f32| {
+            let mut file = model_file(&[("volume_features", 1)], &[], Target::LogSeconds, None);
+            for (name, shape, value) in [
+                ("volumenet.encoder.0.conv.weight", vec![2, 1, 3, 3, 3], weight),
+                ("volumenet.encoder.0.bn.weight", vec![2], 1.0),
+                ("volumenet.encoder.0.bn.bias", vec![2], 1.0),
+                ("volumenet.encoder.0.bn.running_mean", vec![2], 1.0),
+                ("volumenet.encoder.0.bn.running_var", vec![2], 1.0),
+                ("volumenet.fc.weight", vec![1, 128], 1.0),
+                ("volumenet.fc.bias", vec![1], bias),
+            ] {
+                let n = shape.iter().product();
+                file.set_tensor(name, Dtype::F32, &shape, &vec![value; n]).unwrap();
+            }
+            let layout = r#"{"input":8,"blocks":[{"stride":2,"padding":1}]}"#;
+            file.metadata.insert(Key::VolumeNet.into(), layout.into());
+            identity_of(&file.to_model().unwrap())
+        };
+        assert_eq!(identity(0.5, 0.5), identity(0.5, 0.5));
+        assert_ne!(identity(0.5, 0.5), identity(0.6, 0.5));
+        assert_ne!(identity(0.5, 0.5), identity(0.5, 0.6));
     }
 
     #[test]
@@ -359,6 +401,29 @@ mod tests {
     }
 
     #[test]
+    fn the_tallest_of_too_few_lobes_is_shared_out() {
+        let features = FrameFeatures::default();
+        let lobe = |center: f32, height: f32| GaussianLobe { center, width: 0.01, height };
+        let row = |lobes: &[GaussianLobe]| {
+            let mut p = ModelPredictor::new(&model(&[("transfer_function", 9)], &[], Target::Seconds, None));
+            let p = p.as_mut().unwrap();
+            p.row(&inputs(&features, &[], lobes)).unwrap().to_vec()
+        };
+        assert_eq!(row(&[lobe(0.4, 0.6)]), [0.4, 0.01, 0.6 / 3.0].repeat(3));
+        assert_eq!(row(&[lobe(0.2, 0.1), lobe(0.4, 0.6)]), [0.2, 0.01, 0.1, 0.4, 0.01, 0.3, 0.4, 0.01, 0.3]);
+        // The same function: the sum of its lobes (Eq. 4) at every value.
+        let of = |row: &[f32], s: f32| -> f32 {
+            row.chunks(3).map(|l| l[2] * libm::expf(-(s - l[0]).powi(2) / l[1])).sum()
+        };
+        let full = row(&[lobe(0.2, 0.1), lobe(0.4, 0.6)]);
+        for i in 0..=20 {
+            let s = 0.05 * i as f32;
+            let expected = of(&[0.2, 0.01, 0.1, 0.4, 0.01, 0.6], s);
+            assert!((of(&full, s) - expected).abs() < 1e-6, "{s}");
+        }
+    }
+
+    #[test]
     fn a_group_that_was_not_supplied_is_an_error_and_never_zero() {
         let features = FrameFeatures::default();
         let lobes = [GaussianLobe { center: 0.1, width: 0.2, height: 0.3 }; 2];
@@ -373,7 +438,8 @@ mod tests {
         check(("volume_features", 2), &Inputs { volume_features: None, ..full }, "none were supplied");
         check(("volume_features", 2), &full, "supplies 1");
         check(("transfer_function", 6), &Inputs { lobes: None, ..full }, "2 lobes");
-        check(("transfer_function", 9), &full, "takes 3 Gaussian lobes, the transfer function has 2");
+        check(("transfer_function", 3), &full, "takes 1 Gaussian lobes, the transfer function has 2");
+        check(("transfer_function", 6), &Inputs { lobes: Some(&[]), ..full }, "the transfer function has 0");
         let unknown = model(&[("phase_of_the_moon", 1)], &[], Target::Seconds, None);
         assert_eq!(ModelPredictor::new(&unknown).unwrap_err().kind(), ErrorKind::MissingInput);
         let unknown = model(&[("scene_features", 1)], &["mood"], Target::Seconds, None);

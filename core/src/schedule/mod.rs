@@ -1,7 +1,8 @@
 //! Longest-processing-time-first for render farms (paper, section "Load Balancing").
 //!
 //! Tasks are given by their times on a node of speed 1; a node of speed 2 takes half of them. An assignment
-//! is made from *predicted* times and judged by *measured* ones: [`Assignment::makespan`] takes any times.
+//! is made from *predicted* times and judged by *measured* ones: [`Assignment::makespan`] takes any times
+//! whose sum is finite on the slowest node.
 
 use crate::Result;
 use crate::error::bail;
@@ -56,7 +57,7 @@ impl Assignment {
 /// [`crate::ErrorKind::InvalidArgument`] for a time that is negative or not finite,
 /// [`crate::ErrorKind::OutOfMemory`] where there is no room for the numbers.
 pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
-    check(times, &[1.0])?;
+    check_times(times)?;
     let mut order = collected(0..times.len())?;
     // In place; the number decides among equal times.
     order.sort_unstable_by(|&a, &b| times[b].total_cmp(&times[a]).then(a.cmp(&b)));
@@ -68,8 +69,8 @@ pub fn longest_first(times: &[f64]) -> Result<Vec<usize>> {
 ///
 /// # Errors
 /// [`crate::ErrorKind::InvalidArgument`] without nodes, for more than [`MAX_NODES`], for a speed that is not
-/// finite and positive, or a time that is negative or not finite; [`crate::ErrorKind::OutOfMemory`] where
-/// there is no room for the assignment.
+/// finite and positive, a time that is negative or not finite, or times whose sum is not;
+/// [`crate::ErrorKind::OutOfMemory`] where there is no room for the assignment.
 pub fn assign_longest_first(times: &[f64], speeds: &[f64]) -> Result<Assignment> {
     check(times, speeds)?;
     let mut loads = filled(speeds.len(), 0.0f64)?;
@@ -99,6 +100,19 @@ fn check(times: &[f64], speeds: &[f64]) -> Result<()> {
             bail!(InvalidArgument, "the speed of node {i} is {s}; it must be finite and positive");
         }
     }
+    check_times(times)?;
+    // No node's load can be beyond a number then, whichever tasks it runs.
+    let slowest = speeds.iter().copied().fold(f64::INFINITY, f64::min);
+    if !times.iter().map(|t| t / slowest).sum::<f64>().is_finite() {
+        bail!(
+            InvalidArgument,
+            "the times add up to more than a number can hold on a node of speed {slowest}; check their unit"
+        );
+    }
+    Ok(())
+}
+
+fn check_times(times: &[f64]) -> Result<()> {
     for (i, &t) in times.iter().enumerate() {
         if !(t.is_finite() && t >= 0.0) {
             bail!(InvalidArgument, "the time of task {i} is {t}; it must be finite and not negative");

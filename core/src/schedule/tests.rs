@@ -57,6 +57,8 @@ fn nonsense_is_refused_with_the_culprit_named() {
     assert!(kind(assign_longest_first(&[1.0, f64::NAN], &[1.0])).to_string().contains("task 1"));
     assert!(kind(assign_longest_first(&[-1.0], &[1.0])).to_string().contains("task 0"));
     assert!(kind(assign_longest_first(&[1.0], &[1.0, 0.0])).to_string().contains("node 1"));
+    assert!(kind(assign_longest_first(&[1e308; 2], &[2.0, 1.0])).to_string().contains("add up to more"));
+    assert!(assign_longest_first(&[1e308; 2], &[4.0, 2.0]).is_ok());
     let many = alloc::vec![1.0; MAX_NODES + 1];
     assert!(assign_longest_first(&[1.0], &many[1..]).is_ok());
     assert!(kind(assign_longest_first(&[1.0], &many)).to_string().contains("1048577 nodes, at most 1048576"));

@@ -19,7 +19,7 @@ pub type entire_verdict = u32;
 pub const ENTIRE_VERDICT_LEARNED: entire_verdict = 0;
 /// Far from what was expected: its pull was clipped.
 pub const ENTIRE_VERDICT_CLIPPED: entire_verdict = 1;
-/// Taken note of, not learned from: flagged, or the first frame.
+/// Taken note of, not learned from: unusual, or cancelled no later than it was expected to end.
 pub const ENTIRE_VERDICT_IGNORED: entire_verdict = 2;
 
 /// Observation flag: the time holds work that is not the frame's (a compile, an upload, a stall).

@@ -17,7 +17,7 @@ pub struct entire_session_options {
     pub finest_step: f32,
     /// Coarsest ray step that may be chosen, up to 4096; default 16.
     pub coarsest_step: f32,
-    /// Share of frames that may exceed their upper bound, over 0 and under 1; default 0.05. Fewer exceed the
+    /// Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer exceed the
     /// target by more than `tolerance`, since not every bound reaches so far.
     pub miss_rate: f32,
     /// How far over the target a frame may be before it counts as missed, as a share of the target, not
@@ -81,8 +81,8 @@ pub(super) fn hybrid_options(options: &entire_session_options) -> Result<HybridO
         Err(Failure::new(ENTIRE_INVALID_ARGUMENT, format!("{what} is {found}; it must be {accepted}")))
     };
     let entire_session_options { miss_rate, tolerance, trust_limit, .. } = *options;
-    if !(miss_rate > 0.0 && miss_rate < 1.0) {
-        return refuse("miss_rate", miss_rate, "over 0 and under 1");
+    if !(miss_rate > 0.0 && miss_rate <= 0.5) {
+        return refuse("miss_rate", miss_rate, "over 0 and at most 0.5");
     }
     if !(tolerance.is_finite() && tolerance >= 0.0) {
         return refuse("tolerance", tolerance, "finite and not negative");

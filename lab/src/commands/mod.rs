@@ -10,3 +10,4 @@ pub mod replay;
 pub mod select;
 pub mod stress;
 pub mod study;
+pub mod tune;

@@ -3,15 +3,16 @@
 use super::{farm, replay};
 use crate::bars;
 use crate::paper::{
-    Paper, Place, Selection, Work, book, cases, collect, description, encode, material, pictures, places,
-    report, train, yt,
+    Paper, Place, Selection, Work, book, cases, collect, control, description, encode, material, pictures,
+    places, report, train, yt,
 };
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use clap::{Subcommand, ValueEnum};
 use description::Panel;
 use entire_cli::device::{self, Device};
 use entire_cli::interrupt;
 use entire_cli::options::thread_pool;
+use entire_cli::steering::contenders::ControllerKind;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -122,8 +123,8 @@ struct HowToTrain {
     /// Epochs of every network of the paper, instead of the description's.
     #[arg(long, value_name = "N")]
     epochs: Option<usize>,
-    /// What `make steer-traces` recorded, for use case 1.
-    #[arg(long, value_name = "FOLDER", default_value = "out/steer")]
+    /// Recorded paths, for use case 1 (`make steer-traces`).
+    #[arg(long, value_name = "FOLDER", default_value = "data/steer")]
     steer: PathBuf,
 }
 
@@ -260,7 +261,7 @@ fn train_all(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()
         balance(work)?;
     }
     if wanted(Panel::Steering) {
-        steer(work, how)?;
+        steer(work, step, how)?;
     }
     Ok(())
 }
@@ -288,47 +289,56 @@ fn balance(work: &Work<'_>) -> Result<()> {
     Ok(())
 }
 
-/// Use case 1: recorded paths under every controller, the paper's network among the predictors.
-fn steer(work: &Work<'_>, how: &HowToTrain) -> Result<()> {
-    let calibration = how.steer.join("calibration.csv");
-    let traces = how.steer.join("traces");
+/// Use case 1: recorded paths of a data set under every controller with the paper's network, and under ours.
+fn steer(work: &Work<'_>, step: &StepOptions, how: &HowToTrain) -> Result<()> {
+    let calibration = how.steer.join("calibration.csv.gz");
+    let folder = how.steer.join("traces");
     let Some((set, mode)) = work.paper.panels.get(&Panel::Steering).and_then(|p| p.first()) else {
         return Ok(());
     };
     let prefix = format!("{set}-{mode}-volumes-network-1-");
     let models = work.out.join("models");
     let network = std::fs::read_dir(&models).ok().and_then(|entries| {
+        // The one made last: older ones are of other frames or encoders.
         entries
             .flatten()
+            .filter(|e| e.file_name().to_string_lossy().starts_with(&prefix))
+            .max_by_key(|e| e.metadata().and_then(|m| m.modified()).ok())
             .map(|e| e.path())
-            .find(|p| p.file_name().is_some_and(|n| n.to_string_lossy().starts_with(&prefix)))
     });
-    if !calibration.exists() || !traces.is_dir() || network.is_none() {
+    if !calibration.exists() || !folder.is_dir() || network.is_none() {
         eprintln!(
             "note: use case 1 needs recorded paths in {} (make steer-traces) and the network of {set}; it is left out",
             how.steer.display()
         );
         return Ok(());
     }
-    let fail = || format!("cannot read {}", traces.display());
-    let mut files: Vec<PathBuf> =
-        std::fs::read_dir(&traces).with_context(fail)?.flatten().map(|e| e.path()).collect();
-    files.retain(|p| p.extension().is_some_and(|e| e == "json"));
-    files.sort();
-    let out = work.out.join("cases").join("steering");
-    let text = ["5fps", "10fps", "20fps", "40fps"];
-    replay::run(&replay::Options {
-        traces: files,
-        calibration: vec![calibration.clone()],
-        model: network,
-        targets: text.map(str::to_owned).to_vec(),
-        controllers: entire_cli::steering::contenders::ControllerKind::value_variants().to_vec(),
-        limits: (1.0, 16.0),
+    let traces = control::traces_of(&folder, set)?;
+    let options = |out: &str, model: Option<PathBuf>, controllers: &[ControllerKind]| replay::Options {
+        paths: replay::Paths {
+            traces: traces.clone(),
+            calibration: vec![calibration.clone()],
+            targets: ["5fps", "10fps", "20fps", "40fps"].map(str::to_owned).to_vec(),
+            limits: (1.0, 16.0),
+        },
+        model,
+        controllers: controllers.to_vec(),
         rounds: 1,
-        out: out.clone(),
+        out: work.out.join("cases").join(out),
         bars: false,
-    })?;
-    cases::steering(work.out, &out, &calibration, (set, mode))
+    };
+    let by_network = options("steering", network, ControllerKind::value_variants());
+    let by_ours = options("steering-ours", None, &[ControllerKind::Hybrid]);
+    replay::run(&by_network)?;
+    replay::run(&by_ours)?;
+    let played = control::Played {
+        traces: &traces,
+        network: &by_network.out,
+        ours: &by_ours.out,
+        calibration: &calibration,
+    };
+    let mut renderer = device::open(step.device)?;
+    control::keep(work, &played, (set, mode), renderer.as_mut())
 }
 
 fn report_all(work: &Work<'_>, how: &HowToReport) -> Result<()> {

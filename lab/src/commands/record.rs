@@ -5,8 +5,7 @@ use crate::trace::{Recording, TRACE_STEPS, Trace, TraceVolume, record};
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::dataset::{Clock, Scene, Timing, Writer};
 use entire_cli::device;
-use entire_cli::enlarge::enlarge;
-use entire_cli::files::{make_folder_of, write_whole};
+use entire_cli::files::make_folder_of;
 use entire_cli::interrupt;
 use entire_cli::options::{RenderArgs, parse_hold, parse_scale, parse_size};
 use entire_cli::path::{Generated, PathFile};
@@ -14,7 +13,6 @@ use entire_cli::progress::progress_bar;
 use entire_cli::steering::calibrate::measure;
 use entire_cli::steering::play::DrawSettings;
 use entire_cli::steering::race::calibration_scenes;
-use entire_cli::volume::Volume;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
 use std::path::PathBuf;
@@ -64,7 +62,7 @@ pub struct Options {
     /// The name in reports; else the file name of the result.
     #[arg(long)]
     pub name: Option<String>,
-    /// The trace to write; with --calibration the timing table (CSV).
+    /// The trace to write (compressed where it ends in .gz); with --calibration the timing table (CSV).
     #[arg(long, value_name = "FILE")]
     pub out: PathBuf,
     /// Go on with an interrupted recording.
@@ -112,9 +110,9 @@ pub fn run(options: &Options) -> Result<()> {
         .volumes
         .iter()
         .map(|file| {
-            let volume = Volume::open(file)?;
-            let volume = if options.enlarge == 1 { volume } else { enlarge(&volume, options.enlarge)? };
-            Ok((TraceVolume { file: file.clone(), enlarge: options.enlarge }, volume))
+            let named = TraceVolume { file: file.clone(), enlarge: options.enlarge };
+            let volume = named.open()?;
+            Ok((named, volume))
         })
         .collect::<Result<Vec<_>>>()?;
     let path = match (&options.path, options.generate) {
@@ -124,7 +122,8 @@ pub fn run(options: &Options) -> Result<()> {
     };
     let draw = draw_settings(options);
     let name = options.name.clone().unwrap_or_else(|| {
-        options.out.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
+        let file = options.out.file_name().unwrap_or_default().to_string_lossy();
+        file.trim_end_matches(".gz").trim_end_matches(".json").to_owned()
     });
     let recording = Recording {
         name,
@@ -146,7 +145,7 @@ pub fn run(options: &Options) -> Result<()> {
         renderer.as_mut(),
         begun,
         &|| interrupt::requested(&stop),
-        &mut |trace| write_whole(&options.out, (serde_json::to_string(trace)? + "\n").as_bytes()),
+        &mut |trace| trace.write(&options.out),
         &bar,
     );
     bar.finish_and_clear();
@@ -192,8 +191,7 @@ fn calibrate(options: &Options, scenes: usize) -> Result<()> {
     let mut table = Writer::create(&options.out)?;
     let mut number = 0;
     for file in &options.volumes {
-        let volume = Volume::open(file)?;
-        let volume = if options.enlarge == 1 { volume } else { enlarge(&volume, options.enlarge)? };
+        let volume = TraceVolume { file: file.clone(), enlarge: options.enlarge }.open()?;
         let view = volume.view();
         let shown = file.display().to_string();
         let bar = progress_bar(&format!("calibrate {shown}"));

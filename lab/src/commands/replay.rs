@@ -19,28 +19,16 @@ use entire_core::features::PROBE_SIDE;
 use entire_core::scene::{Scalars, VolumeView};
 use std::path::PathBuf;
 
-/// Replay recorded cost curves under every controller and target, beside an oracle that knows them.
-///
-/// Every trace (see `entire-lab record`) is played under every controller against every target that is worth
-/// playing on it (some allowed step meets it in at least half of the frames), and against a series of
-/// targets. The predictor is fitted to a timing table of other volumes. DIR gets report.html, scores.json and
-/// frames.csv.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "Examples:
-  entire-lab replay out/steer/traces/*.json --calibration out/steer/calibration.csv --out out/steer
-  entire-lab replay nyx.json --calibration calibration.csv --targets 30fps,60fps --controllers olp,hybrid \
-  --out out/nyx")]
-pub struct Options {
-    /// The traces.
+/// Recorded paths, and what they are played against.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Paths {
+    /// The recorded paths (`entire-lab record`).
     #[arg(value_name = "TRACE.json", required = true)]
     pub traces: Vec<PathBuf>,
-    /// Timing tables that the predictor and G are fitted to: random scenes, each at several steps
+    /// Timing tables that predictors (and G) are fitted to: random scenes, each at several steps
     /// (`entire-lab record --calibration`).
     #[arg(long, value_delimiter = ',', value_name = "TABLE.csv", required = true)]
     pub calibration: Vec<PathBuf>,
-    /// Steer by this model file instead of the predictor that is fitted to the tables.
-    #[arg(long, value_name = "M.safetensors")]
-    pub model: Option<PathBuf>,
     /// Times that frames should not exceed.
     #[arg(
         long,
@@ -50,12 +38,55 @@ pub struct Options {
         allow_hyphen_values = true
     )]
     pub targets: Vec<String>,
-    /// Who plays; everyone where none is named.
-    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
-    pub controllers: Vec<ControllerKind>,
     /// Finest and coarsest step that may be chosen, reference steps.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
     pub limits: (f32, f32),
+}
+
+impl Paths {
+    /// The allowed steps, checked.
+    ///
+    /// # Errors
+    /// For limits that no step meets.
+    pub fn limits(&self) -> Result<StepLimits> {
+        let limits = StepLimits { finest: self.limits.0, coarsest: self.limits.1 };
+        limits.check()?;
+        Ok(limits)
+    }
+
+    /// Every target in seconds with its name, the longest first.
+    ///
+    /// # Errors
+    /// For what is no time.
+    pub fn targets(&self) -> Result<Vec<(f64, &str)>> {
+        let mut out =
+            self.targets.iter().map(|t| Ok((parse_target(t)?, t.trim()))).collect::<Result<Vec<_>>>()?;
+        out.sort_by(|a, b| b.0.total_cmp(&a.0));
+        Ok(out)
+    }
+}
+
+/// Replay recorded cost curves under every controller and target, beside an oracle that knows them.
+///
+/// Every trace (see `entire-lab record`) is played under every controller against every target that is worth
+/// playing on it (some allowed step meets it in at least half of the frames), and against a series of
+/// targets. The predictor is fitted to a timing table of other volumes. DIR gets report.html, scores.json and
+/// frames.csv.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire-lab replay data/steer/traces/*.json.gz --calibration data/steer/calibration.csv.gz --out out/steer
+  entire-lab replay nyx.json --calibration calibration.csv --targets 30fps,60fps --controllers olp,hybrid \
+  --out out/nyx")]
+pub struct Options {
+    /// What is played.
+    #[command(flatten)]
+    pub paths: Paths,
+    /// Steer by this model file instead of the predictor that is fitted to the tables.
+    #[arg(long, value_name = "M.safetensors")]
+    pub model: Option<PathBuf>,
+    /// Who plays; everyone where none is named.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME,…")]
+    pub controllers: Vec<ControllerKind>,
     /// How often everything is played, each time with other noise of the measured.
     #[arg(long, default_value_t = 2, value_name = "N")]
     pub rounds: u64,
@@ -72,18 +103,15 @@ pub struct Options {
 /// # Errors
 /// Bad options or files; with --bars when one is short.
 pub fn run(options: &Options) -> Result<()> {
-    let limits = StepLimits { finest: options.limits.0, coarsest: options.limits.1 };
-    limits.check()?;
+    let limits = options.paths.limits()?;
     ensure!(options.rounds >= 1, "--rounds is 0; everything is played at least once");
-    let mut targets =
-        options.targets.iter().map(|t| Ok((parse_target(t)?, t.trim()))).collect::<Result<Vec<_>>>()?;
-    targets.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let targets = options.paths.targets()?;
     let kinds: Vec<ControllerKind> = if options.controllers.is_empty() {
         ControllerKind::value_variants().to_vec()
     } else {
         options.controllers.clone()
     };
-    let samples = samples_of(&options.calibration, PROBE_SIDE)?;
+    let samples = samples_of(&options.paths.calibration, PROBE_SIDE)?;
     let response = response(&samples).context("G needs scenes that were timed at several steps")?;
     let nothing = [0u8];
     let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;
@@ -96,6 +124,7 @@ pub fn run(options: &Options) -> Result<()> {
         calibrated.candidates.push(Candidate { chosen: true, ..given });
     }
     let traces = options
+        .paths
         .traces
         .iter()
         .map(|file| Replayable::new(Trace::open(file)?).with_context(|| format!("{}", file.display())))

@@ -1,15 +1,12 @@
-//! The two use cases: how a farm is balanced by predicted times, and how a frame time is held.
+//! Use case 2: how a farm is balanced by predicted times.
 
 use super::description::{Orbit, Panel};
 use super::judge::{NETWORK, OURS};
-use super::results::{Curve, Fact, MEASURED, ORBIT_CHART, Results, read_all, write};
-use crate::calibration::samples_of;
-use anyhow::{Context, Result};
+use super::results::{Fact, MEASURED, ORBIT_CHART, Results, read_all, write};
+use anyhow::Result;
 use entire_cli::farm::{Method, Plan, Task, plan};
-use entire_cli::files::{fnv1a, make_folder_of, read_text, write_whole};
+use entire_cli::files::{fnv1a, make_folder_of, write_whole};
 use entire_cli::metrics::percentile;
-use entire_cli::steering::calibrate::response;
-use entire_core::features::PROBE_SIDE;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -98,57 +95,4 @@ pub fn balance(out: &Path, orbit: &Orbit) -> Result<()> {
         write_whole(&path, &csv.into_inner()?)?;
     }
     Ok(())
-}
-
-/// Takes what `entire-lab replay` wrote into `folder`, and the curves behind G from its calibration table.
-///
-/// # Errors
-/// When a file cannot be read or written.
-pub fn steering(out: &Path, folder: &Path, calibration: &Path, (set, mode): (&str, &str)) -> Result<()> {
-    let path = folder.join("scores.json");
-    let text = read_text(&path, 256 << 20)?;
-    let found: serde_json::Value =
-        serde_json::from_str(&text).with_context(|| format!("{} holds no scores", path.display()))?;
-    let mark = format!("{:016x}", fnv1a(text.as_bytes()));
-    let mut results = Results::new(Panel::Steering, set, mode, mark);
-    let traces = found["traces"].as_array().cloned().unwrap_or_default();
-    let provenance = traces.first().map(|t| t["provenance"].clone()).unwrap_or_default();
-    results.device = provenance["device"].as_str().unwrap_or_default().to_owned();
-    results.machine = provenance["machine"].as_str().unwrap_or_default().to_owned();
-    for (controller, score) in found["controllers"].as_object().into_iter().flatten() {
-        let values = score
-            .as_object()
-            .into_iter()
-            .flatten()
-            .flat_map(|(k, v)| match v.as_object() {
-                Some(inner) => inner.iter().map(|(i, v)| (format!("{k} {i}"), v.as_f64())).collect(),
-                None => vec![(k.clone(), v.as_f64())],
-            })
-            .filter_map(|(k, v)| Some((k, v?)))
-            .collect();
-        results.facts.push(Fact { name: controller.clone(), values });
-    }
-    let samples = samples_of(&[calibration.to_owned()], PROBE_SIDE)?;
-    let g = response(&samples).context("G needs scenes that were timed at several steps")?;
-    let mut by_scene: BTreeMap<usize, Vec<(f64, f64)>> = BTreeMap::new();
-    for s in &samples {
-        by_scene.entry(s.scene).or_default().push((f64::from(s.setting.step), s.seconds));
-    }
-    let mut steps: Vec<f64> = samples.iter().map(|s| f64::from(s.setting.step)).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.dedup();
-    for (scene, mut points) in by_scene {
-        points.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let Some(reference) = points.iter().find(|p| p.0 == 1.0).map(|p| p.1) else { continue };
-        points.iter_mut().for_each(|p| p.1 /= reference);
-        let name = format!("scene {scene}");
-        results.curves.push(Curve { chart: "G".into(), name, x: "ray step, reference steps".into(), points });
-    }
-    results.curves.push(Curve {
-        chart: "G".into(),
-        name: "G".into(),
-        x: "ray step, reference steps".into(),
-        points: steps.iter().map(|s| (*s, f64::from(g.time_ratio(*s as f32)))).collect(),
-    });
-    write(out, &results)
 }

@@ -8,6 +8,7 @@ mod bars;
 pub mod book;
 pub mod cases;
 pub mod collect;
+pub mod control;
 pub mod description;
 pub mod encode;
 mod frames;

@@ -1,6 +1,7 @@
 //! Our counterpart of each table and figure.
 
 use super::cases::NODES;
+use super::control;
 use super::description::{Label, Paper};
 use super::encode::ALL;
 use super::judge::{CONSTANT, LVRP, NETWORK, OURS};
@@ -54,8 +55,8 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
         "fig:umap_dataset" => codes(&of, &mut s),
         "fig:fine_tune_overall" => tuning(&of, &mut s),
         "fig:fine_tune_qualitative" => tuned_frames(&of, &mut s),
-        "fig:control" => steering(&of, &mut s),
-        "fig:control_methods" => curves_of(&of, "G", "time over that at the reference step", &mut s),
+        "fig:control" => control::section(&of, &mut s),
+        "fig:control_methods" => control::response_section(&of, &mut s),
         "fig:loadbalancing" => balancing(paper, &of, &mut s),
         "fig:data_evolve" => pictures(&of, "over time", material, &mut s),
         "fig:dataset" => pictures(&of, "", material, &mut s),
@@ -78,8 +79,13 @@ pub(super) fn section(paper: &Paper, label: &Label, material: &Material) -> Sect
 }
 
 fn title(paper: &Paper, r: &Results) -> String {
-    let name = paper.data_set(&r.set).map_or(r.set.as_str(), |d| d.title.as_str());
-    let mode = match r.mode.as_str() {
+    title_of(paper, &r.set, &r.mode)
+}
+
+/// A data set in a mode, in words.
+fn title_of(paper: &Paper, set: &str, mode: &str) -> String {
+    let name = paper.data_set(set).map_or(set, |d| d.title.as_str());
+    let mode = match mode {
         "none" => "unshaded",
         "local" => "local lighting",
         "scatter" => "single scattering",
@@ -240,6 +246,18 @@ fn overall(paper: &Paper, of: &[&Results], s: &mut Section) {
     }
     s.summary = parts.join("; ");
     s.tables.push((table, "The paper's split: volumes at random.".into()));
+    for set in paper.data_sets.iter().filter(|d| !d.only_tests) {
+        for mode in &set.modes {
+            if !of.iter().any(|r| r.set == set.name && r.mode == *mode) {
+                s.notes.push(format!(
+                    "{}: not measured. `entire-lab paper collect --data DATA --data-sets {} --modes {mode}`, then \
+                     the command above.",
+                    title_of(paper, &set.name, mode),
+                    set.name
+                ));
+            }
+        }
+    }
     for r in of {
         if r.rows.iter().any(|x| x.split != BY_VOLUMES) {
             s.tables.push((
@@ -594,50 +612,6 @@ fn tuned_frames(of: &[&Results], s: &mut Section) {
         }
         if !names.is_empty() {
             s.summary = format!("frames of {}", names.into_iter().collect::<Vec<_>>().join(", "));
-        }
-    }
-}
-
-fn steering(of: &[&Results], s: &mut Section) {
-    for r in of.iter().filter(|r| !r.facts.is_empty()) {
-        let mut keys: Vec<&String> = Vec::new();
-        for k in r.facts.iter().flat_map(|f| f.values.keys()) {
-            if !keys.contains(&k) {
-                keys.push(k);
-            }
-        }
-        let mut columns = vec![Column::text("controller")];
-        columns.extend(keys.iter().map(|k| Column::number(k.replace('_', " "))));
-        let mut table = Table::new(columns);
-        for f in &r.facts {
-            let mut cells = vec![f.name.as_str().into()];
-            cells.extend(keys.iter().map(|k| f.values.get(*k).map(|v| format!("{v:.4}")).into()));
-            table.row(cells);
-        }
-        s.tables.push((
-            table,
-            "Every controller on every path, by `entire-lab replay` with the paper's network.".into(),
-        ));
-        s.summary = format!("{} controllers", r.facts.len());
-    }
-}
-
-fn curves_of(of: &[&Results], chart: &str, y: &str, s: &mut Section) {
-    for r in of {
-        let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == chart).collect();
-        let mut drawn = Chart::new(
-            chart,
-            Axis::linear(shown.first().map_or(String::new(), |c| c.x.clone())),
-            Axis::linear(y),
-        );
-        for c in &shown {
-            let own = c.name == chart;
-            let name = if own { c.name.as_str() } else { "" };
-            drawn = drawn.series(Series::new(name, Mark::Line(c.points.clone())).color(usize::from(!own)));
-        }
-        if !shown.is_empty() {
-            s.charts.push((drawn, "A line per scene, and their median.".into()));
-            s.summary = format!("{} curves", shown.len() - 1);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The steering bars.
 
-use super::Score;
+use super::{Score, Three};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
@@ -32,18 +32,13 @@ pub fn bars(kinds: &[ControllerKind], scores: &[Score]) -> Result<Vec<Bar>> {
     for kind in ControllerKind::value_variants().iter().filter(|k| **k != ControllerKind::Hybrid) {
         others.push(of(*kind)?);
     }
-    // The reactive rule that comes closest to the target in calm phases.
-    let mut best = of(ControllerKind::Olp)?;
-    let mut name = ControllerKind::Olp;
-    for kind in REACTIVE {
-        let s = of(kind)?;
-        if s.calm.deviation < best.calm.deviation {
-            (best, name) = (s, kind);
-        }
-    }
+    // In calm phases whichever reactive rule is the best, for each figure another one.
+    let reactive = REACTIVE.into_iter().map(&of).collect::<Result<Vec<_>>>()?;
+    let calm_least =
+        |figure: fn(&Three) -> f64| reactive.iter().map(|s| figure(&s.calm)).fold(f64::INFINITY, f64::min);
+    let calm_quality = reactive.iter().map(|s| s.calm.quality).fold(0.0, f64::max);
     let fewest = others.iter().map(|s| s.all.missed).fold(f64::INFINITY, f64::min);
     let olp = of(ControllerKind::Olp)?;
-    println!("the reactive rule that comes closest in calm phases: {}", name.name());
     let most = |name: &str, value: f64, limit: f64| Bar::at_most(name, Some(value), limit);
     let least = |name: &str, value: f64, limit: f64| Bar::at_least(name, Some(value), limit);
     Ok(vec![
@@ -52,9 +47,9 @@ pub fn bars(kinds: &[ControllerKind], scores: &[Score]) -> Result<Vec<Bar>> {
         most("steer-deviation", ours.all.deviation, 0.08),
         least("steer-quality", ours.all.quality, 0.92),
         least("steer-quality-ssim", ours.ssim_ratio, 0.92),
-        most("steer-calm-missed", ours.calm.missed, best.calm.missed),
-        most("steer-calm-deviation", ours.calm.deviation, best.calm.deviation),
-        least("steer-calm-quality", ours.calm.quality, best.calm.quality),
+        most("steer-calm-missed", ours.calm.missed, calm_least(|c| c.missed)),
+        most("steer-calm-deviation", ours.calm.deviation, calm_least(|c| c.deviation)),
+        least("steer-calm-quality", ours.calm.quality, calm_quality),
         most("steer-calm-jumps-of-olp", ours.jumps / olp.jumps.max(1e-9), 0.5),
         least("steer-first-frames-in-bound", ours.inside_bound, 0.9),
     ])

@@ -5,6 +5,7 @@ mod frontier;
 pub mod report;
 mod score;
 mod trials;
+pub mod tune;
 
 pub use bars::bars;
 pub use frontier::{Frontier, frontier};
@@ -19,11 +20,13 @@ use entire_core::control::ObserveFlags;
 use entire_core::control::{Reason, StepLimits};
 use entire_core::features::{Changes, VolumeSummary};
 use serde::Serialize;
+use std::ops::Range;
 
 /// Frames from a change of anything but the camera on that are not calm, and frames at the start of a path.
 pub const SETTLING: usize = 3;
 
 /// A trace that is ready to be replayed.
+#[derive(Clone)]
 pub struct Replayable {
     /// As it was recorded.
     pub trace: Trace,
@@ -73,6 +76,8 @@ pub struct Replayed {
     pub step: f64,
     /// The oracle's step.
     pub oracle_step: f64,
+    /// Seconds that the frame takes at the oracle's step, with the same noise.
+    pub oracle_seconds: f64,
     /// Likeness to the reference picture, decibels.
     pub psnr: f64,
     /// The oracle's.
@@ -95,6 +100,21 @@ pub struct Replayed {
     pub reason: Reason,
 }
 
+impl Replayed {
+    /// The same frame as the oracle plays it: it knows the curve, but not the noise.
+    pub fn by_oracle(&self) -> Self {
+        Self {
+            seconds: self.oracle_seconds,
+            predicted: self.target,
+            upper: f64::NAN,
+            step: self.oracle_step,
+            psnr: self.oracle_psnr,
+            ssim: self.oracle_ssim,
+            ..*self
+        }
+    }
+}
+
 fn reason_name<S: serde::Serializer>(reason: &Reason, s: S) -> std::result::Result<S::Ok, S::Error> {
     s.collect_str(reason)
 }
@@ -107,8 +127,9 @@ fn mix(a: u64, b: u64) -> u64 {
     h ^ (h >> 32)
 }
 
-/// Plays a trace against `targets` (one per frame). The noise of a frame is the same for every controller;
-/// `seed` picks which of the measured ones.
+/// Plays some frames of a trace against `targets` (one per frame of the trace); the session meets the first of
+/// them as its first. The noise of a frame is the same for every controller; `seed` picks which of the measured
+/// ones.
 ///
 /// # Errors
 /// When a prediction fails; names the frame.
@@ -119,17 +140,19 @@ pub fn replay(
     targets: &[f64],
     limits: StepLimits,
     seed: u64,
+    frames: Range<usize>,
 ) -> Result<Vec<Replayed>> {
     let n = recorded.path.frames.len();
     ensure!(targets.len() == n, "{} targets for {n} frames", targets.len());
+    let start = frames.start;
     let draw = recorded.trace.draw_settings()?;
     let session = &mut contender.session;
     session.set_limits(limits)?;
     let (finest, coarsest) = (f64::from(limits.finest), f64::from(limits.coarsest));
-    let mut out: Vec<Replayed> = Vec::with_capacity(n);
+    let mut out: Vec<Replayed> = Vec::with_capacity(frames.len());
     let mut shown = usize::MAX;
     let mut since_switch = 0;
-    for (index, at) in recorded.path.frames.iter().enumerate() {
+    for (index, at) in recorded.path.frames.iter().enumerate().take(frames.end).skip(start) {
         let place = || format!("frame {index} of trace {}", recorded.trace.name);
         let volume = recorded.trace.volume_at(index);
         let swapped = volume != shown;
@@ -141,7 +164,7 @@ pub fn replay(
             let table = at.transfer.function().to_table().with_context(place)?;
             session.set_transfer(&table, at.transfer.lobes().as_deref()).with_context(place)?;
         }
-        if at.camera_switched {
+        if at.camera_switched && index > start {
             session.mark(Changes { camera: true, ..Changes::default() });
         }
         let frame = recorded.trace.frame(&recorded.path, &draw, index).with_context(place)?;
@@ -149,13 +172,14 @@ pub fn replay(
         let plan = session.plan(&frame, target as f32).with_context(place)?;
         let curve = &recorded.curves[index];
         let step = f64::from(plan.step);
-        let seconds = curve.seconds(step) * curve.noise(mix(seed, index as u64)).exp();
+        let noise = curve.noise(mix(seed, index as u64)).exp();
+        let seconds = curve.seconds(step) * noise;
         session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
         let oracle_step = curve.oracle(target, finest, coarsest);
-        let retargeted = index > 0 && (targets[index - 1] / target).ln().abs() > 0.05;
-        let switched = recorded.switches[index] || retargeted;
+        let retargeted = index > start && (targets[index - 1] / target).ln().abs() > 0.05;
+        let switched = (recorded.switches[index] && index > start) || retargeted;
         let announced = at.transfer_changed || swapped;
-        since_switch = if switched || announced || index == 0 { 0 } else { since_switch + 1 };
+        since_switch = if switched || announced || index == start { 0 } else { since_switch + 1 };
         out.push(Replayed {
             target,
             seconds,
@@ -163,6 +187,7 @@ pub fn replay(
             upper: f64::from(plan.upper),
             step,
             oracle_step,
+            oracle_seconds: curve.seconds(oracle_step) * noise,
             psnr: curve.psnr(step),
             oracle_psnr: curve.psnr(oracle_step),
             ssim: curve.ssim(step),

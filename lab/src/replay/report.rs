@@ -34,6 +34,16 @@ fn percent(v: f64) -> Option<String> {
 }
 
 impl Results<'_> {
+    /// What the oracle would score: misses are then the frames' noise alone.
+    pub fn oracle(&self) -> Score {
+        let mut total = Tally::default();
+        for frames in self.outcomes.iter().filter_map(|o| o.frames.first()) {
+            let played: Vec<Replayed> = frames.iter().map(Replayed::by_oracle).collect();
+            total.merge(&Tally::of(&played));
+        }
+        total.score()
+    }
+
     /// Scores of every controller.
     pub fn table(&self) -> Table {
         let mut table = Table::new(vec![
@@ -52,9 +62,9 @@ impl Results<'_> {
             Column::number("longest run"),
             Column::number("worst t/T"),
         ]);
-        for (kind, s) in self.kinds.iter().zip(self.scores) {
+        let mut row = |title: &str, s: &Score| {
             table.row(vec![
-                kind.title().into(),
+                title.into(),
                 percent(s.all.missed).into(),
                 percent(s.all.deviation).into(),
                 percent(s.all.quality).into(),
@@ -69,7 +79,11 @@ impl Results<'_> {
                 s.longest.to_string().into(),
                 format!("{:.1}", s.worst).into(),
             ]);
+        };
+        for (kind, s) in self.kinds.iter().zip(self.scores) {
+            row(kind.title(), s);
         }
+        row("oracle: knows every cost but not the noise", &self.oracle());
         let mut mark = |column: usize, lowest: bool, value: &dyn Fn(&Score) -> f64| {
             table.mark_best(column, &self.scores.iter().map(value).collect::<Vec<_>>(), lowest);
         };

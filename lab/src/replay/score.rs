@@ -191,6 +191,7 @@ mod tests {
             upper: 0.12,
             step,
             oracle_step: 2.0,
+            oracle_seconds: 1.0,
             psnr: 40.0,
             oracle_psnr: 42.0,
             ssim: 0.9,

@@ -74,8 +74,8 @@ pub fn play(
         for round in 0..rounds {
             let prior: Prior = calibrated.prior();
             let mut who = contender(*kind, fixed, chosen.predictor()?, response, prior);
-            let played =
-                replay(trace, &mut who, chosen.volume_features(), &trial.targets, limits, round + 1)?;
+            let (features, all) = (chosen.volume_features(), 0..trial.targets.len());
+            let played = replay(trace, &mut who, features, &trial.targets, limits, round + 1, all)?;
             outcome.tallies[k].merge(&Tally::of(&played));
             if round == 0 {
                 outcome.frames.push(played);

@@ -6,6 +6,9 @@ use crate::bars::Bar;
 /// The predictor of a study that most bars are about.
 const SELECTED: &str = "selected";
 
+/// The paper's network, as the paper trains it.
+pub(super) const PAPER: &str = "paper";
+
 /// The paper's network where it is distilled from another predictor.
 const DISTILLED: &str = "distilled";
 
@@ -58,11 +61,15 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
         }
         let rmse = |predictor: &str| found.of(s, p, predictor).map(|r| r.metrics.rmse);
         let over = |a: Option<f64>, b: Option<f64>| Some(a? / b?);
-        let paper = rmse("paper");
+        let paper = rmse(PAPER);
+        if limits.constant_over_paper.is_some() {
+            let ratio = found.eight_bit.iter().find(|e| e.0 == *s).map(|e| e.1);
+            at_most(name("paper-rmse-eight-bit-over-stored"), ratio, 1.02);
+        }
         // The paper's network as the paper trains it and, where the study has it, distilled from another
         // predictor.
         let distilled = study.predictors.iter().any(|p| p.name == DISTILLED).then_some(DISTILLED);
-        for network in std::iter::once("paper").chain(distilled) {
+        for network in std::iter::once(PAPER).chain(distilled) {
             for (baseline, wanted, what) in
                 [(CONSTANT, limits.constant_over_paper, "constant"), (PROXY, limits.proxy_over_paper, "lvrp")]
             {
@@ -72,12 +79,16 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
                 }
             }
         }
+        let has = |name: &str| study.predictors.iter().any(|p| p.name == name);
+        if limits.latency || (limits.rmse_over_sd.is_some() && has(SELECTED) && has(PAPER)) {
+            let of = |predictor: &str| found.latency(s, predictor).map(|l| l.with_changes());
+            at_most(name("selected-latency-over-paper"), over(of(SELECTED), of(PAPER)), 0.2);
+        }
         if limits.latency {
             let cold = |predictor: &str| found.latency(s, predictor).map(|l| l.cold);
             let lowest = best(found, s, p).map(|r| r.metrics.rmse);
             at_most(name("selected-rmse-over-best"), over(rmse(SELECTED), lowest), 1.1);
-            at_most(name("selected-latency-over-paper"), over(cold(SELECTED), cold("paper")), 0.2);
-            let quick = cold("paper").and_then(|theirs| {
+            let quick = cold(PAPER).and_then(|theirs| {
                 models(found, s, p)
                     .filter(|r| cold(&r.predictor).is_some_and(|c| c <= theirs / 40.0))
                     .map(|r| r.metrics.rmse)
@@ -113,7 +124,7 @@ pub(super) const SELECTION_TOLERANCE: f64 = 0.05;
 /// within [`SELECTION_TOLERANCE`] of the least. Recipes that are there twice count once.
 pub(super) fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Option<&'a str> {
     let limits = &study.sets.iter().find(|s| s.name == set)?.limits;
-    let paper = found.latency(set, "paper").map(|l| l.cold);
+    let paper = found.latency(set, PAPER).map(|l| l.cold);
     let candidates: Vec<(&str, f64, f64)> = study
         .predictors
         .iter()

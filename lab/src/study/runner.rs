@@ -1,5 +1,6 @@
 //! Makes every predictor of a study on every set and judges it.
 
+use super::bars::PAPER;
 use super::baselines::{constant, low_resolution, proxy};
 use super::cache::{STUDY_KEY, identity, kept, path_of};
 use super::data::{Learned, MEMBERS, SetData, SetTables};
@@ -13,11 +14,12 @@ use entire_cli::bound;
 use entire_cli::dataset::{TimedFrame, noise_floor};
 use entire_cli::enlarge::enlarge;
 use entire_cli::files::{make_folder, write_whole};
-use entire_cli::fit::{FitContext, Recipe, predict};
+use entire_cli::fit::{FitContext, Recipe, predict, predict_stored};
 use entire_cli::metrics::Metrics;
 use entire_cli::split::TimedFrames;
 use entire_cli::volume::Volume;
 use entire_core::model::{Key, Model, ModelFile};
+use entire_core::nn::Storage;
 use entire_core::predict::Calibration;
 use indicatif::ProgressBar;
 use serde_json::json;
@@ -313,11 +315,27 @@ impl Runner<'_> {
                 }
             }
         }
-        if let StudyPredictor::Model(kept) = made
-            && study.curves.contains(&named.name)
-        {
-            self.curves(on, named, &kept.file, out)?;
+        if let StudyPredictor::Model(kept) = made {
+            if named.name == PAPER {
+                eight_bit(on, &kept.model, out)?;
+            }
+            if study.curves.contains(&named.name) {
+                self.curves(on, named, &kept.file, out)?;
+            }
         }
         Ok(())
     }
+}
+
+/// What eight-bit weights add to the error of the paper's network on the main split.
+fn eight_bit(on: &OnSet<'_>, model: &Model, out: &mut Findings) -> Result<()> {
+    let OnSet { set, data, context, .. } = *on;
+    for (split, part) in set.splits.iter().zip(&data.splits).filter(|(split, _)| split.main) {
+        let Some(stored) = out.of(&set.name, &split.name, PAPER).map(|r| r.metrics.rmse) else { continue };
+        let small = predict_stored(model, Storage::Int8, context, &part.frames)?;
+        if let Some(m) = Metrics::new(&small, &part.seconds) {
+            out.eight_bit.push((set.name.clone(), m.rmse / stored));
+        }
+    }
+    Ok(())
 }

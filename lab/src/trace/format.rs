@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
 use entire_cli::dataset::Clock;
-use entire_cli::files::read_text;
+use entire_cli::files::{gzip, read_decompressed, write_whole};
 use entire_cli::options::{ShadeOption, SkipOption};
 use entire_cli::path::PathFile;
 use entire_core::scene::{Shading, Skipping};
@@ -12,9 +12,6 @@ use std::path::{Path, PathBuf};
 
 /// The `format` value.
 pub const TRACE_FORMAT: &str = "entire-trace-1";
-
-/// Largest trace that is read, in bytes.
-const MAX_TRACE_BYTES: u64 = 1 << 30;
 
 /// A volume of a trace.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -102,7 +99,7 @@ impl TraceDraw {
 }
 
 impl Trace {
-    /// Reads and checks a trace.
+    /// Reads and checks a trace, gzip-compressed where the name ends in `.gz`.
     ///
     /// # Errors
     /// Names the file and what is wrong in it.
@@ -124,9 +121,23 @@ impl Trace {
     /// # Errors
     /// As [`Trace::open`].
     pub fn open_begun(path: &Path) -> Result<Self> {
-        let text = read_text(path, MAX_TRACE_BYTES)
+        let text = read_decompressed(path)
+            .and_then(|bytes| Ok(String::from_utf8(bytes)?))
             .with_context(|| format!("cannot read the trace {}", path.display()))?;
         Self::parse(&text).with_context(|| format!("{} is no trace", path.display()))
+    }
+
+    /// Writes a trace, gzip-compressed where the name ends in `.gz`.
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let text = serde_json::to_string(self)? + "\n";
+        if path.extension().is_some_and(|e| e == "gz") {
+            write_whole(path, &gzip(text.as_bytes())?)
+        } else {
+            write_whole(path, text.as_bytes())
+        }
     }
 
     /// Reads and checks a trace's text, which may hold the first frames of its path only.

@@ -92,7 +92,7 @@ impl Session {
             Err(PyValueError::new_err(format!("{what} is {found}; it must be {accepted}")))
         };
         check(tolerance.is_finite() && tolerance >= 0.0, "tolerance", tolerance, "finite and not negative")?;
-        check(miss_rate > 0.0 && miss_rate < 1.0, "miss_rate", miss_rate, "over 0 and under 1")?;
+        check(miss_rate > 0.0 && miss_rate <= 0.5, "miss_rate", miss_rate, "over 0 and at most 0.5")?;
         check(trust_limit > 0.0, "trust_limit", trust_limit, "positive (math.inf to trust always)")?;
         let predictor: Box<dyn Predictor + Send> = match model {
             Some(model) => model.0.predictor()?,

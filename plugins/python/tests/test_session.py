@@ -108,7 +108,7 @@ def test_order_and_ranges_are_said(voxels, tf):
             session.plan(CAMERA, tf, size, target)
     with pytest.raises(ValueError, match="shading"):
         session.plan(CAMERA, tf, (64, 64), 0.01, shading="fancy")
-    for bad in ({"miss_rate": 0}, {"tolerance": -1}, {"trust_limit": 0}, {"probe_side": 99}):
+    for bad in ({"miss_rate": 0}, {"miss_rate": 0.6}, {"tolerance": -1}, {"trust_limit": 0}, {"probe_side": 99}):
         with pytest.raises(ValueError, match=next(iter(bad)).split("_")[0]):
             entire.Session(**bad)
 

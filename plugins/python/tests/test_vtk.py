@@ -12,6 +12,7 @@ pytest.importorskip("vtkmodules")
 
 import entire
 import entire.vtk
+from entire.vtk import _steering
 from vtkmodules.vtkCommonDataModel import vtkPlane, vtkPlaneCollection
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindowInteractor, vtkVolume
 
@@ -95,6 +96,28 @@ def test_still_frames_are_vtks_byte_for_byte(voxels, kind, spacing):
     assert np.array_equal(view.pixels(), plain)
 
 
+@pytest.mark.parametrize(("spacing", "scale"), [(1.0, 1.0), (0.01, 1.0), (5.0, 1.0), (0.5, 2.0)])
+def test_full_quality_is_that_of_a_mapper_that_adjusts_by_itself(voxels, spacing, scale):
+    view = View()
+    volume = add_volume(view.renderer, voxels[:, :40], "gpu", spacing=(spacing,) * 3)
+    volume.SetScale(scale)
+    volume.GetMapper().SetAutoAdjustSampleDistances(1)
+    volume.GetProperty().SetScalarOpacityUnitDistance(spacing)
+    away = 110 * spacing * scale
+    view.draw(3, away)
+    view.orbit(30, away)
+    view.window.Render()
+    plain = view.pixels().astype(float)
+    assert plain.std() > 5
+    steering = entire.vtk.hold(view.renderer, volume, 100.0)
+    view.draw(5, away)
+    view.orbit(30, away)
+    view.window.Render()
+    assert steering.reason not in ("still", "fallback")
+    assert np.abs(view.pixels() - plain).mean() < 0.5
+    assert steering.leaves[0].sample_distance == pytest.approx(spacing * scale, rel=1e-3)
+
+
 def test_the_windows_rate_decides_where_there_is_an_interactor(voxels):
     view = View()
     volume = add_volume(view.renderer, voxels)
@@ -142,6 +165,14 @@ def test_several_volumes_share_the_time(voxels):
     assert settings(left.GetMapper())[0] == 1.0
     assert not left.GetMapper().HasObserver("VolumeMapperRenderStartEvent")
     assert later in [leaf.volume for leaf in steering.leaves]
+    # One that is gone is forgotten: another may come to lie at its address.
+    address = later.__this__
+    view.renderer.RemoveVolume(later)
+    del later
+    gc.collect()
+    view.draw(1)
+    assert len(steering.leaves) == 1
+    assert address not in _steering._held
 
 
 def test_scene_changes_are_followed(voxels):
@@ -198,6 +229,15 @@ def test_scene_changes_are_followed(voxels):
     other.SelectScalarArray("dose")
     view.draw(2)
     assert steering.status == ""
+    # Lighting is no new transfer function, a point of one is.
+    leaf, prop = steering.leaves[0], volume.GetProperty()
+    read = leaf._tf
+    prop.SetAmbient(0.4)
+    view.draw(1)
+    assert leaf._tf is read
+    prop.GetScalarOpacity().AddPoint(100, 0.5)
+    view.draw(1)
+    assert leaf._tf is not read
 
 
 def test_what_the_application_sets_within_a_frame_is_kept(voxels):

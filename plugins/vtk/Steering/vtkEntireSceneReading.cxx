@@ -242,6 +242,21 @@ std::string ReadTransferFunction(vtkVolumeProperty* property, const std::array<d
 }
 
 //------------------------------------------------------------------------------
+double PlacedSpacing(vtkImageData* image, vtkVolume* volume)
+{
+  const double* placed = volume->GetMatrix()->GetData();
+  const double* spacing = image->GetSpacing();
+  double least = std::numeric_limits<double>::max();
+  for (int axis = 0; axis < 3; ++axis)
+  {
+    const double length = std::sqrt(placed[axis] * placed[axis] + placed[4 + axis] * placed[4 + axis] +
+      placed[8 + axis] * placed[8 + axis]);
+    least = std::min(least, std::abs(spacing[axis]) * length);
+  }
+  return least;
+}
+
+//------------------------------------------------------------------------------
 std::string ReadCamera(
   vtkRenderer* renderer, vtkVolume* volume, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame)
 {

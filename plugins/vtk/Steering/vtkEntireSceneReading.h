@@ -78,6 +78,10 @@ std::string ReadVoxels(
 std::string ReadTransferFunction(vtkVolumeProperty* property, const std::array<double, 2>& range,
   std::optional<entire::transfer_function>& function);
 
+// The smallest spacing of a volume as its matrix places it: the sample distance of VTK's GPU mapper where it adjusts
+// by itself.
+double PlacedSpacing(vtkImageData* image, vtkVolume* volume);
+
 // The eye as the library has it: relative to the volume's axes, lengths in the unit of the volume's spacing.
 std::string ReadCamera(
   vtkRenderer* renderer, vtkVolume* volume, vtkImageData* image, const VoxelGrid& grid, entire::frame& frame);

@@ -275,8 +275,15 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   const bool still = rate < owner->StillUpdateRate;
   // Where VTK adjusts by itself, the image sample distance that it left is that of an earlier frame.
   const double ownImage = this->Own.AutoAdjust ? 1.0 : std::max(0.1f, this->Own.ImageSampleDistance);
-  double finest =
-    this->Own.Lock ? vtkEntire::SpacingAdjustedSampleDistance(mapper, image) : this->Own.SampleDistance;
+  double finest = this->Own.SampleDistance;
+  if (gpu && this->Own.AutoAdjust)
+  {
+    finest = vtkEntire::PlacedSpacing(image, volume);
+  }
+  else if (this->Own.Lock)
+  {
+    finest = vtkEntire::SpacingAdjustedSampleDistance(mapper, image);
+  }
   finest = std::min(4096.0, std::max(1.0 / 64, finest / grid.Reference));
 
   const int* size = renderer->GetSize();

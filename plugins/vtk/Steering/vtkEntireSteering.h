@@ -177,7 +177,7 @@ public:
    */
   vtkSetClampMacro(Tolerance, double, 0.0, 10.0);
   vtkGetMacro(Tolerance, double);
-  vtkSetClampMacro(MissRate, double, 1.0e-4, 0.99);
+  vtkSetClampMacro(MissRate, double, 1.0e-4, 0.5);
   vtkGetMacro(MissRate, double);
   ///@}
 

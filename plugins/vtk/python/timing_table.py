@@ -32,6 +32,18 @@ HEIGHTS = (5e-3, 1.0)
 _MASK32, _MASK64 = 0xFFFFFFFF, 0xFFFFFFFFFFFFFFFF
 
 
+def machine():
+    """Processor, number of logical processors, system and architecture; no name of the host."""
+    model = platform.processor()
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            model = next((line.split(":", 1)[1].strip() for line in file if line.startswith("model name")), model)
+        system = platform.freedesktop_os_release().get("PRETTY_NAME", platform.system())
+    except (OSError, AttributeError):
+        system = platform.system()
+    return f"{model or 'CPU'}, {os.cpu_count()} logical processors, {system}, {platform.machine()}"
+
+
 def fnv1a(data):
     """64-bit FNV-1a."""
     value = 0xCBF29CE484222325
@@ -255,7 +267,7 @@ def collect(options, renderer):
     manifest = {
         "format": "entire-timings-1",
         "created": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        "machine": f"{platform.node()}, {os.cpu_count()} logical CPUs, {platform.platform()}",
+        "machine": machine(),
         "renderer": renderer.name,
         "device": renderer.device,
         "driver": renderer.driver,

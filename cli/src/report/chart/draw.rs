@@ -399,6 +399,8 @@ impl Chart {
                 }
             }
         }
+        // From the top down, so that points on top of each other are named in their order.
+        texts.sort_by(|a, b| a.1.total_cmp(&b.1).then(a.0.total_cmp(&b.0)));
         let mut taken: Vec<Rect> = texts.iter().map(|(h, v, _)| Rect::around(*h, *v, 4.0)).collect();
         for (h, v, text) in texts {
             let Place { leftward, x, baseline } = place(h, v, text_width(text, 12.0), &frame, &mut taken);

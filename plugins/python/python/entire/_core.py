@@ -120,7 +120,7 @@ class Session(_native.Session):
         How far over the target a frame may be before it counts as missed, as a share of the target. Default
         0.1.
     miss_rate : float, optional
-        Share of frames that may be missed, over 0 and under 1. Default 0.05.
+        Share of frames that may be missed, over 0 and at most 0.5. Default 0.05.
     trust_limit : float, optional
         Out-of-range score from which recent frames decide instead of the prediction. Default 2.
     damping : bool, optional

@@ -111,9 +111,9 @@ class _Calibrator:
             window.Render()
             image = _scene.input_of(mapper)
             grid = _scene.Grid(mapper, image, 0 if prop.GetIndependentComponents() else -1)
-            base = max(
-                1 / 64, (_mappers.spacing_adjusted(image) if own.lock else own.sample) / grid.reference
-            )
+            placed = _scene.elements(first_volume(self.volume).GetMatrix())
+            finest = _mappers.full_quality(own, image, placed, _mappers.is_gpu(mapper))
+            base = min(4096.0, max(1 / 64, finest / grid.reference))
             calibration, draw = Calibration(), random.Random(seed)
             bounds = self.volume.GetBounds()
             middle = [0.5 * (bounds[2 * a] + bounds[2 * a + 1]) for a in range(3)]
@@ -131,7 +131,7 @@ class _Calibrator:
                 gpu = _mappers.is_gpu(mapper)
                 calibration.add(
                     grid.volume,
-                    _scene.camera(renderer, _scene.elements(first_volume(self.volume).GetMatrix()), grid),
+                    _scene.camera(renderer, placed, grid),
                     _scene.transfer_function(prop, grid.range),
                     renderer.GetSize(),
                     self.seconds,

@@ -63,11 +63,13 @@ class Leaf:
         "_mapper_time", "_own", "_pixels", "_plain", "_plan", "_ready", "_reason", "_seen", "_session",
         "_shading", "_shown", "_shown_time", "_stale", "_started", "_steered", "_steering", "_step", "_tags",
         "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_weight", "_wrote",
-        "image_sample_distance", "measured", "sample_distance", "status", "volume_time",
+        "address", "image_sample_distance", "measured", "sample_distance", "status", "volume_time",
     )  # fmt: skip
 
     def __init__(self, steering: Steering, volume: Any, make_gpu: Callable[[Any], Any]) -> None:
         self._volume = weak(volume)
+        # By which the volume is known as held, also when it is gone.
+        self.address: str = volume.__this__
         self._steering = steering
         self._mapper = weak()
         self._tags: list[int] = []
@@ -355,7 +357,7 @@ class Leaf:
             steering._clean = False
             self.volume_time = perf_counter() - began
         grid = self._grid
-        tf_key = prop.GetMTime()
+        tf_key = _scene.transfer_key(prop)
         if tf_key != self._tf_key:
             self._tf = _scene.transfer_function(prop, grid.range)
             session.set_transfer_function(self._tf)
@@ -370,11 +372,12 @@ class Leaf:
         own = self._own = _mappers.Settings(mapper)
         # Where VTK adjusts by itself, the image sample distance that it left is that of an earlier frame.
         self._pixels = 1.0 if own.adjust else max(0.1, own.image)
-        finest = _mappers.spacing_adjusted(image) if own.lock else own.sample
+        placed = _scene.elements(shown.GetMatrix())
+        finest = _mappers.full_quality(own, image, placed, self._gpu)
         self._finest = min(4096.0, max(1 / 64, finest / grid.reference))
         self._held = Held(
             grid.volume,
-            _scene.elements(shown.GetMatrix()),
+            placed,
             grid.direction,
             grid.center,
             step=self._finest,

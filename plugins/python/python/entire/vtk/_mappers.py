@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 from vtkmodules.vtkRenderingVolume import vtkFixedPointVolumeRayCastMapper, vtkGPUVolumeRayCastMapper
@@ -38,6 +39,34 @@ def spacing_adjusted(image: Any) -> float:
     if mean < _SMALL:
         distance *= 0.01 + (1 - 0.01) * mean / _SMALL
     return distance
+
+
+def full_quality(own: Settings, image: Any, placed: Sequence[float], gpu: bool) -> float:
+    """The sample distance at which a mapper draws by itself when it takes its time.
+
+    Parameters
+    ----------
+    own : Settings
+        The mapper's own settings.
+    image : vtkImageData
+        Its input.
+    placed : sequence of float
+        The volume's matrix, 16 elements, row by row.
+    gpu : bool
+        Whether it is VTK's GPU mapper, which takes the smallest spacing of the placed volume where it adjusts by
+        itself, whatever its sample distance is.
+
+    Returns
+    -------
+    float
+        In the unit of the spacing.
+    """
+    if gpu and own.adjust:
+        return min(
+            float(abs(side)) * math.hypot(placed[axis], placed[4 + axis], placed[8 + axis])
+            for axis, side in enumerate(image.GetSpacing())
+        )
+    return spacing_adjusted(image) if own.lock else own.sample
 
 
 class Settings:
@@ -215,6 +244,7 @@ def gpu_in_place_of(smart: Any, make: Any = vtkOpenGLGPUVolumeRayCastMapper) -> 
 __all__ = [
     "CannotSteer",
     "Settings",
+    "full_quality",
     "gpu_in_place_of",
     "is_fixed_point",
     "is_gpu",

@@ -157,6 +157,16 @@ def _unit(value: float) -> float:
     return 0.0 if math.isnan(value) else min(1.0, max(0.0, value))
 
 
+def transfer_key(prop: Any) -> tuple[Any, ...]:
+    """What changes when :func:`transfer_function` would: lighting and the like leave it alone."""
+    channels = prop.GetColorChannels(0)
+    functions = [prop.GetScalarOpacity(0)]
+    if channels == 3:
+        functions.append(prop.GetRGBTransferFunction(0))
+    times = [(function.__this__, function.GetMTime()) for function in functions]
+    return (channels, prop.GetScalarOpacityUnitDistance(0), *times)
+
+
 def transfer_function(prop: Any, span: tuple[float, float]) -> TransferFunction:
     """A volume property's functions of its first component."""
     node = [0.0] * 4
@@ -227,6 +237,7 @@ __all__ = [
     "input_of",
     "look",
     "transfer_function",
+    "transfer_key",
     "vertical_angle",
     "vtkAbstractMapper",
     "vtkImageData",

@@ -439,11 +439,10 @@ class Steering:
         for leaf in [
             leaf for leaf in self.leaves if leaf.volume is None or leaf.volume.__this__ not in there
         ]:
-            volume = leaf.volume
             leaf._leave()
             self.leaves.remove(leaf)
-            if volume is not None:
-                _held.pop(volume.__this__, None)
+            if _held.get(leaf.address) is self:
+                del _held[leaf.address]
         known = {leaf.volume.__this__ for leaf in self.leaves}
         for address, volume in there.items():
             if address not in known and address not in _held:

@@ -1,0 +1,129 @@
+//! Plans and settings that a caller chooses, takes back or cuts short.
+
+use super::tests::{frame, lobes, ready_session};
+use super::*;
+use crate::ErrorKind;
+use crate::adapt::{ObserveFlags, Verdict};
+use crate::features::Setting;
+use crate::scene::TransferFunction;
+
+#[test]
+fn a_plan_taken_back_leaves_its_id_to_the_next() {
+    let (f, flags) = (frame(20.0, 30.0, 2.0), ObserveFlags::default());
+    let mut session = ready_session();
+    let first = session.plan(&f, 0.02).unwrap();
+    session.withdraw(first.id);
+    assert_eq!(
+        session.observe(first.id, 0.01, flags).unwrap_err().kind(),
+        ErrorKind::RejectedObservation,
+        "a plan taken back is observed"
+    );
+    let again = session.plan(&f, 0.02).unwrap();
+    assert_eq!((again.id, again.step, again.reason), (first.id, first.step, first.reason));
+    session.observe(again.id, 0.01, flags).unwrap();
+    let next = session.plan(&f, 0.02).unwrap();
+    // Neither an observed plan, nor an older one, nor one that never was.
+    for id in [again.id, 0, next.id + 1, u64::MAX] {
+        session.withdraw(id);
+    }
+    session.observe(next.id, 0.01, flags).unwrap();
+    session.withdraw(next.id);
+    assert_eq!(session.plan(&f, 0.02).unwrap().id, next.id + 1);
+}
+
+#[test]
+fn frames_whose_setting_is_chosen_elsewhere_go_on_with_their_scene() {
+    let f = frame(0.0, 0.0, 2.0);
+    let settings = [1.0f32, 2.0, 4.0].map(|step| Setting { step, ..Setting::from(&f) });
+    let other = TransferFunction::Gaussian(lobes(0.3, 0.9)).to_table().unwrap();
+    for off in [false, true] {
+        let mut session = ready_session();
+        session.set_enabled(!off);
+        let begins = |session: &mut Session| {
+            let id = if off {
+                session.plan(&f, 0.02).unwrap().id
+            } else {
+                session.choose(&f, &settings, 0.02).unwrap().1.id
+            };
+            session.observe(id, 0.01, ObserveFlags::default()).unwrap();
+            session.controller.scene().first
+        };
+        assert!(begins(&mut session));
+        assert!((0..5).all(|_| !begins(&mut session)), "off: {off}");
+        session.set_transfer(&other, None).unwrap();
+        assert!(begins(&mut session), "off: {off}");
+        assert!(!begins(&mut session), "off: {off}");
+    }
+}
+
+#[test]
+fn a_scene_begins_with_the_first_frame_that_is_drawn() {
+    let f = frame(20.0, 30.0, 2.0);
+    let mut session = ready_session();
+    for _ in 0..5 {
+        let plan = session.plan(&f, 0.02).unwrap();
+        session.observe(plan.id, 0.01, ObserveFlags::default()).unwrap();
+    }
+    assert!(!session.controller.scene().first);
+    session.set_transfer(&TransferFunction::Gaussian(lobes(0.3, 0.9)).to_table().unwrap(), None).unwrap();
+    for _ in 0..3 {
+        let plan = session.plan(&f, 0.02).unwrap();
+        assert!(session.controller.scene().first);
+        session.withdraw(plan.id);
+    }
+}
+
+#[test]
+fn a_cancelled_frame_says_something_only_when_it_took_longer_than_expected() {
+    let f = frame(20.0, 30.0, 2.0);
+    let cancelled = ObserveFlags { cancelled: true, ..ObserveFlags::default() };
+    let raw = ready_session().predict(&f).unwrap().seconds;
+    // Machines far slower and far faster than the model thinks.
+    for speed in [20.0, 0.05] {
+        let mut session = ready_session();
+        for _ in 0..30 {
+            let plan = session.plan(&f, 1e-9).unwrap();
+            session.observe(plan.id, speed * plan.step.recip() * raw, ObserveFlags::default()).unwrap();
+        }
+        let plan = session.plan(&f, 1e-9).unwrap();
+        assert_eq!(session.observe(plan.id, 0.8 * plan.seconds, cancelled).unwrap(), Verdict::Ignored);
+        let plan = session.plan(&f, 1e-9).unwrap();
+        assert_ne!(session.observe(plan.id, 1.2 * plan.seconds, cancelled).unwrap(), Verdict::Ignored);
+    }
+}
+
+#[test]
+fn settings_to_choose_from_are_held_to_the_limits_of_frames() {
+    let f = frame(0.0, 0.0, 2.0);
+    let mut session = ready_session();
+    let good = Setting::from(&f);
+    for bad in [
+        Setting { step: 1.0e-45, ..good },
+        Setting { step: f32::NAN, ..good },
+        Setting { width: 0, ..good },
+        Setting { height: u32::MAX, ..good },
+    ] {
+        let error = session.choose(&f, &[good, bad], 0.02).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument);
+        assert!(std::format!("{error}").contains("setting 1: "), "{error}");
+    }
+}
+
+#[test]
+fn choose_takes_the_first_setting_that_fits() {
+    let mut session = ready_session();
+    let f = frame(0.0, 0.0, 2.0);
+    let setting = Setting::from(&f);
+    let settings = [0.25f32, 0.5, 1.0, 2.0, 4.0, 8.0].map(|s| Setting { step: s, ..setting });
+    // Teach it the machine.
+    for _ in 0..30 {
+        let (index, plan) = session.choose(&f, &settings, 0.02).unwrap();
+        let seconds = 0.001 + 0.04 / settings[index].step;
+        session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
+    }
+    let (index, plan) = session.choose(&f, &settings, 0.025).unwrap();
+    assert_eq!((index, plan.reason), (3, Reason::Fits), "{plan:?}");
+    let (index, plan) = session.choose(&f, &settings, 1e-6).unwrap();
+    assert_eq!((index, plan.reason), (5, Reason::TargetUnreachable));
+    assert_eq!(session.choose(&f, &settings, 10.0).unwrap().0, 0);
+}

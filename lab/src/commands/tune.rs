@@ -1,0 +1,141 @@
+//! `entire-lab tune`: the controller's constants from recorded paths.
+
+use super::replay::Paths;
+use crate::calibration::samples_by_volume;
+use crate::replay::tune::{Cost, Course, Law, TRIED_IN_A_ROUND, costs, search};
+use crate::replay::{Replayable, Three};
+use crate::trace::Trace;
+use anyhow::{Context, Result, ensure};
+use entire_cli::files::{make_folder_of, write_json};
+use entire_cli::progress::templated_bar;
+use entire_cli::report::{Column, Table};
+use entire_cli::steering::calibrate::Sample;
+use entire_cli::steering::fit::Calibrated;
+use entire_core::control::HybridConstants;
+use entire_core::features::PROBE_SIDE;
+use entire_core::scene::{Scalars, VolumeView};
+use serde_json::json;
+use std::path::PathBuf;
+
+/// A path by every renderer, and what was fitted to other volumes.
+type Played = ([Replayable; 3], Calibrated);
+
+/// Choose the controller's constants on recorded paths.
+///
+/// Every path is played against every target that is worth playing on it, with a predictor that was fitted to
+/// frames of other volumes, and by sessions without a model that begin on the way. The search takes a value
+/// when the paths cost less by more than two standard errors. It changes no file but --out: what it finds
+/// belongs into `core/src/control/constants.rs`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/calibration.csv.gz
+  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/calibration.csv.gz --rounds 0")]
+pub struct Options {
+    /// What is played.
+    #[command(flatten)]
+    pub paths: Paths,
+    /// Most rounds over all constants; 0 says what the present ones cost.
+    #[arg(long, default_value_t = 3, value_name = "N")]
+    pub rounds: usize,
+    /// What was tried and found, as JSON.
+    #[arg(long, value_name = "FILE.json")]
+    pub out: Option<PathBuf>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Bad options or files.
+pub fn run(options: &Options) -> Result<()> {
+    let limits = options.paths.limits()?;
+    let targets = options.paths.targets()?;
+    let samples = samples_by_volume(&options.paths.calibration, PROBE_SIDE)?;
+    let nothing = [0u8];
+    let no_volume = VolumeView::new(Scalars::U8(&nothing), [1, 1, 1])?;
+    let played = options
+        .paths
+        .traces
+        .iter()
+        .map(|file| {
+            let trace = Trace::open(file)?;
+            let shown = |volume: &str| trace.volumes.iter().any(|v| v.file.as_os_str() == volume);
+            let others: Vec<Sample> =
+                samples.iter().filter(|(v, _)| !shown(v)).map(|(_, s)| s.clone()).collect();
+            let calibrated = Calibrated::fit(&others, &no_volume, 1)?;
+            let recorded = Replayable::new(trace)?;
+            Ok((Law::ALL.map(|law| law.of(&recorded)), calibrated))
+        })
+        .collect::<Result<Vec<Played>>>()?;
+    let courses: Vec<Course<'_>> =
+        played.iter().map(|(recorded, c)| Course::new(recorded, c, &targets, limits)).collect();
+    ensure!(courses.len() >= 2, "one path has no standard error; name several");
+    for (course, (recorded, _)) in courses.iter().zip(&played) {
+        ensure!(
+            !course.is_empty(),
+            "no target is worth playing on {}; the allowed steps never meet one: name other --targets",
+            recorded[0].trace.name
+        );
+    }
+    let first = HybridConstants::default();
+    let before = costs(&courses, first)?;
+    let bar = templated_bar(false, "tune [{bar:30}] {pos}/{len} values tried, {eta} left");
+    bar.set_length((options.rounds * TRIED_IN_A_ROUND) as u64);
+    let (mut found, after, taken) = search(&courses, first, before.clone(), options.rounds, &|| bar.inc(1))?;
+    bar.finish_and_clear();
+    println!("{}", table(&played, &before, &after).to_text());
+    for t in &taken {
+        println!(
+            "{}: {:.4} -> {:.4}, mean cost {:.4} -> {:.4} (standard error of the difference {:.4})",
+            t.name, t.from, t.to, t.cost[0], t.cost[1], t.standard_error
+        );
+    }
+    if taken.is_empty() {
+        println!("no other value of any constant costs less by more than two standard errors");
+    }
+    if let Some(out) = &options.out {
+        make_folder_of(out)?;
+        let names: Vec<&str> = played.iter().map(|(r, _)| r[0].trace.name.as_str()).collect();
+        let constants: serde_json::Map<String, serde_json::Value> = HybridConstants::NAMES
+            .iter()
+            .zip(found.values())
+            .map(|(name, value)| ((*name).to_owned(), json!(*value)))
+            .collect();
+        let all = json!({
+            "paths": names, "constants": constants, "taken": taken, "before": before, "after": after
+        });
+        write_json(out, &all).with_context(|| format!("cannot write {}", out.display()))?;
+    }
+    Ok(())
+}
+
+/// What every path costs before and after.
+fn table(played: &[Played], before: &[Cost], after: &[Cost]) -> Table {
+    let mut columns = vec![Column::text("path"), Column::number("cost"), Column::number("… after")];
+    for what in [
+        "fitted: |t-T|/T",
+        "> 1.1 T",
+        "quality",
+        "jumps",
+        "cold: |t-T|/T",
+        "> 1.1 T",
+        "quality",
+        "second in bound",
+    ] {
+        columns.push(Column::number(what));
+    }
+    let mut table = Table::new(columns);
+    for (i, (recorded, _)) in played.iter().enumerate() {
+        let mut row = vec![
+            recorded[0].trace.name.clone().into(),
+            format!("{:.4}", before[i].value()).into(),
+            format!("{:.4}", after[i].value()).into(),
+        ];
+        let wrong = |t: Three| [t.deviation, t.missed, t.quality];
+        let Cost { fitted, jumps, cold, second_in_bound } = after[i];
+        for value in [&wrong(fitted)[..], &[jumps], &wrong(cold), &[second_in_bound]].concat() {
+            row.push(format!("{:.1} %", 100.0 * value).into());
+        }
+        table.row(row);
+    }
+    table
+}

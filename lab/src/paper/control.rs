@@ -1,0 +1,386 @@
+//! Use case 1: recorded paths of a data set under every controller, by the paper's network and by ours.
+
+use super::Work;
+use super::description::Panel;
+use super::results::{Curve, Fact, Results, write};
+use super::sections::Section;
+use crate::calibration::samples_of;
+use crate::replay::Replayable;
+use crate::trace::Trace;
+use anyhow::{Context, Result};
+use entire_cli::files::{fnv1a, make_folder, read_bytes, read_text, write_whole};
+use entire_cli::report::{Axis, Chart, Column, Mark, Series, Table, encode_png};
+use entire_cli::steering::calibrate::response;
+use entire_cli::steering::contenders::ControllerKind;
+use entire_core::features::PROBE_SIDE;
+use entire_core::scene::Frame;
+use entire_vk_raycaster::{Image, Renderer};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Who is drawn frame by frame: the paper's three, and ours.
+const DRAWN: [(&str, &str); 4] = [
+    (ControllerKind::Olp.name(), "OLP"),
+    (ControllerKind::Pid.name(), "PID"),
+    (ControllerKind::Algorithm1.name(), "Algorithm 1, the paper's network"),
+    (OURS, "ours"),
+];
+
+/// The hybrid controller with the predictor that was fitted to the calibration frames.
+const OURS: &str = "ours";
+
+/// A chart of every frame.
+struct Drawing {
+    title: &'static str,
+    axis: &'static str,
+    /// What a controller did.
+    value: fn(&Row) -> f64,
+    /// What that is to be held against: the target, or the best possible controller.
+    beside: &'static str,
+    best: fn(&Row) -> f64,
+}
+
+const CHARTS: [Drawing; 3] = [
+    Drawing {
+        title: "frame time",
+        axis: "frame time, ms",
+        value: |r| 1e3 * r.seconds,
+        beside: "target",
+        best: |r| 1e3 * r.target_s,
+    },
+    Drawing {
+        title: "ray step",
+        axis: "ray step, reference steps",
+        value: |r| r.step_ref,
+        beside: "oracle",
+        best: |r| r.oracle_step_ref,
+    },
+    Drawing {
+        title: "quality",
+        axis: "PSNR, dB",
+        value: |r| r.psnr_db,
+        beside: "oracle",
+        best: |r| r.oracle_psnr_db,
+    },
+];
+
+/// Frames whose pictures are compared, as shares of the path: the first after an abrupt change, one shortly after
+/// another, and a calm one.
+const PICTURED: [f64; 3] = [0.255, 0.525, 0.89];
+
+/// Side of a compared picture, pixels.
+const SIDE: u32 = 128;
+
+/// What was replayed of a data set's paths.
+pub struct Played<'a> {
+    /// The recorded paths.
+    pub traces: &'a [PathBuf],
+    /// What `entire-lab replay` wrote with the paper's network.
+    pub network: &'a Path,
+    /// What it wrote for the hybrid controller with its own predictor.
+    pub ours: &'a Path,
+    /// The calibration table, whose curves are behind G.
+    pub calibration: &'a Path,
+}
+
+/// A frame of `frames.csv`.
+#[derive(Clone, Debug, Deserialize)]
+struct Row {
+    trace: String,
+    target: String,
+    controller: String,
+    frame: usize,
+    target_s: f64,
+    seconds: f64,
+    step_ref: f64,
+    oracle_step_ref: f64,
+    psnr_db: f64,
+    oracle_psnr_db: f64,
+}
+
+fn rows(folder: &Path) -> Result<Vec<Row>> {
+    let path = folder.join("frames.csv");
+    let bytes = read_bytes(&path)?;
+    csv::Reader::from_reader(&bytes[..])
+        .deserialize()
+        .collect::<Result<_, _>>()
+        .with_context(|| format!("{} is not what entire-lab replay writes", path.display()))
+}
+
+/// The paths in a folder that show volumes of a data set.
+///
+/// # Errors
+/// When the folder or a path in it cannot be read.
+pub fn traces_of(folder: &Path, set: &str) -> Result<Vec<PathBuf>> {
+    let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
+    let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).collect();
+    files.retain(|p| p.to_string_lossy().ends_with(".json") || p.to_string_lossy().ends_with(".json.gz"));
+    files.sort();
+    let mut out = Vec::new();
+    for file in files {
+        let shown = Trace::open(&file)?.volumes;
+        if shown.iter().all(|v| v.file.components().any(|c| c.as_os_str() == set)) {
+            out.push(file);
+        }
+    }
+    Ok(out)
+}
+
+/// Keeps what was replayed: scores, the first path frame by frame with pictures of three of its frames, and
+/// the curves behind G.
+///
+/// # Errors
+/// When a file cannot be read or written, and when the renderer fails.
+pub fn keep(
+    work: &Work<'_>,
+    played: &Played<'_>,
+    (set, mode): (&str, &str),
+    renderer: &mut dyn Renderer,
+) -> Result<()> {
+    let scores = |folder: &Path| -> Result<(String, serde_json::Value)> {
+        let path = folder.join("scores.json");
+        let text = read_text(&path, 256 << 20)?;
+        let found =
+            serde_json::from_str(&text).with_context(|| format!("{} holds no scores", path.display()))?;
+        Ok((text, found))
+    };
+    let (text, network) = scores(played.network)?;
+    let (ours_text, ours) = scores(played.ours)?;
+    let mark = format!("{:016x}", fnv1a((text + &ours_text).as_bytes()));
+    let mut results = Results::new(Panel::Steering, set, mode, mark);
+    let traces = network["traces"].as_array().cloned().unwrap_or_default();
+    let provenance = traces.first().map(|t| t["provenance"].clone()).unwrap_or_default();
+    results.device = provenance["device"].as_str().unwrap_or_default().to_owned();
+    results.machine = provenance["machine"].as_str().unwrap_or_default().to_owned();
+    results.frames.insert("paths".into(), [0, 0, traces.len()]);
+    results.facts = facts(&network, str::to_owned);
+    results.facts.extend(facts(&ours, |_| OURS.into()));
+    let mut frames = rows(played.network)?;
+    frames.extend(rows(played.ours)?.into_iter().map(|r| Row { controller: OURS.into(), ..r }));
+    if let Some(drawn) = one_path(&frames) {
+        results.curves = curves(&drawn);
+        let name = &drawn[0].trace;
+        for file in played.traces {
+            let trace = Trace::open(file)?;
+            if trace.name == *name {
+                results.pictures = pictures(work, set, trace, &drawn, renderer)?;
+            }
+        }
+    }
+    results.curves.extend(step_curves(played.calibration)?);
+    write(work.out, &results)
+}
+
+fn facts(found: &serde_json::Value, name: impl Fn(&str) -> String) -> Vec<Fact> {
+    let mut out = Vec::new();
+    for (controller, score) in found["controllers"].as_object().into_iter().flatten() {
+        let values = score
+            .as_object()
+            .into_iter()
+            .flatten()
+            .flat_map(|(k, v)| match v.as_object() {
+                Some(inner) => inner.iter().map(|(i, v)| (format!("{k} {i}"), v.as_f64())).collect(),
+                None => vec![(k.clone(), v.as_f64())],
+            })
+            .filter_map(|(k, v)| Some((k, v?)))
+            .collect();
+        out.push(Fact { name: name(controller), values });
+    }
+    out
+}
+
+/// The frames of the first path with abrupt changes, against the middle one of the targets that were played.
+fn one_path(frames: &[Row]) -> Option<Vec<Row>> {
+    let mut names: Vec<&str> = frames.iter().map(|r| r.trace.as_str()).collect();
+    names.dedup();
+    let name = names.iter().find(|n| n.contains("switches")).or(names.first())?;
+    let of_path = |r: &&Row| r.trace == *name && r.target.ends_with("fps");
+    let mut targets: Vec<(f64, &str)> =
+        frames.iter().filter(of_path).map(|r| (r.target_s, r.target.as_str())).collect();
+    targets.sort_by(|a, b| a.0.total_cmp(&b.0));
+    targets.dedup();
+    let target = targets.get(targets.len() / 2)?.1;
+    Some(frames.iter().filter(of_path).filter(|r| r.target == target).cloned().collect())
+}
+
+fn curves(drawn: &[Row]) -> Vec<Curve> {
+    let mut out = Vec::new();
+    for chart in CHARTS {
+        let mut add = |name: &str, controller: &str, y: fn(&Row) -> f64| {
+            let points: Vec<(f64, f64)> =
+                drawn.iter().filter(|r| r.controller == controller).map(|r| (r.frame as f64, y(r))).collect();
+            if !points.is_empty() {
+                out.push(Curve { chart: chart.title.into(), name: name.into(), x: "frame".into(), points });
+            }
+        };
+        for (controller, title) in DRAWN {
+            add(title, controller, chart.value);
+        }
+        // The same for every controller.
+        add(chart.beside, &drawn[0].controller, chart.best);
+    }
+    out
+}
+
+/// Three frames side by side: at the reference step, then as every controller drew them.
+fn pictures(
+    work: &Work<'_>,
+    set: &str,
+    trace: Trace,
+    drawn: &[Row],
+    renderer: &mut dyn Renderer,
+) -> Result<Vec<(String, String)>> {
+    let folder = work.out.join("pictures");
+    make_folder(&folder)?;
+    let draw = trace.draw_settings()?;
+    let recorded = Replayable::new(trace)?;
+    let n = recorded.path.frames.len();
+    let mut out = Vec::new();
+    for share in PICTURED {
+        let index = ((share * n as f64) as usize).min(n.saturating_sub(1));
+        let fail = || format!("frame {index} of {}", recorded.trace.name);
+        let volume = recorded.trace.volumes[recorded.trace.volume_at(index)].open()?;
+        renderer.set_volume(&volume.view()).with_context(fail)?;
+        let table = recorded.path.frames[index].transfer.function().to_table().with_context(fail)?;
+        renderer.set_transfer(&table).with_context(fail)?;
+        let frame = recorded.trace.frame(&recorded.path, &draw, index).with_context(fail)?;
+        let mut steps = vec![("reference step", 1.0)];
+        for (controller, title) in DRAWN {
+            let row = drawn.iter().find(|r| r.controller == controller && r.frame == index);
+            steps.extend(row.map(|r| (title, r.step_ref)));
+        }
+        let mut images = Vec::new();
+        for (_, step) in &steps {
+            let frame = Frame { width: SIDE, height: SIDE, step: *step as f32, ..frame }.checked()?;
+            images.push(renderer.render(&frame).with_context(fail)?.image);
+        }
+        let name = format!("{set}-control-{index}.png");
+        write_whole(&folder.join(&name), &encode_png(&side_by_side(&images))?)?;
+        let titles: Vec<String> =
+            steps.iter().map(|(title, step)| format!("{title} (step {step:.2})")).collect();
+        out.push((name, format!("control: frame {index}, from left to right: {}", titles.join(", "))));
+    }
+    Ok(out)
+}
+
+fn side_by_side(images: &[Image]) -> Image {
+    let width: u32 = images.iter().map(|i| i.width).sum();
+    let height = images.iter().map(|i| i.height).max().unwrap_or(0);
+    let mut rgba = Vec::with_capacity(4 * width as usize * height as usize);
+    for y in 0..height as usize {
+        for i in images {
+            let row = 4 * i.width as usize;
+            rgba.extend_from_slice(&i.rgba[y * row..(y + 1) * row]);
+        }
+    }
+    Image { width, height, rgba }
+}
+
+/// The time of every calibration scene over that at the reference step, and G.
+fn step_curves(calibration: &Path) -> Result<Vec<Curve>> {
+    let samples = samples_of(&[calibration.to_owned()], PROBE_SIDE)?;
+    let g = response(&samples).context("G needs scenes that were timed at several steps")?;
+    let mut by_scene: BTreeMap<usize, Vec<(f64, f64)>> = BTreeMap::new();
+    for s in &samples {
+        by_scene.entry(s.scene).or_default().push((f64::from(s.setting.step), s.seconds));
+    }
+    let mut steps: Vec<f64> = samples.iter().map(|s| f64::from(s.setting.step)).collect();
+    steps.sort_by(f64::total_cmp);
+    steps.dedup();
+    let curve = |name: String, points| Curve {
+        chart: "G".into(),
+        name,
+        x: "ray step, reference steps".into(),
+        points,
+    };
+    let mut out = Vec::new();
+    for (scene, mut points) in by_scene {
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let Some(reference) = points.iter().find(|p| p.0 == 1.0).map(|p| p.1) else { continue };
+        points.iter_mut().for_each(|p| p.1 /= reference);
+        out.push(curve(format!("scene {scene}"), points));
+    }
+    let ratios = steps.iter().map(|s| (*s, f64::from(g.time_ratio(*s as f32)))).collect();
+    out.push(curve("G".into(), ratios));
+    Ok(out)
+}
+
+/// What the table of controllers shows: a figure of the scores, its title, and whether it is a share.
+const COLUMNS: [(&str, &str, bool); 7] = [
+    ("all deviation", "mean distance from the target", true),
+    ("all missed", "frames over 1.1 × target", true),
+    ("all quality", "oracle's step over the step", true),
+    ("calm deviation", "calm phases: distance", true),
+    ("first_frame_deviation", "first frames after a change: distance", true),
+    ("psnr_loss", "PSNR below the oracle's, dB", false),
+    ("worst", "slowest frame over target", false),
+];
+
+/// Use case 1 in the report.
+pub(super) fn section(of: &[&Results], s: &mut Section) {
+    for r in of.iter().filter(|r| !r.facts.is_empty()) {
+        let mut columns = vec![Column::text("controller")];
+        columns.extend(COLUMNS.map(|(_, title, _)| Column::number(title)));
+        let mut table = Table::new(columns);
+        for f in &r.facts {
+            let kind = ControllerKind::from_name(&f.name);
+            let title = match f.name.as_str() {
+                OURS => "hybrid, fitted to calibration frames (ours)",
+                name if name == ControllerKind::Hybrid.name() => "hybrid, the paper's network",
+                name if name == ControllerKind::Algorithm1.name() => "Algorithm 1, the paper's network",
+                name => kind.map_or(name, |k| k.title()),
+            };
+            let mut cells = vec![title.into()];
+            cells.extend(COLUMNS.map(|(key, _, share)| {
+                f.values
+                    .get(key)
+                    .map(|v| if share { format!("{:.1} %", 100.0 * v) } else { format!("{v:.2}") })
+                    .into()
+            }));
+            table.row(cells);
+        }
+        let paths = r.frames.get("paths").map_or(0, |f| f[2]);
+        let caption = format!(
+            "Every controller on {paths} recorded paths of {}, against four targets; the oracle knows every cost.",
+            r.set
+        );
+        s.tables.push((table, caption));
+        for Drawing { title, axis, .. } in CHARTS {
+            let mut drawn = Chart::new(title, Axis::linear("frame"), Axis::linear(axis));
+            let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == title).collect();
+            for c in &shown {
+                let color = DRAWN.iter().position(|(_, t)| *t == c.name).map_or(0, |p| p + 1);
+                drawn = drawn.series(Series::new(&c.name, Mark::Line(c.points.clone())).color(color));
+            }
+            if !shown.is_empty() {
+                s.charts.push((drawn, format!("{axis}, on one path, frame by frame.")));
+            }
+        }
+        s.pictures.extend(
+            r.pictures
+                .iter()
+                .map(|(file, caption)| (file.clone(), caption.trim_start_matches("control: ").to_owned())),
+        );
+        s.summary = format!("{} controllers on {paths} paths", r.facts.len());
+    }
+}
+
+/// The curve G in the report.
+pub(super) fn response_section(of: &[&Results], s: &mut Section) {
+    for r in of {
+        let shown: Vec<&Curve> = r.curves.iter().filter(|c| c.chart == "G").collect();
+        let x = shown.first().map_or(String::new(), |c| c.x.clone());
+        let mut drawn =
+            Chart::new("G", Axis::linear(x), Axis::linear("time over that at the reference step"));
+        for c in &shown {
+            let own = c.name == "G";
+            let name = if own { c.name.as_str() } else { "" };
+            drawn = drawn.series(Series::new(name, Mark::Line(c.points.clone())).color(usize::from(!own)));
+        }
+        if !shown.is_empty() {
+            s.charts.push((drawn, "A line per scene, and their median.".into()));
+            s.summary = format!("{} curves", shown.len() - 1);
+        }
+    }
+}

@@ -1,0 +1,251 @@
+//! The controller's constants, chosen by a search over recorded paths.
+//!
+//! A path costs what the controller does wrong on it, in units of what is promised: the mean distance from the
+//! target (8 %), the share of frames over 1.1 targets (3 %), what its step is coarser than the oracle's (8 %),
+//! and the share of calm frames at which the step jumps (8 %), summed over every target that is worth playing.
+//! The first three are added for sessions without a model that begin somewhere on the path, over the frames
+//! after their first: these are what a program meets that has nothing but its own times. Such a program's
+//! renderer is not the recorded one, so those sessions are played on three: the recorded one, one whose time
+//! falls faster with the step, and one whose time falls more slowly ([`Law`]).
+//!
+//! The search goes over the constants one at a time and tries a few multiples of each. It takes the best one
+//! whose cost is lower by more than two standard errors of the difference among paths, since dozens are tried,
+//! and ends when a whole round takes none.
+
+use super::{Replayable, Tally, Three, Trial, replay, trials};
+use crate::trace::Curve;
+use anyhow::Result;
+use entire_cli::steering::fit::Calibrated;
+use entire_cli::steering::play::Contender;
+use entire_core::control::{Hybrid, HybridConstants, HybridOptions, Prior, Session, StepLimits};
+use entire_core::predict::{AnalyticModel, Predictor};
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// Standard errors by which a value must be better.
+const SURE: f64 = 2.0;
+
+/// Multiples of a constant that are tried.
+const FACTORS: [f64; 6] = [0.35, 0.5, 0.71, 1.41, 2.0, 2.8];
+
+/// What is promised of distance, quality and jumps, and of misses: the limits of the steering bars.
+const PROMISED: f64 = 0.08;
+const PROMISED_MISSES: f64 = 0.03;
+
+/// Frames of a session that begins on the way, and frames between two such sessions.
+const COLD_FRAMES: usize = 6;
+const COLD_EVERY: usize = 8;
+
+/// Another renderer than the recorded one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Law {
+    /// The recorded one.
+    Recorded,
+    /// Nine tenths of a frame's time at its coarsest step are gone: what is left falls nearly with 1 / step.
+    Steeper,
+    /// The time at the coarsest step is there three times: most of a frame does not depend on the step.
+    Flatter,
+}
+
+impl Law {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Recorded, Self::Steeper, Self::Flatter];
+
+    /// A path as it would have been recorded on this renderer.
+    pub fn of(self, recorded: &Replayable) -> Replayable {
+        let mut out = recorded.clone();
+        let share = match self {
+            Self::Recorded => return out,
+            Self::Steeper => -0.9,
+            Self::Flatter => 2.0,
+        };
+        for frame in &mut out.trace.frames {
+            let coarsest = frame.iter().flat_map(|p| &p.seconds).copied().fold(f64::INFINITY, f64::min);
+            for seconds in frame.iter_mut().flat_map(|p| &mut p.seconds) {
+                *seconds += share * coarsest;
+            }
+        }
+        out.curves = out.trace.frames.iter().map(|f| Curve::of(f)).collect();
+        out
+    }
+}
+
+/// A recorded path with what plays on it.
+pub struct Course<'a> {
+    /// By the renderers of [`Law::ALL`].
+    recorded: &'a [Replayable; 3],
+    /// Fitted to other volumes than the path shows.
+    calibrated: &'a Calibrated,
+    /// Of each renderer.
+    trials: [Vec<Trial>; 3],
+    limits: StepLimits,
+}
+
+/// What a path costs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Cost {
+    /// With a fitted predictor.
+    pub fitted: Three,
+    /// Share of the calm frames at which its step jumps.
+    pub jumps: f64,
+    /// Without a model, the frames after the first of sessions that begin on the way.
+    pub cold: Three,
+    /// Share of the second frames of those sessions that stayed inside their upper bound.
+    pub second_in_bound: f64,
+}
+
+impl Cost {
+    /// The figure that the search lowers.
+    pub fn value(&self) -> f64 {
+        let wrong = |t: &Three| (t.deviation + 1.0 - t.quality) / PROMISED + t.missed / PROMISED_MISSES;
+        wrong(&self.fitted) + self.jumps / PROMISED + wrong(&self.cold)
+    }
+}
+
+/// A constant that was taken, and what that did.
+#[derive(Clone, Debug, Serialize)]
+pub struct Taken {
+    /// Which.
+    pub name: &'static str,
+    /// What it was.
+    pub from: f64,
+    /// What it is.
+    pub to: f64,
+    /// Mean cost of the paths before and after.
+    pub cost: [f64; 2],
+    /// Standard error of the difference, among paths.
+    pub standard_error: f64,
+}
+
+impl<'a> Course<'a> {
+    /// A path against every target that is worth playing on it.
+    pub fn new(
+        recorded: &'a [Replayable; 3],
+        calibrated: &'a Calibrated,
+        targets: &[(f64, &str)],
+        limits: StepLimits,
+    ) -> Self {
+        let trials = recorded.each_ref().map(|r| trials(std::slice::from_ref(r), targets, limits));
+        Self { recorded, calibrated, trials, limits }
+    }
+
+    /// Whether no target is worth playing on the path as it was recorded.
+    pub fn is_empty(&self) -> bool {
+        self.trials[0].is_empty()
+    }
+
+    fn contender(
+        predictor: Box<dyn Predictor + Send>,
+        prior: Prior,
+        constants: HybridConstants,
+    ) -> Contender {
+        let options = HybridOptions { prior, constants, ..HybridOptions::default() };
+        Contender {
+            name: "hybrid".into(),
+            session: Session::with_controller(predictor, Box::new(Hybrid::new(options))),
+            chooses_image_sample_distance: false,
+        }
+    }
+
+    /// What the path costs with these constants.
+    ///
+    /// # Errors
+    /// When a prediction fails.
+    pub fn cost(&self, constants: HybridConstants) -> Result<Cost> {
+        let chosen = &self.calibrated.chosen().fitted;
+        let (mut fitted, mut cold) = (Tally::default(), Tally::default());
+        let (mut seconds, mut inside) = (0u32, 0u32);
+        for trial in &self.trials[0] {
+            for round in 1..=2 {
+                let mut who = Self::contender(chosen.predictor()?, self.calibrated.prior(), constants);
+                let (features, all) = (chosen.volume_features(), 0..trial.targets.len());
+                let played =
+                    replay(&self.recorded[0], &mut who, features, &trial.targets, self.limits, round, all)?;
+                fitted.merge(&Tally::of(&played));
+            }
+        }
+        for (recorded, trial) in
+            self.recorded.iter().zip(&self.trials).flat_map(|(r, t)| t.iter().map(move |t| (r, t)))
+        {
+            let n = trial.targets.len();
+            for start in (0..n.saturating_sub(COLD_FRAMES - 1)).step_by(COLD_EVERY) {
+                let model = Box::new(AnalyticModel::default());
+                let mut who = Self::contender(model, Prior::Unknown, constants);
+                let frames = start..start + COLD_FRAMES;
+                let played = replay(recorded, &mut who, None, &trial.targets, self.limits, 1, frames)?;
+                cold.merge(&Tally::of(&played[1..]));
+                seconds += 1;
+                inside += u32::from(played[1].seconds <= played[1].upper);
+            }
+        }
+        let second_in_bound = f64::from(inside) / f64::from(seconds.max(1));
+        let fitted = fitted.score();
+        Ok(Cost { fitted: fitted.all, jumps: fitted.jumps, cold: cold.score().all, second_in_bound })
+    }
+}
+
+/// What every path costs with these constants.
+///
+/// # Errors
+/// As [`Course::cost`].
+pub fn costs(courses: &[Course<'_>], constants: HybridConstants) -> Result<Vec<Cost>> {
+    courses.par_iter().map(|c| c.cost(constants)).collect()
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// The difference of two costs, path by path: its mean and its standard error.
+fn difference(before: &[Cost], after: &[Cost]) -> (f64, f64) {
+    let d: Vec<f64> = before.iter().zip(after).map(|(b, a)| a.value() - b.value()).collect();
+    let m = mean(&d);
+    let n = d.len() as f64;
+    let variance = d.iter().map(|v| (v - m).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+    (m, (variance / n).sqrt())
+}
+
+/// Searches from `constants` on, which cost `now`, at most so many rounds over all of them: what was found, what
+/// it costs, and what was taken on the way. `done` is told of every value that was tried.
+///
+/// # Errors
+/// As [`Course::cost`].
+pub fn search(
+    courses: &[Course<'_>],
+    mut constants: HybridConstants,
+    mut now: Vec<Cost>,
+    rounds: usize,
+    done: &dyn Fn(),
+) -> Result<(HybridConstants, Vec<Cost>, Vec<Taken>)> {
+    let mut taken = Vec::new();
+    for _ in 0..rounds {
+        let before = taken.len();
+        for (i, name) in HybridConstants::NAMES.iter().enumerate() {
+            let from = *constants.values()[i];
+            let mut best: Option<(f64, f64, f64, Vec<Cost>)> = None;
+            for to in FACTORS.map(|f| f * from) {
+                let mut changed = constants;
+                *changed.values()[i] = to;
+                let costs = costs(courses, changed)?;
+                let (gain, error) = difference(&now, &costs);
+                if gain < -SURE * error && best.as_ref().is_none_or(|b| gain < b.1) {
+                    best = Some((to, gain, error, costs));
+                }
+                done();
+            }
+            if let Some((to, _, standard_error, costs)) = best {
+                *constants.values()[i] = to;
+                let value = |c: &[Cost]| mean(&c.iter().map(Cost::value).collect::<Vec<_>>());
+                taken.push(Taken { name, from, to, cost: [value(&now), value(&costs)], standard_error });
+                now = costs;
+            }
+        }
+        if taken.len() == before {
+            break;
+        }
+    }
+    Ok((constants, now, taken))
+}
+
+/// How many values a round of the search tries.
+pub const TRIED_IN_A_ROUND: usize = HybridConstants::NAMES.len() * FACTORS.len();
