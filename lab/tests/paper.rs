@@ -37,7 +37,11 @@ fn description(to: &Path) {
     d["depths"] = json!(["0C32", "1C32"]);
     let table = |part: &str| absolute(&format!("data/timings/paraview-{part}.csv.gz"));
     let renderers = json!([["ParaView", table("train"), table("test")]]);
-    d["tuning"] = json!({ "mode": "none", "frames": [4], "epochs": 2, "renderers": renderers });
+    // The first is the table collected here under another machine's name, the second the same under its own.
+    let (own, other) = ("out/tables/castro_blast-none.csv", "elsewhere.csv");
+    let machines = json!([["elsewhere", other, other], ["here", own, own]]);
+    d["tuning"] =
+        json!({ "mode": "none", "frames": [4], "epochs": 2, "renderers": renderers, "machines": machines });
     d["orbit"] = json!({ "volumes": 2, "poses": 4, "size": 16 });
     let own = json!([["castro_blast", "none"]]);
     let names = ["ablation", "varied", "samples", "depth", "encoders", "final", "steering"];
@@ -115,9 +119,16 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
     let bars = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(bars.contains("bar paper/raycaster-rmse-over-constant - 0.3000 short"), "{bars}");
 
+    std::fs::copy(&table, at.join("elsewhere.csv")).unwrap();
+    let manifest = std::fs::read(at.join("out/tables/castro_blast-none.manifest.json")).unwrap();
+    let mut manifest: Value = serde_json::from_slice(&manifest).unwrap();
+    manifest["machine"] = json!("another");
+    std::fs::write(at.join("elsewhere.manifest.json"), manifest.to_string()).unwrap();
+
     // Volumes of ParaView's table are not in the repository.
     let (output, said) = paper(at, "train", &[]);
     assert!(output.status.success() && said.contains("note: ParaView is left out: "), "{said}");
+    assert!(said.contains("note: here is left out: its frames are of the machine"), "{said}");
     let results = files(&at.join("out/results"));
     for panel in ["overall", "ablation", "varied", "samples", "depth", "balancing", "pictures"] {
         let name = at.join(format!("out/results/{panel}-castro_blast-none.json"));
@@ -140,6 +151,13 @@ fn the_paper_goes_from_volumes_to_rows_and_on_where_it_was_stopped() {
             .find(|r| r["split"] == row["split"] && r["name"].as_str().unwrap().starts_with("mean of"))
             .unwrap();
         assert!((over - rmse / constant["rmse"].as_f64().unwrap()).abs() < 1e-9, "{row}");
+    }
+    for (set, name) in [("all", "Nyx"), ("machines", "elsewhere")] {
+        let tuned = of(&format!("tuning-{set}-none.json"));
+        let names = tuned["facts"].as_array().unwrap().iter().map(|f| f["name"].as_str().unwrap());
+        assert_eq!(names.collect::<Vec<_>>(), [name]);
+        let curves = tuned["curves"].as_array().unwrap().iter().filter(|c| c["x"] == "frames learned from");
+        assert_eq!(curves.count(), 3, "{set}");
     }
     assert_eq!(of("ablation-castro_blast-none.json")["rows"].as_array().unwrap().len(), 2 + 1 + 4);
     let balanced = of("balancing-castro_blast-none.json");

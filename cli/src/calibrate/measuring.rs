@@ -31,17 +31,6 @@ const SWITCH: f64 = 0.15;
 /// Bytes of volumes that are kept in memory.
 const KEPT_BYTES: usize = 512 << 20;
 
-/// What a frame takes by the clock: the mean of the faster half of its repeats. What others do makes a frame
-/// slower, never faster; on training frames of a machine with other work, cross-validated RMSE/SD was a third
-/// less with it than with the median. `None` where no repeat has the clock.
-pub fn seconds_of(frame: &TimedFrame, clock: Clock) -> Option<f64> {
-    let mut seconds: Vec<f64> =
-        frame.repeats.iter().filter_map(|r| r.seconds(clock)).filter(|&t| t > 0.0).collect();
-    seconds.sort_by(f64::total_cmp);
-    seconds.truncate(seconds.len().div_ceil(2));
-    (!seconds.is_empty()).then(|| seconds.iter().sum::<f64>() / seconds.len() as f64)
-}
-
 /// One look at a frame.
 #[derive(Clone, Debug)]
 struct Visit {
@@ -311,23 +300,5 @@ impl<'a> Measuring<'a> {
         let frames: Vec<TimedFrame> = self.visits.keys().filter_map(|&i| self.frame(i)).collect();
         let passes = self.visits.keys().map(|&i| (i as u64, self.passes(i))).collect();
         Measured { frames, passes, others: self.others, rounds: self.rounds, warm_ups: self.warm_ups }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_frame_takes_what_its_faster_half_takes() {
-        let of = |cpu: &[Option<f64>]| {
-            let repeats =
-                cpu.iter().map(|&cpu| Timing { cpu, wall: Some(1.0), ..Timing::default() }).collect();
-            seconds_of(&TimedFrame { repeats, ..TimedFrame::of_no_volume("v", "") }, Clock::Cpu)
-        };
-        assert_eq!(of(&[Some(4.0), Some(1.0), Some(3.0), Some(9.0)]), Some(2.0));
-        assert_eq!(of(&[Some(5.0), Some(1.0), Some(3.0)]), Some(2.0));
-        assert_eq!(of(&[Some(2.0), None, Some(0.0)]), Some(2.0));
-        assert_eq!(of(&[None]), None);
     }
 }

@@ -102,7 +102,7 @@ pub fn calibrate(
         .iter()
         .map(|f| {
             let candidate = &pool.candidates[f.number as usize];
-            let seconds = measuring::seconds_of(f, settings.clock).with_context(|| {
+            let seconds = f.seconds(settings.clock).with_context(|| {
                 format!(
                     "the renderer has no clock {}; choose another --clock (every renderer has wall)",
                     settings.clock.name()
@@ -121,7 +121,8 @@ pub fn calibrate(
     let random: Vec<bool> = frames.iter().map(|f| pool.candidates[f.number as usize].random).collect();
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
-    let chosen = threads.install(|| split.choose(&observed, &UnitCosts::SOFTWARE, judged))?;
+    // On some processors rays that lie apart wait for memory, on others hardly.
+    let chosen = threads.install(|| split.choose(&observed, &UnitCosts::CONVERTING, judged))?;
     let noise = noise_floor(&frames, settings.clock, |f| passes.get(&f.number).copied().unwrap_or(1));
     let report = Report::new(
         (settings.shading, settings.clock),

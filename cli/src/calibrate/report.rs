@@ -110,8 +110,8 @@ impl Report {
         if self.others.busy() {
             out.push(format!(
                 "the machine was busy: others used {:.1} processors on average, in {:.0} of {:.0} seconds more \
-                 than {}; frames that were seen undisturbed count by those repeats alone, all by the faster \
-                 half of their repeats; calibrate again on a quiet machine",
+                 than {}; frames that were seen undisturbed count by those repeats alone; calibrate again on a \
+                 quiet machine",
                 self.others.mean.unwrap_or(0.0),
                 self.others.disturbed,
                 self.others.seconds,

@@ -3,8 +3,8 @@
 //!
 //! ln t = ln Σ m_i e^θ_i c_i + ψ·w + b, with c the counts of estimated work, m the unit costs of the prior
 //! model, ψ the activations before its last layer and w that layer's weights. θ_i ~ N(0, τ²), w ~ N(r·w₀,
-//! (α s)²) with s the root mean square of w₀, b free. With τ = 0 and r = 1 this is [`super::calibrate`]; with
-//! a large τ and r = 1/4 it is [`super::transfer`]; τ, α and r in between are what few frames call for.
+//! (α s)²) with s the root mean square of w₀, b free. With τ = 0 and r = 1 this would be [`super::calibrate`];
+//! with a large τ and r = 1/4 it is [`super::transfer`]; τ, α and r in between are what few frames call for.
 
 use super::adapt::hidden_activations;
 use super::least_squares::{solve, standardized};
@@ -37,8 +37,9 @@ impl Belief {
     }
 }
 
-/// What cross-validation chooses among.
-const COSTS_SD: [f64; 4] = [0.0, 0.15, 0.5, 1.5];
+/// What cross-validation chooses among. Ratios of unit costs are of one machine: that they hold on the next is
+/// never believed.
+const COSTS_SD: [f64; 3] = [0.15, 0.5, 1.5];
 const WEIGHTS_SD: [(f64, f64); 7] =
     [(1.0, 0.0), (1.0, 0.2), (1.0, 0.7), (0.5, 0.0), (0.5, 0.2), (0.5, 0.7), (0.25, 2.0)];
 
@@ -57,6 +58,9 @@ const FOLDS: usize = 7;
 /// Least cost that is thought possible of work whose cost the prior model does not know, as a share of what a
 /// renderer of the kind would pay at the prior's speed.
 const UNKNOWN_SHARE: f64 = 0.1;
+
+/// Standard deviation of the logarithm of such a cost, at least.
+const UNKNOWN_SD: f64 = 1.5;
 
 /// A model file split into what is fitted and what stays.
 pub struct Split {
@@ -210,17 +214,12 @@ impl Split {
 
     /// Fits the frames, believing the prior as strongly as said.
     fn fit(&self, prior: &[f64; COSTS], frames: &[&Prepared], belief: Belief) -> Posterior {
-        let active: Vec<usize> = (0..COSTS)
-            .filter(|&i| belief.costs > 0.0 && prior[i] > 0.0 && frames.iter().any(|f| f.work[i] > 0.0))
-            .collect();
+        let active: Vec<usize> =
+            (0..COSTS).filter(|&i| prior[i] > 0.0 && frames.iter().any(|f| f.work[i] > 0.0)).collect();
         let (k, width) = (active.len(), if belief.weights > 0.0 { self.weights.len() } else { 0 });
         let m = k + width + 1;
         let expected: Vec<f64> = self.weights.iter().map(|w| belief.share * w).collect();
-        let mut fitted = Posterior {
-            costs: if k > 0 { *prior } else { self.costs },
-            weights: expected.clone(),
-            bias: 0.0,
-        };
+        let mut fitted = Posterior { costs: *prior, weights: expected.clone(), bias: 0.0 };
         let mut rest: Vec<f64> = frames
             .iter()
             .map(|f| f.log - dot(&fitted.costs, &f.work).ln() - dot(&f.psi, &expected))
@@ -260,7 +259,9 @@ impl Split {
                 }
             }
             for (i, t) in theta.iter().enumerate() {
-                let precision = 1.0 / (belief.costs * belief.costs);
+                let known = self.costs[active[i]] > 0.0;
+                let deviation = if known { belief.costs } else { belief.costs.max(UNKNOWN_SD) };
+                let precision = 1.0 / (deviation * deviation);
                 gram[i * m + i] += precision;
                 rhs[i] -= precision * t;
             }

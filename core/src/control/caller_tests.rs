@@ -127,3 +127,22 @@ fn choose_takes_the_first_setting_that_fits() {
     assert_eq!((index, plan.reason), (5, Reason::TargetUnreachable));
     assert_eq!(session.choose(&f, &settings, 10.0).unwrap().0, 0);
 }
+
+#[test]
+fn options_that_steering_cannot_hold_to_are_refused() {
+    let good = HybridOptions::default();
+    assert_eq!(good.checked(), Ok(good));
+    let ends = HybridOptions { miss_rate: 0.5, tolerance: 0.0, trust_limit: f32::INFINITY, ..good };
+    assert_eq!(ends.checked(), Ok(ends));
+    for bad in [0.0, -0.1, 0.51, f32::NAN] {
+        let error = HybridOptions { miss_rate: bad, ..good }.checked().unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::InvalidArgument);
+        assert!(std::format!("{error}").contains("miss_rate"), "{error}");
+    }
+    for bad in [-0.1, f32::NAN, f32::INFINITY] {
+        assert!(HybridOptions { tolerance: bad, ..good }.checked().is_err(), "{bad}");
+    }
+    for bad in [0.0, -1.0, f32::NAN] {
+        assert!(HybridOptions { trust_limit: bad, ..good }.checked().is_err(), "{bad}");
+    }
+}

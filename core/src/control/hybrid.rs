@@ -6,6 +6,7 @@ use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, Step
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
 use crate::adapt::{Correction, Margin, Prior, Standing, Verdict};
+use crate::error::bail;
 use crate::features::Changes;
 use crate::predict::{CostTerms, Prediction, TERMS};
 use alloc::vec::Vec;
@@ -49,6 +50,30 @@ impl Default for HybridOptions {
             trust_limit: 2.0,
             constants: HybridConstants::default(),
         }
+    }
+}
+
+impl HybridOptions {
+    /// These options, if every number is one that steering can hold to. [`Hybrid::new`] does not ask: it takes
+    /// the nearest miss rate that it can hold.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`], naming the option, what it is and what it may be.
+    pub fn checked(self) -> Result<Self> {
+        let Self { miss_rate, tolerance, trust_limit, .. } = self;
+        if !(miss_rate > 0.0 && miss_rate <= 0.5) {
+            bail!(InvalidArgument, "miss_rate is {miss_rate}; it must be over 0 and at most 0.5");
+        }
+        if !(tolerance.is_finite() && tolerance >= 0.0) {
+            bail!(InvalidArgument, "tolerance is {tolerance}; it must be finite and not negative");
+        }
+        if !(trust_limit > 0.0) {
+            bail!(
+                InvalidArgument,
+                "trust_limit is {trust_limit}; it must be positive, infinity to trust always"
+            );
+        }
+        Ok(self)
     }
 }
 

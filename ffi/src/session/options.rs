@@ -77,30 +77,14 @@ pub unsafe extern "C" fn entire_session_options_init(
 }
 
 pub(super) fn hybrid_options(options: &entire_session_options) -> Result<HybridOptions, Failure> {
-    let refuse = |what: &str, found: f32, accepted: &str| {
-        Err(Failure::new(ENTIRE_INVALID_ARGUMENT, format!("{what} is {found}; it must be {accepted}")))
-    };
-    let entire_session_options { miss_rate, tolerance, trust_limit, .. } = *options;
-    if !(miss_rate > 0.0 && miss_rate <= 0.5) {
-        return refuse("miss_rate", miss_rate, "over 0 and at most 0.5");
-    }
-    if !(tolerance.is_finite() && tolerance >= 0.0) {
-        return refuse("tolerance", tolerance, "finite and not negative");
-    }
-    if !(trust_limit > 0.0) {
-        return refuse("trust_limit", trust_limit, "positive (infinity to trust always)");
-    }
     if options.reserved != 0 {
         return Err(Failure::new(
             ENTIRE_INVALID_ARGUMENT,
             format!("reserved is {}; it must be 0", options.reserved),
         ));
     }
-    Ok(HybridOptions {
-        miss_rate,
-        tolerance,
-        trust_limit,
-        damping: options.damping != 0,
-        ..HybridOptions::default()
-    })
+    let entire_session_options { miss_rate, tolerance, trust_limit, .. } = *options;
+    let damping = options.damping != 0;
+    let hybrid = HybridOptions { miss_rate, tolerance, trust_limit, damping, ..HybridOptions::default() };
+    Ok(hybrid.checked()?)
 }

@@ -179,11 +179,12 @@ pub struct Tuning {
     pub frames: Vec<usize>,
     /// Epochs of fine-tuning.
     pub epochs: usize,
-    /// Other renderers' tables: name, table to learn from, table to test on.
+    /// Other renderers' tables: name, table to learn from, table to test on. The same table twice: half of its
+    /// frames, drawn at random, for either.
     pub renderers: Vec<(String, PathBuf, PathBuf)>,
-    /// The device's name in the report, and a folder with tables of the same names from another device.
+    /// The same renderer's tables from other machines, likewise.
     #[serde(default)]
-    pub device: Option<(String, PathBuf)>,
+    pub machines: Vec<(String, PathBuf, PathBuf)>,
 }
 
 /// Load balancing: images of a few time steps from many poses of an orbit.
@@ -217,7 +218,7 @@ pub enum Panel {
     Encoders,
     /// The two best architectures over renderers.
     Final,
-    /// Fine-tuning to other renderers, devices and data sets.
+    /// Fine-tuning to other renderers, machines and data sets.
     Tuning,
     /// Use case 1: holding a frame time.
     Steering,
@@ -318,12 +319,11 @@ pub fn read(path: &Path) -> Result<Paper> {
     place(&mut paper.yt.script);
     place(&mut paper.encoders.script);
     paper.encoders.shipped.iter_mut().for_each(place);
-    paper.tuning.renderers.iter_mut().for_each(|(_, a, b)| {
+    paper.tuning.renderers.iter_mut().chain(&mut paper.tuning.machines).for_each(|(_, a, b)| {
         place(a);
         place(b);
     });
     paper.labels.iter_mut().filter_map(|l| l.picture.as_mut()).for_each(place);
-    paper.tuning.device.iter_mut().for_each(|(_, p)| place(p));
     check(&paper).with_context(|| format!("{}", path.display()))?;
     Ok(paper)
 }

@@ -7,6 +7,7 @@ use super::encode::ALL;
 use super::judge::{CONSTANT, LVRP, NETWORK, OURS};
 use super::material::Material;
 use super::results::{Curve, DRAWN_CHART, ORBIT_CHART, Results, Row, SORTED};
+use super::tuning::MACHINES;
 use super::volumes::{BY_MODALITY, BY_VOLUMES};
 use entire_cli::report::{Axis, Chart, Column, Mark, Series, Table};
 use std::collections::BTreeSet;
@@ -541,6 +542,7 @@ fn codes(of: &[&Results], s: &mut Section) {
 
 fn tuning(of: &[&Results], s: &mut Section) {
     for r in of {
+        let machine = if r.set == MACHINES { &format!(" Pre-trained on: {}.", r.machine) } else { "" };
         let names: BTreeSet<&str> =
             r.curves.iter().filter(|c| c.x != SORTED).map(|c| c.chart.as_str()).collect();
         for name in names {
@@ -550,7 +552,8 @@ fn tuning(of: &[&Results], s: &mut Section) {
             for (i, c) in of.enumerate() {
                 chart = chart.series(Series::new(c.name.as_str(), Mark::Line(c.points.clone())).color(i));
             }
-            s.charts.push((chart, "From the network that was pre-trained on all data sets.".into()));
+            s.charts
+                .push((chart, format!("From the network that was pre-trained on all data sets.{machine}")));
         }
         let mut table = Table::new(vec![
             Column::text("taken to"),
@@ -572,7 +575,7 @@ fn tuning(of: &[&Results], s: &mut Section) {
             ]);
         }
         if !r.facts.is_empty() {
-            s.tables.push((table, "Without any frame of what it is taken to.".into()));
+            s.tables.push((table, format!("Without any frame of what it is taken to.{machine}")));
         }
         let mut few = Table::new(vec![
             Column::text("taken to"),
@@ -592,14 +595,15 @@ fn tuning(of: &[&Results], s: &mut Section) {
             ]);
         }
         if !r.curves.is_empty() {
-            s.tables.push((few, "With some; median of the runs.".into()));
+            s.tables.push((few, format!("With some; median of the runs.{machine}")));
         }
-        s.summary = r.facts.iter().map(|f| f.name.clone()).collect::<Vec<_>>().join(", ");
     }
+    s.summary = of.iter().flat_map(|r| &r.facts).map(|f| f.name.as_str()).collect::<Vec<_>>().join(", ");
 }
 
 /// Times of single frames where a pre-trained model was taken to.
 fn tuned_frames(of: &[&Results], s: &mut Section) {
+    let mut all: Vec<&str> = Vec::new();
     for r in of {
         let names: BTreeSet<&str> =
             r.curves.iter().filter(|c| c.x == SORTED).map(|c| c.chart.as_str()).collect();
@@ -610,9 +614,10 @@ fn tuned_frames(of: &[&Results], s: &mut Section) {
             }
             s.charts.push((chart, "Frames that nothing was learned from, first run.".into()));
         }
-        if !names.is_empty() {
-            s.summary = format!("frames of {}", names.into_iter().collect::<Vec<_>>().join(", "));
-        }
+        all.extend(names);
+    }
+    if !all.is_empty() {
+        s.summary = format!("frames of {}", all.join(", "));
     }
 }
 

@@ -1,4 +1,4 @@
-//! Fine-tuning: the network pre-trained on all data sets together, taken to other renderers, devices and kinds
+//! Fine-tuning: the network pre-trained on all data sets together, taken to other renderers, machines and kinds
 //! of volumes with few frames; beside networks from nothing, and ours in closed form.
 
 use super::Work;
@@ -12,7 +12,7 @@ use super::volumes::{BY_VOLUMES, Selection, places, roots};
 use crate::study::{Bounds, Runner};
 use anyhow::{Context, Result, bail};
 use entire_cli::dataset::feature_table::{code_column, encoder_id};
-use entire_cli::dataset::{Clock, Table};
+use entire_cli::dataset::{Clock, Table, TimedFrame};
 use entire_cli::files::open_model;
 use entire_cli::fit::{FitContext, Recipe, calibrate, predict, transfer};
 use entire_cli::metrics::{Metrics, median};
@@ -23,8 +23,10 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-/// The set's name in results: all of them.
-pub(super) const TOGETHER: &str = "all";
+/// The set's name in results: other renderers and kinds of volumes.
+const TOGETHER: &str = "all";
+/// The set's name in results: other machines.
+pub(super) const MACHINES: &str = "machines";
 
 /// Where a pre-trained model is taken to: frames to learn from, frames to judge on.
 struct Target<'a> {
@@ -33,6 +35,16 @@ struct Target<'a> {
     judged: TimedFrames<'a>,
     /// Whether unit costs are others there.
     renderer: bool,
+    /// The set of results that it belongs to.
+    set: &'static str,
+}
+
+/// Tables of another renderer or machine: the first of them is learned from, the last judged on.
+struct Found {
+    name: String,
+    first: usize,
+    last: usize,
+    set: &'static str,
 }
 
 /// Most frames of a chart that has a point per frame.
@@ -68,16 +80,12 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         eprintln!("note: no frames in mode {mode}; nothing to pre-train on");
         return Ok(());
     }
-    let mut renderers: Vec<(String, usize, usize)> = Vec::new();
+    let mut others: Vec<Found> = Vec::new();
     let shipped = open_model(&paper.encoders.shipped[0])?;
     let code = code_column(&encoder_id(shipped.volumenet().context("no VolumeNet")?), 0);
-    let device = paper.tuning.device.iter().filter(|(_, folder)| folder.is_dir());
-    let others = device.flat_map(|(name, folder)| {
-        let of = |set: &str| folder.join(format!("{set}-{mode}.csv"));
-        let sets = all.iter().map(|p| p.set.name.clone()).filter(move |s| of(s).exists());
-        sets.map(move |s| (format!("{name}: {s}"), of(&s), PathBuf::new()))
-    });
-    for (name, learn, test) in paper.tuning.renderers.iter().cloned().chain(others) {
+    let here = machine(&tables[0]).map(str::to_owned);
+    let renderers = paper.tuning.renderers.iter().map(|t| (TOGETHER, t));
+    for (set, (name, learn, test)) in renderers.chain(paper.tuning.machines.iter().map(|t| (MACHINES, t))) {
         if !learn.exists() {
             continue;
         }
@@ -87,9 +95,14 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             let has = |r: &PathBuf| table.frames.first().is_some_and(|f| r.join(&f.scene.volume).exists());
             Ok(Table { root: roots(work.data).into_iter().find(has), ..table })
         };
-        let mut found = vec![read(&learn, first)?];
-        if !test.as_os_str().is_empty() {
-            found.push(read(&test, first + 1)?);
+        let mut found = vec![read(learn, first)?];
+        if learn != test {
+            found.push(read(test, first + 1)?);
+        }
+        let elsewhere = machine(&found[0]) != here.as_deref();
+        if set == MACHINES && !elsewhere {
+            eprintln!("note: {name} is left out: its frames are of the machine that is pre-trained on");
+            continue;
         }
         // Volumes are needed where the features of the table that is kept lack the network's.
         let bare = found.iter().filter(|t| t.features.as_ref().is_none_or(|f| f.column(&code).is_none()));
@@ -99,20 +112,31 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
             eprintln!("note: {name} is left out: {} has no {volume}", work.data.display());
             continue;
         }
-        renderers.push((name, first, first + found.len() - 1));
+        let name =
+            if set == TOGETHER && elsewhere { format!("{name}, another machine") } else { name.clone() };
+        others.push(Found { name, first, last: first + found.len() - 1, set });
         tables.extend(found);
     }
     let mark = identity(work, Panel::Tuning, TOGETHER, &tables)?;
-    if kept(work.out, Panel::Tuning, TOGETHER, mode, &mark)?.is_some() {
+    let tests = pieces.iter().any(|(p, _)| all[*p].set.only_tests);
+    let mut todo: Vec<&'static str> = Vec::new();
+    for set in [TOGETHER, MACHINES] {
+        let any = others.iter().any(|o| o.set == set) || (set == TOGETHER && tests);
+        if any && kept(work.out, Panel::Tuning, set, mode, &mark)?.is_none() {
+            todo.push(set);
+        }
+    }
+    if todo.is_empty() {
         return Ok(());
     }
     let started = Instant::now();
-    let mut results = Results::new(Panel::Tuning, TOGETHER, mode, mark);
     let hidden = ProgressBar::hidden();
     let context = FitContext { tables: &tables, pool: work.pool, bar: &hidden, stop: runner.stop };
     let (mut training, mut validation) = (TimedFrames::default(), TimedFrames::default());
     let mut targets = Vec::new();
     let of_table = |t: usize| TimedFrames::of(&tables[t].frames, clock);
+    let pretrained_on: Vec<&str> =
+        pieces.iter().map(|(p, _)| &all[*p].set).filter(|s| !s.only_tests).map(|s| s.name.as_str()).collect();
     for (p, t) in &pieces {
         let place = &all[*p];
         match place.split(BY_VOLUMES) {
@@ -120,21 +144,29 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
                 training = training.and(of_table(*t).parted(|f| parts.training.contains(&f.scene.volume)).0);
                 let each = u64::from(paper.frames.training);
                 let few = u64::from(paper.frames.held_out);
-                let wanted = |f: &entire_cli::dataset::TimedFrame| {
-                    parts.validation.contains(&f.scene.volume) && f.number % each < few
-                };
+                let wanted =
+                    |f: &TimedFrame| parts.validation.contains(&f.scene.volume) && f.number % each < few;
                 validation = validation.and(of_table(*t).parted(wanted).0);
             }
             None => {
                 let (learned, judged) = halves(&of_table(*t));
-                targets.push(Target { name: place.set.title.clone(), learned, judged, renderer: false });
+                let name = place.set.title.clone();
+                targets.push(Target { name, learned, judged, renderer: false, set: TOGETHER });
             }
         }
     }
-    for (name, first, second) in &renderers {
-        let (learned, judged) =
-            if first == second { halves(&of_table(*first)) } else { (of_table(*first), of_table(*second)) };
-        targets.push(Target { name: name.clone(), learned, judged, renderer: first != second });
+    for Found { name, first, last, set } in &others {
+        // Another machine differs in nothing else: its frames are of the data sets that are pre-trained on.
+        let known = |f: &TimedFrame| {
+            Path::new(&f.scene.volume).iter().any(|part| pretrained_on.iter().any(|s| part == *s))
+        };
+        let of = |t: usize| if *set == MACHINES { of_table(t).parted(known).0 } else { of_table(t) };
+        let (learned, judged) = if first == last { halves(&of(*first)) } else { (of(*first), of(*last)) };
+        if learned.frames.is_empty() || judged.frames.is_empty() {
+            eprintln!("note: {name} is left out: it has no frames of what is pre-trained on");
+            continue;
+        }
+        targets.push(Target { name: name.clone(), learned, judged, renderer: *set == TOGETHER, set });
     }
     let network = Recipe { volumenet: Some(paper.encoders.shipped[0].clone()), ..paper.network.clone() };
     let none = TimedFrames::default();
@@ -143,92 +175,102 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
     let (_, pretrained) = runner.made("all-pretrained-network", &network, &context, parts, &bounds)?;
     let ours = paper.ours_for(mode)?;
     let (ours, _) = runner.made("all-pretrained-ours", ours, &context, parts, &bounds)?;
-    results.frames.insert("pre-training".into(), [training.frames.len(), validation.frames.len(), 0]);
-    for target in &targets {
-        let mut curves: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
-        let rmse = |file: &ModelFile| -> Result<f64> {
-            let predicted = predict(&file.to_model()?, &context, &target.judged.frames)?;
-            Ok(Metrics::new(&predicted, &target.judged.seconds).map_or(f64::NAN, |m| m.rmse))
-        };
-        let mut last: Vec<(&str, ModelFile)> = Vec::new();
-        let counts: Vec<usize> =
-            paper.tuning.frames.iter().copied().filter(|n| *n <= target.learned.frames.len()).collect();
-        for &count in &counts {
-            let mut found: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
-            for run in 1..=paper.runs {
-                if work.stop() {
-                    bail!("{}", work.stopped());
+    for set in todo {
+        let mut results = Results::new(Panel::Tuning, set, mode, mark.clone());
+        results.frames.insert("pre-training".into(), [training.frames.len(), validation.frames.len(), 0]);
+        for target in targets.iter().filter(|t| t.set == set) {
+            let mut curves: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
+            let rmse = |file: &ModelFile| -> Result<f64> {
+                let predicted = predict(&file.to_model()?, &context, &target.judged.frames)?;
+                Ok(Metrics::new(&predicted, &target.judged.seconds).map_or(f64::NAN, |m| m.rmse))
+            };
+            let mut last: Vec<(&str, ModelFile)> = Vec::new();
+            let counts: Vec<usize> =
+                paper.tuning.frames.iter().copied().filter(|n| *n <= target.learned.frames.len()).collect();
+            for &count in &counts {
+                let mut found: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+                for run in 1..=paper.runs {
+                    if work.stop() {
+                        bail!("{}", work.stopped());
+                    }
+                    let (few, _) = target.learned.sample(count, run as u64);
+                    let seed = network.seed + 100 * (run as u64 - 1);
+                    let key = |how: &str| format!("all-{}-{how}-{count}-{run}", target.name);
+                    let tuned = Recipe {
+                        fine_tune: Some(pretrained.clone()),
+                        epochs: paper.tuning.epochs,
+                        preset: None,
+                        volumenet: None,
+                        seed,
+                        ..network.clone()
+                    };
+                    let (tuned, _) = runner.made(&key("tuned"), &tuned, &context, (&few, &none), &bounds)?;
+                    found.entry("fine-tuned").or_default().push(rmse(&tuned)?);
+                    let alone = Recipe { epochs: paper.tuning.epochs, seed, ..network.clone() };
+                    let (alone, _) = runner.made(&key("alone"), &alone, &context, (&few, &none), &bounds)?;
+                    found.entry("from nothing").or_default().push(rmse(&alone)?);
+                    let moved = if target.renderer {
+                        transfer(&ours, &context, few.timed())?
+                    } else {
+                        calibrate(&ours, &context, few.timed())?
+                    };
+                    let how = if target.renderer { "ours, transferred" } else { "ours, calibrated" };
+                    found.entry(how).or_default().push(rmse(&moved)?);
+                    if run == 1 {
+                        last = vec![("fine-tuned", tuned), ("from nothing", alone), (how, moved)];
+                    }
                 }
-                let (few, _) = target.learned.sample(count, run as u64);
-                let seed = network.seed + 100 * (run as u64 - 1);
-                let key = |how: &str| format!("all-{}-{how}-{count}-{run}", target.name);
-                let tuned = Recipe {
-                    fine_tune: Some(pretrained.clone()),
-                    epochs: paper.tuning.epochs,
-                    preset: None,
-                    volumenet: None,
-                    seed,
-                    ..network.clone()
-                };
-                let (tuned, _) = runner.made(&key("tuned"), &tuned, &context, (&few, &none), &bounds)?;
-                found.entry("fine-tuned").or_default().push(rmse(&tuned)?);
-                let alone = Recipe { epochs: paper.tuning.epochs, seed, ..network.clone() };
-                let (alone, _) = runner.made(&key("alone"), &alone, &context, (&few, &none), &bounds)?;
-                found.entry("from nothing").or_default().push(rmse(&alone)?);
-                let moved = if target.renderer {
-                    transfer(&ours, &context, few.timed())?
-                } else {
-                    calibrate(&ours, &context, few.timed())?
-                };
-                let how = if target.renderer { "ours, transferred" } else { "ours, calibrated" };
-                found.entry(how).or_default().push(rmse(&moved)?);
-                if run == 1 {
-                    last = vec![("fine-tuned", tuned), ("from nothing", alone), (how, moved)];
+                for (how, mut errors) in found {
+                    if let Some(middle) = median(&mut errors) {
+                        curves.entry(how).or_default().push((count as f64, middle));
+                    }
                 }
             }
-            for (how, mut errors) in found {
-                if let Some(middle) = median(&mut errors) {
-                    curves.entry(how).or_default().push((count as f64, middle));
-                }
+            let constant = {
+                let mean =
+                    target.learned.seconds.iter().sum::<f64>() / target.learned.seconds.len().max(1) as f64;
+                let predicted = vec![mean; target.judged.frames.len()];
+                Metrics::new(&predicted, &target.judged.seconds)
+            };
+            let zero = predict(&open_model(&pretrained)?, &context, &target.judged.frames)?;
+            let mut drawn = vec![("pre-trained, as it was", zero.clone())];
+            for (how, file) in &last {
+                drawn.push((how, predict(&file.to_model()?, &context, &target.judged.frames)?));
+            }
+            results.curves.extend(frame_by_frame(target, &drawn));
+            let zero = Metrics::new(&zero, &target.judged.seconds);
+            let mut values = BTreeMap::from([
+                ("learned from at most".to_owned(), target.learned.frames.len() as f64),
+                ("judged on".to_owned(), target.judged.frames.len() as f64),
+                ("ours, as it was".to_owned(), rmse(&ours)?),
+            ]);
+            values.extend(zero.map(|m| ("pre-trained, as it was".to_owned(), m.rmse)));
+            values.extend(constant.as_ref().map(|m| ("mean".to_owned(), m.rmse)));
+            values.extend(constant.as_ref().map(|m| ("sd".to_owned(), m.sd)));
+            results.facts.push(Fact { name: target.name.clone(), values });
+            for (how, points) in curves {
+                results.curves.push(Curve {
+                    chart: target.name.clone(),
+                    name: how.into(),
+                    x: "frames learned from".into(),
+                    points,
+                });
             }
         }
-        let constant = {
-            let mean =
-                target.learned.seconds.iter().sum::<f64>() / target.learned.seconds.len().max(1) as f64;
-            let predicted = vec![mean; target.judged.frames.len()];
-            Metrics::new(&predicted, &target.judged.seconds)
-        };
-        let zero = predict(&open_model(&pretrained)?, &context, &target.judged.frames)?;
-        let mut drawn = vec![("pre-trained, as it was", zero.clone())];
-        for (how, file) in &last {
-            drawn.push((how, predict(&file.to_model()?, &context, &target.judged.frames)?));
+        results.encoder =
+            format!("as shipped; {NETWORK} and {OURS} are pre-trained on all data sets together");
+        results.seconds = started.elapsed().as_secs_f64();
+        if let Some(m) = tables.first().and_then(|t| t.manifest.as_ref()) {
+            (results.device, results.machine) = (m.device.clone(), m.machine.clone());
         }
-        results.curves.extend(frame_by_frame(target, &drawn));
-        let zero = Metrics::new(&zero, &target.judged.seconds);
-        let mut values = BTreeMap::from([
-            ("learned from at most".to_owned(), target.learned.frames.len() as f64),
-            ("judged on".to_owned(), target.judged.frames.len() as f64),
-            ("ours, as it was".to_owned(), rmse(&ours)?),
-        ]);
-        values.extend(zero.map(|m| ("pre-trained, as it was".to_owned(), m.rmse)));
-        values.extend(constant.as_ref().map(|m| ("mean".to_owned(), m.rmse)));
-        values.extend(constant.as_ref().map(|m| ("sd".to_owned(), m.sd)));
-        results.facts.push(Fact { name: target.name.clone(), values });
-        for (how, points) in curves {
-            results.curves.push(Curve {
-                chart: target.name.clone(),
-                name: how.into(),
-                x: "frames learned from".into(),
-                points,
-            });
-        }
+        write(work.out, &results)?;
     }
-    results.encoder = format!("as shipped; {NETWORK} and {OURS} are pre-trained on all data sets together");
-    results.seconds = started.elapsed().as_secs_f64();
-    if let Some(m) = tables.first().and_then(|t| t.manifest.as_ref()) {
-        (results.device, results.machine) = (m.device.clone(), m.machine.clone());
-    }
-    write(work.out, &results)
+    Ok(())
+}
+
+/// What rendered a table's frames.
+fn machine(table: &Table) -> Option<&str> {
+    table.manifest.as_ref().map(|m| m.machine.as_str())
 }
 
 /// Measured and predicted times of frames in the order of the measured ones, [`MOST_DRAWN`] at most.

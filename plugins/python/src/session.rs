@@ -18,7 +18,6 @@ use entire_core::features::{Changes, Setting};
 use entire_core::predict::{AnalyticModel, Predictor};
 use entire_core::scene::Frame;
 use numpy::PyArray1;
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyList, PyTuple};
 use std::sync::{Arc, MutexGuard};
@@ -85,21 +84,14 @@ impl Session {
         damping: bool,
         probe_side: Option<usize>,
     ) -> PyResult<Self> {
-        let check = |good: bool, what: &str, found: f32, accepted: &str| {
-            if good {
-                return Ok(());
-            }
-            Err(PyValueError::new_err(format!("{what} is {found}; it must be {accepted}")))
-        };
-        check(tolerance.is_finite() && tolerance >= 0.0, "tolerance", tolerance, "finite and not negative")?;
-        check(miss_rate > 0.0 && miss_rate <= 0.5, "miss_rate", miss_rate, "over 0 and at most 0.5")?;
-        check(trust_limit > 0.0, "trust_limit", trust_limit, "positive (math.inf to trust always)")?;
+        let options =
+            HybridOptions { miss_rate, tolerance, trust_limit, damping, ..HybridOptions::default() }
+                .checked()
+                .map_err(raise)?;
         let predictor: Box<dyn Predictor + Send> = match model {
             Some(model) => model.0.predictor()?,
             None => Box::new(AnalyticModel::default()),
         };
-        let options =
-            HybridOptions { miss_rate, tolerance, trust_limit, damping, ..HybridOptions::default() };
         let mut core = Core::new(predictor, options);
         if let Some(side) = probe_side {
             core = core.with_probe(side, None).map_err(raise)?;
