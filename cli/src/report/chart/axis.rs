@@ -167,7 +167,8 @@ impl Span {
         };
         for factors in [&[1.0, 2.0, 3.0, 5.0, 7.0][..], &[1.0, 2.0, 5.0], &[1.0, 3.0]] {
             let ticks = with(factors);
-            if ticks.len() >= 2 && ticks.len() <= most + 2 {
+            // Between decades that are left out, multiples of those that are not would look like neighbors.
+            if stride == 1 && ticks.len() >= 2 && ticks.len() <= most + 2 {
                 return ticks;
             }
         }
@@ -274,6 +275,15 @@ mod tests {
         assert_eq!(tick_label(0.02, 0.01), "0.02");
         assert_eq!(tick_label(1e-7, 1e-7), "1e-7");
         assert_eq!(tick_label(3e-17, 0.2), "0");
+    }
+
+    #[test]
+    fn ticks_of_many_decades_lie_evenly() {
+        for (low, high) in [(2e-10, 3e-3), (1e-4, 0.9), (1e-9, 5e8)] {
+            let ticks = Span::fit(&Axis::log("x"), [low, high].into_iter()).ticks(4);
+            let steps: Vec<f64> = ticks.windows(2).map(|t| (t[1] / t[0]).log10()).collect();
+            assert!(!steps.is_empty() && steps.iter().all(|s| (s - steps[0]).abs() < 0.2), "{ticks:?}");
+        }
     }
 
     #[test]
