@@ -320,9 +320,7 @@ fn distributions(paper: &Paper, of: &[&Results], s: &mut Section) {
         let boxes = shown
             .iter()
             .enumerate()
-            .filter_map(|(i, r)| {
-                Some((i as f64 - 0.15 + 0.3 * k as f64, r.row(BY_VOLUMES, name)?.squared_errors))
-            })
+            .filter_map(|(i, r)| Some((i as f64, r.row(BY_VOLUMES, name)?.squared_errors)))
             .collect();
         chart = chart.series(Series::new(name, Mark::Boxes(boxes)).color(k));
     }
@@ -643,9 +641,8 @@ fn balancing(paper: &Paper, of: &[&Results], s: &mut Section) {
                 .enumerate()
                 .filter_map(|(i, n)| {
                     let v = &fact(name, *n)?.values;
-                    let at = i as f64 - 0.3 + 0.2 * k as f64;
                     let of = |q: &str| v.get(q).copied().unwrap_or(f64::NAN);
-                    Some((at, ["p5", "p25", "p50", "p75", "p95"].map(of)))
+                    Some((i as f64, ["p5", "p25", "p50", "p75", "p95"].map(of)))
                 })
                 .collect();
             chart = chart.series(Series::new(*name, Mark::Boxes(boxes)).color(k));

@@ -29,7 +29,8 @@ pub enum Mark {
     Bars(Vec<(f64, f64)>),
     /// Stretches along x at y, half a unit high: (from, to, y).
     Stretches(Vec<(f64, f64, f64)>),
-    /// Box plots at x: 5th, 25th, 50th, 75th, 95th percentile.
+    /// Box plots at x: 5th, 25th, 50th, 75th, 95th percentile. Boxes of several series stand side by side about
+    /// their x, as bars do.
     Boxes(Vec<(f64, [f64; 5])>),
 }
 
