@@ -47,6 +47,18 @@ struct Found {
     set: &'static str,
 }
 
+/// The network and ours, pre-trained.
+struct Pretrained<'a> {
+    work: &'a Work<'a>,
+    runner: &'a Runner<'a>,
+    context: &'a FitContext<'a>,
+    /// How the network is trained.
+    recipe: &'a Recipe,
+    /// The network's file.
+    network: PathBuf,
+    ours: ModelFile,
+}
+
 /// Most frames of a chart that has a point per frame.
 const MOST_DRAWN: usize = 100;
 /// The least time that such a chart shows, seconds.
@@ -172,90 +184,15 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
     let none = TimedFrames::default();
     let parts = (&training, &validation);
     let bounds = Bounds::Frames(&none);
-    let (_, pretrained) = runner.made("all-pretrained-network", &network, &context, parts, &bounds)?;
+    let (_, made) = runner.made("all-pretrained-network", &network, &context, parts, &bounds)?;
     let ours = paper.ours_for(mode)?;
     let (ours, _) = runner.made("all-pretrained-ours", ours, &context, parts, &bounds)?;
+    let pretrained = Pretrained { work, runner, context: &context, recipe: &network, network: made, ours };
     for set in todo {
         let mut results = Results::new(Panel::Tuning, set, mode, mark.clone());
         results.frames.insert("pre-training".into(), [training.frames.len(), validation.frames.len(), 0]);
         for target in targets.iter().filter(|t| t.set == set) {
-            let mut curves: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
-            let rmse = |file: &ModelFile| -> Result<f64> {
-                let predicted = predict(&file.to_model()?, &context, &target.judged.frames)?;
-                Ok(Metrics::new(&predicted, &target.judged.seconds).map_or(f64::NAN, |m| m.rmse))
-            };
-            let mut last: Vec<(&str, ModelFile)> = Vec::new();
-            let counts: Vec<usize> =
-                paper.tuning.frames.iter().copied().filter(|n| *n <= target.learned.frames.len()).collect();
-            for &count in &counts {
-                let mut found: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
-                for run in 1..=paper.runs {
-                    if work.stop() {
-                        bail!("{}", work.stopped());
-                    }
-                    let (few, _) = target.learned.sample(count, run as u64);
-                    let seed = network.seed + 100 * (run as u64 - 1);
-                    let key = |how: &str| format!("all-{}-{how}-{count}-{run}", target.name);
-                    let tuned = Recipe {
-                        fine_tune: Some(pretrained.clone()),
-                        epochs: paper.tuning.epochs,
-                        preset: None,
-                        volumenet: None,
-                        seed,
-                        ..network.clone()
-                    };
-                    let (tuned, _) = runner.made(&key("tuned"), &tuned, &context, (&few, &none), &bounds)?;
-                    found.entry("fine-tuned").or_default().push(rmse(&tuned)?);
-                    let alone = Recipe { epochs: paper.tuning.epochs, seed, ..network.clone() };
-                    let (alone, _) = runner.made(&key("alone"), &alone, &context, (&few, &none), &bounds)?;
-                    found.entry("from nothing").or_default().push(rmse(&alone)?);
-                    let moved = if target.renderer {
-                        transfer(&ours, &context, few.timed())?
-                    } else {
-                        calibrate(&ours, &context, few.timed())?
-                    };
-                    let how = if target.renderer { "ours, transferred" } else { "ours, calibrated" };
-                    found.entry(how).or_default().push(rmse(&moved)?);
-                    if run == 1 {
-                        last = vec![("fine-tuned", tuned), ("from nothing", alone), (how, moved)];
-                    }
-                }
-                for (how, mut errors) in found {
-                    if let Some(middle) = median(&mut errors) {
-                        curves.entry(how).or_default().push((count as f64, middle));
-                    }
-                }
-            }
-            let constant = {
-                let mean =
-                    target.learned.seconds.iter().sum::<f64>() / target.learned.seconds.len().max(1) as f64;
-                let predicted = vec![mean; target.judged.frames.len()];
-                Metrics::new(&predicted, &target.judged.seconds)
-            };
-            let zero = predict(&open_model(&pretrained)?, &context, &target.judged.frames)?;
-            let mut drawn = vec![("pre-trained, as it was", zero.clone())];
-            for (how, file) in &last {
-                drawn.push((how, predict(&file.to_model()?, &context, &target.judged.frames)?));
-            }
-            results.curves.extend(frame_by_frame(target, &drawn));
-            let zero = Metrics::new(&zero, &target.judged.seconds);
-            let mut values = BTreeMap::from([
-                ("learned from at most".to_owned(), target.learned.frames.len() as f64),
-                ("judged on".to_owned(), target.judged.frames.len() as f64),
-                ("ours, as it was".to_owned(), rmse(&ours)?),
-            ]);
-            values.extend(zero.map(|m| ("pre-trained, as it was".to_owned(), m.rmse)));
-            values.extend(constant.as_ref().map(|m| ("mean".to_owned(), m.rmse)));
-            values.extend(constant.as_ref().map(|m| ("sd".to_owned(), m.sd)));
-            results.facts.push(Fact { name: target.name.clone(), values });
-            for (how, points) in curves {
-                results.curves.push(Curve {
-                    chart: target.name.clone(),
-                    name: how.into(),
-                    x: "frames learned from".into(),
-                    points,
-                });
-            }
+            pretrained.take(target, &mut results)?;
         }
         results.encoder =
             format!("as shipped; {NETWORK} and {OURS} are pre-trained on all data sets together");
@@ -266,6 +203,93 @@ pub(super) fn tune(work: &Work<'_>, clock: Clock, runner: &Runner<'_>) -> Result
         write(work.out, &results)?;
     }
     Ok(())
+}
+
+impl Pretrained<'_> {
+    /// Takes both to a target with few frames and more, and says how right they are there.
+    fn take(&self, target: &Target<'_>, results: &mut Results) -> Result<()> {
+        let Self { work, runner, context, recipe, network, ours } = self;
+        let none = TimedFrames::default();
+        let bounds = Bounds::Frames(&none);
+        let mut curves: BTreeMap<&str, Vec<(f64, f64)>> = BTreeMap::new();
+        let rmse = |file: &ModelFile| -> Result<f64> {
+            let predicted = predict(&file.to_model()?, context, &target.judged.frames)?;
+            Ok(Metrics::new(&predicted, &target.judged.seconds).map_or(f64::NAN, |m| m.rmse))
+        };
+        let mut last: Vec<(&str, ModelFile)> = Vec::new();
+        let counts: Vec<usize> =
+            work.paper.tuning.frames.iter().copied().filter(|n| *n <= target.learned.frames.len()).collect();
+        for &count in &counts {
+            let mut found: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
+            for run in 1..=work.paper.runs {
+                if work.stop() {
+                    bail!("{}", work.stopped());
+                }
+                let (few, _) = target.learned.sample(count, run as u64);
+                let seed = recipe.seed + 100 * (run as u64 - 1);
+                let key = |how: &str| format!("all-{}-{how}-{count}-{run}", target.name);
+                let tuned = Recipe {
+                    fine_tune: Some(network.clone()),
+                    epochs: work.paper.tuning.epochs,
+                    preset: None,
+                    volumenet: None,
+                    seed,
+                    ..(*recipe).clone()
+                };
+                let (tuned, _) = runner.made(&key("tuned"), &tuned, context, (&few, &none), &bounds)?;
+                found.entry("fine-tuned").or_default().push(rmse(&tuned)?);
+                let alone = Recipe { epochs: work.paper.tuning.epochs, seed, ..(*recipe).clone() };
+                let (alone, _) = runner.made(&key("alone"), &alone, context, (&few, &none), &bounds)?;
+                found.entry("from nothing").or_default().push(rmse(&alone)?);
+                let moved = if target.renderer {
+                    transfer(ours, context, few.timed())?
+                } else {
+                    calibrate(ours, context, few.timed())?
+                };
+                let how = if target.renderer { "ours, transferred" } else { "ours, calibrated" };
+                found.entry(how).or_default().push(rmse(&moved)?);
+                if run == 1 {
+                    last = vec![("fine-tuned", tuned), ("from nothing", alone), (how, moved)];
+                }
+            }
+            for (how, mut errors) in found {
+                if let Some(middle) = median(&mut errors) {
+                    curves.entry(how).or_default().push((count as f64, middle));
+                }
+            }
+        }
+        let constant = {
+            let mean =
+                target.learned.seconds.iter().sum::<f64>() / target.learned.seconds.len().max(1) as f64;
+            let predicted = vec![mean; target.judged.frames.len()];
+            Metrics::new(&predicted, &target.judged.seconds)
+        };
+        let zero = predict(&open_model(network)?, context, &target.judged.frames)?;
+        let mut drawn = vec![("pre-trained, as it was", zero.clone())];
+        for (how, file) in &last {
+            drawn.push((how, predict(&file.to_model()?, context, &target.judged.frames)?));
+        }
+        results.curves.extend(frame_by_frame(target, &drawn));
+        let zero = Metrics::new(&zero, &target.judged.seconds);
+        let mut values = BTreeMap::from([
+            ("learned from at most".to_owned(), target.learned.frames.len() as f64),
+            ("judged on".to_owned(), target.judged.frames.len() as f64),
+            ("ours, as it was".to_owned(), rmse(ours)?),
+        ]);
+        values.extend(zero.map(|m| ("pre-trained, as it was".to_owned(), m.rmse)));
+        values.extend(constant.as_ref().map(|m| ("mean".to_owned(), m.rmse)));
+        values.extend(constant.as_ref().map(|m| ("sd".to_owned(), m.sd)));
+        results.facts.push(Fact { name: target.name.clone(), values });
+        for (how, points) in curves {
+            results.curves.push(Curve {
+                chart: target.name.clone(),
+                name: how.into(),
+                x: "frames learned from".into(),
+                points,
+            });
+        }
+        Ok(())
+    }
 }
 
 /// What rendered a table's frames.

@@ -165,11 +165,13 @@ impl Span {
                 .filter(|v| *v >= self.low * 0.9999 && *v <= self.high * 1.0001)
                 .collect()
         };
-        for factors in [&[1.0, 2.0, 3.0, 5.0, 7.0][..], &[1.0, 2.0, 5.0], &[1.0, 3.0]] {
-            let ticks = with(factors);
-            // Between decades that are left out, multiples of those that are not would look like neighbors.
-            if stride == 1 && ticks.len() >= 2 && ticks.len() <= most + 2 {
-                return ticks;
+        // Between decades that are left out, multiples of those that are not would look like neighbors.
+        if stride == 1 {
+            for factors in [&[1.0, 2.0, 3.0, 5.0, 7.0][..], &[1.0, 2.0, 5.0], &[1.0, 3.0]] {
+                let ticks = with(factors);
+                if ticks.len() >= 2 && ticks.len() <= most + 2 {
+                    return ticks;
+                }
             }
         }
         let decades = with(&[1.0]);
