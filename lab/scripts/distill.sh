@@ -4,22 +4,22 @@
 # (unshaded, local, scatter; all unless given) and puts it into models/, where the accuracy study finds it.
 #   DATA     the folder that holds ensembles/ (the volumes that data/timings/*-train.csv.gz name)
 #   FRAMES   frames per volume; 10000 take 130 MB and some minutes per set
-#   EPOCHS   passes over them
+#   EPOCHS   passes over them; unless given those that the shipped ones took
 #   MODELS   where the models go, models/ unless given
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 root=$PWD
 data=${DATA:?name the folder that holds ensembles/, for example make distill DATA=../shared/data}
-frames=${FRAMES:-10000} epochs=${EPOCHS:-30}
+frames=${FRAMES:-10000}
 entire=${ENTIRE:-$root/target/release/entire}
 out=$root/out/distill models=${MODELS:-$root/models}
 mkdir -p "$out"
 cd "$data"
 for set in ${*:-unshaded local scatter}; do
     case $set in
-    unshaded) table=none shade=none size=1024 ;;
-    local) table=local shade=local size=1024 ;;
-    scatter) table=scatter shade=scatter size=256 ;;
+    unshaded) table=none shade=none size=1024 epochs=${EPOCHS:-30} ;;
+    local) table=local shade=local size=1024 epochs=${EPOCHS:-18} ;;
+    scatter) table=scatter shade=scatter size=256 epochs=${EPOCHS:-24} ;;
     *) echo "no set $set; there are unshaded, local and scatter" >&2 && exit 2 ;;
     esac
     # The volumes of the training table.
