@@ -22,6 +22,17 @@ impl Rect {
             && other.bottom <= self.bottom
     }
 
+    fn area(&self) -> f64 {
+        (self.right - self.left).max(0.0) * (self.bottom - self.top).max(0.0)
+    }
+
+    /// Area that both cover.
+    fn shared(&self, other: &Self) -> f64 {
+        let left = self.left.max(other.left);
+        let top = self.top.max(other.top);
+        Self { left, top, right: self.right.min(other.right), bottom: self.bottom.min(other.bottom) }.area()
+    }
+
     fn meets(&self, other: &Self) -> bool {
         self.left <= other.right
             && self.right >= other.left
@@ -42,19 +53,25 @@ pub(super) struct Place {
 /// Pixels between a point and its text.
 const GAP: f64 = 7.0;
 
-/// Finds a place for a text of a width beside a point, and takes it.
+/// Finds a place for a text of a width beside a point, and takes it: the first that is clear, else the one that
+/// covers least of other texts and points and of what lies outside the frame.
 pub(super) fn place(x: f64, y: f64, width: f64, frame: &Rect, taken: &mut Vec<Rect>) -> Place {
-    let rect = |leftward: bool, down: f64| {
+    let rect = |(leftward, down): (bool, f64)| {
         let left = if leftward { x - GAP - width } else { x + GAP };
         Rect { left, top: y + down - 11.0, right: left + width, bottom: y + down + 2.0 }
     };
-    let fits = |rect: &Rect| frame.holds(rect) && !taken.iter().any(|t| t.meets(rect));
-    let (leftward, down) = [-5.0, 15.0, 4.0, -19.0, 29.0, -33.0, 43.0]
+    let places = [-5.0, 15.0, 4.0, -19.0, 29.0, -33.0, 43.0]
         .into_iter()
-        .flat_map(|down| [(false, down), (true, down)])
-        .find(|&(leftward, down)| fits(&rect(leftward, down)))
-        .unwrap_or((x + GAP + width > frame.right, if y - 16.0 < frame.top { 15.0 } else { -5.0 }));
-    taken.push(rect(leftward, down));
+        .flat_map(|down| [(false, down), (true, down)]);
+    let clear = |rect: &Rect| frame.holds(rect) && !taken.iter().any(|t| t.meets(rect));
+    let covered =
+        |rect: &Rect| rect.area() - rect.shared(frame) + taken.iter().map(|t| t.shared(rect)).sum::<f64>();
+    let found = places
+        .clone()
+        .find(|&place| clear(&rect(place)))
+        .or_else(|| places.min_by(|&a, &b| covered(&rect(a)).total_cmp(&covered(&rect(b)))));
+    let (leftward, down) = found.unwrap_or((false, 0.0));
+    taken.push(rect((leftward, down)));
     Place { leftward, x: if leftward { x - GAP } else { x + GAP }, baseline: y + down }
 }
 
@@ -78,9 +95,18 @@ mod tests {
     }
 
     #[test]
-    fn a_text_without_room_stands_at_the_side_that_it_overlaps_less() {
+    fn a_text_without_room_stands_where_it_covers_least() {
         let frame = Rect { left: 0.0, top: 0.0, right: 50.0, bottom: 30.0 };
         let found = place(40.0, 15.0, 80.0, &frame, &mut Vec::new());
-        assert_eq!(found, Place { leftward: true, x: 33.0, baseline: 30.0 });
+        assert_eq!(found, Place { leftward: true, x: 33.0, baseline: 19.0 });
+        // Texts all around: the one that is least in the way.
+        let frame = Rect { left: 0.0, top: 0.0, right: 300.0, bottom: 200.0 };
+        let mut taken = vec![
+            Rect { left: 0.0, top: 0.0, right: 300.0, bottom: 120.0 },
+            Rect { left: 158.0, top: 120.0, right: 300.0, bottom: 200.0 },
+            Rect { left: 0.0, top: 120.0, right: 90.0, bottom: 200.0 },
+        ];
+        let found = place(150.0, 100.0, 60.0, &frame, &mut taken);
+        assert_eq!(found, Place { leftward: true, x: 143.0, baseline: 143.0 });
     }
 }
