@@ -3,8 +3,7 @@
 use crate::metrics::{BoundMetrics, SHORTEST};
 use anyhow::Result;
 use entire_core::model::{Key, Model, ModelFile};
-use entire_core::predict::{Calibration, UPPER_LEVEL};
-use serde_json::json;
+use entire_core::predict::{UPPER_LEVEL, UpperBound};
 use std::collections::BTreeMap;
 
 /// ln(measured / predicted) of every frame; what is not positive counts as the shortest prediction.
@@ -14,46 +13,32 @@ pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
 }
 
 /// The bound that frames which no weight was fitted to give.
-pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> Calibration {
-    Calibration::from_residuals(&mut log_residuals(predicted, measured))
+pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> UpperBound {
+    UpperBound::from_residuals(&mut log_residuals(predicted, measured))
 }
 
 /// As [`from_predictions`] where frames come in groups (ensemble members) and new frames are of new groups:
 /// every group counts alike, however many frames it has.
-pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> Calibration {
-    let mut sizes: BTreeMap<&str, f64> = BTreeMap::new();
-    for g in groups {
-        *sizes.entry(g).or_default() += 1.0;
-    }
-    let mut weighted: Vec<(f64, f64)> = log_residuals(predicted, measured)
-        .into_iter()
-        .zip(groups)
-        .map(|(r, g)| (if r.is_nan() { f64::INFINITY } else { r }, 1.0 / sizes[g.as_str()]))
-        .collect();
-    weighted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    // One frame more than there are, as in split-conformal bounds.
-    let wanted = UPPER_LEVEL * sizes.len() as f64 * (1.0 + 1.0 / weighted.len().max(1) as f64);
-    let mut sum = 0.0;
-    for (r, w) in &weighted {
-        sum += w;
-        if sum >= wanted * (1.0 - 1e-12) {
-            return Calibration { log_factor: *r as f32 };
-        }
-    }
-    weighted.last().map_or(Calibration::default(), |(r, _)| Calibration { log_factor: *r as f32 })
+pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> UpperBound {
+    let mut numbers: BTreeMap<&str, u64> = BTreeMap::new();
+    let residuals = log_residuals(predicted, measured).into_iter().zip(groups).map(|(r, group)| {
+        let next = numbers.len() as u64;
+        (r, *numbers.entry(group).or_insert(next))
+    });
+    UpperBound::from_groups(residuals)
 }
 
 /// How often a bound holds.
-pub fn judge(upper: &Calibration, predicted: &[f64], measured: &[f64]) -> Option<BoundMetrics> {
+pub fn judge(upper: &UpperBound, predicted: &[f64], measured: &[f64]) -> Option<BoundMetrics> {
     let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(upper.upper(p.max(SHORTEST) as f32))).collect();
     BoundMetrics::new(&bounds, measured, UPPER_LEVEL)
 }
 
 /// The upper bound that a model file holds.
-pub fn of(model: &Model) -> Option<Calibration> {
+pub fn of(model: &Model) -> Option<UpperBound> {
     let stored: serde_json::Value =
         serde_json::from_str(model.metadata().get(Key::Calibration.name())?).ok()?;
-    Some(Calibration { log_factor: stored.get("log_factor")?.as_f64()? as f32 })
+    Some(UpperBound { log_factor: stored.get("log_factor")?.as_f64()? as f32 })
 }
 
 /// Puts an upper bound into a model file, keeping what else its calibration holds; leaves the file as it is
@@ -61,18 +46,8 @@ pub fn of(model: &Model) -> Option<Calibration> {
 ///
 /// # Errors
 /// When what it holds is damaged.
-pub fn set(file: &mut ModelFile, upper: &Calibration) -> Result<()> {
-    if !upper.log_factor.is_finite() {
-        return Ok(());
-    }
-    let mut stored: serde_json::Value = match file.metadata.get(Key::Calibration.name()) {
-        Some(text) => serde_json::from_str(text)?,
-        None => json!({}),
-    };
-    stored["level"] = json!(UPPER_LEVEL);
-    stored["log_factor"] = json!(upper.log_factor);
-    file.metadata.insert(Key::Calibration.into(), stored.to_string());
-    Ok(())
+pub fn set(file: &mut ModelFile, upper: &UpperBound) -> Result<()> {
+    Ok(upper.store(file)?)
 }
 
 #[cfg(test)]
@@ -112,13 +87,13 @@ mod tests {
     fn a_bound_survives_the_file_beside_what_else_stands_there() {
         let mut file = ModelFile::default();
         file.metadata.insert(Key::Calibration.into(), r#"{"range":[1,2]}"#.into());
-        set(&mut file, &Calibration { log_factor: 0.25 }).unwrap();
+        set(&mut file, &UpperBound { log_factor: 0.25 }).unwrap();
         let text = file.metadata.get(Key::Calibration.name()).unwrap().clone();
         assert!(text.contains("range") && text.contains("0.25"), "{text}");
-        set(&mut file, &Calibration::default()).unwrap();
+        set(&mut file, &UpperBound::default()).unwrap();
         assert_eq!(file.metadata.get(Key::Calibration.name()), Some(&text));
         file.metadata.insert(Key::Calibration.into(), "{".into());
-        assert!(set(&mut file, &Calibration { log_factor: 0.1 }).is_err());
+        assert!(set(&mut file, &UpperBound { log_factor: 0.1 }).is_err());
     }
 
     #[test]

@@ -128,14 +128,14 @@ impl BoundMetrics {
 
 /// The 95 % interval of a metric when whole groups (volumes, say) are drawn anew with replacement: how much
 /// it owes to which groups happened to be tested. `None` with fewer than two groups.
-pub fn bootstrap_by_group(
+pub fn bootstrap_by_group<G: Ord>(
     predicted: &[f64],
     measured: &[f64],
-    groups: &[String],
+    groups: &[G],
     rounds: usize,
     metric: impl Fn(&Metrics) -> f64,
 ) -> Option<(f64, f64)> {
-    let mut members: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    let mut members: BTreeMap<&G, Vec<usize>> = BTreeMap::new();
     for (i, g) in groups.iter().enumerate() {
         members.entry(g).or_default().push(i);
     }
@@ -226,7 +226,7 @@ mod tests {
         let (low, high) = bootstrap_by_group(&p, &t, &groups, 300, |m| m.mdape).unwrap();
         let all = Metrics::new(&p, &t).unwrap().mdape;
         assert!(low < all && all < high && low >= 0.0 && high <= 0.5 + 1e-9, "{low} {all} {high}");
-        assert_eq!(bootstrap_by_group(&p, &t, &vec!["one".into(); 60], 10, |m| m.mdape), None);
+        assert_eq!(bootstrap_by_group(&p, &t, &["one"; 60], 10, |m| m.mdape), None);
     }
 
     #[test]

@@ -73,6 +73,7 @@
 extern crate alloc;
 
 mod adapt;
+pub mod calibrate;
 pub mod control;
 mod error;
 pub mod features;

@@ -84,6 +84,14 @@ pub(crate) fn check_bytes(bytes: usize) -> Result<()> {
     room::<u8>(bytes).map(drop)
 }
 
+/// Takes another number into a fingerprint: different runs of numbers hardly ever give the same one.
+pub(crate) fn mixed(fingerprint: u64, number: u64) -> u64 {
+    let mut z = (fingerprint ^ number).wrapping_add(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -134,6 +134,41 @@ unsafe fn render(model: *const entire_model, voxels: &[u8], frames: usize) {
 }
 
 #[test]
+fn a_session_makes_a_model_of_what_it_observes() {
+    let voxels: Vec<u8> = (0..5 * 7 * 11).map(|i| (i * 37 % 256) as u8).collect();
+    let (volume, transfer) = (volume(&voxels, ENTIRE_VOXELS_COPY), transfer_function());
+    let mut frame = init(entire_frame_init);
+    // SAFETY: live handles, used by this thread alone, and room for every output.
+    unsafe {
+        let session = made(|out| entire_session_new(null(), null(), out));
+        ok(entire_session_set_volume(session, volume));
+        ok(entire_session_set_transfer_function(session, transfer));
+        entire_volume_free(volume);
+        entire_transfer_function_free(transfer);
+        let mut model = null_mut();
+        assert_eq!(entire_session_calibrate(session, &raw mut model, null_mut()), ENTIRE_NOT_READY);
+        assert!(model.is_null());
+        ok(entire_session_record(session, null(), 10));
+        for i in 0..13 {
+            (frame.width, frame.height) = (16 + 8 * i, 16);
+            let mut plan: entire_plan = crate::abi::ByValue::defaults();
+            ok(entire_session_plan(session, &raw const frame, 0.02, &raw mut plan));
+            ok(entire_session_observe(session, plan.id, 1e-3 * (1 + i) as f32, 0, null_mut()));
+        }
+        let mut count = 0;
+        ok(entire_session_recorded_count(session, &raw mut count));
+        assert_eq!(count, 10);
+        let mut report: entire_calibration_report = crate::abi::ByValue::defaults();
+        let model = made(|out| entire_session_calibrate(session, out, &raw mut report));
+        assert_eq!((report.frames, report.held_out), (10, ENTIRE_HELD_OUT_NOTHING));
+        ok(entire_session_set_model(session, model));
+        ok(entire_session_record(session, model, 8));
+        entire_model_free(model);
+        entire_session_free(session);
+    }
+}
+
+#[test]
 fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
     let options = init(entire_session_options_init);
     let session_of = |renderer: &std::ffi::CStr, clock: &std::ffi::CStr| {

@@ -13,7 +13,7 @@ use crate::result::entire_result::{self, *};
 use crate::result::{Failure, copied, frame_time};
 use crate::sink;
 use crate::volume::{Volume, entire_volume};
-use entire_core::model::{GroupKind, Model};
+use entire_core::model::{GroupKind, Model, ModelFile};
 use entire_core::nn::{EncodeScratch, Executor, PredNet, PredNetParts, PredScratch, Target, VolumeNet};
 use entire_core::nn::{Level, Storage};
 use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
@@ -117,6 +117,8 @@ pub struct entire_model {
 
 pub(crate) struct Loaded {
     model: Model,
+    /// The file.
+    bytes: Vec<u8>,
     prednet: Option<(Arc<PredNet>, Pool<PredScratch>)>,
     /// Working memory of batches.
     rows: Pool<PredScratch>,
@@ -129,7 +131,7 @@ pub(crate) struct Loaded {
 handle!(entire_model, Loaded, Counted);
 
 impl Loaded {
-    fn new(model: Model) -> Result<Self, Failure> {
+    fn new(model: Model, bytes: &[u8]) -> Result<Self, Failure> {
         let (level, _) = level();
         let stored = |parts: &PredNetParts| parts.layers.first().map_or(Storage::F32, |l| l.dtype.into());
         let prednet = match model.prednet() {
@@ -156,8 +158,14 @@ impl Loaded {
                 .map(|(key, value)| Ok((key.clone(), kept_text(value)?)))
                 .collect::<Result<_, Failure>>()?,
             prednet,
+            bytes: copied(bytes)?,
             model,
         })
+    }
+
+    /// The model as a file that can be changed.
+    pub(crate) fn file(&self) -> Result<ModelFile, Failure> {
+        Ok(ModelFile::from_bytes(&self.bytes)?)
     }
 
     /// The model as a source of predictions.
@@ -266,7 +274,7 @@ pub unsafe extern "C" fn entire_model_open(
         reserve::check()?;
         let path = text(path, "path")?;
         let bytes = read(Path::new(path), "check the path of the model file")?;
-        load(&bytes, path, model)
+        give_model(&bytes, path, model)
     })
 }
 
@@ -297,7 +305,7 @@ pub unsafe extern "C" fn entire_model_open_machine(
             .join("entire")
             .join(format!("machine-{mode}.safetensors"));
         let bytes = read(&path, &format!("make it with `entire calibrate --shade {mode}`"))?;
-        load(&bytes, &path.to_string_lossy(), model)
+        give_model(&bytes, &path.to_string_lossy(), model)
     })
 }
 
@@ -348,24 +356,51 @@ pub unsafe extern "C" fn entire_model_from_bytes(
         check_pointer(model, "model (output)")?;
         reserve::check()?;
         at_most("byte_count", byte_count, ENTIRE_MAX_MODEL_BYTES, "ENTIRE_MAX_MODEL_BYTES")?;
-        load(slice(bytes, byte_count, "bytes")?, "model in memory", model)
+        give_model(slice(bytes, byte_count, "bytes")?, "model in memory", model)
     })
 }
 
 /// # Safety
 /// `out` is NULL or valid for one write.
-unsafe fn load(bytes: &[u8], name: &str, out: *mut *mut entire_model) -> Outcome {
+pub(crate) unsafe fn give_model(bytes: &[u8], name: &str, out: *mut *mut entire_model) -> Outcome {
     let named = |e: entire_core::Error| {
         let failure = Failure::from(e);
         Failure::new(failure.code, format!("{name}: {}", failure.message))
     };
-    let loaded = Loaded::new(Model::from_bytes(bytes).map_err(named)?)?;
+    let loaded = Loaded::new(Model::from_bytes(bytes).map_err(named)?, bytes)?;
     if sink::enabled(sink::ENTIRE_LOG_INFO) {
         let inputs = loaded.prednet.as_ref().map_or(0, |(net, _)| net.inputs());
         sink::emit(sink::ENTIRE_LOG_INFO, &format!("{name}: {inputs} inputs, level {}", level().0));
     }
     // SAFETY: as the caller promises.
     unsafe { write(out, give(loaded), "model (output)") }
+}
+
+/// Writes the model to a file, for entire_model_open in a later run and for the command `entire`. The file is
+/// there whole or not at all: it is written beside `path` first.
+///
+/// Fails with ENTIRE_IO (the file cannot be written), ENTIRE_INVALID_ARGUMENT (a path that is not UTF-8),
+/// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_model_save(model: *const entire_model, path: *const c_char) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(model, |loaded| {
+            reserve::check()?;
+            let path = text(path, "path")?;
+            let beside = format!("{path}.{}.part", std::process::id());
+            std::fs::write(&beside, &loaded.bytes).and_then(|()| std::fs::rename(&beside, path)).map_err(
+                |e| {
+                    // What was begun is of no use; that it cannot be removed either changes nothing.
+                    let _ = std::fs::remove_file(&beside);
+                    Failure::new(
+                        ENTIRE_IO,
+                        format!("{path}: {e}; name a file in a folder that can be written"),
+                    )
+                },
+            )
+        })
+    }
 }
 
 /// Reads what a model is; set info->struct_size first.

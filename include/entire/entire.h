@@ -729,6 +729,45 @@ typedef struct entire_session_options {
 } entire_session_options;
 
 /**
+ * What a calibration left out in turn to find what error to expect: one of the `ENTIRE_HELD_OUT_*` numbers.
+ */
+typedef uint32_t entire_held_out;
+
+/**
+ * What is known of a model that entire_session_calibrate made. Set struct_size before the call.
+ */
+typedef struct entire_calibration_report {
+    /**
+     * sizeof(entire_calibration_report).
+     */
+    size_t struct_size;
+    /**
+     * Frames that the model was fitted to.
+     */
+    size_t frames;
+    /**
+     * Median of |predicted / measured - 1| over frames that were left out.
+     */
+    double median_error;
+    /**
+     * Root of their mean squared error over the standard deviation of their times.
+     */
+    double rmse_over_sd;
+    /**
+     * Upper bound over prediction: nineteen of twenty frames take no longer.
+     */
+    double upper_factor;
+    /**
+     * What was left out: one of ENTIRE_HELD_OUT_*.
+     */
+    entire_held_out held_out;
+    /**
+     * Must be ignored.
+     */
+    uint32_t reserved;
+} entire_calibration_report;
+
+/**
  * What became of an observation that was not refused: one of the `ENTIRE_VERDICT_*` numbers.
  */
 typedef uint32_t entire_verdict;
@@ -1007,6 +1046,26 @@ typedef struct entire_setting {
 #define ENTIRE_SKIPPING_DISTANCE 3
 
 /**
+ * Nothing, there were too few frames: the error is that of frames that the model was fitted to.
+ */
+#define ENTIRE_HELD_OUT_NOTHING 0
+
+/**
+ * Volumes: the error to expect on other volumes.
+ */
+#define ENTIRE_HELD_OUT_VOLUMES 1
+
+/**
+ * Transfer functions: the error to expect on the same volumes under other transfer functions.
+ */
+#define ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS 2
+
+/**
+ * Stretches of time: the error to expect on other views of what was shown.
+ */
+#define ENTIRE_HELD_OUT_STRETCHES 3
+
+/**
  * Learned from.
  */
 #define ENTIRE_VERDICT_LEARNED 0
@@ -1156,6 +1215,15 @@ entire_result entire_model_open_machine(entire_shading shading, struct entire_mo
  * ENTIRE_MAX_MODEL_BYTES), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_model_from_bytes(const uint8_t *bytes, size_t byte_count, struct entire_model **model);
+
+/**
+ * Writes the model to a file, for entire_model_open in a later run and for the command `entire`. The file is
+ * there whole or not at all: it is written beside `path` first.
+ *
+ * Fails with ENTIRE_IO (the file cannot be written), ENTIRE_INVALID_ARGUMENT (a path that is not UTF-8),
+ * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_model_save(const struct entire_model *model, const char *path);
 
 /**
  * Reads what a model is; set info->struct_size first.
@@ -1416,6 +1484,58 @@ entire_result entire_session_last_error(const struct entire_session *session,
  * Frees a session; NULL is nothing to do.
  */
 void entire_session_free(struct entire_session *session);
+
+/**
+ * From now on keeps frames that are planned and observed, `frame_count` of them (8 to 65536; later ones take
+ * the place of earlier ones, so that those kept are a fair sample), for entire_session_calibrate. What was
+ * kept before is forgotten. Planning and observing go on without allocating.
+ *
+ * `prior` is the model to start from, fitted on another machine or renderer: one of kind residual, as
+ * `entire train` makes them and models/ holds them, with the session's probe. NULL starts from the unit
+ * costs of a software renderer. Observations that are unusual or cancelled do not count, nor does the first
+ * frame of all, nor the first of a volume.
+ *
+ * A log of frames that were timed earlier is learned from in the same way: with steering off
+ * (entire_session_set_enabled), plan every frame as it was drawn, and observe its time.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT (another number of frames, a prior with another probe than the
+ * session's), ENTIRE_UNSUPPORTED (a prior of another kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model
+ * handle that is unusable), ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_record(struct entire_session *session,
+                                    const struct entire_model *prior,
+                                    size_t frame_count);
+
+/**
+ * Fits a model to the frames that were kept since entire_session_record: a model of the renderer and the
+ * machine that they were drawn by. It takes a second or less for 500 frames, on the calling thread. `report`
+ * may be NULL; else set report->struct_size first. The session goes on as it was, and goes on keeping
+ * frames: entire_session_set_model puts the model into it, entire_model_save keeps it for the next run.
+ * Names from entire_session_set_timing_source stand in the model's metadata.
+ *
+ * Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_OUT_OF_MEMORY,
+ * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+ */
+entire_result entire_session_calibrate(const struct entire_session *session,
+                                       struct entire_model **model,
+                                       struct entire_calibration_report *report);
+
+/**
+ * How many frames are kept since entire_session_record; 0 before it.
+ *
+ * Fails with ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_recorded_count(const struct entire_session *session, size_t *frame_count);
+
+/**
+ * Steers by another model from now on, with the options that the session was made with. What was observed is
+ * forgotten; volume, transfer function, limits and recorded frames stay. Where the model takes volume
+ * features, set the volume again. The session keeps its own share of the model.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT (frames are being recorded with another probe than the model's), else
+ * as entire_session_new for a model.
+ */
+entire_result entire_session_set_model(struct entire_session *session, const struct entire_model *model);
 
 /**
  * Tells how long a planned frame took. Late observations are welcome as long as their plan is among the last

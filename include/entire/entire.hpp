@@ -371,11 +371,20 @@ public:
             return failure::last(code);
         return features;
     }
+    status save(const std::string &path) const { return detail::done(entire_model_save(get(), path.c_str())); }
+    // Takes over what a call of the C interface made.
+    static model adopt(entire_model *handle) { return model(handle); }
     entire_model *get() const noexcept { return handle_.get(); }
 
 private:
     explicit model(entire_model *handle) : handle_(handle) {}
     detail::owned<entire_model, entire_model_free> handle_;
+};
+
+// What entire_session_calibrate made.
+struct calibration {
+    model fitted;
+    entire_calibration_report report;
 };
 
 // What entire_session_choose picked.
@@ -431,6 +440,27 @@ public:
         return verdict;
     }
     status reset() { return detail::done(entire_session_reset(get())); }
+
+    // Keeps observed frames for calibrate(), starting from the unit costs of a software renderer, or from a model.
+    status record(std::size_t frame_count = 1000) {
+        return detail::done(entire_session_record(get(), nullptr, frame_count));
+    }
+    status record(const model &prior, std::size_t frame_count = 1000) {
+        return detail::done(entire_session_record(get(), prior.get(), frame_count));
+    }
+    plain_result<std::size_t> recorded_count() const {
+        std::size_t count = 0;
+        if (auto code = entire_session_recorded_count(get(), &count)) return failure::last(code);
+        return count;
+    }
+    // A model of the renderer that drew the recorded frames.
+    result<calibration> calibrate() const {
+        entire_model *made = nullptr;
+        auto report = detail::sized<entire_calibration_report>();
+        if (auto code = entire_session_calibrate(get(), &made, &report)) return failure::last(code);
+        return calibration{model::adopt(made), report};
+    }
+    status set_model(const model &to) { return detail::done(entire_session_set_model(get(), to.get())); }
 
     // What is observed, and by which clock: saved states are of one renderer and one clock.
     status set_timing_source(const std::string &renderer, const std::string &clock) {

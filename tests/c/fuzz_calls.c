@@ -219,7 +219,7 @@ static void call(void) {
     const size_t slot = one_in(6) ? 0 : below(SLOTS);
     char text[32];
     uint8_t bytes[8192];
-    const size_t entry = one_in(3) ? 14 + below(3) : below(31);
+    const size_t entry = one_in(3) ? 14 + below(3) : below(33);
     switch (entry) {
     case 0:
         entire_model_free(models[slot]);
@@ -376,6 +376,20 @@ static void call(void) {
     case 29:
         note(entire_set_log(NULL, NULL, (uint32_t)below(6)));
         break;
+    case 30:
+        note(entire_session_record(session, one_in(2) ? model : NULL, one_in(3) ? bits() : 8 + below(40)));
+        note(entire_session_recorded_count(session, &n));
+        break;
+    case 31: {
+        entire_model *made = NULL;
+        entire_calibration_report report = {.struct_size = struct_size(sizeof report)};
+        if (note(entire_session_calibrate(session, &made, one_in(2) ? NULL : &report)) == ENTIRE_OK) {
+            note(entire_session_set_model(PICK(sessions), made));
+            entire_model_free(made);
+        }
+        note(entire_session_set_model(session, model));
+        break;
+    }
     default:
         (void)entire_result_name((uint32_t)bits());
         entire_model_free(models[slot]);

@@ -125,6 +125,15 @@ int main(int argc, char **argv) {
     NONE(entire_session_set_timing_source(p, "x", NULL));
     NONE(entire_session_load_state(NULL, &byte, 1));
     NONE(entire_session_load_state(p, NULL, 1));
+    NONE(entire_session_record(NULL, NULL, 100));
+    NONE(entire_session_calibrate(NULL, &made_model, NULL));
+    NONE(entire_session_calibrate(p, NULL, NULL));
+    NONE(entire_session_recorded_count(NULL, &n));
+    NONE(entire_session_recorded_count(p, NULL));
+    NONE(entire_session_set_model(NULL, m));
+    NONE(entire_session_set_model(p, NULL));
+    NONE(entire_model_save(NULL, "x"));
+    NONE(entire_model_save(m, NULL));
     NONE(entire_session_last_error(NULL, NULL, 0, &n));
     entire_session_free(NULL);
 

@@ -115,6 +115,18 @@ int main(int argc, char **argv) {
     CHECK(!state.empty() && session.load_state(state) && session.reset() && session.mark(ENTIRE_CHANGE_CAMERA));
     CHECK(session.set_enabled(false) && session.plan(frame, 0.02f).value().reason == ENTIRE_REASON_OFF);
 
+    CHECK(session.calibrate().code() == ENTIRE_NOT_READY && !session.record(3) && session.record(50));
+    for (int i = 0; i < 20; ++i) {
+        entire::frame drawn(32 + 16 * i, 64);
+        const auto one = session.plan(drawn.orbit(10, float(i), 3), 0.02f).value();
+        CHECK(session.observe(one.id, 0.001f * float(2 + i)));
+    }
+    CHECK(session.recorded_count().value() == 20);
+    auto made = session.calibrate();
+    CHECK(made && made.value().report.frames == 20 && session.set_model(made.value().fitted));
+    CHECK(made.value().fitted.save("/no/such/folder/m.safetensors").code() == ENTIRE_IO);
+    CHECK(session.record(made.value().fitted, 8));
+
     entire::session moved = std::move(session);
     CHECK(session.get() == nullptr && moved.get() != nullptr);
     CHECK(session.reset().code() == ENTIRE_NULL_ARGUMENT);

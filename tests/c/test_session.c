@@ -296,6 +296,90 @@ static void choices(void) {
     entire_session_free(session);
 }
 
+/* A renderer that pays for pixels and for nothing else, and a loop that learns it without being left. */
+static float draw_pixels(uint32_t width, uint32_t height) {
+    return 1e-3f + 4e-8f * (float)(width * height);
+}
+
+static void play(entire_session *session, int frames) {
+    entire_frame frame = toy_frame();
+    for (int i = 0; i < frames; ++i) {
+        frame.arcball[1] = (float)(i * 7 % 90);
+        frame.width = (uint32_t)(64 + i * 37 % 400);
+        frame.height = (uint32_t)(64 + i * 53 % 300);
+        entire_plan plan = plan_of(session, &frame, 0.5f);
+        OK(entire_session_observe(session, plan.id, draw_pixels(frame.width, frame.height), 0, NULL));
+    }
+}
+
+static void calibration(void) {
+    entire_session *session = toy_session(NULL);
+    size_t count = 77;
+    OK(entire_session_recorded_count(session, &count));
+    CHECK(count == 0);
+    entire_model *model = NULL;
+    EXPECT(ENTIRE_NOT_READY, entire_session_calibrate(session, &model, NULL));
+    SAYS("call record");
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_record(session, NULL, 7));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_record(session, NULL, 65537));
+    OK(entire_session_record(session, NULL, 100));
+    play(session, 5);
+    EXPECT(ENTIRE_NOT_READY, entire_session_calibrate(session, &model, NULL));
+    entire_calibration_report small = {.struct_size = 3};
+    EXPECT(ENTIRE_STRUCT_SIZE, entire_session_calibrate(session, &model, &small));
+    CHECK(model == NULL);
+    play(session, 150);
+    OK(entire_session_recorded_count(session, &count));
+    CHECK(count == 100);
+
+    OK(entire_session_set_timing_source(session, "a renderer of pixels", "wall"));
+    entire_calibration_report report = {.struct_size = sizeof report};
+    OK(entire_session_calibrate(session, &model, &report));
+    CHECK(report.frames == 100 && report.held_out == ENTIRE_HELD_OUT_STRETCHES);
+    CHECK(report.median_error < 0.05 && report.rmse_over_sd < 0.1 && report.upper_factor < 1.3);
+    CHECK(strcmp(entire_model_metadata(model, "entire.clock"), "wall") == 0);
+    CHECK(strcmp(entire_model_metadata(model, "entire.renderer"), "a renderer of pixels") == 0);
+
+    /* The model predicts what it never drew, in this loop and after its file in another. */
+    OK(entire_session_set_model(session, model));
+    const char *path = "calibrated.safetensors";
+    EXPECT(ENTIRE_IO, entire_model_save(model, "no/such/folder/calibrated.safetensors"));
+    OK(entire_model_save(model, path));
+    entire_model *again = NULL;
+    OK(entire_model_open(path, &again));
+    CHECK(remove(path) == 0);
+    entire_session *other = toy_session(again);
+    entire_frame frame = toy_frame();
+    frame.width = 333;
+    frame.height = 222;
+    entire_prediction p = {.struct_size = sizeof p}, q = p;
+    OK(entire_session_predict(session, &frame, &p));
+    OK(entire_session_predict(other, &frame, &q));
+    const float real = draw_pixels(frame.width, frame.height);
+    CHECK(p.seconds == q.seconds && fabsf(p.seconds / real - 1) < 0.1f);
+
+    /* It is a prior in its turn; an analytic model's session takes no other probe than its own. */
+    OK(entire_session_record(other, again, 8));
+    play(other, 20);
+    entire_model *third = NULL;
+    OK(entire_session_calibrate(other, &third, NULL));
+    entire_session_options options;
+    OK(entire_session_options_init(&options, sizeof options));
+    options.probe_side = 5;
+    entire_session *coarse = NULL;
+    OK(entire_session_new(NULL, &options, &coarse));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_record(coarse, again, 100));
+    SAYS("probe");
+    OK(entire_session_record(coarse, NULL, 100));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_model(coarse, again));
+    entire_session_free(coarse);
+    entire_session_free(other);
+    entire_session_free(session);
+    entire_model_free(third);
+    entire_model_free(again);
+    entire_model_free(model);
+}
+
 static void state(void) {
     entire_session *a = toy_session(NULL), *b = toy_session(NULL);
     entire_frame frame = toy_frame();
@@ -437,6 +521,7 @@ int main(int argc, char **argv) {
     probe_sides();
     choices();
     state();
+    calibration();
     with_a_model(argv[1]);
     return 0;
 }

@@ -205,7 +205,8 @@ const CORE: &Rooms = &[
     ("model", &["nn", "kernels"]),
     ("predict", &["features", "model", "nn", "kernels", "scene"]),
     ("adapt", &["predict", "features", "scene"]),
-    ("control", &["adapt", "predict", "features", "scene"]),
+    ("calibrate", &["predict", "nn", "kernels", "model", "features", "scene"]),
+    ("control", &["calibrate", "adapt", "predict", "kernels", "model", "features", "scene"]),
     ("schedule", &[]),
 ];
 

@@ -6,7 +6,7 @@
 
 use super::pool::Pool;
 #[cfg(test)]
-use crate::fit::solve;
+use entire_core::calibrate::solve;
 
 /// Exponent of a frame's seconds in what its information is divided by: 0 takes frames whatever they cost, 1
 /// takes the cheapest information alone, which leaves out the long frames that decide a root mean square.

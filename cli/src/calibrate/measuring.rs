@@ -124,8 +124,8 @@ impl<'a> Measuring<'a> {
     /// # Errors
     /// When a volume cannot be read or the renderer fails.
     pub fn run(&mut self) -> Result<()> {
-        let costs =
-            crate::fit::PriorModel::new(&self.pool.prior).map_or(UnitCosts::SOFTWARE.0, |p| *p.costs());
+        let costs = entire_core::calibrate::PriorModel::new(&self.pool.prior)
+            .map_or(UnitCosts::SOFTWARE.0, |p| *p.costs());
         let mut design = Design::new(self.pool, &costs);
         // What the prior expects is of another machine: a small batch says by how much it is off here.
         let mut share = 0.12;

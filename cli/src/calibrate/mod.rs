@@ -3,7 +3,7 @@
 //!
 //! [`pool`] draws candidate frames and computes what is known of each before it is drawn; [`design`] chooses
 //! among them; [`measuring`] renders them, discards warm-ups and repeats in passes; [`others`] watches what
-//! else uses the machine; [`crate::fit::PriorModel`] fits. [`place`] is where the machine's model lies.
+//! else uses the machine; [`entire_core::calibrate::PriorModel`] fits. [`place`] is where the machine's model lies.
 
 pub mod design;
 pub mod measuring;
@@ -13,11 +13,14 @@ pub mod pool;
 pub mod report;
 
 use crate::dataset::{Clock, Table, Timed, TimedFrame, noise_floor, timed};
+use crate::fit::FitContext;
 use crate::fit::analytic::counts;
-use crate::fit::{FitContext, Observed, PriorModel, blank_prior};
 use crate::inputs::{Layout, work_of};
 use anyhow::{Context, Result, ensure};
+use entire_core::calibrate::{FEWEST_FRAMES, Observed, PriorModel, blank_prior};
+use entire_core::features::PROBE_SIDE;
 use entire_core::model::ModelFile;
+use entire_core::nn::Executor;
 use entire_core::predict::UnitCosts;
 use entire_core::scene::{Shading, Skipping};
 use entire_vk_raycaster::Renderer;
@@ -25,11 +28,9 @@ use indicatif::ProgressBar;
 use measuring::{Measured, Measuring};
 use pool::Pool;
 use report::Report;
+use std::collections::HashMap;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
-
-/// Fewest frames that a model is fitted to.
-pub const FEWEST_FRAMES: usize = 8;
 
 /// Seconds that are kept back for the fit.
 const FIT_SECONDS: f64 = 6.0;
@@ -69,6 +70,17 @@ pub struct Calibrated {
     pub frames: Vec<TimedFrame>,
 }
 
+/// Numbers of volumes by their names.
+#[derive(Default)]
+struct Groups(HashMap<String, u64>);
+
+impl Groups {
+    fn number(&mut self, name: &str) -> u64 {
+        let next = self.0.len() as u64;
+        *self.0.entry(name.to_owned()).or_insert(next)
+    }
+}
+
 /// Renders frames for as long as there is time, or until `stop` says so, and fits a model to them. `prior` is
 /// a model by its name; without one, unit costs of a software renderer and no factor are what is started
 /// from.
@@ -98,6 +110,7 @@ pub fn calibrate(
         "stopped after {} frames; at least {FEWEST_FRAMES} are needed, and nothing was written",
         frames.len()
     );
+    let mut groups = Groups::default();
     let observed: Vec<Observed> = frames
         .iter()
         .map(|f| {
@@ -112,7 +125,7 @@ pub fn calibrate(
                 row: candidate.row.clone(),
                 work: candidate.work,
                 seconds,
-                group: f.scene.volume.clone(),
+                group: groups.number(&f.scene.volume),
             })
         })
         .collect::<Result<_>>()?;
@@ -122,7 +135,7 @@ pub fn calibrate(
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
     // On some processors rays that lie apart wait for memory, on others hardly.
-    let chosen = threads.install(|| split.choose(&observed, &UnitCosts::CONVERTING, judged))?;
+    let chosen = split.choose(&observed, &UnitCosts::CONVERTING, judged, Executor::Rayon(threads))?;
     let noise = noise_floor(&frames, settings.clock, |f| passes.get(&f.number).copied().unwrap_or(1));
     let report = Report::new(
         (settings.shading, settings.clock),
@@ -163,7 +176,7 @@ pub fn calibrate_to_tables(
     );
     let file = match prior {
         Some((_, file)) => file.clone(),
-        None => blank_prior()?,
+        None => blank_prior(PROBE_SIDE)?,
     };
     let layout = Layout::of_model(&file.to_model()?)?;
     let hidden = ProgressBar::hidden();
@@ -177,6 +190,7 @@ pub fn calibrate_to_tables(
         Ok(work) => (renderer, work),
         Err(_) => (UnitCosts::SOFTWARE, counts(&context, part, &UnitCosts::SOFTWARE, layout.probe_side())?),
     };
+    let mut groups = Groups::default();
     let observed: Vec<Observed> = frames
         .iter()
         .zip(rows.chunks_exact(layout.width()))
@@ -184,11 +198,11 @@ pub fn calibrate_to_tables(
         .zip(&seconds)
         .map(|(((f, row), counted), &seconds)| {
             let work = work_of(counted);
-            Observed { row: row.to_vec(), work, seconds, group: f.scene.volume.clone() }
+            Observed { row: row.to_vec(), work, seconds, group: groups.number(&f.scene.volume) }
         })
         .collect();
     let split = PriorModel::new(&file)?;
-    let chosen = threads.install(|| split.choose(&observed, &renderer, |_| true))?;
+    let chosen = split.choose(&observed, &renderer, |_| true, Executor::Rayon(threads))?;
     let noise = noise_floor(frames.iter().copied(), clock, |f| tables[f.table].passes());
     let report = Report::new(
         (shading, clock),

@@ -3,12 +3,12 @@
 use super::Settings;
 use crate::collection::Job;
 use crate::dataset::{Scene, Table, TimedFrame};
-use crate::fit::blank_prior;
 use crate::inputs::{Layout, measure, work_of};
 use crate::scenes::{DEFAULT_RADII, SceneDistribution};
 use crate::volume::Volume;
 use anyhow::{Context, Result, ensure};
-use entire_core::features::Changes;
+use entire_core::calibrate::blank_prior;
+use entire_core::features::{Changes, PROBE_SIDE};
 use entire_core::model::ModelFile;
 use entire_core::predict::{COST_QUANTITIES, COSTS};
 use entire_core::scene::DEFAULT_FOV_Y_DEGREES;
@@ -106,7 +106,7 @@ impl Pool {
         }
         let prior = match prior {
             Some(prior) => prior.clone(),
-            None => blank_prior()?,
+            None => blank_prior(PROBE_SIDE)?,
         };
         let layout = Layout::of_model(&prior.to_model()?)?;
         let tables = [Table {

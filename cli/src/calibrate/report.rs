@@ -3,15 +3,16 @@
 use super::others::Others;
 use crate::bound;
 use crate::dataset::{Clock, NoiseFloor};
-use crate::fit::{Belief, Chosen, Observed};
 use crate::machine;
 use crate::metrics::{Metrics, bootstrap_by_group};
 use anyhow::{Context, Result};
+use entire_core::calibrate::{Belief, Chosen, Observed};
 use entire_core::model::{Key, ModelFile};
-use entire_core::predict::Calibration;
+use entire_core::predict::UpperBound;
 use entire_core::scene::Shading;
 use serde::Serialize;
 use serde_json::json;
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 /// Drift between passes from which on it is said, as a share.
@@ -78,12 +79,10 @@ impl Report {
         for (_, (f, p)) in observed.iter().zip(&chosen.crossed).enumerate().filter(|(i, _)| judged(*i)) {
             predicted.push(*p);
             measured.push(f.seconds);
-            groups.push(f.group.clone());
+            groups.push(f.group);
         }
         let metrics = Metrics::new(&predicted, &measured).context("there are no frames to judge by")?;
-        let mut volumes: Vec<&String> = observed.iter().map(|f| &f.group).collect();
-        volumes.sort_unstable();
-        volumes.dedup();
+        let volumes: BTreeSet<u64> = observed.iter().map(|f| f.group).collect();
         Ok(Self {
             shading: shading.into(),
             clock: clock.name(),
@@ -202,11 +201,11 @@ impl Report {
         crossed: &[f64],
     ) -> Result<()> {
         let measured: Vec<f64> = observed.iter().map(|f| f.seconds).collect();
-        let groups: Vec<String> = observed.iter().map(|f| f.group.clone()).collect();
-        let mut upper = bound::from_groups(crossed, &measured, &groups);
+        let residuals = bound::log_residuals(crossed, &measured);
+        let mut upper = UpperBound::from_groups(residuals.into_iter().zip(observed.iter().map(|f| f.group)));
         if self.others.busy() {
             // What a busy machine's frames say of a quiet one is open: a session believes what it observes.
-            upper = Calibration { log_factor: upper.log_factor.max(BUSY_LOG_FACTOR) };
+            upper = UpperBound { log_factor: upper.log_factor.max(BUSY_LOG_FACTOR) };
         }
         bound::set(file, &upper)?;
         file.metadata.insert(crate::clock::CLOCK_KEY.into(), self.clock.into());

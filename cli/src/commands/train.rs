@@ -14,7 +14,7 @@ use crate::split::{GroupBy, Part, Split};
 use crate::{bound, interrupt, machine};
 use anyhow::{Result, ensure};
 use entire_core::model::Key;
-use entire_core::predict::{Calibration, UPPER_LEVEL};
+use entire_core::predict::{UPPER_LEVEL, UpperBound};
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -275,7 +275,7 @@ pub fn run(options: &Options) -> Result<()> {
     // Metrics come from what the file holds, stored format and all.
     let model = trained.fitted.file.to_model()?;
     let mut results = Vec::new();
-    let mut upper = Calibration::default();
+    let mut upper = UpperBound::default();
     let mut covered = BTreeMap::new();
     for p in [Part::Validation, Part::Training, Part::Test] {
         let bar = templated_bar(options.quiet, INPUTS_BAR);
@@ -432,7 +432,7 @@ fn card(
     split: &Split,
     tables: &[Table],
     results: &[(Part, Metrics)],
-    (upper, covered): (Calibration, Option<f64>),
+    (upper, covered): (UpperBound, Option<f64>),
     noise: Option<&NoiseFloor>,
 ) -> String {
     let mut md = String::new();

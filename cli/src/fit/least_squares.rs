@@ -2,6 +2,7 @@
 
 use crate::metrics::median;
 use crate::train::Standardization;
+use entire_core::calibrate::solve;
 use entire_core::nn::{DenseParts, Dtype};
 
 pub(super) fn standardized(rows: &[f32], scale: &Standardization) -> Vec<f64> {
@@ -85,34 +86,4 @@ pub(super) fn weighted_least_squares(
         }
     }
     solution
-}
-
-/// Cholesky of a symmetric positive matrix given by its lower half; `None` where it is not.
-pub fn solve(a: &mut [f64], mut b: Vec<f64>) -> Option<Vec<f64>> {
-    let n = b.len();
-    for j in 0..n {
-        for k in 0..j {
-            let f = a[j * n + k];
-            for i in j..n {
-                a[i * n + j] -= a[i * n + k] * f;
-            }
-        }
-        let d = a[j * n + j];
-        if !(d.is_finite() && d > 0.0) {
-            return None;
-        }
-        let root = d.sqrt();
-        for i in j..n {
-            a[i * n + j] /= root;
-        }
-    }
-    for i in 0..n {
-        let sum: f64 = (0..i).map(|k| a[i * n + k] * b[k]).sum();
-        b[i] = (b[i] - sum) / a[i * n + i];
-    }
-    for i in (0..n).rev() {
-        let sum: f64 = (i + 1..n).map(|k| a[k * n + i] * b[k]).sum();
-        b[i] = (b[i] - sum) / a[i * n + i];
-    }
-    Some(b)
 }

@@ -10,19 +10,14 @@
 
 mod adapt;
 pub(crate) mod analytic;
-mod blank;
 mod compose;
 mod least_squares;
-mod posterior;
 mod recipe;
 #[cfg(test)]
 mod tests;
 mod training;
 
 pub use adapt::{calibrate, calibrate_to_rows, transfer};
-pub use blank::blank_prior;
-pub use least_squares::solve;
-pub use posterior::{Belief, Chosen, Observed, Posterior, Split as PriorModel};
 pub use recipe::{DtypeChoice, Kind, Recipe, TargetChoice, parse_loss, standard_features};
 
 use crate::dataset::{Table, TimedFrame};

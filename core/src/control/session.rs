@@ -1,6 +1,7 @@
 //! One render loop: a volume, a transfer function, a predictor and a controller.
 
 mod ladder;
+mod recording;
 mod state;
 
 use super::coarsening::Coarsening;
@@ -80,16 +81,15 @@ pub struct Session {
     next_id: u64,
     /// Whose times are observed, and by which clock; empty where nobody said.
     timing: [String; 2],
+    recording: Option<recording::Recording>,
 }
 
 impl Session {
     /// With the default controller: [`Hybrid`] around the given predictor. A prior of [`Prior::Unknown`]
     /// gives way to what the predictor knows of its own errors.
-    pub fn new(predictor: Box<dyn Predictor + Send>, mut options: HybridOptions) -> Self {
-        if let (Prior::Unknown, Some(log_sd)) = (options.prior, predictor.log_sd()) {
-            options.prior = Prior::Fitted { log_sd };
-        }
-        Self::with_controller(predictor, Box::new(Hybrid::new(options)))
+    pub fn new(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Self {
+        let controller = controller_for(&*predictor, options);
+        Self::with_controller(predictor, controller)
     }
 
     /// Without any model: the analytic model with default costs, which observations correct.
@@ -125,12 +125,16 @@ impl Session {
             pending: Box::new([None; PENDING_PLANS]),
             next_id: 1,
             timing: [String::new(), String::new()],
+            recording: None,
         }
     }
 
     /// Sets the volume by its summary, and VolumeNet's output for it where the model takes one. The transfer
     /// function must be set again. Nothing is allocated.
     pub fn set_volume(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) {
+        if let Some(recording) = &mut self.recording {
+            recording.set_volume(&volume);
+        }
         self.volume = Some(volume);
         self.volume_features = volume_features;
         self.transfer = None;
@@ -163,6 +167,9 @@ impl Session {
                 kept.extend_from_slice(new);
             }
             (kept, _) => *kept = fresh,
+        }
+        if let Some(recording) = &mut self.recording {
+            recording.set_transfer(table);
         }
         self.changes.transfer = true;
         Ok(())
@@ -256,15 +263,16 @@ impl Session {
                 out_of_range: p.out_of_range,
                 reason: Reason::Off,
             };
-            return Ok(self.note(frame, target, changes, own, decision, (frame.step, 1.0)));
+            return Ok(self.note(frame, target, changes, own, decision, (frame.step, 1.0), setting));
         }
         let limits = self.coarsening.limits();
         let (controller, mut cost) = self.costing(changes, setting)?;
         let mut at = |step| cost.at(step);
         let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut at });
         let terms = cost.at(decision.step);
+        let at = self.coarsening.setting(setting, decision.step);
         let drawn = self.coarsening.take(decision.step);
-        Ok(self.note(frame, target, changes, terms, decision, drawn))
+        Ok(self.note(frame, target, changes, terms, decision, drawn, at))
     }
 
     /// Chooses among settings, best quality first: the index and the plan of the first
@@ -323,7 +331,7 @@ impl Session {
             reason,
         };
         let drawn = (decision.step, 1.0);
-        Ok((index, self.note(frame, target, changes, terms, decision, drawn)))
+        Ok((index, self.note(frame, target, changes, terms, decision, drawn, settings[index])))
     }
 
     /// Hears how long a planned frame took.
@@ -350,6 +358,12 @@ impl Session {
         check_seconds(seconds)?;
         pending.observed = true;
         let over = seconds > pending.expected;
+        if let Some(recording) = &mut self.recording
+            && !flags.cancelled
+            && !flags.unusual
+        {
+            recording.observe(id, seconds);
+        }
         if flags.cancelled && !over {
             // It would have taken longer than this, as was expected or for all that was known.
             return Ok(Verdict::Ignored);
@@ -463,6 +477,7 @@ impl Session {
         Ok(scaled(terms, &self.shape, &self.features, setting))
     }
 
+    #[expect(clippy::too_many_arguments, reason = "what was decided, and what it was decided from")]
     fn note(
         &mut self,
         frame: &Frame,
@@ -471,8 +486,10 @@ impl Session {
         terms: CostTerms,
         decision: Decision,
         (step, image_sample_distance): (f32, f32),
+        drawn: Setting,
     ) -> Plan {
         let id = self.next_id;
+        self.record_plan(id, changes, drawn);
         self.next_id += 1;
         self.pending[(id % PENDING_PLANS as u64) as usize] = Some(Pending {
             id,
@@ -497,6 +514,14 @@ impl Session {
             reason: decision.reason,
         }
     }
+}
+
+/// The default controller around a predictor.
+fn controller_for(predictor: &dyn Predictor, mut options: HybridOptions) -> Box<dyn Controller + Send> {
+    if let (Prior::Unknown, Some(log_sd)) = (options.prior, predictor.log_sd()) {
+        options.prior = Prior::Fitted { log_sd };
+    }
+    Box::new(Hybrid::new(options))
 }
 
 /// The prediction at the reference step, brought to a step by the analytic model's ratio.

@@ -3,8 +3,8 @@
 use super::network::Stored;
 use super::nnls::nnls;
 use super::{
-    Calibration, CostTerms, FeatureRange, GroupKind, InputLayout, Inputs, LONGEST_FRAME, Prediction,
-    Predictor, Source, UPPER_LEVEL,
+    CostTerms, FeatureRange, GroupKind, InputLayout, Inputs, LONGEST_FRAME, Prediction, Predictor, Source,
+    UPPER_LEVEL, UpperBound,
 };
 use crate::Result;
 use crate::error::bail;
@@ -117,7 +117,7 @@ pub struct AnalyticModel {
     costs: [f64; COSTS],
     fitted: bool,
     /// The calibration behind [`Prediction::upper`].
-    pub(super) calibration: Calibration,
+    pub(super) calibration: UpperBound,
     range: FeatureRange,
 }
 
@@ -127,7 +127,7 @@ impl Default for AnalyticModel {
         Self {
             costs: UnitCosts::SOFTWARE.0,
             fitted: false,
-            calibration: Calibration::default(),
+            calibration: UpperBound::default(),
             range: FeatureRange::unknown(),
         }
     }
@@ -234,7 +234,7 @@ impl AnalyticModel {
         self.fitted = true;
         let mut logs: Vec<f64> =
             usable.iter().map(|m| libm::log(m.seconds / dot(&costs, &m.work).max(1.0e-30))).collect();
-        self.calibration = Calibration::from_residuals(&mut logs);
+        self.calibration = UpperBound::from_residuals(&mut logs);
         let rows: Vec<[f32; RANGE_TERMS]> = usable.iter().map(|m| range_point(&m.work)).collect();
         self.range = FeatureRange::from_rows(&rows);
         let mut sizes: Vec<f64> = residuals.iter().map(|r| libm::fabs(*r)).collect();
@@ -319,7 +319,7 @@ impl AnalyticModel {
         }
         let mut out = Self::from_costs(costs)?;
         if let Some(stored) = Stored::of(model)? {
-            out.calibration = Calibration { log_factor: stored.log_factor.unwrap_or(f32::NAN) };
+            out.calibration = UpperBound { log_factor: stored.log_factor.unwrap_or(f32::NAN) };
             if let (Some(low), Some(high)) = (stored.low, stored.high)
                 && let (Ok(low), Ok(high)) = (low.try_into(), high.try_into())
             {

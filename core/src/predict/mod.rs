@@ -5,7 +5,7 @@
 
 mod analytic;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
-mod calibration;
+mod bounds;
 mod inputs;
 mod layout;
 mod network;
@@ -16,8 +16,8 @@ mod seconds;
 pub use crate::features::{COST_QUANTITIES, COSTS, UnitCosts};
 pub use crate::model::GroupKind;
 pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS};
-pub(crate) use calibration::FeatureRange;
-pub use calibration::{Calibration, UPPER_LEVEL};
+pub(crate) use bounds::FeatureRange;
+pub use bounds::{UPPER_LEVEL, UpperBound};
 pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
 pub use layout::{InputLayout, InputValues};
 pub use network::{ModelPredictor, load};

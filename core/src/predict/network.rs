@@ -1,7 +1,7 @@
 //! A network from a model file as a predictor.
 
 use super::{
-    AnalyticModel, CLAMPED_SCORE, Calibration, GroupKind, InputLayout, Inputs, Prediction, Predictor, Source,
+    AnalyticModel, CLAMPED_SCORE, GroupKind, InputLayout, Inputs, Prediction, Predictor, Source, UpperBound,
     checked_seconds,
 };
 use crate::Result;
@@ -72,7 +72,7 @@ pub struct ModelPredictor {
     row: Vec<f32>,
     knows_step: bool,
     probe_side: usize,
-    calibration: Calibration,
+    calibration: UpperBound,
     identity: u32,
 }
 
@@ -124,7 +124,7 @@ impl ModelPredictor {
         }
         let calibration = Stored::of(model)?
             .and_then(|s| s.log_factor)
-            .map_or(Calibration::default(), |log_factor| Calibration { log_factor });
+            .map_or(UpperBound::default(), |log_factor| UpperBound { log_factor });
         let scratch = net.scratch(1)?;
         Ok(Self {
             knows_step: layout.knows_step(),
@@ -520,7 +520,7 @@ mod tests {
             0.0,
         ])
         .unwrap();
-        analytic.calibration = Calibration { log_factor: 0.25 };
+        analytic.calibration = UpperBound { log_factor: 0.25 };
         let model = analytic.to_model_file().unwrap().to_model().unwrap();
         let back = AnalyticModel::from_model(&model).unwrap().unwrap();
         for (a, b) in analytic.costs().0.iter().zip(&back.costs().0) {

@@ -4,7 +4,7 @@
 use super::Nodes;
 use crate::Result;
 use crate::error::bail;
-use crate::memory::collected;
+use crate::memory::{collected, mixed};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 
@@ -108,6 +108,13 @@ pub struct TransferTable {
 }
 
 impl TransferTable {
+    /// A number that the same table has again, and hardly another.
+    pub(crate) fn fingerprint(&self) -> u64 {
+        let unit = u64::from(self.unit_distance.to_bits());
+        let pairs = self.rgba.iter().flat_map(|[r, g, b, a]| [(r, g), (b, a)]);
+        pairs.fold(unit, |sum, (a, b)| mixed(sum, u64::from(a.to_bits()) << 32 | u64::from(b.to_bits())))
+    }
+
     /// A table as it is, for one reference step of unit distance.
     ///
     /// # Errors

@@ -1,5 +1,6 @@
 //! `entire_session`: plan, draw, observe, for one render loop.
 
+mod calibrate;
 mod observe;
 mod options;
 mod plan;
@@ -7,7 +8,7 @@ mod settings;
 mod state;
 
 #[cfg(test)]
-pub(crate) use {observe::*, options::*, plan::*, settings::*, state::*};
+pub(crate) use {calibrate::*, observe::*, options::*, plan::*, settings::*, state::*};
 
 use crate::abi::{ByValue, check_pointer, read_struct, write};
 use crate::guard::{freeing, guard, last_error_of};
@@ -34,6 +35,8 @@ pub(crate) struct Loop {
     model: Option<Arc<entire_model>>,
     /// Spacing and bounding-sphere radius of the volume that is set.
     volume: Option<(Vec3, f32)>,
+    /// What the session was made with.
+    options: entire_session_options,
 }
 
 handle!(entire_session, Loop, Boxed);
@@ -74,7 +77,7 @@ pub unsafe extern "C" fn entire_session_new(
             made = made.with_probe(options.probe_side as usize, None)?;
         }
         made.set_limits(limits)?;
-        write(session, give(Loop { session: made, model, volume: None }), "session (output)")
+        write(session, give(Loop { session: made, model, volume: None, options }), "session (output)")
     })
 }
 

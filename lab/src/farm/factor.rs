@@ -8,8 +8,8 @@
 
 #![allow(clippy::needless_range_loop, reason = "loops over the terms read several arrays at once")]
 
-use entire_cli::fit::solve;
 use entire_cli::steering::calibrate::Sample;
+use entire_core::calibrate::solve;
 use entire_core::features::{Changes, FrameFeatures, SceneQuantity, Setting};
 use entire_core::scene::{Arcball, Camera};
 

@@ -8,7 +8,7 @@ use entire_cli::files::{fnv1a, read_bytes, read_model_file, write_whole};
 use entire_cli::fit::Recipe;
 use entire_cli::split::TimedFrames;
 use entire_core::model::ModelFile;
-use entire_core::predict::Calibration;
+use entire_core::predict::UpperBound;
 use std::path::{Path, PathBuf};
 
 /// The metadata key under which a kept model says what it was made of.
@@ -72,7 +72,7 @@ pub(super) fn path_of(models: &Path, key: &str, identity: &str) -> PathBuf {
 ///
 /// # Errors
 /// When the file is damaged or cannot be written.
-pub(super) fn kept(path: &Path, identity: &str, upper: Option<Calibration>) -> Result<Option<ModelFile>> {
+pub(super) fn kept(path: &Path, identity: &str, upper: Option<UpperBound>) -> Result<Option<ModelFile>> {
     if !path.exists() {
         return Ok(None);
     }

@@ -8,7 +8,7 @@ use entire_cli::evaluation::by_kind;
 use entire_cli::metrics::{BoundMetrics, Metrics, bootstrap_by_group, percentile};
 use entire_cli::split::GroupBy;
 use entire_cli::split::TimedFrames;
-use entire_core::predict::Calibration;
+use entire_core::predict::UpperBound;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -152,7 +152,7 @@ pub(super) fn judge(
     panel: &str,
     part: &TimedFrames<'_>,
     predicted: &[f64],
-    upper: Option<&Calibration>,
+    upper: Option<&UpperBound>,
 ) -> Option<SplitResult> {
     let metrics = Metrics::new(predicted, &part.seconds)?;
     let groups: Vec<String> = part.frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();

@@ -20,7 +20,7 @@ use entire_cli::split::TimedFrames;
 use entire_cli::volume::Volume;
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Storage;
-use entire_core::predict::Calibration;
+use entire_core::predict::UpperBound;
 use indicatif::ProgressBar;
 use serde_json::json;
 use std::path::PathBuf;
@@ -43,7 +43,7 @@ pub(crate) struct Crossed {
 }
 
 impl Crossed {
-    fn upper(&self) -> Calibration {
+    fn upper(&self) -> UpperBound {
         bound::from_groups(&self.predicted, &self.measured, &self.groups)
     }
 }
@@ -259,7 +259,7 @@ impl Runner<'_> {
         &self,
         on: &OnSet<'_>,
         named: &Named,
-    ) -> Result<(StudyPredictor, Option<Calibration>, Option<Fit>)> {
+    ) -> Result<(StudyPredictor, Option<UpperBound>, Option<Fit>)> {
         let OnSet { set, data, context, .. } = *on;
         let key = format!("{}-{}", set.name, named.name);
         let recipe = named.recipe_for(&set.name);
@@ -293,7 +293,7 @@ impl Runner<'_> {
         &self,
         on: &OnSet<'_>,
         named: &Named,
-        (made, upper): (&StudyPredictor, Option<Calibration>),
+        (made, upper): (&StudyPredictor, Option<UpperBound>),
         bench: &mut Bench,
         out: &mut Findings,
     ) -> Result<()> {

@@ -1,19 +1,35 @@
-//! Fitting the cost model to frames of the host's renderer.
+//! Fitting a model to frames of the host's renderer.
 
 use crate::camera::Camera;
 use crate::detach::detached;
 use crate::errors::raise;
 use crate::frame::Shape;
 use crate::lock::Guarded;
+use crate::model::Model;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
-use entire_core::features::{FrameFeatures, Setting, TransferSummary};
-use entire_core::predict::{AnalyticModel, Measurement, UnitCosts};
+use entire_core::calibrate::{Calibrated, Calibration as Core, Shown, blank_prior};
+use entire_core::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary};
+use entire_core::nn::Executor;
+use entire_core::predict::Inputs;
 use entire_core::scene::Skipping;
 use pyo3::prelude::*;
-use pyo3::types::PyBytes;
+use pyo3::types::{PyBytes, PyDict};
 
-/// Timed frames of one renderer, and the cost model that fits them.
+/// Timed frames of one renderer, and the model that fits them.
+///
+/// Parameters
+/// ----------
+/// model : Model, str, os.PathLike or bytes, optional
+///     The model to start from, fitted on another machine or renderer: of kind residual, such as
+///     ``"unshaded-selected"``. Without one, the unit costs of a software renderer.
+/// frames : int, optional
+///     How many frames are kept, 8 to 65536; later ones take the place of earlier ones. Default 1000.
+///
+/// Raises
+/// ------
+/// ModelError
+///     For a model of another kind.
 ///
 /// Examples
 /// --------
@@ -22,13 +38,18 @@ use pyo3::types::PyBytes;
 /// ...     calibration.add(volume, camera, tf, size, seconds=draw(camera))
 /// >>> session = entire.Session(volume, model=calibration.fit())            # doctest: +SKIP
 #[pyclass(frozen, subclass, module = "entire._native")]
-pub(crate) struct Calibration(Guarded<Vec<Measurement>>);
+pub(crate) struct Calibration(Guarded<Core>);
 
 #[pymethods]
 impl Calibration {
     #[new]
-    fn new() -> Self {
-        Self(Guarded::new(Vec::new()))
+    #[pyo3(signature = (model = None, *, frames = 1000))]
+    fn new(model: Option<&Model>, frames: usize) -> PyResult<Self> {
+        let prior = match model {
+            Some(model) => model.0.model_file()?,
+            None => blank_prior(PROBE_SIDE).map_err(raise)?,
+        };
+        Ok(Self(Guarded::new(Core::new(&prior, frames).map_err(raise)?)))
     }
 
     /// Adds a timed frame.
@@ -71,34 +92,65 @@ impl Calibration {
         let frame = Shape::new(size, step, shading, skipping, termination)?.frame(camera.core)?;
         let summary = volume.0.summary(py)?;
         let table = tf.0.table_for(&volume.0)?;
-        let measurement: entire_core::Result<Measurement> = detached(py, || {
+        let mut core = self.0.lock(py)?;
+        let core: &mut Core = &mut core;
+        let added: entire_core::Result<()> = detached(py, || {
             let mut transfer = TransferSummary::new(summary, &table)?;
             if frame.skipping == Skipping::Distance {
                 transfer.prepare_distance();
             }
-            let mut features = FrameFeatures::default();
+            let side = match core.prior().layout().probe_side {
+                0 => PROBE_SIDE,
+                side => side,
+            };
+            let mut features = FrameFeatures::with_probe_side(side);
             features.measure(summary, &mut transfer, &frame)?;
-            Ok(Measurement::new(&features, &Setting::from(&frame), seconds))
+            let inputs = Inputs {
+                features: &features,
+                setting: Setting::from(&frame),
+                changes: Changes::default(),
+                camera: features.pose(),
+                volume_features: None,
+                lobes: None,
+            };
+            core.add(&inputs, Shown::of(summary, &table), seconds)
         });
-        let measurement = measurement.map_err(raise)?;
-        self.0.lock(py)?.push(measurement);
-        Ok(())
+        added.map_err(raise)
     }
 
     fn __len__(&self, py: Python<'_>) -> PyResult<usize> {
         Ok(self.0.lock(py)?.len())
     }
 
-    /// Fits the cost model, as the bytes of a model file and the median relative error over the frames.
-    fn fit_bytes<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyBytes>, f64)> {
-        let measurements = self.0.lock(py)?;
-        let measurements: &Vec<Measurement> = &measurements;
-        let (bytes, error) = detached(py, || {
-            let mut model = AnalyticModel::default();
-            let report = model.fit(&UnitCosts::SOFTWARE, measurements)?;
-            Ok((model.to_model_file()?.to_bytes()?, report.median_error))
-        })
-        .map_err(raise)?;
-        Ok((PyBytes::new(py, &bytes), error))
+    /// Fits the model: the bytes of its file and what is known of it.
+    ///
+    /// Parameters
+    /// ----------
+    /// renderer, clock : str, optional
+    ///     Whose seconds they are, and by which clock.
+    #[pyo3(signature = (renderer = "", clock = ""))]
+    fn fit_bytes<'py>(&self, py: Python<'py>, renderer: &str, clock: &str) -> PyResult<Fitted<'py>> {
+        let core = self.0.lock(py)?;
+        let core: &Core = &core;
+        let fitted = detached(py, || {
+            let fitted = core.fit([renderer, clock], Executor::Serial)?;
+            Ok((fitted.file.to_bytes()?, fitted))
+        });
+        let (bytes, fitted): (Vec<u8>, Calibrated) = fitted.map_err(raise)?;
+        as_python(py, &bytes, &fitted)
     }
+}
+
+/// A model file's bytes, and its calibration's report.
+pub(crate) type Fitted<'py> = (Bound<'py, PyBytes>, Bound<'py, PyDict>);
+
+/// What a calibration made, for Python.
+pub(crate) fn as_python<'py>(py: Python<'py>, bytes: &[u8], fitted: &Calibrated) -> PyResult<Fitted<'py>> {
+    let report = PyDict::new(py);
+    report.set_item("frames", fitted.frames)?;
+    report.set_item("held_out", fitted.held_out.to_string())?;
+    report.set_item("median_error", fitted.median_error)?;
+    report.set_item("rmse_over_sd", fitted.rmse_over_sd)?;
+    report.set_item("upper_factor", fitted.upper.factor())?;
+    Ok((PyBytes::new(py, bytes), report))
 }

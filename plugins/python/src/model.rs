@@ -4,7 +4,7 @@ use crate::detach::detached;
 use crate::errors::{ModelError, raise};
 use crate::lock::Guarded;
 use crate::volume::{Data, Volume};
-use entire_core::model::{GroupKind, Model as File};
+use entire_core::model::{GroupKind, Model as File, ModelFile};
 use entire_core::nn::Executor;
 use entire_core::nn::{EncodeScratch, PredNet, VolumeNet};
 use entire_core::predict::{AnalyticModel, ModelPredictor, Predictor};
@@ -34,6 +34,11 @@ impl Loaded {
             ));
         };
         Ok(Box::new(ModelPredictor::with_net(net.clone(), &self.file).map_err(raise)?))
+    }
+
+    /// The model as a file that can be changed.
+    pub(crate) fn model_file(&self) -> PyResult<ModelFile> {
+        ModelFile::from_bytes(&self.bytes).map_err(raise)
     }
 
     /// VolumeNet's output for a volume, where predictions take it.

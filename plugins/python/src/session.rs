@@ -1,5 +1,6 @@
 //! One render loop.
 
+use crate::calibration::{Fitted, as_python};
 use crate::camera::Camera;
 use crate::detach::detached;
 use crate::errors::{NotReadyError, raise};
@@ -12,9 +13,11 @@ use crate::plan::{Plan, Prediction};
 use crate::state::State;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
+use entire_core::calibrate::Calibrated;
 use entire_core::control::ObserveFlags;
 use entire_core::control::{HybridOptions, Session as Core, StepLimits};
 use entire_core::features::{Changes, Setting};
+use entire_core::nn::Executor;
 use entire_core::predict::{AnalyticModel, Predictor};
 use entire_core::scene::Frame;
 use numpy::PyArray1;
@@ -26,7 +29,8 @@ use std::sync::{Arc, MutexGuard};
 #[pyclass(subclass, frozen, module = "entire._native")]
 pub(crate) struct Session {
     state: Guarded<State>,
-    model: Option<Arc<Loaded>>,
+    model: Guarded<Option<Arc<Loaded>>>,
+    options: HybridOptions,
 }
 
 impl Session {
@@ -38,7 +42,8 @@ impl Session {
     /// locked.
     fn take_volume(&self, py: Python<'_>, volume: &Volume) -> PyResult<()> {
         volume.0.summary(py)?;
-        let features = match &self.model {
+        let model = self.model.lock(py)?.clone();
+        let features = match &model {
             Some(model) => model.features_of(py, &volume.0)?,
             None => None,
         };
@@ -96,7 +101,8 @@ impl Session {
         if let Some(side) = probe_side {
             core = core.with_probe(side, None).map_err(raise)?;
         }
-        let made = Self { state: Guarded::new(State::new(core)), model: model.map(|m| m.0.clone()) };
+        let model = Guarded::new(model.map(|m| m.0.clone()));
+        let made = Self { state: Guarded::new(State::new(core)), model, options };
         if let Some(volume) = volume {
             made.take_volume(py, volume)?;
         }
@@ -481,6 +487,72 @@ impl Session {
         let mut state = self.state(py)?;
         state.core.reset();
         state.history.clear();
+        Ok(())
+    }
+
+    /// Keeps planned and observed frames from now on, for :meth:`calibrate`. What was kept before is
+    /// forgotten. Observations that are unusual or cancelled do not count, nor does the first frame of all,
+    /// nor the first of a volume.
+    ///
+    /// Parameters
+    /// ----------
+    /// frames : int, optional
+    ///     How many are kept, 8 to 65536; later ones take the place of earlier ones. Default 1000.
+    /// model : Model, optional
+    ///     The model to start from, fitted on another machine or renderer: of kind residual, with the
+    ///     session's probe. Without one, the unit costs of a software renderer.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For another number of frames, or a model with another probe.
+    /// ModelError
+    ///     For a model of another kind.
+    #[pyo3(signature = (frames, model))]
+    fn record_from(&self, py: Python<'_>, frames: usize, model: Option<&Model>) -> PyResult<()> {
+        let prior = model.map(|m| m.0.model_file()).transpose()?;
+        self.state(py)?.core.record(prior.as_ref(), frames).map_err(raise)
+    }
+
+    /// How many frames are kept since :meth:`record`; ``None`` before it.
+    #[getter]
+    fn recorded(&self, py: Python<'_>) -> PyResult<Option<usize>> {
+        Ok(self.state(py)?.core.recorded())
+    }
+
+    /// Fits a model to the recorded frames: the bytes of its file and what is known of it.
+    fn calibrate_bytes<'py>(&self, py: Python<'py>) -> PyResult<Fitted<'py>> {
+        let mut state = self.state(py)?;
+        // Exclusive: predictors are not made to be shared.
+        let core = &mut state.core;
+        let fitted = detached(py, move || {
+            let fitted = core.calibrate(Executor::Serial)?;
+            Ok((fitted.file.to_bytes()?, fitted))
+        });
+        let (bytes, fitted): (Vec<u8>, Calibrated) = fitted.map_err(raise)?;
+        as_python(py, &bytes, &fitted)
+    }
+
+    /// Steers by another model from now on. What was observed is forgotten; volume, transfer function, limits
+    /// and recorded frames stay. Where the model takes volume features, set the volume again.
+    ///
+    /// Parameters
+    /// ----------
+    /// model : Model
+    ///
+    /// Raises
+    /// ------
+    /// ModelError
+    ///     For a model that predicts nothing.
+    /// ValueError
+    ///     While frames are recorded with another probe than the model's.
+    fn steer_by(&self, py: Python<'_>, model: &Model) -> PyResult<()> {
+        let predictor = model.0.predictor()?;
+        let mut kept = self.model.lock(py)?;
+        let mut state = self.state(py)?;
+        state.core.set_predictor(predictor, self.options).map_err(raise)?;
+        state.history.clear();
+        *kept = Some(model.0.clone());
         Ok(())
     }
 

@@ -302,8 +302,9 @@ def test_calibration_finds_the_renderer(voxels, tf):
         return 2e-3 + 40 * truth.predict(camera, tf, size, step=step).seconds
 
     calibration = entire.Calibration()
-    with pytest.raises(ValueError, match="measurement|usable|frame"):
+    with pytest.raises(entire.NotReadyError, match="8 at least"):
         calibration.fit()
+    assert np.isnan(calibration.median_error)
     for _ in range(60):
         camera = entire.Camera.arcball(*(float(v) for v in rng.uniform((-80, 0, 1.2), (80, 360, 4))))
         size, step = (int(rng.integers(100, 800)), int(rng.integers(100, 800))), float(2 ** rng.uniform(0, 3))
@@ -311,12 +312,58 @@ def test_calibration_finds_the_renderer(voxels, tf):
     model = calibration.fit()
     assert len(calibration) == 60
     assert calibration.median_error < 0.02
+    assert calibration.report.held_out == "stretches of time"
     fitted = entire.Session(volume, model=model)
     for _ in range(20):
         camera = entire.Camera.arcball(*(float(v) for v in rng.uniform((-80, 0, 1.2), (80, 360, 4))))
         assert fitted.predict(camera, tf, (300, 200)).seconds == pytest.approx(
             renderer(camera, (300, 200), 1.0), rel=0.05
         )
+
+
+def test_a_session_learns_its_renderer_without_being_left(voxels, tf):
+    session = entire.Session(entire.Volume(voxels))
+    assert session.recorded is None
+    with pytest.raises(entire.NotReadyError, match="record"):
+        session.calibrate()
+    with pytest.raises(ValueError, match="65536"):
+        session.record(7)
+    session.record(80)
+    rng = np.random.default_rng(3)
+
+    def renderer(size):
+        return 1e-3 + 4e-8 * size[0] * size[1]
+
+    for i in range(120):
+        camera = entire.Camera.arcball(20, 7 * i % 360, 2.5)
+        size = tuple(int(n) for n in rng.integers(64, 500, 2))
+        session.observe(session.plan(camera, tf, size, target=0.5), renderer(size))
+    assert session.recorded == 80
+    session.set_timing_source("pixels", "wall")
+    made = session.calibrate()
+    assert made.frames == 80 and made.median_error < 0.05 and made.upper_factor < 1.3
+    assert made.model.metadata["entire.clock"] == "wall"
+    session.set_model(made.model)
+    assert len(session.history) == 0
+    expected = session.predict(CAMERA, tf, (333, 222)).seconds
+    assert expected == pytest.approx(renderer((333, 222)), rel=0.1)
+    again = entire.Session(entire.Volume(voxels), model=made.model.to_bytes())
+    assert again.predict(CAMERA, tf, (333, 222)).seconds == expected
+    with pytest.raises(entire.ModelError, match="residual"):
+        session.record(model="volumenet-64f2")
+
+
+def test_a_shipped_model_is_taken_to_a_renderer(voxels, tf):
+    calibration = entire.Calibration("unshaded-selected", frames=50)
+    volume = entire.Volume(voxels)
+    for i in range(30):
+        camera = entire.Camera.arcball(20, 11 * i % 360, 2 + i % 3)
+        size = (100 + 17 * i, 200)
+        calibration.add(volume, camera, tf, size, 1e-3 + 4e-8 * size[0] * size[1])
+    model = calibration.fit("pixels", "wall")
+    assert ("scene_features", 16) in model.inputs or model.inputs[0][0] == "scene_features"
+    assert calibration.report.median_error < 0.15
+    assert model.metadata["entire.renderer"] == "pixels"
 
 
 def test_a_history_is_shown(voxels, tf):

@@ -18,7 +18,7 @@ use crate::split::{GroupBy, Part, Split};
 use anyhow::{Context, Result, ensure};
 use entire_core::model::{Key, Model};
 use entire_core::nn::{Level, PredNet, Storage};
-use entire_core::predict::Calibration;
+use entire_core::predict::UpperBound;
 use report::{Evaluation, Predictor, detail_table, noise_text, tables_of, write_report};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -240,7 +240,7 @@ fn assess(
     frames: &[&TimedFrame],
     latency: Option<WarmLatency>,
     frames_seen: usize,
-    upper: Option<Calibration>,
+    upper: Option<UpperBound>,
 ) -> Result<Predictor> {
     let metrics = Metrics::new(&predicted, measured).context("there are no frames to compare")?;
     let mut pairs: BTreeMap<&str, (Vec<f64>, Vec<f64>)> = BTreeMap::new();

@@ -10,7 +10,7 @@ pub use builder::SummaryBuilder;
 
 use crate::error::bail;
 use crate::kernels::Executor;
-use crate::memory::{copied, filled};
+use crate::memory::{copied, filled, mixed};
 use crate::scene::{ScalarType, Shape, VolumeView, check_edges, check_spacing};
 use crate::{Error, ErrorKind, Result};
 use alloc::vec::Vec;
@@ -89,6 +89,13 @@ impl VolumeSummary {
         let mut builder = SummaryBuilder::new(volume, volume.dims()[2], options)?;
         builder.add(volume, Executor::Serial)?;
         builder.finish()
+    }
+
+    /// A number that the same volume has again, and hardly another.
+    pub(crate) fn fingerprint(&self) -> u64 {
+        let sizes = self.shape.dims.iter().map(|&n| n as u64);
+        let shares = self.histogram.iter().map(|h| u64::from(h.to_bits()));
+        sizes.chain(shares).fold(0, mixed)
     }
 
     /// From bounds that the renderer already has: one (low, high) pair of normalized scalars per brick of

@@ -13,7 +13,7 @@ with any VTK: :func:`entire.vtk.hold`; with any other renderer: :class:`Session`
 
 from __future__ import annotations
 
-from ._core import Calibration, Model, Session, models, predict
+from ._core import Calibrated, Calibration, Model, Session, models, predict
 from ._history import History
 from ._native import (
     Camera,
@@ -30,6 +30,7 @@ from ._native import (
 )
 
 __all__ = [
+    "Calibrated",
     "Calibration",
     "Camera",
     "History",

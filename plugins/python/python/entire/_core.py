@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Union
+from typing import TYPE_CHECKING, Any, NamedTuple, Union
 
 from . import _native
 from ._history import History
@@ -103,6 +103,24 @@ def _model(given: ModelLike | None) -> Model | None:
     return given if given is None or isinstance(given, Model) else Model(given)
 
 
+class Calibrated(NamedTuple):
+    """A model that was fitted to timed frames, and what is known of it."""
+
+    #: The model.
+    model: Model
+    #: Frames that it was fitted to.
+    frames: int
+    #: What was left out in turn to find the errors below: "volumes", "transfer functions", "stretches of time", or
+    #: "nothing" where there were too few frames.
+    held_out: str
+    #: Median of |predicted / measured - 1| over frames that were left out.
+    median_error: float
+    #: Root of their mean squared error over the standard deviation of their times.
+    rmse_over_sd: float
+    #: Upper bound over prediction: nineteen of twenty frames take no longer.
+    upper_factor: float
+
+
 class Session(_native.Session):
     """Predicts and steers one render loop, whatever renders.
 
@@ -168,6 +186,70 @@ class Session(_native.Session):
             probe_side=probe_side,
         )
 
+    def record(self, frames: int = 1000, *, model: ModelLike | None = None) -> None:
+        """Keeps planned and observed frames from now on, for :meth:`calibrate`. What was kept before is forgotten.
+
+        Observations that are unusual or cancelled do not count, nor does the first frame of all, nor the first of a
+        volume.
+
+        Parameters
+        ----------
+        frames : int, optional
+            How many are kept, 8 to 65536; later ones take the place of earlier ones. Default 1000.
+        model : Model, str, os.PathLike or bytes, optional
+            The model to start from, fitted on another machine or renderer: of kind residual, with the session's probe.
+            Without one, the unit costs of a software renderer.
+
+        Raises
+        ------
+        ValueError
+            For another number of frames, or a model with another probe.
+        ModelError
+            For a model of another kind.
+        """
+        self.record_from(frames, _model(model))
+
+    def calibrate(self) -> Calibrated:
+        """Fits a model to the frames that were kept since :meth:`record`: a model of the renderer and the machine
+        that drew them. A second or less for 500 frames. :meth:`set_model` puts it into the session, ``Model.save``
+        keeps it.
+
+        Returns
+        -------
+        Calibrated
+
+        Raises
+        ------
+        NotReadyError
+            Where nothing was recorded, or fewer than 8 frames.
+
+        Examples
+        --------
+        >>> session.record()                                                     # doctest: +SKIP
+        >>> draw(session, cameras)                                               # doctest: +SKIP
+        >>> made = session.calibrate()                                           # doctest: +SKIP
+        >>> session.set_model(made.model)                                        # doctest: +SKIP
+        """
+        data, report = self.calibrate_bytes()
+        return Calibrated(Model(data), **report)
+
+    def set_model(self, model: ModelLike) -> None:
+        """Steers by another model from now on. What was observed is forgotten; volume, transfer function, limits and
+        recorded frames stay. Where the model takes volume features, set the volume again.
+
+        Parameters
+        ----------
+        model : Model, str, os.PathLike or bytes
+
+        Raises
+        ------
+        ModelError
+            For a model that predicts nothing.
+        ValueError
+            While frames are recorded with another probe than the model's.
+        """
+        self.steer_by(model if isinstance(model, Model) else Model(model))
+
     @property
     def history(self) -> History:
         """History : The last observed frames, at most 4096, oldest first."""
@@ -222,12 +304,25 @@ def explain(plan: _native.Plan) -> str:
 class Calibration(_native.Calibration):
     __doc__ = _native.Calibration.__doc__
 
-    #: Median of |predicted / measured - 1| over the frames of the last fit; NaN before.
-    median_error: float = float("nan")
+    #: What is known of the last fit; None before.
+    report: Calibrated | None = None
 
-    def fit(self) -> Model:
-        """Fits the cost model to the frames so far. Some 50 frames from various sides, with various steps,
-        will do.
+    def __new__(cls, model: ModelLike | None = None, *, frames: int = 1000) -> Self:
+        return super().__new__(cls, _model(model), frames=frames)
+
+    @property
+    def median_error(self) -> float:
+        """float : Median of |predicted / measured - 1| over frames that the last fit left out; NaN before."""
+        return float("nan") if self.report is None else self.report.median_error
+
+    def fit(self, renderer: str = "", clock: str = "") -> Model:
+        """Fits the model to the frames so far: some 50 from various sides, with various steps and transfer functions,
+        of several volumes where it is to hold for others.
+
+        Parameters
+        ----------
+        renderer, clock : str, optional
+            Whose seconds they are, and by which clock ("cpu", "wall" or "device"): stands in the model's metadata.
 
         Returns
         -------
@@ -235,11 +330,13 @@ class Calibration(_native.Calibration):
 
         Raises
         ------
-        ValueError
-            Without a usable frame.
+        NotReadyError
+            For fewer than 8 frames.
         """
-        data, self.median_error = self.fit_bytes()
-        return Model(data)
+        data, report = self.fit_bytes(renderer, clock)
+        model = Model(data)
+        self.report = Calibrated(model, **report)
+        return model
 
 
 def predict(

@@ -1,23 +1,30 @@
 //! Upper bounds from residuals (split-conformal), and how far inputs lie outside what was seen.
 
+use crate::Result;
+use crate::error::bail;
+use crate::model::{Key, ModelFile};
+use alloc::collections::BTreeMap;
+use alloc::string::ToString;
+use alloc::vec::Vec;
+
 /// Level of the upper bound.
 pub const UPPER_LEVEL: f64 = 0.95;
 
 /// A multiplicative upper bound: with probability [`UPPER_LEVEL`] a frame like the calibration frames takes
-/// at most [`factor`](Calibration::factor) times its prediction. The default was never calibrated.
+/// at most [`factor`](UpperBound::factor) times its prediction. The default was never calibrated.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Calibration {
+pub struct UpperBound {
     /// ln of the factor; never calibrated where it is not finite.
     pub log_factor: f32,
 }
 
-impl Default for Calibration {
+impl Default for UpperBound {
     fn default() -> Self {
         Self { log_factor: f32::NAN }
     }
 }
 
-impl Calibration {
+impl UpperBound {
     /// From ln(measured / predicted) of frames that were not used for fitting (or so many that it does not
     /// matter): the ⌈(n + 1)·level⌉-th smallest, the largest where there are too few. Sorts the slice; NaN
     /// residuals count as misses.
@@ -34,6 +41,52 @@ impl Calibration {
         let n = log_residuals.len();
         let rank = libm::ceil((n as f64 + 1.0) * UPPER_LEVEL) as usize;
         Self { log_factor: log_residuals[rank.clamp(1, n) - 1] as f32 }
+    }
+
+    /// As [`UpperBound::from_residuals`] where frames come in groups (volumes) and new frames are of new
+    /// groups: every group counts alike, however many frames it has. Residuals with the number of their
+    /// group.
+    pub fn from_groups(residuals: impl IntoIterator<Item = (f64, u64)>) -> Self {
+        let mut sorted: Vec<(f64, u64)> =
+            residuals.into_iter().map(|(r, g)| (if r.is_nan() { f64::INFINITY } else { r }, g)).collect();
+        let mut sizes: BTreeMap<u64, f64> = BTreeMap::new();
+        for (_, group) in &sorted {
+            *sizes.entry(*group).or_default() += 1.0;
+        }
+        sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // One frame more than there are, as in split-conformal bounds.
+        let wanted = UPPER_LEVEL * sizes.len() as f64 * (1.0 + 1.0 / sorted.len().max(1) as f64);
+        let mut sum = 0.0;
+        for (r, group) in &sorted {
+            sum += 1.0 / sizes[group];
+            if sum >= wanted * (1.0 - 1e-12) {
+                return Self { log_factor: *r as f32 };
+            }
+        }
+        sorted.last().map_or(Self::default(), |(r, _)| Self { log_factor: *r as f32 })
+    }
+
+    /// Puts the bound into a model file, keeping what else its calibration holds; leaves the file as it is
+    /// where the bound is not known.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidModel`] when what the file holds is damaged.
+    pub fn store(&self, file: &mut ModelFile) -> Result<()> {
+        if !self.log_factor.is_finite() {
+            return Ok(());
+        }
+        let stored = match file.metadata.get(Key::Calibration.name()) {
+            Some(text) => serde_json::from_str(text),
+            None => Ok(serde_json::json!({})),
+        };
+        let mut stored: serde_json::Value = match stored {
+            Ok(stored @ serde_json::Value::Object(_)) => stored,
+            _ => bail!(InvalidModel, "{} is no object", Key::Calibration),
+        };
+        stored["level"] = serde_json::json!(UPPER_LEVEL);
+        stored["log_factor"] = serde_json::json!(self.log_factor);
+        file.metadata.insert(Key::Calibration.into(), stored.to_string());
+        Ok(())
     }
 
     /// The factor; NaN when never calibrated.

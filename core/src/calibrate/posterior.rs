@@ -3,24 +3,25 @@
 //!
 //! ln t = ln Σ m_i e^θ_i c_i + ψ·w + b, with c the counts of estimated work, m the unit costs of the prior
 //! model, ψ the activations before its last layer and w that layer's weights. θ_i ~ N(0, τ²), w ~ N(r·w₀,
-//! (α s)²) with s the root mean square of w₀, b free. With τ = 0 and r = 1 this would be [`super::calibrate`];
-//! with a large τ and r = 1/4 it is [`super::transfer`]; τ, α and r in between are what few frames call for.
+//! (α s)²) with s the root mean square of w₀, b free. τ, α and r are what cross-validation by group calls for.
 
-use super::adapt::hidden_activations;
-use super::least_squares::{solve, standardized};
-use crate::metrics::{Metrics, median};
-use crate::train::Standardization;
-use anyhow::{Context, Result, ensure};
-use entire_core::features::{SceneFeature, SceneQuantity};
-use entire_core::model::ModelFile;
-use entire_core::nn::{PredNetParts, Target};
-use entire_core::predict::{COSTS, InputLayout, UnitCosts};
-use rayon::prelude::*;
-use serde::Serialize;
-use std::collections::BTreeMap;
+use super::linear::{dot, median, solve};
+use crate::Result;
+use crate::error::bail;
+use crate::features::{SceneFeature, SceneQuantity};
+use crate::kernels::Executor;
+use crate::model::ModelFile;
+use crate::nn::{Normalization, PredNet, PredNetParts, SELU_ALPHA, SELU_SCALE, Target};
+use crate::predict::{COSTS, InputLayout, UnitCosts};
+use alloc::collections::BTreeMap;
+use alloc::vec;
+use alloc::vec::Vec;
+
+const NOT_A_PRIOR: &str = "only an analytic model times a learned factor can be the prior of a calibration (entire train \
+     --model-kind residual makes one); give another, or none";
 
 /// How strongly the prior model is believed.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Belief {
     /// Standard deviation of the logarithm of each unit cost.
     pub costs: f64,
@@ -52,8 +53,9 @@ const IMPORTANCE: f64 = 0.25;
 /// Rounds of Gauss and Newton.
 const ROUNDS: usize = 6;
 
-/// Parts for cross-validation at most.
+/// Parts for cross-validation at most, and groups of frames that it needs.
 const FOLDS: usize = 7;
+pub(super) const FEWEST_GROUPS: usize = 3;
 
 /// Least cost that is thought possible of work whose cost the prior model does not know, as a share of what a
 /// renderer of the kind would pay at the prior's speed.
@@ -62,17 +64,20 @@ const UNKNOWN_SHARE: f64 = 0.1;
 /// Standard deviation of the logarithm of such a cost, at least.
 const UNKNOWN_SD: f64 = 1.5;
 
-/// A model file split into what is fitted and what stays.
-pub struct Split {
+/// A model file split into what a calibration fits and what stays.
+#[derive(Clone, Debug)]
+pub struct PriorModel {
     file: ModelFile,
     parts: PredNetParts,
-    scale: Standardization,
+    layout: InputLayout,
+    /// Mean and deviation of each input, and the deviation of the output.
+    inputs: Vec<(f64, f64)>,
+    deviation: f64,
     costs: [f64; COSTS],
     weights: Vec<f64>,
     /// What ln t has besides the estimate and the factor.
     constant: f64,
     root_mean_square: f64,
-    inputs: usize,
 }
 
 /// One frame, as the fit sees it.
@@ -84,19 +89,19 @@ pub struct Observed {
     pub work: [f64; COSTS],
     /// Measured seconds.
     pub seconds: f64,
-    /// What is left out together in cross-validation: the volume.
-    pub group: String,
+    /// What is left out together in cross-validation: frames of one volume have one number.
+    pub group: u64,
 }
 
 /// What was fitted.
-#[derive(Clone, Debug)]
-pub struct Posterior {
+struct Posterior {
     costs: [f64; COSTS],
     weights: Vec<f64>,
     bias: f64,
 }
 
 /// A fitted model and what is known of it.
+#[derive(Clone, Debug)]
 pub struct Chosen {
     /// The model file.
     pub file: ModelFile,
@@ -109,53 +114,53 @@ pub struct Chosen {
     pub folds: usize,
 }
 
-impl Split {
+impl PriorModel {
     /// Takes a model apart.
     ///
     /// # Errors
-    /// For a model that is no analytic one times a learned factor.
+    /// [`crate::ErrorKind::Unsupported`] for a model that is no analytic one times a learned factor.
     pub fn new(file: &ModelFile) -> Result<Self> {
         let model = file.to_model()?;
         let layout = InputLayout::of_model(&model)?;
         let carried = layout.scene_features.last()
             == Some(&SceneFeature { quantity: SceneQuantity::EstimatedSeconds, log: true });
-        let parts = model.prednet().context("the model file holds no PredNet")?.clone();
-        let (Some(UnitCosts(costs)), true) =
-            (layout.unit_costs, carried && parts.target == Target::LogSeconds)
+        let (Some(parts), Some(UnitCosts(costs)), true) = (model.prednet(), layout.unit_costs, carried)
         else {
-            anyhow::bail!(
-                "only an analytic model times a learned factor (--model-kind residual) can be the prior of a \
-                 calibration; give another, or leave it away"
-            )
+            bail!(Unsupported, "{NOT_A_PRIOR}");
         };
-        let scale = Standardization::of(&parts);
-        let last = parts.layers.last().context("the PredNet has no layer")?;
+        let Some(last) = parts.layers.last().filter(|_| parts.target == Target::LogSeconds) else {
+            bail!(Unsupported, "{NOT_A_PRIOR}");
+        };
         let width = last.inputs - 1;
         let weights: Vec<f64> = last.weight[..width].iter().map(|&w| f64::from(w)).collect();
-        let square = weights.iter().map(|w| w * w).sum::<f64>() / width.max(1) as f64;
-        let inputs = scale.input_mean.len();
+        let square = dot(&weights, &weights) / width.max(1) as f64;
+        let inputs: Vec<(f64, f64)> = match &parts.input {
+            Some(Normalization { mean, std }) => {
+                mean.iter().zip(std).map(|(&m, &s)| (f64::from(m), f64::from(s))).collect()
+            }
+            None => vec![(0.0, 1.0); layout.width()],
+        };
+        let deviation = parts.output.as_ref().and_then(|n| n.std.first()).map_or(1.0, |&s| f64::from(s));
+        // At the inputs' means every standardized input is 0, the estimate's too.
+        let mean: Vec<f32> = inputs.iter().map(|i| i.0 as f32).collect();
+        let net = PredNet::new(parts)?;
+        let total = libm::log(f64::from(net.predict(&mean, &mut net.scratch(1)?)));
         let mut out = Self {
             file: file.clone(),
-            parts,
-            scale,
+            parts: parts.clone(),
+            inputs,
+            deviation,
             costs,
             weights,
             constant: 0.0,
-            root_mean_square: square.sqrt(),
-            inputs,
+            root_mean_square: libm::sqrt(square),
+            layout,
         };
         if out.root_mean_square < 1e-6 {
             out.root_mean_square = 0.05;
         }
-        // At the inputs' means every standardized input is 0, the estimate's too.
-        let mean: Vec<f32> = out.scale.input_mean.clone();
         let psi = out.activations(&mean);
-        let total = f64::from(
-            entire_core::nn::PredNet::new(&out.parts)?
-                .predict(&mean, &mut entire_core::nn::PredNet::new(&out.parts)?.scratch(1)?),
-        )
-        .ln();
-        out.constant = total - f64::from(mean[inputs - 1]) - dot(&psi, &out.weights);
+        out.constant = total - mean.last().map_or(0.0, |&m| f64::from(m)) - dot(&psi, &out.weights);
         Ok(out)
     }
 
@@ -164,12 +169,31 @@ impl Split {
         &self.costs
     }
 
-    /// ψ of rows, each as long as the factor is wide.
-    fn activations(&self, rows: &[f32]) -> Vec<f64> {
-        let hidden = hidden_activations(&self.parts, &standardized(rows, &self.scale));
-        let (whole, width) = (self.weights.len() + 1, self.weights.len());
-        let deviation = f64::from(self.scale.output_std);
-        hidden.chunks_exact(whole).flat_map(|h| h[..width].iter().map(|v| v * deviation)).collect()
+    /// What the model takes.
+    pub fn layout(&self) -> &InputLayout {
+        &self.layout
+    }
+
+    /// ψ of a row: what enters the last layer, in units of the output.
+    fn activations(&self, row: &[f32]) -> Vec<f64> {
+        let mut values: Vec<f64> =
+            row.iter().zip(&self.inputs).map(|(&x, (mean, std))| (f64::from(x) - mean) / std).collect();
+        let hidden = &self.parts.layers[..self.parts.layers.len() - 1];
+        for layer in hidden {
+            values = layer
+                .weight
+                .chunks_exact(layer.inputs)
+                .zip(&layer.bias)
+                .map(|(weights, &bias)| {
+                    let sum: f64 = weights.iter().zip(&values).map(|(&w, x)| f64::from(w) * x).sum();
+                    let sum = sum + f64::from(bias);
+                    SELU_SCALE * if sum > 0.0 { sum } else { SELU_ALPHA * libm::expm1(sum) }
+                })
+                .collect();
+        }
+        values.truncate(self.weights.len());
+        values.iter_mut().for_each(|v| *v *= self.deviation);
+        values
     }
 
     /// Unit costs that observations may move: those of the prior model, and a little of what it does not know
@@ -191,23 +215,18 @@ impl Split {
     }
 
     /// The model with what was fitted.
-    ///
-    /// # Errors
-    /// When a number does not fit the file.
-    pub fn with(&self, fitted: &Posterior) -> Result<ModelFile> {
+    fn with(&self, fitted: &Posterior) -> Result<ModelFile> {
         let mut file = self.file.clone();
         let mut parts = self.parts.clone();
-        let deviation = f64::from(self.scale.output_std);
         if let Some(layer) = parts.layers.last_mut() {
             for (slot, &w) in layer.weight.iter_mut().zip(&fitted.weights) {
                 *slot = w as f32;
             }
-            layer.bias[0] = (f64::from(layer.bias[0]) + (fitted.bias - self.constant) / deviation) as f32;
+            layer.bias[0] =
+                (f64::from(layer.bias[0]) + (fitted.bias - self.constant) / self.deviation) as f32;
         }
-        let layout = InputLayout {
-            unit_costs: Some(UnitCosts(fitted.costs)),
-            ..InputLayout::of_model(&self.file.to_model()?)?
-        };
+        let mut layout = self.layout.clone();
+        layout.unit_costs = Some(UnitCosts(fitted.costs));
         layout.store(&parts, &mut file)?;
         Ok(file)
     }
@@ -222,14 +241,14 @@ impl Split {
         let mut fitted = Posterior { costs: *prior, weights: expected.clone(), bias: 0.0 };
         let mut rest: Vec<f64> = frames
             .iter()
-            .map(|f| f.log - dot(&fitted.costs, &f.work).ln() - dot(&f.psi, &expected))
+            .map(|f| f.log - libm::log(dot(&fitted.costs, &f.work)) - dot(&f.psi, &expected))
             .collect();
         fitted.bias = median(&mut rest).unwrap_or(self.constant);
         let mut mean = 0.0;
         let importance: Vec<f64> = frames
             .iter()
             .map(|f| {
-                let w = (IMPORTANCE * f.log).exp();
+                let w = libm::exp(IMPORTANCE * f.log);
                 mean += w / frames.len() as f64;
                 w
             })
@@ -275,7 +294,7 @@ impl Split {
             let Some(step) = solve(&mut gram, rhs) else { break };
             for ((t, s), &i) in theta.iter_mut().zip(&step).zip(&active) {
                 *t = (*t + s.clamp(-1.0, 1.0)).clamp(-6.0, 6.0);
-                fitted.costs[i] = prior[i] * t.exp();
+                fitted.costs[i] = prior[i] * libm::exp(*t);
             }
             for (w, s) in fitted.weights.iter_mut().zip(&step[k..k + width]) {
                 *w += s;
@@ -290,82 +309,99 @@ impl Split {
 
     /// Fits frames of this machine, believing the prior as much as cross-validation by group calls for.
     /// `renderer` holds costs of a renderer of the kind, for work whose cost the prior does not know;
-    /// `judged` says by which frames the choice is made.
+    /// `judged` says by which frames, by their index, the choice is made.
     ///
     /// # Errors
-    /// Without frames, or when rows are not the model's.
+    /// [`crate::ErrorKind::InvalidArgument`] without frames, for a time that is not positive, or when rows
+    /// are not the model's.
     pub fn choose(
         &self,
         frames: &[Observed],
         renderer: &UnitCosts,
         judged: impl Fn(usize) -> bool,
+        executor: Executor<'_>,
     ) -> Result<Chosen> {
-        ensure!(!frames.is_empty(), "there are no frames to calibrate to");
-        ensure!(
-            frames.iter().all(|f| f.row.len() == self.inputs),
-            "a frame does not have the {} inputs that the model takes",
-            self.inputs
-        );
+        let inputs = self.inputs.len();
+        if frames.is_empty() {
+            bail!(InvalidArgument, "there are no frames to calibrate to; observe some first");
+        }
+        for (i, f) in frames.iter().enumerate() {
+            if f.row.len() != inputs || !(f.seconds.is_finite() && f.seconds > 0.0) {
+                bail!(
+                    InvalidArgument,
+                    "frame {i} has {} inputs and took {} seconds; the model takes {inputs} inputs, and times are finite \
+                     and positive",
+                    f.row.len(),
+                    f.seconds
+                );
+            }
+        }
         let prior = self.prior_costs(frames, renderer);
         let prepared: Vec<Prepared> = frames
             .iter()
-            .map(|f| Prepared { psi: self.activations(&f.row), work: f.work, log: f.seconds.ln() })
+            .map(|f| Prepared { psi: self.activations(&f.row), work: f.work, log: libm::log(f.seconds) })
             .collect();
         let all: Vec<&Prepared> = prepared.iter().collect();
         let folds = folds(frames);
-        let beliefs: Vec<Belief> = COSTS_SD
+        let count = folds.iter().max().map_or(0, |m| m + 1);
+        if count < FEWEST_GROUPS {
+            // Too little to choose by: the prior's shape, and the speed of this machine.
+            let belief = Belief { costs: COSTS_SD[0], share: 1.0, weights: 0.0 };
+            let fitted = self.fit(&prior, &all, belief);
+            let crossed = prepared.iter().map(|f| libm::exp(fitted.log_seconds(f))).collect();
+            return Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: 0 });
+        }
+        let mut tried: Vec<(Belief, Vec<f64>)> = COSTS_SD
             .iter()
             .flat_map(|&costs| {
                 WEIGHTS_SD.iter().map(move |&(share, weights)| Belief { costs, share, weights })
             })
+            .map(|belief| (belief, vec![0.0; frames.len()]))
             .collect();
-        let count = folds.iter().max().map_or(0, |m| m + 1);
-        let measured: Vec<f64> = frames.iter().map(|f| f.seconds).collect();
-        if count < 3 {
-            // Too little to choose by: the prior's shape, and the speed of this machine.
-            let belief = Belief { costs: 0.15, share: 1.0, weights: 0.0 };
-            let fitted = self.fit(&prior, &all, belief);
-            let crossed = prepared.iter().map(|f| fitted.log_seconds(f).exp()).collect();
-            return Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: 0 });
-        }
-        let tried: Vec<(Belief, Vec<f64>)> = beliefs
-            .par_iter()
-            .map(|&belief| {
-                let mut crossed = vec![0.0; frames.len()];
-                for fold in 0..count {
-                    let rest: Vec<&Prepared> =
-                        prepared.iter().zip(&folds).filter(|(_, f)| **f != fold).map(|(p, _)| p).collect();
-                    let fitted = self.fit(&prior, &rest, belief);
-                    for ((slot, p), _) in
-                        crossed.iter_mut().zip(&prepared).zip(&folds).filter(|(_, f)| **f == fold)
-                    {
-                        *slot = fitted.log_seconds(p).exp();
-                    }
+        each(executor, &mut tried, &|item: &mut (Belief, Vec<f64>)| {
+            let (belief, crossed) = item;
+            for fold in 0..count {
+                let rest: Vec<&Prepared> =
+                    prepared.iter().zip(&folds).filter(|(_, f)| **f != fold).map(|(p, _)| p).collect();
+                let fitted = self.fit(&prior, &rest, *belief);
+                let left_out = crossed.iter_mut().zip(&prepared).zip(&folds).filter(|(_, f)| **f == fold);
+                for ((slot, p), _) in left_out {
+                    *slot = libm::exp(fitted.log_seconds(p));
                 }
-                (belief, crossed)
-            })
-            .collect();
-        let score = |crossed: &[f64]| {
-            let pick = |values: &[f64]| -> Vec<f64> {
-                values.iter().enumerate().filter(|(i, _)| judged(*i)).map(|(_, v)| *v).collect()
-            };
-            score(&pick(crossed), &pick(&measured))
+            }
+        });
+        let pairs = |crossed: &[f64]| -> Vec<(f64, f64)> {
+            let pairs = crossed.iter().zip(frames).enumerate();
+            pairs.filter(|(i, _)| judged(*i)).map(|(_, (&p, f))| (p, f.seconds)).collect()
         };
         // The strongest belief that is as good as the best, as far as so few frames can tell (the rule of one
         // standard error).
-        let scores: Vec<f64> = tried.iter().map(|t| score(&t.1)).collect();
+        let scores: Vec<f64> = tried.iter().map(|t| score(&pairs(&t.1))).collect();
         let best = scores.iter().copied().fold(f64::INFINITY, f64::min);
         let frames_judged = (0..frames.len()).filter(|i| judged(*i)).count();
-        let enough = best + 1.0 / (frames_judged.max(1) as f64).sqrt();
-        let (belief, crossed) = tried
+        let enough = best + 1.0 / libm::sqrt(frames_judged.max(1) as f64);
+        let chosen = tried
             .into_iter()
             .zip(scores)
             .filter(|(_, score)| *score <= enough)
-            .min_by(|a, b| a.0.0.freedom().total_cmp(&b.0.0.freedom()).then(a.1.total_cmp(&b.1)))
-            .map(|(tried, _)| tried)
-            .context("nothing was cross-validated")?;
+            .min_by(|a, b| a.0.0.freedom().total_cmp(&b.0.0.freedom()).then(a.1.total_cmp(&b.1)));
+        let Some(((belief, crossed), _)) = chosen else {
+            bail!(InvalidArgument, "no fit to these frames predicts a finite time; are their times right?");
+        };
         let fitted = self.fit(&prior, &all, belief);
         Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: count })
+    }
+}
+
+/// Calls `f` with each item, on as many threads as the executor has.
+fn each<T: Send>(executor: Executor<'_>, items: &mut [T], f: &(impl Fn(&mut T) + Sync)) {
+    match items {
+        [] => {}
+        [one] => f(one),
+        _ => {
+            let (a, b) = items.split_at_mut(items.len() / 2);
+            executor.join(|| each(executor, a, f), || each(executor, b, f));
+        }
     }
 }
 
@@ -378,29 +414,43 @@ struct Prepared {
 
 impl Posterior {
     fn log_seconds(&self, frame: &Prepared) -> f64 {
-        dot(&self.costs, &frame.work).max(1e-12).ln() + dot(&self.weights, &frame.psi) + self.bias
+        libm::log(dot(&self.costs, &frame.work).max(1e-12)) + dot(&self.weights, &frame.psi) + self.bias
     }
 }
 
-/// What choices go by: the geometric mean of a robust relative error and of RMSE over SD.
-fn score(predicted: &[f64], measured: &[f64]) -> f64 {
-    let Some(m) = Metrics::new(predicted, measured) else { return f64::INFINITY };
-    let mut sizes: Vec<f64> = predicted.iter().zip(measured).map(|(p, t)| (p / t).ln().abs()).collect();
-    sizes.sort_by(f64::total_cmp);
+/// What choices go by: the geometric mean of a robust relative error and of RMSE over SD. Pairs of predicted
+/// and measured seconds.
+fn score(pairs: &[(f64, f64)]) -> f64 {
+    let Some(whole) = rmse_over_sd(pairs) else { return f64::INFINITY };
+    let mut sizes: Vec<f64> = pairs.iter().map(|(p, t)| libm::log(p / t).abs()).collect();
+    sizes.sort_unstable_by(f64::total_cmp);
     sizes.truncate((sizes.len() * 9).div_ceil(10));
-    let spread = (sizes.iter().map(|s| s * s).sum::<f64>() / sizes.len() as f64).sqrt();
-    spread.max(1e-6).ln() + m.rmse_over_sd.max(1e-6).ln()
+    let spread = libm::sqrt(dot(&sizes, &sizes) / sizes.len() as f64);
+    let score = libm::log(spread.max(1e-6)) + libm::log(whole.max(1e-6));
+    if score.is_nan() { f64::INFINITY } else { score }
+}
+
+/// Root of the mean squared error over the standard deviation of the measured seconds; `None` without pairs.
+pub(super) fn rmse_over_sd(pairs: &[(f64, f64)]) -> Option<f64> {
+    if pairs.is_empty() {
+        return None;
+    }
+    let n = pairs.len() as f64;
+    let mean = pairs.iter().map(|p| p.1).sum::<f64>() / n;
+    let variance = pairs.iter().map(|(_, t)| (t - mean) * (t - mean)).sum::<f64>() / n;
+    let square = pairs.iter().map(|(p, t)| (p - t) * (p - t)).sum::<f64>() / n;
+    Some(libm::sqrt(square / variance))
 }
 
 /// The part of cross-validation that each frame is left out with: whole groups, spread so that parts have
 /// about as many frames.
 fn folds(frames: &[Observed]) -> Vec<usize> {
-    let mut sizes: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut sizes: BTreeMap<u64, usize> = BTreeMap::new();
     for f in frames {
-        *sizes.entry(&f.group).or_default() += 1;
+        *sizes.entry(f.group).or_default() += 1;
     }
-    let mut groups: Vec<(&str, usize)> = sizes.into_iter().collect();
-    groups.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(b.0)));
+    let mut groups: Vec<(u64, usize)> = sizes.into_iter().collect();
+    groups.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(&b.0)));
     let mut loads = vec![0usize; FOLDS.min(groups.len())];
     let mut fold_of = BTreeMap::new();
     for (group, size) in groups {
@@ -408,9 +458,5 @@ fn folds(frames: &[Observed]) -> Vec<usize> {
         loads[least] += size;
         fold_of.insert(group, least);
     }
-    frames.iter().map(|f| fold_of[f.group.as_str()]).collect()
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
+    frames.iter().map(|f| fold_of[&f.group]).collect()
 }

@@ -1,0 +1,49 @@
+//! Small dense linear algebra in `f64`, and medians.
+
+use alloc::vec::Vec;
+
+/// Solves A·x = b for a symmetric positive matrix A given by its lower half, row by row, by Cholesky's
+/// factorization, which is left in place; `None` where it is not positive.
+pub fn solve(a: &mut [f64], mut b: Vec<f64>) -> Option<Vec<f64>> {
+    let n = b.len();
+    for j in 0..n {
+        for k in 0..j {
+            let f = a[j * n + k];
+            for i in j..n {
+                a[i * n + j] -= a[i * n + k] * f;
+            }
+        }
+        let d = a[j * n + j];
+        if !(d.is_finite() && d > 0.0) {
+            return None;
+        }
+        let root = libm::sqrt(d);
+        for i in j..n {
+            a[i * n + j] /= root;
+        }
+    }
+    for i in 0..n {
+        let sum: f64 = (0..i).map(|k| a[i * n + k] * b[k]).sum();
+        b[i] = (b[i] - sum) / a[i * n + i];
+    }
+    for i in (0..n).rev() {
+        let sum: f64 = (i + 1..n).map(|k| a[k * n + i] * b[k]).sum();
+        b[i] = (b[i] - sum) / a[i * n + i];
+    }
+    Some(b)
+}
+
+/// Median of some numbers, the mean of the middle two where their number is even; reorders them. `None` when
+/// empty.
+pub(super) fn median(values: &mut [f64]) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    values.sort_unstable_by(f64::total_cmp);
+    let mid = values.len() / 2;
+    Some(if values.len() % 2 == 1 { values[mid] } else { 0.5 * (values[mid - 1] + values[mid]) })
+}
+
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
+}

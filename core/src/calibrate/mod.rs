@@ -1,0 +1,314 @@
+//! Fitting a model to frames that were timed on the machine at hand.
+//!
+//! A [`Calibration`] keeps timed frames and takes a model that was fitted on another machine to them: unit
+//! costs and learned factor are each believed as much as cross-validation by volume calls for. A session
+//! fills one from what it observes ([`crate::Session::record`]), so that a host never leaves its render
+//! loop. [`PriorModel::choose`] is the fit itself.
+
+mod blank;
+mod linear;
+mod posterior;
+#[cfg(test)]
+mod tests;
+
+pub use blank::blank_prior;
+pub use linear::solve;
+pub use posterior::{Belief, Chosen, Observed, PriorModel};
+
+use crate::Result;
+use crate::error::bail;
+use crate::features::{UnitCosts, VolumeSummary};
+use crate::kernels::Executor;
+use crate::memory::{filled, mixed, room};
+use crate::model::{Key, ModelFile};
+use crate::names::names;
+use crate::predict::{COSTS, Inputs, LONGEST_FRAME, Measurement, UpperBound};
+use crate::scene::TransferTable;
+use alloc::string::ToString;
+use alloc::vec::Vec;
+use core::ops::RangeInclusive;
+use posterior::{FEWEST_GROUPS, rmse_over_sd};
+
+/// Fewest frames that a model is fitted to.
+pub const FEWEST_FRAMES: usize = 8;
+
+/// How many frames a [`Calibration`] may keep.
+pub const KEPT_FRAMES: RangeInclusive<usize> = FEWEST_FRAMES..=65_536;
+
+/// Stretches of time that are left out in turn where there are too few volumes and transfer functions.
+const STRETCHES: u64 = 5;
+
+/// The key that says which clock's seconds a model predicts.
+const CLOCK: &str = "entire.clock";
+
+/// What a timed frame showed: frames of one volume have one number, and so have those of one transfer
+/// function.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Shown {
+    /// The volume's number.
+    pub volume: u64,
+    /// The transfer function's number.
+    pub transfer: u64,
+}
+
+impl Shown {
+    /// Numbers that the same volume and the same transfer function have again, and hardly others.
+    pub fn of(volume: &VolumeSummary, transfer: &TransferTable) -> Self {
+        Self { volume: volume.fingerprint(), transfer: transfer.fingerprint() }
+    }
+}
+
+/// What was left out in turn to find how strongly to believe the prior model, and what error to expect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u32)]
+pub enum HeldOut {
+    /// Nothing: there were too few frames. The error is that of frames that the model was fitted to.
+    Nothing = 0,
+    /// Volumes: the error to expect is that of other volumes.
+    Volumes = 1,
+    /// Transfer functions: the error to expect is that of the same volumes under other transfer functions.
+    TransferFunctions = 2,
+    /// Stretches of time: the error to expect is that of other views of what was shown.
+    Stretches = 3,
+}
+
+names! { HeldOut:
+    Nothing "nothing",
+    Volumes "volumes",
+    TransferFunctions "transfer functions",
+    Stretches "stretches of time",
+}
+
+/// A model that was fitted to a [`Calibration`]'s frames.
+#[derive(Clone, Debug)]
+pub struct Calibrated {
+    /// The model file.
+    pub file: ModelFile,
+    /// Frames that it was fitted to.
+    pub frames: usize,
+    /// What the errors below were found by leaving out.
+    pub held_out: HeldOut,
+    /// Median of |predicted / measured − 1| over frames that were left out.
+    pub median_error: f64,
+    /// Root of their mean squared error over the standard deviation of their times.
+    pub rmse_over_sd: f64,
+    /// The upper bound that they give.
+    pub upper: UpperBound,
+    /// How strongly the prior model was believed.
+    pub belief: Belief,
+}
+
+/// Timed frames of one renderer, as many as there is room for: once it is full, each new one takes the place
+/// of another, so that those kept are a fair sample of all.
+#[derive(Clone, Debug)]
+pub struct Calibration {
+    prior: PriorModel,
+    /// Inputs of the kept frames, one row after the other.
+    rows: Vec<f32>,
+    kept: Vec<Kept>,
+    /// Where a row is written.
+    row: Vec<f32>,
+    capacity: usize,
+    offered: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Kept {
+    work: [f64; COSTS],
+    seconds: f64,
+    shown: Shown,
+    /// How many were offered before.
+    order: u64,
+}
+
+impl Calibration {
+    /// With room for `frames`, [`KEPT_FRAMES`]; nothing is allocated afterwards but by [`Calibration::fit`].
+    /// `prior` is a model of another machine or renderer, analytic times a learned factor; [`blank_prior`]
+    /// where there is none.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for another number of frames,
+    /// [`crate::ErrorKind::Unsupported`] for a prior of another kind, [`crate::ErrorKind::OutOfMemory`].
+    pub fn new(prior: &ModelFile, frames: usize) -> Result<Self> {
+        if !KEPT_FRAMES.contains(&frames) {
+            bail!(
+                InvalidArgument,
+                "a calibration is to keep {frames} frames; {} to {} are accepted",
+                KEPT_FRAMES.start(),
+                KEPT_FRAMES.end()
+            );
+        }
+        let prior = PriorModel::new(prior)?;
+        let width = prior.layout().width();
+        let (rows, row) = (room(frames * width)?, filled(width, 0.0)?);
+        Ok(Self { rows, row, kept: room(frames)?, capacity: frames, offered: 0, prior })
+    }
+
+    /// The model that calibration starts from.
+    pub fn prior(&self) -> &PriorModel {
+        &self.prior
+    }
+
+    /// Frames that are kept.
+    pub fn len(&self) -> usize {
+        self.kept.len()
+    }
+
+    /// Whether none is.
+    pub fn is_empty(&self) -> bool {
+        self.kept.is_empty()
+    }
+
+    /// Adds a frame that was drawn at the inputs' setting and took `seconds`.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] for a time that is not positive or over [`LONGEST_FRAME`],
+    /// [`crate::ErrorKind::MissingInput`] when the prior needs an input that was not supplied. Nothing is
+    /// added then.
+    pub fn add(&mut self, inputs: &Inputs<'_>, shown: Shown, seconds: f64) -> Result<()> {
+        if !(seconds > 0.0 && seconds <= f64::from(LONGEST_FRAME)) {
+            bail!(InvalidArgument, "a frame took {seconds} seconds; 0 to {LONGEST_FRAME} are accepted");
+        }
+        let mut row = core::mem::take(&mut self.row);
+        let written = self.prior.layout().write(inputs, &mut row);
+        if written.is_ok() {
+            let Measurement { work, seconds } = Measurement::new(inputs.features, &inputs.setting, seconds);
+            self.add_written(&row, &work, shown, seconds);
+        }
+        self.row = row;
+        written
+    }
+
+    /// As [`Calibration::add`], of a frame whose row and work were written before.
+    pub(crate) fn add_written(&mut self, row: &[f32], work: &[f64; COSTS], shown: Shown, seconds: f64) {
+        if let Some(slot) = self.offer() {
+            let at = slot * row.len();
+            if slot == self.kept.len() {
+                self.rows.extend_from_slice(row);
+            } else {
+                self.rows[at..at + row.len()].copy_from_slice(row);
+            }
+            self.place(slot, Kept { work: *work, seconds, shown, order: self.offered });
+        } else {
+            self.offered += 1;
+        }
+    }
+
+    /// Where the next frame goes; `None` where those that are kept stay.
+    fn offer(&self) -> Option<usize> {
+        if self.kept.len() < self.capacity {
+            return Some(self.kept.len());
+        }
+        // Each of all frames offered stays with the same probability.
+        let drawn = (mixed(0, self.offered) % (self.offered + 1)) as usize;
+        (drawn < self.capacity).then_some(drawn)
+    }
+
+    fn place(&mut self, slot: usize, frame: Kept) {
+        if slot == self.kept.len() {
+            self.kept.push(frame);
+        } else {
+            self.kept[slot] = frame;
+        }
+        self.offered += 1;
+    }
+
+    /// What is left out together, by frame, and what it is.
+    fn groups(&self) -> (HeldOut, Vec<u64>) {
+        let distinct = |numbers: &[u64]| {
+            let mut sorted = numbers.to_vec();
+            sorted.sort_unstable();
+            sorted.dedup();
+            sorted.len()
+        };
+        let volumes: Vec<u64> = self.kept.iter().map(|k| k.shown.volume).collect();
+        if distinct(&volumes) >= FEWEST_GROUPS {
+            return (HeldOut::Volumes, volumes);
+        }
+        let of = |k: &Kept| k.shown.volume ^ k.shown.transfer.rotate_left(32);
+        let transfers: Vec<u64> = self.kept.iter().map(of).collect();
+        if distinct(&transfers) >= FEWEST_GROUPS {
+            return (HeldOut::TransferFunctions, transfers);
+        }
+        if self.kept.len() < 3 * STRETCHES as usize {
+            return (HeldOut::Nothing, volumes.iter().map(|_| 0).collect());
+        }
+        // Frames that follow each other are alike: whole stretches are left out.
+        let last = self.kept.iter().map(|k| k.order).max().unwrap_or(0);
+        let first = self.kept.iter().map(|k| k.order).min().unwrap_or(0);
+        let stretch = |k: &Kept| STRETCHES * (k.order - first) / (last - first + 1);
+        (HeldOut::Stretches, self.kept.iter().map(stretch).collect())
+    }
+
+    /// Fits a model to the frames: a second or less for 500 of them on one thread. `source` names the renderer
+    /// and the clock of their times, and stands in the file.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::NotReady`] for fewer than [`FEWEST_FRAMES`].
+    pub fn fit(&self, source: [&str; 2], executor: Executor<'_>) -> Result<Calibrated> {
+        if self.kept.len() < FEWEST_FRAMES {
+            bail!(
+                NotReady,
+                "{} frames were observed; a model is fitted to {FEWEST_FRAMES} at least, better to 50 or more of several \
+                 volumes and transfer functions",
+                self.kept.len()
+            );
+        }
+        // The fit asks for memory piece by piece: whether it is there is found out first.
+        let pieces = self.kept.len() * (size_of::<Observed>() + 16 * self.prior.layout().width() + 512);
+        drop(room::<u8>(pieces)?);
+        let (held_out, groups) = self.groups();
+        let width = self.prior.layout().width();
+        let frames: Vec<Observed> = self
+            .kept
+            .iter()
+            .zip(self.rows.chunks_exact(width))
+            .zip(&groups)
+            .map(|((k, row), &group)| Observed { row: row.to_vec(), work: k.work, seconds: k.seconds, group })
+            .collect();
+        // A renderer that nothing is known of may convert stored values and wait for memory.
+        let chosen = self.prior.choose(&frames, &UnitCosts::CONVERTING, |_| true, executor)?;
+        let pairs: Vec<(f64, f64)> =
+            chosen.crossed.iter().zip(&frames).map(|(&p, f)| (p, f.seconds)).collect();
+        let mut errors: Vec<f64> = pairs.iter().map(|(p, t)| (p / t - 1.0).abs()).collect();
+        let mut out = Calibrated {
+            file: chosen.file,
+            frames: frames.len(),
+            held_out,
+            median_error: linear::median(&mut errors).unwrap_or(f64::NAN),
+            rmse_over_sd: rmse_over_sd(&pairs).unwrap_or(f64::NAN),
+            upper: UpperBound::from_groups(pairs.iter().map(|(p, t)| libm::log(t / p)).zip(groups)),
+            belief: chosen.belief,
+        };
+        out.write_metadata(source)?;
+        Ok(out)
+    }
+}
+
+impl Calibrated {
+    /// What the file says of itself.
+    fn write_metadata(&mut self, [renderer, clock]: [&str; 2]) -> Result<()> {
+        self.upper.store(&mut self.file)?;
+        let stated = |name: &str| if name.is_empty() { "not stated" } else { name }.to_string();
+        let metadata = &mut self.file.metadata;
+        metadata.insert(Key::Renderer.into(), stated(renderer));
+        metadata.insert(Key::Device.into(), stated(""));
+        metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());
+        // Programs that check clocks know these.
+        if ["cpu", "wall", "device"].contains(&clock) {
+            metadata.insert(CLOCK.into(), clock.into());
+        } else {
+            metadata.remove(CLOCK);
+        }
+        let provenance = serde_json::json!({
+            "what": "Calibrated to its host's renderer: analytic cost model times a learned factor",
+            "clock": stated(clock),
+            "frames": self.frames,
+            "held_out": self.held_out.to_string(),
+            "median_error": self.median_error,
+            "rmse_over_sd": self.rmse_over_sd,
+        });
+        metadata.insert(Key::Provenance.into(), provenance.to_string());
+        Ok(())
+    }
+}

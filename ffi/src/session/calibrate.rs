@@ -1,0 +1,186 @@
+//! A model of the host's own renderer, fitted to frames that a session planned and heard of.
+
+use super::entire_session;
+use super::options::hybrid_options;
+use crate::abi::{ByValue, check_output, check_pointer, no_padding, write_struct};
+use crate::guard::{changing, reading};
+use crate::handle::{borrow, share};
+use crate::model::{entire_model, give_model};
+use crate::reserve;
+use crate::result::entire_result;
+use entire_core::calibrate::HeldOut;
+use entire_core::nn::Executor;
+use std::mem::size_of;
+
+/// What a calibration left out in turn to find what error to expect: one of the `ENTIRE_HELD_OUT_*` numbers.
+pub type entire_held_out = u32;
+/// Nothing, there were too few frames: the error is that of frames that the model was fitted to.
+pub const ENTIRE_HELD_OUT_NOTHING: entire_held_out = 0;
+/// Volumes: the error to expect on other volumes.
+pub const ENTIRE_HELD_OUT_VOLUMES: entire_held_out = 1;
+/// Transfer functions: the error to expect on the same volumes under other transfer functions.
+pub const ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS: entire_held_out = 2;
+/// Stretches of time: the error to expect on other views of what was shown.
+pub const ENTIRE_HELD_OUT_STRETCHES: entire_held_out = 3;
+
+const _: () = assert!(
+    HeldOut::Nothing as u32 == ENTIRE_HELD_OUT_NOTHING
+        && HeldOut::Volumes as u32 == ENTIRE_HELD_OUT_VOLUMES
+        && HeldOut::TransferFunctions as u32 == ENTIRE_HELD_OUT_TRANSFER_FUNCTIONS
+        && HeldOut::Stretches as u32 == ENTIRE_HELD_OUT_STRETCHES
+);
+
+/// What is known of a model that entire_session_calibrate made. Set struct_size before the call.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct entire_calibration_report {
+    /// sizeof(entire_calibration_report).
+    pub struct_size: usize,
+    /// Frames that the model was fitted to.
+    pub frames: usize,
+    /// Median of |predicted / measured - 1| over frames that were left out.
+    pub median_error: f64,
+    /// Root of their mean squared error over the standard deviation of their times.
+    pub rmse_over_sd: f64,
+    /// Upper bound over prediction: nineteen of twenty frames take no longer.
+    pub upper_factor: f64,
+    /// What was left out: one of ENTIRE_HELD_OUT_*.
+    pub held_out: entire_held_out,
+    /// Must be ignored.
+    pub reserved: u32,
+}
+
+// SAFETY: repr(C), struct_size first, integers and floats only.
+unsafe impl ByValue for entire_calibration_report {
+    const NAME: &'static str = "entire_calibration_report";
+    fn defaults() -> Self {
+        Self {
+            struct_size: size_of::<Self>(),
+            frames: 0,
+            median_error: 0.0,
+            rmse_over_sd: 0.0,
+            upper_factor: 1.0,
+            held_out: ENTIRE_HELD_OUT_NOTHING,
+            reserved: 0,
+        }
+    }
+}
+
+no_padding!(entire_calibration_report {
+    struct_size,
+    frames,
+    median_error,
+    rmse_over_sd,
+    upper_factor,
+    held_out,
+    reserved
+});
+
+/// From now on keeps frames that are planned and observed, `frame_count` of them (8 to 65536; later ones take
+/// the place of earlier ones, so that those kept are a fair sample), for entire_session_calibrate. What was
+/// kept before is forgotten. Planning and observing go on without allocating.
+///
+/// `prior` is the model to start from, fitted on another machine or renderer: one of kind residual, as
+/// `entire train` makes them and models/ holds them, with the session's probe. NULL starts from the unit
+/// costs of a software renderer. Observations that are unusual or cancelled do not count, nor does the first
+/// frame of all, nor the first of a volume.
+///
+/// A log of frames that were timed earlier is learned from in the same way: with steering off
+/// (entire_session_set_enabled), plan every frame as it was drawn, and observe its time.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (another number of frames, a prior with another probe than the
+/// session's), ENTIRE_UNSUPPORTED (a prior of another kind), ENTIRE_OUT_OF_MEMORY, ENTIRE_PANIC (a model
+/// handle that is unusable), ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_record(
+    session: *mut entire_session,
+    prior: *const entire_model,
+    frame_count: usize,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            reserve::check()?;
+            let prior = if prior.is_null() { None } else { Some(borrow(prior)?.file()?) };
+            Ok(state.session.record(prior.as_ref(), frame_count)?)
+        })
+    }
+}
+
+/// Fits a model to the frames that were kept since entire_session_record: a model of the renderer and the
+/// machine that they were drawn by. It takes a second or less for 500 frames, on the calling thread. `report`
+/// may be NULL; else set report->struct_size first. The session goes on as it was, and goes on keeping
+/// frames: entire_session_set_model puts the model into it, entire_model_save keeps it for the next run.
+/// Names from entire_session_set_timing_source stand in the model's metadata.
+///
+/// Fails with ENTIRE_NOT_READY (nothing was recorded, or fewer than 8 frames), ENTIRE_OUT_OF_MEMORY,
+/// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_calibrate(
+    session: *const entire_session,
+    model: *mut *mut entire_model,
+    report: *mut entire_calibration_report,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(session, |state| {
+            check_pointer(model, "model (output)")?;
+            if !report.is_null() {
+                check_output(report)?;
+            }
+            reserve::check()?;
+            let made = state.session.calibrate(Executor::Serial)?;
+            if !report.is_null() {
+                let out = entire_calibration_report {
+                    frames: made.frames,
+                    median_error: made.median_error,
+                    rmse_over_sd: made.rmse_over_sd,
+                    upper_factor: f64::from(made.upper.factor()),
+                    held_out: made.held_out as u32,
+                    ..ByValue::defaults()
+                };
+                write_struct(report, &out)?;
+            }
+            give_model(&made.file.to_bytes()?, "calibrated model", model)
+        })
+    }
+}
+
+/// How many frames are kept since entire_session_record; 0 before it.
+///
+/// Fails with ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_recorded_count(
+    session: *const entire_session,
+    frame_count: *mut usize,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(session, |state| {
+            crate::abi::write(frame_count, state.session.recorded().unwrap_or(0), "frame_count (output)")
+        })
+    }
+}
+
+/// Steers by another model from now on, with the options that the session was made with. What was observed is
+/// forgotten; volume, transfer function, limits and recorded frames stay. Where the model takes volume
+/// features, set the volume again. The session keeps its own share of the model.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT (frames are being recorded with another probe than the model's), else
+/// as entire_session_new for a model.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_set_model(
+    session: *mut entire_session,
+    model: *const entire_model,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            reserve::check()?;
+            let predictor = borrow(model)?.predictor()?;
+            state.session.set_predictor(predictor, hybrid_options(&state.options)?)?;
+            state.model = Some(share(model));
+            Ok(())
+        })
+    }
+}
