@@ -47,8 +47,17 @@ fn agrees_with_the_twin() -> Result<(), Failed> {
 /// The probe's own comparison with the twin, and what only a device has.
 fn probe_describes_the_device() -> Result<(), Failed> {
     let folder = workshop();
-    let arguments = ["probe", "--device", "vulkan", "--json", "--frame-ms", "10", "--repeat", "3"];
-    let json: serde_json::Value = serde_json::from_str(&succeeds(folder.path(), &arguments))?;
+    // Beside other programs short frames are timed too roughly, which the command says: then longer ones.
+    let output = ["10", "40", "160"]
+        .into_iter()
+        .map(|ms| {
+            let arguments = ["probe", "--device", "vulkan", "--json", "--frame-ms", ms, "--repeat", "3"];
+            entire(folder.path(), &arguments)
+        })
+        .find(|output| output.status.success() || !stderr(output).contains("with longer frames"))
+        .ok_or("too noisy for frames of 160 ms")?;
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    let json: serde_json::Value = serde_json::from_str(&stdout(&output))?;
     assert_eq!(json["backend"], "vulkan");
     assert!(json["limits"]["max_image_3d"].as_u64() >= Some(256));
     assert!(json["agreement"]["counts"]["samples"].as_u64() > Some(1000));
