@@ -1,8 +1,7 @@
 /* A host that makes a model of its own renderer without leaving its render loop: it records what it draws, fits a model
- * to it, steers by that model, and keeps it for the next run. The "renderer" is a formula here: it pays for pixels and
- * for samples, in other proportions than the cost model that the session starts from.
+ * to it, steers by that model, and keeps it for the next run. The "renderer" is a formula here.
  *
- *   05_calibrate OUT.safetensors [PRIOR.safetensors]
+ *   05_calibrate OUT.safetensors
  */
 #include <entire/entire.h>
 #include <math.h>
@@ -29,14 +28,12 @@ static float draw(const entire_frame *frame, float step) {
 static void show(entire_session *session, int which) {
     for (int i = 0; i < N * N * N; ++i) {
         const float x = (float)(i % N) - N / 2, y = (float)(i / N % N) - N / 2, z = (float)(i / N / N) - N / 2;
-        const float inside = (float)(10 + 3 * which) - sqrtf(x * x + y * y + z * z);
-        voxels[i] = (uint8_t)(inside > 0 ? fminf(255, 12 * inside) : 0);
+        voxels[i] = (uint8_t)fmaxf(0, fminf(255, 12 * ((float)(10 + 3 * which) - sqrtf(x * x + y * y + z * z))));
     }
     entire_volume_desc desc;
     check(entire_volume_desc_init(&desc, sizeof desc));
     desc.scalar_type = ENTIRE_SCALAR_U8;
-    desc.voxels = voxels;
-    desc.voxel_count = sizeof voxels;
+    desc.voxels = voxels, desc.voxel_count = sizeof voxels;
     desc.dims[0] = desc.dims[1] = desc.dims[2] = N;
     entire_volume *volume = NULL;
     check(entire_volume_new(&desc, &volume));
@@ -50,14 +47,11 @@ static void show(entire_session *session, int which) {
 }
 
 int main(int argc, char **argv) {
-    if (argc != 2 && argc != 3) return fprintf(stderr, "usage: %s OUT.safetensors [PRIOR.safetensors]\n", argv[0]), 2;
-    entire_model *prior = NULL;
-    if (argc == 3) check(entire_model_open(argv[2], &prior));
+    if (argc != 2) return fprintf(stderr, "usage: %s OUT.safetensors\n", argv[0]), 2;
     entire_session *session = NULL;
-    check(entire_session_new(prior, NULL, &session));
+    check(entire_session_new(NULL, NULL, &session));
     check(entire_session_set_timing_source(session, "a formula", "wall"));
-    check(entire_session_record(session, prior, 1000));
-
+    check(entire_session_record(session, NULL, 1000));
     entire_frame frame;
     check(entire_frame_init(&frame, sizeof frame));
     for (int v = 0; v < VOLUMES; ++v) {
@@ -75,20 +69,13 @@ int main(int argc, char **argv) {
     entire_model *mine = NULL;
     entire_calibration_report report = {.struct_size = sizeof report};
     check(entire_session_calibrate(session, &mine, &report));
-    printf("%zu frames; on volumes that were left out the median error is %.1f %%\n", report.frames,
-           100 * report.median_error);
+    printf("%zu frames, median error on volumes left out %.1f %%\n", report.frames, 100 * report.median_error);
     check(entire_session_set_model(session, mine));
     check(entire_model_save(mine, argv[1]));
 
-    frame.width = 500;
-    frame.height = 300;
-    frame.step = 1;
     entire_prediction expected = {.struct_size = sizeof expected};
     check(entire_session_predict(session, &frame, &expected));
-    printf("a frame that was never drawn: expected %.2f ms, took %.2f ms\n", 1e3 * expected.seconds,
-           1e3 * draw(&frame, 1));
+    printf("the next frame: expected %.2f ms, takes %.2f ms\n", 1e3 * expected.seconds, 1e3 * draw(&frame, frame.step));
     entire_model_free(mine);
-    entire_model_free(prior);
-    entire_session_free(session);
-    return 0;
+    return entire_session_free(session), 0;
 }
