@@ -5,7 +5,6 @@
  */
 #include <entire/entire.h>
 #include <math.h>
-#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -57,8 +56,7 @@ int main(int argc, char **argv) {
     for (int v = 0; v < VOLUMES; ++v) {
         show(session, v);
         for (int i = 0; i < FRAMES; ++i) { /* as users will look at it: sizes, sides, distances */
-            frame.width = 64 + 97u * (unsigned)i % 500;
-            frame.height = 64 + 61u * (unsigned)i % 400;
+            frame.width = 64 + 97u * (unsigned)i % 500, frame.height = 64 + 61u * (unsigned)i % 400;
             frame.arcball[1] = 47.0f * (float)i;
             frame.arcball[2] = 1.5f + (float)(i % 5) / 2;
             entire_plan plan = {.struct_size = sizeof plan};
