@@ -116,7 +116,7 @@ int main(int argc, char **argv) {
     CHECK(session.set_enabled(false) && session.plan(frame, 0.02f).value().reason == ENTIRE_REASON_OFF);
 
     CHECK(session.calibrate().code() == ENTIRE_NOT_READY && !session.record(3) && session.record(50));
-    for (int i = 0; i < 20; ++i) {
+    for (std::uint32_t i = 0; i < 20; ++i) {
         entire::frame drawn(32 + 16 * i, 64);
         const auto one = session.plan(drawn.orbit(10, float(i), 3), 0.02f).value();
         CHECK(session.observe(one.id, 0.001f * float(2 + i)));
