@@ -1,10 +1,8 @@
 //! Upper bounds: from residuals, in and out of model files, and how well they hold.
 
 use crate::metrics::{BoundMetrics, SHORTEST};
-use anyhow::Result;
-use entire_core::model::{Key, Model, ModelFile};
+use entire_core::model::{Key, Model};
 use entire_core::predict::{UPPER_LEVEL, UpperBound};
-use std::collections::BTreeMap;
 
 /// ln(measured / predicted) of every frame; what is not positive counts as the shortest prediction.
 pub fn log_residuals(predicted: &[f64], measured: &[f64]) -> Vec<f64> {
@@ -20,12 +18,7 @@ pub fn from_predictions(predicted: &[f64], measured: &[f64]) -> UpperBound {
 /// As [`from_predictions`] where frames come in groups (ensemble members) and new frames are of new groups:
 /// every group counts alike, however many frames it has.
 pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> UpperBound {
-    let mut numbers: BTreeMap<&str, u64> = BTreeMap::new();
-    let residuals = log_residuals(predicted, measured).into_iter().zip(groups).map(|(r, group)| {
-        let next = numbers.len() as u64;
-        (r, *numbers.entry(group).or_insert(next))
-    });
-    UpperBound::from_groups(residuals)
+    UpperBound::from_groups(log_residuals(predicted, measured).into_iter().zip(groups))
 }
 
 /// How often a bound holds.
@@ -41,18 +34,10 @@ pub fn of(model: &Model) -> Option<UpperBound> {
     Some(UpperBound { log_factor: stored.get("log_factor")?.as_f64()? as f32 })
 }
 
-/// Puts an upper bound into a model file, keeping what else its calibration holds; leaves the file as it is
-/// where the bound is not known.
-///
-/// # Errors
-/// When what it holds is damaged.
-pub fn set(file: &mut ModelFile, upper: &UpperBound) -> Result<()> {
-    Ok(upper.store(file)?)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use entire_core::model::ModelFile;
 
     #[test]
     fn a_bound_holds_for_its_share_of_the_frames_that_gave_it() {
@@ -87,13 +72,13 @@ mod tests {
     fn a_bound_survives_the_file_beside_what_else_stands_there() {
         let mut file = ModelFile::default();
         file.metadata.insert(Key::Calibration.into(), r#"{"range":[1,2]}"#.into());
-        set(&mut file, &UpperBound { log_factor: 0.25 }).unwrap();
+        UpperBound { log_factor: 0.25 }.store(&mut file).unwrap();
         let text = file.metadata.get(Key::Calibration.name()).unwrap().clone();
         assert!(text.contains("range") && text.contains("0.25"), "{text}");
-        set(&mut file, &UpperBound::default()).unwrap();
+        UpperBound::default().store(&mut file).unwrap();
         assert_eq!(file.metadata.get(Key::Calibration.name()), Some(&text));
         file.metadata.insert(Key::Calibration.into(), "{".into());
-        assert!(set(&mut file, &UpperBound { log_factor: 0.1 }).is_err());
+        assert!(UpperBound { log_factor: 0.1 }.store(&mut file).is_err());
     }
 
     #[test]

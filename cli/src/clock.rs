@@ -6,10 +6,7 @@ use anyhow::{Result, ensure};
 use clap::ValueEnum;
 use entire_core::model::{Key, Model, ModelFile};
 
-/// Metadata key of the clock whose seconds a model predicts: `cpu`, `wall` or `device`.
-pub const CLOCK_KEY: &str = "entire.clock";
-
-/// The clock that a model predicts, as its file says: under [`CLOCK_KEY`], else in its provenance. `None`
+/// The clock that a model predicts, as its file says: under [`Key::Clock`], else in its provenance. `None`
 /// where it says nothing.
 pub fn of(model: &Model) -> Option<Clock> {
     let of_provenance = || {
@@ -17,13 +14,13 @@ pub fn of(model: &Model) -> Option<Clock> {
             serde_json::from_str(model.metadata().get(Key::Provenance.name())?).ok()?;
         Some(provenance.get("clock")?.as_str()?.to_owned())
     };
-    let name = model.metadata().get(CLOCK_KEY).cloned().or_else(of_provenance)?;
+    let name = model.metadata().get(Key::Clock.name()).cloned().or_else(of_provenance)?;
     Clock::from_str(&name, false).ok().filter(|c| *c != Clock::Auto)
 }
 
 /// Writes the clock into a model file.
 pub fn set(file: &mut ModelFile, clock: Clock) {
-    file.metadata.insert(CLOCK_KEY.into(), clock.name().into());
+    file.metadata.insert(Key::Clock.into(), clock.name().into());
 }
 
 /// The clock behind [`Clock::Auto`] for these frames: the device's where every repeat has it, wall time where

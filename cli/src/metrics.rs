@@ -1,5 +1,6 @@
 //! How well predicted seconds fit measured ones.
 
+pub use entire_core::calibrate::median;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde::Serialize;
@@ -8,17 +9,6 @@ use std::collections::BTreeMap;
 /// The shortest prediction that counts as one; anything at or below it, and NaN, is taken as this many
 /// seconds.
 pub const SHORTEST: f64 = 1e-6;
-
-/// Median of some numbers, the mean of the middle two where their number is even; reorders them. `None` when
-/// empty.
-pub fn median(values: &mut [f64]) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    values.sort_by(f64::total_cmp);
-    let mid = values.len() / 2;
-    Some(if values.len() % 2 == 1 { values[mid] } else { 0.5 * (values[mid - 1] + values[mid]) })
-}
 
 /// Errors of predictions over some frames.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -207,8 +207,8 @@ impl Report {
             // What a busy machine's frames say of a quiet one is open: a session believes what it observes.
             upper = UpperBound { log_factor: upper.log_factor.max(BUSY_LOG_FACTOR) };
         }
-        bound::set(file, &upper)?;
-        file.metadata.insert(crate::clock::CLOCK_KEY.into(), self.clock.into());
+        upper.store(file)?;
+        file.metadata.insert(Key::Clock.into(), self.clock.into());
         file.metadata.insert(Key::Renderer.into(), renderer.into());
         file.metadata.insert(Key::Device.into(), device.into());
         file.metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());

@@ -293,7 +293,7 @@ pub fn run(options: &Options) -> Result<()> {
         }
     }
     results.sort_by_key(|r| r.0);
-    bound::set(&mut trained.fitted.file, &upper)?;
+    upper.store(&mut trained.fitted.file)?;
     let noise = noise_floor(refs.iter().copied(), clock, |f| tables[f.table].passes());
     if let Some(n) = noise.filter(|n| n.log_sd_of_median > NOISY) {
         eprintln!(

@@ -8,9 +8,10 @@ use crate::inputs::Layout;
 use crate::metrics::median;
 use crate::train::Standardization;
 use anyhow::{Context, Result, ensure};
+use entire_core::calibrate::hidden_activations;
 use entire_core::features::{SceneFeature, SceneQuantity};
 use entire_core::model::{Key, ModelFile};
-use entire_core::nn::{PredNetParts, SELU_SCALE, Target};
+use entire_core::nn::{PredNetParts, Target};
 use entire_core::predict::UnitCosts;
 use indicatif::ProgressBar;
 
@@ -69,7 +70,7 @@ pub fn calibrate_to_rows(file: &ModelFile, rows: &[f32], seconds: &[f64]) -> Res
             layer.weight.iter_mut().chain(&mut layer.bias).for_each(|v| *v *= factor);
         }
     } else {
-        let hidden = hidden_activations(&parts, &standardized(rows, &scale));
+        let hidden = hidden_rows(&parts, &standardized(rows, &scale), scale.input_mean.len());
         let y: Vec<f64> = seconds
             .iter()
             .map(|t| (t.ln() - f64::from(scale.output_mean)) / f64::from(scale.output_std))
@@ -116,7 +117,7 @@ pub fn transfer(file: &ModelFile, context: &FitContext<'_>, frames: Timed<'_>) -
     let width = last.inputs - 1;
     let (estimate, factor) = (f64::from(last.weight[width]), &last.weight[..width]);
     let (mut hidden, mut y) = (Vec::new(), Vec::new());
-    let activations = hidden_activations(&parts, &standardized(&rows, &scale));
+    let activations = hidden_rows(&parts, &standardized(&rows, &scale), scale.input_mean.len());
     let inputs = scale.input_mean.len();
     let (mut importance, mut neutral) = (Vec::new(), 0.0);
     let standard = |log: f64| (log - f64::from(scale.output_mean)) / f64::from(scale.output_std);
@@ -146,20 +147,7 @@ pub fn transfer(file: &ModelFile, context: &FitContext<'_>, frames: Timed<'_>) -
     Ok(out)
 }
 
-/// What enters the last layer.
-pub(super) fn hidden_activations(parts: &PredNetParts, x: &[f64]) -> Vec<f64> {
-    let mut rows = x.to_vec();
-    for layer in &parts.layers[..parts.layers.len() - 1] {
-        let mut next = Vec::with_capacity(rows.len() / layer.inputs * layer.outputs);
-        for row in rows.chunks_exact(layer.inputs) {
-            for (weights, &bias) in layer.weight.chunks_exact(layer.inputs).zip(&layer.bias) {
-                let sum: f64 =
-                    weights.iter().zip(row).map(|(w, x)| f64::from(*w) * x).sum::<f64>() + f64::from(bias);
-                let alpha = entire_core::nn::SELU_ALPHA;
-                next.push(SELU_SCALE * if sum > 0.0 { sum } else { alpha * sum.exp_m1() });
-            }
-        }
-        rows = next;
-    }
-    rows
+/// What enters the last layer, row after row.
+fn hidden_rows(parts: &PredNetParts, x: &[f64], width: usize) -> Vec<f64> {
+    x.chunks_exact(width).flat_map(|row| hidden_activations(parts, row.to_vec())).collect()
 }

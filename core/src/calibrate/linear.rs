@@ -35,7 +35,7 @@ pub fn solve(a: &mut [f64], mut b: Vec<f64>) -> Option<Vec<f64>> {
 
 /// Median of some numbers, the mean of the middle two where their number is even; reorders them. `None` when
 /// empty.
-pub(super) fn median(values: &mut [f64]) -> Option<f64> {
+pub fn median(values: &mut [f64]) -> Option<f64> {
     if values.is_empty() {
         return None;
     }

@@ -12,8 +12,8 @@ mod posterior;
 mod tests;
 
 pub use blank::blank_prior;
-pub use linear::solve;
-pub use posterior::{Belief, Chosen, Observed, PriorModel};
+pub use linear::{median, solve};
+pub use posterior::{Belief, Chosen, Observed, PriorModel, hidden_activations};
 
 use crate::Result;
 use crate::error::bail;
@@ -37,9 +37,6 @@ pub const KEPT_FRAMES: RangeInclusive<usize> = FEWEST_FRAMES..=65_536;
 
 /// Stretches of time that are left out in turn where there are too few volumes and transfer functions.
 const STRETCHES: u64 = 5;
-
-/// The key that says which clock's seconds a model predicts.
-const CLOCK: &str = "entire.clock";
 
 /// What a timed frame showed: frames of one volume have one number, and so have those of one transfer
 /// function.
@@ -181,36 +178,17 @@ impl Calibration {
 
     /// As [`Calibration::add`], of a frame whose row and work were written before.
     pub(crate) fn add_written(&mut self, row: &[f32], work: &[f64; COSTS], shown: Shown, seconds: f64) {
-        if let Some(slot) = self.offer() {
-            let at = slot * row.len();
-            if slot == self.kept.len() {
-                self.rows.extend_from_slice(row);
-            } else {
-                self.rows[at..at + row.len()].copy_from_slice(row);
-            }
-            self.place(slot, Kept { work: *work, seconds, shown, order: self.offered });
-        } else {
-            self.offered += 1;
-        }
-    }
-
-    /// Where the next frame goes; `None` where those that are kept stay.
-    fn offer(&self) -> Option<usize> {
-        if self.kept.len() < self.capacity {
-            return Some(self.kept.len());
-        }
+        let frame = Kept { work: *work, seconds, shown, order: self.offered };
         // Each of all frames offered stays with the same probability.
         let drawn = (mixed(0, self.offered) % (self.offered + 1)) as usize;
-        (drawn < self.capacity).then_some(drawn)
-    }
-
-    fn place(&mut self, slot: usize, frame: Kept) {
-        if slot == self.kept.len() {
-            self.kept.push(frame);
-        } else {
-            self.kept[slot] = frame;
-        }
         self.offered += 1;
+        if self.kept.len() < self.capacity {
+            self.rows.extend_from_slice(row);
+            self.kept.push(frame);
+        } else if let Some(slot) = self.kept.get_mut(drawn) {
+            self.rows[drawn * row.len()..(drawn + 1) * row.len()].copy_from_slice(row);
+            *slot = frame;
+        }
     }
 
     /// What is left out together, by frame, and what it is.
@@ -275,7 +253,7 @@ impl Calibration {
             file: chosen.file,
             frames: frames.len(),
             held_out,
-            median_error: linear::median(&mut errors).unwrap_or(f64::NAN),
+            median_error: median(&mut errors).unwrap_or(f64::NAN),
             rmse_over_sd: rmse_over_sd(&pairs).unwrap_or(f64::NAN),
             upper: UpperBound::from_groups(pairs.iter().map(|(p, t)| libm::log(t / p)).zip(groups)),
             belief: chosen.belief,
@@ -296,9 +274,9 @@ impl Calibrated {
         metadata.insert(Key::StepReference.into(), "smallest voxel spacing".into());
         // Programs that check clocks know these.
         if ["cpu", "wall", "device"].contains(&clock) {
-            metadata.insert(CLOCK.into(), clock.into());
+            metadata.insert(Key::Clock.into(), clock.into());
         } else {
-            metadata.remove(CLOCK);
+            metadata.remove(Key::Clock.name());
         }
         let provenance = serde_json::json!({
             "what": "Calibrated to its host's renderer: analytic cost model times a learned factor",

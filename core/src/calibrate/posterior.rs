@@ -176,21 +176,9 @@ impl PriorModel {
 
     /// ψ of a row: what enters the last layer, in units of the output.
     fn activations(&self, row: &[f32]) -> Vec<f64> {
-        let mut values: Vec<f64> =
+        let standardized =
             row.iter().zip(&self.inputs).map(|(&x, (mean, std))| (f64::from(x) - mean) / std).collect();
-        let hidden = &self.parts.layers[..self.parts.layers.len() - 1];
-        for layer in hidden {
-            values = layer
-                .weight
-                .chunks_exact(layer.inputs)
-                .zip(&layer.bias)
-                .map(|(weights, &bias)| {
-                    let sum: f64 = weights.iter().zip(&values).map(|(&w, x)| f64::from(w) * x).sum();
-                    let sum = sum + f64::from(bias);
-                    SELU_SCALE * if sum > 0.0 { sum } else { SELU_ALPHA * libm::expm1(sum) }
-                })
-                .collect();
-        }
+        let mut values = hidden_activations(&self.parts, standardized);
         values.truncate(self.weights.len());
         values.iter_mut().for_each(|v| *v *= self.deviation);
         values
@@ -391,6 +379,24 @@ impl PriorModel {
         let fitted = self.fit(&prior, &all, belief);
         Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: count })
     }
+}
+
+/// What enters a network's last layer, of standardized inputs.
+pub fn hidden_activations(parts: &PredNetParts, mut values: Vec<f64>) -> Vec<f64> {
+    let hidden = parts.layers.split_last().map_or(&[][..], |(_, hidden)| hidden);
+    for layer in hidden {
+        values = layer
+            .weight
+            .chunks_exact(layer.inputs)
+            .zip(&layer.bias)
+            .map(|(weights, &bias)| {
+                let sum: f64 = weights.iter().zip(&values).map(|(&w, x)| f64::from(w) * x).sum();
+                let sum = sum + f64::from(bias);
+                SELU_SCALE * if sum > 0.0 { sum } else { SELU_ALPHA * libm::expm1(sum) }
+            })
+            .collect();
+    }
+    values
 }
 
 /// Calls `f` with each item, on as many threads as the executor has.

@@ -54,7 +54,7 @@ fn a_posterior_finds_another_machines_unit_costs_and_keeps_the_rest() {
     let there = predict(&chosen.file, &rows);
     let mut errors: Vec<f64> =
         there.iter().zip(100..160).map(|(p, i)| (p / seconds(i) - 1.0).abs()).collect();
-    let middle = linear::median(&mut errors).unwrap();
+    let middle = median(&mut errors).unwrap();
     assert!(middle < 0.03 && errors[errors.len() - 1] < 0.2, "{middle} {errors:?}");
     // Two volumes are too few to choose by: the prior's shape at this machine's speed.
     let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();

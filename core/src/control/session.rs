@@ -263,16 +263,22 @@ impl Session {
                 out_of_range: p.out_of_range,
                 reason: Reason::Off,
             };
-            return Ok(self.note(frame, target, changes, own, decision, (frame.step, 1.0), setting));
+            let plan = self.note(frame, target, changes, own, decision, (frame.step, 1.0));
+            self.record_plan(plan.id, changes, setting);
+            return Ok(plan);
         }
         let limits = self.coarsening.limits();
         let (controller, mut cost) = self.costing(changes, setting)?;
         let mut at = |step| cost.at(step);
         let decision = controller.plan(&mut PlanRequest { target, limits, changes, cost: &mut at });
         let terms = cost.at(decision.step);
-        let at = self.coarsening.setting(setting, decision.step);
+        let recorded = self.recording.is_some().then(|| self.coarsening.setting(setting, decision.step));
         let drawn = self.coarsening.take(decision.step);
-        Ok(self.note(frame, target, changes, terms, decision, drawn, at))
+        let plan = self.note(frame, target, changes, terms, decision, drawn);
+        if let Some(setting) = recorded {
+            self.record_plan(plan.id, changes, setting);
+        }
+        Ok(plan)
     }
 
     /// Chooses among settings, best quality first: the index and the plan of the first
@@ -331,7 +337,9 @@ impl Session {
             reason,
         };
         let drawn = (decision.step, 1.0);
-        Ok((index, self.note(frame, target, changes, terms, decision, drawn, settings[index])))
+        let plan = self.note(frame, target, changes, terms, decision, drawn);
+        self.record_plan(plan.id, changes, settings[index]);
+        Ok((index, plan))
     }
 
     /// Hears how long a planned frame took.
@@ -428,14 +436,7 @@ impl Session {
         changes: Changes,
         setting: Setting,
     ) -> Result<(&mut (dyn Controller + Send), Cost<'_>)> {
-        let inputs = Inputs {
-            features: &self.features,
-            setting,
-            changes,
-            camera: self.features.pose(),
-            volume_features: self.volume_features.as_deref(),
-            lobes: self.lobes.as_deref(),
-        };
+        let inputs = inputs_of(&self.features, setting, changes, &self.volume_features, &self.lobes);
         self.predictor.check(&inputs)?;
         let cost = Cost {
             predictor: &mut *self.predictor,
@@ -461,14 +462,7 @@ impl Session {
     }
 
     fn terms_at(&mut self, changes: Changes, setting: &Setting) -> Result<CostTerms> {
-        let inputs = Inputs {
-            features: &self.features,
-            setting: *setting,
-            changes,
-            camera: self.features.pose(),
-            volume_features: self.volume_features.as_deref(),
-            lobes: self.lobes.as_deref(),
-        };
+        let inputs = inputs_of(&self.features, *setting, changes, &self.volume_features, &self.lobes);
         if self.predictor.knows_step() {
             return self.predictor.terms(&inputs);
         }
@@ -477,7 +471,6 @@ impl Session {
         Ok(scaled(terms, &self.shape, &self.features, setting))
     }
 
-    #[expect(clippy::too_many_arguments, reason = "what was decided, and what it was decided from")]
     fn note(
         &mut self,
         frame: &Frame,
@@ -486,10 +479,8 @@ impl Session {
         terms: CostTerms,
         decision: Decision,
         (step, image_sample_distance): (f32, f32),
-        drawn: Setting,
     ) -> Plan {
         let id = self.next_id;
-        self.record_plan(id, changes, drawn);
         self.next_id += 1;
         self.pending[(id % PENDING_PLANS as u64) as usize] = Some(Pending {
             id,
@@ -513,6 +504,25 @@ impl Session {
             out_of_range: decision.out_of_range,
             reason: decision.reason,
         }
+    }
+}
+
+/// What predictors may ask for about the frame that was measured last. Of the session's parts, not of the
+/// session: what asks is one of them.
+fn inputs_of<'a>(
+    features: &'a FrameFeatures,
+    setting: Setting,
+    changes: Changes,
+    volume_features: &'a Option<Vec<f32>>,
+    lobes: &'a Option<Vec<GaussianLobe>>,
+) -> Inputs<'a> {
+    Inputs {
+        features,
+        setting,
+        changes,
+        camera: features.pose(),
+        volume_features: volume_features.as_deref(),
+        lobes: lobes.as_deref(),
     }
 }
 

@@ -28,6 +28,8 @@ pub enum Key {
     Renderer,
     /// `entire.device`: the device that the timings come from (free text).
     Device,
+    /// `entire.clock`: the clock whose seconds the model predicts: `cpu` (processor time), `wall` or `device`.
+    Clock,
     /// `entire.step_reference`: what a step of 1 meant in the timings (free text).
     StepReference,
     /// `entire.provenance`: where the weights come from (free text, JSON where structured).
@@ -59,6 +61,7 @@ impl Key {
             Self::SceneFeatures => "entire.scene_features",
             Self::Renderer => "entire.renderer",
             Self::Device => "entire.device",
+            Self::Clock => "entire.clock",
             Self::StepReference => "entire.step_reference",
             Self::Provenance => "entire.provenance",
             Self::Calibration => "entire.calibration",

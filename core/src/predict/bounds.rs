@@ -44,16 +44,15 @@ impl UpperBound {
     }
 
     /// As [`UpperBound::from_residuals`] where frames come in groups (volumes) and new frames are of new
-    /// groups: every group counts alike, however many frames it has. Residuals with the number of their
-    /// group.
-    pub fn from_groups(residuals: impl IntoIterator<Item = (f64, u64)>) -> Self {
-        let mut sorted: Vec<(f64, u64)> =
+    /// groups: every group counts alike, however many frames it has. Residuals with their group.
+    pub fn from_groups<G: Ord>(residuals: impl IntoIterator<Item = (f64, G)>) -> Self {
+        let mut sorted: Vec<(f64, G)> =
             residuals.into_iter().map(|(r, g)| (if r.is_nan() { f64::INFINITY } else { r }, g)).collect();
-        let mut sizes: BTreeMap<u64, f64> = BTreeMap::new();
-        for (_, group) in &sorted {
-            *sizes.entry(*group).or_default() += 1.0;
-        }
         sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut sizes: BTreeMap<&G, f64> = BTreeMap::new();
+        for (_, group) in &sorted {
+            *sizes.entry(group).or_default() += 1.0;
+        }
         // One frame more than there are, as in split-conformal bounds.
         let wanted = UPPER_LEVEL * sizes.len() as f64 * (1.0 + 1.0 / sorted.len().max(1) as f64);
         let mut sum = 0.0;

@@ -234,7 +234,7 @@ pub fn run(options: &Options) -> Result<()> {
     bar.finish_and_clear();
     let mut file = current.fitted.file;
     let predicted = predict(&file.to_model()?, &context, &judged.frames)?;
-    bound::set(&mut file, &bound::from_predictions(&predicted, &judged.seconds))?;
+    bound::from_predictions(&predicted, &judged.seconds).store(&mut file)?;
     file.metadata.insert(
         Key::Provenance.into(),
         json!({ "what": current.fitted.what, "chosen": name, "dropped": dropped, "recipe": current.recipe,

@@ -81,7 +81,7 @@ pub(super) fn kept(path: &Path, identity: &str, upper: Option<UpperBound>) -> Re
         return Ok(None);
     }
     if let Some(upper) = upper.filter(|u| bound::of(&model) != Some(*u)) {
-        bound::set(&mut file, &upper)?;
+        upper.store(&mut file)?;
         write_whole(path, &file.to_bytes()?)?;
     }
     Ok(Some(file))

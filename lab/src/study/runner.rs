@@ -140,10 +140,10 @@ impl Runner<'_> {
         let mut file = fitted.file;
         let judged = if judged.frames.is_empty() { validation } else { judged };
         if let Some(upper) = upper {
-            bound::set(&mut file, &upper)?;
+            upper.store(&mut file)?;
         } else if !judged.frames.is_empty() {
             let predicted = predict(&file.to_model()?, context, &judged.frames)?;
-            bound::set(&mut file, &bound::from_predictions(&predicted, &judged.seconds))?;
+            bound::from_predictions(&predicted, &judged.seconds).store(&mut file)?;
         }
         file.metadata.insert(STUDY_KEY.into(), mark);
         if recipe.file.is_none() || !file.metadata.contains_key(Key::Provenance.name()) {

@@ -56,8 +56,11 @@ impl Recording {
         let counts = !inputs.changes.first
             && !inputs.changes.volume
             && layout.write(inputs, &mut self.rows[at * width..(at + 1) * width]).is_ok();
-        let Measurement { work, .. } = Measurement::new(inputs.features, &inputs.setting, 1.0);
-        self.planned[at] = Planned { id: if counts { id } else { 0 }, work, shown: self.shown };
+        self.planned[at].id = 0;
+        if counts {
+            let Measurement { work, .. } = Measurement::new(inputs.features, &inputs.setting, 1.0);
+            self.planned[at] = Planned { id, work, shown: self.shown };
+        }
     }
 
     /// Hears a planned frame's time.
@@ -80,7 +83,8 @@ impl Session {
     /// `prior` is the model to start from, fitted on another machine or renderer: an analytic one times a
     /// learned factor. Its probe must be the session's. Without one, unit costs of a software renderer are
     /// what is started from. Frames whose observation is unusual or cancelled do not count, nor do the first
-    /// one of all and of a volume, nor those that lack an input which the prior takes. Planning and observing go on without allocating.
+    /// one of all and of a volume, nor those that lack an input which the prior takes. Planning and observing
+    /// go on without allocating.
     ///
     /// A log of frames that were timed earlier is learned from in the same way: with steering off
     /// ([`Session::set_enabled`]), plan each frame as it was drawn, and observe its time.
@@ -179,16 +183,9 @@ impl Session {
 
     /// Notes a plan for the recording, if there is one.
     pub(super) fn record_plan(&mut self, id: u64, changes: Changes, setting: Setting) {
-        let inputs = Inputs {
-            features: &self.features,
-            setting,
-            changes,
-            camera: self.features.pose(),
-            volume_features: self.volume_features.as_deref(),
-            lobes: self.lobes.as_deref(),
-        };
         if let Some(recording) = &mut self.recording {
-            recording.plan(id, &inputs);
+            let (features, lobes) = (&self.features, &self.lobes);
+            recording.plan(id, &super::inputs_of(features, setting, changes, &self.volume_features, lobes));
         }
     }
 }
