@@ -38,11 +38,13 @@ impl Belief {
     }
 }
 
-/// What cross-validation chooses among. Ratios of unit costs are of one machine: that they hold on the next is
-/// never believed.
+/// What cross-validation chooses among, beside [`SPEED_ALONE`].
 const COSTS_SD: [f64; 3] = [0.15, 0.5, 1.5];
 const WEIGHTS_SD: [(f64, f64); 7] =
     [(1.0, 0.0), (1.0, 0.2), (1.0, 0.7), (0.5, 0.0), (0.5, 0.2), (0.5, 0.7), (0.25, 2.0)];
+
+/// The prior model is that of such a machine: what it does not know yet is how fast this one runs today.
+const SPEED_ALONE: Belief = Belief { costs: 0.0, share: 1.0, weights: 0.0 };
 
 /// Standard deviation of ln t about the model, before it is known.
 const NOISE: f64 = 0.06;
@@ -221,8 +223,11 @@ impl PriorModel {
 
     /// Fits the frames, believing the prior as strongly as said.
     fn fit(&self, prior: &[f64; COSTS], frames: &[&Prepared], belief: Belief) -> Posterior {
-        let active: Vec<usize> =
-            (0..COSTS).filter(|&i| prior[i] > 0.0 && frames.iter().any(|f| f.work[i] > 0.0)).collect();
+        // Where no cost moves, none that the prior model does not know is thought of.
+        let moves = belief.costs > 0.0;
+        let prior = if moves { prior } else { &self.costs };
+        let paid = |i: usize| prior[i] > 0.0 && frames.iter().any(|f| f.work[i] > 0.0);
+        let active: Vec<usize> = (0..COSTS).filter(|&i| moves && paid(i)).collect();
         let (k, width) = (active.len(), if belief.weights > 0.0 { self.weights.len() } else { 0 });
         let m = k + width + 1;
         let expected: Vec<f64> = self.weights.iter().map(|w| belief.share * w).collect();
@@ -339,11 +344,9 @@ impl PriorModel {
             let crossed = prepared.iter().map(|f| libm::exp(fitted.log_seconds(f))).collect();
             return Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: 0 });
         }
-        let mut tried: Vec<(Belief, Vec<f64>)> = COSTS_SD
-            .iter()
-            .flat_map(|&costs| {
-                WEIGHTS_SD.iter().map(move |&(share, weights)| Belief { costs, share, weights })
-            })
+        let with = |costs| WEIGHTS_SD.iter().map(move |&(share, weights)| Belief { costs, share, weights });
+        let mut tried: Vec<(Belief, Vec<f64>)> = core::iter::once(SPEED_ALONE)
+            .chain(COSTS_SD.into_iter().flat_map(with))
             .map(|belief| (belief, vec![0.0; frames.len()]))
             .collect();
         each(executor, &mut tried, &|item: &mut (Belief, Vec<f64>)| {

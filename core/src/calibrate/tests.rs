@@ -56,6 +56,17 @@ fn a_posterior_finds_another_machines_unit_costs_and_keeps_the_rest() {
         there.iter().zip(100..160).map(|(p, i)| (p / seconds(i) - 1.0).abs()).collect();
     let middle = median(&mut errors).unwrap();
     assert!(middle < 0.03 && errors[errors.len() - 1] < 0.2, "{middle} {errors:?}");
+    // On a machine of the prior's make that runs at another speed today, nothing but the speed is learned.
+    let slower: Vec<Observed> = (0..80)
+        .map(|i| {
+            let estimate: f64 = model.costs().iter().zip(work(i)).map(|(c, w)| c * w).sum();
+            let noise = 1.0 + 0.02 * ((i * 7 % 5) as f64 - 2.0);
+            Observed { seconds: 1.22 * noise * estimate, ..frames[i].clone() }
+        })
+        .collect();
+    let today = model.choose(&slower, &UnitCosts::SOFTWARE, |_| true, Executor::Serial).unwrap();
+    assert_eq!((today.belief.costs, today.belief.share, today.belief.weights), (0.0, 1.0, 0.0));
+    assert_eq!(today.file.metadata[Key::UnitCosts.name()], prior.metadata[Key::UnitCosts.name()]);
     // Two volumes are too few to choose by: the prior's shape at this machine's speed.
     let few: Vec<Observed> = frames.iter().filter(|f| f.group < 2).cloned().collect();
     assert_eq!(model.choose(&few, &UnitCosts::SOFTWARE, |_| true, Executor::Serial).unwrap().folds, 0);
