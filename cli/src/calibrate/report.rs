@@ -160,17 +160,18 @@ impl Report {
             line(&mut out, "noise", noise.describe());
         }
         let from = self.prior.as_deref().unwrap_or("unit costs of a software renderer");
-        line(
-            &mut out,
-            "fitted",
+        let Belief { costs, share, weights } = self.belief;
+        let believed = if costs > 0.0 {
             format!(
-                "from {from}; cross-validation believes its unit costs within a factor of {:.2}, {:.0} % of \
-                 its learned factor within {:.1} times its weights",
-                self.belief.costs.exp(),
-                100.0 * self.belief.share,
-                self.belief.weights
-            ),
-        );
+                "its unit costs within a factor of {:.2}, {:.0} % of its learned factor within {weights:.1} times \
+                 its weights",
+                costs.exp(),
+                100.0 * share
+            )
+        } else {
+            "it as it is, but for this machine's speed".into()
+        };
+        line(&mut out, "fitted", format!("from {from}; cross-validation believes {believed}"));
         let interval = self
             .median_error_interval
             .map_or(String::new(), |(low, high)| format!(" ({:.1} to {:.1} %)", 100.0 * low, 100.0 * high));

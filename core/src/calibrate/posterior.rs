@@ -43,7 +43,7 @@ const COSTS_SD: [f64; 3] = [0.15, 0.5, 1.5];
 const WEIGHTS_SD: [(f64, f64); 7] =
     [(1.0, 0.0), (1.0, 0.2), (1.0, 0.7), (0.5, 0.0), (0.5, 0.2), (0.5, 0.7), (0.25, 2.0)];
 
-/// The prior model is that of such a machine: what it does not know yet is how fast this one runs today.
+/// The prior model is of a machine like this one: all that it does not know is how fast this one runs today.
 const SPEED_ALONE: Belief = Belief { costs: 0.0, share: 1.0, weights: 0.0 };
 
 /// Standard deviation of ln t about the model, before it is known.
@@ -223,7 +223,7 @@ impl PriorModel {
 
     /// Fits the frames, believing the prior as strongly as said.
     fn fit(&self, prior: &[f64; COSTS], frames: &[&Prepared], belief: Belief) -> Posterior {
-        // Where no cost moves, none that the prior model does not know is thought of.
+        // Where no cost may move, work that costs nothing in the prior model costs nothing here.
         let moves = belief.costs > 0.0;
         let prior = if moves { prior } else { &self.costs };
         let paid = |i: usize| prior[i] > 0.0 && frames.iter().any(|f| f.work[i] > 0.0);
