@@ -3,7 +3,7 @@
 use super::{Changes, FrameFeatures, SceneQuantity, Setting};
 
 /// Unit costs of the linear model: one for the frame itself, then one per quantity of [`COST_QUANTITIES`].
-pub const COSTS: usize = 18;
+pub const COSTS: usize = 21;
 
 /// The quantities that cost time, in the order of the unit costs after the first.
 pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
@@ -20,6 +20,9 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
     SceneQuantity::SpreadSamples,
     SceneQuantity::Segments,
     SceneQuantity::SpreadSegments,
+    SceneQuantity::LaneShadowSamples,
+    SceneQuantity::SpreadShadowSamples,
+    SceneQuantity::SpreadLocalSamples,
     SceneQuantity::RemappedSamples,
     SceneQuantity::FarX,
     SceneQuantity::FarY,
@@ -28,7 +31,7 @@ pub const COST_QUANTITIES: [SceneQuantity; COSTS - 1] = [
 
 /// The first of [`COST_QUANTITIES`] are what every renderer may pay for; those beyond are for renderers that
 /// convert each stored value or wait for memory ([`UnitCosts::CONVERTING`]), and cost others nothing.
-pub(crate) const COMMON_COSTS: usize = 14;
+pub(crate) const COMMON_COSTS: usize = 17;
 
 /// Seconds of a frame and of each of [`COST_QUANTITIES`].
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,8 +41,8 @@ impl UnitCosts {
     /// Of the order of a software renderer on a few cores; what matters are their ratios, since the first
     /// observations set the scale.
     pub const SOFTWARE: Self = Self([
-        2.0e-4, 3.5e-8, 1.0e-8, 1.1e-8, 2.0e-9, 7.0e-9, 1.2e-8, 8.0e-8, 4.0e-8, 3.5e-8, 1.6e-7, 1.2e-8,
-        1.0e-9, 1.0e-9, 0.0, 0.0, 0.0, 0.0,
+        2.0e-4, 3.5e-8, 1.0e-8, 1.1e-8, 2.0e-9, 7.0e-9, 6.0e-9, 2.0e-8, 1.0e-9, 3.5e-8, 1.6e-7, 1.2e-8,
+        1.0e-9, 1.0e-9, 4.0e-9, 1.0e-8, 2.0e-8, 0.0, 0.0, 0.0, 0.0,
     ]);
 
     /// [`UnitCosts::SOFTWARE`] of a renderer on the CPU that looks stored values up in tables and reads

@@ -103,6 +103,10 @@ pub struct Work {
     pub shaded: f64,
     /// Samples along shadow rays, with single scattering; else 0.
     pub shadow_samples: f64,
+    /// [`Self::shadow_samples`] where eight rays beside each other wait while any of them shades, …
+    pub lane_shadow_samples: f64,
+    /// … and as if rays beside each other were far apart.
+    pub(crate) parted_shadow_samples: f64,
     /// Runs of samples between jumps; 0 without skipping.
     pub runs: f64,
     /// Segments of those runs, those of shadow rays included; 0 without skipping.
@@ -118,6 +122,13 @@ impl Work {
         let square = self.ray_spacing * self.ray_spacing;
         square / (square + UNSHARED_SPACING * UNSHARED_SPACING)
     }
+
+    /// As [`Self::unshared`] of what is read around a sample, for its gradient or along its shadow ray, with
+    /// [`UNSHARED_SHADING`].
+    pub(crate) fn unshared_shading(&self) -> f64 {
+        let square = self.ray_spacing * self.ray_spacing;
+        square / (square + UNSHARED_SHADING * UNSHARED_SHADING)
+    }
 }
 
 /// Voxels of a volume of which a cache holds half, for [`SceneQuantity::FarX`] and the like.
@@ -125,6 +136,9 @@ pub(crate) const CACHED_VOXELS: f64 = 2.0e6;
 
 /// Ray spacing in reference steps at which half of what a sample reads is shared with no other ray.
 pub(crate) const UNSHARED_SPACING: f64 = 2.0;
+
+/// Ray spacing in reference steps at which half of what shading reads is shared with no other ray.
+pub(crate) const UNSHARED_SHADING: f64 = 8.0;
 
 /// What a camera sees of a volume under a transfer function, measured once per frame.
 ///
@@ -275,18 +289,25 @@ impl FrameFeatures {
             shadow_skips = if skipping { p.shadow_skips * inv } else { 0.0 };
             shadow_segments = p.shadow_segments * inv;
         }
-        Work {
+        let shadow_samples = rays * f64::from(shadow);
+        let waiting = if p.visible > 0.0 { f64::from(p.busy / p.visible).max(1.0) } else { 1.0 };
+        let mut work = Work {
             pixels,
             rays,
             samples: rays * f64::from(per_ray),
             skips: rays * f64::from(skips + shadow_skips),
             lane_samples: rays * f64::from(per_lane),
             shaded: rays * f64::from(shaded),
-            shadow_samples: rays * f64::from(shadow),
+            shadow_samples,
+            lane_shadow_samples: 0.0,
+            parted_shadow_samples: shadow_samples * waiting,
             runs: if skipping { rays * f64::from(p.runs) } else { 0.0 },
             segments: if skipping { rays * f64::from(p.segments + shadow_segments) } else { 0.0 },
             ray_spacing: f64::from(p.spread / setting.height as f32),
-        }
+        };
+        // Rays nearer than a voxel or two shade together.
+        work.lane_shadow_samples = shadow_samples * (1.0 + work.unshared() * (waiting - 1.0));
+        work
     }
 
     /// A quantity at a setting.
@@ -310,6 +331,9 @@ impl FrameFeatures {
             Q::SpreadRuns => work.runs * work.unshared(),
             Q::Segments => work.segments,
             Q::SpreadSegments => work.segments * work.unshared(),
+            Q::LaneShadowSamples => work.lane_shadow_samples,
+            Q::SpreadShadowSamples => work.parted_shadow_samples * work.unshared_shading(),
+            Q::SpreadLocalSamples => only(Shading::Local, work.shaded) * work.unshared_shading(),
             Q::SegmentsPerRay => work.segments / work.rays.max(1.0),
             Q::ShadedPerPixel => per_pixel(work.shaded),
             Q::ShadowPerPixel => per_pixel(work.shadow_samples),

@@ -143,6 +143,14 @@ quantities! {
         "segments, each weighted by how little neighboring rays share";
     SegmentsPerRay, "segments_per_ray", "segments/ray", 0.1, yes, yes,
         "segments over rays that meet the volume's box";
+    LaneShadowSamples, "lane_shadow_samples", "samples", 1.0, yes, yes,
+        "samples along shadow rays where eight rays beside each other wait while any of them shades";
+    SpreadShadowSamples, "spread_shadow_samples", "samples", 1.0, yes, yes,
+        "samples along shadow rays with all eight waiting, each weighted by how little shadow rays of \
+         neighboring rays share";
+    SpreadLocalSamples, "spread_local_samples", "samples", 1.0, yes, yes,
+        "visible samples, with local shading, each weighted by how little the gradients of neighboring rays \
+         share; else 0";
 }
 
 impl fmt::Display for SceneQuantity {

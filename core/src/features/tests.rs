@@ -409,8 +409,8 @@ proptest! {
         let tf = TransferFunction::Gaussian(std::vec![GaussianLobe { center, width, height }]).to_table().unwrap();
         let f = Frame { shading: [Shading::None, Shading::Local, Shading::Scatter][shading], skipping: [Skipping::None, Skipping::Blocks, Skipping::Distance][skipping], ..frame(rx, ry, dz, 100) };
         let features = measured(&s, &tf, &f);
-        let counts = |w: Work| [w.pixels, w.rays, w.samples, w.skips, w.lane_samples, w.shaded, w.shadow_samples];
-        let mut last: Option<[f64; 7]> = None;
+        let counts = |w: Work| [w.pixels, w.rays, w.samples, w.skips, w.lane_samples, w.shaded, w.shadow_samples, w.lane_shadow_samples, w.parted_shadow_samples * w.unshared_shading()];
+        let mut last: Option<[f64; 9]> = None;
         for i in 0..40 {
             let step = 0.25 * 1.15f32.powi(i);
             let now = counts(features.work(&Setting { step, ..Setting::from(&f) }));
@@ -422,7 +422,7 @@ proptest! {
             }
             last = Some(now);
         }
-        let mut last = [0.0f64; 7];
+        let mut last = [0.0f64; 9];
         for size in [1, 2, 3, 10, 50, 100, 333, 1000, 4000] {
             let now = counts(features.work(&Setting { width: size, height: size, ..Setting::from(&f) }));
             for (k, v) in now.iter().enumerate() {

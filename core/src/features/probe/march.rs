@@ -31,8 +31,13 @@ pub(super) const SHADOW_ALL: usize = 12;
 /// Looks at the skip map for the samples of the ray, and of its shadow ray, times the visible length.
 pub(super) const SEGMENTS: usize = 13;
 pub(super) const SHADOW_SEGMENTS: usize = 14;
+/// Length in which any of 2^[`LANES_LOG2`] rays beside each other meets a visible sample; with a shadow ray only.
+pub(super) const BUSY: usize = 15;
 /// How many numbers.
-pub(super) const FIELDS: usize = 15;
+pub(super) const FIELDS: usize = 16;
+
+/// Rays that a renderer on the CPU marches side by side: log2 of their number.
+pub(super) const LANES_LOG2: usize = 3;
 
 /// Direction components nearer to zero than this are taken as this.
 pub(super) const TINY: f32 = 1.0e-9;
@@ -163,6 +168,7 @@ pub(super) struct Ray {
     pub(super) shadow_all: f32,
     pub(super) segments: f32,
     pub(super) shadow_segments: f32,
+    pub(super) busy: f32,
     pub(super) terminated: bool,
 }
 
@@ -179,6 +185,7 @@ impl Ray {
         shadow_all: 0.0,
         segments: 0.0,
         shadow_segments: 0.0,
+        busy: 0.0,
         terminated: false,
     };
 }
@@ -260,6 +267,7 @@ impl<'a> March<'a> {
             rays[SHADOW_ALL][i] = ray.shadow_all;
             rays[SEGMENTS][i] = ray.segments;
             rays[SHADOW_SEGMENTS][i] = ray.shadow_segments;
+            rays[BUSY][i] = ray.busy;
         }
     }
 
@@ -317,6 +325,13 @@ impl<'a> March<'a> {
                 let shown = used * here.visible;
                 out.visible += shown;
                 if self.scatters && shown > 0.0 {
+                    // The share in which not all of the lanes miss what is visible, as if each saw a part of
+                    // the cell of its own.
+                    let mut miss = 1.0 - here.visible;
+                    for _ in 0..LANES_LOG2 {
+                        miss *= miss;
+                    }
+                    out.busy += used * (1.0 - miss);
                     // Keeps one visible point with the probability of its length, reusing the draw.
                     let keep = shown / out.visible;
                     if draw < keep {

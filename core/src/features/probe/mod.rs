@@ -7,8 +7,8 @@ mod packet;
 mod tests;
 
 use self::march::{
-    CHORD, DEPTH, DRAW, EMPTY, FIELDS, March, OCCUPIED, RUNS, SEGMENTS, SHADOW, SHADOW_ALL, SHADOW_SEGMENTS,
-    SHADOW_SKIPS, TERMINATED, U, V, VISIBLE,
+    BUSY, CHORD, DEPTH, DRAW, EMPTY, FIELDS, March, OCCUPIED, RUNS, SEGMENTS, SHADOW, SHADOW_ALL,
+    SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, U, V, VISIBLE,
 };
 use super::{Footprint, TransferSummary, VolumeSummary};
 use crate::kernels::Level;
@@ -49,6 +49,9 @@ pub(crate) struct Probe {
     pub(super) empty: f32,
     /// Length in which samples have opacity.
     pub(super) visible: f32,
+    /// Length in which any of eight rays beside each other meets a sample with opacity, as if each saw a part
+    /// of a cell of its own; 0 unless the frame scatters.
+    pub(super) busy: f32,
     /// Runs of samples between jumps: how often a ray comes from an empty block (or from outside) into an
     /// occupied one.
     pub(super) runs: f32,
@@ -89,6 +92,7 @@ impl Probe {
         occupied: 0.0,
         empty: 0.0,
         visible: 0.0,
+        busy: 0.0,
         runs: 0.0,
         segments: 0.0,
         spread: 0.0,
@@ -180,7 +184,7 @@ impl Probe {
                 let i = iy * side + ix;
                 rays[U][i] = low[0] + size[0] * (ix as f32 + OFFSETS[i][0]) * per_side;
                 rays[V][i] = low[1] + size[1] * (iy as f32 + OFFSETS[i][1]) * per_side;
-                rays[DRAW][i] = OFFSETS[count - 1 - i][0];
+                rays[DRAW][i] = OFFSETS[i][2];
             }
         }
         let mut march = March::new(volume, transfer, frame, shape);
@@ -223,6 +227,7 @@ impl Probe {
             occupied: occupied * inv,
             empty: total(EMPTY) * inv,
             visible: total(VISIBLE) * inv,
+            busy: total(BUSY) * inv,
             runs: total(RUNS) * inv,
             segments: total(SEGMENTS) * inv,
             spread: frame.camera.height_at(depth) / shape.reference_step,
@@ -345,14 +350,15 @@ fn relative_error(values: &[f32], chords: &[f32], side: usize, hits: usize) -> f
 }
 
 /// Where in its stratum each ray goes: the additive recurrence of the plastic number, which fills the square
-/// evenly.
-static OFFSETS: [[f32; 2]; MAX_RAYS] = {
-    let mut out = [[0.0; 2]; MAX_RAYS];
+/// evenly. Beside it the draw of its shadow ray: that of the golden ratio, which goes with neither.
+static OFFSETS: [[f32; 3]; MAX_RAYS] = {
+    let mut out = [[0.0; 3]; MAX_RAYS];
     let mut i = 0;
     while i < MAX_RAYS {
         let u = 0.5 + i as f64 * 0.754_877_666_246_692_8;
         let v = 0.5 + i as f64 * 0.569_840_290_998_053_2;
-        out[i] = [(u - u as u64 as f64) as f32, (v - v as u64 as f64) as f32];
+        let w = 0.5 + i as f64 * 0.618_033_988_749_894_8;
+        out[i] = [(u - u as u64 as f64) as f32, (v - v as u64 as f64) as f32, (w - w as u64 as f64) as f32];
         i += 1;
     }
     out

@@ -3,8 +3,8 @@
 //! packet holds rays that cross about as many cells.
 
 use super::march::{
-    CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, KEPT, March, OCCUPIED, RUNS, SEGMENTS, SHADOW,
-    SHADOW_ALL, SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, TINY, U, V, VISIBLE,
+    BUSY, CHORD, ChordCounts, DEPTH, DRAW, EMPTY, FIELDS, KEPT, LANES_LOG2, March, OCCUPIED, RUNS, SEGMENTS,
+    SHADOW, SHADOW_ALL, SHADOW_SEGMENTS, SHADOW_SKIPS, TERMINATED, TINY, U, V, VISIBLE,
 };
 use super::{MAX_RAYS, SHADOW_DIRECTION};
 use crate::features::transfer::packed;
@@ -327,7 +327,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         let mut walk = self.walk(start, pace, t_enter);
         let mut t = t_enter;
         let mut depth = zero;
-        let (mut occupied, mut empty, mut visible) = (zero, zero, zero);
+        let (mut occupied, mut empty, mut visible, mut busy) = (zero, zero, zero, zero);
         let (mut runs, mut segments, mut far, mut terminated) = (zero, zero, zero, zero);
         let mut lit = simd.splat(-1.0);
         let mut was_occupied = simd.lt(zero, zero);
@@ -379,6 +379,12 @@ impl<S: Simd> Packet<'_, '_, S> {
                 visible = simd.select(full, simd.add(visible, shown), visible);
                 if scatters {
                     let shines = simd.and_m(simd.lt(zero, shown), full);
+                    let mut miss = simd.sub(simd.splat(1.0), shows);
+                    for _ in 0..LANES_LOG2 {
+                        miss = simd.mul(miss, miss);
+                    }
+                    let any = simd.mul(used, simd.sub(simd.splat(1.0), miss));
+                    busy = simd.select(shines, simd.add(busy, any), busy);
                     let keep = simd.div(shown, visible);
                     let keeps = simd.and_m(simd.lt(draw, keep), shines);
                     let redrawn = simd.div(draw, keep);
@@ -423,6 +429,9 @@ impl<S: Simd> Packet<'_, '_, S> {
             }
         }
         let lights = simd.le(zero, lit);
+        if scatters {
+            self.spread(busy, rays[BUSY], order, count);
+        }
         if scatters && simd.any(lights) {
             let mut from = [zero; 3];
             for k in 0..3 {
