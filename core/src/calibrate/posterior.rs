@@ -338,7 +338,7 @@ impl PriorModel {
         let folds = folds(frames);
         let count = folds.iter().max().map_or(0, |m| m + 1);
         if count < FEWEST_GROUPS {
-            // Too little to choose by: the prior's shape, and the speed of this machine.
+            // Too little to choose by: the prior's factor, costs near the prior's, and the speed of this machine.
             let belief = Belief { costs: COSTS_SD[0], share: 1.0, weights: 0.0 };
             let fitted = self.fit(&prior, &all, belief);
             let crossed = prepared.iter().map(|f| libm::exp(fitted.log_seconds(f))).collect();
