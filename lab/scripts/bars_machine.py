@@ -5,11 +5,14 @@
     bars_machine.py --data FOLDER [--out out/bars-machine] [--only STEP,…] [--no-test] [--steps]
 
 Prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short or missing. FOLDER holds ensembles/ and scans/.
+Test frames are timed once before the calibration of their mode and once after it, and count with the mean: a machine that
+changes speed meanwhile was on average as fast as while it was calibrated.
 Every step leaves a file in --out and is passed over when that is there, so that the whole can be done in slices of a few
 minutes each on a quiet machine: --steps lists them, --only makes some and prints the bars that they are enough for.
 Needs Python 3.9 and `entire` (--bin), and nothing else.
 """
 import argparse
+import csv
 import json
 import os
 import shutil
@@ -35,7 +38,28 @@ FEW_FRAMES = 20
 FEW_LIMIT = 0.10
 OBSERVED = 10
 BUSY_LIMIT = 0.08
+# When test frames are timed, with calibration between.
+WHEN = ("before", "after")
 INVALID_LIMIT = 0
+
+
+def merge(halves, out):
+    """One table of the same frames timed twice: every frame with all of its repeats."""
+    rows = {}
+    for half in halves:
+        with open(half, newline="") as file:
+            reader = csv.DictReader(file)
+            for row in reader:
+                rows.setdefault(int(row["frame"]), []).append(row)
+    with open(out, "w", newline="") as file:
+        writer = csv.DictWriter(file, reader.fieldnames, lineterminator="\n")
+        writer.writeheader()
+        for frame in sorted(rows):
+            for repeat, row in enumerate(rows[frame]):
+                writer.writerow({**row, "repeat": repeat})
+    manifest = json.loads(halves[0].with_suffix(".manifest.json").read_text())
+    manifest["repeats"] = manifest["settings"]["passes"] = len(halves)
+    out.with_suffix(".manifest.json").write_text(json.dumps(manifest, indent=1))
 
 
 class Machine:
@@ -49,19 +73,23 @@ class Machine:
         print("$ entire " + " ".join(map(str, arguments)), file=sys.stderr, flush=True)
         subprocess.run([self.entire, *map(str, arguments)], cwd=cwd, check=True, stdout=sys.stderr, **kept)
 
-    def table(self, split, mode):
-        """Random frames of volumes that no calibration renders."""
+    def table(self, split, mode, when):
+        """Random frames of volumes that no calibration renders, before or after the calibration."""
         if split == "members":
             paths = [f"ensembles/{m}/t{t:04}.nrrd" for m in MEMBERS for t in MEMBER_STEPS]
             more = ["--enlarge", 2]
         else:
             paths, more = [f"scans/{s}.nrrd" for s in SCANS], []
-        out = self.out / f"{split}-{mode}.csv"
+        out = self.out / f"{split}-{mode}-{when}.csv"
         # Interrupted, it goes on.
-        self.run("collect", *paths, "--out", out, "--shade", mode, "--frames", FRAMES[mode], "--repeats", 3, *more,
+        self.run("collect", *paths, "--out", out, "--shade", mode, "--frames", FRAMES[mode], "--repeats", 1, *more,
                  "--seed", 202, "--resume", cwd=self.data)
-        self.run("features", "--data", out, "--probe-sides", "4,7", "--root", self.data)
-        (self.out / f"{split}-{mode}.done").touch()
+        (self.out / f"{split}-{mode}-{when}.done").touch()
+        halves = [self.out / f"{split}-{mode}-{w}.csv" for w in WHEN]
+        if all((self.out / f"{split}-{mode}-{w}.done").exists() for w in WHEN):
+            merge(halves, self.out / f"{split}-{mode}.csv")
+            self.run("features", "--data", self.out / f"{split}-{mode}.csv", "--probe-sides", "4,7", "--root", self.data)
+            (self.out / f"{split}-{mode}.done").touch()
 
     def calibrate(self, name, mode, *more):
         frames = self.out / f"{name}.csv"
@@ -96,11 +124,15 @@ class Machine:
     def steps(self):
         steps = {}
         for mode in MODES:
-            for split in ("members", "scans"):
-                if split == "members" or LIMITS[mode][2] is not None:
-                    steps[f"{split}-{mode}"] = (f"{split}-{mode}.done", lambda s=split, m=mode: self.table(s, m))
-            steps[f"calibrate-{mode}"] = (f"model-{mode}.json", lambda m=mode: self.calibrate(f"model-{m}", m))
-        steps["calibrate-few"] = ("few.json", lambda: self.calibrate("few", "none", "--frames", FEW_FRAMES))
+            splits = ["members"] + (["scans"] if LIMITS[mode][2] is not None else [])
+            for when in WHEN:
+                if when == WHEN[1]:
+                    steps[f"calibrate-{mode}"] = (f"model-{mode}.json", lambda m=mode: self.calibrate(f"model-{m}", m))
+                    if mode == "none":
+                        steps["calibrate-few"] = ("few.json", lambda: self.calibrate("few", "none", "--frames", FEW_FRAMES))
+                for split in splits:
+                    name = f"{split}-{mode}-{when}"
+                    steps[name] = (f"{name}.done", lambda s=split, m=mode, w=when: self.table(s, m, w))
         steps["calibrate-busy"] = ("busy.json", self.calibrate_busy)
         return steps
 
@@ -165,7 +197,7 @@ def main():
     steps = machine.steps()
     if options.steps:
         for name, (stamp, _) in steps.items():
-            print(f"{name:<18}{'done' if (machine.out / stamp).exists() else '-'}")
+            print(f"{name:<23}{'done' if (machine.out / stamp).exists() else '-'}")
         return 0
     wanted = [s for s in options.only.split(",") if s] or list(steps)
     unknown = [s for s in wanted if s not in steps]

@@ -105,10 +105,10 @@ fn random_order(pool: &Pool) -> Vec<usize> {
 
 fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
     let n = pool.candidates.len() as f64;
-    let width = pool.candidates.first().map_or(0, |c| c.row.len());
+    let width = pool.candidates.first().map_or(0, |c| c.rows[0].len());
     let mut moments = vec![(0.0, 0.0); width];
     for c in &pool.candidates {
-        for (m, &x) in moments.iter_mut().zip(&c.row) {
+        for (m, &x) in moments.iter_mut().zip(&c.rows[0]) {
             m.0 += f64::from(x) / n;
             m.1 += f64::from(x).powi(2) / n;
         }
@@ -117,7 +117,7 @@ fn vectors(pool: &Pool, costs: &[f64]) -> Vec<Vec<f64>> {
         .iter()
         .map(|c| {
             let mut v = vec![1.0];
-            v.extend(c.row.iter().zip(&moments).map(|(&x, (mean, square))| {
+            v.extend(c.rows[0].iter().zip(&moments).map(|(&x, (mean, square))| {
                 let deviation = (square - mean * mean).max(0.0).sqrt();
                 if deviation > 1e-6 { (f64::from(x) - mean) / deviation } else { 0.0 }
             }));
@@ -164,14 +164,14 @@ mod tests {
             volume: 0,
             factor: 1,
             scene: TimedFrame::of_no_volume("v", "").scene,
-            row: row.to_vec(),
+            rows: vec![row.to_vec()],
             work: [1.0; COSTS],
             random: false,
         };
         Pool {
             volumes: Vec::new(),
             candidates: rows.iter().map(candidate).collect(),
-            prior: ModelFile::default(),
+            priors: vec![ModelFile::default()],
             expected: vec![1.0; rows.len()],
         }
     }

@@ -124,7 +124,7 @@ impl<'a> Measuring<'a> {
     /// # Errors
     /// When a volume cannot be read or the renderer fails.
     pub fn run(&mut self) -> Result<()> {
-        let costs = entire_core::calibrate::PriorModel::new(&self.pool.prior)
+        let costs = entire_core::calibrate::PriorModel::new(&self.pool.priors[0])
             .map_or(UnitCosts::SOFTWARE.0, |p| *p.costs());
         let mut design = Design::new(self.pool, &costs);
         // What the prior expects is of another machine: a small batch says by how much it is off here.

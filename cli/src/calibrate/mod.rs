@@ -17,7 +17,7 @@ use crate::fit::FitContext;
 use crate::fit::analytic::counts;
 use crate::inputs::{Layout, work_of};
 use anyhow::{Context, Result, ensure};
-use entire_core::calibrate::{FEWEST_FRAMES, Observed, PriorModel, blank_prior};
+use entire_core::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, blank_prior};
 use entire_core::features::PROBE_SIDE;
 use entire_core::model::ModelFile;
 use entire_core::nn::Executor;
@@ -81,16 +81,38 @@ impl Groups {
     }
 }
 
-/// Renders frames for as long as there is time, or until `stop` says so, and fits a model to them. `prior` is
-/// a model by its name; without one, unit costs of a software renderer and no factor are what is started
-/// from.
+/// A model that a calibration may start from, by its name.
+pub type NamedPrior = (String, ModelFile);
+
+/// What each prior makes of the frames, and the fit that predicts volumes best that it was not fitted to. `observed`
+/// gives the frames as the prior of an index sees them.
+fn best_fit(
+    priors: &[ModelFile],
+    observed: &[Vec<Observed>],
+    renderer: &UnitCosts,
+    judged: impl Fn(usize) -> bool,
+    threads: &rayon::ThreadPool,
+) -> Result<(usize, Chosen)> {
+    let mut best: Option<(usize, Chosen)> = None;
+    for (i, (prior, frames)) in priors.iter().zip(observed).enumerate() {
+        let chosen = PriorModel::new(prior)?.choose(frames, renderer, &judged, Executor::Rayon(threads))?;
+        if best.as_ref().is_none_or(|(_, b)| chosen.score < b.score) {
+            best = Some((i, chosen));
+        }
+    }
+    best.context("there is no model to start from")
+}
+
+/// Renders frames for as long as there is time, or until `stop` says so, and fits a model to them: each of
+/// `priors` is taken to them, and the one that then predicts left-out volumes best is kept. Without any, unit costs
+/// of a software renderer and no factor are what is started from.
 ///
 /// # Errors
 /// When volumes cannot be read, the renderer fails or lacks the clock, or it was stopped before
 /// [`FEWEST_FRAMES`] were drawn.
 pub fn calibrate(
     settings: &Settings,
-    prior: Option<&(String, ModelFile)>,
+    priors: &[NamedPrior],
     renderer: &mut dyn Renderer,
     threads: &rayon::ThreadPool,
     stop: &dyn Fn() -> bool,
@@ -100,7 +122,7 @@ pub fn calibrate(
     let deadline = start + Duration::from_secs_f64((settings.seconds - FIT_SECONDS).max(1.0));
     bar.set_length(settings.seconds.ceil() as u64);
     bar.set_message("choosing frames");
-    let pool = Pool::draw(settings, prior.map(|p| &p.1), threads)?;
+    let pool = Pool::draw(settings, priors.iter().map(|p| p.1.clone()).collect(), threads)?;
     let mut measuring = Measuring::new(settings, &pool, renderer, deadline, start, stop, bar);
     measuring.run()?;
     let Measured { frames, passes, others, rounds, warm_ups } = measuring.finish();
@@ -111,7 +133,7 @@ pub fn calibrate(
         frames.len()
     );
     let mut groups = Groups::default();
-    let observed: Vec<Observed> = frames
+    let of_first: Vec<Observed> = frames
         .iter()
         .map(|f| {
             let candidate = &pool.candidates[f.number as usize];
@@ -122,24 +144,30 @@ pub fn calibrate(
                 )
             })?;
             Ok(Observed {
-                row: candidate.row.clone(),
+                row: candidate.rows[0].clone(),
                 work: candidate.work,
                 seconds,
                 group: groups.number(&f.scene.volume),
             })
         })
         .collect::<Result<_>>()?;
-    let split = PriorModel::new(&pool.prior)?;
+    let mut observed = vec![of_first];
+    for prior in 1..pool.priors.len() {
+        let rows = frames.iter().map(|f| pool.candidates[f.number as usize].rows[prior].clone());
+        let others = observed[0].iter().zip(rows).map(|(o, row)| Observed { row, ..o.clone() }).collect();
+        observed.push(others);
+    }
     // Chosen frames are the strange ones; those drawn at random are what users draw.
     let random: Vec<bool> = frames.iter().map(|f| pool.candidates[f.number as usize].random).collect();
     let enough = random.iter().filter(|r| **r).count() >= 20;
     let judged = |i: usize| !enough || random[i];
     // On some processors rays that lie apart wait for memory, on others hardly.
-    let chosen = split.choose(&observed, &UnitCosts::CONVERTING, judged, Executor::Rayon(threads))?;
+    let (started, chosen) = best_fit(&pool.priors, &observed, &UnitCosts::CONVERTING, judged, threads)?;
+    let observed = observed.swap_remove(started);
     let noise = noise_floor(&frames, settings.clock, |f| passes.get(&f.number).copied().unwrap_or(1));
     let report = Report::new(
         (settings.shading, settings.clock),
-        prior.map(|p| p.0.as_str()),
+        priors.get(started).map(|p| p.0.as_str()),
         &observed,
         &chosen,
         judged,
@@ -162,7 +190,7 @@ pub fn calibrate(
 pub fn calibrate_to_tables(
     tables: &[Table],
     (shading, clock): (Shading, Clock),
-    prior: Option<&(String, ModelFile)>,
+    priors: &[NamedPrior],
     threads: &rayon::ThreadPool,
 ) -> Result<(ModelFile, Report)> {
     let start = Instant::now();
@@ -174,39 +202,44 @@ pub fn calibrate_to_tables(
         frames.len(),
         shading
     );
-    let file = match prior {
-        Some((_, file)) => file.clone(),
-        None => blank_prior(PROBE_SIDE)?,
+    let files: Vec<ModelFile> = match priors {
+        [] => vec![blank_prior(PROBE_SIDE)?],
+        some => some.iter().map(|p| p.1.clone()).collect(),
     };
-    let layout = Layout::of_model(&file.to_model()?)?;
     let hidden = ProgressBar::hidden();
     let context = FitContext { tables, pool: threads, bar: &hidden, stop: &|| false };
-    let rows = layout.rows(tables, &frames, threads, &hidden)?;
     let part = Timed { frames: &frames, seconds: &seconds };
-    // Another renderer may convert stored values or wait for memory; tables from before that was counted hold
-    // no such work.
-    let renderer = UnitCosts::CONVERTING;
-    let (renderer, work) = match counts(&context, part, &renderer, layout.probe_side()) {
-        Ok(work) => (renderer, work),
-        Err(_) => (UnitCosts::SOFTWARE, counts(&context, part, &UnitCosts::SOFTWARE, layout.probe_side())?),
-    };
     let mut groups = Groups::default();
-    let observed: Vec<Observed> = frames
-        .iter()
-        .zip(rows.chunks_exact(layout.width()))
-        .zip(work)
-        .zip(&seconds)
-        .map(|(((f, row), counted), &seconds)| {
-            let work = work_of(counted);
-            Observed { row: row.to_vec(), work, seconds, group: groups.number(&f.scene.volume) }
-        })
-        .collect();
-    let split = PriorModel::new(&file)?;
-    let chosen = split.choose(&observed, &renderer, |_| true, Executor::Rayon(threads))?;
+    let volumes: Vec<u64> = frames.iter().map(|f| groups.number(&f.scene.volume)).collect();
+    let mut renderer = UnitCosts::CONVERTING;
+    let mut observed: Vec<Vec<Observed>> = Vec::new();
+    for file in &files {
+        let layout = Layout::of_model(&file.to_model()?)?;
+        let rows = layout.rows(tables, &frames, threads, &hidden)?;
+        // Another renderer may convert stored values or wait for memory; tables from before that was counted hold
+        // no such work.
+        let work = counts(&context, part, &renderer, layout.probe_side()).or_else(|_| {
+            renderer = UnitCosts::SOFTWARE;
+            counts(&context, part, &renderer, layout.probe_side())
+        })?;
+        let of_prior = rows.chunks_exact(layout.width()).zip(work).zip(&seconds).zip(&volumes);
+        observed.push(
+            of_prior
+                .map(|(((row, counted), &seconds), &group)| Observed {
+                    row: row.to_vec(),
+                    work: work_of(counted),
+                    seconds,
+                    group,
+                })
+                .collect(),
+        );
+    }
+    let (started, chosen) = best_fit(&files, &observed, &renderer, |_| true, threads)?;
+    let observed = observed.swap_remove(started);
     let noise = noise_floor(frames.iter().copied(), clock, |f| tables[f.table].passes());
     let report = Report::new(
         (shading, clock),
-        prior.map(|p| p.0.as_str()),
+        priors.get(started).map(|p| p.0.as_str()),
         &observed,
         &chosen,
         |_| true,

@@ -34,8 +34,8 @@ pub struct Candidate {
     pub factor: usize,
     /// What is shown.
     pub scene: Scene,
-    /// Inputs of the prior model, in its order.
-    pub row: Vec<f32>,
+    /// Inputs of each prior model, in its order.
+    pub rows: Vec<Vec<f32>>,
     /// Estimated work: 1, then the counts.
     pub work: [f64; COSTS],
     /// Whether it is one of those that are drawn as users draw.
@@ -48,9 +48,9 @@ pub struct Pool {
     pub volumes: Vec<PathBuf>,
     /// The candidates; a frame's number is its index.
     pub candidates: Vec<Candidate>,
-    /// The model that calibration starts from.
-    pub prior: ModelFile,
-    /// Seconds by the prior, for its own machine.
+    /// The models that calibration may start from; at least one.
+    pub priors: Vec<ModelFile>,
+    /// Seconds by the first of them, for its own machine.
     pub expected: Vec<f64>,
 }
 
@@ -58,8 +58,12 @@ impl Pool {
     /// Draws candidates of every volume and computes what is known of them.
     ///
     /// # Errors
-    /// When a volume cannot be read.
-    pub fn draw(settings: &Settings, prior: Option<&ModelFile>, threads: &rayon::ThreadPool) -> Result<Self> {
+    /// When a volume cannot be read, or priors cast different numbers of probe rays.
+    pub fn draw(
+        settings: &Settings,
+        mut priors: Vec<ModelFile>,
+        threads: &rayon::ThreadPool,
+    ) -> Result<Self> {
         ensure!(!settings.volumes.is_empty(), "there is no volume to calibrate with; name some");
         let scenes = SceneDistribution {
             radii: DEFAULT_RADII.to_vec(),
@@ -104,11 +108,16 @@ impl Pool {
                 }
             }
         }
-        let prior = match prior {
-            Some(prior) => prior.clone(),
-            None => blank_prior(PROBE_SIDE)?,
-        };
-        let layout = Layout::of_model(&prior.to_model()?)?;
+        if priors.is_empty() {
+            priors.push(blank_prior(PROBE_SIDE)?);
+        }
+        let layouts: Vec<Layout> =
+            priors.iter().map(|p| Layout::of_model(&p.to_model()?)).collect::<Result<_>>()?;
+        let probe_side = layouts[0].probe_side();
+        ensure!(
+            layouts.iter().all(|l| l.probe_side() == probe_side),
+            "the models to start from cast different numbers of probe rays; name one of them with --prior"
+        );
         let tables = [Table {
             path: PathBuf::new(),
             manifest: None,
@@ -119,25 +128,31 @@ impl Pool {
         }];
         let refs: Vec<&TimedFrame> = frames.iter().collect();
         let bar = ProgressBar::hidden();
-        let known = measure(&tables, &refs, Some(layout.probe_side()), None, threads, &bar, |_, inputs| {
-            let mut row = vec![0.0; layout.width()];
-            layout.write(inputs, &mut row)?;
+        let known = measure(&tables, &refs, Some(probe_side), None, threads, &bar, |_, inputs| {
+            let rows: Vec<Vec<f32>> = layouts
+                .iter()
+                .map(|layout| {
+                    let mut row = vec![0.0; layout.width()];
+                    layout.write(inputs, &mut row)?;
+                    Ok(row)
+                })
+                .collect::<Result<_>>()?;
             let work = inputs.features.work(&inputs.setting);
             let count = |q| inputs.features.quantity(q, &inputs.setting, &work, Changes::default()) as f32;
-            Ok((row, COST_QUANTITIES.map(count)))
+            Ok((rows, COST_QUANTITIES.map(count)))
         })?;
         let candidates: Vec<Candidate> = frames
             .iter()
             .zip(known)
             .zip(places)
-            .map(|((frame, (row, counted)), (volume, factor, random))| {
+            .map(|((frame, (rows, counted)), (volume, factor, random))| {
                 let work = work_of(counted);
-                Candidate { volume, factor, scene: frame.scene.clone(), row, work, random }
+                Candidate { volume, factor, scene: frame.scene.clone(), rows, work, random }
             })
             .collect();
-        let model = prior.to_model()?;
-        let rows: Vec<f32> = candidates.iter().flat_map(|c| c.row.iter().copied()).collect();
-        let expected = crate::fit::predict_rows(&model, &rows, layout.width())?;
-        Ok(Self { volumes: settings.volumes.clone(), candidates, prior, expected })
+        let model = priors[0].to_model()?;
+        let rows: Vec<f32> = candidates.iter().flat_map(|c| c.rows[0].iter().copied()).collect();
+        let expected = crate::fit::predict_rows(&model, &rows, layouts[0].width())?;
+        Ok(Self { volumes: settings.volumes.clone(), candidates, priors, expected })
     }
 }

@@ -1,17 +1,16 @@
 //! `entire calibrate`: a model of this machine, in a minute and a half.
 
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
-use crate::calibrate::{Calibrated, Settings, calibrate, calibrate_to_tables};
+use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
 use crate::dataset::{Clock, Writer, read_tables};
 use crate::device::{self, Device};
 use crate::files::{check_model_out, make_folder_of, note, read_model_file, write_whole};
 use crate::interrupt;
 use crate::options::{SkipOption, thread_pool};
 use crate::progress::templated_bar;
-use crate::steering::race::shipped_file;
+use crate::steering::race::shipped_files;
 use anyhow::{Context, Result, ensure};
 use clap::ValueEnum;
-use entire_core::model::ModelFile;
 use entire_core::scene::Shading;
 use std::path::{Path, PathBuf};
 
@@ -61,7 +60,8 @@ pub struct Options {
     /// Write the measured frames too, as a timing table.
     #[arg(long, value_name = "FILE.csv")]
     pub table: Option<PathBuf>,
-    /// The model to start from, of kind residual; the shipped one of the mode in models/ unless given.
+    /// The model to start from, of kind residual; unless given, each of the mode's shipped ones in models/ is
+    /// tried, and the one that then predicts left-out volumes best is kept.
     #[arg(long, value_name = "SAFETENSORS")]
     pub prior: Option<PathBuf>,
     /// Wall seconds that each mode may take.
@@ -182,8 +182,8 @@ pub fn run(options: &Options) -> Result<()> {
     let mut written = 0;
     println!("renderer   {} ({})", renderer.device(), renderer.backend());
     for (&shading, out) in options.shade.modes().iter().zip(&outs) {
-        let prior = prior_of(options, shading)?;
-        if prior.is_none() {
+        let priors = priors_of(options, shading)?;
+        if priors.is_empty() {
             note(
                 "models/ is not here: the calibration starts from the unit costs of a software renderer; run it in \
                  the project's root, or name a model with --prior",
@@ -204,7 +204,7 @@ pub fn run(options: &Options) -> Result<()> {
         let bar = templated_bar(options.quiet, "calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
         let stopped = || interrupt::requested(&stop);
         let Calibrated { file, report, frames } =
-            calibrate(&settings, prior.as_ref(), renderer.as_mut(), &threads, &stopped, &bar)?;
+            calibrate(&settings, &priors, renderer.as_mut(), &threads, &stopped, &bar)?;
         if let Some(table) = &mut table {
             for f in &frames {
                 table.append(written, &f.scene, &f.repeats)?;
@@ -225,12 +225,13 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// The model to start from, by its name: the one that is named, else the shipped one.
-fn prior_of(options: &Options, shading: Shading) -> Result<Option<(String, ModelFile)>> {
-    Ok(match &options.prior {
-        Some(path) => Some((path.display().to_string(), read_model_file(path)?.0)),
-        None => shipped_file(shading)?.map(|(path, file)| (path.display().to_string(), file)),
-    })
+/// The models to start from, by their names: the one that is named, else the shipped ones.
+fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
+    let found = match &options.prior {
+        Some(path) => vec![(path.clone(), read_model_file(path)?.0)],
+        None => shipped_files(shading)?,
+    };
+    Ok(found.into_iter().map(|(path, file)| (path.display().to_string(), file)).collect())
 }
 
 /// Fits to frames that were logged.
@@ -240,9 +241,8 @@ fn from_tables(options: &Options) -> Result<()> {
     for &shading in options.shade.modes() {
         let out = out_of(options, shading)?;
         check_model_out(&out)?;
-        let prior = prior_of(options, shading)?;
-        let (file, report) =
-            calibrate_to_tables(&tables, (shading, options.clock), prior.as_ref(), &threads)?;
+        let priors = priors_of(options, shading)?;
+        let (file, report) = calibrate_to_tables(&tables, (shading, options.clock), &priors, &threads)?;
         write_whole(&out, &file.to_bytes()?)?;
         print!("{}", report.text());
         for warning in report.warnings() {

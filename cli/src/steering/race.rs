@@ -110,6 +110,31 @@ pub fn shipped_file(shading: Shading) -> Result<Option<(PathBuf, ModelFile)>> {
     Ok(Some((path, file)))
 }
 
+/// All models in `models/` that were selected for a shading mode, those of other makes of machine after the first
+/// (`unshaded-epyc-selected.safetensors`); none where the working folder is not the project's.
+///
+/// # Errors
+/// When one is there and no model.
+pub fn shipped_files(shading: Shading) -> Result<Vec<(PathBuf, ModelFile)>> {
+    let Some(first) = shipped_file(shading)? else { return Ok(Vec::new()) };
+    let name = first.0.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let begin = name.trim_end_matches("selected.safetensors");
+    let mut others: Vec<PathBuf> = std::fs::read_dir("models")?
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .filter(|path| {
+            let other = path.file_name().unwrap_or_default().to_string_lossy();
+            other != name && other.starts_with(begin) && other.ends_with("-selected.safetensors")
+        })
+        .collect();
+    others.sort();
+    let mut out = vec![first];
+    for path in others {
+        let (file, _) = crate::files::read_model_file(&path)?;
+        out.push((path, file));
+    }
+    Ok(out)
+}
+
 /// What calibration gave.
 #[derive(Clone, Debug)]
 pub struct Prepared {

@@ -114,6 +114,9 @@ pub struct Chosen {
     pub crossed: Vec<f64>,
     /// Groups that were left out in turn; 0 where nothing was.
     pub folds: usize,
+    /// What the choice went by: ln of a robust relative error plus ln of RMSE over SD, of the judged frames without
+    /// their volume. Fits of several priors to the same frames compare by it; less is better.
+    pub score: f64,
 }
 
 impl PriorModel {
@@ -335,14 +338,19 @@ impl PriorModel {
             .map(|f| Prepared { psi: self.activations(&f.row), work: f.work, log: libm::log(f.seconds) })
             .collect();
         let all: Vec<&Prepared> = prepared.iter().collect();
+        let pairs = |crossed: &[f64]| -> Vec<(f64, f64)> {
+            let pairs = crossed.iter().zip(frames).enumerate();
+            pairs.filter(|(i, _)| judged(*i)).map(|(_, (&p, f))| (p, f.seconds)).collect()
+        };
         let folds = folds(frames);
         let count = folds.iter().max().map_or(0, |m| m + 1);
         if count < FEWEST_GROUPS {
             // Too little to choose by: the prior's factor, costs near the prior's, and the speed of this machine.
             let belief = Belief { costs: COSTS_SD[0], share: 1.0, weights: 0.0 };
             let fitted = self.fit(&prior, &all, belief);
-            let crossed = prepared.iter().map(|f| libm::exp(fitted.log_seconds(f))).collect();
-            return Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: 0 });
+            let crossed: Vec<f64> = prepared.iter().map(|f| libm::exp(fitted.log_seconds(f))).collect();
+            let score = score(&pairs(&crossed));
+            return Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: 0, score });
         }
         let with = |costs| WEIGHTS_SD.iter().map(move |&(share, weights)| Belief { costs, share, weights });
         let mut tried: Vec<(Belief, Vec<f64>)> = core::iter::once(SPEED_ALONE)
@@ -361,10 +369,6 @@ impl PriorModel {
                 }
             }
         });
-        let pairs = |crossed: &[f64]| -> Vec<(f64, f64)> {
-            let pairs = crossed.iter().zip(frames).enumerate();
-            pairs.filter(|(i, _)| judged(*i)).map(|(_, (&p, f))| (p, f.seconds)).collect()
-        };
         // The strongest belief that is as good as the best, as far as so few frames can tell (the rule of one
         // standard error).
         let scores: Vec<f64> = tried.iter().map(|t| score(&pairs(&t.1))).collect();
@@ -376,11 +380,11 @@ impl PriorModel {
             .zip(scores)
             .filter(|(_, score)| *score <= enough)
             .min_by(|a, b| a.0.0.freedom().total_cmp(&b.0.0.freedom()).then(a.1.total_cmp(&b.1)));
-        let Some(((belief, crossed), _)) = chosen else {
+        let Some(((belief, crossed), score)) = chosen else {
             bail!(InvalidArgument, "no fit to these frames predicts a finite time; are their times right?");
         };
         let fitted = self.fit(&prior, &all, belief);
-        Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: count })
+        Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: count, score })
     }
 }
 
