@@ -89,6 +89,31 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     assert!(stdout(&predicted).trim().parse::<f64>().unwrap() > 0.0);
 }
 
+/// Of the shipped models, that of the make of machine whose frames are fitted to is started from.
+#[test]
+fn the_model_of_the_nearest_machine_is_started_from() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    std::fs::create_dir(at.join("models")).unwrap();
+    for name in ["unshaded-selected.safetensors", "unshaded-epyc-selected.safetensors"] {
+        std::fs::copy(root.join("models").join(name), at.join("models").join(name)).unwrap();
+    }
+    for (table, expected) in [
+        ("none-members", "models/unshaded-selected.safetensors"),
+        ("none-epyc-members", "models/unshaded-epyc-selected.safetensors"),
+    ] {
+        let table = root.join(format!("data/timings/{table}.csv.gz"));
+        let arguments = ["calibrate", "--data", table.to_str().unwrap(), "--out", "here.safetensors"];
+        let fitted = run(at, &arguments);
+        assert!(fitted.status.success(), "{}", stderr(&fitted));
+        let model = Model::from_bytes(&std::fs::read(at.join("here.safetensors")).unwrap()).unwrap();
+        let provenance: serde_json::Value =
+            serde_json::from_str(model.metadata()["entire.provenance"].as_str()).unwrap();
+        assert_eq!(provenance["calibration"]["prior"], expected, "{}", stdout(&fitted));
+    }
+}
+
 #[test]
 fn what_cannot_be_calibrated_is_said() {
     let dir = tempfile::tempdir().unwrap();
