@@ -23,8 +23,12 @@ pub fn from_groups(predicted: &[f64], measured: &[f64], groups: &[String]) -> Up
 
 /// How often a bound holds.
 pub fn judge(upper: &UpperBound, predicted: &[f64], measured: &[f64]) -> Option<BoundMetrics> {
-    let bounds: Vec<f64> = predicted.iter().map(|p| f64::from(upper.upper(p.max(SHORTEST) as f32))).collect();
-    BoundMetrics::new(&bounds, measured, UPPER_LEVEL)
+    BoundMetrics::new(&of_predictions(upper, predicted), measured, UPPER_LEVEL)
+}
+
+/// The bound of each prediction, seconds.
+pub fn of_predictions(upper: &UpperBound, predicted: &[f64]) -> Vec<f64> {
+    predicted.iter().map(|p| f64::from(upper.upper(p.max(SHORTEST) as f32))).collect()
 }
 
 /// The upper bound that a model file holds.

@@ -125,6 +125,17 @@ pub fn bootstrap_by_group<G: Ord>(
     rounds: usize,
     metric: impl Fn(&Metrics) -> f64,
 ) -> Option<(f64, f64)> {
+    intervals_by_group(predicted, measured, groups, (rounds, 0.95), |m| [metric(m)]).map(|[i]| i)
+}
+
+/// As [`bootstrap_by_group`], of several metrics over the same draws, and of another level than 0.95.
+pub fn intervals_by_group<G: Ord, const N: usize>(
+    predicted: &[f64],
+    measured: &[f64],
+    groups: &[G],
+    (rounds, level): (usize, f64),
+    metrics: impl Fn(&Metrics) -> [f64; N],
+) -> Option<[(f64, f64); N]> {
     let mut members: BTreeMap<&G, Vec<usize>> = BTreeMap::new();
     for (i, g) in groups.iter().enumerate() {
         members.entry(g).or_default().push(i);
@@ -134,7 +145,7 @@ pub fn bootstrap_by_group<G: Ord>(
         return None;
     }
     let mut rng = ChaCha8Rng::seed_from_u64(1);
-    let mut values = Vec::with_capacity(rounds);
+    let mut drawn: Vec<[f64; N]> = Vec::with_capacity(rounds);
     for _ in 0..rounds {
         let (mut p, mut t) = (Vec::with_capacity(measured.len()), Vec::with_capacity(measured.len()));
         for _ in 0..members.len() {
@@ -144,10 +155,14 @@ pub fn bootstrap_by_group<G: Ord>(
                 t.push(measured[i]);
             }
         }
-        values.extend(Metrics::new(&p, &t).map(|m| metric(&m)));
+        drawn.extend(Metrics::new(&p, &t).map(|m| metrics(&m)));
     }
-    values.sort_by(f64::total_cmp);
-    Some((percentile(&values, 0.025), percentile(&values, 0.975)))
+    let outside = (1.0 - level) / 2.0;
+    Some(std::array::from_fn(|k| {
+        let mut values: Vec<f64> = drawn.iter().map(|d| d[k]).collect();
+        values.sort_by(f64::total_cmp);
+        (percentile(&values, outside), percentile(&values, 1.0 - outside))
+    }))
 }
 
 /// A percentile of ascending numbers, interpolated between neighbors; NaN without any.
@@ -217,6 +232,12 @@ mod tests {
         let all = Metrics::new(&p, &t).unwrap().mdape;
         assert!(low < all && all < high && low >= 0.0 && high <= 0.5 + 1e-9, "{low} {all} {high}");
         assert_eq!(bootstrap_by_group(&p, &t, &["one"; 60], 10, |m| m.mdape), None);
+        // Several metrics at once are those of one at a time, and a lower level is a narrower interval.
+        let [rmse, mdape] = intervals_by_group(&p, &t, &groups, (300, 0.95), |m| [m.rmse, m.mdape]).unwrap();
+        assert_eq!(Some(rmse), bootstrap_by_group(&p, &t, &groups, 300, |m| m.rmse));
+        assert_eq!(mdape, (low, high));
+        let [(a, b)] = intervals_by_group(&p, &t, &groups, (300, 0.5), |m| [m.mdape]).unwrap();
+        assert!(low < a && a < b && b < high, "{low} {a} {b} {high}");
     }
 
     #[test]

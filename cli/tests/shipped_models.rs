@@ -70,7 +70,8 @@ fn figures_on_card(card: &str, split: &str) -> [f64; 2] {
     let start = format!("| {split} |");
     let row = card.lines().find(|l| l.starts_with(&start)).unwrap();
     let cells: Vec<&str> = row.split('|').map(str::trim).collect();
-    [cells[4].parse().unwrap(), cells[5].parse().unwrap()]
+    // An interval may stand behind each.
+    [4, 5].map(|i| cells[i].split(' ').next().unwrap().parse().unwrap())
 }
 
 #[test]
