@@ -1,6 +1,7 @@
 //! `entire-lab study`: a whole study in one report, accuracy against latency first.
 
 use crate::ship::ship;
+use crate::study::nested_report::{book_table, choices, grid_lines, nested_table, outer_table};
 use crate::study::report::{fits_table, main_table, write};
 use crate::study::{Runner, bars, read};
 use anyhow::{Result, ensure};
@@ -17,6 +18,7 @@ use std::path::PathBuf;
 #[command(after_help = "\
 Examples:
   entire-lab study --study data/timings/study.json --out out/study
+  entire-lab study --study data/timings/study.json --out out/study --nested
   entire-lab study --study study.json --only selected,paper --bars")]
 pub struct Options {
     /// The study: data sets, splits and predictors as JSON.
@@ -25,12 +27,18 @@ pub struct Options {
     /// Folder for report.html, study.json, the charts as SVG and the models.
     #[arg(long, value_name = "FOLDER", default_value = "out/study")]
     pub out: PathBuf,
-    /// Only these predictors.
+    /// Only these predictors, and no candidates of the grid.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub only: Vec<String>,
     /// Only these data sets.
     #[arg(long, value_delimiter = ',', value_name = "NAMES")]
     pub sets: Vec<String>,
+    /// Judge the choice of a predictor, too, by nested cross-validation on the training members: among the
+    /// study's predictors and among the candidates of its grid.
+    ///
+    /// Some minutes when nothing was made before; models are kept like all others.
+    #[arg(long)]
+    pub nested: bool,
     /// Print one line per bar, `bar NAME VALUE LIMIT ok|short`, and fail when one is short.
     ///
     /// The value is - where what the bar is about is missing.
@@ -57,6 +65,7 @@ pub fn run(options: &Options) -> Result<()> {
         study.predictors.retain(|p| options.only.contains(&p.name));
         let kept: Vec<String> = study.predictors.iter().map(|p| p.name.clone()).collect();
         study.curves.retain(|c| kept.contains(c));
+        study.grid.clear();
         ensure!(!kept.is_empty(), "--only names no predictor of {}", options.study.display());
     }
     if !options.sets.is_empty() {
@@ -68,7 +77,7 @@ pub fn run(options: &Options) -> Result<()> {
     let bar = templated_bar(options.quiet, "study [{bar:30}] {pos}/{len} {msg}");
     let stopped = || interrupt::requested(&stop);
     let runner = Runner { pool: &pool, models: options.out.join("models"), bar: &bar, stop: &stopped };
-    let found = runner.run(&study)?;
+    let found = runner.run(&study, options.nested)?;
     bar.finish_and_clear();
     for (set, what, why) in &found.left_out {
         eprintln!("note: {set}, {what}: left out ({why})");
@@ -85,10 +94,26 @@ pub fn run(options: &Options) -> Result<()> {
             println!("{}: frames learned from, cross-validation, test", set.name);
             println!("{}", fits_table(&study, &found, &set.name, &split.name).to_text());
         }
+        for text in choices(&found, &set.name) {
+            println!("{}: {text}\n", set.name);
+        }
+        if found.nested.iter().any(|n| n.set == set.name) {
+            println!("{}: nested cross-validation", set.name);
+            println!("{}", nested_table(&found, &set.name).to_text());
+            println!("{}: nested cross-validation, by member left out", set.name);
+            println!("{}", outer_table(&found, &set.name).to_text());
+        }
         for split in &set.splits {
             println!("{}, split by {}", set.name, split.name);
             println!("{}", main_table(&found, &set.name, &split.name, None).to_text());
         }
+    }
+    if !found.nested.is_empty() {
+        println!("nested cross-validation, all sets\n\n{}", book_table(&study, &found).to_markdown());
+        for line in grid_lines(&study) {
+            println!("grid: {line}");
+        }
+        println!();
     }
     let mut short = 0;
     if options.bars {

@@ -1,10 +1,10 @@
-//! What a study says about its bars, and which predictor its rule selects.
+//! What a study says about its bars.
 
-use super::{CALIBRATION_FRAMES, CONSTANT, Findings, Named, PROXY, SplitResult, Study};
+use super::{CALIBRATION_FRAMES, CONSTANT, Findings, PROXY, SplitResult, Study};
 use crate::bars::Bar;
 
 /// The predictor of a study that most bars are about.
-const SELECTED: &str = "selected";
+pub(super) const SELECTED: &str = "selected";
 
 /// The paper's network, as the paper trains it.
 pub(super) const PAPER: &str = "paper";
@@ -114,37 +114,4 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
         }
     }
     out
-}
-
-/// How much worse than the best in cross-validation the selected predictor may be.
-pub(super) const SELECTION_TOLERANCE: f64 = 0.05;
-
-/// The predictor that the rule selects from the training frames alone: among those that were cross-validated
-/// and take no more than the set's share of the paper's latency, the quickest whose cross-validated error is
-/// within [`SELECTION_TOLERANCE`] of the least. Recipes that are there twice count once.
-pub(super) fn by_rule<'a>(study: &'a Study, found: &Findings, set: &str) -> Option<&'a str> {
-    let limits = &study.sets.iter().find(|s| s.name == set)?.limits;
-    let paper = found.latency(set, PAPER).map(|l| l.cold);
-    let candidates: Vec<(&str, f64, f64)> = study
-        .predictors
-        .iter()
-        .filter_map(|p| {
-            let cold = found.latency(set, &p.name)?.cold;
-            let quick = match (limits.cold_over_paper, paper) {
-                (Some(share), Some(paper)) => cold <= share * paper,
-                _ => true,
-            };
-            let crossed = found.fit(set, &p.name)?.crossed.as_ref()?.rmse;
-            (quick && !p.trees).then_some((p.name.as_str(), crossed, cold))
-        })
-        .collect();
-    let least = candidates.iter().map(|c| c.1).fold(f64::INFINITY, f64::min);
-    let taken = candidates
-        .iter()
-        .filter(|c| c.1 <= (1.0 + SELECTION_TOLERANCE) * least)
-        .min_by(|a, b| a.2.total_cmp(&b.2))?;
-    // `selected` stands for the one that has the same recipe.
-    let recipe = study.predictors.iter().find(|p| p.name == taken.0)?.recipe_for(set);
-    let same = |p: &&Named| p.name == SELECTED && p.recipe_for(set) == recipe;
-    Some(study.predictors.iter().find(same).map_or(taken.0, |p| p.name.as_str()))
 }

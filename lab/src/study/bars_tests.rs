@@ -1,7 +1,7 @@
 //! Bars and the rule of selection on findings that are made up.
 
-use super::bars::by_rule;
 use super::report::fits_table;
+use super::rule::by_rule;
 use super::*;
 use entire_cli::metrics::Metrics;
 
@@ -24,8 +24,7 @@ fn result(split: &str, predictor: &str, off: f64) -> SplitResult {
         predictor: predictor.into(),
         panel: "main".into(),
         metrics: Metrics::new(&predicted, &measured).unwrap(),
-        rmse_interval: None,
-        mdape_interval: None,
+        intervals: None,
         bound: None,
         parts: Vec::new(),
         log_errors: [0.0; 7],
@@ -81,14 +80,22 @@ fn the_rule_takes_the_quickest_of_the_good_ones_and_looks_at_no_test_frame() {
         {
             let crossed = Some(result("member", name, off).metrics);
             let seen = result("member", name, 1.0).metrics;
-            found.fits.push(Fit { set: "a set".into(), predictor: name.into(), seen, crossed, folds: 5 });
+            found.fits.push(Fit {
+                set: "a set".into(),
+                predictor: name.into(),
+                seen,
+                seen_intervals: None,
+                crossed,
+                crossed_intervals: None,
+                folds: 5,
+            });
             found.latencies.push(("a set".into(), name.into(), latency(cold)));
             found.results.push(result("member", name, 2.5 - off));
         }
         found.latencies.push(("a set".into(), "paper".into(), latency(100e-6)));
         let table = fits_table(&study, &found, "a set", "member").to_text();
         assert_eq!(table.matches("selected").count(), 1, "{table}");
-        by_rule(&study, &found, "a set").unwrap().to_owned()
+        by_rule(&study, &found, "a set").unwrap().name.clone()
     };
     assert_eq!(rule("{}", 1.104), "good");
     assert_eq!(rule("{}", 1.106), "slow");

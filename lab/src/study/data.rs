@@ -3,7 +3,8 @@
 use super::Set;
 use anyhow::{Result, ensure};
 use entire_cli::dataset::{Clock, Table, read_tables};
-use entire_cli::split::TimedFrames;
+use entire_cli::split::{GroupBy, TimedFrames};
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 /// Members from which on a tenth of them is held out rather than a tenth of the volumes. Of fewer, one alone
@@ -48,6 +49,46 @@ pub(super) struct Learned<'a> {
     pub(super) validation: TimedFrames<'a>,
     /// The others.
     pub(super) training: TimedFrames<'a>,
+}
+
+/// The parts of a cross-validation: ensemble members, or volumes, some of which are left out together.
+pub(super) struct Folds {
+    /// What a group is.
+    pub(super) by: GroupBy,
+    /// The groups of each part.
+    pub(super) groups: Vec<BTreeSet<String>>,
+}
+
+impl Folds {
+    /// Parts of some frames; none where there are too few groups.
+    pub(super) fn of(frames: &TimedFrames<'_>) -> Self {
+        let (by, groups) = frames.folds();
+        Self { by, groups }
+    }
+
+    /// Those of the frames that are of a part.
+    pub(super) fn part<'a>(&self, k: usize, frames: &TimedFrames<'a>) -> TimedFrames<'a> {
+        frames.parted(|f| self.groups[k].contains(&self.by.group(&f.scene))).0
+    }
+
+    /// What is learned from without the parts that are held out: training and validation frames.
+    pub(super) fn without<'a>(
+        &self,
+        held: &[usize],
+        all: &TimedFrames<'a>,
+    ) -> (TimedFrames<'a>, TimedFrames<'a>) {
+        let (_, rest) = all.parted(|f| {
+            let group = self.by.group(&f.scene);
+            held.iter().any(|&k| self.groups[k].contains(&group))
+        });
+        let (validation, training) = rest.hold_out(rest.groups_at_least(MEMBERS), 1);
+        (training, validation)
+    }
+
+    /// The key of what is made without some parts.
+    pub(super) fn key(of_all: &str, held: &[usize]) -> String {
+        held.iter().fold(format!("{of_all}-without"), |key, k| format!("{key}-{}", k + 1))
+    }
 }
 
 /// A set's frames with their seconds.

@@ -1,5 +1,6 @@
 //! What a study is asked for: its JSON file.
 
+use super::Grid;
 use anyhow::{Context, Result, bail, ensure};
 use entire_cli::dataset::Clock;
 use entire_cli::files::read_text;
@@ -21,6 +22,9 @@ pub struct Study {
     pub sets: Vec<Set>,
     /// Predictors, each made for every set.
     pub predictors: Vec<Named>,
+    /// Candidates that differ in some settings, for nested cross-validation alone.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub grid: Vec<Grid>,
     /// Numbers of training frames to make predictors with again.
     #[serde(default)]
     pub sample_sizes: Vec<usize>,
@@ -191,6 +195,7 @@ pub fn read(path: &Path) -> Result<Study> {
     if let Some(twice) = names.windows(2).find(|w| w[0] == w[1]) {
         bail!("{}: the predictor {:?} stands there twice", path.display(), twice[0]);
     }
+    study.grid_predictors().with_context(|| format!("{}", path.display()))?;
     for (list, name) in
         study.curves.iter().map(|n| ("curves", n)).chain(study.ship.iter().map(|s| ("ship", &s.predictor)))
     {

@@ -1,16 +1,61 @@
 //! What a study found: errors, latencies and curves, by set, split and predictor.
 
-use super::Set;
+use super::{Choice, Nested, Set};
 use crate::latency::Latency;
 use entire_cli::bound;
-use entire_cli::dataset::NoiseFloor;
+use entire_cli::dataset::{NoiseFloor, TimedFrame};
 use entire_cli::evaluation::by_kind;
-use entire_cli::metrics::{BoundMetrics, Metrics, bootstrap_by_group, percentile};
+use entire_cli::metrics::{BoundMetrics, Metrics, intervals_by_group, percentile};
 use entire_cli::split::GroupBy;
 use entire_cli::split::TimedFrames;
 use entire_core::predict::UpperBound;
 use serde::Serialize;
 use std::path::PathBuf;
+
+/// Rounds behind every interval.
+const ROUNDS: usize = 200;
+
+/// Share of the draws that an interval holds.
+pub const LEVEL: f64 = 0.9;
+
+/// Intervals over volumes drawn anew with replacement, [`LEVEL`] of the draws within each: how much an error
+/// owes to which volumes it was taken on.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Intervals {
+    /// Of RMSE/SD.
+    pub rmse_over_sd: (f64, f64),
+    /// Of the median error.
+    pub mdape: (f64, f64),
+}
+
+impl Intervals {
+    /// Of predictions of some frames; `None` where those are of one volume.
+    pub(crate) fn of(predicted: &[f64], measured: &[f64], frames: &[&TimedFrame]) -> Option<Self> {
+        let volumes: Vec<String> = frames.iter().map(|f| GroupBy::Volume.group(&f.scene)).collect();
+        Self::by(predicted, measured, &volumes)
+    }
+
+    /// As [`Intervals::of`], by the volume of each frame.
+    pub(crate) fn by(predicted: &[f64], measured: &[f64], volumes: &[String]) -> Option<Self> {
+        let both = |m: &Metrics| [m.rmse_over_sd, m.mdape];
+        intervals_by_group(predicted, measured, volumes, (ROUNDS, LEVEL), both)
+            .map(|[rmse_over_sd, mdape]| Self { rmse_over_sd, mdape })
+    }
+
+    /// RMSE/SD with its interval, `0.047 (0.041–0.055)`.
+    pub fn beside_rmse(of: Option<&Self>, metrics: &Metrics) -> String {
+        let interval =
+            of.map_or(String::new(), |i| format!(" ({:.3}–{:.3})", i.rmse_over_sd.0, i.rmse_over_sd.1));
+        format!("{:.3}{interval}", metrics.rmse_over_sd)
+    }
+
+    /// The median error with its interval in per cent, `5.6 (5.1–6.2)`.
+    pub fn beside_mdape(of: Option<&Self>, metrics: &Metrics) -> String {
+        let interval =
+            of.map_or(String::new(), |i| format!(" ({:.1}–{:.1})", 100.0 * i.mdape.0, 100.0 * i.mdape.1));
+        format!("{:.1}{interval}", 100.0 * metrics.mdape)
+    }
+}
 
 /// How a predictor did on the frames that it was made of, and on those of the training tables when it was
 /// made without their ensemble member.
@@ -22,8 +67,12 @@ pub struct Fit {
     pub predictor: String,
     /// On the frames that it was made of.
     pub seen: Metrics,
+    /// Intervals of these.
+    pub seen_intervals: Option<Intervals>,
     /// On frames of members that it was made without.
     pub crossed: Option<Metrics>,
+    /// Intervals of these.
+    pub crossed_intervals: Option<Intervals>,
     /// How often.
     pub folds: usize,
 }
@@ -41,10 +90,8 @@ pub struct SplitResult {
     pub panel: String,
     /// Errors.
     pub metrics: Metrics,
-    /// 95 % interval of RMSE/SD over ensemble members drawn anew.
-    pub rmse_interval: Option<(f64, f64)>,
-    /// 95 % interval of MdAPE over ensemble members drawn anew.
-    pub mdape_interval: Option<(f64, f64)>,
+    /// Intervals of RMSE/SD and of the median error.
+    pub intervals: Option<Intervals>,
     /// The upper bound, where there is one.
     pub bound: Option<BoundMetrics>,
     /// By what a frame is like: image size, camera inside.
@@ -85,6 +132,10 @@ pub struct Findings {
     pub samples: Vec<Point>,
     /// See `samples`.
     pub tuning: Vec<Point>,
+    /// What the rule chooses from all training members.
+    pub choices: Vec<Choice>,
+    /// Errors of choosing, fitting and bounding as a whole, by nested cross-validation.
+    pub nested: Vec<Nested>,
     /// Predictors that could not be made, and why.
     pub left_out: Vec<(String, String, String)>,
     /// Model file by set and predictor.
@@ -155,7 +206,6 @@ pub(super) fn judge(
     upper: Option<&UpperBound>,
 ) -> Option<SplitResult> {
     let metrics = Metrics::new(predicted, &part.seconds)?;
-    let groups: Vec<String> = part.frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
     let bound = upper.and_then(|u| bound::judge(u, predicted, &part.seconds));
     let parts = by_kind(&part.frames, predicted, &part.seconds)
         .into_iter()
@@ -169,8 +219,7 @@ pub(super) fn judge(
         split: split.to_owned(),
         predictor: predictor.to_owned(),
         panel: panel.to_owned(),
-        rmse_interval: bootstrap_by_group(predicted, &part.seconds, &groups, 200, |m| m.rmse_over_sd),
-        mdape_interval: bootstrap_by_group(predicted, &part.seconds, &groups, 200, |m| m.mdape),
+        intervals: Intervals::of(predicted, &part.seconds, &part.frames),
         metrics,
         bound,
         parts,

@@ -11,7 +11,13 @@ mod curves;
 mod data;
 mod description;
 mod findings;
+mod grid;
+mod nested;
+pub mod nested_report;
+#[cfg(test)]
+mod nested_tests;
 pub mod report;
+mod rule;
 mod runner;
 #[cfg(test)]
 mod tests;
@@ -21,5 +27,10 @@ pub(crate) use runner::Bounds;
 
 pub use bars::bars;
 pub use description::{Limits, Named, Set, Ship, SplitTables, Study, clock, read};
-pub use findings::{CALIBRATION_FRAMES, CONSTANT, Findings, Fit, PROXY, Point, SplitResult};
+pub use findings::{
+    CALIBRATION_FRAMES, CONSTANT, Findings, Fit, Intervals, LEVEL, PROXY, Point, SplitResult,
+};
+pub use grid::Grid;
+pub use nested::{Nested, OuterFold};
+pub use rule::{Choice, GRID, LISTED};
 pub use runner::Runner;

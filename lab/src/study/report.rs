@@ -1,13 +1,18 @@
 //! The report of a study: accuracy against latency first, then tables and curves.
 
-use super::bars::{SELECTION_TOLERANCE, bars, by_rule, models};
-use super::{CONSTANT, Findings, PROXY, Point, SplitResult, Study};
+use super::bars::{bars, models};
+use super::rule::{by_rule, sentence};
+use super::{CONSTANT, Findings, GRID, Intervals, PROXY, Point, SplitResult, Study, grid, nested_report};
 use anyhow::Result;
 use entire_cli::files::{make_folder, write_json, write_whole};
 use entire_cli::machine;
-use entire_cli::metrics::{BoundMetrics, Metrics};
+use entire_cli::metrics::BoundMetrics;
 use entire_cli::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use std::path::Path;
+
+/// What intervals are of.
+pub(super) const INTERVALS: &str = "Intervals hold 90 % of 200 draws of the volumes, with replacement: a few \
+                                    frames carry most of the squared error.";
 
 /// Errors, bounds and latencies of every predictor on a split; of one panel alone where one is named.
 pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>) -> Table {
@@ -15,9 +20,9 @@ pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>)
         Column::text("predictor"),
         Column::number("RMSE, ms"),
         Column::number("RMSE/SD"),
-        Column::number("95 % interval"),
+        Column::number("90 % interval"),
         Column::number("MdAPE, %"),
-        Column::number("95 % interval"),
+        Column::number("90 % interval"),
         Column::number("p95, %"),
         Column::number("p99, %"),
         Column::number("R² in log"),
@@ -45,9 +50,9 @@ pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>)
             r.predictor.clone().into(),
             format!("{:.2}", 1e3 * m.rmse).into(),
             format!("{:.3}", m.rmse_over_sd).into(),
-            interval(r.rmse_interval, &|v| format!("{v:.3}")).into(),
+            interval(r.intervals.map(|i| i.rmse_over_sd), &|v| format!("{v:.3}")).into(),
             percent(m.mdape).into(),
-            interval(r.mdape_interval, &percent).into(),
+            interval(r.intervals.map(|i| i.mdape), &percent).into(),
             percent(m.p95).into(),
             percent(m.p99).into(),
             format!("{:.4}", m.r2_log).into(),
@@ -66,38 +71,40 @@ pub fn main_table(found: &Findings, set: &str, split: &str, panel: Option<&str>)
 }
 
 /// Errors on frames that a predictor was made of, on members that it was made without, and on those of the
-/// main split.
+/// main split, each with its interval over volumes.
 pub fn fits_table(study: &Study, found: &Findings, set: &str, split: &str) -> Table {
     let mut table = Table::new(vec![
         Column::text("predictor"),
-        Column::number("RMSE/SD, frames learned from"),
+        Column::number("RMSE/SD (90 %), frames learned from"),
         Column::number("… cross-validated"),
         Column::number("… test"),
-        Column::number("MdAPE %, frames learned from"),
+        Column::number("MdAPE % (90 %), frames learned from"),
         Column::number("… cross-validated"),
         Column::number("… test"),
         Column::number("cold µs"),
         Column::text("rule"),
     ]);
-    let rule = by_rule(study, found, set);
+    let rule = by_rule(study, found, set).map(|p| p.name.as_str());
+    let of_grid = found.choices.iter().find(|c| c.set == set && c.among == GRID);
     for f in found.fits.iter().filter(|f| f.set == set) {
-        let Some(test) = found.of(set, split, &f.predictor).filter(|r| r.panel == "main") else { continue };
-        let of = |m: Option<&Metrics>, v: &dyn Fn(&Metrics) -> String| m.map(v);
-        let share = |m: &Metrics| format!("{:.3}", m.rmse_over_sd);
-        let percent = |m: &Metrics| format!("{:.1}", 100.0 * m.mdape);
-        let (seen, crossed) = (Some(&f.seen), f.crossed.as_ref());
+        let shown = |r: &&SplitResult| r.panel == "main" || r.panel == grid::PANEL;
+        let Some(test) = found.of(set, split, &f.predictor).filter(shown) else { continue };
         let cold = found.latency(set, &f.predictor).map(|l| format!("{:.1}", 1e6 * l.cold));
-        table.row(vec![
-            f.predictor.clone().into(),
-            of(seen, &share).into(),
-            of(crossed, &share).into(),
-            share(&test.metrics).into(),
-            of(seen, &percent).into(),
-            of(crossed, &percent).into(),
-            percent(&test.metrics).into(),
-            cold.into(),
-            if rule == Some(f.predictor.as_str()) { "selected" } else { "" }.into(),
-        ]);
+        let says = match (rule == Some(f.predictor.as_str()), of_grid) {
+            (true, _) => "selected",
+            (false, Some(c)) if c.predictor == f.predictor => "taken of the grid",
+            _ => "",
+        };
+        let columns = [
+            (Some(&f.seen), f.seen_intervals.as_ref()),
+            (f.crossed.as_ref(), f.crossed_intervals.as_ref()),
+            (Some(&test.metrics), test.intervals.as_ref()),
+        ];
+        let mut row = vec![f.predictor.clone().into()];
+        row.extend(columns.map(|(m, i)| m.map(|m| Intervals::beside_rmse(i, m)).into()));
+        row.extend(columns.map(|(m, i)| m.map(|m| Intervals::beside_mdape(i, m)).into()));
+        row.extend([cold.into(), says.into()]);
+        table.row(row);
     }
     table
 }
@@ -285,17 +292,12 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
                 &fits_table(study, found, &set.name, &split.name),
                 &format!(
                     "Cross-validated: every training frame predicted without its ensemble member; upper \
-                     bounds follow from these errors, every member counting alike. The rule takes the \
-                     quickest predictor whose cross-validated RMSE is within {:.0} % of the least{}; it sees \
-                     no test frame.",
-                    100.0 * SELECTION_TOLERANCE,
-                    set.limits.cold_over_paper.map_or(String::new(), |s| format!(
-                        " among those that take at most {:.0} % of the latency of `paper`",
-                        100.0 * s
-                    ))
+                     bounds follow from these errors, every member counting alike. {} {INTERVALS}",
+                    sentence(set.limits.cold_over_paper)
                 ),
             );
         }
+        nested_report::on_page(&mut page, study, found, set);
         for (i, split) in set.splits.iter().enumerate() {
             let (s, p) = (set.name.as_str(), split.name.as_str());
             page.heading(&format!("{s}: split by {p}"));
@@ -317,11 +319,8 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
                 "Lower left is better. The frontier joins predictors that no quicker one beats.",
             );
             page.table(&knee, "");
-            page.table(
-                &main_table(found, s, p, Some("main")),
-                "Intervals: ensemble members (volumes that belong to none) drawn anew with replacement.",
-            );
-            for panel in ["ablation", "architecture"] {
+            page.table(&main_table(found, s, p, Some("main")), INTERVALS);
+            for panel in ["ablation", "architecture", grid::PANEL] {
                 if found.results.iter().any(|r| r.set == s && r.split == p && r.panel == panel) {
                     page.table(&main_table(found, s, p, Some(panel)), panel);
                 }

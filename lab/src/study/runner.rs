@@ -3,10 +3,10 @@
 use super::bars::PAPER;
 use super::baselines::{constant, low_resolution, proxy};
 use super::cache::{STUDY_KEY, identity, kept, path_of};
-use super::data::{Learned, MEMBERS, SetData, SetTables};
+use super::data::{Folds, Learned, SetData, SetTables};
 use super::description::main_panel;
 use super::findings::judge;
-use super::{Findings, Fit, Named, Set, Study, clock};
+use super::{Findings, Fit, Intervals, Named, Set, Study, clock, grid, rule};
 use crate::latency::{Bench, Latency};
 use crate::trees::Trees;
 use anyhow::{Result, ensure};
@@ -16,7 +16,7 @@ use entire_cli::enlarge::enlarge;
 use entire_cli::files::{make_folder, write_whole};
 use entire_cli::fit::{FitContext, Recipe, predict, predict_stored};
 use entire_cli::metrics::Metrics;
-use entire_cli::split::TimedFrames;
+use entire_cli::split::{GroupBy, TimedFrames};
 use entire_cli::volume::Volume;
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Storage;
@@ -39,6 +39,8 @@ pub(crate) struct Crossed {
     pub(super) measured: Vec<f64>,
     /// The member of each.
     pub(super) groups: Vec<String>,
+    /// The volume of each.
+    pub(super) volumes: Vec<String>,
     pub(super) folds: usize,
 }
 
@@ -71,7 +73,7 @@ impl StudyPredictor {
         }
     }
 
-    fn latency(&self, bench: &mut Bench) -> Result<Latency> {
+    pub(super) fn latency(&self, bench: &mut Bench) -> Result<Latency> {
         match self {
             Self::Model(kept) => bench.latency(&kept.model),
             Self::Trees(t) => bench.latency_of(Some(t.probe_side()), 0, |inputs| t.predict_one(inputs)),
@@ -191,28 +193,29 @@ impl Runner<'_> {
         all: &TimedFrames<'_>,
         judged: &TimedFrames<'_>,
     ) -> Result<Option<Crossed>> {
-        let (by, folds) = judged.folds();
-        let (mut predicted, mut measured, mut groups) = (Vec::new(), Vec::new(), Vec::new());
-        for (k, fold) in folds.iter().enumerate() {
-            let of_fold = |f: &TimedFrame| fold.contains(&by.group(&f.scene));
-            let (held, _) = judged.parted(of_fold);
-            let (_, rest) = all.parted(of_fold);
-            let (validation, training) = rest.hold_out(rest.groups_at_least(MEMBERS), 1);
+        let folds = Folds::of(judged);
+        let (mut predicted, mut measured) = (Vec::new(), Vec::new());
+        let (mut groups, mut volumes) = (Vec::new(), Vec::new());
+        for k in 0..folds.groups.len() {
+            let held = folds.part(k, judged);
+            let (training, validation) = folds.without(&[k], all);
             let none = TimedFrames::default();
-            let key = format!("{key}-without-{}", k + 1);
+            let key = Folds::key(key, &[k]);
             let made = self.any(&key, method, context, (&training, &validation), &Bounds::Frames(&none))?;
             predicted.extend(made.predict(context, &held.frames)?);
-            groups.extend(held.frames.iter().map(|f| by.group(&f.scene)));
+            groups.extend(held.frames.iter().map(|f| folds.by.group(&f.scene)));
+            volumes.extend(held.frames.iter().map(|f| GroupBy::Volume.group(&f.scene)));
             measured.extend(held.seconds);
         }
-        Ok((!folds.is_empty()).then_some(Crossed { predicted, measured, groups, folds: folds.len() }))
+        let folds = folds.groups.len();
+        Ok((folds > 0).then_some(Crossed { predicted, measured, groups, volumes, folds }))
     }
 
-    /// Runs a whole study.
+    /// Runs a whole study; with `nested`, the choice of a predictor is judged by nested cross-validation too.
     ///
     /// # Errors
     /// When tables cannot be read, a baseline's tables do not fit, or it was stopped.
-    pub fn run(&self, study: &Study) -> Result<Findings> {
+    pub fn run(&self, study: &Study, nested: bool) -> Result<Findings> {
         let clock = clock(&study.clock)?;
         let mut out = Findings::default();
         let (path, factor) = &study.latency_volume;
@@ -236,21 +239,40 @@ impl Runner<'_> {
             let mut bench = Bench::new(&volume, data.one_step.all.frames[0].scene.shading)?;
             let on = OnSet { study, set, data: &data, context: &context };
             for named in &study.predictors {
-                let made = self.on_set(&on, named);
+                let made = self.made_and_judged(&on, named, &mut bench, &mut out);
                 self.bar.inc(1);
-                match made {
-                    Ok((predictor, upper, fit)) => {
-                        out.fits.extend(fit);
-                        self.judge(&on, named, (&predictor, upper), &mut bench, &mut out)?;
-                    }
-                    Err(e) if (self.stop)() => return Err(e),
-                    Err(e) => out.left_out.push((set.name.clone(), named.name.clone(), format!("{e:#}"))),
-                }
+                made?;
+            }
+            out.choices.extend(rule::choice(study, &out, &set.name));
+            if nested {
+                self.nested(&on, &mut bench, &mut out)?;
             }
             constant(&on, &mut out);
             proxy(&on, &low, &mut out)?;
         }
         Ok(out)
+    }
+
+    /// Makes a predictor and judges it on every split. One that cannot be made is left out.
+    ///
+    /// # Errors
+    /// When it was stopped.
+    pub(super) fn made_and_judged(
+        &self,
+        on: &OnSet<'_>,
+        named: &Named,
+        bench: &mut Bench,
+        out: &mut Findings,
+    ) -> Result<()> {
+        match self.on_set(on, named) {
+            Ok((predictor, upper, fit)) => {
+                out.fits.extend(fit);
+                self.judge(on, named, (&predictor, upper), bench, out)?;
+            }
+            Err(e) if (self.stop)() => return Err(e),
+            Err(e) => out.left_out.push((on.set.name.clone(), named.name.clone(), format!("{e:#}"))),
+        }
+        Ok(())
     }
 
     /// Makes a predictor for a set, cross-validated where it is to be; its upper bound, and how it fits what
@@ -265,7 +287,8 @@ impl Runner<'_> {
         let recipe = named.recipe_for(&set.name);
         let method = (recipe, named.trees);
         let learned = on.learned(recipe)?;
-        let crossed = if named.cross_validated && named.panel == main_panel() {
+        let crossed = if named.cross_validated && (named.panel == main_panel() || named.panel == grid::PANEL)
+        {
             self.crossed(&key, method, context, &learned.all, &data.one_step.all)?
         } else {
             None
@@ -274,11 +297,15 @@ impl Runner<'_> {
         let made = self.any(&key, method, context, (&learned.training, &learned.validation), &from)?;
         let seen = data.of_training_tables(&learned.training);
         let predicted = made.predict(context, &seen.frames)?;
-        let fit = Metrics::new(&predicted, &seen.seconds).map(|seen| Fit {
+        let fit = Metrics::new(&predicted, &seen.seconds).map(|metrics| Fit {
             set: set.name.clone(),
             predictor: named.name.clone(),
-            seen,
+            seen: metrics,
+            seen_intervals: Intervals::of(&predicted, &seen.seconds, &seen.frames),
             crossed: crossed.as_ref().and_then(|c| Metrics::new(&c.predicted, &c.measured)),
+            crossed_intervals: crossed
+                .as_ref()
+                .and_then(|c| Intervals::by(&c.predicted, &c.measured, &c.volumes)),
             folds: crossed.as_ref().map_or(0, |c| c.folds),
         });
         let upper = match (&made, &crossed) {

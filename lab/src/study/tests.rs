@@ -15,7 +15,7 @@ use entire_core::scene::{Arcball, Shading, Skipping};
 use serde_json::json;
 
 /// A frame of a volume that is nowhere.
-fn scene(volume: &str, member: &str) -> Scene {
+pub(super) fn scene(volume: &str, member: &str) -> Scene {
     Scene {
         volume: volume.into(),
         member: member.into(),
@@ -33,7 +33,7 @@ fn scene(volume: &str, member: &str) -> Scene {
     }
 }
 
-fn table(volumes: &[(&str, &str)]) -> Table {
+pub(super) fn table(volumes: &[(&str, &str)]) -> Table {
     let frame = |number: usize, volume: &str, member: &str| TimedFrame {
         table: 0,
         number: number as u64,
@@ -80,7 +80,7 @@ fn what_is_cross_validated_was_not_learned_from() {
         ),
         (Recipe { inputs, ..Recipe::default() }, true),
     ] {
-        let Crossed { predicted, measured, folds, groups } =
+        let Crossed { predicted, measured, folds, groups, .. } =
             runner.crossed("key", (&recipe, trees), &context, &part, &part).unwrap().unwrap();
         assert_eq!((folds, predicted.len(), groups.len()), (4, 40, 40));
         let worst = bound::log_residuals(&predicted, &measured).into_iter().map(f64::abs);
