@@ -1,6 +1,6 @@
 //! Shipping what a study made: model files with cards, judged as they are shipped.
 
-use crate::study::{Findings, Fit, Runner, Set, Ship, Study, clock};
+use crate::study::{Findings, Fit, Intervals, Runner, Set, Ship, Study, clock, nested_report};
 use anyhow::{Context, Result};
 use entire_cli::bound;
 use entire_cli::dataset::{Table, read_tables};
@@ -18,6 +18,7 @@ struct Figures {
     split: String,
     tables: Vec<String>,
     metrics: Metrics,
+    intervals: Option<Intervals>,
     bound: Option<BoundMetrics>,
 }
 
@@ -109,6 +110,7 @@ fn judge(
             split: split.name.clone(),
             tables: split.tables.iter().map(|t| file_name(t)).collect(),
             metrics: Metrics::new(&predicted, &part.seconds).context("a split has no frames")?,
+            intervals: Intervals::of(&predicted, &part.seconds, &part.frames),
             bound,
         });
     }
@@ -295,7 +297,8 @@ fn card(
     );
     let _ = writeln!(
         md,
-        "## Figures\n\n| split | frames | RMSE, ms | RMSE/SD | MdAPE, % | p95, % | R² in log | q95 held, % | \
+        "## Figures\n\nIn parentheses: 90 % of 200 draws of the volumes, with replacement.\n\n\
+         | split | frames | RMSE, ms | RMSE/SD | MdAPE, % | p95, % | R² in log | q95 held, % | \
          … slowest tenth | noise floor, MdAPE % |\n\
          |---|---|---|---|---|---|---|---|---|---|"
     );
@@ -306,12 +309,12 @@ fn card(
         };
         let _ = writeln!(
             md,
-            "| {} | {} | {:.2} | {:.3} | {:.1} | {:.1} | {:.4} | {} | {} | {:.1} |",
+            "| {} | {} | {:.2} | {} | {} | {:.1} | {:.4} | {} | {} | {:.1} |",
             f.split,
             m.frames,
             1e3 * m.rmse,
-            m.rmse_over_sd,
-            100.0 * m.mdape,
+            Intervals::beside_rmse(f.intervals.as_ref(), m),
+            Intervals::beside_mdape(f.intervals.as_ref(), m),
             100.0 * m.p95,
             m.r2_log,
             held(|b| b.coverage),
@@ -320,16 +323,22 @@ fn card(
         );
     }
     if let Some(f) = fit {
-        let of = |m: &Metrics| format!("RMSE/SD {:.3}, MdAPE {:.1} %", m.rmse_over_sd, 100.0 * m.mdape);
+        let of = |m: &Metrics, i: Option<&Intervals>| {
+            format!("RMSE/SD {}, MdAPE {} %", Intervals::beside_rmse(i, m), Intervals::beside_mdape(i, m))
+        };
         let _ = writeln!(
             md,
             "\nOn the frames that it learned from: {}{}.",
-            of(&f.seen),
+            of(&f.seen, f.seen_intervals.as_ref()),
             crossed.map_or(String::new(), |(m, _)| format!(
                 "; on training frames of ensemble members that it was made without: {}",
-                of(m)
+                of(m, f.crossed_intervals.as_ref())
             ))
         );
+    }
+    // What is cross-validated is what the rule chooses among.
+    if crossed.is_some() {
+        md += &nested_report::on_card(found, &set.name);
     }
     if let Some(l) = latency {
         let _ = writeln!(
