@@ -7,6 +7,10 @@ STUDY_OUT ?= out/study
 study: ## Make and judge every predictor of STUDY: out/study/report.html
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)"
 
+.PHONY: study-nested
+study-nested: ## As study, and judge the choice of a predictor by nested cross-validation on the training members
+	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --nested
+
 .PHONY: bars-accuracy
 bars-accuracy: ## As study, and print every accuracy bar (fails when one is short): bar NAME VALUE LIMIT ok|short
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '
