@@ -20,6 +20,7 @@ use entire_cli::options::thread_pool;
 use entire_cli::split::{GroupBy, TimedFrames};
 use entire_core::predict::UPPER_LEVEL;
 use indicatif::ProgressBar;
+use rayon::ThreadPool;
 use serde::Serialize;
 use std::path::Path;
 use std::sync::OnceLock;
@@ -185,13 +186,14 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// Makes a method without some parts and predicts those.
-    fn job(&self, method: usize, held: &[usize]) -> Result<Vec<Vec<f64>>> {
+    /// Makes a method without some parts and predicts those. `pool` is one of a single thread, in which this
+    /// runs: no step of a training then waits for another thread.
+    fn job(&self, pool: &ThreadPool, method: usize, held: &[usize]) -> Result<Vec<Vec<f64>>> {
         let Method { key, recipe, learned } = &self.methods[method];
-        let (pool, hidden) = (thread_pool(Some(1))?, ProgressBar::hidden());
+        let hidden = ProgressBar::hidden();
         let stop = || self.halt.load(Ordering::Relaxed);
-        let runner = Runner { pool: &pool, models: self.models.to_owned(), bar: self.bar, stop: &stop };
-        let context = FitContext { tables: self.tables, pool: &pool, bar: &hidden, stop: &stop };
+        let runner = Runner { pool, models: self.models.to_owned(), bar: self.bar, stop: &stop };
+        let context = FitContext { tables: self.tables, pool, bar: &hidden, stop: &stop };
         let (training, validation) = self.folds.without(held, &learned.all);
         let made = runner.any(
             &Folds::key(key, held),
@@ -234,7 +236,8 @@ impl Runner<'_> {
                 while !work.halt.load(Ordering::Relaxed) {
                     let at = next.fetch_add(1, Ordering::Relaxed);
                     let Some((method, held)) = jobs.get(at) else { break };
-                    let _ = done[at].set(work.job(*method, held));
+                    let job = thread_pool(Some(1)).and_then(|p| p.install(|| work.job(&p, *method, held)));
+                    let _ = done[at].set(job);
                     work.bar.inc(1);
                 }
             };
