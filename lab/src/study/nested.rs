@@ -101,14 +101,9 @@ impl Candidate<'_> {
         (predicted, inner.iter().flat_map(|&k| parts[k].measured.iter().copied()).collect())
     }
 
-    /// Errors over the given parts; none for predictions that are no numbers.
-    fn errors(&self, outer: Option<usize>, inner: &[usize], parts: &[Part]) -> Option<Metrics> {
-        let (predicted, measured) = self.pooled(outer, inner, parts);
-        Metrics::new(&predicted, &measured)
-    }
-
     fn contender(&self, outer: Option<usize>, inner: &[usize], parts: &[Part]) -> Contender {
-        let error = self.errors(outer, inner, parts).map_or(f64::NAN, |m| m.rmse);
+        let (predicted, measured) = self.pooled(outer, inner, parts);
+        let error = Metrics::new(&predicted, &measured).map_or(f64::NAN, |m| m.rmse);
         Contender { error, cold: self.cold }
     }
 }
@@ -351,7 +346,11 @@ impl Runner<'_> {
             if among == GRID {
                 let contenders: Vec<Contender> = of.iter().map(|c| c.contender(None, &all, &parts)).collect();
                 let Some(place) = choose(&contenders, longest) else { continue };
-                let (taken, errors) = (named[place], of[place].errors(None, &all, &parts));
+                let taken = named[place];
+                let (predicted, measured) = of[place].pooled(None, &all, &parts);
+                let volumes: Vec<String> = parts.iter().flat_map(|p| p.volumes.iter().cloned()).collect();
+                let errors =
+                    (Metrics::new(&predicted, &measured), Intervals::by(&predicted, &measured, &volumes));
                 let choice = Choice::new((study, &*out), name, (GRID, of.len()), taken, errors);
                 out.choices.push(choice);
                 // One that the study names too is judged as such.

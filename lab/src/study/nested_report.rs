@@ -10,7 +10,7 @@ fn percent(share: f64) -> String {
     format!("{:.1}", 100.0 * share)
 }
 
-/// How often each predictor was chosen: `selected × 3, analytic × 2`.
+/// How often each predictor was chosen: `selected × 3; analytic × 2`.
 fn chosen(nested: &Nested) -> String {
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for fold in &nested.folds {
@@ -18,7 +18,7 @@ fn chosen(nested: &Nested) -> String {
     }
     let mut counts: Vec<(&str, usize)> = counts.into_iter().collect();
     counts.sort_by_key(|c| std::cmp::Reverse(c.1));
-    counts.iter().map(|(name, n)| format!("{name} × {n}")).collect::<Vec<_>>().join(", ")
+    counts.iter().map(|(name, n)| format!("{name} × {n}")).collect::<Vec<_>>().join("; ")
 }
 
 /// The choices of a set, a sentence each.
@@ -134,10 +134,8 @@ pub fn book_table(study: &Study, found: &Findings) -> Table {
         let mut row = vec!["… cross-validated, by which it was chosen".into()];
         row.extend(study.sets.iter().map(|s| {
             choice(s)
-                .and_then(|c| c.crossed.as_ref())
-                .map(|m| {
-                    format!("{} · {}", Intervals::beside_rmse(None, m), Intervals::beside_mdape(None, m))
-                })
+                .and_then(|c| Some((c.crossed.as_ref()?, c.crossed_intervals.as_ref())))
+                .map(|(m, i)| format!("{} · {}", Intervals::beside_rmse(i, m), Intervals::beside_mdape(i, m)))
                 .into()
         }));
         table.row(row);

@@ -2,7 +2,7 @@
 
 use super::bars::{PAPER, SELECTED};
 use super::description::main_panel;
-use super::{Findings, Named, Study};
+use super::{Findings, Intervals, Named, Study};
 use entire_cli::fit::Recipe;
 use entire_cli::metrics::Metrics;
 use entire_core::features::PROBE_SIDE;
@@ -134,6 +134,8 @@ pub struct Choice {
     pub predictor: String,
     /// Its errors in cross-validation.
     pub crossed: Option<Metrics>,
+    /// Intervals of these.
+    pub crossed_intervals: Option<Intervals>,
     /// The predictor that ships, of those that the rule may choose.
     pub ships: Option<String>,
     /// Whether the two have the same recipe; `None` where nothing ships.
@@ -152,7 +154,7 @@ impl Choice {
         set: &str,
         (among, candidates): (&str, usize),
         taken: &Named,
-        crossed: Option<Metrics>,
+        (crossed, crossed_intervals): (Option<Metrics>, Option<Intervals>),
     ) -> Self {
         let shipped = study
             .ship
@@ -166,6 +168,7 @@ impl Choice {
             longest: longest(study, found, set),
             predictor: taken.name.clone(),
             crossed,
+            crossed_intervals,
             ships: shipped.map(|p| p.name.clone()),
             same: shipped.map(|p| same(p.recipe_for(set), taken.recipe_for(set))),
         }
@@ -177,7 +180,9 @@ impl Choice {
             .longest
             .map_or_else(|| "any latency".into(), |l| format!("{:.1} µs at most with cold caches", 1e6 * l));
         let errors = self.crossed.as_ref().map_or(String::new(), |m| {
-            format!(" (cross-validated RMSE/SD {:.3}, median error {:.1} %)", m.rmse_over_sd, 100.0 * m.mdape)
+            let i = self.crossed_intervals.as_ref();
+            let (rmse, mdape) = (Intervals::beside_rmse(i, m), Intervals::beside_mdape(i, m));
+            format!(" (cross-validated RMSE/SD {rmse}, median error {mdape} %)")
         });
         let ships = match (&self.ships, self.same) {
             (Some(_), Some(true)) => "; this is what ships".into(),
@@ -194,7 +199,8 @@ impl Choice {
 /// The choice among the predictors that the study names.
 pub(super) fn choice(study: &Study, found: &Findings, set: &str) -> Option<Choice> {
     let taken = by_rule(study, found, set)?;
-    let crossed = found.fit(set, &taken.name).and_then(|f| f.crossed.clone());
+    let fit = found.fit(set, &taken.name)?;
+    let crossed = (fit.crossed.clone(), fit.crossed_intervals);
     let count = contenders(study, found, set).0.len();
     Some(Choice::new((study, found), set, (LISTED, count), taken, crossed))
 }
