@@ -2,8 +2,11 @@
 
 mod support;
 
-use entire_core::model::Model;
+use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};
+use entire_cli::dataset::{Clock, read_tables};
+use entire_core::model::{Model, ModelFile};
 use entire_core::predict::load;
+use entire_core::scene::Shading;
 use std::path::Path;
 use std::process::{Command, Output};
 use support::*;
@@ -92,25 +95,22 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
 /// Of the shipped models, that of the make of machine whose frames are fitted to is started from.
 #[test]
 fn the_model_of_the_nearest_machine_is_started_from() {
-    let dir = tempfile::tempdir().unwrap();
-    let at = dir.path();
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    std::fs::create_dir(at.join("models")).unwrap();
-    for name in ["unshaded-selected.safetensors", "unshaded-epyc-selected.safetensors"] {
-        std::fs::copy(root.join("models").join(name), at.join("models").join(name)).unwrap();
-    }
-    for (table, expected) in [
-        ("none-members", "models/unshaded-selected.safetensors"),
-        ("none-epyc-members", "models/unshaded-epyc-selected.safetensors"),
-    ] {
-        let table = root.join(format!("data/timings/{table}.csv.gz"));
-        let arguments = ["calibrate", "--data", table.to_str().unwrap(), "--out", "here.safetensors"];
-        let fitted = run(at, &arguments);
-        assert!(fitted.status.success(), "{}", stderr(&fitted));
-        let model = Model::from_bytes(&std::fs::read(at.join("here.safetensors")).unwrap()).unwrap();
-        let provenance: serde_json::Value =
-            serde_json::from_str(model.metadata()["entire.provenance"].as_str()).unwrap();
-        assert_eq!(provenance["calibration"]["prior"], expected, "{}", stdout(&fitted));
+    let priors: Vec<NamedPrior> = ["unshaded-selected", "unshaded-epyc-selected"]
+        .map(|name| {
+            let path = root.join(format!("models/{name}.safetensors"));
+            (name.to_owned(), ModelFile::from_bytes(&std::fs::read(path).unwrap()).unwrap())
+        })
+        .into();
+    let threads = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    for (table, expected) in
+        [("none-steps", "unshaded-selected"), ("none-epyc-steps", "unshaded-epyc-selected")]
+    {
+        let mut tables = read_tables(&[root.join(format!("data/timings/{table}.csv.gz"))]).unwrap();
+        tables[0].frames.retain(|f| f.number % 29 == 0);
+        let (_, report) =
+            calibrate_to_tables(&tables, (Shading::None, Clock::Cpu), &priors, &threads).unwrap();
+        assert_eq!(report.prior.as_deref(), Some(expected), "{}", report.text());
     }
 }
 
