@@ -1,7 +1,8 @@
 //! Numbers about the scene: names, order and units, once per volume, once per transfer function and once per
 //! frame.
 //!
-//! * [`VolumeSummary`]: a grid of cells with value bounds and quantiles, made once per volume.
+//! * [`VolumeSummary`]: a grid of cells with value bounds and quantiles, made once per volume, or kept up to date
+//!   from one time step to the next by a [`SummarySeries`].
 //! * [`TransferSummary`]: emptiness and extinction of each cell under a transfer function, remade in place at
 //!   each edit.
 //! * [`FrameFeatures`]: what a camera sees of it: footprint, ray lengths and the coarse ray probe, measured
@@ -29,4 +30,4 @@ pub(crate) use probe::{Probe, SHADOW_STEP};
 pub use schema::{SceneFeature, SceneQuantity};
 pub use transfer::TransferSummary;
 pub(crate) use volume::QUANTILES;
-pub use volume::{SummaryBuilder, SummaryOptions, VolumeSummary};
+pub use volume::{SummaryBuilder, SummaryOptions, SummarySeries, VolumeSummary};

@@ -1,13 +1,13 @@
 //! A summary made slab by slab.
 
 use super::entries::{Map, Voxel};
-use super::scan::{Found, Grid};
+use super::scan::{Bounds, Found, Grid};
 use super::{LARGEST_INDEX, SummaryOptions, VolumeSummary};
 use crate::Result;
 use crate::error::bail;
 use crate::kernels::Executor;
-use crate::memory::reserve;
-use crate::scene::{ScalarType, Scalars, VolumeView};
+use crate::memory::{filled, reserve};
+use crate::scene::{Scalars, VolumeView};
 
 /// Makes a [`VolumeSummary`] of a volume that is never there as a whole, or of one so large that its caller
 /// wants to show progress or stop: slab by slab along z, in order, none of them kept.
@@ -59,6 +59,22 @@ impl SummaryBuilder {
     /// # Errors
     /// As [`VolumeSummary::new`], and [`crate::ErrorKind::InvalidArgument`] for no planes.
     pub fn new(like: &VolumeView<'_>, planes: usize, options: SummaryOptions) -> Result<Self> {
+        let (summary, grid) = Self::layout(like, planes, options)?;
+        let found = match like.scalars() {
+            Scalars::U8(_) => Kind::U8(Found::new(&grid)?),
+            Scalars::U16(_) => Kind::U16(Found::new(&grid)?),
+            Scalars::I16(_) => Kind::I16(Found::new(&grid)?),
+            Scalars::F32(_) => Kind::F32(Found::new(&grid)?),
+        };
+        Ok(Self { summary, grid, map: Map::new(like), found, planes: 0 })
+    }
+
+    /// The summary of a volume of which nothing was read, and its grid.
+    pub(super) fn layout(
+        like: &VolumeView<'_>,
+        planes: usize,
+        options: SummaryOptions,
+    ) -> Result<(VolumeSummary, Grid)> {
         let [x, y, _] = like.dims();
         if planes == 0 {
             bail!(InvalidArgument, "a volume of 0 planes was announced; it must have at least 1");
@@ -68,13 +84,7 @@ impl SummaryBuilder {
             VolumeSummary::layout([x, y, planes], like.spacing(), like.scalars().scalar_type(), options)?;
         let grid =
             Grid { dims: summary.shape.dims, cells: summary.cells, edge: summary.edge, block: summary.block };
-        let found = match like.scalars() {
-            Scalars::U8(_) => Kind::U8(Found::new(&grid)?),
-            Scalars::U16(_) => Kind::U16(Found::new(&grid)?),
-            Scalars::I16(_) => Kind::I16(Found::new(&grid)?),
-            Scalars::F32(_) => Kind::F32(Found::new(&grid)?),
-        };
-        Ok(Self { summary, grid, map: Map::new(like), found, planes: 0 })
+        Ok((summary, grid))
     }
 
     /// The planes of the smallest slab that may be added next; `None` when all are there. A slab may hold any
@@ -159,58 +169,97 @@ impl SummaryBuilder {
 
 /// What follows from all voxels: bounds of cells, the histogram, and whether values are remapped.
 fn finish<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, map: &Map, found: Found<T>) -> Result<()> {
-    let bounds = &found.bounds;
-    let (mut smallest, mut largest) = (f32::INFINITY, f32::NEG_INFINITY);
-    for &[low, high] in bounds {
-        (smallest, largest) = (smallest.min(low.number()), largest.max(high.number()));
+    lay_out(summary, grid)?;
+    for index in 0..summary.low.len() {
+        gather(summary, grid, map, index, |block| found.bounds[block]);
     }
-    summary.remapped =
-        summary.scalar_type == ScalarType::F32 || smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
-    gather(summary, grid, bounds, map)?;
+    set_totals(summary, map, &found.counts, found.non_finite);
+    set_remapped(summary, found.bounds.iter());
+    Ok(())
+}
+
+/// Shares of the voxels from how many have each entry, and how many are NaN or infinite.
+pub(super) fn set_totals(summary: &mut VolumeSummary, map: &Map, counts: &[u64; 256], non_finite: u64) {
     let mut mapped = [0u64; 256];
-    for (&entry, &n) in map.near.iter().zip(&found.counts) {
+    for (&entry, &n) in map.near.iter().zip(counts) {
         mapped[usize::from(entry)] += n;
     }
     let voxels = summary.voxels();
     for (h, &n) in summary.histogram.iter_mut().zip(&mapped) {
         *h = (n as f64 / voxels) as f32;
     }
-    summary.non_finite_share = (found.non_finite as f64 / voxels) as f32;
+    summary.non_finite_share = (non_finite as f64 / voxels) as f32;
+}
+
+/// Whether values are remapped, from bounds that hold all of them.
+pub(super) fn set_remapped<'a, T: Voxel>(
+    summary: &mut VolumeSummary,
+    bounds: impl Iterator<Item = &'a Bounds<T>>,
+) {
+    if T::IS_FLOAT {
+        summary.remapped = true;
+        return;
+    }
+    let (mut smallest, mut largest) = (f32::INFINITY, f32::NEG_INFINITY);
+    for &[low, high] in bounds {
+        (smallest, largest) = (smallest.min(low.number()), largest.max(high.number()));
+    }
+    summary.remapped = smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
+}
+
+/// Blocks of a cell along each axis, from the volume's beginning.
+fn blocks_of(grid: &Grid, cell: usize) -> [core::ops::Range<usize>; 3] {
+    let [nx, ny, _] = grid.cells;
+    let place = [cell % nx, cell / nx % ny, cell / nx / ny];
+    let n = grid.blocks();
+    core::array::from_fn(|a| {
+        let per_cell = grid.edge[a] / grid.block[a];
+        place[a] * per_cell..((place[a] + 1) * per_cell).min(n[a])
+    })
+}
+
+/// Makes room for the bounds of the blocks in each cell, where a cell holds several.
+pub(super) fn lay_out(summary: &mut VolumeSummary, grid: &Grid) -> Result<()> {
+    if grid.block == grid.edge {
+        return Ok(());
+    }
+    let cells = summary.low.len();
+    reserve(&mut summary.first_block, cells + 1)?;
+    summary.first_block.push(0);
+    let mut end = 0;
+    for cell in 0..cells {
+        end += blocks_of(grid, cell).iter().map(ExactSizeIterator::len).product::<usize>();
+        summary.first_block.push(end as u32);
+    }
+    summary.block_low = filled(end, 255)?;
+    summary.block_high = filled(end, 0)?;
     Ok(())
 }
 
-/// Bounds of cells from those of their blocks, which are kept where a cell holds several.
-fn gather<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, bounds: &[[T; 2]], map: &Map) -> Result<()> {
+/// Bounds of a cell from those of its blocks, which are kept where a cell holds several.
+pub(super) fn gather<T: Voxel>(
+    summary: &mut VolumeSummary,
+    grid: &Grid,
+    map: &Map,
+    cell: usize,
+    bounds: impl Fn(usize) -> Bounds<T>,
+) {
     let n = grid.blocks();
-    let per_cell: [usize; 3] = core::array::from_fn(|a| grid.edge[a] / grid.block[a]);
-    let split = grid.block != grid.edge;
-    if split {
-        reserve(&mut summary.first_block, summary.low.len() + 1)?;
-        summary.first_block.push(0);
-        reserve(&mut summary.block_low, bounds.len())?;
-        reserve(&mut summary.block_high, bounds.len())?;
-    }
-    let [nx, ny, nz] = grid.cells;
-    let cells = (0..nz).flat_map(|z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])));
-    for (index, c) in cells.enumerate() {
-        let range = |a: usize| c[a] * per_cell[a]..((c[a] + 1) * per_cell[a]).min(n[a]);
-        for bz in range(2) {
-            for by in range(1) {
-                let line = n[0] * (by + n[1] * bz);
-                for &[low, high] in &bounds[line + range(0).start..line + range(0).end] {
-                    let (low, high) = (map.below(low), map.above(high));
-                    summary.low[index] = Ord::min(summary.low[index], low);
-                    summary.high[index] = Ord::max(summary.high[index], high);
-                    if split {
-                        summary.block_low.push(low);
-                        summary.block_high.push(high);
-                    }
-                }
+    let [xs, ys, zs] = blocks_of(grid, cell);
+    let mut at = summary.first_block.get(cell).map(|&first| first as usize);
+    let (mut lowest, mut highest) = (255, 0);
+    for (bz, by) in zs.flat_map(|bz| ys.clone().map(move |by| (bz, by))) {
+        let line = n[0] * (by + n[1] * bz);
+        for bx in xs.clone() {
+            let [low, high] = bounds(line + bx);
+            let (low, high) = (map.below(low), map.above(high));
+            (lowest, highest) = (Ord::min(lowest, low), Ord::max(highest, high));
+            if let Some(at) = &mut at {
+                summary.block_low[*at] = low;
+                summary.block_high[*at] = high;
+                *at += 1;
             }
         }
-        if split {
-            summary.first_block.push(summary.block_low.len() as u32);
-        }
     }
-    Ok(())
+    (summary.low[cell], summary.high[cell]) = (lowest, highest);
 }

@@ -72,13 +72,15 @@ fn near(position: f32) -> u8 {
 }
 
 /// A type of stored values.
-pub(super) trait Voxel: Copy + Send + Sync + core::fmt::Debug + 'static {
+pub(super) trait Voxel: bytemuck::Pod + Send + Sync + core::fmt::Debug {
     /// No value is below.
     const LOWEST: Self;
     /// No value is above.
     const HIGHEST: Self;
     /// Whether stored values are counted as they stand.
     const IS_ENTRY: bool;
+    /// Whether values may be NaN or infinite.
+    const IS_FLOAT: bool = false;
 
     fn number(self) -> f32;
     fn lesser(self, other: Self) -> Self;
@@ -173,6 +175,7 @@ impl Voxel for f32 {
     const LOWEST: Self = f32::NEG_INFINITY;
     const HIGHEST: Self = f32::INFINITY;
     const IS_ENTRY: bool = false;
+    const IS_FLOAT: bool = true;
     #[inline(always)]
     fn number(self) -> f32 {
         self

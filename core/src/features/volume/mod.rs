@@ -1,12 +1,15 @@
 //! What is kept of a volume: a grid of cells with value bounds and quantiles.
 
 mod builder;
+mod changed;
 mod entries;
 mod scan;
+mod series;
 #[cfg(test)]
 mod tests;
 
 pub use builder::SummaryBuilder;
+pub use series::SummarySeries;
 
 use crate::error::bail;
 use crate::kernels::Executor;

@@ -30,12 +30,12 @@ impl Grid {
 
     /// Bytes from one cell's entries to the next one's: no power of two, by which cells would share few lines of
     /// the cache.
-    fn room(&self) -> usize {
+    pub(super) fn room(&self) -> usize {
         self.edge.iter().product::<usize>() + 64
     }
 
     /// Voxels of a cell (or block of that `size`) along an axis, from the volume's beginning.
-    fn span(&self, i: usize, size: usize, axis: usize) -> Range<usize> {
+    pub(super) fn span(&self, i: usize, size: usize, axis: usize) -> Range<usize> {
         i * size..((i + 1) * size).min(self.dims[axis])
     }
 }
@@ -44,7 +44,7 @@ impl Grid {
 pub(super) type Bounds<T> = [T; 2];
 
 /// Bounds of nothing.
-fn nothing<T: Voxel>() -> Bounds<T> {
+pub(super) fn nothing<T: Voxel>() -> Bounds<T> {
     [T::HIGHEST, T::LOWEST]
 }
 
@@ -131,7 +131,11 @@ fn last<T>(of: &mut [T], count: usize) -> Option<&mut [T]> {
     Some(&mut of[at..])
 }
 
-fn all<T: Voxel>(tasks: &mut [Layers<'_, T>], level: Level, executor: Executor<'_>) {
+/// Runs tasks on the executor's threads.
+pub(super) fn all<K: Send>(tasks: &mut [K], level: Level, executor: Executor<'_>)
+where
+    for<'a> &'a mut K: Kernel<Output = ()>,
+{
     match tasks {
         [] => {}
         [task] => level.run(task),
@@ -144,22 +148,22 @@ fn all<T: Voxel>(tasks: &mut [Layers<'_, T>], level: Level, executor: Executor<'
 
 /// Where voxels are.
 #[derive(Clone, Copy)]
-struct Source<'a, T> {
-    slab: &'a VolumeView<'a>,
-    voxels: &'a [T],
+pub(super) struct Source<'a, T> {
+    pub(super) slab: &'a VolumeView<'a>,
+    pub(super) voxels: &'a [T],
     /// The slab's first plane.
-    first: usize,
+    pub(super) first: usize,
 }
 
 impl<T: Voxel> Source<'_, T> {
-    /// The voxels of a row side by side, copied to `scratch` where they do not lie so.
+    /// The voxels `xs` of a row side by side, copied to `scratch` where they do not lie so.
     #[inline(always)]
-    fn row<'s>(&'s self, scratch: &'s mut [T], y: usize, z: usize) -> &'s [T] {
-        let at = self.slab.index(0, y, z - self.first);
-        let (n, stride) = (self.slab.dims()[0], self.slab.strides()[0]);
+    pub(super) fn row<'s>(&'s self, scratch: &'s mut [T], xs: &Range<usize>, y: usize, z: usize) -> &'s [T] {
+        let (at, stride) = (self.slab.index(xs.start, y, z - self.first), self.slab.strides()[0]);
         if stride == 1 {
-            return &self.voxels[at..at + n];
+            return &self.voxels[at..at + xs.len()];
         }
+        let scratch = &mut scratch[..xs.len()];
         for (i, slot) in scratch.iter_mut().enumerate() {
             *slot = self.voxels[at + i * stride];
         }
@@ -199,20 +203,23 @@ impl<T: Voxel> Kernel for &mut Layers<'_, T> {
 }
 
 /// Working memory of one thread.
-struct Scratch<T> {
+pub(super) struct Scratch<T> {
     /// Own rows of one row of blocks, and those that the blocks before it along y, z and both see of it.
-    joined: [Joined<T>; 4],
+    pub(super) joined: [Joined<T>; 4],
     /// A row whose voxels do not lie side by side.
-    row: Vec<T>,
+    pub(super) row: Vec<T>,
     /// Entries of a row.
-    line: Vec<u8>,
+    pub(super) line: Vec<u8>,
     /// Entries of one row of cells, those of a cell side by side.
-    cells: Vec<u8>,
-    counts: [[u32; 256]; 4],
+    pub(super) cells: Vec<u8>,
+    pub(super) counts: Counts,
 }
 
+/// Tables in which entries are counted in turn; cleared again after each cell.
+pub(super) type Counts = [[u32; 256]; 4];
+
 impl<T: Voxel> Scratch<T> {
-    fn new(grid: &Grid, slab: &VolumeView<'_>) -> Result<Self> {
+    pub(super) fn new(grid: &Grid, slab: &VolumeView<'_>) -> Result<Self> {
         let dims = grid.dims;
         let joined = || Joined::new(dims[0]);
         Ok(Self {
@@ -242,10 +249,10 @@ impl<T: Voxel> Layers<'_, T> {
         let mut non_finite = 0;
         for bz in zs.start / block[2]..zs.end.div_ceil(block[2]) {
             for by in ys.start / block[1]..ys.end.div_ceil(block[1]) {
-                scratch.joined.iter_mut().for_each(Joined::clear);
+                scratch.joined.iter_mut().for_each(|joined| joined.clear(grid.dims[0]));
                 for z in grid.span(bz, block[2], 2) {
                     for y in grid.span(by, block[1], 1) {
-                        let row = source.row(&mut scratch.row, y, z);
+                        let row = source.row(&mut scratch.row, &(0..grid.dims[0]), y, z);
                         let (first_y, first_z) = (y == by * block[1], z == bz * block[2]);
                         let takes = [true, first_y, first_z, first_y && first_z];
                         for (joined, _) in scratch.joined.iter_mut().zip(takes).filter(|(_, takes)| *takes) {
@@ -267,10 +274,10 @@ impl<T: Voxel> Layers<'_, T> {
                     }
                     let line = across * (by - back[0]);
                     if bz - back[1] < first_block {
-                        joined.reduce(block[0], &mut self.back[line..][..across]);
+                        joined.reduce(block[0], self.back[line..][..across].iter_mut());
                     } else {
                         let line = line + across * down * (bz - back[1] - first_block);
-                        joined.reduce(block[0], &mut self.bounds[line..][..across]);
+                        joined.reduce(block[0], self.bounds[line..][..across].iter_mut());
                     }
                 }
             }
@@ -288,142 +295,72 @@ impl<T: Voxel> Layers<'_, T> {
             let xs = grid.span(cx, grid.edge[0], 0);
             let total = xs.len() * ys.len() * zs.len();
             let first_block = self.layers.start * (grid.edge[2] / grid.block[2]);
-            let [low, high] = bounds_of(&grid, self.bounds, first_block, [&xs, &ys, &zs]);
-            let [low, high] = [T::entry_of(low, self.map), T::entry_of(high, self.map)];
+            let [low, high] = bounds_of(&grid, self.bounds, first_block, [&xs, &ys, &zs], |b| *b);
+            let bounds = [T::entry_of(low, self.map), T::entry_of(high, self.map)];
             let cell = cx + grid.cells[0] * (cy + grid.cells[1] * (cz - self.layers.start));
-            if low == high {
-                self.counts[usize::from(low)] += total as u64;
-                self.quantiles[cell] = [self.map.near[usize::from(low)]; QUANTILES + 1];
+            let entries = &scratch.cells[cx * per_cell..][..total];
+            let counts = &mut self.counts;
+            let tally = Tally { simd, map: self.map, bounds };
+            self.quantiles[cell] = tally.count(entries, &mut scratch.counts, |entry, n| {
+                counts[usize::from(entry)] += n;
+            });
+        }
+    }
+}
+
+/// Counts a cell's entries, all of which lie within bounds.
+pub(super) struct Tally<'a, S> {
+    pub(super) simd: S,
+    pub(super) map: &'a Map,
+    pub(super) bounds: [u8; 2],
+}
+
+impl<S: Simd> Tally<'_, S> {
+    /// The quantiles of a cell's entries. `each` hears how often each occurs, in ascending order, those that do
+    /// not left out. `counts` must be zero, and is so again.
+    #[inline(always)]
+    pub(super) fn count(
+        &self,
+        entries: &[u8],
+        counts: &mut Counts,
+        mut each: impl FnMut(u8, u64),
+    ) -> [u8; QUANTILES + 1] {
+        let ([low, high], total) = (self.bounds, entries.len());
+        if low == high {
+            each(low, total as u64);
+            return [self.map.near[usize::from(low)]; QUANTILES + 1];
+        }
+        self.batch(entries, counts);
+        let mut out = [0; QUANTILES + 1];
+        let range = usize::from(low)..usize::from(high) + 1;
+        let [a, b, c, d] = counts;
+        let (mut below, mut next) = (0u64, 0usize);
+        let mut last = low;
+        for entry in range.clone() {
+            let n = u64::from(a[entry]) + u64::from(b[entry]) + u64::from(c[entry]) + u64::from(d[entry]);
+            if n == 0 {
                 continue;
             }
-            let batch = Batch { simd, bounds: [low, high] };
-            batch.count(&scratch.cells[cx * per_cell..][..total], &mut scratch.counts);
-            let out = &mut self.quantiles[cell];
-            let range = usize::from(low)..usize::from(high) + 1;
-            let [a, b, c, d] = &mut scratch.counts;
-            let (mut below, mut next) = (0u64, 0usize);
-            let mut last = low;
-            for entry in range.clone() {
-                let n = u64::from(a[entry]) + u64::from(b[entry]) + u64::from(c[entry]) + u64::from(d[entry]);
-                if n == 0 {
-                    continue;
-                }
-                self.counts[entry] += n;
-                below += n;
-                last = entry as u8;
-                // Bound k is the smallest entry with more than k/QUANTILES of the voxels at or below it.
-                while next < QUANTILES && below * QUANTILES as u64 > (next * total) as u64 {
-                    out[next] = self.map.near[entry];
-                    next += 1;
-                }
-            }
-            out[QUANTILES] = self.map.near[usize::from(last)];
-            for table in [a, b, c, d] {
-                table[range.clone()].fill(0);
+            each(entry as u8, n);
+            below += n;
+            last = entry as u8;
+            // Bound k is the smallest entry with more than k/QUANTILES of the voxels at or below it.
+            while next < QUANTILES && below * QUANTILES as u64 > (next * total) as u64 {
+                out[next] = self.map.near[entry];
+                next += 1;
             }
         }
-    }
-}
-
-/// Bounds of a cell from those of its blocks, the layers of blocks from `first` on.
-#[inline(always)]
-fn bounds_of<T: Voxel>(
-    grid: &Grid,
-    bounds: &[Bounds<T>],
-    first: usize,
-    cell: [&Range<usize>; 3],
-) -> Bounds<T> {
-    let [across, down, _] = grid.blocks();
-    let [xs, ys, zs]: [Range<usize>; 3] =
-        core::array::from_fn(|a| cell[a].start / grid.block[a]..cell[a].end.div_ceil(grid.block[a]));
-    let mut out = nothing::<T>();
-    for (z, y) in zs.flat_map(|z| ys.clone().map(move |y| (z, y))) {
-        let line = across * (y + down * (z - first));
-        for &[low, high] in &bounds[line + xs.start..line + xs.end] {
-            out = [out[0].lesser(low), out[1].greater(high)];
+        out[QUANTILES] = self.map.near[usize::from(last)];
+        for table in [a, b, c, d] {
+            table[range.clone()].fill(0);
         }
-    }
-    out
-}
-
-/// Several rows, joined voxel by voxel.
-struct Joined<T> {
-    low: Vec<T>,
-    high: Vec<T>,
-}
-
-impl<T: Voxel> Joined<T> {
-    fn new(len: usize) -> Result<Self> {
-        Ok(Self { low: filled(len, T::HIGHEST)?, high: filled(len, T::LOWEST)? })
+        out
     }
 
-    #[inline(always)]
-    fn clear(&mut self) {
-        self.low.fill(T::HIGHEST);
-        self.high.fill(T::LOWEST);
-    }
-
-    #[inline(always)]
-    fn add(&mut self, row: &[T]) {
-        for ((low, high), &v) in self.low.iter_mut().zip(&mut self.high).zip(row) {
-            let v = v.known();
-            *low = low.lesser(v);
-            *high = high.greater(v);
-        }
-    }
-
-    /// Widens the bounds of a row of blocks: a block's values are its own and the first one of the next
-    /// block.
-    #[inline(always)]
-    fn reduce(&self, block: usize, bounds: &mut [Bounds<T>]) {
-        for (bx, bound) in bounds.iter_mut().enumerate() {
-            let range = bx * block..(bx * block + block + 1).min(self.low.len());
-            bound[0] = self.low[range.clone()].iter().fold(bound[0], |a, &b| a.lesser(b));
-            bound[1] = self.high[range].iter().fold(bound[1], |a, &b| a.greater(b));
-        }
-    }
-}
-
-/// Gives each cell its part of a row's entries: `edge` of them, of which the row is number `place`. There is room
-/// for `per_cell` entries of each cell.
-#[inline(always)]
-fn deal(entries: &[u8], edge: usize, place: usize, per_cell: usize, cells: &mut [u8]) {
-    #[inline(always)]
-    fn fixed<const N: usize>(entries: &[u8], place: usize, per_cell: usize, cells: &mut [u8]) {
-        let (parts, rest) = entries.as_chunks::<N>();
-        for (part, cell) in parts.iter().zip(cells.chunks_exact_mut(per_cell)) {
-            cell[N * place..N * place + N].copy_from_slice(part);
-        }
-        let last = &mut cells[parts.len() * per_cell..];
-        if !rest.is_empty() {
-            last[rest.len() * place..][..rest.len()].copy_from_slice(rest);
-        }
-    }
-    // Most cells have one of few edges, for which no function is called.
-    match edge {
-        4 => fixed::<4>(entries, place, per_cell, cells),
-        8 => fixed::<8>(entries, place, per_cell, cells),
-        16 => fixed::<16>(entries, place, per_cell, cells),
-        32 => fixed::<32>(entries, place, per_cell, cells),
-        _ => {
-            for (part, cell) in entries.chunks(edge).zip(cells.chunks_exact_mut(per_cell)) {
-                cell[part.len() * place..][..part.len()].copy_from_slice(part);
-            }
-        }
-    }
-}
-
-/// Counts entries that all lie within bounds.
-struct Batch<S> {
-    simd: S,
-    bounds: [u8; 2],
-}
-
-impl<S: Simd> Batch<S> {
     /// Where few entries can occur, each is compared with all bytes; where many can, bytes are counted in
     /// four tables in turn: in one, equal neighbors would wait for each other.
     #[inline(always)]
-    fn count(&self, bytes: &[u8], counts: &mut [[u32; 256]; 4]) {
+    fn batch(&self, bytes: &[u8], counts: &mut Counts) {
         let [low, high] = self.bounds;
         let [a, b, c, d] = counts;
         if usize::from(high - low) < 3 * S::LANES {
@@ -451,6 +388,101 @@ impl<S: Simd> Batch<S> {
         }
         for &byte in rest {
             a[usize::from(byte)] += 1;
+        }
+    }
+}
+
+/// Bounds of a cell from those of its blocks, the layers of blocks from `first` on.
+#[inline(always)]
+pub(super) fn bounds_of<T: Voxel, B>(
+    grid: &Grid,
+    bounds: &[B],
+    first: usize,
+    cell: [&Range<usize>; 3],
+    of: impl Fn(&B) -> Bounds<T>,
+) -> Bounds<T> {
+    let [across, down, _] = grid.blocks();
+    let [xs, ys, zs]: [Range<usize>; 3] =
+        core::array::from_fn(|a| cell[a].start / grid.block[a]..cell[a].end.div_ceil(grid.block[a]));
+    let mut out = nothing::<T>();
+    for (z, y) in zs.flat_map(|z| ys.clone().map(move |y| (z, y))) {
+        let line = across * (y + down * (z - first));
+        for [low, high] in bounds[line + xs.start..line + xs.end].iter().map(&of) {
+            out = [out[0].lesser(low), out[1].greater(high)];
+        }
+    }
+    out
+}
+
+/// Several rows, joined voxel by voxel.
+pub(super) struct Joined<T> {
+    low: Vec<T>,
+    high: Vec<T>,
+}
+
+impl<T: Voxel> Joined<T> {
+    fn new(len: usize) -> Result<Self> {
+        Ok(Self { low: filled(len, T::HIGHEST)?, high: filled(len, T::LOWEST)? })
+    }
+
+    /// Rows of `len` voxels from here on, no more than there is room for.
+    #[inline(always)]
+    pub(super) fn clear(&mut self, len: usize) {
+        self.low.clear();
+        self.high.clear();
+        self.low.resize(len, T::HIGHEST);
+        self.high.resize(len, T::LOWEST);
+    }
+
+    #[inline(always)]
+    pub(super) fn add(&mut self, row: &[T]) {
+        for ((low, high), &v) in self.low.iter_mut().zip(&mut self.high).zip(row) {
+            let v = v.known();
+            *low = low.lesser(v);
+            *high = high.greater(v);
+        }
+    }
+
+    /// Widens the bounds of a row of blocks: a block's values are its own and the first one of the next
+    /// block.
+    #[inline(always)]
+    pub(super) fn reduce<'a>(&self, block: usize, bounds: impl Iterator<Item = &'a mut Bounds<T>>)
+    where
+        T: 'a,
+    {
+        for (bx, bound) in bounds.enumerate() {
+            let range = bx * block..(bx * block + block + 1).min(self.low.len());
+            bound[0] = self.low[range.clone()].iter().fold(bound[0], |a, &b| a.lesser(b));
+            bound[1] = self.high[range].iter().fold(bound[1], |a, &b| a.greater(b));
+        }
+    }
+}
+
+/// Gives each cell its part of a row's entries: `edge` of them, of which the row is number `place`. There is room
+/// for `per_cell` entries of each cell.
+#[inline(always)]
+pub(super) fn deal(entries: &[u8], edge: usize, place: usize, per_cell: usize, cells: &mut [u8]) {
+    #[inline(always)]
+    fn fixed<const N: usize>(entries: &[u8], place: usize, per_cell: usize, cells: &mut [u8]) {
+        let (parts, rest) = entries.as_chunks::<N>();
+        for (part, cell) in parts.iter().zip(cells.chunks_exact_mut(per_cell)) {
+            cell[N * place..N * place + N].copy_from_slice(part);
+        }
+        let last = &mut cells[parts.len() * per_cell..];
+        if !rest.is_empty() {
+            last[rest.len() * place..][..rest.len()].copy_from_slice(rest);
+        }
+    }
+    // Most cells have one of few edges, for which no function is called.
+    match edge {
+        4 => fixed::<4>(entries, place, per_cell, cells),
+        8 => fixed::<8>(entries, place, per_cell, cells),
+        16 => fixed::<16>(entries, place, per_cell, cells),
+        32 => fixed::<32>(entries, place, per_cell, cells),
+        _ => {
+            for (part, cell) in entries.chunks(edge).zip(cells.chunks_exact_mut(per_cell)) {
+                cell[part.len() * place..][..part.len()].copy_from_slice(part);
+            }
         }
     }
 }

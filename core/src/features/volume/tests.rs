@@ -17,16 +17,25 @@ struct Volume {
     floats: Vec<f32>,
 }
 
+/// Numbers that look random.
+struct Random(u32);
+
+impl Random {
+    fn below(&mut self, n: usize) -> usize {
+        self.0 = self.0.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        ((self.0 >> 8) as usize * n) >> 24
+    }
+}
+
 impl Volume {
     fn new() -> Self {
-        let mut state = 5u32;
-        let bytes: Vec<u8> = (0..DIMS.iter().product())
-            .map(|i: usize| {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                // Constant cells among others.
-                if (i / 7000).is_multiple_of(2) { 9 } else { (state >> 24) as u8 }
-            })
-            .collect();
+        let mut random = Random(5);
+        // Constant cells among others.
+        let voxel = |i: usize| if (i / 7000).is_multiple_of(2) { 9 } else { random.below(256) as u8 };
+        Self::of((0..DIMS.iter().product()).map(voxel).collect())
+    }
+
+    fn of(bytes: Vec<u8>) -> Self {
         let floats = bytes.iter().map(|&b| match b {
             3 => f32::NAN,
             4 => f32::INFINITY,
@@ -135,4 +144,122 @@ fn slabs_that_do_not_fit_are_refused_and_leave_no_trace() {
     assert_eq!(builder.next_planes(), None);
     assert_eq!(builder.finish().unwrap(), VolumeSummary::new(&bytes, options).unwrap());
     assert!(SummaryBuilder::new(&bytes, 0, options).is_err());
+}
+
+/// A box of voxels, and other values for those in it: for all, for some, or for none.
+fn change(bytes: &mut [u8], random: &mut Random) -> [core::ops::Range<usize>; 3] {
+    let most = [3, 12, 64][random.below(3)];
+    let within = core::array::from_fn(|a| {
+        let start = random.below(DIMS[a]);
+        start..(start + 1 + random.below(most)).min(DIMS[a])
+    });
+    let ([xs, ys, zs], how, fixed) = (&within, random.below(4), random.below(8) as u8);
+    for (z, y) in zs.clone().flat_map(|z| ys.clone().map(move |y| (z, y))) {
+        for x in xs.clone().filter(|_| how > 0) {
+            let value = if how == 1 { fixed } else { random.below(256) as u8 };
+            if how < 3 || random.below(30) == 0 {
+                bytes[x + DIMS[0] * (y + DIMS[1] * z)] = value;
+            }
+        }
+    }
+    within
+}
+
+#[test]
+fn a_series_gives_the_summary_of_every_time_step() {
+    let helper = Helper::new();
+    std::thread::scope(|scope| {
+        scope.spawn(|| helper.serve());
+        for (kind, cells_per_axis) in (0..4).flat_map(|kind| [48, 3, 1].map(|cells| (kind, cells))) {
+            let (options, mut random) = (SummaryOptions { cells_per_axis }, Random(kind as u32));
+            let mut volume = Volume::new();
+            let mut series = SummarySeries::new(&volume.slabs(0..DIMS[2])[kind], DIMS[2], options).unwrap();
+            for step in 0..if cfg!(miri) { 4 } else { 24 } {
+                let mut bytes = core::mem::take(&mut volume.bytes);
+                let within = change(&mut bytes, &mut random);
+                volume = Volume::of(bytes);
+                let whole = volume.slabs(0..DIMS[2])[kind];
+                let executor = [Executor::Serial, Executor::Helper(&helper)][random.below(2)];
+                let known = (random.below(2) == 0).then_some(within);
+                if random.below(2) == 0 {
+                    series.update(&whole, known, executor).unwrap();
+                } else {
+                    // Slab by slab, with a stop now and then.
+                    series.begin(known).unwrap();
+                    let mut stop = random.below(4);
+                    while let Some(planes) = series.next_planes() {
+                        if stop == 0 {
+                            assert_eq!(series.summary().unwrap_err().kind(), ErrorKind::NotReady);
+                            break;
+                        }
+                        stop -= 1;
+                        let end = (planes.start + planes.len() * (1 + random.below(2))).min(DIMS[2]);
+                        series.add(&volume.slabs(planes.start..end)[kind], executor).unwrap();
+                    }
+                    if series.summary().is_err() {
+                        continue;
+                    }
+                }
+                let expected = VolumeSummary::new(&whole, options).unwrap();
+                assert!(*series.summary().unwrap() == expected, "{kind} {cells_per_axis} {step}");
+            }
+        }
+        helper.stop();
+    });
+}
+
+#[test]
+fn a_series_takes_other_strides_and_large_blocks() {
+    let (dims, options) = ([130usize, 9, 20], SummaryOptions { cells_per_axis: 1 });
+    let mut voxels: Vec<u16> = (0..dims.iter().product()).map(|i: usize| (i * 7919 % 1000) as u16).collect();
+    // z runs fastest in memory.
+    let strides = Some([dims[1] * dims[2], dims[2], 1]);
+    let known = VolumeOptions { strides, range: Some((5.0, 700.0)), ..VolumeOptions::default() };
+    fn of(voxels: &[u16], dims: [usize; 3], known: VolumeOptions) -> VolumeView<'_> {
+        VolumeView::with(Scalars::U16(voxels), dims, known).unwrap()
+    }
+    let mut series = SummarySeries::new(&of(&voxels, dims, known), dims[2], options).unwrap();
+    for step in 0..6 {
+        voxels[step * 3571 % 23_000] = 40_000 + step as u16;
+        let expected = VolumeSummary::new(&of(&voxels, dims, known), options).unwrap();
+        assert_eq!(*series.update(&of(&voxels, dims, known), None, Executor::Serial).unwrap(), expected);
+    }
+}
+
+#[test]
+fn a_series_reads_only_what_was_announced() {
+    let mut volume = Volume::new();
+    let [whole, ..] = volume.slabs(0..DIMS[2]);
+    let options = SummaryOptions::default();
+    let mut series = SummarySeries::new(&whole, DIMS[2], options).unwrap();
+    let first = series.update(&whole, Some([0..1, 0..1, 0..1]), Executor::Serial).unwrap().clone();
+    assert_eq!(first, VolumeSummary::new(&whole, options).unwrap());
+    series.begin(Some([3..9, 0..21, 17..30])).unwrap();
+    assert_eq!(series.next_planes(), Some(16..24));
+    assert_eq!(series.add(&whole, Executor::Serial).unwrap_err().kind(), ErrorKind::SizeMismatch);
+    series.add(&volume.slabs(16..24)[0], Executor::Serial).unwrap();
+    assert_eq!(series.next_planes(), Some(24..32));
+    series.add(&volume.slabs(24..43)[0], Executor::Serial).unwrap();
+    assert_eq!(series.next_planes(), None);
+    assert_eq!(*series.summary().unwrap(), first);
+    assert_eq!(
+        series.add(&volume.slabs(0..8)[0], Executor::Serial).unwrap_err().kind(),
+        ErrorKind::SizeMismatch
+    );
+    // What changed outside the box goes unseen, until it is looked for.
+    volume.bytes[0] ^= 255;
+    let [whole, words, ..] = volume.slabs(0..DIMS[2]);
+    assert_eq!(*series.update(&whole, Some([30..37, 0..21, 9..10]), Executor::Serial).unwrap(), first);
+    assert_eq!(*series.update(&whole, Some([0..37, 5..5, 9..10]), Executor::Serial).unwrap(), first);
+    let found = series.update(&whole, None, Executor::Serial).unwrap();
+    assert_eq!(*found, VolumeSummary::new(&whole, options).unwrap());
+    for refused in [[0..38, 0..1, 0..1], [0..1, 9..44, 0..1]] {
+        assert_eq!(series.begin(Some(refused)).unwrap_err().kind(), ErrorKind::InvalidArgument);
+    }
+    assert!(series.update(&words, None, Executor::Serial).is_err());
+    assert_eq!(
+        series.update(&volume.slabs(0..8)[0], None, Executor::Serial).unwrap_err().kind(),
+        ErrorKind::SizeMismatch
+    );
+    assert!(series.summary().is_ok());
 }
