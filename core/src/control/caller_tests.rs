@@ -4,8 +4,9 @@ use super::tests::{frame, lobes, ready_session};
 use super::*;
 use crate::ErrorKind;
 use crate::adapt::{ObserveFlags, Verdict};
-use crate::features::Setting;
-use crate::scene::TransferFunction;
+use crate::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
+use crate::scene::{Scalars, TransferFunction, VolumeView};
+use alloc::vec;
 
 #[test]
 fn a_plan_taken_back_leaves_its_id_to_the_next() {
@@ -145,4 +146,42 @@ fn options_that_steering_cannot_hold_to_are_refused() {
     for bad in [0.0, -1.0, f32::NAN] {
         assert!(HybridOptions { trust_limit: bad, ..good }.checked().is_err(), "{bad}");
     }
+}
+
+#[test]
+fn a_time_step_keeps_the_transfer_function_and_the_scene() {
+    let f = frame(20.0, 30.0, 2.0);
+    let summary = |voxels: &[u8], dims| {
+        VolumeSummary::new(&VolumeView::new(Scalars::U8(voxels), dims).unwrap(), SummaryOptions::default())
+            .unwrap()
+    };
+    let mut voxels = vec![0u8; 32 * 32 * 32];
+    let mut session = Session::untrained();
+    let error = session.set_time_step(summary(&voxels, [32; 3]), None).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::NotReady);
+    session = ready_session();
+    for _ in 0..5 {
+        let plan = session.plan(&f, 0.02).unwrap();
+        session.observe(plan.id, 0.01, ObserveFlags::default()).unwrap();
+    }
+    voxels[9000..20_000].fill(130);
+    let next = summary(&voxels, [32; 3]);
+    session.set_time_step(next.clone(), None).unwrap();
+    session.plan(&f, 0.02).unwrap();
+    assert!(!session.controller.scene().first);
+    // The frame's features are those of the next step under the same table.
+    let table = TransferFunction::Gaussian(lobes(0.5, 0.3)).to_table().unwrap();
+    let mut expected = FrameFeatures::with_probe_side(session.features().probe_side());
+    let mut transfer = TransferSummary::new(&next, &table).unwrap();
+    expected.measure(&next, &mut transfer, &f).unwrap();
+    assert_eq!(*session.features(), expected);
+    // Of other sizes or another type it is no time step.
+    let error = session.set_time_step(summary(&voxels[..16 * 32 * 32], [32, 32, 16]), None).unwrap_err();
+    assert_eq!(error.kind(), ErrorKind::SizeMismatch);
+    let words: Vec<u16> = voxels.iter().map(|&v| u16::from(v)).collect();
+    let view = VolumeView::new(Scalars::U16(&words), [32; 3]).unwrap();
+    let other = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    assert_eq!(session.set_time_step(other, None).unwrap_err().kind(), ErrorKind::InvalidArgument);
+    session.plan(&f, 0.02).unwrap();
+    assert_eq!(*session.features(), expected);
 }

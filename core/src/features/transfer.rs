@@ -93,6 +93,9 @@ pub struct TransferSummary {
     edit: u32,
     /// The same as a plain number.
     edits: u32,
+    /// Opacity of each table entry, and the logarithm of what it lets through; zeros where it is not visible.
+    entries: [[f32; 2]; TABLE_LEN],
+    unit_distance: f32,
     /// Table entries with opacity below each entry.
     opaque: [u16; TABLE_LEN + 1],
     /// Sum of transmittances over the correlation length below each entry. In double precision: differences
@@ -126,6 +129,8 @@ impl TransferSummary {
             cells: Vec::new(),
             edit: 0,
             edits: 0,
+            entries: [[0.0; 2]; TABLE_LEN],
+            unit_distance: 1.0,
             opaque: [0; TABLE_LEN + 1],
             transmittance: [0.0; TABLE_LEN + 1],
             grid: volume.cells(),
@@ -150,6 +155,20 @@ impl TransferSummary {
     /// # Errors
     /// As [`TransferSummary::new`]; nothing has changed then.
     pub fn update(&mut self, volume: &VolumeSummary, table: &TransferTable) -> Result<()> {
+        self.apply(volume, Some(table))
+    }
+
+    /// Applies the present table to another time step of the volume, or to another volume. Allocates as
+    /// [`TransferSummary::update`].
+    ///
+    /// # Errors
+    /// As [`TransferSummary::new`]; nothing has changed then.
+    pub(crate) fn follow(&mut self, volume: &VolumeSummary) -> Result<()> {
+        self.apply(volume, None)
+    }
+
+    /// Applies a table, or the present one, to a volume.
+    fn apply(&mut self, volume: &VolumeSummary, table: Option<&TransferTable>) -> Result<()> {
         let n = volume.cell_count();
         let longest = volume.cells().into_iter().max().unwrap_or(1);
         let shares = if volume.first_blocks().is_some() { n } else { 0 };
@@ -172,16 +191,19 @@ impl TransferSummary {
         self.grid = volume.cells();
         self.distance_ready = false;
         self.begin_edit();
-        self.read_table(volume, table);
+        if let Some(table) = table {
+            self.read_table(table);
+        }
+        self.read_histogram(volume);
         self.classify(volume);
         self.interior.update(interior, self.grid, &self.full);
         Ok(())
     }
 
-    /// Prefix tables, and what follows from the table and the volume's histogram alone.
-    fn read_table(&mut self, volume: &VolumeSummary, table: &TransferTable) {
+    /// What the table says of each entry, and prefix tables of it.
+    fn read_table(&mut self, table: &TransferTable) {
         let ratio = CORRELATION_LENGTH / table.unit_distance();
-        let (mut mean, mut square, mut extinction, mut shown) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
+        self.unit_distance = table.unit_distance();
         self.max_opacity = 0.0;
         for (i, entry) in table.rgba().iter().enumerate() {
             let counts = table.is_visible(i);
@@ -192,14 +214,22 @@ impl TransferSummary {
             } else {
                 (0.0, 1.0)
             };
+            self.entries[i] = [alpha, log];
             self.opaque[i + 1] = self.opaque[i] + u16::from(counts);
             self.transmittance[i + 1] = self.transmittance[i] + f64::from(through);
-            let share = f64::from(volume.histogram()[i]);
+            self.max_opacity = self.max_opacity.max(alpha);
+        }
+    }
+
+    /// What follows from the table and the volume's histogram alone.
+    fn read_histogram(&mut self, volume: &VolumeSummary) {
+        let (mut mean, mut square, mut extinction, mut shown) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
+        for (i, (&[alpha, log], &share)) in self.entries.iter().zip(volume.histogram()).enumerate() {
+            let (share, counts) = (f64::from(share), self.opaque[i + 1] > self.opaque[i]);
             mean += share * f64::from(alpha);
             square += share * f64::from(alpha) * f64::from(alpha);
-            extinction -= share * f64::from(log) / f64::from(table.unit_distance());
+            extinction -= share * f64::from(log) / f64::from(self.unit_distance);
             shown += share * f64::from(u8::from(counts));
-            self.max_opacity = self.max_opacity.max(alpha);
         }
         self.mean_opacity = mean as f32;
         self.mean_square_opacity = square as f32;
