@@ -1,5 +1,10 @@
 //! `entire_volume`: voxels of any scalar type, or bounds of bricks; with or without ready features.
 
+mod update;
+
+#[cfg(test)]
+pub(crate) use update::*;
+
 use crate::abi::{
     ByValue, check_output, check_pointer, init_struct, no_padding, read_struct, slice, write, write_struct,
 };
@@ -10,7 +15,7 @@ use crate::reserve;
 use crate::result::entire_result::{self, *};
 use crate::result::{Failure, copied};
 use crate::sink;
-use entire_core::features::{SummaryOptions, VolumeSummary};
+use entire_core::features::{SummaryOptions, SummarySeries, VolumeSummary};
 use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
 use std::ffi::{c_char, c_void};
 use std::mem::size_of;
@@ -43,8 +48,9 @@ pub const ENTIRE_SCALAR_I64: entire_scalar_type = 10;
 pub type entire_voxels_ownership = u32;
 /// The library copies the voxels; the caller's memory is free again when the call returns.
 pub const ENTIRE_VOXELS_COPY: entire_voxels_ownership = 1;
-/// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed. For
-/// scalar types U8, U16, I16 and F32, aligned to their size.
+/// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed, or but for
+/// the voxels of its next time step (entire_volume_update). For scalar types U8, U16, I16 and F32, aligned to their
+/// size.
 pub const ENTIRE_VOXELS_BORROW: entire_voxels_ownership = 2;
 
 /// In `strides`: x runs fastest, then y, then z, without gaps. All three strides or none.
@@ -203,8 +209,8 @@ no_padding!(entire_volume_info {
     feature_count
 });
 
-/// Voxels, or what stands for them. Immutable but for its ready features; may be used by any number of
-/// sessions.
+/// Voxels, or what stands for them. Immutable but for its ready features and its time steps; may be used by any
+/// number of sessions.
 pub struct entire_volume {
     status: Status,
     value: Volume,
@@ -213,6 +219,8 @@ pub struct entire_volume {
 pub(crate) struct Volume {
     voxels: Option<Voxels>,
     summary: OnceLock<VolumeSummary>,
+    /// Stands for the summary from the second time step on.
+    series: Option<Box<SummarySeries>>,
     scalar_type: entire_scalar_type,
     pub(crate) features: Option<Vec<f32>>,
 }
@@ -247,17 +255,24 @@ impl Volume {
 
     /// The summary, made at the first call.
     pub(crate) fn summary(&self) -> Result<&VolumeSummary, Failure> {
+        if let Some(series) = &self.series {
+            return Ok(series.summary()?);
+        }
         if let Some(summary) = self.summary.get() {
             return Ok(summary);
         }
         let summary = VolumeSummary::new(self.view()?, SummaryOptions::default())?;
-        if summary.non_finite_share() > 0.0 {
-            sink::emit(
-                sink::ENTIRE_LOG_WARNING,
-                "the volume has voxels that are NaN or infinite; they count as the ends of the range",
-            );
-        }
+        warn_of_non_finite(&summary);
         Ok(self.summary.get_or_init(|| summary))
+    }
+}
+
+fn warn_of_non_finite(summary: &VolumeSummary) {
+    if summary.non_finite_share() > 0.0 {
+        sink::emit(
+            sink::ENTIRE_LOG_WARNING,
+            "the volume has voxels that are NaN or infinite; they count as the ends of the range",
+        );
     }
 }
 
@@ -304,6 +319,7 @@ pub unsafe extern "C" fn entire_volume_new(
         let made = Volume {
             voxels: Some(voxels),
             summary: OnceLock::new(),
+            series: None,
             scalar_type: desc.scalar_type,
             features: None,
         };
@@ -492,6 +508,7 @@ pub unsafe extern "C" fn entire_volume_from_bricks(
         let made = Volume {
             voxels: None,
             summary: OnceLock::from(summary),
+            series: None,
             scalar_type: desc.scalar_type,
             features: None,
         };

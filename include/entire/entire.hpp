@@ -258,6 +258,13 @@ public:
     status set_features(span<const float> features) {
         return detail::done(entire_volume_set_features(get(), features.data(), features.size()));
     }
+    // The next time step: other voxels, or the borrowed ones after they were written to. Sessions hear of it by
+    // set_time_step.
+    status update(const entire_volume_desc &desc) { return detail::done(entire_volume_update(get(), &desc)); }
+    // The same where no voxel changed outside of a box of `size` voxels from voxel `first` on, along x, y, z.
+    status update(const entire_volume_desc &desc, const std::size_t (&first)[3], const std::size_t (&size)[3]) {
+        return detail::done(entire_volume_update_box(get(), &desc, first, size));
+    }
     plain_result<entire_volume_info> info() const {
         auto out = detail::sized<entire_volume_info>();
         if (auto code = entire_volume_describe(get(), &out)) return failure::last(code);
@@ -405,6 +412,7 @@ public:
     }
 
     status set_volume(const volume &of) { return detail::done(entire_session_set_volume(get(), of.get())); }
+    status set_time_step(const volume &of) { return detail::done(entire_session_set_time_step(get(), of.get())); }
     status set_transfer_function(const transfer_function &to) {
         return detail::done(entire_session_set_transfer_function(get(), to.get()));
     }

@@ -125,6 +125,25 @@ static entire_result set_volume(void) {
     return entire_session_set_volume(session, volume);
 }
 
+/* The next time steps of a volume, and a session that follows. */
+static entire_result update_volume(void) {
+    entire_volume_desc desc;
+    entire_volume *made = NULL;
+    entire_volume_desc_init(&desc, sizeof desc);
+    desc.scalar_type = ENTIRE_SCALAR_U8;
+    desc.ownership = ENTIRE_VOXELS_BORROW;
+    desc.voxels = large;
+    desc.voxel_count = LARGE;
+    desc.dims[0] = desc.dims[1] = desc.dims[2] = SIDE;
+    entire_result result = entire_volume_new(&desc, &made);
+    if (result == ENTIRE_OK) result = entire_volume_update(made, &desc);
+    if (result == ENTIRE_OK) result = entire_volume_update(made, &desc);
+    if (result == ENTIRE_OK) result = entire_session_set_volume(session, made);
+    if (result == ENTIRE_OK) result = entire_session_set_time_step(session, made);
+    entire_volume_free(made);
+    return result;
+}
+
 static entire_result set_transfer_function(void) {
     return entire_session_set_transfer_function(session, tf);
 }
@@ -228,6 +247,7 @@ static const struct {
     {"entire_transfer_function_from_lobes", lobes, 0, 0},
     {"entire_session_new", new_session, 0, 0},
     {"entire_session_set_volume", set_volume, 0, 0},
+    {"entire_volume_update, entire_session_set_time_step", update_volume, 0, 0},
     {"entire_session_set_transfer_function", set_transfer_function, 0, 0},
     {"entire_session_save_state", save_state, 0, 0},
     {"a refused call", refused, 0, 0},

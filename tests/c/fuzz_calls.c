@@ -312,7 +312,7 @@ static void call(void) {
         else if (one_in(2)) note(entire_session_observe(session, plan.id, number(1e-4f, 0.2f), kind(4) - 1, NULL));
         break;
     case 15:
-        note(entire_session_set_volume(session, volume));
+        note(one_in(3) ? entire_session_set_time_step(session, volume) : entire_session_set_volume(session, volume));
         break;
     case 16:
         note(entire_session_set_transfer_function(session, tf));

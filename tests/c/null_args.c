@@ -75,6 +75,13 @@ int main(int argc, char **argv) {
     NONE(entire_volume_from_bricks(&bricks, NULL));
     NONE(entire_volume_set_features(NULL, f, 1));
     NONE(entire_volume_set_features(v, NULL, 1));
+    const size_t place[3] = {0, 0, 0};
+    NONE(entire_volume_update(NULL, &desc));
+    NONE(entire_volume_update(v, NULL));
+    NONE(entire_volume_update_box(NULL, &desc, place, place));
+    NONE(entire_volume_update_box(v, NULL, place, place));
+    NONE(entire_volume_update_box(v, &desc, NULL, place));
+    NONE(entire_volume_update_box(v, &desc, place, NULL));
     NONE(entire_volume_describe(NULL, &volume_info));
     NONE(entire_volume_describe(v, NULL));
     NONE(entire_volume_last_error(NULL, NULL, 0, &n));
@@ -98,6 +105,8 @@ int main(int argc, char **argv) {
     NONE(entire_session_new(NULL, NULL, NULL));
     NONE(entire_session_set_volume(NULL, v));
     NONE(entire_session_set_volume(p, NULL));
+    NONE(entire_session_set_time_step(NULL, v));
+    NONE(entire_session_set_time_step(p, NULL));
     NONE(entire_session_set_transfer_function(NULL, t));
     NONE(entire_session_set_transfer_function(p, NULL));
     NONE(entire_session_set_limits(NULL, 1, 2));

@@ -92,6 +92,13 @@ int main(int argc, char **argv) {
     auto lobes = entire::transfer_function::from_lobes({&lobe, 1}).value();
     CHECK(lobes.table().value().size() == 1024 && lobes.set_unit_distance(2, ENTIRE_UNIT_WORLD));
     CHECK(session.set_transfer_function(lobes));
+    std::vector<std::uint16_t> next(5 * 7 * 11, 30);
+    entire::volume_desc step(entire::span<const std::uint16_t>(next), 5, 7, 11);
+    CHECK(volume.update(step).code() == ENTIRE_INVALID_ARGUMENT);
+    step.spacing[2] = 3;
+    CHECK(volume.update(step) && session.set_time_step(volume));
+    next[0] = 4000;
+    CHECK(volume.update(step, {0, 0, 0}, {1, 1, 1}) && session.set_time_step(volume));
     const entire_opacity_node nodes[] = {{0, 0, 0.5, 0}, {4095, 0.8, 0.5, 0.3}};
     const entire_color_node colors[] = {{0, {0, 0, 1}, 0.5, 0}, {4095, {1, 0, 0}, 0.5, 0}};
     CHECK(entire::transfer_function::from_nodes(nodes, colors, 0, 4095));

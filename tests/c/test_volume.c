@@ -209,6 +209,10 @@ static void bricks(void) {
     entire_plan plan = {.struct_size = sizeof plan};
     OK(entire_session_plan(session, &frame, 0.01f, &plan));
     CHECK(plan.id != 0 && plan.step >= 1 && plan.step <= 16);
+    entire_volume_desc none;
+    OK(entire_volume_desc_init(&none, sizeof none));
+    none.voxels = bounds;
+    EXPECT(ENTIRE_NOT_READY, entire_volume_update(volume, &none));
     entire_session_free(session);
     entire_transfer_function_free(tf);
     entire_volume_free(volume);
@@ -235,6 +239,69 @@ static void bricks(void) {
     CHECK(entire_volume_desc_init(&desc, 9) == ENTIRE_STRUCT_SIZE);
 }
 
+/* A session that follows a volume from step to step plans as one that is given the last step alone. */
+static void time_steps(entire_voxels_ownership ownership) {
+    uint16_t voxels[TOY_VOXELS];
+    for (int i = 0; i < TOY_VOXELS; ++i) voxels[i] = (uint16_t)(i % 3);
+    entire_volume_desc desc = desc_of(ENTIRE_SCALAR_U16, voxels);
+    desc.ownership = ownership;
+    desc.range[1] = 100;
+    desc.range[0] = 0;
+    entire_volume *volume = NULL, *alone = NULL;
+    OK(entire_volume_new(&desc, &volume));
+    entire_session *follows = NULL, *given = NULL;
+    entire_transfer_function *tf = toy_transfer_function();
+    OK(entire_session_new(NULL, NULL, &follows));
+    EXPECT(ENTIRE_NOT_READY, entire_session_set_time_step(follows, volume));
+    OK(entire_session_set_volume(follows, volume));
+    OK(entire_session_set_transfer_function(follows, tf));
+    entire_frame frame = toy_frame();
+    for (int step = 0; step < 6; ++step) {
+        const size_t first[3] = {0, 0, (size_t)step}, size[3] = {TOY_X, TOY_Y, 1};
+        const size_t plane = (size_t)TOY_X * TOY_Y;
+        for (size_t i = 0; i < plane; ++i) voxels[plane * (size_t)step + i] = (uint16_t)(40 + i % 30);
+        const float ready[] = {1, 2};
+        OK(entire_volume_set_features(volume, ready, 2));
+        desc.range[0] = desc.range[1] = step % 3 ? NAN : 0;
+        if (step % 3 == 0) desc.range[1] = 100;
+        if (step % 2) OK(entire_volume_update_box(volume, &desc, first, size));
+        else OK(entire_volume_update(volume, &desc));
+        CHECK(info_of(volume).feature_count == 0 && info_of(volume).range[1] == 100);
+        OK(entire_session_set_time_step(follows, volume));
+
+        desc.range[0] = 0, desc.range[1] = 100;
+        OK(entire_volume_new(&desc, &alone));
+        OK(entire_session_new(NULL, NULL, &given));
+        OK(entire_session_set_volume(given, alone));
+        OK(entire_session_set_transfer_function(given, tf));
+        entire_prediction found = {.struct_size = sizeof found}, wanted = {.struct_size = sizeof wanted};
+        OK(entire_session_predict(follows, &frame, &found));
+        OK(entire_session_predict(given, &frame, &wanted));
+        CHECK(found.seconds == wanted.seconds);
+        entire_session_free(given);
+        entire_volume_free(alone);
+        alone = NULL;
+    }
+    const size_t origin[3] = {0, 0, 0}, beyond[3] = {1, TOY_Y + 1, 1}, far[3] = {SIZE_MAX, 0, 0};
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_volume_update_box(volume, &desc, origin, beyond));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_volume_update_box(volume, &desc, far, beyond));
+#define REFUSE_STEP(code, change)                                                                      \
+    do {                                                                                               \
+        entire_volume_desc other = desc;                                                               \
+        change;                                                                                        \
+        EXPECT(code, entire_volume_update(volume, &other));                                            \
+    } while (0)
+    REFUSE_STEP(ENTIRE_INVALID_ARGUMENT, other.scalar_type = ENTIRE_SCALAR_I16);
+    REFUSE_STEP(ENTIRE_INVALID_ARGUMENT, other.spacing[1] = 2);
+    REFUSE_STEP(ENTIRE_INVALID_ARGUMENT, other.range[1] = 101);
+    REFUSE_STEP(ENTIRE_SIZE_MISMATCH, other.dims[2] -= 1);
+    REFUSE_STEP(ENTIRE_NULL_ARGUMENT, other.voxels = NULL);
+    OK(entire_session_set_time_step(follows, volume));
+    entire_session_free(follows);
+    entire_transfer_function_free(tf);
+    entire_volume_free(volume);
+}
+
 int main(int argc, char **argv) {
     CHECK(argc == 2);
     entire_model *model = NULL;
@@ -245,5 +312,7 @@ int main(int argc, char **argv) {
     descriptions();
     refusals();
     bricks();
+    time_steps(ENTIRE_VOXELS_COPY);
+    time_steps(ENTIRE_VOXELS_BORROW);
     return 0;
 }
