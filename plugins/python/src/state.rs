@@ -35,14 +35,20 @@ impl State {
         }
     }
 
-    /// Takes up a volume, with VolumeNet's output for it where the model takes one.
+    /// Takes up a volume or its next time step, with VolumeNet's output for it where the model takes one.
     pub(crate) fn take_volume(
         &mut self,
         py: Python<'_>,
         volume: &Arc<Data>,
         features: Option<&[f32]>,
     ) -> PyResult<()> {
-        self.core.set_volume(volume.summary(py)?.clone(), features.map(<[f32]>::to_vec));
+        let (summary, features) = (volume.summary(py)?.clone(), features.map(<[f32]>::to_vec));
+        if self.volume.as_ref().is_some_and(|before| volume.follows(before)) {
+            self.core.set_time_step(summary, features).map_err(raise)?;
+            self.volume = Some(volume.clone());
+            return Ok(());
+        }
+        self.core.set_volume(summary, features);
         self.volume = Some(volume.clone());
         self.transfer = None;
         Ok(())

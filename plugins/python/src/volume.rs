@@ -2,7 +2,9 @@
 
 use crate::detach::{calling, detached};
 use crate::errors::raise;
-use entire_core::features::{SummaryOptions, VolumeSummary};
+use crate::lock::Guarded;
+use entire_core::features::{SummaryOptions, SummarySeries, VolumeSummary};
+use entire_core::nn::Executor;
 use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
 use glam::Vec3;
 use numpy::{PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
@@ -18,8 +20,20 @@ pub(crate) struct Data {
     origin: [f64; 3],
     summary: OnceLock<VolumeSummary>,
     copied: bool,
+    /// Axes of the array along x, y, z.
+    order: [usize; 3],
+    /// What time steps share, and the number of this one.
+    series: Arc<Guarded<Series>>,
+    step: u64,
     /// Keeps the memory alive that `view` looks at.
     owner: Py<PyAny>,
+}
+
+/// What is kept of the time step that was made last.
+#[derive(Default)]
+struct Series {
+    kept: Option<Box<SummarySeries>>,
+    step: u64,
 }
 
 impl Data {
@@ -35,6 +49,11 @@ impl Data {
         let summary =
             detached(py, || VolumeSummary::new(&self.view, SummaryOptions::default())).map_err(raise)?;
         Ok(self.summary.get_or_init(|| summary))
+    }
+
+    /// Whether this is another time step of a volume.
+    pub(crate) fn follows(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.series, &other.series) && self.step != other.step
     }
 
     pub(crate) fn spacing(&self) -> Vec3 {
@@ -153,31 +172,16 @@ unsafe fn elements<T>(at: *const u8, count: usize) -> &'static [T] {
     unsafe { std::slice::from_raw_parts(at.cast(), count) }
 }
 
-#[pymethods]
 impl Volume {
-    #[new]
-    #[pyo3(signature = (array, spacing = [1.0, 1.0, 1.0], *, origin = [0.0, 0.0, 0.0], axes = "zyx",
-        range = None))]
-    fn new(
+    /// An array as voxels.
+    fn look_at(
         py: Python<'_>,
         array: &Bound<'_, PyAny>,
         spacing: [f32; 3],
         origin: [f64; 3],
-        axes: &str,
+        order: [usize; 3],
         range: Option<(f32, f32)>,
-    ) -> PyResult<Self> {
-        let order = match axes {
-            "zyx" => [2, 1, 0],
-            "xyz" => [0, 1, 2],
-            other => {
-                return Err(PyValueError::new_err(format!(
-                    "axes is {other:?}; it must be \"zyx\" for array[z, y, x] or \"xyz\" for array[x, y, z]"
-                )));
-            }
-        };
-        if origin.iter().any(|v| !v.is_finite()) {
-            return Err(PyValueError::new_err(format!("origin is {origin:?}; all three must be finite")));
-        }
+    ) -> PyResult<Data> {
         let given = asarray(array)?;
         let mut kept = given.cast::<PyUntypedArray>()?.clone();
         if kept.ndim() != 3 {
@@ -223,7 +227,99 @@ impl Volume {
         let options = VolumeOptions { strides: Some(strides), spacing, range };
         let view = detached(py, || VolumeView::with(scalars, dims, options)).map_err(raise)?;
         let owner = kept.into_any().unbind();
-        Ok(Self(Arc::new(Data { view, origin, summary: OnceLock::new(), copied, owner })))
+        let series = Arc::new(Guarded::new(Series::default()));
+        Ok(Data { view, origin, summary: OnceLock::new(), copied, order, series, step: 0, owner })
+    }
+}
+
+#[pymethods]
+impl Volume {
+    #[new]
+    #[pyo3(signature = (array, spacing = [1.0, 1.0, 1.0], *, origin = [0.0, 0.0, 0.0], axes = "zyx",
+        range = None))]
+    fn new(
+        py: Python<'_>,
+        array: &Bound<'_, PyAny>,
+        spacing: [f32; 3],
+        origin: [f64; 3],
+        axes: &str,
+        range: Option<(f32, f32)>,
+    ) -> PyResult<Self> {
+        let order = match axes {
+            "zyx" => [2, 1, 0],
+            "xyz" => [0, 1, 2],
+            other => {
+                return Err(PyValueError::new_err(format!(
+                    "axes is {other:?}; it must be \"zyx\" for array[z, y, x] or \"xyz\" for array[x, y, z]"
+                )));
+            }
+        };
+        if origin.iter().any(|v| !v.is_finite()) {
+            return Err(PyValueError::new_err(format!("origin is {origin:?}; all three must be finite")));
+        }
+        Self::look_at(py, array, spacing, origin, order, range).map(|data| Self(Arc::new(data)))
+    }
+
+    /// The next time step: another array of the same shape and type, or the same one after it was written to.
+    /// Spacing, origin, axes and range are this volume's. What changed is found in one pass over the voxels, much
+    /// faster than the scan of a volume, and only that is scanned again; the first time step is scanned whole.
+    /// :meth:`Session.set_volume` with it keeps what was learned of the scene.
+    ///
+    /// Parameters
+    /// ----------
+    /// array : array_like, 3-D
+    ///     Voxels of the next time step.
+    /// changed : ((int, int), (int, int), (int, int)), optional
+    ///     Where the caller knows what changed: first index and end along each axis of the array. Nothing outside
+    ///     of that box is read. Without effect on any but the series' latest time step.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For an array of another shape or type, or a box that reaches beyond it.
+    ///
+    /// Examples
+    /// --------
+    /// >>> import numpy as np, entire
+    /// >>> array = np.zeros((32, 64, 64), np.uint8)
+    /// >>> volume = entire.Volume(array)
+    /// >>> array[4:9] = 200
+    /// >>> volume = volume.next(array)
+    /// >>> array[0, 0, 7] = 1
+    /// >>> volume = volume.next(array, ((0, 1), (0, 1), (7, 8)))
+    #[pyo3(signature = (array, changed = None))]
+    fn next(
+        &self,
+        py: Python<'_>,
+        array: &Bound<'_, PyAny>,
+        changed: Option<[(usize, usize); 3]>,
+    ) -> PyResult<Self> {
+        let before = &*self.0;
+        let range = Some(before.view.range());
+        let mut data =
+            Self::look_at(py, array, before.spacing().to_array(), before.origin, before.order, range)?;
+        data.series = before.series.clone();
+        let mut series = before.series.lock(py)?;
+        // What changed since another time step nobody said.
+        let changed = changed.filter(|_| before.step == series.step || series.kept.is_none());
+        let changed = changed.map(|axes| before.order.map(|axis| axes[axis].0..axes[axis].1));
+        let mut kept = match series.kept.take() {
+            Some(kept) => kept,
+            None => Box::new(
+                SummarySeries::new(&before.view, before.view.shape().dims[2], SummaryOptions::default())
+                    .map_err(raise)?,
+            ),
+        };
+        let summary = detached(py, || {
+            let summary = kept.update(&data.view, changed, Executor::Serial)?;
+            summary.try_clone()
+        });
+        series.kept = Some(kept);
+        data.summary = OnceLock::from(summary.map_err(raise)?);
+        series.step += 1;
+        data.step = series.step;
+        drop(series);
+        Ok(Self(Arc::new(data)))
     }
 
     /// tuple of int : Voxels along x, y and z.

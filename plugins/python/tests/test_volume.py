@@ -137,3 +137,44 @@ def test_not_finite_voxels_and_flat_volumes_do(tf):
     assert np.isfinite(seconds(entire.Volume(np.full((8, 8, 8), 5, np.int64)), tf)).all()
     huge = np.array([1e300, -1e300, 0, 1] * 2).reshape(2, 2, 2)
     assert np.isfinite(seconds(entire.Volume(huge), tf)).all()
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32", "float64"])
+@pytest.mark.parametrize("axes", ["zyx", "xyz"])
+def test_time_steps_are_as_volumes_of_their_own(voxels, dtype, axes, tf):
+    array = voxels.astype(dtype)
+    first = volume = entire.Volume(array, (1, 2, 3), axes=axes, range=(0, 255))
+    for step in range(4):
+        array[3 * step, 2:9, 5:30] = 250 - 40 * step
+        changed = ((3 * step, 3 * step + 1), (2, 9), (5, 30)) if step % 2 else None
+        volume = volume.next(array, changed)
+        alone = entire.Volume(array.copy(), (1, 2, 3), axes=axes, range=(0, 255))
+        assert volume.range == (0, 255) and volume.spacing == (1, 2, 3) and volume.shape == alone.shape
+        assert np.array_equal(seconds(volume, tf), seconds(alone, tf))
+    # From an earlier step on, what changed is found, whatever was said of it.
+    array[20:] = 0
+    branch = first.next(array, ((0, 1), (0, 1), (0, 1)))
+    assert np.array_equal(seconds(branch, tf), seconds(entire.Volume(array.copy(), (1, 2, 3), axes=axes, range=(0, 255)), tf))
+
+
+def test_a_session_follows_time_steps(voxels, tf):
+    array = voxels.copy()
+    volume = entire.Volume(array)
+    session = entire.Session(volume)
+    camera = entire.Camera.arcball(20, 30, 2.5)
+    for _ in range(3):
+        plan = session.plan(camera, tf, (200, 150), 0.02)
+        session.observe(plan, 0.01)
+        array[5:20] //= 2
+        volume = volume.next(array)
+        session.set_volume(volume)
+    assert session.plan(camera, None, (200, 150), 0.02).step >= 1
+
+
+def test_what_is_no_time_step_is_refused(voxels):
+    volume = entire.Volume(voxels)
+    for other in (voxels[1:], voxels.astype(np.int16)):
+        with pytest.raises(ValueError):
+            volume.next(other)
+    with pytest.raises(ValueError):
+        volume.next(voxels, ((0, voxels.shape[0] + 1), (0, 1), (0, 1)))

@@ -33,6 +33,11 @@ class Volume:
         axes: Literal["zyx", "xyz"] = "zyx",
         range: tuple[float, float] | None = None,
     ) -> Self: ...
+    def next(
+        self,
+        array: npt.ArrayLike,
+        changed: tuple[tuple[int, int], tuple[int, int], tuple[int, int]] | None = None,
+    ) -> Volume: ...
     @property
     def shape(self) -> tuple[int, int, int]: ...
     @property
