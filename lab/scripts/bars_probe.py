@@ -118,6 +118,7 @@ def main():
     transfers = [f"transfer/{edge}/{what}" for edge in EDGES for what in ("first", "edit", "plan")]
     volumes = [f"{what}/{kind}" for kind in TYPES for what in ("summary", "read")]
     today_only = [f"summary2/{kind}" for kind in TYPES]
+    today_only += [f"step/{kind}/{what}" for kind in TYPES for what in ("same", "box")]
     asked = [n for n in plans + transfers + volumes + today_only if options.only in n]
     best = {}
     servers = {side: Server(target / "release/examples/probe_server") for side, target in targets.items()}
