@@ -46,6 +46,16 @@ impl<'a> Visible<'a> {
         };
         self.runs[..count].iter().fold(0, |bits, &(first, last)| bits | simd.overlaps(low, high, first, last))
     }
+
+    /// The same for those beyond the last whole 64 pairs; no others are set.
+    #[inline(always)]
+    fn rest<S: Simd>(&self, simd: S, low: &[u8], high: &[u8]) -> u64 {
+        let (low, high) = (low.as_chunks::<64>().1, high.as_chunks::<64>().1);
+        let (mut last_low, mut last_high) = ([0; 64], [0; 64]);
+        last_low[..low.len()].copy_from_slice(low);
+        last_high[..high.len()].copy_from_slice(high);
+        self.bits(simd, &last_low, &last_high) & ((1 << low.len()) - 1)
+    }
 }
 
 /// Writes a bit for each pair of bounds, 64 in a word, set where an entry between them is visible; gives how many
@@ -66,74 +76,176 @@ impl Kernel for Classify<'_> {
 
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> u64 {
-        let ((lows, low), (highs, high)) = (self.low.as_chunks::<64>(), self.high.as_chunks::<64>());
+        let ((lows, low), (highs, _)) = (self.low.as_chunks::<64>(), self.high.as_chunks::<64>());
         let mut sum = 0;
         for ((word, low), high) in self.bits.iter_mut().zip(lows).zip(highs) {
             *word = self.visible.bits(simd, low, high);
             sum += u64::from(word.count_ones());
         }
         if let (Some(word), false) = (self.bits.get_mut(lows.len()), low.is_empty()) {
-            let (mut last_low, mut last_high) = ([0; 64], [0; 64]);
-            last_low[..low.len()].copy_from_slice(low);
-            last_high[..high.len()].copy_from_slice(high);
-            *word = self.visible.bits(simd, &last_low, &last_high) & ((1 << low.len()) - 1);
+            *word = self.visible.rest(simd, self.low, self.high);
             sum += u64::from(word.count_ones());
         }
         sum
     }
 }
 
-/// Writes the share of each cell's blocks whose bit is set, and a bit for each cell, set where that is above zero;
-/// gives the sum of the shares. `first` says where the blocks of each cell begin and where the last one's
-/// end, `most` how many a cell has that the volume's end does not cut. `bits` must have a word beyond that of
-/// the last block.
-pub(super) fn share(bits: &[u64], first: &[u32], most: usize, shares: &mut [f32], full: &mut [u64]) -> f64 {
-    Level::detect().run(Share { bits, first, most, shares, full })
+/// The blocks of a volume's cells, cell after cell.
+#[derive(Clone, Copy)]
+pub(super) struct Blocks<'a> {
+    /// Lowest and highest entries that samples in each can touch.
+    pub(super) low: &'a [u8],
+    pub(super) high: &'a [u8],
+    /// Where the blocks of each cell begin, and where the last one's end.
+    pub(super) first: &'a [u32],
+    /// How many blocks a cell has that the volume's end does not cut, and whether that is every cell.
+    pub(super) most: usize,
+    pub(super) uniform: bool,
 }
 
-struct Share<'a> {
-    bits: &'a [u64],
-    first: &'a [u32],
-    most: usize,
-    shares: &'a mut [f32],
+impl Blocks<'_> {
+    /// Whether a word of bits of blocks is eight cells, or part of one: then cells are looked at first.
+    fn fill_words(&self) -> bool {
+        self.uniform && (self.most == 8 || self.most.is_multiple_of(64))
+    }
+
+    /// The share of a cell's blocks whose bit is set. `bits` must have a word beyond that of the last block.
+    #[inline(always)]
+    pub(super) fn share(&self, bits: &[u64], cell: usize) -> f32 {
+        let [begin, end] = if self.uniform {
+            [cell * self.most, (cell + 1) * self.most]
+        } else {
+            [self.first[cell] as usize, self.first[cell + 1] as usize]
+        };
+        count(bits, begin, end) as f32 / (end - begin) as f32
+    }
+}
+
+/// Writes a bit for each block, set where an entry between its bounds is visible, and for each cell, set where one
+/// of its blocks' is: what stands for the blocks of other cells may be anything. Gives the sum, over cells, of the
+/// share of their blocks whose bit is set. `low` and `high` are the bounds of the cells. `bits` must have a word
+/// beyond that of the last block.
+pub(super) fn classify_blocks(
+    visible: &Visible<'_>,
+    low: &[u8],
+    high: &[u8],
+    blocks: Blocks<'_>,
+    bits: &mut [u64],
+    full: &mut [u64],
+) -> f64 {
+    if blocks.fill_words() {
+        Level::detect().run(ClassifyWords { visible, low, high, blocks, bits, full })
+    } else {
+        Level::detect().run(Classify { visible, low: blocks.low, high: blocks.high, bits });
+        Level::detect().run(Gather { bits, blocks, full })
+    }
+}
+
+/// Where whole words are blocks of cells: only words of cells whose own bounds hold a visible entry are looked at.
+struct ClassifyWords<'a> {
+    visible: &'a Visible<'a>,
+    low: &'a [u8],
+    high: &'a [u8],
+    blocks: Blocks<'a>,
+    bits: &'a mut [u64],
     full: &'a mut [u64],
 }
 
-impl Kernel for Share<'_> {
+impl Kernel for ClassifyWords<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> f64 {
+        let Self { visible, low, high, blocks, bits, full } = self;
+        Classify { visible, low, high, bits: &mut *full }.run(simd);
+        let each = blocks.most;
+        let (lows, highs) = (blocks.low.as_chunks::<64>().0, blocks.high.as_chunks::<64>().0);
+        let mut sum = 0u64;
+        if each == 8 {
+            for (i, (cells, bits)) in full.iter_mut().zip(bits.chunks_mut(8)).enumerate() {
+                let mut found = 0;
+                // Eight cells of eight blocks: a byte each.
+                for (part, word) in
+                    bits.iter_mut().enumerate().filter(|(part, _)| *cells >> (8 * part) & 0xff != 0)
+                {
+                    let at = 8 * i + part;
+                    *word = match (lows.get(at), highs.get(at)) {
+                        (Some(low), Some(high)) => visible.bits(simd, low, high),
+                        _ => visible.rest(simd, blocks.low, blocks.high),
+                    };
+                    sum += u64::from(word.count_ones());
+                    found |= occupied_bytes(*word) << (8 * part);
+                }
+                *cells = found;
+            }
+        } else {
+            let words = each / 64;
+            for (cell, bits) in bits.chunks_exact_mut(words).enumerate().take(low.len()) {
+                let (word, bit) = (&mut full[cell / 64], 1 << (cell % 64));
+                if *word & bit == 0 {
+                    continue;
+                }
+                let mut ones = 0;
+                for (i, bits) in bits.iter_mut().enumerate() {
+                    let at = words * cell + i;
+                    *bits = visible.bits(simd, &lows[at], &highs[at]);
+                    ones += u64::from(bits.count_ones());
+                }
+                if ones == 0 {
+                    *word &= !bit;
+                }
+                sum += ones;
+            }
+        }
+        // A whole number of shares, each a power of two: exact.
+        sum as f64 / each as f64
+    }
+}
+
+/// A bit for each byte of a word that is not zero.
+#[inline(always)]
+fn occupied_bytes(word: u64) -> u64 {
+    const LOW: u64 = 0x7f7f_7f7f_7f7f_7f7f;
+    // The highest bit of each byte that is not zero, all of them brought together by a product.
+    let full = (((word & LOW) + LOW) | word) & !LOW;
+    (full >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56
+}
+
+/// A bit for each cell, set where a bit of its blocks is; gives the sum of the shares that are set.
+struct Gather<'a> {
+    bits: &'a [u64],
+    blocks: Blocks<'a>,
+    full: &'a mut [u64],
+}
+
+impl Kernel for Gather<'_> {
     type Output = f64;
 
     #[inline(always)]
     fn run<S: Simd>(self, _: S) -> f64 {
+        let Self { bits, blocks: Blocks { first, most, .. }, full } = self;
         let (mut eighths, mut sum) = (0u64, 0.0f64);
         let mut at = 0;
-        self.full.fill(0);
-        while at < self.shares.len() {
-            let begin = self.first[at] as usize;
-            let aligned = self.most == 8 && begin.is_multiple_of(64);
-            if aligned && self.first.get(at + 8).is_some_and(|&end| end as usize == begin + 64) {
-                // Eight cells of eight blocks: a byte each.
-                let word = self.bits[begin / 64];
+        full.fill(0);
+        while at + 1 < first.len() {
+            let begin = first[at] as usize;
+            let aligned = most == 8 && begin.is_multiple_of(64);
+            if aligned && first.get(at + 8).is_some_and(|&end| end as usize == begin + 64) {
+                // Eight cells of eight blocks.
+                let word = bits[begin / 64];
                 eighths += u64::from(word.count_ones());
-                for (share, byte) in self.shares[at..at + 8].iter_mut().zip(word.to_le_bytes()) {
-                    *share = byte.count_ones() as f32 * 0.125;
-                }
-                const LOW: u64 = 0x7f7f_7f7f_7f7f_7f7f;
-                // The highest bit of each byte that is not zero, all of them brought together by a product.
-                let full = (((word & LOW) + LOW) | word) & !LOW;
-                let full = (full >> 7).wrapping_mul(0x0102_0408_1020_4080) >> 56;
-                self.full[at / 64] |= full << (at % 64);
+                let occupied = occupied_bytes(word);
+                full[at / 64] |= occupied << (at % 64);
                 if at % 64 > 56 {
-                    self.full[at / 64 + 1] |= full >> (64 - at % 64);
+                    full[at / 64 + 1] |= occupied >> (64 - at % 64);
                 }
                 at += 8;
                 continue;
             }
-            let end = self.first[at + 1] as usize;
-            let full = count(self.bits, begin, end);
-            let share = full as f32 / (end - begin) as f32;
-            self.shares[at] = share;
-            sum += f64::from(share);
-            self.full[at / 64] |= u64::from(full > 0) << (at % 64);
+            let end = first[at + 1] as usize;
+            let ones = count(bits, begin, end);
+            sum += f64::from(ones as f32 / (end - begin) as f32);
+            full[at / 64] |= u64::from(ones > 0) << (at % 64);
             at += 1;
         }
         sum + eighths as f64 * 0.125
@@ -196,28 +308,55 @@ mod tests {
         (0..words).map(|i| i.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ 0x5555_0f0f_3333_00ff).collect()
     }
 
+    /// Cells of as many blocks each, whole words of them or not, and cells of fewer among others.
     #[test]
     fn shares_are_those_of_one_block_after_another() {
-        let bits = mixed(40);
-        // Cells of eight blocks, with smaller ones among them.
-        for (most, smaller) in [(8usize, 0usize), (8, 13), (27, 5)] {
+        let mut below = [0u16; TABLE_LEN + 1];
+        for i in 0..TABLE_LEN {
+            below[i + 1] = below[i] + u16::from((40..90).contains(&i) || i == 200);
+        }
+        let visible = Visible::new(&below);
+        let seen = |l: u8, h: u8| below[usize::from(h) + 1] > below[usize::from(l)];
+        for (cells, most, smaller) in [
+            (60usize, 8usize, 0usize),
+            (64, 8, 0),
+            (77, 8, 0),
+            (60, 8, 13),
+            (60, 27, 5),
+            (9, 64, 0),
+            (5, 128, 0),
+            (130, 2, 0),
+        ] {
             let mut first = vec![0u32];
-            for i in 0..60 {
+            for i in 0..cells {
                 let len = if smaller > 0 && i % smaller == smaller - 1 { most / 2 } else { most };
                 first.push(first[i] + len as u32);
             }
-            let (mut shares, mut full) = (vec![0.0; 60], vec![u64::MAX; 1]);
-            let sum = share(&bits, &first, most, &mut shares, &mut full);
-            let mut expected = 0.0;
-            for (i, &share) in shares.iter().enumerate() {
-                let own = first[i]..first[i + 1];
-                let full: u64 = own.clone().map(|b| bits[b as usize / 64] >> (b % 64) & 1).sum();
-                assert_eq!(share, full as f32 / own.len() as f32, "cell {i} of {most} blocks");
-                expected += f64::from(share);
+            let n = first[cells] as usize;
+            // Bounds of neighboring blocks lie near each other.
+            let low: Vec<u8> = (0..n).map(|i| ((i / 5 * 37 + i % 7) % 256) as u8).collect();
+            let high: Vec<u8> =
+                low.iter().enumerate().map(|(i, &l)| l.saturating_add((i % 9) as u8)).collect();
+            let of = |c: usize| first[c] as usize..first[c + 1] as usize;
+            let least: Vec<u8> = (0..cells).map(|c| *low[of(c)].iter().min().unwrap()).collect();
+            let largest: Vec<u8> = (0..cells).map(|c| *high[of(c)].iter().max().unwrap()).collect();
+            let expected: Vec<u32> =
+                (0..cells).map(|c| of(c).filter(|&b| seen(low[b], high[b])).count() as u32).collect();
+            for uniform in [false, smaller == 0] {
+                let blocks = Blocks { low: &low, high: &high, first: &first, most, uniform };
+                let (mut bits, mut full) =
+                    (vec![u64::MAX; n.div_ceil(64) + 1], vec![u64::MAX; cells.div_ceil(64)]);
+                let sum = classify_blocks(&visible, &least, &largest, blocks, &mut bits, &mut full);
+                let occupied: Vec<bool> = expected.iter().map(|&n| n > 0).collect();
+                assert_eq!(full, bits_of(&occupied), "{cells} {most} {smaller} {uniform}");
+                let mut shares = 0.0;
+                for c in (0..cells).filter(|&c| occupied[c]) {
+                    let share = expected[c] as f32 / of(c).len() as f32;
+                    assert_eq!(blocks.share(&bits, c), share);
+                    shares += f64::from(share);
+                }
+                assert!((sum - shares).abs() < 1e-9, "{sum} {shares}");
             }
-            assert!((sum - expected).abs() < 1e-9, "{sum} {expected}");
-            let above: Vec<bool> = shares.iter().map(|&share| share > 0.0).collect();
-            assert_eq!(full, bits_of(&above));
         }
     }
 

@@ -18,6 +18,7 @@ const BUFFERS: usize = FROM.len() + 2;
 #[derive(Clone, Debug, Default)]
 pub(super) struct Interior {
     bits: [Vec<u64>; BUFFERS],
+    found: bool,
 }
 
 /// Words of a row along x.
@@ -39,12 +40,29 @@ impl Interior {
         Ok(out)
     }
 
-    /// Takes the longer vectors, and finds the cells of every class from the bits of all cells.
-    pub(super) fn update(&mut self, longer: [Option<Vec<u64>>; BUFFERS], grid: [usize; 3], full: &[u64]) {
-        let (words, [nx, ny, nz]) = (row_words(grid), grid);
+    /// Takes the longer vectors. Nothing is found until [`Interior::find`].
+    pub(super) fn fit(&mut self, longer: [Option<Vec<u64>>; BUFFERS], grid: [usize; 3]) {
+        let words = row_words(grid) * grid[1] * grid[2];
         for (present, longer) in self.bits.iter_mut().zip(longer) {
-            fit(present, longer, words * ny * nz);
+            fit(present, longer, words);
         }
+        self.found = false;
+    }
+
+    /// Finds the cells of every class from the bits of all cells, unless that was done. Most of what it costs is
+    /// spared where no ray is cast.
+    #[inline(always)]
+    pub(super) fn find(&mut self, grid: [usize; 3], full: &[u64]) {
+        if !self.found {
+            self.find_now(grid, full);
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn find_now(&mut self, grid: [usize; 3], full: &[u64]) {
+        let (words, [nx, ny, _]) = (row_words(grid), grid);
+        self.found = true;
         let [second, third, fifth, a, b] = &mut self.bits;
         for (row, to) in b.chunks_exact_mut(words).enumerate() {
             for (w, to) in to.iter_mut().enumerate() {
@@ -131,7 +149,8 @@ mod tests {
                 let mut full = vec![0u64; n.div_ceil(64)];
                 set.iter().enumerate().for_each(|(i, &s)| full[i / 64] |= u64::from(s) << (i % 64));
                 let longer = interior.longer(grid).unwrap();
-                interior.update(longer, grid, &full);
+                interior.fit(longer, grid);
+                interior.find(grid, &full);
                 for cell in (0..n).filter(|&c| set[c]) {
                     let d = distance(&set, grid, cell);
                     let class = FROM.iter().filter(|&&from| d >= from).count();

@@ -181,7 +181,6 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
     };
     let mut total = [0u64; 256];
     let (low, high) = s.cell_ranges();
-    let (block_low, block_high) = s.block_ranges();
     for i in 0..s.cell_count() {
         let c = [i % cells[0], i / cells[0] % cells[1], i / cells[0] / cells[1]];
         let from: [usize; 3] = std::array::from_fn(|a| c[a] * edge[a]);
@@ -202,8 +201,10 @@ fn check_against_definitions(view: &VolumeView<'_>, cells_per_axis: usize) {
             let rank = (k * sorted.len() / QUANTILES).min(sorted.len() - 1);
             assert_eq!(q, sorted[rank], "{what} {c:?} bound {k}");
         }
-        if let Some(first) = s.first_blocks() {
-            let mut kept = (first[i] as usize..first[i + 1] as usize).map(|b| [block_low[b], block_high[b]]);
+        if let Some(blocks) = s.blocks() {
+            let own = blocks.first[i] as usize..blocks.first[i + 1] as usize;
+            assert!(own.len() == blocks.most || own.len() < blocks.most && !blocks.uniform);
+            let mut kept = own.map(|b| [blocks.low[b], blocks.high[b]]);
             let firsts = |a: usize| (from[a]..(from[a] + edge[a]).min(dims[a])).step_by(block[a]);
             for z in firsts(2) {
                 for y in firsts(1) {

@@ -1,7 +1,7 @@
 //! What a transfer function makes of a volume: emptiness and extinction of each cell.
 
 use super::VolumeSummary;
-use super::classify::{Visible, classify, share};
+use super::classify::{Visible, classify, classify_blocks};
 use super::interior::Interior;
 use crate::Result;
 use crate::memory::{fit, longer};
@@ -85,7 +85,8 @@ pub struct TransferSummary {
     full: Vec<u64>,
     /// How deep the others lie among each other.
     interior: Interior,
-    /// Share of each cell's blocks that are not empty, where cells hold several blocks; else nothing.
+    /// Share of each cell's blocks that are not empty, where cells hold several blocks, else nothing: of cells that
+    /// are not empty and whose word is known.
     occupied: Vec<f32>,
     /// What is known of each cell, [`packed`].
     cells: Vec<u32>,
@@ -105,8 +106,9 @@ pub struct TransferSummary {
     /// Chebyshev distance in cells to the nearest occupied cell; stale unless `distance_ready`.
     distance: Vec<u8>,
     distance_ready: bool,
-    /// Working memory: a bit per block, and two lines of cells.
+    /// A bit per block of the cells that are not empty, where cells hold several, set where it is not.
     bits: Vec<u64>,
+    /// Working memory: two lines of cells.
     line: Vec<u8>,
     occupied_share: f32,
     mean_opacity: f32,
@@ -171,9 +173,10 @@ impl TransferSummary {
     fn apply(&mut self, volume: &VolumeSummary, table: Option<&TransferTable>) -> Result<()> {
         let n = volume.cell_count();
         let longest = volume.cells().into_iter().max().unwrap_or(1);
-        let shares = if volume.first_blocks().is_some() { n } else { 0 };
+        let blocks = volume.blocks().map_or(0, |blocks| blocks.low.len());
+        let shares = if blocks > 0 { n } else { 0 };
         // One word more: shares are counted across words.
-        let words = volume.block_ranges().0.len().div_ceil(64) + 1;
+        let words = blocks.div_ceil(64) + 1;
         let full = longer(&self.full, n.div_ceil(64))?;
         let interior = self.interior.longer(volume.cells())?;
         let bits = longer(&self.bits, words)?;
@@ -188,6 +191,7 @@ impl TransferSummary {
         fit(&mut self.cells, cells, n);
         fit(&mut self.distance, distance, n);
         fit(&mut self.line, line, 2 * longest);
+        self.interior.fit(interior, volume.cells());
         self.grid = volume.cells();
         self.distance_ready = false;
         self.begin_edit();
@@ -196,7 +200,6 @@ impl TransferSummary {
         }
         self.read_histogram(volume);
         self.classify(volume);
-        self.interior.update(interior, self.grid, &self.full);
         Ok(())
     }
 
@@ -242,15 +245,9 @@ impl TransferSummary {
         let (low, high) = volume.cell_ranges();
         let n = low.len();
         let visible = Visible::new(&self.opaque);
-        let sum = match volume.first_blocks() {
+        let sum = match volume.blocks() {
             None => classify(&visible, low, high, &mut self.full) as f64,
-            Some(first) => {
-                let (low, high) = volume.block_ranges();
-                classify(&visible, low, high, &mut self.bits);
-                let per_cell = |a: usize| volume.cell_edge()[a] / volume.block_edge()[a];
-                let most = (0..3).map(per_cell).product();
-                share(&self.bits, first, most, &mut self.occupied, &mut self.full)
-            }
+            Some(blocks) => classify_blocks(&visible, low, high, blocks, &mut self.bits, &mut self.full),
         };
         self.occupied_share = (sum / n as f64) as f32;
     }
@@ -294,6 +291,10 @@ impl TransferSummary {
         let t = (t * (1.0 / super::QUANTILES as f32)).clamp(1.0e-12, 1.0);
         let visible = (v * (1.0 / super::QUANTILES as f32)).clamp(0.0, 1.0);
         let extinction = -libm::logf(t) * (1.0 / CORRELATION_LENGTH);
+        if let Some(blocks) = volume.blocks() {
+            self.occupied[cell] = blocks.share(&self.bits, cell);
+        }
+        self.interior.find(self.grid, &self.full);
         let class = self.interior.class(self.grid, cell);
         let word = packed::pack(extinction, visible, class) | self.edit;
         self.cells[cell] = word;

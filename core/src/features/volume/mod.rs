@@ -11,6 +11,7 @@ mod tests;
 pub use builder::SummaryBuilder;
 pub use series::SummarySeries;
 
+use super::classify::Blocks;
 use crate::error::bail;
 use crate::kernels::Executor;
 use crate::memory::{copied, filled, mixed};
@@ -76,6 +77,9 @@ pub struct VolumeSummary {
     block_low: Vec<u8>,
     block_high: Vec<u8>,
     first_block: Vec<u32>,
+    /// How many blocks a cell has that the volume's end does not cut, and whether that is every cell.
+    most_blocks: usize,
+    uniform: bool,
     histogram: [f32; 256],
     non_finite_share: f32,
     remapped: bool,
@@ -246,16 +250,16 @@ impl VolumeSummary {
         &self.quantiles[cell]
     }
 
-    /// Lowest and highest table entries that samples in each block can touch, where cells hold several
-    /// blocks.
-    pub(super) fn block_ranges(&self) -> (&[u8], &[u8]) {
-        (&self.block_low, &self.block_high)
-    }
-
-    /// Where the blocks of each cell begin, and where the last one's end; `None` where each cell is one
-    /// block.
-    pub(super) fn first_blocks(&self) -> Option<&[u32]> {
-        (!self.first_block.is_empty()).then_some(&self.first_block)
+    /// The blocks of each cell, where cells hold several; `None` where each cell is one block.
+    #[inline(always)]
+    pub(super) fn blocks(&self) -> Option<Blocks<'_>> {
+        (!self.first_block.is_empty()).then_some(Blocks {
+            low: &self.block_low,
+            high: &self.block_high,
+            first: &self.first_block,
+            most: self.most_blocks,
+            uniform: self.uniform,
+        })
     }
 
     fn layout(
@@ -286,12 +290,16 @@ impl VolumeSummary {
         edge: [usize; 3],
     ) -> Result<Self> {
         let n = count(cells, dims)?;
+        let block = edge.map(|e| e.min((e / BLOCKS_PER_CELL_AXIS).max(BLOCK_EDGE)));
+        let per_cell = |a: usize| edge[a] / block[a];
         Ok(Self {
             scalar_type,
             shape: Shape::new(dims, spacing),
             cells,
             edge,
-            block: edge.map(|e| e.min((e / BLOCKS_PER_CELL_AXIS).max(BLOCK_EDGE))),
+            block,
+            most_blocks: (0..3).map(per_cell).product(),
+            uniform: (0..3).all(|a| dims[a].div_ceil(block[a]) == cells[a] * per_cell(a)),
             low: filled(n, 255)?,
             high: filled(n, 0)?,
             quantiles: filled(n, [0; QUANTILES + 1])?,
