@@ -28,6 +28,7 @@ impl Simd for Scalar {
     const LANES: usize = 4;
     const TILE_ROWS: usize = 6;
     const TILE_VECTORS: usize = 2;
+    const COUNTED: usize = 12;
 
     #[inline(always)]
     fn prefetch(self, _: *const f32) {}
@@ -235,8 +236,8 @@ impl Simd for Scalar {
         bits
     }
     #[inline(always)]
-    fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {
-        bytes.iter().map(|&b| u32::from(b == value)).sum()
+    fn count_eight(self, bytes: &[u8], first: u8) -> [u32; 8] {
+        core::array::from_fn(|i| bytes.iter().map(|&b| u32::from(b == first + i as u8)).sum())
     }
     #[inline(always)]
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {

@@ -170,8 +170,9 @@ impl SummaryBuilder {
 /// What follows from all voxels: bounds of cells, the histogram, and whether values are remapped.
 fn finish<T: Voxel>(summary: &mut VolumeSummary, grid: &Grid, map: &Map, found: Found<T>) -> Result<()> {
     lay_out(summary, grid)?;
-    for index in 0..summary.low.len() {
-        gather(summary, grid, map, index, |block| found.bounds[block]);
+    let places = Places::new(grid);
+    for cell in each_cell(grid.cells) {
+        gather(summary, &places, map, cell, |block| found.bounds[block]);
     }
     set_totals(summary, map, &found.counts, found.non_finite);
     set_remapped(summary, found.bounds.iter());
@@ -207,15 +208,33 @@ pub(super) fn set_remapped<'a, T: Voxel>(
     summary.remapped = smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
 }
 
-/// Blocks of a cell along each axis, from the volume's beginning.
-fn blocks_of(grid: &Grid, cell: usize) -> [core::ops::Range<usize>; 3] {
-    let [nx, ny, _] = grid.cells;
-    let place = [cell % nx, cell / nx % ny, cell / nx / ny];
-    let n = grid.blocks();
-    core::array::from_fn(|a| {
-        let per_cell = grid.edge[a] / grid.block[a];
-        place[a] * per_cell..((place[a] + 1) * per_cell).min(n[a])
-    })
+/// Where the blocks of cells are.
+pub(super) struct Places {
+    /// Blocks of the volume, of a cell, and cells of the volume, along x, y, z.
+    blocks: [usize; 3],
+    per_cell: [usize; 3],
+    cells: [usize; 3],
+}
+
+impl Places {
+    pub(super) fn new(grid: &Grid) -> Self {
+        let per_cell = core::array::from_fn(|a| grid.edge[a] / grid.block[a]);
+        Self { blocks: grid.blocks(), per_cell, cells: grid.cells }
+    }
+
+    /// Blocks of a cell along each axis, from the volume's beginning.
+    #[inline(always)]
+    fn of(&self, cell: [usize; 3]) -> [core::ops::Range<usize>; 3] {
+        core::array::from_fn(|a| {
+            let first = cell[a] * self.per_cell[a];
+            first..(first + self.per_cell[a]).min(self.blocks[a])
+        })
+    }
+}
+
+/// Each cell of a grid, x fastest.
+pub(super) fn each_cell([nx, ny, nz]: [usize; 3]) -> impl Iterator<Item = [usize; 3]> {
+    (0..nz).flat_map(move |z| (0..ny).flat_map(move |y| (0..nx).map(move |x| [x, y, z])))
 }
 
 /// Makes room for the bounds of the blocks in each cell, where a cell holds several.
@@ -226,9 +245,9 @@ pub(super) fn lay_out(summary: &mut VolumeSummary, grid: &Grid) -> Result<()> {
     let cells = summary.low.len();
     reserve(&mut summary.first_block, cells + 1)?;
     summary.first_block.push(0);
-    let mut end = 0;
-    for cell in 0..cells {
-        end += blocks_of(grid, cell).iter().map(ExactSizeIterator::len).product::<usize>();
+    let (mut end, places) = (0, Places::new(grid));
+    for cell in each_cell(grid.cells) {
+        end += places.of(cell).iter().map(ExactSizeIterator::len).product::<usize>();
         summary.first_block.push(end as u32);
     }
     summary.block_low = filled(end, 255)?;
@@ -237,27 +256,29 @@ pub(super) fn lay_out(summary: &mut VolumeSummary, grid: &Grid) -> Result<()> {
 }
 
 /// Bounds of a cell from those of its blocks, which are kept where a cell holds several.
+#[inline(always)]
 pub(super) fn gather<T: Voxel>(
     summary: &mut VolumeSummary,
-    grid: &Grid,
+    places: &Places,
     map: &Map,
-    cell: usize,
+    place: [usize; 3],
     bounds: impl Fn(usize) -> Bounds<T>,
 ) {
-    let n = grid.blocks();
-    let [xs, ys, zs] = blocks_of(grid, cell);
+    let ([across, down, _], [nx, ny, _]) = (places.blocks, places.cells);
+    let cell = place[0] + nx * (place[1] + ny * place[2]);
+    let [xs, ys, zs] = places.of(place);
     let mut at = summary.first_block.get(cell).map(|&first| first as usize);
     let (mut lowest, mut highest) = (255, 0);
-    for (bz, by) in zs.flat_map(|bz| ys.clone().map(move |by| (bz, by))) {
-        let line = n[0] * (by + n[1] * bz);
-        for bx in xs.clone() {
-            let [low, high] = bounds(line + bx);
-            let (low, high) = (map.below(low), map.above(high));
-            (lowest, highest) = (Ord::min(lowest, low), Ord::max(highest, high));
-            if let Some(at) = &mut at {
-                summary.block_low[*at] = low;
-                summary.block_high[*at] = high;
-                *at += 1;
+    for bz in zs {
+        for by in ys.clone() {
+            for bx in xs.clone() {
+                let [low, high] = T::ends(bounds(bx + across * (by + down * bz)), map);
+                (lowest, highest) = (Ord::min(lowest, low), Ord::max(highest, high));
+                if let Some(at) = &mut at {
+                    summary.block_low[*at] = low;
+                    summary.block_high[*at] = high;
+                    *at += 1;
+                }
             }
         }
     }

@@ -206,10 +206,10 @@ impl<T: Voxel> Part<'_, T> {
                 continue;
             }
             // Blocks reach into the next row of cells, whose changes are known first therefore.
-            self.compare(cz, 0);
+            self.compare(simd, cz, 0);
             for cy in 0..ny {
                 if cy + 1 < ny {
-                    self.compare(cz, cy + 1);
+                    self.compare(simd, cz, cy + 1);
                 }
                 self.bound(cz, cy);
                 self.count(simd, cz, cy)?;
@@ -223,7 +223,7 @@ impl<T: Voxel> Part<'_, T> {
 
     /// Sums of the cells of a row that are to be looked at; those with other sums than before changed.
     #[inline(always)]
-    fn compare(&mut self, cz: usize, cy: usize) {
+    fn compare<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
         let (grid, source) = (*self.grid, self.source);
         let row = cy + grid.cells[1] * (cz - self.layers.start);
         let (zs, ys) = (grid.span(cz, grid.edge[2], 2), grid.span(cy, grid.edge[1], 1));
@@ -236,6 +236,11 @@ impl<T: Voxel> Part<'_, T> {
             second[..n].fill(0);
             let mut place = 0;
             for (z, y) in zs.clone().flat_map(|z| ys.clone().map(move |y| (z, y))) {
+                if z + 1 < zs.end {
+                    source.fetch(simd, &xs, y, z + 1);
+                } else {
+                    source.fetch(simd, &xs, y + ys.len(), zs.start);
+                }
                 let voxels = source.row(&mut self.scratch.row, &xs, y, z);
                 place += 1;
                 let keys = [mixed(0, place), mixed(u64::MAX, place)];

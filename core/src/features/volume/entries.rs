@@ -11,6 +11,8 @@ pub(super) struct Map {
     /// The entry that stands for each byte that was counted: of bytes the nearest to the stored value, of
     /// other types the byte itself.
     pub(super) near: [u8; 256],
+    /// [`Map::below`] and [`Map::above`] of each byte, of bytes alone.
+    ends: [[u8; 2]; 256],
 }
 
 impl Map {
@@ -19,10 +21,11 @@ impl Map {
         let width = high - low;
         let scale = 255.0 / width;
         let scale = (width > 0.0 && scale > 0.0 && scale.is_finite()).then_some(scale);
-        let mut map = Self { range: (low, high), scale, near: core::array::from_fn(|v| v as u8) };
+        let near_of = core::array::from_fn(|v| v as u8);
+        let mut map = Self { range: (low, high), scale, near: near_of, ends: [[0; 2]; 256] };
         if let Scalars::U8(_) = volume.scalars() {
-            let near = core::array::from_fn(|v| near(map.position(v as f32)));
-            map.near = near;
+            map.near = core::array::from_fn(|v| near(map.position(v as f32)));
+            map.ends = core::array::from_fn(|v| [map.below(v as f32), map.above(v as f32)]);
         }
         map
     }
@@ -42,13 +45,13 @@ impl Map {
     }
 
     /// The highest entry at or below a stored value.
-    pub(super) fn below<T: Voxel>(&self, value: T) -> u8 {
-        self.position(value.number()) as u8
+    fn below(&self, value: f32) -> u8 {
+        self.position(value) as u8
     }
 
     /// The lowest entry at or above a stored value.
-    pub(super) fn above<T: Voxel>(&self, value: T) -> u8 {
-        super::ceil_entry(self.position(value.number()))
+    fn above(&self, value: f32) -> u8 {
+        super::ceil_entry(self.position(value))
     }
 }
 
@@ -100,6 +103,11 @@ pub(super) trait Voxel: bytemuck::Pod + Send + Sync + core::fmt::Debug {
     fn bytes(_: &[Self]) -> &[u8] {
         &[]
     }
+    /// The highest entry at or below a value, and the lowest at or above another.
+    #[inline(always)]
+    fn ends([low, high]: [Self; 2], map: &Map) -> [u8; 2] {
+        [map.below(low.number()), map.above(high.number())]
+    }
     /// What is counted of a value.
     #[inline(always)]
     fn entry_of(value: Self, map: &Map) -> u8 {
@@ -150,6 +158,10 @@ impl Voxel for u8 {
     #[inline(always)]
     fn bytes(values: &[Self]) -> &[u8] {
         values
+    }
+    #[inline(always)]
+    fn ends([low, high]: [Self; 2], map: &Map) -> [u8; 2] {
+        [map.ends[usize::from(low)][0], map.ends[usize::from(high)][1]]
     }
     #[inline(always)]
     fn entry_of(value: Self, _: &Map) -> u8 {

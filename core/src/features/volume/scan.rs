@@ -169,6 +169,20 @@ impl<T: Voxel> Source<'_, T> {
         }
         scratch
     }
+
+    /// Asks for the voxels `xs` of a row, where they lie side by side: rows of the next plane, or of the next row of
+    /// cells, are no neighbors in memory, so that nobody else asks for them.
+    #[inline(always)]
+    pub(super) fn fetch<S: Simd>(&self, simd: S, xs: &Range<usize>, y: usize, z: usize) {
+        let ([_, height, planes], z) = (self.slab.dims(), z - self.first);
+        if self.slab.strides()[0] != 1 || y >= height || z >= planes {
+            return;
+        }
+        let row = &self.voxels[self.slab.index(xs.start, y, z)..][..xs.len()];
+        for line in row.chunks(64 / size_of::<T>()) {
+            simd.prefetch_near(line.as_ptr().cast());
+        }
+    }
 }
 
 /// Layers of cells that one thread scans.
@@ -195,7 +209,7 @@ impl<T: Voxel> Kernel for &mut Layers<'_, T> {
     fn run<S: Simd>(self, simd: S) {
         for cz in self.layers.clone() {
             for cy in 0..self.grid.cells[1] {
-                self.bound(cz, cy);
+                self.bound(simd, cz, cy);
                 self.count(simd, cz, cy);
             }
         }
@@ -239,20 +253,27 @@ impl<T: Voxel> Layers<'_, T> {
     /// y or z, those of the blocks before. Rows are joined voxel by voxel and reduced along x once per row of
     /// blocks.
     #[inline(always)]
-    fn bound(&mut self, cz: usize, cy: usize) {
+    fn bound<S: Simd>(&mut self, simd: S, cz: usize, cy: usize) {
         let grid = *self.grid;
         let (source, scratch) = (self.source, &mut self.scratch);
         let (block, per_cell) = (grid.block, grid.room());
         let [across, down, _] = grid.blocks();
         let first_block = self.layers.start * (grid.edge[2] / block[2]);
         let (zs, ys) = (grid.span(cz, grid.edge[2], 2), grid.span(cy, grid.edge[1], 1));
+        let xs = 0..grid.dims[0];
         let mut non_finite = 0;
         for bz in zs.start / block[2]..zs.end.div_ceil(block[2]) {
             for by in ys.start / block[1]..ys.end.div_ceil(block[1]) {
                 scratch.joined.iter_mut().for_each(|joined| joined.clear(grid.dims[0]));
-                for z in grid.span(bz, block[2], 2) {
+                let planes = grid.span(bz, block[2], 2);
+                for z in planes.clone() {
                     for y in grid.span(by, block[1], 1) {
-                        let row = source.row(&mut scratch.row, &(0..grid.dims[0]), y, z);
+                        if z + 1 < planes.end {
+                            source.fetch(simd, &xs, y, z + 1);
+                        } else {
+                            source.fetch(simd, &xs, y + block[1], planes.start);
+                        }
+                        let row = source.row(&mut scratch.row, &xs, y, z);
                         let (first_y, first_z) = (y == by * block[1], z == bz * block[2]);
                         let takes = [true, first_y, first_z, first_y && first_z];
                         for (joined, _) in scratch.joined.iter_mut().zip(takes).filter(|(_, takes)| *takes) {
@@ -268,7 +289,7 @@ impl<T: Voxel> Layers<'_, T> {
                         deal(entries, grid.edge[0], place, per_cell, &mut scratch.cells);
                     }
                 }
-                for (joined, back) in scratch.joined.iter().zip([[0, 0], [1, 0], [0, 1], [1, 1]]) {
+                for (joined, back) in scratch.joined.iter_mut().zip([[0, 0], [1, 0], [0, 1], [1, 1]]) {
                     if by < back[0] || bz < back[1] {
                         continue;
                     }
@@ -351,26 +372,25 @@ impl<S: Simd> Tally<'_, S> {
             }
         }
         out[QUANTILES] = self.map.near[usize::from(last)];
+        // Entries were looked for beyond the bounds, and not found.
         for table in [a, b, c, d] {
             table[range.clone()].fill(0);
         }
         out
     }
 
-    /// Where few entries can occur, each is compared with all bytes; where many can, bytes are counted in
+    /// Where few entries can occur, eight at a time are looked for in all bytes; where many can, bytes are counted in
     /// four tables in turn: in one, equal neighbors would wait for each other.
     #[inline(always)]
     fn batch(&self, bytes: &[u8], counts: &mut Counts) {
         let [low, high] = self.bounds;
         let [a, b, c, d] = counts;
-        if usize::from(high - low) < 3 * S::LANES {
-            let mut left = bytes.len() as u32;
-            for entry in low..high {
-                let n = self.simd.count_bytes(bytes, entry);
-                a[usize::from(entry)] += n;
-                left -= n;
+        if usize::from(high - low) < S::COUNTED {
+            for first in (low..=high).step_by(8) {
+                // The last eight may have been counted in part: the same counts again.
+                let first = usize::from(first.min(u8::MAX - 7));
+                a[first..first + 8].copy_from_slice(&self.simd.count_eight(bytes, first as u8));
             }
-            a[usize::from(high)] += left;
             return;
         }
         let (eights, rest) = bytes.as_chunks::<8>();
@@ -418,11 +438,17 @@ pub(super) fn bounds_of<T: Voxel, B>(
 pub(super) struct Joined<T> {
     low: Vec<T>,
     high: Vec<T>,
+    /// Working memory.
+    other: Vec<T>,
 }
 
 impl<T: Voxel> Joined<T> {
     fn new(len: usize) -> Result<Self> {
-        Ok(Self { low: filled(len, T::HIGHEST)?, high: filled(len, T::LOWEST)? })
+        Ok(Self {
+            low: filled(len, T::HIGHEST)?,
+            high: filled(len, T::LOWEST)?,
+            other: filled(len, T::LOWEST)?,
+        })
     }
 
     /// Rows of `len` voxels from here on, no more than there is room for.
@@ -443,19 +469,39 @@ impl<T: Voxel> Joined<T> {
         }
     }
 
-    /// Widens the bounds of a row of blocks: a block's values are its own and the first one of the next
-    /// block.
+    /// Widens the bounds of a row of blocks, once for all rows: a block's values are its own and the first one of the
+    /// next block. `block` is a power of two.
     #[inline(always)]
-    pub(super) fn reduce<'a>(&self, block: usize, bounds: impl Iterator<Item = &'a mut Bounds<T>>)
+    pub(super) fn reduce<'a>(&mut self, block: usize, bounds: impl Iterator<Item = &'a mut Bounds<T>>)
     where
         T: 'a,
     {
+        // Every place then holds the bounds of as many values from there on as a block has.
+        let mut reach = 1;
+        while reach < block.min(self.low.len()) {
+            slide(&mut self.low, &mut self.other, reach, T::lesser);
+            slide(&mut self.high, &mut self.other, reach, T::greater);
+            reach *= 2;
+        }
         for (bx, bound) in bounds.enumerate() {
-            let range = bx * block..(bx * block + block + 1).min(self.low.len());
-            bound[0] = self.low[range.clone()].iter().fold(bound[0], |a, &b| a.lesser(b));
-            bound[1] = self.high[range].iter().fold(bound[1], |a, &b| a.greater(b));
+            // The second of them reaches one further.
+            for place in [bx * block, (bx * block + 1).min(self.low.len() - 1)] {
+                *bound = [bound[0].lesser(self.low[place]), bound[1].greater(self.high[place])];
+            }
         }
     }
+}
+
+/// Joins each value with the one `reach` further on, where there is one.
+#[inline(always)]
+fn slide<T: Voxel>(values: &mut Vec<T>, other: &mut Vec<T>, reach: usize, join: impl Fn(T, T) -> T) {
+    let len = values.len();
+    let to = &mut other[..len];
+    for ((to, &a), &b) in to.iter_mut().zip(&values[..len - reach]).zip(&values[reach..]) {
+        *to = join(a, b);
+    }
+    to[len - reach..].copy_from_slice(&values[len - reach..]);
+    values.copy_from_slice(to);
 }
 
 /// Gives each cell its part of a row's entries: `edge` of them, of which the row is number `place`. There is room
@@ -482,6 +528,62 @@ pub(super) fn deal(entries: &[u8], edge: usize, place: usize, per_cell: usize, c
         _ => {
             for (part, cell) in entries.chunks(edge).zip(cells.chunks_exact_mut(per_cell)) {
                 cell[part.len() * place..][..part.len()].copy_from_slice(part);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::vec;
+
+    /// Eight counts of bytes.
+    struct CountEight<'a>(&'a [u8], u8);
+
+    impl Kernel for CountEight<'_> {
+        type Output = [u32; 8];
+
+        #[inline(always)]
+        fn run<S: Simd>(self, simd: S) -> [u32; 8] {
+            simd.count_eight(self.0, self.1)
+        }
+    }
+
+    #[test]
+    fn eight_values_are_counted_on_every_level() {
+        let mut state = 3u32;
+        for len in [0usize, 1, 63, 255, 256, 511, 512, 1000, 1024, 1536, 5000] {
+            for spread in [8u32, 40, 256] {
+                let mut random = || {
+                    state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                    (state >> 8) % spread
+                };
+                let base = random();
+                let bytes: Vec<u8> = (0..len).map(|_| (base + random()) as u8).collect();
+                for first in [0u8, 7, 8, 100, 247, 248] {
+                    let count = |value: u8| bytes.iter().filter(|b| **b == value).count() as u32;
+                    let expected: [u32; 8] = core::array::from_fn(|i| count(first + i as u8));
+                    for level in Level::available() {
+                        assert_eq!(level.run(CountEight(&bytes, first)), expected, "{level:?} {len} {first}");
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_reach_to_the_first_value_of_the_next() {
+        for (len, block) in [(1usize, 8usize), (8, 8), (9, 8), (37, 8), (64, 16), (70, 32)] {
+            let values: Vec<u16> = (0..len).map(|i| (i * 7919 % 251) as u16).collect();
+            let mut joined = Joined::new(len).unwrap();
+            joined.clear(len);
+            joined.add(&values);
+            let mut bounds = vec![nothing(); len.div_ceil(block)];
+            joined.reduce(block, bounds.iter_mut());
+            for (bx, found) in bounds.iter().enumerate() {
+                let own = &values[bx * block..(bx * block + block + 1).min(len)];
+                assert_eq!(*found, [*own.iter().min().unwrap(), *own.iter().max().unwrap()]);
             }
         }
     }

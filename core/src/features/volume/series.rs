@@ -1,6 +1,6 @@
 //! The summaries of a volume that changes from one time step to the next.
 
-use super::builder::{gather, lay_out, set_remapped, set_totals};
+use super::builder::{Places, gather, lay_out, set_remapped, set_totals};
 use super::changed::{Cells, Halves, full, look, mask};
 use super::entries::{Map, Voxel};
 use super::scan::{Grid, Source, nothing};
@@ -279,12 +279,13 @@ fn finish<T: Voxel>(
     blocks: &[Halves<T>],
 ) {
     let ([nx, ny, nz], [across, down, _]) = (grid.cells, grid.blocks());
+    let places = Places::new(grid);
     let fresh = |y: usize, z: usize| if y < ny && z < nz { cells.fresh[y + ny * z] } else { 0 };
     for (z, y) in (0..nz).flat_map(|z| (0..ny).map(move |y| (z, y))) {
         let reached = fresh(y, z) | fresh(y + 1, z) | fresh(y, z + 1) | fresh(y + 1, z + 1);
         let reached = (reached | reached >> 1) & full(nx);
         for x in (0..nx).filter(|x| reached >> x & 1 != 0) {
-            gather(summary, grid, map, x + nx * (y + ny * z), |block| {
+            gather(summary, &places, map, [x, y, z], |block| {
                 let [own, _] = blocks[block];
                 let beyond = blocks.get(block + across * down).map_or(nothing(), |[_, first]| *first);
                 [own[0].lesser(beyond[0]), own[1].greater(beyond[1])]

@@ -21,6 +21,7 @@ impl Simd for Avx2 {
     const LANES: usize = 8;
     const TILE_ROWS: usize = 6;
     const TILE_VECTORS: usize = 2;
+    const COUNTED: usize = 48;
 
     #[inline(always)]
     fn prefetch(self, p: *const f32) {
@@ -303,25 +304,35 @@ impl Simd for Avx2 {
         half(0) | half(32) << 32
     }
     #[inline(always)]
-    fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {
-        let mut count = 0u64;
-        // Bytes of a sum overflow after 255 vectors.
-        for part in bytes.chunks(255 * 32) {
-            let (vectors, rest) = part.as_chunks::<32>();
-            // SAFETY: token; each vector has 32 bytes.
-            let sums: [u64; 4] = unsafe {
-                let sought = _mm256_set1_epi8(value as i8);
-                let mut sum = _mm256_setzero_si256();
-                for v in vectors {
-                    let same = _mm256_cmpeq_epi8(_mm256_loadu_si256(v.as_ptr().cast()), sought);
-                    sum = _mm256_sub_epi8(sum, same);
-                }
-                core::mem::transmute(_mm256_sad_epu8(sum, _mm256_setzero_si256()))
-            };
-            count += sums.iter().sum::<u64>();
-            count += rest.iter().map(|&b| u64::from(b == value)).sum::<u64>();
+    fn count_eight(self, bytes: &[u8], first: u8) -> [u32; 8] {
+        let mut counts = [0; 8];
+        let (blocks, rest) = bytes.as_chunks::<256>();
+        // SAFETY: token; each block has eight vectors.
+        unsafe {
+            let zero = _mm256_setzero_si256();
+            let (mut ones, mut twos, mut fours) = (zero, zero, zero);
+            for block in blocks {
+                let p = block.as_ptr();
+                let (a, two) = add_bits(ones, bits_of(p, first), bits_of(p.add(32), first));
+                let (b, second) = add_bits(a, bits_of(p.add(64), first), bits_of(p.add(96), first));
+                let (c, third) = add_bits(b, bits_of(p.add(128), first), bits_of(p.add(160), first));
+                let (d, fourth) = add_bits(c, bits_of(p.add(192), first), bits_of(p.add(224), first));
+                let (e, four) = add_bits(twos, two, second);
+                let (f, other) = add_bits(e, third, fourth);
+                let (g, eights) = add_bits(fours, four, other);
+                (ones, twos, fours) = (d, f, g);
+                take(&mut counts, eights, 8);
+            }
+            take(&mut counts, fours, 4);
+            take(&mut counts, twos, 2);
+            take(&mut counts, ones, 1);
         }
-        count as u32
+        for &byte in rest {
+            if let Some(count) = counts.get_mut(usize::from(byte.wrapping_sub(first))) {
+                *count += 1;
+            }
+        }
+        counts
     }
     #[inline(always)]
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {
@@ -334,5 +345,50 @@ impl Simd for Avx2 {
             n += (chosen >> i & 1) as usize;
         }
         n
+    }
+}
+
+/// The bits of 32 bytes' values from `first` on: value first + i sets bit i of its byte, others none.
+///
+/// # Safety
+/// The CPU has AVX2, and `p` is valid for reading 32 bytes.
+#[inline(always)]
+unsafe fn bits_of(p: *const u8, first: u8) -> __m256i {
+    // SAFETY: as the caller promises. Values 16 and more above the first set the highest bit of their index,
+    // which stands for zero.
+    unsafe {
+        let bits = _mm_setr_epi8(1, 2, 4, 8, 16, 32, 64, -128, 0, 0, 0, 0, 0, 0, 0, 0);
+        let index = _mm256_sub_epi8(_mm256_loadu_si256(p.cast()), _mm256_set1_epi8(first as i8));
+        let index = _mm256_adds_epu8(index, _mm256_set1_epi8(0x70));
+        _mm256_shuffle_epi8(_mm256_broadcastsi128_si256(bits), index)
+    }
+}
+
+/// Sum and carry of the bits in three vectors.
+///
+/// # Safety
+/// The CPU has AVX2.
+#[inline(always)]
+unsafe fn add_bits(a: __m256i, b: __m256i, c: __m256i) -> (__m256i, __m256i) {
+    // SAFETY: as the caller promises.
+    unsafe {
+        let ab = _mm256_xor_si256(a, b);
+        let carry = _mm256_or_si256(_mm256_and_si256(a, b), _mm256_and_si256(ab, c));
+        (_mm256_xor_si256(ab, c), carry)
+    }
+}
+
+/// Adds `weight` times the number of bytes in which each bit is set.
+///
+/// # Safety
+/// The CPU has AVX2.
+#[inline(always)]
+unsafe fn take(counts: &mut [u32; 8], mut sums: __m256i, weight: u32) {
+    for count in counts.iter_mut().rev() {
+        // SAFETY: as the caller promises.
+        unsafe {
+            *count += weight * _mm256_movemask_epi8(sums).count_ones();
+            sums = _mm256_add_epi8(sums, sums);
+        }
     }
 }

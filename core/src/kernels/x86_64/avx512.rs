@@ -26,6 +26,7 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
     const LANES: usize = 16;
     const TILE_ROWS: usize = 6;
     const TILE_VECTORS: usize = 4;
+    const COUNTED: usize = 128;
 
     #[inline(always)]
     fn prefetch(self, p: *const f32) {
@@ -269,7 +270,11 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         // SAFETY: token; indices end at the last word.
         unsafe {
             let index = _mm512_min_epu32(index, _mm512_set1_epi32(from.len() as i32 - 1));
-            _mm512_i32gather_epi32::<4>(index, from.as_ptr().cast())
+            // One word after another: gather instructions take two to three times as long on many machines.
+            let mut at = [0u32; 16];
+            _mm512_storeu_si512(at.as_mut_ptr().cast(), index);
+            let [low, high] = [eight_words(from, &at, 0), eight_words(from, &at, 8)];
+            _mm512_inserti64x4::<1>(_mm512_castsi256_si512(low), high)
         }
     }
     #[inline(always)]
@@ -298,29 +303,133 @@ impl<const VNNI: bool> Simd for Avx512<VNNI> {
         }
     }
     #[inline(always)]
-    fn count_bytes(self, bytes: &[u8], value: u8) -> u32 {
-        let same = |v: &[u8; 64]| {
-            // SAFETY: token; the vector has 64 bytes.
-            let mask = unsafe {
-                _mm512_cmpeq_epi8_mask(_mm512_loadu_si512(v.as_ptr().cast()), _mm512_set1_epi8(value as i8))
-            };
-            mask.count_ones()
-        };
-        let (vectors, rest) = bytes.as_chunks::<64>();
-        let mut count = rest.iter().map(|&b| u32::from(b == value)).sum();
-        let (fours, vectors) = vectors.as_chunks::<4>();
-        for [a, b, c, d] in fours {
-            count += (same(a) + same(b)) + (same(c) + same(d));
+    fn count_eight(self, bytes: &[u8], first: u8) -> [u32; 8] {
+        let mut counts = [0; 8];
+        let (blocks, rest) = bytes.as_chunks::<1024>();
+        let (halves, rest) = rest.as_chunks::<512>();
+        // SAFETY: token; each block has sixteen vectors, and half of one eight.
+        unsafe {
+            let zero = _mm512_setzero_si512();
+            let (mut sums, mut eights) = ([zero; 3], zero);
+            for block in blocks {
+                let [low, high] = [block.as_ptr(), block.as_ptr().add(512)];
+                let (half, one) = add_eight(low, first, sums);
+                let (whole, other) = add_eight(high, first, half);
+                let sixteens = _mm512_ternarylogic_epi32::<0xe8>(eights, one, other);
+                eights = _mm512_ternarylogic_epi32::<0x96>(eights, one, other);
+                sums = whole;
+                take(&mut counts, sixteens, 16);
+            }
+            for half in halves {
+                let (whole, other) = add_eight(half.as_ptr(), first, sums);
+                sums = whole;
+                take(&mut counts, other, 8);
+            }
+            if !blocks.is_empty() {
+                take(&mut counts, eights, 8);
+            }
+            let [ones, twos, fours] = sums;
+            take(&mut counts, fours, 4);
+            take(&mut counts, twos, 2);
+            take(&mut counts, ones, 1);
         }
-        for v in vectors {
-            count += same(v);
+        for &byte in rest {
+            if let Some(count) = counts.get_mut(usize::from(byte.wrapping_sub(first))) {
+                *count += 1;
+            }
         }
-        count
+        counts
     }
     #[inline(always)]
     fn compress(self, m: Self::M, v: Self::F, to: &mut [f32]) -> usize {
         // SAFETY: token. In a register, then stored: compressing stores are slow on some machines.
         self.write(unsafe { _mm512_maskz_compress_ps(m, v) }, to);
         m.count_ones() as usize
+    }
+}
+
+/// The bits of 64 bytes' values from `first` on: value first + i sets bit i of its byte, others none.
+///
+/// # Safety
+/// The CPU has AVX-512 F and BW, and `p` is valid for reading 64 bytes.
+#[inline(always)]
+unsafe fn bits_of(p: *const u8, first: u8) -> __m512i {
+    // SAFETY: as the caller promises. Values 16 and more above the first set the highest bit of their index,
+    // which stands for zero.
+    unsafe {
+        let bits = _mm_setr_epi8(1, 2, 4, 8, 16, 32, 64, -128, 0, 0, 0, 0, 0, 0, 0, 0);
+        let index = _mm512_sub_epi8(_mm512_loadu_si512(p.cast()), _mm512_set1_epi8(first as i8));
+        _mm512_shuffle_epi8(_mm512_broadcast_i32x4(bits), _mm512_adds_epu8(index, _mm512_set1_epi8(0x70)))
+    }
+}
+
+/// Sum and carry of the bits in three vectors.
+///
+/// # Safety
+/// The CPU has AVX-512 F.
+#[inline(always)]
+unsafe fn add_bits(a: __m512i, b: __m512i, c: __m512i) -> (__m512i, __m512i) {
+    // SAFETY: as the caller promises.
+    unsafe { (_mm512_ternarylogic_epi32::<0x96>(a, b, c), _mm512_ternarylogic_epi32::<0xe8>(a, b, c)) }
+}
+
+/// Adds [`bits_of`] eight vectors to sums of ones, twos and fours; gives those, and the eights.
+///
+/// # Safety
+/// As [`bits_of`], of 512 bytes.
+#[inline(always)]
+unsafe fn add_eight(p: *const u8, first: u8, [ones, twos, fours]: [__m512i; 3]) -> ([__m512i; 3], __m512i) {
+    // SAFETY: as the caller promises.
+    unsafe {
+        let (a, two) = add_bits(ones, bits_of(p, first), bits_of(p.add(64), first));
+        let (b, second) = add_bits(a, bits_of(p.add(128), first), bits_of(p.add(192), first));
+        let (twos, four) = add_bits(twos, two, second);
+        let (c, third) = add_bits(b, bits_of(p.add(256), first), bits_of(p.add(320), first));
+        let (ones, fourth) = add_bits(c, bits_of(p.add(384), first), bits_of(p.add(448), first));
+        let (twos, other) = add_bits(twos, third, fourth);
+        let (fours, eights) = add_bits(fours, four, other);
+        ([ones, twos, fours], eights)
+    }
+}
+
+/// Adds `weight` times the number of bytes in which each bit is set.
+///
+/// # Safety
+/// The CPU has AVX-512 BW.
+#[inline(always)]
+unsafe fn take(counts: &mut [u32; 8], mut sums: __m512i, weight: u32) {
+    for count in counts.iter_mut().rev() {
+        // SAFETY: as the caller promises.
+        unsafe {
+            *count += weight * _mm512_movepi8_mask(sums).count_ones();
+            sums = _mm512_add_epi8(sums, sums);
+        }
+    }
+}
+
+/// The words at `at[i..i + 4]`.
+///
+/// # Safety
+/// All of these lie in `from`, and there are four.
+#[inline(always)]
+unsafe fn four_words(from: &[u32], at: &[u32; 16], i: usize) -> __m128i {
+    // SAFETY: as the caller promises; SSE2 is part of x86-64.
+    unsafe {
+        let [a, b, c, d] = [at[i], at[i + 1], at[i + 2], at[i + 3]].map(|at| at as usize);
+        let (a, b) = (*from.get_unchecked(a) as i32, *from.get_unchecked(b) as i32);
+        _mm_setr_epi32(a, b, *from.get_unchecked(c) as i32, *from.get_unchecked(d) as i32)
+    }
+}
+
+/// The words at `at[i..i + 8]`.
+///
+/// # Safety
+/// As [`four_words`], of eight; the CPU has AVX2.
+#[inline(always)]
+unsafe fn eight_words(from: &[u32], at: &[u32; 16], i: usize) -> __m256i {
+    // SAFETY: as the caller promises.
+    unsafe {
+        let low = _mm256_castsi128_si256(four_words(from, at, i));
+        _mm256_inserti128_si256::<1>(low, four_words(from, at, i + 4))
     }
 }
