@@ -27,14 +27,71 @@ impl Kernel for Packets<'_, '_, '_> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let mut packet = Packet { simd, march: self.march, kept: [0.0; KEPT], kept_count: 0 };
-        let mut order = [0i32; MAX_RAYS + 16];
-        let hits = packet.sort(self.rays, self.count, &mut order);
+        let mut order = Order::NONE;
+        packet.sort(self.rays, self.count, &mut order);
+        let mut lit = Lit { rays: [0; MAX_RAYS + 16], count: 0 };
         let mut at = 0;
-        while at < hits {
-            packet.march(self.rays, &order[at..], hits - at);
+        while at < order.len {
+            packet.march(self.rays, &order.rays[at..], order.len - at, &mut lit);
             at += S::LANES;
         }
         packet.add_kept();
+        if lit.count > 0 {
+            packet.sort_shadows(self.rays, &lit, &mut order);
+            let mut at = 0;
+            while at < order.len {
+                packet.march_shadows(self.rays, &order.rays[at..], order.len - at);
+                at += S::LANES;
+            }
+        }
+    }
+}
+
+/// Rays from which a shadow ray starts; where it does stands in their fields from [`SHADOW`] on.
+struct Lit {
+    rays: [i32; MAX_RAYS + 16],
+    count: usize,
+}
+
+/// Rays in the order in which they are marched: those that cross about as many cells together.
+struct Order {
+    rays: [i32; MAX_RAYS + 16],
+    len: usize,
+    /// Of the rays to be sorted, the group of each; those of group 0 are left out.
+    groups: [u8; MAX_RAYS + 16],
+    /// Rays in each group, from the second place on.
+    ends: [u16; LENGTHS + 1],
+}
+
+impl Order {
+    const NONE: Self =
+        Self { rays: [0; MAX_RAYS + 16], len: 0, groups: [0; MAX_RAYS + 16], ends: [0; LENGTHS + 1] };
+
+    /// Notes the groups of some rays, the first of which is number `at`.
+    #[inline(always)]
+    fn note(&mut self, at: usize, groups: &[i32]) {
+        for (i, &group) in groups.iter().enumerate() {
+            let group = group as usize % LENGTHS;
+            self.groups[at + i] = group as u8;
+            self.ends[group + 1] += 1;
+        }
+    }
+
+    /// Puts the first `count` rays in order, by their groups; `ray` names them.
+    #[inline(always)]
+    fn sort(&mut self, count: usize, ray: impl Fn(usize) -> i32) {
+        let ends = &mut self.ends;
+        // Of group 0 are those that are left out; the others go after each other from the first place on.
+        ends[1] = 0;
+        for group in 1..LENGTHS {
+            ends[group + 1] += ends[group];
+        }
+        for (i, &group) in self.groups.iter().enumerate().take(count).filter(|(_, group)| **group != 0) {
+            let place = &mut ends[usize::from(group)];
+            self.rays[usize::from(*place)] = ray(i);
+            *place += 1;
+        }
+        self.len = usize::from(ends[LENGTHS - 1]);
     }
 }
 
@@ -208,15 +265,21 @@ impl<S: Simd> Packet<'_, '_, S> {
         Chords { origin: origins, direction, safe, t_enter, t_exit }
     }
 
-    /// The rays that meet the box by the number of cells on their way, in groups; gives how many they are. The
-    /// others have no chord.
+    /// The group of rays that cross about so many cells; those of `met` alone are in one.
     #[inline(always)]
-    fn sort(&self, rays: &mut [&mut [f32]; FIELDS], count: usize, order: &mut [i32; MAX_RAYS + 16]) -> usize {
+    fn group(&self, crossed: S::F, met: S::M) -> S::I {
+        let simd = self.simd;
+        let cells = self.march.grid.iter().sum::<i32>() as f32;
+        let group = simd.mul(crossed, simd.splat((LENGTHS - 2) as f32 / cells));
+        let group = simd.add(simd.min(group, simd.splat((LENGTHS - 2) as f32)), simd.splat(1.0));
+        simd.trunc(simd.select(met, group, simd.splat(0.0)))
+    }
+
+    /// The rays that meet the box by the number of cells on their way. The others have no chord.
+    #[inline(always)]
+    fn sort(&self, rays: &mut [&mut [f32]; FIELDS], count: usize, order: &mut Order) {
         let simd = self.simd;
         let zero = simd.splat(0.0);
-        let cells = self.march.grid.iter().sum::<i32>() as f32;
-        let mut groups = [0u8; MAX_RAYS + 16];
-        let mut ends = [0u16; LENGTHS + 1];
         let mut lanes = [0i32; 16];
         let mut at = 0;
         while at < count {
@@ -226,30 +289,41 @@ impl<S: Simd> Packet<'_, '_, S> {
                 let d = simd.max(ray.direction[k], simd.sub(zero, ray.direction[k]));
                 pace = simd.add(pace, simd.mul(d, simd.splat(self.march.scale[k])));
             }
-            let met = simd.mul(simd.sub(ray.t_exit, ray.t_enter), pace);
-            let group = simd.mul(met, simd.splat((LENGTHS - 2) as f32 / cells));
-            let group = simd.add(simd.min(group, simd.splat((LENGTHS - 2) as f32)), simd.splat(1.0));
-            let group = simd.select(simd.lt(ray.t_enter, ray.t_exit), group, zero);
-            simd.write_i(simd.trunc(group), &mut lanes);
-            for (i, &group) in lanes.iter().enumerate().take(S::LANES.min(count - at)) {
-                let group = group as usize % LENGTHS;
-                groups[at + i] = group as u8;
-                ends[group + 1] += 1;
-            }
+            let crossed = simd.mul(simd.sub(ray.t_exit, ray.t_enter), pace);
+            simd.write_i(self.group(crossed, simd.lt(ray.t_enter, ray.t_exit)), &mut lanes);
+            order.note(at, &lanes[..S::LANES.min(count - at)]);
             simd.write(zero, &mut rays[CHORD][at..]);
             at += S::LANES;
         }
-        // Of group 0 are those that miss the box; the others go after each other from the first place on.
-        ends[1] = 0;
-        for group in 1..LENGTHS {
-            ends[group + 1] += ends[group];
+        order.sort(count, |ray| ray as i32);
+    }
+
+    /// The shadow rays by the number of cells up to the end of the box.
+    #[inline(always)]
+    fn sort_shadows(&self, rays: &[&mut [f32]; FIELDS], lit: &Lit, order: &mut Order) {
+        let simd = self.simd;
+        *order = Order::NONE;
+        let direction = glam::Vec3::from_array(SHADOW_DIRECTION);
+        let pace = simd.splat((direction * self.march.scale).element_sum());
+        let mut lanes = [0i32; 16];
+        let mut at = 0;
+        while at < lit.count {
+            let (_, t_exit) = self.shadow_ends(self.origins(rays, &lit.rays[at..]));
+            let all = simd.le(simd.splat(0.0), simd.splat(0.0));
+            simd.write_i(self.group(simd.mul(simd.max(t_exit, simd.splat(0.0)), pace), all), &mut lanes);
+            order.note(at, &lanes[..S::LANES.min(lit.count - at)]);
+            at += S::LANES;
         }
-        for (ray, &group) in groups.iter().enumerate().take(count).filter(|(_, group)| **group != 0) {
-            let place = &mut ends[usize::from(group)];
-            order[usize::from(*place)] = ray as i32;
-            *place += 1;
-        }
-        usize::from(ends[LENGTHS - 1])
+        order.sort(lit.count, |i| lit.rays[i]);
+    }
+
+    /// Where the shadow rays of rays start.
+    #[inline(always)]
+    fn origins(&self, rays: &[&mut [f32]; FIELDS], order: &[i32]) -> Three<S> {
+        let simd = self.simd;
+        let own = simd.read_i(order);
+        [SHADOW, SHADOW_ALL, SHADOW_SKIPS]
+            .map(|f| simd.as_f(simd.gather(bytemuck::cast_slice(&*rays[f]), own)))
     }
 
     /// Counts the chords that were kept.
@@ -281,9 +355,9 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Marches the first `LANES` rays of `order`, `count` of which exist.
+    /// Marches the first `LANES` rays of `order`, `count` of which exist. Their shadow rays are to be marched then.
     #[inline(always)]
-    fn march(&mut self, rays: &mut [&mut [f32]; FIELDS], order: &[i32], count: usize) {
+    fn march(&mut self, rays: &mut [&mut [f32]; FIELDS], order: &[i32], count: usize, lit_rays: &mut Lit) {
         let simd = self.simd;
         let zero = simd.splat(0.0);
         let own = simd.read_i(order);
@@ -433,18 +507,55 @@ impl<S: Simd> Packet<'_, '_, S> {
             self.spread(busy, rays[BUSY], order, count);
         }
         if scatters && simd.any(lights) {
-            let mut from = [zero; 3];
+            let mut from = [[0.0f32; 16]; 3];
             for k in 0..3 {
-                from[k] = simd.add(origin[k], simd.mul(lit, safe[k]));
+                simd.write(simd.add(origin[k], simd.mul(lit, safe[k])), &mut from[k]);
             }
-            let [inside, all, skips, segments] = self.shadow(from, lights);
-            for (field, value) in
-                [(SHADOW, inside), (SHADOW_ALL, all), (SHADOW_SKIPS, skips), (SHADOW_SEGMENTS, segments)]
-            {
-                let value = simd.select(lights, simd.mul(visible, value), zero);
-                self.spread(value, rays[field], order, count);
+            let mut lanes = simd.lane_bits(lights);
+            while lanes != 0 {
+                let lane = lanes.trailing_zeros() as usize % 16;
+                let ray = order[lane];
+                for (field, from) in [SHADOW, SHADOW_ALL, SHADOW_SKIPS].into_iter().zip(&from) {
+                    rays[field][ray as usize] = from[lane];
+                }
+                lit_rays.rays[lit_rays.count] = ray;
+                lit_rays.count += 1;
+                lanes &= lanes - 1;
             }
         }
+    }
+
+    /// Marches the shadow rays of the first `LANES` rays of `order`, `count` of which exist.
+    #[inline(always)]
+    fn march_shadows(&mut self, rays: &mut [&mut [f32]; FIELDS], order: &[i32], count: usize) {
+        let simd = self.simd;
+        let from = self.origins(rays, order);
+        let own = simd.read_i(order);
+        let visible = simd.as_f(simd.gather(bytemuck::cast_slice(&*rays[VISIBLE]), own));
+        let existing = simd.lt(simd.read(&LANE_NUMBERS), simd.splat(count.min(S::LANES) as f32));
+        let [inside, all, skips, segments] = self.shadow(from, existing);
+        for (field, value) in
+            [(SHADOW, inside), (SHADOW_ALL, all), (SHADOW_SKIPS, skips), (SHADOW_SEGMENTS, segments)]
+        {
+            self.spread(simd.mul(visible, value), rays[field], order, count);
+        }
+    }
+
+    /// Where shadow rays from points in the box start in cells, and where they leave it.
+    #[inline(always)]
+    fn shadow_ends(&self, from: Three<S>) -> (Three<S>, S::F) {
+        let simd = self.simd;
+        let mut t_exit = simd.splat(f32::INFINITY);
+        let mut start = [simd.splat(0.0); 3];
+        for k in 0..3 {
+            let m = &*self.march;
+            let extent = simd.splat(m.half_extent[k]);
+            let ahead = simd.sub(extent, from[k]);
+            t_exit = simd.min(t_exit, simd.div(ahead, simd.splat(SHADOW_DIRECTION[k])));
+            let inside = simd.mul(simd.add(from[k], extent), simd.splat(m.scale[k]));
+            start[k] = simd.sub(inside, simd.splat(m.shift[k]));
+        }
+        (start, t_exit)
     }
 
     /// Marches shadow rays from points in the box: length in occupied blocks, length in all, empty blocks met,
@@ -454,17 +565,9 @@ impl<S: Simd> Packet<'_, '_, S> {
         let simd = self.simd;
         let zero = simd.splat(0.0);
         let direction = glam::Vec3::from_array(SHADOW_DIRECTION);
-        let mut t_exit = simd.splat(f32::INFINITY);
-        let mut start = [zero; 3];
-        let mut pace = [zero; 3];
-        for k in 0..3 {
-            let m = &*self.march;
-            let extent = simd.splat(m.half_extent[k]);
-            let scale = simd.splat(m.scale[k]);
-            t_exit = simd.min(t_exit, simd.div(simd.sub(extent, from[k]), simd.splat(direction[k])));
-            start[k] = simd.sub(simd.mul(simd.add(from[k], extent), scale), simd.splat(m.shift[k]));
-            pace[k] = simd.mul(simd.splat(direction[k]), scale);
-        }
+        let (start, t_exit) = self.shadow_ends(from);
+        let scale = self.march.scale;
+        let pace = [0, 1, 2].map(|k: usize| simd.mul(simd.splat(direction[k]), simd.splat(scale[k])));
         let rate = simd.splat(direction.length() * self.march.per_step);
         let end = simd.splat(self.march.shadow_end);
         let mut walk = self.walk(start, pace, zero);
