@@ -217,11 +217,22 @@ impl<S: Simd> Packet<'_, '_, S> {
         [extinction, simd.mul(root, root), looks]
     }
 
+    #[inline(always)]
+    fn magnitude(&self, v: S::F) -> S::F {
+        self.simd.max(v, self.simd.sub(self.simd.splat(0.0), v))
+    }
+
+    /// A number of each ray.
+    #[inline(always)]
+    fn of_rays(&self, field: &[f32], own: S::I) -> S::F {
+        self.simd.as_f(self.simd.gather(bytemuck::cast_slice(field), own))
+    }
+
     /// Borders of cells that rays cross per t, along all axes together.
     #[inline(always)]
     fn crossings(&self, pace: &Three<S>) -> S::F {
         let simd = self.simd;
-        let [x, y, z] = pace.map(|p| simd.max(p, simd.sub(simd.splat(0.0), p)));
+        let [x, y, z] = [self.magnitude(pace[0]), self.magnitude(pace[1]), self.magnitude(pace[2])];
         simd.add(simd.add(x, y), z)
     }
 
@@ -232,6 +243,14 @@ impl<S: Simd> Packet<'_, '_, S> {
             [] => self.simd.splat(1.0),
             shares => self.simd.as_f(self.simd.gather(bytemuck::cast_slice(shares), index)),
         }
+    }
+
+    /// Component `k` of a vector that depends on the place in the image.
+    #[inline(always)]
+    fn along(&self, [middle, right, up]: &[glam::Vec3; 3], k: usize, u: S::F, v: S::F) -> S::F {
+        let simd = self.simd;
+        let along = simd.add(simd.splat(middle[k]), simd.mul(u, simd.splat(right[k])));
+        simd.add(along, simd.mul(v, simd.splat(up[k])))
     }
 
     /// Where rays through these places of the image meet the box.
@@ -245,13 +264,9 @@ impl<S: Simd> Packet<'_, '_, S> {
         let (mut t_enter, mut t_exit) = (zero, simd.splat(f32::INFINITY));
         for k in 0..3 {
             let m = &*self.march;
-            let at = |[middle, right, up]: [glam::Vec3; 3]| {
-                let along = simd.add(simd.splat(middle[k]), simd.mul(u, simd.splat(right[k])));
-                simd.add(along, simd.mul(v, simd.splat(up[k])))
-            };
-            let (origin, d) = (at(m.origin), at(m.direction));
+            let (origin, d) = (self.along(&m.origin, k, u, v), self.along(&m.direction, k, u, v));
             let least = simd.select(simd.lt(d, zero), simd.splat(-TINY), simd.splat(TINY));
-            let magnitude = simd.max(d, simd.sub(zero, d));
+            let magnitude = self.magnitude(d);
             origins[k] = origin;
             direction[k] = d;
             safe[k] = simd.select(simd.lt(magnitude, simd.splat(TINY)), least, d);
@@ -286,7 +301,7 @@ impl<S: Simd> Packet<'_, '_, S> {
             let ray = self.chords(simd.read(&rays[U][at..]), simd.read(&rays[V][at..]));
             let mut pace = zero;
             for k in 0..3 {
-                let d = simd.max(ray.direction[k], simd.sub(zero, ray.direction[k]));
+                let d = self.magnitude(ray.direction[k]);
                 pace = simd.add(pace, simd.mul(d, simd.splat(self.march.scale[k])));
             }
             let crossed = simd.mul(simd.sub(ray.t_exit, ray.t_enter), pace);
@@ -322,8 +337,8 @@ impl<S: Simd> Packet<'_, '_, S> {
     fn origins(&self, rays: &[&mut [f32]; FIELDS], order: &[i32]) -> Three<S> {
         let simd = self.simd;
         let own = simd.read_i(order);
-        [SHADOW, SHADOW_ALL, SHADOW_SKIPS]
-            .map(|f| simd.as_f(simd.gather(bytemuck::cast_slice(&*rays[f]), own)))
+        let [x, y, z] = [&*rays[SHADOW], &*rays[SHADOW_ALL], &*rays[SHADOW_SKIPS]];
+        [self.of_rays(x, own), self.of_rays(y, own), self.of_rays(z, own)]
     }
 
     /// Counts the chords that were kept.
@@ -361,13 +376,13 @@ impl<S: Simd> Packet<'_, '_, S> {
         let simd = self.simd;
         let zero = simd.splat(0.0);
         let own = simd.read_i(order);
-        let of_own = |field: usize| simd.as_f(simd.gather(bytemuck::cast_slice(&*rays[field]), own));
-        let (u, v, mut draw) = (of_own(U), of_own(V), of_own(DRAW));
+        let (u, v) = (self.of_rays(rays[U], own), self.of_rays(rays[V], own));
+        let mut draw = self.of_rays(rays[DRAW], own);
         let existing = simd.lt(simd.read(&LANE_NUMBERS), simd.splat(count.min(S::LANES) as f32));
         let Chords { origin, direction, safe, t_enter, t_exit } = self.chords(u, v);
         let mut alive = simd.and_m(simd.lt(t_enter, t_exit), existing);
-        let square = |k: usize| simd.mul(direction[k], direction[k]);
-        let length = simd.sqrt(simd.add(simd.add(square(0), square(1)), square(2)));
+        let [x, y, z] = direction;
+        let length = simd.sqrt(simd.add(simd.add(simd.mul(x, x), simd.mul(y, y)), simd.mul(z, z)));
         // Reference steps per unit of t.
         let rate = simd.mul(length, simd.splat(self.march.per_step));
         let chord = simd.select(alive, simd.mul(simd.sub(t_exit, t_enter), rate), zero);
@@ -383,18 +398,16 @@ impl<S: Simd> Packet<'_, '_, S> {
             pace[k] = simd.mul(safe[k], simd.splat(m.scale[k]));
         }
         let split = m.block;
-        let block_chord = split.map(|b| {
-            let side = |k: usize, area: f32| {
-                let d = simd.max(direction[k], simd.sub(zero, direction[k]));
-                simd.mul(d, simd.splat(area))
-            };
+        let mut block_chord = None;
+        if let Some(b) = split {
             // In the order of the products of `March::ray`: |d|·b·c is not |d|·(b·c).
-            let x = simd.mul(side(0, b.y), simd.splat(b.z));
-            let y = simd.mul(side(1, b.x), simd.splat(b.z));
-            let z = simd.mul(side(2, b.x), simd.splat(b.y));
+            let [x, y, z] = [self.magnitude(x), self.magnitude(y), self.magnitude(z)];
+            let x = simd.mul(simd.mul(x, simd.splat(b.y)), simd.splat(b.z));
+            let y = simd.mul(simd.mul(y, simd.splat(b.x)), simd.splat(b.z));
+            let z = simd.mul(simd.mul(z, simd.splat(b.x)), simd.splat(b.y));
             let volume = simd.mul(rate, simd.splat(b.x * b.y * b.z));
-            simd.div(volume, simd.add(simd.add(x, y), z))
-        });
+            block_chord = Some(simd.div(volume, simd.add(simd.add(x, y), z)));
+        }
         let scatters = m.scatters;
         let depth_end = simd.splat(m.depth_end);
         let crossings = simd.div(self.crossings(&pace), rate);
@@ -531,7 +544,7 @@ impl<S: Simd> Packet<'_, '_, S> {
         let simd = self.simd;
         let from = self.origins(rays, order);
         let own = simd.read_i(order);
-        let visible = simd.as_f(simd.gather(bytemuck::cast_slice(&*rays[VISIBLE]), own));
+        let visible = self.of_rays(rays[VISIBLE], own);
         let existing = simd.lt(simd.read(&LANE_NUMBERS), simd.splat(count.min(S::LANES) as f32));
         let [inside, all, skips, segments] = self.shadow(from, existing);
         for (field, value) in
@@ -567,7 +580,10 @@ impl<S: Simd> Packet<'_, '_, S> {
         let direction = glam::Vec3::from_array(SHADOW_DIRECTION);
         let (start, t_exit) = self.shadow_ends(from);
         let scale = self.march.scale;
-        let pace = [0, 1, 2].map(|k: usize| simd.mul(simd.splat(direction[k]), simd.splat(scale[k])));
+        let mut pace = [zero; 3];
+        for k in 0..3 {
+            pace[k] = simd.mul(simd.splat(direction[k]), simd.splat(scale[k]));
+        }
         let rate = simd.splat(direction.length() * self.march.per_step);
         let end = simd.splat(self.march.shadow_end);
         let mut walk = self.walk(start, pace, zero);

@@ -494,7 +494,7 @@ impl<T: Voxel> Joined<T> {
 
 /// Joins each value with the one `reach` further on, where there is one.
 #[inline(always)]
-fn slide<T: Voxel>(values: &mut Vec<T>, other: &mut Vec<T>, reach: usize, join: impl Fn(T, T) -> T) {
+fn slide<T: Voxel>(values: &mut [T], other: &mut [T], reach: usize, join: impl Fn(T, T) -> T) {
     let len = values.len();
     let to = &mut other[..len];
     for ((to, &a), &b) in to.iter_mut().zip(&values[..len - reach]).zip(&values[reach..]) {
