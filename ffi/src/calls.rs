@@ -134,6 +134,49 @@ unsafe fn render(model: *const entire_model, voxels: &[u8], frames: usize) {
 }
 
 #[test]
+fn a_session_follows_a_volume_from_step_to_step() {
+    let mut voxels: Vec<u8> = (0..5 * 7 * 11).map(|i| (i * 37 % 256) as u8).collect();
+    let (borrowed, transfer) = (volume(&voxels, ENTIRE_VOXELS_BORROW), transfer_function());
+    let mut desc = init(entire_volume_desc_init);
+    (desc.scalar_type, desc.ownership) = (ENTIRE_SCALAR_U8, ENTIRE_VOXELS_BORROW);
+    (desc.voxel_count, desc.dims) = (voxels.len(), [5, 7, 11]);
+    let (first, size) = ([0, 0, 2usize], [5, 7, 1usize]);
+    let mut frame = init(entire_frame_init);
+    (frame.width, frame.height) = (32, 32);
+    // SAFETY: live handles, used by this thread alone, and room for every output; borrowed voxels are handed over
+    // anew after they were written to.
+    unsafe {
+        let session = made(|out| entire_session_new(null(), null(), out));
+        ok(entire_session_set_volume(session, borrowed));
+        ok(entire_session_set_transfer_function(session, transfer));
+        for step in 0..3 {
+            voxels[70..105].fill(100 + 50 * step);
+            desc.voxels = voxels.as_ptr().cast();
+            if step == 0 {
+                ok(entire_volume_update(borrowed, &raw const desc));
+            } else {
+                ok(entire_volume_update_box(borrowed, &raw const desc, first.as_ptr(), size.as_ptr()));
+            }
+            ok(entire_session_set_time_step(session, borrowed));
+            let mut found: entire_prediction = crate::abi::ByValue::defaults();
+            ok(entire_session_predict(session, &raw const frame, &raw mut found));
+            let alone = volume(&voxels, ENTIRE_VOXELS_COPY);
+            let given = made(|out| entire_session_new(null(), null(), out));
+            ok(entire_session_set_volume(given, alone));
+            ok(entire_session_set_transfer_function(given, transfer));
+            let mut wanted: entire_prediction = crate::abi::ByValue::defaults();
+            ok(entire_session_predict(given, &raw const frame, &raw mut wanted));
+            assert_eq!(found.seconds, wanted.seconds);
+            entire_session_free(given);
+            entire_volume_free(alone);
+        }
+        entire_session_free(session);
+        entire_transfer_function_free(transfer);
+        entire_volume_free(borrowed);
+    }
+}
+
+#[test]
 fn a_session_makes_a_model_of_what_it_observes() {
     let voxels: Vec<u8> = (0..5 * 7 * 11).map(|i| (i * 37 % 256) as u8).collect();
     let (volume, transfer) = (volume(&voxels, ENTIRE_VOXELS_COPY), transfer_function());

@@ -48,9 +48,9 @@ pub const ENTIRE_SCALAR_I64: entire_scalar_type = 10;
 pub type entire_voxels_ownership = u32;
 /// The library copies the voxels; the caller's memory is free again when the call returns.
 pub const ENTIRE_VOXELS_COPY: entire_voxels_ownership = 1;
-/// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed, or but for
-/// the voxels of its next time step (entire_volume_update). For scalar types U8, U16, I16 and F32, aligned to their
-/// size.
+/// The library reads the caller's memory, which must stay valid and unchanged until the volume is freed, or
+/// but for the voxels of its next time step (entire_volume_update). For scalar types U8, U16, I16 and F32,
+/// aligned to their size.
 pub const ENTIRE_VOXELS_BORROW: entire_voxels_ownership = 2;
 
 /// In `strides`: x runs fastest, then y, then z, without gaps. All three strides or none.
@@ -209,8 +209,8 @@ no_padding!(entire_volume_info {
     feature_count
 });
 
-/// Voxels, or what stands for them. Immutable but for its ready features and its time steps; may be used by any
-/// number of sessions.
+/// Voxels, or what stands for them. Immutable but for its ready features and its time steps; may be used by
+/// any number of sessions.
 pub struct entire_volume {
     status: Status,
     value: Volume,

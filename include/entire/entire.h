@@ -299,8 +299,8 @@ typedef struct entire_session entire_session;
 typedef struct entire_transfer_function entire_transfer_function;
 
 /**
- * Voxels, or what stands for them. Immutable but for its ready features and its time steps; may be used by any
- * number of sessions.
+ * Voxels, or what stands for them. Immutable but for its ready features and its time steps; may be used by
+ * any number of sessions.
  */
 typedef struct entire_volume entire_volume;
 
@@ -980,9 +980,9 @@ typedef struct entire_setting {
 #define ENTIRE_VOXELS_COPY 1
 
 /**
- * The library reads the caller's memory, which must stay valid and unchanged until the volume is freed, or but for
- * the voxels of its next time step (entire_volume_update). For scalar types U8, U16, I16 and F32, aligned to their
- * size.
+ * The library reads the caller's memory, which must stay valid and unchanged until the volume is freed, or
+ * but for the voxels of its next time step (entire_volume_update). For scalar types U8, U16, I16 and F32,
+ * aligned to their size.
  */
 #define ENTIRE_VOXELS_BORROW 2
 
@@ -1379,27 +1379,27 @@ entire_result entire_volume_last_error(const struct entire_volume *volume,
 void entire_volume_free(struct entire_volume *volume);
 
 /**
- * Hands over the next time step of a volume, of the same sizes, spacing and scalar type. `desc` describes its
- * voxels: others, or those that were borrowed and have been written to since. A range of NaN, NaN is the volume's,
- * any other must be the volume's. Ready features are removed: they were those of the time step before. Sessions
- * learn of it by entire_session_set_time_step; the volume must be in no other call meanwhile.
+ * Hands over the next time step of a volume, of the same sizes, spacing and scalar type. `desc` describes
+ * its voxels: others, or those that were borrowed and have been written to since. A range of NaN, NaN is the
+ * volume's, any other must be the volume's. Ready features are removed: they were those of the time step
+ * before. Sessions learn of it by entire_session_set_time_step; the volume must be in no other call
+ * meanwhile.
  *
  * What changed is found in one pass over the voxels, much faster than the scan of a volume, and only that is
- * scanned again. The first time step that is handed over is scanned whole: what later ones are compared with (some
- * 50 bytes for each 8 x 8 x 8 voxels) is not kept of volumes that never change.
+ * scanned again. The first time step that is handed over is scanned whole: what later ones are compared with
+ * (some 50 bytes for each 8 x 8 x 8 voxels) is not kept of volumes that never change.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (another scalar type, spacing or range, else as entire_volume_new),
- * ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from bricks),
- * ENTIRE_OUT_OF_MEMORY, ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
- * ENTIRE_STRUCT_SIZE; the volume is then still that of the time step before.
+ * ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from
+ * bricks), ENTIRE_OUT_OF_MEMORY, ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed),
+ * ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume is then still that of the time step before.
  */
-entire_result entire_volume_update(struct entire_volume *volume,
-                                   const struct entire_volume_desc *desc);
+entire_result entire_volume_update(struct entire_volume *volume, const struct entire_volume_desc *desc);
 
 /**
- * As entire_volume_update, where the caller knows which voxels changed: none outside of a box that begins with
- * voxel `first` (three numbers, along x, y, z) and has `size` voxels (three numbers). Only blocks that the box
- * touches are read.
+ * As entire_volume_update, where the caller knows which voxels changed: none outside of a box that begins
+ * with voxel `first` (three numbers, along x, y, z) and has `size` voxels (three numbers). Only blocks that
+ * the box touches are read.
  *
  * Fails as entire_volume_update, and with ENTIRE_INVALID_ARGUMENT for a box that reaches beyond the volume.
  */
@@ -1647,13 +1647,14 @@ entire_result entire_session_choose(struct entire_session *session,
 entire_result entire_session_set_volume(struct entire_session *session, const struct entire_volume *volume);
 
 /**
- * Sets the next time step of the session's volume, after entire_volume_update. The transfer function stays, and what
- * was learned of the scene: no change is announced (entire_session_mark does, where a frame pays for an upload).
- * Where the model takes volume features, those of the time step before stay unless the volume has ready ones.
+ * Sets the next time step of the session's volume, after entire_volume_update. The transfer function stays,
+ * and what was learned of the scene: no change is announced (entire_session_mark does, where a frame pays
+ * for an upload). Where the model takes volume features, those of the time step before stay unless the
+ * volume has ready ones.
  *
- * Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes or spacing, ready
- * features of another number than the model takes), ENTIRE_INVALID_ARGUMENT (a volume of another scalar type),
- * ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+ * Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes or spacing,
+ * ready features of another number than the model takes), ENTIRE_INVALID_ARGUMENT (a volume of another
+ * scalar type), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
  */
 entire_result entire_session_set_time_step(struct entire_session *session,
                                            const struct entire_volume *volume);

@@ -21,8 +21,8 @@ fn summary(view: &VolumeView<'_>, executor: Executor<'_>) -> Result<VolumeSummar
     builder.finish()
 }
 
-/// A time step of a series: `same`, of which nothing changed but that must be found out; `box`, of which a box of 64³
-/// voxels changed, which is said.
+/// A time step of a series: `same`, of which nothing changed but that must be found out; `box`, of which a
+/// box of 64³ voxels changed, which is said.
 fn time_step(view: &VolumeView<'_>, what: &str) -> Option<f64> {
     let planes = view.shape().dims[2];
     let mut series = SummarySeries::new(view, planes, SummaryOptions::default()).expect("a series");

@@ -141,14 +141,15 @@ impl Session {
         self.changes.volume = true;
     }
 
-    /// Sets the next time step of the volume ([`crate::features::SummarySeries`] makes its summary), and VolumeNet's
-    /// output for it; without, that of the time step before stays. The transfer function stays, and what was
-    /// learned of the scene: no change is announced. Where a frame pays for an upload, [`Session::mark`] says so.
+    /// Sets the next time step of the volume ([`crate::features::SummarySeries`] makes its summary), and
+    /// VolumeNet's output for it; without, that of the time step before stays. The transfer function stays,
+    /// and what was learned of the scene: no change is announced. Where a frame pays for an upload,
+    /// [`Session::mark`] says so.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::SizeMismatch`] for one of other
-    /// sizes, spacing or cells, [`crate::ErrorKind::InvalidArgument`] for one of another type; nothing has changed
-    /// then. Nothing is allocated.
+    /// [`crate::ErrorKind::NotReady`] before a volume was set, [`crate::ErrorKind::SizeMismatch`] for one of
+    /// other sizes, spacing or cells, [`crate::ErrorKind::InvalidArgument`] for one of another type; nothing
+    /// has changed then. Nothing is allocated.
     pub fn set_time_step(&mut self, volume: VolumeSummary, volume_features: Option<Vec<f32>>) -> Result<()> {
         let Some(before) = &self.volume else {
             bail!(NotReady, "no volume is set; set a series' first time step as a volume");
@@ -158,7 +159,8 @@ impl Session {
             let ([x, y, z], [a, b, c]) = (volume.shape().dims, before.shape().dims);
             bail!(
                 SizeMismatch,
-                "a time step of {x} x {y} x {z} voxels follows on a volume of {a} x {b} x {c} voxels; its sizes, spacing                  and summary options must be the same, set another volume as such"
+                "a time step of {x} x {y} x {z} voxels follows on a volume of {a} x {b} x {c} voxels; its \
+                 sizes, spacing and summary options must be the same, set another volume as such"
             );
         }
         if volume.scalar_type() != before.scalar_type() {

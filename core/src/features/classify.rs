@@ -121,10 +121,10 @@ impl Blocks<'_> {
     }
 }
 
-/// Writes a bit for each block, set where an entry between its bounds is visible, and for each cell, set where one
-/// of its blocks' is: what stands for the blocks of other cells may be anything. Gives the sum, over cells, of the
-/// share of their blocks whose bit is set. `low` and `high` are the bounds of the cells. `bits` must have a word
-/// beyond that of the last block.
+/// Writes a bit for each block, set where an entry between its bounds is visible, and for each cell, set
+/// where one of its blocks' is: what stands for the blocks of other cells may be anything. Gives the sum,
+/// over cells, of the share of their blocks whose bit is set. `low` and `high` are the bounds of the cells.
+/// `bits` must have a word beyond that of the last block.
 pub(super) fn classify_blocks(
     visible: &Visible<'_>,
     low: &[u8],
@@ -141,7 +141,8 @@ pub(super) fn classify_blocks(
     }
 }
 
-/// Where whole words are blocks of cells: only words of cells whose own bounds hold a visible entry are looked at.
+/// Where whole words are blocks of cells: only words of cells whose own bounds hold a visible entry are
+/// looked at.
 struct ClassifyWords<'a> {
     visible: &'a Visible<'a>,
     low: &'a [u8],

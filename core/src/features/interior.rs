@@ -49,8 +49,8 @@ impl Interior {
         self.found = false;
     }
 
-    /// Finds the cells of every class from the bits of all cells, unless that was done. Most of what it costs is
-    /// spared where no ray is cast.
+    /// Finds the cells of every class from the bits of all cells, unless that was done. Most of what it costs
+    /// is spared where no ray is cast.
     #[inline(always)]
     pub(super) fn find(&mut self, grid: [usize; 3], full: &[u64]) {
         if !self.found {

@@ -1,8 +1,8 @@
 //! Numbers about the scene: names, order and units, once per volume, once per transfer function and once per
 //! frame.
 //!
-//! * [`VolumeSummary`]: a grid of cells with value bounds and quantiles, made once per volume, or kept up to date
-//!   from one time step to the next by a [`SummarySeries`].
+//! * [`VolumeSummary`]: a grid of cells with value bounds and quantiles, made once per volume, or kept up to
+//!   date from one time step to the next by a [`SummarySeries`].
 //! * [`TransferSummary`]: emptiness and extinction of each cell under a transfer function, remade in place at
 //!   each edit.
 //! * [`FrameFeatures`]: what a camera sees of it: footprint, ray lengths and the coarse ray probe, measured

@@ -85,8 +85,8 @@ pub struct TransferSummary {
     full: Vec<u64>,
     /// How deep the others lie among each other.
     interior: Interior,
-    /// Share of each cell's blocks that are not empty, where cells hold several blocks, else nothing: of cells that
-    /// are not empty and whose word is known.
+    /// Share of each cell's blocks that are not empty, where cells hold several blocks, else nothing: of
+    /// cells that are not empty and whose word is known.
     occupied: Vec<f32>,
     /// What is known of each cell, [`packed`].
     cells: Vec<u32>,

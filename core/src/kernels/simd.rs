@@ -163,10 +163,11 @@ pub(crate) trait Simd: Copy + 'static {
 
     /// A bit for each pair of bounds, set where `low` ≤ `last` and `high` ≥ `first`.
     fn overlaps(self, low: &[u8; 64], high: &[u8; 64], first: u8, last: u8) -> u64;
-    /// Up to how many values that bytes may have [`count_eight`](Self::count_eight) is the fastest way to count them.
+    /// Up to how many values that bytes may have [`count_eight`](Self::count_eight) is the fastest way to
+    /// count them.
     const COUNTED: usize;
-    /// How many bytes have each of eight values from `first` on, which is 248 at most. There must be fewer than 2³²
-    /// bytes.
+    /// How many bytes have each of eight values from `first` on, which is 248 at most. There must be fewer
+    /// than 2³² bytes.
     fn count_eight(self, bytes: &[u8], first: u8) -> [u32; 8];
 
     /// SELU(x) = λ·x for x > 0, λ·α·(eˣ − 1) otherwise, within

@@ -54,13 +54,14 @@ pub unsafe extern "C" fn entire_session_set_volume(
     }
 }
 
-/// Sets the next time step of the session's volume, after entire_volume_update. The transfer function stays, and what
-/// was learned of the scene: no change is announced (entire_session_mark does, where a frame pays for an upload).
-/// Where the model takes volume features, those of the time step before stay unless the volume has ready ones.
+/// Sets the next time step of the session's volume, after entire_volume_update. The transfer function stays,
+/// and what was learned of the scene: no change is announced (entire_session_mark does, where a frame pays
+/// for an upload). Where the model takes volume features, those of the time step before stay unless the
+/// volume has ready ones.
 ///
-/// Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes or spacing, ready
-/// features of another number than the model takes), ENTIRE_INVALID_ARGUMENT (a volume of another scalar type),
-/// ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
+/// Fails with ENTIRE_NOT_READY (no volume was set), ENTIRE_SIZE_MISMATCH (a volume of other sizes or spacing,
+/// ready features of another number than the model takes), ENTIRE_INVALID_ARGUMENT (a volume of another
+/// scalar type), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_session_set_time_step(
     session: *mut entire_session,

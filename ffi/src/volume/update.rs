@@ -11,19 +11,20 @@ use entire_core::nn::Executor;
 use std::ops::Range;
 use std::sync::OnceLock;
 
-/// Hands over the next time step of a volume, of the same sizes, spacing and scalar type. `desc` describes its
-/// voxels: others, or those that were borrowed and have been written to since. A range of NaN, NaN is the volume's,
-/// any other must be the volume's. Ready features are removed: they were those of the time step before. Sessions
-/// learn of it by entire_session_set_time_step; the volume must be in no other call meanwhile.
+/// Hands over the next time step of a volume, of the same sizes, spacing and scalar type. `desc` describes
+/// its voxels: others, or those that were borrowed and have been written to since. A range of NaN, NaN is the
+/// volume's, any other must be the volume's. Ready features are removed: they were those of the time step
+/// before. Sessions learn of it by entire_session_set_time_step; the volume must be in no other call
+/// meanwhile.
 ///
 /// What changed is found in one pass over the voxels, much faster than the scan of a volume, and only that is
-/// scanned again. The first time step that is handed over is scanned whole: what later ones are compared with (some
-/// 50 bytes for each 8 x 8 x 8 voxels) is not kept of volumes that never change.
+/// scanned again. The first time step that is handed over is scanned whole: what later ones are compared with
+/// (some 50 bytes for each 8 x 8 x 8 voxels) is not kept of volumes that never change.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (another scalar type, spacing or range, else as entire_volume_new),
-/// ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from bricks),
-/// ENTIRE_OUT_OF_MEMORY, ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed), ENTIRE_NULL_ARGUMENT,
-/// ENTIRE_STRUCT_SIZE; the volume is then still that of the time step before.
+/// ENTIRE_SIZE_MISMATCH (other sizes, else as entire_volume_new), ENTIRE_NOT_READY (a volume made from
+/// bricks), ENTIRE_OUT_OF_MEMORY, ENTIRE_UNSUPPORTED (a scalar type that cannot be borrowed),
+/// ENTIRE_NULL_ARGUMENT, ENTIRE_STRUCT_SIZE; the volume is then still that of the time step before.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn entire_volume_update(
     volume: *mut entire_volume,
@@ -34,9 +35,9 @@ pub unsafe extern "C" fn entire_volume_update(
     unsafe { changing(volume, |volume| update(volume, desc, None)) }
 }
 
-/// As entire_volume_update, where the caller knows which voxels changed: none outside of a box that begins with
-/// voxel `first` (three numbers, along x, y, z) and has `size` voxels (three numbers). Only blocks that the box
-/// touches are read.
+/// As entire_volume_update, where the caller knows which voxels changed: none outside of a box that begins
+/// with voxel `first` (three numbers, along x, y, z) and has `size` voxels (three numbers). Only blocks that
+/// the box touches are read.
 ///
 /// Fails as entire_volume_update, and with ENTIRE_INVALID_ARGUMENT for a box that reaches beyond the volume.
 #[unsafe(no_mangle)]

@@ -109,9 +109,9 @@ impl Session {
         Ok(made)
     }
 
-    /// Sets the volume. Its first use scans its voxels once; a model that takes volume features encodes them. With
-    /// the next time step of the volume that is set (:meth:`Volume.next`) the transfer function stays, and what was
-    /// learned of the scene.
+    /// Sets the volume. Its first use scans its voxels once; a model that takes volume features encodes them.
+    /// With the next time step of the volume that is set (:meth:`Volume.next`) the transfer function stays,
+    /// and what was learned of the scene.
     ///
     /// Parameters
     /// ----------

@@ -261,17 +261,14 @@ impl Volume {
     }
 
     /// The next time step: another array of the same shape and type, or the same one after it was written to.
-    /// Spacing, origin, axes and range are this volume's. What changed is found in one pass over the voxels, much
-    /// faster than the scan of a volume, and only that is scanned again; the first time step is scanned whole.
-    /// :meth:`Session.set_volume` with it keeps what was learned of the scene.
+    /// Spacing, origin, axes and range are this volume's. What changed is found in one pass over the voxels,
+    /// much faster than the scan of a volume, and only that is scanned again; the first time step is scanned
+    /// whole. :meth:`Session.set_volume` with it keeps what was learned of the scene.
     ///
-    /// Parameters
-    /// ----------
-    /// array : array_like, 3-D
-    ///     Voxels of the next time step.
-    /// changed : ((int, int), (int, int), (int, int)), optional
-    ///     Where the caller knows what changed: first index and end along each axis of the array. Nothing outside
-    ///     of that box is read. Without effect on any but the series' latest time step.
+    /// Parameters ---------- array : array_like, 3-D Voxels of the next time step. changed : ((int, int),
+    /// (int, int), (int, int)), optional Where the caller knows what changed: first index and end along each
+    /// axis of the array. Nothing outside of that box is read. Without effect on any but the series' latest
+    /// time step.
     ///
     /// Raises
     /// ------

@@ -370,7 +370,8 @@ impl<S: Simd> Packet<'_, '_, S> {
         }
     }
 
-    /// Marches the first `LANES` rays of `order`, `count` of which exist. Their shadow rays are to be marched then.
+    /// Marches the first `LANES` rays of `order`, `count` of which exist. Their shadow rays are to be marched
+    /// then.
     #[inline(always)]
     fn march(&mut self, rays: &mut [&mut [f32]; FIELDS], order: &[i32], count: usize, lit_rays: &mut Lit) {
         let simd = self.simd;

@@ -80,8 +80,8 @@ fn runs(bits: Mask) -> impl Iterator<Item = Range<usize>> {
 }
 
 /// Looks at layers of cells that follow each other from cell layer `first` on: at cells that are marked as
-/// changed, and where `search` says so at the others too, for changes. `quantiles` and `blocks` are those of the
-/// whole volume.
+/// changed, and where `search` says so at the others too, for changes. `quantiles` and `blocks` are those of
+/// the whole volume.
 ///
 /// # Errors
 /// [`crate::ErrorKind::OutOfMemory`]; cells that were not looked at are still marked.
@@ -397,9 +397,9 @@ const LENGTH: usize = 2;
 /// Stands before a count that no smaller byte holds.
 const LARGE: u8 = u8::MAX;
 
-/// Appends a cell's tally: its length in bytes, the voxels that are not finite, the bounds of its entries, and how
-/// many voxels have each of them: a byte each, or nine where they are more than 254. Cells with one entry take
-/// six bytes, and smooth ones of 8³ voxels one more for each entry between their bounds.
+/// Appends a cell's tally: its length in bytes, the voxels that are not finite, the bounds of its entries,
+/// and how many voxels have each of them: a byte each, or nine where they are more than 254. Cells with one
+/// entry take six bytes, and smooth ones of 8³ voxels one more for each entry between their bounds.
 fn write_tally(to: &mut Vec<u8>, [low, high]: [u8; 2], counts: &[u64; 256], non_finite: u64) -> Result<()> {
     let counts = &counts[usize::from(low)..=usize::from(high)];
     let at = to.len();

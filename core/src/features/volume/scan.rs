@@ -170,8 +170,8 @@ impl<T: Voxel> Source<'_, T> {
         scratch
     }
 
-    /// Asks for the voxels `xs` of a row, where they lie side by side: rows of the next plane, or of the next row of
-    /// cells, are no neighbors in memory, so that nobody else asks for them.
+    /// Asks for the voxels `xs` of a row, where they lie side by side: rows of the next plane, or of the next
+    /// row of cells, are no neighbors in memory, so that nobody else asks for them.
     #[inline(always)]
     pub(super) fn fetch<S: Simd>(&self, simd: S, xs: &Range<usize>, y: usize, z: usize) {
         let ([_, height, planes], z) = (self.slab.dims(), z - self.first);
@@ -337,8 +337,8 @@ pub(super) struct Tally<'a, S> {
 }
 
 impl<S: Simd> Tally<'_, S> {
-    /// The quantiles of a cell's entries. `each` hears how often each occurs, in ascending order, those that do
-    /// not left out. `counts` must be zero, and is so again.
+    /// The quantiles of a cell's entries. `each` hears how often each occurs, in ascending order, those that
+    /// do not left out. `counts` must be zero, and is so again.
     #[inline(always)]
     pub(super) fn count(
         &self,
@@ -379,8 +379,8 @@ impl<S: Simd> Tally<'_, S> {
         out
     }
 
-    /// Where few entries can occur, eight at a time are looked for in all bytes; where many can, bytes are counted in
-    /// four tables in turn: in one, equal neighbors would wait for each other.
+    /// Where few entries can occur, eight at a time are looked for in all bytes; where many can, bytes are
+    /// counted in four tables in turn: in one, equal neighbors would wait for each other.
     #[inline(always)]
     fn batch(&self, bytes: &[u8], counts: &mut Counts) {
         let [low, high] = self.bounds;
@@ -469,8 +469,8 @@ impl<T: Voxel> Joined<T> {
         }
     }
 
-    /// Widens the bounds of a row of blocks, once for all rows: a block's values are its own and the first one of the
-    /// next block. `block` is a power of two.
+    /// Widens the bounds of a row of blocks, once for all rows: a block's values are its own and the first
+    /// one of the next block. `block` is a power of two.
     #[inline(always)]
     pub(super) fn reduce<'a>(&mut self, block: usize, bounds: impl Iterator<Item = &'a mut Bounds<T>>)
     where

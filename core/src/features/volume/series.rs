@@ -13,20 +13,22 @@ use crate::scene::{Scalars, VolumeView};
 use alloc::vec::Vec;
 use core::ops::Range;
 
-/// Keeps the [`VolumeSummary`] of a volume that changes: of each time step only what changed is summarized again.
+/// Keeps the [`VolumeSummary`] of a volume that changes: of each time step only what changed is summarized
+/// again.
 ///
-/// Where the caller knows the box of voxels that changed, only cells that it touches are read. Else all voxels are
-/// read, much faster than a summary is made, to find the cells that changed. Either way the summary is the one
-/// that [`VolumeSummary::new`] makes of the time step, to the last bit.
+/// Where the caller knows the box of voxels that changed, only cells that it touches are read. Else all
+/// voxels are read, much faster than a summary is made, to find the cells that changed. Either way the
+/// summary is the one that [`VolumeSummary::new`] makes of the time step, to the last bit.
 ///
-/// Beside the summary are kept for each cell: 16 bytes of checksum, by which an unnoticed change has a chance of
-/// about 2⁻¹²⁸ (of voxels that nobody picks to that end); how often each entry of a 256-entry table occurs, 6 bytes
-/// and mostly one more for each entry between a cell's lowest and highest; and for each block four stored values.
-/// With bytes in cells of one block, these are about 26 bytes per cell and one per entry, beside the 11 of the
-/// summary.
+/// Beside the summary are kept for each cell: 16 bytes of checksum, by which an unnoticed change has a chance
+/// of about 2⁻¹²⁸ (of voxels that nobody picks to that end); how often each entry of a 256-entry table
+/// occurs, 6 bytes and mostly one more for each entry between a cell's lowest and highest; and for each block
+/// four stored values. With bytes in cells of one block, these are about 26 bytes per cell and one per entry,
+/// beside the 11 of the summary.
 ///
-/// A time step may be taken in slab by slab, as with [`SummaryBuilder`]: to show progress, to stop, or where the
-/// volume is never there as a whole. One that was stopped does no harm: the next one looks at what is left too.
+/// A time step may be taken in slab by slab, as with [`SummaryBuilder`]: to show progress, to stop, or where
+/// the volume is never there as a whole. One that was stopped does no harm: the next one looks at what is
+/// left too.
 ///
 /// ```
 /// use entire_core::features::{SummaryOptions, SummarySeries, VolumeSummary};
@@ -66,9 +68,9 @@ enum Kind {
 }
 
 impl SummarySeries {
-    /// For a volume of `planes` planes along z; sizes along x and y, spacing, range and type of every time step
-    /// are those of `like`, of which no voxel is read. Give the range that all time steps share. The first time
-    /// step has begun, of which everything is to be read.
+    /// For a volume of `planes` planes along z; sizes along x and y, spacing, range and type of every time
+    /// step are those of `like`, of which no voxel is read. Give the range that all time steps share. The
+    /// first time step has begun, of which everything is to be read.
     ///
     /// # Errors
     /// As [`SummaryBuilder::new`].
@@ -93,12 +95,13 @@ impl SummarySeries {
         })
     }
 
-    /// Begins the next time step, of which the voxels in a box changed at most: those along x, y and z from each
-    /// range's start to before its end. Without a box any voxel may have changed. Where the time step before was
-    /// not read to its end, its changes are looked for too.
+    /// Begins the next time step, of which the voxels in a box changed at most: those along x, y and z from
+    /// each range's start to before its end. Without a box any voxel may have changed. Where the time step
+    /// before was not read to its end, its changes are looked for too.
     ///
     /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] for a box that reaches beyond the volume; nothing has begun then.
+    /// [`crate::ErrorKind::InvalidArgument`] for a box that reaches beyond the volume; nothing has begun
+    /// then.
     pub fn begin(&mut self, changed: Option<[Range<usize>; 3]>) -> Result<()> {
         let Some(changed) = changed else {
             (self.search, self.layer) = (true, 0);
@@ -108,8 +111,8 @@ impl SummarySeries {
         if (0..3).any(|a| changed[a].start > changed[a].end || changed[a].end > dims[a]) {
             bail!(
                 InvalidArgument,
-                "voxels {:?} along x, {:?} along y and {:?} along z were announced as changed in a volume of {} x {} x {} \
-                 voxels; ranges begin at 0 and end with the volume",
+                "voxels {:?} along x, {:?} along y and {:?} along z were announced as changed in a volume \
+                 of {} x {} x {} voxels; ranges begin at 0 and end with the volume",
                 changed[0],
                 changed[1],
                 changed[2],
@@ -132,9 +135,9 @@ impl SummarySeries {
         Ok(())
     }
 
-    /// The planes of the smallest slab that is to be added next, which need not follow on the one before: planes
-    /// without changes are left out. `None` when the time step is complete. A slab may hold any multiple of as many
-    /// planes, and ends with the volume at the latest.
+    /// The planes of the smallest slab that is to be added next, which need not follow on the one before:
+    /// planes without changes are left out. `None` when the time step is complete. A slab may hold any
+    /// multiple of as many planes, and ends with the volume at the latest.
     pub fn next_planes(&self) -> Option<Range<usize>> {
         let ([_, ny, nz], edge) = (self.grid.cells, self.grid.edge[2]);
         let waits =
@@ -143,11 +146,12 @@ impl SummarySeries {
         Some(layer * edge..((layer + 1) * edge).min(self.grid.dims[2]))
     }
 
-    /// Adds the slab that [`SummarySeries::next_planes`] names. Allocates working memory of a few rows of cells for
-    /// each thread, and what is kept of cells that hold more entries than before.
+    /// Adds the slab that [`SummarySeries::next_planes`] names. Allocates working memory of a few rows of
+    /// cells for each thread, and what is kept of cells that hold more entries than before.
     ///
     /// # Errors
-    /// As [`SummaryBuilder::add`]; [`crate::ErrorKind::OutOfMemory`], after which a time step is to be begun again.
+    /// As [`SummaryBuilder::add`]; [`crate::ErrorKind::OutOfMemory`], after which a time step is to be begun
+    /// again.
     pub fn add(&mut self, slab: &VolumeView<'_>, executor: Executor<'_>) -> Result<()> {
         let Some(next) = self.next_planes() else {
             bail!(SizeMismatch, "a slab was added to a complete time step; begin the next one first");
@@ -157,8 +161,9 @@ impl SummarySeries {
         if [x, y] != [width, height] || planes > left || !(planes.is_multiple_of(edge) || planes == left) {
             bail!(
                 SizeMismatch,
-                "a slab of {x} x {y} x {planes} voxels was added where planes from {} on of {all} planes of {width} x {height} \
-                 voxels are awaited; slabs have these sizes, in whole multiples of {edge} planes or all that are left",
+                "a slab of {x} x {y} x {planes} voxels was added where planes from {} on of {all} planes of \
+                 {width} x {height} voxels are awaited; slabs have these sizes, in whole multiples of {edge} \
+                 planes or all that are left",
                 next.start
             );
         }
@@ -166,11 +171,12 @@ impl SummarySeries {
         self.look(slab, next.start, first..first + planes.div_ceil(edge), executor)
     }
 
-    /// Takes in a whole time step, of which the voxels in a box changed at most ([`SummarySeries::begin`]); of the
-    /// first one everything is read whatever the box. Gives its summary.
+    /// Takes in a whole time step, of which the voxels in a box changed at most ([`SummarySeries::begin`]);
+    /// of the first one everything is read whatever the box. Gives its summary.
     ///
     /// # Errors
-    /// As [`SummarySeries::begin`] and [`SummarySeries::add`]; a volume that is refused has begun no time step.
+    /// As [`SummarySeries::begin`] and [`SummarySeries::add`]; a volume that is refused has begun no time
+    /// step.
     pub fn update(
         &mut self,
         volume: &VolumeView<'_>,
@@ -181,7 +187,8 @@ impl SummarySeries {
             let ([x, y, z], [nx, ny, nz]) = (volume.dims(), self.grid.dims);
             bail!(
                 SizeMismatch,
-                "a time step has {x} x {y} x {z} voxels, its series {nx} x {ny} x {nz}; begin another series with it"
+                "a time step has {x} x {y} x {z} voxels, its series {nx} x {ny} x {nz}; begin another series \
+                 with it"
             );
         }
         self.check(volume)?;
@@ -211,7 +218,8 @@ impl SummarySeries {
         if slab.range() != self.map.range() {
             bail!(
                 InvalidArgument,
-                "a time step has the range {:?}, its series {:?}; give every time step the range of the series",
+                "a time step has the range {:?}, its series {:?}; give every time step the range of the \
+                 series",
                 slab.range(),
                 self.map.range()
             );
@@ -269,8 +277,8 @@ impl SummarySeries {
     }
 }
 
-/// What follows from all voxels: bounds of the cells that changed and of those that reach into them, the histogram,
-/// and whether values are remapped.
+/// What follows from all voxels: bounds of the cells that changed and of those that reach into them, the
+/// histogram, and whether values are remapped.
 fn finish<T: Voxel>(
     summary: &mut VolumeSummary,
     grid: &Grid,
