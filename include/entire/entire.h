@@ -699,8 +699,8 @@ typedef struct entire_session_options {
      */
     float coarsest_step;
     /**
-     * Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer exceed the
-     * target by more than `tolerance`, since not every bound reaches so far.
+     * Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer exceed
+     * the target by more than `tolerance`, since not every bound reaches so far.
      */
     float miss_rate;
     /**
@@ -723,9 +723,13 @@ typedef struct entire_session_options {
      */
     uint32_t probe_side;
     /**
-     * Must be 0.
+     * Error of the probe that a plan may leave unknown, as a share of the frame's time, 0 to 1. Over 0,
+     * plans begin with a probe of 4 rays along each side, and take finer ones, up to `probe_side` (0: 11),
+     * only where the error that a probe estimates of itself is larger than this and could change the plan.
+     * Default 0: every plan takes the whole probe. A network keeps its own. Leave it 0 in a session that
+     * records frames.
      */
-    uint32_t reserved;
+    float probe_tolerance;
 } entire_session_options;
 
 /**
@@ -1493,7 +1497,7 @@ entire_result entire_frame_init(struct entire_frame *frame, size_t struct_size);
  * until the first frames are observed, predicts. `options` may be NULL for the defaults. The session keeps
  * its own share of the model.
  *
- * Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe side), ENTIRE_UNSUPPORTED (a model without a
+ * Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe), ENTIRE_UNSUPPORTED (a model without a
  * prediction network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know),
  * ENTIRE_PANIC (a model handle that is unusable), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
  * ENTIRE_STRUCT_SIZE.
@@ -1691,6 +1695,22 @@ entire_result entire_session_set_limits(struct entire_session *session,
 entire_result entire_session_set_max_image_sample_distance(struct entire_session *session,
                                                            float max_image_sample_distance,
                                                            float step_alone);
+
+/**
+ * Tells what coarser steps and smaller images cost this renderer's pictures, so that plans coarsen what
+ * shows less. With a step of s finest ones, and rays d pixels apart along each side, a picture's distance
+ * from full quality goes as (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and its time as
+ * (ray_share + (1 - ray_share) / s) / d^2: numbers that are fitted to pictures of this renderer. Takes the
+ * place of step_alone (entire_session_set_max_image_sample_distance). An `image_weight` of 0 forgets it.
+ *
+ * Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
+ * the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_set_quality(struct entire_session *session,
+                                         float image_weight,
+                                         float step_exponent,
+                                         float image_exponent,
+                                         float ray_share);
 
 /**
  * Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or

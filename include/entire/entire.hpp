@@ -422,6 +422,11 @@ public:
     status set_max_image_sample_distance(float distance, float step_alone = 1) {
         return detail::done(entire_session_set_max_image_sample_distance(get(), distance, step_alone));
     }
+    // What coarser steps and smaller images cost this renderer's pictures; a weight of 0 forgets it.
+    status set_quality(float image_weight, float step_exponent, float image_exponent, float ray_share) {
+        return detail::done(
+            entire_session_set_quality(get(), image_weight, step_exponent, image_exponent, ray_share));
+    }
     status set_enabled(bool enabled) { return detail::done(entire_session_set_enabled(get(), enabled)); }
     status mark(std::uint32_t changes) { return detail::done(entire_session_mark(get(), changes)); }
 

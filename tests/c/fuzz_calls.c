@@ -261,6 +261,7 @@ static void call(void) {
         options.trust_limit = number(0.1f, 5);
         options.damping = (uint32_t)below(2);
         options.probe_side = one_in(3) ? (uint32_t)below(26) : 0;
+        options.probe_tolerance = one_in(3) ? number(0, 1.1f) : 0;
         entire_session_free(sessions[slot]);
         sessions[slot] = NULL;
         note(entire_session_new(one_in(2) ? NULL : model, one_in(2) ? NULL : &options, &sessions[slot]));
@@ -341,6 +342,7 @@ static void call(void) {
     case 20:
         note(entire_session_set_limits(session, number(0.02f, 4), number(4, 100)));
         note(entire_session_set_max_image_sample_distance(session, number(0.5f, 70), number(0.5f, 5)));
+        if (one_in(2)) note(entire_session_set_quality(session, number(0, 4), number(0.1f, 3), number(0.1f, 3), number(0, 1)));
         break;
     case 21:
         note(entire_session_set_enabled(session, (uint32_t)below(3)));

@@ -111,6 +111,7 @@ int main(int argc, char **argv) {
     NONE(entire_session_set_transfer_function(p, NULL));
     NONE(entire_session_set_limits(NULL, 1, 2));
     NONE(entire_session_set_max_image_sample_distance(NULL, 2, 1));
+    NONE(entire_session_set_quality(NULL, 1, 1, 1, 0));
     NONE(entire_session_set_enabled(NULL, 1));
     NONE(entire_session_mark(NULL, 0));
     NONE(entire_session_predict(NULL, &frame, &prediction));

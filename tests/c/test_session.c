@@ -13,6 +13,13 @@ static entire_plan plan_of(entire_session *session, const entire_frame *frame, f
     return plan;
 }
 
+/* A plan of half of the time that the finest step may take. */
+static entire_plan plan_for_half(entire_session *session, const entire_frame *frame) {
+    const entire_plan finest = plan_of(session, frame, 1e4f);
+    OK(entire_session_mark(session, 63));
+    return plan_of(session, frame, 0.5f * finest.upper);
+}
+
 /* A renderer with a fixed and a per-sample cost. */
 static float draw(float step) {
     return 0.003f + 0.1f / step;
@@ -189,9 +196,11 @@ static void options(const entire_model *model) {
     REFUSE_OPTIONS(o.tolerance = -1);
     REFUSE_OPTIONS(o.tolerance = INFINITY);
     REFUSE_OPTIONS(o.trust_limit = NAN);
-    REFUSE_OPTIONS(o.reserved = 1);
     REFUSE_OPTIONS(o.probe_side = 25);
     SAYS("1 to 24");
+    REFUSE_OPTIONS(o.probe_tolerance = 1.5f);
+    REFUSE_OPTIONS(o.probe_tolerance = -0.1f);
+    REFUSE_OPTIONS(o.probe_tolerance = NAN);
     entire_session_options sized = good;
     sized.struct_size = 1;
     EXPECT(ENTIRE_STRUCT_SIZE, entire_session_new(model, &sized, &session));
@@ -220,6 +229,18 @@ static void options(const entire_model *model) {
     CHECK(plan_of(session, &frame, 10.0f).image_sample_distance == 1);
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_max_image_sample_distance(session, 0.5f, 1));
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_max_image_sample_distance(session, 2, NAN));
+    /* Where smaller images cost more than any step, the step alone is coarsened as far as it may be, and the reverse. */
+    OK(entire_session_set_quality(session, 500, 1, 0.1f, 0));
+    const entire_plan coarse = plan_for_half(session, &frame);
+    CHECK(coarse.image_sample_distance == 1 && coarse.step > 1.5f);
+    OK(entire_session_set_quality(session, 0.002f, 1, 1, 0));
+    const entire_plan small = plan_for_half(session, &frame);
+    CHECK(small.image_sample_distance > 1.1f && small.step < 1.5f);
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_quality(session, -1, 1, 1, 0));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_quality(session, 1, NAN, 1, 0));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_quality(session, 1, 1, 9, 0));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_set_quality(session, 1, 1, 1, 1));
+    OK(entire_session_set_quality(session, 0, 1, 1, 0));
     OK(entire_session_set_max_image_sample_distance(session, 1, 1));
     OK(entire_session_set_limits(session, 5, 6));
 
@@ -240,7 +261,7 @@ static void options(const entire_model *model) {
 static void probe_sides(void) {
     entire_session_options options;
     OK(entire_session_options_init(&options, sizeof options));
-    CHECK(options.probe_side == 0 && options.reserved == 0);
+    CHECK(options.probe_side == 0 && options.probe_tolerance == 0);
     entire_volume *volume = toy_volume();
     entire_transfer_function *tf = toy_transfer_function();
     entire_frame frame = toy_frame();
@@ -260,6 +281,26 @@ static void probe_sides(void) {
     CHECK(seconds[0] > 0 && seconds[0] == seconds[1]);
     CHECK(seconds[2] != seconds[0] && fabsf(seconds[2] / seconds[0] - 1) < 0.3f);
     CHECK(seconds[3] != seconds[2] && fabsf(seconds[3] / seconds[0] - 1) < 0.5f);
+    /* A plan that any probe decides takes the coarsest; a prediction takes the finest. */
+    options.probe_side = 0;
+    options.probe_tolerance = 0.05f;
+    entire_session *climbs = NULL;
+    OK(entire_session_new(NULL, &options, &climbs));
+    OK(entire_session_set_volume(climbs, volume));
+    OK(entire_session_set_transfer_function(climbs, tf));
+    options.probe_side = 4;
+    options.probe_tolerance = 0;
+    entire_session *coarse = NULL;
+    OK(entire_session_new(NULL, &options, &coarse));
+    OK(entire_session_set_volume(coarse, volume));
+    OK(entire_session_set_transfer_function(coarse, tf));
+    CHECK(plan_of(climbs, &frame, 1e4f).seconds == plan_of(coarse, &frame, 1e4f).seconds);
+    entire_prediction finest = {.struct_size = sizeof finest};
+    OK(entire_session_reset(climbs));
+    OK(entire_session_predict(climbs, &frame, &finest));
+    CHECK(finest.seconds == seconds[0]);
+    entire_session_free(coarse);
+    entire_session_free(climbs);
     entire_transfer_function_free(tf);
     entire_volume_free(volume);
 }

@@ -1,45 +1,117 @@
 //! Ray step and image size as one quantity that a controller can choose.
 
 use super::StepLimits;
+use crate::Result;
+use crate::error::bail;
 use crate::features::Setting;
 
 /// Each image sample distance is this factor times the one before.
 const RATIO: f64 = 1.2;
 
-/// How much further the step alone is coarsened where the image is whole.
-const WHOLE: f64 = 1.15;
+/// ln of [`RATIO`].
+const LN_RATIO: f64 = 0.182_321_556_793_954_6;
 
-/// The step over the finest one, for each unit of distance, that goes with a coarser image.
+/// The step over the finest one, for each unit of distance, that goes with a coarser image where nothing is
+/// known of the renderer's pictures.
 const TOGETHER: f64 = 1.1;
 
-/// Range of that quotient within which a distance is kept.
-const KEEP: (f64, f64) = (0.75, 1.6);
+/// How far beyond the bounds of a distance it is kept.
+const KEEP: f64 = 1.15;
+
+/// Room for every distance up to 64, and for 1.
+const LEVELS: usize = 24;
+
+/// What a coarser step and a smaller image cost a renderer's pictures, and what time they save: where the
+/// time of a frame can be had by either, the one is chosen that shows less.
+///
+/// With a step of s finest ones, and rays d pixels apart along each side, a picture's distance from full
+/// quality goes as (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`, and its time as
+/// (`ray_share` + (1 − `ray_share`) / s) / d². The unit of that distance does not matter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Quality {
+    /// What an image of half the size along each side (d = 2) costs, over what a step twice as coarse (s = 2)
+    /// does.
+    pub image_weight: f32,
+    /// How the step's cost grows.
+    pub step_exponent: f32,
+    /// How the image's cost grows: near 0 where any smaller image is blurred.
+    pub image_exponent: f32,
+    /// Share of the time at full quality that goes with rays, not with their samples.
+    pub ray_share: f32,
+}
+
+impl Quality {
+    /// Checks the numbers; [`super::Session::set_quality`] does so too.
+    ///
+    /// # Errors
+    /// [`crate::ErrorKind::InvalidArgument`] unless the weight is 1e-3 to 1e3, the exponents are 0.05 to 8
+    /// and the share is 0 to 0.9.
+    pub fn check(&self) -> Result<()> {
+        for (what, v, low, high) in [
+            ("image weight", self.image_weight, 1.0e-3, 1.0e3),
+            ("step exponent", self.step_exponent, 0.05, 8.0),
+            ("image exponent", self.image_exponent, 0.05, 8.0),
+            ("share of rays", self.ray_share, 0.0, 0.9),
+        ] {
+            if !(low..=high).contains(&v) {
+                bail!(InvalidArgument, "the quality's {what} is {v}; it must be {low} to {high}");
+            }
+        }
+        Ok(())
+    }
+
+    fn error(&self, step: f64, distance: f64) -> f64 {
+        let power = |x: f64, exponent: f32| if x > 0.0 { libm::pow(x, f64::from(exponent)) } else { 0.0 };
+        power(step - 1.0, self.step_exponent)
+            + f64::from(self.image_weight) * power(distance - 1.0, self.image_exponent)
+    }
+
+    /// The step at which an image takes a share of the time of full quality; `None` where no step over 1
+    /// does.
+    fn step_for(&self, share: f64, distance: f64) -> Option<f64> {
+        let rays = f64::from(self.ray_share);
+        let left = share * distance * distance - rays;
+        (left > 0.0 && left <= 1.0 - rays).then(|| (1.0 - rays) / left)
+    }
+}
 
 /// A path from the finest step at full image size to the coarsest step at the largest image sample distance.
 ///
 /// The controller chooses c = step · distance², where neighboring rays stand `distance` pixels apart: the
 /// time of a frame goes about as 1/c. Along the path both grow together, which at equal cost shows fewer
 /// differences from full quality than coarsening one of them alone; where any smaller image is blurred by
-/// much, the step alone is coarsened first. Distances are powers of [`RATIO`], so that buffers seldom change,
-/// and one is kept while the step that goes with it is not far off. Where a distance changes, so does the
-/// step, and c is met; unless the limits of the step are closer together than two distances are.
+/// much, the step alone is coarsened first. What is known of the renderer's pictures ([`Quality`]) decides
+/// better. Distances are powers of [`RATIO`], so that buffers seldom change, and one is kept while the step
+/// that goes with it is not far off. Where a distance changes, so does the step, and c is met; unless the
+/// limits of the step are closer together than two distances are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Coarsening {
     steps: StepLimits,
+    /// The largest image sample distance, and the finest steps that come before any over 1.
+    largest: (f32, f32),
+    quality: Option<Quality>,
     /// How many distances over 1 there are.
-    levels: i32,
-    /// The first of them, in powers of [`RATIO`].
-    first: i32,
-    /// Up to which c over the finest step the step alone is coarsened.
-    alone: f64,
+    levels: usize,
+    /// All distances, 1 first.
+    distances: [f64; LEVELS],
+    /// c over the finest step from which each is taken.
+    from: [f64; LEVELS],
     /// The level of the frame before; 0 at distance 1.
-    last: i32,
+    last: usize,
 }
 
 impl Coarsening {
     /// The step alone.
     pub(super) fn of_step(steps: StepLimits) -> Self {
-        Self { steps, levels: 0, first: 1, alone: 1.0, last: 0 }
+        Self {
+            steps,
+            largest: (1.0, 1.0),
+            quality: None,
+            levels: 0,
+            distances: [1.0; LEVELS],
+            from: [0.0; LEVELS],
+            last: 0,
+        }
     }
 
     #[cfg(test)]
@@ -52,58 +124,100 @@ impl Coarsening {
     }
 
     /// Sets the largest image sample distance, and how many times the finest step comes before any distance
-    /// over 1; numbers of at least 1.
+    /// over 1, where no quality is known; numbers of at least 1 and at most 64.
     pub(super) fn set_max_distance(&mut self, distance: f32, step_alone: f32) {
-        let powers = |v: f32| libm::floor(libm::log(f64::from(v)) / libm::log(RATIO) + 1.0e-6) as i32;
-        self.alone = f64::from(step_alone);
-        self.first = (powers(step_alone) / 2).max(1);
-        self.levels = (powers(distance) - self.first + 1).max(0);
+        self.largest = (distance, step_alone);
+        self.lay();
     }
 
-    fn distance_of(&self, level: i32) -> f64 {
-        if level == 0 { 1.0 } else { libm::pow(RATIO, f64::from(level - 1 + self.first)) }
+    /// Sets what is known of the renderer's pictures; checked numbers.
+    pub(super) fn set_quality(&mut self, quality: Option<Quality>) {
+        self.quality = quality;
+        self.lay();
+    }
+
+    /// Lays the path.
+    fn lay(&mut self) {
+        let powers = |v: f32| libm::floor(libm::log(f64::from(v)) / LN_RATIO + 1.0e-6) as usize;
+        let (distance, step_alone) = self.largest;
+        let first = if self.quality.is_some() { 1 } else { (powers(step_alone) / 2).max(1) };
+        self.levels = (powers(distance) + 1).saturating_sub(first).min(LEVELS - 1);
+        self.from[0] = 0.0;
+        for level in 1..=self.levels {
+            let power = (level - 1 + first) as f64;
+            self.distances[level] = libm::pow(RATIO, power);
+            self.from[level] = TOGETHER * libm::pow(RATIO, 3.0 * (power - 0.5));
+        }
+        if let Some(quality) = self.quality {
+            self.weigh(&quality);
+        } else if step_alone > 1.0 {
+            let alone = f64::from(step_alone);
+            self.from[1] = alone;
+            for from in &mut self.from[2..] {
+                *from = from.max(alone);
+            }
+        }
+    }
+
+    /// Puts each distance where pictures of the same time show less with it than with smaller ones.
+    fn weigh(&mut self, quality: &Quality) {
+        /// Times that are looked at: each this share of the one before, so many.
+        const FINER: f64 = 0.97;
+        const TIMES: usize = 400;
+        self.from[1..].fill(f64::INFINITY);
+        let (mut taken, mut share) = (0, 1.0);
+        for _ in 0..TIMES {
+            let mut best = (taken, f64::INFINITY, 0.0);
+            for (level, &distance) in self.distances[..=self.levels].iter().enumerate().skip(taken) {
+                if let Some(step) = quality.step_for(share, distance) {
+                    let error = quality.error(step, distance);
+                    if error < best.1 {
+                        best = (level, error, step * distance * distance);
+                    }
+                }
+            }
+            if best.0 > taken {
+                // The smaller distance takes this time, if at all, at a larger c.
+                let square = self.distances[taken] * self.distances[taken];
+                let before = quality.step_for(share, self.distances[taken]).map_or(best.2, |s| s * square);
+                let from = libm::sqrt(before * best.2).max(self.from[taken]);
+                self.from[taken + 1..=best.0].fill(from);
+                taken = best.0;
+            }
+            share *= FINER;
+        }
     }
 
     /// The values of c that may be chosen.
     pub(super) fn limits(&self) -> StepLimits {
-        let distance = self.distance_of(self.levels);
+        let distance = self.distances[self.levels];
         let coarsest = f64::from(self.steps.coarsest) * distance * distance;
         StepLimits { coarsest: coarsest as f32, ..self.steps }
     }
 
     /// Step, level and image sample distance at c.
-    fn at(&self, c: f32) -> (f32, i32, f64) {
+    fn at(&self, c: f32) -> (f32, usize, f64) {
         if self.levels == 0 {
             return (c, 0, 1.0);
         }
         let c = f64::from(c);
         let (finest, coarsest) = (f64::from(self.steps.finest), f64::from(self.steps.coarsest));
         let alone = c / finest;
-        let together = libm::log((alone / TOGETHER).max(1.0e-30)) / (3.0 * libm::log(RATIO));
-        let mut level = libm::round(together) as i32 + 1 - self.first;
-        level = if alone <= self.alone { 0 } else { level.clamp(i32::from(self.alone > 1.0), self.levels) };
-        let last = self.last.clamp(0, self.levels);
-        let distance = self.distance_of(last);
-        let quotient = alone / (distance * distance * distance);
-        // Where the step alone comes first, the path has bounds of its own there.
-        let low = if last == 1 && self.alone > 1.0 {
-            self.alone / (distance * distance * distance)
-        } else {
-            KEEP.0
-        };
-        let high = if last == 0 { KEEP.1.max(WHOLE * self.alone) } else { KEEP.1 };
-        let kept = (last == 0 || quotient >= low) && (last == self.levels || quotient <= high);
-        if kept {
-            level = last;
+        let last = self.last.min(self.levels);
+        let kept =
+            alone * KEEP >= self.from[last] && (last == self.levels || alone <= self.from[last + 1] * KEEP);
+        let mut level = last;
+        if !kept {
+            level = self.from[1..=self.levels].iter().take_while(|&&from| alone > from).count();
         }
-        let step = |level: i32| c / (self.distance_of(level) * self.distance_of(level));
+        let step = |level: usize| c / (self.distances[level] * self.distances[level]);
         while level < self.levels && step(level) > coarsest * 1.000_001 {
             level += 1;
         }
         while level > 0 && step(level) < finest && step(level - 1) <= coarsest {
             level -= 1;
         }
-        (step(level).clamp(finest, coarsest.max(finest)) as f32, level, self.distance_of(level))
+        (step(level).clamp(finest, coarsest.max(finest)) as f32, level, self.distances[level])
     }
 
     /// What is drawn at c of an image whose full size is that of `full`.
@@ -180,11 +294,79 @@ mod tests {
         assert_eq!(path.take(2.0), (2.0, 1.0));
     }
 
+    fn judged(quality: Quality) -> Coarsening {
+        quality.check().unwrap();
+        let mut path = path(1.0, 16.0, 4.0, 1.0);
+        path.set_quality(Some(quality));
+        path
+    }
+
+    const EVEN: Quality =
+        Quality { image_weight: 1.0, step_exponent: 1.0, image_exponent: 1.0, ray_share: 0.0 };
+
+    #[test]
+    fn what_costs_the_picture_less_is_coarsened_first() {
+        // A smaller image costs next to nothing: the step stays until there is no smaller one.
+        let mut images = judged(Quality { image_weight: 0.002, ..EVEN });
+        for c in [1.8f32, 2.5, 4.5, 9.0] {
+            let (step, distance) = images.take(c);
+            assert!(step < 1.45 && distance > 1.0, "{c}: {step} {distance}");
+        }
+        // Any smaller image costs more than any step.
+        let mut steps = judged(Quality { image_weight: 500.0, image_exponent: 0.1, ..EVEN });
+        for c in [1.6f32, 2.2, 4.5, 9.0, 15.0] {
+            assert_eq!(steps.take(c), (c, 1.0));
+        }
+        assert!(steps.take(40.0).1 > 1.0);
+    }
+
+    #[test]
+    fn time_that_goes_with_rays_speaks_for_smaller_images() {
+        let at = |ray_share: f32| {
+            let quality = Quality { image_weight: 4.0, step_exponent: 1.3, image_exponent: 1.3, ray_share };
+            judged(quality).take(8.0).1
+        };
+        assert!(at(0.6) > at(0.0), "{} {}", at(0.6), at(0.0));
+    }
+
+    #[test]
+    fn the_path_taken_shows_less_than_other_distances_at_the_same_time() {
+        let quality = Quality { image_weight: 2.0, step_exponent: 1.4, image_exponent: 1.2, ray_share: 0.0 };
+        // Nearer to full quality distance 1 is kept.
+        for i in 4..40 {
+            let c = 1.0 + 0.3 * i as f32;
+            let (step, distance) = judged(quality).take(c);
+            let own = quality.error(f64::from(step), f64::from(distance));
+            for level in 0..8 {
+                let d = libm::pow(RATIO, f64::from(level));
+                let s = f64::from(c) / (d * d);
+                // Distances are kept somewhat beyond their bounds.
+                assert!(s < 1.0 || own <= 1.2 * quality.error(s, d), "{c}: {step} {distance}, {s} {d}");
+            }
+        }
+    }
+
+    #[test]
+    fn qualities_out_of_range_are_refused() {
+        for bad in [
+            Quality { image_weight: 0.0, ..EVEN },
+            Quality { step_exponent: f32::NAN, ..EVEN },
+            Quality { image_exponent: 9.0, ..EVEN },
+            Quality { ray_share: 1.0, ..EVEN },
+        ] {
+            assert!(bad.check().is_err(), "{bad:?}");
+        }
+    }
+
     proptest! {
         #[test]
         fn c_is_met_within_the_limits_and_work_never_rises(
-            finest in 0.1f32..2.0, coarsening in 1.0f32..20.0, distance in 1.0f32..8.0, alone in 1.0f32..4.0, from in 0.0f32..1.0) {
+            finest in 0.1f32..2.0, coarsening in 1.0f32..20.0, distance in 1.0f32..8.0, alone in 1.0f32..4.0, from in 0.0f32..1.0,
+            known in proptest::option::of((0.01f32..100.0, 0.1f32..3.0, 0.1f32..3.0, 0.0f32..0.9))) {
             let mut path = path(finest, finest * coarsening, distance, alone);
+            path.set_quality(known.map(|(image_weight, step_exponent, image_exponent, ray_share)| {
+                Quality { image_weight, step_exponent, image_exponent, ray_share }
+            }));
             let limits = path.limits();
             let c_at = |u: f32| limits.clamp(limits.finest * (limits.coarsest / limits.finest).powf(u));
             path.take(c_at(from));

@@ -4,7 +4,7 @@ mod ladder;
 mod recording;
 mod state;
 
-use super::coarsening::Coarsening;
+use super::coarsening::{Coarsening, Quality};
 use super::{
     Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, SceneMark, StepLimits,
 };
@@ -242,6 +242,20 @@ impl Session {
             }
         }
         self.coarsening.set_max_distance(distance, step_alone);
+        Ok(())
+    }
+
+    /// Tells what coarser steps and smaller images cost this renderer's pictures, so that plans coarsen what
+    /// shows less; `None`, where sessions start, knows nothing. Takes the place of `step_alone` in
+    /// [`Session::set_max_image_sample_distance`].
+    ///
+    /// # Errors
+    /// As [`Quality::check`].
+    pub fn set_quality(&mut self, quality: Option<Quality>) -> Result<()> {
+        if let Some(quality) = &quality {
+            quality.check()?;
+        }
+        self.coarsening.set_quality(quality);
         Ok(())
     }
 

@@ -20,7 +20,7 @@ use crate::result::entire_result::{self, *};
 use entire_core::control::{Session, StepLimits};
 use entire_core::predict::{AnalyticModel, Predictor};
 use glam::Vec3;
-use options::{entire_session_options, hybrid_options};
+use options::{entire_session_options, hybrid_options, probe_of};
 use std::ffi::c_char;
 use std::sync::Arc;
 
@@ -51,7 +51,7 @@ impl Loop {
 /// until the first frames are observed, predicts. `options` may be NULL for the defaults. The session keeps
 /// its own share of the model.
 ///
-/// Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe side), ENTIRE_UNSUPPORTED (a model without a
+/// Fails with ENTIRE_INVALID_ARGUMENT (step limits, rates, probe), ENTIRE_UNSUPPORTED (a model without a
 /// prediction network), ENTIRE_MISSING_INPUT (a model with an input group that this version does not know),
 /// ENTIRE_PANIC (a model handle that is unusable), ENTIRE_OUT_OF_MEMORY, ENTIRE_NULL_ARGUMENT,
 /// ENTIRE_STRUCT_SIZE.
@@ -73,8 +73,8 @@ pub unsafe extern "C" fn entire_session_new(
             if model.is_null() { Box::new(AnalyticModel::default()) } else { borrow(model)?.predictor()? };
         let model = if model.is_null() { None } else { Some(share(model)) };
         let mut made = Session::new(predicts, hybrid);
-        if options.probe_side != 0 {
-            made = made.with_probe(options.probe_side as usize, None)?;
+        if let Some((side, tolerance)) = probe_of(&options) {
+            made = made.with_probe(side, tolerance)?;
         }
         made.set_limits(limits)?;
         write(session, give(Loop { session: made, model, volume: None, options }), "session (output)")

@@ -3,8 +3,9 @@
 use crate::abi::{ByValue, init_struct, no_padding};
 use crate::guard::guard;
 use crate::result::Failure;
-use crate::result::entire_result::{self, *};
+use crate::result::entire_result;
 use entire_core::control::{HybridOptions, StepLimits};
+use entire_core::features::PROBE_SIDE;
 use std::mem::size_of;
 
 /// How a session steers. Fill with entire_session_options_init, then set what differs.
@@ -17,8 +18,8 @@ pub struct entire_session_options {
     pub finest_step: f32,
     /// Coarsest ray step that may be chosen, up to 4096; default 16.
     pub coarsest_step: f32,
-    /// Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer exceed the
-    /// target by more than `tolerance`, since not every bound reaches so far.
+    /// Share of frames that may exceed their upper bound, over 0 and at most 0.5; default 0.05. Fewer exceed
+    /// the target by more than `tolerance`, since not every bound reaches so far.
     pub miss_rate: f32,
     /// How far over the target a frame may be before it counts as missed, as a share of the target, not
     /// negative; default 0.1.
@@ -31,8 +32,12 @@ pub struct entire_session_options {
     /// analytic one), 1 to 24. Fewer make plans cheaper and what they are made from rougher, with the square
     /// of the side. Default 0: 11. A network keeps the side that its file names, which it was trained with.
     pub probe_side: u32,
-    /// Must be 0.
-    pub reserved: u32,
+    /// Error of the probe that a plan may leave unknown, as a share of the frame's time, 0 to 1. Over 0,
+    /// plans begin with a probe of 4 rays along each side, and take finer ones, up to `probe_side` (0: 11),
+    /// only where the error that a probe estimates of itself is larger than this and could change the plan.
+    /// Default 0: every plan takes the whole probe. A network keeps its own. Leave it 0 in a session that
+    /// records frames.
+    pub probe_tolerance: f32,
 }
 
 // SAFETY: repr(C), struct_size first, integers and floats only.
@@ -49,7 +54,7 @@ unsafe impl ByValue for entire_session_options {
             trust_limit: hybrid.trust_limit,
             damping: hybrid.damping.into(),
             probe_side: 0,
-            reserved: 0,
+            probe_tolerance: 0.0,
         }
     }
 }
@@ -63,8 +68,19 @@ no_padding!(entire_session_options {
     trust_limit,
     damping,
     probe_side,
-    reserved
+    probe_tolerance
 });
+
+/// The probe that options ask for: rays along each side, and the error that plans may leave unknown; `None`
+/// for the predictor's own.
+pub(super) fn probe_of(options: &entire_session_options) -> Option<(usize, Option<f32>)> {
+    let tolerance = (options.probe_tolerance != 0.0).then_some(options.probe_tolerance);
+    match options.probe_side {
+        0 if tolerance.is_none() => None,
+        0 => Some((PROBE_SIDE, tolerance)),
+        side => Some((side as usize, tolerance)),
+    }
+}
 
 /// Fills session options with their defaults; `struct_size` is sizeof(entire_session_options).
 #[unsafe(no_mangle)]
@@ -77,12 +93,6 @@ pub unsafe extern "C" fn entire_session_options_init(
 }
 
 pub(super) fn hybrid_options(options: &entire_session_options) -> Result<HybridOptions, Failure> {
-    if options.reserved != 0 {
-        return Err(Failure::new(
-            ENTIRE_INVALID_ARGUMENT,
-            format!("reserved is {}; it must be 0", options.reserved),
-        ));
-    }
     let entire_session_options { miss_rate, tolerance, trust_limit, .. } = *options;
     let damping = options.damping != 0;
     let hybrid = HybridOptions { miss_rate, tolerance, trust_limit, damping, ..HybridOptions::default() };

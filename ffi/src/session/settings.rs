@@ -7,7 +7,7 @@ use crate::reserve;
 use crate::result::entire_result;
 use crate::transfer::{UnitDistance, entire_transfer_function};
 use crate::volume::entire_volume;
-use entire_core::control::StepLimits;
+use entire_core::control::{Quality, StepLimits};
 use entire_core::features::Changes;
 use entire_core::scene::TransferFunction;
 
@@ -150,6 +150,29 @@ pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
         changing(session, |state| {
             Ok(state.session.set_max_image_sample_distance(max_image_sample_distance, step_alone)?)
         })
+    }
+}
+
+/// Tells what coarser steps and smaller images cost this renderer's pictures, so that plans coarsen what
+/// shows less. With a step of s finest ones, and rays d pixels apart along each side, a picture's distance
+/// from full quality goes as (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and its time as
+/// (ray_share + (1 - ray_share) / s) / d^2: numbers that are fitted to pictures of this renderer. Takes the
+/// place of step_alone (entire_session_set_max_image_sample_distance). An `image_weight` of 0 forgets it.
+///
+/// Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
+/// the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_set_quality(
+    session: *mut entire_session,
+    image_weight: f32,
+    step_exponent: f32,
+    image_exponent: f32,
+    ray_share: f32,
+) -> entire_result {
+    let known = Quality { image_weight, step_exponent, image_exponent, ray_share };
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| Ok(state.session.set_quality((image_weight != 0.0).then_some(known))?))
     }
 }
 
