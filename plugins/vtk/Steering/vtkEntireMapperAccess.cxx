@@ -8,8 +8,9 @@
 #include "vtkSmartVolumeMapper.h"
 #include "vtkVolumeMapper.h"
 
-#include <map>
+#include <algorithm>
 #include <mutex>
+#include <utility>
 
 namespace
 {
@@ -24,9 +25,16 @@ struct SmartMembers : vtkSmartVolumeMapper
     {
       if (mapper)
       {
-        found.push_back({ mapper, smart });
+        found.push_back({ mapper, smart, vtkGPUVolumeRayCastMapper::SafeDownCast(mapper) != nullptr });
       }
     }
+  }
+
+  static void Write(vtkSmartVolumeMapper* smart, const vtkEntire::SmartSettings& settings)
+  {
+    smart->*&SmartMembers::AutoAdjustSampleDistances = settings.AutoAdjust;
+    smart->*&SmartMembers::InteractiveAdjustSampleDistances = settings.InteractiveAdjust;
+    smart->*&SmartMembers::SampleDistance = settings.SampleDistance;
   }
 };
 
@@ -52,25 +60,30 @@ struct BlockMappers
 };
 template struct MemberOf<BlockMappers, &vtkMultiBlockVolumeMapper::Mappers>;
 
+// The settings are protected members of both mappers, of the same names.
 template <class Mapper>
-vtkEntire::MapperSettings Of(Mapper* mapper)
+struct SettingsMembers : Mapper
 {
-  vtkEntire::MapperSettings settings;
-  settings.SampleDistance = mapper->GetSampleDistance();
-  settings.ImageSampleDistance = mapper->GetImageSampleDistance();
-  settings.AutoAdjust = mapper->GetAutoAdjustSampleDistances();
-  settings.Lock = mapper->GetLockSampleDistanceToInputSpacing();
-  return settings;
-}
+  static vtkEntire::MapperSettings Read(Mapper* mapper)
+  {
+    vtkEntire::MapperSettings settings;
+    settings.SampleDistance = mapper->*&SettingsMembers::SampleDistance;
+    settings.ImageSampleDistance = mapper->*&SettingsMembers::ImageSampleDistance;
+    settings.AutoAdjust = mapper->*&SettingsMembers::AutoAdjustSampleDistances;
+    settings.Lock = mapper->*&SettingsMembers::LockSampleDistanceToInputSpacing;
+    return settings;
+  }
 
-template <class Mapper>
-void To(Mapper* mapper, const vtkEntire::MapperSettings& settings)
-{
-  mapper->SetAutoAdjustSampleDistances(settings.AutoAdjust);
-  mapper->SetLockSampleDistanceToInputSpacing(settings.Lock);
-  mapper->SetSampleDistance(settings.SampleDistance);
-  mapper->SetImageSampleDistance(settings.ImageSampleDistance);
-}
+  static void Write(Mapper* mapper, const vtkEntire::MapperSettings& settings)
+  {
+    mapper->*&SettingsMembers::SampleDistance = settings.SampleDistance;
+    mapper->*&SettingsMembers::ImageSampleDistance = settings.ImageSampleDistance;
+    mapper->*&SettingsMembers::AutoAdjustSampleDistances = settings.AutoAdjust;
+    mapper->*&SettingsMembers::LockSampleDistanceToInputSpacing = settings.Lock;
+  }
+};
+using GpuMembers = SettingsMembers<vtkGPUVolumeRayCastMapper>;
+using FixedMembers = SettingsMembers<vtkFixedPointVolumeRayCastMapper>;
 
 template <class T>
 void Keep(T& own, const T& now, const T& written)
@@ -81,10 +94,11 @@ void Keep(T& own, const T& now, const T& written)
   }
 }
 
+// Mappers that are steered at the moment, and by whom: few.
 std::mutex ClaimsMutex;
-std::map<const vtkVolumeMapper*, const void*>& Claims()
+std::vector<std::pair<const vtkVolumeMapper*, const void*>>& Claims()
 {
-  static std::map<const vtkVolumeMapper*, const void*> claims;
+  static std::vector<std::pair<const vtkVolumeMapper*, const void*>> claims;
   return claims;
 }
 }
@@ -105,10 +119,13 @@ void FindLeafMappers(vtkAbstractVolumeMapper* mapper, std::vector<LeafMapper>& f
   {
     SmartMembers::Inner(smart, found);
   }
-  else if (vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper) ||
-    vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
+  else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper))
   {
-    found.push_back({ vtkVolumeMapper::SafeDownCast(mapper), nullptr });
+    found.push_back({ cpu, nullptr, false });
+  }
+  else if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
+  {
+    found.push_back({ gpu, nullptr, true });
   }
 }
 
@@ -119,24 +136,21 @@ double SpacingAdjustedSampleDistance(vtkVolumeMapper* mapper, vtkImageData* imag
 }
 
 //------------------------------------------------------------------------------
-MapperSettings MapperSettings::Read(vtkVolumeMapper* mapper)
+MapperSettings MapperSettings::Read(vtkVolumeMapper* mapper, bool gpu)
 {
-  if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
-  {
-    return Of(gpu);
-  }
-  return Of(vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper));
+  return gpu ? GpuMembers::Read(static_cast<vtkGPUVolumeRayCastMapper*>(mapper))
+             : FixedMembers::Read(static_cast<vtkFixedPointVolumeRayCastMapper*>(mapper));
 }
 
-void MapperSettings::Write(vtkVolumeMapper* mapper) const
+void MapperSettings::Write(vtkVolumeMapper* mapper, bool gpu) const
 {
-  if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(mapper))
+  if (gpu)
   {
-    To(gpu, *this);
+    GpuMembers::Write(static_cast<vtkGPUVolumeRayCastMapper*>(mapper), *this);
   }
-  else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(mapper))
+  else
   {
-    To(cpu, *this);
+    FixedMembers::Write(static_cast<vtkFixedPointVolumeRayCastMapper*>(mapper), *this);
   }
 }
 
@@ -159,9 +173,7 @@ SmartSettings SmartSettings::Read(vtkSmartVolumeMapper* mapper)
 
 void SmartSettings::Write(vtkSmartVolumeMapper* mapper) const
 {
-  mapper->SetAutoAdjustSampleDistances(this->AutoAdjust);
-  mapper->SetInteractiveAdjustSampleDistances(this->InteractiveAdjust);
-  mapper->SetSampleDistance(this->SampleDistance);
+  SmartMembers::Write(mapper, *this);
 }
 
 SmartSettings SmartSettings::Keeping(const SmartSettings& now, const SmartSettings& written) const
@@ -177,15 +189,23 @@ SmartSettings SmartSettings::Keeping(const SmartSettings& now, const SmartSettin
 bool ClaimMapper(const vtkVolumeMapper* mapper, const void* who)
 {
   const std::lock_guard<std::mutex> lock(ClaimsMutex);
-  return Claims().emplace(mapper, who).first->second == who;
+  auto& claims = Claims();
+  const auto at =
+    std::find_if(claims.begin(), claims.end(), [mapper](const auto& each) { return each.first == mapper; });
+  if (at != claims.end())
+  {
+    return at->second == who;
+  }
+  claims.emplace_back(mapper, who);
+  return true;
 }
 
 void ReleaseClaim(const void* who)
 {
   const std::lock_guard<std::mutex> lock(ClaimsMutex);
-  for (auto at = Claims().begin(); at != Claims().end();)
-  {
-    at = at->second == who ? Claims().erase(at) : std::next(at);
-  }
+  auto& claims = Claims();
+  claims.erase(
+    std::remove_if(claims.begin(), claims.end(), [who](const auto& each) { return each.second == who; }),
+    claims.end());
 }
 }

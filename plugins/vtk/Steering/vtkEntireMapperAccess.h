@@ -14,11 +14,13 @@ class vtkVolumeMapper;
 
 namespace vtkEntire
 {
-// A mapper that draws, and the smart mapper that it is inside of, if any.
+// A mapper that draws, the smart mapper that it is inside of, if any, and whether it is a
+// vtkGPUVolumeRayCastMapper; else it is a vtkFixedPointVolumeRayCastMapper.
 struct LeafMapper
 {
   vtkVolumeMapper* Mapper;
   vtkSmartVolumeMapper* Outer;
+  bool Gpu;
 };
 
 // Adds the mappers that draw: the given one, or those inside it. Adds none for a mapper that cannot be
@@ -28,7 +30,11 @@ void FindLeafMappers(vtkAbstractVolumeMapper* mapper, std::vector<LeafMapper>& f
 // The sample distance that a mapper takes where it is locked to the spacing of its input.
 double SpacingAdjustedSampleDistance(vtkVolumeMapper* mapper, vtkImageData* image);
 
-// The settings of a mapper that steering changes.
+// The settings of a mapper that steering changes. `gpu` is that of its LeafMapper.
+//
+// They are written to the members themselves: nobody is told, and the mapper's MTime stays. They are the mapper's
+// for one frame only, and the GPU mapper, which looks at its distances in every frame, composes its shader again
+// where its MTime has moved.
 struct MapperSettings
 {
   float SampleDistance = 1.0f;
@@ -36,13 +42,14 @@ struct MapperSettings
   vtkTypeBool AutoAdjust = 0;
   vtkTypeBool Lock = 0;
 
-  static MapperSettings Read(vtkVolumeMapper* mapper);
-  void Write(vtkVolumeMapper* mapper) const;
+  static MapperSettings Read(vtkVolumeMapper* mapper, bool gpu);
+  void Write(vtkVolumeMapper* mapper, bool gpu) const;
   // These settings, but those of `now` that are not as they were `written`: somebody else changed them since.
   MapperSettings Keeping(const MapperSettings& now, const MapperSettings& written) const;
 };
 
-// The settings of a smart mapper that would undo those of the fixed-point mapper inside it.
+// The settings of a smart mapper that would undo those of the fixed-point mapper inside it. Written as those of
+// mappers are.
 struct SmartSettings
 {
   vtkTypeBool AutoAdjust = 0;

@@ -19,8 +19,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 #include <limits>
-#include <vector>
 
 namespace
 {
@@ -66,6 +66,12 @@ double Unit(double value)
   return std::isnan(value) ? 0.0 : std::min(1.0, std::max(0.0, value));
 }
 
+template <class Node>
+bool Same(const std::vector<Node>& a, const std::vector<Node>& b)
+{
+  return a.size() == b.size() && (a.empty() || std::memcmp(a.data(), b.data(), a.size() * sizeof(Node)) == 0);
+}
+
 // Cuts the grid's box to the mapper's cropping planes.
 std::string Crop(vtkVolumeMapper* mapper, vtkImageData* image, vtkEntire::VolumeKey& key)
 {
@@ -91,6 +97,12 @@ std::string Crop(vtkVolumeMapper* mapper, vtkImageData* image, vtkEntire::Volume
 namespace vtkEntire
 {
 //------------------------------------------------------------------------------
+GridStamp GridStamp::Of(vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property)
+{
+  return { image, image->GetMTime(), mapper, mapper->GetMTime(), property->GetIndependentComponents() != 0 };
+}
+
+//------------------------------------------------------------------------------
 std::string ReadGrid(
   vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid)
 {
@@ -109,7 +121,7 @@ std::string ReadGrid(
   VolumeKey& key = grid.Key;
   key = VolumeKey();
   key.Array = grid.Scalars;
-  key.Time = grid.Scalars->GetMTime();
+  key.Time = image->GetMTime();
   grid.Components = grid.Scalars->GetNumberOfComponents();
   // Dependent components end with the one that opacity comes from.
   key.Component = property->GetIndependentComponents() ? 0 : grid.Components - 1;
@@ -202,18 +214,28 @@ std::string ReadVoxels(
 }
 
 //------------------------------------------------------------------------------
-std::string ReadTransferFunction(vtkVolumeProperty* property, const std::array<double, 2>& range,
-  std::optional<entire::transfer_function>& function)
+bool TransferNodes::operator==(const TransferNodes& o) const
 {
-  std::vector<entire_opacity_node> opacities;
+  return this->Clamping == o.Clamping && this->Unit == o.Unit && this->Range == o.Range &&
+    Same(this->Opacities, o.Opacities) && Same(this->Colors, o.Colors);
+}
+
+//------------------------------------------------------------------------------
+void ReadTransferNodes(
+  vtkVolumeProperty* property, const std::array<double, 2>& range, TransferNodes& nodes)
+{
+  nodes.Opacities.clear();
+  nodes.Colors.clear();
+  nodes.Range = range;
+  nodes.Unit = static_cast<float>(property->GetScalarOpacityUnitDistance(0));
   vtkPiecewiseFunction* opacity = property->GetScalarOpacity(0);
+  nodes.Clamping = opacity->GetClamping() != 0;
   for (int i = 0; i < opacity->GetSize(); ++i)
   {
     double node[4];
     opacity->GetNodeValue(i, node);
-    opacities.push_back({ node[0], Unit(node[1]), Unit(node[2]), Unit(node[3]) });
+    nodes.Opacities.push_back({ node[0], Unit(node[1]), Unit(node[2]), Unit(node[3]) });
   }
-  std::vector<entire_color_node> colors;
   if (property->GetColorChannels(0) == 3)
   {
     vtkColorTransferFunction* color = property->GetRGBTransferFunction(0);
@@ -221,18 +243,23 @@ std::string ReadTransferFunction(vtkVolumeProperty* property, const std::array<d
     {
       double node[6];
       color->GetNodeValue(i, node);
-      colors.push_back(
+      nodes.Colors.push_back(
         { node[0], { Unit(node[1]), Unit(node[2]), Unit(node[3]) }, Unit(node[4]), Unit(node[5]) });
     }
   }
-  auto made =
-    entire::transfer_function::from_nodes(opacities, colors, range[0], range[1], opacity->GetClamping() != 0);
+}
+
+//------------------------------------------------------------------------------
+std::string MakeTransferFunction(
+  const TransferNodes& nodes, std::optional<entire::transfer_function>& function)
+{
+  auto made = entire::transfer_function::from_nodes(
+    nodes.Opacities, nodes.Colors, nodes.Range[0], nodes.Range[1], nodes.Clamping);
   if (!made)
   {
     return made.message();
   }
-  auto unit = made.value().set_unit_distance(
-    static_cast<float>(property->GetScalarOpacityUnitDistance(0)), ENTIRE_UNIT_WORLD);
+  auto unit = made.value().set_unit_distance(nodes.Unit, ENTIRE_UNIT_WORLD);
   if (!unit)
   {
     return unit.message();

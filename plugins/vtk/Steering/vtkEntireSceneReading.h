@@ -11,6 +11,7 @@
 #include <array>
 #include <optional>
 #include <string>
+#include <vector>
 
 class vtkDataArray;
 class vtkImageData;
@@ -26,6 +27,8 @@ struct VolumeKey
 {
   // Compared only; the array may be gone.
   const vtkDataArray* Array = nullptr;
+  // Of the whole image: an application that changes voxels in place may tell the image alone, and VTK's mappers
+  // load an image again where this moved.
   vtkMTimeType Time = 0;
   int Component = 0;
   std::array<int, 3> Dimensions{ { 0, 0, 0 } };
@@ -41,16 +44,18 @@ struct VolumeKey
 };
 
 // What a session's transfer function was made from.
-struct TransferKey
+struct TransferNodes
 {
-  const vtkVolumeProperty* Property = nullptr;
-  vtkMTimeType Time = 0;
+  std::vector<entire_opacity_node> Opacities;
+  // None where the volume is gray.
+  std::vector<entire_color_node> Colors;
+  bool Clamping = true;
+  // Scalar opacity's unit distance.
+  float Unit = 1;
+  // Of the scalars.
   std::array<double, 2> Range{ { 0, 0 } };
 
-  bool operator!=(const TransferKey& o) const
-  {
-    return this->Property != o.Property || this->Time != o.Time || this->Range != o.Range;
-  }
+  bool operator==(const TransferNodes& o) const;
 };
 
 // Where a mapper's voxels lie.
@@ -66,6 +71,23 @@ struct VoxelGrid
   double Reference = 1;
 };
 
+// When what ReadGrid() reads was changed last. Times are never given twice, so equal stamps are of one state.
+struct GridStamp
+{
+  const vtkImageData* Image = nullptr;
+  vtkMTimeType ImageTime = 0;
+  const vtkVolumeMapper* Mapper = nullptr;
+  vtkMTimeType MapperTime = 0;
+  bool Independent = true;
+
+  static GridStamp Of(vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property);
+  bool operator==(const GridStamp& o) const
+  {
+    return this->Image == o.Image && this->ImageTime == o.ImageTime && this->Mapper == o.Mapper &&
+      this->MapperTime == o.MapperTime && this->Independent == o.Independent;
+  }
+};
+
 std::string ReadGrid(
   vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property, VoxelGrid& grid);
 
@@ -75,11 +97,14 @@ std::string ReadVoxels(
   const VoxelGrid& grid, std::optional<entire::volume>& volume, std::array<double, 2>& range);
 
 // The volume property's functions of scalar opacity and color, and its ScalarOpacityUnitDistance.
-std::string ReadTransferFunction(vtkVolumeProperty* property, const std::array<double, 2>& range,
-  std::optional<entire::transfer_function>& function);
+void ReadTransferNodes(
+  vtkVolumeProperty* property, const std::array<double, 2>& range, TransferNodes& nodes);
 
-// The smallest spacing of a volume as its matrix places it: the sample distance of VTK's GPU mapper where it adjusts
-// by itself.
+std::string MakeTransferFunction(
+  const TransferNodes& nodes, std::optional<entire::transfer_function>& function);
+
+// The smallest spacing of a volume as its matrix places it: the sample distance of VTK's GPU mapper where it
+// adjusts by itself.
 double PlacedSpacing(vtkImageData* image, vtkVolume* volume);
 
 // The eye as the library has it: relative to the volume's axes, lengths in the unit of the volume's spacing.

@@ -18,9 +18,6 @@
 
 namespace
 {
-// Coarsening of the GPU mapper's step before its image shrinks.
-constexpr float GPU_STEP_ALONE = 2.1f;
-
 // Least share of the target that a mapper is given, however much the rest of the frame takes.
 constexpr double LEAST_SHARE = 0.2;
 
@@ -67,19 +64,15 @@ public:
     const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
     if (mapper)
     {
-      this->Own.Keeping(vtkEntire::MapperSettings::Read(mapper), this->Written).Write(mapper);
+      this->Own.Keeping(vtkEntire::MapperSettings::Read(mapper, false), this->Written).Write(mapper, false);
     }
   }
 
+  // A fixed-point mapper.
   vtkWeakPointer<vtkVolumeMapper> Mapper;
   vtkEntire::MapperSettings Own;
   vtkEntire::MapperSettings Written;
 };
-
-double Since(std::chrono::steady_clock::time_point before)
-{
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - before).count();
-}
 }
 
 //------------------------------------------------------------------------------
@@ -87,6 +80,7 @@ vtkEntireSteering::vtkInternals::Leaf::Leaf(vtkInternals* internals, const vtkEn
   : Internals(internals)
   , Mapper(found.Mapper)
   , Outer(found.Outer)
+  , Gpu(found.Gpu)
 {
   vtkVolumeMapper* mapper = found.Mapper;
   this->Tags[0] = mapper->AddObserver(vtkCommand::VolumeMapperRenderStartEvent, this, &Leaf::Start);
@@ -124,21 +118,35 @@ void vtkEntireSteering::vtkInternals::Leaf::Release()
 void vtkEntireSteering::vtkInternals::Leaf::Forget()
 {
   this->Volume = vtkEntire::VolumeKey();
+  this->HasTransfer = false;
+  this->Limits.fill(0);
   this->Session.reset();
   this->Planned = {};
 }
 
 //------------------------------------------------------------------------------
-bool vtkEntireSteering::vtkInternals::Leaf::SetEarly() const
+std::string vtkEntireSteering::vtkInternals::Leaf::UpdateGrid(
+  vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property)
 {
-  return vtkFixedPointVolumeRayCastMapper::SafeDownCast(this->Mapper) != nullptr;
+  const vtkEntire::GridStamp stamp = vtkEntire::GridStamp::Of(mapper, image, property);
+  if (stamp == this->Stamp)
+  {
+    return {};
+  }
+  this->Stamp = vtkEntire::GridStamp();
+  std::string failure = vtkEntire::ReadGrid(mapper, image, property, this->Grid);
+  if (failure.empty())
+  {
+    this->Stamp = stamp;
+  }
+  return failure;
 }
 
 //------------------------------------------------------------------------------
 // Hands the voxels (those inside the cropping box) to the session when they changed.
-std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume(const vtkEntire::VoxelGrid& grid)
+std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume()
 {
-  if (this->Session && !(grid.Key != this->Volume))
+  if (this->Session && !(this->Grid.Key != this->Volume))
   {
     return {};
   }
@@ -150,7 +158,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume(const vtkEntire::Vo
   }
   std::optional<entire::volume> volume;
   std::array<double, 2> range;
-  failure = vtkEntire::ReadVoxels(grid, volume, range);
+  failure = vtkEntire::ReadVoxels(this->Grid, volume, range);
   if (!failure.empty())
   {
     return failure;
@@ -161,39 +169,72 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetVolume(const vtkEntire::Vo
   {
     return set.message();
   }
-  this->Volume = grid.Key;
-  this->Transfer = vtkEntire::TransferKey();
+  this->Volume = this->Grid.Key;
+  this->HasTransfer = false;
   this->Range = range;
   this->Internals->Clean = false;
-  this->Internals->Owner->VolumeTime = Since(before);
+  this->Internals->Owner->NumberOfVolumeReadings++;
+  this->Internals->Owner->VolumeTime =
+    std::chrono::duration<double>(std::chrono::steady_clock::now() - before).count();
   return {};
 }
 
 //------------------------------------------------------------------------------
+// A property changes for many reasons; to the session only other functions are new.
 std::string vtkEntireSteering::vtkInternals::Leaf::SetTransferFunction(vtkVolumeProperty* property)
 {
-  vtkEntire::TransferKey key;
-  key.Property = property;
-  key.Time = property->GetMTime();
-  key.Range = this->Range;
-  if (!(key != this->Transfer))
+  const vtkMTimeType time = property->GetMTime();
+  if (this->HasTransfer && property == this->Property && time == this->PropertyTime)
   {
     return {};
   }
   // A property without functions makes some when it is asked for them, and says so.
   const std::shared_ptr<entire::session> session = this->Session;
-  std::optional<entire::transfer_function> function;
-  std::string failure = vtkEntire::ReadTransferFunction(property, this->Range, function);
-  if (!failure.empty())
+  vtkEntire::ReadTransferNodes(property, this->Range, this->Nodes);
+  if (!this->HasTransfer || !(this->Nodes == this->Transfer))
   {
-    return failure;
+    std::optional<entire::transfer_function> function;
+    std::string failure = vtkEntire::MakeTransferFunction(this->Nodes, function);
+    if (!failure.empty())
+    {
+      return failure;
+    }
+    auto set = session->set_transfer_function(*function);
+    if (!set)
+    {
+      return set.message();
+    }
+    std::swap(this->Nodes, this->Transfer);
+    this->HasTransfer = session == this->Session;
+    this->Internals->Owner->NumberOfTransferFunctionReadings++;
   }
-  auto set = session->set_transfer_function(*function);
-  if (!set)
+  this->Property = property;
+  this->PropertyTime = time;
+  return {};
+}
+
+//------------------------------------------------------------------------------
+std::string vtkEntireSteering::vtkInternals::Leaf::SetLimits(float finest, float coarsest, float image)
+{
+  const vtkEntireSteering* owner = this->Internals->Owner;
+  const double* quality = this->Gpu ? owner->GPUQuality : owner->FixedPointQuality;
+  std::array<float, 7> limits{ { finest, coarsest, image } };
+  std::transform(quality, quality + 4, limits.begin() + 3, [](double q) { return static_cast<float>(q); });
+  if (limits == this->Limits)
   {
-    return set.message();
+    return {};
   }
-  this->Transfer = key;
+  this->Limits.fill(0);
+  for (const entire::status& set : { this->Session->set_limits(finest, coarsest),
+         this->Session->set_max_image_sample_distance(image),
+         this->Session->set_quality(limits[3], limits[4], limits[5], limits[6]) })
+  {
+    if (!set)
+    {
+      return set.message();
+    }
+  }
+  this->Limits = limits;
   return {};
 }
 
@@ -231,17 +272,17 @@ void vtkEntireSteering::vtkInternals::Leaf::MarkChanges(
 std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
 {
   vtkEntireSteering* owner = this->Internals->Owner;
-  const vtkSmartPointer<vtkRenderWindow> window(this->Internals->Window);
-  const vtkSmartPointer<vtkRenderer> renderer(this->Internals->Renderer);
-  const vtkSmartPointer<vtkVolume> volume(this->Internals->Volume);
-  const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
-  const vtkSmartPointer<vtkVolumeProperty> property(volume ? volume->GetProperty() : nullptr);
+  const vtkEntire::Hold<vtkRenderWindow> window(this->Internals->Window.GetPointer());
+  const vtkEntire::Hold<vtkRenderer> renderer(this->Internals->Renderer.GetPointer());
+  const vtkEntire::Hold<vtkVolume> volume(this->Internals->Volume.GetPointer());
+  const vtkEntire::Hold<vtkVolumeMapper> mapper(this->Mapper.GetPointer());
+  const vtkEntire::Hold<vtkVolumeProperty> property(volume ? volume->GetProperty() : nullptr);
   if (!window || !renderer || !property || !mapper)
   {
     return "the renderer has no window or the volume no property";
   }
   vtkDataSet* input = mapper->GetDataSetInput();
-  const vtkSmartPointer<vtkImageData> image(vtkImageData::SafeDownCast(input));
+  const vtkEntire::Hold<vtkImageData> image(vtkImageData::SafeDownCast(input));
   if (!image)
   {
     return std::string("the mapper's input is ") + (input ? input->GetClassName() : "missing") +
@@ -252,13 +293,12 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   {
     return failure;
   }
-  vtkEntire::VoxelGrid grid;
-  failure = vtkEntire::ReadGrid(mapper, image, property, grid);
+  failure = this->UpdateGrid(mapper, image, property);
   if (!failure.empty())
   {
     return failure;
   }
-  failure = this->SetVolume(grid);
+  failure = this->SetVolume();
   if (!failure.empty())
   {
     return failure;
@@ -269,14 +309,14 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     return failure;
   }
 
-  this->Own = vtkEntire::MapperSettings::Read(mapper);
-  const bool gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(mapper) != nullptr;
+  const vtkEntire::VoxelGrid& grid = this->Grid;
+  this->Own = vtkEntire::MapperSettings::Read(mapper, this->Gpu);
   const double rate = window->GetDesiredUpdateRate();
   const bool still = rate < owner->StillUpdateRate;
   // Where VTK adjusts by itself, the image sample distance that it left is that of an earlier frame.
   const double ownImage = this->Own.AutoAdjust ? 1.0 : std::max(0.1f, this->Own.ImageSampleDistance);
   double finest = this->Own.SampleDistance;
-  if (gpu && this->Own.AutoAdjust)
+  if (this->Gpu && this->Own.AutoAdjust)
   {
     finest = vtkEntire::PlacedSpacing(image, volume);
   }
@@ -305,8 +345,8 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
     mapper->GetBlendMode(), property->HasGradientOpacity(0) && !property->GetDisableGradientOpacity(0) } };
   this->MarkChanges(mode, frame);
   frame.shading = mode[0] ? ENTIRE_SHADING_LOCAL : ENTIRE_SHADING_NONE;
-  frame.skipping = gpu ? ENTIRE_SKIPPING_NONE : ENTIRE_SKIPPING_BLOCKS;
-  frame.termination = mode[2] == vtkVolumeMapper::COMPOSITE_BLEND ? (gpu ? 0.996f : 0.99f) : 1.0f;
+  frame.skipping = this->Gpu ? ENTIRE_SKIPPING_NONE : ENTIRE_SKIPPING_BLOCKS;
+  frame.termination = mode[2] == vtkVolumeMapper::COMPOSITE_BLEND ? (this->Gpu ? 0.996f : 0.99f) : 1.0f;
   frame.step = static_cast<float>(finest);
 
   const double wanted = owner->TargetFrameTime > 0 ? owner->TargetFrameTime : 1.0 / std::max(rate, 1.0e-4);
@@ -330,20 +370,13 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Prepare()
   }
   const double coarsest = std::max(finest, owner->CoarsestSampleDistance);
   const double coarsestImage = std::max(ownImage, owner->CoarsestImageSampleDistance);
-  // Ray step and image are coarsened together: at equal cost that shows fewer differences from full quality
-  // than coarsening one of them alone. The GPU mapper blurs any smaller image: there the step alone comes
-  // first.
+  // Ray step and image are coarsened together, the one first that shows less for the time that it saves.
   frame.step = static_cast<float>(finest);
-  auto limits = this->Session->set_limits(static_cast<float>(finest), static_cast<float>(coarsest));
-  if (!limits)
+  failure = this->SetLimits(static_cast<float>(finest), static_cast<float>(coarsest),
+    static_cast<float>(std::min(COARSEST_IMAGE, coarsestImage / ownImage)));
+  if (!failure.empty())
   {
-    return limits.message();
-  }
-  auto sizes = this->Session->set_max_image_sample_distance(
-    static_cast<float>(std::min(COARSEST_IMAGE, coarsestImage / ownImage)), gpu ? GPU_STEP_ALONE : 1.0f);
-  if (!sizes)
-  {
-    return sizes.message();
+    return failure;
   }
   auto planned = this->Session->plan(frame, target);
   if (!planned)
@@ -388,7 +421,7 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Steer(
     return "another vtkEntireSteering steers the same mapper in the same renderer; detach one of the two";
   }
   const char* const reason = ReasonName(this->Planned.reason);
-  const vtkSmartPointer<vtkSmartVolumeMapper> outer(this->SetEarly() ? this->Outer.GetPointer() : nullptr);
+  vtkSmartVolumeMapper* const outer = this->SetEarly() ? this->Outer.GetPointer() : nullptr;
   this->Written = settings;
   if (outer)
   {
@@ -397,17 +430,10 @@ std::string vtkEntireSteering::vtkInternals::Leaf::Steer(
   }
   this->DrawnIn = this->Internals->Renderer;
   this->Steered = true;
-  settings.Write(mapper);
-  if (outer && this->Alive)
+  settings.Write(mapper, this->Gpu);
+  if (outer)
   {
     this->WrittenOuter.Write(outer);
-  }
-  if (!this->Alive)
-  {
-    // An observer of the mapper ended the attachment before all was written.
-    this->Steered = true;
-    this->Restore();
-    return {};
   }
   vtkEntireSteering* owner = this->Internals->Owner;
   this->Internals->Report(reason, "");
@@ -422,11 +448,10 @@ void vtkEntireSteering::vtkInternals::Leaf::ReadAhead()
   const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
   const vtkSmartPointer<vtkVolume> volume(this->Internals->Volume);
   vtkImageData* image = mapper ? vtkImageData::SafeDownCast(mapper->GetDataSetInput()) : nullptr;
-  vtkEntire::VoxelGrid grid;
   if (image && volume && volume->GetProperty() && this->Internals->MakeSession(*this).empty() &&
-    vtkEntire::ReadGrid(mapper, image, volume->GetProperty(), grid).empty())
+    this->UpdateGrid(mapper, image, volume->GetProperty()).empty())
   {
-    static_cast<void>(this->SetVolume(grid));
+    static_cast<void>(this->SetVolume());
   }
 }
 
@@ -434,8 +459,8 @@ void vtkEntireSteering::vtkInternals::Leaf::ReadAhead()
 void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
 {
   const std::shared_ptr<Leaf> self = this->shared_from_this();
-  const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
-  const vtkSmartPointer<vtkVolume> volume(this->Internals->Volume);
+  const vtkEntire::Hold<vtkVolumeMapper> mapper(this->Mapper.GetPointer());
+  const vtkEntire::Hold<vtkVolume> volume(this->Internals->Volume.GetPointer());
   this->Ready = false;
   if (!this->Alive || !this->SetEarly() || !volume || !volume->GetVisibility())
   {
@@ -456,9 +481,13 @@ void vtkEntireSteering::vtkInternals::Leaf::RendererStart()
       return;
     }
   }
-  else if (const vtkSmartPointer<vtkAlgorithm> pipeline = mapper->GetInputAlgorithm())
+  else if (mapper->GetInputAlgorithm())
   {
-    pipeline->Update();
+    {
+      const vtkEntire::Hold<vtkAlgorithm> pipeline(mapper->GetInputAlgorithm());
+      const vtkEntire::Busy::Elsewhere elsewhere(this->Internals->Busy);
+      pipeline->Update();
+    }
     if (!this->Alive || !this->Internals->Renderer ||
       !vtkEntire::IsDrawnBy(this->Internals->Renderer, this->Internals->Volume))
     {
@@ -475,6 +504,7 @@ void vtkEntireSteering::vtkInternals::Leaf::Start()
 {
   const vtkSmartPointer<vtkEntireSteering> owner(this->Internals->Owner);
   const std::shared_ptr<Leaf> self = this->shared_from_this();
+  const vtkEntire::Busy::Handling handling(this->Internals->Busy);
   // Another renderer, or another volume, may draw the same mapper.
   if (!this->Internals->Rendering || !this->Internals->Present || !this->Internals->Renderer)
   {
@@ -502,19 +532,28 @@ void vtkEntireSteering::vtkInternals::Leaf::Start()
   {
     owner->NumberOfFallbackFrames++;
   }
+  this->DrainQueue();
   this->StartTime = this->Internals->Now();
+}
+
+//------------------------------------------------------------------------------
+// What the graphics device was given before the mapper begins, or by it, is done: a time from the one to the other
+// is the mapper's own.
+void vtkEntireSteering::vtkInternals::Leaf::DrainQueue()
+{
+  vtkRenderWindow* const window = this->Internals->Window;
+  if (this->Gpu && window)
+  {
+    const vtkEntire::Busy::Elsewhere elsewhere(this->Internals->Busy);
+    window->WaitForCompletion();
+  }
 }
 
 //------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::Leaf::Plan()
 {
-  const auto before = std::chrono::steady_clock::now();
   vtkEntireSteering* owner = this->Internals->Owner;
   this->Restore();
-  if (!this->Alive)
-  {
-    return;
-  }
   this->Planned = {};
   const std::string failure = this->Prepare();
   if (!this->Alive)
@@ -538,7 +577,6 @@ void vtkEntireSteering::vtkInternals::Leaf::Plan()
     owner->SampleDistance = vtkEntire::NOT_KNOWN;
     owner->ImageSampleDistance = vtkEntire::NOT_KNOWN;
   }
-  owner->ObserverTime = Since(before);
 }
 
 //------------------------------------------------------------------------------
@@ -551,11 +589,11 @@ void vtkEntireSteering::vtkInternals::Leaf::Restore()
   }
   this->Steered = false;
   vtkEntire::ReleaseClaim(this);
-  const vtkSmartPointer<vtkVolumeMapper> mapper(this->Mapper);
-  const vtkSmartPointer<vtkSmartVolumeMapper> outer(this->SetEarly() ? this->Outer.GetPointer() : nullptr);
+  vtkVolumeMapper* const mapper = this->Mapper;
+  vtkSmartVolumeMapper* const outer = this->SetEarly() ? this->Outer.GetPointer() : nullptr;
   if (mapper)
   {
-    this->Own.Keeping(vtkEntire::MapperSettings::Read(mapper), this->Written).Write(mapper);
+    this->Own.Keeping(vtkEntire::MapperSettings::Read(mapper, this->Gpu), this->Written).Write(mapper, this->Gpu);
   }
   if (outer)
   {
@@ -568,26 +606,23 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
 {
   const vtkSmartPointer<vtkEntireSteering> owner(this->Internals->Owner);
   const std::shared_ptr<Leaf> self = this->shared_from_this();
+  const vtkEntire::Busy::Handling handling(this->Internals->Busy);
   if (!this->Drawing)
   {
     return;
   }
+  this->DrainQueue();
   const double seconds = this->Internals->Now() - this->StartTime;
-  const auto before = std::chrono::steady_clock::now();
   this->Drawing = false;
   if (!this->SetEarly())
   {
     this->Restore();
-    if (!this->Alive)
-    {
-      return;
-    }
   }
   else if (this->Steered && this->Mapper)
   {
     // The fixed-point mapper is about to write the sample distance that it began with over what the
     // application set.
-    this->Own = this->Own.Keeping(vtkEntire::MapperSettings::Read(this->Mapper), this->Written);
+    this->Own = this->Own.Keeping(vtkEntire::MapperSettings::Read(this->Mapper, false), this->Written);
   }
   if (this->Planned.id != 0 && this->Session)
   {
@@ -601,5 +636,4 @@ void vtkEntireSteering::vtkInternals::Leaf::End()
   this->Internals->MapperSeconds += seconds;
   this->Internals->Drawn++;
   this->Internals->LastLeaf = self;
-  owner->ObserverTime += Since(before);
 }

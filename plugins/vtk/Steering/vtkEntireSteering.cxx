@@ -10,6 +10,7 @@
 
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 vtkStandardNewMacro(vtkEntireSteering);
@@ -101,6 +102,8 @@ void vtkEntireSteering::Detach()
   this->Internals->State.clear();
   this->NumberOfSteeredFrames = 0;
   this->NumberOfFallbackFrames = 0;
+  this->NumberOfVolumeReadings = 0;
+  this->NumberOfTransferFunctionReadings = 0;
   this->PredictedTime = this->MeasuredTime = this->FrameTime = NOT_KNOWN;
   this->SampleDistance = this->ImageSampleDistance = this->ObserverTime = this->VolumeTime = NOT_KNOWN;
   delete[] this->Reason;
@@ -191,6 +194,12 @@ void vtkEntireSteering::PrintSelf(ostream& os, vtkIndent indent)
   os << indent << "CoarsestSampleDistance: " << this->CoarsestSampleDistance << "\n";
   os << indent << "FinestSampleDistance: " << this->FinestSampleDistance << "\n";
   os << indent << "CoarsestImageSampleDistance: " << this->CoarsestImageSampleDistance << "\n";
+  for (const auto& each : { std::make_pair("FixedPointQuality: ", this->FixedPointQuality),
+         std::make_pair("GPUQuality: ", this->GPUQuality) })
+  {
+    const double* q = each.second;
+    os << indent << each.first << q[0] << " " << q[1] << " " << q[2] << " " << q[3] << "\n";
+  }
   os << indent << "StillUpdateRate: " << this->StillUpdateRate << "\n";
   os << indent << "Clock: " << (this->Clock == WALL ? "wall" : "process CPU") << "\n";
   os << indent << "Tolerance: " << this->Tolerance << "\n";
@@ -207,4 +216,6 @@ void vtkEntireSteering::PrintSelf(ostream& os, vtkIndent indent)
   os << indent << "Status: " << (this->Status ? this->Status : "(none)") << "\n";
   os << indent << "NumberOfSteeredFrames: " << this->NumberOfSteeredFrames << "\n";
   os << indent << "NumberOfFallbackFrames: " << this->NumberOfFallbackFrames << "\n";
+  os << indent << "NumberOfVolumeReadings: " << this->NumberOfVolumeReadings << "\n";
+  os << indent << "NumberOfTransferFunctionReadings: " << this->NumberOfTransferFunctionReadings << "\n";
 }

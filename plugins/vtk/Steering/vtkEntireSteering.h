@@ -19,8 +19,9 @@
  * are changed for the frame alone: a GPU mapper's on its VolumeMapperRenderStartEvent, to be put back on its
  * VolumeMapperRenderEndEvent; a fixed-point mapper's, which takes them before it announces its start, on the
  * renderer's StartEvent, to be put back on the renderer's EndEvent. Between frames, and after Detach(), the
- * mapper is as the application left it; what the application sets during a frame is kept. Frames are never
- * drawn finer than the mapper's own sample distance, unless FinestSampleDistance says so.
+ * mapper is as the application left it, its MTime included: nobody hears of what is set for a frame. What the
+ * application sets during a frame is kept. Frames are never drawn finer than the mapper's own sample distance,
+ * unless FinestSampleDistance says so.
  *
  * Observers of any event of the window, the renderer, the mapper, its pipeline and of vtkEntireSteering
  * itself may call any of its functions and may drop the last reference to it. Warnings are said at the end of
@@ -29,7 +30,7 @@
  *
  * Still frames, those for which the render window asks for less than StillUpdateRate frames per second, are
  * drawn by VTK alone, pixel for pixel; their times are learned from. So are frames that cannot be predicted:
- * GetStatus() then says why.
+ * GetStatus() then says why. What is drawn for a hardware selector (picking) is left to VTK and is no frame.
  *
  * No model file is needed. Without one a linear cost model starts from rough costs and learns the mapper and
  * the device from the first frames on; with one (see `entire train`) the first frame is predicted too.
@@ -152,6 +153,19 @@ public:
 
   ///@{
   /**
+   * What coarser steps and smaller images cost the mapper's pictures, and what time they save: image weight, step
+   * exponent, image exponent and share of rays as entire_session_set_quality() has them. They decide what of the
+   * two is coarsened first where a frame must be faster. Two sets: of vtkFixedPointVolumeRayCastMapper and of
+   * vtkGPUVolumeRayCastMapper. The defaults were measured with VTK 9.1 (lab/scripts/vtk/tradeoff.py fits them).
+   */
+  vtkSetVector4Macro(FixedPointQuality, double);
+  vtkGetVector4Macro(FixedPointQuality, double);
+  vtkSetVector4Macro(GPUQuality, double);
+  vtkGetVector4Macro(GPUQuality, double);
+  ///@}
+
+  ///@{
+  /**
    * A frame is a still one, and not steered, where the window's DesiredUpdateRate is below this. Default 1,
    * as vtkSmartVolumeMapper has it. 0 steers every frame: set it, and a TargetFrameTime, where no interactor
    * sets rates.
@@ -211,8 +225,9 @@ public:
   /**
    * Read-outs of the last frame, seconds by the chosen clock; NaN where there is none. Predicted is of the
    * mapper's work alone, as is Measured; FrameTime is of the whole frame. The sample distance is in the unit
-   * of the spacing, as the mapper has it. ObserverTime is what prediction and steering themselves took, on
-   * the wall.
+   * of the spacing, as the mapper has it. ObserverTime is what everything that vtkEntireSteering did during the
+   * frame took, whatever Clock is by the wall clock; the time that pipelines, the graphics device and observers
+   * of FrameEvent took meanwhile is no part of it.
    */
   vtkGetMacro(PredictedTime, double);
   vtkGetMacro(MeasuredTime, double);
@@ -241,6 +256,14 @@ public:
   vtkGetMacro(NumberOfFallbackFrames, vtkIdType);
   ///@}
 
+  ///@{
+  /**
+   * How often since Attach() the voxels and the transfer function were read: at first, and where they changed.
+   */
+  vtkGetMacro(NumberOfVolumeReadings, vtkIdType);
+  vtkGetMacro(NumberOfTransferFunctionReadings, vtkIdType);
+  ///@}
+
   /**
    * Seconds that the last reading of a volume (at its first frame, and when it changes) took.
    */
@@ -255,6 +278,8 @@ protected:
   double CoarsestSampleDistance = 8.0;
   double FinestSampleDistance = 0.0;
   double CoarsestImageSampleDistance = 4.0;
+  double FixedPointQuality[4] = { 5.9, 0.97, 1.54, 0.33 };
+  double GPUQuality[4] = { 8.5, 1.22, 0.78, 0.15 };
   double StillUpdateRate = 1.0;
   int Clock = WALL;
   double Tolerance = 0.25;
@@ -272,6 +297,8 @@ protected:
   char* Status = nullptr;
   vtkIdType NumberOfSteeredFrames = 0;
   vtkIdType NumberOfFallbackFrames = 0;
+  vtkIdType NumberOfVolumeReadings = 0;
+  vtkIdType NumberOfTransferFunctionReadings = 0;
 
 private:
   vtkEntireSteering(const vtkEntireSteering&) = delete;

@@ -12,13 +12,19 @@
 
 namespace
 {
-// Rays along each side of the probe that frames are measured with for a linear cost model; a network's file
-// names its own. Fewer than the library's default: between frames that sweep the caches a ray costs most of a
-// microsecond. With fewer still, frames of sparse volumes are held less well.
-constexpr std::uint32_t PROBE_SIDE = 6;
+// Rays along each side of the finest probe that frames are measured with for a linear cost model, and the error of
+// the probe from which a plan looks no further; a network's file names its own. Fewer than the library's default:
+// between frames that sweep the caches a ray costs most of a microsecond. A plan begins with 4 rays along each
+// side, which are enough but for sparse volumes.
+constexpr std::uint32_t PROBE_SIDE = 7;
+constexpr float PROBE_TOLERANCE = 0.3f;
 
 void Copy(char*& to, const char* text)
 {
+  if (to && std::strcmp(to, text) == 0)
+  {
+    return;
+  }
   const std::size_t size = std::strlen(text) + 1;
   char* copied = new char[size];
   std::memcpy(copied, text, size);
@@ -92,6 +98,11 @@ void vtkEntireSteering::vtkInternals::Report(const char* reason, const char* sta
 //------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::SayWarnings()
 {
+  if (this->Warnings.empty())
+  {
+    return;
+  }
+  const vtkEntire::Busy::Elsewhere elsewhere(this->Busy);
   std::vector<std::string> warnings;
   warnings.swap(this->Warnings);
   for (const std::string& text : warnings)
@@ -187,9 +198,11 @@ void vtkEntireSteering::vtkInternals::RendererStart()
 {
   const vtkSmartPointer<vtkEntireSteering> owner(this->Owner);
   const vtkSmartPointer<vtkRenderer> renderer(this->Renderer);
+  const vtkEntire::Busy::Handling handling(this->Busy);
   const std::size_t attachment = this->Attachment;
-  if (!renderer)
+  if (!renderer || renderer->GetSelector())
   {
+    // What is drawn for a hardware selector is no frame: nobody sees it, and it takes another time.
     return;
   }
   this->Rendering = true;
@@ -222,6 +235,7 @@ void vtkEntireSteering::vtkInternals::RendererStart()
 void vtkEntireSteering::vtkInternals::RendererEnd()
 {
   const vtkSmartPointer<vtkEntireSteering> owner(this->Owner);
+  const vtkEntire::Busy::Handling handling(this->Busy);
   this->Rendering = false;
   const Leaves leaves = this->Drawing;
   for (const auto& leaf : leaves)
@@ -237,7 +251,13 @@ void vtkEntireSteering::vtkInternals::RendererEnd()
 //------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::WindowStart()
 {
-  this->InFrame = true;
+  this->InFrame = !(this->Renderer && this->Renderer->GetSelector());
+  if (!this->InFrame)
+  {
+    return;
+  }
+  this->Busy.Begin();
+  const vtkEntire::Busy::Handling handling(this->Busy);
   this->MapperSeconds = 0;
   this->Drawn = 0;
   this->Clean = true;
@@ -257,6 +277,7 @@ void vtkEntireSteering::vtkInternals::WindowStart()
 void vtkEntireSteering::vtkInternals::WindowEnd()
 {
   const vtkSmartPointer<vtkEntireSteering> owner(this->Owner);
+  const vtkEntire::Busy::Handling handling(this->Busy);
   const std::size_t attachment = this->Attachment;
   if (!this->InFrame)
   {
@@ -281,10 +302,12 @@ void vtkEntireSteering::vtkInternals::WindowEnd()
     }
     owner->FrameTime = seconds;
     owner->MeasuredTime = this->MapperSeconds;
+    owner->ObserverTime = this->Busy.Seconds();
   }
   this->SayWarnings();
   if (drawn && this->Attachment == attachment)
   {
+    const vtkEntire::Busy::Elsewhere elsewhere(this->Busy);
     owner->InvokeEvent(FrameEvent);
   }
 }
@@ -328,6 +351,7 @@ std::string vtkEntireSteering::vtkInternals::NewSession(
   options.tolerance = static_cast<float>(this->Tolerance);
   options.miss_rate = static_cast<float>(this->MissRate);
   options.probe_side = PROBE_SIDE;
+  options.probe_tolerance = PROBE_TOLERANCE;
   auto made =
     this->Model ? entire::session::create(*this->Model, options) : entire::session::untrained(options);
   if (!made)

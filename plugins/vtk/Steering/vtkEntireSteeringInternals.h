@@ -23,11 +23,13 @@
 #include <entire/entire.hpp>
 
 #include <array>
+#include <chrono>
 #include <cstdint>
 #include <limits>
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 namespace vtkEntire
@@ -39,6 +41,128 @@ constexpr std::size_t REST_FRAMES = 5;
 
 // Shading, interpolation, blend mode, gradient opacity.
 using ModeKey = std::array<int, 4>;
+
+// Keeps an object alive during a call, as a smart pointer does. A smart pointer that lets go of an algorithm or of a
+// data object sends VTK's garbage collector through the pipeline behind it, in every frame; this one does so only
+// where another reference went meanwhile.
+template <class T>
+class Hold
+{
+public:
+  explicit Hold(T* object)
+    : Object(object)
+  {
+    if (object)
+    {
+      Counting::Add(object);
+      this->Count = object->GetReferenceCount();
+    }
+  }
+  ~Hold()
+  {
+    if (this->Object && this->Object->GetReferenceCount() < this->Count)
+    {
+      this->Object->UnRegister(nullptr);
+    }
+    else if (this->Object)
+    {
+      Counting::Remove(this->Object);
+    }
+  }
+  Hold(const Hold&) = delete;
+  void operator=(const Hold&) = delete;
+
+  operator T*() const { return this->Object; }
+  T* operator->() const { return this->Object; }
+
+private:
+  struct Counting : vtkObjectBase
+  {
+    static void Add(vtkObjectBase* object) { (object->*&Counting::RegisterInternal)(nullptr, 0); }
+    static void Remove(vtkObjectBase* object) { (object->*&Counting::UnRegisterInternal)(nullptr, 0); }
+  };
+
+  T* Object;
+  int Count = 0;
+};
+
+// Counts what the handling of a frame's events takes, on the wall, less what is handed on to VTK and to the
+// application meanwhile.
+class Busy
+{
+public:
+  // An event is handled while this lives; handlers may call each other.
+  class Handling
+  {
+  public:
+    explicit Handling(Busy& busy)
+      : Of(busy)
+    {
+      if (this->Of.Depth++ == 0)
+      {
+        this->Of.Since = Time::now();
+      }
+    }
+    ~Handling()
+    {
+      this->Of.Count();
+      this->Of.Depth--;
+    }
+    Handling(const Handling&) = delete;
+    void operator=(const Handling&) = delete;
+
+  private:
+    Busy& Of;
+  };
+
+  // Others work while this lives; they may bring about events.
+  class Elsewhere
+  {
+  public:
+    explicit Elsewhere(Busy& busy)
+      : Of(busy)
+    {
+      this->Of.Count();
+      std::swap(this->Depth, this->Of.Depth);
+    }
+    ~Elsewhere()
+    {
+      std::swap(this->Depth, this->Of.Depth);
+      this->Of.Since = Time::now();
+    }
+    Elsewhere(const Elsewhere&) = delete;
+    void operator=(const Elsewhere&) = delete;
+
+  private:
+    Busy& Of;
+    int Depth = 0;
+  };
+
+  // Seconds since Begin().
+  double Seconds()
+  {
+    this->Count();
+    return this->Total;
+  }
+  void Begin() { this->Total = 0; }
+
+private:
+  using Time = std::chrono::steady_clock;
+
+  void Count()
+  {
+    if (this->Depth > 0)
+    {
+      const auto now = Time::now();
+      this->Total += std::chrono::duration<double>(now - this->Since).count();
+      this->Since = now;
+    }
+  }
+
+  double Total = 0;
+  int Depth = 0;
+  Time::time_point Since;
+};
 }
 
 class vtkEntireSteering::vtkInternals
@@ -72,6 +196,8 @@ public:
     vtkInternals* Internals;
     vtkWeakPointer<vtkVolumeMapper> Mapper;
     vtkWeakPointer<vtkSmartVolumeMapper> Outer;
+    // Whether the mapper is a vtkGPUVolumeRayCastMapper.
+    const bool Gpu;
     // Shared with the event at hand, which Forget() may be called from.
     std::shared_ptr<entire::session> Session;
 
@@ -80,13 +206,17 @@ public:
     // before it announces its start: it is set when its renderer starts, and put back when its renderer is
     // done. It lies that far ahead only where nobody sets it in between, so not inside a smart mapper that
     // draws otherwise.
-    bool SetEarly() const;
+    bool SetEarly() const { return !this->Gpu; }
     void Plan();
     void Restore();
+    void DrainQueue();
     // Plans the frame and sets the mapper; on failure returns why.
     std::string Prepare();
-    std::string SetVolume(const vtkEntire::VoxelGrid& grid);
+    // These read what has changed since they did so last.
+    std::string UpdateGrid(vtkVolumeMapper* mapper, vtkImageData* image, vtkVolumeProperty* property);
+    std::string SetVolume();
     std::string SetTransferFunction(vtkVolumeProperty* property);
+    std::string SetLimits(float finest, float coarsest, float image);
     void MarkChanges(const vtkEntire::ModeKey& mode, const entire::frame& frame);
     // A frame that VTK draws alone: learned from where it is known how finely.
     void PlanUnsteered(const entire::frame& frame, float target, bool still);
@@ -95,8 +225,18 @@ public:
 
     unsigned long Tags[2];
     bool Alive = true;
+    // Where the voxels lie, as of a stamp.
+    vtkEntire::GridStamp Stamp;
+    vtkEntire::VoxelGrid Grid;
+    // What the session has.
     vtkEntire::VolumeKey Volume;
-    vtkEntire::TransferKey Transfer;
+    vtkEntire::TransferNodes Transfer;
+    bool HasTransfer = false;
+    std::array<float, 7> Limits{};
+    // Of the property, when its functions were read.
+    const vtkVolumeProperty* Property = nullptr;
+    vtkMTimeType PropertyTime = 0;
+    vtkEntire::TransferNodes Nodes;
     vtkEntire::ModeKey Mode{ { -1, -1, -1, -1 } };
     std::array<double, 2> Range{ { 0, 1 } };
     float LastView[16];
@@ -158,6 +298,8 @@ public:
   double Rest() const;
 
   vtkEntireSteering* Owner;
+  // With the frame at hand.
+  vtkEntire::Busy Busy;
   vtkWeakPointer<vtkRenderer> Renderer;
   vtkWeakPointer<vtkRenderWindow> Window;
   vtkWeakPointer<vtkVolume> Volume;

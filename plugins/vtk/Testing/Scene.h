@@ -24,6 +24,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
+#include <functional>
 #include <iostream>
 #include <map>
 #include <string>
@@ -202,6 +203,30 @@ inline Settings Read(vtkVolumeMapper* mapper)
       smart->GetInteractiveAdjustSampleDistances() };
   }
   return { 0, 0, 0, 0 };
+}
+
+// Runs the behavior and the mapper that a program was called with.
+inline int Main(int argc, char* argv[], const std::map<std::string, std::function<void(Kind)>>& tests)
+{
+  const auto test = argc == 3 ? tests.find(argv[1]) : tests.end();
+  const auto kind = argc == 3 ? KINDS.find(argv[2]) : KINDS.end();
+  if (test == tests.end() || kind == KINDS.end())
+  {
+    std::cerr << "usage: " << argv[0] << " NAME MAPPER, with NAME one of";
+    for (const auto& each : tests)
+    {
+      std::cerr << " " << each.first;
+    }
+    std::cerr << " and MAPPER one of";
+    for (const auto& each : KINDS)
+    {
+      std::cerr << " " << each.first;
+    }
+    std::cerr << "\n";
+    return 2;
+  }
+  test->second(kind->second);
+  return EXIT_SUCCESS;
 }
 
 inline bool Empty(const char* text)

@@ -13,7 +13,6 @@
 #include "vtkTestErrorObserver.h"
 
 #include <cstdio>
-#include <functional>
 #include <sstream>
 
 #include <sys/stat.h>
@@ -106,28 +105,36 @@ void DrawsWhatVtkDraws(Kind kind)
   CHECK(steering->Attach(steered.Renderer, steered.Volume));
   steered.Interactive();
   Warm(steered, steering);
-  const auto shown = steered.Draw();
-  CHECK(steering->GetSampleDistance() > 2.9);
   // A smart mapper takes no distance by hand (it locks its mappers to the spacing): it is held against the
   // mapper inside.
   Scene plain(kind == SMART ? GPU : kind == SMART_FIXED ? FIXED : kind);
-  if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(plain.Mapper))
-  {
-    gpu->SetAutoAdjustSampleDistances(0);
-    gpu->SetLockSampleDistanceToInputSpacing(0);
-    gpu->SetSampleDistance(static_cast<float>(steering->GetSampleDistance()));
-    gpu->SetImageSampleDistance(static_cast<float>(steering->GetImageSampleDistance()));
-  }
-  else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(plain.Mapper))
-  {
-    cpu->SetAutoAdjustSampleDistances(0);
-    cpu->SetLockSampleDistanceToInputSpacing(0);
-    cpu->SetSampleDistance(static_cast<float>(steering->GetSampleDistance()));
-    cpu->SetImageSampleDistance(static_cast<float>(steering->GetImageSampleDistance()));
-  }
+  const auto set = [&](auto* mapper) {
+    mapper->SetAutoAdjustSampleDistances(0);
+    mapper->SetLockSampleDistanceToInputSpacing(0);
+    mapper->SetSampleDistance(static_cast<float>(steering->GetSampleDistance()));
+    mapper->SetImageSampleDistance(static_cast<float>(steering->GetImageSampleDistance()));
+  };
   plain.Interactive();
-  plain.Draw();
-  CHECK(plain.Draw() == shown);
+  std::vector<unsigned char> shown;
+  // Also where a frame's distances differ from those of the frame before.
+  for (const double coarsest : { 3.0, 2.0, 5.0 })
+  {
+    steering->SetCoarsestSampleDistance(coarsest);
+    steered.Draw();
+    shown = steered.Draw();
+    CHECK(std::fabs(steering->GetSampleDistance() - coarsest) < 0.1);
+    if (auto* gpu = vtkGPUVolumeRayCastMapper::SafeDownCast(plain.Mapper))
+    {
+      set(gpu);
+    }
+    else if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(plain.Mapper))
+    {
+      set(cpu);
+    }
+    plain.Draw();
+    CHECK(plain.Draw() == shown);
+    steering->SetCoarsestImageSampleDistance(kind == FIXED || kind == GPU ? 1.5 : 1);
+  }
   // And it is coarser than what is drawn without steering.
   Scene full(kind);
   full.Window->SetDesiredUpdateRate(0.0001);
@@ -622,23 +629,5 @@ const std::map<std::string, std::function<void(Kind)>> TESTS = {
 
 int main(int argc, char* argv[])
 {
-  const auto test = argc == 3 ? TESTS.find(argv[1]) : TESTS.end();
-  const auto kind = argc == 3 ? KINDS.find(argv[2]) : KINDS.end();
-  if (test == TESTS.end() || kind == KINDS.end())
-  {
-    std::cerr << "usage: TestEntireSteering NAME MAPPER, with NAME one of";
-    for (const auto& each : TESTS)
-    {
-      std::cerr << " " << each.first;
-    }
-    std::cerr << " and MAPPER one of";
-    for (const auto& each : KINDS)
-    {
-      std::cerr << " " << each.first;
-    }
-    std::cerr << "\n";
-    return 2;
-  }
-  test->second(kind->second);
-  return EXIT_SUCCESS;
+  return Main(argc, argv, TESTS);
 }

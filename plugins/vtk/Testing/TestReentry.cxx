@@ -80,7 +80,7 @@ struct Stage : Scene
     std::vector<Settings> all = { Read(this->Mapper) };
     for (const auto& leaf : this->Leaves())
     {
-      const auto settings = vtkEntire::MapperSettings::Read(leaf.Mapper);
+      const auto settings = vtkEntire::MapperSettings::Read(leaf.Mapper, leaf.Gpu);
       all.push_back({ settings.SampleDistance, settings.AutoAdjust ? 0 : settings.ImageSampleDistance,
         settings.AutoAdjust, settings.Lock });
       if (leaf.Outer)
@@ -174,7 +174,7 @@ bool Always(Kind)
 {
   return true;
 }
-// A fixed-point mapper's pipeline is updated, and its settings are written, before it draws.
+// A fixed-point mapper's pipeline is updated before it draws.
 bool UnlessFixed(Kind kind)
 {
   return kind != FIXED;
@@ -222,7 +222,6 @@ const std::map<std::string, Event> EVENTS = {
   { "RendererEnd", { RendererOf, vtkCommand::EndEvent, nullptr, Never } },
   { "MapperStart", { MappersOf, vtkCommand::VolumeMapperRenderStartEvent, nullptr, Always } },
   { "MapperEnd", { MappersOf, vtkCommand::VolumeMapperRenderEndEvent, nullptr, Always } },
-  { "MapperModified", { MappersOf, vtkCommand::ModifiedEvent, nullptr, UnlessFixed } },
   { "PipelineStart", { FilterOf, vtkCommand::StartEvent, &Stage::Touch, UnlessFixed } },
   { "PipelineProgress", { FilterOf, vtkCommand::ProgressEvent, &Stage::Touch, UnlessFixed } },
   { "PipelineEnd", { FilterOf, vtkCommand::EndEvent, &Stage::Touch, UnlessFixed } },
@@ -337,7 +336,7 @@ void Run(const std::string& name, const Event& event, Kind kind)
   const std::vector<Settings> own = stage.AllSettings();
   const bool inside = event.InsideMapper(kind);
   const bool insideRenderer = inside || name == "RendererStart" || name == "RendererEnd" ||
-    name == "MapperModified" || name.compare(0, 8, "Pipeline") == 0;
+    name.compare(0, 8, "Pipeline") == 0;
   int tried = 0;
   for (const auto& each : Actions(own))
   {

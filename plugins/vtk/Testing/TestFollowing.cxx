@@ -1,0 +1,266 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+// What vtkEntireSteering takes for a change, for a frame, and for a frame's time: TestFollowing NAME MAPPER.
+#include "Scene.h"
+
+#include "vtkCallbackCommand.h"
+#include "vtkDataArray.h"
+#include "vtkDataObject.h"
+#include "vtkEntireSteering.h"
+#include "vtkHardwareSelector.h"
+#include "vtkObjectFactory.h"
+#include "vtkPointData.h"
+#include "vtkSelection.h"
+
+#include <fstream>
+#include <iterator>
+
+// Last, for the macros of X11.
+#include "vtkXOpenGLRenderWindow.h"
+
+using namespace EntireTest;
+
+namespace
+{
+// A steered scene, at work.
+struct Work : Scene
+{
+  vtkNew<vtkEntireSteering> Steering;
+
+  explicit Work(Kind kind, double target = 1e-6)
+    : Scene(kind)
+  {
+    this->Steering->SetTargetFrameTime(target);
+    CHECK(this->Steering->Attach(this->Renderer, this->Volume));
+    this->Interactive();
+    for (int i = 0; i < 4; ++i)
+    {
+      this->Draw();
+    }
+    CHECK(this->Steering->GetNumberOfSteeredFrames() > 1);
+  }
+};
+
+// Calls a function at every event of an object, after the steering was.
+class After
+{
+public:
+  After(vtkObject* subject, unsigned long event, std::function<void()> what)
+    : Subject(subject)
+    , What(std::move(what))
+  {
+    this->Command->SetClientData(this);
+    this->Command->SetCallback(
+      [](vtkObject*, unsigned long, void* data, void*) { static_cast<After*>(data)->What(); });
+    this->Tag = subject->AddObserver(event, this->Command, -1.0f);
+  }
+  ~After() { this->Subject->RemoveObserver(this->Tag); }
+  After(const After&) = delete;
+  void operator=(const After&) = delete;
+
+private:
+  vtkObject* Subject;
+  std::function<void()> What;
+  vtkNew<vtkCallbackCommand> Command;
+  unsigned long Tag;
+};
+
+std::string Bytes(const std::string& file)
+{
+  std::ifstream stream(file, std::ios::binary);
+  return { std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>() };
+}
+
+// Voxels that are changed in place are read again where the image says so, and only then.
+void NoticesChangedVoxels(Kind kind)
+{
+  Work scene(kind);
+  const vtkIdType before = scene.Steering->GetNumberOfVolumeReadings();
+  CHECK(before > 0);
+  scene.Pose(70);
+  scene.Draw();
+  scene.Property->ShadeOn();
+  scene.Draw();
+  CHECK(scene.Steering->GetNumberOfVolumeReadings() == before);
+  std::memset(scene.Data->GetScalarPointer(), 40, EDGE * EDGE * EDGE / 2);
+  scene.Data->Modified();
+  if (kind == BLOCKS)
+  {
+    // vtkMultiBlockVolumeMapper draws copies of its blocks, and does not look at the blocks' own times.
+    scene.Data->GetPointData()->GetScalars()->Modified();
+  }
+  bool counted = false;
+  // A smart mapper hands its input on while it draws.
+  for (int i = 0; i < 2; ++i)
+  {
+    const vtkIdType readings = scene.Steering->GetNumberOfVolumeReadings();
+    scene.Draw();
+    // What reading took is part of what steering took.
+    counted |= scene.Steering->GetNumberOfVolumeReadings() > readings &&
+      scene.Steering->GetObserverTime() >= scene.Steering->GetVolumeTime();
+  }
+  CHECK(scene.Steering->GetNumberOfVolumeReadings() == before + 1 && counted);
+}
+
+// The transfer function is new where its functions are, not where anything else of the property is.
+void NoticesNewFunctionsOnly(Kind kind)
+{
+  Work scene(kind);
+  vtkIdType expected = scene.Steering->GetNumberOfTransferFunctionReadings();
+  CHECK(expected > 0);
+  const auto readings = [&] {
+    scene.Draw();
+    return scene.Steering->GetNumberOfTransferFunctionReadings();
+  };
+  scene.Property->SetAmbient(0.37);
+  CHECK(readings() == expected);
+  scene.Property->SetInterpolationTypeToNearest();
+  CHECK(readings() == expected);
+  scene.Property->ShadeOn();
+  CHECK(readings() == expected);
+  scene.Opacity->Modified();
+  CHECK(readings() == expected);
+  scene.Opacity->AddPoint(120, 0.7, 0.9, 0.8);
+  CHECK(readings() == ++expected);
+  scene.Color->AddRGBPoint(100, 0.2, 0.9, 0.2);
+  CHECK(readings() == ++expected);
+  scene.Property->SetScalarOpacityUnitDistance(3.5);
+  CHECK(readings() == ++expected);
+  CHECK(readings() == expected);
+}
+
+// What is drawn for a hardware selector is drawn as the application has it, is no frame, and teaches nothing.
+void LeavesPickingAlone(Kind kind)
+{
+  Work scene(kind);
+  if (auto* cpu = vtkFixedPointVolumeRayCastMapper::SafeDownCast(scene.Mapper))
+  {
+    // It sets coarse distances itself.
+    cpu->AutoAdjustSampleDistancesOff();
+    scene.Draw();
+  }
+  const std::string base = std::getenv("ENTIRE_TEST_FILE");
+  const std::string before = base + ".before", after = base + ".after", later = base + ".later";
+  const vtkIdType steered = scene.Steering->GetNumberOfSteeredFrames();
+  CHECK(scene.Steering->SaveState(before.c_str()));
+  int frames = 0, coarse = 0;
+  {
+    After frame(scene.Steering, vtkEntireSteering::FrameEvent, [&] { ++frames; });
+    After start(scene.Mapper, vtkCommand::VolumeMapperRenderStartEvent,
+      [&] { coarse += Read(scene.Mapper).Distance > 1.01f ? 1 : 0; });
+    vtkNew<vtkHardwareSelector> selector;
+    selector->SetRenderer(scene.Renderer);
+    selector->SetArea(0, 0, 159, 119);
+    selector->SetFieldAssociation(vtkDataObject::FIELD_ASSOCIATION_CELLS);
+    vtkSmartPointer<vtkSelection>::Take(selector->Select());
+  }
+  CHECK(frames == 0 && coarse == 0);
+  CHECK(scene.Steering->GetNumberOfSteeredFrames() == steered);
+  CHECK(scene.Steering->SaveState(after.c_str()));
+  CHECK(!Bytes(before).empty() && Bytes(before) == Bytes(after));
+  // Where a frame does.
+  scene.Draw();
+  CHECK(scene.Steering->GetNumberOfSteeredFrames() == steered + 1);
+  CHECK(scene.Steering->SaveState(later.c_str()));
+  CHECK(Bytes(later) != Bytes(before));
+}
+
+// A mapper's MTime is the application's: the GPU mapper composes its shader again where it moves.
+void LeavesModifiedTimesAlone(Kind kind)
+{
+  Work scene(kind);
+  int told = 0;
+  After modified(scene.Mapper, vtkCommand::ModifiedEvent, [&] { ++told; });
+  const vtkMTimeType before = scene.Mapper->GetMTime();
+  for (const double coarsest : { 3.0, 2.0, 5.0 })
+  {
+    scene.Steering->SetCoarsestSampleDistance(coarsest);
+    scene.Draw();
+    CHECK(scene.Steering->GetSampleDistance() > 1.5);
+  }
+  CHECK(scene.Mapper->GetMTime() == before && told == 0);
+}
+
+// A window that counts how often somebody waited for its device.
+class CountingWindow : public vtkXOpenGLRenderWindow
+{
+public:
+  static CountingWindow* New();
+  vtkTypeMacro(CountingWindow, vtkXOpenGLRenderWindow);
+  void WaitForCompletion() override
+  {
+    ++this->Waits;
+    this->Superclass::WaitForCompletion();
+  }
+  int Waits = 0;
+};
+vtkStandardNewMacro(CountingWindow);
+
+// A GPU mapper's time begins when what the device was given before is done; a mapper on the CPU waits for nothing.
+void WaitsForTheDevice(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<CountingWindow> window;
+  window->SetOffScreenRendering(1);
+  window->SetSize(160, 120);
+  scene.Window->RemoveRenderer(scene.Renderer);
+  window->AddRenderer(scene.Renderer);
+  window->SetDesiredUpdateRate(15);
+  vtkNew<vtkEntireSteering> steering;
+  steering->SetTargetFrameTime(1000);
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  window->Render();
+  int atStart = 0;
+  const int before = window->Waits;
+  {
+    After start(
+      scene.Mapper, vtkCommand::VolumeMapperRenderStartEvent, [&] { atStart = window->Waits - before; });
+    window->Render();
+  }
+  CHECK(steering->GetNumberOfSteeredFrames() > 0);
+  CHECK(atStart == (kind == GPU ? 1 : 0) && window->Waits - before == (kind == GPU ? 2 : 0));
+  window->RemoveRenderer(scene.Renderer);
+  scene.Window->AddRenderer(scene.Renderer);
+}
+
+// What is known of a mapper's pictures is that of the mapper which draws, and goes to the library, which checks
+// it.
+void KnowsItsPictures(Kind kind)
+{
+  Work scene(kind);
+  const bool fixed = kind == FIXED || kind == SMART_FIXED;
+  const auto set = [&](bool own, double weight) {
+    if (own == fixed)
+    {
+      scene.Steering->SetFixedPointQuality(weight, 1, 1, 0);
+    }
+    else
+    {
+      scene.Steering->SetGPUQuality(weight, 1, 1, 0);
+    }
+    scene.Draw();
+  };
+  set(false, -1);
+  CHECK(Empty(scene.Steering->GetStatus()));
+  set(true, -1);
+  CHECK(Is(scene.Steering->GetReason(), "fallback") && Says(scene.Steering->GetStatus(), "image weight is -1"));
+  for (const double weight : { 0.0, 3.0 })
+  {
+    set(true, weight);
+    CHECK(Empty(scene.Steering->GetStatus()) && scene.Steering->GetImageSampleDistance() > 2);
+  }
+}
+
+const std::map<std::string, std::function<void(Kind)>> TESTS = {
+  { "NoticesChangedVoxels", NoticesChangedVoxels },
+  { "NoticesNewFunctionsOnly", NoticesNewFunctionsOnly },
+  { "LeavesPickingAlone", LeavesPickingAlone },
+  { "LeavesModifiedTimesAlone", LeavesModifiedTimesAlone },
+  { "WaitsForTheDevice", WaitsForTheDevice },
+  { "KnowsItsPictures", KnowsItsPictures },
+};
+}
+
+int main(int argc, char* argv[])
+{
+  return Main(argc, argv, TESTS);
+}
