@@ -5,6 +5,7 @@ told is `unmeasured`, and short. See bars.sh.
 """
 import argparse
 import json
+import math
 import os
 import statistics
 import subprocess
@@ -43,23 +44,29 @@ def median(repeats, pick):
     return None if None in values else statistics.median(values)
 
 
+# Volumes of noise that the comparison does not draw: their seeds.
+OTHERS = (19, 31)
+
+
 def calibrate(options, mapper):
-    """A model of this mapper from 60 random frames of the comparison's volume."""
+    """A model of this mapper from 60 random frames of volumes other than the comparison's."""
     import vtk_scene
     from timing_table import write_nrrd
 
-    volume = os.path.join(options.out, "noise.nrrd")
-    if not os.path.exists(volume):
-        write_nrrd(volume, vtk_scene.noise_volume(256))
-    table = os.path.join(options.out, f"calibration-{mapper}.csv")
-    model = os.path.join(options.out, f"calibration-{mapper}.safetensors")
+    volumes = []
+    for seed in OTHERS:
+        volumes.append(os.path.join(options.out, f"noise-{seed}.nrrd"))
+        if not os.path.exists(volumes[-1]):
+            write_nrrd(volumes[-1], vtk_scene.noise_volume(256, seed))
+    table = os.path.join(options.out, f"others-{mapper}.csv")
+    model = os.path.join(options.out, f"others-{mapper}.safetensors")
     if not os.path.exists(table):
         part = os.path.join(options.out, f"part-{mapper}.csv")
         if os.path.exists(part):
             os.remove(part)
         logged(os.path.join(options.out, f"collect-{mapper}.log"), sys.executable, os.path.join(PLUGIN, "collect_vtk.py"),
-               "--mapper", mapper, "--out", part, "--frames", 60, "--repeats", 2, "--min-size", 96, "--max-size", 512,
-               "--steps", "1,1.4,2,3,4", volume)
+               "--mapper", mapper, "--out", part, "--frames", 60 // len(OTHERS), "--repeats", 2, "--min-size", 96,
+               "--max-size", 512, "--steps", "1,1.4,2,3,4", *volumes)
         os.replace(part, table)
     logged(os.path.join(options.out, f"train-{mapper}.log"), options.entire, "train", "--data", table, "--clock", "cpu",
            "--model-kind", "analytic", "--quiet", "--out", model)
@@ -81,22 +88,24 @@ def comparison_bars(options, mapper):
         bar(f"{label} |t-target|/target, frames over target", median(repeats, lambda r: r[name]["cpu"]["off_hard"]), limit)
         bar(f"{label} share over 1.25x", median(repeats, lambda r: r[name]["cpu"]["over"]), 0.02)
         bar(f"{label} frames until recovered", median(repeats, lambda r: max(r[name]["cpu"]["recovery"])), 1)
-        bar(f"{label} image error / AutoAdjust's at its mean time", relative_error(repeats, name), 1)
-        bar(f"{label} observer us", median(repeats, lambda r: r[name]["observer_us"]), 100)
+        bar(f"{label} image error / AutoAdjust's at its mean time", relative_error(repeats, name), 0.9)
+        bar(f"{label} observer us", median(repeats, lambda r: r[name]["observer_us"]), 40)
 
 
 def relative_error(repeats, name):
-    """Image error over that of AutoAdjust at the same mean frame time, on the line through its two runs, all as means over the
-    repeats. The line is drawn on by a twentieth of the longer time at most; None beyond that."""
+    """Image error over that of AutoAdjust at the same mean frame time on the wall, by the power law through its three rates
+    (least squares in logarithms), all as means over the repeats. The law is drawn on by a tenth of the longest and the
+    shortest time at most; None beyond that."""
     def mean(who):
-        return tuple(statistics.fmean(r[who]["cpu"][what] for r in repeats) for what in ("mean_ms", "error"))
+        return tuple(statistics.fmean(r[who]["wall"][what] for r in repeats) for what in ("mean_ms", "error"))
 
     at, error = mean(name)
-    (x0, y0), (x1, y1) = sorted((mean("auto"), mean("scaled")))
-    if not (x0 <= at <= 1.05 * x1 and x1 > x0):
+    points = [mean(who) for who in ("auto", "between", "scaled")]
+    times = [time for time, _ in points]
+    if not (0.9 * min(times) <= at <= 1.1 * max(times)) or min(e for _, e in points) <= 0:
         return None
-    other = y0 + (y1 - y0) * (at - x0) / (x1 - x0)
-    return error / other if other > 0 else float("inf")
+    slope, intercept = statistics.linear_regression(*([math.log(p[k]) for p in points] for k in (0, 1)))
+    return error / math.exp(intercept + slope * math.log(at))
 
 
 def main():
