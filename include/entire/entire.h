@@ -723,11 +723,11 @@ typedef struct entire_session_options {
      */
     uint32_t probe_side;
     /**
-     * Error of the probe that a plan may leave unknown, as a share of the frame's time, 0 to 1. Over 0,
-     * plans begin with a probe of 4 rays along each side, and take finer ones, up to `probe_side` (0: 11),
-     * only where the error that a probe estimates of itself is larger than this and could change the plan.
-     * Default 0: every plan takes the whole probe. A network keeps its own. Leave it 0 in a session that
-     * records frames.
+     * Error of the probe that a plan may leave unknown, as a share of the frame's time, 0 to 1. Over 0, plans
+     * begin with a probe of 4 rays along each side, and take finer ones, up to `probe_side` (0: 11), only where
+     * the error that a probe estimates of itself is larger than this and could change the plan; and while the
+     * view has hardly turned since rays were cast, what those met is taken. Default 0: every plan casts all of its
+     * rays. A network keeps its own probe. Leave it 0 in a session that records frames.
      */
     float probe_tolerance;
 } entire_session_options;

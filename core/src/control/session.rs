@@ -72,6 +72,7 @@ pub struct Session {
     lobes: Option<Vec<GaussianLobe>>,
     pub(super) features: FrameFeatures,
     ladder: Option<ladder::Ladder>,
+    cast_for: Option<ladder::Cast>,
     coarsening: Coarsening,
     enabled: bool,
     changes: Changes,
@@ -117,6 +118,7 @@ impl Session {
             lobes: None,
             features,
             ladder: None,
+            cast_for: None,
             coarsening: Coarsening::of_step(StepLimits::default()),
             enabled: true,
             changes: Changes { first: true, ..Changes::default() },
@@ -473,7 +475,9 @@ impl Session {
         if frame.skipping == Skipping::Distance {
             transfer.prepare_distance();
         }
-        self.features.measure(volume, transfer, frame)
+        self.features.measure(volume, transfer, frame)?;
+        self.note_cast(frame);
+        Ok(())
     }
 
     /// Lets the controller know of a frame whose setting it does not choose.

@@ -629,3 +629,51 @@ fn a_ladder_climbs_no_further_than_the_plan_needs() {
     assert!(Session::untrained().with_probe(0, Some(0.1)).is_err());
     assert!(Session::untrained().with_probe(11, Some(f32::NAN)).is_err());
 }
+
+#[test]
+fn rays_serve_while_the_view_has_hardly_turned() {
+    let voxels = sphere(64);
+    let view = VolumeView::new(Scalars::U8(&voxels), [64; 3]).unwrap();
+    let summary = VolumeSummary::new(&view, SummaryOptions::default()).unwrap();
+    let l = lobes(0.4, 0.05);
+    let table = TransferFunction::Gaussian(l.clone()).to_table().unwrap();
+    let mut session = Session::untrained().with_probe(7, Some(0.3)).unwrap();
+    session.set_volume(summary, None);
+    session.set_transfer(&table, Some(&l)).unwrap();
+    let seen = |session: &mut Session, frame: &Frame| {
+        session.plan(frame, 1e3).unwrap();
+        let probe = session.features.probe();
+        (probe.mean_chord(), probe.footprint().share)
+    };
+    let first = seen(&mut session, &frame(20.0, 30.0, 2.6));
+    let near = seen(&mut session, &frame(22.0, 32.0, 2.62));
+    assert_eq!(near.0, first.0);
+    assert_ne!(near.1, first.1);
+    // Every further frame is held against the one that the rays were cast for.
+    assert_ne!(seen(&mut session, &frame(24.0, 34.0, 2.64)).0, first.0);
+    // Whatever else changes, rays are cast.
+    let wide = Frame { width: 300, ..frame(24.0, 34.0, 2.64) };
+    let mut before = seen(&mut session, &wide).0;
+    for change in 0..3 {
+        match change {
+            0 => session.set_transfer(&table, Some(&l)).unwrap(),
+            1 => session.mark(Changes { camera: true, ..Changes::default() }),
+            _ => {}
+        }
+        let near = frame(25.0 + 0.4 * change as f32, 34.0, 2.64);
+        let far = frame(24.0, 34.0, 2.9);
+        let turned = Frame { width: 300, ..if change == 2 { far } else { near } };
+        let now = seen(&mut session, &turned).0;
+        assert_ne!(now, before, "{change}");
+        before = seen(&mut session, &wide).0;
+        if change < 2 {
+            assert_eq!(before, now);
+        }
+    }
+    // Without a tolerance every plan casts its rays.
+    let mut plain = Session::untrained().with_probe(7, None).unwrap();
+    plain.set_volume(VolumeSummary::new(&view, SummaryOptions::default()).unwrap(), None);
+    plain.set_transfer(&table, Some(&l)).unwrap();
+    let first = seen(&mut plain, &frame(20.0, 30.0, 2.6));
+    assert_ne!(seen(&mut plain, &frame(21.0, 30.0, 2.6)).0, first.0);
+}

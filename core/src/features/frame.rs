@@ -228,6 +228,19 @@ impl FrameFeatures {
         Ok(())
     }
 
+    /// Takes a frame's view without casting rays: where the volume stands in the image is new, what its rays met
+    /// stays. For a view close to that of the measured frame, of all else the same. Gives whether that could be
+    /// done.
+    pub(crate) fn turn(&mut self, volume: &VolumeSummary, frame: &Frame) -> Result<bool> {
+        frame.checked()?;
+        if !self.probe.turn(volume.shape(), frame) {
+            return Ok(false);
+        }
+        self.pose = frame.camera.to_arcball();
+        self.along = along(frame, volume.shape().spacing, self.probe.footprint());
+        Ok(true)
+    }
+
     /// Rays along each side of the probe.
     pub fn probe_side(&self) -> usize {
         self.probe_side

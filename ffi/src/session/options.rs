@@ -32,11 +32,11 @@ pub struct entire_session_options {
     /// analytic one), 1 to 24. Fewer make plans cheaper and what they are made from rougher, with the square
     /// of the side. Default 0: 11. A network keeps the side that its file names, which it was trained with.
     pub probe_side: u32,
-    /// Error of the probe that a plan may leave unknown, as a share of the frame's time, 0 to 1. Over 0,
-    /// plans begin with a probe of 4 rays along each side, and take finer ones, up to `probe_side` (0: 11),
-    /// only where the error that a probe estimates of itself is larger than this and could change the plan.
-    /// Default 0: every plan takes the whole probe. A network keeps its own. Leave it 0 in a session that
-    /// records frames.
+    /// Error of the probe that a plan may leave unknown, as a share of the frame's time, 0 to 1. Over 0, plans
+    /// begin with a probe of 4 rays along each side, and take finer ones, up to `probe_side` (0: 11), only where
+    /// the error that a probe estimates of itself is larger than this and could change the plan; and while the
+    /// view has hardly turned since rays were cast, what those met is taken. Default 0: every plan casts all of its
+    /// rays. A network keeps its own probe. Leave it 0 in a session that records frames.
     pub probe_tolerance: f32,
 }
 

@@ -339,10 +339,10 @@ std::string ReadCamera(
     }
     eye[row] /= scale;
   }
-  const int* size = renderer->GetSize();
   double angle = camera->GetViewAngle();
   if (camera->GetUseHorizontalViewAngle())
   {
+    const int* size = renderer->GetSize();
     angle = 2 *
       vtkMath::DegreesFromRadians(
         std::atan(std::tan(vtkMath::RadiansFromDegrees(0.5 * angle)) * size[1] / std::max(1, size[0])));

@@ -42,9 +42,9 @@ constexpr std::size_t REST_FRAMES = 5;
 // Shading, interpolation, blend mode, gradient opacity.
 using ModeKey = std::array<int, 4>;
 
-// Keeps an object alive during a call, as a smart pointer does. A smart pointer that lets go of an algorithm or of a
-// data object sends VTK's garbage collector through the pipeline behind it, in every frame; this one does so only
-// where another reference went meanwhile.
+// Keeps an object alive during a call, as a smart pointer does. A smart pointer that lets go of an algorithm or of
+// a data object sends VTK's garbage collector through the pipeline behind it, in every frame; this one does so
+// only where another reference went meanwhile.
 template <class T>
 class Hold
 {

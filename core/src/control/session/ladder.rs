@@ -6,12 +6,58 @@ use crate::error::bail;
 use crate::features::{FrameFeatures, MAX_PROBE_SIDE, Setting};
 use crate::predict::Prediction;
 use crate::scene::Frame;
+use glam::Vec3;
 
 /// Rays along each side of the probes that a plan begins with, coarsest first.
 const SIDES: [usize; 4] = [4, 7, 11, 16];
 
 /// The probe is taken to be off by at most as many of its standard errors.
 const STANDARD_ERRORS: f32 = 2.0;
+
+/// How far the eye may turn about the volume, and the view about the eye, before rays are cast again, in radians
+/// per unit of the tolerance: what rays meet changes slowly.
+const TURN: f32 = 0.25;
+
+/// As [`TURN`], of ln of the eye's distance.
+const APPROACH: f32 = 0.15;
+
+/// The frame that the probe's rays were cast for.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cast {
+    setting: Setting,
+    termination: f32,
+    eye: Vec3,
+    axis: Vec3,
+    /// Height of the view at distances 0 and 1.
+    heights: [f32; 2],
+}
+
+impl Cast {
+    fn of(frame: &Frame) -> Self {
+        let camera = &frame.camera;
+        Self {
+            setting: Setting { step: 1.0, ..Setting::from(frame) },
+            termination: frame.termination,
+            eye: camera.eye(),
+            axis: camera.view().row(2).truncate(),
+            heights: [camera.height_at(0.0), camera.height_at(1.0)],
+        }
+    }
+
+    /// Whether rays cast for this frame tell of another as well as the tolerance asks.
+    fn serves(&self, other: &Self, tolerance: f32) -> bool {
+        let least = libm::cosf(TURN * tolerance);
+        let near =
+            |a: Vec3, b: Vec3| a.dot(b) >= least * libm::sqrtf(a.length_squared() * b.length_squared());
+        let approach = libm::fabsf(libm::logf(self.eye.length() / other.eye.length()));
+        self.setting == other.setting
+            && self.termination == other.termination
+            && self.heights == other.heights
+            && near(self.eye, other.eye)
+            && near(self.axis, other.axis)
+            && approach <= APPROACH * tolerance
+    }
+}
 
 /// How far a plan looks.
 #[derive(Clone, Copy, Debug)]
@@ -30,7 +76,8 @@ impl Session {
     /// With a `tolerance`, plans begin with a probe of 4² rays, and take one of 7², 11², 16² and at last `side`² only
     /// while the error that a probe estimates of itself could change the plan: while it is larger than the tolerance (a
     /// share of the frame's time, which changes the step by as much), unless even so the finest step surely meets the
-    /// target, or the coarsest surely does not. So `side` bounds what a plan may cost, and most plans cost less.
+    /// target, or the coarsest surely does not. While the view has hardly turned since rays were cast, plans take what
+    /// those met, and where the volume stands in the image now. So `side` bounds what a plan may cost, and most plans cost less.
     /// [`FrameFeatures::probe_side`] of [`Session::features`] tells how far the last one went.
     /// [`Session::predict`] and [`Session::choose`] take the finest probe.
     ///
@@ -59,6 +106,11 @@ impl Session {
         Ok(self)
     }
 
+    /// Notes which frame rays are cast for.
+    pub(super) fn note_cast(&mut self, frame: &Frame) {
+        self.cast_for = self.ladder.map(|_| Cast::of(frame));
+    }
+
     /// Measures a frame as finely as anything may.
     pub(super) fn measure(&mut self, frame: &Frame) -> Result<()> {
         if let Some(ladder) = self.ladder {
@@ -70,6 +122,15 @@ impl Session {
     /// Measures a frame as finely as its plan needs.
     pub(super) fn measure_for(&mut self, frame: &Frame, target: f32) -> Result<()> {
         let Some(ladder) = self.ladder else { return self.cast(frame) };
+        let view = Cast::of(frame);
+        if self.cast_for.is_some_and(|cast| cast.serves(&view, ladder.tolerance))
+            && !self.changes_for(frame).any()
+            && let Some(volume) = &self.volume
+            && self.features.turn(volume, frame)?
+            && self.suffices(frame, target, ladder.tolerance)?
+        {
+            return Ok(());
+        }
         for side in SIDES.into_iter().filter(|&side| side < ladder.finest) {
             self.features.set_probe_side(side);
             self.cast(frame)?;

@@ -12,7 +12,7 @@ use self::march::{
 };
 use super::{Footprint, TransferSummary, VolumeSummary};
 use crate::kernels::Level;
-use crate::scene::{Frame, Skipping};
+use crate::scene::{Frame, Shape, Skipping};
 
 /// The probe has this many rays along each side of the footprint's bounding rectangle, unless told otherwise.
 pub const PROBE_SIDE: usize = 11;
@@ -243,6 +243,17 @@ impl Probe {
             block_skips,
             distance_skips: if mapped { distance_skips.mean(inv) } else { block_skips },
         }
+    }
+
+    /// Brings what rays met to another view of the same volume, which must be close to theirs: where the volume
+    /// stands in the image is new, what a ray meets there stays. Gives whether there is anything to bring.
+    pub(super) fn turn(&mut self, shape: Shape, frame: &Frame) -> bool {
+        let footprint = Footprint::new(shape.half_extent, &frame.camera, frame.width, frame.height);
+        if self.rays == 0 || footprint.share <= 0.0 {
+            return false;
+        }
+        self.footprint = footprint;
+        true
     }
 
     /// As [`Probe::new`], one ray after another.
