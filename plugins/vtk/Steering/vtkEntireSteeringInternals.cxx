@@ -194,6 +194,23 @@ void vtkEntireSteering::vtkInternals::FindMappers()
 }
 
 //------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::ForEach(void (Leaf::*handle)())
+{
+  if (this->Drawing.size() == 1)
+  {
+    // As most often; a list costs memory.
+    const std::shared_ptr<Leaf> leaf = this->Drawing[0];
+    (leaf.get()->*handle)();
+    return;
+  }
+  const Leaves leaves = this->Drawing;
+  for (const auto& leaf : leaves)
+  {
+    (leaf.get()->*handle)();
+  }
+}
+
+//------------------------------------------------------------------------------
 void vtkEntireSteering::vtkInternals::RendererStart()
 {
   const vtkSmartPointer<vtkEntireSteering> owner(this->Owner);
@@ -224,11 +241,7 @@ void vtkEntireSteering::vtkInternals::RendererStart()
     this->Report(nullptr, "the volume is not among the props of the renderer that Attach() was given");
     return;
   }
-  const Leaves leaves = this->Drawing;
-  for (const auto& leaf : leaves)
-  {
-    leaf->RendererStart();
-  }
+  this->ForEach(&Leaf::RendererStart);
 }
 
 //------------------------------------------------------------------------------
@@ -237,11 +250,7 @@ void vtkEntireSteering::vtkInternals::RendererEnd()
   const vtkSmartPointer<vtkEntireSteering> owner(this->Owner);
   const vtkEntire::Busy::Handling handling(this->Busy);
   this->Rendering = false;
-  const Leaves leaves = this->Drawing;
-  for (const auto& leaf : leaves)
-  {
-    leaf->RendererEnd();
-  }
+  this->ForEach(&Leaf::RendererEnd);
   if (!this->InFrame)
   {
     this->SayWarnings();

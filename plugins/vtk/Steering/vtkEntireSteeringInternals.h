@@ -273,6 +273,8 @@ public:
   void Observe(vtkRenderer* renderer);
   void ObserveWindow(vtkRenderWindow* window);
   void FindMappers();
+  // Hands an event to every leaf that there is now, whatever becomes of the list meanwhile.
+  void ForEach(void (Leaf::*handle)());
   void RendererStart();
   void RendererEnd();
   void WindowStart();
