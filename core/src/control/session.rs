@@ -177,6 +177,8 @@ impl Session {
             transfer.follow(&volume)?;
         }
         self.volume = Some(volume);
+        // What rays met was the time step before.
+        self.cast_for = None;
         if volume_features.is_some() {
             self.volume_features = volume_features;
         }

@@ -670,6 +670,11 @@ fn rays_serve_while_the_view_has_hardly_turned() {
             assert_eq!(before, now);
         }
     }
+    // So they are for another time step.
+    let thinner: Vec<u8> = voxels.iter().map(|&v| if v < 120 { 0 } else { v }).collect();
+    let next = VolumeView::new(Scalars::U8(&thinner), [64; 3]).unwrap();
+    session.set_time_step(VolumeSummary::new(&next, SummaryOptions::default()).unwrap(), None).unwrap();
+    assert_ne!(seen(&mut session, &wide).0, before);
     // Without a tolerance every plan casts its rays.
     let mut plain = Session::untrained().with_probe(7, None).unwrap();
     plain.set_volume(VolumeSummary::new(&view, SummaryOptions::default()).unwrap(), None);
