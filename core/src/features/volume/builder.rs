@@ -1,7 +1,7 @@
 //! A summary made slab by slab.
 
 use super::entries::{Map, Voxel};
-use super::scan::{Bounds, Found, Grid};
+use super::scan::{Bounds, Found, Grid, nothing};
 use super::{LARGEST_INDEX, SummaryOptions, VolumeSummary};
 use crate::Result;
 use crate::error::bail;
@@ -201,10 +201,8 @@ pub(super) fn set_remapped<'a, T: Voxel>(
         summary.remapped = true;
         return;
     }
-    let (mut smallest, mut largest) = (f32::INFINITY, f32::NEG_INFINITY);
-    for &[low, high] in bounds {
-        (smallest, largest) = (smallest.min(low.number()), largest.max(high.number()));
-    }
+    let wider = |[a, b]: Bounds<T>, [low, high]: &Bounds<T>| [a.lesser(*low), b.greater(*high)];
+    let [smallest, largest] = bounds.fold(nothing(), wider).map(T::number);
     summary.remapped = smallest != 0.0 || largest > f32::from(LARGEST_INDEX);
 }
 
