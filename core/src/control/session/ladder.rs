@@ -16,7 +16,7 @@ const STANDARD_ERRORS: f32 = 2.0;
 
 /// How far the eye may turn about the volume, and the view about the eye, before rays are cast again, in radians
 /// per unit of the tolerance: what rays meet changes slowly.
-const TURN: f32 = 0.25;
+const TURN: f32 = 0.4;
 
 /// As [`TURN`], of ln of the eye's distance.
 const APPROACH: f32 = 0.15;
