@@ -127,7 +127,9 @@ impl Session {
             && !self.changes_for(frame).any()
             && let Some(volume) = &self.volume
             && self.features.turn(volume, frame)?
-            && self.suffices(frame, target, ladder.tolerance)?
+            // Nothing is finer than the finest.
+            && (self.features.probe_side() >= ladder.finest
+                || self.suffices(frame, target, ladder.tolerance)?)
         {
             return Ok(());
         }
