@@ -126,14 +126,18 @@ impl Coarsening {
     /// Sets the largest image sample distance, and how many times the finest step comes before any distance
     /// over 1, where no quality is known; numbers of at least 1 and at most 64.
     pub(super) fn set_max_distance(&mut self, distance: f32, step_alone: f32) {
-        self.largest = (distance, step_alone);
-        self.lay();
+        if self.largest != (distance, step_alone) {
+            self.largest = (distance, step_alone);
+            self.lay();
+        }
     }
 
     /// Sets what is known of the renderer's pictures; checked numbers.
     pub(super) fn set_quality(&mut self, quality: Option<Quality>) {
-        self.quality = quality;
-        self.lay();
+        if self.quality != quality {
+            self.quality = quality;
+            self.lay();
+        }
     }
 
     /// Lays the path.

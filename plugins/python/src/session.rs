@@ -15,7 +15,7 @@ use crate::transfer::TransferFunction;
 use crate::volume::Volume;
 use entire_core::calibrate::Calibrated;
 use entire_core::control::ObserveFlags;
-use entire_core::control::{HybridOptions, Session as Core, StepLimits};
+use entire_core::control::{HybridOptions, Quality, Session as Core, StepLimits};
 use entire_core::features::{Changes, Setting};
 use entire_core::nn::Executor;
 use entire_core::predict::{AnalyticModel, Predictor};
@@ -172,6 +172,41 @@ impl Session {
     #[pyo3(signature = (coarsest, step_alone = 1.0))]
     fn set_max_image_sample_distance(&self, py: Python<'_>, coarsest: f32, step_alone: f32) -> PyResult<()> {
         self.state(py)?.core.set_max_image_sample_distance(coarsest, step_alone).map_err(raise)
+    }
+
+    /// Tells what coarser steps and smaller images cost this renderer's pictures, so that plans coarsen what
+    /// shows less.
+    ///
+    /// A picture's distance from full quality goes as ``(s - 1)**step_exponent + image_weight *
+    /// (d - 1)**image_exponent`` and its time as ``(ray_share + (1 - ray_share) / s) / d**2``, for a step of s
+    /// finest ones and rays d pixels apart. Takes the place of `step_alone` in
+    /// :meth:`set_max_image_sample_distance`.
+    ///
+    /// Parameters
+    /// ----------
+    /// image_weight : float or None
+    ///     What an image of half the size along each side costs, over what a step twice as coarse does: 1e-3 to
+    ///     1e3. None, as sessions start, knows nothing.
+    /// step_exponent, image_exponent : float, optional
+    ///     How the costs grow, 0.05 to 8. Default 1.
+    /// ray_share : float, optional
+    ///     Share of the time at full quality that goes with rays, not with their samples, 0 to 0.9. Default 0.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For other numbers.
+    #[pyo3(signature = (image_weight, step_exponent = 1.0, image_exponent = 1.0, ray_share = 0.0))]
+    fn set_quality(
+        &self,
+        py: Python<'_>,
+        image_weight: Option<f32>,
+        step_exponent: f32,
+        image_exponent: f32,
+        ray_share: f32,
+    ) -> PyResult<()> {
+        let known = |image_weight| Quality { image_weight, step_exponent, image_exponent, ray_share };
+        self.state(py)?.core.set_quality(image_weight.map(known)).map_err(raise)
     }
 
     /// Switches steering off (every plan answers the frame's own step: for screenshots and still frames) or

@@ -41,6 +41,10 @@ def test_the_image_shrinks_where_it_may(voxels, tf):
     session = entire.Session(entire.Volume(voxels))
     session.set_limits(1, 2)
     session.set_max_image_sample_distance(4)
+    with pytest.raises(ValueError, match="image weight"):
+        session.set_quality(0.0)
+    session.set_quality(5.9, 0.97, 1.54, ray_share=0.33)
+    session.set_quality(None)
     for _ in range(30):
         plan = session.plan(CAMERA, tf, (640, 480), target=0.005)
         session.observe(plan, drawn(plan))

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("entire.vtk")
 
-# Coarsening of the GPU mapper's step before its image shrinks: any smaller image is blurred by much.
-_GPU_STEP_ALONE = 2.1
+# What coarser steps and smaller images cost the mappers' pictures (Session.set_quality), as vtkEntireSteering has it.
+_GPU_QUALITY = (8.5, 1.22, 0.78, 0.15)
+_FIXED_POINT_QUALITY = (5.9, 0.97, 1.54, 0.33)
 _NAN = math.nan
 # Where a volume keeps Python's wrapper of its mapper.
 _KEPT = "_entire_mapper"
@@ -472,7 +473,8 @@ class Leaf:
         steering, session = self._steering, self._session
         session.set_limits(finest, max(finest, steering.coarsest))
         coarsest_image = min(64.0, max(1.0, steering.coarsest_image / self._pixels))
-        session.set_max_image_sample_distance(coarsest_image, _GPU_STEP_ALONE if self._gpu else 1.0)
+        session.set_max_image_sample_distance(coarsest_image)
+        session.set_quality(*(_GPU_QUALITY if self._gpu else _FIXED_POINT_QUALITY))
 
     @property
     def why(self) -> str:
