@@ -9,7 +9,7 @@ use entire_core::features::{
 };
 use entire_core::model::Model;
 use entire_core::predict::{GroupKind, Inputs, load};
-use entire_core::scene::{Camera, Frame, Shading, TransferFunction};
+use entire_core::scene::{Camera, Frame, GaussianLobe, Shading, TransferFunction, TransferTable};
 use serde::{Deserialize, Serialize};
 use std::time::Instant;
 
@@ -23,19 +23,25 @@ const FRAMES: u64 = 200;
 const ROUNDS: usize = 5;
 
 /// Seconds of one prediction in one thread, scene features included. Once per volume and once per transfer
-/// function there is more to do; the latter is apart.
+/// function there is more to do; the latter is apart. What a transfer function does to a cell is found when a ray
+/// first meets the cell: that belongs to the transfer function where it is the first frame's, and to the prediction
+/// where the camera has turned since.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Latency {
     /// Median with cold caches.
     pub cold: f64,
     /// Median over calls in a row.
     pub warm: f64,
-    /// Median for a new transfer function; 0 for models that do not look at the scene.
+    /// Median for a new transfer function: what it takes at once, and what its first prediction takes beyond the
+    /// next one; 0 for models that do not look at the scene.
     pub transfer: f64,
 }
 
 /// Frames that share a transfer function, where its cost is spread over them.
 const FRAMES_PER_TRANSFER: f64 = 30.0;
+
+/// How far the camera turns from one frame to the next, degrees.
+const TURN: f32 = 3.0;
 
 impl Latency {
     /// Median with cold caches of a session in which every 30th frame has a new transfer function.
@@ -53,11 +59,20 @@ impl Latency {
     }
 }
 
+/// A frame, and the one before it.
+#[derive(Debug)]
+struct Shot {
+    frame: Frame,
+    before: Frame,
+    table: TransferTable,
+    lobes: Vec<GaussianLobe>,
+}
+
 /// Frames of one volume on which latencies are taken.
 #[derive(Debug)]
 pub struct Bench {
     summary: VolumeSummary,
-    scenes: Vec<(Frame, entire_core::scene::TransferTable, Vec<entire_core::scene::GaussianLobe>)>,
+    scenes: Vec<Shot>,
     evicted: Vec<u64>,
 }
 
@@ -72,10 +87,13 @@ impl Bench {
         let scenes = (0..FRAMES)
             .map(|i| {
                 let s = drawn.draw(99, "latency", i);
-                let frame =
-                    Frame { shading, ..Frame::new(Camera::from_arcball(s.camera)?, s.width, s.height)? };
+                let seen = |camera| -> Result<Frame> {
+                    Ok(Frame { shading, ..Frame::new(Camera::from_arcball(camera)?, s.width, s.height)? })
+                };
+                let (frame, mut turned) = (seen(s.camera)?, s.camera);
+                turned.ry += TURN;
                 let table = TransferFunction::Gaussian(s.lobes.clone()).to_table()?;
-                Ok((frame, table, s.lobes))
+                Ok(Shot { frame, before: seen(turned)?, table, lobes: s.lobes })
             })
             .collect::<Result<_>>()?;
         Ok(Self { summary, scenes, evicted: vec![1; EVICTED_BYTES / 8] })
@@ -130,16 +148,16 @@ impl Bench {
         let looks = probe_side.is_some();
         let code = vec![0.1f32; codes];
         let mut features = FrameFeatures::with_probe_side(probe_side.unwrap_or(0));
-        let Some((_, first, _)) = self.scenes.first() else { return Err(anyhow::anyhow!("no scenes")) };
-        let mut transfer = TransferSummary::new(&self.summary, first)?;
+        let Some(first) = self.scenes.first() else { return Err(anyhow::anyhow!("no scenes")) };
+        let mut transfer = TransferSummary::new(&self.summary, &first.table)?;
         let (mut cold, mut warm, mut transfers) = (Vec::new(), Vec::new(), Vec::new());
-        for (frame, table, lobes) in &self.scenes {
+        for Shot { frame, before, table, lobes } in &self.scenes {
             let start = Instant::now();
             if looks {
                 transfer.update(&self.summary, table)?;
-                transfers.push(start.elapsed().as_secs_f64());
             }
-            let mut call = || -> Result<f64> {
+            let update = start.elapsed().as_secs_f64();
+            let mut call = |frame: &Frame| -> Result<f64> {
                 let start = Instant::now();
                 if looks {
                     features.measure(&self.summary, &mut transfer, std::hint::black_box(frame))?;
@@ -155,15 +173,24 @@ impl Bench {
                 std::hint::black_box(predict(&inputs)?);
                 Ok(start.elapsed().as_secs_f64())
             };
-            for value in &mut self.evicted {
-                *value = value.wrapping_mul(3);
+            let mut evict = || {
+                for value in &mut self.evicted {
+                    *value = value.wrapping_mul(3);
+                }
+                std::hint::black_box(&self.evicted);
+            };
+            evict();
+            let first = call(before)?;
+            evict();
+            let next = call(frame)?;
+            cold.push(next);
+            if looks {
+                transfers.push(update + (first - next).max(0.0));
             }
-            std::hint::black_box(&self.evicted);
-            cold.push(call()?);
             for _ in 0..3 {
-                call()?;
+                call(frame)?;
             }
-            warm.push(call()?);
+            warm.push(call(frame)?);
         }
         let mid = |mut v: Vec<f64>| entire_cli::metrics::median(&mut v).unwrap_or(0.0);
         Ok(Latency { cold: mid(cold), warm: mid(warm), transfer: mid(transfers) })
