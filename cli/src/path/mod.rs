@@ -212,7 +212,8 @@ impl Transfer {
 impl CameraPose {
     fn mix(self, other: Self, t: f32) -> Self {
         let go = |a: f32, b: f32| a + t * (b - a);
-        let grow = |a: f32, b: f32| go(a.ln(), b.ln()).exp();
+        // Rounding must not carry it beyond its ends, where a camera may be refused.
+        let grow = |a: f32, b: f32| go(a.ln(), b.ln()).exp().clamp(a.min(b), a.max(b));
         Self {
             rx_deg: go(self.rx_deg, other.rx_deg),
             ry_deg: go(self.ry_deg, other.ry_deg),

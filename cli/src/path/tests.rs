@@ -40,6 +40,18 @@ fn tracks_interpolate_hold_and_switch() {
 }
 
 #[test]
+fn interpolation_stays_between_its_ends_where_a_camera_may_be_no_farther() {
+    let text = GOOD
+        .replace("\"dz_radii\": 4", "\"dz_radii\": 1e6")
+        .replace("\"dz_radii\": 1}", "\"dz_radii\": 1e6}");
+    let path = PathFile::parse(&text).unwrap().resolve().unwrap();
+    for i in 0..path.frames.len() {
+        assert_eq!(path.frames[i].camera.dz, 1e6, "{i}");
+        assert!(path.camera(i).is_ok());
+    }
+}
+
+#[test]
 fn parallel_cameras_are_interpolated_in_their_scale_and_switch_to_others() {
     let text = GOOD.replacen("\"dz_radii\": 4}", "\"dz_radii\": 4, \"parallel_scale\": 1.6}", 1).replacen(
         "\"dz_radii\": 1}",
