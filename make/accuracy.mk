@@ -25,5 +25,5 @@ distill: build ## Distill the selected predictors into the paper's network, an h
 
 .PHONY: models
 models: ## Make the shipped predictors and their cards anew from the timing tables: models/
-	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --ship models
+	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --nested --ship models
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study data/timings/machines-study.json --out "$(STUDY_OUT)-machines" --ship models
