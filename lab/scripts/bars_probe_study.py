@@ -51,12 +51,9 @@ class Version:
             shutil.copy(ROOT / f"data/timings/{table}{ending}", self.work / f"{table}{ending}")
         run(self.tool("entire"), "features", "--data", self.work / f"{table}.csv.gz", "--probe-sides", "4,7", cwd=self.data)
 
-    def study(self, sets, again=False):
-        """Findings of a study of this version's selected recipe alone."""
+    def study(self, sets):
+        """Findings of a study of this version's selected recipe alone: models are kept, latencies are taken anew."""
         out = self.work / "out"
-        if again:
-            # Models are kept; latencies are taken anew.
-            (out / "study.json").unlink(missing_ok=True)
         description = json.loads((self.tree / "data/timings/study.json").read_text())
         selected = next(p for p in description["predictors"] if p["name"] == "selected")
         selected["in_set"] = {k: v for k, v in selected.get("in_set", {}).items() if k in sets}
@@ -111,7 +108,7 @@ def main():
     latencies = {}
     for _ in range(LATENCY_ROUNDS):
         for version in versions:
-            for s, _, latency in version.study(sets, again=True)["latencies"]:
+            for s, _, latency in version.study(sets)["latencies"]:
                 value = latency["cold"] + latency["transfer"] / FRAMES_PER_TRANSFER
                 key = (version.name, s)
                 latencies[key] = min(latencies.get(key, value), value)

@@ -2,10 +2,10 @@
 
 use super::data::{Folds, Learned};
 use super::nested::{Candidate, Method, Part, evaluate};
-use super::tests::table;
+use super::tests::telling;
 use super::*;
 use entire_cli::bound;
-use entire_cli::dataset::{Clock, Table, Timing};
+use entire_cli::dataset::Clock;
 use entire_cli::fit::{Kind, Recipe};
 use entire_cli::options::thread_pool;
 use entire_cli::split::{GroupBy, TimedFrames};
@@ -79,20 +79,6 @@ fn neither_choice_nor_bound_sees_predictions_of_models_that_saw_the_outer_part()
     assert!(found.bound.pinball > 0.04, "{}", found.bound.pinball);
     let drawn = found.intervals.unwrap();
     assert!(drawn.mdape.0 <= found.metrics.mdape && found.metrics.mdape <= drawn.mdape.1);
-}
-
-/// Frames of members whose seconds are their own, nothing that another member tells.
-fn telling() -> Table {
-    let frames: Vec<(String, String)> =
-        (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
-    let named: Vec<(&str, &str)> = frames.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
-    let mut t = table(&named);
-    for (i, f) in t.frames.iter_mut().enumerate() {
-        let seconds = [1.0, 1000.0, 2.0, 500.0][i % 4];
-        f.scene.camera.rx = (i % 4) as f32 * 20.0;
-        f.repeats = vec![Timing { cpu: Some(seconds), wall: Some(seconds), ..Timing::default() }];
-    }
-    t
 }
 
 #[test]

@@ -44,10 +44,8 @@ pub(super) fn table(volumes: &[(&str, &str)]) -> Table {
     Table { path: "t.csv".into(), manifest: None, frames, hash: 7, features: None, root: None }
 }
 
-#[test]
-fn what_is_cross_validated_was_not_learned_from() {
-    // Seconds are the member's own, nothing that another member tells: a predictor that had seen them would
-    // know.
+/// Frames of members whose seconds are their own, nothing that another member tells.
+pub(super) fn telling() -> Table {
     let frames: Vec<(String, String)> =
         (0..40).map(|i| (format!("e/m{}/t{}.nrrd", i % 4, i / 4), format!("m{}", i % 4))).collect();
     let named: Vec<(&str, &str)> = frames.iter().map(|(v, m)| (v.as_str(), m.as_str())).collect();
@@ -57,6 +55,13 @@ fn what_is_cross_validated_was_not_learned_from() {
         f.scene.camera.rx = (i % 4) as f32 * 20.0;
         f.repeats = vec![Timing { cpu: Some(seconds), wall: Some(seconds), ..Timing::default() }];
     }
+    t
+}
+
+#[test]
+fn what_is_cross_validated_was_not_learned_from() {
+    // A predictor that had seen a member's seconds would know them.
+    let t = telling();
     let part = TimedFrames::of(&t.frames, Clock::Cpu);
     let folder = tempfile::tempdir().unwrap();
     let pool = thread_pool(Some(1)).unwrap();
