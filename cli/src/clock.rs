@@ -4,6 +4,7 @@
 use crate::dataset::{Clock, TimedFrame};
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use entire_core::model::{Key, Model, ModelFile};
 
 /// The clock that a model predicts, as its file says: under [`Key::Clock`], else in its provenance. `None`
@@ -21,6 +22,14 @@ pub fn of(model: &Model) -> Option<Clock> {
 /// Writes the clock into a model file.
 pub fn set(file: &mut ModelFile, clock: Clock) {
     file.metadata.insert(Key::Clock.into(), clock.name().into());
+}
+
+/// Reads a clock that a model can state, as an option's value: every one but `auto`, which stands for another
+/// clock from device to device.
+pub fn fixed_parser() -> impl TypedValueParser<Value = Clock> {
+    let fixed = Clock::value_variants().iter().filter(|c| **c != Clock::Auto);
+    PossibleValuesParser::new(fixed.filter_map(|c| c.to_possible_value()))
+        .try_map(|name| Clock::from_str(&name, false))
 }
 
 /// The clock behind [`Clock::Auto`] for these frames: the device's where every repeat has it, wall time where
@@ -74,14 +83,37 @@ pub fn for_training<'a>(
             }
         }
     };
-    if let Some((name, theirs)) = base.filter(|b| b.1 != clock) {
-        crate::files::note(&format!(
-            "{name} predicts {} seconds; the new model predicts {} seconds",
-            theirs.name(),
-            clock.name()
-        ));
+    if let Some(text) = base.and_then(|(name, theirs)| started_from(name, Some(theirs), clock)) {
+        crate::files::note(&text);
     }
     Ok(clock)
+}
+
+/// What is to be said where a model of another clock is started from; `None` where its file states the same
+/// clock or none.
+pub fn started_from(name: &str, theirs: Option<Clock>, clock: Clock) -> Option<String> {
+    let theirs = theirs.filter(|c| *c != clock)?;
+    Some(format!(
+        "{name} predicts {} seconds; the new model predicts {} seconds, whose speed is learned from the frames",
+        theirs.name(),
+        clock.name()
+    ))
+}
+
+/// What is to be said where models that state no clock are judged or steer by one; `None` where all state one,
+/// and for [`Clock::Auto`], which names none.
+pub fn unstated<'a>(clock: Clock, models: impl IntoIterator<Item = (&'a str, &'a Model)>) -> Option<String> {
+    if clock == Clock::Auto {
+        return None;
+    }
+    let names: Vec<&str> = models.into_iter().filter(|m| of(m.1).is_none()).map(|m| m.0).collect();
+    (!names.is_empty()).then(|| {
+        format!(
+            "no clock is stated by {}; what is predicted is taken for {} seconds",
+            names.join(", "),
+            clock.name()
+        )
+    })
 }
 
 /// The clock by which models are judged or steer: the one that they state, which must be one and the same
@@ -158,6 +190,39 @@ mod tests {
         assert!(text.contains("a predicts cpu seconds") && text.contains("--clock wall"), "{text}");
         let text = agreed(Clock::Auto, [("a", &cpu), ("b", &wall)]).unwrap_err().to_string();
         assert!(text.contains("a predicts cpu seconds and b wall seconds"), "{text}");
+    }
+
+    #[test]
+    fn what_states_no_clock_or_another_one_is_said() {
+        let (cpu, none) = (model(Some(Clock::Cpu), None), model(None, None));
+        let text = unstated(Clock::Wall, [("a", &cpu), ("b", &none), ("c", &none)]).unwrap();
+        assert!(text.contains("by b, c;") && text.contains("wall seconds"), "{text}");
+        assert_eq!(unstated(Clock::Wall, [("a", &cpu)]), None);
+        assert_eq!(unstated(Clock::Auto, [("b", &none)]), None);
+        let text = started_from("a", of(&cpu), Clock::Wall).unwrap();
+        assert!(text.contains("a predicts cpu seconds") && text.contains("predicts wall seconds"), "{text}");
+        assert_eq!(started_from("a", of(&cpu), Clock::Cpu), None);
+        assert_eq!(started_from("b", of(&none), Clock::Cpu), None);
+    }
+
+    #[test]
+    fn a_clock_that_a_model_can_state_is_not_auto() {
+        #[derive(clap::Parser)]
+        struct Line {
+            #[arg(long, value_parser = fixed_parser(), default_value = "cpu")]
+            clock: Clock,
+        }
+        let read = |arguments: &[&str]| {
+            <Line as clap::Parser>::try_parse_from([&["line"], arguments].concat()).map(|l| l.clock)
+        };
+        assert_eq!(read(&[]).unwrap(), Clock::Cpu);
+        for clock in [Clock::Cpu, Clock::Wall, Clock::Device] {
+            assert_eq!(read(&["--clock", clock.name()]).unwrap(), clock);
+        }
+        for refused in ["auto", "CPU", "sundial"] {
+            let text = read(&["--clock", refused]).unwrap_err().to_string();
+            assert!(text.contains(refused) && text.contains("device, wall, cpu"), "{text}");
+        }
     }
 
     #[test]

@@ -84,11 +84,18 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     let logged = Model::from_bytes(&std::fs::read(at.join("logged.safetensors")).unwrap()).unwrap();
     assert!(load(&logged).is_ok() && logged.metadata()["entire.clock"] == "cpu");
 
-    // `predict` takes it by itself.
+    // Started from for another clock, which is said.
+    let prior = ["--clock", "wall", "--prior", path.to_str().unwrap(), "--out", "wall.safetensors"];
+    let wall = run(at, &[&["calibrate", "--data", "frames.csv", "--threads", "1"][..], &prior].concat());
+    assert!(wall.status.success(), "{}", stderr(&wall));
+    assert!(stderr(&wall).contains("predicts cpu seconds; the new model predicts wall seconds"), "{wall:?}");
+
+    // `predict` takes it by itself, and says whose seconds it gives.
     let columns: usize = model.inputs().iter().map(|g| g.size).sum();
     std::fs::write(at.join("rows.csv"), vec!["1.5"; columns].join(",") + "\n").unwrap();
     let predicted = run(at, &["predict", "--inputs", "rows.csv"]);
     assert!(predicted.status.success(), "{}", stderr(&predicted));
+    assert!(stderr(&predicted).contains("predicts cpu seconds"), "{predicted:?}");
     assert!(stdout(&predicted).trim().parse::<f64>().unwrap() > 0.0);
 }
 
@@ -121,6 +128,10 @@ fn what_cannot_be_calibrated_is_said() {
     volumes(at);
     refuses(at, &["calibrate"], &["data/ is not here", "name volume files"]);
     refuses_after_output(at, &["calibrate", "gone.nrrd", "--out", "m.safetensors"], &["gone.nrrd"]);
+    // A model states one clock.
+    let auto = entire(at, &["calibrate", "a.nrrd", "--clock", "auto", "--out", "m.safetensors"]);
+    assert_eq!(auto.status.code(), Some(2), "{auto:?}");
+    assert!(stderr(&auto).contains("'auto'") && stderr(&auto).contains("device, wall, cpu"), "{auto:?}");
     // The CPU twin has no time stamps.
     let mut arguments = vec!["calibrate", "a.nrrd", "--clock", "device", "--out", "m.safetensors"];
     arguments.extend(QUICK);

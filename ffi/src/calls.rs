@@ -244,6 +244,9 @@ fn a_saved_state_is_bound_to_the_renderer_and_the_clock() {
         }
         assert_eq!(entire_session_set_timing_source(session, null(), name), ENTIRE_NULL_ARGUMENT);
         assert_eq!(entire_session_set_timing_source(session, name, null()), ENTIRE_NULL_ARGUMENT);
+        let (mut model, mut own) = (ENTIRE_CLOCK_CPU, ENTIRE_CLOCK_CPU);
+        ok(entire_session_clocks(session, &raw mut model, &raw mut own));
+        assert_eq!((model, own), (ENTIRE_CLOCK_UNSTATED, ENTIRE_CLOCK_WALL));
         // What was refused has changed nothing.
         assert_eq!(taken(session, &state), ENTIRE_OK);
     }

@@ -394,6 +394,15 @@ struct calibration {
     entire_calibration_report report;
 };
 
+// By which clock a session's model predicts, and by which its frames are timed (ENTIRE_CLOCK_*).
+struct clocks {
+    entire_clock model = ENTIRE_CLOCK_UNSTATED, own = ENTIRE_CLOCK_UNSTATED;
+    // Where both are stated and differ, the factor between them is learned from the first frames.
+    bool differ() const noexcept {
+        return model != own && model != ENTIRE_CLOCK_UNSTATED && own != ENTIRE_CLOCK_UNSTATED;
+    }
+};
+
 // What entire_session_choose picked.
 struct choice {
     std::size_t index;
@@ -478,6 +487,11 @@ public:
     // What is observed, and by which clock: saved states are of one renderer and one clock.
     status set_timing_source(const std::string &renderer, const std::string &clock) {
         return detail::done(entire_session_set_timing_source(get(), renderer.c_str(), clock.c_str()));
+    }
+    plain_result<entire::clocks> clocks() const {
+        entire::clocks found;
+        if (auto code = entire_session_clocks(get(), &found.model, &found.own)) return failure::last(code);
+        return found;
     }
     result<std::vector<std::uint8_t>> save_state() const {
         std::size_t count = 0;

@@ -1,6 +1,9 @@
-//! `entire-lab gpu-study` as a process, on the driver that is there or else the CPU twin: steps that have no time are left out by name, what is done is
-//! kept, and the same command goes on.
+//! `entire-lab gpu-study` as a process, on the Vulkan driver that is there or else on the CPU twin: pictures of all
+//! shading modes beside the twin's, steps that have no time are left out by name, what is done is kept, and the same
+//! command goes on.
 
+use entire_vk_raycaster::{Renderer, VulkanOptions, VulkanRaycaster};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -8,6 +11,22 @@ use std::process::Command;
 fn entire() -> Option<PathBuf> {
     let path = Path::new(env!("CARGO_BIN_EXE_entire-lab")).with_file_name("entire");
     path.is_file().then_some(path)
+}
+
+/// Who renders and which clock counts, as options: the study's own, the Vulkan device by its time stamps, where there
+/// are both; wall time where the device has no time stamps, and the CPU twin where there is no device.
+fn setting() -> [&'static str; 4] {
+    match VulkanOptions::from_env().and_then(VulkanRaycaster::new) {
+        Ok(renderer) => {
+            println!("on {}", renderer.device());
+            let stamps = renderer.limits().is_some_and(|l| l.timestamps.is_some());
+            ["--device", "vulkan", "--clock", if stamps { "device" } else { "wall" }]
+        }
+        Err(error) => {
+            println!("no Vulkan device, on the CPU twin: {error}");
+            ["--device", "cpu", "--clock", "wall"]
+        }
+    }
 }
 
 #[test]
@@ -19,21 +38,13 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() {
     let dir = tempfile::tempdir().unwrap();
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let out = dir.path().join("out");
+    let setting = setting();
     let study = |seconds: &str, more: &[&str]| {
         let run = Command::new(env!("CARGO_BIN_EXE_entire-lab"))
             .current_dir(&root)
-            .args([
-                "gpu-study",
-                "--short",
-                "--device",
-                "cpu",
-                "--clock",
-                "wall",
-                "--seconds",
-                seconds,
-                "--out",
-            ])
+            .args(["gpu-study", "--short", "--seconds", seconds, "--out"])
             .arg(&out)
+            .args(setting)
             .args(more)
             .output()
             .unwrap();
@@ -42,13 +53,16 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() {
             String::from_utf8_lossy(&run.stdout).into_owned() + &String::from_utf8_lossy(&run.stderr),
         )
     };
-    let steps = || -> serde_json::Value {
-        serde_json::from_str(&std::fs::read_to_string(out.join("steps.json")).unwrap()).unwrap()
+    let json = |name: &str| -> serde_json::Value {
+        serde_json::from_str(&std::fs::read_to_string(out.join(name)).unwrap()).unwrap()
     };
     let state = |name: &str| {
-        let steps = steps();
+        let steps = json("steps.json");
         let found = steps.as_array().unwrap().iter().find(|s| s["step"] == name).map(|s| s["state"].clone());
         found.map(|s| s.as_str().unwrap().to_owned())
+    };
+    let ended = |name: &str, text: &str| {
+        assert!(matches!(state(name).as_deref(), Some("done" | "cut-short")), "{name}: {text}");
     };
     // Far too little time: what was not begun is named, and the page is there.
     let (code, text) = study("10", &[]);
@@ -58,16 +72,31 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() {
     assert!(text.contains("bar gpu-study-steps-missing") && text.contains("short"), "{text}");
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("left out") && page.contains("Pictures"), "{page}");
-    let pictures = text.lines().find(|l| l.starts_with("bar gpu-study-picture-difference-of-255"));
-    assert!(pictures.is_some_and(|l| l.ends_with(" ok")), "{text}");
-    let pictures = std::fs::metadata(out.join("pictures.json")).unwrap().modified().unwrap();
-    // With time enough all of it is done, and what was done stays. Modes that are not asked for stay as they were.
+    // Every mode's pictures are those of the twin.
+    let bar = text.lines().find(|l| l.starts_with("bar gpu-study-picture-difference-of-255"));
+    assert!(bar.is_some_and(|l| l.ends_with(" ok")), "{text}");
+    let pictures = json("pictures.json");
+    let modes: BTreeSet<&str> =
+        pictures.as_array().unwrap().iter().filter_map(|p| p["shading"].as_str()).collect();
+    assert_eq!(modes, BTreeSet::from(["none", "local", "scatter"]));
+    let drawn = || std::fs::metadata(out.join("pictures.json")).unwrap().modified().unwrap();
+    let first = drawn();
+    // With time enough one mode is done, and what was done stays. Modes that are not asked for stay as they were.
     let (code, text) = study("600", &["--shade", "none"]);
-    for step in ["probe", "calibrate-none", "frames-none", "evaluate-frames-none", "switches"] {
-        assert!(matches!(state(step).as_deref(), Some("done" | "cut-short")), "{step}: {text}");
+    for step in ["calibrate-none", "frames-none", "evaluate-frames-none", "switches"] {
+        ended(step, &text);
     }
     assert_eq!((code, state("calibrate-scatter").as_deref()), (Some(1), Some("left-out")), "{text}");
-    assert_eq!(std::fs::metadata(out.join("pictures.json")).unwrap().modified().unwrap(), pictures);
+    // The same command goes on with the other modes.
+    let (_, text) = study("600", &[]);
+    for mode in ["none", "local", "scatter"] {
+        for step in ["calibrate", "frames", "evaluate-frames"] {
+            ended(&format!("{step}-{mode}"), &text);
+        }
+    }
+    ended("probe", &text);
+    assert_eq!(json("probe.json")["backend"], setting[1], "{text}");
+    assert_eq!(drawn(), first);
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
     for part in ["Frame times by image size", "Frames held", "in a session"] {
         assert!(page.contains(part), "{part}");

@@ -133,6 +133,10 @@ int main(int argc, char **argv) {
     NONE(entire_session_set_timing_source(NULL, "x", "x"));
     NONE(entire_session_set_timing_source(p, NULL, "x"));
     NONE(entire_session_set_timing_source(p, "x", NULL));
+    entire_clock clock = 0;
+    NONE(entire_session_clocks(NULL, &clock, &clock));
+    NONE(entire_session_clocks(p, NULL, &clock));
+    NONE(entire_session_clocks(p, &clock, NULL));
     NONE(entire_session_load_state(NULL, &byte, 1));
     NONE(entire_session_load_state(p, NULL, 1));
     NONE(entire_session_record(NULL, NULL, 100));

@@ -118,6 +118,7 @@ int main(int argc, char **argv) {
     CHECK(session.choose(frame, settings, 1000).value().index == 0);
     const auto state = session.save_state().value();
     CHECK(session.set_timing_source("a mapper", "wall") && !session.load_state(state));
+    CHECK(session.clocks().value().own == ENTIRE_CLOCK_WALL && !session.clocks().value().differ());
     CHECK(session.set_timing_source("", "") && !session.set_timing_source(std::string(257, 'x'), ""));
     CHECK(!state.empty() && session.load_state(state) && session.reset() && session.mark(ENTIRE_CHANGE_CAMERA));
     CHECK(session.set_enabled(false) && session.plan(frame, 0.02f).value().reason == ENTIRE_REASON_OFF);

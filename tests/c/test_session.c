@@ -469,6 +469,9 @@ static void state(void) {
         CHECK(p.seconds == q.seconds);
     }
     OK(entire_session_set_timing_source(b, "a mapper", "wall"));
+    entire_clock of_model = ENTIRE_CLOCK_CPU, own = ENTIRE_CLOCK_CPU;
+    OK(entire_session_clocks(b, &of_model, &own));
+    CHECK(of_model == ENTIRE_CLOCK_UNSTATED && own == ENTIRE_CLOCK_WALL);
     OK(entire_session_load_state(b, named, size));
     OK(entire_session_predict(b, &frame, &q));
     CHECK(p.seconds != q.seconds);

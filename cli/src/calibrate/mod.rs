@@ -84,6 +84,15 @@ impl Groups {
 /// A model that a calibration may start from, by its name.
 pub type NamedPrior = (String, ModelFile);
 
+/// Whether a model can state the clock.
+///
+/// # Errors
+/// For [`Clock::Auto`].
+fn ensure_fixed(clock: Clock) -> Result<()> {
+    ensure!(clock != Clock::Auto, "a model predicts one clock's seconds; name cpu, wall or device, not auto");
+    Ok(())
+}
+
 /// What each prior makes of the frames, and the fit that predicts volumes best that it was not fitted to. `observed`
 /// gives the frames as the prior of an index sees them.
 fn best_fit(
@@ -108,8 +117,8 @@ fn best_fit(
 /// of a software renderer and no factor are what is started from.
 ///
 /// # Errors
-/// When volumes cannot be read, the renderer fails or lacks the clock, or it was stopped before
-/// [`FEWEST_FRAMES`] were drawn.
+/// When volumes cannot be read, the clock is [`Clock::Auto`], the renderer fails or lacks the clock, or it was
+/// stopped before [`FEWEST_FRAMES`] were drawn.
 pub fn calibrate(
     settings: &Settings,
     priors: &[NamedPrior],
@@ -118,6 +127,7 @@ pub fn calibrate(
     stop: &dyn Fn() -> bool,
     bar: &ProgressBar,
 ) -> Result<Calibrated> {
+    ensure_fixed(settings.clock)?;
     let start = Instant::now();
     let deadline = start + Duration::from_secs_f64((settings.seconds - FIT_SECONDS).max(1.0));
     bar.set_length(settings.seconds.ceil() as u64);
@@ -186,13 +196,15 @@ pub fn calibrate(
 /// is drawn. Volumes are opened where features are not kept beside the tables.
 ///
 /// # Errors
-/// When fewer than [`FEWEST_FRAMES`] have the shading and the clock, or inputs cannot be computed.
+/// When fewer than [`FEWEST_FRAMES`] have the shading and the clock, the clock is [`Clock::Auto`], or inputs
+/// cannot be computed.
 pub fn calibrate_to_tables(
     tables: &[Table],
     (shading, clock): (Shading, Clock),
     priors: &[NamedPrior],
     threads: &rayon::ThreadPool,
 ) -> Result<(ModelFile, Report)> {
+    ensure_fixed(clock)?;
     let start = Instant::now();
     let (frames, seconds): (Vec<&TimedFrame>, Vec<f64>) =
         timed(tables, clock, Some(shading))?.into_iter().unzip();

@@ -2,9 +2,9 @@
 
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
 use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
-use crate::dataset::{Clock, Writer, read_tables};
+use crate::dataset::{Clock, Writer, left_out, read_tables};
 use crate::device::{self, Device};
-use crate::files::{check_model_out, make_folder_of, note, read_model_file, write_whole};
+use crate::files::{check_model_out, make_folder_of, note, open_model, read_model_file, write_whole};
 use crate::interrupt;
 use crate::options::{SkipOption, thread_pool};
 use crate::progress::templated_bar;
@@ -51,7 +51,7 @@ pub struct Options {
     pub shade: ShadeOrAll,
     /// The clock whose seconds the model predicts: processor time of all threads, wall time, or the device's
     /// timestamps.
-    #[arg(long, value_enum, default_value_t = Clock::Cpu)]
+    #[arg(long, value_parser = crate::clock::fixed_parser(), default_value = "cpu")]
     pub clock: Clock,
     /// The model file; with --shade all, `-none`, `-local` and `-scatter` are added to its name. Unless given,
     /// machine-MODE.safetensors in the folder entire of the user's data folder.
@@ -175,6 +175,7 @@ pub fn run(options: &Options) -> Result<()> {
         make_folder_of(out)?;
         check_model_out(out)?;
     }
+    say_prior_clock(options)?;
     let threads = thread_pool(options.threads)?;
     let stop = interrupt::flag()?;
     let mut renderer = device::open(options.device)?;
@@ -234,13 +235,30 @@ fn priors_of(options: &Options, shading: Shading) -> Result<Vec<NamedPrior>> {
     Ok(found.into_iter().map(|(path, file)| (path.display().to_string(), file)).collect())
 }
 
+/// Says on standard error where the model that is named to start from predicts another clock's seconds.
+///
+/// # Errors
+/// When it cannot be read.
+fn say_prior_clock(options: &Options) -> Result<()> {
+    let Some(path) = &options.prior else { return Ok(()) };
+    let theirs = crate::clock::of(&open_model(path)?);
+    if let Some(text) = crate::clock::started_from(&path.display().to_string(), theirs, options.clock) {
+        note(&text);
+    }
+    Ok(())
+}
+
 /// Fits to frames that were logged.
 fn from_tables(options: &Options) -> Result<()> {
     let tables = read_tables(&options.data)?;
     let threads = thread_pool(options.threads)?;
+    say_prior_clock(options)?;
     for &shading in options.shade.modes() {
         let out = out_of(options, shading)?;
         check_model_out(&out)?;
+        if let Some(text) = left_out(&tables, options.clock, Some(shading)) {
+            note(&text);
+        }
         let priors = priors_of(options, shading)?;
         let (file, report) = calibrate_to_tables(&tables, (shading, options.clock), &priors, &threads)?;
         write_whole(&out, &file.to_bytes()?)?;

@@ -204,7 +204,7 @@ pub fn run(options: &Options) -> Result<()> {
         if shrunk { ", made smaller so that the demo ends in time" } else { "" }
     );
     let seed_name = volume.name().to_owned();
-    let shipped = shipped_model(draw.shading)?;
+    let shipped = shipped_model(draw.shading, draw.clock)?;
     let race = Race {
         volume: &view,
         series: &[],

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 ///
 /// The table has one row per frame, comma-separated, no header; its columns are the model's inputs in the
 /// model's order. Prints one line per row: seconds, at least 1e-6, 9 significant digits. Nothing is printed when
-/// any row is wrong.
+/// any row is wrong. Standard error says by which clock the seconds are, where the model states it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire predict --model model.safetensors --inputs frames.csv
@@ -50,6 +50,9 @@ pub fn run(options: &Options) -> Result<()> {
         let stream = crate::volume::Stream::open(&options.inputs)?;
         predict(&net, &model, stream).with_context(|| format!("{}", options.inputs.display()))
     }?;
+    if let Some(clock) = crate::clock::of(&model) {
+        note(&format!("{} predicts {} seconds", path.display(), clock.name()));
+    }
     let mut out = BufWriter::new(std::io::stdout().lock());
     for value in seconds {
         writeln!(out, "{}", digits(value))?;

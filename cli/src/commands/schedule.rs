@@ -11,8 +11,9 @@ use std::path::PathBuf;
 ///
 /// Reads tasks (CSV with a header line, or a JSON array of objects): `predicted_s` or `measured_s` (either
 /// may be missing, not both), and where there are any `task` (a name), `volume` (which data it needs) and
-/// `load_s` (seconds to load that data). Writes the assignment or the order as CSV or JSON, by the file's
-/// ending.
+/// `load_s` (seconds to load that data). All are taken for wall seconds of a node of speed 1: predictions of a
+/// model of another clock, which `entire predict` names, are off by a factor. Writes the assignment or the order
+/// as CSV or JSON, by the file's ending.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire schedule tasks.csv --nodes 16 --out assignment.csv

@@ -3,7 +3,7 @@
 use crate::dataset::{Clock, Scene, Writer};
 use crate::device;
 use crate::enlarge::enlarge;
-use crate::files::{open_model, write_json};
+use crate::files::{note, open_model, write_json};
 use crate::interrupt;
 use crate::machine::Provenance;
 use crate::options::{RenderArgs, parse_hold, parse_limits, parse_scale, parse_size};
@@ -165,7 +165,11 @@ pub fn run(options: &Options) -> Result<()> {
     }
     let model = options.model.as_deref().map(open_model).transpose()?;
     let named = options.model.as_ref().map(|p| p.display().to_string());
-    let clock = crate::clock::agreed(options.clock, named.as_deref().zip(model.as_ref()))?;
+    let given = named.as_deref().zip(model.as_ref());
+    let clock = crate::clock::agreed(options.clock, given)?;
+    if let Some(text) = crate::clock::unstated(clock, given) {
+        note(&text);
+    }
     let (machines, clock) = match model {
         Some(_) => (None, clock),
         None => machine_model_for(options.render.shade.into(), clock)?,
@@ -202,7 +206,7 @@ pub fn run(options: &Options) -> Result<()> {
     let stop = || interrupt::requested(&stop);
     let mut renderer = device::open(options.render.device)?;
     let seed_name = volume.name().to_owned();
-    let shipped = shipped_model(draw.shading)?;
+    let shipped = shipped_model(draw.shading, draw.clock)?;
     let race = Race {
         volume: &view,
         series: &series,

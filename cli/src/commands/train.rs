@@ -1,6 +1,8 @@
 //! `entire train`: train or fine-tune a predictor on collected frames.
 
-use crate::dataset::{Clock, NoiseFloor, Table, Timed, TimedFrame, noise_floor, read_tables, timed};
+use crate::dataset::{
+    Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, read_tables, timed,
+};
 use crate::files::{check_model_out, read_model_file, write_whole};
 use crate::fit::{
     DtypeChoice, FitContext, FittedModel, Kind, Recipe, TargetChoice, calibrate, parse_loss, predict_rows,
@@ -195,6 +197,9 @@ pub fn run(options: &Options) -> Result<()> {
     let tables = read_tables(&options.data)?;
     let clock = learned_clock(options, &tables)?;
     let frames = timed(&tables, clock, options.shading)?;
+    if let Some(text) = left_out(&tables, clock, options.shading) {
+        eprintln!("note: {text}");
+    }
     let mut split = Split::new(
         frames.iter().map(|f| f.0),
         options.split,

@@ -19,5 +19,5 @@ mod writer;
 pub use manifest::{MANIFEST_FORMAT, Manifest};
 pub use scene::{Scene, format_lobes, parse_lobes, parse_shading, parse_skipping};
 pub use table::{COLUMNS, Table, parse as parse_table, read_tables};
-pub use timing::{Clock, NoiseFloor, Timed, TimedFrame, Timing, noise_floor, timed};
+pub use timing::{Clock, NoiseFloor, Timed, TimedFrame, Timing, left_out, noise_floor, timed};
 pub use writer::Writer;

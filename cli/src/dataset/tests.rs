@@ -253,6 +253,31 @@ fn medians_ignore_zero_times_and_take_the_middle() {
 }
 
 #[test]
+fn frames_without_the_clock_are_left_out_by_number() {
+    let without = Timing { cpu: None, ..measured(0.1) };
+    let frame = |number, repeats| TimedFrame { table: 0, number, scene: scene(), repeats };
+    let table =
+        |frames| Table { path: "t.csv".into(), manifest: None, frames, hash: 0, features: None, root: None };
+    let frames = [measured(0.1), without, without].map(|t| frame(0, vec![t]));
+    let tables = [table(frames.to_vec())];
+    let text = left_out(&tables, Clock::Cpu, None).unwrap();
+    for part in ["2 of 3 frames", "clock cpu", "--clock wall"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    assert_eq!(timed(&tables, Clock::Cpu, None).unwrap().len(), 1);
+    assert_eq!(left_out(&tables, Clock::Wall, None), None);
+    assert_eq!(left_out(&tables, Clock::Cpu, Some(Shading::Scatter)), None);
+    // Where nothing is left it is an error.
+    assert_eq!(left_out(&tables, Clock::Device, None), None);
+    assert!(timed(&tables, Clock::Device, None).unwrap_err().to_string().contains("choose another --clock"));
+    // No clock has them all.
+    let lone = Timing { cpu: Some(0.2), ..Timing::default() };
+    let tables = [table(vec![frame(0, vec![lone]), frame(1, vec![without])])];
+    let text = left_out(&tables, Clock::Wall, None).unwrap();
+    assert!(text.contains("1 of 2 frames") && !text.contains("--clock"), "{text}");
+}
+
+#[test]
 fn manifests_keep_unknown_keys_and_refuse_other_formats() {
     let dir = folder();
     let table = dir.path().join("run.v2.csv");

@@ -10,7 +10,7 @@ use entire_core::scene::Shading;
 #[cfg(test)]
 use entire_core::scene::{Arcball, Skipping};
 use entire_vk_raycaster::{FrameTime, WorkCounts};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The timing of one repeat of a frame: the seconds by each clock that there was, and what was counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -165,9 +165,39 @@ pub fn timed(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Result
     Ok(frames)
 }
 
+/// What is to be said of the frames that [`timed`] leaves out because they have no seconds by the clock; `None`
+/// where it leaves out none of them, or all.
+pub fn left_out(tables: &[Table], clock: Clock, shading: Option<Shading>) -> Option<String> {
+    let frames: Vec<&TimedFrame> = tables
+        .iter()
+        .flat_map(|t| &t.frames)
+        .filter(|f| shading.is_none_or(|s| f.scene.shading == s))
+        .collect();
+    let without = |clock: Clock| frames.iter().filter(|f| f.seconds(clock).is_none()).count();
+    let missing = without(clock);
+    if missing == 0 || missing == frames.len() {
+        return None;
+    }
+    let whole: Vec<&str> = [Clock::Cpu, Clock::Wall, Clock::Device]
+        .into_iter()
+        .filter(|c| without(*c) == 0)
+        .map(Clock::name)
+        .collect();
+    let instead = match &whole[..] {
+        [] => String::new(),
+        names => format!(", or choose a clock that all frames have: --clock {}", names.join(" or ")),
+    };
+    Some(format!(
+        "{missing} of {} frames are left out, which have no seconds by the clock {}; measure that clock in every \
+         frame{instead}",
+        frames.len(),
+        clock.name()
+    ))
+}
+
 /// How far repeats of one frame scatter: the floor under every predictor's error. Robust: every number is a
 /// median, so that no tail of disturbed repeats lifts it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseFloor {
     /// Standard deviation of ln(seconds) of a single repeat: the median of |difference| of two repeats of a
     /// frame in the same pass (of different passes where a pass has one repeat), over 0.6745·√2, as it is of

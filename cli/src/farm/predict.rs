@@ -4,17 +4,20 @@
 use super::job::{Job, Renderer};
 use super::record::parse_id;
 use super::worker::draw_settings;
-use crate::files::{open_model, open_volume};
+use crate::dataset::Clock;
+use crate::files::{note, open_model, open_volume};
 use crate::progress::progress_bar;
 use anyhow::{Context, Result, ensure};
 use entire_core::features::{
     Changes, FrameFeatures, MAX_PROBE_SIDE, PROBE_SIDE, Setting, SummaryOptions, TransferSummary,
     VolumeSummary,
 };
+use entire_core::model::Model;
 use entire_core::nn::{Executor, VolumeNet};
 use entire_core::predict::{AnalyticModel, Inputs, Predictor, load};
 use entire_core::scene::{Camera, Frame, Shading, Skipping};
 use rayon::prelude::*;
+use std::path::Path;
 
 /// Nanoseconds per pixel and reference step that are taken before anything was measured.
 const NANOSECONDS: f64 = 1000.0;
@@ -22,7 +25,11 @@ const NANOSECONDS: f64 = 1000.0;
 /// Where base seconds come from, for people.
 pub fn source(job: &Job) -> String {
     match (&job.predict.model, &job.predict.list) {
-        (Some(model), _) => format!("the model {}", model.display()),
+        (Some(model), _) => {
+            let clock = open_model(model).ok().and_then(|m| crate::clock::of(&m));
+            let seconds = clock.map_or(String::new(), |c| format!(" ({} seconds)", c.name()));
+            format!("the model {}{seconds}", model.display())
+        }
         (_, Some(list)) => format!("the list {}", list.display()),
         _ if looks(job) => "the analytic model, its costs learned from the first tasks".into(),
         _ => "pixels over step, corrected by the first tasks".into(),
@@ -56,7 +63,7 @@ pub fn base(job: &Job) -> Result<Vec<f32>> {
     Ok(round.iter().copied().cycle().take(job.len()).collect())
 }
 
-fn of_list(job: &Job, list: &std::path::Path) -> Result<Vec<f32>> {
+fn of_list(job: &Job, list: &Path) -> Result<Vec<f32>> {
     let tasks = super::list::read_tasks(list)?;
     let numbers = job.numbers();
     let mut out = vec![f32::NAN; job.len()];
@@ -78,6 +85,18 @@ fn of_list(job: &Job, list: &std::path::Path) -> Result<Vec<f32>> {
     Ok(out)
 }
 
+/// Says on standard error where a model predicts other seconds than those that tasks take.
+fn note_clock(path: &Path, model: &Model) {
+    if let Some(clock) = crate::clock::of(model).filter(|c| *c != Clock::Wall) {
+        note(&format!(
+            "{} predicts {} seconds and tasks take wall time: expected times are off by a factor until tasks have \
+             been timed (to the end with --no-correction)",
+            path.display(),
+            clock.name()
+        ));
+    }
+}
+
 /// By looking at volumes, transfer functions and views.
 fn of_views(job: &Job) -> Result<Vec<f32>> {
     let (shade, skip, termination) = match &job.renderer {
@@ -88,6 +107,9 @@ fn of_views(job: &Job) -> Result<Vec<f32>> {
         _ => (Shading::None, Skipping::None, 0.99),
     };
     let model = job.predict.model.as_ref().map(|p| open_model(p)).transpose()?;
+    if let (Some(path), Some(model)) = (&job.predict.model, &model) {
+        note_clock(path, model);
+    }
     let make = || -> Result<Box<dyn Predictor + Send>> {
         Ok(match &model {
             Some(model) => load(model)?,

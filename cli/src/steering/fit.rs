@@ -1,6 +1,7 @@
 //! Predictors fitted to this machine, and the choice between them.
 
 use super::calibrate::{HOLD_OUT_EVERY, Quality, Sample, fit_analytic};
+use crate::dataset::Clock;
 use crate::fit::{calibrate_to_rows, standard_features};
 use crate::train::{Network, Samples, Settings, train};
 use anyhow::{Context, Result};
@@ -197,13 +198,14 @@ impl Calibrated {
     }
 
     /// Adds a model that was made on another machine, its last layer calibrated to the samples that are not
-    /// held out, and chooses anew.
+    /// held out, whose seconds are of `clock`, and chooses anew.
     ///
     /// # Errors
     /// When the model needs an input that calibration frames do not have.
     pub fn with_shipped(
         mut self,
         (title, file): (&str, &ModelFile),
+        clock: Clock,
         samples: &[Sample],
         volume: &VolumeView<'_>,
     ) -> Result<Self> {
@@ -213,7 +215,8 @@ impl Calibrated {
             rows.extend_from_slice(predictor.row(&s.predictor_inputs(None))?);
             seconds.push(s.seconds);
         }
-        let file = calibrate_to_rows(file, &rows, &seconds)?;
+        let mut file = calibrate_to_rows(file, &rows, &seconds)?;
+        crate::clock::set(&mut file, clock);
         self.candidates.push(Candidate::of(SteeringModel::made(title.to_owned(), &file, volume)?, samples)?);
         self.choose();
         Ok(self)

@@ -84,16 +84,31 @@ pub fn machine_model_for(shading: Shading, asked: Clock) -> Result<(Option<(Stri
     Ok((Some((format!("{}, of this machine", path.display()), file)), clock))
 }
 
-/// The model in `models/` that was selected for a shading mode; `None` where the working folder is not the
-/// project's.
+/// The model in `models/` that was selected for a shading mode, to be fitted to seconds by `clock`, by what it is
+/// called; `None` where the working folder is not the project's. A model of another clock is said on standard
+/// error.
 ///
 /// # Errors
 /// When it is there and no model.
-pub fn shipped_model(shading: Shading) -> Result<Option<(String, ModelFile)>> {
-    Ok(shipped_file(shading)?.map(|(path, file)| (format!("{}, calibrated", path.display()), file)))
+pub fn shipped_model(shading: Shading, clock: Clock) -> Result<Option<(String, ModelFile)>> {
+    let Some((path, file)) = shipped_file(shading)? else { return Ok(None) };
+    if let Some(theirs) = crate::clock::of(&file.to_model()?).filter(|c| *c != clock) {
+        crate::files::note(&format!(
+            "{} predicts {} seconds and frames are timed by the clock {}: its last layer is fitted to the \
+             calibration frames, which takes it to their clock",
+            path.display(),
+            theirs.name(),
+            match clock {
+                Clock::Auto => "auto (the device's, or wall time where it has none)",
+                named => named.name(),
+            }
+        ));
+    }
+    Ok(Some((format!("{}, calibrated", path.display()), file)))
 }
 
-/// As [`shipped_model`], with its file.
+/// The model in `models/` that was selected for a shading mode, with its file; `None` where the working folder is
+/// not the project's.
 ///
 /// # Errors
 /// When it is there and no model.
@@ -224,7 +239,12 @@ pub fn prepare(
     let response = response(&samples)?;
     let mut calibrated = Calibrated::fit(&samples, race.volume, race.seed)?;
     if let Some(shipped) = race.shipped {
-        calibrated = calibrated.with_shipped(shipped, &samples, race.volume)?;
+        let clock = match race.draw.clock {
+            Clock::Auto if renderer.limits().is_some_and(|l| l.timestamps.is_some()) => Clock::Device,
+            Clock::Auto => Clock::Wall,
+            named => named,
+        };
+        calibrated = calibrated.with_shipped(shipped, clock, &samples, race.volume)?;
     }
     if let Some((title, file)) = race.machine {
         calibrated = calibrated.with_machine(title, file, &samples, race.volume)?;

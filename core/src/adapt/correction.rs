@@ -10,6 +10,12 @@ use crate::predict::{CostTerms, TERMS};
 pub enum Prior {
     /// The machine was never measured: even the order of magnitude is open.
     Unknown,
+    /// The model was fitted by another clock: what it says of scenes against each other has errors of about
+    /// this standard deviation in ln(time), but the factor between the clocks is open.
+    Converted {
+        /// Standard deviation of ln(measured / predicted), the common factor apart.
+        log_sd: f32,
+    },
     /// The model was fitted on this machine; its errors have about this standard deviation in ln(time).
     Fitted {
         /// Standard deviation of ln(measured / predicted).
@@ -102,10 +108,15 @@ impl Correction {
 
     /// Forgets everything.
     pub(crate) fn reset(&mut self) {
+        let sane = |log_sd: f32| if log_sd.is_finite() { f64::from(log_sd).clamp(0.01, 1.0) } else { 0.3 };
         let (common, single, change) = match self.prior {
             Prior::Unknown => (9.0, self.unknown, 0.04),
+            Prior::Converted { log_sd } => {
+                let sd = sane(log_sd);
+                (9.0, 0.1 * sd * sd, sd * sd)
+            }
             Prior::Fitted { log_sd } => {
-                let sd = if log_sd.is_finite() { f64::from(log_sd).clamp(0.01, 1.0) } else { 0.3 };
+                let sd = sane(log_sd);
                 // A model that was fitted here is right on the whole; it is wrong about single scenes.
                 (0.1 * sd * sd, 0.1 * sd * sd, sd * sd)
             }

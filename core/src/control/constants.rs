@@ -31,6 +31,9 @@ constants! {
     /// Relative changes of the step, or distances of the expected time from the target, below which the step
     /// is kept.
     dead_band = 0.01,
+    /// A step this near to the finest one, in ln(step), is the finest one where that is expected to meet the
+    /// target: it would save next to nothing.
+    full = 0.05,
     /// Largest move to a finer step in a calm frame, in ln(step), beside what the prediction calls for.
     finer = 0.16,
     /// Largest move to a coarser step in a calm frame where the expected time stays within the target, in

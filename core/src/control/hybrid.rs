@@ -322,7 +322,9 @@ impl Controller for Hybrid {
                 limits.coarsest
             }
         };
-        if reason == Reason::Fits && step <= limits.finest {
+        let nearly = libm::log(f64::from(step) / f64::from(limits.finest)) <= c.full;
+        if reason == Reason::Fits && (step <= limits.finest || (nearly && judge(limits.finest).0 <= target)) {
+            step = limits.finest;
             reason = Reason::FinestAllowed;
         }
         let steady = |last: &Last| {
@@ -337,7 +339,7 @@ impl Controller for Hybrid {
             let off = libm::log(seconds / target);
             let near = libm::fabs(delta) < c.dead_band
                 || (off > -c.dead_band && upper <= ceiling * (1.0 + c.dead_band));
-            if near && off <= c.dead_band {
+            if near && off <= c.dead_band && reason != Reason::FinestAllowed {
                 step = last.step;
                 if reason == Reason::Fits {
                     reason = Reason::Held;
@@ -435,6 +437,17 @@ impl Controller for Hybrid {
         self.announced = false;
         self.scene = SceneMark { number: self.scene.number + 1, ..SceneMark::default() };
         self.smoothing = Smoothing::new();
+    }
+
+    fn convert(&mut self, converted: bool) {
+        let prior = match (self.options.prior, converted) {
+            (Prior::Fitted { log_sd }, true) => Prior::Converted { log_sd },
+            (Prior::Converted { log_sd }, false) => Prior::Fitted { log_sd },
+            _ => return,
+        };
+        self.options.prior = prior;
+        self.correction = Correction::new(prior, self.options.constants.unit_cost_sd);
+        self.reset();
     }
 
     fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {

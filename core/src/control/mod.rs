@@ -176,6 +176,12 @@ pub trait Controller {
     /// Forgets every frame.
     fn reset(&mut self);
 
+    /// Tells whether the frames that are observed are timed by another clock than the predictor's. Where that
+    /// changes, every frame is forgotten.
+    fn convert(&mut self, converted: bool) {
+        let _ = converted;
+    }
+
     /// Tells that a frame begins whose setting is chosen elsewhere; [`Controller::plan`] needs no such call.
     /// Frames are compared at `step`.
     fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {

@@ -82,6 +82,8 @@ pub struct Session {
     next_id: u64,
     /// Whose times are observed, and by which clock; empty where nobody said.
     timing: [String; 2],
+    /// Whether the clock is another than the predictor's.
+    converted: bool,
     recording: Option<recording::Recording>,
 }
 
@@ -127,6 +129,7 @@ impl Session {
             pending: Box::new([None; PENDING_PLANS]),
             next_id: 1,
             timing: [String::new(), String::new()],
+            converted: false,
             recording: None,
         }
     }

@@ -3,7 +3,7 @@
 use super::network::Stored;
 use super::nnls::nnls;
 use super::{
-    CostTerms, FeatureRange, GroupKind, InputLayout, Inputs, LONGEST_FRAME, Prediction, Predictor, Source,
+    Clock, CostTerms, FeatureRange, GroupKind, InputLayout, Inputs, LONGEST_FRAME, Prediction, Predictor, Source,
     UPPER_LEVEL, UpperBound,
 };
 use crate::Result;
@@ -119,6 +119,8 @@ pub struct AnalyticModel {
     /// The calibration behind [`Prediction::upper`].
     pub(super) calibration: UpperBound,
     range: FeatureRange,
+    /// The clock of the file that the costs come from.
+    clock: Option<Clock>,
 }
 
 impl Default for AnalyticModel {
@@ -129,6 +131,7 @@ impl Default for AnalyticModel {
             fitted: false,
             calibration: UpperBound::default(),
             range: FeatureRange::unknown(),
+            clock: None,
         }
     }
 }
@@ -232,6 +235,7 @@ impl AnalyticModel {
         }
         self.costs = costs;
         self.fitted = true;
+        self.clock = None;
         let mut logs: Vec<f64> =
             usable.iter().map(|m| libm::log(m.seconds / dot(&costs, &m.work).max(1.0e-30))).collect();
         self.calibration = UpperBound::from_residuals(&mut logs);
@@ -318,6 +322,7 @@ impl AnalyticModel {
             return Ok(None);
         }
         let mut out = Self::from_costs(costs)?;
+        out.clock = Clock::of(model);
         if let Some(stored) = Stored::of(model)? {
             out.calibration = UpperBound { log_factor: stored.log_factor.unwrap_or(f32::NAN) };
             if let (Some(low), Some(high)) = (stored.low, stored.high)
@@ -382,6 +387,10 @@ impl Predictor for AnalyticModel {
     fn identity(&self) -> u32 {
         // Little-endian whatever the machine, so that a saved state fits its model on any.
         crc32fast::hash(self.costs.map(f64::to_le_bytes).as_flattened())
+    }
+
+    fn clock(&self) -> Option<Clock> {
+        self.clock
     }
 
     fn log_sd(&self) -> Option<f32> {

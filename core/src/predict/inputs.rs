@@ -1,6 +1,6 @@
 //! What a predictor takes and gives.
 
-use super::TERMS;
+use super::{Clock, TERMS};
 use crate::Result;
 use crate::features::{Changes, FrameFeatures, PROBE_SIDE, Setting};
 use crate::scene::{Arcball, GaussianLobe};
@@ -103,6 +103,11 @@ pub trait Predictor {
     /// Standard deviation of ln(measured / predicted) on the machine that the model was measured on; `None`
     /// for a model that was never measured.
     fn log_sd(&self) -> Option<f32> {
+        None
+    }
+
+    /// The clock whose seconds are predicted; `None`, the default, where that is not known.
+    fn clock(&self) -> Option<Clock> {
         None
     }
 

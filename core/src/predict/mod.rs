@@ -6,6 +6,7 @@
 mod analytic;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod bounds;
+mod clock;
 mod inputs;
 mod layout;
 mod network;
@@ -18,6 +19,7 @@ pub use crate::model::GroupKind;
 pub use analytic::{AnalyticModel, FitReport, Measurement, TERMS};
 pub(crate) use bounds::FeatureRange;
 pub use bounds::{UPPER_LEVEL, UpperBound};
+pub use clock::Clock;
 pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
 pub use layout::{InputLayout, InputValues};
 pub use network::{ModelPredictor, load};

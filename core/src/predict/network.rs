@@ -1,7 +1,7 @@
 //! A network from a model file as a predictor.
 
 use super::{
-    AnalyticModel, CLAMPED_SCORE, GroupKind, InputLayout, Inputs, Prediction, Predictor, Source, UpperBound,
+    AnalyticModel, CLAMPED_SCORE, Clock, GroupKind, InputLayout, Inputs, Prediction, Predictor, Source, UpperBound,
     checked_seconds,
 };
 use crate::Result;
@@ -73,6 +73,7 @@ pub struct ModelPredictor {
     knows_step: bool,
     probe_side: usize,
     calibration: UpperBound,
+    clock: Option<Clock>,
     identity: u32,
 }
 
@@ -135,6 +136,7 @@ impl ModelPredictor {
             scratch,
             row: filled(width, 0.0)?,
             calibration,
+            clock: Clock::of(model),
             identity: identity_of(model),
         })
     }
@@ -227,6 +229,10 @@ impl Predictor for ModelPredictor {
     fn log_sd(&self) -> Option<f32> {
         // A network without calibration was still trained on times of some machine.
         Some(self.calibration.log_sd().unwrap_or(0.5))
+    }
+
+    fn clock(&self) -> Option<Clock> {
+        self.clock
     }
 
     fn identity(&self) -> u32 {

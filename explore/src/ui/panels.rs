@@ -59,8 +59,8 @@ fn steering(ui: &mut Ui, state: &mut State) {
             state.commands.push(Command::Forget);
         }
         let copy = ui.button("Calibrate …").on_hover_text(
-            "Copies the command that calibrates the shipped model to this machine; open the volume again with \
-             --model afterwards",
+            "Copies the command that makes a model of this machine by the wall clock, which times the window's \
+             frames, and opens the volume again: the window finds that model by itself",
         );
         if copy.clicked() && !state.calibration.is_empty() {
             ui.ctx().copy_text(state.calibration.clone());

@@ -6,12 +6,14 @@ use crate::guard::{changing, reading};
 use crate::limits::{ENTIRE_MAX_STATE_BYTES, at_most};
 use crate::result::Failure;
 use crate::result::entire_result::{self, *};
+use entire_core::predict::Clock;
 use std::ffi::c_char;
 
 /// Names the renderer whose frames are observed and the clock that times them, such as
 /// "vtkGPUVolumeRayCastMapper" and "wall". What was learned of one does not hold for another: saved states
 /// carry both names, and entire_session_load_state refuses those of others. Sessions start with empty names,
-/// which are names like any other. Call it before loading and before saving.
+/// which are names like any other. Call it before loading and before saving. A clock named "cpu", "wall" or
+/// "device" is compared with the model's (entire_session_clocks); where that changes, what was learned is forgotten.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
 /// ENTIRE_NULL_ARGUMENT.
@@ -26,6 +28,48 @@ pub unsafe extern "C" fn entire_session_set_timing_source(
         changing(session, |state| {
             let (renderer, clock) = (text(renderer, "renderer")?, text(clock, "clock")?);
             Ok(state.session.set_timing_source(renderer, clock)?)
+        })
+    }
+}
+
+/// Whose seconds: one of the `ENTIRE_CLOCK_*` numbers.
+pub type entire_clock = u32;
+/// No clock was named, or none of those below.
+pub const ENTIRE_CLOCK_UNSTATED: entire_clock = 0;
+/// "cpu": processor time of the rendering process, over all of its threads.
+pub const ENTIRE_CLOCK_CPU: entire_clock = 1;
+/// "wall": wall time from the start of a frame to its end.
+pub const ENTIRE_CLOCK_WALL: entire_clock = 2;
+/// "device": time on the rendering device, by its own timestamps.
+pub const ENTIRE_CLOCK_DEVICE: entire_clock = 3;
+
+fn number_of(clock: Option<Clock>) -> entire_clock {
+    match clock {
+        None => ENTIRE_CLOCK_UNSTATED,
+        Some(Clock::Cpu) => ENTIRE_CLOCK_CPU,
+        Some(Clock::Wall) => ENTIRE_CLOCK_WALL,
+        Some(Clock::Device) => ENTIRE_CLOCK_DEVICE,
+    }
+}
+
+/// By which clock the session's model predicts (`model`: what its file states under entire.clock), and by
+/// which the session's frames are timed (`own`: what entire_session_set_timing_source named). Where both are
+/// stated and differ, the session keeps what the model says of scenes against each other and learns the factor
+/// between the clocks from the first frames: the first one is drawn coarsely.
+///
+/// Fails with ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_clocks(
+    session: *const entire_session,
+    model: *mut entire_clock,
+    own: *mut entire_clock,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(session, |state| {
+            check_pointer(own, "own (output)")?;
+            write(model, number_of(state.session.model_clock()), "model (output)")?;
+            write(own, number_of(state.session.clock()), "own (output)")
         })
     }
 }

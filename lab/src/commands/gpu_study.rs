@@ -3,10 +3,11 @@
 use crate::bars::{self, Bar};
 use crate::gpu::pictures::{Difference, compare};
 use crate::gpu::report::{Found, MODES};
-use crate::gpu::steps::{self, Extent, Step, held_out};
+use crate::gpu::steps::{self, Extent, Step, calibrated_with, held_out};
 use crate::gpu::{Outcome, Outcomes, State};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
+use entire_cli::clock::fixed_parser;
 use entire_cli::dataset::{Clock, Table};
 use entire_cli::device::Device;
 use entire_cli::files::{make_folder, read_text, write_json};
@@ -33,7 +34,7 @@ pub struct Options {
     #[arg(long, value_enum, default_value = "vulkan")]
     pub device: Device,
     /// Which clock counts.
-    #[arg(long, value_enum, default_value = "device")]
+    #[arg(long, value_parser = fixed_parser(), default_value = "device")]
     pub clock: Clock,
     /// Wall seconds that all of it may take.
     #[arg(long, default_value_t = 530.0, value_name = "SECONDS")]
@@ -170,6 +171,7 @@ fn target(out: &Path, clock: Clock, extent: Extent) -> Option<f64> {
 pub fn run(options: &Options) -> Result<()> {
     let extent = if options.short { Extent::SHORT } else { Extent::FULL };
     let volumes = held_out(&options.data)?;
+    let calibrated = calibrated_with(&options.data, extent.calibration_volumes)?;
     let entire = match &options.entire {
         Some(path) => path.clone(),
         None => std::env::current_exe().context("where is this program?")?.with_file_name("entire"),
@@ -189,7 +191,8 @@ pub fn run(options: &Options) -> Result<()> {
     let (device, clock) = (named.get_name(), options.clock);
     let mut all = vec![steps::probe(device)];
     for mode in MODES.into_iter().filter(|m| options.shade.iter().any(|s| s == m)) {
-        all.extend(steps::of_mode(mode, &options.out, &volumes, (device, clock.name()), extent));
+        let volumes = (&calibrated[..], &volumes[..]);
+        all.extend(steps::of_mode(mode, &options.out, volumes, (device, clock.name()), extent));
     }
     study.bar.set_length(all.len() as u64 + 2);
     for (at, step) in all.iter().enumerate() {
@@ -216,10 +219,8 @@ pub fn run(options: &Options) -> Result<()> {
     println!("{}\n{}\n{}", found.steps().to_text(), found.times().to_text(), found.errors().to_text());
     println!("{}", found.held().to_text());
     println!("Report: {}", page.display());
-    let missing =
-        found.outcomes.0.iter().filter(|o| matches!(o.state, State::Failed | State::LeftOut)).count();
     bars::print(&[
-        Bar::at_most("gpu-study-steps-missing", Some(missing as f64), 0.0),
+        Bar::at_most("gpu-study-steps-missing", Some(found.missing() as f64), 0.0),
         Bar::at_most("gpu-study-picture-difference-of-255", found.worst_picture().map(f64::from), 2.0),
     ])
 }

@@ -187,11 +187,6 @@ pub fn compare(comparison: &Comparison<'_>, folder: &Path) -> Result<Vec<Bar>> {
     println!("report     {}", folder.join("report.html").display());
     let worst =
         |a: usize, b: usize| makespans[a].iter().zip(&makespans[b]).map(|(x, y)| x / y).fold(0.0, f64::max);
-    println!(
-        "static longest first on predicted times, improved by exchanges, of longest first on measured ones: at most \
-         {:.4}",
-        worst(5, 0)
-    );
     Ok(vec![
         Bar::at_most("farm-queue-of-bound-16", Some(makespans[4][at(16)] / bounds[at(16)]), 1.02),
         Bar::at_most("farm-queue-of-bound-64", Some(makespans[4][at(64)] / bounds[at(64)]), 1.04),

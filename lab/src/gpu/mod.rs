@@ -19,6 +19,8 @@ pub enum State {
     Done,
     /// Ended at its time; what it had is used.
     CutShort,
+    /// Ended with the run; what it had is used, and the next run goes on with it.
+    Unfinished,
     /// It says why.
     Failed,
     /// There was no time left for it.
@@ -31,9 +33,15 @@ impl State {
         match self {
             Self::Done => "done",
             Self::CutShort => "cut short",
+            Self::Unfinished => "unfinished",
             Self::Failed => "failed",
             Self::LeftOut => "left out",
         }
+    }
+
+    /// Whether the step needs to run no more.
+    pub fn is_over(self) -> bool {
+        matches!(self, Self::Done | Self::CutShort)
     }
 }
 
@@ -72,7 +80,7 @@ impl Outcomes {
 
     /// Whether a step needs to run no more.
     pub fn has(&self, step: &str) -> bool {
-        self.0.iter().any(|o| o.step == step && matches!(o.state, State::Done | State::CutShort))
+        self.0.iter().any(|o| o.step == step && o.state.is_over())
     }
 
     /// Keeps an outcome, in place of an earlier one of the same step.
@@ -98,6 +106,8 @@ mod tests {
         let mut outcomes = Outcomes::of(dir.path()).unwrap();
         let of = |state| Outcome { step: "probe".into(), state, seconds: 1.0, said: "so".into() };
         outcomes.keep(of(State::Failed), dir.path()).unwrap();
+        assert!(!Outcomes::of(dir.path()).unwrap().has("probe"));
+        outcomes.keep(of(State::Unfinished), dir.path()).unwrap();
         assert!(!Outcomes::of(dir.path()).unwrap().has("probe"));
         outcomes.keep(of(State::CutShort), dir.path()).unwrap();
         let read = Outcomes::of(dir.path()).unwrap();

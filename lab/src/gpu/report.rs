@@ -1,11 +1,12 @@
 //! The page of a device's study.
 
+use super::Outcomes;
 use super::pictures::Difference;
-use super::{Outcomes, State};
-use entire_cli::dataset::{Clock, TimedFrame};
+use entire_cli::dataset::{Clock, NoiseFloor, TimedFrame};
 use entire_cli::machine::Provenance;
 use entire_cli::metrics::median;
 use entire_cli::report::{Axis, Cell, Chart, Column, Mark, Page, Series, Table};
+use serde::Deserialize;
 use serde_json::Value;
 
 /// The shading modes, in the order of their cost.
@@ -31,6 +32,11 @@ pub struct Found {
 
 fn number(value: &Value, path: &[&str]) -> Option<f64> {
     path.iter().try_fold(value, |v, key| v.get(key))?.as_f64()
+}
+
+/// The median error that knowing the truth would leave, of an evaluation.
+fn floor(evaluation: &Value) -> Option<f64> {
+    Some(NoiseFloor::deserialize(evaluation.get("noise_floor")?).ok()?.mdape())
 }
 
 fn shown(value: Option<f64>, factor: f64, digits: usize) -> Cell {
@@ -66,7 +72,7 @@ impl Found {
             Column::number("n"),
             Column::number("median error / %"),
             Column::number("RMSE/SD"),
-            Column::number("noise / %"),
+            Column::number("noise floor / %"),
             Column::number("in a session, median error / %"),
         ]);
         for (kind, mode, found) in &self.evaluations {
@@ -78,7 +84,7 @@ impl Found {
                 shown(number(one, &["metrics", "frames"]), 1.0, 0),
                 shown(number(one, &["metrics", "mdape"]), 100.0, 1),
                 shown(number(one, &["metrics", "rmse_over_sd"]), 1.0, 3),
-                shown(number(found, &["noise_floor", "median_relative_deviation"]), 100.0, 1),
+                shown(floor(found), 100.0, 1),
                 shown(session.and_then(|s| number(s, &["mdape"])), 100.0, 1),
             ]);
         }
@@ -127,6 +133,11 @@ impl Found {
             ]);
         }
         table
+    }
+
+    /// How many steps failed, were left out or are unfinished.
+    pub fn missing(&self) -> usize {
+        self.outcomes.0.iter().filter(|o| !o.state.is_over()).count()
     }
 
     /// The largest difference of a picture from the twin's, of 255; `None` where none was drawn.
@@ -198,8 +209,9 @@ impl Found {
         page.heading("Predictions");
         page.table(
             &self.errors(),
-            "The models that `entire calibrate` made here, on volumes that it did not render; noise is what repeats \
-             of one frame differ by. In a session every frame is predicted, then observed.",
+            "The models that `entire calibrate` made here, on volumes that it did not render; the noise floor is the \
+             median error that knowing the truth would leave, since repeats of a frame differ. In a session every \
+             frame is predicted, then observed.",
         );
         if self.switches.is_some() {
             page.heading("Frames held");
@@ -208,14 +220,28 @@ impl Found {
                 "An orbit with three abrupt switches of the transfer function; T is the target.",
             );
         }
-        let failed =
-            self.outcomes.0.iter().filter(|o| matches!(o.state, State::Failed | State::LeftOut)).count();
-        if failed > 0 {
+        let missing = self.missing();
+        if missing > 0 {
             page.paragraph(&format!(
-                "{failed} steps are missing: see the first table, and logs/ beside this page."
+                "{missing} steps are missing: see the first table, and logs/ beside this page."
             ));
         }
         page.facts(Provenance::of(device).facts());
         page
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn the_noise_floor_is_that_of_the_median_of_repeats() {
+        let noise = json!({ "log_sd": 0.04, "log_sd_of_median": 0.02, "median_relative_deviation": 0.5,
+            "warm_up": 0.0, "drift": null, "frames": 9 });
+        let found = floor(&json!({ "noise_floor": noise })).unwrap();
+        assert!((found - 0.6745 * 0.02).abs() < 1e-12, "{found}");
+        assert_eq!(floor(&json!({ "noise_floor": null })), None);
     }
 }

@@ -3,7 +3,7 @@
 use super::{Outcome, State};
 use crate::child;
 use anyhow::{Context, Result, ensure};
-use entire_cli::calibrate::place::{TRAINING_MEMBERS, held_out_in};
+use entire_cli::calibrate::place::{TRAINING_MEMBERS, held_out_in, volumes_in};
 use entire_cli::interrupt;
 use nix::sys::signal::Signal;
 use std::fs::File;
@@ -28,6 +28,10 @@ pub struct Extent {
     pub enlarge_large: u32,
     /// Seconds that calibration may take, each mode.
     pub calibration: f64,
+    /// Frames that it renders, at most.
+    pub calibration_frames: u32,
+    /// Volumes that it renders, at most; 0 for all that it finds.
+    pub calibration_volumes: usize,
     /// Seconds that a table may take.
     pub table: f64,
     /// Sides of the image whose frames are held, pixels.
@@ -48,6 +52,8 @@ impl Extent {
         enlarge: 2,
         enlarge_large: 6,
         calibration: 40.0,
+        calibration_frames: 500,
+        calibration_volumes: 0,
         table: 35.0,
         held_size: 512,
         held_frames: 240,
@@ -60,7 +66,9 @@ impl Extent {
         max_size: 96,
         enlarge: 1,
         enlarge_large: 0,
-        calibration: 30.0,
+        calibration: 20.0,
+        calibration_frames: 24,
+        calibration_volumes: 3,
         table: 20.0,
         held_size: 48,
         held_frames: 40,
@@ -111,12 +119,26 @@ pub fn held_out(data: &Path) -> Result<Vec<PathBuf>> {
     Ok(found)
 }
 
-/// The commands up to the tables of a mode: its model, frames that the model did not see, and its errors on
-/// them.
+/// So many of the volumes that calibrations may render, apart in the order of their names; none where the count is
+/// 0, so that the calibration finds its own.
+///
+/// # Errors
+/// When the folder cannot be read.
+pub fn calibrated_with(data: &Path, count: usize) -> Result<Vec<PathBuf>> {
+    if count == 0 {
+        return Ok(Vec::new());
+    }
+    let all = volumes_in(data).with_context(|| format!("cannot read the folder {}", data.display()))?;
+    let every = all.len().div_ceil(count).max(1);
+    Ok(all.into_iter().step_by(every).collect())
+}
+
+/// The commands up to the tables of a mode: its model, from the volumes that are named or else those that
+/// `entire calibrate` finds, frames that the model did not see of the other volumes, and its errors on them.
 pub fn of_mode(
     mode: &str,
     out: &Path,
-    volumes: &[PathBuf],
+    (calibrated, volumes): (&[PathBuf], &[PathBuf]),
     (device, clock): (&str, &str),
     extent: Extent,
 ) -> Vec<Step> {
@@ -125,6 +147,9 @@ pub fn of_mode(
     let mut calibrate = words(&["calibrate", "--shade", mode, "--clock", clock, "--device", device, "--out"]);
     calibrate.extend([model.clone(), "--table".into(), file(format!("calibrate-{mode}.csv"))]);
     calibrate.extend(["--seconds".into(), extent.calibration.to_string()]);
+    calibrate.extend(["--frames".into(), extent.calibration_frames.to_string()]);
+    calibrate.extend(["--max-size".into(), extent.max_size.to_string()]);
+    calibrate.extend(calibrated.iter().map(|v| v.to_string_lossy().into_owned()));
     let anew = ["csv", "manifest.json"].map(|e| out.join(format!("calibrate-{mode}.{e}"))).to_vec();
     let seconds = extent.calibration + 30.0;
     let mut steps = vec![Step { anew, ..step(format!("calibrate-{mode}"), seconds, false, calibrate) }];
@@ -184,7 +209,8 @@ pub fn switches(out: &Path, volume: &Path, device: (&str, &str), target: f64, ex
 /// When the command cannot be started, or the user asked to stop.
 pub fn run(step: &Step, entire: &Path, out: &Path, deadline: Instant, stop: &AtomicBool) -> Result<Outcome> {
     let begin = Instant::now();
-    let end = deadline.min(begin + Duration::from_secs_f64(step.seconds));
+    let own = begin + Duration::from_secs_f64(step.seconds);
+    let end = deadline.min(own);
     for left in &step.anew {
         // It need not be there.
         let _ = std::fs::remove_file(left);
@@ -209,6 +235,7 @@ pub fn run(step: &Step, entire: &Path, out: &Path, deadline: Instant, stop: &Ato
     let last = text.lines().rev().find(|l| !l.trim().is_empty()).unwrap_or_default().to_owned();
     let state = match (cut, status.success()) {
         (false, true) => State::Done,
+        (true, _) if step.partial && deadline < own => State::Unfinished,
         (true, _) if step.partial => State::CutShort,
         _ => State::Failed,
     };
@@ -221,10 +248,15 @@ mod tests {
     use super::*;
 
     fn shell(script: &str, seconds: f64, partial: bool) -> Outcome {
+        shell_until(60.0, script, seconds, partial)
+    }
+
+    /// As a step of a run that has so many seconds left.
+    fn shell_until(left: f64, script: &str, seconds: f64, partial: bool) -> Outcome {
         let dir = tempfile::tempdir().unwrap();
         std::fs::create_dir(dir.path().join("logs")).unwrap();
         let step = step("s".into(), seconds, partial, words(&["-c", script]));
-        let deadline = Instant::now() + Duration::from_secs(60);
+        let deadline = Instant::now() + Duration::from_secs_f64(left);
         run(&step, Path::new("/bin/sh"), dir.path(), deadline, &AtomicBool::new(false)).unwrap()
     }
 
@@ -237,6 +269,8 @@ mod tests {
         let endless = "trap 'echo kept; exit 130' INT; while :; do sleep 0.05; done";
         let cut = shell(endless, 3.0, true);
         assert_eq!((cut.state, cut.said.as_str()), (State::CutShort, "kept"));
+        let unfinished = shell_until(3.0, endless, 30.0, true);
+        assert_eq!((unfinished.state, unfinished.said.as_str()), (State::Unfinished, "kept"));
         let useless = shell(endless, 3.0, false);
         assert_eq!((useless.state, useless.said.as_str()), (State::Failed, "took too long: kept"));
     }
@@ -246,6 +280,9 @@ mod tests {
         let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data");
         let found = held_out(&data).unwrap();
         assert!(found.len() >= 4 && found.iter().all(|p| p.is_file()));
+        let some = calibrated_with(&data, 3).unwrap();
+        assert!((2..=3).contains(&some.len()) && some.iter().all(|p| !found.contains(p)), "{some:?}");
+        assert_eq!(calibrated_with(&data, 0).unwrap(), Vec::<PathBuf>::new());
         assert!(held_out(Path::new("nowhere")).unwrap_err().to_string().contains("--data"));
     }
 }

@@ -597,6 +597,10 @@ impl Session {
     /// does not hold for another: saved states carry both names, and :meth:`load_state` refuses those of
     /// others. Sessions start with empty names.
     ///
+    /// A clock named "cpu", "wall" or "device" is compared with the model's (:attr:`model_clock`). Where they
+    /// differ, the session keeps what the model says of scenes against each other and learns the factor from
+    /// the first frames; what was learned before is forgotten.
+    ///
     /// Parameters
     /// ----------
     /// renderer, clock : str
@@ -608,6 +612,20 @@ impl Session {
     ///     For a longer name.
     fn set_timing_source(&self, py: Python<'_>, renderer: &str, clock: &str) -> PyResult<()> {
         self.state(py)?.core.set_timing_source(renderer, clock).map_err(raise)
+    }
+
+    /// str or None : The clock that times the frames, as :meth:`set_timing_source` named it: "cpu", "wall"
+    /// or "device"; None for any other name, and before one was given.
+    #[getter]
+    fn clock(&self, py: Python<'_>) -> PyResult<Option<&'static str>> {
+        Ok(self.state(py)?.core.clock().map(Into::into))
+    }
+
+    /// str or None : The clock whose seconds the model predicts: "cpu", "wall" or "device"; None where its
+    /// file states none, and without a model.
+    #[getter]
+    fn model_clock(&self, py: Python<'_>) -> PyResult<Option<&'static str>> {
+        Ok(self.state(py)?.core.model_clock().map(Into::into))
     }
 
     /// What was learned, as bytes for :meth:`load_state`.

@@ -6,7 +6,17 @@ import math
 from vtk_scene import COLOR, MAPPERS, OPAQUE, TRANSPARENT, color_function, image_data, opacity_function, pixels
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow, vtkVolume, vtkVolumeProperty
 
-__all__ = ["MAPPERS", "OPAQUE", "TRANSPARENT", "View", "add_volume", "image_data"]
+__all__ = [
+    "COLOR",
+    "MAPPERS",
+    "OPAQUE",
+    "TRANSPARENT",
+    "View",
+    "add_volume",
+    "color_function",
+    "image_data",
+    "opacity_function",
+]
 
 
 def add_volume(renderer, voxels, mapper="gpu", points=OPAQUE, spacing=(1.0, 1.0, 1.0)):

@@ -86,8 +86,11 @@ def test_vispy(canvas):
     holder.moving = lambda: False
     show(made)
     assert holder.reason == "still"
+    assert holder.session.clock == "wall" and "wall clock" in repr(holder)
     holder.detach()
     assert visual.relative_step_size == own
+    with pytest.warns(UserWarning, match="cpu clock.*wall clock.*first frames"):
+        entire.vispy.hold(made, visual, seconds=TOO_LITTLE, model="unshaded-selected").detach()
     frames = len(holder.history)
     show(made)
     assert len(holder.history) == frames

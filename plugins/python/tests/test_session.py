@@ -147,6 +147,36 @@ def test_saved_states_are_bound_to_renderer_and_clock(voxels, tf):
         first.set_timing_source("x" * 257, "")
 
 
+def test_sessions_know_both_clocks(voxels):
+    session = entire.Session(entire.Volume(voxels))
+    assert (session.clock, session.model_clock) == (None, None)
+    for name in ("cpu", "wall", "device"):
+        session.set_timing_source("a renderer", name)
+        assert session.clock == name
+    session.set_timing_source("a renderer", "a watch")
+    assert session.clock is None
+    assert entire.Session(model="unshaded-selected").model_clock == "cpu"
+    session.set_model("unshaded-selected")
+    assert (session.clock, session.model_clock) == (None, "cpu")
+
+
+def test_a_model_of_another_clock_is_brought_to_this_one(voxels, tf):
+    volume = entire.Volume(voxels)
+    model = entire.Session(volume, model="unshaded-selected")
+
+    def second(clock):
+        """What is expected of the second frame over what it takes, where each takes a quarter of the model's time."""
+        session = entire.Session(volume, model="unshaded-selected")
+        session.set_timing_source("a renderer", clock)
+        for _ in range(2):
+            plan = session.plan(CAMERA, tf, (640, 480), target=10.0)
+            takes = 0.25 * model.predict(CAMERA, tf, (640, 480), step=plan.step).seconds
+            session.observe(plan, takes)
+        return plan.seconds / takes
+
+    assert abs(math.log(second("wall"))) < 0.22 < math.log(second("cpu"))
+
+
 def test_parallel_cameras_agree(voxels, tf):
     volume = entire.Volume(voxels[:, :40, :30], (1, 2, 0.5), origin=(100, -50, 7))
     center, radius = np.array(volume.center), volume.radius

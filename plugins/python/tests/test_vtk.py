@@ -3,6 +3,7 @@
 
 import gc
 import math
+import warnings
 import weakref
 
 import numpy as np
@@ -13,10 +14,22 @@ pytest.importorskip("vtkmodules")
 import entire
 import entire.vtk
 from entire.vtk import _steering
-from vtkmodules.vtkCommonDataModel import vtkPlane, vtkPlaneCollection
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonDataModel import vtkDataObject, vtkPlane, vtkPlaneCollection
+from vtkmodules.vtkCommonExecutionModel import vtkTrivialProducer
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindowInteractor, vtkVolume
 
-from scenes import MAPPERS, TRANSPARENT, View, add_volume, image_data
+from scenes import (
+    COLOR,
+    MAPPERS,
+    OPAQUE,
+    TRANSPARENT,
+    View,
+    add_volume,
+    color_function,
+    image_data,
+    opacity_function,
+)
 
 KINDS = ["gpu", "fixed", "smart"]
 
@@ -240,6 +253,114 @@ def test_scene_changes_are_followed(voxels):
     assert leaf._tf is not read
 
 
+@pytest.mark.parametrize("kind", ["gpu", "fixed"])
+def test_only_other_functions_are_new(voxels, kind):
+    view = View()
+    volume = add_volume(view.renderer, voxels, kind)
+    steering = entire.vtk.hold(view.renderer, volume, 0.004)
+    view.draw(2)
+    leaf, prop = steering.leaves[0], volume.GetProperty()
+    opacity, color = prop.GetScalarOpacity(), prop.GetRGBTransferFunction(0)
+
+    def rebuilt():
+        opacity.RemoveAllPoints()
+        for at, value in OPAQUE:
+            opacity.AddPoint(at, value)
+
+    def is_new(change):
+        read = leaf._tf
+        change()
+        view.draw(1)
+        assert steering.status == ""
+        # Looked at once either way.
+        assert leaf._tf_key == entire.vtk._scene.transfer_key(prop)
+        return leaf._tf is not read
+
+    for same in (
+        opacity.Modified,
+        color.Modified,
+        rebuilt,
+        lambda: prop.SetScalarOpacity(opacity_function(OPAQUE)),
+        lambda: prop.SetColor(color_function(COLOR)),
+        lambda: prop.SetAmbient(0.37),
+    ):
+        assert not is_new(same)
+    for other in (
+        lambda: prop.GetScalarOpacity().AddPoint(120, 0.7, 0.9, 0.8),
+        lambda: prop.GetScalarOpacity().ClampingOff(),
+        lambda: prop.GetRGBTransferFunction(0).AddRGBPoint(100, 0.2, 0.9, 0.2),
+        lambda: prop.SetScalarOpacityUnitDistance(3.5),
+        lambda: prop.SetScalarOpacity(opacity_function(TRANSPARENT)),
+        # Its functions are to be given to the session again.
+        lambda: volume.GetMapper().SetInputData(image_data(voxels[:30])),
+    ):
+        assert is_new(other)
+
+
+@pytest.mark.parametrize("kind", ["gpu", "fixed"])
+def test_voxels_that_change_in_place_are_read_again(voxels, kind):
+    view = View()
+    volume = add_volume(view.renderer, voxels, kind)
+    steering = entire.vtk.hold(view.renderer, volume, 0.004)
+    image = volume.GetMapper().GetInput()
+    scalars = image.GetPointData().GetScalars()
+    view.draw(2)
+    leaf = steering.leaves[0]
+    for value, changed in ((90, image), (70, scalars)):
+        read = leaf._grid
+        view.draw(1, start=40)
+        assert leaf._grid is read
+        vtk_to_numpy(scalars)[:] = np.arange(voxels.size) % value
+        changed.Modified()
+        view.draw(1)
+        assert leaf._grid is not read
+        read = leaf._grid
+        view.draw(1)
+        assert leaf._grid is read
+    # The scalars' own range is as old as what they say of themselves.
+    assert leaf._grid.range == (0.0, 69.0)
+    assert steering.status == ""
+
+
+@pytest.mark.parametrize("kind", ["gpu", "fixed"])
+def test_a_producer_that_exchanges_its_output_is_followed(voxels, kind):
+    view = View()
+    volume = add_volume(view.renderer, voxels, kind)
+    mapper, producer = volume.GetMapper(), vtkTrivialProducer()
+    other = image_data(voxels[:30])
+    producer.SetOutput(image_data(voxels))
+    mapper.SetInputConnection(producer.GetOutputPort())
+    steering = entire.vtk.hold(view.renderer, volume, 0.004)
+    view.draw(3)
+    leaf, told = steering.leaves[0], mapper.GetMTime()
+    assert leaf._grid.volume.shape == (48, 48, 48)
+    # Neither the mapper nor the image before tells of it.
+    producer.SetOutput(other)
+    assert mapper.GetMTime() == told
+    view.draw(2)
+    assert steering.status == ""
+    assert leaf._grid.volume.shape == (48, 48, 30)
+
+
+@pytest.mark.parametrize("kind", ["gpu", "fixed"])
+def test_a_mappers_time_is_that_of_finished_work(voxels, kind):
+    view = View()
+    volume = add_volume(view.renderer, voxels, kind)
+    view.draw(1)
+    waits, wait = [], view.window.WaitForCompletion
+    view.window.__dict__["WaitForCompletion"] = lambda: (waits.append(0), wait())
+    try:
+        # One rule measures frames that are steered and those that a model is fitted to.
+        entire.vtk.calibrate(view.renderer, volume, frames=10)
+        assert len(waits) == (2 * 12 if kind == "gpu" else 0)
+        waits.clear()
+        entire.vtk.hold(view.renderer, volume, 100.0)
+        view.draw(3)
+        assert len(waits) == (2 * 3 if kind == "gpu" else 0)
+    finally:
+        del view.window.__dict__["WaitForCompletion"]
+
+
 def test_what_the_application_sets_within_a_frame_is_kept(voxels):
     view = View()
     volume = add_volume(view.renderer, voxels)
@@ -361,6 +482,8 @@ def test_calibration_serves_the_first_frame(voxels, tmp_path):
     assert volume.GetProperty().GetScalarOpacityUnitDistance(0) == unit
     assert np.array_equal(view.pixels(), plain)
     assert model.predicts
+    assert model.metadata["entire.clock"] == "cpu"
+    assert model.metadata["entire.renderer"] == volume.GetMapper().GetClassName()
     steering = entire.vtk.hold(view.renderer, volume, 0.01, model=model, clock="cpu")
     with steering.still():
         view.draw(1)
@@ -373,12 +496,77 @@ def test_calibration_serves_the_first_frame(voxels, tmp_path):
         view.draw(1, start=30)
         assert 0.2 < steering.predicted / steering.measured < 5
     steering.save(tmp_path / "state")
-    again = entire.vtk.hold(view.renderer, volume, 0.01, model=model)
+    again = entire.vtk.hold(view.renderer, volume, 0.01, model=model, clock="cpu")
     again.load(tmp_path / "state")
     with pytest.raises(ValueError, match="state"):
         again.load(__file__)
     with pytest.raises(ValueError, match="at least 10"):
         entire.vtk.calibrate(view.renderer, volume, frames=3)
+    with pytest.raises(ValueError, match="clock"):
+        entire.vtk.calibrate(view.renderer, volume, clock="sun")
+
+
+def test_a_model_of_another_clock_is_said_once(voxels):
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    said = r"of the cpu clock.*by the wall clock.*first frames.*--clock wall.*entire\.vtk\.calibrate.*'wall'"
+    with pytest.warns(UserWarning, match=said) as warned:
+        steering = entire.vtk.hold(view.renderer, volume, 0.004, model="unshaded-selected")
+        view.draw(3)
+        steering.reset()
+        view.draw(3)
+    assert len([each for each in warned if "clock" in str(each.message)]) == 1
+    assert warned[0].filename.endswith("test_vtk.py")
+    assert (steering.clock, steering.model_clock) == ("wall", "cpu")
+    assert "wall clock, model of the cpu clock" in repr(steering)
+    assert steering.status == ""
+    session = steering.leaves[0].session
+    assert (session.clock, session.model_clock) == ("wall", "cpu")
+    # A model of this clock, or of none, is no matter.
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", message=".*clock")
+        same = entire.vtk.hold(view.renderer, volume, 0.004, model="unshaded-selected", clock="cpu")
+        assert (same.clock, same.model_clock) == ("cpu", "cpu")
+        none = entire.vtk.hold(view.renderer, volume, 0.004)
+        assert (none.clock, none.model_clock) == ("wall", None)
+        assert "wall clock" in repr(none)
+        # An error of it leaves the scene as it is.
+        with pytest.raises(UserWarning, match="cpu clock"):
+            entire.vtk.hold(view.renderer, volume, 0.004, model="unshaded-selected")
+    assert none.leaves
+
+
+def test_what_was_learned_belongs_to_mapper_and_clock(voxels, tmp_path):
+    view = View()
+    volume = add_volume(view.renderer, voxels)
+    steering = entire.vtk.hold(view.renderer, volume, 0.004)
+    view.draw(4)
+    leaf, state = steering.leaves[0], tmp_path / "state"
+    learned = leaf.session
+    steering.save(state)
+    steering.load(state)
+    # Another mapper of the class goes on with it, one of another class begins.
+    for kind, same in (("gpu", True), ("fixed", False)):
+        mapper = MAPPERS[kind]()
+        mapper.SetInputData(image_data(voxels))
+        volume.SetMapper(mapper)
+        view.draw(2)
+        assert steering.status == ""
+        assert (leaf.session is learned) == same
+    # What load() was given is the GPU mapper's.
+    assert any("renderer" in note for note in steering.notes)
+    with pytest.raises(entire.ModelError, match="renderer"):
+        steering.load(state)
+    timed = entire.vtk.hold(view.renderer, add_volume(view.renderer, voxels), 0.004, clock="cpu")
+    with pytest.raises(entire.ModelError, match="clock"):
+        timed.load(state)
+    # Of several volumes those take it up that it belongs to.
+    timed.detach()
+    both = entire.vtk.hold(view.renderer, seconds=0.004)
+    assert len(both.leaves) == 2
+    both.load(state)
+    view.draw(2)
+    assert all(each.status == "" for each in both.leaves)
 
 
 def test_the_overlay_never_enters_still_frames(voxels):
@@ -412,19 +600,46 @@ def test_time_outside_of_the_window_counts(voxels):
         steering.also(-1)
 
 
-def test_picking_is_left_alone(voxels):
+@pytest.mark.parametrize("kind", ["gpu", "fixed"])
+def test_picking_is_left_alone(voxels, kind):
     from vtkmodules.vtkRenderingCore import vtkHardwareSelector
 
     view = View()
-    volume = add_volume(view.renderer, voxels)
-    steering = entire.vtk.hold(view.renderer, volume, 0.002)
-    view.draw(2)
-    frames = steering.steered_frames
+    volume = add_volume(view.renderer, voxels, kind)
+    mapper = volume.GetMapper()
+    # No machine draws a frame within this.
+    steering = entire.vtk.hold(view.renderer, volume, 1e-6)
+    view.draw(4)
+    assert steering.sample_distance > 1.5
+    session, own = steering.leaves[0].session, settings(mapper)
+    told, seen = [], []
+    steering.on_frame = told.append
+    tag = mapper.AddObserver("VolumeMapperRenderStartEvent", lambda m, _: seen.append(settings(m)), -2.0)
+
+    def counted():
+        return steering.frames, steering.steered_frames, steering.fallback_frames
+
+    before, state, distance = counted(), session.save_state(), steering.sample_distance
     selector = vtkHardwareSelector()
     selector.SetRenderer(view.renderer)
-    selector.SetArea(0, 0, 50, 50)
+    selector.SetArea(0, 0, 199, 199)
+    selector.SetFieldAssociation(vtkDataObject.FIELD_ASSOCIATION_CELLS)
     selector.Select()
-    assert steering.steered_frames == frames
+    # It is drawn as the application has it, is no frame, and teaches nothing.
+    assert seen and all(each == own for each in seen)
+    assert told == []
+    assert counted() == before
+    assert steering.sample_distance == distance
+    assert steering.leaves[0].session is session
+    assert session.save_state() == state
+    # Where a frame does.
+    seen.clear()
+    view.draw(1)
+    mapper.RemoveObserver(tag)
+    assert seen and seen[0] != own
+    assert told == [steering]
+    assert counted() == (before[0] + 1, before[1] + 1, before[2])
+    assert steering.leaves[0].session.save_state() != state
 
 
 def test_several_volumes_in_one_mapper(voxels):

@@ -14,6 +14,7 @@ camera: entire.Camera = entire.Camera.look_at(volume, (0, 0, 50))
 parallel: entire.Camera = entire.Camera.arcball(20, 30, 2.5, parallel_scale=0.9)
 scale: float | None = parallel.parallel_scale
 session: entire.Session = entire.Session(volume, model="unshaded-selected")
+clocks: tuple[str | None, str | None] = (session.clock, session.model_clock)
 plan: entire.Plan = session.plan(camera, tf, (640, 480), 1 / 30, shading="local")
 verdict: str = session.observe(plan, 0.02)
 seconds: float = session.predict(camera, None, (640, 480)).seconds

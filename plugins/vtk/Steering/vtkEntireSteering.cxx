@@ -89,7 +89,7 @@ bool vtkEntireSteering::Attach(vtkRenderer* renderer, vtkVolume* volume)
   {
     leaf->ReadAhead();
   }
-  this->Internals->Report(nullptr, "no frame was drawn yet");
+  this->Internals->Report(nullptr, ("no frame was drawn yet; " + this->Internals->ClocksText()).c_str());
   this->Modified();
   return true;
 }
@@ -123,6 +123,12 @@ vtkRenderer* vtkEntireSteering::GetRenderer()
 vtkVolume* vtkEntireSteering::GetVolume()
 {
   return this->Internals->Volume;
+}
+
+//------------------------------------------------------------------------------
+const char* vtkEntireSteering::GetModelClock()
+{
+  return this->Internals->ModelClockName();
 }
 
 //------------------------------------------------------------------------------
@@ -201,10 +207,11 @@ void vtkEntireSteering::PrintSelf(ostream& os, vtkIndent indent)
     os << indent << each.first << q[0] << " " << q[1] << " " << q[2] << " " << q[3] << "\n";
   }
   os << indent << "StillUpdateRate: " << this->StillUpdateRate << "\n";
-  os << indent << "Clock: " << (this->Clock == WALL ? "wall" : "process CPU") << "\n";
+  os << indent << "Clock: " << this->Internals->ClockName() << "\n";
   os << indent << "Tolerance: " << this->Tolerance << "\n";
   os << indent << "MissRate: " << this->MissRate << "\n";
   os << indent << "ModelFileName: " << (this->ModelFileName ? this->ModelFileName : "(none)") << "\n";
+  os << indent << "ModelClock: " << (this->GetModelClock() ? this->GetModelClock() : "(not stated)") << "\n";
   os << indent << "PredictedTime: " << this->PredictedTime << "\n";
   os << indent << "MeasuredTime: " << this->MeasuredTime << "\n";
   os << indent << "FrameTime: " << this->FrameTime << "\n";

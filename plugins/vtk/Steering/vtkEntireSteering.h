@@ -73,9 +73,10 @@ public:
    */
   enum Clocks
   {
-    /// Time on the wall.
+    /// Time on the wall: the clock "wall" of models and of saved states.
     WALL = 0,
-    /// Processor time of the process, all threads together: for renderers on the CPU of a shared machine.
+    /// Processor time of the process, all threads together: for renderers on the CPU of a shared machine. The
+    /// clock "cpu" of models and of saved states.
     PROCESS_CPU = 1
   };
 
@@ -198,11 +199,18 @@ public:
   ///@{
   /**
    * A model file from `entire train`, or nullptr for none. A file that cannot be used switches steering off;
-   * Status says why. A changed name starts learning anew.
+   * Status says why. A changed name starts learning anew. Of a model of another clock than Clock a warning says
+   * that its scale is learned from the first frames; it is given once for each change of either.
    */
   vtkSetFilePathMacro(ModelFileName);
   vtkGetFilePathMacro(ModelFileName);
   ///@}
+
+  /**
+   * The clock whose seconds the model predicts, as its file states it: "cpu", "wall" or "device". nullptr where it
+   * states none, where no model was read yet, and while nothing is attached.
+   */
+  const char* GetModelClock();
 
   ///@{
   /**

@@ -31,6 +31,22 @@ void Copy(char*& to, const char* text)
   delete[] to;
   to = copied;
 }
+
+// As models state it; nullptr for none.
+const char* NameOf(entire_clock clock)
+{
+  switch (clock)
+  {
+    case ENTIRE_CLOCK_CPU:
+      return "cpu";
+    case ENTIRE_CLOCK_WALL:
+      return "wall";
+    case ENTIRE_CLOCK_DEVICE:
+      return "device";
+    default:
+      return nullptr;
+  }
+}
 }
 
 //------------------------------------------------------------------------------
@@ -50,6 +66,54 @@ double vtkEntireSteering::vtkInternals::Now() const
 }
 
 //------------------------------------------------------------------------------
+const char* vtkEntireSteering::vtkInternals::ClockName() const
+{
+  return NameOf(this->Owner->Clock == PROCESS_CPU ? ENTIRE_CLOCK_CPU : ENTIRE_CLOCK_WALL);
+}
+
+//------------------------------------------------------------------------------
+const char* vtkEntireSteering::vtkInternals::ModelClockName() const
+{
+  return NameOf(this->ModelClock);
+}
+
+//------------------------------------------------------------------------------
+std::string vtkEntireSteering::vtkInternals::ClocksText() const
+{
+  std::string text = std::string("frames are timed by the ") + this->ClockName() + " clock";
+  if (const char* model = this->ModelClockName())
+  {
+    text += std::string(", the model predicts seconds of the ") + model + " clock";
+  }
+  return text;
+}
+
+//------------------------------------------------------------------------------
+void vtkEntireSteering::vtkInternals::NoteClocks(const entire::session& session)
+{
+  const auto found = session.clocks();
+  if (!found)
+  {
+    return;
+  }
+  const entire::clocks clocks = found.value();
+  this->ModelClock = clocks.model;
+  std::string text;
+  if (clocks.differ())
+  {
+    const std::string model = NameOf(clocks.model), own = NameOf(clocks.own);
+    text = "the model predicts seconds of the " + model + " clock, frames are timed by the " + own +
+      " clock: the model's scale is learned from the first frames; \"entire train --clock " + own +
+      "\" makes a model of the " + own + " clock";
+    if (text != this->ClocksSaid)
+    {
+      this->Warn(text);
+    }
+  }
+  this->ClocksSaid = std::move(text);
+}
+
+//------------------------------------------------------------------------------
 vtkEntireSteering::vtkInternals::Leaves vtkEntireSteering::vtkInternals::TakeApart()
 {
   this->Attachment++;
@@ -65,6 +129,8 @@ vtkEntireSteering::vtkInternals::Leaves vtkEntireSteering::vtkInternals::TakeApa
   this->Renderer = nullptr;
   this->Volume = nullptr;
   this->Warnings.clear();
+  this->ClocksSaid.clear();
+  this->ModelClock = ENTIRE_CLOCK_UNSTATED;
   this->Rendering = false;
   this->Present = false;
   this->Frames = 0;
@@ -335,6 +401,8 @@ void vtkEntireSteering::vtkInternals::MatchOwner()
     if (this->ModelName != name)
     {
       this->Model.reset();
+      this->ClocksSaid.clear();
+      this->ModelClock = ENTIRE_CLOCK_UNSTATED;
     }
     this->ModelName = name;
     this->Tolerance = this->Owner->Tolerance;
@@ -367,8 +435,8 @@ std::string vtkEntireSteering::vtkInternals::NewSession(
   {
     return made.message();
   }
-  auto named = made.value().set_timing_source(leaf.Mapper ? leaf.Mapper->GetClassName() : "",
-    this->Owner->Clock == vtkEntireSteering::WALL ? "wall" : "process CPU");
+  auto named =
+    made.value().set_timing_source(leaf.Mapper ? leaf.Mapper->GetClassName() : "", this->ClockName());
   if (!named)
   {
     return named.message();
@@ -401,6 +469,7 @@ std::string vtkEntireSteering::vtkInternals::MakeSession(Leaf& leaf)
       this->State.clear();
     }
   }
+  this->NoteClocks(*made);
   leaf.Session = std::make_shared<entire::session>(std::move(*made));
   return {};
 }

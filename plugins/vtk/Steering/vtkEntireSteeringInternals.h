@@ -265,6 +265,15 @@ public:
   // Seconds by the owner's clock.
   double Now() const;
 
+  // The owner's clock and the model's, as models state them; nullptr where the model states none.
+  const char* ClockName() const;
+  const char* ModelClockName() const;
+  // Both, in words.
+  std::string ClocksText() const;
+  // Keeps the clock of a session's model, and warns where frames are timed by another one: once for each change of
+  // either.
+  void NoteClocks(const entire::session& session);
+
   // Ends the attachment. The leaves are handed out: whoever has them releases them, which mappers' observers
   // hear of.
   Leaves TakeApart();
@@ -317,6 +326,9 @@ public:
   std::string ModelName;
   double Tolerance = -1;
   double MissRate = -1;
+  entire_clock ModelClock = ENTIRE_CLOCK_UNSTATED;
+  // The last warning of the clocks; empty where they agree.
+  std::string ClocksSaid;
   std::vector<std::uint8_t> State;
 
   bool Rendering = false;

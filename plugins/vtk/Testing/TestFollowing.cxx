@@ -10,9 +10,11 @@
 #include "vtkObjectFactory.h"
 #include "vtkPointData.h"
 #include "vtkSelection.h"
+#include "vtkTestErrorObserver.h"
 
 #include <fstream>
 #include <iterator>
+#include <sstream>
 
 // Last, for the macros of X11.
 #include "vtkXOpenGLRenderWindow.h"
@@ -250,6 +252,58 @@ void KnowsItsPictures(Kind kind)
   }
 }
 
+// A model of another clock than the one that measures is said: once, and again where either changes.
+void SaysItsClocks(Kind kind)
+{
+  Scene scene(kind);
+  vtkNew<vtkEntireSteering> steering;
+  vtkNew<vtkTest::ErrorObserver> warnings;
+  steering->AddObserver(vtkCommand::WarningEvent, warnings);
+  steering->SetTargetFrameTime(1e-6);
+  // One of the clock "cpu".
+  const char* const model = std::getenv("ENTIRE_TEST_MODEL");
+  CHECK(model);
+  steering->SetModelFileName(model);
+  CHECK(!steering->GetModelClock());
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  CHECK(Says(steering->GetStatus(), "timed by the wall clock"));
+  scene.Interactive();
+  const auto said = [&] {
+    warnings->Clear();
+    for (int i = 0; i < 3; ++i)
+    {
+      scene.Draw();
+    }
+    CHECK(Empty(steering->GetStatus()) && steering->GetNumberOfFallbackFrames() == 0);
+    return warnings->GetWarningMessage();
+  };
+  const std::string first = said();
+  for (const char* words : { "predicts seconds of the cpu clock", "timed by the wall clock",
+         "learned from the first frames", "entire train --clock wall" })
+  {
+    CHECK(Says(first.c_str(), words) && first.find(words) == first.rfind(words));
+  }
+  CHECK(Is(steering->GetModelClock(), "cpu") && said().empty());
+  std::ostringstream text;
+  steering->Print(text);
+  CHECK(Says(text.str().c_str(), "Clock: wall") && Says(text.str().c_str(), "ModelClock: cpu"));
+  // What was learned is no model, and a volume that is attached again is another attachment.
+  steering->Reset();
+  CHECK(said().empty());
+  steering->SetClockToProcessCPU();
+  CHECK(said().empty());
+  steering->SetClockToWall();
+  CHECK(Says(said().c_str(), "cpu clock"));
+  steering->SetModelFileName(nullptr);
+  CHECK(said().empty() && !steering->GetModelClock());
+  steering->SetModelFileName(model);
+  CHECK(Says(said().c_str(), "cpu clock"));
+  CHECK(steering->Attach(scene.Renderer, scene.Volume));
+  CHECK(Says(said().c_str(), "cpu clock"));
+  steering->Detach();
+  CHECK(!steering->GetModelClock());
+}
+
 const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "NoticesChangedVoxels", NoticesChangedVoxels },
   { "NoticesNewFunctionsOnly", NoticesNewFunctionsOnly },
@@ -257,6 +311,7 @@ const std::map<std::string, std::function<void(Kind)>> TESTS = {
   { "LeavesModifiedTimesAlone", LeavesModifiedTimesAlone },
   { "WaitsForTheDevice", WaitsForTheDevice },
   { "KnowsItsPictures", KnowsItsPictures },
+  { "SaysItsClocks", SaysItsClocks },
 };
 }
 

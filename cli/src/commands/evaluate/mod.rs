@@ -3,11 +3,11 @@
 mod report;
 
 use crate::bound;
-use crate::dataset::{Clock, TimedFrame, noise_floor, read_tables, timed};
+use crate::dataset::{Clock, TimedFrame, left_out, noise_floor, read_tables, timed};
 use crate::evaluation::{
     PROBE_SHARE, WarmLatency, by_kind, in_session, noise_by_kind, probe_means, warm_latency,
 };
-use crate::files::{fnv1a, parse_model, read_model_bytes};
+use crate::files::{fnv1a, note, parse_model, read_model_bytes};
 use crate::fit::{predict_rows, rows_by_network};
 use crate::inputs::Layout;
 use crate::machine;
@@ -116,8 +116,11 @@ pub fn run(options: &Options) -> Result<()> {
     let pool = thread_pool(options.threads)?;
     let models: Vec<Loaded> = options.model.iter().map(|p| load(p)).collect::<Result<_>>()?;
     let tables = read_tables(&options.data)?;
-    let clock = crate::clock::agreed(options.clock, models.iter().map(|m| (m.name.as_str(), &m.model)))?;
+    let named = || models.iter().map(|m| (m.name.as_str(), &m.model));
+    let clock = crate::clock::agreed(options.clock, named())?;
     let mut frames = timed(&tables, clock, options.shading)?;
+    let said = [crate::clock::unstated(clock, named()), left_out(&tables, clock, options.shading)];
+    said.into_iter().flatten().for_each(|text| note(&text));
     if options.unseen {
         for m in models.iter().filter(|m| m.split.is_none()) {
             eprintln!("note: {} does not say what it learned from; --unseen cannot leave that out", m.name);

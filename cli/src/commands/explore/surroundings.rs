@@ -63,15 +63,33 @@ struct Predicts {
     model: Option<SteeringModel>,
     /// Whether the model was calibrated to this machine, as a model that was given is taken to be.
     calibrated: bool,
+    /// The clock that the model states.
+    clock: Option<Clock>,
+    /// Why the machine's model takes no part, where there is one.
+    left_out: Option<String>,
 }
+
+/// The clock that the window's frames are timed by.
+const WINDOW: Clock = Clock::Wall;
 
 impl Steering for Predicts {
     fn title(&self) -> String {
-        match &self.model {
+        let mut out = match &self.model {
             Some(model) if self.calibrated => format!("predicted by {}", model.title()),
             Some(model) => format!("predicted by {}, corrected by every frame", model.title()),
             None => "predicted by an untrained analytic model, corrected by every frame".to_owned(),
+        };
+        if let Some(clock) = self.clock.filter(|c| *c != WINDOW) {
+            out += &format!(
+                "; it predicts {} seconds, frames take {} seconds: the first ones tell the factor",
+                clock.name(),
+                WINDOW.name()
+            );
         }
+        if let Some(why) = &self.left_out {
+            out += &format!("; {why}");
+        }
+        out
     }
 
     fn volume_features(&self) -> Option<&[f32]> {
@@ -90,8 +108,20 @@ impl Steering for Predicts {
             _ => Prior::Unknown,
         };
         let steers = controller(kind, 4.0, &StepResponse::inverse_step(FIXED_SHARE), prior);
-        Ok(Session::with_controller(predictor, steers))
+        let mut session = Session::with_controller(predictor, steers);
+        session.set_timing_source("entire explore", WINDOW.name())?;
+        Ok(session)
     }
+}
+
+/// What is said of a machine's model that takes no part, because it predicts other seconds than the window's.
+fn takes_no_part(file: &Path, clock: Option<Clock>) -> String {
+    format!(
+        "{} predicts {} seconds and takes no part: Calibrate … copies the command that makes one of {} seconds",
+        file.display(),
+        clock.map_or("no stated clock's", Clock::name),
+        WINDOW.name()
+    )
 }
 
 impl Host for Surroundings {
@@ -101,18 +131,26 @@ impl Host for Surroundings {
     }
 
     fn steering(&self, volume: &VolumeView<'_>, shading: Shading) -> Result<Arc<dyn Steering>> {
-        // A model of another clock than the window's says nothing of its frames.
-        let here = machine_model(shading)?.filter(|(.., clock)| *clock == Some(Clock::Wall));
-        let (title, model, calibrated) = match (&self.model, here) {
-            (Some((title, model)), _) => (title.clone(), model.clone(), true),
-            (None, Some((path, file, _))) => (path.display().to_string(), file.to_model()?, true),
-            (None, None) => match shipped_file(shading)? {
-                Some((path, file)) => (path.display().to_string(), file.to_model()?, false),
-                None => return Ok(Arc::new(Predicts { model: None, calibrated: false })),
-            },
+        let (title, model, calibrated, left_out) = match (&self.model, machine_model(shading)?) {
+            (Some((title, model)), _) => (title.clone(), model.clone(), true, None),
+            (None, Some((path, file, Some(WINDOW)))) => {
+                (path.display().to_string(), file.to_model()?, true, None)
+            }
+            // A machine's model of another clock does not say how long the window's frames take.
+            (None, here) => {
+                let left_out = here.map(|(path, _, clock)| takes_no_part(&path, clock));
+                match shipped_file(shading)? {
+                    Some((path, file)) => (path.display().to_string(), file.to_model()?, false, left_out),
+                    None => {
+                        let untrained = Predicts { model: None, calibrated: false, clock: None, left_out };
+                        return Ok(Arc::new(untrained));
+                    }
+                }
+            }
         };
+        let clock = crate::clock::of(&model);
         let model = Some(SteeringModel::new(title, model, volume)?);
-        Ok(Arc::new(Predicts { model, calibrated }))
+        Ok(Arc::new(Predicts { model, calibrated, clock, left_out }))
     }
 
     fn controllers(&self) -> Vec<(&'static str, &'static str)> {
@@ -203,6 +241,7 @@ fn transfer(recorded: &RecordedTransfer) -> Transfer {
 mod tests {
     use super::*;
     use entire_core::GaussianLobe;
+    use entire_core::scene::Scalars;
     use entire_explore::RecordedFrame;
 
     #[test]
@@ -242,6 +281,28 @@ mod tests {
         assert_eq!(scales, [None, Some(0.8), Some(0.7)]);
         let heights: Vec<f32> = path.frames.iter().map(|f| f.transfer.lobes().unwrap()[0].height).collect();
         assert_eq!(heights, [0.1, 0.1, 0.1, 0.1, 0.1, 0.3, 0.3, 0.4, 0.4, 0.4]);
+    }
+
+    #[test]
+    fn a_model_of_another_clock_than_the_windows_is_told() {
+        let voxels = [0u8; 512];
+        let view = VolumeView::new(Scalars::U8(&voxels), [8; 3]).unwrap();
+        let mut file = AnalyticModel::default().to_model_file().unwrap();
+        crate::clock::set(&mut file, Clock::Cpu);
+        let model = file.to_model().unwrap();
+        let mut predicts = Predicts {
+            clock: crate::clock::of(&model),
+            model: Some(SteeringModel::new("m".into(), model, &view).unwrap()),
+            calibrated: false,
+            left_out: Some(takes_no_part(Path::new("here.safetensors"), Some(Clock::Device))),
+        };
+        let title = predicts.title();
+        for part in ["predicted by m", "predicts cpu seconds", "here.safetensors predicts device seconds"] {
+            assert!(title.contains(part), "{part}: {title}");
+        }
+        (predicts.clock, predicts.left_out) = (Some(WINDOW), None);
+        assert_eq!(predicts.title(), "predicted by m, corrected by every frame");
+        assert!(predicts.session("hybrid").is_ok());
     }
 
     #[test]

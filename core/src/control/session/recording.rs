@@ -177,6 +177,8 @@ impl Session {
         }
         self.controller = super::controller_for(&*predictor, options);
         self.predictor = predictor;
+        self.converted = false;
+        self.reconcile_clocks();
         self.reset();
         Ok(())
     }

@@ -4,6 +4,7 @@ use super::Session;
 use crate::Result;
 use crate::adapt::state::{Reader, Writer, seal, unseal};
 use crate::error::bail;
+use crate::predict::Clock;
 use alloc::borrow::ToOwned;
 use alloc::vec::Vec;
 
@@ -18,6 +19,10 @@ impl Session {
     /// does not hold for another: saved states carry both names, and [`Session::load_state`] refuses those of
     /// others. Sessions start with empty names.
     ///
+    /// A clock named `cpu`, `wall` or `device` is compared with the one that the model predicts
+    /// ([`Session::model_clock`]). Where they differ, the session keeps what the model says of scenes against
+    /// each other and learns the factor from the first frames; what was learned before is forgotten.
+    ///
     /// # Errors
     /// [`crate::ErrorKind::InvalidArgument`] for a name of more than 256 bytes.
     pub fn set_timing_source(&mut self, renderer: &str, clock: &str) -> Result<()> {
@@ -31,7 +36,34 @@ impl Session {
             }
         }
         self.timing = [renderer.to_owned(), clock.to_owned()];
+        if self.reconcile_clocks() {
+            self.reset();
+        }
         Ok(())
+    }
+
+    /// The clock that times the observed frames; `None` where [`Session::set_timing_source`] named none of
+    /// `cpu`, `wall` and `device`.
+    #[must_use]
+    pub fn clock(&self) -> Option<Clock> {
+        Clock::named(&self.timing[1])
+    }
+
+    /// The clock whose seconds the model predicts; `None` where its file states none.
+    #[must_use]
+    pub fn model_clock(&self) -> Option<Clock> {
+        self.predictor.clock()
+    }
+
+    /// Tells the controller whether both clocks are known and differ; returns whether that is new.
+    pub(super) fn reconcile_clocks(&mut self) -> bool {
+        let converted = matches!((self.clock(), self.model_clock()), (Some(own), Some(other)) if own != other);
+        let new = converted != self.converted;
+        if new {
+            self.converted = converted;
+            self.controller.convert(converted);
+        }
+        new
     }
 
     /// What was learned, as bytes for [`Session::load_state`]: little-endian numbers behind a tag and

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from vispy.gloo import gl
 
+from . import _clocks
 from ._core import ModelLike, Session, explain
 from ._history import History
 from ._native import Camera, Plan, TransferFunction, Volume
@@ -77,6 +78,8 @@ class Holder:
         self.canvas, self.visual, self.seconds, self.moving = canvas, visual, seconds, moving
         self.enabled = True
         self.session = Session(model=model, tolerance=0.25, miss_rate=0.02, probe_side=6)
+        self.session.set_timing_source(f"vispy.{type(visual).__name__}", "wall")
+        _clocks.warn(self.session, stacklevel=3)
         self.coarsest = coarsest
         self.measured = self.predicted = self.step = math.nan
         self.reason, self.status = "", "no frame was drawn yet"
@@ -108,7 +111,10 @@ class Holder:
         return self.status or (explain(self._explained) if self._explained else "")
 
     def __repr__(self) -> str:
-        return f"Holder({type(self.visual).__name__} to {1e3 * self.seconds:.1f} ms: {self.why})"
+        return (
+            f"Holder({type(self.visual).__name__} to {1e3 * self.seconds:.1f} ms, {_clocks.both(self.session)}: "
+            f"{self.why})"
+        )
 
     def _repr_html_(self) -> str:
         return self.history._repr_html_()
@@ -214,7 +220,8 @@ def hold(
     seconds : float, optional
         Seconds that a frame of the canvas may take. Default 1 / 30.
     model : Model, str, os.PathLike or bytes, optional
-        As :class:`entire.Session` takes it.
+        As :class:`entire.Session` takes it. Frames are timed by the wall clock: of a model of another one
+        (``entire.clock`` in its metadata) a warning says that its scale is learned from the first frames.
     coarsest : float, optional
         Coarsest step in voxels. Default 8.
     moving : callable, optional

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from . import _clocks
 from ._core import ModelLike, Session, explain
 from ._history import History
 from ._native import Camera, Plan, TransferFunction, Volume
@@ -92,6 +93,8 @@ class Holder:
             )
         self.volume = _fixed_resolution(self.source, edge)
         self.session = Session(self.volume, model=model, tolerance=0.25)
+        self.session.set_timing_source(f"yt.{type(self.source).__name__}", "wall")
+        _clocks.warn(self.session, stacklevel=3)
         width, height = (int(n) for n in scene.camera.resolution)
         self.most, self.full = int(self.source.num_samples), (width, height)
         self.smallest = smallest
@@ -178,6 +181,11 @@ class Holder:
         """History : The last pictures."""
         return self.session.history
 
+    def __repr__(self) -> str:
+        return (
+            f"Holder({type(self.source).__name__} to {self.seconds:.3g} s, {_clocks.both(self.session)}: {self.why})"
+        )
+
     def _repr_html_(self) -> str:
         return self.history._repr_html_()
 
@@ -203,7 +211,8 @@ def hold(
     seconds : float
         Seconds that a picture may take.
     model : Model, str, os.PathLike or bytes, optional
-        As :class:`entire.Session` takes it.
+        As :class:`entire.Session` takes it. Pictures are timed by the wall clock: of a model of another one
+        (``entire.clock`` in its metadata) a warning says that its scale is learned from the first pictures.
     smallest : float, optional
         Least side of the picture over the full side. Default 0.25.
     edge : int, optional

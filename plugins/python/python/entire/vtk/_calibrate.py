@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import math
 import random
-import time
 from typing import Any
 
 from .._core import Calibration, Model
 from . import _mappers, _scene
 from ._mappers import CannotSteer
 from ._leaf import first_volume
-from ._steering import _volumes
+from ._steering import _volumes, timer
 
 
 def calibrate(
@@ -42,7 +41,7 @@ def calibrate(
     coarsest : float, optional
         Coarsest sample distance, in smallest voxel spacings. Default 8.
     clock : {"wall", "cpu"}, optional
-        As in :func:`hold`.
+        As in :func:`hold`; stands in the model's metadata, beside the mapper's class.
 
     Returns
     -------
@@ -54,7 +53,7 @@ def calibrate(
     CannotSteer
         Where the mapper cannot be set.
     ValueError
-        For too few frames, or a scene that cannot be read.
+        For too few frames, another clock, or a scene that cannot be read.
     """
     if frames < 10:
         raise ValueError(f"frames is {frames}; at least 10 are needed to tell costs apart, 60 are plenty")
@@ -69,23 +68,26 @@ def calibrate(
             or "hold the volume first: its vtkSmartVolumeMapper is then exchanged for a GPU mapper"
         )
         raise CannotSteer(why)
-    return _Calibrator(
-        renderer, volume, mapper, time.process_time if clock == "cpu" else time.perf_counter
-    ).run(frames, seed, coarsest)
+    return _Calibrator(renderer, volume, mapper, clock).run(frames, seed, coarsest)
 
 
 class _Calibrator:
-    def __init__(self, renderer: Any, volume: Any, mapper: Any, now: Any) -> None:
-        self.renderer, self.volume, self.mapper, self.now = renderer, volume, mapper, now
+    def __init__(self, renderer: Any, volume: Any, mapper: Any, clock: str) -> None:
+        self.renderer, self.volume, self.mapper = renderer, volume, mapper
+        self.clock, self.now = clock, timer(clock)
+        self.gpu = _mappers.is_gpu(mapper)
         self.window = renderer.GetRenderWindow()
         self.began = self.seconds = math.nan
 
+    # As frames are timed that are steered.
     def start(self, _mapper: Any, _event: str) -> None:
-        self.window.WaitForCompletion()
+        if self.gpu:
+            self.window.WaitForCompletion()
         self.began = self.now()
 
     def end(self, _mapper: Any, _event: str) -> None:
-        self.window.WaitForCompletion()
+        if self.gpu:
+            self.window.WaitForCompletion()
         self.seconds = self.now() - self.began
 
     def run(self, frames: int, seed: int, coarsest: float) -> Model:
@@ -112,7 +114,7 @@ class _Calibrator:
             image = _scene.input_of(mapper)
             grid = _scene.Grid(mapper, image, 0 if prop.GetIndependentComponents() else -1)
             placed = _scene.elements(first_volume(self.volume).GetMatrix())
-            finest = _mappers.full_quality(own, image, placed, _mappers.is_gpu(mapper))
+            finest = _mappers.full_quality(own, image, placed, self.gpu)
             base = min(4096.0, max(1 / 64, finest / grid.reference))
             calibration, draw = Calibration(), random.Random(seed)
             bounds = self.volume.GetBounds()
@@ -128,19 +130,18 @@ class _Calibrator:
                 if i == 0:
                     continue  # Holds what is done once.
                 look = _scene.look(prop, mapper)
-                gpu = _mappers.is_gpu(mapper)
                 calibration.add(
                     grid.volume,
                     _scene.camera(renderer, placed, grid),
-                    _scene.transfer_function(prop, grid.range),
+                    _scene.transfer_function(_scene.transfer_nodes(prop, grid.range)),
                     renderer.GetSize(),
                     self.seconds,
                     step=step,
                     shading="local" if look[0] else "none",
-                    skipping="none" if gpu else "blocks",
-                    termination=_scene.termination(look, gpu),
+                    skipping="none" if self.gpu else "blocks",
+                    termination=_scene.termination(look, self.gpu),
                 )
-            return calibration.fit()
+            return calibration.fit(mapper.GetClassName(), self.clock)
         finally:
             for tag in tags:
                 mapper.RemoveObserver(tag)

@@ -59,11 +59,12 @@ class Leaf:
     # Every page of memory that a frame touches costs as much as hundreds of instructions, because drawing has
     # emptied the caches: what a frame does is flat, and reads no more of VTK than it has to.
     __slots__ = (
-        "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper", "_frame_volume",
-        "_gpu", "_grid", "_held", "_image", "_image_time", "_key", "_limits", "_look", "_make_gpu", "_mapper",
-        "_mapper_time", "_own", "_pixels", "_plain", "_plan", "_ready", "_reason", "_seen", "_session",
-        "_shading", "_shown", "_shown_time", "_stale", "_started", "_steered", "_steering", "_step", "_tags",
-        "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_weight", "_wrote",
+        "_class", "_drawing", "_due", "_ended", "_exchanged", "_explained", "_finest", "_frame_mapper",
+        "_frame_volume", "_gpu", "_grid", "_held", "_image", "_image_time", "_key", "_limits", "_look",
+        "_make_gpu", "_mapper", "_mapper_time", "_nodes", "_own", "_pixels", "_plain", "_plan", "_ready",
+        "_reason", "_seen", "_session", "_shading", "_shown", "_shown_time", "_stale", "_started", "_steered",
+        "_steering", "_step", "_tags", "_termination", "_tf", "_tf_key", "_volume", "_volume_tag", "_weight",
+        "_wrote",
         "address", "image_sample_distance", "measured", "sample_distance", "status", "volume_time",
     )  # fmt: skip
 
@@ -79,7 +80,9 @@ class Leaf:
         self._exchanged: Any = None
         self._make_gpu = make_gpu
         self._gpu = False
-        self._session: Session = steering._session()
+        # Class of the mapper, which what was learned belongs to.
+        self._class = ""
+        self._session: Session
         self._forget()
         self.volume_time = _NAN
         self._weight = 0.0
@@ -97,6 +100,8 @@ class Leaf:
         self._grid: Any = None
         self._tf: Any = None
         self._tf_key: Any = None
+        # What the session's transfer function was made from.
+        self._nodes: Any = None
         self._look: Any = None
         self._limits: Any = None
         self._held: Any = None
@@ -178,6 +183,10 @@ class Leaf:
         # otherwise. The volume keeps the mapper itself alive anyway.
         volume.__dict__[_KEPT] = mapper
         self._gpu = _mappers.is_gpu(mapper)
+        name = mapper.GetClassName()
+        if name != self._class:
+            # What was learned of mappers of another class does not hold for this one.
+            self._class, self._session = name, self._steering._session(name)
         self._tags = [
             mapper.AddObserver("VolumeMapperRenderStartEvent", self._start),
             mapper.AddObserver("VolumeMapperRenderEndEvent", self._end),
@@ -215,7 +224,7 @@ class Leaf:
                 # What was set meanwhile holds on.
                 _mappers.copy_changed(mapper, smart)
                 volume.SetMapper(smart)
-        self._grid = self._tf = self._image = None
+        self._grid = self._tf = self._nodes = self._image = None
 
     def _follow(self) -> None:
         """Listens to another mapper where the application has set one."""
@@ -270,9 +279,11 @@ class Leaf:
         self._started = steering._now()
 
     def _end(self, _mapper: Any, _event: str) -> None:
-        # The GPU mapper waits for the device by itself before it announces its end. Everything else is done
-        # with the renderer's end.
+        # Everything else is done with the renderer's end.
         if self._drawing:
+            if self._gpu:
+                # What the device was given is done: the time is the mapper's own.
+                self._steering._frame_window.WaitForCompletion()
             self.measured = self._steering._now() - self._started
             self._drawing = False
             self._ended = True
@@ -354,14 +365,18 @@ class Leaf:
             began = perf_counter()
             grid = _scene.Grid(mapper, image, component)
             session.set_volume(grid.volume)
-            self._grid, self._key, self._tf_key = grid, key, None
+            self._grid, self._key, self._tf_key, self._nodes = grid, key, None, None
             steering._clean = False
             self.volume_time = perf_counter() - began
         grid = self._grid
         tf_key = _scene.transfer_key(prop)
         if tf_key != self._tf_key:
-            self._tf = _scene.transfer_function(prop, grid.range)
-            session.set_transfer_function(self._tf)
+            # Functions change for many reasons; to the session only other nodes are new.
+            nodes = _scene.transfer_nodes(prop, grid.range)
+            if nodes != self._nodes:
+                self._tf = _scene.transfer_function(nodes)
+                session.set_transfer_function(self._tf)
+                self._nodes = nodes
             self._tf_key = tf_key
         look = _scene.look(prop, mapper)
         if look != self._look:
@@ -400,10 +415,11 @@ class Leaf:
             raise _scene.Unreadable("the renderer has no window, or the volume is gone")
         self._frame_mapper, self._frame_volume = mapper, volume
         # Modification times say whether anything but the camera is another; the volume's that of its
-        # functions, too.
+        # functions, too. A producer that exchanges its output changes none of them.
         if (
             mapper.GetMTime() != self._mapper_time
             or (volume.GetMTime() if self._shown is None else self._several(volume)) != self._shown_time
+            or _scene.input_of(mapper) is not self._image
             or self._image.GetMTime() != self._image_time
         ):
             self._read_mapper(mapper)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from operator import methodcaller
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from vtkmodules.util.numpy_support import vtk_to_numpy
@@ -141,9 +141,10 @@ def _cropped(
 
 
 def grid_key(mapper: Any, image: Any, component: int) -> tuple[Any, ...]:
-    """What a grid depends on. Modification times are never given twice, whatever the object."""
+    """What a grid depends on. An image's time may be that of an array that it shares with another."""
     cropping = mapper.GetCropping()
     return (
+        image.__this__,
         image.GetMTime(),
         component,
         mapper.GetScalarMode(),
@@ -158,7 +159,7 @@ def _unit(value: float) -> float:
 
 
 def transfer_key(prop: Any) -> tuple[Any, ...]:
-    """What changes when :func:`transfer_function` would: lighting and the like leave it alone."""
+    """What changes when :func:`transfer_nodes` may have: lighting and the like leave it alone."""
     channels = prop.GetColorChannels(0)
     functions = [prop.GetScalarOpacity(0)]
     if channels == 3:
@@ -167,7 +168,20 @@ def transfer_key(prop: Any) -> tuple[Any, ...]:
     return (channels, prop.GetScalarOpacityUnitDistance(0), *times)
 
 
-def transfer_function(prop: Any, span: tuple[float, float]) -> TransferFunction:
+class Nodes(NamedTuple):
+    """What a transfer function is made from."""
+
+    opacity: list[tuple[float, float, float, float]]
+    #: Empty where the volume is gray.
+    color: list[tuple[float, float, float, float, float, float]]
+    #: Of the scalars.
+    span: tuple[float, float]
+    clamp: bool
+    #: Scalar opacity's unit distance.
+    unit: float
+
+
+def transfer_nodes(prop: Any, span: tuple[float, float]) -> Nodes:
     """A volume property's functions of its first component."""
     node = [0.0] * 4
     opacity = []
@@ -184,12 +198,14 @@ def transfer_function(prop: Any, span: tuple[float, float]) -> TransferFunction:
             color.append(
                 (node[0], _unit(node[1]), _unit(node[2]), _unit(node[3]), _unit(node[4]), _unit(node[5]))
             )
+    return Nodes(
+        opacity, color, span, bool(function.GetClamping()), float(prop.GetScalarOpacityUnitDistance(0))
+    )
+
+
+def transfer_function(nodes: Nodes) -> TransferFunction:
     return TransferFunction.nodes(
-        opacity,
-        color,
-        range=span,
-        clamp=bool(function.GetClamping()),
-        unit_length=prop.GetScalarOpacityUnitDistance(0),
+        nodes.opacity, nodes.color, range=nodes.span, clamp=nodes.clamp, unit_length=nodes.unit
     )
 
 
@@ -231,6 +247,7 @@ def termination(mode: tuple[int, int, int, bool], gpu: bool) -> float:
 
 __all__ = [
     "Grid",
+    "Nodes",
     "Unreadable",
     "camera",
     "elements",
@@ -238,6 +255,7 @@ __all__ = [
     "look",
     "transfer_function",
     "transfer_key",
+    "transfer_nodes",
     "vertical_angle",
     "vtkAbstractMapper",
     "vtkImageData",

@@ -17,8 +17,10 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Union
 
+from .. import _clocks
 from .._core import ModelLike, Session, _model
 from .._history import History
+from .._native import ModelError
 from . import _mappers
 from ._leaf import Leaf, weak
 from ._mappers import CannotSteer
@@ -34,10 +36,19 @@ _LEAST_SHARE = 0.2
 # How many times the one that passes outside of the window's drawing is taken from.
 _OUTSIDE_TIMES = 5
 _NAN = math.nan
+# What reads each clock.
+_TIMERS: dict[str, Callable[[], float]] = {"wall": time.perf_counter, "cpu": time.process_time}
 
 # Steering by the address of the volume that it holds. The scene's observers keep steerings alive, nothing
 # else does.
 _held: weakref.WeakValueDictionary[str, Steering] = weakref.WeakValueDictionary()
+
+
+def timer(clock: str) -> Callable[[], float]:
+    """What reads a clock, seconds."""
+    if clock not in _TIMERS:
+        raise ValueError(f"clock is {clock!r}; it must be 'wall' or 'cpu' (processor time of this process)")
+    return _TIMERS[clock]
 
 
 class Steering:
@@ -93,11 +104,7 @@ class Steering:
                 f"seconds is {seconds}; it must be finite and positive (1 / 30 for 30 frames per second), "
                 f"or None"
             )
-        clocks = {"wall": time.perf_counter, "cpu": time.process_time}
-        if clock not in clocks:
-            raise ValueError(
-                f"clock is {clock!r}; it must be 'wall' or 'cpu' (processor time of this process)"
-            )
+        now = timer(clock)
         if not 1 / 64 <= coarsest <= 4096:
             raise ValueError(f"coarsest is {coarsest} voxel spacings; it must lie in 1/64 to 4096")
         if not 1 <= coarsest_image <= 100:
@@ -112,7 +119,11 @@ class Steering:
             "miss_rate": miss_rate,
             "probe_side": _PROBE_SIDE,
         }
-        self._now: Callable[[], float] = clocks[clock]
+        self._clock, self._now = clock, now
+        # For no volume yet: what is said of the clocks is said once, before anything is attached.
+        unbound = self._new_session("")
+        self._model_clock, self._clocks = unbound.model_clock, _clocks.both(unbound)
+        _clocks.warn(unbound, f", as does entire.vtk.calibrate(..., clock={clock!r})", stacklevel=3)
         self._make_gpu = make_gpu
         self._state: bytes | None = None
         self._still = 0
@@ -178,10 +189,20 @@ class Steering:
             self.notes.append(text)
             log.info("%s", text)
 
-    def _session(self) -> Session:
+    def _new_session(self, renderer: str) -> Session:
         session = Session(**self._options)
+        session.set_timing_source(renderer, self._clock)
+        return session
+
+    def _session(self, renderer: str) -> Session:
+        """A session for the frames that mappers of a class draw, with what :meth:`load` was given of them."""
+        session = self._new_session(renderer)
         if self._state is not None:
-            session.load_state(self._state)
+            try:
+                session.load_state(self._state)
+            except ModelError as refused:
+                # What was learned of another class says nothing of this one.
+                self._note(f"load(): {refused}")
         return session
 
     def detach(self) -> None:
@@ -245,7 +266,7 @@ class Steering:
         """Forgets what was learned."""
         self._state = None
         for leaf in self.leaves:
-            leaf._restart(self._session())
+            leaf._restart(self._session(leaf._class))
 
     def save(self, path: Union[str, os.PathLike[str]]) -> None:
         """Writes what was learned of the volume that was drawn last.
@@ -266,6 +287,9 @@ class Steering:
     def load(self, path: Union[str, os.PathLike[str]]) -> None:
         """Starts from what :meth:`save` wrote, now and whenever learning starts anew.
 
+        A state belongs to the model, the class of the mapper and the clock: volumes that mappers of other classes
+        draw go on without it.
+
         Parameters
         ----------
         path : str or os.PathLike
@@ -274,17 +298,39 @@ class Steering:
         ------
         ValueError
             For a file that is no saved state; then nothing changes.
+        ModelError
+            For a whole state that belongs to none of the held volumes' mappers; then nothing changes.
         """
         state = Path(path).read_bytes()
-        Session(**self._options).load_state(state)
-        self._state = state
+        if not self.leaves:
+            # Whose it is shows with the volumes that are added; that it is whole shows now.
+            with contextlib.suppress(ModelError):
+                self._new_session("").load_state(state)
+        refused: list[ModelError] = []
         for leaf in self.leaves:
-            leaf.session.load_state(state)
+            try:
+                leaf.session.load_state(state)
+            except ModelError as error:
+                refused.append(error)
+        if refused and len(refused) == len(self.leaves):
+            raise refused[-1]
+        self._state = state
 
     @property
     def renderer(self) -> Any:
         """vtkRenderer : The renderer, or None when it is gone."""
         return self._renderer()
+
+    @property
+    def clock(self) -> str:
+        """str : The clock that times the frames, "wall" or "cpu"."""
+        return self._clock
+
+    @property
+    def model_clock(self) -> str | None:
+        """str or None : The clock whose seconds the model predicts; None where its file states none, and without a
+        model. Where it is another than :attr:`clock`, the model's scale is learned from the first frames."""
+        return self._model_clock
 
     @property
     def _leaf(self) -> Leaf | None:
@@ -337,7 +383,7 @@ class Steering:
         target = "the window's rate" if self.seconds is None else f"{1e3 * self.seconds:.1f} ms"
         frame = "" if math.isnan(self.frame_time) else f", last frame {1e3 * self.frame_time:.1f} ms"
         notes = "".join(f"; {note}" for note in self.notes)
-        return f"Steering({len(self.leaves)} volume(s) to {target}{frame}: {self.why}{notes})"
+        return f"Steering({len(self.leaves)} volume(s) to {target}, {self._clocks}{frame}: {self.why}{notes})"
 
     def _repr_html_(self) -> str:
         return self.history._repr_html_()
@@ -361,8 +407,12 @@ class Steering:
             ]
 
     def _on_window_start(self, window: Any, _event: str) -> None:
+        renderer = self._renderer()
+        self._in_frame = renderer is None or renderer.GetSelector() is None
+        if not self._in_frame:
+            # A pass that picks, not a frame.
+            return
         self._frame_window = window
-        self._in_frame = True
         self._clean = True
         self._mapper_seconds = self._overhead = 0.0
         self._drawn = 0
@@ -506,7 +556,8 @@ def hold(
         / the window's ``DesiredUpdateRate``.
     model : Model, str, os.PathLike or bytes, optional
         Predictor of the first frames, from :func:`calibrate` or ``entire train``. Without one the first three
-        frames or so settle it.
+        frames or so settle it. Of a model of another clock (``entire.clock`` in its metadata) a warning says
+        that its scale is learned from the first frames.
     coarsest, finest : float, optional
         Coarsest and finest sample distance along rays, in smallest voxel spacings. Default 8, and the
         mapper's own.
