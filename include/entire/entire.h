@@ -894,6 +894,11 @@ typedef struct entire_setting {
 } entire_setting;
 
 /**
+ * Whose seconds: one of the `ENTIRE_CLOCK_*` numbers.
+ */
+typedef uint32_t entire_clock;
+
+/**
  * Nothing is logged.
  */
 #define ENTIRE_LOG_OFF 0
@@ -1144,6 +1149,26 @@ typedef struct entire_setting {
  * Recent frames.
  */
 #define ENTIRE_SOURCE_HISTORY 3
+
+/**
+ * No clock was named, or none of those below.
+ */
+#define ENTIRE_CLOCK_UNSTATED 0
+
+/**
+ * "cpu": processor time of the rendering process, over all of its threads.
+ */
+#define ENTIRE_CLOCK_CPU 1
+
+/**
+ * "wall": wall time from the start of a frame to its end.
+ */
+#define ENTIRE_CLOCK_WALL 2
+
+/**
+ * "device": time on the rendering device, by its own timestamps.
+ */
+#define ENTIRE_CLOCK_DEVICE 3
 
 #ifdef __cplusplus
 extern "C" {
@@ -1732,7 +1757,8 @@ entire_result entire_session_mark(struct entire_session *session, uint32_t chang
  * Names the renderer whose frames are observed and the clock that times them, such as
  * "vtkGPUVolumeRayCastMapper" and "wall". What was learned of one does not hold for another: saved states
  * carry both names, and entire_session_load_state refuses those of others. Sessions start with empty names,
- * which are names like any other. Call it before loading and before saving.
+ * which are names like any other. Call it before loading and before saving. A clock named "cpu", "wall" or
+ * "device" is compared with the model's (entire_session_clocks); where that changes, what was learned is forgotten.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT (a name of more than 256 bytes, or that is not UTF-8),
  * ENTIRE_NULL_ARGUMENT.
@@ -1740,6 +1766,18 @@ entire_result entire_session_mark(struct entire_session *session, uint32_t chang
 entire_result entire_session_set_timing_source(struct entire_session *session,
                                                const char *renderer,
                                                const char *clock);
+
+/**
+ * By which clock the session's model predicts (`model`: what its file states under entire.clock), and by
+ * which the session's frames are timed (`own`: what entire_session_set_timing_source named). Where both are
+ * stated and differ, the session keeps what the model says of scenes against each other and learns the factor
+ * between the clocks from the first frames: the first one is drawn coarsely.
+ *
+ * Fails with ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_clocks(const struct entire_session *session,
+                                    entire_clock *model,
+                                    entire_clock *own);
 
 /**
  * Saves what was learned, for entire_session_load_state in a later run: `byte_count` receives how many bytes

@@ -65,7 +65,7 @@ fn a_short_study_ends_in_time_and_goes_on_where_it_ended() {
         assert!(matches!(state(name).as_deref(), Some("done" | "cut-short")), "{name}: {text}");
     };
     // Far too little time: what was not begun is named, and the page is there.
-    let (code, text) = study("10", &[]);
+    let (code, text) = study("1", &[]);
     assert_eq!(code, Some(1), "{text}");
     assert_eq!(state("pictures").as_deref(), Some("done"), "{text}");
     assert_eq!(state("calibrate-scatter").as_deref(), Some("left-out"), "{text}");

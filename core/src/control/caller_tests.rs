@@ -1,10 +1,11 @@
-//! Plans and settings that a caller chooses, takes back or cuts short.
+//! Plans and settings that a caller chooses, takes back or cuts short, and clocks that it names.
 
-use super::tests::{frame, lobes, ready_session};
+use super::tests::{frame, lobes, make_ready, ready_session};
 use super::*;
 use crate::ErrorKind;
 use crate::adapt::{ObserveFlags, Verdict};
 use crate::features::{FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary};
+use crate::predict::{AnalyticModel, Clock};
 use crate::scene::{Scalars, TransferFunction, VolumeView};
 use alloc::vec;
 
@@ -184,4 +185,45 @@ fn a_time_step_keeps_the_transfer_function_and_the_scene() {
     assert_eq!(session.set_time_step(other, None).unwrap_err().kind(), ErrorKind::InvalidArgument);
     session.plan(&f, 0.02).unwrap();
     assert_eq!(*session.features(), expected);
+}
+
+#[test]
+fn a_model_of_another_clock_is_converted_by_the_first_frames() {
+    let costs = AnalyticModel::from_costs(crate::features::UnitCosts::SOFTWARE.0).unwrap();
+    let quarter = AnalyticModel::from_costs(crate::features::UnitCosts::SOFTWARE.0.map(|c| c / 4.0)).unwrap();
+    let stated = |clock: Option<&str>| {
+        let mut file = costs.to_model_file().unwrap();
+        if let Some(clock) = clock {
+            file.metadata.insert(crate::model::Key::Clock.into(), clock.into());
+        }
+        crate::predict::load(&file.to_model().unwrap()).unwrap()
+    };
+    // Four processors: every frame takes a quarter of its processor time. What is expected of the second
+    // frame, over what it takes.
+    let second = |model: Option<&str>, clock: &str| {
+        let mut session = Session::new(stated(model), HybridOptions::default());
+        session.set_timing_source("a renderer", clock).unwrap();
+        assert_eq!(session.model_clock().map(Clock::name), model);
+        assert_eq!(session.clock().map(Clock::name), Some(clock).filter(|c| *c != "a watch"));
+        make_ready(&mut session);
+        let frame = frame(10.0, 20.0, 2.0);
+        let takes = |session: &mut Session| {
+            let plan = session.plan(&frame, 0.05).unwrap();
+            let setting = Setting { step: plan.step, ..Setting::from(&frame) };
+            (plan, quarter.parts(session.features(), &setting).seconds())
+        };
+        let (plan, seconds) = takes(&mut session);
+        session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
+        let (plan, seconds) = takes(&mut session);
+        plan.seconds / seconds
+    };
+    for clock in ["wall", "device"] {
+        let ratio = second(Some("cpu"), clock);
+        assert!((0.8..1.25).contains(&ratio), "{clock}: {ratio}");
+    }
+    // What states no other clock is believed.
+    for (model, clock) in [(Some("cpu"), "cpu"), (None, "wall"), (Some("cpu"), "a watch")] {
+        let ratio = second(model, clock);
+        assert!(ratio > 1.5, "{model:?}, {clock}: {ratio}");
+    }
 }

@@ -4,7 +4,7 @@ use super::*;
 use crate::ErrorKind;
 use crate::adapt::{ObserveFlags, Prior, Verdict};
 use crate::features::{Setting, SummaryOptions, VolumeSummary};
-use crate::predict::{AnalyticModel, Clock, Source, TERMS};
+use crate::predict::{AnalyticModel, Source, TERMS};
 use crate::scene::{Arcball, Camera, Frame, GaussianLobe, Scalars, TransferFunction, VolumeView};
 use std::boxed::Box;
 use std::vec::Vec;
@@ -291,7 +291,7 @@ pub(super) fn ready_session() -> Session {
     session
 }
 
-fn make_ready(session: &mut Session) {
+pub(super) fn make_ready(session: &mut Session) {
     let voxels = sphere(32);
     let view = VolumeView::new(Scalars::U8(&voxels), [32; 3]).unwrap();
     session.set_volume(VolumeSummary::new(&view, SummaryOptions::default()).unwrap(), None);
@@ -402,47 +402,6 @@ fn a_saved_state_is_bound_to_its_model_renderer_and_clock() {
     }
     let mut session = ready_session();
     assert!(session.set_timing_source(&"x".repeat(257), "").is_err());
-}
-
-#[test]
-fn a_model_of_another_clock_is_converted_by_the_first_frames() {
-    let costs = AnalyticModel::from_costs(crate::features::UnitCosts::SOFTWARE.0).unwrap();
-    let quarter = AnalyticModel::from_costs(crate::features::UnitCosts::SOFTWARE.0.map(|c| c / 4.0)).unwrap();
-    let stated = |clock: Option<&str>| {
-        let mut file = costs.to_model_file().unwrap();
-        if let Some(clock) = clock {
-            file.metadata.insert(crate::model::Key::Clock.into(), clock.into());
-        }
-        crate::predict::load(&file.to_model().unwrap()).unwrap()
-    };
-    // Four processors: every frame takes a quarter of its processor time. What is expected of the second
-    // frame, over what it takes.
-    let second = |model: Option<&str>, clock: &str| {
-        let mut session = Session::new(stated(model), HybridOptions::default());
-        session.set_timing_source("a renderer", clock).unwrap();
-        assert_eq!(session.model_clock().map(Clock::name), model);
-        assert_eq!(session.clock().map(Clock::name), Some(clock).filter(|c| *c != "a watch"));
-        make_ready(&mut session);
-        let frame = frame(10.0, 20.0, 2.0);
-        let takes = |session: &mut Session| {
-            let plan = session.plan(&frame, 0.05).unwrap();
-            let setting = Setting { step: plan.step, ..Setting::from(&frame) };
-            (plan, quarter.parts(session.features(), &setting).seconds())
-        };
-        let (plan, seconds) = takes(&mut session);
-        session.observe(plan.id, seconds, ObserveFlags::default()).unwrap();
-        let (plan, seconds) = takes(&mut session);
-        plan.seconds / seconds
-    };
-    for clock in ["wall", "device"] {
-        let ratio = second(Some("cpu"), clock);
-        assert!((0.8..1.25).contains(&ratio), "{clock}: {ratio}");
-    }
-    // What states no other clock is believed.
-    for (model, clock) in [(Some("cpu"), "cpu"), (None, "wall"), (Some("cpu"), "a watch")] {
-        let ratio = second(model, clock);
-        assert!(ratio > 1.5, "{model:?}, {clock}: {ratio}");
-    }
 }
 
 /// A session that learned, as a little-endian machine saved it.

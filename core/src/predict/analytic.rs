@@ -3,8 +3,8 @@
 use super::network::Stored;
 use super::nnls::nnls;
 use super::{
-    Clock, CostTerms, FeatureRange, GroupKind, InputLayout, Inputs, LONGEST_FRAME, Prediction, Predictor, Source,
-    UPPER_LEVEL, UpperBound,
+    Clock, CostTerms, FeatureRange, GroupKind, InputLayout, Inputs, LONGEST_FRAME, Prediction, Predictor,
+    Source, UPPER_LEVEL, UpperBound,
 };
 use crate::Result;
 use crate::error::bail;

@@ -1,8 +1,8 @@
 //! A network from a model file as a predictor.
 
 use super::{
-    AnalyticModel, CLAMPED_SCORE, Clock, GroupKind, InputLayout, Inputs, Prediction, Predictor, Source, UpperBound,
-    checked_seconds,
+    AnalyticModel, CLAMPED_SCORE, Clock, GroupKind, InputLayout, Inputs, Prediction, Predictor, Source,
+    UpperBound, checked_seconds,
 };
 use crate::Result;
 use crate::error::bail;

@@ -182,7 +182,7 @@ pub fn run(options: &Options) -> Result<()> {
     let mut study = Study {
         options,
         entire,
-        deadline: Instant::now() + Duration::from_secs_f64(options.seconds.clamp(10.0, 86_400.0)),
+        deadline: Instant::now() + Duration::from_secs_f64(options.seconds.clamp(1.0, 86_400.0)),
         stop: interrupt::flag()?,
         outcomes: Outcomes::of(&options.out)?,
         bar,

@@ -57,7 +57,8 @@ impl Session {
 
     /// Tells the controller whether both clocks are known and differ; returns whether that is new.
     pub(super) fn reconcile_clocks(&mut self) -> bool {
-        let converted = matches!((self.clock(), self.model_clock()), (Some(own), Some(other)) if own != other);
+        let converted =
+            matches!((self.clock(), self.model_clock()), (Some(own), Some(other)) if own != other);
         let new = converted != self.converted;
         if new {
             self.converted = converted;
