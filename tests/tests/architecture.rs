@@ -237,6 +237,8 @@ const CLI: &Rooms = &[
     (
         "farm",
         &[
+            "clock",
+            "dataset",
             "device",
             "files",
             "fit",
@@ -271,6 +273,7 @@ const CLI: &Rooms = &[
         "steering",
         &[
             "calibrate",
+            "clock",
             "dataset",
             "files",
             "fit",
