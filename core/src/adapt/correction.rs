@@ -108,17 +108,14 @@ impl Correction {
 
     /// Forgets everything.
     pub(crate) fn reset(&mut self) {
-        let sane = |log_sd: f32| if log_sd.is_finite() { f64::from(log_sd).clamp(0.01, 1.0) } else { 0.3 };
         let (common, single, change) = match self.prior {
             Prior::Unknown => (9.0, self.unknown, 0.04),
-            Prior::Converted { log_sd } => {
-                let sd = sane(log_sd);
-                (9.0, 0.1 * sd * sd, sd * sd)
-            }
-            Prior::Fitted { log_sd } => {
-                let sd = sane(log_sd);
+            Prior::Converted { log_sd } | Prior::Fitted { log_sd } => {
+                let sd = if log_sd.is_finite() { f64::from(log_sd).clamp(0.01, 1.0) } else { 0.3 };
                 // A model that was fitted here is right on the whole; it is wrong about single scenes.
-                (0.1 * sd * sd, 0.1 * sd * sd, sd * sd)
+                let single = 0.1 * sd * sd;
+                let common = if matches!(self.prior, Prior::Converted { .. }) { 9.0 } else { single };
+                (common, single, sd * sd)
             }
         };
         self.state = [0.0; STATES];

@@ -322,8 +322,9 @@ impl Controller for Hybrid {
                 limits.coarsest
             }
         };
-        let nearly = libm::log(f64::from(step) / f64::from(limits.finest)) <= c.full;
-        if reason == Reason::Fits && (step <= limits.finest || (nearly && judge(limits.finest).0 <= target)) {
+        let nearly = || libm::log(f64::from(step) / f64::from(limits.finest)) <= c.full;
+        if reason == Reason::Fits && (step <= limits.finest || (nearly() && judge(limits.finest).0 <= target))
+        {
             step = limits.finest;
             reason = Reason::FinestAllowed;
         }
@@ -447,7 +448,6 @@ impl Controller for Hybrid {
         };
         self.options.prior = prior;
         self.correction = Correction::new(prior, self.options.constants.unit_cost_sd);
-        self.reset();
     }
 
     fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {

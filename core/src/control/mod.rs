@@ -176,8 +176,8 @@ pub trait Controller {
     /// Forgets every frame.
     fn reset(&mut self);
 
-    /// Tells whether the frames that are observed are timed by another clock than the predictor's. Where that
-    /// changes, every frame is forgotten.
+    /// Tells whether the frames that are observed are timed by another clock than the predictor's, where that
+    /// changes; [`Controller::reset`] follows.
     fn convert(&mut self, converted: bool) {
         let _ = converted;
     }

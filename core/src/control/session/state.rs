@@ -55,7 +55,8 @@ impl Session {
         self.predictor.clock()
     }
 
-    /// Tells the controller whether both clocks are known and differ; returns whether that is new.
+    /// Tells the controller whether both clocks are known and differ; returns whether that is new, so that the
+    /// caller resets the session.
     pub(super) fn reconcile_clocks(&mut self) -> bool {
         let converted =
             matches!((self.clock(), self.model_clock()), (Some(own), Some(other)) if own != other);
