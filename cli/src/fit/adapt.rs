@@ -2,7 +2,7 @@
 
 use super::analytic::fit_analytic;
 use super::least_squares::{last_layer, robust_least_squares, standardized, weighted_least_squares};
-use super::{FitContext, predict_rows};
+use super::{FitContext, held, predict_rows};
 use crate::dataset::Timed;
 use crate::inputs::Layout;
 use crate::metrics::median;
@@ -70,7 +70,8 @@ pub fn calibrate_to_rows(file: &ModelFile, rows: &[f32], seconds: &[f64]) -> Res
             layer.weight.iter_mut().chain(&mut layer.bias).for_each(|v| *v *= factor);
         }
     } else {
-        let hidden = hidden_rows(&parts, &standardized(rows, &scale), scale.input_mean.len());
+        let rows = held(&model, rows, width)?;
+        let hidden = hidden_rows(&parts, &standardized(&rows, &scale), scale.input_mean.len());
         let y: Vec<f64> = seconds
             .iter()
             .map(|t| (t.ln() - f64::from(scale.output_mean)) / f64::from(scale.output_std))
@@ -110,6 +111,7 @@ pub fn transfer(file: &ModelFile, context: &FitContext<'_>, frames: Timed<'_>) -
     let mut out = file.clone();
     let layout = layout.with_unit_costs(analytic.costs());
     let rows = layout.rows(context.tables, frames.frames, context.pool, &ProgressBar::hidden())?;
+    let rows = held(&model, &rows, layout.width())?;
     let scale = Standardization::of(parts);
     let mut parts = parts.clone();
     let last = parts.layers.last().context("the PredNet has no layer")?.clone();

@@ -26,9 +26,10 @@ use crate::train::EpochRecord;
 use anyhow::{Context as _, Result};
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{Level, PredNet, Storage};
-use entire_core::predict::check_predictions;
+use entire_core::predict::{InputRange, check_predictions};
 use indicatif::ProgressBar;
 use rayon::ThreadPool;
+use std::borrow::Cow;
 
 /// What fitting and prediction work with: the data and the machine.
 pub struct FitContext<'a> {
@@ -63,18 +64,27 @@ pub struct FittedModel {
 /// When the model holds no PredNet, or gives no number for a row.
 pub fn predict_rows(model: &Model, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let parts = model.prednet().context("the model file holds no PredNet")?;
-    rows_by_network(&PredNet::new(parts)?, rows, width)
+    rows_by_network(model, &PredNet::new(parts)?, rows, width)
 }
 
-/// As [`predict_rows`], by a network that was built before.
+/// As [`predict_rows`], by a network of the model that was built before.
 ///
 /// # Errors
 /// When it gives no number for a row.
-pub fn rows_by_network(net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
+pub fn rows_by_network(model: &Model, net: &PredNet, rows: &[f32], width: usize) -> Result<Vec<f64>> {
     let mut scratch = net.scratch(1)?;
+    let rows = held(model, rows, width)?;
     let mut seconds: Vec<f32> = rows.chunks_exact(width).map(|row| net.predict(row, &mut scratch)).collect();
     check_predictions(&mut seconds)?;
     Ok(seconds.into_iter().map(f64::from).collect())
+}
+
+/// Rows as they enter a model's network: held within what it has seen, where the model says that.
+fn held<'a>(model: &Model, rows: &'a [f32], width: usize) -> Result<Cow<'a, [f32]>> {
+    let Some(range) = InputRange::of(model, width)? else { return Ok(Cow::Borrowed(rows)) };
+    let mut rows = rows.to_vec();
+    rows.chunks_exact_mut(width).for_each(|row| range.hold(row));
+    Ok(Cow::Owned(rows))
 }
 
 /// Seconds that a model file predicts for frames.
@@ -98,7 +108,7 @@ pub fn predict_stored(
 ) -> Result<Vec<f64>> {
     let (rows, width) = rows_of(model, context, frames)?;
     let parts = model.prednet().context("the model file holds no PredNet")?;
-    rows_by_network(&PredNet::with(parts, Level::detect(), storage)?, &rows, width)
+    rows_by_network(model, &PredNet::with(parts, Level::detect(), storage)?, &rows, width)
 }
 
 /// A model's inputs for frames, and how many there are of each frame.

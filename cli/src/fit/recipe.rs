@@ -13,7 +13,7 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::features::{MAX_PROBE_SIDE, PROBE_SIDE, SceneFeature, SceneQuantity};
 use entire_core::model::{GroupKind, ModelFile};
 use entire_core::nn::{Dtype, Normalization, PredNetParts, Target};
-use entire_core::predict::{InputLayout, UnitCosts};
+use entire_core::predict::{InputLayout, InputRange, UnitCosts};
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -450,6 +450,8 @@ impl Recipe {
             .with_probe_side(self.side())
             .with_unit_costs(costs);
         self.store(&mut file, parts, &wide)?;
+        // The estimate beside the factor's inputs stays free.
+        InputRange::of_rows(&x, layout.width(), 1).store(&mut file)?;
         let costs: BTreeMap<String, f64> = costs.named().map(|(n, c)| (n.into(), c)).collect();
         Ok(FittedModel {
             file,
@@ -560,6 +562,10 @@ impl Recipe {
             &settings,
         )?;
         self.store(&mut file, parts, &layout)?;
+        if let Some(mut range) = InputRange::of(&model, layout.width())? {
+            range.extend(&x);
+            range.store(&mut file)?;
+        }
         Ok(FittedModel {
             file,
             what: "PredNet, fine-tuned".into(),

@@ -87,7 +87,7 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
     use entire_core::features::{
         Changes, FrameFeatures, Setting, SummaryOptions, TransferSummary, VolumeSummary,
     };
-    use entire_core::predict::{Inputs, ModelPredictor, Predictor};
+    use entire_core::predict::{InputRange, Inputs, ModelPredictor, Predictor};
     use entire_core::scene::{Camera, Frame, TransferFunction};
 
     let values: Vec<u8> = (0..16 * 12 * 10).map(|i| (i * 7 % 251) as u8).collect();
@@ -117,6 +117,11 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
         assert_eq!(layout.probe_side(), 5);
         let mut predictor = ModelPredictor::new(&model).unwrap();
         let factor = PredNet::new(&ratio).unwrap();
+        // Seen: images of 3 to 50 pixels, so that most are beyond; chords of 12 to 13.
+        let seen = [4f32.ln(), 12.0, 51f32.ln(), 13.0];
+        InputRange::of_rows(&seen, 2, 1).store(&mut file).unwrap();
+        let limited = file.to_model().unwrap();
+        let mut limited_predictor = ModelPredictor::new(&limited).unwrap();
         for (lobes, distance, size) in
             [("0.5 0.1 0.3", 2.0, 40), ("0.2 0.01 0.9", 3.5, 300), ("0.9 0.3 1", 1.2, 8)]
         {
@@ -155,6 +160,18 @@ fn an_estimate_carried_past_a_network_is_multiplied_by_what_the_network_gives() 
             for found in [predicted, by_row] {
                 assert!((found / expected - 1.0).abs() < 1e-4, "{widths:?}: {found} {expected}");
             }
+            // Held within what it has seen, the factor alone changes.
+            let held = [x[0].clamp(seen[0], seen[2]), x[1].clamp(seen[1], seen[3])];
+            assert_ne!(held, x);
+            let mut scratch = factor.scratch(1).unwrap();
+            let change = f64::from(factor.predict(&held, &mut scratch) / factor.predict(&x, &mut scratch));
+            let by_predictor = limited_predictor.predict(&asked).unwrap();
+            let by_row = predict_rows(&limited, &row, row.len()).unwrap()[0];
+            for found in [f64::from(by_predictor.seconds), by_row] {
+                assert!((found / (expected * change) - 1.0).abs() < 1e-4, "{widths:?}: {found} {expected}");
+            }
+            let free = predictor.predict(&asked).unwrap();
+            assert_eq!(by_predictor.out_of_range.to_bits(), free.out_of_range.to_bits());
         }
     }
 }

@@ -12,7 +12,7 @@ use crate::features::{SceneFeature, SceneQuantity};
 use crate::kernels::Executor;
 use crate::model::ModelFile;
 use crate::nn::{Normalization, PredNet, PredNetParts, SELU_ALPHA, SELU_SCALE, Target};
-use crate::predict::{COSTS, InputLayout, UnitCosts};
+use crate::predict::{COSTS, InputLayout, InputRange, UnitCosts};
 use alloc::collections::BTreeMap;
 use alloc::vec;
 use alloc::vec::Vec;
@@ -80,6 +80,8 @@ pub struct PriorModel {
     /// What ln t has besides the estimate and the factor.
     constant: f64,
     root_mean_square: f64,
+    /// What the factor's inputs are held within.
+    range: Option<InputRange>,
 }
 
 /// One frame, as the fit sees it.
@@ -159,6 +161,7 @@ impl PriorModel {
             weights,
             constant: 0.0,
             root_mean_square: libm::sqrt(square),
+            range: InputRange::of(&model, layout.width())?,
             layout,
         };
         if out.root_mean_square < 1e-6 {
@@ -181,8 +184,12 @@ impl PriorModel {
 
     /// ψ of a row: what enters the last layer, in units of the output.
     fn activations(&self, row: &[f32]) -> Vec<f64> {
+        let mut held = row.to_vec();
+        if let Some(range) = &self.range {
+            range.hold(&mut held);
+        }
         let standardized =
-            row.iter().zip(&self.inputs).map(|(&x, (mean, std))| (f64::from(x) - mean) / std).collect();
+            held.iter().zip(&self.inputs).map(|(&x, (mean, std))| (f64::from(x) - mean) / std).collect();
         let mut values = hidden_activations(&self.parts, standardized);
         values.truncate(self.weights.len());
         values.iter_mut().for_each(|v| *v *= self.deviation);

@@ -35,7 +35,9 @@ pub enum Key {
     /// `entire.provenance`: where the weights come from (free text, JSON where structured).
     Provenance,
     /// `entire.calibration`: JSON object with `level` (0.95), `log_factor` (ln of upper bound / prediction),
-    /// and for analytic models `low` and `high` (the range of their work). Optional.
+    /// for analytic models `low` and `high` (the range of their work), and for learned factors `input_low` and
+    /// `input_high` (one number per input, within which inputs are held: [`InputRange`](crate::predict::InputRange)).
+    /// Optional.
     Calibration,
     /// `entire.unit_costs`: JSON object of seconds by name behind the input `estimated_seconds`: `frame` and
     /// those of [`COST_QUANTITIES`](crate::features::COST_QUANTITIES); names that are missing cost nothing.

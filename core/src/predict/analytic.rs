@@ -283,6 +283,8 @@ impl AnalyticModel {
             log_factor: Some(self.calibration.log_factor).filter(|f| f.is_finite()),
             low: self.range.ends().map(|(low, _)| low.to_vec()),
             high: self.range.ends().map(|(_, high)| high.to_vec()),
+            input_low: None,
+            input_high: None,
         };
         file.metadata.insert(Key::Calibration.into(), stored.to_json()?);
         Ok(file)

@@ -74,18 +74,7 @@ impl UpperBound {
         if !self.log_factor.is_finite() {
             return Ok(());
         }
-        let stored = match file.metadata.get(Key::Calibration.name()) {
-            Some(text) => serde_json::from_str(text),
-            None => Ok(serde_json::json!({})),
-        };
-        let mut stored: serde_json::Value = match stored {
-            Ok(stored @ serde_json::Value::Object(_)) => stored,
-            _ => bail!(InvalidModel, "{} is no object", Key::Calibration),
-        };
-        stored["level"] = serde_json::json!(UPPER_LEVEL);
-        stored["log_factor"] = serde_json::json!(self.log_factor);
-        file.metadata.insert(Key::Calibration.into(), stored.to_string());
-        Ok(())
+        store_in_calibration(file, [("log_factor", serde_json::json!(self.log_factor))])
     }
 
     /// The factor; NaN when never calibrated.
@@ -103,6 +92,27 @@ impl UpperBound {
     pub fn upper(&self, seconds: f32) -> f32 {
         if self.log_factor.is_finite() { seconds * self.factor().max(1.0) } else { f32::NAN }
     }
+}
+
+/// Puts values into [`Key::Calibration`], keeping what else it holds.
+pub(super) fn store_in_calibration<const N: usize>(
+    file: &mut ModelFile,
+    values: [(&str, serde_json::Value); N],
+) -> Result<()> {
+    let stored = match file.metadata.get(Key::Calibration.name()) {
+        Some(text) => serde_json::from_str(text),
+        None => Ok(serde_json::json!({})),
+    };
+    let mut stored: serde_json::Value = match stored {
+        Ok(stored @ serde_json::Value::Object(_)) => stored,
+        _ => bail!(InvalidModel, "{} is no object", Key::Calibration),
+    };
+    stored["level"] = serde_json::json!(UPPER_LEVEL);
+    for (name, value) in values {
+        stored[name] = value;
+    }
+    file.metadata.insert(Key::Calibration.into(), stored.to_string());
+    Ok(())
 }
 
 /// The box of what was seen in training, in up to `N` numbers, with a margin.

@@ -1,8 +1,8 @@
 //! A network from a model file as a predictor.
 
 use super::{
-    AnalyticModel, CLAMPED_SCORE, Clock, GroupKind, InputLayout, Inputs, Prediction, Predictor, Source,
-    UpperBound, checked_seconds,
+    AnalyticModel, CLAMPED_SCORE, Clock, GroupKind, InputLayout, InputRange, Inputs, Prediction, Predictor,
+    Source, UpperBound, checked_seconds,
 };
 use crate::Result;
 use crate::error::bail;
@@ -28,6 +28,11 @@ pub(super) struct Stored {
     pub(super) low: Option<Vec<f32>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) high: Option<Vec<f32>>,
+    /// Ends of [`InputRange`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) input_low: Option<Vec<f32>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) input_high: Option<Vec<f32>>,
 }
 
 impl Stored {
@@ -73,6 +78,8 @@ pub struct ModelPredictor {
     knows_step: bool,
     probe_side: usize,
     calibration: UpperBound,
+    /// What the network's inputs are held within.
+    range: Option<InputRange>,
     clock: Option<Clock>,
     identity: u32,
 }
@@ -136,12 +143,13 @@ impl ModelPredictor {
             scratch,
             row: filled(width, 0.0)?,
             calibration,
+            range: InputRange::of(model, width)?,
             clock: Clock::of(model),
             identity: identity_of(model),
         })
     }
 
-    /// The input row of a frame, in the model's order.
+    /// The input row of a frame, in the model's order, before it is held within [`InputRange`].
     ///
     /// # Errors
     /// [`crate::ErrorKind::MissingInput`] for a group that was not supplied.
@@ -209,9 +217,12 @@ fn identity_of(model: &Model) -> u32 {
 impl Predictor for ModelPredictor {
     fn predict(&mut self, inputs: &Inputs<'_>) -> Result<Prediction> {
         self.row(inputs)?;
+        let out_of_range = self.out_of_range(&self.row);
+        if let Some(range) = &self.range {
+            range.hold(&mut self.row);
+        }
         let seconds = self.net.predict(&self.row, &mut self.scratch);
         let (seconds, clamped) = checked_seconds(seconds)?;
-        let out_of_range = self.out_of_range(&self.row);
         // A score that is NaN, where no range is known, gives way as well.
         let out_of_range = if clamped { out_of_range.max(CLAMPED_SCORE) } else { out_of_range };
         Ok(Prediction {

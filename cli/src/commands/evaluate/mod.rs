@@ -167,7 +167,7 @@ pub fn run(options: &Options) -> Result<()> {
         let rows = m.layout.rows(&tables, &refs, &pool, &templated_bar(true, INPUTS_BAR))?;
         let parts = m.model.prednet().with_context(|| format!("{} holds no PredNet", m.name))?;
         let net = PredNet::with(parts, Level::detect(), storage)?;
-        let predicted = rows_by_network(&net, &rows, m.layout.width())?;
+        let predicted = rows_by_network(&m.model, &net, &rows, m.layout.width())?;
         predictors.push(assess(
             format!("{}, {} weights", m.name, storage),
             None,
