@@ -403,6 +403,12 @@ struct clocks {
     }
 };
 
+// What coarser steps and smaller images cost a renderer's pictures (entire_session_set_quality); a weight of 0 where nothing
+// is known.
+struct quality {
+    float image_weight = 0, step_exponent = 0, image_exponent = 0, ray_share = 0;
+};
+
 // What entire_session_choose picked.
 struct choice {
     std::size_t index;
@@ -435,6 +441,14 @@ public:
     status set_quality(float image_weight, float step_exponent, float image_exponent, float ray_share) {
         return detail::done(
             entire_session_set_quality(get(), image_weight, step_exponent, image_exponent, ray_share));
+    }
+    // What plans coarsen by: what was set, else what the model states of this renderer's pictures.
+    plain_result<entire::quality> quality() const {
+        entire::quality known;
+        if (auto code = entire_session_quality(get(), &known.image_weight, &known.step_exponent, &known.image_exponent,
+                &known.ray_share))
+            return failure::last(code);
+        return known;
     }
     status set_enabled(bool enabled) { return detail::done(entire_session_set_enabled(get(), enabled)); }
     status mark(std::uint32_t changes) { return detail::done(entire_session_mark(get(), changes)); }
@@ -474,6 +488,11 @@ public:
         std::size_t count = 0;
         if (auto code = entire_session_recorded_count(get(), &count)) return failure::last(code);
         return count;
+    }
+    // Keeps a picture that was compared with the same view at full quality; see entire_session_record_picture.
+    status record_picture(std::uint64_t scene, float step, float image_sample_distance, double seconds, double error) {
+        return detail::done(
+            entire_session_record_picture(get(), scene, step, image_sample_distance, seconds, error));
     }
     // A model of the renderer that drew the recorded frames.
     result<calibration> calibrate() const {

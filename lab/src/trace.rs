@@ -22,14 +22,13 @@ use entire_cli::enlarge::enlarge;
 use entire_cli::machine::Provenance;
 use entire_cli::metrics::median;
 use entire_cli::path::{FlightPath, PathFile};
-use entire_cli::steering::metrics::{BEST_PSNR, psnr};
+use entire_cli::steering::metrics::{BEST_PSNR, psnr, ssim};
 use entire_cli::steering::play::DrawSettings;
 use entire_cli::steering::sizes::{resized, scale_at, scaled_size, volume_at};
 use entire_cli::volume::Volume;
 use entire_core::features::{SummaryOptions, VolumeSummary};
 use entire_core::scene::Frame;
 use entire_vk_raycaster::{Image, Renderer};
-use image_compare::Algorithm;
 use indicatif::ProgressBar;
 use std::time::{Duration, Instant};
 
@@ -109,29 +108,6 @@ impl Recording<'_> {
         }
         grid
     }
-}
-
-/// Luma of a picture.
-fn luma(picture: &Image) -> Option<image::GrayImage> {
-    let gray = picture
-        .rgba
-        .chunks_exact(4)
-        .map(|p| {
-            ((54 * u32::from(p[0]) + 183 * u32::from(p[1]) + 18 * u32::from(p[2]) + 127) / 255).min(255) as u8
-        })
-        .collect();
-    image::GrayImage::from_raw(picture.width, picture.height, gray)
-}
-
-/// Structural similarity of two pictures of one size, 0 to 1 (mean SSIM over windows of 8 × 8 pixels of their
-/// luma). `None` when they differ in size.
-pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
-    if (a.width, a.height) != (b.width, b.height) {
-        return None;
-    }
-    let found =
-        image_compare::gray_similarity_structure(&Algorithm::MSSIMSimple, &luma(a)?, &luma(b)?).ok()?;
-    Some(found.score.clamp(0.0, 1.0))
 }
 
 impl Trace {
@@ -434,24 +410,5 @@ mod tests {
         assert_eq!(c.oracle(9.0, 1.0, 4.0), 1.0);
         assert_eq!(c.oracle(0.5, 1.0, 4.0), 4.0);
         assert!(c.reaches(2.0, 1.0, 4.0) && !c.reaches(9.0, 1.0, 4.0) && !c.reaches(0.5, 1.0, 4.0));
-    }
-
-    #[test]
-    fn likeness_is_one_for_equal_pictures_and_falls() {
-        let picture = |f: &dyn Fn(u32, u32) -> u8| Image {
-            width: 32,
-            height: 32,
-            rgba: (0..32 * 32u32).flat_map(|i| [f(i % 32, i / 32); 4]).collect(),
-        };
-        let a = picture(&|x, y| (x * 8) as u8 ^ (y * 4) as u8);
-        let b = picture(&|x, y| ((x * 8) as u8 ^ (y * 4) as u8).saturating_add(9));
-        let c = picture(&|x, _| (x * 8) as u8);
-        assert_eq!(ssim(&a, &a), Some(1.0));
-        let (near, far) = (ssim(&a, &b).unwrap(), ssim(&a, &c).unwrap());
-        assert!(near < 1.0 && far < near, "{near} {far}");
-        assert_eq!(ssim(&a, &picture(&|_, _| 0)).map(|v| v < 0.5), Some(true));
-        let small = resized(&a, 16, 16).unwrap();
-        assert_eq!(ssim(&a, &small), None);
-        assert_eq!(scaled_size((100, 3), 0.1), (10, 1));
     }
 }

@@ -1,5 +1,9 @@
 //! Renders the frames that were chosen: in rounds, each a batch of frames gone through in passes.
 
+mod pictures;
+
+pub use pictures::PictureError;
+
 use super::Settings;
 use super::design::Design;
 use super::others::{Mark, Others};
@@ -296,9 +300,9 @@ impl<'a> Measuring<'a> {
     }
 
     /// What came of it.
-    pub fn finish(self) -> Measured {
+    pub fn finish(&self) -> Measured {
         let frames: Vec<TimedFrame> = self.visits.keys().filter_map(|&i| self.frame(i)).collect();
         let passes = self.visits.keys().map(|&i| (i as u64, self.passes(i))).collect();
-        Measured { frames, passes, others: self.others, rounds: self.rounds, warm_ups: self.warm_ups }
+        Measured { frames, passes, others: self.others.clone(), rounds: self.rounds, warm_ups: self.warm_ups }
     }
 }

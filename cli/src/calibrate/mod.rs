@@ -2,7 +2,7 @@
 //! shipped model taken to what they say.
 //!
 //! [`pool`] draws candidate frames and computes what is known of each before it is drawn; [`design`] chooses
-//! among them; [`measuring`] renders them, discards warm-ups and repeats in passes; [`others`] watches what
+//! among them; [`measuring`] renders them, discards warm-ups, repeats in passes and compares pictures; [`others`] watches what
 //! else uses the machine; [`entire_core::calibrate::PriorModel`] fits. [`place`] is where the machine's model lies.
 
 pub mod design;
@@ -17,7 +17,7 @@ use crate::fit::FitContext;
 use crate::fit::analytic::counts;
 use crate::inputs::{Layout, work_of};
 use anyhow::{Context, Result, ensure};
-use entire_core::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, blank_prior};
+use entire_core::calibrate::{Chosen, FEWEST_FRAMES, Observed, PriorModel, blank_prior, fit_quality};
 use entire_core::features::PROBE_SIDE;
 use entire_core::model::ModelFile;
 use entire_core::nn::Executor;
@@ -25,7 +25,7 @@ use entire_core::predict::UnitCosts;
 use entire_core::scene::{Shading, Skipping};
 use entire_vk_raycaster::Renderer;
 use indicatif::ProgressBar;
-use measuring::{Measured, Measuring};
+use measuring::{Measured, Measuring, PictureError};
 use pool::Pool;
 use report::Report;
 use std::collections::HashMap;
@@ -34,6 +34,9 @@ use std::time::{Duration, Instant};
 
 /// Seconds that are kept back for the fit.
 const FIT_SECONDS: f64 = 6.0;
+
+/// Share of the time in which pictures are compared.
+const PICTURES_SHARE: f64 = 0.08;
 
 /// What is calibrated, and how long it may take.
 #[derive(Clone, Debug)]
@@ -58,6 +61,8 @@ pub struct Settings {
     pub steps: Vec<f32>,
     /// Seed of every random choice.
     pub seed: u64,
+    /// How far a picture is from the one at full quality.
+    pub picture_error: PictureError,
 }
 
 /// A machine's model.
@@ -133,8 +138,17 @@ pub fn calibrate(
     bar.set_length(settings.seconds.ceil() as u64);
     bar.set_message("choosing frames");
     let pool = Pool::draw(settings, priors.iter().map(|p| p.1.clone()).collect(), threads)?;
-    let mut measuring = Measuring::new(settings, &pool, renderer, deadline, start, stop, bar);
+    let frames_end =
+        deadline - Duration::from_secs_f64(PICTURES_SHARE * settings.seconds).min(deadline - start);
+    let mut measuring = Measuring::new(settings, &pool, renderer, frames_end, start, stop, bar);
     measuring.run()?;
+    let compared = measuring.pictures(deadline)?;
+    // Too few scenes say nothing; the model then states nothing of pictures.
+        for p in &compared {
+            eprintln!("PIC {} {} {} {} {}", p.scene, p.step, p.distance, p.seconds, p.error);
+        }
+    }
+    let quality = fit_quality(&compared).ok();
     let Measured { frames, passes, others, rounds, warm_ups } = measuring.finish();
     bar.set_message("fitting");
     ensure!(
@@ -185,7 +199,8 @@ pub fn calibrate(
         others,
         (rounds, warm_ups),
         start.elapsed().as_secs_f64(),
-    )?;
+    )?
+    .with_pictures(settings.picture_error, quality);
     let mut file = chosen.file;
     report.write_into(&mut file, (renderer.backend(), &renderer.device()), &observed, &chosen.crossed)?;
     bar.finish_and_clear();

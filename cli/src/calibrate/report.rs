@@ -1,14 +1,15 @@
 //! What a calibration says of itself, to people and in the model file.
 
+use super::measuring::PictureError;
 use super::others::Others;
 use crate::bound;
 use crate::dataset::{Clock, NoiseFloor};
 use crate::machine;
 use crate::metrics::{Metrics, bootstrap_by_group};
 use anyhow::{Context, Result};
-use entire_core::calibrate::{Belief, Chosen, Observed};
+use entire_core::calibrate::{Belief, Chosen, FittedQuality, Observed};
 use entire_core::model::{Key, ModelFile};
-use entire_core::predict::UpperBound;
+use entire_core::predict::{Quality, UpperBound};
 use entire_core::scene::Shading;
 use serde::Serialize;
 use serde_json::json;
@@ -56,9 +57,42 @@ pub struct Report {
     pub noise: Option<NoiseFloor>,
     /// What else used the machine.
     pub others: Others,
+    /// What coarser steps and smaller images cost pictures; `None` where too few were compared.
+    pub pictures: Option<Pictures>,
+}
+
+/// What compared pictures said.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Pictures {
+    /// How far a picture is from the one at full quality.
+    pub error: PictureError,
+    /// Scenes that were drawn at every setting, and how many these are.
+    pub scenes: usize,
+    /// Settings of each scene.
+    pub settings: usize,
+    /// The law.
+    pub quality: Quality,
+    /// Mean error of the settings that the law chooses, over that of the best ones that take the same time.
+    pub over_best: f64,
+    /// The same of the ray step alone.
+    pub step_over_best: f64,
 }
 
 impl Report {
+    /// With what compared pictures said.
+    #[must_use]
+    pub fn with_pictures(self, error: PictureError, fitted: Option<FittedQuality>) -> Self {
+        let pictures = fitted.map(|f| Pictures {
+            error,
+            scenes: f.scenes,
+            settings: f.settings,
+            quality: f.quality,
+            over_best: f.over_best,
+            step_over_best: f.step_over_best,
+        });
+        Self { pictures, ..self }
+    }
+
     /// Judges a calibration by the frames that `judged` names.
     ///
     /// # Errors
@@ -100,6 +134,7 @@ impl Report {
             rmse_over_sd: metrics.rmse_over_sd,
             noise,
             others,
+            pictures: None,
         })
     }
 
@@ -187,6 +222,33 @@ impl Report {
                 self.folds
             ),
         );
+        if let Some(p) = &self.pictures {
+            let Quality { image_weight, step_exponent, image_exponent, ray_share } = p.quality;
+            let error = match p.error {
+                PictureError::Rmse => "root mean squared difference",
+                PictureError::Ssim => "1 - SSIM",
+            };
+            line(
+                &mut out,
+                "pictures",
+                format!(
+                    "{} scenes at {} steps and sizes: {error} as (s - 1)^{step_exponent:.2} + {image_weight:.2} \
+                     (d - 1)^{image_exponent:.2}, {:.0} % of the time goes with rays; steps and sizes chosen so cost \
+                     {:.2} times the error of the best ones, the step alone {:.2} times",
+                    p.scenes,
+                    p.settings,
+                    100.0 * ray_share,
+                    p.over_best,
+                    p.step_over_best
+                ),
+            );
+        } else if self.rounds > 0 {
+            line(
+                &mut out,
+                "pictures",
+                "too few were compared in the time; the model states nothing of them".into(),
+            );
+        }
         out
     }
 
@@ -209,6 +271,11 @@ impl Report {
             upper = UpperBound { log_factor: upper.log_factor.max(BUSY_LOG_FACTOR) };
         }
         upper.store(file)?;
+        // What the prior knows is of another machine's pictures.
+        file.metadata.remove(Key::Quality.name());
+        if let Some(pictures) = &self.pictures {
+            pictures.quality.store(file)?;
+        }
         file.metadata.insert(Key::Clock.into(), self.clock.into());
         file.metadata.insert(Key::Renderer.into(), renderer.into());
         file.metadata.insert(Key::Device.into(), device.into());
@@ -225,7 +292,7 @@ impl Report {
             "calibration": { "frames": self.frames, "volumes": self.volumes, "rounds": self.rounds,
                 "seconds": self.seconds, "prior": prior, "belief": self.belief, "folds": self.folds,
                 "judged": self.judged, "median_error": self.median_error, "rmse_over_sd": self.rmse_over_sd,
-                "noise": self.noise, "others": self.others, "busy": self.others.busy() },
+                "noise": self.noise, "pictures": self.pictures, "others": self.others, "busy": self.others.busy() },
             "machine": machine::machine(),
             "load_average": machine::load_average(),
             "program": format!("entire {}", machine::version()),

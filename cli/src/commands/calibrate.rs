@@ -1,5 +1,6 @@
 //! `entire calibrate`: a model of this machine, in a minute and a half.
 
+use crate::calibrate::measuring::PictureError;
 use crate::calibrate::place::{DATA_FOLDER, file_of, volumes_in};
 use crate::calibrate::{Calibrated, NamedPrior, Settings, calibrate, calibrate_to_tables};
 use crate::dataset::{Clock, Writer, left_out, read_tables};
@@ -43,7 +44,7 @@ pub struct Options {
         value_name = "CSV",
         requires = "out",
         conflicts_with_all = ["volumes", "table", "seconds", "frames", "skip", "termination", "min_size",
-            "max_size", "steps", "device", "seed"]
+            "max_size", "steps", "device", "picture_error", "seed"]
     )]
     pub data: Vec<PathBuf>,
     /// What each sample computes, or all modes one after another.
@@ -88,6 +89,10 @@ pub struct Options {
     /// What renders.
     #[arg(long, value_enum, default_value_t)]
     pub device: Device,
+    /// By what pictures at coarser steps and of smaller images are compared with full quality; plans then
+    /// coarsen what shows less.
+    #[arg(long, value_enum, default_value_t)]
+    pub picture_error: PictureError,
     /// Seed of every random choice.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -201,6 +206,7 @@ pub fn run(options: &Options) -> Result<()> {
             sizes: (options.min_size, options.max_size),
             steps: options.steps.clone(),
             seed: options.seed,
+            picture_error: options.picture_error,
         };
         let bar = templated_bar(options.quiet, "calibrate [{bar:32}] {pos}/{len} s  {wide_msg}");
         let stopped = || interrupt::requested(&stop);

@@ -6,7 +6,6 @@ pub mod contenders;
 pub mod fit;
 pub mod metrics;
 pub mod play;
-pub mod quality;
 pub mod race;
 pub mod report;
 pub mod rivals;

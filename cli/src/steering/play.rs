@@ -1,14 +1,13 @@
 //! Playing a path: every frame under every controller.
 
 use super::metrics::{Metrics, Played, psnr};
-use super::quality::QualityModel;
 use super::sizes::{resized, scale_at, scaled_size, volume_at};
 use crate::dataset::{Clock, Timing};
 use crate::options::RenderArgs;
 use crate::path::FlightPath;
 use anyhow::{Context, Result, ensure};
 use entire_core::control::ObserveFlags;
-use entire_core::control::{Reason, Session, StepLimits};
+use entire_core::control::{Quality, Reason, Session, StepLimits};
 use entire_core::features::{Changes, Setting, VolumeSummary};
 use entire_core::scene::{Camera, Frame, Shading, Skipping, VolumeView};
 use entire_vk_raycaster::{Image, Renderer};
@@ -202,11 +201,15 @@ impl Task<'_> {
 /// Steps per image sample distance among which a contender that chooses both has its choice.
 const STEP_CHOICES: usize = 24;
 
+/// What coarser steps and smaller images cost the raycaster's pictures where the model states nothing: as `entire
+/// calibrate` finds it of the volumes in data/, unshaded.
+pub const RAYCASTER: Quality =
+    Quality { image_weight: 5.6, step_exponent: 0.9, image_exponent: 0.8, ray_share: 0.2 };
+
 /// What a contender that chooses the size may draw a frame with, best picture first.
-fn settings(frame: &Frame, distances: &[f32], limits: StepLimits) -> Vec<(Setting, f32)> {
+fn settings(frame: &Frame, distances: &[f32], limits: StepLimits, quality: &Quality) -> Vec<(Setting, f32)> {
     let (low, high) = (limits.finest.ln(), limits.coarsest.ln());
-    let model = QualityModel::default();
-    let error = |s: &(Setting, f32)| model.error(s.0.step, 1.0 / s.1);
+    let error = |s: &(Setting, f32)| quality.error(f64::from(s.0.step / limits.finest), f64::from(s.1));
     let mut out: Vec<(Setting, f32)> = Vec::new();
     for &distance in std::iter::once(&1.0).chain(distances) {
         let (width, height) = scaled_size((frame.width, frame.height), 1.0 / distance);
@@ -303,7 +306,8 @@ pub fn play(
             }
             let target = playback.targets[index] as f32;
             let (plan, drawn, image_sample_distance) = if chooses && !task.image_sample_distances.is_empty() {
-                let settings = settings(&frame, task.image_sample_distances, task.limits);
+                let quality = session.quality().unwrap_or(RAYCASTER);
+                let settings = settings(&frame, task.image_sample_distances, task.limits, &quality);
                 let only: Vec<Setting> = settings.iter().map(|s| s.0).collect();
                 let (index, plan) = session.choose(&frame, &only, target).with_context(place)?;
                 let (Setting { width, height, .. }, distance) = settings[index];
@@ -507,11 +511,10 @@ mod tests {
         assert!((1..80).contains(&smaller), "{smaller} smaller pictures");
         // By the quality model the choice among both is never worse than the step alone, and the target is
         // met as well.
-        let model = QualityModel::default();
         let error = |p: &Playback| -> f64 {
             p.records[hybrid][3..]
                 .iter()
-                .map(|r| f64::from(model.error(r.step, 1.0 / r.image_sample_distance)))
+                .map(|r| RAYCASTER.error(f64::from(r.step), f64::from(r.image_sample_distance)))
                 .sum()
         };
         assert!(error(&sized) < error(&plain), "{} {}", error(&sized), error(&plain));

@@ -7,19 +7,21 @@
 
 mod blank;
 mod linear;
+mod pictures;
 mod posterior;
 #[cfg(test)]
 mod tests;
 
 pub use blank::blank_prior;
 pub use linear::{median, solve};
+pub use pictures::{FEWEST_SCENES, FittedQuality, Picture, fit_quality};
 pub use posterior::{Belief, Chosen, Observed, PriorModel, hidden_activations};
 
 use crate::Result;
 use crate::error::bail;
 use crate::features::{UnitCosts, VolumeSummary};
 use crate::kernels::Executor;
-use crate::memory::{filled, mixed, room};
+use crate::memory::{filled, mixed, reserve, room};
 use crate::model::{Key, ModelFile};
 use crate::names::names;
 use crate::predict::{COSTS, Inputs, LONGEST_FRAME, Measurement, UpperBound};
@@ -93,6 +95,8 @@ pub struct Calibrated {
     pub upper: UpperBound,
     /// How strongly the prior model was believed.
     pub belief: Belief,
+    /// What pictures said of coarser steps and smaller images, where enough of them were added.
+    pub quality: Option<FittedQuality>,
 }
 
 /// Timed frames of one renderer, as many as there is room for: once it is full, each new one takes the place
@@ -107,6 +111,7 @@ pub struct Calibration {
     row: Vec<f32>,
     capacity: usize,
     offered: u64,
+    pictures: Vec<Picture>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -138,7 +143,7 @@ impl Calibration {
         let prior = PriorModel::new(prior)?;
         let width = prior.layout().width();
         let (rows, row) = (room(frames * width)?, filled(width, 0.0)?);
-        Ok(Self { rows, row, kept: room(frames)?, capacity: frames, offered: 0, prior })
+        Ok(Self { rows, row, kept: room(frames)?, capacity: frames, offered: 0, prior, pictures: Vec::new() })
     }
 
     /// The model that calibration starts from.
@@ -174,6 +179,22 @@ impl Calibration {
         }
         self.row = row;
         written
+    }
+
+    /// Adds a picture that was compared with the same view at full quality: [`Calibration::fit`] then says in the
+    /// model what coarser steps and smaller images cost ([`fit_quality`]), where at least [`FEWEST_SCENES`] scenes
+    /// were drawn at the same settings. The first 65 536 are kept.
+    ///
+    /// # Errors
+    /// As [`Picture::check`], and [`crate::ErrorKind::OutOfMemory`].
+    pub fn add_picture(&mut self, picture: Picture) -> Result<()> {
+        picture.check()?;
+        if self.pictures.len() < *KEPT_FRAMES.end() {
+            let wanted = self.pictures.len() + 1;
+            reserve(&mut self.pictures, wanted)?;
+            self.pictures.push(picture);
+        }
+        Ok(())
     }
 
     /// As [`Calibration::add`], of a frame whose row and work were written before.
@@ -257,6 +278,8 @@ impl Calibration {
             rmse_over_sd: rmse_over_sd(&pairs).unwrap_or(f64::NAN),
             upper: UpperBound::from_groups(pairs.iter().map(|(p, t)| libm::log(t / p)).zip(groups)),
             belief: chosen.belief,
+            // Too few scenes say nothing: the model then states nothing of pictures.
+            quality: fit_quality(&self.pictures).ok(),
         };
         out.write_metadata(source)?;
         Ok(out)
@@ -267,6 +290,11 @@ impl Calibrated {
     /// What the file says of itself.
     fn write_metadata(&mut self, [renderer, clock]: [&str; 2]) -> Result<()> {
         self.upper.store(&mut self.file)?;
+        // What the prior knows is of another renderer's pictures.
+        self.file.metadata.remove(Key::Quality.name());
+        if let Some(fitted) = &self.quality {
+            fitted.quality.store(&mut self.file)?;
+        }
         let stated = |name: &str| if name.is_empty() { "not stated" } else { name }.to_string();
         let metadata = &mut self.file.metadata;
         metadata.insert(Key::Renderer.into(), stated(renderer));

@@ -1,9 +1,8 @@
 //! Ray step and image size as one quantity that a controller can choose.
 
 use super::StepLimits;
-use crate::Result;
-use crate::error::bail;
 use crate::features::Setting;
+use crate::predict::Quality;
 
 /// Each image sample distance is this factor times the one before.
 const RATIO: f64 = 1.2;
@@ -20,60 +19,6 @@ const KEEP: f64 = 1.15;
 
 /// Room for every distance up to 64, and for 1.
 const LEVELS: usize = 24;
-
-/// What a coarser step and a smaller image cost a renderer's pictures, and what time they save: where the
-/// time of a frame can be had by either, the one is chosen that shows less.
-///
-/// With a step of s finest ones, and rays d pixels apart along each side, a picture's distance from full
-/// quality goes as (s − 1)^`step_exponent` + `image_weight` · (d − 1)^`image_exponent`, and its time as
-/// (`ray_share` + (1 − `ray_share`) / s) / d². The unit of that distance does not matter.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Quality {
-    /// What an image of half the size along each side (d = 2) costs, over what a step twice as coarse (s = 2)
-    /// does.
-    pub image_weight: f32,
-    /// How the step's cost grows.
-    pub step_exponent: f32,
-    /// How the image's cost grows: near 0 where any smaller image is blurred.
-    pub image_exponent: f32,
-    /// Share of the time at full quality that goes with rays, not with their samples.
-    pub ray_share: f32,
-}
-
-impl Quality {
-    /// Checks the numbers; [`super::Session::set_quality`] does so too.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless the weight is 1e-3 to 1e3, the exponents are 0.05 to 8
-    /// and the share is 0 to 0.9.
-    pub fn check(&self) -> Result<()> {
-        for (what, v, low, high) in [
-            ("image weight", self.image_weight, 1.0e-3, 1.0e3),
-            ("step exponent", self.step_exponent, 0.05, 8.0),
-            ("image exponent", self.image_exponent, 0.05, 8.0),
-            ("share of rays", self.ray_share, 0.0, 0.9),
-        ] {
-            if !(low..=high).contains(&v) {
-                bail!(InvalidArgument, "the quality's {what} is {v}; it must be {low} to {high}");
-            }
-        }
-        Ok(())
-    }
-
-    fn error(&self, step: f64, distance: f64) -> f64 {
-        let power = |x: f64, exponent: f32| if x > 0.0 { libm::pow(x, f64::from(exponent)) } else { 0.0 };
-        power(step - 1.0, self.step_exponent)
-            + f64::from(self.image_weight) * power(distance - 1.0, self.image_exponent)
-    }
-
-    /// The step at which an image takes a share of the time of full quality; `None` where no step over 1
-    /// does.
-    fn step_for(&self, share: f64, distance: f64) -> Option<f64> {
-        let rays = f64::from(self.ray_share);
-        let left = share * distance * distance - rays;
-        (left > 0.0 && left <= 1.0 - rays).then(|| (1.0 - rays) / left)
-    }
-}
 
 /// A path from the finest step at full image size to the coarsest step at the largest image sample distance.
 ///
@@ -153,42 +98,13 @@ impl Coarsening {
             self.from[level] = TOGETHER * libm::pow(RATIO, 3.0 * (power - 0.5));
         }
         if let Some(quality) = self.quality {
-            self.weigh(&quality);
+            quality.lay(&self.distances[..=self.levels], &mut self.from[..=self.levels]);
         } else if step_alone > 1.0 {
             let alone = f64::from(step_alone);
             self.from[1] = alone;
             for from in &mut self.from[2..] {
                 *from = from.max(alone);
             }
-        }
-    }
-
-    /// Puts each distance where pictures of the same time show less with it than with smaller ones.
-    fn weigh(&mut self, quality: &Quality) {
-        /// Times that are looked at: each this share of the one before, so many.
-        const FINER: f64 = 0.97;
-        const TIMES: usize = 400;
-        self.from[1..].fill(f64::INFINITY);
-        let (mut taken, mut share) = (0, 1.0);
-        for _ in 0..TIMES {
-            let mut best = (taken, f64::INFINITY, 0.0);
-            for (level, &distance) in self.distances[..=self.levels].iter().enumerate().skip(taken) {
-                if let Some(step) = quality.step_for(share, distance) {
-                    let error = quality.error(step, distance);
-                    if error < best.1 {
-                        best = (level, error, step * distance * distance);
-                    }
-                }
-            }
-            if best.0 > taken {
-                // The smaller distance takes this time, if at all, at a larger c.
-                let square = self.distances[taken] * self.distances[taken];
-                let before = quality.step_for(share, self.distances[taken]).map_or(best.2, |s| s * square);
-                let from = libm::sqrt(before * best.2).max(self.from[taken]);
-                self.from[taken + 1..=best.0].fill(from);
-                taken = best.0;
-            }
-            share *= FINER;
         }
     }
 

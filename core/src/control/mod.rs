@@ -16,7 +16,7 @@ mod smoothing;
 mod tests;
 
 pub use crate::adapt::{ObserveFlags, Prior, Verdict};
-pub use coarsening::Quality;
+pub use crate::predict::Quality;
 pub use constants::HybridConstants;
 pub use hybrid::{Hybrid, HybridOptions};
 pub use session::{PENDING_PLANS, Plan, Session};

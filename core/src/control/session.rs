@@ -1,10 +1,11 @@
 //! One render loop: a volume, a transfer function, a predictor and a controller.
 
 mod ladder;
+mod pictures;
 mod recording;
 mod state;
 
-use super::coarsening::{Coarsening, Quality};
+use super::coarsening::Coarsening;
 use super::{
     Controller, Decision, Hybrid, HybridOptions, Observed, PlanRequest, Reason, SceneMark, StepLimits,
 };
@@ -12,7 +13,7 @@ use crate::adapt::{ObserveFlags, Prior, Verdict, check_seconds};
 use crate::error::bail;
 use crate::features::{Changes, FrameFeatures, Setting, TransferSummary, VolumeSummary};
 use crate::memory::{copied, reserve};
-use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Source, TERMS};
+use crate::predict::{AnalyticModel, CostTerms, Inputs, Prediction, Predictor, Quality, Source, TERMS};
 use crate::scene::{Frame, GaussianLobe, Shading, Skipping, TransferTable};
 use crate::{Error, ErrorKind, Result};
 use alloc::boxed::Box;
@@ -85,6 +86,8 @@ pub struct Session {
     /// Whether the clock is another than the predictor's.
     converted: bool,
     recording: Option<recording::Recording>,
+    /// What the caller knows of the renderer's pictures; else the model is asked.
+    quality: Option<Quality>,
 }
 
 impl Session {
@@ -110,7 +113,7 @@ impl Session {
             0 => FrameFeatures::default(),
             side => FrameFeatures::with_probe_side(side),
         };
-        Self {
+        let mut session = Self {
             predictor,
             controller,
             shape: AnalyticModel::default(),
@@ -131,7 +134,10 @@ impl Session {
             timing: [String::new(), String::new()],
             converted: false,
             recording: None,
-        }
+            quality: None,
+        };
+        session.weigh_pictures();
+        session
     }
 
     /// Sets the volume by its summary, and VolumeNet's output for it where the model takes one. The transfer
@@ -229,40 +235,6 @@ impl Session {
     pub fn set_limits(&mut self, limits: StepLimits) -> Result<()> {
         limits.check()?;
         self.coarsening.set_steps(limits);
-        Ok(())
-    }
-
-    /// Allows plans to coarsen the image: neighboring rays stand up to `distance` pixels apart along each
-    /// side (VTK's ImageSampleDistance). Ray step and image are then coarsened together
-    /// ([`Plan::image_sample_distance`]), from `step_alone` times the finest step on; 1 is from the start. A
-    /// `distance` of 1, where sessions start, leaves the image alone. For predictors that know the image
-    /// size.
-    ///
-    /// # Errors
-    /// [`crate::ErrorKind::InvalidArgument`] unless 1 ≤ `distance` ≤ 64 and 1 ≤ `step_alone` ≤ 64.
-    pub fn set_max_image_sample_distance(&mut self, distance: f32, step_alone: f32) -> Result<()> {
-        for (what, v) in
-            [("largest image sample distance", distance), ("coarsening of the step alone", step_alone)]
-        {
-            if !(1.0..=64.0).contains(&v) {
-                bail!(InvalidArgument, "the {what} is {v}; it must be 1 to 64");
-            }
-        }
-        self.coarsening.set_max_distance(distance, step_alone);
-        Ok(())
-    }
-
-    /// Tells what coarser steps and smaller images cost this renderer's pictures, so that plans coarsen what
-    /// shows less; `None`, where sessions start, knows nothing. Takes the place of `step_alone` in
-    /// [`Session::set_max_image_sample_distance`].
-    ///
-    /// # Errors
-    /// As [`Quality::check`].
-    pub fn set_quality(&mut self, quality: Option<Quality>) -> Result<()> {
-        if let Some(quality) = &quality {
-            quality.check()?;
-        }
-        self.coarsening.set_quality(quality);
         Ok(())
     }
 

@@ -50,6 +50,9 @@ pub enum Key {
     /// Without it, lobes go in as they are given. A sum of lobes does not depend on their order; a network
     /// that always sees the same order need not learn so.
     LobeOrder,
+    /// `entire.quality`: JSON object of the four numbers of [`Quality`](crate::predict::Quality): what coarser
+    /// steps and smaller images cost the pictures of the renderer that [`Key::Renderer`] names. Optional.
+    Quality,
 }
 
 impl Key {
@@ -70,6 +73,7 @@ impl Key {
             Self::UnitCosts => "entire.unit_costs",
             Self::ProbeSide => "entire.probe_side",
             Self::LobeOrder => "entire.lobe_order",
+            Self::Quality => "entire.quality",
         }
     }
 }

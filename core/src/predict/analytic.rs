@@ -2,9 +2,10 @@
 
 use super::network::Stored;
 use super::nnls::nnls;
+use super::quality::KnownQuality;
 use super::{
     Clock, CostTerms, FeatureRange, GroupKind, InputLayout, Inputs, LONGEST_FRAME, Prediction, Predictor,
-    Source, UPPER_LEVEL, UpperBound,
+    Quality, Source, UPPER_LEVEL, UpperBound,
 };
 use crate::Result;
 use crate::error::bail;
@@ -121,6 +122,8 @@ pub struct AnalyticModel {
     range: FeatureRange,
     /// The clock of the file that the costs come from.
     clock: Option<Clock>,
+    /// What the file says of its renderer's pictures.
+    quality: Option<KnownQuality>,
 }
 
 impl Default for AnalyticModel {
@@ -132,6 +135,7 @@ impl Default for AnalyticModel {
             calibration: UpperBound::default(),
             range: FeatureRange::unknown(),
             clock: None,
+            quality: None,
         }
     }
 }
@@ -235,7 +239,7 @@ impl AnalyticModel {
         }
         self.costs = costs;
         self.fitted = true;
-        self.clock = None;
+        (self.clock, self.quality) = (None, None);
         let mut logs: Vec<f64> =
             usable.iter().map(|m| libm::log(m.seconds / dot(&costs, &m.work).max(1.0e-30))).collect();
         self.calibration = UpperBound::from_residuals(&mut logs);
@@ -325,6 +329,7 @@ impl AnalyticModel {
         }
         let mut out = Self::from_costs(costs)?;
         out.clock = Clock::of(model);
+        out.quality = KnownQuality::of(model)?;
         if let Some(stored) = Stored::of(model)? {
             out.calibration = UpperBound { log_factor: stored.log_factor.unwrap_or(f32::NAN) };
             if let (Some(low), Some(high)) = (stored.low, stored.high)
@@ -393,6 +398,10 @@ impl Predictor for AnalyticModel {
 
     fn clock(&self) -> Option<Clock> {
         self.clock
+    }
+
+    fn quality(&self, renderer: &str) -> Option<Quality> {
+        KnownQuality::holds_for(self.quality.as_ref(), renderer)
     }
 
     fn log_sd(&self) -> Option<f32> {

@@ -1,6 +1,6 @@
 //! What a predictor takes and gives.
 
-use super::{Clock, TERMS};
+use super::{Clock, Quality, TERMS};
 use crate::Result;
 use crate::features::{Changes, FrameFeatures, PROBE_SIDE, Setting};
 use crate::scene::{Arcball, GaussianLobe};
@@ -108,6 +108,12 @@ pub trait Predictor {
 
     /// The clock whose seconds are predicted; `None`, the default, where that is not known.
     fn clock(&self) -> Option<Clock> {
+        None
+    }
+
+    /// What coarser steps and smaller images cost the pictures of the renderer of this name, where that was
+    /// measured; an empty name stands for the renderer that the predictor is of. `None` is the default.
+    fn quality(&self, _renderer: &str) -> Option<Quality> {
         None
     }
 

@@ -12,6 +12,7 @@ mod layout;
 mod network;
 #[allow(clippy::needless_range_loop, reason = "indices run over several small arrays at once")]
 mod nnls;
+mod quality;
 mod range;
 mod seconds;
 
@@ -24,6 +25,7 @@ pub use clock::Clock;
 pub use inputs::{CostTerms, Inputs, Prediction, Predictor, Source};
 pub use layout::{InputLayout, InputValues};
 pub use network::{ModelPredictor, load};
+pub use quality::Quality;
 pub use range::InputRange;
 pub(crate) use seconds::CLAMPED_SCORE;
 pub(crate) use seconds::checked_seconds;

@@ -1,8 +1,9 @@
 //! A network from a model file as a predictor.
 
+use super::quality::KnownQuality;
 use super::{
     AnalyticModel, CLAMPED_SCORE, Clock, GroupKind, InputLayout, InputRange, Inputs, Prediction, Predictor,
-    Source, UpperBound, checked_seconds,
+    Quality, Source, UpperBound, checked_seconds,
 };
 use crate::Result;
 use crate::error::bail;
@@ -81,6 +82,7 @@ pub struct ModelPredictor {
     /// What the network's inputs are held within.
     range: Option<InputRange>,
     clock: Option<Clock>,
+    quality: Option<KnownQuality>,
     identity: u32,
 }
 
@@ -145,6 +147,7 @@ impl ModelPredictor {
             calibration,
             range: InputRange::of(model, width)?,
             clock: Clock::of(model),
+            quality: KnownQuality::of(model)?,
             identity: identity_of(model),
         })
     }
@@ -244,6 +247,10 @@ impl Predictor for ModelPredictor {
 
     fn clock(&self) -> Option<Clock> {
         self.clock
+    }
+
+    fn quality(&self, renderer: &str) -> Option<Quality> {
+        KnownQuality::holds_for(self.quality.as_ref(), renderer)
     }
 
     fn identity(&self) -> u32 {

@@ -8,7 +8,7 @@ use crate::handle::{borrow, share};
 use crate::model::{entire_model, give_model};
 use crate::reserve;
 use crate::result::entire_result;
-use entire_core::calibrate::HeldOut;
+use entire_core::calibrate::{HeldOut, Picture};
 use entire_core::nn::Executor;
 use std::mem::size_of;
 
@@ -46,8 +46,9 @@ pub struct entire_calibration_report {
     pub upper_factor: f64,
     /// What was left out: one of ENTIRE_HELD_OUT_*.
     pub held_out: entire_held_out,
-    /// Must be ignored.
-    pub reserved: u32,
+    /// Scenes of entire_session_record_picture that the model's quality was fitted to; 0 where they were too few,
+    /// and the model states nothing of pictures.
+    pub scenes: u32,
 }
 
 // SAFETY: repr(C), struct_size first, integers and floats only.
@@ -61,7 +62,7 @@ unsafe impl ByValue for entire_calibration_report {
             rmse_over_sd: 0.0,
             upper_factor: 1.0,
             held_out: ENTIRE_HELD_OUT_NOTHING,
-            reserved: 0,
+            scenes: 0,
         }
     }
 }
@@ -73,7 +74,7 @@ no_padding!(entire_calibration_report {
     rmse_over_sd,
     upper_factor,
     held_out,
-    reserved
+    scenes
 });
 
 /// From now on keeps frames that are planned and observed, `frame_count` of them (8 to 65536; later ones take
@@ -137,11 +138,42 @@ pub unsafe extern "C" fn entire_session_calibrate(
                     rmse_over_sd: made.rmse_over_sd,
                     upper_factor: f64::from(made.upper.factor()),
                     held_out: made.held_out as u32,
+                    scenes: made.quality.map_or(0, |q| u32::try_from(q.scenes).unwrap_or(u32::MAX)),
                     ..ByValue::defaults()
                 };
                 write_struct(report, &out)?;
             }
             give_model(&made.file.to_bytes()?, "calibrated model", model)
+        })
+    }
+}
+
+/// Keeps a picture that was compared with the same view at full quality, for entire_session_calibrate: the model
+/// then states what coarser steps and smaller images cost this renderer's pictures, and sessions that steer this
+/// renderer by it coarsen what shows less. Draw each of at least 3 scenes (`scene`: the same number for the same view)
+/// at the same settings: ray steps of `step` finest ones and rays `image_sample_distance` pixels apart, 1 and 1
+/// (full quality, `error` 0) among them, steps alone, images alone and both. `error` is how far the picture lies
+/// from that at full quality by any measure that is 0 for equal pictures and grows: the root mean squared difference
+/// of colors, or 1 - SSIM. Smaller pictures are compared as they are shown, at full size. The first 65536 are kept.
+///
+/// Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance below 1,
+/// seconds that are not positive, a negative error, numbers that are not finite), ENTIRE_OUT_OF_MEMORY,
+/// ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_record_picture(
+    session: *mut entire_session,
+    scene: u64,
+    step: f32,
+    image_sample_distance: f32,
+    seconds: f64,
+    error: f64,
+) -> entire_result {
+    let picture = Picture { scene, step, distance: image_sample_distance, seconds, error };
+    // SAFETY: the pointer is as the crate's documentation demands.
+    unsafe {
+        changing(session, |state| {
+            reserve::check()?;
+            Ok(state.session.record_picture(picture)?)
         })
     }
 }

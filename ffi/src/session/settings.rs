@@ -1,7 +1,8 @@
 //! What a session steers: volume, transfer function, limits, and what the caller knows to have changed.
 
 use super::{check_flags, entire_session};
-use crate::guard::changing;
+use crate::abi::{check_pointer, write};
+use crate::guard::{changing, reading};
 use crate::handle::{Handle, borrow};
 use crate::reserve;
 use crate::result::entire_result;
@@ -157,7 +158,8 @@ pub unsafe extern "C" fn entire_session_set_max_image_sample_distance(
 /// shows less. With a step of s finest ones, and rays d pixels apart along each side, a picture's distance
 /// from full quality goes as (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and its time as
 /// (ray_share + (1 - ray_share) / s) / d^2: numbers that are fitted to pictures of this renderer. Takes the
-/// place of step_alone (entire_session_set_max_image_sample_distance). An `image_weight` of 0 forgets it.
+/// place of step_alone (entire_session_set_max_image_sample_distance). An `image_weight` of 0 forgets it: the
+/// session goes by what its model states then, where it was calibrated with pictures of this renderer.
 ///
 /// Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
 /// the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
@@ -173,6 +175,44 @@ pub unsafe extern "C" fn entire_session_set_quality(
     // SAFETY: the pointer is as the crate's documentation demands.
     unsafe {
         changing(session, |state| Ok(state.session.set_quality((image_weight != 0.0).then_some(known))?))
+    }
+}
+
+/// What plans coarsen by: the numbers of entire_session_set_quality, else those that the model states of the
+/// renderer's pictures (entire_session_record_picture, `entire calibrate`), where the renderer that
+/// entire_session_set_timing_source names is the one that it was calibrated with, or none is named. All are 0
+/// where nothing is known.
+///
+/// Fails with ENTIRE_NULL_ARGUMENT.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn entire_session_quality(
+    session: *const entire_session,
+    image_weight: *mut f32,
+    step_exponent: *mut f32,
+    image_exponent: *mut f32,
+    ray_share: *mut f32,
+) -> entire_result {
+    // SAFETY: the pointers are as the crate's documentation demands.
+    unsafe {
+        reading(session, |state| {
+            let known = state
+                .session
+                .quality()
+                .map_or([0.0; 4], |q| [q.image_weight, q.step_exponent, q.image_exponent, q.ray_share]);
+            let outputs = [
+                (image_weight, "image_weight (output)"),
+                (step_exponent, "step_exponent (output)"),
+                (image_exponent, "image_exponent (output)"),
+                (ray_share, "ray_share (output)"),
+            ];
+            for (output, name) in outputs {
+                check_pointer(output, name)?;
+            }
+            for ((output, name), value) in outputs.into_iter().zip(known) {
+                write(output, value, name)?;
+            }
+            Ok(())
+        })
     }
 }
 

@@ -3,12 +3,12 @@
 use super::Replayable;
 use crate::trace::TracePoint;
 use entire_cli::metrics::median;
-use entire_cli::steering::quality::{QualityModel, QualitySample};
+use entire_core::calibrate::{FittedQuality, Picture, fit_quality};
 
 /// What choosing among steps and image sizes by the quality model gives, on traces that it was not fitted to:
 /// mean structural similarity of what each way picks among settings that meet the target.
 pub struct Frontier {
-    pub(super) model: QualityModel,
+    pub(super) law: FittedQuality,
     frames: usize,
     by_model: f64,
     by_step: f64,
@@ -37,11 +37,19 @@ pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Fronti
             .flat_map(|(_, t)| &t.trace.frames)
             .filter(|f| f.iter().any(|p| p.scale < 1.0))
     };
-    let samples: Vec<QualitySample> = points(false)
-        .flatten()
-        .map(|p| QualitySample { step: p.step, scale: p.scale, error: (1.0 - p.ssim) as f32 })
+    let pictures: Vec<Picture> = points(false)
+        .enumerate()
+        .flat_map(|(scene, frame)| {
+            frame.iter().map(move |p| Picture {
+                scene: scene as u64,
+                step: p.step,
+                distance: 1.0 / p.scale,
+                seconds: median(&mut p.seconds.clone()).unwrap_or(f64::NAN),
+                error: 1.0 - p.ssim,
+            })
+        })
         .collect();
-    let model = QualityModel::from_samples(&samples).ok()?;
+    let law = fit_quality(&pictures).ok()?;
     let (mut frames, mut by_model, mut by_step, mut best) = (0, 0.0, 0.0, 0.0);
     for frame in points(true) {
         for (target, _) in targets {
@@ -53,7 +61,7 @@ pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Fronti
             let (Some(full), false) = (full, fitting.iter().any(|p| p.scale == 1.0 && p.step <= 1.0)) else {
                 continue;
             };
-            let error = |p: &TracePoint| model.error(p.step, p.scale);
+            let error = |p: &TracePoint| law.quality.error(f64::from(p.step), f64::from(1.0 / p.scale));
             let picked = fitting.iter().min_by(|a, b| error(a).total_cmp(&error(b)));
             frames += 1;
             by_step += full.ssim;
@@ -63,7 +71,7 @@ pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Fronti
     }
     let n = frames as f64;
     (frames > 0).then(|| Frontier {
-        model,
+        law,
         frames,
         by_model: by_model / n,
         by_step: by_step / n,

@@ -305,24 +305,18 @@ impl Results<'_> {
             let curve = |error: &dyn Fn(f64) -> f64| -> Vec<(f64, f64)> {
                 (0..=40).map(|i| 1.0 + f64::from(i) * 0.2).map(|x| (x, error(x))).collect()
             };
-            let model = f.model;
+            let law = f.law.quality;
             let chart = Chart::new(
                 "What a picture loses",
                 Axis::linear("step over the reference step, or full side over image side"),
-                Axis::linear("predicted 1 - SSIM").from(0.0),
+                Axis::linear("distance from full quality over that at twice the step").from(0.0),
             )
             .size(900.0, 260.0)
-            .series(Series::new(
-                "coarser step",
-                Mark::Line(curve(&|x| f64::from(model.error(x as f32, 1.0)))),
-            ))
-            .series(Series::new(
-                "smaller image",
-                Mark::Line(curve(&|x| f64::from(model.error(1.0, (1.0 / x) as f32)))),
-            ));
+            .series(Series::new("coarser step", Mark::Line(curve(&|x| law.error(x, 1.0)))))
+            .series(Series::new("smaller image", Mark::Line(curve(&|x| law.error(1.0, x)))));
             page.chart(
                 &chart,
-                "The quality model, fitted to every other trace. Settings are tried in the \
+                "The quality law, fitted to 1 - SSIM of every other trace. Settings are tried in the \
                 order of its error; the first that is expected to meet the target is drawn.",
             );
         }

@@ -8,7 +8,7 @@ use crate::lock::Guarded;
 use crate::model::Model;
 use crate::transfer::TransferFunction;
 use crate::volume::Volume;
-use entire_core::calibrate::{Calibrated, Calibration as Core, Shown, blank_prior};
+use entire_core::calibrate::{Calibrated, Calibration as Core, Picture, Shown, blank_prior};
 use entire_core::features::{Changes, FrameFeatures, PROBE_SIDE, Setting, TransferSummary};
 use entire_core::nn::Executor;
 use entire_core::predict::Inputs;
@@ -118,6 +118,43 @@ impl Calibration {
         added.map_err(raise)
     }
 
+    /// Adds a picture that was compared with the same view at full quality.
+    ///
+    /// The model then states what coarser steps and smaller images cost this renderer's pictures
+    /// (:meth:`Session.set_quality`), where at least 3 scenes were drawn at the same settings, full quality,
+    /// steps alone, images alone and both among them.
+    ///
+    /// Parameters
+    /// ----------
+    /// scene : int
+    ///     The same number for the same view.
+    /// step : float
+    ///     Ray step, finest ones; 1 for full quality.
+    /// image_sample_distance : float
+    ///     Pixels between neighboring rays; 1 for full quality.
+    /// seconds : float
+    ///     How long it took.
+    /// error : float
+    ///     How far it lies from the picture at full quality, by any measure that is 0 for equal pictures and
+    ///     grows: the root mean squared difference of colors, or 1 - SSIM.
+    ///
+    /// Raises
+    /// ------
+    /// ValueError
+    ///     For numbers out of range.
+    fn add_picture(
+        &self,
+        py: Python<'_>,
+        scene: u64,
+        step: f32,
+        image_sample_distance: f32,
+        seconds: f64,
+        error: f64,
+    ) -> PyResult<()> {
+        let picture = Picture { scene, step, distance: image_sample_distance, seconds, error };
+        self.0.lock(py)?.add_picture(picture).map_err(raise)
+    }
+
     fn __len__(&self, py: Python<'_>) -> PyResult<usize> {
         Ok(self.0.lock(py)?.len())
     }
@@ -152,5 +189,6 @@ pub(crate) fn as_python<'py>(py: Python<'py>, bytes: &[u8], fitted: &Calibrated)
     report.set_item("median_error", fitted.median_error)?;
     report.set_item("rmse_over_sd", fitted.rmse_over_sd)?;
     report.set_item("upper_factor", fitted.upper.factor())?;
+    report.set_item("scenes", fitted.quality.map_or(0, |q| q.scenes))?;
     Ok((PyBytes::new(py, bytes), report))
 }

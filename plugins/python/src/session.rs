@@ -186,7 +186,7 @@ impl Session {
     /// ----------
     /// image_weight : float or None
     ///     What an image of half the size along each side costs, over what a step twice as coarse does: 1e-3 to
-    ///     1e3. None, as sessions start, knows nothing.
+    ///     1e3. None, as sessions start, takes what the model states of this renderer's pictures, if anything.
     /// step_exponent, image_exponent : float, optional
     ///     How the costs grow, 0.05 to 8. Default 1.
     /// ray_share : float, optional
@@ -207,6 +207,14 @@ impl Session {
     ) -> PyResult<()> {
         let known = |image_weight| Quality { image_weight, step_exponent, image_exponent, ray_share };
         self.state(py)?.core.set_quality(image_weight.map(known)).map_err(raise)
+    }
+
+    /// (float, float, float, float) or None : What plans coarsen by, in the order of :meth:`set_quality`: what was
+    /// set, else what the model states of this renderer's pictures; None where nothing is known.
+    #[getter]
+    fn quality(&self, py: Python<'_>) -> PyResult<Option<(f32, f32, f32, f32)>> {
+        let known = self.state(py)?.core.quality();
+        Ok(known.map(|q| (q.image_weight, q.step_exponent, q.image_exponent, q.ray_share)))
     }
 
     /// Switches steering off (every plan answers the frame's own step: for screenshots and still frames) or

@@ -12,6 +12,7 @@
 #include "vtkVolumeProperty.h"
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstring>
@@ -25,6 +26,11 @@ constexpr double LEAST_SHARE = 0.2;
 // takes.
 constexpr double COARSEST_IMAGE = 64;
 constexpr double COARSEST_IMAGE_OF_VTK = 100;
+
+// What coarser steps and smaller images cost the mappers' pictures, as entire_session_set_quality() has it, of VTK 9.1
+// (lab/scripts/vtk/tradeoff.py).
+constexpr std::array<float, 4> FIXED_POINT_QUALITY{ { 5.9F, 0.97F, 1.54F, 0.33F } };
+constexpr std::array<float, 4> GPU_QUALITY{ { 8.5F, 1.22F, 0.78F, 0.15F } };
 
 const char* ReasonName(entire_reason reason)
 {
@@ -230,6 +236,15 @@ std::string vtkEntireSteering::vtkInternals::Leaf::SetLimits(float finest, float
          this->Session->set_quality(limits[3], limits[4], limits[5], limits[6]) })
   {
     if (!set)
+    {
+      return set.message();
+    }
+  }
+  if (limits[3] == 0 && this->Session->quality().value().image_weight == 0)
+  {
+    // The model states nothing of this mapper's pictures.
+    const std::array<float, 4>& q = this->Gpu ? GPU_QUALITY : FIXED_POINT_QUALITY;
+    if (const entire::status set = this->Session->set_quality(q[0], q[1], q[2], q[3]); !set)
     {
       return set.message();
     }

@@ -157,7 +157,9 @@ public:
    * What coarser steps and smaller images cost the mapper's pictures, and what time they save: image weight, step
    * exponent, image exponent and share of rays as entire_session_set_quality() has them. They decide what of the
    * two is coarsened first where a frame must be faster. Two sets: of vtkFixedPointVolumeRayCastMapper and of
-   * vtkGPUVolumeRayCastMapper. The defaults were measured with VTK 9.1 (lab/scripts/vtk/tradeoff.py fits them).
+   * vtkGPUVolumeRayCastMapper. With an image weight of 0, the default, they are what the model states of this
+   * mapper's pictures (entire_session_record_picture; in Python entire.vtk.calibrate() measures them), and where it
+   * states nothing, what was measured with VTK 9.1 (lab/scripts/vtk/tradeoff.py).
    */
   vtkSetVector4Macro(FixedPointQuality, double);
   vtkGetVector4Macro(FixedPointQuality, double);
@@ -286,8 +288,8 @@ protected:
   double CoarsestSampleDistance = 8.0;
   double FinestSampleDistance = 0.0;
   double CoarsestImageSampleDistance = 4.0;
-  double FixedPointQuality[4] = { 5.9, 0.97, 1.54, 0.33 };
-  double GPUQuality[4] = { 8.5, 1.22, 0.78, 0.15 };
+  double FixedPointQuality[4] = { 0.0, 1.0, 1.0, 0.0 };
+  double GPUQuality[4] = { 0.0, 1.0, 1.0, 0.0 };
   double StillUpdateRate = 1.0;
   int Clock = WALL;
   double Tolerance = 0.25;

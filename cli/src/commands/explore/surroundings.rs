@@ -6,6 +6,7 @@ use crate::files::{write_json, write_whole};
 use crate::path::{CameraPose, Keyframe, Lobe, PATH_FORMAT, PathFile, Point, Transfer};
 use crate::steering::contenders::{ControllerKind, controller};
 use crate::steering::fit::SteeringModel;
+use crate::steering::play::RAYCASTER;
 use crate::steering::race::shipped_file;
 use crate::steering::rivals::StepResponse;
 use crate::volume::{Volume, Watcher};
@@ -109,7 +110,10 @@ impl Steering for Predicts {
         };
         let steers = controller(kind, 4.0, &StepResponse::inverse_step(FIXED_SHARE), prior);
         let mut session = Session::with_controller(predictor, steers);
+        // The window is drawn by the raycaster whose pictures the model knows.
+        let pictures = session.quality().unwrap_or(RAYCASTER);
         session.set_timing_source("entire explore", WINDOW.name())?;
+        session.set_quality(Some(pictures))?;
         Ok(session)
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{PENDING_PLANS, Session};
 use crate::Result;
-use crate::calibrate::{Calibrated, Calibration, Shown, blank_prior};
+use crate::calibrate::{Calibrated, Calibration, Picture, Shown, blank_prior};
 use crate::error::bail;
 use crate::features::{Changes, FrameFeatures, Setting, VolumeSummary};
 use crate::kernels::Executor;
@@ -33,6 +33,10 @@ pub(super) struct Recording {
 }
 
 impl Recording {
+    pub(super) fn add_picture(&mut self, picture: Picture) -> Result<()> {
+        self.calibration.add_picture(picture)
+    }
+
     fn place(id: u64) -> usize {
         (id % PENDING_PLANS as u64) as usize
     }
@@ -177,6 +181,7 @@ impl Session {
         }
         self.controller = super::controller_for(&*predictor, options);
         self.predictor = predictor;
+        self.weigh_pictures();
         self.converted = false;
         self.reconcile_clocks();
         self.reset();

@@ -36,6 +36,7 @@ impl Session {
             }
         }
         self.timing = [renderer.to_owned(), clock.to_owned()];
+        self.weigh_pictures();
         if self.reconcile_clocks() {
             self.reset();
         }

@@ -5,13 +5,26 @@ from __future__ import annotations
 
 import math
 import random
-from typing import Any
+from typing import Any, Callable
+
+import numpy as np
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkRenderingCore import vtkWindowToImageFilter
 
 from .._core import Calibration, Model
 from . import _mappers, _scene
 from ._mappers import CannotSteer
 from ._leaf import first_volume
 from ._steering import _volumes, timer
+
+# Sample distances, finest ones, and image sample distances at which pictures are compared with full quality.
+_STEPS = (1.0, 1.5, 2.2, 3.3)
+_IMAGES = (1.0, 1.3, 1.7)
+
+
+def rmse(picture: np.ndarray, full: np.ndarray) -> float:
+    """Root of the mean squared difference of two pictures' colors."""
+    return float(np.sqrt(np.mean((picture.astype(np.float32) - full) ** 2)))
 
 
 def calibrate(
@@ -22,11 +35,15 @@ def calibrate(
     seed: int = 0,
     coarsest: float = 8.0,
     clock: str = "wall",
+    pictures: int = 4,
+    picture_error: Callable[[np.ndarray, np.ndarray], float] = rmse,
 ) -> Model:
     """Draws random frames of a volume in its window and fits the cost model to how long its mapper took.
 
-    Directions, distances, steps and the opacity of the volume are varied; camera, mapper and property are put
-    back afterwards, and the window is drawn once more as it was.
+    Directions, distances, steps and the opacity of the volume are varied. Then some scenes are drawn at coarser
+    steps, as smaller images and at both, and compared with full quality: steering by the model coarsens what
+    costs this mapper's pictures least. Camera, mapper and property are put back afterwards, and the window is
+    drawn once more as it was.
 
     Parameters
     ----------
@@ -42,6 +59,11 @@ def calibrate(
         Coarsest sample distance, in smallest voxel spacings. Default 8.
     clock : {"wall", "cpu"}, optional
         As in :func:`hold`; stands in the model's metadata, beside the mapper's class.
+    pictures : int, optional
+        How many scenes to compare, each drawn some 24 times; 0 for none, else at least 3. Default 4.
+    picture_error : callable, optional
+        How far a picture lies from the one at full quality, both as [y, x, rgb] bytes: 0 for equal ones, growing.
+        Default: root mean squared difference of colors. One less their structural similarity (SSIM) serves as well.
 
     Returns
     -------
@@ -55,6 +77,8 @@ def calibrate(
     ValueError
         For too few frames, another clock, or a scene that cannot be read.
     """
+    if pictures and pictures < 3:
+        raise ValueError(f"pictures is {pictures}; at least 3 scenes tell steps and images apart, 0 compares none")
     if frames < 10:
         raise ValueError(f"frames is {frames}; at least 10 are needed to tell costs apart, 60 are plenty")
     if volume is None:
@@ -68,7 +92,7 @@ def calibrate(
             or "hold the volume first: its vtkSmartVolumeMapper is then exchanged for a GPU mapper"
         )
         raise CannotSteer(why)
-    return _Calibrator(renderer, volume, mapper, clock).run(frames, seed, coarsest)
+    return _Calibrator(renderer, volume, mapper, clock).run(frames, seed, coarsest, pictures, picture_error)
 
 
 class _Calibrator:
@@ -90,7 +114,14 @@ class _Calibrator:
             self.window.WaitForCompletion()
         self.seconds = self.now() - self.began
 
-    def run(self, frames: int, seed: int, coarsest: float) -> Model:
+    def run(
+        self,
+        frames: int,
+        seed: int,
+        coarsest: float,
+        pictures: int,
+        error: Callable[[np.ndarray, np.ndarray], float],
+    ) -> Model:
         from ._steering import _held
 
         renderer, mapper, window = self.renderer, self.mapper, self.window
@@ -141,6 +172,10 @@ class _Calibrator:
                     skipping="none" if self.gpu else "blocks",
                     termination=_scene.termination(look, self.gpu),
                 )
+            for scene in range(pictures):
+                self.pose(camera, draw, middle, radius)
+                prop.SetScalarOpacityUnitDistance(0, unit * 2 ** draw.uniform(-2, 2))
+                self.compare(calibration, scene, own, base * grid.reference, error)
             return calibration.fit(mapper.GetClassName(), self.clock)
         finally:
             for tag in tags:
@@ -155,6 +190,38 @@ class _Calibrator:
             if steering is not None and enabled is not None:
                 steering.enabled = enabled
             window.Render()
+
+    def compare(
+        self,
+        calibration: Calibration,
+        scene: int,
+        own: _mappers.Settings,
+        finest: float,
+        error: Callable[[np.ndarray, np.ndarray], float],
+    ) -> None:
+        """Draws a view at every step and image sample distance and compares it with full quality."""
+        full = None
+        for image in _IMAGES:
+            for step in _STEPS:
+                self.mapper.SetSampleDistance(step * finest)
+                self.mapper.SetImageSampleDistance(own.image * image)
+                # The first makes buffers and tables for it.
+                self.window.Render()
+                self.window.Render()
+                picture = self.picture()
+                full = picture if full is None else full
+                calibration.add_picture(scene, step, image, self.seconds, error(picture, full))
+
+    def picture(self) -> np.ndarray:
+        """What the window shows, as [y, x, rgb] bytes."""
+        grab = vtkWindowToImageFilter()
+        grab.SetInput(self.window)
+        grab.ShouldRerenderOff()
+        grab.ReadFrontBufferOff()
+        grab.Update()
+        out = grab.GetOutput()
+        width, height, _ = out.GetDimensions()
+        return vtk_to_numpy(out.GetPointData().GetScalars()).reshape(height, width, -1)[:, :, :3].copy()
 
     def pose(self, camera: Any, draw: random.Random, middle: list[float], radius: float) -> None:
         azimuth, height = draw.uniform(0, 2 * math.pi), draw.uniform(-0.95, 0.95)

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("entire.vtk")
 
-# What coarser steps and smaller images cost the mappers' pictures (Session.set_quality), as vtkEntireSteering has it.
+# What coarser steps and smaller images cost the mappers' pictures (Session.set_quality) where the model states nothing, as
+# vtkEntireSteering has it.
 _GPU_QUALITY = (8.5, 1.22, 0.78, 0.15)
 _FIXED_POINT_QUALITY = (5.9, 0.97, 1.54, 0.33)
 _NAN = math.nan
@@ -490,7 +491,10 @@ class Leaf:
         session.set_limits(finest, max(finest, steering.coarsest))
         coarsest_image = min(64.0, max(1.0, steering.coarsest_image / self._pixels))
         session.set_max_image_sample_distance(coarsest_image)
-        session.set_quality(*(_GPU_QUALITY if self._gpu else _FIXED_POINT_QUALITY))
+        # What the model states of this mapper's pictures, where it was calibrated with some.
+        session.set_quality(None)
+        if session.quality is None:
+            session.set_quality(*(_GPU_QUALITY if self._gpu else _FIXED_POINT_QUALITY))
 
     @property
     def why(self) -> str:

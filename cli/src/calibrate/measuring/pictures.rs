@@ -1,0 +1,144 @@
+//! Compares pictures at coarser steps and of smaller images with full quality.
+
+use super::{LONG, Measuring};
+use crate::calibrate::pool::Candidate;
+use crate::dataset::Timing;
+use crate::steering::metrics::{rmse, ssim};
+use crate::steering::sizes::{resized, scaled_size};
+use anyhow::{Context, Result};
+use entire_core::calibrate::Picture;
+use entire_core::scene::Frame;
+use entire_vk_raycaster::Image;
+use serde::Serialize;
+use std::collections::BTreeSet;
+use std::time::Instant;
+
+/// Ray steps and image sample distances of every scene.
+const STEPS: [f32; 5] = [1.0, 1.41, 2.0, 2.83, 4.0];
+const DISTANCES: [f32; 4] = [1.0, 1.2, 1.44, 2.0736];
+
+/// What a scene at all of these takes, in times of full quality, each drawn twice.
+const GRID: f64 = 14.0;
+
+/// Scenes that time is to be enough for.
+const SCENES: f64 = 6.0;
+
+/// Scenes of one volume at most.
+const PER_VOLUME: usize = 2;
+
+/// Shortest image side that is compared: of fewer pixels little can be told.
+const LEAST_SIDE: u32 = 96;
+
+/// How far a picture is from the one at full quality.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PictureError {
+    /// Root mean squared difference of colors.
+    #[default]
+    Rmse,
+    /// One less the structural similarity of their luma.
+    Ssim,
+}
+
+impl PictureError {
+    /// The error of a picture, 0 for an equal one.
+    fn of(self, picture: &Image, full: &Image) -> Option<f64> {
+        match self {
+            Self::Rmse => rmse(&picture.rgba, &full.rgba),
+            Self::Ssim => ssim(picture, full).map(|s| 1.0 - s),
+        }
+    }
+}
+
+impl Measuring<'_> {
+    /// Draws some of the scenes at full quality, at coarser steps and as smaller images until `deadline`, a volume
+    /// after the other. A scene that time ran out in is left out.
+    ///
+    /// # Errors
+    /// When a volume cannot be read or the renderer fails.
+    pub fn pictures(&mut self, deadline: Instant) -> Result<Vec<Picture>> {
+        self.deadline = deadline;
+        let longest = self.left() / (SCENES * GRID);
+        let mut out = Vec::new();
+        for i in self.scenes(longest) {
+            // A little more than it is expected to take: what is half drawn is lost.
+            if (self.stop)() || self.left() < 1.2 * GRID * self.full_wall(i) {
+                break;
+            }
+            let c = &self.pool.candidates[i];
+            let (volume, factor) = (c.volume, c.factor);
+            self.bar.set_message("comparing pictures");
+            self.show(volume, factor)?;
+            match self.compare(i)? {
+                Some(pictures) => out.extend(pictures),
+                None => break,
+            }
+            self.bar.set_position(self.start.elapsed().as_secs());
+        }
+        Ok(out)
+    }
+
+    /// Wall seconds that a candidate is expected to take at full quality.
+    fn full_wall(&self, i: usize) -> f64 {
+        self.wall(i) * f64::from(self.pool.candidates[i].scene.step).max(1.0)
+    }
+
+    /// The largest images that take no longer than `longest`, of every volume in turn.
+    fn scenes(&self, longest: f64) -> Vec<usize> {
+        let candidates = &self.pool.candidates;
+        let pixels = |c: &Candidate| u64::from(c.scene.width) * u64::from(c.scene.height);
+        let usable = |c: &Candidate| {
+            // Something is seen: samples by the pixel.
+            let samples = c.work[3] / c.work[1].max(1.0);
+            c.scene.width.min(c.scene.height) >= LEAST_SIDE && samples > 1.0
+        };
+        let mut largest: Vec<usize> = (0..candidates.len())
+            .filter(|&i| usable(&candidates[i]) && self.full_wall(i) <= longest)
+            .collect();
+        largest.sort_by_key(|&i| std::cmp::Reverse(pixels(&candidates[i])));
+        let volumes: BTreeSet<usize> = largest.iter().map(|&i| candidates[i].volume).collect();
+        let of = |volume: usize, rank: usize| {
+            largest.iter().copied().filter(move |&i| candidates[i].volume == volume).nth(rank)
+        };
+        (0..PER_VOLUME).flat_map(|rank| volumes.iter().filter_map(move |&v| of(v, rank))).collect()
+    }
+
+    /// One scene at every setting; `None` where time ran out or it was stopped first.
+    fn compare(&mut self, i: usize) -> Result<Option<Vec<Picture>>> {
+        let scene = &self.pool.candidates[i].scene;
+        let place = || format!("{}, compared scene {i}", scene.volume);
+        let frame = Frame { step: 1.0, ..scene.to_frame().with_context(place)? };
+        self.renderer.set_transfer(&scene.to_table().with_context(place)?).with_context(place)?;
+        let mut out = Vec::with_capacity(STEPS.len() * DISTANCES.len());
+        let mut full: Option<Image> = None;
+        for distance in DISTANCES {
+            let (width, height) = scaled_size((frame.width, frame.height), 1.0 / distance);
+            for step in STEPS {
+                let frame = Frame { width, height, step, ..frame }.checked().with_context(place)?;
+                let (mut seconds, mut picture) = (f64::INFINITY, None);
+                for repeat in 0..2 {
+                    if (self.stop)() || self.left() <= 0.0 {
+                        return Ok(None);
+                    }
+                    if repeat > 0 && seconds > LONG {
+                        break;
+                    }
+                    let rendered = self.renderer.render(&frame).with_context(place)?;
+                    let timing = Timing::new(rendered.time, rendered.counts);
+                    let took = timing.seconds(self.settings.clock).with_context(|| {
+                        format!("{}: the renderer has no clock {}", place(), self.settings.clock.name())
+                    })?;
+                    seconds = seconds.min(took);
+                    picture = Some(rendered.image);
+                }
+                let full_size = full.as_ref().map_or((width, height), |f| (f.width, f.height));
+                let shown =
+                    picture.and_then(|p| resized(&p, full_size.0, full_size.1)).with_context(place)?;
+                let full = full.get_or_insert_with(|| shown.clone());
+                let error = self.settings.picture_error.of(&shown, full).with_context(place)?;
+                out.push(Picture { scene: i as u64, step, distance, seconds, error });
+            }
+        }
+        Ok(Some(out))
+    }
+}
