@@ -5,7 +5,7 @@ mod support;
 use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};
 use entire_cli::dataset::{Clock, read_tables};
 use entire_core::model::{Model, ModelFile};
-use entire_core::predict::load;
+use entire_core::predict::{Quality, load};
 use entire_core::scene::Shading;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -56,6 +56,8 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     for part in ["to expect", "median error", "RMSE/SD", "clock cpu", "3 volumes"] {
         assert!(said.contains(part), "{part}: {said}");
     }
+    // Images of at most 64 pixels tell nothing of pictures.
+    assert!(said.contains("too few were compared"), "{said}");
     let path = at.join("home/entire/machine-none.safetensors");
     let model = Model::from_bytes(&std::fs::read(&path).unwrap()).unwrap();
     assert_eq!(model.metadata()["entire.clock"], "cpu");
@@ -97,6 +99,34 @@ fn a_machines_model_is_made_found_and_says_its_clock() {
     assert!(predicted.status.success(), "{}", stderr(&predicted));
     assert!(stderr(&predicted).contains("predicts cpu seconds"), "{predicted:?}");
     assert!(stdout(&predicted).trim().parse::<f64>().unwrap() > 0.0);
+}
+
+#[test]
+fn a_model_states_what_coarser_pictures_cost() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = dir.path();
+    volumes(at);
+    for error in ["rmse", "ssim"] {
+        let out = format!("{error}.safetensors");
+        // Few frames leave the time to the pictures.
+        let arguments = ["calibrate", "a.nrrd", "b.nrrd", "c.nrrd", "--device", "cpu", "--seconds", "60"];
+        let more = ["--frames", "12", "--min-size", "96", "--max-size", "128", "--quiet", "--threads", "1"];
+        let last = ["--picture-error", error, "--out", &out];
+        let made = run(at, &[&arguments[..], &more, &last].concat());
+        assert!(made.status.success(), "{}", stderr(&made));
+        let model = Model::from_bytes(&std::fs::read(at.join(&out)).unwrap()).unwrap();
+        let quality = Quality::of(&model).unwrap().expect(&stdout(&made));
+        assert_eq!(load(&model).unwrap().quality("cpu"), Some(quality));
+        assert_eq!(load(&model).unwrap().quality("vulkan"), None);
+        let said = stdout(&made);
+        assert!(said.contains("pictures") && said.contains("the step alone"), "{said}");
+        let provenance: serde_json::Value =
+            serde_json::from_str(model.metadata()["entire.provenance"].as_str()).unwrap();
+        let pictures = &provenance["calibration"]["pictures"];
+        assert_eq!((&pictures["error"], &pictures["settings"]), (&error.into(), &20.into()));
+        let over = |name: &str| pictures[name].as_f64().unwrap();
+        assert!(over("over_best") >= 1.0 && over("over_best") <= over("step_over_best") + 1e-9, "{pictures}");
+    }
 }
 
 /// Of the shipped models, that of the make of machine whose frames are fitted to is started from.

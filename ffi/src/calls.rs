@@ -198,6 +198,11 @@ fn a_session_makes_a_model_of_what_it_observes() {
             ok(entire_session_plan(session, &raw const frame, 0.02, &raw mut plan));
             ok(entire_session_observe(session, plan.id, 1e-3 * (1 + i) as f32, 0, null_mut()));
         }
+        ok(entire_session_record_picture(session, 1, 1.0, 1.0, 0.1, 0.0));
+        let mut q = [9f32; 4];
+        let [a, b, c, d] = &mut q;
+        ok(entire_session_quality(session, a, b, c, d));
+        assert_eq!(q, [0.0; 4]);
         let mut count = 0;
         ok(entire_session_recorded_count(session, &raw mut count));
         assert_eq!(count, 10);

@@ -766,9 +766,10 @@ typedef struct entire_calibration_report {
      */
     entire_held_out held_out;
     /**
-     * Must be ignored.
+     * Scenes of entire_session_record_picture that the model's quality was fitted to; 0 where they were too few,
+     * and the model states nothing of pictures.
      */
-    uint32_t reserved;
+    uint32_t scenes;
 } entire_calibration_report;
 
 /**
@@ -1581,6 +1582,26 @@ entire_result entire_session_calibrate(const struct entire_session *session,
                                        struct entire_calibration_report *report);
 
 /**
+ * Keeps a picture that was compared with the same view at full quality, for entire_session_calibrate: the model
+ * then states what coarser steps and smaller images cost this renderer's pictures, and sessions that steer this
+ * renderer by it coarsen what shows less. Draw each of at least 3 scenes (`scene`: the same number for the same view)
+ * at the same settings: ray steps of `step` finest ones and rays `image_sample_distance` pixels apart, 1 and 1
+ * (full quality, `error` 0) among them, steps alone, images alone and both. `error` is how far the picture lies
+ * from that at full quality by any measure that is 0 for equal pictures and grows: the root mean squared difference
+ * of colors, or 1 - SSIM. Smaller pictures are compared as they are shown, at full size. The first 65536 are kept.
+ *
+ * Fails with ENTIRE_NOT_READY (before entire_session_record), ENTIRE_INVALID_ARGUMENT (a step or distance below 1,
+ * seconds that are not positive, a negative error, numbers that are not finite), ENTIRE_OUT_OF_MEMORY,
+ * ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_record_picture(struct entire_session *session,
+                                            uint64_t scene,
+                                            float step,
+                                            float image_sample_distance,
+                                            double seconds,
+                                            double error);
+
+/**
  * How many frames are kept since entire_session_record; 0 before it.
  *
  * Fails with ENTIRE_NULL_ARGUMENT.
@@ -1726,7 +1747,8 @@ entire_result entire_session_set_max_image_sample_distance(struct entire_session
  * shows less. With a step of s finest ones, and rays d pixels apart along each side, a picture's distance
  * from full quality goes as (s - 1)^step_exponent + image_weight * (d - 1)^image_exponent, and its time as
  * (ray_share + (1 - ray_share) / s) / d^2: numbers that are fitted to pictures of this renderer. Takes the
- * place of step_alone (entire_session_set_max_image_sample_distance). An `image_weight` of 0 forgets it.
+ * place of step_alone (entire_session_set_max_image_sample_distance). An `image_weight` of 0 forgets it: the
+ * session goes by what its model states then, where it was calibrated with pictures of this renderer.
  *
  * Fails with ENTIRE_INVALID_ARGUMENT unless the weight is 0 or 1e-3 to 1e3, the exponents are 0.05 to 8 and
  * the share is 0 to 0.9; ENTIRE_NULL_ARGUMENT.
@@ -1736,6 +1758,20 @@ entire_result entire_session_set_quality(struct entire_session *session,
                                          float step_exponent,
                                          float image_exponent,
                                          float ray_share);
+
+/**
+ * What plans coarsen by: the numbers of entire_session_set_quality, else those that the model states of the
+ * renderer's pictures (entire_session_record_picture, `entire calibrate`), where the renderer that
+ * entire_session_set_timing_source names is the one that it was calibrated with, or none is named. All are 0
+ * where nothing is known.
+ *
+ * Fails with ENTIRE_NULL_ARGUMENT.
+ */
+entire_result entire_session_quality(const struct entire_session *session,
+                                     float *image_weight,
+                                     float *step_exponent,
+                                     float *image_exponent,
+                                     float *ray_share);
 
 /**
  * Switches steering off (0: every plan answers the frame's own step; for screenshots and still renders) or

@@ -378,10 +378,15 @@ static void call(void) {
     case 29:
         note(entire_set_log(NULL, NULL, (uint32_t)below(6)));
         break;
-    case 30:
+    case 30: {
         note(entire_session_record(session, one_in(2) ? model : NULL, one_in(3) ? bits() : 8 + below(40)));
         note(entire_session_recorded_count(session, &n));
+        for (int i = 0; i < 6; i++)
+            note(entire_session_record_picture(session, below(4), 1 + (float)(i % 3), 1 + (float)(i / 3) * 0.4f, number(0, 1), number(0, 9)));
+        float q[4];
+        note(entire_session_quality(session, q, q + 1, one_in(5) ? NULL : q + 2, q + 3));
         break;
+    }
     case 31: {
         entire_model *made = NULL;
         entire_calibration_report report = {.struct_size = struct_size(sizeof report)};

@@ -142,6 +142,13 @@ int main(int argc, char **argv) {
     NONE(entire_session_record(NULL, NULL, 100));
     NONE(entire_session_calibrate(NULL, &made_model, NULL));
     NONE(entire_session_calibrate(p, NULL, NULL));
+    NONE(entire_session_record_picture(NULL, 1, 1, 1, 1, 0));
+    float q = 0;
+    NONE(entire_session_quality(NULL, &q, &q, &q, &q));
+    NONE(entire_session_quality(p, NULL, &q, &q, &q));
+    NONE(entire_session_quality(p, &q, NULL, &q, &q));
+    NONE(entire_session_quality(p, &q, &q, NULL, &q));
+    NONE(entire_session_quality(p, &q, &q, &q, NULL));
     NONE(entire_session_recorded_count(NULL, &n));
     NONE(entire_session_recorded_count(p, NULL));
     NONE(entire_session_set_model(NULL, m));

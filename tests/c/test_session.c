@@ -359,6 +359,23 @@ static void play(entire_session *session, int frames) {
     }
 }
 
+/* Pictures of four scenes whose distance from full quality follows a law. */
+static void compare_pictures(entire_session *session) {
+    const float steps[] = {1, 1.5f, 2.2f, 3.2f, 4.5f}, distances[] = {1, 1.2f, 1.44f, 2};
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_record_picture(session, 0, 0.5f, 1, 0.1, 0));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_record_picture(session, 0, 1, NAN, 0.1, 0));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_record_picture(session, 0, 1, 1, 0, 0));
+    EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_record_picture(session, 0, 1, 1, 0.1, -1));
+    for (uint64_t scene = 0; scene < 4; scene++)
+        for (int i = 0; i < 5; i++)
+            for (int k = 0; k < 4; k++) {
+                double s = steps[i], d = distances[k];
+                double seconds = 0.1 * (0.2 + 0.8 / s) / (d * d);
+                double error = pow(s - 1, 1.2) + 5 * pow(d - 1, 0.9);
+                OK(entire_session_record_picture(session, scene, steps[i], distances[k], seconds, error));
+            }
+}
+
 static void calibration(void) {
     entire_session *session = toy_session(NULL);
     size_t count = 77;
@@ -367,6 +384,7 @@ static void calibration(void) {
     entire_model *model = NULL;
     EXPECT(ENTIRE_NOT_READY, entire_session_calibrate(session, &model, NULL));
     SAYS("call record");
+    EXPECT(ENTIRE_NOT_READY, entire_session_record_picture(session, 0, 1, 1, 0.1, 0));
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_record(session, NULL, 7));
     EXPECT(ENTIRE_INVALID_ARGUMENT, entire_session_record(session, NULL, 65537));
     OK(entire_session_record(session, NULL, 100));
@@ -380,15 +398,35 @@ static void calibration(void) {
     CHECK(count == 100);
 
     OK(entire_session_set_timing_source(session, "a renderer of pixels", "wall"));
+    entire_calibration_report without = {.struct_size = sizeof without};
+    OK(entire_session_calibrate(session, &model, &without));
+    CHECK(without.scenes == 0 && entire_model_metadata(model, "entire.quality") == NULL);
+    entire_model_free(model);
+    compare_pictures(session);
     entire_calibration_report report = {.struct_size = sizeof report};
     OK(entire_session_calibrate(session, &model, &report));
     CHECK(report.frames == 100 && report.held_out == ENTIRE_HELD_OUT_STRETCHES);
     CHECK(report.median_error < 0.05 && report.rmse_over_sd < 0.1 && report.upper_factor < 1.3);
+    CHECK(report.scenes == 4);
     CHECK(strcmp(entire_model_metadata(model, "entire.clock"), "wall") == 0);
     CHECK(strcmp(entire_model_metadata(model, "entire.renderer"), "a renderer of pixels") == 0);
 
     /* The model predicts what it never drew, in this loop and after its file in another. */
+    float q[4] = {9, 9, 9, 9};
+    OK(entire_session_quality(session, q, q + 1, q + 2, q + 3));
+    CHECK(q[0] == 0 && q[1] == 0 && q[2] == 0 && q[3] == 0);
     OK(entire_session_set_model(session, model));
+    /* What the pictures follow is found again, for this renderer alone, until the host knows better. */
+    OK(entire_session_quality(session, q, q + 1, q + 2, q + 3));
+    CHECK(fabsf(q[0] - 5) < 0.1f && fabsf(q[1] - 1.2f) < 0.02f && fabsf(q[2] - 0.9f) < 0.02f && fabsf(q[3] - 0.2f) < 0.01f);
+    OK(entire_session_set_quality(session, 3, 1, 1, 0));
+    OK(entire_session_quality(session, q, q + 1, q + 2, q + 3));
+    CHECK(q[0] == 3 && q[3] == 0);
+    OK(entire_session_set_quality(session, 0, 1, 1, 0));
+    OK(entire_session_set_timing_source(session, "another renderer", "wall"));
+    OK(entire_session_quality(session, q, q + 1, q + 2, q + 3));
+    CHECK(q[0] == 0);
+    OK(entire_session_set_timing_source(session, "a renderer of pixels", "wall"));
     const char *path = "calibrated.safetensors";
     EXPECT(ENTIRE_IO, entire_model_save(model, "no/such/folder/calibrated.safetensors"));
     OK(entire_model_save(model, path));

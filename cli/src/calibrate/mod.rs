@@ -144,10 +144,6 @@ pub fn calibrate(
     measuring.run()?;
     let compared = measuring.pictures(deadline)?;
     // Too few scenes say nothing; the model then states nothing of pictures.
-        for p in &compared {
-            eprintln!("PIC {} {} {} {} {}", p.scene, p.step, p.distance, p.seconds, p.error);
-        }
-    }
     let quality = fit_quality(&compared).ok();
     let Measured { frames, passes, others, rounds, warm_ups } = measuring.finish();
     bar.set_message("fitting");
