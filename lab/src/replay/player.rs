@@ -35,12 +35,12 @@ impl Player {
             players.iter().filter(|p| p.stands_in()).map(|p| p.kind.name()).collect();
         if !standing_in.is_empty() {
             note(&format!(
-                "{} of {} traces hold no smaller images ({}): {} act on image resolution and are played on the ray \
-                 step instead; record the traces again to play them as they are",
+                "played on the ray step instead of image resolution: {}; {} of {} traces hold no smaller images \
+                 ({}), which `entire-lab record` adds when it records them again",
+                standing_in.join(", "),
                 without.len(),
                 traces.len(),
-                without.join(", "),
-                standing_in.join(", ")
+                without.join(", ")
             ));
         }
         players
