@@ -418,9 +418,12 @@ impl Results<'_> {
         );
         let on_images = |on: ActsOn| on != ActsOn::RayStep;
         if self.players.iter().any(|p| shown.contains(&p.kind) && on_images(p.acts_on)) {
-            let image =
-                Chart::new("Image resolution", Axis::linear("frame"), Axis::linear("image side / full side"))
-                    .size(900.0, 220.0);
+            let image = Chart::new(
+                "Image resolution",
+                Axis::linear("frame"),
+                Axis::linear("image side / full side").from(0.0),
+            )
+            .size(900.0, 220.0);
             page.chart(
                 &draw(image, &on_images, &|r| 1.0 / r.step.sqrt(), None),
                 "Of controllers that act on image resolution, at the reference step.",

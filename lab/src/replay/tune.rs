@@ -13,7 +13,7 @@
 //! and ends when a whole round takes none.
 
 use super::{Replayable, Tally, Three, Trial, replay, trials};
-use crate::trace::Curve;
+use crate::trace::{Curve, TRACE_SCALES};
 use anyhow::Result;
 use entire_cli::steering::contenders::ActsOn;
 use entire_cli::steering::fit::Calibrated;
@@ -61,8 +61,8 @@ impl Law {
             Self::Flatter => 2.0,
         };
         for frame in &mut out.trace.frames {
-            // What a smaller image would take there, nobody knows.
-            frame.retain(|p| p.scale == 1.0);
+            // Far smaller images take less than what is taken off, and nobody plays on them.
+            frame.retain(|p| p.scale == 1.0 || TRACE_SCALES.contains(&p.scale));
             let coarsest = frame.iter().flat_map(|p| &p.seconds).copied().fold(f64::INFINITY, f64::min);
             for seconds in frame.iter_mut().flat_map(|p| &mut p.seconds) {
                 *seconds += share * coarsest;
