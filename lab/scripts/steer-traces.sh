@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Records what the steering bars are taken from: calibration frames of volumes that the paths do not show, and the cost
-# curves of paths over volumes that the calibration did not see. What is there stays; remove the folder to record anew.
+# curves of paths over volumes that the calibration did not see. What is there stays; remove the folder to record anew. After
+# an interruption the same call goes on where it was: a trace that was begun lies beside the others as NAME.part.json.gz.
 set -euo pipefail
 out=$1 clock=$2 frames=$3 data=$4
 lab=${ENTIRE_LAB:-target/release/entire-lab}
@@ -31,11 +32,11 @@ if [ ! -e "$out/calibration.csv.gz" ]; then
 fi
 
 record() { # record FOLDER NAME VOLUME... OPTION...
-    local name=$2 to="$out/$1/$2.json.gz"
+    local name=$2 to="$out/$1/$2.json.gz" part="$out/$2.part.json.gz"
     shift 2
     [ -e "$to" ] && return
-    "$lab" record "$@" "${common[@]}" --name "$name" --out "$out/part.json.gz"
-    mv "$out/part.json.gz" "$to"
+    "$lab" record "$@" "${common[@]}" --name "$name" --out "$part" --resume
+    mv "$part" "$to"
 }
 trace() { record traces "$@"; }
 training() { record training "$@"; }

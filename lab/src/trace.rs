@@ -2,8 +2,9 @@
 //! scales.
 //!
 //! A trace is recorded once with a real renderer and replayed any number of times in milliseconds: a
-//! controller's step is answered by the frame's own curve, times the noise that was measured at that very
-//! frame. The curve without the noise is what an oracle knows.
+//! controller's step is answered by the frame's own curve over the step at full size, a decision on image
+//! resolution by its curve over image scales at the reference step, both times the noise that was measured at
+//! that very frame. The curve over the step without the noise is what an oracle knows.
 //!
 //! # File format
 //!
@@ -35,10 +36,14 @@ use std::time::{Duration, Instant};
 /// Ray steps of the grid where none are given, reference steps: half octaves over the default limits.
 pub const TRACE_STEPS: [f32; 9] = [1.0, 1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0];
 
-/// Image scales of the grid beside 1, at the steps of [`SCALED_STEPS`].
+/// Smaller images of every frame at the reference step, as s for images with 1 / s of the pixels: the steps'
+/// half octaves, and on to image sample distance 10, the largest of VTK's fixed-point mapper.
+pub const TRACE_IMAGES: [f32; 11] = [1.41, 2.0, 2.83, 4.0, 5.66, 8.0, 11.31, 16.0, 32.0, 64.0, 100.0];
+
+/// Image scales of every fourth frame, at the steps of [`SCALED_STEPS`]: they serve the quality model.
 pub const TRACE_SCALES: [f32; 2] = [0.7, 0.5];
 
-/// Steps at which smaller images are drawn.
+/// Steps at which the images of [`TRACE_SCALES`] are drawn.
 pub const SCALED_STEPS: [f32; 4] = [1.0, 2.0, 4.0, 8.0];
 
 // Beside the file's reader, which knows files alone.
@@ -68,7 +73,7 @@ pub struct Recording<'a> {
     pub scales: &'a [(u32, f32)],
     /// How frames are drawn.
     pub draw: DrawSettings,
-    /// Ray steps of the grid at scale 1, ascending.
+    /// Ray steps of the grid at scale 1, ascending; smaller images are drawn beside [`TRACE_STEPS`] alone.
     pub steps: &'a [f32],
     /// How often every point is drawn.
     pub repeats: usize,
@@ -100,10 +105,15 @@ impl Recording<'_> {
     /// Ray steps and image scales of a frame.
     fn grid(&self, index: usize) -> Vec<(f32, f32)> {
         let mut grid: Vec<(f32, f32)> = self.steps.iter().map(|s| (*s, 1.0)).collect();
-        // Smaller images at some frames only: they serve the quality model.
-        if index.is_multiple_of(4) && self.steps.len() == TRACE_STEPS.len() {
-            for scale in TRACE_SCALES {
-                grid.extend(SCALED_STEPS.iter().map(|s| (*s, scale)));
+        if self.steps != TRACE_STEPS {
+            return grid;
+        }
+        grid.extend(TRACE_IMAGES.iter().map(|s| (1.0, 1.0 / s.sqrt())));
+        if index.is_multiple_of(4) {
+            for point in TRACE_SCALES.iter().flat_map(|scale| SCALED_STEPS.map(|step| (step, *scale))) {
+                if !grid.contains(&point) {
+                    grid.push(point);
+                }
             }
         }
         grid
@@ -288,7 +298,9 @@ fn record_on(
     Ok(())
 }
 
-/// A frame's cost and likeness as functions of the ray step, and its noise.
+/// A frame's cost and likeness as functions of the ray step or of image resolution, and its noise.
+///
+/// Image resolution is s, for images with 1 / s of the pixels; what is said of steps here is said of s as well.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Curve {
     /// ln(step), ln(seconds), psnr, ssim; seconds never rise with the step.
@@ -301,9 +313,24 @@ impl Curve {
     /// Of a frame's points at scale 1. Seconds at a step are the median of its repeats, made to fall with the
     /// step by pooling neighbors that do not.
     pub fn of(points: &[TracePoint]) -> Self {
-        let full: Vec<&TracePoint> = points.iter().filter(|p| p.scale == 1.0).collect();
+        Self::over(points.iter().filter(|p| p.scale == 1.0).map(|p| (f64::from(p.step), p)).collect())
+    }
+
+    /// Over image resolution, of a frame's points at the reference step; `None` without smaller images.
+    pub fn of_images(points: &[TracePoint]) -> Option<Self> {
+        let mut images: Vec<(f64, &TracePoint)> = points
+            .iter()
+            .filter(|p| p.step == 1.0 && p.scale <= 1.0)
+            .map(|p| (f64::from(p.scale).powi(-2), p))
+            .collect();
+        images.sort_by(|a, b| a.0.total_cmp(&b.0));
+        (images.len() >= 2 && images[0].0 == 1.0).then(|| Self::over(images))
+    }
+
+    /// Of points with their steps, ascending.
+    fn over(points: Vec<(f64, &TracePoint)>) -> Self {
         let logs: Vec<f64> =
-            full.iter().map(|p| median(&mut p.seconds.clone()).unwrap_or(f64::NAN).ln()).collect();
+            points.iter().map(|(_, p)| median(&mut p.seconds.clone()).unwrap_or(f64::NAN).ln()).collect();
         let mut pools: Vec<(f64, usize)> = Vec::new();
         for &y in &logs {
             pools.push((y, 1));
@@ -316,14 +343,18 @@ impl Curve {
             }
         }
         let smooth: Vec<f64> = pools.iter().flat_map(|(sum, n)| vec![sum / *n as f64; *n]).collect();
-        let residuals = full
+        let residuals = points
             .iter()
             .zip(&smooth)
-            .flat_map(|(p, y)| p.seconds.iter().map(|t| t.ln() - y).collect::<Vec<_>>())
+            .flat_map(|((_, p), y)| p.seconds.iter().map(|t| t.ln() - y).collect::<Vec<_>>())
             .collect();
-        let points =
-            full.iter().zip(&smooth).map(|(p, y)| [f64::from(p.step).ln(), *y, p.psnr, p.ssim]).collect();
+        let points = points.iter().zip(&smooth).map(|((x, p), y)| [x.ln(), *y, p.psnr, p.ssim]).collect();
         Self { points, residuals }
+    }
+
+    /// The coarsest step that was recorded.
+    pub fn coarsest(&self) -> f64 {
+        self.points.last().map_or(1.0, |p| p[0].exp())
     }
 
     fn at(&self, step: f64, k: usize) -> f64 {
@@ -401,6 +432,71 @@ mod tests {
         // A rise is pooled away.
         let c = Curve::of(&[point(1.0, &[2.0]), point(2.0, &[4.0]), point(4.0, &[1.0])]);
         assert!((c.seconds(1.0) - 8f64.sqrt()).abs() < 1e-9 && c.seconds(1.0) == c.seconds(2.0));
+    }
+
+    #[test]
+    fn curves_over_images_are_of_the_reference_step() {
+        let image = |scale: f32, t: f64| TracePoint { scale, ssim: f64::from(scale), ..point(1.0, &[t]) };
+        let frame = [
+            point(1.0, &[4.0]),
+            point(2.0, &[3.0]),
+            image(0.5, 1.0),
+            image(0.1, 0.2),
+            TracePoint { step: 2.0, ..image(0.7, 1.5) },
+        ];
+        let c = Curve::of_images(&frame).unwrap();
+        // A fourth and a hundredth of the pixels; s between points as steps are.
+        assert!((c.seconds(4.0) - 1.0).abs() < 1e-9 && (c.seconds(2.0) - 2.0).abs() < 1e-9);
+        assert!((c.coarsest() - 100.0).abs() < 1e-4 && (c.seconds(400.0) - 0.2).abs() < 1e-9);
+        assert!((c.ssim(4.0) - 0.5).abs() < 1e-9 && (c.ssim(1.0) - 1.0).abs() < 1e-9);
+        assert_eq!(Curve::of(&frame).points.len(), 2);
+        assert_eq!(Curve::of_images(&frame[..2]), None);
+        assert_eq!(Curve::of_images(&frame[1..]), None);
+    }
+
+    #[test]
+    fn every_frame_has_steps_and_images_and_no_point_twice() {
+        let path = entire_cli::path::Generated::Orbit;
+        let volume = [0u8; 8];
+        let view = entire_core::scene::VolumeView::new(entire_core::scene::Scalars::U8(&volume), [2, 2, 2]);
+        let path = path.path(&view.unwrap(), 8).unwrap();
+        let mut recording = Recording {
+            name: "grid".into(),
+            volumes: &[],
+            path: &path,
+            hold: 0,
+            scales: &[],
+            draw: DrawSettings {
+                width: 8,
+                height: 8,
+                shading: entire_core::scene::Shading::None,
+                skipping: entire_core::scene::Skipping::Blocks,
+                termination: 0.99,
+                clock: entire_cli::dataset::Clock::Wall,
+            },
+            steps: &TRACE_STEPS,
+            repeats: 1,
+        };
+        for index in 0..8 {
+            let grid = recording.grid(index);
+            let images: Vec<f32> = grid[TRACE_STEPS.len()..][..TRACE_IMAGES.len()]
+                .iter()
+                .map(|(step, scale)| {
+                    assert_eq!(*step, 1.0);
+                    scale.powi(-2)
+                })
+                .collect();
+            assert!(images.iter().zip(TRACE_IMAGES).all(|(a, b)| (a / b - 1.0).abs() < 1e-5), "{images:?}");
+            assert_eq!(grid[..TRACE_STEPS.len()].to_vec(), TRACE_STEPS.map(|s| (s, 1.0)));
+            // Half of every side at the reference step is a fourth of the pixels.
+            assert_eq!(grid.len(), if index % 4 == 0 { 9 + 11 + 7 } else { 9 + 11 });
+            assert!(grid.iter().enumerate().all(|(i, point)| !grid[..i].contains(point)), "{grid:?}");
+            for step in SCALED_STEPS.iter().filter(|_| index % 4 == 0) {
+                assert!(TRACE_SCALES.iter().all(|scale| grid.contains(&(*step, *scale))));
+            }
+        }
+        recording.steps = &[1.0, 2.0];
+        assert_eq!(recording.grid(0), [(1.0, 1.0), (2.0, 1.0)]);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use clap::Parser;
 use entire_cli::commands::train;
 use entire_cli::dataset::{Scene, Timing, Writer};
 use entire_cli::files::open_model;
+use entire_cli::steering::contenders::ActsOn;
 use entire_cli::steering::fit::fit_network;
 use entire_cli::steering::play::Contender;
 use entire_cli::volume::Volume;
@@ -47,6 +48,7 @@ fn sixty_observed_frames_bring_an_unknown_renderer_within_ten_percent() {
                 name: "untrained".into(),
                 session: Session::untrained(),
                 chooses_image_sample_distance: false,
+                acts_on: ActsOn::RayStep,
             };
             let played =
                 replay(&recorded, &mut who, None, &vec![1.0 / fps; n], StepLimits::default(), seed, 0..n)

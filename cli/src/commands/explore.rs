@@ -33,7 +33,7 @@ pub struct Options {
     /// Steer by this model file, which was calibrated to this machine.
     #[arg(long, value_name = "M.safetensors")]
     pub model: Option<PathBuf>,
-    /// Who steers at first.
+    /// Who steers at first. Rules that act on image resolution elsewhere act on the ray step here.
     #[arg(long, value_enum, default_value_t = ControllerKind::Hybrid)]
     pub controller: ControllerKind,
     /// The coarsest ray step that may be chosen, reference steps.

@@ -71,7 +71,7 @@ pub struct Options {
     /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "TABLE.csv")]
     pub log: Option<PathBuf>,
-    /// Who plays.
+    /// Who plays. Rules that act on image resolution draw smaller images at the reference step.
     #[arg(
         long,
         value_enum,
@@ -106,7 +106,8 @@ pub struct Options {
     /// model of another clock is refused.
     #[arg(long, value_enum, default_value_t)]
     pub clock: Clock,
-    /// Finest and coarsest step that may be chosen, reference steps.
+    /// Finest and coarsest step that may be chosen, reference steps. Rules that act on image resolution have
+    /// ranges of their own.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
     pub limits: (f32, f32),
     /// The fixed controller's step; else the one that G says the median calibration scene needs.

@@ -6,8 +6,47 @@ use super::rivals::{
 };
 use clap::ValueEnum;
 use entire_core::control::Prior;
-use entire_core::control::{Controller, Hybrid, HybridOptions, Session};
+use entire_core::control::{Controller, Hybrid, HybridOptions, Session, StepLimits};
 use entire_core::predict::Predictor;
+
+/// What a controller acts on. Its decision's `step` is the ray step, or an image's share of the work.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ActsOn {
+    /// The ray step.
+    RayStep,
+    /// Image resolution, at the reference step: s stands for an image with 1/s of the pixels, for each side
+    /// 1/√s of them.
+    ImageResolution {
+        /// Largest s by the rule's published constants; the smallest is 1.
+        coarsest: f32,
+    },
+}
+
+impl ActsOn {
+    /// For tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::RayStep => "ray step",
+            Self::ImageResolution { .. } => "image resolution",
+        }
+    }
+
+    /// What may be chosen, where the ray step has these limits.
+    pub const fn limits(self, of_step: StepLimits) -> StepLimits {
+        match self {
+            Self::RayStep => of_step,
+            Self::ImageResolution { coarsest } => StepLimits { finest: 1.0, coarsest },
+        }
+    }
+
+    /// Ray step and image sample distance (pixels between rays along each side) of what was chosen.
+    pub fn drawn(self, chosen: f32) -> (f32, f32) {
+        match self {
+            Self::RayStep => (chosen, 1.0),
+            Self::ImageResolution { .. } => (1.0, chosen.sqrt()),
+        }
+    }
+}
 
 /// A controller by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, ValueEnum)]
@@ -22,15 +61,15 @@ pub enum ControllerKind {
     Algorithm1,
     /// Ours: prediction for every step, corrected online, with a margin.
     Hybrid,
-    /// VTK's rule for GPU ray casting.
+    /// VTK's rule for GPU ray casting, on the ray step.
     VtkGpu,
-    /// VTK's rule for fixed-point ray casting.
+    /// VTK's rule for fixed-point ray casting, on image resolution.
     VtkFixedPoint,
-    /// vtk.js' rule.
+    /// vtk.js' rule, on image resolution.
     VtkJs,
-    /// Unreal's dynamic resolution heuristic, on the step.
+    /// Unreal's dynamic resolution heuristic, on image resolution.
     Unreal,
-    /// Filament's feedback, on the step.
+    /// Filament's feedback, on image resolution.
     Filament,
 }
 
@@ -64,6 +103,19 @@ impl ControllerKind {
             Self::VtkJs => "vtk.js",
             Self::Unreal => "Unreal",
             Self::Filament => "Filament",
+        }
+    }
+
+    /// What it acts on, in the range of the original: image sample distances up to 10 (VTK) and 20 (vtk.js),
+    /// half of every side (Unreal and Filament).
+    pub const fn acts_on(self) -> ActsOn {
+        match self {
+            Self::VtkFixedPoint => ActsOn::ImageResolution { coarsest: 100.0 },
+            Self::VtkJs => ActsOn::ImageResolution { coarsest: 400.0 },
+            Self::Unreal | Self::Filament => ActsOn::ImageResolution { coarsest: 4.0 },
+            Self::Fixed | Self::Olp | Self::Pid | Self::Algorithm1 | Self::Hybrid | Self::VtkGpu => {
+                ActsOn::RayStep
+            }
         }
     }
 
@@ -108,6 +160,7 @@ pub fn contender(
         name: kind.name().into(),
         session: Session::with_controller(predictor, controller),
         chooses_image_sample_distance: kind == ControllerKind::Hybrid,
+        acts_on: kind.acts_on(),
     }
 }
 
@@ -123,5 +176,24 @@ mod tests {
             assert_eq!(ControllerKind::from_name(kind.name()), Some(*kind));
         }
         assert_eq!(ControllerKind::from_name("nobody"), None);
+    }
+
+    #[test]
+    fn rules_that_scale_the_image_have_a_range_of_their_own() {
+        let of_step = StepLimits { finest: 0.5, coarsest: 16.0 };
+        for kind in ControllerKind::value_variants() {
+            let acts_on = kind.acts_on();
+            let limits = acts_on.limits(of_step);
+            limits.check().unwrap();
+            let (step, distance) = acts_on.drawn(limits.coarsest);
+            match acts_on {
+                ActsOn::RayStep => assert_eq!((limits, step, distance), (of_step, 16.0, 1.0)),
+                ActsOn::ImageResolution { .. } => assert_eq!((limits.finest, step), (1.0, 1.0)),
+            }
+        }
+        let distance = |kind: ControllerKind| kind.acts_on().drawn(kind.acts_on().limits(of_step).coarsest).1;
+        assert_eq!(distance(ControllerKind::VtkFixedPoint), 10.0);
+        assert_eq!(distance(ControllerKind::VtkJs), 20.0);
+        assert_eq!((distance(ControllerKind::Unreal), distance(ControllerKind::Filament)), (2.0, 2.0));
     }
 }

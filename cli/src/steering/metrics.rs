@@ -17,11 +17,12 @@ pub struct Played {
     pub seconds: f64,
     /// Seconds that it should not have exceeded.
     pub target: f64,
-    /// Ray step, reference steps.
+    /// Ray step, reference steps; of a controller that acts on image resolution, pixels of the full image per
+    /// pixel drawn.
     pub step: f64,
-    /// Finest step that was allowed.
+    /// The finest that was allowed of it.
     pub finest: f64,
-    /// Coarsest step that was allowed.
+    /// The coarsest that was allowed of it.
     pub coarsest: f64,
     /// Likeness to the picture at the reference step, decibels; `None` where no reference was drawn.
     pub psnr: Option<f64>,
@@ -67,7 +68,7 @@ pub struct Metrics {
     pub worst_seconds: f64,
     /// Mean likeness to the reference step's pictures, decibels, each at most [`BEST_PSNR`].
     pub mean_psnr: Option<f64>,
-    /// Mean ray step, reference steps.
+    /// Mean of [`Played::step`].
     pub mean_step: f64,
     /// Share of calm frames whose step differs from the frame before by over 20 %.
     pub step_jumps_in_calm: f64,

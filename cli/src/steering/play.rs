@@ -1,5 +1,6 @@
 //! Playing a path: every frame under every controller.
 
+use super::contenders::ActsOn;
 use super::metrics::{Metrics, Played, psnr};
 use super::sizes::{resized, scale_at, scaled_size, volume_at};
 use crate::dataset::{Clock, Timing};
@@ -76,6 +77,8 @@ pub struct Contender {
     pub session: Session,
     /// Whether it may choose the image sample distance beside the step, where the task allows any.
     pub chooses_image_sample_distance: bool,
+    /// What its decisions are about.
+    pub acts_on: ActsOn,
 }
 
 /// One frame under one controller.
@@ -117,6 +120,8 @@ pub struct Reference {
 pub struct Playback {
     /// The controllers' names.
     pub names: Vec<String>,
+    /// What each acts on.
+    pub acts_on: Vec<ActsOn>,
     /// Per controller and frame.
     pub records: Vec<Vec<Record>>,
     /// Per frame.
@@ -136,15 +141,21 @@ pub struct Playback {
 impl Playback {
     /// What the metrics see of a controller's frames.
     pub fn played(&self, controller: usize) -> Vec<Played> {
+        let acts_on = self.acts_on[controller];
+        let limits = acts_on.limits(self.limits);
+        let chosen = |r: &Record| match acts_on {
+            ActsOn::RayStep => r.step,
+            ActsOn::ImageResolution { .. } => r.image_sample_distance * r.image_sample_distance,
+        };
         self.records[controller]
             .iter()
             .enumerate()
             .map(|(i, r)| Played {
                 seconds: r.seconds,
                 target: self.targets[i],
-                step: f64::from(r.step),
-                finest: f64::from(self.limits.finest),
-                coarsest: f64::from(self.limits.coarsest),
+                step: f64::from(chosen(r)),
+                finest: f64::from(limits.finest),
+                coarsest: f64::from(limits.coarsest),
                 psnr: Some(r.psnr),
                 switched: self.switches.contains(&i),
             })
@@ -241,7 +252,7 @@ pub fn play(
     ensure!(!contenders.is_empty(), "there is no controller to play");
     ensure!(!task.volumes.is_empty(), "there is no volume to show");
     for contender in contenders.iter_mut() {
-        contender.session.set_limits(task.limits)?;
+        contender.session.set_limits(contender.acts_on.limits(task.limits))?;
     }
     let frames = task.path.frames.len();
     let volume_of = |i: usize| volume_at(task.hold, task.volumes.len(), i);
@@ -249,6 +260,7 @@ pub fn play(
     let mut shown = usize::MAX;
     let mut playback = Playback {
         names: contenders.iter().map(|c| c.name.clone()).collect(),
+        acts_on: contenders.iter().map(|c| c.acts_on).collect(),
         records: vec![Vec::with_capacity(task.path.frames.len()); contenders.len()],
         references: Vec::with_capacity(task.path.frames.len()),
         switches: (0..frames)
@@ -299,31 +311,33 @@ pub fn play(
         let keep = task.keep.contains(&index);
         for turn in 0..contenders.len() {
             let c = (index + turn) % contenders.len();
-            let chooses = contenders[c].chooses_image_sample_distance;
+            let (chooses, acts_on) = (contenders[c].chooses_image_sample_distance, contenders[c].acts_on);
             let session = &mut contenders[c].session;
             if at.camera_switched {
                 session.mark(Changes { camera: true, ..Changes::default() });
             }
             let target = playback.targets[index] as f32;
-            let (plan, drawn, image_sample_distance) = if chooses && !task.image_sample_distances.is_empty() {
+            let (plan, step, image_sample_distance) = if chooses && !task.image_sample_distances.is_empty() {
                 let quality = session.quality().unwrap_or(RAYCASTER);
                 let settings = settings(&frame, task.image_sample_distances, task.limits, &quality);
                 let only: Vec<Setting> = settings.iter().map(|s| s.0).collect();
                 let (index, plan) = session.choose(&frame, &only, target).with_context(place)?;
-                let (Setting { width, height, .. }, distance) = settings[index];
-                (plan, DrawSettings { width, height, ..*draw }.frame(camera)?, distance)
+                (plan, plan.step, settings[index].1)
             } else {
-                (session.plan(&frame, target).with_context(place)?, frame, 1.0)
+                let plan = session.plan(&frame, target).with_context(place)?;
+                let (step, distance) = acts_on.drawn(plan.step);
+                (plan, step, distance)
             };
-            let rendered =
-                renderer.render(&Frame { step: plan.step, ..drawn }.checked()?).with_context(place)?;
+            let (width, height) = scaled_size((frame.width, frame.height), 1.0 / image_sample_distance);
+            let drawn = DrawSettings { width, height, ..*draw }.frame(camera)?;
+            let rendered = renderer.render(&Frame { step, ..drawn }.checked()?).with_context(place)?;
             let picture =
                 resized(&rendered.image, frame.width, frame.height).context("an image without pixels")?;
             let measured = Timing::new(rendered.time, rendered.counts);
             let seconds = draw.seconds(&measured)?;
             session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
             playback.records[c].push(Record {
-                step: plan.step,
+                step,
                 image_sample_distance,
                 predicted: plan.seconds,
                 upper: plan.upper,
@@ -401,10 +415,11 @@ mod tests {
     ];
 
     fn play_scripted(noise: f64, bias: f64, stop_at: Option<u64>) -> Option<Playback> {
-        play_scripted_with(noise, bias, stop_at, &[])
+        play_scripted_with(&KINDS, noise, bias, stop_at, &[])
     }
 
     fn play_scripted_with(
+        kinds: &[ControllerKind],
         noise: f64,
         bias: f64,
         stop_at: Option<u64>,
@@ -419,9 +434,9 @@ mod tests {
         let samples: Vec<(f32, f32)> =
             [1.0, 2.0, 4.0, 8.0, 16.0].map(|s| (s as f32, (at(s) / at(1.0)) as f32)).to_vec();
         let response = StepResponse::from_samples(&samples).unwrap();
-        let mut contenders: Vec<Contender> = KINDS
-            .into_iter()
-            .map(|k| contender(k, 1.0, Box::new(Insider { bias }), &response, Prior::Fitted { log_sd: 0.1 }))
+        let mut contenders: Vec<Contender> = kinds
+            .iter()
+            .map(|k| contender(*k, 1.0, Box::new(Insider { bias }), &response, Prior::Fitted { log_sd: 0.1 }))
             .collect();
         let draw = DrawSettings {
             width: 100,
@@ -494,7 +509,7 @@ mod tests {
     fn who_chooses_the_size_meets_the_target_with_a_better_picture() {
         let distances = [1.4f32, 2.0];
         let plain = play_scripted(0.02, 1.1, None).unwrap();
-        let sized = play_scripted_with(0.02, 1.1, None, &distances).unwrap();
+        let sized = play_scripted_with(&KINDS, 0.02, 1.1, None, &distances).unwrap();
         let hybrid = 4;
         // Nobody else chooses a size, nor does anybody without distances to choose from.
         assert!(plain.records.iter().flatten().all(|r| r.image_sample_distance == 1.0));
@@ -526,6 +541,30 @@ mod tests {
         // Pictures come back at full size.
         let kept = sized.records[hybrid][20].image.as_ref().unwrap();
         assert_eq!((kept.width, kept.height), (100, 100));
+    }
+
+    #[test]
+    fn rules_for_image_resolution_draw_smaller_images_at_the_reference_step() {
+        let kinds = [ControllerKind::VtkFixedPoint, ControllerKind::Unreal, ControllerKind::VtkGpu];
+        let playback = play_scripted_with(&kinds, 0.0, 1.0, None, &[1.4, 2.0]).unwrap();
+        let [fixed_point, unreal, gpu] = &playback.records[..] else { panic!() };
+        for (records, largest) in [(fixed_point, 10.0), (unreal, 2.0)] {
+            assert!(records.iter().all(|r| r.step == 1.0 && r.image_sample_distance <= largest));
+            assert!(records.iter().any(|r| r.image_sample_distance > 1.1));
+            let kept = records[20].image.as_ref().unwrap();
+            assert_eq!((kept.width, kept.height), (100, 100));
+        }
+        assert!(gpu.iter().all(|r| r.image_sample_distance == 1.0) && gpu.iter().any(|r| r.step > 1.0));
+        // VTK's first frame: a twenty-fifth of the pixels, and a frame that costs so little.
+        let law = ScriptedRenderer::default();
+        let work = |r: &Record| r.seconds - law.fixed;
+        let whole = playback.references[0].seconds - law.fixed;
+        assert_eq!(fixed_point[0].image_sample_distance, 5.0);
+        assert!((work(&fixed_point[0]) / whole * 25.0 - 1.0).abs() < 1e-3);
+        // What is allowed, and what was chosen, is of image resolution.
+        let played = playback.played(0);
+        assert_eq!((played[0].step, played[0].finest, played[0].coarsest), (25.0, 1.0, 100.0));
+        assert!(playback.metrics()[0].mean_step > 1.1);
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::calibrate::{Sample, response_pairs};
 use super::contenders::ControllerKind;
 use super::fit::Candidate;
 use super::metrics::{BEST_PSNR, Metrics, SWITCH_FRAMES};
-use super::play::{DrawSettings, Playback};
+use super::play::{DrawSettings, Playback, Record};
 use super::rivals::StepResponse;
 use crate::files::{make_folder, write_json, write_whole};
 use crate::machine::Provenance;
@@ -71,6 +71,10 @@ fn title(name: &str) -> String {
     ControllerKind::from_name(name).map_or(name.to_owned(), |k| k.title().to_owned())
 }
 
+fn acts_on(name: &str) -> &'static str {
+    ControllerKind::from_name(name).map_or("", |k| k.acts_on().name())
+}
+
 /// One color per controller throughout, whichever of them play.
 pub fn color(name: &str) -> usize {
     match name {
@@ -95,6 +99,7 @@ fn percent(v: f64) -> String {
 pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
     let mut table = Table::new(vec![
         Column::text("controller"),
+        Column::text("acts on"),
         Column::number("> 1.1 T / %"),
         Column::number("> 1.25 T / %"),
         Column::number("|t-T|/T / %"),
@@ -113,6 +118,7 @@ pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
     for (name, m) in names.iter().zip(metrics) {
         table.row(vec![
             title(name).into(),
+            acts_on(name).into(),
             percent(m.missed_by_10_percent).into(),
             percent(m.missed_by_25_percent).into(),
             percent(m.mean_error).into(),
@@ -128,16 +134,24 @@ pub fn table(names: &[String], metrics: &[Metrics]) -> Table {
     let mut mark = |column: usize, lowest: bool, value: &dyn Fn(&Metrics) -> f64| {
         table.mark_best(column, &metrics.iter().map(value).collect::<Vec<_>>(), lowest);
     };
-    mark(1, true, &|m| m.missed_by_10_percent);
-    mark(2, true, &|m| m.missed_by_25_percent);
-    mark(3, true, &|m| m.mean_error);
-    mark(4, true, &|m| m.mean_error_at_switches.unwrap_or(f64::NAN));
-    mark(5, true, &|m| m.mean_error_in_calm.unwrap_or(f64::NAN));
-    mark(6, true, &|m| m.p95_seconds);
-    mark(7, true, &|m| m.worst_seconds);
-    mark(8, true, &recovery);
-    mark(9, false, &|m| m.mean_psnr.unwrap_or(f64::NAN));
+    mark(2, true, &|m| m.missed_by_10_percent);
+    mark(3, true, &|m| m.missed_by_25_percent);
+    mark(4, true, &|m| m.mean_error);
+    mark(5, true, &|m| m.mean_error_at_switches.unwrap_or(f64::NAN));
+    mark(6, true, &|m| m.mean_error_in_calm.unwrap_or(f64::NAN));
+    mark(7, true, &|m| m.p95_seconds);
+    mark(8, true, &|m| m.worst_seconds);
+    mark(9, true, &recovery);
+    mark(10, false, &|m| m.mean_psnr.unwrap_or(f64::NAN));
     table
+}
+
+/// What a picture was drawn with, for people.
+fn setting(r: &Record) -> String {
+    match r.image_sample_distance {
+        1.0 => format!("step {:.2}", r.step),
+        distance => format!("step {:.2}, {distance:.2} pixels between rays", r.step),
+    }
 }
 
 /// Predictors and their errors on held-out frames.
@@ -170,8 +184,10 @@ pub fn table_caption() -> String {
          mean of |t - T| / T over all frames; \"at switches\" over the {SWITCH_FRAMES} frames from each \
          abrupt switch on, \"calm\" over all others but the first {SWITCH_FRAMES}. Best of each column in \
          bold. Recovery: frames from a switch on until two in a row are on target (within a quarter, or at \
-         the end of the allowed steps), mean over the switches; 0 means the switch's own frame was. PSNR \
-         against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB."
+         the end of what is allowed), mean over the switches; 0 means the switch's own frame was. PSNR \
+         against the picture at the reference step, equal pictures counted as {BEST_PSNR:.0} dB. \
+         Step: mean ray step; of what acts on image resolution, mean pixels of the full image per pixel drawn, \
+         at the reference step. Smaller images are brought back to full size before pictures are compared."
     )
 }
 
@@ -352,7 +368,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
     let chart = per_controller(with_switches(chart, &playback.switches), playback, |c| {
         Mark::Steps(numbered(c, &|i| f64::from(playback.records[c][i].step)))
     });
-    page.chart(&chart, "The step that each controller chose: coarser is faster and less exact.");
+    page.chart(&chart, "The step that each controller chose: coarser is faster and less exact. What acts on image resolution \
+         keeps the reference step.");
 
     if playback.records.iter().flatten().any(|r| r.image_sample_distance != 1.0) {
         let chart = Chart::new(
@@ -366,8 +383,8 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
         });
         page.chart(
             &chart,
-            "The image sample distance that each controller chose; only the hybrid may choose it here, by \
-             predicted image error.",
+            "The image sample distance that each controller chose: rules that act on image resolution, and, \
+             where it may, the hybrid, by predicted image error.",
         );
     }
 
@@ -434,7 +451,7 @@ pub fn page(story: &Story, draw: &DrawSettings, playback: &Playback, metrics: &[
                 let likeness = if r.psnr >= BEST_PSNR { "equal".into() } else { format!("{:.1} dB", r.psnr) };
                 pictures.push((
                     encode_png(image)?,
-                    format!("{}: step {:.2}, {:.1} ms, {likeness}", title(name), r.step, r.seconds * 1e3),
+                    format!("{}: {}, {:.1} ms, {likeness}", title(name), setting(r), r.seconds * 1e3),
                 ));
             }
         }

@@ -19,8 +19,9 @@ use std::path::PathBuf;
 
 /// Record what every frame of a path costs, and how it looks, at a grid of ray steps.
 ///
-/// Every frame is drawn at nine ray steps from the reference step to sixteen of them (every fourth frame also
-/// as smaller images), outside of any race. `entire-lab replay` then plays controllers and targets against
+/// Every frame is drawn at nine ray steps from the reference step to sixteen of them, and at the reference step as
+/// eleven smaller images down to a tenth of every side (every fourth frame also as smaller images at coarser
+/// steps), outside of any race. `entire-lab replay` then plays controllers and targets against
 /// the recorded curves in milliseconds, beside an oracle that knows them.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -68,7 +69,8 @@ pub struct Options {
     /// Go on with an interrupted recording.
     #[arg(long, conflicts_with = "calibration")]
     pub resume: bool,
-    /// Ray steps of the grid at full image size, reference steps, ascending; at least two.
+    /// Ray steps of the grid at full image size, reference steps, ascending; at least two. Smaller images are
+    /// drawn beside the default ones alone.
     #[arg(long, value_delimiter = ',', value_name = "STEP,…", default_values_t = TRACE_STEPS)]
     pub steps: Vec<f32>,
     /// How often every point of the grid is drawn.

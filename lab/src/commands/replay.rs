@@ -4,10 +4,9 @@
 use crate::bars;
 use crate::calibration::samples_of;
 use crate::replay::report::Results;
-use crate::replay::{self, Replayable, Score, Tally, frontier, play, trials};
+use crate::replay::{self, Player, Replayable, Score, Tally, frontier, play, trials};
 use crate::trace::Trace;
 use anyhow::{Context, Result, ensure};
-use clap::ValueEnum;
 use entire_cli::files::{make_folder, open_model};
 use entire_cli::options::parse_limits;
 use entire_cli::path::parse_target;
@@ -38,7 +37,8 @@ pub struct Paths {
         allow_hyphen_values = true
     )]
     pub targets: Vec<String>,
-    /// Finest and coarsest step that may be chosen, reference steps.
+    /// Finest and coarsest step that may be chosen, reference steps. Rules that act on image resolution have
+    /// ranges of their own.
     #[arg(long, default_value = "1,16", value_name = "FINEST,COARSEST", value_parser = parse_limits)]
     pub limits: (f32, f32),
 }
@@ -70,8 +70,9 @@ impl Paths {
 ///
 /// Every trace (see `entire-lab record`) is played under every controller against every target that is worth
 /// playing on it (some allowed step meets it in at least half of the frames), and against a series of
-/// targets. The predictor is fitted to a timing table of other volumes. DIR gets report.html, scores.json and
-/// frames.csv.
+/// targets. The predictor is fitted to a timing table of other volumes. Rules that act on image resolution are
+/// answered by the costs of smaller images at the reference step; where a trace holds none, they are played on
+/// the ray step and said to be. DIR gets report.html, scores.json and frames.csv.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab replay data/steer/traces/*.json.gz --calibration data/steer/calibration.csv.gz --out out/steer
@@ -106,11 +107,6 @@ pub fn run(options: &Options) -> Result<()> {
     let limits = options.paths.limits()?;
     ensure!(options.rounds >= 1, "--rounds is 0; everything is played at least once");
     let targets = options.paths.targets()?;
-    let kinds: Vec<ControllerKind> = if options.controllers.is_empty() {
-        ControllerKind::value_variants().to_vec()
-    } else {
-        options.controllers.clone()
-    };
     let samples = samples_of(&options.paths.calibration, PROBE_SIDE)?;
     let response = response(&samples).context("G needs scenes that were timed at several steps")?;
     let nothing = [0u8];
@@ -129,6 +125,7 @@ pub fn run(options: &Options) -> Result<()> {
         .iter()
         .map(|file| Replayable::new(Trace::open(file)?).with_context(|| format!("{}", file.display())))
         .collect::<Result<Vec<_>>>()?;
+    let players = Player::all(&options.controllers, &traces);
     let trials = trials(&traces, &targets, limits);
     ensure!(!trials.is_empty(), "no target is worth playing on any trace; the allowed steps never meet one");
     let mut outcomes = Vec::with_capacity(trials.len());
@@ -137,14 +134,14 @@ pub fn run(options: &Options) -> Result<()> {
             index,
             trial,
             &traces[trial.trace],
-            &kinds,
+            &players,
             &calibrated,
             &response,
             limits,
             options.rounds,
         )?);
     }
-    let mut totals = vec![Tally::default(); kinds.len()];
+    let mut totals = vec![Tally::default(); players.len()];
     for outcome in &outcomes {
         for (total, tally) in totals.iter_mut().zip(&outcome.tallies) {
             total.merge(tally);
@@ -153,7 +150,7 @@ pub fn run(options: &Options) -> Result<()> {
     let scores: Vec<Score> = totals.iter().map(Tally::score).collect();
     make_folder(&options.out)?;
     let results =
-        Results { kinds: &kinds, traces: &traces, trials: &trials, outcomes: &outcomes, scores: &scores };
+        Results { players: &players, traces: &traces, trials: &trials, outcomes: &outcomes, scores: &scores };
     let frontier = frontier(&traces, &targets);
     results.write_csv(&options.out.join("frames.csv"))?;
     results.write_json(&options.out.join("scores.json"), &calibrated)?;
@@ -166,7 +163,7 @@ pub fn run(options: &Options) -> Result<()> {
         println!("{}", f.sentence());
     }
     if options.bars {
-        bars::print(&replay::bars(&kinds, &scores)?)?;
+        bars::print(&replay::bars(&players, &scores)?)?;
     }
     Ok(())
 }

@@ -1,6 +1,6 @@
 //! The steering bars.
 
-use super::{Score, Three};
+use super::{Player, Score, Three};
 use crate::bars::Bar;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
@@ -21,9 +21,9 @@ const REACTIVE: [ControllerKind; 7] = [
 ///
 /// # Errors
 /// When a controller that they compare did not play.
-pub fn bars(kinds: &[ControllerKind], scores: &[Score]) -> Result<Vec<Bar>> {
+pub fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
     let of = |kind: ControllerKind| {
-        kinds.iter().position(|k| *k == kind).map(|i| &scores[i]).with_context(|| {
+        players.iter().position(|p| p.kind == kind).map(|i| &scores[i]).with_context(|| {
             format!("the bars compare {} and it did not play; leave --controllers out", kind.name())
         })
     };

@@ -1,7 +1,7 @@
 //! Step and image size chosen together by the quality model.
 
 use super::Replayable;
-use crate::trace::TracePoint;
+use crate::trace::{TRACE_SCALES, TracePoint};
 use entire_cli::metrics::median;
 use entire_core::calibrate::{FittedQuality, Picture, fit_quality};
 
@@ -29,13 +29,17 @@ impl Frontier {
 /// Fits the quality model to every other trace and judges it by the others; `None` where there is nothing to
 /// choose.
 pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Frontier> {
+    // Frames that were drawn with both at once, and of those the points of that grid.
     let points = |odd: bool| {
         traces
             .iter()
             .enumerate()
             .filter(move |(i, _)| (i % 2 == 1) == odd)
             .flat_map(|(_, t)| &t.trace.frames)
-            .filter(|f| f.iter().any(|p| p.scale < 1.0))
+            .filter(|f| f.iter().any(|p| p.step > 1.0 && p.scale < 1.0))
+            .map(|f| {
+                f.iter().filter(|p| p.scale == 1.0 || TRACE_SCALES.contains(&p.scale)).collect::<Vec<_>>()
+            })
     };
     let pictures: Vec<Picture> = points(false)
         .enumerate()
@@ -54,7 +58,7 @@ pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Fronti
     for frame in points(true) {
         for (target, _) in targets {
             let seconds = |p: &TracePoint| median(&mut p.seconds.clone()).unwrap_or(f64::INFINITY);
-            let fitting: Vec<_> = frame.iter().filter(|p| seconds(p) <= *target).collect();
+            let fitting: Vec<_> = frame.iter().copied().filter(|p| seconds(p) <= *target).collect();
             // Only where there is something to choose: the reference setting does not fit, some full-size one
             // does.
             let full = fitting.iter().filter(|p| p.scale == 1.0).min_by(|a, b| a.step.total_cmp(&b.step));

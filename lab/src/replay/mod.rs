@@ -2,6 +2,7 @@
 
 mod bars;
 mod frontier;
+mod player;
 pub mod report;
 mod score;
 mod trials;
@@ -9,12 +10,14 @@ pub mod tune;
 
 pub use bars::bars;
 pub use frontier::{Frontier, frontier};
+pub use player::Player;
 pub use score::{Score, Tally, Three};
 pub use trials::{Outcome, Trial, play, trials};
 
 use crate::trace::{Curve, Trace};
 use anyhow::{Context, Result, ensure};
 use entire_cli::path::FlightPath;
+use entire_cli::steering::contenders::ActsOn;
 use entire_cli::steering::play::Contender;
 use entire_core::control::ObserveFlags;
 use entire_core::control::{Reason, StepLimits};
@@ -32,8 +35,11 @@ pub struct Replayable {
     pub trace: Trace,
     /// Its path, frame by frame.
     pub path: FlightPath,
-    /// Per frame.
+    /// Per frame, over the ray step.
     pub curves: Vec<Curve>,
+    /// Per frame, over image resolution at the reference step; `None` where some frame was drawn without
+    /// smaller images.
+    pub images: Option<Vec<Curve>>,
     /// Per volume.
     pub summaries: Vec<VolumeSummary>,
     /// Frames at which something changes abruptly: a switch of the path, another volume, another image size.
@@ -48,6 +54,7 @@ impl Replayable {
     pub fn new(trace: Trace) -> Result<Self> {
         let path = trace.path.resolve()?;
         let curves = trace.frames.iter().map(|f| Curve::of(f)).collect();
+        let images = trace.frames.iter().map(|f| Curve::of_images(f)).collect();
         let summaries = trace.summaries().with_context(|| format!("trace {}", trace.name))?;
         let switches = (0..path.frames.len())
             .map(|i| {
@@ -57,7 +64,24 @@ impl Replayable {
                         || trace.scales.iter().any(|(from, _)| *from as usize == i))
             })
             .collect();
-        Ok(Self { trace, path, curves, summaries, switches })
+        Ok(Self { trace, path, curves, images, summaries, switches })
+    }
+
+    /// What answers a controller's decisions, and what it may choose: its own range, as far as it was recorded.
+    ///
+    /// # Errors
+    /// When the trace holds no smaller images and they are what the controller acts on.
+    fn answers(&self, acts_on: ActsOn, of_step: StepLimits) -> Result<(&[Curve], StepLimits)> {
+        let ActsOn::ImageResolution { .. } = acts_on else { return Ok((&self.curves, of_step)) };
+        let images = self.images.as_deref().with_context(|| {
+            format!(
+                "trace {} has frames without smaller images at the reference step; record it again",
+                self.trace.name
+            )
+        })?;
+        let recorded = images.iter().map(Curve::coarsest).fold(f64::INFINITY, f64::min) as f32;
+        let StepLimits { finest, coarsest } = acts_on.limits(of_step);
+        Ok((images, StepLimits { finest, coarsest: coarsest.min(recorded) }))
     }
 }
 
@@ -72,8 +96,11 @@ pub struct Replayed {
     pub predicted: f64,
     /// Its upper bound; NaN where there was none.
     pub upper: f64,
-    /// The step that was chosen.
+    /// What was chosen: the ray step, or s of [`ActsOn::ImageResolution`].
     pub step: f64,
+    /// The finest that could have been chosen instead, without noise: as the oracle's step, but of what the
+    /// controller acts on.
+    pub finest_step: f64,
     /// The oracle's step.
     pub oracle_step: f64,
     /// Seconds that the frame takes at the oracle's step, with the same noise.
@@ -108,6 +135,7 @@ impl Replayed {
             predicted: self.target,
             upper: f64::NAN,
             step: self.oracle_step,
+            finest_step: self.oracle_step,
             psnr: self.oracle_psnr,
             ssim: self.oracle_ssim,
             ..*self
@@ -129,10 +157,11 @@ fn mix(a: u64, b: u64) -> u64 {
 
 /// Plays some frames of a trace against `targets` (one per frame of the trace); the session meets the first of
 /// them as its first. The noise of a frame is the same for every controller; `seed` picks which of the measured
-/// ones.
+/// ones. `limits` are those of the ray step.
 ///
 /// # Errors
-/// When a prediction fails; names the frame.
+/// When a prediction fails; names the frame. When the controller acts on image resolution and the trace holds no
+/// smaller images.
 pub fn replay(
     recorded: &Replayable,
     contender: &mut Contender,
@@ -146,8 +175,9 @@ pub fn replay(
     ensure!(targets.len() == n, "{} targets for {n} frames", targets.len());
     let start = frames.start;
     let draw = recorded.trace.draw_settings()?;
+    let (answers, own) = recorded.answers(contender.acts_on, limits)?;
     let session = &mut contender.session;
-    session.set_limits(limits)?;
+    session.set_limits(own)?;
     let (finest, coarsest) = (f64::from(limits.finest), f64::from(limits.coarsest));
     let mut out: Vec<Replayed> = Vec::with_capacity(frames.len());
     let mut shown = usize::MAX;
@@ -170,10 +200,10 @@ pub fn replay(
         let frame = recorded.trace.frame(&recorded.path, &draw, index).with_context(place)?;
         let target = targets[index];
         let plan = session.plan(&frame, target as f32).with_context(place)?;
-        let curve = &recorded.curves[index];
+        let (curve, answer) = (&recorded.curves[index], &answers[index]);
         let step = f64::from(plan.step);
         let noise = curve.noise(mix(seed, index as u64)).exp();
-        let seconds = curve.seconds(step) * noise;
+        let seconds = answer.seconds(step) * noise;
         session.observe(plan.id, seconds as f32, ObserveFlags::default())?;
         let oracle_step = curve.oracle(target, finest, coarsest);
         let retargeted = index > start && (targets[index - 1] / target).ln().abs() > 0.05;
@@ -186,11 +216,12 @@ pub fn replay(
             predicted: f64::from(plan.seconds),
             upper: f64::from(plan.upper),
             step,
+            finest_step: answer.oracle(target, f64::from(own.finest), f64::from(own.coarsest)),
             oracle_step,
             oracle_seconds: curve.seconds(oracle_step) * noise,
-            psnr: curve.psnr(step),
+            psnr: answer.psnr(step),
             oracle_psnr: curve.psnr(oracle_step),
-            ssim: curve.ssim(step),
+            ssim: answer.ssim(step),
             oracle_ssim: curve.ssim(oracle_step),
             feasible: curve.seconds(coarsest) <= target,
             reachable: curve.reaches(target, finest, coarsest),

@@ -1,13 +1,13 @@
 //! What was replayed, as tables, charts and files.
 
 use super::frontier::Frontier;
-use super::{Outcome, Replayable, Replayed, SETTLING, Score, Tally, Trial};
+use super::{Outcome, Player, Replayable, Replayed, SETTLING, Score, Tally, Trial};
 use anyhow::Result;
 use entire_cli::files::{write_json, write_whole};
 use entire_cli::machine::Provenance;
 use entire_cli::report::{Axis, Cell, Chart, Column, Mark, Page, Rule, Series, Table};
 use entire_cli::steering::calibrate::Sample;
-use entire_cli::steering::contenders::ControllerKind;
+use entire_cli::steering::contenders::{ActsOn, ControllerKind};
 use entire_cli::steering::fit::Calibrated;
 use entire_cli::steering::report::{ResponseCurve, candidates_table, color};
 use entire_cli::steering::rivals::StepResponse;
@@ -18,7 +18,7 @@ use std::path::Path;
 /// Everything that was played, for reports.
 pub struct Results<'a> {
     /// Who played.
-    pub kinds: &'a [ControllerKind],
+    pub players: &'a [Player],
     /// On what.
     pub traces: &'a [Replayable],
     /// Against what.
@@ -48,6 +48,7 @@ impl Results<'_> {
     pub fn table(&self) -> Table {
         let mut table = Table::new(vec![
             Column::text("controller"),
+            Column::text("acts on"),
             Column::number("> 1.1 T / %"),
             Column::number("|t-T|/T / %"),
             Column::number("quality / %"),
@@ -62,9 +63,10 @@ impl Results<'_> {
             Column::number("longest run"),
             Column::number("worst t/T"),
         ]);
-        let mut row = |title: &str, s: &Score| {
+        let mut row = |title: &str, acts_on: &str, s: &Score| {
             table.row(vec![
                 title.into(),
+                acts_on.into(),
                 percent(s.all.missed).into(),
                 percent(s.all.deviation).into(),
                 percent(s.all.quality).into(),
@@ -80,35 +82,35 @@ impl Results<'_> {
                 format!("{:.1}", s.worst).into(),
             ]);
         };
-        for (kind, s) in self.kinds.iter().zip(self.scores) {
-            row(kind.title(), s);
+        for (player, s) in self.players.iter().zip(self.scores) {
+            row(player.kind.title(), player.acts_on_name(), s);
         }
-        row("oracle: knows every cost but not the noise", &self.oracle());
+        row("oracle: knows every cost but not the noise", ActsOn::RayStep.name(), &self.oracle());
         let mut mark = |column: usize, lowest: bool, value: &dyn Fn(&Score) -> f64| {
             table.mark_best(column, &self.scores.iter().map(value).collect::<Vec<_>>(), lowest);
         };
-        mark(1, true, &|s| s.all.missed);
-        mark(2, true, &|s| s.all.deviation);
-        mark(3, false, &|s| s.all.quality);
-        mark(4, true, &|s| s.calm.missed);
-        mark(5, true, &|s| s.calm.deviation);
-        mark(6, false, &|s| s.calm.quality);
-        mark(7, true, &|s| s.jumps);
-        mark(9, true, &|s| s.first_frame_deviation);
-        mark(10, false, &|s| s.ssim_ratio);
-        mark(11, true, &|s| s.psnr_loss);
-        mark(12, true, &|s| s.longest as f64);
-        mark(13, true, &|s| s.worst);
+        mark(2, true, &|s| s.all.missed);
+        mark(3, true, &|s| s.all.deviation);
+        mark(4, false, &|s| s.all.quality);
+        mark(5, true, &|s| s.calm.missed);
+        mark(6, true, &|s| s.calm.deviation);
+        mark(7, false, &|s| s.calm.quality);
+        mark(8, true, &|s| s.jumps);
+        mark(10, true, &|s| s.first_frame_deviation);
+        mark(11, false, &|s| s.ssim_ratio);
+        mark(12, true, &|s| s.psnr_loss);
+        mark(13, true, &|s| s.longest as f64);
+        mark(14, true, &|s| s.worst);
         table
     }
 
     fn per_trial(&self) -> Table {
         let mut columns =
             vec![Column::text("trace"), Column::text("target"), Column::number("reachable / %")];
-        let shown: Vec<usize> = (0..self.kinds.len())
+        let shown: Vec<usize> = (0..self.players.len())
             .filter(|k| {
                 matches!(
-                    self.kinds[*k],
+                    self.players[*k].kind,
                     ControllerKind::Hybrid
                         | ControllerKind::Olp
                         | ControllerKind::Algorithm1
@@ -117,7 +119,7 @@ impl Results<'_> {
             })
             .collect();
         for k in &shown {
-            columns.push(Column::number(format!("{}: > 1.1 T", self.kinds[*k].name())));
+            columns.push(Column::number(format!("{}: > 1.1 T", self.players[*k].kind.name())));
             columns.push(Column::number("|t-T|/T"));
             columns.push(Column::number("quality"));
         }
@@ -160,6 +162,7 @@ impl Results<'_> {
             "predicted_s",
             "upper_s",
             "step_ref",
+            "image_scale",
             "oracle_step_ref",
             "psnr_db",
             "oracle_psnr_db",
@@ -172,18 +175,20 @@ impl Results<'_> {
         let known = |v: f64| if v.is_nan() { String::new() } else { v.to_string() };
         for o in self.outcomes {
             let trial = &self.trials[o.trial];
-            for (kind, frames) in self.kinds.iter().zip(&o.frames) {
+            for (player, frames) in self.players.iter().zip(&o.frames) {
                 for (i, f) in frames.iter().enumerate() {
+                    let (step, distance) = player.acts_on.drawn(f.step as f32);
                     out.write_record([
                         self.traces[trial.trace].trace.name.clone(),
                         trial.label.clone(),
-                        kind.name().into(),
+                        player.kind.name().into(),
                         i.to_string(),
                         f.target.to_string(),
                         f.seconds.to_string(),
                         known(f.predicted),
                         known(f.upper),
-                        f.step.to_string(),
+                        f64::from(step).to_string(),
+                        (1.0 / f64::from(distance)).to_string(),
                         f.oracle_step.to_string(),
                         f.psnr.to_string(),
                         f.oracle_psnr.to_string(),
@@ -205,8 +210,10 @@ impl Results<'_> {
     /// When the file cannot be written.
     pub fn write_json(&self, path: &Path, calibrated: &Calibrated) -> Result<()> {
         let by_name = |scores: Vec<Score>| -> serde_json::Map<String, serde_json::Value> {
-            self.kinds.iter().zip(scores).map(|(k, s)| (k.name().to_owned(), json!(s))).collect()
+            self.players.iter().zip(scores).map(|(p, s)| (p.kind.name().to_owned(), json!(s))).collect()
         };
+        let acts_on: serde_json::Map<String, serde_json::Value> =
+            self.players.iter().map(|p| (p.kind.name().to_owned(), json!(p.acts_on_name()))).collect();
         let trials: Vec<serde_json::Value> = self
             .outcomes
             .iter()
@@ -221,6 +228,7 @@ impl Results<'_> {
             .collect();
         let all = json!({
             "controllers": by_name(self.scores.to_vec()),
+            "acts_on": acts_on,
             "predictors": calibrated.candidates,
             "trials": trials,
             "traces": self.traces.iter().map(|t| json!({
@@ -254,7 +262,9 @@ impl Results<'_> {
                 "T is the target. > 1.1 T: share of the frames in which the coarsest allowed step meets \
                 the target. |t-T|/T: mean over the frames in which some allowed step takes exactly the \
                 target. Quality: mean of the oracle's step over the step, at most 1; the oracle knows every \
-                frame's cost curve, not its noise. Calm: nothing but the camera has changed, without a cut, \
+                frame's cost curve, not its noise. Rules that act on image resolution draw with 1/s of the \
+                pixels at the reference step; s is their step, and their quality is the least s of their own \
+                range that meets the target over s. Calm: nothing but the camera has changed, without a cut, \
                 in the frame and the {SETTLING} before. Jumps: calm frames whose step differs from the frame \
                 before by over 20 %. In bound: abrupt changes whose first frame stayed inside its upper \
                 bound. SSIM: mean structural similarity to the picture at the reference step, over the \
@@ -264,13 +274,13 @@ impl Results<'_> {
         let mut chart = Chart::new(
             "Misses and quality",
             Axis::linear("frames over 1.1 T / %"),
-            Axis::linear("mean of oracle's step / step, %").to(101.0),
+            Axis::linear("quality / %").to(101.0),
         )
         .size(900.0, 420.0)
         .rule(Rule::Vertical(3.0, "3 %".into()))
         .rule(Rule::Horizontal(92.0, "92 %".into()));
         let labels: BTreeSet<&str> = self.trials.iter().map(|t| t.label.as_str()).collect();
-        for (k, kind) in self.kinds.iter().enumerate() {
+        for (k, Player { kind, .. }) in self.players.iter().enumerate() {
             let points = labels
                 .iter()
                 .map(|label| {
@@ -336,7 +346,9 @@ impl Results<'_> {
         page.paragraph(
             "Every frame of a path was drawn at nine ray steps, all repeats, outside of any race; \
             a controller's step is answered by that frame's own curve between them, times the noise of one \
-            of its renderings: the same for every controller. Changes of the transfer function and of \
+            of its renderings: the same for every controller. What acts on image resolution is answered by the \
+            frame's curve over smaller images at the reference step, brought back to full size before pictures \
+            are compared. Changes of the transfer function and of \
             volumes are not part of frame times.",
         );
         let mut facts: Vec<(&str, String)> = Vec::new();
@@ -368,6 +380,7 @@ impl Results<'_> {
             outcome.frames[k].iter().enumerate().map(|(i, r)| (i as f64, f(r))).collect()
         };
         let draw = |mut chart: Chart,
+                    on: &dyn Fn(ActsOn) -> bool,
                     f: &dyn Fn(&Replayed) -> f64,
                     oracle: Option<&dyn Fn(&Replayed) -> f64>| {
             for (i, s) in trace.switches.iter().enumerate() {
@@ -379,7 +392,7 @@ impl Results<'_> {
                 chart = chart.series(Series::new("oracle", Mark::Line(line(0, oracle))).color(6));
             }
             for kind in shown {
-                if let Some(k) = self.kinds.iter().position(|x| *x == kind) {
+                if let Some(k) = self.players.iter().position(|p| p.kind == kind && on(p.acts_on)) {
                     chart = chart
                         .series(Series::new(kind.title(), Mark::Line(line(k, f))).color(color(kind.name())));
                 }
@@ -390,16 +403,29 @@ impl Results<'_> {
             .size(900.0, 280.0)
             .rule(Rule::Horizontal(1.0, "target".into()))
             .rule(Rule::Horizontal(1.1, String::new()));
-        page.chart(&draw(time, &|r| r.seconds / r.target, None), "Upright lines: abrupt changes.");
+        page.chart(&draw(time, &|_| true, &|r| r.seconds / r.target, None), "Upright lines: abrupt changes.");
         let step = Chart::new("Ray step", Axis::linear("frame"), Axis::log("step / reference steps"))
             .size(900.0, 260.0);
         page.chart(
-            &draw(step, &|r| r.step, Some(&|r| r.oracle_step)),
+            &draw(step, &|on| on == ActsOn::RayStep, &|r| r.step, Some(&|r| r.oracle_step)),
             "Finer is better, as far as the target allows.",
         );
+        let on_images = |on: ActsOn| on != ActsOn::RayStep;
+        if self.players.iter().any(|p| shown.contains(&p.kind) && on_images(p.acts_on)) {
+            let image = Chart::new(
+                "Image resolution",
+                Axis::linear("frame"),
+                Axis::linear("image side / full side").from(0.0),
+            )
+            .size(900.0, 220.0);
+            page.chart(
+                &draw(image, &on_images, &|r| 1.0 / r.step.sqrt(), None),
+                "Of controllers that act on image resolution, at the reference step.",
+            );
+        }
         let ssim = Chart::new("Picture", Axis::linear("frame"), Axis::linear("SSIM")).size(900.0, 240.0);
         page.chart(
-            &draw(ssim, &|r| r.ssim, Some(&|r| r.oracle_ssim)),
+            &draw(ssim, &|_| true, &|r| r.ssim, Some(&|r| r.oracle_ssim)),
             "Structural similarity to the picture at the reference step.",
         );
     }

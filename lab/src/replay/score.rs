@@ -10,7 +10,8 @@ pub struct Three {
     pub missed: f64,
     /// Mean |t − target| / target over the reachable frames.
     pub deviation: f64,
-    /// Mean over all frames of the oracle's step over the step, at most 1.
+    /// Mean over all frames of the finest step that could have been chosen (the oracle's, where the controller
+    /// acts on the ray step) over the step, at most 1.
     pub quality: f64,
 }
 
@@ -46,7 +47,7 @@ struct Sums {
 impl Sums {
     fn add(&mut self, f: &Replayed) {
         self.frames += 1.0;
-        self.quality += (f.oracle_step / f.step).min(1.0);
+        self.quality += (f.finest_step / f.step).min(1.0);
         if f.feasible {
             self.feasible += 1.0;
             self.missed += f64::from(u8::from(f.seconds > 1.1 * f.target));
@@ -190,6 +191,7 @@ mod tests {
             predicted: 0.1,
             upper: 0.12,
             step,
+            finest_step: 2.0,
             oracle_step: 2.0,
             oracle_seconds: 1.0,
             psnr: 40.0,

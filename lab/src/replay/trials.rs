@@ -1,8 +1,8 @@
 //! Traces against targets, under every controller.
 
-use super::{Replayable, Replayed, Tally, replay, worth_playing};
+use super::{Player, Replayable, Replayed, Tally, replay, worth_playing};
 use anyhow::Result;
-use entire_cli::steering::contenders::{ControllerKind, contender};
+use entire_cli::steering::contenders::contender;
 use entire_cli::steering::fit::Calibrated;
 use entire_cli::steering::rivals::StepResponse;
 use entire_core::control::Prior;
@@ -57,7 +57,7 @@ pub fn play(
     index: usize,
     trial: &Trial,
     trace: &Replayable,
-    kinds: &[ControllerKind],
+    players: &[Player],
     calibrated: &Calibrated,
     response: &StepResponse,
     limits: StepLimits,
@@ -69,11 +69,12 @@ pub fn play(
     let middle = &trace.curves[trace.curves.len() / 2];
     let fixed = middle.oracle(mean, f64::from(limits.finest), f64::from(limits.coarsest)) as f32;
     let mut outcome =
-        Outcome { trial: index, frames: Vec::new(), tallies: vec![Tally::default(); kinds.len()] };
-    for (k, kind) in kinds.iter().enumerate() {
+        Outcome { trial: index, frames: Vec::new(), tallies: vec![Tally::default(); players.len()] };
+    for (k, player) in players.iter().enumerate() {
         for round in 0..rounds {
             let prior: Prior = calibrated.prior();
-            let mut who = contender(*kind, fixed, chosen.predictor()?, response, prior);
+            let mut who = contender(player.kind, fixed, chosen.predictor()?, response, prior);
+            who.acts_on = player.acts_on;
             let (features, all) = (chosen.volume_features(), 0..trial.targets.len());
             let played = replay(trace, &mut who, features, &trial.targets, limits, round + 1, all)?;
             outcome.tallies[k].merge(&Tally::of(&played));

@@ -13,8 +13,9 @@
 //! and ends when a whole round takes none.
 
 use super::{Replayable, Tally, Three, Trial, replay, trials};
-use crate::trace::Curve;
+use crate::trace::{Curve, TRACE_SCALES};
 use anyhow::Result;
+use entire_cli::steering::contenders::ActsOn;
 use entire_cli::steering::fit::Calibrated;
 use entire_cli::steering::play::Contender;
 use entire_core::control::{Hybrid, HybridConstants, HybridOptions, Prior, Session, StepLimits};
@@ -60,12 +61,15 @@ impl Law {
             Self::Flatter => 2.0,
         };
         for frame in &mut out.trace.frames {
+            // Far smaller images take less than what is taken off, and nobody plays on them.
+            frame.retain(|p| p.scale == 1.0 || TRACE_SCALES.contains(&p.scale));
             let coarsest = frame.iter().flat_map(|p| &p.seconds).copied().fold(f64::INFINITY, f64::min);
             for seconds in frame.iter_mut().flat_map(|p| &mut p.seconds) {
                 *seconds += share * coarsest;
             }
         }
         out.curves = out.trace.frames.iter().map(|f| Curve::of(f)).collect();
+        out.images = None;
         out
     }
 }
@@ -144,6 +148,7 @@ impl<'a> Course<'a> {
             name: "hybrid".into(),
             session: Session::with_controller(predictor, Box::new(Hybrid::new(options))),
             chooses_image_sample_distance: false,
+            acts_on: ActsOn::RayStep,
         }
     }
 

@@ -75,7 +75,8 @@ pub struct Trace {
     pub scales: Vec<(u32, f32)>,
     /// How frames were drawn.
     pub draw: TraceDraw,
-    /// Per frame, every point of the grid; scale 1 first, steps ascending.
+    /// Per frame, every point of the grid; scale 1 first, steps ascending. Smaller images beside them where they
+    /// were recorded.
     pub frames: Vec<Vec<TracePoint>>,
     /// Machine, device, commit and date.
     pub provenance: serde_json::Value,

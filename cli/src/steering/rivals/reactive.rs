@@ -1,8 +1,13 @@
-//! The reactive rules of renderers in use, ported with their published constants, acting on the ray step
-//! alone.
+//! The reactive rules of renderers in use, ported with their published constants.
 //!
-//! Where the original scales image resolution, its resolution fraction f (work ∝ f²) or image sample distance
-//! is mapped to the step by equal assumed work: work ∝ 1 / step.
+//! VTK's rule for GPU ray casting acts on the distance of samples along rays: its decision's step is the ray
+//! step. The others scale image resolution, by a fraction f of each side or an image sample distance d: their
+//! decision's step is s = 1 / f² = d², for an image with 1 / s of the pixels at an unchanged ray step.
+//! [`ActsOn`](crate::steering::contenders::ActsOn) says which is which, and how far s may go. A race draws
+//! such images (`entire steer`); a replay answers s by what the frame costs, and looks like, as such an image
+//! (`entire-lab replay`). Where the ray step is all that there is to set, s is taken as the ray step, by equal
+//! assumed work (work ∝ 1 / step): in the window (`entire explore`), on stress scenes, and on traces that
+//! were recorded without smaller images, which the tables then say.
 
 use entire_core::control::Verdict;
 use entire_core::control::{Controller, Decision, Observed, PlanRequest, Reason};
@@ -12,8 +17,8 @@ fn reactive(step: f32) -> Decision {
 }
 
 /// The reduction rule of VTK's GPU volume mapper: the mean of the old factor and allocated time over
-/// full-quality time, quantized to 1, 0.5, 0.2 or 0.1; the step is its inverse. The first frame is drawn at
-/// full quality.
+/// full-quality time, quantized to 1, 0.5, 0.2 or 0.1; the ray step is its inverse, as there. The first frame
+/// is drawn at full quality.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VtkGpu {
     factor: f32,
@@ -68,7 +73,7 @@ impl Controller for VtkGpu {
 
 /// The rule of VTK's fixed-point CPU mapper: image sample distance √(full time / allocated time), 1…10, from
 /// the last frame alone; full time is the last time multiplied by its squared distance. The first frame is
-/// drawn at half the largest distance. The step stands for the squared distance.
+/// drawn at half the largest distance. s is the squared distance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VtkFixedPoint {
     distance: f32,
@@ -114,7 +119,8 @@ impl Controller for VtkFixedPoint {
 }
 
 /// The rule of vtk.js: over windows of at least one second, the scale is multiplied by desired over measured
-/// frame rate when they differ by more than 15 %; 1…400. The step is the scale.
+/// frame rate when they differ by more than 15 %; 1…400. s is the scale: the image's sides are divided by its
+/// square root.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VtkJs {
     scale: f32,
@@ -172,8 +178,8 @@ const WINDOW: usize = 16;
 
 /// The dynamic-resolution heuristic of Unreal Engine: frame times weighted by 0.9 per frame of age,
 /// resolution fraction f · √(0.95 target / time), changes of at least 2 %, at least 8 frames apart, moves up
-/// blended by 0.9; two frames over the budget in a row drop the history and react at once. f in 0.5…1; the
-/// step is 1 / f² so that it has the range that the limits allow.
+/// blended by 0.9; two frames over the budget in a row drop the history and react at once. s is 1 / f²; f in
+/// 0.5…1, which is for the limits to hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Unreal {
     work: f32,
@@ -256,7 +262,8 @@ impl Controller for Unreal {
 
 /// The frame-rate controller of Filament: the median of up to 15 frame times, a PI controller in velocity
 /// form on measured over target time (Kp = 1 − e^(−1/8), Ki = 0.002), an output dead band of −1 %…+5 %, no
-/// integral while clamped. The controlled quantity is the share of work; the step is its inverse.
+/// integral while clamped. The controlled quantity is the share of work, s its inverse; each side is scaled by
+/// 0.5…1, which is for the limits to hold.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Filament {
     work: f32,

@@ -1,0 +1,61 @@
+//! Who plays, and what on.
+
+use super::Replayable;
+use clap::ValueEnum;
+use entire_cli::files::note;
+use entire_cli::steering::contenders::{ActsOn, ControllerKind};
+
+/// A controller in a replay.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Player {
+    /// Which.
+    pub kind: ControllerKind,
+    /// What answers its decisions.
+    pub acts_on: ActsOn,
+}
+
+impl Player {
+    /// The named controllers, everyone where none is named.
+    ///
+    /// Where a trace holds no smaller images, rules that act on image resolution are played on the ray step
+    /// instead, on all traces, so that each row of a table is about one thing; standard error and the tables
+    /// say so.
+    pub fn all(kinds: &[ControllerKind], traces: &[Replayable]) -> Vec<Self> {
+        let kinds = if kinds.is_empty() { ControllerKind::value_variants() } else { kinds };
+        let without: Vec<&str> =
+            traces.iter().filter(|t| t.images.is_none()).map(|t| t.trace.name.as_str()).collect();
+        let players: Vec<Self> = kinds
+            .iter()
+            .map(|&kind| Self {
+                kind,
+                acts_on: if without.is_empty() { kind.acts_on() } else { ActsOn::RayStep },
+            })
+            .collect();
+        let standing_in: Vec<&str> =
+            players.iter().filter(|p| p.stands_in()).map(|p| p.kind.name()).collect();
+        if !standing_in.is_empty() {
+            note(&format!(
+                "played on the ray step instead of image resolution: {}; {} of {} traces hold no smaller images \
+                 ({}), which `entire-lab record` adds when it records them again",
+                standing_in.join(", "),
+                without.len(),
+                traces.len(),
+                without.join(", ")
+            ));
+        }
+        players
+    }
+
+    /// Whether it is played on the ray step in place of what it acts on.
+    pub fn stands_in(&self) -> bool {
+        self.acts_on != self.kind.acts_on()
+    }
+
+    /// What it acts on, for tables.
+    pub const fn acts_on_name(&self) -> &'static str {
+        match (self.acts_on, self.kind.acts_on()) {
+            (ActsOn::RayStep, ActsOn::ImageResolution { .. }) => "ray step instead",
+            (acts_on, _) => acts_on.name(),
+        }
+    }
+}

@@ -1,0 +1,129 @@
+//! Rules that act on image resolution are answered by smaller images, rules that act on the ray step by steps.
+
+use entire_cli::steering::contenders::{ActsOn, ControllerKind, contender};
+use entire_cli::steering::rivals::StepResponse;
+use entire_core::control::{Prior, StepLimits};
+use entire_core::predict::AnalyticModel;
+use entire_lab::replay::{Player, Replayable, Replayed, replay};
+use entire_lab::trace::{Trace, TracePoint};
+use std::path::Path;
+
+/// A trace that was recorded before smaller images were.
+fn recorded() -> Replayable {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut trace = Trace::open(&here.join("tests/data/nyx-switches.json")).unwrap();
+    for volume in &mut trace.volumes {
+        volume.file = here.join("..").join(&volume.file);
+    }
+    Replayable::new(trace).unwrap()
+}
+
+/// Seconds and likeness of an image with 1 / s of the pixels: none that a ray step has.
+fn seconds(s: f64) -> f64 {
+    0.2 / s
+}
+
+fn ssim(s: f64) -> f64 {
+    0.3 + 0.2 / s
+}
+
+/// The same trace with smaller images down to a sixteenth of the pixels.
+fn with_images() -> Replayable {
+    let mut trace = recorded().trace;
+    for frame in &mut trace.frames {
+        for s in [1.0f64, 2.0, 4.0, 8.0, 16.0] {
+            let image = TracePoint {
+                step: 1.0,
+                scale: (1.0 / s.sqrt()) as f32,
+                seconds: vec![seconds(s)],
+                psnr: 50.0 - s,
+                ssim: ssim(s),
+            };
+            match frame.iter_mut().find(|p| p.step == 1.0 && p.scale == image.scale) {
+                Some(point) => *point = image,
+                None => frame.push(image),
+            }
+        }
+    }
+    Replayable::new(Trace::parse(&serde_json::to_string(&trace).unwrap()).unwrap()).unwrap()
+}
+
+const LIMITS: StepLimits = StepLimits { finest: 1.0, coarsest: 12.0 };
+
+fn play(recorded: &Replayable, player: Player, target: f64) -> anyhow::Result<Vec<Replayed>> {
+    let n = recorded.path.frames.len();
+    let response = StepResponse::inverse_step(0.1);
+    let mut who = contender(player.kind, 3.0, Box::new(AnalyticModel::default()), &response, Prior::Unknown);
+    who.acts_on = player.acts_on;
+    replay(recorded, &mut who, None, &vec![target; n], LIMITS, 1, 0..n)
+}
+
+fn close(a: f64, b: f64) -> bool {
+    (a / b - 1.0).abs() < 1e-3
+}
+
+#[test]
+fn image_resolution_is_answered_by_images_and_the_step_by_steps() {
+    let recorded = with_images();
+    for player in Player::all(&[], std::slice::from_ref(&recorded)) {
+        assert!(!player.stands_in());
+        let frames = play(&recorded, player, 0.02).unwrap();
+        for (index, (f, curve)) in frames.iter().zip(&recorded.curves).enumerate() {
+            let place = format!("{} at {index}: {f:?}", player.kind.name());
+            // The oracle is on the step, and with it what can be met.
+            assert_eq!(f.oracle_step, curve.oracle(0.02, 1.0, 12.0), "{place}");
+            assert!(close(f.oracle_ssim, curve.ssim(f.oracle_step)), "{place}");
+            assert_eq!(f.feasible, curve.seconds(12.0) <= 0.02, "{place}");
+            // One noise of a frame for all.
+            let noise = f.oracle_seconds / curve.seconds(f.oracle_step);
+            match player.acts_on {
+                ActsOn::RayStep => {
+                    assert!((1.0..=12.0).contains(&f.step), "{place}");
+                    assert!(close(f.seconds, noise * curve.seconds(f.step)), "{place}");
+                    assert!(close(f.ssim, curve.ssim(f.step)), "{place}");
+                    assert_eq!(f.finest_step, f.oracle_step, "{place}");
+                }
+                ActsOn::ImageResolution { coarsest } => {
+                    // Its own range, as far as images were recorded, whatever the limits of the step.
+                    let coarsest = f64::from(coarsest).min(16.0);
+                    assert!((1.0..=1.0001 * coarsest).contains(&f.step), "{place}");
+                    assert!(close(f.seconds, noise * seconds(f.step)), "{place}");
+                    assert!(close(f.psnr, recorded.images.as_ref().unwrap()[index].psnr(f.step)), "{place}");
+                    // A tenth of the work meets the target; Unreal and Filament go as far as a fourth.
+                    assert!(close(f.finest_step, coarsest.min(10.0)), "{place}");
+                }
+            }
+        }
+        let last = frames.last().unwrap();
+        match player.kind {
+            // As published: the first frame at half the largest distance, here that of the recorded images,
+            // then what the last frame's time asks for.
+            ControllerKind::VtkFixedPoint => {
+                assert!(close(frames[0].step, 16.0) && frames[20].step > 7.0, "{:?}", frames[20]);
+                assert!(close(last.ssim, recorded.images.as_ref().unwrap()[0].ssim(last.step)));
+            }
+            ControllerKind::Unreal => assert!(close(last.step, 4.0), "{last:?}"),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn traces_without_images_open_and_rules_for_them_are_played_on_the_step_and_said_to_be() {
+    let old = recorded();
+    assert!(old.images.is_none());
+    let both = [old, with_images()];
+    let players = Player::all(&[ControllerKind::Filament, ControllerKind::Hybrid], &both);
+    assert_eq!(players[0].acts_on_name(), "ray step instead");
+    assert!(players[0].stands_in() && !players[1].stands_in());
+    assert_eq!(players[1].acts_on_name(), "ray step");
+    for f in play(&both[0], players[0], 0.02).unwrap() {
+        assert!((1.0..=12.0).contains(&f.step) && f.finest_step == f.oracle_step);
+    }
+    // Not in silence.
+    let filament = Player { kind: ControllerKind::Filament, acts_on: ControllerKind::Filament.acts_on() };
+    let refused = play(&both[0], filament, 0.02).unwrap_err().to_string();
+    assert!(refused.contains("without smaller images") && refused.contains("record it again"), "{refused}");
+    assert_eq!(Player::all(&[ControllerKind::Filament], &both[1..]), [filament]);
+    assert_eq!(filament.acts_on_name(), "image resolution");
+}
