@@ -412,20 +412,20 @@ static void calibration(void) {
     CHECK(strcmp(entire_model_metadata(model, "entire.renderer"), "a renderer of pixels") == 0);
 
     /* The model predicts what it never drew, in this loop and after its file in another. */
-    float q[4] = {9, 9, 9, 9};
-    OK(entire_session_quality(session, q, q + 1, q + 2, q + 3));
-    CHECK(q[0] == 0 && q[1] == 0 && q[2] == 0 && q[3] == 0);
+    float known[4] = {9, 9, 9, 9};
+    OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
+    CHECK(known[0] == 0 && known[1] == 0 && known[2] == 0 && known[3] == 0);
     OK(entire_session_set_model(session, model));
     /* What the pictures follow is found again, for this renderer alone, until the host knows better. */
-    OK(entire_session_quality(session, q, q + 1, q + 2, q + 3));
-    CHECK(fabsf(q[0] - 5) < 0.1f && fabsf(q[1] - 1.2f) < 0.02f && fabsf(q[2] - 0.9f) < 0.02f && fabsf(q[3] - 0.2f) < 0.01f);
+    OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
+    CHECK(fabsf(known[0] - 5) < 0.1f && fabsf(known[1] - 1.2f) < 0.02f && fabsf(known[2] - 0.9f) < 0.02f && fabsf(known[3] - 0.2f) < 0.01f);
     OK(entire_session_set_quality(session, 3, 1, 1, 0));
-    OK(entire_session_quality(session, q, q + 1, q + 2, q + 3));
-    CHECK(q[0] == 3 && q[3] == 0);
+    OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
+    CHECK(known[0] == 3 && known[3] == 0);
     OK(entire_session_set_quality(session, 0, 1, 1, 0));
     OK(entire_session_set_timing_source(session, "another renderer", "wall"));
-    OK(entire_session_quality(session, q, q + 1, q + 2, q + 3));
-    CHECK(q[0] == 0);
+    OK(entire_session_quality(session, known, known + 1, known + 2, known + 3));
+    CHECK(known[0] == 0);
     OK(entire_session_set_timing_source(session, "a renderer of pixels", "wall"));
     const char *path = "calibrated.safetensors";
     EXPECT(ENTIRE_IO, entire_model_save(model, "no/such/folder/calibrated.safetensors"));

@@ -44,7 +44,7 @@ pub fn frontier(traces: &[Replayable], targets: &[(f64, &str)]) -> Option<Fronti
     let pictures: Vec<Picture> = points(false)
         .enumerate()
         .flat_map(|(scene, frame)| {
-            frame.iter().map(move |p| Picture {
+            frame.into_iter().map(move |p| Picture {
                 scene: scene as u64,
                 step: p.step,
                 distance: 1.0 / p.scale,
