@@ -2,6 +2,7 @@
 """Steering of pip's VTK, by its pictures, settings and times."""
 
 import gc
+import json
 import math
 import warnings
 import weakref
@@ -476,7 +477,7 @@ def test_calibration_serves_the_first_frame(voxels, tmp_path):
     before, camera = settings(volume.GetMapper()), view.renderer.GetActiveCamera().GetPosition()
     unit = volume.GetProperty().GetScalarOpacityUnitDistance(0)
     plain = view.pixels()
-    model = entire.vtk.calibrate(view.renderer, volume, frames=25, clock="cpu")
+    model = entire.vtk.calibrate(view.renderer, volume, frames=25, clock="cpu", pictures=3)
     assert settings(volume.GetMapper()) == before
     assert view.renderer.GetActiveCamera().GetPosition() == camera
     assert volume.GetProperty().GetScalarOpacityUnitDistance(0) == unit
@@ -502,8 +503,39 @@ def test_calibration_serves_the_first_frame(voxels, tmp_path):
         again.load(__file__)
     with pytest.raises(ValueError, match="at least 10"):
         entire.vtk.calibrate(view.renderer, volume, frames=3)
+    with pytest.raises(ValueError, match="at least 3 scenes"):
+        entire.vtk.calibrate(view.renderer, volume, pictures=2)
     with pytest.raises(ValueError, match="clock"):
         entire.vtk.calibrate(view.renderer, volume, clock="sun")
+
+
+@pytest.mark.parametrize("kind", ["gpu", "fixed"])
+def test_calibration_compares_pictures_and_steering_goes_by_them(voxels, kind):
+    view = View()
+    volume = add_volume(view.renderer, voxels, kind)
+    view.draw(1)
+    seen = []
+
+    def error(picture, full):
+        assert picture.shape == full.shape and picture.dtype == np.uint8
+        seen.append(entire.vtk.rmse(picture, full))
+        return seen[-1]
+
+    model = entire.vtk.calibrate(view.renderer, volume, frames=10, clock="cpu", pictures=3, picture_error=error)
+    assert len(seen) == 36 and seen[0] == seen[12] == seen[24] == 0 and max(seen) > 0.1
+    stated = json.loads(model.metadata["entire.quality"])
+    law = tuple(stated[name] for name in ("image_weight", "step_exponent", "image_exponent", "ray_share"))
+    session = entire.Session(model)
+    assert session.quality == pytest.approx(law)
+    session.set_timing_source("another renderer", "cpu")
+    assert session.quality is None
+    session.set_quality(3.0)
+    assert session.quality == (3.0, 1.0, 1.0, 0.0)
+    steering = entire.vtk.hold(view.renderer, volume, 1e-6, model=model, clock="cpu")
+    view.draw(3)
+    assert steering._leaf._session.quality == pytest.approx(law)
+    plain = entire.vtk.calibrate(view.renderer, volume, frames=10, clock="cpu", pictures=0)
+    assert "entire.quality" not in plain.metadata
 
 
 def test_a_model_of_another_clock_is_said_once(voxels):

@@ -9,9 +9,9 @@ distribution's, ParaView's.
 
 from __future__ import annotations
 
-from ._calibrate import calibrate
+from ._calibrate import calibrate, rmse
 from ._leaf import Leaf
 from ._mappers import CannotSteer
 from ._steering import Steering, hold
 
-__all__ = ["CannotSteer", "Leaf", "Steering", "calibrate", "hold"]
+__all__ = ["CannotSteer", "Leaf", "Steering", "calibrate", "hold", "rmse"]
