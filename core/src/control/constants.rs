@@ -8,8 +8,10 @@ crate::adapt::constants! {
         /// is kept.
         dead_band = 0.01,
         /// A step this near to the finest one, in ln(step), is the finest one where that is expected to meet the
-        /// target: it would save next to nothing.
-        full = 0.05,
+        /// target: it would save little, and the picture would no longer be that of full quality.
+        full = 0.14,
+        /// As `full`, where the scene has been seen for some frames.
+        full_settled = 0.14,
         /// Largest move to a finer step in a calm frame, in ln(step), beside what the prediction calls for.
         finer = 0.16,
         /// Largest move to a coarser step in a calm frame where the expected time stays within the target, in

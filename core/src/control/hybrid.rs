@@ -30,7 +30,8 @@ pub struct HybridOptions {
     /// new scenes, at least 0.07 may.
     pub miss_rate: f32,
     /// How far over the target a frame's upper bound may reach, as a share of the target; 0.1
-    /// by default.
+    /// by default. Full quality that is expected to meet the target is drawn from a step on that would be
+    /// near it, although its bound reaches further (`full` and `full_settled` of the constants).
     pub tolerance: f32,
     /// What is known of the prediction before the first frame.
     pub prior: Prior,
@@ -329,7 +330,9 @@ impl Controller for Hybrid {
                 limits.coarsest
             }
         };
-        let nearly = || libm::log(f64::from(step) / f64::from(limits.finest)) <= c.full;
+        // A scene that is known corrects a wrong expectation at once: there the bound is asked for less.
+        let full = if self.correction.settled() { c.full_settled } else { c.full };
+        let nearly = || libm::log(f64::from(step) / f64::from(limits.finest)) <= full;
         if reason == Reason::Fits && (step <= limits.finest || (nearly() && judge(limits.finest).0 <= target))
         {
             step = limits.finest;
@@ -361,11 +364,12 @@ impl Controller for Hybrid {
                     reason = Reason::Damped;
                 }
             } else if delta < -c.finer
+                && reason != Reason::FinestAllowed
                 && this.correction.settled()
                 && last.seconds.is_none_or(|t| t > c.early * target)
             {
                 step = limits.clamp(last.step * libm::exp(-c.finer) as f32);
-                if matches!(reason, Reason::Fits | Reason::FinestAllowed) {
+                if reason == Reason::Fits {
                     reason = Reason::Damped;
                 }
             }

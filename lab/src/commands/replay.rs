@@ -3,6 +3,7 @@
 
 use crate::bars;
 use crate::calibration::samples_of;
+use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
 use crate::replay::{self, Replayable, Score, Tally, frontier, play, trials};
 use crate::trace::Trace;
@@ -166,7 +167,9 @@ pub fn run(options: &Options) -> Result<()> {
         println!("{}", f.sentence());
     }
     if options.bars {
-        bars::print(&replay::bars(&kinds, &scores)?)?;
+        let mut found = replay::bars(&kinds, &scores)?;
+        found.push(second_in_bound(&traces, &trials, limits)?);
+        bars::print(&found)?;
     }
     Ok(())
 }

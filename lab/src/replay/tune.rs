@@ -12,15 +12,12 @@
 //! whose cost is lower by more than two standard errors of the difference among paths, since dozens are tried,
 //! and ends when a whole round takes none.
 
+use super::cold::{hybrid, starts, without_model};
 use super::{Replayable, Replayed, Tally, Three, Trial, replay, trials};
 use crate::trace::Curve;
 use anyhow::Result;
 use entire_cli::steering::fit::Calibrated;
-use entire_cli::steering::play::Contender;
-use entire_core::control::{
-    CorrectionConstants, Hybrid, HybridConstants, HybridOptions, Prior, Session, StepLimits,
-};
-use entire_core::predict::{AnalyticModel, Predictor};
+use entire_core::control::{CorrectionConstants, HybridConstants, HybridOptions, StepLimits};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -34,9 +31,8 @@ const FACTORS: [f64; 6] = [0.35, 0.5, 0.71, 1.41, 2.0, 2.8];
 const PROMISED: f64 = 0.08;
 const PROMISED_MISSES: f64 = 0.03;
 
-/// Frames of a session that begins on the way, and frames between two such sessions.
+/// Frames of a session that begins on the way.
 const COLD_FRAMES: usize = 6;
-const COLD_EVERY: usize = 8;
 
 /// Everything that is searched for.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -188,28 +184,21 @@ impl<'a> Course<'a> {
         self.trials[0].is_empty()
     }
 
-    fn contender(predictor: Box<dyn Predictor + Send>, prior: Prior, constants: Constants) -> Contender {
-        let Constants { hybrid, correction } = constants;
-        let options = HybridOptions { prior, constants: hybrid, correction, ..HybridOptions::default() };
-        Contender {
-            name: "hybrid".into(),
-            session: Session::with_controller(predictor, Box::new(Hybrid::new(options))),
-            chooses_image_sample_distance: false,
-        }
-    }
-
     /// What the path costs with these constants.
     ///
     /// # Errors
     /// When a prediction fails.
     pub fn cost(&self, constants: Constants) -> Result<Cost> {
         let chosen = &self.calibrated.chosen().fitted;
+        let Constants { hybrid: constants, correction } = constants;
+        let prior = self.calibrated.prior();
+        let options = HybridOptions { prior, constants, correction, ..HybridOptions::default() };
         let (mut fitted, mut cold) = (Tally::default(), Tally::default());
         let (mut fitted_coarse, mut cold_coarse) = (Coarse::default(), Coarse::default());
         let (mut seconds, mut inside) = (0u32, 0u32);
         for trial in &self.trials[0] {
             for round in 1..=2 {
-                let mut who = Self::contender(chosen.predictor()?, self.calibrated.prior(), constants);
+                let mut who = hybrid(chosen.predictor()?, options);
                 let (features, all) = (chosen.volume_features(), 0..trial.targets.len());
                 let played =
                     replay(&self.recorded[0], &mut who, features, &trial.targets, self.limits, round, all)?;
@@ -220,11 +209,8 @@ impl<'a> Course<'a> {
         for (recorded, trial) in
             self.recorded.iter().zip(&self.trials).flat_map(|(r, t)| t.iter().map(move |t| (r, t)))
         {
-            let n = trial.targets.len();
-            for start in (0..n.saturating_sub(COLD_FRAMES - 1)).step_by(COLD_EVERY) {
-                let model = Box::new(AnalyticModel::default());
-                let mut who = Self::contender(model, Prior::Unknown, constants);
-                let frames = start..start + COLD_FRAMES;
+            for frames in starts(trial.targets.len(), COLD_FRAMES) {
+                let mut who = without_model(options);
                 let played = replay(recorded, &mut who, None, &trial.targets, self.limits, 1, frames)?;
                 cold.merge(&Tally::of(&played[1..]));
                 cold_coarse.add(&played[1..], self.limits.finest);
