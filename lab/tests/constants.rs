@@ -36,7 +36,7 @@ fn frames_of_the_training_paths_change_no_faster_than_the_ladder_takes_for_grant
         let (path, draw) = (trace.path.resolve().unwrap(), trace.draw_settings().unwrap());
         let frames: Vec<_> = (0..path.frames.len())
             .map(|i| {
-                let eye = trace.frame(&path, &draw, i).unwrap().camera.eye();
+                let eye = trace.frame(&path, &draw, i).unwrap().camera.view().inverse().w_axis.truncate();
                 (eye, Curve::of(&trace.frames[i]).seconds(1.0).ln())
             })
             .collect();
