@@ -13,8 +13,8 @@ const RATIO: f64 = 1.2;
 const LN_RATIO: f64 = 0.182_321_556_793_954_6;
 
 /// The step over the finest one, for each unit of distance, that goes with a coarser image where nothing is
-/// known of the renderer's pictures: by theory 1, samples as far apart along a ray as rays are; a tenth more since a
-/// sample between two others is the smaller part of a frame's time.
+/// known of the renderer's pictures: by theory near 1, samples as far apart along a ray as rays are; the
+/// tenth is a choice.
 const TOGETHER: f64 = 1.1;
 
 /// How far beyond the bounds of a distance it is kept. Bounds are a factor of `RATIO`³ = 1.73 of c apart; below its

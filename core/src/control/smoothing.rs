@@ -27,7 +27,7 @@ pub(super) struct Smoothing {
 const WEIGHT: (f64, f64) = (0.1, 1.0);
 /// A guard: offsets stay within a factor of e^±1.
 const LIMIT: f64 = 1.0;
-/// Mean square of the changes before any was seen: changes of 2 %.
+/// Mean square of the changes before any was seen, forgotten within some ten frames: changes of 2 %.
 const POWER: f64 = 4.0e-4;
 /// A guard against division by nothing: changes of 0.1 %, less than any clock's noise.
 const LEAST_POWER: f64 = 1.0e-6;
