@@ -98,8 +98,9 @@ fn tune_says_what_recorded_paths_cost() {
     assert!(said.contains("train-orbit") && said.contains("no other value of any constant"), "{said}");
     let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
     assert_eq!(found["paths"], serde_json::json!(["train-orbit", "train-series"]));
-    let names = entire_core::control::HybridConstants::NAMES;
-    assert!(names.iter().all(|n| found["constants"][n].is_f64()), "{found}");
+    use entire_core::control::{CorrectionConstants, HybridConstants};
+    let mut names = HybridConstants::NAMES.iter().chain(CorrectionConstants::NAMES);
+    assert!(names.all(|n| found["constants"][n].is_f64()), "{found}");
     for path in 0..2 {
         for (what, most) in [("fitted", 0.15), ("cold", 0.5)] {
             let deviation = found["before"][path][what]["deviation"].as_f64().unwrap();
@@ -114,5 +115,22 @@ fn tune_says_what_recorded_paths_cost() {
         let said = text(&output.stderr);
         assert_eq!(output.status.code(), Some(1));
         assert!(said.contains(why), "{said}");
+    }
+    // From elsewhere, and one constant alone.
+    let more =
+        ["--set", "dead_band=0.4", "--only", "dead_band", "--rounds", "1", "--out", out.to_str().unwrap()];
+    let output = tune(&both, "45fps,60fps", &more);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let found: serde_json::Value = serde_json::from_slice(&std::fs::read(&out).unwrap()).unwrap();
+    assert_eq!(found["constants"]["full"], HybridConstants::default().full);
+    assert!(found["constants"]["dead_band"].as_f64().unwrap() <= 0.4, "{found}");
+    for (option, value, why) in [
+        ("--only", "dead-band", "no constant is named dead-band; there are dead_band, full"),
+        ("--set", "far", "far is no NAME=VALUE"),
+        ("--set", "far=-1", "far is to be -1; it must be a finite number and not negative"),
+    ] {
+        let output = tune(&both, "45fps", &[option, value]);
+        let said = text(&output.stderr);
+        assert!(output.status.code() == Some(1) && said.contains(why), "{said}");
     }
 }

@@ -1,5 +1,6 @@
 //! Learning each part of the cost from observed frame times.
 
+use super::constants::CorrectionConstants;
 use super::state::{Reader, Writer};
 use crate::Result;
 use crate::error::bail;
@@ -66,28 +67,30 @@ pub(crate) struct Correction {
     /// Frames since the scene was new.
     age: u64,
     prior: Prior,
-    /// Variance of ln of every unit cost about their common factor, under [`Prior::Unknown`].
-    unknown: f64,
+    constants: CorrectionConstants,
 }
 
 const STATES: usize = TERMS + 1;
 const LOCAL: usize = TERMS;
-/// θ and b stay within these bounds: factors of e⁻¹⁰…e¹⁰.
+/// A guard: θ and b stay within factors of e⁻¹⁰…e¹⁰, more than any two machines are apart.
 const STATE_LIMIT: f64 = 10.0;
+/// Guards: errors in calm frames of 0.3 % (below any clock's noise) to 50 %.
 const SPREAD: (f64, f64) = (1.0e-5, 0.25);
+/// Guards: at 0 or 1 the share could not be learned any more, and 1 leaves no noise to be sure of.
 const GAIN: (f64, f64) = (0.1, 0.8);
+/// Guards: errors among scenes of 3 % to 70 %.
 const CHANGE: (f64, f64) = (1.0e-3, 0.5);
+/// Variance of an unknown common factor, by definition: a standard deviation of 3, a factor of 20, so the first observed time
+/// decides it, whatever its order of magnitude.
+const OPEN: f64 = 9.0;
+/// A guard: no variance exceeds that of a machine of which nothing is known ([`OPEN`] and a unit cost's own) by much.
 const MAX_VARIANCE: f64 = 12.0;
-const COMMON_DRIFT: f64 = 1.0e-5;
-const SINGLE_DRIFT: f64 = 2.0e-6;
-const CLIP: f64 = 3.0;
-/// Clip of errors that are too fast.
-const CLIP_BELOW: f64 = 2.0;
+/// Three standard deviations: of normal errors 0.3 % lie beyond, so what does is another work or another machine.
+pub(crate) const CLIP: f64 = 3.0;
 
 impl Correction {
-    /// A correction that has seen nothing. `unit_cost_sd` is the standard deviation of ln of every unit cost
-    /// about their common factor, under [`Prior::Unknown`].
-    pub(crate) fn new(prior: Prior, unit_cost_sd: f64) -> Self {
+    /// A correction that has seen nothing.
+    pub(crate) fn new(prior: Prior, constants: CorrectionConstants) -> Self {
         let mut out = Self {
             state: [0.0; STATES],
             covariance: [[0.0; STATES]; STATES],
@@ -100,7 +103,7 @@ impl Correction {
             observations: 0,
             age: 0,
             prior,
-            unknown: unit_cost_sd * unit_cost_sd,
+            constants,
         };
         out.reset();
         out
@@ -108,13 +111,14 @@ impl Correction {
 
     /// Forgets everything.
     pub(crate) fn reset(&mut self) {
+        let c = self.constants;
         let (common, single, change) = match self.prior {
-            Prior::Unknown => (9.0, self.unknown, 0.04),
+            Prior::Unknown => (OPEN, c.unit_cost_sd * c.unit_cost_sd, c.scene_sd * c.scene_sd),
             Prior::Converted { log_sd } | Prior::Fitted { log_sd } => {
                 let sd = if log_sd.is_finite() { f64::from(log_sd).clamp(0.01, 1.0) } else { 0.3 };
                 // A model that was fitted here is right on the whole; it is wrong about single scenes.
-                let single = 0.1 * sd * sd;
-                let common = if matches!(self.prior, Prior::Converted { .. }) { 9.0 } else { single };
+                let single = c.fitted_share * sd * sd;
+                let common = if matches!(self.prior, Prior::Converted { .. }) { OPEN } else { single };
                 (common, single, sd * sd)
             }
         };
@@ -125,8 +129,8 @@ impl Correction {
                 self.covariance[i][j] = common + if i == j { single } else { 0.0 };
             }
         }
-        self.spread = 2.5e-3;
-        self.gain = 0.5;
+        self.spread = (c.spread_start * c.spread_start).clamp(SPREAD.0, SPREAD.1);
+        self.gain = c.gain_start.clamp(GAIN.0, GAIN.1);
         self.change = change.clamp(CHANGE.0, CHANGE.1);
         self.covariance[LOCAL][LOCAL] = self.change;
         self.before = 0.0;
@@ -169,7 +173,7 @@ impl Correction {
         }
         self.covariance[LOCAL][LOCAL] += (1.0 - keep * keep) * self.change
             + keep * self.noise() * self.gain * self.gain / (1.0 - self.gain);
-        self.widen(COMMON_DRIFT, SINGLE_DRIFT);
+        self.widen(self.constants.common_drift, self.constants.single_drift);
         self.tidy();
         if novelty >= 0.5 {
             self.age = 0;
@@ -190,6 +194,7 @@ impl Correction {
     /// for. `trust` in (0, 1] weakens an observation that may hold other work. Returns the error
     /// ln(observed / corrected prediction) in standard deviations, before learning.
     pub(crate) fn observe(&mut self, terms: &CostTerms, seconds: f64, standing: Standing, trust: f64) -> f64 {
+        let c = self.constants;
         let this_scene = standing != Standing::Past;
         let (predicted, shares) = self.shares(terms, this_scene);
         if !(seconds.is_finite() && seconds > 0.0 && predicted.is_finite() && predicted > 0.0) {
@@ -201,7 +206,7 @@ impl Correction {
         let sd = libm::sqrt(model + noise);
         let normalized = error / sd;
         // A frame that was faster than expected is more often luck than one that was slower is misfortune.
-        let mut taken = error.clamp(-CLIP_BELOW * sd, CLIP * sd);
+        let mut taken = error.clamp(-c.clip_below * sd, CLIP * sd);
         if libm::fabs(normalized) > CLIP && trust >= 1.0 {
             self.run = if (normalized > 0.0) == (self.run > 0) { self.run } else { 0 };
             self.run += if normalized > 0.0 { 1 } else { -1 };
@@ -227,14 +232,14 @@ impl Correction {
                 let local = self.covariance[LOCAL][LOCAL].min(model);
                 let others = (model - local).max(0.0) + noise;
                 let seen = (squared - others).clamp(0.0, 6.0 * self.change);
-                self.change = (self.change + 0.15 * (seen - self.change)).clamp(CHANGE.0, CHANGE.1);
+                self.change = (self.change + c.scene_pace * (seen - self.change)).clamp(CHANGE.0, CHANGE.1);
             }
         } else if standing == Standing::Same && trust >= 1.0 && self.age > 3 && !machine_changed {
-            let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).clamp(0.04, 0.25);
+            let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).max(c.spread_pace).min(0.25);
             let seen = squared.min(6.0 * self.spread);
             self.spread = (self.spread + pace * (seen - self.spread)).clamp(SPREAD.0, SPREAD.1);
             let bounded = normalized.clamp(-2.0, 2.0);
-            self.gain = (self.gain + 0.02 * self.before * bounded).clamp(GAIN.0, GAIN.1);
+            self.gain = (self.gain + c.gain_pace * self.before * bounded).clamp(GAIN.0, GAIN.1);
             self.before = if libm::fabs(normalized) > CLIP { 0.0 } else { bounded };
         }
         // Kalman step.
@@ -426,7 +431,7 @@ mod tests {
             ];
             for (i, poison) in poisons.into_iter().enumerate() {
                 for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
-                    let mut correction = Correction::new(prior, 1.0);
+                    let mut correction = Correction::new(prior, CorrectionConstants::default());
                     poison(&mut correction, value);
                     for frame in 0..60 {
                         correction.advance(0.0);
@@ -443,7 +448,7 @@ mod tests {
     #[test]
     fn every_state_that_is_reached_is_loaded_and_indefinite_ones_are_not() {
         for prior in [Prior::Unknown, Prior::Fitted { log_sd: 0.01 }, Prior::Fitted { log_sd: 1.0 }] {
-            let mut correction = Correction::new(prior, 1.0);
+            let mut correction = Correction::new(prior, CorrectionConstants::default());
             for frame in 0..3000u64 {
                 correction.advance([0.0, 0.0, 0.0, 0.3, 1.0][frame as usize % 5]);
                 let seconds = if frame / 400 % 2 == 0 { 0.01 } else { 3.0 } * (1.0 + (frame % 7) as f64);
@@ -451,7 +456,7 @@ mod tests {
                 // The same make-up for long: the filter becomes sure of one direction alone.
                 correction.observe(&terms(frame / 1000), seconds, standing, 1.0);
                 let bytes = saved(&correction);
-                let mut other = Correction::new(prior, 1.0);
+                let mut other = Correction::new(prior, CorrectionConstants::default());
                 other.load(&mut Reader(&bytes)).unwrap();
                 assert_eq!(other.observations, correction.observations, "frame {frame}");
             }
@@ -461,7 +466,9 @@ mod tests {
                 let bound = libm::sqrt(broken.covariance[0][0] * broken.covariance[4][4]);
                 broken.covariance[0][4] = sign * 1.01 * bound;
                 broken.covariance[4][0] = sign * 1.01 * bound;
-                let error = Correction::new(prior, 1.0).load(&mut Reader(&saved(&broken))).unwrap_err();
+                let error = Correction::new(prior, CorrectionConstants::default())
+                    .load(&mut Reader(&saved(&broken)))
+                    .unwrap_err();
                 assert_eq!(error.kind(), ErrorKind::InvalidArgument);
                 assert!(error.to_string().contains("positive definite"), "{error}");
             }

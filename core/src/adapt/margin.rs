@@ -13,16 +13,13 @@ pub(crate) struct Margin {
     pace: f64,
 }
 
+/// Guards: below, a bound would hardly exceed what is expected; beyond, no finite multiple was missing.
 const LOW: f64 = 0.5;
 const HIGH: f64 = 8.0;
 
 impl Margin {
-    /// A margin that aims at a miss rate in (0, 0.5]; out-of-range rates are clamped.
-    pub(crate) fn new(rate: f32, pace: f32) -> Self {
-        Self::starting_at(2.0, rate, pace)
-    }
-
-    /// As [`Margin::new`], with a multiple to start from, clamped to 0.5…8.
+    /// A margin that aims at a miss rate in (0, 0.5] from a multiple on, which is clamped to 0.5…8; so are
+    /// out-of-range rates.
     pub(crate) fn starting_at(multiple: f64, rate: f32, pace: f32) -> Self {
         let rate = if rate.is_finite() { f64::from(rate).clamp(1.0e-4, 0.5) } else { 0.05 };
         let pace = if pace.is_finite() { f64::from(pace).clamp(1.0e-3, 1.0) } else { 0.1 };
@@ -62,7 +59,7 @@ mod tests {
     fn the_miss_rate_tends_to_the_rate_asked_for() {
         // Heavy-tailed errors from a fixed generator: the promise does not depend on their shape.
         for rate in [0.03f32, 0.05, 0.2] {
-            let mut margin = Margin::new(rate, 0.1);
+            let mut margin = Margin::starting_at(2.0, rate, 0.1);
             let mut state = 1u64;
             let (mut misses, n) = (0, 20_000);
             for _ in 0..n {
@@ -79,7 +76,7 @@ mod tests {
 
     #[test]
     fn nothing_drives_it_out_of_bounds() {
-        let mut margin = Margin::new(f32::NAN, f32::NAN);
+        let mut margin = Margin::starting_at(f64::NAN, f32::NAN, f32::NAN);
         for e in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300] {
             for _ in 0..1000 {
                 margin.observe(e);

@@ -32,7 +32,7 @@ fn sixty_frames_bring_an_unknown_machine_within_ten_percent() {
         // Every unit cost is off by its own factor (up to 20), all of them by a common one.
         let common = (6.0 * (noise.uniform() - 0.5)).exp();
         let factors: [f64; TERMS] = core::array::from_fn(|_| common * (3.0 * (noise.uniform() - 0.5)).exp());
-        let mut correction = Correction::new(Prior::Unknown, 1.0);
+        let mut correction = Correction::new(Prior::Unknown, CorrectionConstants::default());
         let mut errors = Vec::new();
         for i in 0..200 {
             let parts = scene(&mut noise);
@@ -53,7 +53,7 @@ fn sixty_frames_bring_an_unknown_machine_within_ten_percent() {
 #[test]
 fn a_jump_of_the_machine_is_followed_within_twenty_frames_both_ways() {
     let mut noise = Noise(3);
-    let mut correction = Correction::new(Prior::Fitted { log_sd: 0.1 }, 1.0);
+    let mut correction = Correction::new(Prior::Fitted { log_sd: 0.1 }, CorrectionConstants::default());
     for block in 0..6 {
         let speed = if block % 2 == 0 { 1.0 } else { 3.0 };
         for i in 0..100 {
@@ -77,7 +77,7 @@ fn a_jump_of_the_machine_is_followed_within_twenty_frames_both_ways() {
 #[test]
 fn single_spikes_barely_move_it() {
     let mut noise = Noise(8);
-    let mut correction = Correction::new(Prior::Fitted { log_sd: 0.1 }, 1.0);
+    let mut correction = Correction::new(Prior::Fitted { log_sd: 0.1 }, CorrectionConstants::default());
     for i in 0..300 {
         let parts = scene(&mut noise);
         let clean: f64 = parts.iter().sum();
@@ -96,7 +96,7 @@ fn single_spikes_barely_move_it() {
 
 #[test]
 fn values_that_are_no_times_change_nothing() {
-    let mut correction = Correction::new(Prior::Unknown, 1.0);
+    let mut correction = Correction::new(Prior::Unknown, CorrectionConstants::default());
     let before = correction.clone();
     let good = CostTerms::whole(0.01, 0.0, Source::Analytic);
     for seconds in [f64::NAN, f64::INFINITY, 0.0, -1.0] {
@@ -117,7 +117,7 @@ fn values_that_are_no_times_change_nothing() {
 
 #[test]
 fn extreme_times_keep_the_state_in_bounds() {
-    let mut correction = Correction::new(Prior::Unknown, 1.0);
+    let mut correction = Correction::new(Prior::Unknown, CorrectionConstants::default());
     let mut noise = Noise(1);
     for i in 0..20_000 {
         let parts = scene(&mut noise);

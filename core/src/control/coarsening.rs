@@ -4,17 +4,20 @@ use super::StepLimits;
 use crate::features::Setting;
 use crate::predict::Quality;
 
-/// Each image sample distance is this factor times the one before.
+/// Each image sample distance is this factor times the one before: a choice between many sizes, each of which needs
+/// other buffers, and steps that jump where the size changes (by its square, 1.44). No recorded path decides it.
 const RATIO: f64 = 1.2;
 
 /// ln of [`RATIO`].
 const LN_RATIO: f64 = 0.182_321_556_793_954_6;
 
 /// The step over the finest one, for each unit of distance, that goes with a coarser image where nothing is
-/// known of the renderer's pictures.
+/// known of the renderer's pictures: by theory near 1, samples as far apart along a ray as rays are; the
+/// tenth is a choice.
 const TOGETHER: f64 = 1.1;
 
-/// How far beyond the bounds of a distance it is kept.
+/// How far beyond the bounds of a distance it is kept. Bounds are a factor of `RATIO`³ = 1.73 of c apart; below its
+/// square root, 1.31, a distance is still the best one of some c, and half of that in ln(c) is taken.
 const KEEP: f64 = 1.15;
 
 /// Room for every distance up to 64, and for 1.

@@ -1,23 +1,25 @@
 //! Feed-forward prediction, corrected online, with a margin that keeps its promise.
 
 use super::constants::HybridConstants;
+use super::history::History;
 use super::smoothing::Smoothing;
 use super::{Controller, Decision, Observed, PlanRequest, Reason, SceneMark, StepLimits};
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
-use crate::adapt::{Correction, Margin, Prior, Standing, Verdict};
+use crate::adapt::{CLIP, Correction, CorrectionConstants, Margin, Prior, Standing, Verdict};
 use crate::error::bail;
 use crate::features::Changes;
 use crate::predict::{CostTerms, Prediction, TERMS};
 use alloc::vec::Vec;
 
-/// Default share of calm frames that may exceed their upper bound.
+/// Default share of calm frames that may exceed their upper bound: what is promised.
 const DEFAULT_MISS_RATE: f32 = 0.05;
 
-/// Share of the first frames of new scenes that may exceed their upper bound, at least.
+/// Share of the first frames of new scenes that may exceed their upper bound, at least: what is promised. New scenes
+/// are few, and a margin learns a rarer miss too slowly to keep it.
 const NEW_SCENE_MISS_RATE: f32 = 0.07;
 
-/// Default share of the target by which an upper bound may exceed it.
+/// Default share of the target by which an upper bound may exceed it: what is promised.
 const DEFAULT_TOLERANCE: f32 = 0.1;
 
 /// Settings of [`Hybrid`].
@@ -28,7 +30,8 @@ pub struct HybridOptions {
     /// new scenes, at least 0.07 may.
     pub miss_rate: f32,
     /// How far over the target a frame's upper bound may reach, as a share of the target; 0.1
-    /// by default.
+    /// by default. Full quality that is expected to meet the target is drawn from a step on that would be
+    /// near it, although its bound reaches further (`full` and `full_settled` of the constants).
     pub tolerance: f32,
     /// What is known of the prediction before the first frame.
     pub prior: Prior,
@@ -38,6 +41,8 @@ pub struct HybridOptions {
     pub trust_limit: f32,
     /// What recorded paths decide; the defaults do.
     pub constants: HybridConstants,
+    /// As `constants`, of the online correction.
+    pub correction: CorrectionConstants,
 }
 
 impl Default for HybridOptions {
@@ -49,6 +54,7 @@ impl Default for HybridOptions {
             damping: true,
             trust_limit: 2.0,
             constants: HybridConstants::default(),
+            correction: CorrectionConstants::default(),
         }
     }
 }
@@ -120,13 +126,15 @@ struct Last {
     late: u32,
 }
 
-/// Most evaluations of the cost in a step search, beside those at the limits.
+/// Most evaluations of the cost in a step search, beside those at the limits: a guard, four or five do.
 const EVALUATIONS: usize = 12;
-/// Time over the target from which a frame is late, and below which finer moves are free.
-const LATE: f64 = 1.1;
-const EARLY: f64 = 0.5;
-/// Expected time over the target that a frame may have for the sake of a small move.
-const BEARABLE: f64 = 1.0;
+/// Time over the target from which a frame is late: by definition, beyond the tolerance that is promised.
+const LATE: f64 = 1.0 + DEFAULT_TOLERANCE as f64;
+/// Targets this near to each other, in ln, are one.
+const SAME_TARGET: f64 = 0.02;
+/// Trust in the first frame of all, which may hold a compile or an upload: its noise counts as a hundred times
+/// that of others, so it sets the order of magnitude where nothing else does.
+const FIRST_TRUST: f64 = 0.01;
 
 impl Hybrid {
     /// A controller that has seen nothing.
@@ -134,14 +142,14 @@ impl Hybrid {
         let (calm, changed) = margins(&options);
         Self {
             options,
-            correction: Correction::new(options.prior, options.constants.unit_cost_sd),
+            correction: Correction::new(options.prior, options.correction),
             calm,
             changed,
-            history: History::new(),
+            history: History::new(&options.constants),
             last: None,
             announced: false,
             scene: SceneMark::default(),
-            smoothing: Smoothing::new(),
+            smoothing: Smoothing::new(&options.constants),
         }
     }
 
@@ -184,7 +192,7 @@ impl Hybrid {
         let share = |d: f64| (d / c.far).clamp(0.0, 1.0);
         if changes.any() {
             let novelty = share(d) * share(d);
-            if self.announced { novelty } else { novelty.max(0.5) }
+            if self.announced { novelty } else { novelty.max(c.announced) }
         } else {
             share(d - c.near) * share(d - c.near)
         }
@@ -322,7 +330,9 @@ impl Controller for Hybrid {
                 limits.coarsest
             }
         };
-        let nearly = || libm::log(f64::from(step) / f64::from(limits.finest)) <= c.full;
+        // A scene that is known corrects a wrong expectation at once: there the bound is asked for less.
+        let full = if self.correction.settled() { c.full_settled } else { c.full };
+        let nearly = || libm::log(f64::from(step) / f64::from(limits.finest)) <= full;
         if reason == Reason::Fits && (step <= limits.finest || (nearly() && judge(limits.finest).0 <= target))
         {
             step = limits.finest;
@@ -332,7 +342,7 @@ impl Controller for Hybrid {
             self.options.damping
                 && !self.scene.first
                 && limits.clamp(last.step) == last.step
-                && libm::fabs(libm::log(target / f64::from(last.target))) < 0.02
+                && libm::fabs(libm::log(target / f64::from(last.target))) < SAME_TARGET
         };
         if let Some(last) = self.last.filter(steady) {
             let delta = libm::log(f64::from(step) / f64::from(last.step));
@@ -347,18 +357,19 @@ impl Controller for Hybrid {
                 }
             } else if delta > c.coarser
                 && this.correction.settled()
-                && judge(limits.clamp(last.step * libm::exp(c.coarser) as f32)).0 <= target * BEARABLE
+                && judge(limits.clamp(last.step * libm::exp(c.coarser) as f32)).0 <= target
             {
                 step = limits.clamp(last.step * libm::exp(c.coarser) as f32);
                 if reason == Reason::Fits {
                     reason = Reason::Damped;
                 }
             } else if delta < -c.finer
+                && reason != Reason::FinestAllowed
                 && this.correction.settled()
-                && last.seconds.is_none_or(|t| t > EARLY * target)
+                && last.seconds.is_none_or(|t| t > c.early * target)
             {
                 step = limits.clamp(last.step * libm::exp(-c.finer) as f32);
-                if matches!(reason, Reason::Fits | Reason::FinestAllowed) {
+                if reason == Reason::Fits {
                     reason = Reason::Damped;
                 }
             }
@@ -370,7 +381,7 @@ impl Controller for Hybrid {
             let now = took / target * libm::exp(if moved.is_finite() { moved.clamp(-0.5, 0.0) } else { 0.0 });
             if now > LATE {
                 late = last.late + 1;
-                let back = if late > 1 { libm::sqrt(now) } else { 1.0 };
+                let back = if late > 1 { libm::pow(now, c.take_back) } else { 1.0 };
                 let least = limits.clamp((f64::from(last.step) * back) as f32);
                 if step < least {
                     step = least;
@@ -394,15 +405,13 @@ impl Controller for Hybrid {
             SceneMark { first: true, .. } => Standing::First,
             _ => Standing::Same,
         };
-        // The first frame may hold a compile or an upload: it sets the order of magnitude where nothing else
-        // does.
-        let trust = if observed.changes.first { 0.01 } else { 1.0 };
+        let trust = if observed.changes.first { FIRST_TRUST } else { 1.0 };
         let factor = libm::exp(observed.scene.offset);
         let corrected = self.correction.apply(&observed.terms).0 * factor;
         let error = self.correction.observe(&observed.terms, seconds / factor, standing, trust);
         if standing == Standing::Same
             && observed.scene.offset == self.scene.offset
-            && libm::fabs(error) <= 3.0
+            && libm::fabs(error) <= CLIP
         {
             self.smoothing.observe(libm::log(seconds / corrected));
         }
@@ -427,17 +436,17 @@ impl Controller for Hybrid {
         if standing != Standing::Past {
             self.history.push(observed.step, seconds, changed);
         }
-        if libm::fabs(error) > 3.0 { Verdict::Clipped } else { Verdict::Learned }
+        if libm::fabs(error) > CLIP { Verdict::Clipped } else { Verdict::Learned }
     }
 
     fn reset(&mut self) {
         self.correction.reset();
         (self.calm, self.changed) = margins(&self.options);
-        self.history = History::new();
+        self.history = History::new(&self.options.constants);
         self.last = None;
         self.announced = false;
         self.scene = SceneMark { number: self.scene.number + 1, ..SceneMark::default() };
-        self.smoothing = Smoothing::new();
+        self.smoothing = Smoothing::new(&self.options.constants);
     }
 
     fn convert(&mut self, converted: bool) {
@@ -447,7 +456,7 @@ impl Controller for Hybrid {
             _ => return,
         };
         self.options.prior = prior;
-        self.correction = Correction::new(prior, self.options.constants.unit_cost_sd);
+        self.correction = Correction::new(prior, self.options.correction);
     }
 
     fn begin(&mut self, changes: Changes, step: f32, cost: &mut dyn FnMut(f32) -> CostTerms) {
@@ -520,7 +529,7 @@ fn margins(options: &HybridOptions) -> (Margin, Margin) {
     let c = &options.constants;
     let rate = options.miss_rate.max(NEW_SCENE_MISS_RATE);
     (
-        Margin::new(options.miss_rate, c.calm_pace as f32),
+        Margin::starting_at(c.calm_start, options.miss_rate, c.calm_pace as f32),
         Margin::starting_at(c.changed_start, rate, c.changed_pace as f32),
     )
 }
@@ -535,106 +544,4 @@ fn distance(a: &CostTerms, b: &CostTerms) -> f64 {
     let moved: f64 =
         (0..TERMS).map(|i| libm::fabs(f64::from(a.parts[i]) / sum_a - f64::from(b.parts[i]) / sum_b)).sum();
     libm::fabs(libm::log(sum_b / sum_a)) + 0.5 * moved
-}
-
-/// The last three frames, and how well they foretell the next one compared with the prediction.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct History {
-    /// (step, seconds).
-    frames: [(f64, f64); 3],
-    len: usize,
-    next: usize,
-    spread: f64,
-    /// Mean |ln error| of the forecast from history, and of the corrected prediction, over calm frames.
-    history_error: f64,
-    own_error: f64,
-    leads: bool,
-    compared: u32,
-}
-
-impl History {
-    const fn new() -> Self {
-        Self {
-            frames: [(1.0, 1.0); 3],
-            len: 0,
-            next: 0,
-            spread: 0.1,
-            history_error: 0.0,
-            own_error: 0.0,
-            leads: false,
-            compared: 0,
-        }
-    }
-
-    fn is_empty(&self) -> bool {
-        self.len == 0
-    }
-
-    fn leads(&self) -> bool {
-        self.leads
-    }
-
-    /// Time of a frame like the last three at another step: mean and upper bound. A tenth of a frame's time
-    /// is taken as fixed and the rest as falling with 1/step: flatter than 1/step, as every renderer is.
-    fn forecast(&self, step: f32, margin: f64) -> (f64, f64) {
-        let step = f64::from(step);
-        let mut sum = 0.0;
-        for &(s, t) in &self.frames[..self.len] {
-            sum += t * (0.1 + 0.9 * s / step);
-        }
-        let seconds = sum / self.len.max(1) as f64;
-        (seconds, seconds * libm::exp(margin * self.spread))
-    }
-
-    fn compare(&mut self, step: f32, seconds: f64, own: f64, changed: bool) {
-        if self.len == 0 || changed {
-            return;
-        }
-        let (forecast, _) = self.forecast(step, 0.0);
-        let history = libm::fabs(libm::log(seconds / forecast)).min(2.0);
-        let own = if own.is_finite() { own.min(2.0) } else { 2.0 };
-        self.compared = self.compared.saturating_add(1);
-        let pace = (1.0 / f64::from(self.compared)).max(0.08);
-        self.history_error += pace * (history - self.history_error);
-        self.own_error += pace * (own - self.own_error);
-        self.spread = (1.25 * self.history_error).clamp(0.01, 1.0);
-        if self.compared >= 10 {
-            self.leads = if self.leads {
-                self.own_error > 1.1 * self.history_error
-            } else {
-                self.own_error > 0.15 && self.own_error > 1.5 * self.history_error
-            };
-        }
-    }
-
-    fn forget_errors(&mut self) {
-        (self.compared, self.leads) = (0, false);
-    }
-
-    fn push(&mut self, step: f32, seconds: f64, changed: bool) {
-        if changed {
-            self.len = 0;
-            self.next = 0;
-        }
-        self.frames[self.next] = (f64::from(step), seconds);
-        self.next = (self.next + 1) % 3;
-        self.len = (self.len + 1).min(3);
-    }
-
-    fn save(&self, w: &mut Writer<'_>) {
-        w.f64(self.spread);
-        w.f64(self.history_error);
-        w.f64(self.own_error);
-        w.u64(u64::from(self.leads));
-        w.u64(u64::from(self.compared));
-    }
-
-    fn load(&mut self, r: &mut Reader<'_>) -> Result<()> {
-        self.spread = r.f64(0.01, 1.0)?;
-        self.history_error = r.f64(0.0, 2.0)?;
-        self.own_error = r.f64(0.0, 2.0)?;
-        self.leads = r.u64()? == 1;
-        self.compared = u32::try_from(r.u64()?).unwrap_or(u32::MAX);
-        Ok(())
-    }
 }

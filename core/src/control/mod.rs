@@ -9,13 +9,14 @@
 mod caller_tests;
 mod coarsening;
 mod constants;
+mod history;
 mod hybrid;
 mod session;
 mod smoothing;
 #[cfg(test)]
 mod tests;
 
-pub use crate::adapt::{ObserveFlags, Prior, Verdict};
+pub use crate::adapt::{CorrectionConstants, ObserveFlags, Prior, Verdict};
 pub use crate::predict::Quality;
 pub use constants::HybridConstants;
 pub use hybrid::{Hybrid, HybridOptions};

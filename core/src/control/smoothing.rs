@@ -1,5 +1,6 @@
 //! How much of a change that is predicted from frame to frame is believed.
 
+use super::HybridConstants;
 use crate::Result;
 use crate::adapt::state::{Reader, Writer};
 
@@ -18,18 +19,28 @@ pub(super) struct Smoothing {
     change: f64,
     /// Mean square of the changes.
     power: f64,
+    pace: f64,
+    power_pace: f64,
 }
 
+/// 1 is all of a change, by definition. At 0 no error would be seen from which to learn: a guard.
 const WEIGHT: (f64, f64) = (0.1, 1.0);
-const START: f64 = 0.4;
-const PACE: f64 = 0.04;
-/// Offsets stay within a factor of e^±1.
+/// A guard: offsets stay within a factor of e^±1.
 const LIMIT: f64 = 1.0;
+/// Mean square of the changes before any was seen, forgotten within some ten frames: changes of 2 %.
+const POWER: f64 = 4.0e-4;
+/// A guard against division by nothing: changes of 0.1 %, less than any clock's noise.
 const LEAST_POWER: f64 = 1.0e-6;
+/// Guards: no frame counts as a larger change or error, nor moves the weight by more.
+const LARGEST_CHANGE: f64 = 0.2;
+const LARGEST_ERROR: f64 = 0.3;
+const LARGEST_MOVE: f64 = 0.1;
 
 impl Smoothing {
-    pub(super) fn new() -> Self {
-        Self { weight: START, offset: 0.0, change: 0.0, power: 4.0e-4 }
+    pub(super) fn new(constants: &HybridConstants) -> Self {
+        let weight = constants.believed_start.clamp(WEIGHT.0, WEIGHT.1);
+        let (pace, power_pace) = (constants.believed_pace, constants.power_pace);
+        Self { weight, offset: 0.0, change: 0.0, power: POWER, pace, power_pace }
     }
 
     /// Moves on by a frame whose prediction differs from the one before by `moved` in ln(seconds) at one
@@ -49,13 +60,13 @@ impl Smoothing {
 
     /// Learns from ln(measured / expected) of the frame at hand.
     pub(super) fn observe(&mut self, error: f64) {
-        let change = self.change.clamp(-0.2, 0.2);
+        let change = self.change.clamp(-LARGEST_CHANGE, LARGEST_CHANGE);
         if !error.is_finite() || change == 0.0 {
             return;
         }
-        self.power = (self.power + 0.1 * (change * change - self.power)).clamp(LEAST_POWER, 1.0);
-        let move_by = PACE * error.clamp(-0.3, 0.3) * change / self.power;
-        self.weight = (self.weight + move_by.clamp(-0.1, 0.1)).clamp(WEIGHT.0, WEIGHT.1);
+        self.power = (self.power + self.power_pace * (change * change - self.power)).clamp(LEAST_POWER, 1.0);
+        let move_by = self.pace * error.clamp(-LARGEST_ERROR, LARGEST_ERROR) * change / self.power;
+        self.weight = (self.weight + move_by.clamp(-LARGEST_MOVE, LARGEST_MOVE)).clamp(WEIGHT.0, WEIGHT.1);
     }
 
     pub(super) fn save(&self, w: &mut Writer<'_>) {
@@ -64,7 +75,7 @@ impl Smoothing {
     }
 
     pub(super) fn load(&mut self, r: &mut Reader<'_>) -> Result<()> {
-        *self = Self::new();
+        (self.offset, self.change) = (0.0, 0.0);
         self.weight = r.f64(WEIGHT.0, WEIGHT.1)?;
         self.power = r.f64(LEAST_POWER, 1.0)?;
         Ok(())
@@ -78,7 +89,7 @@ mod tests {
     /// Drives with a true change per frame and a prediction error per frame; returns the weight and the mean
     /// square error relative to taking the prediction as it is.
     fn drive(truth: impl Fn(usize) -> f64, jitter: f64) -> (f64, f64) {
-        let mut s = Smoothing::new();
+        let mut s = Smoothing::new(&HybridConstants::default());
         let mut state = 7u64;
         let mut uniform = || {
             state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
@@ -113,7 +124,7 @@ mod tests {
 
     #[test]
     fn a_scene_begins_with_its_own_prediction_and_nothing_unbounds_it() {
-        let mut s = Smoothing::new();
+        let mut s = Smoothing::new(&HybridConstants::default());
         assert!(s.advance(0.1, 0.0) != 0.0);
         assert_eq!(s.advance(0.1, 1.0), 0.0);
         assert_eq!(s.advance(f64::NAN, 0.0), 0.0);

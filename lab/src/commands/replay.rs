@@ -3,6 +3,7 @@
 
 use crate::bars;
 use crate::calibration::samples_of;
+use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
 use crate::replay::{self, Player, Replayable, Score, Tally, frontier, play, trials};
 use crate::trace::Trace;
@@ -163,7 +164,9 @@ pub fn run(options: &Options) -> Result<()> {
         println!("{}", f.sentence());
     }
     if options.bars {
-        bars::print(&replay::bars(&players, &scores)?)?;
+        let mut found = replay::bars(&players, &scores)?;
+        found.push(second_in_bound(&traces, &trials, limits)?);
+        bars::print(&found)?;
     }
     Ok(())
 }

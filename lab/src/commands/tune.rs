@@ -2,7 +2,7 @@
 
 use super::replay::Paths;
 use crate::calibration::samples_by_volume;
-use crate::replay::tune::{Cost, Course, Law, TRIED_IN_A_ROUND, costs, search};
+use crate::replay::tune::{Constants, Cost, Course, Law, TRIED, costs, search};
 use crate::replay::{Replayable, Three};
 use crate::trace::Trace;
 use anyhow::{Context, Result, ensure};
@@ -11,7 +11,6 @@ use entire_cli::progress::templated_bar;
 use entire_cli::report::{Column, Table};
 use entire_cli::steering::calibrate::Sample;
 use entire_cli::steering::fit::Calibrated;
-use entire_core::control::HybridConstants;
 use entire_core::features::PROBE_SIDE;
 use entire_core::scene::{Scalars, VolumeView};
 use serde_json::json;
@@ -25,11 +24,12 @@ type Played = ([Replayable; 3], Calibrated);
 /// Every path is played against every target that is worth playing on it, with a predictor that was fitted to
 /// frames of other volumes, and by sessions without a model that begin on the way. The search takes a value
 /// when the paths cost less by more than two standard errors. It changes no file but --out: what it finds
-/// belongs into `core/src/control/constants.rs`.
+/// belongs into `core/src/control/constants.rs` and `core/src/adapt/constants.rs`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   entire-lab tune data/steer/training/*.json.gz --calibration data/steer/calibration.csv.gz
-  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/calibration.csv.gz --rounds 0")]
+  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/calibration.csv.gz --rounds 0
+  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/calibration.csv.gz --only full,finer")]
 pub struct Options {
     /// What is played.
     #[command(flatten)]
@@ -37,6 +37,12 @@ pub struct Options {
     /// Most rounds over all constants; 0 says what the present ones cost.
     #[arg(long, default_value_t = 3, value_name = "N")]
     pub rounds: usize,
+    /// Search for these constants alone; all of them where none is named.
+    #[arg(long, value_delimiter = ',', value_name = "NAME,…")]
+    pub only: Vec<String>,
+    /// Start from these values instead of the present ones.
+    #[arg(long, value_delimiter = ',', value_name = "NAME=VALUE,…", allow_hyphen_values = true)]
+    pub set: Vec<String>,
     /// What was tried and found, as JSON.
     #[arg(long, value_name = "FILE.json")]
     pub out: Option<PathBuf>,
@@ -47,6 +53,11 @@ pub struct Options {
 /// # Errors
 /// Bad options or files.
 pub fn run(options: &Options) -> Result<()> {
+    let mut first = Constants::default();
+    for given in &options.set {
+        set(&mut first, given)?;
+    }
+    let tried = options.tried()?;
     let limits = options.paths.limits()?;
     let targets = options.paths.targets()?;
     let samples = samples_by_volume(&options.paths.calibration, PROBE_SIDE)?;
@@ -76,13 +87,15 @@ pub fn run(options: &Options) -> Result<()> {
             recorded[0].trace.name
         );
     }
-    let first = HybridConstants::default();
     let before = costs(&courses, first)?;
     let bar = templated_bar(false, "tune [{bar:30}] {pos}/{len} values tried, {eta} left");
-    bar.set_length((options.rounds * TRIED_IN_A_ROUND) as u64);
-    let (mut found, after, taken) = search(&courses, first, before.clone(), options.rounds, &|| bar.inc(1))?;
+    bar.set_length((options.rounds * tried.len() * TRIED) as u64);
+    let (mut found, after, taken) =
+        search(&courses, first, before.clone(), &tried, options.rounds, &|| bar.inc(1))?;
     bar.finish_and_clear();
     println!("{}", table(&played, &before, &after).to_text());
+    let mean = |costs: &[Cost]| costs.iter().map(Cost::value).sum::<f64>() / costs.len() as f64;
+    println!("mean cost {:.4} -> {:.4}", mean(&before), mean(&after));
     for t in &taken {
         println!(
             "{}: {:.4} -> {:.4}, mean cost {:.4} -> {:.4} (standard error of the difference {:.4})",
@@ -95,10 +108,9 @@ pub fn run(options: &Options) -> Result<()> {
     if let Some(out) = &options.out {
         make_folder_of(out)?;
         let names: Vec<&str> = played.iter().map(|(r, _)| r[0].trace.name.as_str()).collect();
-        let constants: serde_json::Map<String, serde_json::Value> = HybridConstants::NAMES
-            .iter()
+        let constants: serde_json::Map<String, serde_json::Value> = Constants::names()
             .zip(found.values())
-            .map(|(name, value)| ((*name).to_owned(), json!(*value)))
+            .map(|(name, value)| (name.to_owned(), json!(*value)))
             .collect();
         let all = json!({
             "paths": names, "constants": constants, "taken": taken, "before": before, "after": after
@@ -108,6 +120,38 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
+/// The place of a constant.
+fn place(name: &str) -> Result<usize> {
+    Constants::names().position(|n| n == name).with_context(|| {
+        let known: Vec<&str> = Constants::names().collect();
+        format!("no constant is named {name}; there are {}", known.join(", "))
+    })
+}
+
+/// Takes a constant from `NAME=VALUE`.
+fn set(constants: &mut Constants, given: &str) -> Result<()> {
+    let (name, value) = given.split_once('=').with_context(|| format!("{given} is no NAME=VALUE"))?;
+    let at = place(name)?;
+    let value: f64 =
+        value.parse().ok().filter(|v: &f64| v.is_finite() && *v >= 0.0).with_context(|| {
+            format!("{name} is to be {value}; it must be a finite number and not negative")
+        })?;
+    if let Some(constant) = constants.values().nth(at) {
+        *constant = value;
+    }
+    Ok(())
+}
+
+impl Options {
+    /// The places of the constants to search for.
+    fn tried(&self) -> Result<Vec<usize>> {
+        if self.only.is_empty() {
+            return Ok((0..Constants::names().count()).collect());
+        }
+        self.only.iter().map(|name| place(name)).collect()
+    }
+}
+
 /// What every path costs before and after.
 fn table(played: &[Played], before: &[Cost], after: &[Cost]) -> Table {
     let mut columns = vec![Column::text("path"), Column::number("cost"), Column::number("… after")];
@@ -115,10 +159,12 @@ fn table(played: &[Played], before: &[Cost], after: &[Cost]) -> Table {
         "fitted: |t-T|/T",
         "> 1.1 T",
         "quality",
+        "coarse",
         "jumps",
         "cold: |t-T|/T",
         "> 1.1 T",
         "quality",
+        "coarse",
         "second in bound",
     ] {
         columns.push(Column::number(what));
@@ -131,8 +177,9 @@ fn table(played: &[Played], before: &[Cost], after: &[Cost]) -> Table {
             format!("{:.4}", after[i].value()).into(),
         ];
         let wrong = |t: Three| [t.deviation, t.missed, t.quality];
-        let Cost { fitted, jumps, cold, second_in_bound } = after[i];
-        for value in [&wrong(fitted)[..], &[jumps], &wrong(cold), &[second_in_bound]].concat() {
+        let Cost { fitted, fitted_coarse, jumps, cold, cold_coarse, second_in_bound } = after[i];
+        let rest = [cold_coarse, second_in_bound];
+        for value in [&wrong(fitted)[..], &[fitted_coarse, jumps], &wrong(cold), &rest].concat() {
             row.push(format!("{:.1} %", 100.0 * value).into());
         }
         table.row(row);

@@ -1,6 +1,7 @@
 //! Replaying traces: controllers against recorded cost curves, scored beside an oracle that knows them.
 
 mod bars;
+pub mod cold;
 mod frontier;
 mod player;
 pub mod report;

@@ -2,8 +2,8 @@
 //!
 //! A path costs what the controller does wrong on it, in units of what is promised: the mean distance from the
 //! target (8 %), the share of frames over 1.1 targets (3 %), what its step is coarser than the oracle's (8 %),
-//! and the share of calm frames at which the step jumps (8 %), summed over every target that is worth playing.
-//! The first three are added for sessions without a model that begin somewhere on the path, over the frames
+//! the share of frames that are coarser than full quality although that fits (8 %), and the share of calm frames
+//! at which the step jumps (8 %), summed over every target that is worth playing. All but the last are added for sessions without a model that begin somewhere on the path, over the frames
 //! after their first: these are what a program meets that has nothing but its own times. Such a program's
 //! renderer is not the recorded one, so those sessions are played on three: the recorded one, one whose time
 //! falls faster with the step, and one whose time falls more slowly ([`Law`]).
@@ -12,14 +12,12 @@
 //! whose cost is lower by more than two standard errors of the difference among paths, since dozens are tried,
 //! and ends when a whole round takes none.
 
-use super::{Replayable, Tally, Three, Trial, replay, trials};
+use super::cold::{hybrid, starts, without_model};
+use super::{Replayable, Replayed, Tally, Three, Trial, replay, trials};
 use crate::trace::{Curve, TRACE_SCALES};
 use anyhow::Result;
-use entire_cli::steering::contenders::ActsOn;
 use entire_cli::steering::fit::Calibrated;
-use entire_cli::steering::play::Contender;
-use entire_core::control::{Hybrid, HybridConstants, HybridOptions, Prior, Session, StepLimits};
-use entire_core::predict::{AnalyticModel, Predictor};
+use entire_core::control::{CorrectionConstants, HybridConstants, HybridOptions, StepLimits};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -33,9 +31,36 @@ const FACTORS: [f64; 6] = [0.35, 0.5, 0.71, 1.41, 2.0, 2.8];
 const PROMISED: f64 = 0.08;
 const PROMISED_MISSES: f64 = 0.03;
 
-/// Frames of a session that begins on the way, and frames between two such sessions.
+/// Frames of a session that begins on the way.
 const COLD_FRAMES: usize = 6;
-const COLD_EVERY: usize = 8;
+
+/// Everything that is searched for.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Constants {
+    /// The controller's.
+    pub hybrid: HybridConstants,
+    /// Its online correction's.
+    pub correction: CorrectionConstants,
+}
+
+impl Constants {
+    /// Every name, in the order of [`Constants::values`].
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        HybridConstants::NAMES.iter().chain(CorrectionConstants::NAMES).copied()
+    }
+
+    /// Every constant in turn, to read or to change.
+    pub fn values(&mut self) -> impl Iterator<Item = &mut f64> {
+        self.hybrid.values().into_iter().chain(self.correction.values())
+    }
+
+    fn changed(mut self, index: usize, value: f64) -> Self {
+        if let Some(v) = self.values().nth(index) {
+            *v = value;
+        }
+        self
+    }
+}
 
 /// Another renderer than the recorded one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,10 +115,14 @@ pub struct Course<'a> {
 pub struct Cost {
     /// With a fitted predictor.
     pub fitted: Three,
+    /// Share of its frames that were coarser than full quality although that fits.
+    pub fitted_coarse: f64,
     /// Share of the calm frames at which its step jumps.
     pub jumps: f64,
     /// Without a model, the frames after the first of sessions that begin on the way.
     pub cold: Three,
+    /// As `fitted_coarse`, of those frames.
+    pub cold_coarse: f64,
     /// Share of the second frames of those sessions that stayed inside their upper bound.
     pub second_in_bound: f64,
 }
@@ -102,7 +131,27 @@ impl Cost {
     /// The figure that the search lowers.
     pub fn value(&self) -> f64 {
         let wrong = |t: &Three| (t.deviation + 1.0 - t.quality) / PROMISED + t.missed / PROMISED_MISSES;
-        wrong(&self.fitted) + self.jumps / PROMISED + wrong(&self.cold)
+        let others = self.jumps + self.fitted_coarse + self.cold_coarse;
+        wrong(&self.fitted) + wrong(&self.cold) + others / PROMISED
+    }
+}
+
+/// Counts frames that are coarser than full quality although that fits.
+#[derive(Default)]
+struct Coarse {
+    frames: f64,
+    coarse: f64,
+}
+
+impl Coarse {
+    fn add(&mut self, frames: &[Replayed], finest: f32) {
+        let finest = f64::from(finest);
+        self.frames += frames.len() as f64;
+        self.coarse += frames.iter().filter(|f| f.oracle_step <= finest && f.step > finest).count() as f64;
+    }
+
+    fn share(&self) -> f64 {
+        self.coarse / self.frames.max(1.0)
     }
 }
 
@@ -138,54 +187,50 @@ impl<'a> Course<'a> {
         self.trials[0].is_empty()
     }
 
-    fn contender(
-        predictor: Box<dyn Predictor + Send>,
-        prior: Prior,
-        constants: HybridConstants,
-    ) -> Contender {
-        let options = HybridOptions { prior, constants, ..HybridOptions::default() };
-        Contender {
-            name: "hybrid".into(),
-            session: Session::with_controller(predictor, Box::new(Hybrid::new(options))),
-            chooses_image_sample_distance: false,
-            acts_on: ActsOn::RayStep,
-        }
-    }
-
     /// What the path costs with these constants.
     ///
     /// # Errors
     /// When a prediction fails.
-    pub fn cost(&self, constants: HybridConstants) -> Result<Cost> {
+    pub fn cost(&self, constants: Constants) -> Result<Cost> {
         let chosen = &self.calibrated.chosen().fitted;
+        let Constants { hybrid: constants, correction } = constants;
+        let prior = self.calibrated.prior();
+        let options = HybridOptions { prior, constants, correction, ..HybridOptions::default() };
         let (mut fitted, mut cold) = (Tally::default(), Tally::default());
+        let (mut fitted_coarse, mut cold_coarse) = (Coarse::default(), Coarse::default());
         let (mut seconds, mut inside) = (0u32, 0u32);
         for trial in &self.trials[0] {
             for round in 1..=2 {
-                let mut who = Self::contender(chosen.predictor()?, self.calibrated.prior(), constants);
+                let mut who = hybrid(chosen.predictor()?, options);
                 let (features, all) = (chosen.volume_features(), 0..trial.targets.len());
                 let played =
                     replay(&self.recorded[0], &mut who, features, &trial.targets, self.limits, round, all)?;
                 fitted.merge(&Tally::of(&played));
+                fitted_coarse.add(&played, self.limits.finest);
             }
         }
         for (recorded, trial) in
             self.recorded.iter().zip(&self.trials).flat_map(|(r, t)| t.iter().map(move |t| (r, t)))
         {
-            let n = trial.targets.len();
-            for start in (0..n.saturating_sub(COLD_FRAMES - 1)).step_by(COLD_EVERY) {
-                let model = Box::new(AnalyticModel::default());
-                let mut who = Self::contender(model, Prior::Unknown, constants);
-                let frames = start..start + COLD_FRAMES;
+            for frames in starts(trial.targets.len(), COLD_FRAMES) {
+                let mut who = without_model(options);
                 let played = replay(recorded, &mut who, None, &trial.targets, self.limits, 1, frames)?;
                 cold.merge(&Tally::of(&played[1..]));
+                cold_coarse.add(&played[1..], self.limits.finest);
                 seconds += 1;
                 inside += u32::from(played[1].seconds <= played[1].upper);
             }
         }
         let second_in_bound = f64::from(inside) / f64::from(seconds.max(1));
         let fitted = fitted.score();
-        Ok(Cost { fitted: fitted.all, jumps: fitted.jumps, cold: cold.score().all, second_in_bound })
+        Ok(Cost {
+            fitted: fitted.all,
+            fitted_coarse: fitted_coarse.share(),
+            jumps: fitted.jumps,
+            cold: cold.score().all,
+            cold_coarse: cold_coarse.share(),
+            second_in_bound,
+        })
     }
 }
 
@@ -193,7 +238,7 @@ impl<'a> Course<'a> {
 ///
 /// # Errors
 /// As [`Course::cost`].
-pub fn costs(courses: &[Course<'_>], constants: HybridConstants) -> Result<Vec<Cost>> {
+pub fn costs(courses: &[Course<'_>], constants: Constants) -> Result<Vec<Cost>> {
     courses.par_iter().map(|c| c.cost(constants)).collect()
 }
 
@@ -210,28 +255,29 @@ fn difference(before: &[Cost], after: &[Cost]) -> (f64, f64) {
     (m, (variance / n).sqrt())
 }
 
-/// Searches from `constants` on, which cost `now`, at most so many rounds over all of them: what was found, what
-/// it costs, and what was taken on the way. `done` is told of every value that was tried.
+/// Searches from `constants` on, which cost `now`, at most so many rounds over those of them that are to be `tried`
+/// (by their place): what was found, what it costs, and what was taken on the way. `done` is told of every value
+/// that was tried.
 ///
 /// # Errors
 /// As [`Course::cost`].
 pub fn search(
     courses: &[Course<'_>],
-    mut constants: HybridConstants,
+    mut constants: Constants,
     mut now: Vec<Cost>,
+    tried: &[usize],
     rounds: usize,
     done: &dyn Fn(),
-) -> Result<(HybridConstants, Vec<Cost>, Vec<Taken>)> {
+) -> Result<(Constants, Vec<Cost>, Vec<Taken>)> {
     let mut taken = Vec::new();
+    let names: Vec<&'static str> = Constants::names().collect();
     for _ in 0..rounds {
         let before = taken.len();
-        for (i, name) in HybridConstants::NAMES.iter().enumerate() {
-            let from = *constants.values()[i];
+        for &i in tried {
+            let from = constants.values().nth(i).map_or(f64::NAN, |v| *v);
             let mut best: Option<(f64, f64, f64, Vec<Cost>)> = None;
             for to in FACTORS.map(|f| f * from) {
-                let mut changed = constants;
-                *changed.values()[i] = to;
-                let costs = costs(courses, changed)?;
+                let costs = costs(courses, constants.changed(i, to))?;
                 let (gain, error) = difference(&now, &costs);
                 if gain < -SURE * error && best.as_ref().is_none_or(|b| gain < b.1) {
                     best = Some((to, gain, error, costs));
@@ -239,9 +285,10 @@ pub fn search(
                 done();
             }
             if let Some((to, _, standard_error, costs)) = best {
-                *constants.values()[i] = to;
+                constants = constants.changed(i, to);
                 let value = |c: &[Cost]| mean(&c.iter().map(Cost::value).collect::<Vec<_>>());
-                taken.push(Taken { name, from, to, cost: [value(&now), value(&costs)], standard_error });
+                let cost = [value(&now), value(&costs)];
+                taken.push(Taken { name: names[i], from, to, cost, standard_error });
                 now = costs;
             }
         }
@@ -252,5 +299,5 @@ pub fn search(
     Ok((constants, now, taken))
 }
 
-/// How many values a round of the search tries.
-pub const TRIED_IN_A_ROUND: usize = HybridConstants::NAMES.len() * FACTORS.len();
+/// How many values of a constant a round of the search tries.
+pub const TRIED: usize = FACTORS.len();

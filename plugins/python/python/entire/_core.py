@@ -119,6 +119,8 @@ class Calibrated(NamedTuple):
     rmse_over_sd: float
     #: Upper bound over prediction: nineteen of twenty frames take no longer.
     upper_factor: float
+    #: Scenes of :meth:`Calibration.add_picture` behind what the model states of pictures; 0 where it states nothing.
+    scenes: int = 0
 
 
 class Session(_native.Session):

@@ -1,0 +1,68 @@
+//! Sessions without a model that begin somewhere on a path: what a program meets that has nothing but its own times.
+
+use super::{Replayable, Trial, replay};
+use crate::bars::Bar;
+use anyhow::Result;
+use entire_cli::steering::contenders::ActsOn;
+use entire_cli::steering::play::Contender;
+use entire_core::control::{Hybrid, HybridOptions, Prior, Session, StepLimits};
+use entire_core::predict::{AnalyticModel, Predictor};
+use std::ops::Range;
+
+/// Frames between two sessions that begin on the way.
+const EVERY: usize = 8;
+
+/// What is promised of the second frame: the share that stays inside the upper bound of its plan.
+const PROMISED: f64 = 0.95;
+
+/// The frames of sessions of `frames` frames each that begin on a path of `n`.
+pub fn starts(n: usize, frames: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..(n + 1).saturating_sub(frames)).step_by(EVERY).map(move |start| start..start + frames)
+}
+
+/// The hybrid with a predictor.
+pub fn hybrid(predictor: Box<dyn Predictor + Send>, options: HybridOptions) -> Contender {
+    Contender {
+        name: "hybrid".into(),
+        session: Session::with_controller(predictor, Box::new(Hybrid::new(options))),
+        chooses_image_sample_distance: false,
+        acts_on: ActsOn::RayStep,
+    }
+}
+
+/// The hybrid without a model.
+pub fn without_model(options: HybridOptions) -> Contender {
+    hybrid(Box::new(AnalyticModel::default()), HybridOptions { prior: Prior::Unknown, ..options })
+}
+
+/// The bar of the cold start: of sessions without a model that begin along every trial, the share whose second
+/// frame took no more than the upper bound of its plan.
+///
+/// # Errors
+/// When a prediction fails.
+pub fn second_in_bound(traces: &[Replayable], trials: &[Trial], limits: StepLimits) -> Result<Bar> {
+    let (mut seconds, mut inside) = (0u32, 0u32);
+    for trial in trials {
+        for frames in starts(trial.targets.len(), 2) {
+            let mut who = without_model(HybridOptions::default());
+            let played = replay(&traces[trial.trace], &mut who, None, &trial.targets, limits, 1, frames)?;
+            seconds += 1;
+            inside += u32::from(played[1].seconds <= played[1].upper);
+        }
+    }
+    let share = (seconds > 0).then(|| f64::from(inside) / f64::from(seconds));
+    Ok(Bar::at_least("cold/second-in-bound", share, PROMISED))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sessions_begin_along_the_path_and_end_on_it() {
+        let of = |n, frames| starts(n, frames).collect::<Vec<_>>();
+        assert_eq!(of(18, 2), [0..2, 8..10, 16..18]);
+        assert_eq!(of(17, 2), [0..2, 8..10]);
+        assert!(of(1, 2).is_empty() && of(0, 6).is_empty());
+    }
+}
