@@ -102,6 +102,18 @@ pub fn parse_scale(text: &str) -> std::result::Result<(u32, f32), String> {
         .ok_or_else(|| format!("{text:?} is not FRAME:SCALE like 40:0.5 with a scale of 0.01 to 4"))
 }
 
+/// Reads the largest image sample distance.
+///
+/// # Errors
+/// When it is no number from 1 to 20.
+pub fn parse_distance(text: &str) -> std::result::Result<f32, String> {
+    text.trim()
+        .parse()
+        .ok()
+        .filter(|d| (1.0..=20.0).contains(d))
+        .ok_or_else(|| format!("{text:?} is no number of pixels between rays from 1 to 20"))
+}
+
 /// Frames per volume of a series; 0 for a single volume.
 ///
 /// # Errors

@@ -101,8 +101,8 @@ fn steer_chooses_image_sizes_and_logs_them() {
         "8",
         "--controllers",
         "olp,hybrid",
-        "--image-sample-distances",
-        "1.4,2",
+        "--max-image-sample-distance",
+        "2",
         "--log",
         log_text,
         "--out",
@@ -117,14 +117,16 @@ fn steer_chooses_image_sizes_and_logs_them() {
         assert!(row[who] == "hybrid" || row[distance] == "1", "{row:?}");
         chosen.insert(row[distance].to_owned());
     }
-    assert!(chosen.contains("2"), "{chosen:?}");
-    assert!(chosen.iter().all(|s| ["1", "1.4", "2"].contains(&s.as_str())), "{chosen:?}");
-    // The log holds the sizes that were drawn: 60 x 48 is half of either side.
+    assert!(
+        chosen.len() > 1 && chosen.iter().all(|s| (1.0..=2.0).contains(&s.parse::<f32>().unwrap())),
+        "{chosen:?}"
+    );
+    // The log holds the sizes that were drawn.
     let table = std::fs::read_to_string(&log).unwrap();
     let columns: Vec<&str> = table.lines().next().unwrap().split(',').collect();
     let width = columns.iter().position(|c| c.starts_with("width")).unwrap();
     let widths: BTreeSet<&str> = table.lines().skip(1).map(|l| l.split(',').nth(width).unwrap()).collect();
-    assert!(widths.contains("120") && widths.contains("60"), "{widths:?}");
+    assert!(widths.contains("120") && widths.iter().any(|w| w.parse::<u32>().unwrap() < 101), "{widths:?}");
     assert_eq!(table.lines().count(), 1 + 2 * 12);
     let page = std::fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("Image sample distance"), "the report does not show the distances");
@@ -193,7 +195,7 @@ fn bad_input_is_one_line_and_status_1() {
         (&["--target", "9ms", "--retarget", "5"], "FRAME:TIME"),
         (&["--target", "9ms", "--retarget", "9:8ms,3:9ms"], "ordered by frame"),
         (&["--target", "9ms", "--scales", "9:1,3:0.5"], "ordered by frame"),
-        (&["--target", "9ms", "--image-sample-distances", "0.5"], "above 1"),
+        (&["--target", "9ms", "--max-image-sample-distance", "0.5"], "1 to 20"),
         (&["--target", "9ms", "--hold", "3"], "several volumes"),
         (&["--target", "9ms", "--limits", "4,2"], "step limits"),
         (&["--target", "9ms", "--calibrate", "3"], "at least 8 scenes"),

@@ -4,7 +4,7 @@
 
     bars_machine.py --data FOLDER [--out out/bars-machine] [--only STEP,…] [--no-test] [--steps]
 
-Prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short or missing. FOLDER holds ensembles/ and scans/.
+Prints `bar NAME VALUE LIMIT ok|short`, and `interval NAME LOW HIGH` where volumes can be drawn anew (95 %); exit status 1 when one is short or missing. FOLDER holds ensembles/ and scans/.
 Test frames are timed once before the calibration of their mode and once after it, and count with the mean: a machine that
 changes speed meanwhile was on average as fast as while it was calibrated.
 Every step leaves a file in --out and is passed over when that is there, so that the whole can be done in slices of a few
@@ -141,6 +141,10 @@ def bars(machine, test):
     def metrics(found):
         return found["predictors"][0]["metrics"] if found else {}
 
+    def between(found, name):
+        """The 95 % interval when volumes are drawn anew."""
+        return found["predictors"][0].get(f"{name}_interval") if found else None
+
     def read(name):
         path = machine.out / f"{name}.json"
         return json.loads(path.read_text()) if path.exists() else {}
@@ -149,15 +153,14 @@ def bars(machine, test):
         yield f"{mode}/calibrate-seconds", read(f"model-{mode}").get("seconds"), CALIBRATION_SECONDS
     for mode in MODES:
         member_error, member_rmse, scan_error, scan_rmse = LIMITS[mode]
-        found = metrics(machine.evaluate(f"model-{mode}", "members", mode))
-        yield f"{mode}/members/mdape", found.get("mdape"), member_error
-        yield f"{mode}/members/rmse-over-sd", found.get("rmse_over_sd"), member_rmse
-        if scan_error is not None:
-            found = metrics(machine.evaluate(f"model-{mode}", "scans", mode))
-            yield f"{mode}/scans/mdape", found.get("mdape"), scan_error
-            yield f"{mode}/scans/rmse-over-sd", found.get("rmse_over_sd"), scan_rmse
-    found = metrics(machine.evaluate("few", "members", "none"))
-    yield f"none/members/mdape-after-{FEW_FRAMES}-frames", found.get("mdape"), FEW_LIMIT
+        for split, error, rmse in (("members", member_error, member_rmse), ("scans", scan_error, scan_rmse)):
+            if error is None:
+                continue
+            found = machine.evaluate(f"model-{mode}", split, mode)
+            yield f"{mode}/{split}/mdape", metrics(found).get("mdape"), error, between(found, "mdape")
+            yield f"{mode}/{split}/rmse-over-sd", metrics(found).get("rmse_over_sd"), rmse, between(found, "rmse_over_sd")
+    found = machine.evaluate("few", "members", "none")
+    yield f"none/members/mdape-after-{FEW_FRAMES}-frames", metrics(found).get("mdape"), FEW_LIMIT, between(found, "mdape")
     found = machine.evaluate("busy", "members", "none")
     in_session = next(iter(found["in_session"].values()), {}) if found else {}
     yield f"none/members/mdape-calibrated-busy-{OBSERVED}-observed", in_session.get("mdape"), BUSY_LIMIT
@@ -208,10 +211,13 @@ def main():
         if not (machine.out / stamp).exists():
             make()
     short = False
-    for name, value, limit in bars(machine, not options.no_test):
+    for name, value, limit, *interval in bars(machine, not options.no_test):
         ok = value is not None and value <= limit
         short |= not ok
         print(f"bar {name} {'-' if value is None else f'{value:.4g}'} {limit:g} {'ok' if ok else 'short'}", flush=True)
+        if interval and interval[0]:
+            low, high = interval[0]
+            print(f"interval {name} {low:.4g} {high:.4g}", flush=True)
     return 1 if short else 0
 
 

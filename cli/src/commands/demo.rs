@@ -7,7 +7,7 @@ use crate::enlarge::enlarge;
 use crate::files::{write_json, write_whole};
 use crate::interrupt;
 use crate::machine::{self, Provenance};
-use crate::options::{RenderArgs, parse_size};
+use crate::options::{RenderArgs, parse_distance, parse_size};
 use crate::path::Generated;
 use crate::steering::contenders::ControllerKind;
 use crate::steering::metrics::{Metrics, SWITCH_FRAMES};
@@ -78,6 +78,10 @@ pub struct Options {
     /// Enlarge the volume by this factor at load, trilinearly; else 2 for small volumes, 1 for others.
     #[arg(long, value_name = "FACTOR")]
     pub enlarge: Option<usize>,
+    /// Pixels between rays along each image side, at most, that ours may choose together with the step,
+    /// whichever shows less; 1 leaves the image alone.
+    #[arg(long, default_value_t = 1.0, value_name = "PIXELS", value_parser = parse_distance)]
+    pub max_image_sample_distance: f32,
     /// Seed of the calibration scenes.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -211,7 +215,7 @@ pub fn run(options: &Options) -> Result<()> {
         hold: 0,
         retargets: &[],
         scales: &[],
-        image_sample_distances: &[],
+        max_image_sample_distance: options.max_image_sample_distance,
         seed_name: &seed_name,
         seed: options.seed,
         draw,

@@ -6,7 +6,7 @@ use crate::enlarge::enlarge;
 use crate::files::{note, open_model, write_json};
 use crate::interrupt;
 use crate::machine::Provenance;
-use crate::options::{RenderArgs, parse_hold, parse_limits, parse_scale, parse_size};
+use crate::options::{RenderArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size};
 use crate::path::{FlightPath, Generated, parse_target};
 use crate::steering::contenders::ControllerKind;
 use crate::steering::play::{DrawSettings, Playback};
@@ -32,7 +32,7 @@ use std::path::{Path, PathBuf};
   out/skull
   entire steer t1.nrrd t2.nrrd t3.nrrd --hold 20 --generate orbit --target 30fps --retarget \
   30:60fps,60:15fps --out out/series
-  entire steer skull.nrrd --generate fly-in --target 60fps --image-sample-distances 1.4,2 --log observed.csv \
+  entire steer skull.nrrd --generate fly-in --target 60fps --max-image-sample-distance 2 --log observed.csv \
   --out \
   out/skull")]
 pub struct Options {
@@ -63,11 +63,11 @@ pub struct Options {
     /// Image scale from a frame on, as FRAME:SCALE, comma-separated: what a resized window does.
     #[arg(long, value_delimiter = ',', value_name = "FRAME:SCALE,…", value_parser = parse_scale)]
     pub scales: Vec<(u32, f32)>,
-    /// Pixels between rays along each image side, beside 1, that the hybrid may choose together with the
-    /// step, whichever promises the better picture; coarser images are brought back to full size before
-    /// pictures are compared.
-    #[arg(long, value_delimiter = ',', value_name = "PIXELS,…")]
-    pub image_sample_distances: Vec<f32>,
+    /// Pixels between rays along each image side, at most, that the hybrid may choose together with the step,
+    /// whichever shows less; smaller images are brought back to full size before pictures are compared. 1 leaves
+    /// the image alone.
+    #[arg(long, default_value_t = 1.0, value_name = "PIXELS", value_parser = parse_distance)]
+    pub max_image_sample_distance: f32,
     /// Write every frame that was drawn into a timing table, for `entire train --fine-tune`.
     #[arg(long, value_name = "TABLE.csv")]
     pub log: Option<PathBuf>,
@@ -158,12 +158,6 @@ pub fn run(options: &Options) -> Result<()> {
     let retargets = options.retarget.iter().map(|t| parse_retarget(t)).collect::<Result<Vec<_>>>()?;
     ensure!(retargets.is_sorted_by_key(|t| t.0), "--retarget must be ordered by frame");
     ensure!(options.scales.is_sorted_by_key(|s| s.0), "--scales must be ordered by frame");
-    for d in &options.image_sample_distances {
-        ensure!(
-            *d > 1.0 && *d <= 20.0,
-            "--image-sample-distances holds {d}; give pixels between rays from above 1 to 20"
-        );
-    }
     let model = options.model.as_deref().map(open_model).transpose()?;
     let named = options.model.as_ref().map(|p| p.display().to_string());
     let given = named.as_deref().zip(model.as_ref());
@@ -214,7 +208,7 @@ pub fn run(options: &Options) -> Result<()> {
         hold,
         retargets: &retargets,
         scales: &options.scales,
-        image_sample_distances: &options.image_sample_distances,
+        max_image_sample_distance: options.max_image_sample_distance,
         seed_name: &seed_name,
         seed: options.seed,
         draw,

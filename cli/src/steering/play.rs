@@ -2,14 +2,14 @@
 
 use super::contenders::ActsOn;
 use super::metrics::{Metrics, Played, psnr};
-use super::sizes::{resized, scale_at, scaled_size, volume_at};
+use super::sizes::{resized, sampled_size, scale_at, scaled_size, volume_at};
 use crate::dataset::{Clock, Timing};
 use crate::options::RenderArgs;
 use crate::path::FlightPath;
 use anyhow::{Context, Result, ensure};
 use entire_core::control::ObserveFlags;
 use entire_core::control::{Quality, Reason, Session, StepLimits};
-use entire_core::features::{Changes, Setting, VolumeSummary};
+use entire_core::features::{Changes, VolumeSummary};
 use entire_core::scene::{Camera, Frame, Shading, Skipping, VolumeView};
 use entire_vk_raycaster::{Image, Renderer};
 use indicatif::ProgressBar;
@@ -194,8 +194,9 @@ pub struct Task<'a> {
     pub retargets: &'a [(u32, f64)],
     /// Other image sizes from a frame on, as shares of the full side, ascending.
     pub scales: &'a [(u32, f32)],
-    /// Pixels between rays along each side, beside 1, that contenders which choose them may draw with.
-    pub image_sample_distances: &'a [f32],
+    /// Pixels between rays along each side, at most, where a contender chooses them beside the step; 1 leaves
+    /// the image alone.
+    pub max_image_sample_distance: f32,
     /// Steps that may be chosen.
     pub limits: StepLimits,
     /// Frames whose pictures are kept.
@@ -209,29 +210,10 @@ impl Task<'_> {
     }
 }
 
-/// Steps per image sample distance among which a contender that chooses both has its choice.
-const STEP_CHOICES: usize = 24;
-
 /// What coarser steps and smaller images cost the raycaster's pictures where the model states nothing: as `entire
 /// calibrate` finds it of the volumes in data/, unshaded.
 pub const RAYCASTER: Quality =
     Quality { image_weight: 5.6, step_exponent: 0.9, image_exponent: 0.8, ray_share: 0.2 };
-
-/// What a contender that chooses the size may draw a frame with, best picture first.
-fn settings(frame: &Frame, distances: &[f32], limits: StepLimits, quality: &Quality) -> Vec<(Setting, f32)> {
-    let (low, high) = (limits.finest.ln(), limits.coarsest.ln());
-    let error = |s: &(Setting, f32)| quality.error(f64::from(s.0.step / limits.finest), f64::from(s.1));
-    let mut out: Vec<(Setting, f32)> = Vec::new();
-    for &distance in std::iter::once(&1.0).chain(distances) {
-        let (width, height) = scaled_size((frame.width, frame.height), 1.0 / distance);
-        for i in 0..STEP_CHOICES {
-            let step = limits.clamp((low + (high - low) * i as f32 / (STEP_CHOICES - 1) as f32).exp());
-            out.push((Setting { step, width, height, ..Setting::from(frame) }, distance));
-        }
-    }
-    out.sort_by(|a, b| error(a).total_cmp(&error(b)));
-    out
-}
 
 /// Plays a path under all contenders. Per frame: the reference picture is drawn first, outside of the race;
 /// then the frame is drawn under every contender, each with its own step, so that the machine's noise hits
@@ -253,6 +235,11 @@ pub fn play(
     ensure!(!task.volumes.is_empty(), "there is no volume to show");
     for contender in contenders.iter_mut() {
         contender.session.set_limits(contender.acts_on.limits(task.limits))?;
+        if contender.chooses_image_sample_distance {
+            let known = contender.session.quality().unwrap_or(RAYCASTER);
+            contender.session.set_quality(Some(known))?;
+            contender.session.set_max_image_sample_distance(task.max_image_sample_distance, 1.0)?;
+        }
     }
     let frames = task.path.frames.len();
     let volume_of = |i: usize| volume_at(task.hold, task.volumes.len(), i);
@@ -317,18 +304,15 @@ pub fn play(
                 session.mark(Changes { camera: true, ..Changes::default() });
             }
             let target = playback.targets[index] as f32;
-            let (plan, step, image_sample_distance) = if chooses && !task.image_sample_distances.is_empty() {
-                let quality = session.quality().unwrap_or(RAYCASTER);
-                let settings = settings(&frame, task.image_sample_distances, task.limits, &quality);
-                let only: Vec<Setting> = settings.iter().map(|s| s.0).collect();
-                let (index, plan) = session.choose(&frame, &only, target).with_context(place)?;
-                (plan, plan.step, settings[index].1)
+            let plan = session.plan(&frame, target).with_context(place)?;
+            let full = (frame.width, frame.height);
+            let (step, image_sample_distance, (width, height)) = if chooses {
+                let distance = plan.image_sample_distance;
+                (plan.step, distance, sampled_size(full, distance))
             } else {
-                let plan = session.plan(&frame, target).with_context(place)?;
                 let (step, distance) = acts_on.drawn(plan.step);
-                (plan, step, distance)
+                (step, distance, scaled_size(full, 1.0 / distance))
             };
-            let (width, height) = scaled_size((frame.width, frame.height), 1.0 / image_sample_distance);
             let drawn = DrawSettings { width, height, ..*draw }.frame(camera)?;
             let rendered = renderer.render(&Frame { step, ..drawn }.checked()?).with_context(place)?;
             let picture =
@@ -415,7 +399,7 @@ mod tests {
     ];
 
     fn play_scripted(noise: f64, bias: f64, stop_at: Option<u64>) -> Option<Playback> {
-        play_scripted_with(&KINDS, noise, bias, stop_at, &[])
+        play_scripted_with(&KINDS, noise, bias, stop_at, 1.0)
     }
 
     fn play_scripted_with(
@@ -423,7 +407,7 @@ mod tests {
         noise: f64,
         bias: f64,
         stop_at: Option<u64>,
-        distances: &[f32],
+        distance: f32,
     ) -> Option<Playback> {
         let voxels = vec![128u8; 32 * 32 * 32];
         let view = VolumeView::new(Scalars::U8(&voxels), [32, 32, 32]).unwrap();
@@ -456,7 +440,7 @@ mod tests {
             target: 1.4e-3,
             retargets: &[],
             scales: &[],
-            image_sample_distances: distances,
+            max_image_sample_distance: distance,
             limits: StepLimits::default(),
             keep: &[20],
         };
@@ -507,17 +491,16 @@ mod tests {
 
     #[test]
     fn who_chooses_the_size_meets_the_target_with_a_better_picture() {
-        let distances = [1.4f32, 2.0];
         let plain = play_scripted(0.02, 1.1, None).unwrap();
-        let sized = play_scripted_with(&KINDS, 0.02, 1.1, None, &distances).unwrap();
+        let sized = play_scripted_with(&KINDS, 0.02, 1.1, None, 2.0).unwrap();
         let hybrid = 4;
-        // Nobody else chooses a size, nor does anybody without distances to choose from.
+        // Nobody else chooses a size, nor does anybody who may not.
         assert!(plain.records.iter().flatten().all(|r| r.image_sample_distance == 1.0));
         for (k, records) in sized.records.iter().enumerate() {
             for r in records {
                 assert!(
                     r.image_sample_distance == 1.0
-                        || (k == hybrid && distances.contains(&r.image_sample_distance)),
+                        || (k == hybrid && (1.0..=2.0).contains(&r.image_sample_distance)),
                     "{k}: {r:?}"
                 );
             }
@@ -546,7 +529,7 @@ mod tests {
     #[test]
     fn rules_for_image_resolution_draw_smaller_images_at_the_reference_step() {
         let kinds = [ControllerKind::VtkFixedPoint, ControllerKind::Unreal, ControllerKind::VtkGpu];
-        let playback = play_scripted_with(&kinds, 0.0, 1.0, None, &[1.4, 2.0]).unwrap();
+        let playback = play_scripted_with(&kinds, 0.0, 1.0, None, 2.0).unwrap();
         let [fixed_point, unreal, gpu] = &playback.records[..] else { panic!() };
         for (records, largest) in [(fixed_point, 10.0), (unreal, 2.0)] {
             assert!(records.iter().all(|r| r.step == 1.0 && r.image_sample_distance <= largest));

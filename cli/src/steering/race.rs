@@ -34,8 +34,9 @@ pub struct Race<'a> {
     pub retargets: &'a [(u32, f64)],
     /// Other image sizes from a frame on, as shares of the full side, ascending.
     pub scales: &'a [(u32, f32)],
-    /// Pixels between rays along each side, beside 1, that the hybrid may choose.
-    pub image_sample_distances: &'a [f32],
+    /// Pixels between rays along each side, at most, that the hybrid may choose beside the step; 1 leaves the image
+    /// alone.
+    pub max_image_sample_distance: f32,
     /// The name under which random calibration scenes are drawn.
     pub seed_name: &'a str,
     /// Seed of calibration scenes and training.
@@ -322,7 +323,7 @@ pub fn run(
         target: prepared.target,
         retargets: race.retargets,
         scales: race.scales,
-        image_sample_distances: race.image_sample_distances,
+        max_image_sample_distance: race.max_image_sample_distance,
         limits: race.limits,
         keep,
     };

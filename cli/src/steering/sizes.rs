@@ -22,6 +22,12 @@ pub fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
     Some(Image { width, height, rgba: out.into_raw() })
 }
 
+/// Side lengths of an image whose rays stand `distance` pixels apart, as [`entire_core::control::Plan`] has it.
+pub fn sampled_size(size: (u32, u32), distance: f32) -> (u32, u32) {
+    let side = |n: u32| ((f64::from(n) / f64::from(distance)) as u32).max(1);
+    (side(size.0), side(size.1))
+}
+
 /// Side lengths at a scale.
 pub fn scaled_size(size: (u32, u32), scale: f32) -> (u32, u32) {
     let side = |n: u32| ((n as f32 * scale).round() as u32).max(1);

@@ -111,8 +111,8 @@ pub struct Chosen {
     pub file: ModelFile,
     /// How strongly the prior was believed.
     pub belief: Belief,
-    /// Seconds that each frame was predicted to take without its volume; as fitted where there are fewer than
-    /// three volumes.
+    /// Seconds that each frame was predicted to take without its volume, by the belief that the other volumes
+    /// choose; as fitted where there are fewer than three volumes.
     pub crossed: Vec<f64>,
     /// Groups that were left out in turn; 0 where nothing was.
     pub folds: usize,
@@ -377,19 +377,32 @@ impl PriorModel {
             }
         });
         // The strongest belief that is as good as the best, as far as so few frames can tell (the rule of one
-        // standard error).
-        let scores: Vec<f64> = tried.iter().map(|t| score(&pairs(&t.1))).collect();
-        let best = scores.iter().copied().fold(f64::INFINITY, f64::min);
-        let frames_judged = (0..frames.len()).filter(|i| judged(*i)).count();
-        let enough = best + 1.0 / libm::sqrt(frames_judged.max(1) as f64);
-        let chosen = tried
-            .into_iter()
-            .zip(scores)
-            .filter(|(_, score)| *score <= enough)
-            .min_by(|a, b| a.0.0.freedom().total_cmp(&b.0.0.freedom()).then(a.1.total_cmp(&b.1)));
-        let Some(((belief, crossed), score)) = chosen else {
+        // standard error), by the frames of all parts but one, if any.
+        let choose = |without: Option<usize>| {
+            let counts = |i: usize| judged(i) && without != Some(folds[i]);
+            let pairs = |crossed: &[f64]| -> Vec<(f64, f64)> {
+                let pairs = crossed.iter().zip(frames).enumerate();
+                pairs.filter(|(i, _)| counts(*i)).map(|(_, (&p, f))| (p, f.seconds)).collect()
+            };
+            let scores: Vec<f64> = tried.iter().map(|t| score(&pairs(&t.1))).collect();
+            let best = scores.iter().copied().fold(f64::INFINITY, f64::min);
+            let frames_judged = (0..frames.len()).filter(|i| counts(*i)).count();
+            let enough = best + 1.0 / libm::sqrt(frames_judged.max(1) as f64);
+            tried
+                .iter()
+                .zip(scores)
+                .filter(|(_, score)| *score <= enough)
+                .min_by(|a, b| a.0.0.freedom().total_cmp(&b.0.0.freedom()).then(a.1.total_cmp(&b.1)))
+        };
+        let Some(((belief, crossed), score)) = choose(None) else {
             bail!(InvalidArgument, "no fit to these frames predicts a finite time; are their times right?");
         };
+        let belief = *belief;
+        // What a part's frames were predicted by the belief that the others choose: an error that the choice did
+        // not see.
+        let blind: Vec<&Vec<f64>> =
+            (0..count).map(|fold| choose(Some(fold)).map_or(crossed, |t| &t.0.1)).collect();
+        let crossed = folds.iter().enumerate().map(|(i, &fold)| blind[fold][i]).collect();
         let fitted = self.fit(&prior, &all, belief);
         Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: count, score })
     }
