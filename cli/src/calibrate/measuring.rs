@@ -303,6 +303,6 @@ impl<'a> Measuring<'a> {
     pub fn finish(&self) -> Measured {
         let frames: Vec<TimedFrame> = self.visits.keys().filter_map(|&i| self.frame(i)).collect();
         let passes = self.visits.keys().map(|&i| (i as u64, self.passes(i))).collect();
-        Measured { frames, passes, others: self.others.clone(), rounds: self.rounds, warm_ups: self.warm_ups }
+        Measured { frames, passes, others: self.others, rounds: self.rounds, warm_ups: self.warm_ups }
     }
 }

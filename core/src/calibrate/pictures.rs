@@ -90,10 +90,19 @@ pub struct FittedQuality {
     pub step_over_best: f64,
 }
 
+/// A step with ln of time over that of full quality and ln of the error, means over scenes.
+type Point = (f64, f64, f64);
+
+/// An image sample distance with its steps, ascending.
+type Line = (f64, Vec<Point>);
+
+/// Seconds of every drawing, and the error, by bits of distance and step.
+type Settings = BTreeMap<(u32, u32), (Vec<f64>, f64)>;
+
 /// What the fit needs: by setting, ln of time over that of full quality and ln of the error, means over scenes.
 struct Grid {
     /// Image sample distances, ascending, each with its steps, ascending, and their two logarithms.
-    lines: Vec<(f64, Vec<(f64, f64, f64)>)>,
+    lines: Vec<Line>,
 }
 
 impl Grid {
@@ -104,7 +113,7 @@ impl Grid {
     /// ln of time over that of full quality and ln of the error at a setting, by straight lines between what was
     /// drawn.
     fn at(&self, step: f64, distance: f64) -> (f64, f64) {
-        let along = |line: &[(f64, f64, f64)]| {
+        let along = |line: &[Point]| {
             let mut before = line[0];
             for &next in line {
                 if step <= next.0 {
@@ -154,7 +163,7 @@ fn powers(of: f64, end: f64) -> Vec<f64> {
 }
 
 /// Time and error on the line between two points.
-fn between(x: f64, a: (f64, (f64, f64, f64)), b: (f64, (f64, f64, f64))) -> (f64, f64) {
+fn between(x: f64, a: (f64, Point), b: (f64, Point)) -> (f64, f64) {
     let part = if b.0 > a.0 { ((x - a.0) / (b.0 - a.0)).clamp(0.0, 1.0) } else { 1.0 };
     (a.1.1 + part * (b.1.1 - a.1.1), a.1.2 + part * (b.1.2 - a.1.2))
 }
@@ -253,7 +262,7 @@ fn grid_of(pictures: &[Picture]) -> Result<(Grid, usize)> {
     // Bits of positive numbers order as the numbers do.
     let key = |p: &Picture| (p.distance.to_bits(), p.step.to_bits());
     let full = (1f32.to_bits(), 1f32.to_bits());
-    let mut scenes: BTreeMap<u64, BTreeMap<(u32, u32), (Vec<f64>, f64)>> = BTreeMap::new();
+    let mut scenes: BTreeMap<u64, Settings> = BTreeMap::new();
     for p in pictures {
         let slot = scenes.entry(p.scene).or_default().entry(key(p)).or_default();
         slot.0.push(p.seconds);
@@ -282,7 +291,7 @@ fn grid_of(pictures: &[Picture]) -> Result<(Grid, usize)> {
         );
     }
     let count = scenes.len();
-    let mut lines: BTreeMap<u32, Vec<(f64, f64, f64)>> = BTreeMap::new();
+    let mut lines: BTreeMap<u32, Vec<Point>> = BTreeMap::new();
     for at in &wanted {
         let (mut time, mut error) = (0.0, 0.0);
         for settings in scenes.values_mut() {
@@ -294,7 +303,7 @@ fn grid_of(pictures: &[Picture]) -> Result<(Grid, usize)> {
         }
         lines.entry(at.0).or_default().push((f64::from(f32::from_bits(at.1)), time, error));
     }
-    let mut lines: Vec<(f64, Vec<(f64, f64, f64)>)> =
+    let mut lines: Vec<Line> =
         lines.into_iter().map(|(d, line)| (f64::from(f32::from_bits(d)), line)).collect();
     if let [whole, next, ..] = &mut lines[0].1[..] {
         whole.2 = next.2 - FULL;
