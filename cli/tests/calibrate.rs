@@ -115,7 +115,7 @@ fn a_model_states_what_coarser_pictures_cost() {
         let made = run(at, &[&arguments[..], &more, &last].concat());
         assert!(made.status.success(), "{}", stderr(&made));
         let model = Model::from_bytes(&std::fs::read(at.join(&out)).unwrap()).unwrap();
-        let quality = Quality::of(&model).unwrap().expect(&stdout(&made));
+        let quality = Quality::of(&model).unwrap().unwrap_or_else(|| panic!("{}", stdout(&made)));
         assert_eq!(load(&model).unwrap().quality("cpu"), Some(quality));
         assert_eq!(load(&model).unwrap().quality("vulkan"), None);
         let said = stdout(&made);
