@@ -9,7 +9,7 @@ use crate::predict::Quality;
 impl Session {
     /// Allows plans to coarsen the image: neighboring rays stand up to `distance` pixels apart along each
     /// side (VTK's ImageSampleDistance). Ray step and image are then coarsened together
-    /// ([`Plan::image_sample_distance`]), from `step_alone` times the finest step on; 1 is from the start. A
+    /// ([`Plan::image_sample_distance`](super::Plan::image_sample_distance)), from `step_alone` times the finest step on; 1 is from the start. A
     /// `distance` of 1, where sessions start, leaves the image alone. For predictors that know the image
     /// size.
     ///
