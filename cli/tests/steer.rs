@@ -195,7 +195,6 @@ fn bad_input_is_one_line_and_status_1() {
         (&["--target", "9ms", "--retarget", "5"], "FRAME:TIME"),
         (&["--target", "9ms", "--retarget", "9:8ms,3:9ms"], "ordered by frame"),
         (&["--target", "9ms", "--scales", "9:1,3:0.5"], "ordered by frame"),
-        (&["--target", "9ms", "--max-image-sample-distance", "0.5"], "1 to 20"),
         (&["--target", "9ms", "--hold", "3"], "several volumes"),
         (&["--target", "9ms", "--limits", "4,2"], "step limits"),
         (&["--target", "9ms", "--calibrate", "3"], "at least 8 scenes"),
@@ -213,6 +212,8 @@ fn bad_input_is_one_line_and_status_1() {
     for usage in [&["--target", "9ms"][..], &["--target", "9ms", "--size", "9", "--generate", "orbit"]] {
         assert_eq!(with(usage, &[]).0, Some(2), "{usage:?}");
     }
+    let (code, text) = with(&["--target", "9ms", "--max-image-sample-distance", "0.5"], &generate);
+    assert!(code == Some(2) && text.contains("from 1 to 20"), "{text}");
     let output =
         Command::new(env!("CARGO_BIN_EXE_entire")).arg("demo").current_dir(dir.path()).output().unwrap();
     let text = String::from_utf8_lossy(&output.stderr);

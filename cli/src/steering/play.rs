@@ -213,7 +213,7 @@ impl Task<'_> {
 /// What coarser steps and smaller images cost the raycaster's pictures where the model states nothing: as `entire
 /// calibrate` finds it of the volumes in data/, unshaded.
 pub const RAYCASTER: Quality =
-    Quality { image_weight: 5.6, step_exponent: 0.9, image_exponent: 0.8, ray_share: 0.2 };
+    Quality { image_weight: 0.64, step_exponent: 1.45, image_exponent: 0.56, ray_share: 0.57 };
 
 /// Plays a path under all contenders. Per frame: the reference picture is drawn first, outside of the race;
 /// then the frame is drawn under every contender, each with its own step, so that the machine's noise hits
