@@ -28,7 +28,8 @@ bars-steer: steer-build ## Hold every controller against an oracle, the farm aga
 
 .PHONY: tune
 tune: steer-build ## Search for better constants of the controller, on recorded paths of training volumes
-	@target/release/entire-lab tune "$(STEER_IN)"/training/*.json.gz --calibration "$(STEER_IN)/calibration.csv.gz" \
+	@target/release/entire-lab tune "$(STEER_IN)"/training/*.json.gz \
+		--calibration "$(or $(wildcard $(STEER_IN)/training/calibration.csv.gz),$(STEER_IN)/calibration.csv.gz)" \
 		--out "$(STEER_OUT)/tune.json"
 
 .PHONY: stress

@@ -83,7 +83,7 @@ fn tune_says_what_recorded_paths_cost() {
         Command::new(env!("CARGO_BIN_EXE_entire-lab"))
             .arg("tune")
             .args(traces.iter().map(|t| format!("data/steer/training/{t}.json.gz")))
-            .args(["--calibration", "data/steer/calibration.csv.gz", "--targets", targets])
+            .args(["--calibration", "data/steer/training/calibration.csv.gz", "--targets", targets])
             .args(more)
             .current_dir(&root)
             .output()

@@ -56,6 +56,6 @@ constants! {
         /// Variance that each unit cost gains per frame beside it.
         single_drift = 2.0e-6,
         /// Standard deviations beyond which an error that is too fast is clipped.
-        clip_below = 0.7,
+        clip_below = 2.0,
     }
 }

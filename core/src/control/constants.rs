@@ -11,14 +11,14 @@ crate::adapt::constants! {
         /// target: it would save little, and the picture would no longer be that of full quality.
         full = 0.14,
         /// As `full`, where the scene has been seen for some frames.
-        full_settled = 0.392,
+        full_settled = 0.14,
         /// Largest move to a finer step in a calm frame, in ln(step), beside what the prediction calls for.
         finer = 0.16,
         /// Largest move to a coarser step in a calm frame where the expected time stays within the target, in
         /// ln(step).
-        coarser = 0.476,
+        coarser = 0.17,
         /// Time over the target of the frame before, below which moves to finer steps are not bounded.
-        early = 0.175,
+        early = 0.5,
         /// Share of the excess, in ln(time), by which the step grows at least after two late frames.
         take_back = 0.5,
         /// Standard deviation of the predicted step curve's slope, d ln(seconds) / d ln(step).
@@ -32,7 +32,7 @@ crate::adapt::constants! {
         /// Novelty that an announced change after calm frames has at least.
         announced = 0.5,
         /// Margin of calm frames before any was seen.
-        calm_start = 1.0,
+        calm_start = 2.0,
         /// How fast the margin of calm frames moves.
         calm_pace = 0.05,
         /// Margin of new scenes before any was seen: errors among scenes have heavy tails.
@@ -42,9 +42,9 @@ crate::adapt::constants! {
         /// Share of a predicted change that is believed before any proved true.
         believed_start = 0.4,
         /// How fast that share follows what proves true.
-        believed_pace = 0.112,
+        believed_pace = 0.04,
         /// How fast the mean square of the predicted changes moves, by which that pace is divided.
-        power_pace = 0.05,
+        power_pace = 0.1,
         /// Share of a frame's time that does not fall with the step, where recent frames alone decide.
         fixed_share = 0.1,
         /// Slowest pace at which the errors of prediction and of recent frames are followed.

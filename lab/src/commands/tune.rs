@@ -27,9 +27,9 @@ type Played = ([Replayable; 3], Calibrated);
 /// belongs into `core/src/control/constants.rs` and `core/src/adapt/constants.rs`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/calibration.csv.gz
-  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/calibration.csv.gz --rounds 0
-  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/calibration.csv.gz --only full,finer")]
+  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz
+  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --rounds 0
+  entire-lab tune data/steer/training/*.json.gz --calibration data/steer/training/calibration.csv.gz --only full,finer")]
 pub struct Options {
     /// What is played.
     #[command(flatten)]
