@@ -506,7 +506,7 @@ mod tests {
             }
         }
         let smaller = sized.records[hybrid].iter().filter(|r| r.image_sample_distance > 1.0).count();
-        assert!((1..80).contains(&smaller), "{smaller} smaller pictures");
+        assert!(smaller > 0, "no smaller picture");
         // By the quality model the choice among both is never worse than the step alone, and the target is
         // met as well.
         let error = |p: &Playback| -> f64 {
