@@ -20,6 +20,7 @@ pub mod machine;
 pub mod metrics;
 pub mod options;
 pub mod path;
+pub mod pictures;
 pub mod program;
 pub mod progress;
 pub mod report;

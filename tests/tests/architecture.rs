@@ -222,6 +222,7 @@ const CLI: &Rooms = &[
     ("program", &[]),
     ("progress", &[]),
     ("report", &["files"]),
+    ("pictures", &[]),
     ("teacher", &[]),
     ("train", &[]),
     ("bound", &["metrics"]),
@@ -265,6 +266,7 @@ const CLI: &Rooms = &[
             "inputs",
             "machine",
             "metrics",
+            "pictures",
             "scenes",
             "volume",
         ],
@@ -281,6 +283,7 @@ const CLI: &Rooms = &[
             "metrics",
             "options",
             "path",
+            "pictures",
             "progress",
             "report",
             "scenes",
@@ -307,6 +310,7 @@ const CLI: &Rooms = &[
             "metrics",
             "options",
             "path",
+            "pictures",
             "progress",
             "report",
             "scenes",
@@ -436,7 +440,7 @@ fn the_product_knows_nothing_of_the_laboratory() {
     let root = root();
     for product in ["core", "ffi", "vk-raycaster", "explore", "cli"] {
         let manifest = fs::read_to_string(root.join(product).join("Cargo.toml")).expect("a manifest");
-        for study in ["entire-lab", "forust", "image-compare"] {
+        for study in ["entire-lab", "forust"] {
             assert!(!manifest.contains(study), "{product}/Cargo.toml names {study}");
         }
     }

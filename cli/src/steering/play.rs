@@ -1,11 +1,12 @@
 //! Playing a path: every frame under every controller.
 
 use super::contenders::ActsOn;
-use super::metrics::{Metrics, Played, psnr};
-use super::sizes::{resized, sampled_size, scale_at, scaled_size, volume_at};
+use super::metrics::{Metrics, Played};
+use super::sizes::{scale_at, volume_at};
 use crate::dataset::{Clock, Timing};
 use crate::options::RenderArgs;
 use crate::path::FlightPath;
+use crate::pictures::{psnr, resized, sampled_size, scaled_size};
 use anyhow::{Context, Result, ensure};
 use entire_core::control::ObserveFlags;
 use entire_core::control::{Quality, Reason, Session, StepLimits};

@@ -3,11 +3,12 @@
 use super::calibrate::{Sample, response_pairs};
 use super::contenders::ControllerKind;
 use super::fit::Candidate;
-use super::metrics::{BEST_PSNR, Metrics, SWITCH_FRAMES};
+use super::metrics::{Metrics, SWITCH_FRAMES};
 use super::play::{DrawSettings, Playback, Record};
 use super::rivals::StepResponse;
 use crate::files::{make_folder, write_json, write_whole};
 use crate::machine::Provenance;
+use crate::pictures::BEST_PSNR;
 use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table, encode_png};
 use anyhow::Result;
 use serde_json::{Value, json};

@@ -3,8 +3,7 @@
 use super::{LONG, Measuring};
 use crate::calibrate::pool::Candidate;
 use crate::dataset::Timing;
-use crate::steering::metrics::{rmse, ssim};
-use crate::steering::sizes::{resized, scaled_size};
+use crate::pictures::{resized, rmse, scaled_size, ssim};
 use anyhow::{Context, Result};
 use entire_core::calibrate::Picture;
 use entire_core::scene::Frame;
