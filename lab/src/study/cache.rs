@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 pub(super) const STUDY_KEY: &str = "entire.study_key";
 
 /// Counts up whenever the same recipe makes something else of the same frames.
-const MADE_AS: u32 = 1;
+const MADE_AS: u32 = 2;
 
 /// Tells apart what was made: a hash of the program's version, the recipe, the bytes of the model files that
 /// it starts from, and the frames of each part with their seconds (which tell the clock) and the bytes of
