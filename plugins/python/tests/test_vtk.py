@@ -353,7 +353,8 @@ def test_a_mappers_time_is_that_of_finished_work(voxels, kind):
     try:
         # One rule measures frames that are steered and those that a model is fitted to.
         entire.vtk.calibrate(view.renderer, volume, frames=10)
-        assert len(waits) == (2 * 12 if kind == "gpu" else 0)
+        # Twelve frames that are fitted to, then four scenes at twelve settings, each drawn twice.
+        assert len(waits) == (2 * (12 + 4 * 12 * 2) if kind == "gpu" else 0)
         waits.clear()
         entire.vtk.hold(view.renderer, volume, 100.0)
         view.draw(3)
@@ -525,7 +526,7 @@ def test_calibration_compares_pictures_and_steering_goes_by_them(voxels, kind):
     assert len(seen) == 36 and seen[0] == seen[12] == seen[24] == 0 and max(seen) > 0.1
     stated = json.loads(model.metadata["entire.quality"])
     law = tuple(stated[name] for name in ("image_weight", "step_exponent", "image_exponent", "ray_share"))
-    session = entire.Session(model)
+    session = entire.Session(model=model)
     assert session.quality == pytest.approx(law)
     session.set_timing_source("another renderer", "cpu")
     assert session.quality is None

@@ -221,7 +221,8 @@ class _Calibrator:
         grab.Update()
         out = grab.GetOutput()
         width, height, _ = out.GetDimensions()
-        return vtk_to_numpy(out.GetPointData().GetScalars()).reshape(height, width, -1)[:, :, :3].copy()
+        pixels: np.ndarray = vtk_to_numpy(out.GetPointData().GetScalars())
+        return pixels.reshape(height, width, -1)[:, :, :3].copy()
 
     def pose(self, camera: Any, draw: random.Random, middle: list[float], radius: float) -> None:
         azimuth, height = draw.uniform(0, 2 * math.pi), draw.uniform(-0.95, 0.95)
