@@ -127,7 +127,7 @@ pub fn shipped_file(shading: Shading) -> Result<Option<(PathBuf, ModelFile)>> {
 }
 
 /// All models in `models/` that were selected for a shading mode, those of other makes of machine after the first
-/// (`unshaded-epyc-selected.safetensors`); none where the working folder is not the project's.
+/// (`unshaded-xeon-selected.safetensors`); none where the working folder is not the project's.
 ///
 /// # Errors
 /// When one is there and no model.

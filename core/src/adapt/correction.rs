@@ -85,6 +85,27 @@ const CHANGE: (f64, f64) = (1.0e-3, 0.5);
 const OPEN: f64 = 9.0;
 /// A guard: no variance exceeds that of a machine of which nothing is known ([`OPEN`] and a unit cost's own) by much.
 const MAX_VARIANCE: f64 = 12.0;
+/// Without a stated error a fitted model is taken for one that is wrong by 30 %; a stated one lies within 1 % and a factor
+/// of e: guards.
+const FITTED_SD: f64 = 0.3;
+const FITTED_SD_RANGE: (f64, f64) = (0.01, 1.0);
+/// Frames in which a scene's own factor halves the first error three times (`gain_start`): an eighth of it is left.
+const SETTLED: u64 = 3;
+/// Observations in a row beyond [`CLIP`], on the same side, that only another machine explains: of normal errors two come once
+/// in a quarter of a million frames.
+const JUMPS: i32 = 2;
+/// A guard: another machine is taken for e² times faster or slower by one observation at most; the next one goes on from there.
+const JUMP_LIMIT: f64 = 2.0;
+/// Part of such a jump that each unit cost may have of its own: as of a fitted model's errors (`fitted_share`).
+const JUMP_SINGLE: f64 = 0.1;
+/// A guard: a squared error counts six times what was expected at most, which of normal ones 1.4 % exceed.
+const SQUARE_LIMIT: f64 = 6.0;
+/// A guard: one of the first errors weighs a quarter at most, so that none decides.
+const FASTEST_PACE: f64 = 0.25;
+/// Two standard deviations, as `clip_below`: what the share that is taken up learns of one frame.
+const BOUND: f64 = 2.0;
+/// A guard: an observation weakens to a thousandth at most.
+const LEAST_TRUST: f64 = 1.0e-3;
 /// Three standard deviations: of normal errors 0.3 % lie beyond, so what does is another work or another machine.
 pub(crate) const CLIP: f64 = 3.0;
 
@@ -115,7 +136,7 @@ impl Correction {
         let (common, single, change) = match self.prior {
             Prior::Unknown => (OPEN, c.unit_cost_sd * c.unit_cost_sd, c.scene_sd * c.scene_sd),
             Prior::Converted { log_sd } | Prior::Fitted { log_sd } => {
-                let sd = if log_sd.is_finite() { f64::from(log_sd).clamp(0.01, 1.0) } else { 0.3 };
+                let sd = if log_sd.is_finite() { f64::from(log_sd).clamp(FITTED_SD_RANGE.0, FITTED_SD_RANGE.1) } else { FITTED_SD };
                 // A model that was fitted here is right on the whole; it is wrong about single scenes.
                 let single = c.fitted_share * sd * sd;
                 let common = if matches!(self.prior, Prior::Converted { .. }) { OPEN } else { single };
@@ -148,7 +169,7 @@ impl Correction {
 
     /// Whether the scene at hand has been seen for some frames.
     pub(crate) fn settled(&self) -> bool {
-        self.age > 4
+        self.age > SETTLED + 1
     }
 
     /// Whether the observation before was the second in a row that only another machine explains.
@@ -201,7 +222,7 @@ impl Correction {
             return f64::NAN;
         }
         let error = libm::log(seconds / predicted);
-        let noise = self.noise() / trust.clamp(1.0e-3, 1.0) + if this_scene { 0.0 } else { self.change };
+        let noise = self.noise() / trust.clamp(LEAST_TRUST, 1.0) + if this_scene { 0.0 } else { self.change };
         let mut model = self.model_variance(&shares);
         let sd = libm::sqrt(model + noise);
         let normalized = error / sd;
@@ -213,13 +234,13 @@ impl Correction {
         } else {
             self.run = 0;
         }
-        let machine_changed = self.run.abs() >= 2;
+        let machine_changed = self.run.abs() >= JUMPS;
         self.jumped = machine_changed;
         if machine_changed {
             // Not an outlier but another machine: move by what is seen.
-            let jump = (error * error).min(4.0);
+            let jump = (error * error).min(JUMP_LIMIT * JUMP_LIMIT);
             self.covariance[LOCAL][LOCAL] += jump;
-            self.widen(jump, 0.1 * jump);
+            self.widen(jump, JUMP_SINGLE * jump);
             self.tidy();
             model = self.model_variance(&shares);
             taken = error;
@@ -231,14 +252,14 @@ impl Correction {
             if self.observations > 0 {
                 let local = self.covariance[LOCAL][LOCAL].min(model);
                 let others = (model - local).max(0.0) + noise;
-                let seen = (squared - others).clamp(0.0, 6.0 * self.change);
+                let seen = (squared - others).clamp(0.0, SQUARE_LIMIT * self.change);
                 self.change = (self.change + c.scene_pace * (seen - self.change)).clamp(CHANGE.0, CHANGE.1);
             }
-        } else if standing == Standing::Same && trust >= 1.0 && self.age > 3 && !machine_changed {
-            let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).max(c.spread_pace).min(0.25);
-            let seen = squared.min(6.0 * self.spread);
+        } else if standing == Standing::Same && trust >= 1.0 && self.age > SETTLED && !machine_changed {
+            let pace = (1.0 / (self.observations as f64 - 1.0).max(1.0)).max(c.spread_pace).min(FASTEST_PACE);
+            let seen = squared.min(SQUARE_LIMIT * self.spread);
             self.spread = (self.spread + pace * (seen - self.spread)).clamp(SPREAD.0, SPREAD.1);
-            let bounded = normalized.clamp(-2.0, 2.0);
+            let bounded = normalized.clamp(-BOUND, BOUND);
             self.gain = (self.gain + c.gain_pace * self.before * bounded).clamp(GAIN.0, GAIN.1);
             self.before = if libm::fabs(normalized) > CLIP { 0.0 } else { bounded };
         }
@@ -375,7 +396,7 @@ impl Correction {
         self.spread = r.f64(SPREAD.0, SPREAD.1)?;
         self.gain = r.f64(GAIN.0, GAIN.1)?;
         self.change = r.f64(CHANGE.0, CHANGE.1)?;
-        self.before = r.f64(-2.0, 2.0)?;
+        self.before = r.f64(-BOUND, BOUND)?;
         self.run = match r.u64()? {
             1 => 1,
             3 => -1,

@@ -17,7 +17,7 @@ import shutil
 import subprocess
 
 RENDERERS = ("vtk-fixed", "vtk-gpu", "paraview", "yt")
-BASE = ("none-train", "none-steps")
+BASE = ("none-xeon-train", "none-xeon-steps")
 HOW = "--model-kind residual --batch 128 --learning-rate 0.003 --epochs 150".split()
 PLAIN = [*HOW, "--layers", "32"]
 # What renderers pay for beyond what the raycaster does; a mean of networks of eight seeds.

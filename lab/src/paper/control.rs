@@ -11,7 +11,7 @@ use anyhow::{Context, Result};
 use entire_cli::files::{fnv1a, make_folder, read_bytes, read_text, write_whole};
 use entire_cli::report::{Axis, Chart, Column, Mark, Series, Table, encode_png};
 use entire_cli::steering::calibrate::response;
-use entire_cli::steering::contenders::ControllerKind;
+use entire_cli::steering::contenders::{ActsOn, ControllerKind};
 use entire_core::features::PROBE_SIDE;
 use entire_core::scene::Frame;
 use entire_vk_raycaster::{Image, Renderer};
@@ -175,6 +175,7 @@ pub fn keep(
 fn facts(found: &serde_json::Value, name: impl Fn(&str) -> String) -> Vec<Fact> {
     let mut out = Vec::new();
     for (controller, score) in found["controllers"].as_object().into_iter().flatten() {
+        let on_image = found["acts_on"][controller].as_str() == Some(IMAGE.name());
         let values = score
             .as_object()
             .into_iter()
@@ -184,6 +185,7 @@ fn facts(found: &serde_json::Value, name: impl Fn(&str) -> String) -> Vec<Fact> 
                 None => vec![(k.clone(), v.as_f64())],
             })
             .filter_map(|(k, v)| Some((k, v?)))
+            .chain([(ON_IMAGE.to_owned(), f64::from(u8::from(on_image)))])
             .collect();
         out.push(Fact { name: name(controller), values });
     }
@@ -317,10 +319,14 @@ const COLUMNS: [(&str, &str, bool); 7] = [
     ("worst", "slowest frame over target", false),
 ];
 
+/// A figure of a controller's that is 1 where it answered with the image resolution; without it, it answered with the step.
+const ON_IMAGE: &str = "on_image";
+const IMAGE: ActsOn = ActsOn::ImageResolution { coarsest: 1.0 };
+
 /// Use case 1 in the report.
 pub(super) fn section(of: &[&Results], s: &mut Section) {
     for r in of.iter().filter(|r| !r.facts.is_empty()) {
-        let mut columns = vec![Column::text("controller")];
+        let mut columns = vec![Column::text("controller"), Column::text("acts on")];
         columns.extend(COLUMNS.map(|(_, title, _)| Column::number(title)));
         let mut table = Table::new(columns);
         for f in &r.facts {
@@ -331,7 +337,9 @@ pub(super) fn section(of: &[&Results], s: &mut Section) {
                 name if name == ControllerKind::Algorithm1.name() => "Algorithm 1, the paper's network",
                 name => kind.map_or(name, |k| k.title()),
             };
-            let mut cells = vec![title.into()];
+            let on_image = f.values.get(ON_IMAGE) == Some(&1.0);
+            let acts_on = if on_image { IMAGE } else { ActsOn::RayStep };
+            let mut cells = vec![title.into(), acts_on.name().into()];
             cells.extend(COLUMNS.map(|(key, _, share)| {
                 f.values
                     .get(key)

@@ -63,8 +63,11 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
         let over = |a: Option<f64>, b: Option<f64>| Some(a? / b?);
         let paper = rmse(PAPER);
         if limits.constant_over_paper.is_some() {
-            let ratio = found.eight_bit.iter().find(|e| e.0 == *s).map(|e| e.1);
-            at_most(name("paper-rmse-eight-bit-over-stored"), ratio, 1.02);
+            let there = |network: &&str| study.predictors.iter().any(|p| p.name == **network);
+            for network in [PAPER, DISTILLED, SELECTED].iter().filter(there) {
+                let ratio = found.eight_bit.iter().find(|e| e.0 == *s && e.1 == *network).map(|e| e.2);
+                at_most(name(&format!("{network}-rmse-eight-bit-over-stored")), ratio, 1.02);
+            }
         }
         // The paper's network as the paper trains it and, where the study has it, distilled from another
         // predictor.

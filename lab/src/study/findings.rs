@@ -124,8 +124,8 @@ pub struct Findings {
     pub fits: Vec<Fit>,
     /// By set and predictor.
     pub latencies: Vec<(String, String, Latency)>,
-    /// RMSE with eight-bit weights over that with the file's, on the main split, by set: of the paper's network.
-    pub eight_bit: Vec<(String, f64)>,
+    /// RMSE with eight-bit weights over that with the file's, on the main split, by set and predictor.
+    pub eight_bit: Vec<(String, String, f64)>,
     /// Noise floor by set and split.
     pub noise: Vec<(String, String, NoiseFloor, usize)>,
     /// Training-sample and fine-tuning curves.

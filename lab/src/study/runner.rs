@@ -343,8 +343,8 @@ impl Runner<'_> {
             }
         }
         if let StudyPredictor::Model(kept) = made {
-            if named.name == PAPER {
-                eight_bit(on, &kept.model, out)?;
+            if named.name == PAPER || study.ship.iter().any(|s| s.predictor == named.name) {
+                eight_bit(on, &named.name, &kept.model, out)?;
             }
             if study.curves.contains(&named.name) {
                 self.curves(on, named, &kept.file, out)?;
@@ -354,14 +354,14 @@ impl Runner<'_> {
     }
 }
 
-/// What eight-bit weights add to the error of the paper's network on the main split.
-fn eight_bit(on: &OnSet<'_>, model: &Model, out: &mut Findings) -> Result<()> {
+/// What eight-bit weights add to a network's error on the main split.
+fn eight_bit(on: &OnSet<'_>, name: &str, model: &Model, out: &mut Findings) -> Result<()> {
     let OnSet { set, data, context, .. } = *on;
     for (split, part) in set.splits.iter().zip(&data.splits).filter(|(split, _)| split.main) {
-        let Some(stored) = out.of(&set.name, &split.name, PAPER).map(|r| r.metrics.rmse) else { continue };
+        let Some(stored) = out.of(&set.name, &split.name, name).map(|r| r.metrics.rmse) else { continue };
         let small = predict_stored(model, Storage::Int8, context, &part.frames)?;
         if let Some(m) = Metrics::new(&small, &part.seconds) {
-            out.eight_bit.push((set.name.clone(), m.rmse / stored));
+            out.eight_bit.push((set.name.clone(), name.to_owned(), m.rmse / stored));
         }
     }
     Ok(())
