@@ -4,7 +4,9 @@
 # (unshaded, local, scatter; all unless given) and puts it into models/, where the accuracy study finds it.
 #   DATA     the folder that holds ensembles/ (the volumes that data/timings/*-train.csv.gz name)
 #   FRAMES   frames per volume; 10000 take 130 MB and some minutes per set
-#   EPOCHS   passes over them; unless given those that the shipped ones took
+#   EPOCHS   passes over them; 18 to 30 by set unless given, 6 from START
+#   START    a folder with SET-distilled.safetensors to go on from, for teachers that changed a little: models, for example;
+#            fewer frames and passes do then
 #   MODELS   where the models go, models/ unless given
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -12,7 +14,7 @@ root=$PWD
 data=${DATA:?name the folder that holds ensembles/, for example make distill DATA=../shared/data}
 frames=${FRAMES:-10000}
 entire=${ENTIRE:-$root/target/release/entire}
-out=$root/out/distill models=${MODELS:-$root/models}
+out=$root/out/distill models=${MODELS:-$root/models} start=${START:+$(realpath "$START")}
 mkdir -p "$out"
 cd "$data"
 for set in ${*:-unshaded local scatter}; do
@@ -30,9 +32,11 @@ for set in ${*:-unshaded local scatter}; do
     "$entire" collect "${volumes[@]}" --out "$out/$set.csv" "${resume[@]}" --frames "$frames" --repeats 1 --warm-up 0 \
         --seed 77 --enlarge 2 --max-size "$size" --shade "$shade" --teacher "$root/models/$set-selected.safetensors"
     echo "==> $set: training"
-    "$entire" train --data "$out/$set.csv" --out "$out/$set-distilled.safetensors" --preset 12C256 --dtype f16 \
-        --inputs volume_features,camera,resolution,transfer_function --sorted-lobes --target seconds --clock cpu \
-        --volumenet "$root/models/volumenet-128f2.safetensors" --batch 256 --learning-rate 7e-4 --epochs "$epochs" \
+    network=(--preset 12C256 --inputs volume_features,camera,resolution,transfer_function --sorted-lobes
+        --target seconds --volumenet "$root/models/volumenet-128f2.safetensors" --learning-rate 7e-4 --epochs "$epochs")
+    [[ -n $start ]] && network=(--fine-tune "$start/$set-distilled.safetensors" --learning-rate 2e-4 --epochs "${EPOCHS:-6}")
+    "$entire" train --data "$out/$set.csv" --out "$out/$set-distilled.safetensors" --dtype f16 --clock cpu \
+        "${network[@]}" --batch 256 \
         --split volume --validation-groups ensembles/nyx_cosmology/m02/t0018.nrrd \
         --test-groups ensembles/castro_blast/m01/t0014.nrrd
     cp "$out/$set-distilled.safetensors" "$models/"

@@ -63,9 +63,11 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
         let over = |a: Option<f64>, b: Option<f64>| Some(a? / b?);
         let paper = rmse(PAPER);
         if limits.constant_over_paper.is_some() {
-            let there = |network: &&str| study.predictors.iter().any(|p| p.name == **network);
-            for network in [PAPER, DISTILLED, SELECTED].iter().filter(there) {
-                let ratio = found.eight_bit.iter().find(|e| e.0 == *s && e.1 == *network).map(|e| e.2);
+            for network in [PAPER, DISTILLED, SELECTED] {
+                if !study.predictors.iter().any(|p| p.name == network) {
+                    continue;
+                }
+                let ratio = found.eight_bit.iter().find(|e| e.0 == *s && e.1 == network).map(|e| e.2);
                 at_most(name(&format!("{network}-rmse-eight-bit-over-stored")), ratio, 1.02);
             }
         }
