@@ -74,8 +74,10 @@ pub struct Pictures {
     pub quality: Quality,
     /// Mean error of the settings that the law chooses, over that of the best ones that take the same time.
     pub over_best: f64,
-    /// The same of the ray step alone.
-    pub step_over_best: f64,
+    /// The same of the ray step alone, where it reaches such times.
+    pub step_over_best: Option<f64>,
+    /// Share of the time of full quality that the coarsest step alone takes.
+    pub step_least_time: f64,
 }
 
 impl Report {
@@ -89,6 +91,7 @@ impl Report {
             quality: f.quality,
             over_best: f.over_best,
             step_over_best: f.step_over_best,
+            step_least_time: f.step_least_time,
         });
         Self { pictures, ..self }
     }
@@ -234,12 +237,13 @@ impl Report {
                 format!(
                     "{} scenes at {} steps and sizes: {error} as (s - 1)^{step_exponent:.2} + {image_weight:.2} \
                      (d - 1)^{image_exponent:.2}, {:.0} % of the time goes with rays; steps and sizes chosen so cost \
-                     {:.2} times the error of the best ones, the step alone {:.2} times",
+                     {:.2} times the error of the best ones, the step alone, which saves {:.0} % at most, {}",
                     p.scenes,
                     p.settings,
                     100.0 * ray_share,
                     p.over_best,
-                    p.step_over_best
+                    100.0 * (1.0 - p.step_least_time),
+                    p.step_over_best.map_or("too little".into(), |over| format!("{over:.2} times"))
                 ),
             );
         } else if self.rounds > 0 {

@@ -86,8 +86,10 @@ pub struct FittedQuality {
     /// What its choices cost, over the best of all that was drawn at the same share of the time: mean ratio of the
     /// errors, at least 1.
     pub over_best: f64,
-    /// The same of the ray step alone.
-    pub step_over_best: f64,
+    /// The same of the ray step alone, at the shares that it reaches; `None` where it reaches none of those that count.
+    pub step_over_best: Option<f64>,
+    /// Share of the time of full quality that the coarsest step alone takes.
+    pub step_least_time: f64,
 }
 
 /// A step with ln of time over that of full quality and ln of the error, means over scenes.
@@ -233,9 +235,9 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
         let own = at_shares(path, &shares, true);
         let both = own.iter().zip(&best).filter(|(own, best)| own.is_finite() && best.is_finite());
         let (sum, n) = both.fold((0.0, 0.0), |(sum, n), (own, best)| (sum + own - best, n + 1.0));
-        if n > 0.0 { sum / n } else { 0.0 }
+        (n > 0.0).then(|| sum / n)
     };
-    let regret = |law: &Quality| over_best(&grid.path(law));
+    let regret = |law: &Quality| over_best(&grid.path(law)).unwrap_or(0.0);
     let inside =
         |v: &[f64; 3]| v[0].abs() < 6.5 && (0.2..=6.0).contains(&v[1]) && (0.2..=6.0).contains(&v[2]);
     let fitted = descend([1.0, 1.5, 1.5], 400, &|v| if inside(v) { off(v) } else { f64::INFINITY });
@@ -248,7 +250,8 @@ pub fn fit_quality(pictures: &[Picture]) -> Result<FittedQuality> {
         scenes,
         settings,
         over_best: libm::exp(regret(&quality)),
-        step_over_best: libm::exp(over_best(&alone)),
+        step_over_best: over_best(&alone).map(libm::exp),
+        step_least_time: alone.iter().map(|p| libm::exp(p.0)).fold(1.0, f64::min),
     })
 }
 
@@ -390,7 +393,7 @@ mod tests {
         assert!(near(q.image_weight, 5.0) && near(q.step_exponent, 1.2), "{found:?}");
         assert!(near(q.image_exponent, 0.9) && near(q.ray_share, 0.2), "{found:?}");
         // Distances are drawn from powers of a ratio, so that the best is not met exactly.
-        assert!(found.over_best < 1.05 && found.step_over_best > 1.1, "{found:?}");
+        assert!(found.over_best < 1.05 && found.step_over_best.unwrap() > 1.1, "{found:?}");
     }
 
     #[test]
@@ -401,7 +404,8 @@ mod tests {
             fit_quality(&pictures(&blurred, 6, 0.1)).unwrap(),
         );
         assert!(sharp.over_best < 1.1 && blurred.over_best < 1.1, "{sharp:?} {blurred:?}");
-        assert!(blurred.step_over_best < 1.05 && sharp.step_over_best > 1.1, "{sharp:?} {blurred:?}");
+        let alone = [sharp, blurred].map(|found| found.step_over_best.unwrap());
+        assert!(alone[1] < 1.05 && alone[0] > 1.1, "{sharp:?} {blurred:?}");
         sharp.quality.check().unwrap();
         blurred.quality.check().unwrap();
     }
