@@ -136,7 +136,11 @@ impl Correction {
         let (common, single, change) = match self.prior {
             Prior::Unknown => (OPEN, c.unit_cost_sd * c.unit_cost_sd, c.scene_sd * c.scene_sd),
             Prior::Converted { log_sd } | Prior::Fitted { log_sd } => {
-                let sd = if log_sd.is_finite() { f64::from(log_sd).clamp(FITTED_SD_RANGE.0, FITTED_SD_RANGE.1) } else { FITTED_SD };
+                let sd = if log_sd.is_finite() {
+                    f64::from(log_sd).clamp(FITTED_SD_RANGE.0, FITTED_SD_RANGE.1)
+                } else {
+                    FITTED_SD
+                };
                 // A model that was fitted here is right on the whole; it is wrong about single scenes.
                 let single = c.fitted_share * sd * sd;
                 let common = if matches!(self.prior, Prior::Converted { .. }) { OPEN } else { single };
