@@ -135,16 +135,18 @@ fn a_model_states_what_coarser_pictures_cost() {
 #[test]
 fn the_model_of_the_nearest_machine_is_started_from() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
-    let priors: Vec<NamedPrior> = ["unshaded-selected", "unshaded-xeon-selected"]
+    let priors: Vec<NamedPrior> = ["unshaded-selected", "unshaded-epyc-selected", "unshaded-xeon-selected"]
         .map(|name| {
             let path = root.join(format!("models/{name}.safetensors"));
             (name.to_owned(), ModelFile::from_bytes(&std::fs::read(path).unwrap()).unwrap())
         })
         .into();
     let threads = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    for (table, expected) in
-        [("none-steps", "unshaded-selected"), ("none-xeon-steps", "unshaded-xeon-selected")]
-    {
+    for (table, expected) in [
+        ("none-steps", "unshaded-selected"),
+        ("none-epyc-steps", "unshaded-epyc-selected"),
+        ("none-xeon-steps", "unshaded-xeon-selected"),
+    ] {
         let mut tables = read_tables(&[root.join(format!("data/timings/{table}.csv.gz"))]).unwrap();
         tables[0].frames.retain(|f| f.number % 29 == 0);
         let (_, report) =
