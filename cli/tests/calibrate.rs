@@ -124,10 +124,14 @@ fn a_model_states_what_coarser_pictures_cost() {
             serde_json::from_str(model.metadata()["entire.provenance"].as_str()).unwrap();
         let pictures = &provenance["calibration"]["pictures"];
         assert_eq!((&pictures["error"], &pictures["settings"]), (&error.into(), &20.into()));
-        let (chosen, alone) = (pictures["over_best"].as_f64().unwrap(), pictures["step_over_best"].as_f64());
-        assert!(chosen >= 1.0 && alone.is_none_or(|alone| chosen <= alone + 1e-9), "{pictures}");
-        let least = pictures["step_least_time"].as_f64().unwrap();
-        assert!(least > 0.0 && least < 1.0, "{pictures}");
+        let of = |name: &str| pictures[name].as_f64();
+        let (chosen, least) = (of("over_best").unwrap(), of("step_least_time").unwrap());
+        assert!(chosen >= 1.0 && least > 0.0 && least < 1.0, "{pictures}");
+        // The step alone is judged unless it never reaches the longest time that counts.
+        match of("step_over_best") {
+            Some(alone) => assert!(chosen <= alone + 1e-9, "{pictures}"),
+            None => assert!(least > 0.7, "{pictures}"),
+        }
     }
 }
 
@@ -142,17 +146,16 @@ fn the_model_of_the_nearest_machine_is_started_from() {
         })
         .into();
     let threads = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    // The first two are of the same maker, and the times of the second scatter by a tenth: either does there.
-    for (table, near) in [
-        ("none-steps", &["unshaded-selected"][..]),
-        ("none-epyc-steps", &["unshaded-epyc-selected", "unshaded-selected"]),
-        ("none-xeon-steps", &["unshaded-xeon-selected"]),
+    for (table, expected) in [
+        ("none-steps", "unshaded-selected"),
+        ("none-epyc-steps", "unshaded-epyc-selected"),
+        ("none-xeon-steps", "unshaded-xeon-selected"),
     ] {
-        let mut tables = read_tables(&[root.join(format!("data/timings/{table}.csv.gz"))]).unwrap();
-        tables[0].frames.retain(|f| f.number % 5 == 0);
+        // All frames: some ten do not tell two processors of one maker apart.
+        let tables = read_tables(&[root.join(format!("data/timings/{table}.csv.gz"))]).unwrap();
         let (_, report) =
             calibrate_to_tables(&tables, (Shading::None, Clock::Cpu), &priors, &threads).unwrap();
-        assert!(near.contains(&report.prior.as_deref().unwrap()), "{table}: {}", report.text());
+        assert_eq!(report.prior.as_deref(), Some(expected), "{}", report.text());
     }
 }
 

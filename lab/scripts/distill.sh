@@ -32,9 +32,12 @@ for set in ${*:-unshaded local scatter}; do
     "$entire" collect "${volumes[@]}" --out "$out/$set.csv" "${resume[@]}" --frames "$frames" --repeats 1 --warm-up 0 \
         --seed 77 --enlarge 2 --max-size "$size" --shade "$shade" --teacher "$root/models/$set-selected.safetensors"
     echo "==> $set: training"
-    network=(--preset 12C256 --inputs volume_features,camera,resolution,transfer_function --sorted-lobes
-        --target seconds --volumenet "$root/models/volumenet-128f2.safetensors" --learning-rate 7e-4 --epochs "$epochs")
-    [[ -n $start ]] && network=(--fine-tune "$start/$set-distilled.safetensors" --learning-rate 2e-4 --epochs "${EPOCHS:-6}")
+    if [[ -n $start ]]; then
+        network=(--fine-tune "$start/$set-distilled.safetensors" --learning-rate 2e-4 --epochs "${EPOCHS:-6}")
+    else
+        network=(--preset 12C256 --inputs volume_features,camera,resolution,transfer_function --sorted-lobes --target seconds
+            --volumenet "$root/models/volumenet-128f2.safetensors" --learning-rate 7e-4 --epochs "$epochs")
+    fi
     "$entire" train --data "$out/$set.csv" --out "$out/$set-distilled.safetensors" --dtype f16 --clock cpu \
         "${network[@]}" --batch 256 \
         --split volume --validation-groups ensembles/nyx_cosmology/m02/t0018.nrrd \

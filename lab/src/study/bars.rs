@@ -12,6 +12,12 @@ pub(super) const PAPER: &str = "paper";
 /// The paper's network where it is distilled from another predictor.
 const DISTILLED: &str = "distilled";
 
+/// The networks whose error with eight-bit weights is a bar: the paper's and those that ship.
+pub(super) fn judged_in_eight_bits(study: &Study) -> impl Iterator<Item = &str> {
+    std::iter::once(PAPER)
+        .chain(study.ship.iter().map(|s| s.predictor.as_str()).filter(|name| *name != PAPER))
+}
+
 /// The predictors with a model file, main panel.
 pub(super) fn models<'a>(
     found: &'a Findings,
@@ -63,10 +69,7 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
         let over = |a: Option<f64>, b: Option<f64>| Some(a? / b?);
         let paper = rmse(PAPER);
         if limits.constant_over_paper.is_some() {
-            for network in [PAPER, DISTILLED, SELECTED] {
-                if !study.predictors.iter().any(|p| p.name == network) {
-                    continue;
-                }
+            for network in judged_in_eight_bits(study) {
                 let ratio = found.eight_bit.iter().find(|e| e.0 == *s && e.1 == network).map(|e| e.2);
                 at_most(name(&format!("{network}-rmse-eight-bit-over-stored")), ratio, 1.02);
             }

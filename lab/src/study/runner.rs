@@ -1,6 +1,6 @@
 //! Makes every predictor of a study on every set and judges it.
 
-use super::bars::PAPER;
+use super::bars::judged_in_eight_bits;
 use super::baselines::{constant, low_resolution, proxy};
 use super::cache::{STUDY_KEY, identity, kept, path_of};
 use super::data::{Folds, Learned, SetData, SetTables};
@@ -343,7 +343,7 @@ impl Runner<'_> {
             }
         }
         if let StudyPredictor::Model(kept) = made {
-            if named.name == PAPER || study.ship.iter().any(|s| s.predictor == named.name) {
+            if judged_in_eight_bits(study).any(|name| name == named.name) {
                 eight_bit(on, &named.name, &kept.model, out)?;
             }
             if study.curves.contains(&named.name) {
