@@ -73,8 +73,8 @@ impl Provenance {
     }
 }
 
-/// Processor model, logical processors, operating system and architecture. No host name: tables get
-/// published.
+/// Processor model, what its vectors are (software renderers differ by it, and one model name may stand for processors
+/// of several makes), logical processors, operating system and architecture. No host name: tables get published.
 pub fn machine() -> String {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let processor = cpuinfo
@@ -89,10 +89,25 @@ pub fn machine() -> String {
         .to_owned();
     let cores = cores();
     format!(
-        "{processor}, {cores} logical processor{}, {system}, {}",
+        "{processor}{}, {cores} logical processor{}, {system}, {}",
+        vectors().map_or(String::new(), |v| format!(" ({v})")),
         if cores == 1 { "" } else { "s" },
         std::env::consts::ARCH
     )
+}
+
+/// The widest vectors of the processor, where that is an x86 one.
+fn vectors() -> Option<&'static str> {
+    #[cfg(any(target_arch = "x86_64", target_arch = "x86"))]
+    {
+        if std::arch::is_x86_feature_detected!("avx512f") {
+            return Some("AVX-512");
+        }
+        if std::arch::is_x86_feature_detected!("avx2") {
+            return Some("AVX2");
+        }
+    }
+    None
 }
 
 #[cfg(test)]
@@ -104,6 +119,7 @@ mod tests {
         let p = Provenance::of("a device".into());
         assert!(p.machine.contains("logical processor") && p.commit.starts_with(env!("CARGO_PKG_VERSION")));
         assert_eq!(p.date.len(), 20);
+        assert_eq!(p.machine.contains(" (AVX"), vectors().is_some());
         assert!(p.facts().iter().any(|(_, v)| v == "a device"));
     }
 }

@@ -3,6 +3,7 @@
 use entire_cli::dataset::{MANIFEST_FORMAT, Manifest, Scene, Timing, Writer};
 use entire_core::model::{Key, Model, ModelFile};
 use entire_core::nn::Dtype;
+use entire_core::predict::Quality;
 use entire_core::scene::{Arcball, GaussianLobe, Shading, Skipping};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -300,6 +301,42 @@ fn the_analytic_model_is_one_layer_with_costs_that_are_not_negative() {
     let shown = works(&["evaluate", "--quiet", "--model", &out, "--data", data.csv(), "--by", "volume"]);
     assert!(shown.contains("blobs/m02/t0001.nrrd"), "{shown}");
     assert!(shown.contains("the truth, by the repeats of a frame"), "{shown}");
+}
+
+#[test]
+fn compared_pictures_put_their_law_into_the_model() {
+    let data = data(10);
+    let (pictures, out) = (data.path("pictures.csv"), data.path("both.safetensors"));
+    let truth = Quality { image_weight: 5.0, step_exponent: 1.2, image_exponent: 0.9, ray_share: 0.2 };
+    let mut text = "scene,step,image_sample_distance,seconds,error\n".to_owned();
+    for scene in ["near", "far", "inside"] {
+        for distance in [1.0, 1.2, 1.44, 2.0] {
+            for step in [1.0, 1.5, 2.2, 3.2, 4.5] {
+                let (seconds, error) = (0.02 * truth.time_share(step, distance), truth.error(step, distance));
+                text += &format!("{scene},{step},{distance},{seconds},{error}\n");
+            }
+        }
+    }
+    std::fs::write(&pictures, &text).unwrap();
+    let mut arguments =
+        vec!["train", "--quiet", "--data", data.csv(), "--out", &out, "--model-kind", "analytic"];
+    arguments.extend(["--pictures", &pictures]);
+    let said = works(&arguments);
+    assert!(said.contains("pictures: 3 scenes at 20 steps and sizes"), "{said}");
+    let found = Quality::of(&model(&out)).unwrap().unwrap();
+    for (own, wanted) in [
+        (found.image_weight, truth.image_weight),
+        (found.step_exponent, truth.step_exponent),
+        (found.image_exponent, truth.image_exponent),
+        (found.ray_share, truth.ray_share),
+    ] {
+        assert!((own / wanted - 1.0).abs() < 0.02, "{found:?}");
+    }
+
+    std::fs::write(&pictures, text.replace("near,1,1,0.02,0", "near,1,1,soon,0")).unwrap();
+    fails(&arguments, 1, "line 2, column seconds: \"soon\" is no number");
+    std::fs::write(&pictures, text.lines().take(21).collect::<Vec<_>>().join("\n")).unwrap();
+    fails(&arguments, 1, "at least 3 scenes");
 }
 
 #[test]

@@ -66,33 +66,16 @@ pub struct Report {
 pub struct Pictures {
     /// How far a picture is from the one at full quality.
     pub error: PictureError,
-    /// Scenes that were drawn at every setting, and how many these are.
-    pub scenes: usize,
-    /// Settings of each scene.
-    pub settings: usize,
-    /// The law.
-    pub quality: Quality,
-    /// Mean error of the settings that the law chooses, over that of the best ones that take the same time.
-    pub over_best: f64,
-    /// The same of the ray step alone, where it reaches such times.
-    pub step_over_best: Option<f64>,
-    /// Share of the time of full quality that the coarsest step alone takes.
-    pub step_least_time: f64,
+    /// The law, and what its choices cost.
+    #[serde(flatten)]
+    pub fitted: FittedQuality,
 }
 
 impl Report {
     /// With what compared pictures said.
     #[must_use]
     pub fn with_pictures(self, error: PictureError, fitted: Option<FittedQuality>) -> Self {
-        let pictures = fitted.map(|f| Pictures {
-            error,
-            scenes: f.scenes,
-            settings: f.settings,
-            quality: f.quality,
-            over_best: f.over_best,
-            step_over_best: f.step_over_best,
-            step_least_time: f.step_least_time,
-        });
+        let pictures = fitted.map(|fitted| Pictures { error, fitted });
         Self { pictures, ..self }
     }
 
@@ -226,26 +209,11 @@ impl Report {
             ),
         );
         if let Some(p) = &self.pictures {
-            let Quality { image_weight, step_exponent, image_exponent, ray_share } = p.quality;
             let error = match p.error {
                 PictureError::Rmse => "root mean squared difference",
                 PictureError::Ssim => "1 - SSIM",
             };
-            line(
-                &mut out,
-                "pictures",
-                format!(
-                    "{} scenes at {} steps and sizes: {error} as (s - 1)^{step_exponent:.2} + {image_weight:.2} \
-                     (d - 1)^{image_exponent:.2}, {:.0} % of the time goes with rays; steps and sizes chosen so cost \
-                     {:.2} times the error of the best ones, the step alone, which saves {:.0} % at most, {}",
-                    p.scenes,
-                    p.settings,
-                    100.0 * ray_share,
-                    p.over_best,
-                    100.0 * (1.0 - p.step_least_time),
-                    p.step_over_best.map_or("too little".into(), |over| format!("{over:.2} times"))
-                ),
-            );
+            line(&mut out, "pictures", law_text(&p.fitted, error));
         } else if self.rounds > 0 {
             line(
                 &mut out,
@@ -278,7 +246,7 @@ impl Report {
         // What the prior knows is of another machine's pictures.
         file.metadata.remove(Key::Quality.name());
         if let Some(pictures) = &self.pictures {
-            pictures.quality.store(file)?;
+            pictures.fitted.quality.store(file)?;
         }
         file.metadata.insert(Key::Clock.into(), self.clock.into());
         file.metadata.insert(Key::Renderer.into(), renderer.into());
@@ -305,4 +273,20 @@ impl Report {
         file.metadata.insert(Key::Provenance.into(), provenance.to_string());
         Ok(())
     }
+}
+
+/// What compared pictures said, in one line: `error` is the measure that they were compared by.
+pub fn law_text(fitted: &FittedQuality, error: &str) -> String {
+    let Quality { image_weight, step_exponent, image_exponent, ray_share } = fitted.quality;
+    format!(
+        "{} scenes at {} steps and sizes: {error} as (s - 1)^{step_exponent:.2} + {image_weight:.2} (d - \
+         1)^{image_exponent:.2}, {:.0} % of the time goes with rays; steps and sizes chosen so cost {:.2} times the error of \
+         the best ones, the step alone, which saves {:.0} % at most, {}",
+        fitted.scenes,
+        fitted.settings,
+        100.0 * ray_share,
+        fitted.over_best,
+        100.0 * (1.0 - fitted.step_least_time),
+        fitted.step_over_best.map_or("too little".into(), |over| format!("{over:.2} times"))
+    )
 }

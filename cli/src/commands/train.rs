@@ -1,7 +1,8 @@
 //! `entire train`: train or fine-tune a predictor on collected frames.
 
+use crate::calibrate::report::law_text;
 use crate::dataset::{
-    Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, read_tables, timed,
+    Clock, NoiseFloor, Table, Timed, TimedFrame, left_out, noise_floor, read_pictures, read_tables, timed,
 };
 use crate::files::{check_model_out, read_model_file, write_whole};
 use crate::fit::{
@@ -14,7 +15,8 @@ use crate::options::thread_pool;
 use crate::progress::{INPUTS_BAR, templated_bar};
 use crate::split::{GroupBy, Part, Split};
 use crate::{bound, interrupt, machine};
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
+use entire_core::calibrate::{FittedQuality, fit_quality};
 use entire_core::model::Key;
 use entire_core::predict::{UPPER_LEVEL, UpperBound};
 use rand::seq::SliceRandom;
@@ -23,7 +25,7 @@ use rand_chacha::rand_core::SeedableRng;
 use serde_json::json;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 /// Train or fine-tune a predictor on collected frames.
@@ -42,6 +44,8 @@ Examples:
         unit costs by non-negative least squares: fits from a few frames on
   entire train --data frames.csv --out residual.safetensors --model-kind residual --layers 32
         the analytic model times a learned factor
+  entire train --data frames.csv --pictures pictures.csv --out both.safetensors --model-kind analytic
+        what a frame takes, and what coarser steps and smaller images cost its picture
   entire train --data new-machine.csv --out here.safetensors --calibrate model.safetensors --limit 100
   entire train --data new-renderer.csv --out there.safetensors --transfer residual.safetensors
         from one renderer to another with a few frames, all of which are learned from")]
@@ -49,6 +53,13 @@ pub struct Options {
     /// Timing tables written by `entire collect`.
     #[arg(long, required = true, num_args = 1.., value_name = "CSV")]
     pub data: Vec<PathBuf>,
+    /// A table of compared pictures: what coarser ray steps and smaller images cost the renderer's pictures is fitted to
+    /// it and stands in the model file, for steering that may coarsen both.
+    ///
+    /// Columns: scene, step (finest ones), image_sample_distance (pixels), seconds, error (0 for equal pictures). Each
+    /// scene is drawn at the same settings, full quality among them.
+    #[arg(long, value_name = "CSV")]
+    pub pictures: Option<PathBuf>,
     /// Model file to write; its card goes beside it as Markdown.
     #[arg(long, value_name = "SAFETENSORS")]
     pub out: PathBuf,
@@ -195,6 +206,7 @@ pub fn run(options: &Options) -> Result<()> {
     check_model_out(&options.out)?;
     let pool = thread_pool(options.threads)?;
     let tables = read_tables(&options.data)?;
+    let pictures = options.pictures.as_deref().map(fitted_pictures).transpose()?;
     let clock = learned_clock(options, &tables)?;
     let frames = timed(&tables, clock, options.shading)?;
     if let Some(text) = left_out(&tables, clock, options.shading) {
@@ -331,12 +343,16 @@ pub fn run(options: &Options) -> Result<()> {
             "level": UPPER_LEVEL, "log_factor": f64::from(upper.log_factor), "coverage": covered,
         },
         "noise_floor": noise,
+        "pictures": pictures,
         "trained_on": machine::machine(),
         "program": format!("entire {}", machine::version()),
         "date": machine::now(),
     });
     trained.fitted.file.metadata.insert(Key::Provenance.into(), provenance.to_string());
     crate::clock::set(&mut trained.fitted.file, clock);
+    if let Some(fitted) = &pictures {
+        fitted.quality.store(&mut trained.fitted.file)?;
+    }
     if let Some(manifest) = tables.iter().find_map(|t| t.manifest.as_ref()) {
         trained.fitted.file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
         trained.fitted.file.metadata.insert(Key::Device.into(), manifest.device.clone());
@@ -363,6 +379,9 @@ pub fn run(options: &Options) -> Result<()> {
     if let Some(n) = noise {
         println!("noise floor: {}", n.describe());
     }
+    if let Some(fitted) = &pictures {
+        println!("pictures: {}", law_text(fitted, "error"));
+    }
     println!(
         "{}; wrote {} in {:.1} s",
         trained.fitted.outcome,
@@ -370,6 +389,11 @@ pub fn run(options: &Options) -> Result<()> {
         started.elapsed().as_secs_f64()
     );
     Ok(())
+}
+
+/// What compared pictures say.
+fn fitted_pictures(path: &Path) -> Result<FittedQuality> {
+    fit_quality(&read_pictures(path)?).with_context(|| path.display().to_string())
 }
 
 /// A predictor with the layout of its inputs.

@@ -7,6 +7,7 @@
 //! modes, the opacity at which rays stop; the transfer function's Gaussian lobes as `c w h` joined by `;`;
 //! seconds by each clock; and work counts. An empty field means "not measured".
 
+mod compared;
 pub mod feature_table;
 mod manifest;
 mod scene;
@@ -16,6 +17,7 @@ mod tests;
 mod timing;
 mod writer;
 
+pub use compared::{PICTURE_COLUMNS, read_pictures};
 pub use manifest::{MANIFEST_FORMAT, Manifest};
 pub use scene::{Scene, format_lobes, parse_lobes, parse_shading, parse_skipping};
 pub use table::{COLUMNS, Table, parse as parse_table, read_tables};

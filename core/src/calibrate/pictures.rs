@@ -12,6 +12,7 @@ use crate::predict::Quality;
 use alloc::collections::BTreeMap;
 use alloc::vec;
 use alloc::vec::Vec;
+use serde::Serialize;
 
 /// Fewest scenes that a law is fitted to.
 pub const FEWEST_SCENES: usize = 3;
@@ -75,7 +76,7 @@ impl Picture {
 }
 
 /// A law that was fitted to pictures.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FittedQuality {
     /// The law.
     pub quality: Quality,

@@ -49,7 +49,7 @@ OTHERS = (19, 31)
 
 
 def calibrate(options, mapper):
-    """A model of this mapper from 60 random frames of volumes other than the comparison's."""
+    """A model of this mapper from 60 random frames of volumes other than the comparison's, and from pictures compared there."""
     import vtk_scene
     from timing_table import write_nrrd
 
@@ -59,17 +59,19 @@ def calibrate(options, mapper):
         if not os.path.exists(volumes[-1]):
             write_nrrd(volumes[-1], vtk_scene.noise_volume(256, seed))
     table = os.path.join(options.out, f"others-{mapper}.csv")
+    pictures = os.path.join(options.out, f"pictures-{mapper}.csv")
     model = os.path.join(options.out, f"others-{mapper}.safetensors")
-    if not os.path.exists(table):
+    if not (os.path.exists(table) and os.path.exists(pictures)):
         part = os.path.join(options.out, f"part-{mapper}.csv")
-        if os.path.exists(part):
-            os.remove(part)
+        for left in (part, pictures):
+            if os.path.exists(left):
+                os.remove(left)
         logged(os.path.join(options.out, f"collect-{mapper}.log"), sys.executable, os.path.join(PLUGIN, "collect_vtk.py"),
                "--mapper", mapper, "--out", part, "--frames", 60 // len(OTHERS), "--repeats", 2, "--min-size", 96,
-               "--max-size", 512, "--steps", "1,1.4,2,3,4", *volumes)
+               "--max-size", 512, "--steps", "1,1.4,2,3,4", "--pictures", pictures, *volumes)
         os.replace(part, table)
     logged(os.path.join(options.out, f"train-{mapper}.log"), options.entire, "train", "--data", table, "--clock", "cpu",
-           "--model-kind", "analytic", "--quiet", "--out", model)
+           "--pictures", pictures, "--model-kind", "analytic", "--quiet", "--out", model)
     return model
 
 

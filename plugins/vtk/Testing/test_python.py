@@ -8,6 +8,7 @@ import tempfile
 import numpy as np
 
 sys.path.insert(0, sys.argv[1])
+import collect_vtk  # noqa: E402
 import timing_table  # noqa: E402
 import vtk_scene  # noqa: E402
 from entire_vtk.vtkEntireSteering import vtkEntireSteering  # noqa: E402
@@ -68,3 +69,17 @@ with tempfile.TemporaryDirectory() as folder:
     assert [float(r[3]) for r in rows] == [1, 2, 3, 4, 5, 6, 7, 8]
     assert [(r[0], "0", r[2], r[4]) for r in rows[4:]] == [(r[0], "0", r[2], r[4]) for r in rows[:4]]
     assert {r[1] for r in rows[4:]} == {"1"}
+
+    # A scene's pictures, each compared with the first, at full quality.
+    noise = os.path.join(folder, "noise.nrrd")
+    timing_table.write_nrrd(noise, vtk_scene.noise_volume(32))
+    words = [noise, "--out", out, "--frames", "2", "--repeats", "1", "--max-size", "64"]
+    options = timing_table.arguments("").parse_args(words)
+    options.pictures, options.scenes = os.path.join(folder, "pictures.csv"), 1
+    collect_vtk.compare(options, collect_vtk.VtkRenderer("fixed", "none"))
+    with open(options.pictures, newline="") as file:
+        rows = list(csv.DictReader(file))
+    settings = [(float(r["step"]), float(r["image_sample_distance"])) for r in rows]
+    assert settings == [(s, d) for d in collect_vtk.IMAGES for s in collect_vtk.STEPS]
+    assert float(rows[0]["error"]) == 0 and all(float(r["error"]) > 0 for r in rows[6:]), rows
+    assert all(float(r["seconds"]) > 0 for r in rows)

@@ -4,9 +4,14 @@
     xvfb-run -a python3 collect_vtk.py --mapper fixed --out fixed.csv --max-size 256 VOLUME.nrrd...
     entire train --data fixed.csv --clock cpu --out fixed.safetensors
 
+With --pictures FILE some scenes of each volume are then drawn at every pair of some sample distances and image sample
+distances and compared with full quality (root mean squared difference of 8-bit colors): `entire train --pictures FILE` puts
+what it costs the mapper's pictures into the model, which vtkEntireSteering goes by.
+
 Timed is the mapper's work, from its VolumeMapperRenderStartEvent to its VolumeMapperRenderEndEvent: what
 vtkEntireSteering predicts. `seconds_cpu` is processor time of the process, llvmpipe's threads included.
 """
+import csv
 import os
 import sys
 import time
@@ -17,6 +22,14 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import timing_table  # noqa: E402
 import vtk_scene  # noqa: E402
 from vtkmodules.vtkCommonCore import vtkVersion  # noqa: E402
+
+
+# Sample distances, finest ones, and image sample distances at which pictures are compared with full quality.
+STEPS = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0)
+IMAGES = (1.0, 1.2, 1.44, 2.0)
+
+# Least image side that is compared, pixels: of fewer little can be told.
+LEAST_SIDE = 256
 
 
 class VtkRenderer:
@@ -66,8 +79,51 @@ class VtkRenderer:
         return draw
 
 
+def compared(renderer, scene, name, repeats):
+    """A scene at every pair of steps and image sample distances, as rows of a table of pictures."""
+    draw = renderer.prepare(scene)
+    view, finest, rows, full = renderer.view, scene.step * renderer.volume.reference_step, [], None
+    for image in IMAGES:
+        for step in STEPS:
+            view.mapper.SetSampleDistance(step * finest)
+            view.mapper.SetImageSampleDistance(image)
+            # The first makes buffers and tables for it.
+            seconds = [draw()[1] for _ in range(1 + repeats)][1:]
+            pixels = view.pixels().astype(np.float32)
+            full = pixels if full is None else full
+            error = float(np.sqrt(np.mean((pixels - full) ** 2)))
+            rows.append((name, step, image, float(np.median(seconds)), error))
+    view.mapper.SetImageSampleDistance(1.0)
+    return rows
+
+
+def compare(options, renderer):
+    """Writes the table of compared pictures."""
+    rows = []
+    for path in options.volumes:
+        renderer.load(timing_table.read_nrrd(path))
+        for index in range(options.scenes):
+            # Others than the frames that are timed.
+            scene = timing_table.draw_scene(
+                options.seed, path, options.frames + index, max(LEAST_SIDE, options.min_size), max(LEAST_SIDE, options.max_size)
+            )
+            rows += compared(renderer, scene, f"{path} {index}", options.repeats)
+            print(f"{path}: {index + 1} of {options.scenes} scenes compared", file=sys.stderr)
+    with open(options.pictures, "w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("scene", "step", "image_sample_distance", "seconds", "error"))
+        writer.writerows(rows)
+
+
 if __name__ == "__main__":
     parser = timing_table.arguments(__doc__.splitlines()[0])
     parser.add_argument("--mapper", choices=("fixed", "gpu"), default="fixed")
+    parser.add_argument("--pictures", metavar="FILE.csv", help="compare pictures, too, and write this table of them")
+    parser.add_argument("--scenes", type=int, default=4, help="scenes per volume whose pictures are compared")
     options = parser.parse_args()
-    timing_table.collect(options, VtkRenderer(options.mapper, options.shade))
+    if options.pictures and os.path.exists(options.pictures):
+        sys.exit(f"{options.pictures} exists already; remove it or choose another name")
+    renderer = VtkRenderer(options.mapper, options.shade)
+    timing_table.collect(options, renderer)
+    if options.pictures:
+        compare(options, renderer)

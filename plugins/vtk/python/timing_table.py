@@ -33,11 +33,15 @@ _MASK32, _MASK64 = 0xFFFFFFFF, 0xFFFFFFFFFFFFFFFF
 
 
 def machine():
-    """Processor, number of logical processors, system and architecture; no name of the host."""
+    """Processor with its widest vectors, number of logical processors, system and architecture; no name of the host."""
     model = platform.processor()
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
-            model = next((line.split(":", 1)[1].strip() for line in file if line.startswith("model name")), model)
+            lines = file.readlines()
+        model = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")), model)
+        flags = next((line.split() for line in lines if line.startswith("flags")), ())
+        vectors = next((name for flag, name in (("avx512f", "AVX-512"), ("avx2", "AVX2")) if flag in flags), None)
+        model += f" ({vectors})" if vectors else ""
         system = platform.freedesktop_os_release().get("PRETTY_NAME", platform.system())
     except (OSError, AttributeError):
         system = platform.system()
