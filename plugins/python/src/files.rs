@@ -1,7 +1,7 @@
 //! Files, whole or absent.
 
 use crate::detach::detached;
-use pyo3::exceptions::PyOSError;
+use pyo3::exceptions::{PyFileNotFoundError, PyOSError, PyValueError};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 
@@ -21,4 +21,29 @@ use std::path::PathBuf;
 pub(crate) fn write_whole(py: Python<'_>, path: PathBuf, data: &[u8]) -> PyResult<()> {
     detached(py, || entire_cli::files::write_whole(&path, data))
         .map_err(|error| PyOSError::new_err(format!("{error:#}")))
+}
+
+/// The file of this machine's model, as `entire calibrate` left it in the user's data folder.
+///
+/// Parameters
+/// ----------
+/// shading : str
+///     `"none"`, `"local"` or `"scatter"`.
+///
+/// Returns
+/// -------
+/// pathlib.Path
+///
+/// Raises
+/// ------
+/// ValueError
+///     For another shading mode.
+/// FileNotFoundError
+///     Where the machine was not calibrated for the mode; says how to.
+#[pyfunction]
+pub(crate) fn machine_file(shading: &str) -> PyResult<PathBuf> {
+    let shading = entire_cli::dataset::parse_shading(shading)
+        .map_err(|error| PyValueError::new_err(format!("{error:#}")))?;
+    entire_cli::calibrate::place::machine_file(shading)
+        .map_err(|error| PyFileNotFoundError::new_err(format!("{error:#}")))
 }

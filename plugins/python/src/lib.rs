@@ -36,7 +36,7 @@ mod _native {
     #[pymodule_export]
     use crate::errors::{MissingInputError, ModelError, NotReadyError, RejectedObservationError};
     #[pymodule_export]
-    use crate::files::write_whole;
+    use crate::files::{machine_file, write_whole};
     #[pymodule_export]
     use crate::held::Held;
     #[pymodule_export]

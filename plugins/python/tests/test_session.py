@@ -289,6 +289,21 @@ def test_opacity_of_a_length_in_space_follows_the_spacing(voxels):
     )
 
 
+def test_the_machines_model(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
+    with pytest.raises(FileNotFoundError, match="entire calibrate --shade local"):
+        entire.Model.machine("local")
+    with pytest.raises(ValueError, match="none, local or scatter"):
+        entire.Model.machine("phong")
+    (tmp_path / "entire").mkdir()
+    shipped = entire.Model("local-selected")
+    shipped.save(tmp_path / "entire" / "machine-local.safetensors")
+    found = entire.Model.machine("local")
+    assert isinstance(found, entire.Model) and found.to_bytes() == shipped.to_bytes()
+    with pytest.raises(FileNotFoundError):
+        entire.Model.machine()
+
+
 def test_models_by_name_path_and_bytes(voxels, tf, tmp_path):
     names = entire.models()
     assert {"unshaded-selected", "local-selected", "scatter-selected"} <= set(names)

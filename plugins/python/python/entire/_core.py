@@ -82,6 +82,29 @@ class Model(_native.Model):
             )
         return super().__new__(cls, path.read_bytes())
 
+    @classmethod
+    def machine(cls, shading: Shading = "none") -> Self:
+        """The model of this machine that ``entire calibrate`` left in the user's data folder. It predicts seconds of
+        entire's own raycaster, by the clock that ``metadata["entire.clock"]`` says.
+
+        Parameters
+        ----------
+        shading : {"none", "local", "scatter"}, optional
+            What ``--shade`` was.
+
+        Returns
+        -------
+        Model
+
+        Raises
+        ------
+        ValueError
+            For another shading mode.
+        FileNotFoundError
+            Where the machine was not calibrated for the mode; says how to.
+        """
+        return cls(_native.machine_file(shading))
+
     def save(self, path: Union[str, os.PathLike[str]]) -> None:
         """Writes the model file, whole or not at all.
 
