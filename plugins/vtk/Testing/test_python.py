@@ -76,7 +76,9 @@ with tempfile.TemporaryDirectory() as folder:
     words = [noise, "--out", out, "--frames", "2", "--repeats", "1", "--max-size", "64"]
     options = timing_table.arguments("").parse_args(words)
     options.pictures, options.scenes = os.path.join(folder, "pictures.csv"), 1
-    collect_vtk.compare(options, collect_vtk.VtkRenderer("fixed", "none"))
+    renderer = collect_vtk.VtkRenderer("fixed", "none")
+    collect_vtk.compare(options, renderer)
+    assert renderer.name == renderer.view.mapper.GetClassName() == "vtkFixedPointVolumeRayCastMapper"
     with open(options.pictures, newline="") as file:
         rows = list(csv.DictReader(file))
     settings = [(float(r["step"]), float(r["image_sample_distance"])) for r in rows]

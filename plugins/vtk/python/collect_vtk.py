@@ -37,7 +37,8 @@ class VtkRenderer:
 
     def __init__(self, mapper, shade):
         self.mapper, self.shade = mapper, shade
-        self.name = {"fixed": "vtk-fixed-point", "gpu": "vtk-gpu"}[mapper]
+        # As vtkEntireSteering names its timings: what a model states of pictures holds for the renderer that it names.
+        self.name = vtk_scene.MAPPERS[mapper]().GetClassName()
         # What the mappers do by themselves: the fixed-point mapper leaps over blocks without opacity.
         self.skipping = {"fixed": "blocks", "gpu": "none"}[mapper]
         self.termination = {"fixed": 0.99, "gpu": 0.996}[mapper]
