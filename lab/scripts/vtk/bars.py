@@ -69,6 +69,8 @@ def calibrate(options, mapper):
         logged(os.path.join(options.out, f"collect-{mapper}.log"), sys.executable, os.path.join(PLUGIN, "collect_vtk.py"),
                "--mapper", mapper, "--out", part, "--frames", 60 // len(OTHERS), "--repeats", 2, "--min-size", 96,
                "--max-size", 512, "--steps", "1,1.4,2,3,4", "--pictures", pictures, *volumes)
+        # The manifest says which mapper it was.
+        os.replace(part.replace(".csv", ".manifest.json"), table.replace(".csv", ".manifest.json"))
         os.replace(part, table)
     logged(os.path.join(options.out, f"train-{mapper}.log"), options.entire, "train", "--data", table, "--clock", "cpu",
            "--pictures", pictures, "--model-kind", "analytic", "--quiet", "--out", model)
