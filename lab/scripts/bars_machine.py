@@ -176,7 +176,7 @@ def invalid(machine, test):
         cargo = os.environ.get("CARGO", "cargo")
         done = subprocess.run([cargo, "test", "--quiet", "--package", "entire-cli", "--test", "predictions", "--", "--nocapture"],
                               cwd=ROOT, stdout=subprocess.PIPE, text=True)
-        counts = [line.split()[-1] for line in done.stdout.splitlines() if line.startswith("predictions not positive:")]
+        counts = [line.split()[-1] for line in done.stdout.splitlines() if "predictions not positive:" in line]
         if not counts:
             return None
         kept.write_text(counts[0])
