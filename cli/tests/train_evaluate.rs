@@ -333,6 +333,10 @@ fn compared_pictures_put_their_law_into_the_model() {
         assert!((own / wanted - 1.0).abs() < 0.02, "{found:?}");
     }
 
+    // What holds for a renderer must name it.
+    let told = entire(&arguments);
+    assert!(String::from_utf8_lossy(&told.stderr).contains("no manifest stands beside the frames"));
+
     std::fs::write(&pictures, text.replace("near,1,1,0.02,0", "near,1,1,soon,0")).unwrap();
     fails(&arguments, 1, "line 2, column seconds: \"soon\" is no number");
     std::fs::write(&pictures, text.lines().take(21).collect::<Vec<_>>().join("\n")).unwrap();
