@@ -1,5 +1,6 @@
 //! Where numbers come from: the machine, its load, the program's version and the date.
 
+use entire_core::nn::{Isa, Level};
 use serde::Serialize;
 
 /// The program's version and, when it was built from a checkout, its commit.
@@ -98,16 +99,11 @@ pub fn machine() -> String {
 
 /// The widest vectors of the processor, where that is an x86 one.
 fn vectors() -> Option<&'static str> {
-    #[cfg(any(target_arch = "x86_64", target_arch = "x86"))]
-    {
-        if std::arch::is_x86_feature_detected!("avx512f") {
-            return Some("AVX-512");
-        }
-        if std::arch::is_x86_feature_detected!("avx2") {
-            return Some("AVX2");
-        }
+    match Level::available().last()?.isa() {
+        Isa::Avx2 => Some("AVX2"),
+        Isa::Avx512 => Some("AVX-512"),
+        _ => None,
     }
-    None
 }
 
 #[cfg(test)]

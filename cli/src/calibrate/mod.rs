@@ -77,10 +77,11 @@ pub struct Calibrated {
 
 /// Numbers of volumes by their names.
 #[derive(Default)]
-struct Groups(HashMap<String, u64>);
+pub(crate) struct Groups(HashMap<String, u64>);
 
 impl Groups {
-    fn number(&mut self, name: &str) -> u64 {
+    /// The number of a name; the next one for a new name.
+    pub(crate) fn number(&mut self, name: &str) -> u64 {
         let next = self.0.len() as u64;
         *self.0.entry(name.to_owned()).or_insert(next)
     }

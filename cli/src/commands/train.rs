@@ -352,17 +352,16 @@ pub fn run(options: &Options) -> Result<()> {
     crate::clock::set(&mut trained.fitted.file, clock);
     if let Some(fitted) = &pictures {
         fitted.quality.store(&mut trained.fitted.file)?;
-        if tables.iter().all(|t| t.manifest.is_none()) {
-            eprintln!(
-                "note: no manifest stands beside the frames, so the model does not say whose pictures --pictures \
-                 compared; a session that names its renderer passes over what it states of them"
-            );
-        }
     }
     if let Some(manifest) = tables.iter().find_map(|t| t.manifest.as_ref()) {
         trained.fitted.file.metadata.insert(Key::Renderer.into(), manifest.renderer.clone());
         trained.fitted.file.metadata.insert(Key::Device.into(), manifest.device.clone());
         trained.fitted.file.metadata.insert(Key::StepReference.into(), manifest.step_reference.clone());
+    } else if pictures.is_some() {
+        eprintln!(
+            "note: no manifest stands beside the frames, so the model does not say whose pictures --pictures \
+             compared; a session that names its renderer passes over what it states of them"
+        );
     }
     write_whole(&options.out, &trained.fitted.file.to_bytes()?)?;
     let held = covered.get(Part::Test.name()).or(covered.get(Part::Validation.name())).copied().flatten();

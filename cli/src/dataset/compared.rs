@@ -1,15 +1,16 @@
 //! Tables of compared pictures: one CSV row per picture, its scene, its settings, what it took and how far it lies from
 //! the picture of the same scene at full quality.
 
+use super::table::{positions, unreadable};
+use crate::calibrate::Groups;
 use crate::files::read_decompressed;
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::calibrate::Picture;
-use std::collections::HashMap;
 use std::path::Path;
 
 /// The columns, in any order: a name for the view; the ray step, finest ones; pixels between neighboring rays along each
 /// side; seconds by any clock; 0 for equal pictures, growing.
-pub const PICTURE_COLUMNS: [&str; 5] = ["scene", "step", "image_sample_distance", "seconds", "error"];
+const PICTURE_COLUMNS: [&str; 5] = ["scene", "step", "image_sample_distance", "seconds", "error"];
 
 /// Reads a table of compared pictures. Names that end in `.gz` are decompressed.
 ///
@@ -23,26 +24,21 @@ pub fn read_pictures(path: &Path) -> Result<Vec<Picture>> {
 
 fn parse_pictures(bytes: &[u8]) -> Result<Vec<Picture>> {
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(bytes);
-    let header = reader.headers()?.clone();
-    let mut columns = [0; PICTURE_COLUMNS.len()];
-    for (at, name) in columns.iter_mut().zip(PICTURE_COLUMNS) {
-        *at = header.iter().position(|h| h == name).with_context(|| {
-            format!("its first line names no column {name}; needed are {}", PICTURE_COLUMNS.join(", "))
-        })?;
-    }
-    let mut scenes = HashMap::new();
+    let columns = positions(reader.headers()?, PICTURE_COLUMNS).map_err(|name| {
+        anyhow!("its first line names no column {name}; needed are {}", PICTURE_COLUMNS.join(", "))
+    })?;
+    let mut scenes = Groups::default();
     let mut out = Vec::new();
     for record in reader.records() {
-        let record = record?;
+        let record = record.map_err(|e| unreadable(&e))?;
         let line = record.position().map_or(0, csv::Position::line);
         let number = |i: usize| -> Result<f64> {
             let text = record.get(columns[i]).unwrap_or("");
             text.parse()
                 .with_context(|| format!("line {line}, column {}: {text:?} is no number", PICTURE_COLUMNS[i]))
         };
-        let next = scenes.len() as u64;
         let picture = Picture {
-            scene: *scenes.entry(record.get(columns[0]).unwrap_or("").to_owned()).or_insert(next),
+            scene: scenes.number(record.get(columns[0]).unwrap_or("")),
             step: number(1)? as f32,
             distance: number(2)? as f32,
             seconds: number(3)?,

@@ -17,7 +17,7 @@ mod tests;
 mod timing;
 mod writer;
 
-pub use compared::{PICTURE_COLUMNS, read_pictures};
+pub use compared::read_pictures;
 pub use manifest::{MANIFEST_FORMAT, Manifest};
 pub use scene::{Scene, format_lobes, parse_lobes, parse_shading, parse_skipping};
 pub use table::{COLUMNS, Table, parse as parse_table, read_tables};

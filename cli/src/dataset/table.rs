@@ -134,20 +134,14 @@ pub fn read_tables(paths: &[PathBuf]) -> Result<Vec<Table>> {
 pub fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
     let mut reader = csv::ReaderBuilder::new().from_reader(bytes);
     let headers = reader.headers().context("the header line cannot be read")?.clone();
-    let mut at = [0usize; COLUMNS.len()];
-    for (slot, name) in at.iter_mut().zip(COLUMNS) {
-        *slot = headers.iter().position(|h| h.trim() == name).ok_or_else(|| {
-            anyhow!("column {name:?} is missing; the first line must name {}", COLUMNS.join(","))
-        })?;
-    }
+    let at = positions(&headers, COLUMNS).map_err(|name| {
+        anyhow!("column {name:?} is missing; the first line must name {}", COLUMNS.join(","))
+    })?;
     let mut frames: Vec<TimedFrame> = Vec::new();
     let mut by_number: HashMap<u64, usize> = HashMap::new();
     let mut seen: HashSet<(u64, u32)> = HashSet::new();
     for record in reader.records() {
-        let record = record.map_err(|e| match e.position() {
-            Some(p) => anyhow!("line {}: {}", p.line(), describe(&e)),
-            None => anyhow!("{e}"),
-        })?;
+        let record = record.map_err(|e| unreadable(&e))?;
         let line = record.position().map_or(0, csv::Position::line);
         let row = Row { record: &record, at: &at };
         let (number, repeat, scene, measurement) = row.read().with_context(|| format!("line {line}"))?;
@@ -171,6 +165,26 @@ pub fn parse(bytes: &[u8], table: usize) -> Result<Vec<TimedFrame>> {
         }
     }
     Ok(frames)
+}
+
+/// Where the columns of these names are; the first name that is missing.
+pub(super) fn positions<const N: usize>(
+    headers: &csv::StringRecord,
+    names: [&'static str; N],
+) -> Result<[usize; N], &'static str> {
+    let mut at = [0; N];
+    for (slot, name) in at.iter_mut().zip(names) {
+        *slot = headers.iter().position(|h| h.trim() == name).ok_or(name)?;
+    }
+    Ok(at)
+}
+
+/// Why a record cannot be read, with its line.
+pub(super) fn unreadable(error: &csv::Error) -> anyhow::Error {
+    match error.position() {
+        Some(p) => anyhow!("line {}: {}", p.line(), describe(error)),
+        None => anyhow!("{error}"),
+    }
 }
 
 fn describe(error: &csv::Error) -> String {

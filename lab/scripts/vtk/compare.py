@@ -94,7 +94,7 @@ class Contender:
         wall, cpu = timed(self.view.window.Render)
         pixels = self.view.pixels().astype(np.float32)
         row = {"frame": frame, "tf": "TO"[opaque], "wall": wall, "cpu": cpu}
-        row["error"] = 0.0 if reference is None else float(np.sqrt(np.mean((pixels - reference) ** 2)))
+        row["error"] = 0.0 if reference is None else vtk_scene.rmse(pixels, reference)
         s = self.steering
         if s:
             row.update(

@@ -57,17 +57,10 @@ def collect(options):
             view.functions(vtk_scene.opacity_function(points), color)
             for index in range(options.poses):
                 view.camera(eye(index, options.edge))
-                full = None
-                for image in IMAGES:
-                    for step in STEPS:
-                        view.adjust_off(step)
-                        view.mapper.SetImageSampleDistance(image)
-                        # The first draws buffers and tables anew.
-                        times = [timed(view.window.Render)[1] for _ in range(1 + options.repeats)][1:]
-                        pixels = view.pixels().astype(np.float32)
-                        full = pixels if full is None else full
-                        error = float(np.sqrt(np.mean((pixels - full) ** 2)))
-                        rows.append({"scene": f"{seed}-{name}-{index}", "step": step, "image": image, "cpu": min(times), "error": error})
+                view.adjust_off()
+                found = vtk_scene.compared(view, lambda: timed(view.window.Render), 1.0, IMAGES, STEPS, options.repeats)
+                for image, step, times, error in found:
+                    rows.append({"scene": f"{seed}-{name}-{index}", "step": step, "image": image, "cpu": min(times), "error": error})
     part = options.table + ".part"
     with open(part, "w", newline="") as file:
         writer = csv.DictWriter(file, rows[0].keys(), lineterminator="\n")

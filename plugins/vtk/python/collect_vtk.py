@@ -83,18 +83,9 @@ class VtkRenderer:
 def compared(renderer, scene, name, repeats):
     """A scene at every pair of steps and image sample distances, as rows of a table of pictures."""
     draw = renderer.prepare(scene)
-    view, finest, rows, full = renderer.view, scene.step * renderer.volume.reference_step, [], None
-    for image in IMAGES:
-        for step in STEPS:
-            view.mapper.SetSampleDistance(step * finest)
-            view.mapper.SetImageSampleDistance(image)
-            # The first makes buffers and tables for it.
-            seconds = [draw()[1] for _ in range(1 + repeats)][1:]
-            pixels = view.pixels().astype(np.float32)
-            full = pixels if full is None else full
-            error = float(np.sqrt(np.mean((pixels - full) ** 2)))
-            rows.append((name, step, image, float(np.median(seconds)), error))
-    view.mapper.SetImageSampleDistance(1.0)
+    found = vtk_scene.compared(renderer.view, draw, scene.step * renderer.volume.reference_step, IMAGES, STEPS, repeats)
+    rows = [(name, step, image, float(np.median(seconds)), error) for image, step, seconds, error in found]
+    renderer.view.mapper.SetImageSampleDistance(1.0)
     return rows
 
 
