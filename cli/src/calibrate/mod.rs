@@ -12,7 +12,7 @@ pub mod place;
 pub mod pool;
 pub mod report;
 
-use crate::dataset::{Clock, Table, Timed, TimedFrame, noise_floor, timed};
+use crate::dataset::{Clock, Groups, Table, Timed, TimedFrame, noise_floor, timed};
 use crate::fit::FitContext;
 use crate::fit::analytic::counts;
 use crate::inputs::{Layout, work_of};
@@ -28,7 +28,6 @@ use indicatif::ProgressBar;
 use measuring::{Measured, Measuring, PictureError};
 use pool::Pool;
 use report::Report;
-use std::collections::HashMap;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
@@ -73,18 +72,6 @@ pub struct Calibrated {
     pub report: Report,
     /// Every frame with its repeats.
     pub frames: Vec<TimedFrame>,
-}
-
-/// Numbers of volumes by their names.
-#[derive(Default)]
-pub(crate) struct Groups(HashMap<String, u64>);
-
-impl Groups {
-    /// The number of a name; the next one for a new name.
-    pub(crate) fn number(&mut self, name: &str) -> u64 {
-        let next = self.0.len() as u64;
-        *self.0.entry(name.to_owned()).or_insert(next)
-    }
 }
 
 /// A model that a calibration may start from, by its name.

@@ -1,8 +1,8 @@
 //! Tables of compared pictures: one CSV row per picture, its scene, its settings, what it took and how far it lies from
 //! the picture of the same scene at full quality.
 
+use super::groups::Groups;
 use super::table::{positions, unreadable};
-use crate::calibrate::Groups;
 use crate::files::read_decompressed;
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::calibrate::Picture;

@@ -9,6 +9,7 @@
 
 mod compared;
 pub mod feature_table;
+mod groups;
 mod manifest;
 mod scene;
 mod table;
@@ -18,6 +19,7 @@ mod timing;
 mod writer;
 
 pub use compared::read_pictures;
+pub(crate) use groups::Groups;
 pub use manifest::{MANIFEST_FORMAT, Manifest};
 pub use scene::{Scene, format_lobes, parse_lobes, parse_shading, parse_skipping};
 pub use table::{COLUMNS, Table, parse as parse_table, read_tables};
