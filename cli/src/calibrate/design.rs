@@ -9,7 +9,8 @@ use super::pool::Pool;
 use entire_core::calibrate::solve;
 
 /// Exponent of a frame's seconds in what its information is divided by: 0 takes frames whatever they cost, 1
-/// takes the cheapest information alone, which leaves out the long frames that decide a root mean square.
+/// takes the cheapest information alone, which leaves out the long frames that decide a root mean square. Where the
+/// number of frames is the limit, not the time, seconds are no reason to pass a frame over.
 const COST_EXPONENT: f64 = 0.5;
 
 /// Information that is there before any frame.
@@ -66,13 +67,16 @@ impl Design {
         // A single frame takes no more than a share of the budget.
         let affordable = |i: usize| seconds[i] <= 0.12 * budget;
         let random_order = random_order(pool);
+        let candidates: Vec<f64> = (0..seconds.len()).filter(|&i| affordable(i)).map(|i| seconds[i]).collect();
+        let mean = candidates.iter().sum::<f64>() / candidates.len().max(1) as f64;
+        let exponent = if most as f64 * mean <= budget { 0.0 } else { COST_EXPONENT };
         while out.len() < most && spent < budget {
             let free = |i: &usize| !self.taken[*i] && affordable(*i) && spent + seconds[*i] <= 1.05 * budget;
             let next = if out.len() % 2 == 0 { random_order.iter().copied().find(free) } else { None };
             let next = next.or_else(|| {
                 (0..self.vectors.len())
                     .filter(|i| free(i))
-                    .map(|i| (i, self.gain(i) / seconds[i].max(1e-4).powf(COST_EXPONENT)))
+                    .map(|i| (i, self.gain(i) / seconds[i].max(1e-4).powf(exponent)))
                     .max_by(|a, b| a.1.total_cmp(&b.1))
                     .map(|c| c.0)
             });

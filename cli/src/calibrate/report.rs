@@ -192,7 +192,7 @@ impl Report {
         } else {
             "it as it is, but for this machine's speed".into()
         };
-        line(&mut out, "fitted", format!("from {from}; cross-validation believes {believed}"));
+        line(&mut out, "fitted", format!("from {from}; on average over fits, it believes {believed}"));
         let interval = self
             .median_error_interval
             .map_or(String::new(), |(low, high)| format!(" ({:.1} to {:.1} %)", 100.0 * low, 100.0 * high));

@@ -3,7 +3,8 @@
 //!
 //! ln t = ln Σ m_i e^θ_i c_i + ψ·w + b, with c the counts of estimated work, m the unit costs of the prior
 //! model, ψ the activations before its last layer and w that layer's weights. θ_i ~ N(0, τ²), w ~ N(r·w₀,
-//! (α s)²) with s the root mean square of w₀, b free. τ, α and r are what cross-validation by group calls for.
+//! (α s)²) with s the root mean square of w₀, b free. What is fitted is the mean over several τ, α and r, each
+//! weighted by how well it predicts groups of frames that it was not fitted to (Bayesian model averaging).
 
 use super::linear::{dot, median, solve};
 use crate::Result;
@@ -31,20 +32,17 @@ pub struct Belief {
     pub weights: f64,
 }
 
-impl Belief {
-    /// How freely observations move the model.
-    fn freedom(&self) -> f64 {
-        self.costs + self.weights
-    }
-}
-
-/// What cross-validation chooses among, beside [`SPEED_ALONE`].
+/// The beliefs that are averaged, beside [`SPEED_ALONE`].
 const COSTS_SD: [f64; 3] = [0.15, 0.5, 1.5];
 const WEIGHTS_SD: [(f64, f64); 7] =
     [(1.0, 0.0), (1.0, 0.2), (1.0, 0.7), (0.5, 0.0), (0.5, 0.2), (0.5, 0.7), (0.25, 2.0)];
 
 /// The prior model is of a machine like this one: all that it does not know is how fast this one runs today.
 const SPEED_ALONE: Belief = Belief { costs: 0.0, share: 1.0, weights: 0.0 };
+
+/// Exponent of a belief's root mean square error in its weight, per frame: that of n independent Gaussian errors
+/// would be −n; frames of one volume err alike, and count as a quarter of them.
+const LIKELIHOOD: f64 = 0.25;
 
 /// Standard deviation of ln t about the model, before it is known.
 const NOISE: f64 = 0.06;
@@ -98,6 +96,7 @@ pub struct Observed {
 }
 
 /// What was fitted.
+#[derive(Clone)]
 struct Posterior {
     costs: [f64; COSTS],
     weights: Vec<f64>,
@@ -109,10 +108,10 @@ struct Posterior {
 pub struct Chosen {
     /// The model file.
     pub file: ModelFile,
-    /// How strongly the prior was believed.
+    /// How strongly the prior was believed: the weighted mean of the beliefs that were averaged.
     pub belief: Belief,
-    /// Seconds that each frame was predicted to take without its volume, by the belief that the other volumes
-    /// choose; as fitted where there are fewer than three volumes.
+    /// Seconds that each frame was predicted to take without its volume, by beliefs that the other volumes
+    /// weight; as fitted where there are fewer than three volumes.
     pub crossed: Vec<f64>,
     /// Groups that were left out in turn; 0 where nothing was.
     pub folds: usize,
@@ -310,7 +309,9 @@ impl PriorModel {
         fitted
     }
 
-    /// Fits frames of this machine, believing the prior as much as cross-validation by group calls for.
+    /// Fits frames of this machine, believing the prior as much as cross-validation by group calls for: where the
+    /// speed alone explains them as well as anything, as far as so few frames can tell, the speed is what is fitted;
+    /// otherwise the fits of all beliefs are averaged, which so few frames mislead less than a choice among them.
     /// `renderer` holds costs of a renderer of the kind, for work whose cost the prior does not know;
     /// `judged` says by which frames, by their index, the choice is made.
     ///
@@ -360,52 +361,99 @@ impl PriorModel {
             return Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: 0, score });
         }
         let with = |costs| WEIGHTS_SD.iter().map(move |&(share, weights)| Belief { costs, share, weights });
-        let mut tried: Vec<(Belief, Vec<f64>)> = core::iter::once(SPEED_ALONE)
+        let mut tried: Vec<Tried> = core::iter::once(SPEED_ALONE)
             .chain(COSTS_SD.into_iter().flat_map(with))
-            .map(|belief| (belief, vec![0.0; frames.len()]))
+            .map(|belief| Tried { belief, without: Vec::new(), all: None, crossed: Vec::new() })
             .collect();
-        each(executor, &mut tried, &|item: &mut (Belief, Vec<f64>)| {
-            let (belief, crossed) = item;
-            for fold in 0..count {
-                let rest: Vec<&Prepared> =
-                    prepared.iter().zip(&folds).filter(|(_, f)| **f != fold).map(|(p, _)| p).collect();
-                let fitted = self.fit(&prior, &rest, *belief);
-                let left_out = crossed.iter_mut().zip(&prepared).zip(&folds).filter(|(_, f)| **f == fold);
-                for ((slot, p), _) in left_out {
-                    *slot = libm::exp(fitted.log_seconds(p));
-                }
-            }
-        });
-        // The strongest belief that is as good as the best, as far as so few frames can tell (the rule of one
-        // standard error), by the frames of all parts but one, if any.
-        let choose = |without: Option<usize>| {
-            let counts = |i: usize| judged(i) && without != Some(folds[i]);
-            let pairs = |crossed: &[f64]| -> Vec<(f64, f64)> {
-                let pairs = crossed.iter().zip(frames).enumerate();
-                pairs.filter(|(i, _)| counts(*i)).map(|(_, (&p, f))| (p, f.seconds)).collect()
-            };
-            let scores: Vec<f64> = tried.iter().map(|t| score(&pairs(&t.1))).collect();
-            let best = scores.iter().copied().fold(f64::INFINITY, f64::min);
-            let frames_judged = (0..frames.len()).filter(|i| counts(*i)).count();
-            let enough = best + 1.0 / libm::sqrt(frames_judged.max(1) as f64);
-            tried
+        each(executor, &mut tried, &|tried: &mut Tried| {
+            tried.without = (0..count)
+                .map(|fold| {
+                    let rest = prepared.iter().zip(&folds).filter(|(_, f)| **f != fold);
+                    self.fit(&prior, &rest.map(|(p, _)| p).collect::<Vec<_>>(), tried.belief)
+                })
+                .collect();
+            tried.crossed = prepared
                 .iter()
-                .zip(scores)
-                .filter(|(_, score)| *score <= enough)
-                .min_by(|a, b| a.0.0.freedom().total_cmp(&b.0.0.freedom()).then(a.1.total_cmp(&b.1)))
+                .zip(&folds)
+                .map(|(p, &f)| libm::exp(tried.without[f].log_seconds(p)))
+                .collect();
+            tried.all = Some(self.fit(&prior, &all, tried.belief));
+        });
+        // How much each belief counts, by the frames of all parts but one, if any.
+        let weigh = |without: Option<usize>| -> Vec<f64> {
+            let counts = |i: usize| judged(i) && without != Some(folds[i]);
+            let pairs: Vec<Vec<(f64, f64)>> = tried
+                .iter()
+                .map(|t| {
+                    let pairs = t.crossed.iter().zip(frames).enumerate();
+                    pairs.filter(|(i, _)| counts(*i)).map(|(_, (&p, f))| (p, f.seconds)).collect()
+                })
+                .collect();
+            weights(&pairs)
         };
-        let Some(((belief, crossed), score)) = choose(None) else {
+        let weights = weigh(None);
+        let crossed_by = |weights: &dyn Fn(usize) -> Vec<f64>| -> Vec<f64> {
+            let mean: Vec<Posterior> = (0..count)
+                .map(|fold| Posterior::mean(&weights(fold), tried.iter().map(|t| &t.without[fold])))
+                .collect();
+            prepared.iter().zip(&folds).map(|(p, &f)| libm::exp(mean[f].log_seconds(p))).collect()
+        };
+        let crossed = crossed_by(&|_| weights.clone());
+        if !crossed.iter().all(|p| p.is_finite()) {
             bail!(InvalidArgument, "no fit to these frames predicts a finite time; are their times right?");
-        };
-        let belief = *belief;
-        // What a part's frames were predicted by the belief that the others choose: an error that the choice did
-        // not see.
-        let blind: Vec<&Vec<f64>> =
-            (0..count).map(|fold| choose(Some(fold)).map_or(crossed, |t| &t.0.1)).collect();
-        let crossed = folds.iter().enumerate().map(|(i, &fold)| blind[fold][i]).collect();
-        let fitted = self.fit(&prior, &all, belief);
-        Ok(Chosen { file: self.with(&fitted)?, belief, crossed, folds: count, score })
+        }
+        let score = score(&pairs(&crossed));
+        let fitted = Posterior::mean(&weights, tried.iter().filter_map(|t| t.all.as_ref()));
+        let mean = |of: fn(&Belief) -> f64| weights.iter().zip(&tried).map(|(w, t)| w * of(&t.belief)).sum();
+        Ok(Chosen {
+            file: self.with(&fitted)?,
+            belief: Belief {
+                costs: mean(|b| b.costs),
+                share: mean(|b| b.share),
+                weights: mean(|b| b.weights),
+            },
+            // What a part's frames were predicted by weights that the others give: an error that they did not see.
+            crossed: crossed_by(&|fold| weigh(Some(fold))),
+            folds: count,
+            score,
+        })
     }
+}
+
+/// What a belief makes of the frames.
+struct Tried {
+    belief: Belief,
+    /// Fitted to all frames but those of each part of cross-validation.
+    without: Vec<Posterior>,
+    /// Fitted to all frames.
+    all: Option<Posterior>,
+    /// Seconds of each frame by the fit that did not see its part.
+    crossed: Vec<f64>,
+}
+
+/// How much each belief counts, of its predicted and the measured seconds; the first is [`SPEED_ALONE`].
+fn weights(pairs: &[Vec<(f64, f64)>]) -> Vec<f64> {
+    let n = pairs.first().map_or(0, Vec::len).max(1) as f64;
+    let scores: Vec<f64> = pairs.iter().map(|p| score(p)).collect();
+    let best = scores.iter().copied().fold(f64::INFINITY, f64::min);
+    // The rule of one standard error.
+    if scores.first().is_some_and(|s| *s <= best + 1.0 / libm::sqrt(n)) {
+        let mut alone = vec![0.0; pairs.len()];
+        alone[0] = 1.0;
+        return alone;
+    }
+    let error = |pairs: &Vec<(f64, f64)>| {
+        let squares: f64 = pairs.iter().map(|(p, t)| libm::pow(libm::log(p / t), 2.0)).sum();
+        0.5 * libm::log((squares / n).max(1e-12))
+    };
+    let errors: Vec<f64> = pairs.iter().map(error).collect();
+    let least = errors.iter().copied().fold(f64::INFINITY, f64::min);
+    let mut weights: Vec<f64> = errors.iter().map(|e| libm::exp(-LIKELIHOOD * n * (e - least))).collect();
+    // A belief whose fit predicts nothing has no say.
+    weights.iter_mut().filter(|w| !w.is_finite()).for_each(|w| *w = 0.0);
+    let sum: f64 = weights.iter().sum();
+    weights.iter_mut().for_each(|w| *w /= sum);
+    weights
 }
 
 /// What enters a network's last layer, of standardized inputs.
@@ -446,6 +494,22 @@ struct Prepared {
 }
 
 impl Posterior {
+    /// The mean of fits whose weights add up to 1: of their estimates in seconds, and of what their factors say
+    /// in logarithms.
+    fn mean<'a>(weights: &[f64], fits: impl Iterator<Item = &'a Self> + Clone) -> Self {
+        let counted = || weights.iter().zip(fits.clone()).filter(|(w, _)| **w > 0.0);
+        let bias: f64 = counted().map(|(w, fit)| w * fit.bias).sum();
+        let mut out = Self { costs: [0.0; COSTS], weights: Vec::new(), bias };
+        for (w, fit) in counted() {
+            out.weights.resize(fit.weights.len(), 0.0);
+            // Each fit's own speed goes with its costs.
+            let scale = w * libm::exp(fit.bias - bias);
+            out.costs.iter_mut().zip(&fit.costs).for_each(|(slot, cost)| *slot += scale * cost);
+            out.weights.iter_mut().zip(&fit.weights).for_each(|(slot, weight)| *slot += w * weight);
+        }
+        out
+    }
+
     fn log_seconds(&self, frame: &Prepared) -> f64 {
         libm::log(dot(&self.costs, &frame.work).max(1e-12)) + dot(&self.weights, &frame.psi) + self.bias
     }
