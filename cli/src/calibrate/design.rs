@@ -67,7 +67,8 @@ impl Design {
         // A single frame takes no more than a share of the budget.
         let affordable = |i: usize| seconds[i] <= 0.12 * budget;
         let random_order = random_order(pool);
-        let candidates: Vec<f64> = (0..seconds.len()).filter(|&i| affordable(i)).map(|i| seconds[i]).collect();
+        let candidates: Vec<f64> =
+            (0..seconds.len()).filter(|&i| affordable(i)).map(|i| seconds[i]).collect();
         let mean = candidates.iter().sum::<f64>() / candidates.len().max(1) as f64;
         let exponent = if most as f64 * mean <= budget { 0.0 } else { COST_EXPONENT };
         while out.len() < most && spent < budget {
@@ -201,6 +202,20 @@ mod tests {
                 (0..rows.len()).filter(|i| !chosen[..k].contains(i)).map(with).fold(f64::MIN, f64::max);
             assert!(with(chosen[k]) > best - 1e-6, "{k}: {} {best}", with(chosen[k]));
         }
+    }
+
+    #[test]
+    fn seconds_count_only_where_they_are_the_limit() {
+        // The last candidate tells most and takes longest.
+        let rows: Vec<[f32; 2]> =
+            (0..200).map(|i| if i == 199 { [9.0, -9.0] } else { [(i % 3) as f32, (i % 4) as f32] }).collect();
+        let pool = pool(&rows);
+        let mut seconds = vec![0.2; rows.len()];
+        seconds[199] = 2.0;
+        let first_by_design =
+            |most: usize| Design::new(&pool, &[1.0; COSTS]).choose(&pool, &seconds, 20.0, most)[1];
+        assert_eq!(first_by_design(10), 199);
+        assert_ne!(first_by_design(400), 199);
     }
 
     #[test]

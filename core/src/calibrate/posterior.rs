@@ -444,13 +444,12 @@ fn weights(pairs: &[Vec<(f64, f64)>]) -> Vec<f64> {
     }
     let error = |pairs: &Vec<(f64, f64)>| {
         let squares: f64 = pairs.iter().map(|(p, t)| libm::pow(libm::log(p / t), 2.0)).sum();
-        0.5 * libm::log((squares / n).max(1e-12))
+        if squares.is_finite() { 0.5 * libm::log((squares / n).max(1e-12)) } else { f64::INFINITY }
     };
     let errors: Vec<f64> = pairs.iter().map(error).collect();
     let least = errors.iter().copied().fold(f64::INFINITY, f64::min);
+    // A belief whose fit predicts nothing has no say: its error is infinite, that of the best is not.
     let mut weights: Vec<f64> = errors.iter().map(|e| libm::exp(-LIKELIHOOD * n * (e - least))).collect();
-    // A belief whose fit predicts nothing has no say.
-    weights.iter_mut().filter(|w| !w.is_finite()).for_each(|w| *w = 0.0);
     let sum: f64 = weights.iter().sum();
     weights.iter_mut().for_each(|w| *w /= sum);
     weights
@@ -556,4 +555,55 @@ fn folds(frames: &[Observed]) -> Vec<usize> {
         fold_of.insert(group, least);
     }
     frames.iter().map(|f| fold_of[&f.group]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Measured seconds, and predictions that are off by ± `error` in logarithms.
+    fn off(error: f64) -> Vec<(f64, f64)> {
+        (0..32)
+            .map(|i| {
+                let measured = 0.01 * f64::from(1 + i % 7);
+                (measured * libm::exp(if i % 2 == 0 { error } else { -error }), measured)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn beliefs_count_by_their_errors_and_speed_alone_wins_where_nothing_is_better() {
+        // Weights are errors to the power −n/4: with n = 32, of twice the error 2^−8 as much.
+        let found = weights(&[off(0.5), off(0.1), off(0.2)]);
+        assert!((found.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{found:?}");
+        assert!((found[2] / found[1] - libm::pow(2.0, -8.0)).abs() < 1e-6, "{found:?}");
+        assert!((found[0] / found[1] - libm::pow(5.0, -8.0)).abs() < 1e-7, "{found:?}");
+        // Within a standard error of the best, speed alone is all.
+        assert_eq!(weights(&[off(0.105), off(0.1), off(0.2)]), [1.0, 0.0, 0.0]);
+        // A fit that predicts nothing has no say.
+        let mut broken = off(0.1);
+        broken[3].0 = f64::NAN;
+        let found = weights(&[off(0.5), off(0.1), broken]);
+        assert!(found[2] == 0.0 && found[1] > 0.99, "{found:?}");
+    }
+
+    #[test]
+    fn the_mean_of_fits_adds_up_their_estimates() {
+        let fit = |cost: f64, weight: f64, bias: f64| Posterior {
+            costs: core::array::from_fn(|i| if i == 3 { cost } else { 0.0 }),
+            weights: vec![weight, 0.0],
+            bias,
+        };
+        let fits = [fit(2e-6, 0.5, 0.3), fit(5e-6, 0.5, -0.4), fit(f64::NAN, f64::NAN, f64::NAN)];
+        let mut work = [0.0; COSTS];
+        work[3] = 1e4;
+        let frame = Prepared { psi: vec![0.7, 1.0], work, log: 0.0 };
+        let mean = Posterior::mean(&[0.25, 0.75, 0.0], fits.iter());
+        let expected = libm::log(0.25 * 2e-2 * libm::exp(0.3) + 0.75 * 5e-2 * libm::exp(-0.4)) + 0.5 * 0.7;
+        assert!((mean.log_seconds(&frame) - expected).abs() < 1e-12);
+        // One fit is its own mean.
+        let one = Posterior::mean(&[0.0, 1.0, 0.0], fits.iter());
+        assert!((one.log_seconds(&frame) - fits[1].log_seconds(&frame)).abs() < 1e-12);
+        assert_eq!((one.costs, one.bias), (fits[1].costs, fits[1].bias));
+    }
 }
