@@ -11,6 +11,15 @@ study: ## Make and judge every predictor of STUDY: out/study/report.html
 study-nested: ## As study, and judge the choice of a predictor by nested cross-validation on the training members
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --nested
 
+# Each table's make of machine has the model at its place.
+FRAMES_TABLES := none-train none-epyc-train none-xeon-train
+FRAMES_MODELS := unshaded-selected unshaded-epyc-selected unshaded-xeon-selected
+
+.PHONY: study-frames
+study-frames: ## How many frames of another make of machine a calibration needs, on training members
+	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- frames --data $(FRAMES_TABLES:%=data/timings/%.csv.gz) \
+	    --priors $(FRAMES_MODELS:%=models/%.safetensors) --out out/frames
+
 .PHONY: bars-accuracy
 bars-accuracy: ## As study, and print every accuracy bar (fails when one is short): bar NAME VALUE LIMIT ok|short
 	$(CARGO) run --release --quiet --package entire-lab --bin entire-lab -- study --study "$(STUDY)" --out "$(STUDY_OUT)" --bars | grep '^bar '

@@ -21,6 +21,8 @@ enum Command {
     Paper(commands::paper::Options),
     /// Find the cheapest predictor that is good enough, and the inputs that it can do without.
     Select(commands::select::Options),
+    /// Find how many frames of another make of machine a calibration needs.
+    Frames(commands::frames::Options),
     /// Record what every frame of a path costs at a grid of ray steps.
     Record(commands::record::Options),
     /// Replay recorded cost curves under every controller and target, beside an oracle.
@@ -48,6 +50,7 @@ fn main() -> ExitCode {
         Command::Study(options) => commands::study::run(options),
         Command::Paper(options) => commands::paper::run(options),
         Command::Select(options) => commands::select::run(options),
+        Command::Frames(options) => commands::frames::run(options),
         Command::Record(options) => commands::record::run(options),
         Command::Replay(options) => commands::replay::run(options),
         Command::Tune(options) => commands::tune::run(options),

@@ -96,7 +96,6 @@ pub struct Observed {
 }
 
 /// What was fitted.
-#[derive(Clone)]
 struct Posterior {
     costs: [f64; COSTS],
     weights: Vec<f64>,

@@ -144,7 +144,8 @@ def at_share(time, error, share):
 
 
 def report(times, errors, numbers):
-    """Means over scenes of errors relative to that of the law's choice."""
+    """Means over scenes of errors relative to that of the law's choice, and of what the best pair of each scene costs over
+    smaller images at twice the step, as AutoAdjustSampleDistances draws: the least that any choice can cost."""
     time, error = law(*numbers[:4])
     rows = [("step alone", [(0, k) for k in range(len(STEPS))]), ("image alone", [(k, 0) for k in range(len(IMAGES))]),
             ("image at step 2.1", [(k, STEPS.index(2.1)) for k in range(len(IMAGES))])]
@@ -152,6 +153,7 @@ def report(times, errors, numbers):
     for share in (0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2):
         own = min(levels, key=lambda pairs: none_last(at_share(*(np.array([g[p] for p in pairs]) for g in (time, error)), share)))
         text = []
+        found = {}
         for name, pairs in [("best", None), *rows]:
             ratios = []
             for t, e in zip(times, errors):
@@ -160,9 +162,16 @@ def report(times, errors, numbers):
 
                 other = min((on(each) for each in levels), key=none_last) if pairs is None else on(pairs)
                 ratios.append(on(own) - other)
-            ratios = [r for r in ratios if not math.isnan(r)]
-            text.append(f"{name} {math.exp(np.mean(ratios)):.2f}" if ratios else f"{name} -")
+            found[name] = np.array(ratios)
+            text.append(f"{name} {factor(ratios)}")
+        text.append(f"best over image at step 2.1 {factor(found['image at step 2.1'] - found['best'])}")
         print(f"  at {share:.1f} of the time, image sample distance {IMAGES[own[0][0]]:.2f}: error over that of " + ", ".join(text))
+
+
+def factor(logarithms):
+    """The geometric mean of what is known, as text."""
+    known = [v for v in logarithms if not math.isnan(v)]
+    return f"{math.exp(np.mean(known)):.2f}" if known else "-"
 
 
 def none_last(v):

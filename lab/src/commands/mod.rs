@@ -3,6 +3,7 @@
 pub mod farm;
 pub mod farm_bars;
 pub mod farm_sort_last;
+pub mod frames;
 pub mod gpu_study;
 pub mod paper;
 pub mod record;

@@ -90,21 +90,20 @@ def compared(renderer, scene, name, repeats):
 
 
 def compare(options, renderer):
-    """Writes the table of compared pictures."""
-    rows = []
-    for path in options.volumes:
-        renderer.load(timing_table.read_nrrd(path))
-        for index in range(options.scenes):
-            # Others than the frames that are timed.
-            scene = timing_table.draw_scene(
-                options.seed, path, options.frames + index, max(LEAST_SIDE, options.min_size), max(LEAST_SIDE, options.max_size)
-            )
-            rows += compared(renderer, scene, f"{path} {index}", options.repeats)
-            print(f"{path}: {index + 1} of {options.scenes} scenes compared", file=sys.stderr)
-    with open(options.pictures, "w", newline="") as file:
+    """Writes the table of compared pictures, scene by scene: what was drawn before an interruption is kept."""
+    with open(options.pictures, "x", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(("scene", "step", "image_sample_distance", "seconds", "error"))
-        writer.writerows(rows)
+        for path in options.volumes:
+            renderer.load(timing_table.read_nrrd(path))
+            for index in range(options.scenes):
+                # Others than the frames that are timed.
+                scene = timing_table.draw_scene(
+                    options.seed, path, options.frames + index, max(LEAST_SIDE, options.min_size), max(LEAST_SIDE, options.max_size)
+                )
+                writer.writerows(compared(renderer, scene, f"{path} {index}", options.repeats))
+                file.flush()
+                print(f"{path}: {index + 1} of {options.scenes} scenes compared", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,281 @@
+//! `entire-lab frames`: how many frames of another make of machine a calibration needs.
+
+use anyhow::{Context, Result, ensure};
+use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};
+use entire_cli::dataset::{Clock, Table as TimingTable, TimedFrame, read_tables};
+use entire_cli::files::{make_folder, read_model_file, write_whole};
+use entire_cli::fit::{FitContext, predict};
+use entire_cli::metrics::Metrics;
+use entire_cli::options::thread_pool;
+use entire_cli::progress::templated_bar;
+use entire_cli::report::{Axis, Chart, Column, Mark, Series, Table};
+use entire_cli::split::{GroupBy, TimedFrames};
+use entire_cli::interrupt;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
+/// Volumes of a calibration at most, as `data/` has.
+const VOLUMES: usize = 9;
+
+/// The share of the other members' frames that is judged.
+const JUDGED: usize = 1000;
+
+/// Find how many frames of another make of machine a calibration needs.
+///
+/// Each table is of one make of machine, and so is each prior; a table's frames are calibrated to from the priors
+/// of the other makes. A draw takes one member of each ensemble, nine volumes of those at most, and so many of their
+/// frames, the volumes in turn; the model is judged on frames of the other members. Prints the geometric means over
+/// the draws, and the largest; writes frames.csv and frames.svg into DIR.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  entire-lab frames --data xeon.csv epyc.csv --priors xeon.safetensors epyc.safetensors --out out/frames")]
+pub struct Options {
+    /// Timing tables, each of one make of machine.
+    #[arg(long, required = true, num_args = 2.., value_name = "CSV")]
+    pub data: Vec<PathBuf>,
+    /// Models, each of the make of the table at its place.
+    #[arg(long, required = true, num_args = 2.., value_name = "SAFETENSORS")]
+    pub priors: Vec<PathBuf>,
+    /// Numbers of frames.
+    #[arg(long, value_delimiter = ',', value_name = "N,…", default_value = "10,20,40,80,160,320")]
+    pub frames: Vec<usize>,
+    /// Draws for each number.
+    #[arg(long, default_value_t = 8, value_name = "N")]
+    pub draws: u64,
+    /// Which clock's seconds are learned.
+    #[arg(long, value_enum, default_value_t = Clock::Cpu)]
+    pub clock: Clock,
+    /// Folder for the results.
+    #[arg(long, default_value = "out/frames", value_name = "DIR")]
+    pub out: PathBuf,
+    /// Threads; all logical processors unless given.
+    #[arg(long)]
+    pub threads: Option<usize>,
+    /// No progress bar.
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// Frames of a draw, by their index: to calibrate to, and to judge by.
+struct Draw {
+    calibrated: Vec<usize>,
+    judged: Vec<usize>,
+}
+
+/// Draws frames; `None` where no ensemble has two members.
+fn draw(frames: &[TimedFrame], count: usize, seed: u64) -> Option<Draw> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let members: Vec<String> = frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
+    let ensemble = |member: &str| member.rsplit_once('/').map_or(String::new(), |(e, _)| e.to_owned());
+    let mut of_ensemble: BTreeMap<String, BTreeSet<&str>> = BTreeMap::new();
+    for member in &members {
+        of_ensemble.entry(ensemble(member)).or_default().insert(member);
+    }
+    let mut taken = BTreeSet::new();
+    let mut left = BTreeSet::new();
+    for members in of_ensemble.into_values() {
+        let mut members: Vec<&str> = members.into_iter().collect();
+        members.shuffle(&mut rng);
+        taken.extend(members.first().copied());
+        left.extend(members.into_iter().skip(1));
+    }
+    if left.is_empty() {
+        return None;
+    }
+    let mut volumes: Vec<&str> =
+        frames.iter().zip(&members).filter(|(_, m)| taken.contains(m.as_str())).map(|(f, _)| f.scene.volume.as_str()).collect();
+    volumes.sort_unstable();
+    volumes.dedup();
+    volumes.shuffle(&mut rng);
+    volumes.truncate(VOLUMES);
+    let mut of_volume: Vec<Vec<usize>> = volumes
+        .iter()
+        .map(|v| {
+            let mut own: Vec<usize> = (0..frames.len()).filter(|&i| frames[i].scene.volume == *v).collect();
+            own.shuffle(&mut rng);
+            own
+        })
+        .collect();
+    let mut calibrated = Vec::new();
+    while calibrated.len() < count && of_volume.iter().any(|v| !v.is_empty()) {
+        let next: Vec<usize> = of_volume.iter_mut().filter_map(Vec::pop).collect();
+        calibrated.extend(next.into_iter().take(count - calibrated.len()));
+    }
+    let mut judged: Vec<usize> = (0..frames.len()).filter(|&i| left.contains(members[i].as_str())).collect();
+    judged.shuffle(&mut rng);
+    judged.truncate(JUDGED);
+    Some(Draw { calibrated, judged })
+}
+
+/// What a draw gave.
+struct Found {
+    frames: usize,
+    error: f64,
+    rmse_over_sd: f64,
+    expected: f64,
+}
+
+fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
+    let n = values.clone().count().max(1) as f64;
+    (values.map(f64::ln).sum::<f64>() / n).exp()
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// When tables or models cannot be read, their numbers differ, or no ensemble has two members.
+pub fn run(options: &Options) -> Result<()> {
+    ensure!(
+        options.data.len() == options.priors.len(),
+        "--data names {} tables and --priors {} models; name the model of each table's make of machine",
+        options.data.len(),
+        options.priors.len()
+    );
+    ensure!(options.draws > 0 && !options.frames.contains(&0), "--draws and --frames must be 1 or more");
+    make_folder(&options.out)?;
+    let pool = thread_pool(options.threads)?;
+    let priors: Vec<NamedPrior> = options
+        .priors
+        .iter()
+        .map(|p| Ok((p.display().to_string(), read_model_file(p)?.0)))
+        .collect::<Result<_>>()?;
+    let bar = templated_bar(options.quiet, "frames [{bar:30}] {pos}/{len} {msg}");
+    bar.set_length((options.data.len() * options.frames.len()) as u64 * options.draws);
+    let stop = interrupt::flag()?;
+    let stopped = || interrupt::requested(&stop);
+    let hidden = indicatif::ProgressBar::hidden();
+    let mut found: Vec<(String, Vec<Found>)> = Vec::new();
+    let mut csv = String::from("table,frames,draw,median_error,rmse_over_sd,expected_median_error\n");
+    'tables: for (own, path) in options.data.iter().enumerate() {
+        let tables = read_tables(std::slice::from_ref(path))?;
+        let name = path.file_name().map_or(String::new(), |n| n.to_string_lossy().into_owned());
+        let name = name.split('.').next().unwrap_or_default().to_owned();
+        let shading = tables[0].frames[0].scene.shading;
+        let others: Vec<NamedPrior> =
+            priors.iter().enumerate().filter(|(i, _)| *i != own).map(|(_, p)| p.clone()).collect();
+        let context = FitContext { tables: &tables, pool: &pool, bar: &hidden, stop: &stopped };
+        let mut of_table = Vec::new();
+        for &count in &options.frames {
+            for seed in 0..options.draws {
+                if stopped() {
+                    break 'tables;
+                }
+                bar.set_message(format!("{name}, {count} frames"));
+                let drawn = draw(&tables[0].frames, count, seed).with_context(|| {
+                    format!("{}: no ensemble has two members; one is to calibrate to, the others judge", path.display())
+                })?;
+                let few = drawn.calibrated.iter().map(|&i| tables[0].frames[i].clone()).collect();
+                let few = [TimingTable { frames: few, ..tables[0].clone() }];
+                let (file, report) = calibrate_to_tables(&few, (shading, options.clock), &others, &pool)?;
+                let judged = TimedFrames::of(drawn.judged.iter().map(|&i| &tables[0].frames[i]), options.clock);
+                let predicted = predict(&file.to_model()?, &context, &judged.frames)?;
+                let metrics = Metrics::new(&predicted, &judged.seconds).context("there are no frames to judge by")?;
+                let one = Found {
+                    frames: count,
+                    error: metrics.mdape,
+                    rmse_over_sd: metrics.rmse_over_sd,
+                    expected: report.median_error,
+                };
+                csv.push_str(&format!(
+                    "{name},{count},{seed},{:.5},{:.5},{:.5}\n",
+                    one.error, one.rmse_over_sd, one.expected
+                ));
+                of_table.push(one);
+                bar.inc(1);
+            }
+        }
+        found.push((name, of_table));
+    }
+    bar.finish_and_clear();
+    write_whole(&options.out.join("frames.csv"), csv.as_bytes())?;
+    ensure!(!stopped(), "stopped; what was found until then is in {}", options.out.join("frames.csv").display());
+    report(options, &found)
+}
+
+/// Prints the table and draws the chart.
+fn report(options: &Options, found: &[(String, Vec<Found>)]) -> Result<()> {
+    let mut table = Table::new(vec![
+        Column::text("frames of"),
+        Column::number("frames"),
+        Column::number("median error, %"),
+        Column::number("largest"),
+        Column::number("RMSE/SD"),
+        Column::number("expected, %"),
+    ]);
+    let mut chart = Chart::new(
+        "Frames that a calibration needs, from models of other makes of machine",
+        Axis::log("frames"),
+        Axis::linear("median error on other members, %").from(0.0),
+    );
+    for (color, (name, of_table)) in found.iter().enumerate() {
+        let (mut line, mut band) = (Vec::new(), Vec::new());
+        for &count in &options.frames {
+            let draws: Vec<&Found> = of_table.iter().filter(|f| f.frames == count).collect();
+            let error = 100.0 * mean(draws.iter().map(|f| f.error));
+            let largest = 100.0 * draws.iter().map(|f| f.error).fold(0.0, f64::max);
+            let least = 100.0 * draws.iter().map(|f| f.error).fold(f64::INFINITY, f64::min);
+            line.push((count as f64, error));
+            band.push((count as f64, least, largest));
+            table.row(vec![
+                name.clone().into(),
+                count.to_string().into(),
+                format!("{error:.1}").into(),
+                format!("{largest:.1}").into(),
+                format!("{:.3}", mean(draws.iter().map(|f| f.rmse_over_sd))).into(),
+                format!("{:.1}", 100.0 * mean(draws.iter().map(|f| f.expected))).into(),
+            ]);
+        }
+        chart = chart
+            .series(Series::new("", Mark::Band(band)).color(color))
+            .series(Series::new(name.clone(), Mark::Line(line)).color(color));
+    }
+    let svg = options.out.join("frames.svg");
+    write_whole(&svg, chart.to_svg_file().as_bytes())?;
+    println!("{}", table.to_text());
+    println!("Chart: {}", svg.display());
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_draw_judges_by_other_members_than_it_calibrates_to() {
+        let mut frames = Vec::new();
+        for (member, volumes) in [("a/m01", 6), ("a/m02", 6), ("b/m01", 5), ("b/m02", 5), ("c/m01", 3)] {
+            for v in 0..volumes {
+                for _ in 0..4 {
+                    let volume = format!("ensembles/{member}/t{v}.nrrd");
+                    frames.push(TimedFrame {
+                        number: frames.len() as u64,
+                        ..TimedFrame::of_no_volume(&volume, &member[2..])
+                    });
+                }
+            }
+        }
+        let member = |i: &usize| GroupBy::Member.group(&frames[*i].scene);
+        for seed in 0..5 {
+            let drawn = draw(&frames, 20, seed).unwrap();
+            let calibrated: BTreeSet<String> = drawn.calibrated.iter().map(member).collect();
+            let judged: BTreeSet<String> = drawn.judged.iter().map(member).collect();
+            assert!(calibrated.is_disjoint(&judged), "{calibrated:?} {judged:?}");
+            assert_eq!(judged.len(), 2);
+            let distinct: BTreeSet<usize> = drawn.calibrated.iter().copied().collect();
+            assert_eq!(distinct.len(), 20);
+            // The volumes in turn: nine of them have two or three frames each.
+            let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+            for &i in &drawn.calibrated {
+                *counts.entry(frames[i].scene.volume.as_str()).or_default() += 1;
+            }
+            assert_eq!(counts.len(), VOLUMES);
+            assert!(counts.values().all(|n| (2..=3).contains(n)), "{counts:?}");
+        }
+        // One member alone leaves none to judge by.
+        assert!(draw(&frames[..24], 8, 0).is_none());
+    }
+}
