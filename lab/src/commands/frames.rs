@@ -2,15 +2,15 @@
 
 use anyhow::{Context, Result, ensure};
 use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};
-use entire_cli::dataset::{Clock, Table as TimingTable, TimedFrame, read_tables};
+use entire_cli::dataset::{Clock, Table as TimingTable, read_tables};
 use entire_cli::files::{make_folder, read_model_file, write_whole};
 use entire_cli::fit::{FitContext, predict};
+use entire_cli::interrupt;
 use entire_cli::metrics::Metrics;
 use entire_cli::options::thread_pool;
 use entire_cli::progress::templated_bar;
 use entire_cli::report::{Axis, Chart, Column, Mark, Series, Table};
 use entire_cli::split::{GroupBy, TimedFrames};
-use entire_cli::interrupt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -66,13 +66,12 @@ struct Draw {
     judged: Vec<usize>,
 }
 
-/// Draws frames; `None` where no ensemble has two members.
-fn draw(frames: &[TimedFrame], count: usize, seed: u64) -> Option<Draw> {
+/// Draws frames, of which the volume and the ensemble member are given; `None` where no ensemble has two members.
+fn draw(of_frames: &[(&str, String)], count: usize, seed: u64) -> Option<Draw> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let members: Vec<String> = frames.iter().map(|f| GroupBy::Member.group(&f.scene)).collect();
     let ensemble = |member: &str| member.rsplit_once('/').map_or(String::new(), |(e, _)| e.to_owned());
     let mut of_ensemble: BTreeMap<String, BTreeSet<&str>> = BTreeMap::new();
-    for member in &members {
+    for (_, member) in of_frames {
         of_ensemble.entry(ensemble(member)).or_default().insert(member);
     }
     let mut taken = BTreeSet::new();
@@ -87,7 +86,7 @@ fn draw(frames: &[TimedFrame], count: usize, seed: u64) -> Option<Draw> {
         return None;
     }
     let mut volumes: Vec<&str> =
-        frames.iter().zip(&members).filter(|(_, m)| taken.contains(m.as_str())).map(|(f, _)| f.scene.volume.as_str()).collect();
+        of_frames.iter().filter(|(_, m)| taken.contains(m.as_str())).map(|(v, _)| *v).collect();
     volumes.sort_unstable();
     volumes.dedup();
     volumes.shuffle(&mut rng);
@@ -95,7 +94,7 @@ fn draw(frames: &[TimedFrame], count: usize, seed: u64) -> Option<Draw> {
     let mut of_volume: Vec<Vec<usize>> = volumes
         .iter()
         .map(|v| {
-            let mut own: Vec<usize> = (0..frames.len()).filter(|&i| frames[i].scene.volume == *v).collect();
+            let mut own: Vec<usize> = (0..of_frames.len()).filter(|&i| of_frames[i].0 == *v).collect();
             own.shuffle(&mut rng);
             own
         })
@@ -105,7 +104,8 @@ fn draw(frames: &[TimedFrame], count: usize, seed: u64) -> Option<Draw> {
         let next: Vec<usize> = of_volume.iter_mut().filter_map(Vec::pop).collect();
         calibrated.extend(next.into_iter().take(count - calibrated.len()));
     }
-    let mut judged: Vec<usize> = (0..frames.len()).filter(|&i| left.contains(members[i].as_str())).collect();
+    let mut judged: Vec<usize> =
+        (0..of_frames.len()).filter(|&i| left.contains(of_frames[i].1.as_str())).collect();
     judged.shuffle(&mut rng);
     judged.truncate(JUDGED);
     Some(Draw { calibrated, judged })
@@ -157,6 +157,11 @@ pub fn run(options: &Options) -> Result<()> {
         let shading = tables[0].frames[0].scene.shading;
         let others: Vec<NamedPrior> =
             priors.iter().enumerate().filter(|(i, _)| *i != own).map(|(_, p)| p.clone()).collect();
+        let of_frames: Vec<(&str, String)> = tables[0]
+            .frames
+            .iter()
+            .map(|f| (f.scene.volume.as_str(), GroupBy::Member.group(&f.scene)))
+            .collect();
         let context = FitContext { tables: &tables, pool: &pool, bar: &hidden, stop: &stopped };
         let mut of_table = Vec::new();
         for &count in &options.frames {
@@ -165,15 +170,20 @@ pub fn run(options: &Options) -> Result<()> {
                     break 'tables;
                 }
                 bar.set_message(format!("{name}, {count} frames"));
-                let drawn = draw(&tables[0].frames, count, seed).with_context(|| {
-                    format!("{}: no ensemble has two members; one is to calibrate to, the others judge", path.display())
+                let drawn = draw(&of_frames, count, seed).with_context(|| {
+                    format!(
+                        "{}: no ensemble has two members; one is to calibrate to, the others judge",
+                        path.display()
+                    )
                 })?;
                 let few = drawn.calibrated.iter().map(|&i| tables[0].frames[i].clone()).collect();
                 let few = [TimingTable { frames: few, ..tables[0].clone() }];
                 let (file, report) = calibrate_to_tables(&few, (shading, options.clock), &others, &pool)?;
-                let judged = TimedFrames::of(drawn.judged.iter().map(|&i| &tables[0].frames[i]), options.clock);
+                let judged =
+                    TimedFrames::of(drawn.judged.iter().map(|&i| &tables[0].frames[i]), options.clock);
                 let predicted = predict(&file.to_model()?, &context, &judged.frames)?;
-                let metrics = Metrics::new(&predicted, &judged.seconds).context("there are no frames to judge by")?;
+                let metrics =
+                    Metrics::new(&predicted, &judged.seconds).context("there are no frames to judge by")?;
                 let one = Found {
                     frames: count,
                     error: metrics.mdape,
@@ -192,7 +202,11 @@ pub fn run(options: &Options) -> Result<()> {
     }
     bar.finish_and_clear();
     write_whole(&options.out.join("frames.csv"), csv.as_bytes())?;
-    ensure!(!stopped(), "stopped; what was found until then is in {}", options.out.join("frames.csv").display());
+    ensure!(
+        !stopped(),
+        "stopped; what was found until then is in {}",
+        options.out.join("frames.csv").display()
+    );
     report(options, &found)
 }
 
@@ -246,19 +260,12 @@ mod tests {
 
     #[test]
     fn a_draw_judges_by_other_members_than_it_calibrates_to() {
-        let mut frames = Vec::new();
-        for (member, volumes) in [("a/m01", 6), ("a/m02", 6), ("b/m01", 5), ("b/m02", 5), ("c/m01", 3)] {
-            for v in 0..volumes {
-                for _ in 0..4 {
-                    let volume = format!("ensembles/{member}/t{v}.nrrd");
-                    frames.push(TimedFrame {
-                        number: frames.len() as u64,
-                        ..TimedFrame::of_no_volume(&volume, &member[2..])
-                    });
-                }
-            }
-        }
-        let member = |i: &usize| GroupBy::Member.group(&frames[*i].scene);
+        let members = [("a/m01", 6), ("a/m02", 6), ("b/m01", 5), ("b/m02", 5), ("c/m01", 3)];
+        let volumes: Vec<(String, &str)> =
+            members.iter().flat_map(|(m, n)| (0..*n).map(move |v| (format!("{m}/t{v}.nrrd"), *m))).collect();
+        let frames: Vec<(&str, String)> =
+            volumes.iter().flat_map(|(v, m)| [(); 4].map(|()| (v.as_str(), (*m).to_owned()))).collect();
+        let member = |i: &usize| frames[*i].1.clone();
         for seed in 0..5 {
             let drawn = draw(&frames, 20, seed).unwrap();
             let calibrated: BTreeSet<String> = drawn.calibrated.iter().map(member).collect();
@@ -270,7 +277,7 @@ mod tests {
             // The volumes in turn: nine of them have two or three frames each.
             let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
             for &i in &drawn.calibrated {
-                *counts.entry(frames[i].scene.volume.as_str()).or_default() += 1;
+                *counts.entry(frames[i].0).or_default() += 1;
             }
             assert_eq!(counts.len(), VOLUMES);
             assert!(counts.values().all(|n| (2..=3).contains(n)), "{counts:?}");
