@@ -213,7 +213,7 @@ mod tests {
         let mut seconds = vec![0.2; rows.len()];
         seconds[199] = 2.0;
         let first_by_design =
-            |most: usize| Design::new(&pool, &[1.0; COSTS]).choose(&pool, &seconds, 20.0, most)[1];
+            |most: usize| Design::new(&pool, &[1.0; COSTS]).choose(&pool, &seconds, 20.0, most)[0];
         assert_eq!(first_by_design(10), 199);
         assert_ne!(first_by_design(400), 199);
     }

@@ -191,6 +191,55 @@ pub fn calibrate(
     Ok(Calibrated { file, report, frames })
 }
 
+/// Takes each prior to timed frames, whatever renderer drew them. Returns which one is kept, the fit, and the frames
+/// as that prior sees them.
+fn fit_to_frames(
+    context: &FitContext<'_>,
+    part: Timed<'_>,
+    priors: &[ModelFile],
+) -> Result<(usize, Chosen, Vec<Observed>)> {
+    let mut groups = Groups::default();
+    let volumes: Vec<u64> = part.frames.iter().map(|f| groups.number(&f.scene.volume)).collect();
+    let mut renderer = UnitCosts::CONVERTING;
+    let mut observed: Vec<Vec<Observed>> = Vec::new();
+    for file in priors {
+        let layout = Layout::of_model(&file.to_model()?)?;
+        let rows = layout.rows(context.tables, part.frames, context.pool, &ProgressBar::hidden())?;
+        // Another renderer may convert stored values or wait for memory; tables from before that was counted hold
+        // no such work.
+        let work = counts(context, part, &renderer, layout.probe_side()).or_else(|_| {
+            renderer = UnitCosts::SOFTWARE;
+            counts(context, part, &renderer, layout.probe_side())
+        })?;
+        let of_prior = rows.chunks_exact(layout.width()).zip(work).zip(part.seconds).zip(&volumes);
+        observed.push(
+            of_prior
+                .map(|(((row, counted), &seconds), &group)| Observed {
+                    row: row.to_vec(),
+                    work: work_of(counted),
+                    seconds,
+                    group,
+                })
+                .collect(),
+        );
+    }
+    let (started, chosen) = best_fit(priors, &observed, &renderer, |_| true, context.pool)?;
+    Ok((started, chosen, observed.swap_remove(started)))
+}
+
+/// Takes a model to timed frames as [`calibrate_to_tables`] does, for curves of its error: what the file says of
+/// itself stays what the prior said.
+///
+/// # Errors
+/// When there are no frames, inputs cannot be computed, or the model is no analytic one times a learned factor.
+pub fn calibrate_to_frames(
+    prior: &ModelFile,
+    context: &FitContext<'_>,
+    frames: Timed<'_>,
+) -> Result<ModelFile> {
+    Ok(fit_to_frames(context, frames, std::slice::from_ref(prior))?.1.file)
+}
+
 /// Fits a model to frames that some renderer logged, as [`calibrate`] does to those that it renders: nothing
 /// is drawn. Volumes are opened where features are not kept beside the tables.
 ///
@@ -219,34 +268,8 @@ pub fn calibrate_to_tables(
     };
     let hidden = ProgressBar::hidden();
     let context = FitContext { tables, pool: threads, bar: &hidden, stop: &|| false };
-    let part = Timed { frames: &frames, seconds: &seconds };
-    let mut groups = Groups::default();
-    let volumes: Vec<u64> = frames.iter().map(|f| groups.number(&f.scene.volume)).collect();
-    let mut renderer = UnitCosts::CONVERTING;
-    let mut observed: Vec<Vec<Observed>> = Vec::new();
-    for file in &files {
-        let layout = Layout::of_model(&file.to_model()?)?;
-        let rows = layout.rows(tables, &frames, threads, &hidden)?;
-        // Another renderer may convert stored values or wait for memory; tables from before that was counted hold
-        // no such work.
-        let work = counts(&context, part, &renderer, layout.probe_side()).or_else(|_| {
-            renderer = UnitCosts::SOFTWARE;
-            counts(&context, part, &renderer, layout.probe_side())
-        })?;
-        let of_prior = rows.chunks_exact(layout.width()).zip(work).zip(&seconds).zip(&volumes);
-        observed.push(
-            of_prior
-                .map(|(((row, counted), &seconds), &group)| Observed {
-                    row: row.to_vec(),
-                    work: work_of(counted),
-                    seconds,
-                    group,
-                })
-                .collect(),
-        );
-    }
-    let (started, chosen) = best_fit(&files, &observed, &renderer, |_| true, threads)?;
-    let observed = observed.swap_remove(started);
+    let (started, chosen, observed) =
+        fit_to_frames(&context, Timed { frames: &frames, seconds: &seconds }, &files)?;
     let noise = noise_floor(frames.iter().copied(), clock, |f| tables[f.table].passes());
     let report = Report::new(
         (shading, clock),

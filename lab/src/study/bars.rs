@@ -1,5 +1,6 @@
 //! What a study says about its bars.
 
+use super::curves::AS_A_MACHINE;
 use super::{CALIBRATION_FRAMES, CONSTANT, Findings, PROXY, SplitResult, Study};
 use crate::bars::Bar;
 
@@ -110,10 +111,13 @@ pub fn bars(study: &Study, found: &Findings) -> Vec<Bar> {
             let ours = chosen(study, found, s, p);
             at_most(name("mdape"), ours.map(|r| r.metrics.mdape), 0.15);
             at_most(name("one-less-r2-log"), ours.map(|r| 1.0 - r.metrics.r2_log), 0.03);
+            // As the documented command does it, where it can.
             let tuned = ours.and_then(|r| {
-                let curve = format!("{}, calibrated", r.predictor);
-                found.tuning.iter().find(|t| {
-                    t.set == s && t.split == p && t.curve == curve && t.frames == CALIBRATION_FRAMES
+                [AS_A_MACHINE, "calibrated"].into_iter().find_map(|how| {
+                    let curve = format!("{}, {how}", r.predictor);
+                    found.tuning.iter().find(|t| {
+                        t.set == s && t.split == p && t.curve == curve && t.frames == CALIBRATION_FRAMES
+                    })
                 })
             });
             let limit = (2.0 * found.noise_mdape(s, p)).max(0.07);

@@ -5,10 +5,15 @@ use super::findings::push_point;
 use super::runner::{Bounds, OnSet, Runner};
 use super::{CALIBRATION_FRAMES, Findings, Named};
 use anyhow::Result;
+use entire_cli::calibrate::calibrate_to_frames;
 use entire_cli::dataset::Timed;
 use entire_cli::fit::{calibrate, predict, transfer};
 use entire_cli::split::TimedFrames;
+use entire_core::calibrate::{FEWEST_FRAMES, PriorModel};
 use entire_core::model::ModelFile;
+
+/// The curve of models that are taken to frames as `entire calibrate` does; others fit their last layer alone.
+pub(super) const AS_A_MACHINE: &str = "by entire calibrate";
 
 /// The seed by which training frames are taken for smaller numbers of them.
 const SAMPLE_SEED: u64 = 7;
@@ -101,6 +106,9 @@ impl Runner<'_> {
             let (part, _) = pool.sample(count, SHARE_SEED);
             let few: Timed<'_> = part.timed();
             point(&calibrate(file, context, few)?, "calibrated", count)?;
+            if PriorModel::new(file).is_ok() && count >= FEWEST_FRAMES {
+                point(&calibrate_to_frames(file, context, few)?, AS_A_MACHINE, count)?;
+            }
             if set.transfer {
                 point(&transfer(file, context, few)?, "transferred", count)?;
             }
