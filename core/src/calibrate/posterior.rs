@@ -114,8 +114,8 @@ pub struct Chosen {
     pub crossed: Vec<f64>,
     /// Groups that were left out in turn; 0 where nothing was.
     pub folds: usize,
-    /// What the choice went by: ln of a robust relative error plus ln of RMSE over SD, of the judged frames without
-    /// their volume. Fits of several priors to the same frames compare by it; less is better.
+    /// Of the belief that does best: ln of a robust relative error plus ln of RMSE over SD, of the judged frames
+    /// without their volume. Fits of several priors to the same frames compare by it; less is better.
     pub score: f64,
 }
 
@@ -401,7 +401,7 @@ impl PriorModel {
         if !crossed.iter().all(|p| p.is_finite()) {
             bail!(InvalidArgument, "no fit to these frames predicts a finite time; are their times right?");
         }
-        let score = score(&pairs(&crossed));
+        let score = tried.iter().map(|t| score(&pairs(&t.crossed))).fold(f64::INFINITY, f64::min);
         let fitted = Posterior::mean(&weights, tried.iter().filter_map(|t| t.all.as_ref()));
         let mean = |of: fn(&Belief) -> f64| weights.iter().zip(&tried).map(|(w, t)| w * of(&t.belief)).sum();
         Ok(Chosen {
