@@ -391,13 +391,12 @@ impl PriorModel {
             weights(&pairs)
         };
         let weights = weigh(None);
-        let crossed_by = |weights: &dyn Fn(usize) -> Vec<f64>| -> Vec<f64> {
-            let mean: Vec<Posterior> = (0..count)
-                .map(|fold| Posterior::mean(&weights(fold), tried.iter().map(|t| &t.without[fold])))
-                .collect();
-            prepared.iter().zip(&folds).map(|(p, &f)| libm::exp(mean[f].log_seconds(p))).collect()
-        };
-        let crossed = crossed_by(&|_| weights.clone());
+        // What a part's frames were predicted by weights that the others give: an error that they did not see.
+        let without: Vec<Posterior> = (0..count)
+            .map(|fold| Posterior::mean(&weigh(Some(fold)), tried.iter().map(|t| &t.without[fold])))
+            .collect();
+        let crossed: Vec<f64> =
+            prepared.iter().zip(&folds).map(|(p, &f)| libm::exp(without[f].log_seconds(p))).collect();
         if !crossed.iter().all(|p| p.is_finite()) {
             bail!(InvalidArgument, "no fit to these frames predicts a finite time; are their times right?");
         }
@@ -411,8 +410,7 @@ impl PriorModel {
                 share: mean(|b| b.share),
                 weights: mean(|b| b.weights),
             },
-            // What a part's frames were predicted by weights that the others give: an error that they did not see.
-            crossed: crossed_by(&|fold| weigh(Some(fold))),
+            crossed,
             folds: count,
             score,
         })

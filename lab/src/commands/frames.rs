@@ -20,7 +20,7 @@ use std::path::PathBuf;
 /// Volumes of a calibration at most, as `data/` has.
 const VOLUMES: usize = 9;
 
-/// The share of the other members' frames that is judged.
+/// Frames of the other members that are judged, at most.
 const JUDGED: usize = 1000;
 
 /// Find how many frames of another make of machine a calibration needs.
@@ -119,6 +119,7 @@ struct Found {
     expected: f64,
 }
 
+/// The geometric mean.
 fn mean(values: impl Iterator<Item = f64> + Clone) -> f64 {
     let n = values.clone().count().max(1) as f64;
     (values.map(f64::ln).sum::<f64>() / n).exp()
