@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""Bars: what was asked for beside what was found, one line `bar NAME VALUE LIMIT ok|short` each (as lab/src/bars.rs).
+
+A script says all of its bars before it measures any. What ends the measuring leaves none of them out: a bar without a
+value is `-` and short, below a line that says why.
+"""
+import contextlib
+import sys
+import traceback
+
+
+class Bars:
+    """The bars of a script, as a context that ends the process with status 1 where one is short.
+
+    `asked` holds limits by name; a value may not exceed its limit, but for those of `at_least`, which must reach it.
+    """
+
+    def __init__(self, asked, at_least=()):
+        self.asked, self.at_least = dict(asked), frozenset(at_least)
+        self.left, self.short = dict(asked), []
+
+    def found(self, name, value, note=""):
+        """Prints a bar; None where there is no value."""
+        limit = self.left.pop(name)
+        ok = value is not None and (value >= limit if name in self.at_least else value <= limit)
+        if not ok:
+            self.short.append(name)
+        text = "-" if value is None else f"{value:.4g}"
+        print(f"bar {name} {text} {limit:g} {'ok' if ok else 'short'}{note and '  # ' + note}", flush=True)
+
+    def lacking(self, why, names=None):
+        """Prints what has no value yet, of `names` or of all, as short: `why` names what is missing and the remedy."""
+        names = [n for n in (self.left if names is None else names) if n in self.left]
+        if names:
+            print(f"not measured: {why}", flush=True)
+        for name in names:
+            self.found(name, None)
+
+    @contextlib.contextmanager
+    def part(self, *names):
+        """What measures these bars: where it fails, they are short and the other parts go on."""
+        why = "no value was found"
+        try:
+            yield
+        except Exception as error:
+            traceback.print_exc()
+            why = f"{type(error).__name__}: {error}"
+        self.lacking(why, names)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, error, trace):
+        why = "no value was found"
+        if isinstance(error, SystemExit):
+            why = str(error)
+        elif kind is not None:
+            traceback.print_exception(kind, error, trace)
+            why = f"{kind.__name__}: {error}"
+        self.lacking(why)
+        if self.short:
+            print(f"short: {', '.join(self.short)}", file=sys.stderr)
+        ended_well = error is None or isinstance(error, SystemExit) and not error.code
+        sys.exit(0 if ended_well and not self.short else 1)
