@@ -4,7 +4,12 @@ Prints what it measures and one line `bar NAME VALUE LIMIT ok|short` per bar; en
 
     python3 lab/scripts/farm/engines.py --bin target/release --python VENV/bin/python --out out/farm-bars PART…
 
-Parts: hq-frames, hq-sleeping, slurm, kills, full. What an engine lacks is said, and its bars are short."""
+Parts: hq-frames, hq-sleeping, slurm, kills, full. What an engine lacks is said, and its bars are short.
+
+A run is judged over the least that it can take: the lower bound of its measured work, and of the engine's overhead what cannot
+pass while a slot works. That is one start, as of a job of one task, and on every slot the time from a bundle's end to the next
+one's begin, as in a job of short bundles that keep all slots busy; each is the least of REPEATS. A run that ended before that
+shows that the overhead was measured wrongly: its bar is short."""
 
 import argparse
 import csv
@@ -19,14 +24,21 @@ import sys
 import time
 from pathlib import Path
 
-SHORT = []
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from bar_lines import Bars  # noqa: E402
 
-
-def bar(name, value, limit):
-    ok = value is not None and value <= limit
-    print(f"bar {name} {'-' if value is None else f'{value:.4f}'} {limit:.4f} {'ok' if ok else 'short'}", flush=True)
-    if not ok:
-        SHORT.append(name)
+ASKED = {
+    "hq-frames": {"farm-hyperqueue-frames-of-bound-and-overhead": 1.05},
+    "hq-sleeping": {"farm-hyperqueue-sleeping-of-bound": 1.04},
+    "slurm": {"farm-slurm-of-bound-and-overhead": 1.10},
+    "kills": {"farm-kills-lost-or-wrong": 0},
+    "full": {"farm-full-disk-lost-or-wrong": 0},
+}
+# Tasks of each slot, and repeats, of the jobs that an engine's overhead is measured by.
+ROUNDS = 16
+REPEATS = 3
+# Runs that are asked for with processes killed.
+RUNS = 20
 
 
 def lower_bound(times, slots):
@@ -92,6 +104,19 @@ lobes = [[0.5, 0.05, 0.2], [0.8, 0.02, 0.5]]
         end = max(a["end"] for a in done)
         return end - begin, [a["seconds"] + a["load_s"] for a in done], len({a["bundle"] for a in done})
 
+    def turns(self, job, slots):
+        """Seconds from the engine's being up to the first task, and on a slot from a bundle's end to the next one's begin, on
+        the mean; None where no bundle followed another."""
+        begin, done = self.journal(job)
+        begins, ends = {}, {}
+        for a in done:
+            begins[a["bundle"]] = min(a["begin"], begins.get(a["bundle"], a["begin"]))
+            ends[a["bundle"]] = max(a["end"], ends.get(a["bundle"], a["end"]))
+        # Whichever slot it is on: each begin but the slots' first follows the earliest end that none has followed yet.
+        followed = list(zip(sorted(begins.values())[slots:], sorted(ends.values())))
+        turn = sum(b - e for b, e in followed) / len(followed) if followed else None
+        return min(begins.values()) - begin, turn
+
     def recorded(self, job, frames):
         """A list of recorded times, predicted and measured, by the job's ids."""
         rows = self.ids(job)
@@ -109,9 +134,9 @@ lobes = [[0.5, 0.05, 0.2], [0.8, 0.02, 0.5]]
         self.run(job, "--dry-run", "--save-tasks", str(file))
         return list(csv.DictReader(file.open()))
 
-    def sleeping(self, name, engine, slots, frames, order="longest", views=64):
-        """384 tasks that sleep for recorded times, on an engine."""
-        volumes = sorted((self.root / "data").glob("*/*/*.nrrd"))[:6]
+    def sleeping(self, name, engine, slots, frames, order="longest", views=64, volumes=6):
+        """384 tasks, or `views` of `volumes`, that sleep for recorded times, on an engine."""
+        volumes = sorted((self.root / "data").glob("*/*/*.nrrd"))[:volumes]
         times = self.out / name / "times.csv"
         command = json.dumps([str(self.lab), "farm-stand-in", str(times)])
         renderer = f'[renderer]\nkind = "session"\ncommand = {command}\n'
@@ -124,11 +149,6 @@ lobes = [[0.5, 0.05, 0.2], [0.8, 0.02, 0.5]]
 
     def hyperqueue(self):
         return ["--engine", "hyperqueue", "--python", self.python]
-
-    def overhead(self, name, engine, slots):
-        """Seconds of a slot that a bundle costs: bundles of one task that takes no time."""
-        makespan, _, bundles, _ = self.sleeping(name, [*engine, "--overhead", "0"], slots, [(0.0, 0.0)], views=32)
-        return makespan * slots / bundles
 
     def simulate(self, times, slots, latency, *arguments):
         command = [str(self.lab), "farm-simulate", str(times), "--slots", str(slots), "--latency", str(latency)]
@@ -170,24 +190,48 @@ def record(farm):
           f"median, {100 * errors[len(errors) // 2]:.1f} % off it at the median", flush=True)
 
 
-def hq_frames(farm):
+def overhead(farm, run, slots):
+    """Seconds of an engine's start, and of a slot from a bundle's end to the next one's begin. `run(tasks)` runs a job of so
+    many short tasks, in bundles as small as may be, and gives it."""
+    starts, turns = [], []
+    for _ in range(REPEATS):
+        starts.append(farm.turns(run(1), slots)[0])
+        turns.append(farm.turns(run(ROUNDS * slots), slots)[1])
+    return max(0.0, min(starts)), max(0.0, min(turns))
+
+
+def over_bound(bars, name, what, run, slots, cost):
+    """Prints a run's bar: its end over the least that it can take."""
+    (makespan, times, bundles), (start, turn) = run, cost
+    bound = lower_bound(times, slots)
+    least = start + max(sum(times) / slots + max(0.0, bundles / slots - 1) * turn, max(times))
+    print(f"{what}: {makespan:.3f} s; bound of the work {bound:.3f} s, with a start of {start:.3f} s and {bundles} bundles, "
+          f"{1e3 * turn:.1f} ms from one to the next, {least:.3f} s; over the work's alone {makespan / bound:.4f}", flush=True)
+    if makespan < least:
+        bars.lacking(f"the overhead was measured wrongly: no run can end before {least:.3f} s, and this one took {makespan:.3f} "
+                     "s; measure again on a quiet machine", [name])
+    else:
+        bars.found(name, makespan / least)
+
+
+def hq_frames(farm, bars):
     slots = os.cpu_count()
-    # What a bundle costs is measured with frames of a few pixels.
-    tiny = paper_case(farm, "hq-tiny", "8x8", "cpu")
-    farm.run(tiny, *farm.hyperqueue(), "--slots", str(slots), "--overhead", "0")
-    makespan, times, bundles = farm.measure(tiny)
-    overhead = (makespan * slots - sum(times)) / bundles
+    volumes = [farm.root / "data" / f"{volume}.nrrd" for volume in HELD_OUT]
+
+    def run(tasks):
+        own = '[renderer]\nkind = "entire"\ndevice = "cpu"\n'
+        job = farm.job("hq-short", own, volumes[:1], tasks, "256x256")
+        farm.run(job, *farm.hyperqueue(), "--slots", str(slots), "--overhead", "0")
+        return job
+
+    cost = overhead(farm, run, slots)
     job = paper_case(farm, "hq-frames", "256x256", "cpu")
     farm.run(job, *farm.hyperqueue(), "--slots", str(slots))
-    makespan, times, bundles = farm.measure(job)
-    bound = lower_bound(times, slots)
-    cost = overhead * bundles / slots
-    print(f"hyperqueue, {len(times)} real frames, {slots} workers: {makespan:.3f} s, bound {bound:.3f} s, {bundles} "
-          f"bundles of {1e3 * overhead:.1f} ms: {cost:.3f} s", flush=True)
-    bar("farm-hyperqueue-frames-of-bound-and-overhead", makespan / (bound + cost), 1.05)
+    over_bound(bars, "farm-hyperqueue-frames-of-bound-and-overhead", f"hyperqueue, 384 real frames, {slots} workers",
+               farm.measure(job), slots, cost)
 
 
-def hq_sleeping(farm):
+def hq_sleeping(farm, bars):
     slots = 64
     frames = frames_of(farm, 10.0)
     seconds = [m for _, m in frames]
@@ -210,30 +254,31 @@ def hq_sleeping(farm):
         worst = max(worst, abs(got / found[order] - 1))
         print(f"simulator, latency {1e3 * low:.1f} ms a bundle: {order} {got:.3f} s, the engine {found[order]:.3f} s", flush=True)
     print(f"simulator against hyperqueue: error at most {100 * worst:.1f} %", flush=True)
-    bar("farm-hyperqueue-sleeping-of-bound", found["longest"] / lower_bound(seconds, slots), 1.04)
+    bars.found("farm-hyperqueue-sleeping-of-bound", found["longest"] / lower_bound(seconds, slots))
 
 
-def slurm(farm):
+def slurm(farm, bars):
     folder = farm.out / "slurm"
     shutil.rmtree(folder, ignore_errors=True)
     script = Path(__file__).with_name("slurm.sh")
     started = subprocess.run([str(script), "start", str(folder)], capture_output=True, text=True)
     if started.returncode:
-        print(f"slurm: {started.stderr.strip()}")
-        bar("farm-slurm-of-bound-and-overhead", None, 1.10)
+        bars.lacking(started.stderr.strip(), ASKED["slurm"])
         return
     os.environ["SLURM_CONF"] = started.stdout.strip()
     try:
         engine = ["--engine", "slurm"]
-        overhead = farm.overhead("slurm-empty", engine, 4)
-        makespan, times, bundles, table = farm.sleeping("slurm-sleeping", engine, 4, frames_of(farm, 0.5))
-        bound = lower_bound(times, 4)
-        cost = overhead * bundles / 4
-        print(f"slurm, {len(times)} sleeping tasks, 4 nodes: {makespan:.3f} s, bound {bound:.3f} s, {bundles} bundles of "
-              f"{overhead:.3f} s: {cost:.3f} s; over the bound alone {makespan / bound:.4f}", flush=True)
-        got = farm.simulate(table, 4, overhead, "--overhead", str(overhead))["makespan_s"]
-        print(f"simulator against slurm: {got:.3f} s, error {100 * abs(got / makespan - 1):.1f} %", flush=True)
-        bar("farm-slurm-of-bound-and-overhead", makespan / (bound + cost), 1.10)
+
+        def short(tasks):
+            # Long enough that the next bundles are in Slurm's queue by then.
+            farm.sleeping("slurm-short", [*engine, "--overhead", "0"], 4, [(0.5, 0.5)], views=tasks, volumes=1)
+            return farm.out / "slurm-short/told.toml"
+
+        cost = overhead(farm, short, 4)
+        *run, table = farm.sleeping("slurm-sleeping", engine, 4, frames_of(farm, 0.5))
+        got = farm.simulate(table, 4, cost[1], "--overhead", str(cost[1]))["makespan_s"]
+        print(f"simulator against slurm: {got:.3f} s, error {100 * abs(got / run[0] - 1):.1f} %", flush=True)
+        over_bound(bars, "farm-slurm-of-bound-and-overhead", "slurm, 384 sleeping tasks, 4 nodes", run, 4, cost)
     finally:
         subprocess.run([str(script), "stop", str(folder)])
 
@@ -254,7 +299,10 @@ def descendants(pid):
     return out - {pid}
 
 
-def kills(farm, runs):
+def kills(farm, bars, runs):
+    if runs < RUNS:
+        bars.lacking(f"{runs} runs are fewer than the {RUNS} that are asked for (--runs {RUNS})", ASKED["kills"])
+        return
     volumes = sorted((farm.root / "data").glob("*/*/*.nrrd"))[:3]
     own = '[renderer]\nkind = "entire"\ndevice = "cpu"\n'
     reference = farm.job("kill-reference", own, volumes, 40, "48x48")
@@ -262,9 +310,8 @@ def kills(farm, runs):
     right = pictures(reference)
     draw = random.Random(11)
     lost = wrong = killed = twice = 0
-    hq = subprocess.run([farm.python, "-c", "import hyperqueue"], capture_output=True).returncode == 0
     for run in range(runs):
-        engine = farm.hyperqueue() if hq and run % 2 else []
+        engine = farm.hyperqueue() if run % 2 else []
         job = farm.job(f"kill-{run}", own, volumes, 40, "48x48")
         begun = job.parent / "db.cdb/.farm/journal.jsonl"
         for _ in range(12):
@@ -297,17 +344,16 @@ def kills(farm, runs):
         lost += len(right) - rows
     print(f"kills: {runs} runs of {len(right)} images, {killed} processes killed, {lost} images lost, {wrong} wrong, {twice} "
           "recorded twice", flush=True)
-    bar("farm-kills-lost-or-wrong", float(lost + wrong), 0.0)
+    bars.found("farm-kills-lost-or-wrong", lost + wrong if killed and right else None)
 
 
-def full(farm):
+def full(farm, bars):
     """A disk that is full in the middle of a run, and has room again."""
     folder = farm.out / "full-disk"
     folder.mkdir(parents=True, exist_ok=True)
     mount = ["mount", "-t", "tmpfs", "-o"]
     if subprocess.run([*mount, "size=400k", "tmpfs", str(folder)], capture_output=True).returncode:
-        print("full: only root can mount a small disk; not measured", flush=True)
-        bar("farm-full-disk-lost-or-wrong", None, 0.0)
+        bars.lacking("only root can mount a small disk: run this as root", ASKED["full"])
         return
     try:
         volumes = sorted((farm.root / "data").glob("*/*/*.nrrd"))[:2]
@@ -325,7 +371,10 @@ def full(farm):
         farm.run(job, "--slots", "2", "--resume")
         found = pictures(job)
         bad = sum(1 for name in right if right[name] != found.get(name))
-        bar("farm-full-disk-lost-or-wrong", float(bad) if told else None, 0.0)
+        if told:
+            bars.found("farm-full-disk-lost-or-wrong", bad)
+        else:
+            bars.lacking("the disk was not full, or the command did not say so with --resume", ASKED["full"])
     finally:
         subprocess.run(["umount", str(folder)])
 
@@ -335,28 +384,28 @@ def main():
     parser.add_argument("--bin", default="target/release")
     parser.add_argument("--python", default=sys.executable)
     parser.add_argument("--out", default="out/farm-bars")
-    parser.add_argument("--runs", type=int, default=20)
-    parser.add_argument("parts", nargs="*", default=["hq-frames", "hq-sleeping", "slurm", "kills", "full"])
+    parser.add_argument("--runs", type=int, default=RUNS)
+    parser.add_argument("parts", nargs="*", default=list(ASKED), metavar="PART")
     options = parser.parse_args()
-    farm = Farm(options)
-    has_hq = subprocess.run([options.python, "-c", "import hyperqueue"], capture_output=True).returncode == 0
-    for part in options.parts:
-        if part.startswith("hq") and not has_hq:
-            print(f"{part}: {options.python} has no hyperqueue (pip install hyperqueue)")
-            bar({"hq-frames": "farm-hyperqueue-frames-of-bound-and-overhead",
-                 "hq-sleeping": "farm-hyperqueue-sleeping-of-bound"}[part], None, 1.0)
-        elif part == "hq-frames":
-            hq_frames(farm)
-        elif part == "hq-sleeping":
-            hq_sleeping(farm)
-        elif part == "slurm":
-            slurm(farm)
-        elif part == "kills":
-            kills(farm, options.runs)
-        elif part == "full":
-            full(farm)
-    if SHORT:
-        sys.exit("short: " + ", ".join(SHORT))
+    unknown = [part for part in options.parts if part not in ASKED]
+    if unknown:
+        parser.error(f"there is no part {', '.join(unknown)}; there are {', '.join(ASKED)}")
+    parts = {"hq-frames": hq_frames, "hq-sleeping": hq_sleeping, "slurm": slurm,
+             "kills": lambda farm, bars: kills(farm, bars, options.runs), "full": full}
+    with Bars({name: limit for part in options.parts for name, limit in ASKED[part].items()}) as bars:
+        farm = Farm(options)
+        for program in (farm.entire, farm.lab):
+            if not program.is_file():
+                sys.exit(f"{program} is not there (cargo build --release --package entire-cli --package entire-lab --bins)")
+        has_hq = subprocess.run([options.python, "-c", "import hyperqueue"], capture_output=True).returncode == 0
+        for part in options.parts:
+            with bars.part(*ASKED[part]):
+                # Every other run with processes killed is one of HyperQueue.
+                if part in ("hq-frames", "hq-sleeping", "kills") and not has_hq:
+                    bars.lacking(f"{options.python} has no hyperqueue (pip install hyperqueue)", ASKED[part])
+                else:
+                    parts[part](farm, bars)
 
 
-main()
+if __name__ == "__main__":
+    main()
