@@ -1,11 +1,10 @@
 # Bars of the probe, of transfer functions and of volume summaries. BEFORE names the revision that ratios are taken against; DATA
-# the folder that holds ensembles/, for errors and latency of the selected predictors.
+# the folder that holds ensembles/, for errors and latency of the selected predictors; without it, these are short.
 BEFORE ?= f11380f
 
 .PHONY: bars-probe
 bars-probe: ## Measure probe, transfer function and volume summary against revision BEFORE (fails when a bar is short)
 	@status=0; \
 	$(PYTHON) lab/scripts/bars_probe.py --before $(BEFORE) $(BARS_PROBE_ALSO) || status=1; \
-	if [[ -n "$(DATA)" ]]; then $(PYTHON) lab/scripts/bars_probe_study.py --before $(BEFORE) --data "$(DATA)" || status=1; \
-	else echo "bars-probe: errors and latency of the selected predictors need volumes: make bars-probe DATA=FOLDER-WITH-ensembles"; fi; \
+	$(PYTHON) lab/scripts/bars_probe_study.py --before $(BEFORE) --data "$(DATA)" || status=1; \
 	exit $$status

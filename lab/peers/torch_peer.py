@@ -71,9 +71,10 @@ def make(variant, name, batch):
             model = torch.jit.freeze(torch.jit.trace(model, x))
             model = torch.jit.optimize_for_inference(model) if "ofi" in variant else model
     if "compile" in variant:
-        import torch._inductor.config
+        # Not `import torch._inductor.config`: that makes `torch` a local name, which is unbound in all other variants.
+        from torch._inductor import config
 
-        torch._inductor.config.freezing = True
+        config.freezing = True
         model = torch.compile(model)
     # Freezing refuses what was made in inference mode.
     mode = torch.no_grad if "compile" in variant else torch.inference_mode

@@ -18,6 +18,8 @@ class Bars:
     def __init__(self, asked, at_least=()):
         self.asked, self.at_least = dict(asked), frozenset(at_least)
         self.left, self.short = dict(asked), []
+        if not asked:
+            sys.exit("no bar is asked for: see --help for names")
 
     def found(self, name, value, note=""):
         """Prints a bar; None where there is no value."""

@@ -5,8 +5,8 @@ usage: bars_inference.py --server PEER_SERVER --peers FOLDER --models FOLDER [--
 
 Every contestant is a server process (line `NAME BATCH SECONDS` in, `@@{json}` out). Each round visits every bar and, in
 random order, its contestants; a window is SECONDS of repeated calls. A ratio is the smallest time of ours over the
-smallest time of theirs, all windows of one run. Peers that are not installed are named and skipped; a bar that has no
-peer to be measured against is short.
+smallest time of theirs, all windows of one run. A peer that is not there, or that fails, is named, and every bar that asks
+for it is short: the others may not be the fastest.
 
 Other rooms add rows: an executable `*_bars` beside PEER_SERVER, or named with --also, is run and its own `bar` lines
 are passed on.
@@ -18,6 +18,9 @@ import pathlib
 import random
 import subprocess
 import sys
+import tempfile
+
+from bar_lines import Bars
 
 # name, limit, our storage (several: the fastest counts), network, batch, threads, peers (several: the fastest counts)
 ORT = ["ort"]
@@ -44,6 +47,10 @@ ERRORS = [("error_f32", 1e-5, "f32", ["pred_0c256", "pred_4c256", "pred_12c256",
 READS = [("resample_512_u8_2_threads", 1.5, 512, 2)]
 # name, limit in microseconds, what the server measures
 CALLS = [("2x64_warm_us", 0.5, "small/warm"), ("2x64_cold_us", 2.5, "small/cold")]
+# How what is missing is got; PYTHON names the Python that has a peer's packages.
+REMEDIES = {"ort": "pip install numpy safetensors onnxruntime", "torch": "pip install numpy safetensors torch",
+            "ov": "pip install numpy safetensors openvino", "rten": "make bench-rust-peers",
+            "ours": "make peer-server; for the networks pip install numpy safetensors onnx"}
 PEER_NAMES = {"ort": "bind/{}", "torch": "jitofi/{}", "rten": "{}", "ov": "f32/{}"}
 
 
@@ -53,18 +60,32 @@ class Server:
         for variable in ("RAYON", "RTEN", "OMP", "MKL"):
             environment[f"{variable}_NUM_THREADS"] = str(threads)
         raise_priority = (lambda: os.setpriority(os.PRIO_PROCESS, 0, nice)) if nice else None
+        self.said = tempfile.TemporaryFile("w+")
         self.process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.said, text=True,
             env=environment, preexec_fn=raise_priority,
         )
 
     def ask(self, name, batch, seconds):
-        self.process.stdin.write(f"{name} {batch} {seconds}\n")
-        self.process.stdin.flush()
+        try:
+            self.process.stdin.write(f"{name} {batch} {seconds}\n")
+            self.process.stdin.flush()
+        except BrokenPipeError:
+            pass
         for line in self.process.stdout:
             if line.startswith("@@"):
                 return json.loads(line[2:])
-        return {"err": "the server ended"}
+        self.process.wait()
+        self.said.seek(0)
+        last = self.said.read().strip().splitlines()[-1:]
+        return {"err": f"the server ended with {self.process.returncode}{': ' + last[0] if last else ''}"}
+
+    def end(self):
+        try:
+            self.process.stdin.close()
+        except BrokenPipeError:
+            pass
+        self.process.wait()
 
 
 def main():
@@ -90,7 +111,13 @@ def main():
         except OSError as error:
             print(f"priority of the session not raised: {error}", file=sys.stderr)
 
-    servers, missing = {}, {}
+    asked = {row[0]: row[1] for row in RATIOS + ERRORS + CALLS + READS if options.only in row[0]}
+    with Bars(asked) as bars:
+        measure(options, bars)
+
+
+def measure(options, bars):
+    servers, failed = {}, {}
 
     def command(key):
         kind = key.split("/")
@@ -101,29 +128,30 @@ def main():
         return [sys.executable, f"{options.peers}/{kind[0]}_peer.py", options.models]
 
     def ask(key, threads, name, batch, seconds):
-        if key in missing:
+        case = key, threads, name, batch
+        if case in failed:
             return None
         if (key, threads) not in servers:
             argv = command(key)
-            if not os.path.exists(argv[0]) or (argv[0] == sys.executable and not os.path.exists(argv[1])):
-                missing[key] = f"{argv[-2]} does not exist"
+            program = argv[1] if argv[0] == sys.executable else argv[0]
+            if not os.path.exists(program):
+                failed[case] = f"{program} does not exist"
                 return None
             servers[key, threads] = Server(argv, threads, options.nice)
         answer = servers[key, threads].ask(name, batch, seconds)
         if "err" in answer:
-            missing[key] = answer["err"]
+            failed[case] = answer["err"]
             return None
         return answer
 
-    scripts = {k: f"{options.peers}/{k}_peer.py" for k in sorted({p.split("/")[0] for row in RATIOS for p in row[6]} - {"rten"})}
-    scripts["rten"] = f"{options.rust}/rten-peer"
-    there = [k for k, path in scripts.items() if os.path.exists(path)]
-    absent = [k for k in scripts if k not in there]
-    print(f"peers in {options.peers} (PEERS=folder): {', '.join(there) or 'none'}"
-          + (f"; not there, so not measured: {', '.join(absent)}" if absent else ""), flush=True)
+    def why(cases):
+        """What failed of these, one sentence each, and how to mend it; None where nothing did."""
+        found = [(c[0], failed[c]) for c in cases if c in failed]
+        told = (f"{key}: {reason} ({REMEDIES[key.split('/')[0]]})" for key, reason in found)
+        return "; ".join(dict.fromkeys(told)) or None
 
     best = {}
-    rows = [row for row in RATIOS if options.only in row[0]]
+    rows = [row for row in RATIOS if row[0] in bars.asked]
     for _ in range(options.rounds):
         for name, _, storages, net, batch, threads, peers in rows:
             contestants = [(f"ours/{s}", net) for s in storages] + [(p, PEER_NAMES[p].format(net)) for p in peers]
@@ -132,58 +160,54 @@ def main():
                 answer = ask(key, threads, spec, batch, options.seconds)
                 if answer:
                     best.setdefault((name, key), []).append((answer["min"], answer["med"]))
-    short = False
-
-    def bar(name, value, limit, note=""):
-        nonlocal short
-        ok = value is not None and value <= limit
-        short |= not ok
-        text = "-" if value is None else f"{value:.3g}"
-        print(f"bar {name} {text} {limit:g} {'ok' if ok else 'short'}{note and '  # ' + note}", flush=True)
 
     def smallest(name, keys):
         times = [(min(v)[0], min(m for _, m in v), k) for k in keys if (v := best.get((name, k)))]
         return min(times) if times else None
 
-    for name, limit, storages, net, batch, threads, peers in rows:
+    for name, _, storages, net, batch, threads, peers in rows:
         ours, theirs = smallest(name, [f"ours/{s}" for s in storages]), smallest(name, peers)
-        if ours and theirs:
-            note = (f"{ours[2]} {ours[0] / 1e3:.2f} us (median {ours[1] / 1e3:.2f}), "
-                    f"{theirs[2]} {theirs[0] / 1e3:.2f} us (median {theirs[1] / 1e3:.2f})")
-            bar(name, ours[0] / theirs[0], limit, note)
+        lacking = why([(f"ours/{s}", threads, net, batch) for s in storages]
+                      + [(p, threads, PEER_NAMES[p].format(net), batch) for p in peers])
+        if lacking:
+            known = f"; {ours[0] / theirs[0]:.3g} of the other peers' time" if ours and theirs else ""
+            bars.lacking(lacking + known, [name])
         else:
-            bar(name, None, limit, "nothing to measure against")
-    for name, limit, storage, nets in ERRORS:
-        if options.only in name:
-            errors = [ask(f"ours/{storage}", 1, f"accuracy/{net}", 400, 0) for net in nets]
-            bar(name, max((e["error"] for e in errors if e), default=None), limit, "relative, seconds = exp(output)")
-    for name, limit, spec in CALLS:
-        if options.only in name:
-            answers = [ask("ours/f32", 1, spec, 1, options.seconds) for _ in range(options.rounds)]
-            answers = [a for a in answers if a]
-            value = min((a["med"] for a in answers), default=None)
-            note = f"median of a window; smallest call {min(a['min'] for a in answers) / 1e3:.3f} us" if answers else ""
-            bar(name, value and value / 1e3, limit, note)
-    for name, limit, edge, threads in READS:
-        if options.only in name:
-            # Windows long enough for the pages to settle: one call takes milliseconds.
-            answers = [ask("ours/f32", threads, f"resample/{edge}", 1, 5 * options.seconds) for _ in range(options.rounds)]
-            answers = [a for a in answers if a]
-            ours, read = min((a["min"] for a in answers), default=None), min((a["read"] for a in answers), default=None)
-            note = f"{ours / 1e6:.2f} ms, reading {read / 1e6:.2f} ms" if answers else "no answer"
-            bar(name, ours / read if answers else None, limit, note)
+            bars.found(name, ours[0] / theirs[0],
+                       f"{ours[2]} {ours[0] / 1e3:.2f} us (median {ours[1] / 1e3:.2f}), "
+                       f"{theirs[2]} {theirs[0] / 1e3:.2f} us (median {theirs[1] / 1e3:.2f})")
+
+    def several(name, threads, specs, batch, seconds):
+        """Our answers; none where one of them failed, which is said with the bar."""
+        answers = [ask("ours/f32", threads, spec, batch, seconds) for spec in specs]
+        if None in answers:
+            bars.lacking(why([("ours/f32", threads, spec, batch) for spec in specs]), [name])
+            return []
+        return answers
+
+    for name, _, storage, nets in ERRORS:
+        if name in bars.asked and (answers := several(name, 1, [f"accuracy/{net}" for net in nets], 400, 0)):
+            bars.found(name, max(a["error"] for a in answers), "relative, seconds = exp(output)")
+    for name, _, spec in CALLS:
+        if name in bars.asked and (answers := several(name, 1, options.rounds * [spec], 1, options.seconds)):
+            bars.found(name, min(a["med"] for a in answers) / 1e3,
+                       f"median of a window; smallest call {min(a['min'] for a in answers) / 1e3:.3f} us")
+    for name, _, edge, threads in READS:
+        # Windows long enough for the pages to settle: one call takes milliseconds.
+        specs = options.rounds * [f"resample/{edge}"]
+        if name in bars.asked and (answers := several(name, threads, specs, 1, 5 * options.seconds)):
+            ours, read = (min(a[k] for a in answers) for k in ("min", "read"))
+            bars.found(name, ours / read, f"{ours / 1e6:.2f} ms, reading {read / 1e6:.2f} ms")
     for program in options.also:
         result = subprocess.run(program, shell=True, stdout=subprocess.PIPE, text=True)
         lines = [line for line in result.stdout.splitlines() if line.startswith("bar ")]
         print("\n".join(lines), flush=True)
-        short |= any(" short" in line for line in lines) or not lines or result.returncode not in (0, 1)
-    for key, why in missing.items():
-        print(f"skipped {key}: {why}")
+        if not lines or any(" short" in line for line in lines) or result.returncode not in (0, 1):
+            bars.short.append(f"those of {program}")
     print(f"load {os.getloadavg()[0]:.1f}, {options.rounds} rounds of {options.seconds} s windows, interleaved")
     for server in servers.values():
-        server.process.stdin.close()
-        server.process.wait()
-    sys.exit(1 if short else 0)
+        server.end()
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -17,6 +17,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from bar_lines import Bars
+
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = {"unshaded": "none-train", "local": "local-train", "scatter": "scatter-train"}
 # Error over that of the revision before, and latency over it.
@@ -80,9 +82,22 @@ def main():
     parser.add_argument("--no-build", action="store_true", help="take the programs that were built last")
     parser.add_argument("--build-only", action="store_true", help="build, and measure nothing")
     options = parser.parse_args()
-    data = Path(options.data).resolve()
-    if not options.build_only and (not options.data or not (data / "ensembles").is_dir()):
-        sys.exit(f"bars_probe_study: {options.data or 'no folder'} holds no ensembles/; name the folder with --data or DATA=")
+    if options.build_only:
+        build(options)
+        return
+    sets = [s for s in options.sets.split(",") if s]
+    asked = {}
+    for s in sets:
+        asked |= {f"median_error_{s}": ERROR_LIMIT, f"rmse_over_sd_{s}": ERROR_LIMIT, f"selected_cold_{s}": LATENCY_LIMIT}
+    with Bars(asked) as bars:
+        if not options.data or not Path(options.data, "ensembles").is_dir():
+            why = f"{options.data} holds no ensembles/" if options.data else "the volumes' folder is not named"
+            sys.exit(f"{why}: make bars-probe DATA=FOLDER-WITH-ensembles")
+        measure(build(options), sets, bars)
+
+
+def build(options):
+    """Both versions, built unless that is not wanted."""
     work = Path(options.work).resolve()
     before = work / "before-tree"
     if not options.no_build:
@@ -93,13 +108,15 @@ def main():
             run("git", "worktree", "prune", cwd=ROOT)
             run("git", "worktree", "add", "--detach", before, commit, cwd=ROOT)
         run("git", "checkout", "--quiet", "--detach", commit, cwd=before)
+    data = Path(options.data).resolve()
     versions = [Version("before", before, work, data), Version("today", ROOT, work, data)]
     if not options.no_build:
         for version in versions:
             version.build()
-    if options.build_only:
-        return
-    sets = [s for s in options.sets.split(",") if s]
+    return versions
+
+
+def measure(versions, sets, bars):
     found = {}
     for version in versions:
         for s in sets:
@@ -112,23 +129,15 @@ def main():
                 value = latency["cold"] + latency["transfer"] / FRAMES_PER_TRANSFER
                 key = (version.name, s)
                 latencies[key] = min(latencies.get(key, value), value)
-    short = False
-
-    def bar(name, value, limit):
-        nonlocal short
-        short |= value > limit
-        print(f"bar {name} {value:.3g} {limit:g} {'ok' if value <= limit else 'short'}", flush=True)
-
     for s in sets:
         crossed = {v: next(f["crossed"] for f in found[v]["fits"] if f["set"] == s) for v in found}
         for metric, name in [("mdape", "median_error"), ("rmse_over_sd", "rmse_over_sd")]:
             figures = [crossed[v][metric] for v in ("today", "before")]
             print(f"{s:10} {name:14} today {figures[0]:.4f}  before {figures[1]:.4f}")
-            bar(f"{name}_{s}", figures[0] / figures[1], ERROR_LIMIT)
+            bars.found(f"{name}_{s}", figures[0] / figures[1])
         figures = [latencies[v, s] for v in ("today", "before")]
         print(f"{s:10} cold latency   today {figures[0] * 1e6:.1f} us  before {figures[1] * 1e6:.1f} us")
-        bar(f"selected_cold_{s}", figures[0] / figures[1], LATENCY_LIMIT)
-    sys.exit(short)
+        bars.found(f"selected_cold_{s}", figures[0] / figures[1])
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 """Training speed of entire's PredNet trainer against PyTorch: the same frames, first weights, settings and threads, the two
-taking turns; prints one `bar` line each for time and final loss and exits 1 when one is short.
+taking turns; prints one `bar` line each for time and final loss and exits 1 when one is short, as both are without PyTorch.
 
     python lab/scripts/bars_train.py --frames 100000 --preset 12C256
 """
@@ -12,6 +12,8 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+
+from bar_lines import Bars
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -71,10 +73,16 @@ def train_torch(folder, widths, args):
 
 def main():
     args = arguments()
+    with Bars({"train_speed_over_pytorch": 1.0, "train_loss_over_pytorch": 1.1}, {"train_speed_over_pytorch"}) as bars:
+        measure(args, bars)
+
+
+def measure(args, bars):
     try:
+        import numpy  # noqa: F401
         import torch
-    except ImportError:
-        sys.exit("PyTorch is not there; pip install torch numpy, or name a Python that has it: make bars-train PYTHON=…")
+    except ImportError as error:
+        sys.exit(f"{error}: pip install torch numpy, or name a Python that has them: make bars-train PYTHON=…")
     example = ["--package", "entire-cli", "--example", "train_speed", "--release"]
     subprocess.run(["cargo", "build", "--quiet", *example], cwd=ROOT, check=True)
     target = os.environ.get("CARGO_TARGET_DIR", ROOT / "target")
@@ -99,11 +107,8 @@ def main():
         f"{args.preset}, {args.frames} frames, batch {args.batch}, {args.epochs} epochs, {args.threads} threads: "
         f"entire {samples / fastest:.0f} frames/s, PyTorch {samples / peer:.0f} frames/s"
     )
-    speed, loss = peer / fastest, ours[-1][1] / theirs[-1][1]
-    bars = [("train_speed_over_pytorch", speed, 1.0, speed >= 1.0), ("train_loss_over_pytorch", loss, 1.1, loss <= 1.1)]
-    for bar, value, limit, met in bars:
-        print(f"bar {bar} {value:.3f} {limit} {'ok' if met else 'short'}")
-    sys.exit(0 if all(b[3] for b in bars) else 1)
+    bars.found("train_speed_over_pytorch", peer / fastest)
+    bars.found("train_loss_over_pytorch", ours[-1][1] / theirs[-1][1])
 
 
 if __name__ == "__main__":

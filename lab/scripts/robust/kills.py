@@ -7,7 +7,8 @@
 Every round runs one of `entire collect`, `calibrate`, `train`, `train --calibrate`, `render` and `entire-lab record` over files of a
 run before. Afterwards, what was there is there, or the new whole file is; tables and traces that were cut off go on with
 --resume and end with every frame. A full disk is a limit on the size of files (RLIMIT_FSIZE), which needs no privilege:
-writes beyond it fail as on a full disk. Prints `bar NAME VALUE LIMIT ok|short`; fails when one is short.
+writes beyond it fail as on a full disk. Prints `bar NAME VALUE LIMIT ok|short`; fails when one is short, as it is after
+fewer ends than are asked for.
 """
 
 import argparse
@@ -24,6 +25,12 @@ import tempfile
 import time
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from bar_lines import Bars  # noqa: E402
+
+# Ends that are asked for, by kind, and the bars of their files.
+ASKED = {"kill": 200, "full_disk": 20}
+NAMES = {kind: f"files_torn_or_lost_{kind}_{count}" for kind, count in ASKED.items()}
 VOLUMES = ["data/castro_blast/m01/t0008.nrrd", "data/nyx_cosmology/m01/t0005.nrrd"]
 TABLE = "data/timings/none-scans.csv.gz"
 FRAMES = 12
@@ -130,10 +137,15 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--entire", default="target/release/entire")
     parser.add_argument("--lab", default="target/release/entire-lab")
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--full", type=int, default=20, help="runs on a full disk")
+    parser.add_argument("--kills", type=int, default=ASKED["kill"])
+    parser.add_argument("--full", type=int, default=ASKED["full_disk"], help="runs on a full disk")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
+    with Bars({name: 0 for name in NAMES.values()}) as bars:
+        measure(options, bars)
+
+
+def measure(options, bars):
     draw = random.Random(options.seed)
     wrong = {"kill": [], "full_disk": []}
     with tempfile.TemporaryDirectory() as name:
@@ -205,9 +217,11 @@ def main():
     for kind, count in (("kill", ended), ("full_disk", options.full)):
         for line in wrong[kind]:
             print(line, file=sys.stderr)
-        found = len(wrong[kind])
-        print(f"bar files_torn_or_lost_{kind}_{count} {found} 0 {'short' if found else 'ok'}")
-    sys.exit(1 if wrong["kill"] or wrong["full_disk"] else 0)
+        print(f"{kind}: {count} ends, {len(wrong[kind])} files torn or lost")
+        if wrong[kind] or count >= ASKED[kind]:
+            bars.found(NAMES[kind], len(wrong[kind]))
+        else:
+            bars.lacking(f"{count} ends are fewer than the {ASKED[kind]} that are asked for", [NAMES[kind]])
 
 
 if __name__ == "__main__":
