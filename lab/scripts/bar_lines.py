@@ -21,9 +21,10 @@ class Bars:
         if not asked:
             sys.exit("no bar is asked for: see --help for names")
 
-    def found(self, name, value, note=""):
-        """Prints a bar; None where there is no value."""
-        limit = self.left.pop(name)
+    def found(self, name, value, note="", limit=None):
+        """Prints a bar; None where there is no value. `limit` is given where it follows from what was measured."""
+        asked = self.left.pop(name)
+        limit = asked if limit is None else limit
         ok = value is not None and (value >= limit if name in self.at_least else value <= limit)
         if not ok:
             self.short.append(name)

@@ -14,7 +14,8 @@ import pathlib
 import random
 import shutil
 import subprocess
-import sys
+
+from bar_lines import Bars
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 EXAMPLE = "core/examples/probe_server"
@@ -53,6 +54,27 @@ BYTES = 512 * 512 * 512
 # Microseconds of a new transfer function, first call, and the share of the time before.
 FIRST = {256: 60, 512: 120, 768: 400}
 SPEED = {"u8": 2.5, "u16": 3.0, "f32": 3.0}
+
+
+def asked_for():
+    """Every bar's limit, and the names of what it is taken from: ours first."""
+    out = {}
+    for mode in MODES:
+        warm, cold, fine = (f"plan/{what}/{mode}" for what in ("11/warm", "11/cold", "24/cold"))
+        out[f"plan_11_warm_{mode}"] = 0.33, (warm, warm)
+        out[f"plan_11_cold_{mode}"] = 0.4, (cold, cold)
+        out[f"plan_24_cold_over_11_{mode}"] = 1.0, (fine, cold)
+    for edge in EDGES:
+        first = f"transfer/{edge}/first"
+        out[f"transfer_{edge}_us"] = FIRST[edge], (first,)
+        out[f"transfer_{edge}"] = 0.1, (first, first)
+    for kind in TYPES:
+        out[f"summary_{kind}_gb_per_s"] = SPEED[kind], (f"summary/{kind}", f"read/{kind}")
+        out[f"summary_{kind}_two_threads"] = 1.7, (f"summary/{kind}", f"summary2/{kind}")
+    return out
+
+
+BARS = asked_for()
 
 
 def build(where, target):
@@ -106,12 +128,10 @@ def main():
     options = parser.parse_args()
     work = pathlib.Path(options.work).resolve()
     targets = {side: work / f"{side}-build" for side in ("today", "before")}
-    if not options.no_build:
-        work.mkdir(parents=True, exist_ok=True)
+    work.mkdir(parents=True, exist_ok=True)
+    if options.build_only:
         build(ROOT, targets["today"])
         build(prepare(options.before, work), targets["before"])
-
-    if options.build_only:
         return
 
     plans = [f"plan/{side}/{heat}/{mode}" for side in (11, 24) for heat in ("warm", "cold") for mode in MODES]
@@ -120,6 +140,15 @@ def main():
     today_only = [f"summary2/{kind}" for kind in TYPES]
     today_only += [f"step/{kind}/{what}" for kind in TYPES for what in ("same", "box")]
     asked = [n for n in plans + transfers + volumes + today_only if options.only in n]
+    limits = {name: limit for name, (limit, needs) in BARS.items() if all(n in asked for n in needs)}
+    with Bars(limits, {name for name in limits if name.startswith("summary")}) as bars:
+        measure(options, targets, asked, today_only, bars)
+
+
+def measure(options, targets, asked, today_only, bars):
+    if not options.no_build:
+        build(ROOT, targets["today"])
+        build(prepare(options.before, pathlib.Path(options.work).resolve()), targets["before"])
     best = {}
     servers = {side: Server(target / "release/examples/probe_server") for side, target in targets.items()}
     for _ in range(options.rounds):
@@ -136,41 +165,23 @@ def main():
         figures = "  ".join(f"{side} {mean[side, name] * 1e6:10.1f} us" for side in ("today", "before")
                             if (side, name) in mean)
         print(f"{name:24} {figures}")
-    short = False
-
-    def bar(name, value, limit, at_most=True):
-        nonlocal short
-        ok = value <= limit if at_most else value >= limit
-        short |= not ok
-        print(f"bar {name} {value:.3g} {limit:.3g} {'ok' if ok else 'short'}", flush=True)
 
     def ratio(ours, theirs):
-        """Of figures that were asked for."""
-        keys = ("today", ours), ("before", theirs)
-        return mean[keys[0]] / mean[keys[1]] if all(k in mean for k in keys) else None
+        return mean["today", ours] / mean["before", theirs]
 
-    for mode in MODES:
-        for name, ours, theirs, limit in [
-            ("plan_11_warm", f"plan/11/warm/{mode}", f"plan/11/warm/{mode}", 0.33),
-            ("plan_11_cold", f"plan/11/cold/{mode}", f"plan/11/cold/{mode}", 0.4),
-            ("plan_24_cold_over_11", f"plan/24/cold/{mode}", f"plan/11/cold/{mode}", 1.0),
-        ]:
-            if (value := ratio(ours, theirs)) is not None:
-                bar(f"{name}_{mode}", value, limit)
-    for edge in EDGES:
-        name = f"transfer/{edge}/first"
-        if (value := ratio(name, name)) is not None:
-            bar(f"transfer_{edge}_us", mean["today", name] * 1e6, FIRST[edge])
-            bar(f"transfer_{edge}", value, 0.1)
-    for kind in TYPES:
-        if ("today", f"summary/{kind}") not in mean or ("today", f"read/{kind}") not in mean:
+    for name, (_, needs) in BARS.items():
+        if name not in bars.asked:
             continue
-        own, read = mean["today", f"summary/{kind}"], mean["today", f"read/{kind}"]
-        limit = min(SPEED[kind], 0.7 * BYTES / read * 1e-9)
-        bar(f"summary_{kind}_gb_per_s", BYTES / own * 1e-9, limit, at_most=False)
-        if ("today", f"summary2/{kind}") in mean:
-            bar(f"summary_{kind}_two_threads", own / mean["today", f"summary2/{kind}"], 1.7, at_most=False)
-    sys.exit(short)
+        if name.endswith("_us"):
+            bars.found(name, mean["today", needs[0]] * 1e6)
+        elif name.endswith("_gb_per_s"):
+            # Or 0.7 of the rate of reading the bytes once, where that is less.
+            own, read = (BYTES / mean["today", n] * 1e-9 for n in needs)
+            bars.found(name, own, limit=min(bars.asked[name], 0.7 * read))
+        elif name.endswith("_two_threads"):
+            bars.found(name, mean["today", needs[0]] / mean["today", needs[1]])
+        else:
+            bars.found(name, ratio(*needs))
 
 
 if __name__ == "__main__":

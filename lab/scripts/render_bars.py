@@ -5,8 +5,8 @@ voxel) and image, every contestant's own early termination and space leaping. In
 usage: render_bars.py --server FRAME_SERVER [--out FOLDER] [--scans FOLDER] [--rounds N] [--size PIXELS] [--bars]
 
 Prints a line per contestant and scene, how well the pictures agree, what a change of the transfer function costs, and
-with --bars one line `bar NAME VALUE LIMIT ok|short` each (exit status 1 when any is short). The pictures go to FOLDER
-as PNG. VTK runs under VTK_PYTHON (default: the first of /usr/bin/python3 and python3 that can import vtkmodules); it needs an X
+with --bars one line `bar NAME VALUE LIMIT ok|short` each (exit status 1 when any is short, as it is where VTK or a scan is
+missing). The pictures go to FOLDER as PNG. VTK runs under VTK_PYTHON (default: the first of /usr/bin/python3 and python3 that can import vtkmodules); it needs an X
 server, which xvfb-run brings.
 
 A frame's cost is the CPU time that the contestant's process spends on it, all threads. Ours holds everything, reading
@@ -26,6 +26,8 @@ import subprocess
 import sys
 import zlib
 
+from bar_lines import Bars
+
 HERE = pathlib.Path(__file__).resolve().parent
 MODES = ["none", "blocks", "distance"]
 PEERS = {"fixed": "vtkFixedPointVolumeRayCastMapper", "gpu": "vtkGPUVolumeRayCastMapper"}
@@ -37,8 +39,8 @@ SCENES = [
     ("opaque", "noise", "opaque", 0.8, 0.6),
     ("sparse", "vessels", "opaque", 0.5, 0.6),
 ]
-# Sparse scans that are measured too where they are there: file, transfer function.
-SCANS = [("xa_aneurism.nrrd", "scan"), ("mr_angio_head.nrrd", "scan")]
+# Sparse scans: file, transfer function, limits as above.
+SCANS = [("xa_aneurism.nrrd", "scan", 0.5, 0.6), ("mr_angio_head.nrrd", "scan", 0.5, 0.6)]
 PICTURE_LIMIT = 1.0
 CAMERA = "20 30 3.8637"
 
@@ -141,6 +143,15 @@ def main():
     parser.add_argument("--only", default="")
     parser.add_argument("--bars", action="store_true")
     options = parser.parse_args()
+    if options.bars:
+        with Bars(limits(options.only)) as bars:
+            say(bars, *measure(options))
+    else:
+        measure(options)
+
+
+def measure(options):
+    """Figures by scene, and why others are missing."""
     out = pathlib.Path(options.out)
     out.mkdir(parents=True, exist_ok=True)
     ours = Contestant([options.server])
@@ -159,22 +170,22 @@ def main():
         if not path.exists():
             ours.ask(f"make {kind} {options.edge} {path}")
         volumes[kind] = (path, [options.edge] * 3, [1.0] * 3)
-    found = [name for name, _ in SCANS if (pathlib.Path(options.scans) / name).exists()]
-    absent = [name for name, _ in SCANS if name not in found]
+    found = [scan[0] for scan in SCANS if (pathlib.Path(options.scans) / scan[0]).exists()]
+    absent = [scan[0] for scan in SCANS if scan[0] not in found]
     print(f"scans in {options.scans} (SCANS=folder): {', '.join(found) or 'none'}"
-          + (f"; not there, so without bars: {', '.join(absent)}" if absent else ""))
-    for name, transfer in SCANS:
+          + (f"; not there: {', '.join(absent)}" if absent else ""))
+    for name, transfer, fixed_limit, gpu_limit in SCANS:
         path = pathlib.Path(options.scans) / name
         stem = name.split(".")[0]
-        if path.exists() and options.only in stem:
+        if name in found and options.only in stem:
             voxels, dims, spacing = read_nrrd(path)
             raw = out / f"{stem}.raw"
             raw.write_bytes(voxels)
             volumes[stem] = (raw, dims, spacing)
-            scenes.append((stem, stem, transfer, 0.5, 0.6))
+            scenes.append((stem, stem, transfer, fixed_limit, gpu_limit))
 
     results = {}
-    for scene, volume, transfer, fixed_limit, gpu_limit in scenes:
+    for scene, volume, transfer, *_ in scenes:
         path, dims, spacing = volumes[volume]
         shape = " ".join(map(str, [path, *dims, *spacing]))
         ours.ask(f"volume {shape}")
@@ -233,42 +244,43 @@ def main():
     print(f"\npictures and render.json: {out}")
     for process in [ours, *peers.values()]:
         process.end()
-    if options.bars:
-        raise SystemExit(1 if bars(scenes, results) else 0)
+    lacking = [] if peers else [missing]
+    if absent:
+        lacking.append(f"{', '.join(absent)} not in {options.scans}: make bars-render SCANS=FOLDER-WITH-THEM")
+    return results, "; ".join(lacking) or "a contestant gave no time"
 
 
-def bars(scenes, results):
-    """Prints the bars; whether any is short."""
-    short = False
-
-    def bar(name, value, limit, note=""):
-        nonlocal short
-        ok = value is not None and value <= limit
-        short |= not ok
-        text = "-" if value is None else f"{value:.3g}"
-        print(f"bar {name} {text} {limit:g} {'ok' if ok else 'short'}{note and '  # ' + note}", flush=True)
-
+def limits(only):
+    """Limits of the bars whose scenes hold a text."""
+    scenes = [scene for scene in SCENES + [(s[0].split(".")[0], *s) for s in SCANS] if only in scene[0]]
+    out = {}
     for scene, _, _, fixed_limit, gpu_limit in scenes:
+        out |= {ratio_name(scene, "fixed"): fixed_limit, ratio_name(scene, "gpu"): gpu_limit}
+    out |= {f"render_{scene[0]}_picture_difference_{peer}": PICTURE_LIMIT for scene in scenes for peer in PEERS}
+    return out | {f"render_{scene[0]}_distance_vs_blocks": 1.0 for scene in scenes if scene[1] != "noise"}
+
+
+def ratio_name(scene, peer):
+    return f"render_{scene}_vs_{'fixed_point' if peer == 'fixed' else 'gpu'}_mapper"
+
+
+def say(bars, results, lacking):
+    """Prints the bars: `results` has the times of a scene under its name."""
+    for scene in [key for key in results if "/" not in key]:
         times = results[scene]
         # One mode for all scenes.
-        own = times["ours/distance"]["cpu"]
-        for peer, limit in (("fixed", fixed_limit), ("gpu", gpu_limit)):
-            name = f"render_{scene}_vs_{'fixed_point' if peer == 'fixed' else 'gpu'}_mapper"
-            if f"vtk/{peer}" not in times:
-                bar(name, None, limit, "nothing to measure against")
-                continue
-            theirs = times[f"vtk/{peer}"]["cpu"]
-            bar(name, own / theirs, limit, f"{1e3 * own:.1f} ms CPU, skipping distance; {1e3 * theirs:.1f} ms CPU")
-    # Whoever draws another picture is not compared: mean difference of a channel, of 255.
-    for scene, *_ in scenes:
+        own, blocks = (times[f"ours/{mode}"]["cpu"] for mode in ("distance", "blocks"))
         for peer in PEERS:
-            found = results.get(f"{scene}/difference/{peer}")
-            bar(f"render_{scene}_picture_difference_{peer}", found, PICTURE_LIMIT, "levels of 255, mean")
-    for scene, volume, *_ in scenes:
-        if volume != "noise":
-            times = results[scene]
-            bar(f"render_{scene}_distance_vs_blocks", times["ours/distance"]["cpu"] / times["ours/blocks"]["cpu"], 1.0)
-    return short
+            if f"vtk/{peer}" in times:
+                theirs = times[f"vtk/{peer}"]["cpu"]
+                note = f"{1e3 * own:.1f} ms CPU, skipping distance; {1e3 * theirs:.1f} ms CPU"
+                bars.found(ratio_name(scene, peer), own / theirs, note)
+                # Whoever draws another picture is not compared: mean difference of a channel, of 255.
+                name = f"render_{scene}_picture_difference_{peer}"
+                bars.found(name, results[f"{scene}/difference/{peer}"], "levels of 255, mean")
+        if f"render_{scene}_distance_vs_blocks" in bars.asked:
+            bars.found(f"render_{scene}_distance_vs_blocks", own / blocks)
+    bars.lacking(lacking)
 
 
 if __name__ == "__main__":
