@@ -2,7 +2,8 @@
 """How well predictions do per renderer: VTK's fixed-point and GPU mappers, ParaView, yt. From the timing tables in
 data/timings (RENDERER-train and RENDERER-test, of different volumes; the collectors make such tables) a factor network
 and an analytic model are trained and judged on the volumes that they did not see. A model that was trained on the Vulkan
-raycaster's frames is then transferred with a twentieth of the frames. Needs no renderer. Called by bars.py.
+raycaster's frames is then transferred with a twentieth of the frames. Needs no renderer. Called by bars.py; what is missing
+makes the bars short.
 
 ENTIRE_DATA  folder that the tables' volume names start from (default ../shared/data)
 """
@@ -27,6 +28,8 @@ log_mean_chord tilt turn log_step log_voxels remapped along_x along_z""".split()
 FACTOR = [*HOW, "--layers", "32,16", "--converting", "--ensemble", "8", "--scene-features", ",".join(MORE)]
 ANALYTIC = "--model-kind analytic --converting".split()
 SHARE = 0.05
+ASKED = {name: limit for r in RENDERERS for name, limit in ((f"{r}-rmse-over-sd-on-unseen-volumes", 0.15),
+                                                            (f"{r}-transferred-over-fully-trained", 1.2))}
 
 
 def cut(table, count, out):
@@ -50,12 +53,12 @@ def cut(table, count, out):
     shutil.copyfile(table.removesuffix(".csv.gz") + ".manifest.json", out.removesuffix(".csv.gz") + ".manifest.json")
 
 
-def run(options, bar):
+def run(options, bars):
     tables = os.path.abspath(os.path.join("data", "timings"))
     out = os.path.abspath(options.out)
     volumes = os.environ.get("ENTIRE_DATA", os.path.join("..", "shared", "data"))
     if not os.path.isdir(volumes):
-        print(f"accuracy: skipped: no folder {volumes}; set ENTIRE_DATA")
+        bars.lacking(f"there is no folder {volumes}: name the one that holds ensembles/ and scans/ with ENTIRE_DATA", ASKED)
         return
     program = os.path.abspath(options.entire)
 
@@ -65,19 +68,15 @@ def run(options, bar):
         with open(log, "a") as file:
             done = subprocess.run([program, *map(str, words)], stdout=file, stderr=file, cwd=volumes)
         if done.returncode:
-            raise SystemExit(f"accuracy: entire {words[0]} failed; see {log}")
+            raise RuntimeError(f"entire {words[0]} failed; see {log}")
 
     def train(tables, name, *how):
         model = os.path.join(out, f"{name}.safetensors")
         entire("train", "--data", *tables, "--clock", "cpu", "--split", "volume", "--quiet", "--out", model, *how)
         return model
 
-    base = train([os.path.join(tables, f"{n}.csv.gz") for n in BASE], "vulkan", *PLAIN)
-    for renderer in RENDERERS:
+    def judge(renderer):
         learn, test = (os.path.join(tables, f"{renderer}-{part}.csv.gz") for part in ("train", "test"))
-        if not (os.path.exists(learn) and os.path.exists(test)):
-            print(f"accuracy: {renderer} is left out: no {learn} and {test}")
-            continue
         with gzip.open(learn, "rt", newline="") as file:
             frames = len({row["frame"] for row in csv.DictReader(file)})
         few = max(8, int(SHARE * frames))
@@ -101,5 +100,11 @@ def run(options, bar):
             m = scores[os.path.splitext(os.path.basename(path))[0]]
             value[label] = m["rmse_over_sd"]
             print(f"  {label:20} RMSE/SD {m['rmse_over_sd']:.3f}  MdAPE {100 * m['mdape']:.1f} %")
-        bar(f"{renderer} RMSE/SD on unseen volumes", value["factor"], 0.15)
-        bar(f"{renderer} Vulkan model {tuned} / fully trained", value[tuned] / value["factor"], 1.2)
+        bars.found(f"{renderer}-rmse-over-sd-on-unseen-volumes", value["factor"])
+        bars.found(f"{renderer}-transferred-over-fully-trained", value[tuned] / value["factor"], tuned)
+
+    with bars.part(*ASKED):
+        base = train([os.path.join(tables, f"{n}.csv.gz") for n in BASE], "vulkan", *PLAIN)
+        for renderer in RENDERERS:
+            with bars.part(*(name for name in ASKED if name.startswith(f"{renderer}-"))):
+                judge(renderer)

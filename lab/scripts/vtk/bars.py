@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 """Every bar of the VTK adapter: the comparison with AutoAdjustSampleDistances, the observer's cost, and the accuracy of
-predictions per renderer. Prints `bar NAME VALUE LIMIT ok|short`, exit status 1 where one is short; a value that cannot be
-told is `unmeasured`, and short. See bars.sh.
+predictions per renderer. Prints `bar NAME VALUE LIMIT ok|short`, exit status 1 where one is short, as one without a value is.
+See bars.sh.
 """
 import argparse
 import json
@@ -13,17 +13,18 @@ import sys
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 PLUGIN = os.path.normpath(os.path.join(HERE, "..", "..", "..", "plugins", "vtk", "python"))
-sys.path.insert(0, HERE)
-sys.path.insert(0, PLUGIN)
-SHORT = []
+sys.path[:0] = [os.path.dirname(HERE), PLUGIN]
+import accuracy  # noqa: E402
+from bar_lines import Bars  # noqa: E402
+
+# Limits of a mapper's bars, calibrated and cold.
+TARGETS = {"off-target": (0.10, 0.15), "off-target-frames-over-target": (0.10, 0.15), "share-over-1.25x": (0.02, 0.02),
+           "frames-until-recovered": (1, 1), "image-error-of-auto-adjust-at-its-mean-time": (0.9, 0.9), "observer-us": (40, 40)}
 
 
-def bar(name, value, limit):
-    ok = value is not None and value <= limit
-    text = "unmeasured" if value is None else f"{value:.4g}"
-    print(f"bar {name} {text} {limit:g} {'ok' if ok else 'short'}", flush=True)
-    if not ok:
-        SHORT.append(name)
+def asked(mapper):
+    """Limits by name."""
+    return {f"{mapper}-{name}-{what}": pair[i] for i, name in enumerate(("calibrated", "cold")) for what, pair in TARGETS.items()}
 
 
 def python(*words, **options):
@@ -35,7 +36,7 @@ def logged(path, *words):
     with open(path, "w") as log:
         done = subprocess.run([*map(str, words)], stdout=log, stderr=log)
     if done.returncode:
-        sys.exit(f"bars: {words[0]} failed; see {path}")
+        raise RuntimeError(f"{words[0]} failed; see {path}")
 
 
 def median(repeats, pick):
@@ -83,17 +84,21 @@ def compare(options, mapper):
            "--repeats", options.repeats, "--frames", options.frames)
 
 
-def comparison_bars(options, mapper):
+def comparison_bars(options, bars, mapper):
     with open(os.path.join(options.out, f"{mapper}.json")) as file:
         repeats = json.load(file)["repeats"]
-    for name, limit in (("calibrated", 0.10), ("cold", 0.15)):
-        label = f"{mapper} {name}"
-        bar(f"{label} |t-target|/target, all frames", median(repeats, lambda r: r[name]["cpu"]["off"]), limit)
-        bar(f"{label} |t-target|/target, frames over target", median(repeats, lambda r: r[name]["cpu"]["off_hard"]), limit)
-        bar(f"{label} share over 1.25x", median(repeats, lambda r: r[name]["cpu"]["over"]), 0.02)
-        bar(f"{label} frames until recovered", median(repeats, lambda r: max(r[name]["cpu"]["recovery"])), 1)
-        bar(f"{label} image error / AutoAdjust's at its mean time", relative_error(repeats, name), 0.9)
-        bar(f"{label} observer us", median(repeats, lambda r: r[name]["observer_us"]), 40)
+    for name in ("calibrated", "cold"):
+        values = {"off-target": median(repeats, lambda r: r[name]["cpu"]["off"]),
+                  "off-target-frames-over-target": median(repeats, lambda r: r[name]["cpu"]["off_hard"]),
+                  "share-over-1.25x": median(repeats, lambda r: r[name]["cpu"]["over"]),
+                  "frames-until-recovered": median(repeats, lambda r: max(r[name]["cpu"]["recovery"])),
+                  "image-error-of-auto-adjust-at-its-mean-time": relative_error(repeats, name),
+                  "observer-us": median(repeats, lambda r: r[name]["observer_us"])}
+        for what, value in values.items():
+            if value is None:
+                bars.lacking("AutoAdjust's three rates do not reach that mean time", [f"{mapper}-{name}-{what}"])
+            else:
+                bars.found(f"{mapper}-{name}-{what}", value)
 
 
 def relative_error(repeats, name):
@@ -118,20 +123,25 @@ def main():
     parser.add_argument("--entire", required=True, help="the program")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--frames", type=int, default=200)
-    parser.add_argument("--only-comparison", action="store_true")
+    parser.add_argument("--parts", default="comparison,accuracy")
     parser.add_argument("--mappers", default="fixed,gpu")
+    parser.add_argument("--lacking", help="why nothing can be measured: the bars are short")
     options = parser.parse_args()
     os.makedirs(options.out, exist_ok=True)
-    mappers = options.mappers.split(",")
-    for mapper in mappers:
-        compare(options, mapper)
-    for mapper in mappers:
-        comparison_bars(options, mapper)
-    if not options.only_comparison:
-        import accuracy
-
-        accuracy.run(options, bar)
-    sys.exit(1 if SHORT else 0)
+    parts, mappers = options.parts.split(","), options.mappers.split(",")
+    limits = {name: limit for mapper in mappers for name, limit in asked(mapper).items()} if "comparison" in parts else {}
+    if "accuracy" in parts:
+        limits |= accuracy.ASKED
+    with Bars(limits) as bars:
+        if options.lacking:
+            sys.exit(options.lacking)
+        if "comparison" in parts:
+            for mapper in mappers:
+                with bars.part(*asked(mapper)):
+                    compare(options, mapper)
+                    comparison_bars(options, bars, mapper)
+        if "accuracy" in parts:
+            accuracy.run(options, bars)
 
 
 if __name__ == "__main__":

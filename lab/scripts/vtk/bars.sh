@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
-# Compares vtkEntireSteering with VTK's AutoAdjustSampleDistances, then collects, trains and evaluates per renderer.
+# Compares vtkEntireSteering with VTK's AutoAdjustSampleDistances, then collects, trains and evaluates per renderer. Without VTK
+# the bars of the comparison are short; the rest needs no renderer.
 #
 #   lab/scripts/vtk/bars.sh [compare]
 #
@@ -11,14 +12,24 @@
 # VTK_FRAMES   frames of the comparison's path (default 200)
 set -euo pipefail
 cd "$(dirname "$0")/../../.."
-only=()
 case ${1:-} in
-    "") ;;
-    compare) only=(--only-comparison) ;;
+    "" | compare) ;;
     *) echo "bars.sh: found word \"$1\"; use compare, or none for all bars" >&2; exit 2 ;;
 esac
 target=${CARGO_TARGET_DIR:-target}
 out=${VTK_OUT:-$PWD/$target/vtk}
-"${CARGO:-cargo}" build --release --quiet --package entire-cli --bin entire
-plugins/vtk/run.sh exec "${VTK_PYTHON:-/usr/bin/python3}" lab/scripts/vtk/bars.py --out "$out/bars" \
-    --entire "$target/release/entire" --repeats "${VTK_REPEATS:-3}" --frames "${VTK_FRAMES:-200}" "${only[@]}"
+bars=(lab/scripts/vtk/bars.py --out "$out/bars" --entire "$target/release/entire" --repeats "${VTK_REPEATS:-3}"
+    --frames "${VTK_FRAMES:-200}")
+status=0
+parts=comparison,accuracy
+[[ ${1:-} != compare ]] || parts=comparison
+"${CARGO:-cargo}" build --release --quiet --package entire-cli --bin entire || {
+    python3 "${bars[@]}" --parts $parts --lacking "the command entire cannot be built"
+    exit 1
+}
+lab/scripts/or_short.sh python3 "${bars[@]}" --parts comparison -- \
+    plugins/vtk/run.sh exec "${VTK_PYTHON:-/usr/bin/python3}" "${bars[@]}" --parts comparison || status=1
+if [[ $parts == *accuracy ]]; then
+    python3 "${bars[@]}" --parts accuracy || status=1
+fi
+exit $status

@@ -1,0 +1,25 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: MIT OR Apache-2.0
+# Runs a command that prints bars. Where it ends before any, as one that skips what it lacks, SCRIPT prints them as short.
+#
+#   lab/scripts/or_short.sh SCRIPT... -- COMMAND...
+#
+# SCRIPT is called with --lacking and the reason: why the command has skipped, or the last line that it has said.
+set -euo pipefail
+script=()
+while [[ $1 != -- ]]; do
+    script+=("$1")
+    shift
+done
+shift
+log=$(mktemp)
+trap 'rm -f "$log"' EXIT
+status=0
+"$@" 2>&1 | tee "$log" || status=$?
+if ! grep -q '^bar ' "$log"; then
+    why=$(sed -n 's/^.*skipped: //p' "$log" | tail -n 1)
+    why=${why:-$(grep -v '^$' "$log" | tail -n 1 || true)}
+    "${script[@]}" --lacking "${why:-$1 said nothing}" || true
+    status=1
+fi
+exit "$status"
