@@ -9,8 +9,8 @@ test-python: ## Run the tests of the installed wheel (skipped where Python or Xv
 	@CARGO="$(CARGO)" plugins/python/run.sh test
 
 .PHONY: bars-python
-bars-python: ## Measure the Python package: frames held, overhead, many views, copies, leaks, still pictures
-	@CARGO="$(CARGO)" plugins/python/run.sh bars
+bars-python: ## Measure the Python package: frames held, overhead, many views, copies, leaks, still pictures; fails when a bar is short
+	@CARGO="$(CARGO)" lab/scripts/or_short.sh $(PYTHON) plugins/python/bars/bars.py -- plugins/python/run.sh bars
 
 .PHONY: python-pictures
 python-pictures: ## Draw the pictures of the book's page on Python with the built wheel
