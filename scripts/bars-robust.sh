@@ -4,34 +4,33 @@
 #   scripts/bars-robust.sh [part...]        parts: mutants kills states vtk miri; default: all
 #
 # MUTANTS sets how many mutants of model files are tried (100000), FIRST_SEED the first one's seed (0), KILLS and FULL how
-# many commands are ended at random moments (200) and on a full disk (20). What a part needs and does not find is said.
+# many commands are ended at random moments (200) and on a full disk (20). What a part needs and does not find is said; its
+# bars are short then, as after fewer than that, and where no test ran.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+. lab/scripts/bar_lines.sh
 
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 parts=("$@")
 if ((${#parts[@]} == 0)); then parts=(mutants kills states vtk miri); fi
-short=0
-
-bar() { # name value limit; value at most limit
-    local verdict=ok
-    if ! awk -v v="$2" -v l="$3" 'BEGIN { exit !(v <= l) }'; then
-        verdict=short
-        short=1
-    fi
-    echo "bar $1 $2 $3 $verdict"
-}
+log=$(mktemp)
+folder=$(mktemp -d)
+trap 'rm -rf "$log" "$folder"' EXIT
 
 # Mutants of model files through opening, one prediction, a batch and an encoding, in 4 GB of address space.
 mutants() {
-    ${CARGO:-cargo} build --release --quiet --package entire-tests --bin model_mutants
-    local folder next end aborts=0 panics=0 slowest=0 code line
-    folder=$(mktemp -d)
-    # The folder's name is put in now: when the trap runs, the variable is gone.
-    # shellcheck disable=SC2064
-    trap "rm -rf '$folder'" EXIT
+    local asked=(model_mutants_aborts 0 model_mutants_panics 0 model_mutants_slowest_cpu_seconds 1)
+    local next end aborts=0 panics=0 slowest=0 code line asked_for=100000
+    if ! ${CARGO:-cargo} build --release --quiet --package entire-tests --bin model_mutants; then
+        lacking "model_mutants cannot be built" "${asked[@]}"
+        return
+    fi
     next=${FIRST_SEED:-0}
-    end=$((next + ${MUTANTS:-100000}))
+    end=$((next + ${MUTANTS:-$asked_for}))
+    if ((end - next < asked_for)); then
+        lacking "$((end - next)) mutants are fewer than the $asked_for that are asked for (MUTANTS=$asked_for)" "${asked[@]}"
+        return
+    fi
     while ((next < end)); do
         code=0
         (
@@ -40,20 +39,28 @@ mutants() {
             exec "$target/release/model_mutants" "$next" "$end" "$folder/progress"
         ) >"$folder/out" 2>"$folder/err" || code=$?
         line=$(grep '^panics' "$folder/out" || true)
+        grep '^panic at' "$folder/err" || true
         if ((code == 0)); then
+            if [[ -z $line ]]; then
+                lacking "model_mutants has not counted: $(tail -n 1 "$folder/err")" "${asked[@]}"
+                return
+            fi
             panics=$((panics + $(awk '{ print $2 }' <<<"$line")))
             slowest=$(awk -v a="$slowest" '{ print ($4 > a) ? $4 : a }' <<<"$line")
             echo "mutants: $line"
-            grep '^panic at' "$folder/err" || true
             break
         fi
         # The process ended by itself: the seed that it worked on is to blame, the one after it comes next.
         aborts=$((aborts + 1))
-        next=$(awk '{ print $1 }' "$folder/progress")
+        panics=$((panics + $(grep -c '^panic at' "$folder/err" || true)))
+        next=$(awk '{ print $1 }' "$folder/progress" 2>/dev/null || echo "$next")
         echo "mutant with seed $next ended the process (status $code): $(tail -n 1 "$folder/err")"
+        # How long those before it took is not known.
+        slowest=unknown
         next=$((next + 1))
         if ((aborts >= 20)); then
             echo "stopped after 20 of them"
+            ((panics > 0)) || panics=unknown
             break
         fi
     done
@@ -64,47 +71,75 @@ mutants() {
 
 # SIGKILL at random moments and full disks, over every command that writes.
 kills() {
-    ${CARGO:-cargo} build --release --quiet --package entire-cli --package entire-lab --bins
+    ${CARGO:-cargo} build --release --quiet --package entire-cli --package entire-lab --bins || {
+        lacking "the commands cannot be built" files_torn_or_lost_kill_200 0 files_torn_or_lost_full_disk_20 0
+        return
+    }
     python3 lab/scripts/robust/kills.py --entire "$target/release/entire" --lab "$target/release/entire-lab" \
         --kills "${KILLS:-200}" --full "${FULL:-20}" || short=1
 }
 
 # Every single-bit flip of saved states, and filters that are not finite.
 states() {
-    local failed=0
-    ${CARGO:-cargo} test --quiet --package entire-core --lib saved_state >/dev/null 2>&1 || failed=1
-    bar saved_state_tests_failed "$failed" 0
+    local passed failed code=0
+    ${CARGO:-cargo} test --quiet --package entire-core --lib saved_state >"$log" 2>&1 || code=$?
+    read -r passed failed <<<"$(tests_in "$log")"
+    echo "states: $passed tests passed, $failed failed"
+    if ((failed == 0 && (passed == 0 || code != 0))); then
+        lacking "no test named saved_state ran to its end: $(tail -n 1 "$log")" saved_state_tests_failed 0
+    else
+        bar saved_state_tests_failed "$failed" 0
+    fi
 }
 
 # Re-entrant events of every mapper under the address sanitizer.
 vtk() {
-    local log failed=0
-    log=$(mktemp)
-    make --no-print-directory test-vtk-asan >"$log" 2>&1 || failed=1
-    # What the step cannot run on this machine it says, and ends well.
-    if grep -q '^test-vtk-asan: skipped' "$log"; then
-        grep '^test-vtk-asan: skipped' "$log"
-    else
-        bar vtk_reentry_reports "$failed" 0
-        if ((failed)); then tail -n 40 "$log"; fi
+    local counts why
+    make --no-print-directory test-vtk-asan >"$log" 2>&1 || true
+    # What the step cannot run on this machine it says, and ends well; ctest ends well too where it finds no test.
+    counts=$(sed -n 's/.*tests passed, \([0-9]*\) tests\{0,1\} failed out of \([0-9]*\).*/\1 \2/p' "$log" | tail -n 1)
+    why=$(sed -n 's/^test-vtk-asan: skipped: //p' "$log" | tail -n 1)
+    if [[ -z $counts || $counts == *" 0" ]]; then
+        lacking "${why:-no test of re-entrant events ran: $(tail -n 1 "$log")}" vtk_reentry_reports 0
+        return
     fi
-    rm -f "$log"
+    echo "vtk: ${counts#* } tests of re-entrant events, ${counts% *} failed"
+    bar vtk_reentry_reports "${counts% *}" 0
+    [[ $counts == "0 "* ]] || tail -n 40 "$log"
 }
 
 # Undefined behavior in core's scalar kernels and in ffi.
 miri() {
-    if ! cargo +nightly miri --version >/dev/null 2>&1; then
-        echo "miri: skipped: not installed (rustup +nightly component add miri rust-src)"
+    local code=0 part passed failed all=0
+    make --no-print-directory miri >"$log" 2>&1 || code=$?
+    grep '^miri: skipped' "$log" || true
+    if grep -q '^miri: skipped: Miri' "$log" || ! grep -q '^==> core' "$log"; then
+        lacking "Miri does not run here (rustup component add --toolchain nightly miri rust-src)" miri_reports 0
         return
     fi
-    local log failed=0
-    log=$(mktemp)
-    make --no-print-directory miri >"$log" 2>&1 || failed=1
-    grep '^miri: skipped' "$log" || true
-    bar miri_reports "$failed" 0
-    if ((failed)); then tail -n 40 "$log"; fi
-    rm -f "$log"
+    for part in core ffi; do
+        awk -v part="==> $part" '/^==> / { in_part = $0 == part } in_part' "$log" >"$folder/$part"
+        read -r passed failed <<<"$(tests_in "$folder/$part")"
+        echo "miri: $part: $passed tests passed, $failed failed"
+        all=$((all + failed))
+        if ((passed + failed == 0)); then code=nothing; fi
+    done
+    # A filter that no test matches lets cargo end well.
+    grep -q '^test kernels::scalar::' "$folder/core" || code=nothing
+    if ((all == 0)) && [[ $code == 0 ]]; then
+        bar miri_reports 0 0
+    elif ((all > 0)) || grep -q 'error: Undefined Behavior' "$log"; then
+        bar miri_reports "$((all > 0 ? all : 1))" 0
+        tail -n 40 "$log"
+    else
+        lacking "not all of core's scalar kernels and ffi ran to their end: $(tail -n 1 "$log")" miri_reports 0
+    fi
 }
 
-for part in "${parts[@]}"; do "$part"; done
+for part in "${parts[@]}"; do
+    case $part in
+        mutants | kills | states | vtk | miri) "$part" ;;
+        *) echo "bars-robust.sh: found part \"$part\"; use mutants, kills, states, vtk or miri" >&2; exit 2 ;;
+    esac
+done
 exit "$short"
