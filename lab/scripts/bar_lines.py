@@ -22,8 +22,9 @@ class Bars:
             sys.exit("no bar is asked for: see --help for names")
 
     def found(self, name, value, note="", limit=None):
-        """Prints a bar; None where there is no value. `limit` is given where it follows from what was measured."""
+        """Prints a bar; None or NaN where there is no value. `limit` is given where it follows from what was measured."""
         asked = self.left.pop(name)
+        value = None if value != value else value
         limit = asked if limit is None else limit
         ok = value is not None and (value >= limit if name in self.at_least else value <= limit)
         if not ok:
