@@ -9,7 +9,7 @@ Parts: hq-frames, hq-sleeping, slurm, kills, full. What an engine lacks is said,
 A run is judged over the least that it can take: the lower bound of its measured work, and of the engine's overhead what cannot
 pass while a slot works. That is one start, as of a job of one task, and on every slot the time from a bundle's end to the next
 one's begin, as in a job of short bundles that keep all slots busy; each is the least of REPEATS. A run that ended before that
-shows that the overhead was measured wrongly: its bar is short."""
+shows that the overhead was measured too high: it is judged over the bound of its work alone, which is stricter."""
 
 import argparse
 import csv
@@ -208,8 +208,9 @@ def over_bound(bars, name, what, run, slots, cost):
     print(f"{what}: {makespan:.3f} s; bound of the work {bound:.3f} s, with a start of {start:.3f} s and {bundles} bundles, "
           f"{1e3 * turn:.1f} ms from one to the next, {least:.3f} s; over the work's alone {makespan / bound:.4f}", flush=True)
     if makespan < least:
-        bars.lacking(f"the overhead was measured wrongly: no run can end before {least:.3f} s, and this one took {makespan:.3f} "
-                     "s; measure again on a quiet machine", [name])
+        print(f"the overhead was measured too high: no run can end before {least:.3f} s, and this one took {makespan:.3f} s. It "
+              "counts for nothing here; measure again on a quiet machine", flush=True)
+        bars.found(name, makespan / bound, "over the bound of the work alone")
     else:
         bars.found(name, makespan / least)
 
