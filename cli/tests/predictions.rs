@@ -1,12 +1,13 @@
-//! No prediction of a shipped model is zero, negative or no number: over every committed table, and over a
-//! hundred thousand random inputs, ordinary and hostile.
+//! What shipped models predict over every committed table, and over a hundred thousand random inputs, ordinary
+//! and hostile: never zero, negative or no number at the predictor, and of the networks' own outputs no more
+//! than are known.
 
 use entire_cli::dataset::{Table, TimedFrame};
 use entire_cli::fit::predict_rows;
 use entire_cli::inputs::Layout;
 use entire_core::model::{Model, ModelFile};
 use entire_core::nn::{Executor, PredNet};
-use entire_core::predict::check_predictions;
+use entire_core::predict::{PREDICTED_SECONDS, check_predictions};
 use indicatif::ProgressBar;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -24,10 +25,12 @@ fn files_in(folder: &str, ending: &str) -> Vec<PathBuf> {
     out
 }
 
-fn predicting_models() -> Vec<(PathBuf, Model)> {
+/// The shipped models that predict, by name.
+fn predicting_models() -> Vec<(String, Model)> {
+    let name = |p: &Path| p.file_stem().unwrap().to_string_lossy().into_owned();
     files_in("models", ".safetensors")
         .into_iter()
-        .map(|p| (p.clone(), Model::from_bytes(&std::fs::read(&p).unwrap()).unwrap()))
+        .map(|p| (name(&p), Model::from_bytes(&std::fs::read(&p).unwrap()).unwrap()))
         .filter(|(_, m)| m.prednet().is_some())
         .collect()
 }
@@ -36,13 +39,37 @@ fn invalid(seconds: f64) -> bool {
     !(seconds.is_finite() && seconds > 0.0)
 }
 
+/// Outputs of shipped networks that were no positive time and had to be brought to the shortest one, of all
+/// tables' frames and of the random inputs (to the next thousand, since processors round otherwise). Of frames
+/// only networks that learned seconds, not their logarithm, have some. Any more is a fault.
+const KNOWN: [(&str, usize, usize); 8] = [
+    ("local-distilled", 57, 63_000),
+    ("local-selected", 0, 6_000),
+    ("scatter-distilled", 0, 31_000),
+    ("scatter-selected", 0, 5_000),
+    ("unshaded-distilled", 489, 71_000),
+    ("unshaded-epyc-selected", 0, 6_000),
+    ("unshaded-selected", 0, 12_000),
+    ("unshaded-xeon-selected", 0, 13_000),
+];
+
+fn known(model: &str) -> (usize, usize) {
+    KNOWN.iter().find(|k| k.0 == model).map_or((0, 0), |k| (k.1, k.2))
+}
+
+/// Whether a network's output was zero, negative, or shorter than any frame.
+fn brought_up(seconds: f64) -> bool {
+    seconds <= f64::from(*PREDICTED_SECONDS.start())
+}
+
 #[test]
-fn every_prediction_is_a_positive_number_of_seconds() {
+fn no_more_predictions_than_are_known_had_to_be_made_positive() {
     const RANDOM: usize = 100_000;
     let models = predicting_models();
     assert!(models.len() >= 6, "{} shipped models", models.len());
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let (mut frames, mut tables, mut not_positive, mut brought) = (0usize, 0usize, 0usize, 0usize);
+    let mut of_tables = vec![0usize; models.len()];
+    let (mut frames, mut tables) = (0usize, 0usize);
     for path in
         files_in("data/timings", ".csv.gz").iter().filter(|p| !p.to_string_lossy().contains(".features"))
     {
@@ -52,12 +79,18 @@ fn every_prediction_is_a_positive_number_of_seconds() {
         }
         let refs: Vec<&TimedFrame> = table[0].frames.iter().collect();
         let mut judged = false;
-        for (_, model) in &models {
+        for ((name, model), count) in models.iter().zip(&mut of_tables) {
             let layout = Layout::of_model(model).unwrap();
             // Some tables do not keep what some models take.
             let Ok(rows) = layout.rows(&table, &refs, &pool, &ProgressBar::hidden()) else { continue };
             let predicted = predict_rows(model, &rows, layout.width()).unwrap();
-            not_positive += predicted.iter().filter(|s| invalid(**s)).count();
+            assert!(!predicted.iter().any(|s| invalid(*s)), "{name} on {}", path.display());
+            let brought = predicted.iter().filter(|s| brought_up(**s)).count();
+            if brought > 0 {
+                let table = path.file_name().unwrap().to_string_lossy();
+                println!("{name} on {table}: {brought} of {} not positive", predicted.len());
+            }
+            *count += brought;
             frames += predicted.len();
             judged = true;
         }
@@ -66,7 +99,8 @@ fn every_prediction_is_a_positive_number_of_seconds() {
     assert!(tables >= 15 && frames > 50_000, "{tables} tables, {frames} predictions");
 
     let mut rng = ChaCha8Rng::seed_from_u64(17);
-    for (path, model) in &models {
+    let mut of_random = vec![0usize; models.len()];
+    for ((name, model), count) in models.iter().zip(&mut of_random) {
         let parts = model.prednet().unwrap();
         let net = PredNet::new(parts).unwrap();
         let norm = parts.input.as_ref().expect("shipped models know their inputs' spread");
@@ -86,32 +120,42 @@ fn every_prediction_is_a_positive_number_of_seconds() {
             .unwrap();
             for value in raw {
                 let mut seconds = [value];
+                *count += usize::from(value <= 0.0);
                 match check_predictions(&mut seconds) {
-                    Ok(clamped) => {
-                        not_positive += usize::from(invalid(f64::from(seconds[0])));
-                        brought += clamped;
+                    Ok(_) => {
+                        let seconds = f64::from(seconds[0]);
+                        assert!(!invalid(seconds), "{name}: {value} became {seconds}");
                     }
                     Err(e) => {
-                        assert!(
-                            !value.is_finite() && e.to_string().contains("finite"),
-                            "{}: {e}",
-                            path.display()
-                        );
+                        assert!(!value.is_finite() && e.to_string().contains("finite"), "{name}: {e}");
                     }
                 }
             }
         }
     }
-    println!("predictions not positive: {not_positive}");
-    assert_eq!(not_positive, 0);
-    // The test must be able to fail: networks on seconds do leave the range that a time has.
-    assert!(brought > 0, "no network left the range of times");
+    for ((name, _), counts) in models.iter().zip(of_tables.iter().zip(&of_random)) {
+        println!(
+            "{name}: {} of all tables' frames, {} of {RANDOM} random inputs not positive",
+            counts.0, counts.1
+        );
+    }
+    let all: [usize; 2] = [of_tables.iter().sum(), of_random.iter().sum()];
+    println!(
+        "{} of {frames} predictions of frames, {} of {} of random inputs",
+        all[0],
+        all[1],
+        RANDOM * models.len()
+    );
+    println!("predictions not positive: {}", all[0] + all[1]);
+    for ((name, _), counts) in models.iter().zip(of_tables.into_iter().zip(of_random)) {
+        let (frames, random) = known(name);
+        assert!(counts.0 <= frames && counts.1 <= random, "{name}: {counts:?}, known are {frames}, {random}");
+    }
 }
 
 #[test]
 fn hostile_models_predict_positive_seconds_or_are_refused() {
-    let (path, _) =
-        predicting_models().into_iter().find(|(p, _)| p.ends_with("local-distilled.safetensors")).unwrap();
+    let path = files_in("models", "local-distilled.safetensors").remove(0);
     let file = ModelFile::from_bytes(&std::fs::read(path).unwrap()).unwrap();
     let model = file.to_model().unwrap();
     let width: usize = model.inputs().iter().map(|g| g.size).sum();

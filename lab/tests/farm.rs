@@ -46,6 +46,7 @@ fn farms_are_balanced_from_recorded_frames_of_other_volumes() {
         "factor learned from the view",
         "ms per task",
         "static with exchanges, predicted",
+        "queue, any order (mean of 200)",
         "a second time",
     ] {
         assert!(text.contains(word), "{word}: {text}");

@@ -330,7 +330,7 @@ const LAB: &Rooms = &[
     ("child", &[]),
     ("gpu", &["child"]),
     ("latency", &[]),
-    ("stress", &[]),
+    ("stress", &["bars"]),
     ("trace", &[]),
     ("trees", &[]),
     ("farm", &["bars", "calibration", "trace"]),

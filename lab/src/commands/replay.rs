@@ -5,10 +5,10 @@ use crate::bars;
 use crate::calibration::samples_of;
 use crate::replay::cold::second_in_bound;
 use crate::replay::report::Results;
-use crate::replay::{self, Player, Replayable, Score, Tally, frontier, play, trials};
+use crate::replay::{self, Player, Replayable, Score, Tally, frontier, play, trials_of_all};
 use crate::trace::Trace;
 use anyhow::{Context, Result, ensure};
-use entire_cli::files::{make_folder, open_model};
+use entire_cli::files::{make_folder, note, open_model};
 use entire_cli::options::parse_limits;
 use entire_cli::path::parse_target;
 use entire_cli::steering::calibrate::response;
@@ -71,7 +71,8 @@ impl Paths {
 ///
 /// Every trace (see `entire-lab record`) is played under every controller against every target that is worth
 /// playing on it (some allowed step meets it in at least half of the frames), and against a series of
-/// targets. The predictor is fitted to a timing table of other volumes. Rules that act on image resolution are
+/// targets. Where no target is worth playing on it, it is played against one of its own, halfway between what
+/// its middle frame takes at the finest and the coarsest step. The predictor is fitted to a timing table of other volumes. Rules that act on image resolution are
 /// answered by the costs of smaller images at the reference step; where a trace holds none, they are played on
 /// the ray step and said to be. DIR gets report.html, scores.json and frames.csv.
 #[derive(Debug, clap::Args)]
@@ -127,7 +128,12 @@ pub fn run(options: &Options) -> Result<()> {
         .map(|file| Replayable::new(Trace::open(file)?).with_context(|| format!("{}", file.display())))
         .collect::<Result<Vec<_>>>()?;
     let players = Player::all(&options.controllers, &traces);
-    let trials = trials(&traces, &targets, limits);
+    let (trials, unplayed) = trials_of_all(&traces, &targets, limits);
+    for name in &unplayed {
+        note(&format!(
+            "trace {name} is not played: no target is met by an allowed step in half of its frames"
+        ));
+    }
     ensure!(!trials.is_empty(), "no target is worth playing on any trace; the allowed steps never meet one");
     let mut outcomes = Vec::with_capacity(trials.len());
     for (index, trial) in trials.iter().enumerate() {
@@ -165,6 +171,7 @@ pub fn run(options: &Options) -> Result<()> {
     }
     if options.bars {
         let mut found = replay::bars(&players, &scores)?;
+        found.extend(replay::played(traces.len(), &unplayed));
         found.push(second_in_bound(&traces, &trials, limits)?);
         bars::print(&found)?;
     }

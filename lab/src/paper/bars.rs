@@ -8,6 +8,7 @@ use super::results::{Results, Row};
 use super::volumes::BY_VOLUMES;
 use crate::bars::Bar;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// What is known about an encoder's reconstruction of held-out volumes.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -47,15 +48,14 @@ pub fn bars(
     let overall: Vec<&Results> = all.iter().filter(full).collect();
     let network = |r: &Results| r.row(BY_VOLUMES, NETWORK).cloned();
     let ratios = |of: &dyn Fn(&Row) -> Option<f64>, yt: bool| -> Vec<f64> {
-        // One value per data set: its best mode.
-        let mut best: std::collections::BTreeMap<&str, f64> = std::collections::BTreeMap::new();
+        // One value per data set, which holds for all of its modes; none where a mode has none.
+        let mut worst: BTreeMap<&str, Option<f64>> = BTreeMap::new();
         for r in overall.iter().filter(|r| (r.mode == YT) == yt) {
-            if let Some(v) = network(r).as_ref().and_then(of) {
-                let slot = best.entry(&r.set).or_insert(f64::INFINITY);
-                *slot = slot.min(v);
-            }
+            let found = network(r).as_ref().and_then(of);
+            let slot = worst.entry(&r.set).or_insert(Some(f64::NEG_INFINITY));
+            *slot = slot.zip(found).map(|(a, b)| a.max(b));
         }
-        best.into_values().collect()
+        worst.into_values().flatten().collect()
     };
     let constant = |r: &Row| r.over_constant;
     let lvrp = |r: &Row| r.over_lvrp;
@@ -92,4 +92,60 @@ fn complete(results: &Results) -> bool {
     let expected = times.and_then(|t| t.values.get("expected frames")).copied();
     let frames = times.and_then(|t| t.values.get("frames")).copied();
     expected.zip(frames).is_some_and(|(e, f)| f >= e)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::results::Fact;
+    use super::*;
+    use std::path::Path;
+
+    fn overall(set: &str, mode: &str, over: Option<f64>) -> Results {
+        let mut out = Results::new(Panel::Overall, set, mode, String::new());
+        let frames = [("expected frames", 100.0), ("frames", 100.0)].map(|(n, v)| (n.to_owned(), v));
+        out.facts.push(Fact { name: "times".into(), values: frames.into() });
+        out.rows.push(Row {
+            name: NETWORK.into(),
+            split: BY_VOLUMES.into(),
+            frames: 10,
+            runs: 1,
+            rmse: 1.0,
+            rmse_sd: 0.0,
+            rmse_median: 1.0,
+            sd: 1.0,
+            mean: 1.0,
+            over_constant: over,
+            over_lvrp: over.map(|v| 2.0 * v),
+            mdape: 0.1,
+            latency: None,
+            squared_errors: [0.0; 5],
+            more: BTreeMap::new(),
+        });
+        out
+    }
+
+    #[test]
+    fn a_data_set_counts_by_its_worst_mode() {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/timings/paper.json");
+        let paper: Paper = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+        let of = |all: &[Results], name: &str| -> Option<f64> {
+            let found = bars(&paper, all, &[], &[], 1.0);
+            found.iter().find(|b| b.name == format!("paper/{name}")).unwrap().value
+        };
+        let mut all = vec![
+            overall("a", "none", Some(0.2)),
+            overall("a", "local", Some(0.6)),
+            overall("b", "none", Some(0.5)),
+            overall("b", "scatter", Some(0.1)),
+            overall("c", "none", Some(0.9)),
+            overall("a", YT, Some(0.3)),
+        ];
+        // The second of 0.5, 0.6 and 0.9.
+        assert_eq!(of(&all, "raycaster-rmse-over-constant"), Some(0.6));
+        assert_eq!(of(&all, "raycaster-rmse-over-lvrp"), Some(1.2));
+        assert_eq!(of(&all, "yt-rmse-over-constant"), Some(0.3));
+        // A data set of which a mode has no value has none.
+        all.push(overall("b", "local", None));
+        assert_eq!(of(&all, "raycaster-rmse-over-constant"), Some(0.9));
+    }
 }

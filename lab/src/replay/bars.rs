@@ -54,3 +54,11 @@ pub fn bars(players: &[Player], scores: &[Score]) -> Result<Vec<Bar>> {
         least("steer-first-frames-in-bound", ours.inside_bound, 0.9),
     ])
 }
+
+/// The bars of what was played: of this many paths all but those that are named.
+pub fn played(paths: usize, unplayed: &[String]) -> Vec<Bar> {
+    let mut out =
+        vec![Bar::at_least("steer-paths-played", Some((paths - unplayed.len()) as f64), paths as f64)];
+    out.extend(unplayed.iter().map(|name| Bar::at_least(format!("steer-played/{name}"), None, 1.0)));
+    out
+}

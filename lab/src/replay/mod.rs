@@ -9,11 +9,11 @@ mod score;
 mod trials;
 pub mod tune;
 
-pub use bars::bars;
+pub use bars::{bars, played};
 pub use frontier::{Frontier, frontier};
 pub use player::Player;
 pub use score::{Score, Tally, Three};
-pub use trials::{Outcome, Trial, play, trials};
+pub use trials::{Outcome, Trial, play, trials, trials_of_all};
 
 use crate::trace::{Curve, Trace};
 use anyhow::{Context, Result, ensure};

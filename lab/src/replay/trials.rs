@@ -2,6 +2,7 @@
 
 use super::{Player, Replayable, Replayed, Tally, replay, worth_playing};
 use anyhow::Result;
+use entire_cli::metrics::median;
 use entire_cli::steering::contenders::contender;
 use entire_cli::steering::fit::Calibrated;
 use entire_cli::steering::rivals::StepResponse;
@@ -48,6 +49,41 @@ pub fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits
     out
 }
 
+/// As [`trials`], with a target of its own for every trace that none of them is worth playing on (see
+/// [`own_target`]); and the names of those that not even that is worth playing on.
+pub fn trials_of_all(
+    traces: &[Replayable],
+    targets: &[(f64, &str)],
+    limits: StepLimits,
+) -> (Vec<Trial>, Vec<String>) {
+    let (mut out, mut unplayed) = (trials(traces, targets, limits), Vec::new());
+    for (i, trace) in traces.iter().enumerate() {
+        if out.iter().any(|t| t.trace == i) {
+            continue;
+        }
+        match own_target(trace, limits).filter(|t| worth_playing(trace, *t, limits)) {
+            Some(target) => out.push(Trial {
+                trace: i,
+                label: format!("its own, {:.1} ms", 1e3 * target),
+                targets: vec![target; trace.path.frames.len()],
+            }),
+            None => unplayed.push(trace.trace.name.clone()),
+        }
+    }
+    out.sort_by_key(|t| t.trace);
+    (out, unplayed)
+}
+
+/// A target that follows from a trace alone: halfway, in ln(seconds), between what its middle frame takes at
+/// the finest allowed step and at the coarsest.
+fn own_target(trace: &Replayable, limits: StepLimits) -> Option<f64> {
+    let middle = |step: f32| {
+        let mut seconds: Vec<f64> = trace.curves.iter().map(|c| c.seconds(f64::from(step))).collect();
+        median(&mut seconds)
+    };
+    Some((middle(limits.finest)? * middle(limits.coarsest)?).sqrt())
+}
+
 /// Plays a trial under every controller, so many rounds, each with other noise of the measured.
 ///
 /// # Errors
@@ -84,4 +120,50 @@ pub fn play(
         }
     }
     Ok(outcome)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trace::Trace;
+    use std::path::Path;
+
+    const LIMITS: StepLimits = StepLimits { finest: 1.0, coarsest: 16.0 };
+
+    /// A path of the project, its seconds changed frame by frame.
+    fn path(name: &str, seconds: impl Fn(usize, f64) -> f64) -> Replayable {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let mut trace = Trace::open(&root.join(format!("data/steer/traces/{name}.json.gz"))).unwrap();
+        trace.volumes.iter_mut().for_each(|v| v.file = root.join(&v.file));
+        for (i, frame) in trace.frames.iter_mut().enumerate() {
+            frame.iter_mut().flat_map(|p| &mut p.seconds).for_each(|s| *s = seconds(i, *s));
+        }
+        Replayable::new(trace).unwrap()
+    }
+
+    #[test]
+    fn no_path_is_left_out_without_a_word() {
+        let targets = [(1.0 / 30.0, "30fps"), (1.0 / 60.0, "60fps"), (1.0 / 90.0, "90fps")];
+        // Quicker than every target; one that they suit; one whose frames take what they take at any step.
+        let paths = [
+            path("banana-resize", |_, s| s),
+            path("castro-cuts", |_, s| s),
+            path("nyx-orbit", |i, _| if i % 2 == 0 { 1.0 } else { 100.0 }),
+        ];
+        assert!(trials(&paths[..1], &targets, LIMITS).is_empty());
+        let (trials, unplayed) = trials_of_all(&paths, &targets, LIMITS);
+        assert_eq!(unplayed, ["nyx-orbit"]);
+        let labels = |trace: usize| -> Vec<&str> {
+            trials.iter().filter(|t| t.trace == trace).map(|t| t.label.as_str()).collect()
+        };
+        assert_eq!(labels(0), ["its own, 6.2 ms"]);
+        assert!(worth_playing(&paths[0], trials[0].targets[0], LIMITS));
+        assert_eq!(labels(1), ["60fps", "90fps", "changing"]);
+        assert!(labels(2).is_empty());
+        let bars: Vec<String> = super::super::played(3, &unplayed).iter().map(ToString::to_string).collect();
+        assert_eq!(
+            bars,
+            ["bar steer-paths-played 2.0000 3.0000 short", "bar steer-played/nyx-orbit - 1.0000 short"]
+        );
+    }
 }

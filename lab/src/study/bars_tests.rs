@@ -3,6 +3,7 @@
 use super::report::fits_table;
 use super::rule::by_rule;
 use super::*;
+use entire_cli::dataset::NoiseFloor;
 use entire_cli::metrics::Metrics;
 
 fn study_of(predictors: &str, limits: &str) -> Study {
@@ -60,6 +61,28 @@ fn a_limit_without_anything_to_hold_against_it_is_short_and_not_silent() {
     assert!(bars.iter().all(|b| !b.ok && b.value.is_none()));
     assert_eq!(bars[5].to_string(), "bar a-set/member/paper-rmse-over-constant - 0.2500 short");
     assert!(super::bars(&study_of("", "{}"), &Findings::default()).is_empty());
+}
+
+#[test]
+fn median_errors_are_held_to_twice_the_noise_and_scans_to_seven_percent_at_least() {
+    let study = study_of(r#"{ "name": "selected" }"#, r#"{ "rmse_over_sd": 0.5, "modality": true }"#);
+    let limit = |log_sd_of_median: f64, what: &str| {
+        let noise = NoiseFloor {
+            log_sd: log_sd_of_median,
+            log_sd_of_median,
+            median_relative_deviation: 0.0,
+            warm_up: 0.0,
+            drift: None,
+            frames: 3,
+        };
+        let of = |split: &str| ("a set".to_owned(), split.to_owned(), noise, 3);
+        let found = Findings { noise: vec![of("member"), of("other")], ..Findings::default() };
+        bars(&study, &found).iter().find(|b| b.name == format!("a-set/{what}")).unwrap().limit
+    };
+    for (sd, member, other) in [(0.01, 0.01349, 0.07), (0.1, 0.1349, 0.1349)] {
+        assert!((limit(sd, "member/best-mdape") - member).abs() < 1e-12);
+        assert!((limit(sd, "other/mdape-after-100-frames") - other).abs() < 1e-12);
+    }
 }
 
 #[test]

@@ -342,8 +342,9 @@ pub fn write(out: &Path, study: &Study, found: &Findings) -> Result<()> {
             (
                 &found.tuning,
                 "adapting to other data",
-                "Error on frames not learned from. Calibrated: the model of the training tables, its last \
-                 layer fitted anew; from nothing: trained on those frames alone.",
+                "Error on volumes not learned from: frames of one half of the volumes are learned from, those of \
+                 the other half judged on, and the other way round. Calibrated: the model of the training tables, \
+                 its last layer fitted anew; from nothing: trained on those frames alone.",
             ),
         ] {
             let of_set: Vec<&Point> = points.iter().filter(|p| p.set == set.name).collect();
