@@ -12,6 +12,7 @@ mod records;
 use entire_cli::volume::{Format, hostile::read_any};
 use entire_cli::{dataset, farm, path, volume};
 use entire_core::model::Model;
+use libtest_mimic::{Arguments, Failed, Trial};
 use peak_alloc::PeakAlloc;
 use proptest::prelude::*;
 use proptest::test_runner::{Config, RngAlgorithm, TestRng, TestRunner};
@@ -20,8 +21,8 @@ use std::path::{Path, PathBuf};
 #[global_allocator]
 static MEMORY: PeakAlloc = PeakAlloc;
 
-/// Mutations tried in one run.
-const CASES: u32 = 30_000;
+/// Mutations tried in one run where `PROPTEST_CASES` names no other number. The fuzz targets try many more.
+const CASES: u32 = 3_000;
 
 #[derive(Clone, Copy, Debug)]
 enum Target {
@@ -179,15 +180,15 @@ fn apply(input: &mut Vec<u8>, change: &Change) {
     }
 }
 
-// One test, so that no other one allocates meanwhile.
-#[test]
-fn arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for() {
+fn arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for() -> Result<(), Failed> {
     let corpus = corpus();
     for (target, path, bytes) in &corpus {
         let peak = peak_of(*target, bytes);
         assert!(peak <= bound(bytes), "{}: {peak} bytes allocated for {}", path.display(), bytes.len());
     }
-    let config = Config { cases: CASES, failure_persistence: None, ..Config::default() };
+    let defaults = Config::default();
+    let cases = if std::env::var_os("PROPTEST_CASES").is_some() { defaults.cases } else { CASES };
+    let config = Config { cases, failure_persistence: None, ..defaults };
     let rng = TestRng::from_seed(RngAlgorithm::ChaCha, &[7; 32]);
     let mut runner = TestRunner::new_with_rng(config, rng);
     let strategy = (0..corpus.len(), prop::collection::vec(change(), 1..5));
@@ -204,7 +205,16 @@ fn arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for() {
         );
         Ok(())
     });
-    if let Err(error) = result {
-        panic!("{error}");
-    }
+    result.map_err(|error| error.to_string().into())
+}
+
+// One trial in a program of its own: memory is counted for the whole process.
+fn main() {
+    let arguments = Arguments::from_args();
+    let check = arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for;
+    libtest_mimic::run(
+        &arguments,
+        vec![Trial::test("arbitrary_bytes_never_panic_and_never_take_more_memory_than_they_call_for", check)],
+    )
+    .exit();
 }

@@ -2,7 +2,7 @@
 //!
 //! Every entry point goes through [`guard`], which checks handles and pointers, turns panics into a result
 //! code and keeps the error text. The conventions that callers rely on stand at the top of
-//! `include/entire/entire.h` (`ffi/header.h`), which `ffi/tests/header.rs` generates from this crate.
+//! `include/entire/entire.h` (`ffi/header.h`), which `ffi/tests/suite/header.rs` generates from this crate.
 //!
 //! # Safety of all entry points A pointer is NULL or valid for the access that the function's documentation
 //! states, for the length that stands beside it; a handle comes from this library and was not freed; a handle

@@ -181,7 +181,7 @@ impl From<Error> for Failure {
             ErrorKind::NotReady => ENTIRE_NOT_READY,
             ErrorKind::RejectedObservation => ENTIRE_REJECTED_OBSERVATION,
             ErrorKind::OutOfMemory => ENTIRE_OUT_OF_MEMORY,
-            // A kind that this file does not list; tests/kinds.rs fails when there is one.
+            // A kind that this file does not list; tests/suite/kinds.rs fails when there is one.
             _ => ENTIRE_UNSUPPORTED,
         };
         Self::new(code, error.to_string())

@@ -2,13 +2,13 @@
 //! nothing.
 
 use entire_core::nn::Level;
+use libtest_mimic::{Arguments, Failed, Trial};
 
 /// What a user sets.
 const LEVEL_VARIABLE: &str = "ENTIRE_LEVEL";
 
-#[test]
 #[allow(unsafe_code, reason = "setting the environment is unsafe; this test is alone in its process")]
-fn a_change_of_the_environment_after_the_first_model_changes_nothing() {
+fn a_change_of_the_environment_after_the_first_model_changes_nothing() -> Result<(), Failed> {
     let first = Level::detect();
     Level::check_override().expect("the suite runs with a valid level or none");
     // SAFETY: this process has one test, and no other thread reads the environment.
@@ -17,4 +17,15 @@ fn a_change_of_the_environment_after_the_first_model_changes_nothing() {
     // SAFETY: as above.
     unsafe { std::env::set_var(LEVEL_VARIABLE, "scalar") };
     assert_eq!(Level::detect(), first);
+    Ok(())
+}
+
+fn main() {
+    let arguments = Arguments::from_args();
+    let check = a_change_of_the_environment_after_the_first_model_changes_nothing;
+    libtest_mimic::run(
+        &arguments,
+        vec![Trial::test("a_change_of_the_environment_after_the_first_model_changes_nothing", check)],
+    )
+    .exit();
 }

@@ -5,7 +5,7 @@
     python3 lab/scripts/readers/judge.py [--without CRATE] [HOSTILE]
 
 HOSTILE is a folder of hostile files; without it, mutations of the fixtures take its place. A reader passes a
-fixture when it gives back what the command's own reader does (tests/volume_formats.rs compares that with the
+fixture when it gives back what the command's own reader does (tests/suite/volume_formats.rs compares that with the
 writers' voxels). Every read is a process of its own with LIMIT_BYTES of address space and LIMIT_SECONDS of
 CPU time. No file has more than 11 KB: a read that takes LARGE_BYTES or more trusts a header over the bytes
 that are there.

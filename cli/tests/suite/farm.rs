@@ -5,10 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-mod support;
-use support::{entire, refuses, stderr, succeeds};
-#[path = "support/ball.rs"]
-mod ball;
+use crate::ball;
+use crate::support::{entire, refuses, stderr, succeeds};
 
 const RENDERER: &str = "[renderer]\nkind = \"entire\"\ndevice = \"cpu\"\n";
 

@@ -4,8 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-#[path = "support/ball.rs"]
-mod ball;
+use crate::ball;
 
 fn entire(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_entire")).args(arguments).output().unwrap()

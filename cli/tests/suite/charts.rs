@@ -1,8 +1,8 @@
 //! The example's charts: whole XML, every kind of mark, and a page that fetches nothing.
 
 #[allow(dead_code, unreachable_pub, reason = "an example, with a main of its own")]
-#[path = "../examples/charts.rs"]
-mod charts;
+#[path = "../../examples/charts.rs"]
+mod example;
 
 use quick_xml::events::Event;
 
@@ -26,7 +26,7 @@ fn walk(svg: &str) -> Vec<String> {
 #[test]
 fn every_kind_of_chart_is_drawn() {
     let mut classes = std::collections::BTreeSet::new();
-    for (name, chart) in charts::samples() {
+    for (name, chart) in example::samples() {
         let svg = chart.to_svg_file();
         let elements = walk(&svg);
         assert_eq!(elements[1], "svg", "{name}");
@@ -41,8 +41,8 @@ fn every_kind_of_chart_is_drawn() {
 
 #[test]
 fn the_page_holds_every_chart_and_fetches_nothing() {
-    let html = charts::page().finish();
-    assert_eq!(html.matches("<svg").count(), charts::samples().len());
+    let html = example::page().finish();
+    assert_eq!(html.matches("<svg").count(), example::samples().len());
     for word in ["http:", "https:", "src=\"//", "url(", "@import", "<script", "<link"] {
         assert!(!html.contains(word), "{word}");
     }

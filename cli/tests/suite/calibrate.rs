@@ -1,7 +1,6 @@
 //! `entire calibrate` on the CPU twin: a model of the machine where the other commands find it.
 
-mod support;
-
+use crate::support::*;
 use entire_cli::calibrate::{NamedPrior, calibrate_to_tables};
 use entire_cli::dataset::{Clock, read_tables};
 use entire_core::model::{Model, ModelFile};
@@ -9,7 +8,6 @@ use entire_core::predict::{Quality, load};
 use entire_core::scene::Shading;
 use std::path::Path;
 use std::process::{Command, Output};
-use support::*;
 
 /// Small volumes of three kinds of content.
 fn volumes(folder: &Path) {

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-#[path = "../../cli/tests/support/ball.rs"]
+#[path = "../../../cli/tests/support/ball.rs"]
 mod ball;
 
 fn lab(arguments: &[&str]) -> Output {

@@ -1,9 +1,7 @@
 //! Bad input: every command answers with status 1 and one line that says why and what to do, or with the
 //! defined result where the input is merely extreme.
 
-mod support;
-
-use support::*;
+use crate::support::*;
 
 const TF: &str = "0.5,0.1,0.5";
 

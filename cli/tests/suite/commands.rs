@@ -1,10 +1,8 @@
 //! `render`, `predict` and `encode` as other programs call them.
 
-mod support;
-
+use crate::support::*;
 use std::io::Write;
 use std::process::{Command, Stdio};
-use support::*;
 
 /// SELU in double precision.
 fn selu(x: f64) -> f64 {

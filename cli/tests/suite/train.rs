@@ -133,7 +133,7 @@ struct Batch {
 }
 
 fn golden() -> Golden {
-    serde_json::from_str(include_str!("golden/train.json")).unwrap()
+    serde_json::from_str(include_str!("../golden/train.json")).unwrap()
 }
 
 fn initial(golden: &Golden) -> Network<f64> {

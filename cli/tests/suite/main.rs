@@ -1,0 +1,21 @@
+//! The tests of the command and its library that need no harness of their own, as one program.
+
+mod bad_input;
+mod c_log;
+mod calibrate;
+mod charts;
+mod collect;
+mod commands;
+mod farm;
+mod predictions;
+mod shipped_models;
+mod steer;
+mod train;
+mod train_evaluate;
+mod transfer;
+mod volume_formats;
+
+#[path = "../support/ball.rs"]
+mod ball;
+#[path = "../support/mod.rs"]
+mod support;

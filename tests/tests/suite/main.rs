@@ -1,0 +1,9 @@
+//! The tests across crates that need no harness of their own, as one program.
+
+mod architecture;
+mod freestanding;
+mod hostile_weights;
+mod mutants;
+mod no_alloc;
+mod probe_counts;
+mod units_of_length;
