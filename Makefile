@@ -9,8 +9,6 @@ CARGO ?= cargo
 # Colors on a terminal, none in logs.
 export CARGO_TERM_COLOR ?= auto
 
-# Each make/*.mk may add names to EXTRA_TESTS; `make test` runs those targets after the cargo tests.
-EXTRA_TESTS :=
 -include make/*.mk
 
 .PHONY: help
@@ -21,15 +19,17 @@ help: ## List the targets
 build: setup ## Build the command, the libraries and the examples (release)
 	$(CARGO) build --release --workspace
 
-.PHONY: test
-test: ## Build and pass every test (installs a software Vulkan driver where it may)
-	@ENTIRE_SETUP_FOR=tests bash scripts/setup.sh
-	bash scripts/test.sh
+# GATE=change adds a form of every suite that needs further packages, as CI does; GATE=nightly runs all that there is.
+GATE ?= test
 
-# Used by scripts/test.sh.
-.PHONY: list-extra-tests
-list-extra-tests:
-	@echo $(EXTRA_TESTS)
+.PHONY: test
+test: ## Build and pass every test (installs what tests need where it may); GATE=change as CI does, with VTK, ParaView, Python, the window
+	@ENTIRE_SETUP_FOR="$(GATE)" bash scripts/setup.sh
+	@CARGO="$(CARGO)" bash scripts/test.sh "$(GATE)"
+
+.PHONY: test-all
+test-all: ## Everything that can be tested, hours: sanitizers, Miri, valgrind, every compiler, Python environment and engine
+	@$(MAKE) --no-print-directory test GATE=nightly
 
 .PHONY: check
 check: ## Format, lints and docs, as CI has them

@@ -12,8 +12,8 @@ explore: setup explore-build ## Explore a volume in a window whose frame time st
 
 .PHONY: test-explore
 test-explore: ## Use the window under Xvfb as a person would (skipped where Xvfb, xdotool or a driver is missing)
-	@if python3 explore/tests/window.py --can; then $(MAKE) --no-print-directory explore-build; fi
-	@python3 explore/tests/window.py target/release/entire
+	@if python3 explore/tests/window.py --can; then $(CARGO) build --quiet --workspace --features entire-cli/explore; fi
+	@python3 explore/tests/window.py target/debug/entire
 
 .PHONY: bars-explore
 bars-explore: explore-build ## Measure the window's bars under Xvfb; fails when one is short

@@ -11,12 +11,9 @@ fuzz-smoke: ## Run every fuzz target, a minute in total (FUZZ_SECONDS=60)
 fuzz: ## Run every fuzz target with new seeds for HOURS=8 in total; what is found stays in out/fuzz (TARGETS=... runs those alone)
 	bash scripts/fuzz.sh keep $$(awk 'BEGIN { printf "%d", 3600 * $(HOURS) }') $(TARGETS)
 
-# Part of `make test`, and so of CI.
-EXTRA_TESTS += fuzz-smoke
-
 # Cases of each property test that does not set a number of its own.
 CASES ?= 20000
 
 .PHONY: test-properties
 test-properties: ## Run the property tests on newly drawn cases, many of them (CASES=20000); `make test` always draws the same
-	PROPTEST_RNG_SEED=$$(date +%s%N) PROPTEST_CASES=$(CASES) $(CARGO) test -p entire-core -p entire-cli --lib --test train
+	PROPTEST_RNG_SEED=$$(date +%s%N) PROPTEST_CASES=$(CASES) $(CARGO) test -p entire-core -p entire-cli --lib --test suite --test hostile_files

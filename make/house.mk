@@ -1,7 +1,12 @@
 # What README, book and source promise a reader. scripts/test.sh runs the quick part of it.
+# HOUSE_BEFORE: the revision whose release build the build of HEAD is compared with (many minutes).
 .PHONY: bars-house
-bars-house: ## Check README, links, commands, file lengths, public items, dependencies; fails when one is short (HOUSE_SETUP=1: also the times of demo and test in a clone)
+bars-house: ## Check README, links, commands, file lengths, public items, dependencies, build time; fails when one is short
 	$(CARGO) build --release --quiet --package entire-cli --bin entire
 	$(CARGO) build --release --quiet --package entire-lab --bin entire-lab
-	python3 lab/scripts/house.py
-	@test -z "$(HOUSE_SETUP)" || python3 lab/scripts/house.py --measure-setup HEAD
+	python3 lab/scripts/house.py $(if $(HOUSE_BEFORE),--measure-build $(HOUSE_BEFORE) HEAD)
+
+# GATES: those that are run first, in a clone with nothing built: demo test change nightly. None: what was last run here counts.
+.PHONY: bars-gate
+bars-gate: ## Compare the gates' seconds, skips and tests with what they may be (GATES="demo test change" runs these first); fails when one is short
+	python3 lab/scripts/gate.py $(if $(GATES),--measure $(GATES))

@@ -1,5 +1,5 @@
-# `make test` runs these too: the alloc-only tests as a step of its own, the freestanding program as a workspace test.
+# The freestanding program is one of the workspace's tests too; `make test-all` runs the alloc-only tests.
 .PHONY: test-nostd
 test-nostd: ## Core with alloc only, and the program without libc, against the hosted bits
 	$(CARGO) test --package entire-core --no-default-features
-	$(CARGO) test --package entire-tests --test freestanding
+	$(CARGO) test --package entire-tests --test suite freestanding

@@ -9,13 +9,13 @@
 # Where the sanitizer is not to be had, the corpus and its mutations are replayed by the plain test.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+. scripts/lib.sh
 mode=${1:-smoke} seconds=${2:-60}
 shift $(($# < 2 ? $# : 2))
 
 plain() { # plain WHY
-    echo "note: $1; replaying the corpus and mutations of it without coverage feedback"
-    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "fuzz-smoke: coverage-guided fuzzing: $1" >>"$ENTIRE_SKIPPED"
-    exec cargo test --package entire-cli --test hostile_files
+    skip fuzz-smoke "coverage-guided fuzzing: $1; the corpus and mutations of it are replayed without it"
+    exec cargo test --workspace --features entire-cli/explore --test hostile_files
 }
 
 case "$mode" in

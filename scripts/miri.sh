@@ -5,17 +5,14 @@
 #   scripts/miri.sh [seconds] [part...]     most seconds for each part (1800); parts: core ffi 32bit bigendian (all)
 set -euo pipefail
 cd "$(dirname "$0")/.."
+. scripts/lib.sh
 
 seconds=${1:-1800}
 parts=("${@:2}")
 if ((${#parts[@]} == 0)); then parts=(core ffi 32bit bigendian); fi
 cargo=${CARGO:-cargo}
-skip() {
-    echo "miri: skipped: $1"
-    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "miri: $1" >>"$ENTIRE_SKIPPED"
-}
 if ! "$cargo" +nightly miri --version >/dev/null 2>&1; then
-    skip "Miri is not installed (rustup component add --toolchain nightly miri rust-src)"
+    skip miri "Miri is not installed (rustup component add --toolchain nightly miri rust-src)"
     exit 0
 fi
 # Miri runs some thousand times slower than the machine: small tests that reach every scalar kernel.
@@ -52,7 +49,7 @@ core() { # core TARGET-OPTION... -- TEST...
 
 as() { # as TRIPLE: the portable tests as that machine runs them
     if ! "$cargo" +nightly miri setup --target "$1" >/dev/null 2>&1; then
-        skip "as $1: the standard library cannot be built for it (needs its crates from the registry)"
+        skip miri "as $1: the standard library cannot be built for it (needs its crates from the registry)"
         return
     fi
     core --target "$1" -- "${portable[@]}"

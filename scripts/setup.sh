@@ -26,6 +26,8 @@ install_packages() {
     log=$(mktemp)
     say "$reason: installing $* with apt-get"
     local get=(env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "$@")
+    # A machine that is thrown away afterwards need not wait for its disk.
+    [[ -z ${CI:-} ]] || get+=(-o Dpkg::Options::=--force-unsafe-io)
     if as_root "${get[@]}" >"$log" 2>&1 ||
         { as_root apt-get update >"$log" 2>&1 && as_root "${get[@]}" >>"$log" 2>&1; }; then
         rm -f "$log"
@@ -103,20 +105,53 @@ else
     say "reported as ignored. To have one: apt-get install mesa-vulkan-drivers libvulkan1"
 fi
 
-# What some tests use. Where one is missing, those tests are reported as ignored or skipped, never as passed.
-if [[ "${ENTIRE_SETUP_FOR:-}" == tests ]]; then
-    packages=()
-    command -v cmake >/dev/null || packages+=(cmake make)
-    command -v clang >/dev/null || packages+=(clang)
-    command -v valgrind >/dev/null || packages+=(valgrind)
-    command -v strace >/dev/null || packages+=(strace)
-    command -v pkg-config >/dev/null || packages+=(pkg-config)
-    compgen -G '/usr/share/vulkan/explicit_layer.d/VkLayer_khronos_validation.json' >/dev/null ||
-        packages+=(vulkan-validationlayers)
-    if ((${#packages[@]})); then
-        { may_install && install_packages "used by some tests" "${packages[@]}"; } ||
-            say "some tests will be skipped. To have them all: apt-get install ${packages[*]}"
+# What tests use. Where one is missing, those tests are reported as ignored or skipped, never as passed.
+# ENTIRE_SETUP_FOR is the gate that is to be run: test, change or nightly (see scripts/test.sh); nothing for `make demo`.
+for=${ENTIRE_SETUP_FOR:-}
+packages=()
+case $for in
+    test | change | nightly)
+        packages+=(cmake make ninja-build clang g++ pkg-config valgrind strace vulkan-validationlayers)
+        ;;&
+    change | nightly)
+        # VTK and its Python, ParaView, a display, and a person's hands before the window.
+        packages+=(libvtk9-dev python3-vtk9 python3-numpy python3-venv xvfb xauth xdotool)
+        packages+=(paraview paraview-dev openmpi-bin qtbase5-dev libqt5svg5-dev qttools5-dev libqt5opengl5-dev libutfcpp-dev
+            libxml2-dev libhdf5-openmpi-dev libogg-dev libtheora-dev libavformat-dev libswscale-dev libswresample-dev
+            libgl2ps-dev libpng-dev libnetcdf-dev libgdal-dev libglew-dev libdouble-conversion-dev libfreetype-dev)
+        ;;&
+    nightly)
+        # Slurm, and what Qt opens windows with.
+        packages+=(slurm-wlm munge libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-render-util0
+            libxcb-xinerama0 libxkbcommon-x11-0 libegl1 libdbus-1-3)
+        ;;
+esac
+if ((${#packages[@]})) && command -v dpkg-query >/dev/null; then
+    absent=()
+    for package in "${packages[@]}"; do
+        [[ $(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null) == installed ]] || absent+=("$package")
+    done
+    if ((${#absent[@]})); then
+        { may_install && install_packages "used by tests" "${absent[@]}"; } ||
+            say "some tests will be skipped. To have them all: apt-get install ${absent[*]}"
     fi
+fi
+
+# Tools of the gate's own, in target/tools.
+tools=${CARGO_TARGET_DIR:-target}/tools
+pip_tool() { # pip_tool NAME VERSION
+    command -v "$1" >/dev/null || [[ -x $tools/bin/$1 ]] && return
+    [[ "${ENTIRE_SETUP_INSTALL:-yes}" != no ]] && command -v python3 >/dev/null || return 0
+    say "no $1: installing it into $tools"
+    { [[ -x $tools/bin/pip ]] || python3 -m venv "$tools"; } >/dev/null 2>&1 &&
+        "$tools/bin/pip" install --quiet --disable-pip-version-check --retries 1 --timeout 15 "$1==$2" >/dev/null 2>&1 ||
+        say "$1 cannot be installed; its step will be skipped"
+}
+case $for in change | nightly) pip_tool typos 1.52.0 ;; esac
+if [[ $for == nightly ]] && ! command -v cargo-deny >/dev/null && ! [[ -x $tools/bin/cargo-deny ]] &&
+    [[ "${ENTIRE_SETUP_INSTALL:-yes}" != no ]]; then
+    say "no cargo-deny: building it into $tools"
+    cargo install --quiet --locked --root "$tools" cargo-deny || say "cargo-deny cannot be built; its step will be skipped"
 fi
 
 exit "$missing"

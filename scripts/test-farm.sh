@@ -2,24 +2,21 @@
 # Tests `entire farm` end to end: processes of this machine, HyperQueue, Slurm, Cinema's reader, OpenJD's checker. What is not
 # there and cannot be installed is skipped by name.
 #
-#   scripts/test-farm.sh           all tests
+#   scripts/test-farm.sh           without Slurm and ParaView
+#   scripts/test-farm.sh --full    all tests
 #   scripts/test-farm.sh python    only makes the Python environment and prints its Python
 #
 # FARM_PYTHON   a Python that has hyperqueue, cinemasci and openjd-cli; else an environment is made in target/farm
 # FARM_BIN      the command `entire` to test; else the one that cargo builds for its tests
 set -euo pipefail
 cd "$(dirname "$0")/.."
+. scripts/lib.sh
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 work=$(mktemp -d)
 slurm=
 trap '[[ -z $slurm ]] || lab/scripts/farm/slurm.sh stop "$work/slurm"; rm -rf "$work"' EXIT
 # No part may hang: a farm of this script takes seconds.
 within=(timeout --kill-after=10 120)
-
-skip() { # skip NAME REASON
-    echo "test-farm: $1: skipped: $2" >&2
-    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "test-farm $1: $2" >>"$ENTIRE_SKIPPED"
-}
 
 # The environment's packages, each with the version that was tried.
 packages=(hyperqueue==0.27.0 cinemasci==1.7.9 openjd-cli==0.8.0)
@@ -60,8 +57,7 @@ fi
 if [[ -n ${FARM_BIN:-} ]]; then
     entire=$(realpath "$FARM_BIN")
 else
-    # Tests of a package build its commands beside them.
-    ${CARGO:-cargo} test --quiet --package entire-cli --test farm
+    ${CARGO:-cargo} build --quiet --package entire-cli --bin entire
     entire=$target/debug/entire
 fi
 farm() { "${within[@]}" "$entire" farm "$@" --quiet; }
@@ -106,31 +102,27 @@ if has hyperqueue; then
     farm "$(job limited)" --engine hyperqueue --python "$python" --slots 2 --time-limit 1h >/dev/null
     same limited
 else
-    skip hyperqueue "$(lacks hyperqueue)"
+    skip "test-farm, hyperqueue" "$(lacks hyperqueue)"
 fi
 
-if ! command -v slurmctld >/dev/null && [[ $(id -u) == 0 ]] && command -v apt-get >/dev/null &&
-    [[ ${ENTIRE_SETUP_INSTALL:-yes} != no ]]; then
-    echo "test-farm: installing slurm-wlm and munge with apt-get"
-    "${within[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends slurm-wlm munge \
-        >"$work/apt" 2>&1 || echo "test-farm: apt-get: $(tail -n 1 "$work/apt")" >&2
-fi
-# From here on there may be processes to end.
-slurm=yes
-if SLURM_CONF=$("${within[@]}" lab/scripts/farm/slurm.sh start "$work/slurm" 2>"$work/slurm.log"); then
-    export SLURM_CONF
-    farm "$(job slurm)" --engine slurm >/dev/null
-    same slurm
-else
-    cat "$work/slurm.log" >&2
-    skip slurm "$(sed '/^$/d' "$work/slurm.log" | tail -n 1 | sed 's/^slurm.sh: //')"
+if [[ ${1:-} == --full ]]; then
+    # From here on there may be processes to end.
+    slurm=yes
+    if SLURM_CONF=$("${within[@]}" lab/scripts/farm/slurm.sh start "$work/slurm" 2>"$work/slurm.log"); then
+        export SLURM_CONF
+        farm "$(job slurm)" --engine slurm >/dev/null
+        same slurm
+    else
+        cat "$work/slurm.log" >&2
+        skip "test-farm, slurm" "$(sed '/^$/d' "$work/slurm.log" | tail -n 1 | sed 's/^slurm.sh: //') (apt-get install slurm-wlm munge)"
+    fi
 fi
 
 if has cinemasci; then
     "$python" scripts/read-cinema.py "$work/reference.cdb"
     echo "test-farm: cinema: ok"
 else
-    skip cinema "$(lacks cinemasci)"
+    skip "test-farm, cinema" "$(lacks cinemasci)"
 fi
 
 openjd=$(dirname "$python")/openjd
@@ -143,19 +135,20 @@ if [[ -x $openjd ]]; then
     grep -q ' 0 of them' <<<"$said" || { echo "test-farm: openjd: not all images were rendered: $said" >&2; exit 1; }
     same template
 else
-    skip openjd "there is no openjd (pip install openjd-cli)"
+    skip "test-farm, openjd" "there is no openjd (pip install openjd-cli)"
 fi
 
+if [[ ${1:-} != --full ]]; then exit 0; fi
 display=()
 if command -v xvfb-run >/dev/null && [[ -z ${DISPLAY:-} ]]; then
     display=(xvfb-run -a -s "-screen 0 1280x900x24 -noreset")
 fi
 echo "import paraview.simple" >"$work/import.py"
 if ! command -v pvbatch >/dev/null; then
-    skip paraview "there is no pvbatch (apt-get install paraview python3-paraview)"
+    skip "test-farm, paraview" "there is no pvbatch (apt-get install paraview python3-paraview)"
 elif ! "${within[@]}" pvbatch "$work/import.py" >"$work/pvbatch.log" 2>&1; then
     # Some distributions package pvbatch and its Python modules apart.
-    skip paraview "pvbatch: $(sed '/^$/d' "$work/pvbatch.log" | tail -n 1) (apt-get install python3-paraview)"
+    skip "test-farm, paraview" "pvbatch: $(sed '/^$/d' "$work/pvbatch.log" | tail -n 1) (apt-get install python3-paraview)"
 else
     cat >"$work/paraview.toml" <<TOML
 name = "paraview"

@@ -1,88 +1,168 @@
 #!/usr/bin/env bash
-# Builds and tests everything, in the order in which a failure is cheapest to find. Called by `make test` and by CI.
-# Steps that need something this machine lacks say so and are listed as skipped at the end, never as passed. So are tests
-# that are ignored. The list is kept in the file that ENTIRE_SKIPPED names: every script that skips something appends a line
-# `NAME: REASON` to it (see CONTRIBUTING.md).
+# Builds and tests everything, in the order in which a failure is cheapest to find.
+#
+#   scripts/test.sh            what `make test` runs
+#   scripts/test.sh change     what `.ci/run` runs for each change: the above, and a form of every other suite that fits in
+#   scripts/test.sh nightly    what `.ci/nightly` and `make test-all` run: all of it, and what takes long
+#
+# All steps share one build (`profile.dev` of Cargo.toml, the features of the whole workspace) and one installed C library.
+# Wall and processor seconds of each step go to out/test/steps.csv; `make bars-gate` compares them.
+#
+# A step that needs something that this machine lacks says so and is listed as skipped at the end, never as passed. So are
+# tests that are ignored. The list is the file that ENTIRE_SKIPPED names (see CONTRIBUTING.md).
 set -euo pipefail
 cd "$(dirname "$0")/.."
+. scripts/lib.sh
+
+gate=${1:-test}
+case $gate in
+    test | change | nightly) ;;
+    *) echo "test.sh: found word \"$gate\"; use change, nightly or nothing" >&2; exit 2 ;;
+esac
 
 # The same property-test cases for everybody: a change fails here for what it does, not for the draw of the day.
 # `make test-properties` draws new ones.
 export PROPTEST_RNG_SEED=${PROPTEST_RNG_SEED:-20261121}
+# Nothing here is built twice, so that what a second build could reuse need not be written.
+export CARGO_INCREMENTAL=${CARGO_INCREMENTAL:-0}
 
-passed=()
+target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
+cargo=${CARGO:-cargo}
+# Every build of the gate selects all packages with these features, so that each crate is compiled once.
+everything=(--workspace --features entire-cli/explore)
+passed=() failed=()
 started=$SECONDS
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 export ENTIRE_SKIPPED=${ENTIRE_SKIPPED:-$work/skipped}
 touch "$ENTIRE_SKIPPED"
 
+# Rows of other gates stay.
+mkdir -p out/test
+{ echo "gate,step,wall_s,cpu_s"; grep -vs "^gate,\|^$gate," out/test/steps.csv || true; } >"$work/steps.csv"
+mv "$work/steps.csv" out/test/steps.csv
+
+# Processor seconds of all processes that this shell has waited for, into `cpu`.
+processor_seconds() {
+    times >"$work/times"
+    cpu=$(tail -n 1 "$work/times" | tr 'ms' '  ' | awk '{ printf "%.1f", 60 * ($1 + $3) + $2 + $4 }')
+}
+
 step() { # step NAME COMMAND...
-    local name=$1 begin=$SECONDS
+    local name=$1 begin=$SECONDS before wall
     shift
     printf '\n==> %s\n' "$name"
+    processor_seconds
+    before=$cpu
     if ! "$@"; then
         printf '\nFAILED: %s\n' "$name" >&2
-        exit 1
+        # A night is not over with its first failure.
+        if [[ $gate != nightly ]]; then exit 1; fi
+        failed+=("$name")
+        return
     fi
-    passed+=("$name ($((SECONDS - begin)) s)")
+    processor_seconds
+    wall=$((SECONDS - begin))
+    cpu=$(awk -v a="$cpu" -v b="$before" 'BEGIN { printf "%.0f", a - b }')
+    echo "$gate,$name,$wall,$cpu" >>out/test/steps.csv
+    passed+=("$(printf '%4d s, processor %4d s  %s' "$wall" "$cpu" "$name")")
 }
 
-skip() { # skip NAME WHY
-    printf '\n==> %s: skipped, %s\n' "$1" "$2"
-    echo "$1: $2" >>"$ENTIRE_SKIPPED"
+# With all targets, so that the crates that only tests use are part of the one choice of features.
+build() { "$cargo" build --quiet "${everything[@]}" --all-targets; }
+
+# Notes ignored tests of cargo's own runner: `test NAME ... ignored, REASON`.
+note_ignored() {
+    sed -n -E 's/^test (.*) \.\.\. ignored(, (.*))?$/\1: ignored, \3/p' "$1" | sed 's/: ignored, $/: ignored/' |
+        while read -r line; do echo "workspace, $line" >>"$ENTIRE_SKIPPED"; done
 }
 
-# cargo_test NAME ARGUMENT...: runs tests, and notes the ignored ones.
-cargo_test() {
-    local name=$1
-    shift
-    cargo test "$@" 2>&1 | tee "$work/log" || return 1
-    sed -n -E "s/^test (.*) \.\.\. ignored(, (.*))?\$/$name, \1: ignored, \3/p" "$work/log" |
-        sed 's/: ignored, $/: ignored/' >>"$ENTIRE_SKIPPED"
+# The same tests with either runner: nextest has none of the documentation's.
+workspace_tests() {
+    if have cargo-nextest; then
+        "$cargo" nextest run "${everything[@]}" --no-fail-fast --status-level fail --final-status-level fail || return 1
+        "$cargo" nextest list "${everything[@]}" --run-ignored ignored-only --message-format oneline 2>/dev/null |
+            sed 's/^/workspace, /; s/ /::/2; s/$/: ignored/' >>"$ENTIRE_SKIPPED"
+        "$cargo" test --quiet "${everything[@]}" --doc
+    else
+        "$cargo" test "${everything[@]}" 2>&1 | tee "$work/log" || return 1
+        note_ignored "$work/log"
+    fi
 }
 
-have() { command -v "$1" >/dev/null 2>&1; }
+# The C library from the same build, for every suite that needs it.
+install_library() {
+    export ENTIRE_SDK=$target/sdk
+    ffi/package/install.sh --profile dev --no-build --prefix "$ENTIRE_SDK" >/dev/null
+}
 
-if cargo fmt --version >/dev/null 2>&1; then
-    step "format" cargo fmt --check
+if "$cargo" fmt --version >/dev/null 2>&1; then
+    step "format" "$cargo" fmt --check
 else
     skip "format" "rustfmt is not installed (rustup component add rustfmt)"
 fi
-if cargo clippy --version >/dev/null 2>&1; then
-    step "lints" cargo clippy --quiet --workspace --all-targets -- -D warnings
-else
-    skip "lints" "clippy is not installed (rustup component add clippy)"
-fi
-step "documentation" env RUSTDOCFLAGS="-D warnings" cargo doc --quiet --workspace --no-deps
 if have python3; then
     step "house rules" python3 lab/scripts/house.py --quick
 else
     skip "house rules" "python3 is not installed (apt-get install python3)"
 fi
+# Where the set-up puts tools of its own.
+PATH=$PATH:$target/tools/bin
 if have typos; then
     step "spelling" typos
 else
     skip "spelling" "typos is not installed (pip install typos)"
 fi
-if ! have cargo-deny; then
-    skip "licenses and sources of crates" "cargo-deny is not installed (cargo install --locked cargo-deny)"
-elif ! cargo metadata --offline --all-features --format-version 1 >/dev/null 2>&1; then
-    skip "licenses and sources of crates" "crates for other platforms are not downloaded (cargo fetch)"
+if "$cargo" clippy --version >/dev/null 2>&1; then
+    step "lints" "$cargo" clippy --quiet "${everything[@]}" --all-targets -- -D warnings
 else
-    step "licenses and sources of crates" cargo deny --offline --log-level error check licenses bans sources
+    skip "lints" "clippy is not installed (rustup component add clippy)"
 fi
-step "unit, integration and documentation tests" cargo_test "workspace" --workspace
+step "documentation" env RUSTDOCFLAGS="-D warnings" "$cargo" doc --quiet "${everything[@]}" --no-deps
+step "build" build
+step "tests of the workspace" workspace_tests
 if have python3; then
-    step "commands that the docs name" python3 lab/scripts/house.py --quick --bin-dir "${CARGO_TARGET_DIR:-target}/debug"
+    step "commands that the docs name" python3 lab/scripts/house.py --quick --bin-dir "$target/debug"
 fi
-step "core with alloc only" cargo_test "core with alloc only" --package entire-core --no-default-features
-for extra in $(make --no-print-directory list-extra-tests); do
-    step "$extra" make --no-print-directory "$extra"
-done
+step "C library" install_library
+full=
+if [[ $gate == nightly ]]; then full=--full; fi
+step "C and C++" tests/c/run.sh $full
 
+if [[ $gate != test ]]; then
+    export ENTIRE_PROFILE=dev
+    step "VTK" plugins/vtk/run.sh test $full
+    step "ParaView" plugins/paraview/run.sh test $full
+    step "Python" plugins/python/run.sh test $full
+    step "window" python3 explore/tests/window.py "$target/debug/entire"
+    step "render farms" env FARM_BIN="$target/debug/entire" scripts/test-farm.sh $full
+    step "fuzz targets" scripts/fuzz.sh smoke "${FUZZ_SECONDS:-60}"
+fi
+if [[ $gate == nightly ]]; then
+    if have cargo-deny; then
+        step "licenses and sources of crates" "$cargo" deny --log-level error check
+    else
+        skip "licenses and sources of crates" "cargo-deny is not installed (cargo install --locked cargo-deny)"
+    fi
+    step "core with alloc only" "$cargo" test --quiet --package entire-core --no-default-features
+    step "SELU on every float" "$cargo" test --quiet "${everything[@]}" --lib -- --ignored selu_keeps_its_bound_on_every_float
+    step "C library as it is released" env -u ENTIRE_SDK tests/c/run.sh
+    step "C library under sanitizers" tests/c/sanitizers.sh
+    step "Miri" scripts/miri.sh
+    step "VTK under the address sanitizer" plugins/vtk/run.sh asan
+    step "property tests with new cases" make --no-print-directory test-properties
+    step "fuzz targets with new seeds" scripts/fuzz.sh keep "${NIGHTLY_FUZZ_SECONDS:-1200}"
+fi
+
+if ((${#failed[@]})); then
+    printf '\nFailed after %s s:\n' $((SECONDS - started)) >&2
+    printf '  %s\n' "${failed[@]}" >&2
+    exit 1
+fi
 printf '\n%s\n' "All steps passed in $((SECONDS - started)) s:"
 printf '  %s\n' "${passed[@]}"
+echo "total: $((SECONDS - started)) s"
+echo "$gate,total,$((SECONDS - started))," >>out/test/steps.csv
 if [[ -s $ENTIRE_SKIPPED ]]; then
     printf 'Skipped:\n'
     sort -u "$ENTIRE_SKIPPED" | sed 's/^/  /'

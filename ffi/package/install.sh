@@ -41,9 +41,12 @@ arguments=(--package entire-ffi --lib --profile "$profile")
 if [[ $features ]]; then arguments+=(--features "$features"); fi
 if [[ $build ]]; then "$cargo" build --quiet "${arguments[@]}"; fi
 
-# Which system libraries a program with the static library needs: rustc knows.
-native=$("$cargo" rustc --quiet "${arguments[@]}" --crate-type staticlib -- --print native-static-libs 2>&1 \
+# Which system libraries a program with the static library needs: those of Rust's standard library, which rustc names for
+# any static library. The crates of this one add none.
+empty=$(mktemp -d)
+native=$("${RUSTC:-rustc}" --crate-name empty --crate-type staticlib --print native-static-libs -o "$empty/libempty.a" - 2>&1 </dev/null \
     | sed -n 's/^note: native-static-libs: //p' | tail -n 1)
+rm -r "$empty"
 if [[ -z $native ]]; then
     echo "install.sh: rustc did not say which system libraries the static library needs" >&2
     exit 1

@@ -1,8 +1,10 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: MIT OR Apache-2.0
 # The plugin in every place where it is to work. Called by run.sh, on a display; ENTIRE_PLUGIN is the plugin.
+#   check.sh OUT [--full]      --full: not in pvbatch alone
 set -euo pipefail
-out=$1
+. scripts/lib.sh
+out=$1 full=${2:-}
 results=$out/check
 rm -rf "$results" && mkdir -p "$results"
 script=plugins/paraview/python/check.py
@@ -21,19 +23,14 @@ run() {
     fi
 }
 
-# Also into the list that CI ends with.
-skip() { # skip CHECKS REASON
-    echo "skip  $1: $2"
-    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "test-paraview, $1: $2" >>"$ENTIRE_SKIPPED"
-}
-
 run pvbatch pvbatch "$script" "$ENTIRE_PLUGIN" "$results" --name pvbatch
+if [[ ! $full ]]; then exit $failed; fi
 pvpython=$(command -v pvpython || true)
 if [[ ! $pvpython && ${PARAVIEW_ROOT:-} && -x $PARAVIEW_ROOT/usr/bin/pvpython ]]; then pvpython=$PARAVIEW_ROOT/usr/bin/pvpython; fi
 if [[ $pvpython ]]; then
     run pvpython "$pvpython" "$script" "$ENTIRE_PLUGIN" "$results" --name pvpython
 else
-    skip "pvpython, pvserver" "the program pvpython is not installed (it is in python3-paraview)"
+    skip "test-paraview, pvpython and pvserver" "the program pvpython is not installed (it is in python3-paraview)"
 fi
 if command -v mpirun >/dev/null; then
     run two-ranks mpirun -n 2 --oversubscribe pvbatch "$script" "$ENTIRE_PLUGIN" "$results" --name two-ranks
@@ -50,16 +47,16 @@ if command -v mpirun >/dev/null; then
         wait $server 2>/dev/null || true
     fi
 else
-    skip "two-ranks, pvserver" "the program mpirun is not installed (it is in openmpi-bin)"
+    skip "test-paraview, two ranks and pvserver" "the program mpirun is not installed (it is in openmpi-bin)"
 fi
 # The whole output is read before it is searched: a reader that leaves early ends nm with SIGPIPE, which pipefail reports.
 if ! symbols=$(nm -DC "$ENTIRE_PLUGIN"); then
     echo "FAILED gui: nm cannot list the symbols of $ENTIRE_PLUGIN"
     failed=1
 elif ! command -v paraview >/dev/null; then
-    skip "gui" "the program paraview is not installed"
+    skip "test-paraview, gui" "the program paraview is not installed"
 elif [[ $symbols != *pqEntireSteeringPanel* ]]; then
-    skip "gui" "the plugin was built without its panel (PARAVIEW_PANEL=OFF, or ParaView without Qt)"
+    skip "test-paraview, gui" "the plugin was built without its panel (PARAVIEW_PANEL=OFF, or ParaView without Qt)"
 else
     bash plugins/paraview/gui.sh "$out" "$results" || failed=1
 fi

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 # Builds the ParaView plugin against an installed libentire, and loads and checks it.
 #
-#   plugins/paraview/run.sh build|test|screenshot
+#   plugins/paraview/run.sh build|screenshot
+#   plugins/paraview/run.sh test [--full]      in pvbatch; --full: also in pvpython, on two ranks, on a server, in the client
 #
+# ENTIRE_SDK       the folder of an installed libentire (default: that of `make install` is built into target/sdk)
 # PARAVIEW_OUT     where builds and results go (default target/paraview)
 # PARAVIEW_PYTHON  root of an unpacked python3-paraview package, where it is not installed (it conflicts with
 #                  python3-vtk9, which libvtk9-dev needs): apt-get download python3-paraview &&
@@ -11,15 +13,14 @@
 # PARAVIEW_PANEL   OFF builds without the panel of the graphical client
 set -euo pipefail
 cd "$(dirname "$0")/../.."
+. scripts/lib.sh
 what=${1:?build, test or screenshot}
 out=${PARAVIEW_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/paraview}
-sdk=$out/sdk
 arch=$(gcc -print-multiarch 2>/dev/null || echo x86_64-linux-gnu)
 cmake_dir=/usr/lib/$arch/cmake/paraview-5.11
 
 lacks() {
-    echo "paraview: skipped: $1"
-    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "test-paraview: $1" >>"$ENTIRE_SKIPPED"
+    skip test-paraview "$1"
     exit 0
 }
 packages="paraview paraview-dev qtbase5-dev libqt5svg5-dev qttools5-dev libqt5opengl5-dev libutfcpp-dev libxml2-dev \
@@ -63,8 +64,8 @@ else
 fi
 
 build() {
-    [[ ${ENTIRE_SDK_READY:-} ]] || ffi/package/install.sh --prefix "$sdk" >/dev/null
-    local generator=()
+    local generator=() sdk
+    sdk=$(sdk)
     if command -v ninja >/dev/null; then generator=(-G Ninja); fi
     cmake -S plugins/paraview -B "$out/build" "${generator[@]}" -DCMAKE_PREFIX_PATH="$sdk" -DParaView_DIR="$cmake_dir" \
         -DENTIRE_PANEL="${PARAVIEW_PANEL:-ON}" >"$out/configure.log" 2>&1 ||
@@ -83,7 +84,7 @@ export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
 here=plugins/paraview/python
 case $what in
     build) ;;
-    test) LIMIT=1200 display bash plugins/paraview/check.sh "$out" ;;
+    test) LIMIT=1200 display bash plugins/paraview/check.sh "$out" ${2:-} ;;
     screenshot) LIMIT=300 display bash plugins/paraview/screenshot.sh "$out" ;;
     *) echo "run.sh: unknown word $what" >&2; exit 2 ;;
 esac

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 # Builds the Python package, tests the built wheel, measures it, or draws the book's pictures with it.
 #
-#   plugins/python/run.sh wheel|test|bars|pictures
+#   plugins/python/run.sh wheel|bars|pictures
+#   plugins/python/run.sh test [--full] [ARGUMENT…]        arguments go to pytest
 #   plugins/python/run.sh exec ENVIRONMENT COMMAND...      a command in an environment of the tests, on a display
 #
 # Environments, each made once from its locked list requirements-NAME.txt:
@@ -13,10 +14,12 @@
 #
 # PYTHON               the Python to make environments with (default python3)
 # PYTHON_OUT           where environments go (default target/python)
-# PYTHON_ENVIRONMENTS  those to test in (default "test oldest qt host")
+# PYTHON_ENVIRONMENTS  those to test in (default "test", with --full "test oldest qt host")
+# ENTIRE_PROFILE       the cargo profile of the wheel (default release)
 # VTK_PYTHON           default /usr/bin/python3
 set -euo pipefail
 cd "$(dirname "$0")/../.."
+. scripts/lib.sh
 what=${1:-}
 case $what in
     wheel | test | bars | pictures | exec) shift ;;
@@ -27,10 +30,6 @@ out=${PYTHON_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/python}
 python=${PYTHON:-python3}
 vtk_python=${VTK_PYTHON:-/usr/bin/python3}
 
-skip() { # skip NAME REASON
-    echo "$1: skipped: $2"
-    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "$1: $2" >>"$ENTIRE_SKIPPED"
-}
 lacks() {
     skip test-python "$1"
     exit 0
@@ -67,7 +66,7 @@ wheel() {
     rm -f out/wheels/entire-*
     mkdir -p out/wheels
     # Not `build --sdist`: that builds the wheel from the sdist, whose lock file lacks the rest of the workspace.
-    maturin build --release --locked --out out/wheels
+    maturin build --profile "${ENTIRE_PROFILE:-release}" --strip --locked --out out/wheels
     ls -l out/wheels/entire-*
 }
 
@@ -143,7 +142,12 @@ case $what in
     test)
         needs_display
         wheel
-        for name in ${PYTHON_ENVIRONMENTS:-test oldest qt host}; do
+        environments=test
+        if [[ ${1:-} == --full ]]; then
+            environments="test oldest qt host"
+            shift
+        fi
+        for name in ${PYTHON_ENVIRONMENTS:-$environments}; do
             case $name in
                 test)
                     if (($#)); then

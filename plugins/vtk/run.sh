@@ -2,35 +2,33 @@
 # SPDX-License-Identifier: MIT OR Apache-2.0
 # Builds the VTK adapter against an installed libentire, runs its tests, or a command with its Python module on a display.
 #
-#   plugins/vtk/run.sh build|test|asan
+#   plugins/vtk/run.sh build|asan
+#   plugins/vtk/run.sh test [--full]
 #   plugins/vtk/run.sh exec COMMAND...
 #
-# asan builds adapter and tests with AddressSanitizer and runs the tests of re-entrant events.
+# test leaves out what is marked `long` in Testing/CMakeLists.txt unless --full is given. asan builds adapter and tests with
+# AddressSanitizer and runs the tests of re-entrant events.
 #
+# ENTIRE_SDK   the folder of an installed libentire (default: that of `make install` is built into target/sdk)
 # VTK_PYTHON   the Python that has VTK's module (default /usr/bin/python3)
 # VTK_OUT      where builds and results go (default target/vtk)
 # VTK_JOBS     parallel compilations (default: as many as the build tool takes)
 set -euo pipefail
 cd "$(dirname "$0")/../.."
+. scripts/lib.sh
 what=${1:-}
 case $what in
     build | test | asan | exec) ;;
     *) echo "run.sh: found word \"$what\"; use build, test, asan or exec" >&2; exit 2 ;;
 esac
 out=${VTK_OUT:-$(realpath -m "${CARGO_TARGET_DIR:-target}")/vtk}
-sdk=$out/sdk
 python=${VTK_PYTHON:-/usr/bin/python3}
 export PYTHONPATH=$out/build/lib/python3/site-packages
 
 name=test-vtk
 if [[ $what == asan ]]; then name=test-vtk-asan; fi
-# Also into the list that CI ends with.
-skip() {
-    echo "$name: skipped: $1"
-    [[ -z ${ENTIRE_SKIPPED:-} ]] || echo "$name: $1" >>"$ENTIRE_SKIPPED"
-}
 lacks() {
-    skip "$1"
+    skip $name "$1"
     exit 0
 }
 command -v cmake >/dev/null || lacks "cmake is not installed (apt-get install cmake ninja-build g++ libvtk9-dev python3-vtk9 xvfb xauth)"
@@ -46,8 +44,8 @@ display() { xvfb-run -a -s "-screen 0 1280x1024x24 -noreset" "$@"; }
 build() {
     local folder=$1
     shift
-    [[ ${ENTIRE_SDK_READY:-} ]] || ffi/package/install.sh --prefix "$sdk" >/dev/null
-    local generator=()
+    local generator=() sdk
+    sdk=$(sdk)
     if command -v ninja >/dev/null; then generator=(-G Ninja); fi
     cmake -S plugins/vtk -B "$folder" "${generator[@]}" -DCMAKE_PREFIX_PATH="$sdk" \
         -DPython3_EXECUTABLE="$python" "$@" >"$folder.configure.log" 2>&1 ||
@@ -60,9 +58,11 @@ mkdir -p "$out"
 case $what in
     build) build "$out/build" ;;
     test)
-        command -v valgrind >/dev/null || skip "memory checks: valgrind is not installed (apt-get install valgrind)"
+        command -v valgrind >/dev/null || skip $name "memory checks: valgrind is not installed (apt-get install valgrind)"
         build "$out/build"
-        display ctest --test-dir "$out/build" --output-on-failure
+        labels=(--label-exclude long)
+        if [[ ${2:-} == --full ]]; then labels=(); fi
+        display ctest --test-dir "$out/build" --parallel 2 "${labels[@]}" --output-on-failure
         ;;
     asan)
         build "$out/asan" -DENTIRE_SANITIZE=address -DENTIRE_PYTHON=OFF -DCMAKE_BUILD_TYPE=RelWithDebInfo

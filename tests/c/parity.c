@@ -1,4 +1,4 @@
-/* The C door to a model and a session, for comparison with the Rust door (tests/tests/c_sdk.rs): reads rows of inputs
+/* The C door to a model and a session, for comparison with the Rust door (ffi/tests/suite/parity.rs): reads rows of inputs
  * as raw floats from standard input, writes raw floats: a prediction per row, then the volume's features, then the
  * seconds and the step of plans around an orbit.
  *

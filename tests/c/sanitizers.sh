@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
-# The library's Rust code under Miri, the address sanitizer and the thread sanitizer, driven by its own tests and by the
-# C tests. Needs a nightly toolchain with rust-src and miri; says what is missing. `make test-sanitizers`.
+# The library's Rust code under the address sanitizer and the thread sanitizer, driven by the C tests, and its 32-bit build
+# (`scripts/miri.sh` has Miri). Needs a nightly toolchain with rust-src; says what is missing. `make test-sanitizers`.
 #
-#   tests/c/sanitizers.sh [miri] [address] [thread] [32bit]      default: all
+#   tests/c/sanitizers.sh [address] [thread] [32bit]      default: all
 #
 # SANITIZER_SECONDS bounds each build and each test (default 1800).
 set -euo pipefail
 cd "$(dirname "$0")/../.."
+. scripts/lib.sh
 root=$PWD
 target=${CARGO_TARGET_DIR:-$root/target}
 work=$target/c-sanitizers
@@ -14,14 +15,13 @@ toy=$root/tests/golden/toy_model/toy.safetensors
 seconds=${SANITIZER_SECONDS:-1800}
 host=$(rustc -vV | sed -n 's/^host: //p')
 parts=("$@")
-if ((${#parts[@]} == 0)); then parts=(miri address thread 32bit); fi
+if ((${#parts[@]} == 0)); then parts=(address thread 32bit); fi
 mkdir -p "$work"
 
-passed=() skipped=()
+passed=()
 say() { printf '\n==> %s\n' "$*"; }
 fail() { printf 'FAILED: %s\n' "$*" >&2; exit 1; }
 ok() { passed+=("$*"); }
-skip() { printf 'skipped: %s\n' "$*"; skipped+=("$*"); }
 asked() { [[ " ${parts[*]} " == *" $1 "* ]]; }
 
 nightly=
@@ -32,25 +32,6 @@ component() { # component NAME: whether nightly has it; tries to install it
     grep -q "^$1.*(installed)" "$work/components" && return 0
     timeout 300 rustup component add --toolchain nightly "$1" >"$work/component.log" 2>&1
 }
-
-if asked miri; then
-    say "Miri: ffi's own tests, calls as C makes them included"
-    if ! component miri; then
-        skip "Miri: rustup component add --toolchain nightly miri rust-src"
-    else
-        # The environment is read (ENTIRE_LEVEL) and the toy model's file too.
-        status=0
-        MIRIFLAGS="-Zmiri-disable-isolation" ENTIRE_LEVEL=scalar CARGO_TARGET_DIR=$target/miri \
-            timeout "$seconds" cargo +nightly miri test --package entire-ffi --lib || status=$?
-        if ((status == 124)); then
-            skip "Miri: the tests took over $seconds s (SANITIZER_SECONDS)"
-        elif ((status != 0)); then
-            fail "Miri"
-        else
-            ok "Miri over ffi's tests: no report"
-        fi
-    fi
-fi
 
 build_library() { # of `sanitized`, whose variables it reads
     # Lightly optimized: the reports are the same, and the build is done sooner.
@@ -64,11 +45,11 @@ build_library() { # of `sanitized`, whose variables it reads
 sanitized() { # sanitized NAME FLAG
     local name=$1 out=$target/sanitize-$1 runtime build_std=()
     runtime=$(rustc +nightly --print sysroot)/lib/rustlib/$host/lib/librustc-nightly_rt.$2.a
-    [[ -f $runtime ]] || { skip "$name sanitizer: nightly has no $(basename "$runtime")"; return 1; }
+    [[ -f $runtime ]] || { skip test-sanitizers "$name sanitizer: nightly has no $(basename "$runtime")"; return 1; }
     if component rust-src; then
         build_std=(-Zbuild-std)
     elif [[ $name == thread ]]; then
-        skip "thread sanitizer: an uninstrumented standard library gives false reports; rustup component add --toolchain nightly rust-src"
+        skip test-sanitizers "thread sanitizer: an uninstrumented standard library gives false reports; rustup component add --toolchain nightly rust-src"
         return 1
     else
         printf 'without rust-src the standard library is not instrumented\n'
@@ -76,12 +57,12 @@ sanitized() { # sanitized NAME FLAG
     local status=0
     build_library || status=$?
     if ((status == 124)); then
-        skip "$name sanitizer: the build took over $seconds s (SANITIZER_SECONDS); what is built is kept for the next run"
+        skip test-sanitizers "$name sanitizer: the build took over $seconds s (SANITIZER_SECONDS); what is built is kept for the next run"
         return 1
     elif ((status != 0 && ${#build_std[@]})) && grep -q 'no matching package\|failed to download\|unable to update' "$work/build.log"; then
         # The standard library's own crates are not at hand.
         if [[ $name == thread ]]; then
-            skip "thread sanitizer: the standard library's crates cannot be fetched (-Zbuild-std)"
+            skip test-sanitizers "thread sanitizer: the standard library's crates cannot be fetched (-Zbuild-std)"
             return 1
         fi
         printf 'the crates of the standard library cannot be fetched; it stays uninstrumented\n'
@@ -109,7 +90,7 @@ tests="library model volume transfer_function session limits"
 if asked address; then
     say "address sanitizer over Rust and C"
     if [[ ! $nightly ]]; then
-        skip "address sanitizer over Rust: needs a nightly toolchain (rustup toolchain install nightly)"
+        skip test-sanitizers "address sanitizer over Rust: needs a nightly toolchain (rustup toolchain install nightly)"
     elif sanitized address asan; then
         export ASAN_OPTIONS=detect_leaks=1:exitcode=99:allocator_may_return_null=1
         for test in $tests; do program "test_$test" address "tests/c/test_$test.c"; done
@@ -127,12 +108,12 @@ fi
 if asked thread; then
     say "thread sanitizer over Rust and C"
     if [[ ! $nightly ]]; then
-        skip "thread sanitizer over Rust: needs a nightly toolchain (rustup toolchain install nightly)"
+        skip test-sanitizers "thread sanitizer over Rust: needs a nightly toolchain (rustup toolchain install nightly)"
     elif sanitized thread tsan; then
         program threads thread tests/c/threads.c
         if ! TSAN_OPTIONS="exitcode=99" timeout "$seconds" "$work/threads-thread" "$toy" 2>"$work/tsan.log"; then
             if grep -q "unexpected memory mapping\|personality" "$work/tsan.log"; then
-                skip "thread sanitizer: it does not start on this kernel ($(head -n 1 "$work/tsan.log"))"
+                skip test-sanitizers "thread sanitizer: it does not start on this kernel ($(head -n 1 "$work/tsan.log"))"
             else
                 tail -n 60 "$work/tsan.log"
                 fail "thread sanitizer: threads"
@@ -154,15 +135,11 @@ if asked 32bit; then
         timeout "$seconds" cargo check --quiet --package entire-ffi --target i686-unknown-linux-gnu || fail "32-bit build"
         ok "32-bit build: checked"
     else
-        skip "32-bit build: rustup target add i686-unknown-linux-gnu"
+        skip test-sanitizers "32-bit build: rustup target add i686-unknown-linux-gnu"
     fi
 fi
 
 if ((${#passed[@]})); then
     printf '\nPassed:\n'
     printf '  %s\n' "${passed[@]}"
-fi
-if ((${#skipped[@]})); then
-    printf 'Skipped:\n'
-    printf '  %s\n' "${skipped[@]}"
 fi

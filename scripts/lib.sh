@@ -1,0 +1,23 @@
+# shellcheck shell=bash
+# Functions that the test scripts share. Source it: . scripts/lib.sh
+
+have() { command -v "$1" >/dev/null 2>&1; }
+
+# skip NAME REASON: says what does not run here and why, with the remedy, and adds it to the list of skips (CONTRIBUTING.md).
+skip() {
+    printf '%s: skipped: %s\n' "$1" "$2"
+    [[ -z ${ENTIRE_SKIPPED:-} ]] || printf '%s: %s\n' "$1" "$2" >>"$ENTIRE_SKIPPED"
+}
+
+# sdk: prints the folder of the installed C library. The gate installs it once and names it in ENTIRE_SDK; a script that
+# runs by itself installs what `make install` installs.
+sdk() {
+    if [[ -n ${ENTIRE_SDK:-} ]]; then
+        echo "$ENTIRE_SDK"
+        return
+    fi
+    local folder
+    folder=$(realpath -m "${CARGO_TARGET_DIR:-target}")/sdk
+    ffi/package/install.sh --prefix "$folder" >&2 || return 1
+    echo "$folder"
+}
