@@ -3,8 +3,7 @@
 """The bars of the house: what README, book and source promise a reader, checked.
 
     house.py [--quick] [--bin-dir target/release]     prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short
-    house.py --measure-build OLD NEW                  CPU seconds of a release build of `entire` at two revisions
-    house.py --measure-setup REVISION                 seconds of `make demo` and `make test` of a clone, each from nothing built
+    house.py --measure-build OLD NEW                  also builds `entire` at two revisions and compares their processor seconds
 
 --quick leaves out what needs cargo or built programs. Needs Python 3.9 and git, and nothing else.
 """
@@ -16,7 +15,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -25,11 +23,9 @@ README_LINES = 120
 FIRST_CODE_LINE = 40
 FILE_LINES = 700
 PUBLIC_ITEMS = 250
-# Seconds on two processors, from nothing but downloaded crates.
-SETUP_SECONDS = {"demo": 140, "test": 1180}
 # Crates that only studies use.
 STUDY_CRATES = ("forust-ml", "image-compare")
-SOURCE_ROOMS = ("core", "ffi", "cli", "vk-raycaster", "plugins", "lab")
+SOURCE_ROOMS = ("core", "ffi", "cli", "vk-raycaster", "explore", "plugins", "lab")
 SOURCES = (".rs", ".c", ".cxx", ".cpp", ".h", ".hpp", ".py", ".sh", ".wgsl")
 # Languages of the code blocks that somebody who embeds the library looks for.
 EMBEDDING = ("c", "cpp", "python", "rust")
@@ -274,26 +270,6 @@ def build_seconds(revision):
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def setup_seconds(revision):
-    """Target, wall and CPU seconds, and exit status of the two set-up commands in a clone of a revision, each with an
-    empty target folder. What they print goes to out/house/."""
-    logs = ROOT / "out/house"
-    logs.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="house-") as folder:
-        tree = Path(folder) / "tree"
-        subprocess.run(["git", "clone", "--quiet", "--no-hardlinks", ROOT, tree], check=True)
-        subprocess.run(["git", "checkout", "--quiet", revision], cwd=tree, check=True)
-        kept = {name: value for name, value in os.environ.items() if name not in ("CARGO_TARGET_DIR", "MAKEFLAGS")}
-        for target in SETUP_SECONDS:
-            shutil.rmtree(tree / "target", ignore_errors=True)
-            begin, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
-            with open(logs / f"{target}.log", "w", encoding="utf-8") as log:
-                done = subprocess.run(["make", target], cwd=tree, env=kept, stdout=log, stderr=subprocess.STDOUT)
-            after = resource.getrusage(resource.RUSAGE_CHILDREN)
-            cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-            yield target, time.monotonic() - begin, cpu, done.returncode
-
-
 # --------------------------------------------------------------------------------------------------------------- main
 
 
@@ -302,22 +278,8 @@ def main():
     parser.add_argument("--quick", action="store_true", help="leave out what needs cargo or built programs")
     parser.add_argument("--bin-dir", type=Path, help="where `entire` and `entire-lab` are (default target/release)")
     parser.add_argument("--measure-build", nargs=2, metavar=("OLD", "NEW"), help="two revisions to build and compare")
-    parser.add_argument("--measure-setup", metavar="REVISION", help="a revision to clone and set up")
     options = parser.parse_args()
     bars = Bars()
-
-    if options.measure_setup:
-        for target, seconds, cpu, status in setup_seconds(options.measure_setup):
-            load = " ".join(f"{x:.1f}" for x in os.getloadavg())
-            print(f"make {target}: {seconds:.0f} s, {cpu:.0f} CPU s, exit status {status}, load {load}; out/house/{target}.log", flush=True)
-            bars.say(f"{target}-seconds", f"{seconds:.0f}", SETUP_SECONDS[target], status == 0 and seconds <= SETUP_SECONDS[target])
-        return int(bars.short)
-
-    if options.measure_build:
-        old, new = (build_seconds(revision) for revision in options.measure_build)
-        print(f"release build of entire: {old:.0f} CPU s at {options.measure_build[0]}, {new:.0f} at {options.measure_build[1]}")
-        bars.say("release-build-cpu-seconds", f"{new:.0f}", f"{old:.0f}", new < old)
-        return int(bars.short)
 
     # The changelog tells of names that are gone, and scratch folders hold what others wrote.
     pages = [Page(path) for path in tracked("*.md") if path != "CHANGELOG.md"]
@@ -356,6 +318,11 @@ def main():
         tree = dependency_tree()
         found = [name for name in STUDY_CRATES if name in tree]
         bars.at_most("study-crates-of-entire", len(found), 0, found)
+        if options.measure_build:
+            old, new = (build_seconds(revision) for revision in options.measure_build)
+            bars.say("release-build-cpu-seconds", f"{new:.0f}", f"{old:.0f}", new < old)
+        else:
+            bars.say("release-build-cpu-seconds", "-", "-", False, ["not measured: make bars-house HOUSE_BEFORE=REVISION"])
     return int(bars.short)
 
 

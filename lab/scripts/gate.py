@@ -1,0 +1,162 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: MIT OR Apache-2.0
+"""The bars of the gates: how long they take, what they skip, which tests are gone.
+
+    gate.py [--before REVISION]         prints `bar NAME VALUE LIMIT ok|short`; exit status 1 when one is short
+    gate.py --measure [demo test change nightly]
+                                        first runs these in a clone of HEAD, each from nothing built (change takes half an
+                                        hour, nightly hours), and keeps their logs and seconds in out/test
+
+Seconds come from out/test/steps.csv, which every gate writes. A step is compared with the committed .ci/steps.csv in
+processor time, which other programs on the machine change little. Needs Python 3.9 and git, and nothing else.
+"""
+import argparse
+import csv
+import os
+import re
+import resource
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+from bar_lines import Bars
+
+ROOT = Path(__file__).resolve().parents[2]
+OUT = ROOT / "out/test"
+# Wall seconds on two processors, from nothing but downloaded crates.
+WALL_SECONDS = {"demo": 140, "test": 900, "change": 2100}
+COMMANDS = {"demo": ["make", "demo"], "test": ["make", "test"], "change": [".ci/run"], "nightly": [".ci/nightly"]}
+# The gates that say what they skip.
+SKIPPING = ("change", "nightly")
+# A step has doubled where it takes twice the committed processor time, and this many seconds more.
+NOISE_SECONDS = 20
+# Tests under a new name.
+RENAMED = {
+    "every_prediction_is_a_positive_number_of_seconds": "no_more_predictions_than_are_known_had_to_be_made_positive",
+    "rules_can_fail": "every_scene_but_one_fails_for_a_rival",
+}
+# Names of tests: Rust's, libtest-mimic's, Python's, CMake's.
+NAMES = {
+    ".rs": [r"#\[test\](?:\s*#\[[^\]]*\])*\s*(?:pub\s+)?fn\s+(\w+)", r"Trial::test\(\s*\"([^\"]+)\""],
+    ".py": [r"^\s*def (test_\w+)"],
+    "CMakeLists.txt": [r"add_test\(NAME (\S+)", r"^\s{6}([A-Z]\w+(?: [A-Z]\w+)*)\)?$", r"IN ITEMS ([A-Z]\w+(?: [A-Z]\w+)+)"],
+}
+
+
+def steps(path):
+    """{gate: {step: (wall seconds, processor seconds)}}"""
+    found = {}
+    if path.is_file():
+        for row in csv.DictReader(path.read_text(encoding="utf-8").splitlines()):
+            numbers = tuple(float(row[c]) if row[c] else None for c in ("wall_s", "cpu_s"))
+            found.setdefault(row["gate"], {})[row["step"]] = numbers
+    return found
+
+
+def test_names(tree):
+    """The last part of every test's name in a source tree."""
+    found = set()
+    for path in tree.rglob("*"):
+        if any(part in ("target", "out", ".git") for part in path.parts) or not path.is_file():
+            continue
+        patterns = NAMES.get(path.name) or NAMES.get(path.suffix)
+        if patterns:
+            text = path.read_text(encoding="utf-8", errors="replace")
+            for pattern in patterns:
+                for match in re.findall(pattern, text, re.MULTILINE):
+                    found.update(match.split())
+    return found
+
+
+def names_at(revision):
+    with tempfile.TemporaryDirectory(prefix="gate-") as folder:
+        archive = subprocess.run(["git", "archive", revision], cwd=ROOT, check=True, capture_output=True).stdout
+        subprocess.run(["tar", "x", "-C", folder], input=archive, check=True)
+        return test_names(Path(folder))
+
+
+def measure(gates):
+    """Runs gates in a clone of HEAD with an empty target folder, and adds their rows to out/test/steps.csv."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    rows = steps(OUT / "steps.csv")
+    with tempfile.TemporaryDirectory(prefix="gate-") as folder:
+        tree = Path(folder) / "tree"
+        subprocess.run(["git", "clone", "--quiet", "--no-hardlinks", ROOT, tree], check=True)
+        kept = {name: value for name, value in os.environ.items() if name not in ("CARGO_TARGET_DIR", "MAKEFLAGS")}
+        for gate in gates:
+            for built in ("target", "fuzz/target"):
+                shutil.rmtree(tree / built, ignore_errors=True)
+            begin, before = time.monotonic(), resource.getrusage(resource.RUSAGE_CHILDREN)
+            with open(OUT / f"{gate}.log", "w", encoding="utf-8") as log:
+                done = subprocess.run(COMMANDS[gate], cwd=tree, env=kept, stdout=log, stderr=subprocess.STDOUT)
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            wall = time.monotonic() - begin
+            cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+            load = " ".join(f"{x:.1f}" for x in os.getloadavg())
+            print(f"{gate}: {wall:.0f} s, processor {cpu:.0f} s, exit status {done.returncode}, load {load}; out/test/{gate}.log", flush=True)
+            rows[gate] = steps(tree / "out/test/steps.csv").get(gate, {})
+            rows[gate].pop("total", None)
+            if done.returncode == 0:
+                rows[gate]["total"] = (round(wall), round(cpu))
+            if (tree / f"out/test/skipped-{gate}").is_file():
+                shutil.copy(tree / f"out/test/skipped-{gate}", OUT)
+            with open(OUT / "steps.csv", "w", encoding="utf-8") as file:
+                print("gate,step,wall_s,cpu_s", file=file)
+                for name, parts in rows.items():
+                    for step, (w, c) in parts.items():
+                        print(f"{name},{step},{w:.0f},{'' if c is None else f'{c:.0f}'}", file=file)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--measure", nargs="*", choices=COMMANDS, metavar="GATE", help="run these in a clone first (demo test change)")
+    parser.add_argument("--before", default="5c08403", help="revision whose tests must all be there (default %(default)s)")
+    options = parser.parse_args()
+    if options.measure is not None:
+        measure(options.measure or ["demo", "test", "change"])
+
+    asked = {f"gate/{gate}-wall-s": limit for gate, limit in WALL_SECONDS.items()}
+    asked |= dict.fromkeys(("gate/nightly-failed", *(f"gate/{g}-skips-not-as-expected" for g in SKIPPING)), 0)
+    asked |= {"gate/steps-doubled": 0, "gate/tests-lost": 0}
+    with Bars(asked) as bars:
+        judge(bars, options.before)
+
+
+def judge(bars, before):
+    found, committed = steps(OUT / "steps.csv"), steps(ROOT / ".ci/steps.csv")
+    for gate in WALL_SECONDS:
+        total = found.get(gate, {}).get("total")
+        if total:
+            bars.found(f"gate/{gate}-wall-s", total[0])
+    if "total" in found.get("nightly", {}):
+        bars.found("gate/nightly-failed", 0)
+    for gate in SKIPPING:
+        if (OUT / f"skipped-{gate}").is_file():
+            compared = subprocess.run([".ci/compare-skips", gate], cwd=ROOT, text=True, capture_output=True)
+            said(bars, f"gate/{gate}-skips-not-as-expected", compared.stdout.splitlines())
+    doubled, compared = [], 0
+    for gate, parts in found.items():
+        for step, (_, cpu) in parts.items():
+            once = committed.get(gate, {}).get(step, (None, None))[1]
+            if step != "total" and None not in (cpu, once):
+                compared += 1
+                if cpu > 2 * once and cpu > once + NOISE_SECONDS:
+                    doubled.append(f"{gate}, {step}: processor {cpu:.0f} s, committed {once:.0f} s")
+    if compared:
+        said(bars, "gate/steps-doubled", doubled)
+    now = test_names(ROOT)
+    said(bars, "gate/tests-lost", sorted(name for name in names_at(before) if RENAMED.get(name, name) not in now))
+    bars.lacking('a gate was not run here: make bars-gate GATES="demo test change nightly"')
+
+
+def said(bars, name, lines):
+    """A bar that counts lines, which follow it."""
+    bars.found(name, len(lines))
+    for line in lines:
+        print(f"  {line}")
+
+
+if __name__ == "__main__":
+    main()
