@@ -43,8 +43,8 @@ pub fn psnr(a: &[u8], b: &[u8]) -> Option<f64> {
     Some(if mean == 0.0 { f64::INFINITY } else { 10.0 * (255.0 * 255.0 / mean).log10() })
 }
 
-/// Root mean squared difference of colors between two pictures of one size, in 255ths; `None` when they differ in
-/// size.
+/// Root mean squared difference of colors between two pictures of one size, on a scale of 0 to 255; `None` when
+/// they differ in size.
 pub fn rmse(a: &[u8], b: &[u8]) -> Option<f64> {
     let decibels = psnr(a, b)?;
     Some(255.0 * 10f64.powf(-decibels / 20.0))
