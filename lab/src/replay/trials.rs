@@ -49,8 +49,9 @@ pub fn trials(traces: &[Replayable], targets: &[(f64, &str)], limits: StepLimits
     out
 }
 
-/// As [`trials`], with a target of its own for every trace that none of them is worth playing on (see
-/// [`own_target`]); and the names of those that not even that is worth playing on.
+/// As [`trials`], with a target of its own for every trace that none of them is worth playing on: halfway, in
+/// ln(seconds), between its middle frame at the finest and at the coarsest step. And the names of those that not
+/// even that is worth playing on.
 pub fn trials_of_all(
     traces: &[Replayable],
     targets: &[(f64, &str)],
