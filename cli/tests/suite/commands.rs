@@ -2,6 +2,7 @@
 
 use crate::support::*;
 use std::io::Write;
+use std::path::Path;
 use std::process::{Command, Stdio};
 
 /// SELU in double precision.
@@ -221,11 +222,26 @@ fn blocks_of_any_edge_draw_the_same_picture_with_other_work() {
     );
 }
 
+/// What `entire probe` prints of the CPU twin. Where other programs take the processors, its short frames are too
+/// noisy, which it says: longer ones are tried then.
+fn probed(folder: &Path, more: &[&str]) -> String {
+    let mut said = String::new();
+    for milliseconds in ["10", "40", "160", "640"] {
+        let probe = ["probe", "--device", "cpu", "--frame-ms", milliseconds, "--repeat", "3"];
+        let output = entire(folder, &[&probe, more].concat());
+        if output.status.success() {
+            return stdout(&output);
+        }
+        said = stderr(&output);
+        assert!(said.contains("the clock is too noisy"), "{said}");
+    }
+    panic!("{said}");
+}
+
 #[test]
 fn probe_prints_the_machine_in_five_numbers() {
     let folder = workshop();
-    let printed =
-        succeeds(folder.path(), &["probe", "--device", "cpu", "--json", "--frame-ms", "10", "--repeat", "3"]);
+    let printed = probed(folder.path(), &["--json"]);
     let json: serde_json::Value = serde_json::from_str(&printed).unwrap();
     let numbers = json["numbers"].as_object().unwrap();
     assert_eq!(numbers.len(), 5);
@@ -233,7 +249,7 @@ fn probe_prints_the_machine_in_five_numbers() {
     assert_eq!(json["agreement"]["largest_of_255"], 0);
     assert_eq!(json["agreement"]["counts"], json["agreement"]["counts_of_twin"]);
     assert_eq!((json["backend"].as_str(), json["clock"].as_str()), (Some("cpu"), Some("wall")));
-    let text = succeeds(folder.path(), &["probe", "--device", "cpu", "--frame-ms", "10", "--repeat", "3"]);
+    let text = probed(folder.path(), &[]);
     for part in ["counts equal", "coherent samples", "divergent samples", "skips", "rays", "frame by itself"]
     {
         assert!(text.contains(part), "{text}");
