@@ -1,9 +1,10 @@
 //! Files as commands read and write them: models, volumes, whole files, and what is said about them.
 
-use crate::volume::{Stream, Volume};
+use crate::volume::{Stream, Volume, without_mark};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::model::{Model, ModelFile};
 use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};
+use std::borrow::Cow;
 use std::fs::{File, TryLockError};
 use std::io::{BufWriter, Read, Write};
 use std::path::Path;
@@ -181,13 +182,38 @@ pub fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     Stream::open(path)?.all(MAX_TABLE_BYTES)
 }
 
-/// The text of a regular file of at most `most` bytes.
+/// The text of a regular file of at most `most` bytes, without a byte order mark.
 ///
 /// # Errors
-/// When it is no regular file, is larger, cannot be read, or is not UTF-8.
+/// When it is no regular file, is larger, cannot be read, or is neither UTF-8 nor UTF-16 with a byte order mark.
 pub fn read_text(path: &Path, most: u64) -> Result<String> {
-    let bytes = Stream::open(path)?.all(most)?;
-    String::from_utf8(bytes).map_err(|e| anyhow!("byte {} is not UTF-8", e.utf8_error().valid_up_to()))
+    Ok(decode_text(&Stream::open(path)?.all(most)?)?.into_owned())
+}
+
+/// Text that is UTF-8, with or without a byte order mark, or UTF-16 with one, which is what spreadsheets write.
+///
+/// # Errors
+/// Names the byte that is not text.
+pub fn decode_text(bytes: &[u8]) -> Result<Cow<'_, str>> {
+    let unit: fn([u8; 2]) -> u16 = match bytes {
+        [0xff, 0xfe, ..] => u16::from_le_bytes,
+        [0xfe, 0xff, ..] => u16::from_be_bytes,
+        _ => {
+            return match std::str::from_utf8(without_mark(bytes)) {
+                Ok(text) => Ok(Cow::Borrowed(text)),
+                Err(e) => {
+                    let at = e.valid_up_to() + bytes.len() - without_mark(bytes).len();
+                    bail!("byte {at} is not UTF-8; save the file as UTF-8")
+                }
+            };
+        }
+    };
+    let (units, rest) = bytes[2..].as_chunks::<2>();
+    ensure!(rest.is_empty(), "it begins as UTF-16 and ends in half a character; save the file as UTF-8");
+    match char::decode_utf16(units.iter().map(|&b| unit(b))).collect::<Result<String, _>>() {
+        Ok(text) => Ok(Cow::Owned(text)),
+        Err(_) => bail!("it begins as UTF-16 and is not; save the file as UTF-8"),
+    }
 }
 
 /// Compresses bytes as gzip; the same bytes give the same file.
@@ -205,14 +231,15 @@ pub fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |h, &b| (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// Reads a volume and sets the range that maps to [0, 1], where one is given. Voxels that are not finite are
-/// noted on standard error.
+/// Reads a volume and sets the range that maps to [0, 1], where one is given. Voxels that are not finite, and what
+/// its reader has to say ([`Volume::notes`]), are noted on standard error.
 ///
 /// # Errors
 /// As [`Volume::open`], and for a range whose low end is above its high one.
 pub fn open_volume(path: &Path, range: Option<(f32, f32)>) -> Result<Volume> {
     let mut volume = Volume::open(path)?;
     volume.set_range(range).with_context(|| format!("{}", path.display()))?;
+    say_notes(&volume);
     let broken = volume.data().non_finite();
     if broken > 0 {
         note(&format!(
@@ -223,6 +250,13 @@ pub fn open_volume(path: &Path, range: Option<(f32, f32)>) -> Result<Volume> {
         ));
     }
     Ok(volume)
+}
+
+/// Says on standard error what a volume's reader has to say.
+pub fn say_notes(volume: &Volume) {
+    for text in volume.notes() {
+        note(&format!("{}: {text}", volume.source().display()));
+    }
 }
 
 /// Says something on standard error that is not an error.
@@ -268,6 +302,23 @@ pub fn digits(value: f32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn text_is_utf8_or_marked_utf16() {
+        for bytes in [&b"\xef\xbb\xbfa\xc3\xbc"[..], b"a\xc3\xbc", b"\xff\xfea\0\xfc\0", b"\xfe\xff\0a\0\xfc"]
+        {
+            assert_eq!(decode_text(bytes).unwrap(), "aü", "{bytes:?}");
+        }
+        for (bytes, expected) in [
+            (&b"a\xff"[..], "byte 1 is not UTF-8"),
+            (b"\xef\xbb\xbfa\xff", "byte 4 is not UTF-8"),
+            (b"\xff\xfea", "half a character"),
+            (b"\xff\xfe\0\xd8", "begins as UTF-16"),
+        ] {
+            let message = decode_text(bytes).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+    }
 
     #[test]
     fn a_file_is_written_whole_and_nothing_is_left_beside_it() {

@@ -4,7 +4,7 @@ use crate::commands::steer::describe;
 use crate::dataset::Clock;
 use crate::device;
 use crate::enlarge::enlarge;
-use crate::files::{write_json, write_whole};
+use crate::files::{say_notes, write_json, write_whole};
 use crate::interrupt;
 use crate::machine::{self, Provenance};
 use crate::options::{RenderArgs, parse_distance, parse_size};
@@ -180,6 +180,7 @@ pub fn run(options: &Options) -> Result<()> {
     ensure!(options.calibrate >= 8, "--calibrate is {}; at least 8 scenes are needed", options.calibrate);
     let shown = file.display().to_string();
     let volume = Volume::open(&file)?;
+    say_notes(&volume);
     let factor = options.enlarge.unwrap_or(if volume.view().shape().voxels < SMALL_VOLUME { 2 } else { 1 });
     let volume = if factor == 1 { volume } else { enlarge(&volume, factor)? };
     let view = volume.view();

@@ -3,7 +3,7 @@
 use crate::dataset::{Clock, Scene, Writer};
 use crate::device;
 use crate::enlarge::enlarge;
-use crate::files::{note, open_model, write_json};
+use crate::files::{note, open_model, say_notes, write_json};
 use crate::interrupt;
 use crate::machine::Provenance;
 use crate::options::{RenderArgs, parse_distance, parse_hold, parse_limits, parse_scale, parse_size};
@@ -175,6 +175,7 @@ pub fn run(options: &Options) -> Result<()> {
         .iter()
         .map(|file| {
             let volume = Volume::open(file)?;
+            say_notes(&volume);
             if options.enlarge == 1 { Ok(volume) } else { enlarge(&volume, options.enlarge) }
         })
         .collect::<Result<Vec<Volume>>>()?;

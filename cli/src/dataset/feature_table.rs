@@ -11,6 +11,7 @@
 
 use super::TimedFrame;
 use crate::files::{fnv1a, gzip, read_decompressed, write_whole};
+use crate::volume::without_mark;
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::features::{PROBE_SIDE, SceneQuantity};
 use entire_core::nn::VolumeNetParts;
@@ -218,6 +219,7 @@ impl FeatureTable {
     /// # Errors
     /// Says what is wrong, with line and column where it is a field.
     pub fn parse(bytes: &[u8]) -> Result<Self> {
+        let bytes = without_mark(bytes);
         let end = bytes.iter().position(|&b| b == b'\n').map_or(bytes.len(), |i| i + 1);
         let (schema, table, rows) =
             std::str::from_utf8(&bytes[..end]).ok().and_then(made_of).with_context(|| {

@@ -121,29 +121,44 @@ pub(crate) fn read_voxels(
     })
 }
 
-/// Refuses bytes behind the voxels: then sizes or type in the header do not fit the data.
+/// What stands behind the voxels: nothing; fewer bytes than the voxels have, which are left out with a note; or
+/// at least as many.
 ///
 /// # Errors
-/// When there is at least one more byte.
-pub(crate) fn expect_end(stream: &mut Stream<'_>, dims: [usize; 3], element: Element) -> Result<()> {
+/// When there are at least as many: then sizes or type in the header do not fit the data, or a second volume
+/// follows.
+pub(crate) fn expect_end(
+    stream: &mut Stream<'_>,
+    dims: [usize; 3],
+    element: Element,
+) -> Result<Option<String>> {
     let prefix = stream.prefix();
-    if !stream.peek().with_context(|| format!("{prefix}behind the voxels"))?.is_empty() {
-        let expected = byte_count(dims, element)?;
+    let expected = byte_count(dims, element)?;
+    let behind = match stream.remaining() {
+        Remaining::Exact(left) => left,
+        Remaining::AtMost(_) => io::copy(&mut stream.take(expected), &mut io::sink())
+            .with_context(|| format!("{prefix}behind the voxels"))?,
+    };
+    if behind == 0 {
+        return Ok(None);
+    }
+    let [x, y, z] = dims;
+    let size = element.bytes();
+    let bytes = if size == 1 { "byte" } else { "bytes" };
+    if behind >= expected {
         let found = match stream.remaining() {
-            Remaining::Exact(left) => format!("{}", expected + left),
-            Remaining::AtMost(_) => "more".to_owned(),
+            Remaining::Exact(_) => (expected + behind).to_string(),
+            Remaining::AtMost(_) => format!("{} or more", expected + behind),
         };
         bail!(
-            "{}{} x {} x {} voxels of {} bytes need {expected} bytes, the data has {found}; check sizes and \
-             type in the header",
-            stream.prefix(),
-            dims[0],
-            dims[1],
-            dims[2],
-            element.bytes()
+            "{prefix}{x} x {y} x {z} voxels of {size} {bytes} need {expected} bytes, the data has {found}; check \
+             sizes and type in the header, and save a second volume to a file of its own"
         );
     }
-    Ok(())
+    Ok(Some(format!(
+        "{prefix}{behind} bytes behind the {expected} bytes of {x} x {y} x {z} voxels of {size} {bytes} are left \
+         out; check sizes and type in the header if there should be none"
+    )))
 }
 
 /// Elements that are reserved before any byte was seen, and bytes converted at a time.

@@ -1,12 +1,14 @@
 //! MetaImage: lines of `Key = Value` that end with `ElementDataFile`, which names the file of the voxels
-//! (`.mhd`) or says `LOCAL`, the voxels then follow (`.mha`).
+//! (`.mhd`) or says `LOCAL`, the voxels then follow (`.mha`). Several files are named by `LIST [2D]`, with a name in
+//! each line that follows, or by `name%03d.raw FIRST LAST STEP`.
 //!
 //! The project's own reader: the crate that reads MetaImage, `bioformats`, has neither voxels in text nor
 //! 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
+use super::several::{Several, append};
 use super::stream::{Companions, Remaining, Stream};
-use super::{Element, Endian, Parts, checked_dims, three_axes};
+use super::{Element, Endian, Parts, VolumeData, checked_dims, three_axes};
 use anyhow::{Context, Result, bail};
 
 const MAX_LINE: usize = 1 << 16;
@@ -25,14 +27,15 @@ struct Header {
     compressed: bool,
     header_size: i64,
     data_file: String,
+    several: Option<Several>,
 }
 
 pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Result<Parts> {
-    let header = header(&mut stream)?;
+    let mut header = header(&mut stream)?;
     let element = header.element.context("MetaImage header has no ElementType")?;
     let axes = header.axes.context("MetaImage header has no NDims")?;
-    let sizes = header.sizes.context("MetaImage header has no DimSize")?;
-    let spacing = header.spacing.or(header.element_size).unwrap_or_else(|| vec![1.0; axes]);
+    let sizes = header.sizes.take().context("MetaImage header has no DimSize")?;
+    let spacing = header.spacing.take().or(header.element_size.take()).unwrap_or_else(|| vec![1.0; axes]);
     for (found, key) in [(sizes.len(), "DimSize"), (spacing.len(), "ElementSpacing or ElementSize")] {
         if found != axes {
             bail!("MetaImage {key} has {found} entries, NDims says {axes}");
@@ -44,12 +47,37 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
             header.channels
         );
     }
-    let (sizes, spacing) = three_axes(&sizes, &spacing, &[])?;
-    let dims = checked_dims(sizes)?;
-    let mut stream = match header.data_file.as_str() {
-        "LOCAL" | "Local" | "local" => stream,
-        name => companions.open(name)?,
+    let ([x, y, z], spacing) = three_axes(&sizes, &spacing, &[])?;
+    let dims = checked_dims([x, y, z])?;
+    let mut notes = Vec::new();
+    let data = match &header.several {
+        Some(several) => {
+            let each = [several.voxels_each(&sizes)?, 1, 1];
+            let mut all = None;
+            for name in &several.names {
+                append(&mut all, voxels(companions.open(name)?, &header, element, each, &mut notes)?)?;
+            }
+            all.context("the header names no file of voxels")?
+        }
+        None => {
+            let stream = match header.data_file.as_str() {
+                "LOCAL" | "Local" | "local" => stream,
+                name => companions.open(name)?,
+            };
+            voxels(stream, &header, element, dims, &mut notes)?
+        }
     };
+    Ok(Parts { data, dims, spacing, name: None, notes })
+}
+
+/// Reads the voxels of one file, or of one of several.
+fn voxels(
+    mut stream: Stream<'_>,
+    header: &Header,
+    element: Element,
+    dims: [usize; 3],
+    notes: &mut Vec<String>,
+) -> Result<VolumeData> {
     match u64::try_from(header.header_size) {
         Ok(skip) => stream.skip(skip)?,
         // -1: the voxels are the last bytes of the file.
@@ -66,14 +94,12 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
     if header.compressed {
         stream = stream.inflate()?;
     }
-    let data = if header.binary {
-        let data = read_voxels(&mut stream, dims, element, header.endian)?;
-        expect_end(&mut stream, dims, element)?;
-        data
-    } else {
-        parse_voxels(&mut stream, dims, element)?
-    };
-    Ok(Parts { data, dims, spacing, name: None })
+    if !header.binary {
+        return parse_voxels(&mut stream, dims, element);
+    }
+    let data = read_voxels(&mut stream, dims, element, header.endian)?;
+    notes.extend(expect_end(&mut stream, dims, element)?);
+    Ok(data)
 }
 
 fn header(stream: &mut Stream<'_>) -> Result<Header> {
@@ -89,7 +115,9 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         compressed: false,
         header_size: 0,
         data_file: String::new(),
+        several: None,
     };
+    stream.skip_mark()?;
     for number in 1..=MAX_LINES {
         let Some(line) = stream.line(MAX_LINE)? else {
             bail!(
@@ -107,6 +135,10 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
         let (key, value) = (key.trim(), value.trim());
         let last = header.set(key, value).with_context(|| format!("MetaImage header line {number}"))?;
         if last {
+            if value.split_whitespace().next() == Some("LIST") {
+                let several = Several::list(value, stream);
+                header.several = Some(several.with_context(|| format!("MetaImage header line {number}"))?);
+            }
             return Ok(header);
         }
     }
@@ -164,10 +196,7 @@ impl Header {
                 if value.is_empty() {
                     bail!("ElementDataFile names no file");
                 }
-                if value.starts_with("LIST") || (value.contains('%') && value.split_whitespace().count() > 1)
-                {
-                    bail!("the voxels are spread over several files ({value}); join them into one first");
-                }
+                self.several = Several::pattern(value)?;
                 self.data_file = value.to_owned();
                 return Ok(true);
             }

@@ -6,6 +6,13 @@
 //! that are really there call for: a header that claims a huge volume over a few bytes of data is an error,
 //! not an allocation.
 //!
+//! # Bytes behind the voxels
+//!
+//! One rule for all formats, compressed or not: fewer bytes than the voxels have (a line end, padding) are left
+//! out, and [`Volume::notes`] says so; as many or more are refused, since then sizes or type do not fit the data,
+//! or another volume follows. Where each array's length is stated (VTK) it must be right, and voxels in text must
+//! be as many numbers as the sizes call for.
+//!
 //! # What becomes of the stored types
 //!
 //! | in the file | in memory |
@@ -26,11 +33,12 @@ mod metaimage;
 mod nifti;
 mod nrrd;
 mod openscivis;
+mod several;
 mod stream;
 mod vti;
 
 pub use element::{Element, Endian};
-pub use stream::{Companions, Folder, NoCompanions, Stream, Watcher};
+pub use stream::{Companions, Folder, NoCompanions, Stream, Watcher, without_mark};
 
 use anyhow::{Context, Result, bail};
 use entire_core::scene::{ScalarType, Scalars, VolumeOptions, VolumeView};
@@ -101,6 +109,7 @@ pub struct Volume {
     found_range: (f32, f32),
     name: String,
     source: PathBuf,
+    notes: Vec<String>,
 }
 
 /// The file formats that volumes are read from.
@@ -146,6 +155,7 @@ impl Format {
 
     /// The format that a file's first bytes (512 are enough) stand for.
     pub fn of_content(head: &[u8]) -> Option<Self> {
+        let head = without_mark(head);
         let text = head.trim_ascii_start();
         if head.starts_with(b"NRRD") {
             Some(Self::Nrrd)
@@ -172,6 +182,8 @@ pub(crate) struct Parts {
     pub(crate) dims: [usize; 3],
     pub(crate) spacing: [f64; 3],
     pub(crate) name: Option<String>,
+    /// What a user should know of how it was read.
+    pub(crate) notes: Vec<String>,
 }
 
 /// The endings that [`Volume::open`] knows, for messages.
@@ -204,7 +216,16 @@ impl Volume {
             );
         }
         let found_range = view.range();
-        Ok(Self { data, dims, spacing, range: None, found_range, name: name.into(), source: PathBuf::new() })
+        Ok(Self {
+            data,
+            dims,
+            spacing,
+            range: None,
+            found_range,
+            name: name.into(),
+            source: PathBuf::new(),
+            notes: Vec::new(),
+        })
     }
 
     /// Reads a volume file. The format follows from the name's ending, else from the first bytes.
@@ -222,7 +243,18 @@ impl Volume {
     /// # Errors
     /// As [`Volume::open`], and the watcher's own.
     pub fn open_watched(path: impl AsRef<Path>, watcher: Option<Arc<dyn Watcher>>) -> Result<Self> {
-        let path = path.as_ref();
+        Self::open_any(path.as_ref(), watcher, None)
+    }
+
+    /// As [`Volume::open`], of the array of that name, in a format that may hold several (VTK).
+    ///
+    /// # Errors
+    /// As [`Volume::open`]; when there is no array of that name, or the format has no names.
+    pub fn open_array(path: impl AsRef<Path>, array: &str) -> Result<Self> {
+        Self::open_any(path.as_ref(), None, Some(array))
+    }
+
+    fn open_any(path: &Path, watcher: Option<Arc<dyn Watcher>>, array: Option<&str>) -> Result<Self> {
         let shown = path.display();
         let mut stream = Stream::open_watched(path, watcher.as_ref())?;
         let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
@@ -236,7 +268,8 @@ impl Volume {
             },
         };
         let folder = Folder::new(path.parent().unwrap_or(Path::new(""))).watched(watcher);
-        let mut volume = Self::read(format, stream, &name, &folder).with_context(|| format!("{shown}"))?;
+        let mut volume =
+            Self::read_any(format, stream, &name, &folder, array).with_context(|| format!("{shown}"))?;
         if volume.name.is_empty() {
             volume.name = stem(&name).to_owned();
         }
@@ -255,15 +288,30 @@ impl Volume {
         file_name: &str,
         companions: &dyn Companions,
     ) -> Result<Self> {
+        Self::read_any(format, stream, file_name, companions, None)
+    }
+
+    fn read_any(
+        format: Format,
+        stream: Stream<'_>,
+        file_name: &str,
+        companions: &dyn Companions,
+        array: Option<&str>,
+    ) -> Result<Self> {
+        if let Some(array) = array.filter(|_| format != Format::VtkImage) {
+            bail!("array {array:?} is asked for; a file of this format holds one volume without a name");
+        }
         let parts = match format {
             Format::Nrrd => nrrd::read(stream, companions),
             Format::MetaImage => metaimage::read(stream, companions),
-            Format::VtkImage => vti::read(stream),
+            Format::VtkImage => vti::read(stream, array),
             Format::Nifti => nifti::read(stream),
             Format::Json => openscivis::read_json(stream, file_name, companions),
             Format::Raw => openscivis::read_raw(stream, file_name, companions),
         }?;
-        Self::new(parts.data, parts.dims, parts.spacing.map(|s| s as f32), parts.name.unwrap_or_default())
+        let spacing = parts.spacing.map(|s| s as f32);
+        let volume = Self::new(parts.data, parts.dims, spacing, parts.name.unwrap_or_default())?;
+        Ok(Self { notes: parts.notes, ..volume })
     }
 
     /// The voxels as the core takes them: with spacing, and the range where one was set (else the default of
@@ -316,18 +364,26 @@ impl Volume {
         &self.name
     }
 
+    /// What a user should know of how the file was read: a line each, without the file's name.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
     /// The file it was read from; empty for one made in memory.
     pub fn source(&self) -> &Path {
         &self.source
     }
 }
 
+/// A name without an ASCII ending that it has, in capitals or not.
+pub(crate) fn strip_ending<'a>(name: &'a str, ending: &str) -> Option<&'a str> {
+    let (rest, found) = name.split_at_checked(name.len().checked_sub(ending.len())?)?;
+    found.eq_ignore_ascii_case(ending).then_some(rest)
+}
+
 /// A file name without its ending (`.nii.gz` and the like count as one).
 fn stem(name: &str) -> &str {
-    let name = match name.len().checked_sub(3).and_then(|at| name.split_at_checked(at)) {
-        Some((rest, ending)) if ending.eq_ignore_ascii_case(".gz") && !rest.is_empty() => rest,
-        _ => name,
-    };
+    let name = strip_ending(name, ".gz").filter(|rest| !rest.is_empty()).unwrap_or(name);
     match name.rfind('.') {
         Some(dot) if dot > 0 => &name[..dot],
         _ => name,

@@ -4,7 +4,7 @@
 //! The project's own reader: `nifti` reads NIfTI-1 alone and panics where a header's sizes contradict each
 //! other (`lab/scripts/readers`).
 
-use super::element::read_voxels;
+use super::element::{expect_end, read_voxels};
 use super::stream::Stream;
 use super::{Element, Endian, Parts, VolumeData, checked_dims, three_axes};
 use anyhow::{Context, Result, bail};
@@ -76,12 +76,13 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
     }
     stream.skip(header.offset as u64 - header.taken)?;
     let mut data = read_voxels(&mut stream, dims, element, header.endian)?;
+    let notes = expect_end(&mut stream, dims, element)?.into_iter().collect();
     let Header { slope, intercept, .. } = header;
     // A slope of 0 means that there is no scaling.
     if slope.is_finite() && slope != 0.0 && intercept.is_finite() && (slope, intercept) != (1.0, 0.0) {
         data = scaled(data, slope, intercept)?;
     }
-    Ok(Parts { data, dims, spacing, name: None })
+    Ok(Parts { data, dims, spacing, name: None, notes })
 }
 
 fn scaled(data: VolumeData, slope: f64, intercept: f64) -> Result<VolumeData> {

@@ -1,12 +1,18 @@
 //! NRRD ("nearly raw raster data"): a text header of `field: value` lines, a blank line, the voxels; or the
-//! voxels in the file that `data file` names. Encodings raw, gzip and ascii are read.
+//! voxels in the file that `data file` names, or in several (`LIST [axes]` with a name in each line that follows, or
+//! `name%03d.raw FIRST LAST STEP [axes]`). Encodings raw, gzip, bzip2, hex and ascii are read.
+//!
+//! A spacing of NaN, or a direction of `none` or NaN, says that it is not known: the other of the two fields
+//! counts, and where that says nothing either, 1 with a note. A direction of `none` beside directions of other axes
+//! says that the axis is none of space.
 //!
 //! The project's own reader: the crate that reads NRRD, `bioformats`, reserves as much memory as a header
 //! asks for, and has no 64-bit integers (`lab/scripts/readers`).
 
 use super::element::{byte_count, expect_end, parse_voxels, read_voxels};
-use super::stream::{Companions, Remaining, Stream};
-use super::{Element, Endian, Parts, checked_dims, three_axes};
+use super::several::{Several, append};
+use super::stream::{Companions, Stream};
+use super::{Element, Endian, Parts, VolumeData, checked_dims, three_axes};
 use anyhow::{Context, Result, bail};
 
 const MAX_LINE: usize = 1 << 16;
@@ -18,6 +24,8 @@ const MAX_AXES: usize = 16;
 enum Encoding {
     Raw,
     Gzip,
+    Bzip2,
+    Hex,
     Text,
 }
 
@@ -32,15 +40,16 @@ struct Header {
     directions: Option<Vec<Option<f64>>>,
     kinds: Option<Vec<String>>,
     data_file: Option<String>,
+    several: Option<Several>,
     byte_skip: i64,
     line_skip: u64,
 }
 
 pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Result<Parts> {
-    let header = header(&mut stream)?;
+    let mut header = header(&mut stream)?;
     let element = header.element.context("NRRD header has no \"type\" field")?;
     let dimension = header.dimension.context("NRRD header has no \"dimension\" field")?;
-    let sizes = header.sizes.context("NRRD header has no \"sizes\" field")?;
+    let sizes = header.sizes.take().context("NRRD header has no \"sizes\" field")?;
     let encoding = header.encoding.context("NRRD header has no \"encoding\" field")?;
     for (found, field) in [
         (Some(sizes.len()), "sizes"),
@@ -54,24 +63,31 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
             bail!("NRRD field \"{field}\" has {found} entries, \"dimension\" says {dimension}");
         }
     }
+    // Where no axis has a direction, the field says nothing.
+    let directions = header.directions.as_ref().filter(|d| d.iter().any(Option::is_some));
     let spatial: Vec<bool> = (0..dimension)
         .map(|axis| {
-            let placed = header.directions.as_ref().is_none_or(|d| d[axis].is_some());
+            let placed = directions.is_none_or(|d| d[axis].is_some());
             let kind = header.kinds.as_ref().map_or("???", |k| k[axis].as_str());
             placed && matches!(kind, "domain" | "space" | "???" | "none")
         })
         .collect();
-    let spacings: Vec<f64> = match (&header.directions, header.spacings) {
-        (Some(directions), _) => directions.iter().map(|d| d.unwrap_or(1.0)).collect(),
-        (None, Some(spacings)) => spacings,
-        (None, None) => vec![1.0; dimension],
-    };
-    let (sizes, spacing) = three_axes(&sizes, &spacings, &spatial)?;
-    if spacing.iter().any(|s| s.is_nan()) {
-        bail!(
-            "NRRD spacing is {spacing:?}; all three must be positive numbers (write 1 where the spacing is \
-             unknown)"
-        );
+    let spacings: Vec<f64> = (0..dimension)
+        .map(|axis| {
+            let stated = header.spacings.as_ref().map_or(f64::NAN, |s| s[axis]);
+            directions.and_then(|d| d[axis]).unwrap_or(stated)
+        })
+        .collect();
+    let (file_sizes, stated) = (sizes, header.spacings.is_some() || header.directions.is_some());
+    let (sizes, mut spacing) = three_axes(&file_sizes, &spacings, &spatial)?;
+    let mut notes = Vec::new();
+    for (value, axis) in spacing.iter_mut().zip(["x", "y", "z"]) {
+        if value.is_nan() {
+            *value = 1.0;
+            if stated {
+                notes.push(format!("the header says that the spacing along {axis} is not known; 1 is taken"));
+            }
+        }
     }
     let dims = checked_dims(sizes)?;
     let endian = match header.endian {
@@ -83,40 +99,72 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
             element.bytes()
         ),
     };
-    let mut stream = match &header.data_file {
-        None => stream,
-        Some(name) => companions.open(name)?,
+    let data = match &header.several {
+        Some(several) => {
+            let each = [several.voxels_each(&file_sizes)?, 1, 1];
+            let mut all = None;
+            for name in &several.names {
+                let stream = companions.open(name)?;
+                append(&mut all, voxels(stream, &header, element, endian, each, &mut notes)?)?;
+            }
+            all.context("the header names no file of voxels")?
+        }
+        None => {
+            let stream = match &header.data_file {
+                None => stream,
+                Some(name) => companions.open(name)?,
+            };
+            voxels(stream, &header, element, endian, dims, &mut notes)?
+        }
     };
+    Ok(Parts { data, dims, spacing, name: None, notes })
+}
+
+/// Reads the voxels of one file, or of one of several.
+fn voxels(
+    mut stream: Stream<'_>,
+    header: &Header,
+    element: Element,
+    endian: Endian,
+    dims: [usize; 3],
+    notes: &mut Vec<String>,
+) -> Result<VolumeData> {
     for _ in 0..header.line_skip {
         if stream.line(MAX_LINE)?.is_none() {
             bail!("{}the header says to skip {} lines, there are fewer", stream.prefix(), header.line_skip);
         }
     }
-    if encoding == Encoding::Gzip {
-        stream = stream.gunzip();
-    }
+    stream = match header.encoding {
+        Some(Encoding::Gzip) => stream.gunzip(),
+        Some(Encoding::Bzip2) => stream.bunzip(),
+        Some(Encoding::Hex | Encoding::Text) if header.byte_skip < 0 => {
+            bail!(
+                "NRRD \"byte skip: {}\" is for binary encodings; state the number of bytes",
+                header.byte_skip
+            )
+        }
+        _ => stream,
+    };
     match u64::try_from(header.byte_skip) {
         Ok(skip) => stream.skip(skip)?,
-        // -1: the voxels are the last bytes of the file.
-        Err(_) if encoding == Encoding::Raw => {
-            let expected = byte_count(dims, element)?;
-            if let Remaining::Exact(left) = stream.remaining() {
-                stream.skip(left.saturating_sub(expected))?;
-            }
+        // -1: the voxels are the last bytes; -5: four bytes follow them.
+        Err(_) => {
+            let behind = header.byte_skip.unsigned_abs() - 1;
+            stream = stream.last(byte_count(dims, element)?, behind)?;
         }
-        Err(_) => bail!("NRRD \"byte skip: -1\" is for raw encoding alone; state the number of bytes"),
     }
-    let data = if encoding == Encoding::Text {
-        parse_voxels(&mut stream, dims, element)?
-    } else {
-        let data = read_voxels(&mut stream, dims, element, endian)?;
-        expect_end(&mut stream, dims, element)?;
-        data
-    };
-    Ok(Parts { data, dims, spacing, name: None })
+    match header.encoding {
+        Some(Encoding::Text) => return parse_voxels(&mut stream, dims, element),
+        Some(Encoding::Hex) => stream = stream.unhex(),
+        _ => {}
+    }
+    let data = read_voxels(&mut stream, dims, element, endian)?;
+    notes.extend(expect_end(&mut stream, dims, element)?);
+    Ok(data)
 }
 
 fn header(stream: &mut Stream<'_>) -> Result<Header> {
+    stream.skip_mark()?;
     let magic = stream.line(MAX_LINE)?.unwrap_or_default();
     match magic.as_slice() {
         [b'N', b'R', b'R', b'D', b'0', b'0', b'0', b'1'..=b'5'] => {}
@@ -156,6 +204,12 @@ fn header(stream: &mut Stream<'_>) -> Result<Header> {
             bail!("NRRD header line {number}: field \"{field}\" stands there twice");
         }
         header.set(&field, value).with_context(|| format!("NRRD header line {number}"))?;
+        if field.replace(' ', "") == "datafile" && value.split_whitespace().next() == Some("LIST") {
+            // Every line that follows is a name.
+            let several = Several::list(value, stream);
+            header.several = Some(several.with_context(|| format!("NRRD header line {number}"))?);
+            break;
+        }
         seen.push(field);
     }
     Ok(header)
@@ -178,8 +232,10 @@ impl Header {
                 self.encoding = Some(match value.to_ascii_lowercase().as_str() {
                     "raw" => Encoding::Raw,
                     "gzip" | "gz" => Encoding::Gzip,
+                    "bzip2" | "bz2" => Encoding::Bzip2,
+                    "hex" => Encoding::Hex,
                     "ascii" | "text" | "txt" => Encoding::Text,
-                    other => bail!("encoding {other:?} is not read; save as raw, gzip or ascii"),
+                    other => bail!("encoding {other:?} is not read; save as raw, gzip, bzip2, hex or ascii"),
                 });
             }
             "endian" => {
@@ -196,22 +252,15 @@ impl Header {
             }
             "byte skip" | "byteskip" => {
                 self.byte_skip = number(field, value)?;
-                if self.byte_skip < -1 {
-                    bail!("\"{field}\" is {value}; accepted are -1 and up");
-                }
             }
             "line skip" | "lineskip" => {
                 self.line_skip = number(field, value)?;
             }
             "data file" | "datafile" => {
-                let several = value.split_whitespace().next() == Some("LIST")
-                    || (value.contains('%') && value.split_whitespace().count() > 1);
-                if several {
-                    bail!("the voxels are spread over several files ({value}); join them into one first");
-                }
                 if value.is_empty() {
                     bail!("\"{field}\" names no file");
                 }
+                self.several = Several::pattern(value)?;
                 self.data_file = Some(value.to_owned());
             }
             _ => {}
@@ -259,7 +308,7 @@ fn numbers<T: std::str::FromStr>(field: &str, value: &str) -> Result<Vec<T>> {
     Ok(found)
 }
 
-/// The lengths of the vectors of "space directions": `(x,y,z)` or `none` per axis.
+/// The lengths of the vectors of "space directions": `(x,y,z)`, or `none` or one of NaN, per axis.
 fn directions(value: &str) -> Result<Vec<Option<f64>>> {
     let mut found = Vec::new();
     let mut rest = value.trim();
@@ -279,7 +328,7 @@ fn directions(value: &str) -> Result<Vec<Option<f64>>> {
         for word in inner.split(',') {
             length = length.hypot(number::<f64>("space directions", word.trim())?);
         }
-        found.push(Some(length));
+        found.push(Some(length).filter(|length| !length.is_nan()));
         rest = after.trim_start();
     }
     Ok(found)
@@ -342,7 +391,7 @@ mod tests {
     fn lies_are_named_with_what_was_expected_and_found() {
         for (bytes, expected) in [
             (with(PLAIN, &[0; 23]), "need 24 bytes, the file has 23"),
-            (with(PLAIN, &[0; 25]), "need 24 bytes, the data has 25"),
+            (with(PLAIN, &[0; 48]), "need 24 bytes, the data has 48"),
             (
                 with(&PLAIN.replace("2 3 4", "10000 10000 10000"), &[0; 100]),
                 "need 1000000000000 bytes, the file has 100",
@@ -358,16 +407,26 @@ mod tests {
             (with(&PLAIN.replace("2 3 4", "2 0 4"), &[]), "size along y is 0"),
             (with(&PLAIN.replace("2 3 4", "2 -3 4"), &[]), "\"-3\" where a number"),
             (with(&PLAIN.replace("2 3 4", "2 3"), &[]), "\"sizes\" has 2 entries, \"dimension\" says 3"),
-            (with(&format!("{PLAIN}spacings: 1 nan 1\n"), &[0; 24]), "must be positive numbers"),
             (with(&format!("{PLAIN}spacings: 1 0 1\n"), &[0; 24]), "finite and positive"),
             (with(&format!("{PLAIN}spacings: 1 -1 1\n"), &[0; 24]), "finite and positive"),
             (with(&format!("{PLAIN}sizes: 2 3 4\n"), &[0; 24]), "stands there twice"),
             (with(&format!("{PLAIN}data file: gone.raw\n"), &[]), "gone.raw"),
-            (with(&format!("{PLAIN}data file: LIST\na\nb\n"), &[]), "several files"),
+            (
+                with(&format!("{PLAIN}data file: LIST\na\nb\n"), &[]),
+                "over 4 files of 2 axes each, 2 are named",
+            ),
+            (with(&format!("{PLAIN}data file: LIST\n"), &[]), "followed by no file name"),
+            (with(&format!("{PLAIN}data file: a%s 1 4 1\n"), &[]), "no pattern of file names"),
+            (
+                with(&format!("{PLAIN}byte skip: -3\n"), &[0; 25]),
+                "last 24 bytes before 2 others, there are 25",
+            ),
+            (with(&PLAIN.replace("raw", "hex"), b"00 0x"), "can hold 2 at most"),
+            (with(&PLAIN.replace("raw", "hex"), &[b'x'; 48]), "no hexadecimal digit"),
             (with(&format!("{PLAIN}kinds: vector space space\n"), &[0; 24]), "axis 0 holds 2"),
             (with(&PLAIN.replace("uint8", "short"), &[0; 48]), "no \"endian\""),
             (with(&PLAIN.replace("uint8", "block"), &[0; 48]), "type \"block\" is not read"),
-            (with(&PLAIN.replace("raw", "bzip2"), &[0; 48]), "save as raw, gzip or ascii"),
+            (with(&PLAIN.replace("raw", "zrl"), &[0; 48]), "save as raw, gzip, bzip2, hex or ascii"),
             (with("dimension: 3\n", &[]), "no \"type\" field"),
             (with("what is this\n", &[]), "line 2 is neither"),
             (b"NRRD0009\n".to_vec(), "version \"NRRD0009\""),
@@ -390,7 +449,13 @@ mod tests {
         };
         let gzip = PLAIN.replace("raw", "gzip");
         assert_eq!(open(&with(&gzip, &pack(&[7; 24]))).unwrap().data(), &VolumeData::U8(vec![7; 24]));
-        assert!(message(&with(&gzip, &pack(&[7; 1 << 24]))).contains("the data has more"));
+        assert!(message(&with(&gzip, &pack(&[7; 1 << 24]))).contains("the data has 48 or more"));
+        // What the end is looked for in is held no longer than it is needed.
+        let end: Vec<u8> = (0..1 << 22).map(|i| (i % 251) as u8).collect();
+        let last = open(&with(&format!("{gzip}byte skip: -3\n"), &pack(&end))).unwrap();
+        assert_eq!(last.data(), &VolumeData::U8(end[end.len() - 26..end.len() - 2].to_vec()));
+        let behind = open(&with(&gzip, &pack(&[7; 25]))).unwrap();
+        assert!(behind.notes()[0].contains("1 bytes behind the 24 bytes"), "{:?}", behind.notes());
         assert!(message(&with(&gzip, &pack(&[7; 20]))).contains("end after 20 of 24 bytes"));
         let whole = pack(&(0..24).collect::<Vec<u8>>());
         assert!(message(&with(&gzip, &whole[..whole.len() - 12])).contains("of 24"));

@@ -6,10 +6,11 @@
 //! `.raw` file of its own name; a `.raw` finds the `.json` of its own name, with or without the
 //! `_256x256x256_uint8` behind the name. A `.raw` file without a description is read when its name has that
 //! part. `"endian"` (or `"byte_order"`) is `little` where it is not stated; `.raw.gz` is decompressed.
+//! Endings may stand in capitals.
 
 use super::element::{expect_end, read_voxels};
-use super::stream::{Companions, Stream};
-use super::{Element, Endian, Parts, checked_dims, three_axes};
+use super::stream::{Companions, Stream, without_mark};
+use super::{Element, Endian, Parts, checked_dims, strip_ending, three_axes};
 use anyhow::{Context, Result, bail};
 use serde_json::Value;
 
@@ -31,11 +32,12 @@ pub(super) fn read_json(
     companions: &dyn Companions,
 ) -> Result<Parts> {
     let description = describe(&mut stream)?;
-    let own = file_name.strip_suffix(".json").unwrap_or(file_name);
+    let own = strip_ending(file_name, ".json").unwrap_or(file_name);
     let mut candidates = description.files.clone();
     candidates.extend([format!("{own}.raw"), own.to_owned(), format!("{own}.raw.gz")]);
     candidates.retain(|name| !name.is_empty() && name != file_name);
-    let mut found = candidates.iter().find(|name| companions.exists(name)).cloned();
+    let capitals = [".RAW", ".raw.GZ", ".RAW.GZ"].map(|ending| format!("{own}{ending}"));
+    let mut found = candidates.iter().chain(&capitals).find(|name| companions.exists(name)).cloned();
     if found.is_none() {
         // <own>_256x256x256_uint8.raw
         let [x, y, z] = description.sizes;
@@ -49,20 +51,22 @@ pub(super) fn read_json(
         );
     };
     let stream = companions.open(&name)?;
-    voxels(stream, name.ends_with(".gz"), description)
+    voxels(stream, strip_ending(&name, ".gz").is_some(), description)
 }
 
 /// Reads the voxels from the stream and the description from a file beside it, or from the file's name.
 pub(super) fn read_raw(stream: Stream<'_>, file_name: &str, companions: &dyn Companions) -> Result<Parts> {
-    let packed = file_name.ends_with(".gz");
-    let base = file_name.strip_suffix(".gz").unwrap_or(file_name);
-    let own = base.strip_suffix(".raw").unwrap_or(base);
+    let unpacked = strip_ending(file_name, ".gz");
+    let packed = unpacked.is_some();
+    let base = unpacked.unwrap_or(file_name);
+    let own = strip_ending(base, ".raw").unwrap_or(base);
     let from_name = parse_name(own);
     let mut candidates = vec![format!("{own}.json"), format!("{base}.json")];
     if let Some((short, ..)) = from_name {
         candidates.push(format!("{short}.json"));
     }
-    if let Some(name) = candidates.iter().find(|name| companions.exists(name)) {
+    let capitals = format!("{own}.JSON");
+    if let Some(name) = candidates.iter().chain([&capitals]).find(|name| companions.exists(name)) {
         let mut json = companions.open(name)?;
         let prefix = json.prefix();
         let description = describe(&mut json).with_context(|| prefix.trim_end_matches(": ").to_owned())?;
@@ -93,13 +97,13 @@ fn voxels(mut stream: Stream<'_>, packed: bool, description: Description) -> Res
         stream = stream.gunzip();
     }
     let data = read_voxels(&mut stream, dims, element, endian)?;
-    expect_end(&mut stream, dims, element)?;
-    Ok(Parts { data, dims, spacing, name })
+    let notes = expect_end(&mut stream, dims, element)?.into_iter().collect();
+    Ok(Parts { data, dims, spacing, name, notes })
 }
 
 fn describe(stream: &mut Stream<'_>) -> Result<Description> {
     let bytes = stream.all(MAX_JSON)?;
-    let json: Value = match serde_json::from_slice(&bytes) {
+    let json: Value = match serde_json::from_slice(without_mark(&bytes)) {
         Ok(json) => json,
         Err(error) => bail!("the description is not JSON: {error}"),
     };
@@ -177,6 +181,6 @@ fn element(name: &str) -> Option<Element> {
 fn parse_name(name: &str) -> Option<(&str, [u64; 3], Element)> {
     let (rest, kind) = name.rsplit_once('_')?;
     let (short, sizes) = rest.rsplit_once('_')?;
-    let sizes: Vec<u64> = sizes.split('x').map(|n| n.parse().ok()).collect::<Option<_>>()?;
+    let sizes: Vec<u64> = sizes.split(['x', 'X']).map(|n| n.parse().ok()).collect::<Option<_>>()?;
     Some((short, sizes.try_into().ok()?, element(kind)?))
 }

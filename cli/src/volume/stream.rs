@@ -1,6 +1,7 @@
 //! Byte streams that know how much they can hold, whatever they come from.
 
 use anyhow::{Context, Result, anyhow, bail};
+use bzip2::bufread::MultiBzDecoder;
 use flate2::bufread::{MultiGzDecoder, ZlibDecoder};
 use std::fmt;
 use std::fs::{File, Metadata};
@@ -11,6 +12,18 @@ use std::sync::Arc;
 /// No deflate stream grows by more than this factor when it is decompressed (RFC 1951: 258 bytes from 2 bits,
 /// less the block's own cost).
 const DEFLATE_GROWTH: u64 = 1032;
+
+/// Nor any bzip2 stream by more than this: a block of 900 000 bytes, each five of which stand for 259 at most,
+/// takes more than 14 bytes.
+const BZIP2_GROWTH: u64 = 1 << 22;
+
+/// What some editors put before UTF-8 text.
+const BYTE_ORDER_MARK: [u8; 3] = [0xef, 0xbb, 0xbf];
+
+/// Text without the byte order mark before it, if it has one.
+pub fn without_mark(text: &[u8]) -> &[u8] {
+    text.strip_prefix(&BYTE_ORDER_MARK).unwrap_or(text)
+}
 
 /// How many bytes a stream still holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,6 +119,18 @@ impl<'a> Stream<'a> {
             read: 0,
             label: String::new(),
         }
+    }
+
+    /// Leaves out a byte order mark, if the stream begins with one.
+    ///
+    /// # Errors
+    /// When the stream cannot be read.
+    pub(crate) fn skip_mark(&mut self) -> Result<()> {
+        let prefix = self.prefix();
+        if self.peek().with_context(|| format!("{prefix}reading"))?.starts_with(&BYTE_ORDER_MARK) {
+            self.consume(BYTE_ORDER_MARK.len());
+        }
+        Ok(())
     }
 
     /// Gives the stream a name for messages, for a file other than the one that was asked for.
@@ -222,6 +247,74 @@ impl<'a> Stream<'a> {
         Ok(self.decompressed(|reader| Box::new(BufReader::with_capacity(1 << 16, ZlibDecoder::new(reader)))))
     }
 
+    /// The rest of the stream decompressed as bzip2 (one or several streams).
+    pub(crate) fn bunzip(self) -> Stream<'a> {
+        let (Remaining::Exact(packed) | Remaining::AtMost(packed)) = self.remaining;
+        let label = self.label;
+        let reader = BufReader::with_capacity(1 << 16, MultiBzDecoder::new(self.reader));
+        let remaining = Remaining::AtMost(packed.saturating_mul(BZIP2_GROWTH));
+        Stream { reader: Box::new(reader), remaining, read: 0, label }
+    }
+
+    /// The bytes that the rest of the stream spells in pairs of hexadecimal digits, blanks left out.
+    pub(crate) fn unhex(self) -> Stream<'a> {
+        let (Remaining::Exact(digits) | Remaining::AtMost(digits)) = self.remaining;
+        let label = self.label;
+        let reader = BufReader::with_capacity(1 << 16, Hexadecimal { inner: self.reader });
+        Stream { reader: Box::new(reader), remaining: Remaining::AtMost(digits / 2), read: 0, label }
+    }
+
+    /// What is left but for all before the last `count` bytes and the `behind` bytes that follow them; memory
+    /// grows with the bytes that really arrive.
+    ///
+    /// # Errors
+    /// When less is left.
+    pub(crate) fn last(mut self, count: u64, behind: u64) -> Result<Stream<'a>> {
+        let keep = count.saturating_add(behind);
+        let short = |found: u64, prefix: String| {
+            anyhow!(
+                "{prefix}the voxels are said to be the last {count} bytes before {behind} others, there are \
+                 {found}; the file is cut short or its header is wrong"
+            )
+        };
+        if let Remaining::Exact(left) = self.remaining {
+            if left < keep {
+                return Err(short(left, self.prefix()));
+            }
+            self.skip(left - keep)?;
+            self.reader = Box::new(self.reader.take(count));
+            self.remaining = Remaining::Exact(count);
+            return Ok(self);
+        }
+        let mut held: Vec<u8> = Vec::new();
+        let mut found = 0u64;
+        loop {
+            let prefix = self.prefix();
+            let part = self.peek().with_context(|| format!("{prefix}looking for the end of the data"))?;
+            let length = part.len();
+            if length == 0 {
+                break;
+            }
+            if held.try_reserve(length).is_err() {
+                bail!("{prefix}{} bytes do not fit into this machine's memory", held.len() + length);
+            }
+            held.extend_from_slice(part);
+            self.consume(length);
+            found += length as u64;
+            // Half of it is old: moving the rest costs no more than reading it did.
+            if held.len() as u64 / 2 > keep.max(1 << 16) {
+                held.drain(..held.len() - keep as usize);
+            }
+        }
+        if found < keep {
+            return Err(short(found, self.prefix()));
+        }
+        held.drain(..held.len() - keep as usize);
+        held.truncate(count as usize);
+        let remaining = Remaining::Exact(count);
+        Ok(Stream { reader: Box::new(io::Cursor::new(held)), remaining, read: 0, label: self.label })
+    }
+
     fn decompressed(
         self,
         decompress: impl FnOnce(Box<dyn BufRead + 'a>) -> Box<dyn BufRead + 'a>,
@@ -233,6 +326,53 @@ impl<'a> Stream<'a> {
             read: 0,
             label: self.label,
         }
+    }
+}
+
+/// Bytes from pairs of hexadecimal digits.
+struct Hexadecimal<R> {
+    inner: R,
+}
+
+impl<R: BufRead> Read for Hexadecimal<R> {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let mut filled = 0;
+        let mut high = None;
+        while filled < out.len() {
+            let part = match self.inner.fill_buf() {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                part => part?,
+            };
+            if part.is_empty() {
+                if high.is_some() {
+                    return Err(io::Error::new(io::ErrorKind::InvalidData, "a hexadecimal digit is missing"));
+                }
+                break;
+            }
+            let mut used = 0;
+            for &byte in part {
+                used += 1;
+                if byte.is_ascii_whitespace() {
+                    continue;
+                }
+                let Some(digit) = char::from(byte).to_digit(16) else {
+                    let found = format!("{:?} is no hexadecimal digit", char::from(byte));
+                    return Err(io::Error::new(io::ErrorKind::InvalidData, found));
+                };
+                match high.take() {
+                    None => high = Some(digit),
+                    Some(high) => {
+                        out[filled] = (high * 16 + digit) as u8;
+                        filled += 1;
+                        if filled == out.len() {
+                            break;
+                        }
+                    }
+                }
+            }
+            self.inner.consume(used);
+        }
+        Ok(filled)
     }
 }
 
@@ -307,7 +447,7 @@ pub trait Companions {
     /// Whether there is a file of that name.
     fn exists(&self, name: &str) -> bool;
 
-    /// The names that end in `suffix`, sorted; for formats whose header does not name its data.
+    /// The names that end in `suffix`, in capitals or not, sorted; for formats whose header does not name its data.
     fn ending_in(&self, suffix: &str) -> Vec<String>;
 }
 
@@ -355,7 +495,7 @@ impl Companions for Folder {
             .flatten()
             .flatten()
             .filter_map(|entry| entry.file_name().into_string().ok())
-            .filter(|name| name.ends_with(suffix))
+            .filter(|name| super::strip_ending(name, suffix).is_some())
             .collect();
         names.sort();
         names

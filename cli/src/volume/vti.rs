@@ -1,14 +1,17 @@
-//! VTK XML image data (`.vti`): ascii, base64 in place, appended raw or base64, with or without zlib blocks.
+//! VTK XML image data (`.vti`): ascii, base64 in place, appended raw or base64, in zlib or LZ4 blocks or none, in
+//! one piece or several.
 //!
-//! The active scalar array of the point data is read, else the first array with one component; where there is
-//! no point data, the same of the cell data. Direction and origin are not used.
+//! Of the arrays, in this order: the one that is asked for by name; the active scalars of the points, else of the
+//! cells; the first of the points, else of the cells, that has one component of numbers, in the order of the file.
+//! Arrays that VTK keeps for itself (`vtkGhostType` and the like) are read by name alone. Direction and origin are
+//! not used.
 //!
 //! The project's own reader: `vtkio` reads no appended raw data, which is what VTK writes by default
 //! (`lab/scripts/readers`).
 
-use super::element::{byte_count, parse_voxels, read_voxels};
-use super::stream::Stream;
-use super::{Element, Endian, Parts, checked_dims};
+use super::element::{byte_count, grow, parse_voxels, read_voxels};
+use super::stream::{Stream, without_mark};
+use super::{Element, Endian, Parts, VolumeData, checked_dims};
 use anyhow::{Context, Result, bail};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -34,42 +37,180 @@ enum Place {
     Appended(u64),
 }
 
+/// Arrays that VTK keeps for itself, which are never the volume unless they are asked for by name.
+const RESERVED: [&str; 8] = [
+    "vtkGhostType",
+    "vtkGhostLevels",
+    "vtkValidPointMask",
+    "vtkOriginalPointIds",
+    "vtkOriginalCellIds",
+    "vtkOriginalIndices",
+    "vtkInsidedness",
+    "vtkProcessId",
+];
+
+/// More pieces than any writer makes.
+const MAX_PIECES: usize = 1 << 12;
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Compressor {
+    None,
+    Zlib,
+    Lz4,
+}
+
 /// The arrays of the point or cell data.
 #[derive(Default)]
 struct Section {
     active: Option<String>,
+    /// Of numbers that name points or cells.
+    ids: Vec<String>,
     arrays: Vec<Array>,
+}
+
+struct Piece {
+    extent: [i64; 6],
+    points: Section,
+    cells: Section,
 }
 
 struct File {
     big_endian: bool,
     wide_header: bool,
-    compressed: bool,
+    compressor: Compressor,
     extent: [i64; 6],
     spacing: [f64; 3],
-    points: Section,
-    cells: Section,
+    pieces: Vec<Piece>,
     /// Encoding and first byte behind the underscore.
     appended: Option<(bool, usize)>,
 }
 
-pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
+pub(super) fn read(mut stream: Stream<'_>, name: Option<&str>) -> Result<Parts> {
     let bytes = stream.all(u64::MAX - 1)?;
-    let file = parse(&bytes)?;
-    let (section, cells) =
-        if file.points.arrays.is_empty() { (&file.cells, true) } else { (&file.points, false) };
-    let array = choose(section)?;
-    let shown = array.name.as_deref().unwrap_or("unnamed").to_owned();
+    let bytes = without_mark(&bytes);
+    let mut file = parse(bytes)?;
+    file.pieces.retain(|piece| !piece.points.arrays.is_empty() || !piece.cells.arrays.is_empty());
+    let Some(first) = file.pieces.first() else {
+        bail!("the file has no point or cell data array");
+    };
+    let mut notes = Vec::new();
+    let (array, cells) = choose(first, name, &mut notes)?;
+    if let [piece] = &file.pieces[..] {
+        let dims = checked_dims(sizes(piece.extent, cells)?)?;
+        let data = voxels(bytes, &file, array, dims)?;
+        return Ok(Parts { data, dims, spacing: file.spacing, name: None, notes });
+    }
+    // Pieces share the points of their borders; each voxel comes from one of them at least.
+    let dims = checked_dims(sizes(file.extent, cells)?)?;
+    // No more than a single piece of the whole file could hold: pieces that share their data make no volume.
+    let growth = match file.compressor {
+        Compressor::None => 8,
+        Compressor::Zlib => 1032,
+        Compressor::Lz4 => LZ4_GROWTH,
+    };
+    let most = (bytes.len() as u64).saturating_mul(growth);
+    let mut needed = 0u64;
+    let mut parts = Vec::new();
+    for piece in &file.pieces {
+        let section = if cells { &piece.cells } else { &piece.points };
+        let Some(own) = section.arrays.iter().find(|own| own.name == array.name) else {
+            bail!("array {:?} is not in every piece of the file", shown(array));
+        };
+        if own.components != 1 || own.element != array.element {
+            bail!("array {:?} has another type in another piece of the file", shown(array));
+        }
+        let part = checked_dims(sizes(piece.extent, cells)?)?;
+        let mut at = [0usize; 3];
+        for axis in 0..3 {
+            let from = piece.extent[2 * axis].checked_sub(file.extent[2 * axis]);
+            let from = from.and_then(|from| usize::try_from(from).ok());
+            match from.filter(|from| from.checked_add(part[axis]).is_some_and(|end| end <= dims[axis])) {
+                Some(from) => at[axis] = from,
+                None => bail!(
+                    "a piece of extent {:?} lies outside of WholeExtent {:?}",
+                    piece.extent,
+                    file.extent
+                ),
+            }
+        }
+        needed = needed.saturating_add(byte_count(part, array.element.unwrap_or(Element::U8))?);
+        if needed > most {
+            bail!("the pieces need {needed} bytes, the file can hold {most} at most; is it cut short?");
+        }
+        parts.push((voxels(bytes, &file, own, part)?, at, part));
+    }
+    let total = dims[0] * dims[1] * dims[2];
+    let stored = parts.iter().map(|(data, ..)| data.len()).fold(0, usize::saturating_add);
+    if stored < total {
+        bail!(
+            "the pieces hold {stored} of the {total} voxels of WholeExtent; are some of them in other files?"
+        );
+    }
+    let data = joined(&parts, dims)?;
+    Ok(Parts { data, dims, spacing: file.spacing, name: None, notes })
+}
+
+fn shown(array: &Array) -> &str {
+    array.name.as_deref().unwrap_or("unnamed")
+}
+
+/// Points along each axis of an extent, or cells.
+fn sizes(extent: [i64; 6], cells: bool) -> Result<[u64; 3]> {
     let mut sizes = [0u64; 3];
     for axis in 0..3 {
-        let (low, high) = (file.extent[2 * axis], file.extent[2 * axis + 1]);
+        let (low, high) = (extent[2 * axis], extent[2 * axis + 1]);
         let cells_along = high.checked_sub(low).filter(|n| *n >= 0);
         let Some(n) = cells_along else {
             bail!("VTK extent along {} is {low} to {high}, which holds no voxel", ["x", "y", "z"][axis]);
         };
         sizes[axis] = if cells { n as u64 } else { (n as u64).saturating_add(1) };
     }
-    let dims = checked_dims(sizes)?;
+    Ok(sizes)
+}
+
+/// Voxels of a piece, where it begins and its size.
+type Part = (VolumeData, [usize; 3], [usize; 3]);
+
+/// Puts the voxels of pieces to their places; all of them have the same type.
+fn joined(parts: &[Part], dims: [usize; 3]) -> Result<VolumeData> {
+    macro_rules! place {
+        ($variant:ident, $zero:expr) => {{
+            let total = dims[0] * dims[1] * dims[2];
+            let (mut all, mut there) = (Vec::new(), Vec::new());
+            if all.try_reserve_exact(total).is_err() || there.try_reserve_exact(total).is_err() {
+                bail!("{total} voxels do not fit into this machine's memory; scale the volume down");
+            }
+            all.resize(total, $zero);
+            there.resize(total, false);
+            for (data, at, part) in parts {
+                let VolumeData::$variant(data) = data else {
+                    bail!("the pieces hold voxels of different types");
+                };
+                for (row, values) in data.chunks_exact(part[0]).enumerate() {
+                    let (y, z) = (at[1] + row % part[1], at[2] + row / part[1]);
+                    let from = (z * dims[1] + y) * dims[0] + at[0];
+                    all[from..from + part[0]].copy_from_slice(values);
+                    there[from..from + part[0]].fill(true);
+                }
+            }
+            let missing = there.iter().filter(|there| !**there).count();
+            if missing > 0 {
+                bail!("no piece of the file holds {missing} of the {total} voxels of WholeExtent");
+            }
+            VolumeData::$variant(all)
+        }};
+    }
+    Ok(match parts.first().map(|(data, ..)| data) {
+        Some(VolumeData::U8(_)) | None => place!(U8, 0),
+        Some(VolumeData::U16(_)) => place!(U16, 0),
+        Some(VolumeData::I16(_)) => place!(I16, 0),
+        Some(VolumeData::F32(_)) => place!(F32, 0.0),
+    })
+}
+
+/// The voxels of an array.
+fn voxels(bytes: &[u8], file: &File, array: &Array, dims: [usize; 3]) -> Result<VolumeData> {
+    let shown = shown(array);
     let Some(element) = array.element else {
         bail!(
             "array {shown:?} has type {:?}, which is not read; accepted are Int8 to UInt64, Float32 and \
@@ -79,7 +220,7 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
     };
     let endian = if file.big_endian { Endian::Big } else { Endian::Little };
     let expected = byte_count(dims, element)?;
-    let data = match &array.place {
+    match &array.place {
         Place::Ascii(range) => {
             let mut text = Stream::from_bytes(&bytes[range.clone()]);
             parse_voxels(&mut text, dims, element)
@@ -106,10 +247,10 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
                     Cow::Owned(decode_base64(&bytes[range.clone()])?)
                 }
             };
-            let voxels = if file.compressed {
-                decompress(&stored, &file, expected)?
+            let voxels = if file.compressor != Compressor::None {
+                decompress(&stored, file, expected)?
             } else {
-                let (header, rest) = word(&stored, &file)?;
+                let (header, rest) = word(&stored, file)?;
                 if header != expected {
                     bail!(
                         "array {shown:?} has {header} bytes, {} x {} x {} voxels of {} bytes need {expected}",
@@ -124,34 +265,85 @@ pub(super) fn read(mut stream: Stream<'_>) -> Result<Parts> {
             read_voxels(&mut Stream::from_bytes(&voxels), dims, element, endian)
         }
     }
-    .with_context(|| format!("array {shown:?}"))?;
-    Ok(Parts { data, dims, spacing: file.spacing, name: None })
+    .with_context(|| format!("array {shown:?}"))
 }
 
-/// The active array, else the first with one component.
-fn choose(section: &Section) -> Result<&Array> {
-    if let Some(active) = &section.active {
-        match section.arrays.iter().find(|array| array.name.as_ref() == Some(active)) {
-            Some(array) if array.components == 1 => return Ok(array),
-            Some(array) => bail!(
-                "the active scalar array {active:?} has {} components per voxel; one is accepted, save one \
-                 component or its magnitude",
+impl Section {
+    /// Whether an array may be the volume without being asked for.
+    fn offers(&self, array: &Array) -> bool {
+        // What begins with vtk and a capital is VTK's own.
+        let own = |name: &String| {
+            name.strip_prefix("vtk").is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_uppercase()))
+                || self.ids.contains(name)
+        };
+        array.components == 1 && array.element.is_some() && !array.name.as_ref().is_some_and(own)
+    }
+
+    /// The active scalars, unless they are VTK's own.
+    fn active(&self) -> Option<&String> {
+        self.active.as_ref().filter(|name| !RESERVED.contains(&name.as_str()))
+    }
+}
+
+/// The array to read, and whether it is of the cells.
+fn choose<'a>(piece: &'a Piece, name: Option<&str>, notes: &mut Vec<String>) -> Result<(&'a Array, bool)> {
+    let sections = [(&piece.points, false), (&piece.cells, true)];
+    let all = || sections.iter().flat_map(|&(s, cells)| s.arrays.iter().map(move |array| (s, array, cells)));
+    let names = |of: &dyn Fn(&Section, &Array) -> bool| {
+        let names: Vec<_> =
+            all().filter(|(s, a, _)| of(s, a)).map(|(_, a, _)| format!("{:?}", shown(a))).collect();
+        if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+    };
+    if let Some(name) = name {
+        return match all().find(|(_, array, _)| array.name.as_deref() == Some(name)) {
+            Some((_, array, cells)) if array.components == 1 => Ok((array, cells)),
+            Some((_, array, _)) => bail!(
+                "array {name:?} has {} components per voxel; one is accepted, save one component or its magnitude",
                 array.components
             ),
-            None => bail!("the active scalar array {active:?} is not in the file"),
+            None => bail!("array {name:?} is not in the file; it has {}", names(&|_, _| true)),
+        };
+    }
+    let mut refused = None;
+    for (section, cells) in sections {
+        let Some(active) = section.active() else { continue };
+        match section.arrays.iter().find(|array| array.name.as_ref() == Some(active)) {
+            Some(array) if array.components == 1 => return Ok((array, cells)),
+            found => refused = refused.or(Some((active, found))),
         }
     }
-    match section.arrays.iter().find(|array| array.components == 1) {
-        Some(array) => Ok(array),
-        None => match section.arrays.first() {
-            Some(array) => bail!(
-                "array {:?} has {} components per voxel; one is accepted, save one component or its \
-                 magnitude",
-                array.name.as_deref().unwrap_or("unnamed"),
-                array.components
-            ),
-            None => bail!("the file has no point or cell data array"),
-        },
+    match refused {
+        Some((active, Some(array))) => bail!(
+            "the active scalar array {active:?} has {} components per voxel; one is accepted, save one \
+             component or its magnitude, or make another array the active one (with one component: {})",
+            array.components,
+            names(&Section::offers)
+        ),
+        Some((active, None)) => bail!("the active scalar array {active:?} is not in the file"),
+        None => {}
+    }
+    let mut offered = all().filter(|(section, array, _)| section.offers(array));
+    if let Some((_, array, cells)) = offered.next() {
+        if offered.next().is_some() {
+            notes.push(format!(
+                "no array is marked as the active scalars; {:?} is read, the first of {}",
+                shown(array),
+                names(&Section::offers)
+            ));
+        }
+        return Ok((array, cells));
+    }
+    match all().find(|(_, array, _)| array.components != 1).or_else(|| all().next()) {
+        Some((_, array, _)) if array.components != 1 => bail!(
+            "array {:?} has {} components per voxel; one is accepted, save one component or its magnitude",
+            shown(array),
+            array.components
+        ),
+        Some(_) => bail!(
+            "the file has no array of numbers but those that VTK keeps for itself ({})",
+            names(&|_, _| true)
+        ),
+        None => bail!("the file has no point or cell data array"),
     }
 }
 
@@ -159,16 +351,14 @@ fn parse(bytes: &[u8]) -> Result<File> {
     let mut file = File {
         big_endian: false,
         wide_header: false,
-        compressed: false,
+        compressor: Compressor::None,
         extent: [0, -1, 0, -1, 0, -1],
         spacing: [1.0; 3],
-        points: Section::default(),
-        cells: Section::default(),
+        pieces: Vec::new(),
         appended: None,
     };
     let mut reader = Reader::from_reader(bytes);
     let mut path: Vec<String> = Vec::new();
-    let mut pieces = 0;
     let mut extent_found = false;
     loop {
         let event = match reader.read_event() {
@@ -205,10 +395,15 @@ fn parse(bytes: &[u8]) -> Result<File> {
                     Some("UInt64") => true,
                     Some(other) => bail!("header_type is {other:?}; accepted are UInt32 and UInt64"),
                 };
-                file.compressed = match attribute(tag, "compressor")?.as_deref() {
-                    None | Some("") => false,
-                    Some("vtkZLibDataCompressor") => true,
-                    Some(other) => bail!("compressor {other:?} is not read; save with zlib or none"),
+                file.compressor = match attribute(tag, "compressor")?.as_deref() {
+                    None | Some("") => Compressor::None,
+                    Some("vtkZLibDataCompressor") => Compressor::Zlib,
+                    Some("vtkLZ4DataCompressor") => Compressor::Lz4,
+                    Some(other) => bail!(
+                        "compressor {other:?} is not read; accepted are vtkZLibDataCompressor, \
+                         vtkLZ4DataCompressor and none: read the file with VTK's vtkXMLImageDataReader and write \
+                         it with vtkXMLImageDataWriter after its SetCompressorTypeToZLib()"
+                    ),
                 };
             }
             (None, other) => bail!("not a VTK XML file: its first element is {other:?}, not VTKFile"),
@@ -222,25 +417,29 @@ fn parse(bytes: &[u8]) -> Result<File> {
                 }
             }
             (Some("ImageData"), "Piece") => {
-                pieces += 1;
-                if pieces > 1 {
-                    bail!("the image is stored in several pieces; save it as one");
-                }
+                let mut extent = file.extent;
                 if let Some(text) = attribute(tag, "Extent")? {
-                    file.extent = numbers("Extent", &text)?;
+                    extent = numbers("Extent", &text)?;
                     extent_found = true;
                 }
+                if file.pieces.len() == MAX_PIECES {
+                    bail!("the image is stored in more than {MAX_PIECES} pieces; save it as one");
+                }
+                file.pieces.push(Piece { extent, points: Section::default(), cells: Section::default() });
             }
-            (Some("Piece"), "PointData") => {
-                file.points.active = attribute(tag, "Scalars")?.filter(|n| !n.is_empty())
-            }
-            (Some("Piece"), "CellData") => {
-                file.cells.active = attribute(tag, "Scalars")?.filter(|n| !n.is_empty())
+            (Some("Piece"), section @ ("PointData" | "CellData")) => {
+                if let Some(section) = file.section(section) {
+                    section.active = attribute(tag, "Scalars")?.filter(|n| !n.is_empty());
+                    for key in ["GlobalIds", "PedigreeIds", "ProcessIds"] {
+                        section.ids.extend(attribute(tag, key)?);
+                    }
+                }
             }
             (Some(section @ ("PointData" | "CellData")), "DataArray") => {
-                let points = section == "PointData";
                 let array = array(tag, bytes, position, empty)?;
-                if points { &mut file.points } else { &mut file.cells }.arrays.push(array);
+                if let Some(section) = file.section(section) {
+                    section.arrays.push(array);
+                }
             }
             (Some("VTKFile"), "AppendedData") if !empty => {
                 let base64 = match attribute(tag, "encoding")?.as_deref() {
@@ -271,6 +470,14 @@ fn parse(bytes: &[u8]) -> Result<File> {
         bail!("the file has no ImageData with a WholeExtent; is it cut short?");
     }
     Ok(file)
+}
+
+impl File {
+    /// A section of the piece that is being read.
+    fn section(&mut self, name: &str) -> Option<&mut Section> {
+        let piece = self.pieces.last_mut()?;
+        Some(if name == "PointData" { &mut piece.points } else { &mut piece.cells })
+    }
 }
 
 fn array(tag: &BytesStart<'_>, bytes: &[u8], position: usize, empty: bool) -> Result<Array> {
@@ -386,7 +593,10 @@ fn word<'a>(bytes: &'a [u8], file: &File) -> Result<(u64, &'a [u8])> {
     })
 }
 
-/// Decompresses zlib blocks: a header of block count, block size, size of the last block (0: a full one) and
+/// No LZ4 block grows by more than this factor.
+const LZ4_GROWTH: u64 = 255;
+
+/// Decompresses blocks: a header of block count, block size, size of the last block (0: a full one) and
 /// the packed sizes, then the blocks.
 fn decompress<'a>(bytes: &[u8], file: &File, expected: u64) -> Result<Cow<'a, [u8]>> {
     let (blocks, rest) = word(bytes, file)?;
@@ -417,6 +627,25 @@ fn decompress<'a>(bytes: &[u8], file: &File, expected: u64) -> Result<Cow<'a, [u
         packed = more;
         let wanted = if index + 1 == blocks && last != 0 { last } else { block };
         let before = out.len() as u64;
+        if file.compressor == Compressor::Lz4 {
+            if wanted > (this.len() as u64).saturating_mul(LZ4_GROWTH) {
+                bail!(
+                    "compressed block {index} of {blocks} has {} bytes, which cannot hold the {wanted} that its \
+                     header says",
+                    this.len()
+                );
+            }
+            grow(&mut out, wanted as usize, expected as usize)?;
+            let from = out.len();
+            out.resize(from + wanted as usize, 0);
+            match lz4_flex::block::decompress_into(this, &mut out[from..]) {
+                Ok(got) if got as u64 == wanted => continue,
+                Ok(got) => bail!(
+                    "compressed block {index} of {blocks} decompresses to {got} bytes, its header says {wanted}"
+                ),
+                Err(error) => bail!("compressed block {index} of {blocks} is damaged: {error}"),
+            }
+        }
         // One byte more than wanted shows a block that holds too much.
         if let Err(error) = ZlibDecoder::new(this).take(wanted.saturating_add(1)).read_to_end(&mut out) {
             bail!("compressed block {index} of {blocks} is damaged: {error}");

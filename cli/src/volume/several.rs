@@ -1,0 +1,190 @@
+//! Voxels that are spread over several files: their names, and how much each of them holds.
+
+use super::VolumeData;
+use super::stream::Stream;
+use anyhow::{Context, Result, bail, ensure};
+
+/// Most files of one volume.
+const MAX_FILES: usize = 1 << 16;
+const MAX_LINE: usize = 1 << 16;
+
+/// Several files, in the order of the voxels.
+#[derive(Debug, PartialEq)]
+pub(super) struct Several {
+    pub(super) names: Vec<String>,
+    /// Axes that each file holds; one less than there are where it is not stated. As many as there are: slabs
+    /// of the slowest axis.
+    pub(super) axes: Option<usize>,
+}
+
+impl Several {
+    /// From `LIST [axes]`, with the names in the lines that follow in the header.
+    pub(super) fn list(value: &str, stream: &mut Stream<'_>) -> Result<Self> {
+        let axes = match value.split_whitespace().nth(1) {
+            // MetaImage writes 2D where NRRD writes 2.
+            Some(word) => Some(whole(word.trim_end_matches(['d', 'D']))? as usize),
+            None => None,
+        };
+        let mut names = Vec::new();
+        while let Some(line) = stream.line(MAX_LINE)? {
+            let name = String::from_utf8_lossy(&line).trim().to_owned();
+            if !name.is_empty() {
+                ensure!(names.len() < MAX_FILES, "LIST names more than {MAX_FILES} files");
+                names.push(name);
+            }
+        }
+        ensure!(!names.is_empty(), "LIST is followed by no file name; each stands on a line of its own");
+        Ok(Self { names, axes })
+    }
+
+    /// From `pattern first last step [axes]`; `None` where that is the name of one file.
+    pub(super) fn pattern(value: &str) -> Result<Option<Self>> {
+        let words: Vec<&str> = value.split_whitespace().collect();
+        let numbers = words.get(1..).is_some_and(|n| !n.is_empty() && n.iter().all(|w| whole(w).is_ok()));
+        if !numbers || !words[0].contains('%') {
+            return Ok(None);
+        }
+        if !(4..=5).contains(&words.len()) {
+            bail!("{value:?} is no pattern of file names; accepted is \"name%03d.raw FIRST LAST STEP\"");
+        }
+        let (first, last, step) = (whole(words[1])?, whole(words[2])?, whole(words[3])?);
+        let axes = words.get(4).map(|word| whole(word)).transpose()?.map(|n| n as usize);
+        let span = last - first;
+        ensure!(
+            step != 0 && (span == 0 || (span > 0) == (step > 0)),
+            "{value:?}: steps of {step} do not lead from {first} to {last}"
+        );
+        let steps = span / step;
+        ensure!(steps < MAX_FILES as i64, "{value:?} names more than {MAX_FILES} files");
+        let names = (0..=steps).map(|k| numbered(words[0], first + k * step)).collect::<Result<_>>()?;
+        Ok(Some(Self { names, axes }))
+    }
+
+    /// Voxels in each file.
+    pub(super) fn voxels_each(&self, sizes: &[u64]) -> Result<usize> {
+        let product = |sizes: &[u64]| sizes.iter().try_fold(1u64, |p, &n| p.checked_mul(n));
+        let all = product(sizes).context("the sizes in the header multiply to more than can be addressed")?;
+        let files = self.names.len() as u64;
+        let axes = self.axes.unwrap_or(sizes.len().saturating_sub(1));
+        ensure!(
+            (1..=sizes.len()).contains(&axes),
+            "each of the files is said to hold {axes} axes; 1 to {} are possible",
+            sizes.len()
+        );
+        if axes == sizes.len() {
+            let slowest = sizes[axes - 1];
+            ensure!(
+                slowest.is_multiple_of(files),
+                "{files} files cannot hold equal slabs of the last axis, which has {slowest}"
+            );
+            return Ok((all / files) as usize);
+        }
+        let each = product(&sizes[..axes]).unwrap_or(0).max(1);
+        ensure!(
+            all / each == files,
+            "the voxels are spread over {} files of {axes} axes each, {files} are named; are some missing?",
+            all / each
+        );
+        Ok(each as usize)
+    }
+}
+
+fn whole(word: &str) -> Result<i64> {
+    match word.parse::<i32>() {
+        Ok(number) => Ok(i64::from(number)),
+        Err(_) => bail!("{word:?} stands where a whole number is expected"),
+    }
+}
+
+/// A number put in for `%d`, `%03d` and the like.
+fn numbered(pattern: &str, number: i64) -> Result<String> {
+    let mut name = String::new();
+    let mut rest = pattern;
+    let mut put = false;
+    while let Some(at) = rest.find('%') {
+        name.push_str(&rest[..at]);
+        rest = &rest[at + 1..];
+        if let Some(after) = rest.strip_prefix('%') {
+            name.push('%');
+            rest = after;
+            continue;
+        }
+        let end = rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len());
+        let (width, after) = rest.split_at(end);
+        let places: usize = if width.is_empty() { 0 } else { width.parse().unwrap_or(usize::MAX) };
+        if put || places > 64 || !after.starts_with(['d', 'i', 'u']) {
+            bail!("{pattern:?} is no pattern of file names; accepted is one %d, or %03d and the like");
+        }
+        if width.starts_with('0') {
+            name.push_str(&format!("{number:0places$}"));
+        } else {
+            name.push_str(&format!("{number:places$}"));
+        }
+        put = true;
+        rest = &after[1..];
+    }
+    name.push_str(rest);
+    Ok(name)
+}
+
+/// Puts voxels behind others of the same type.
+pub(super) fn append(all: &mut Option<VolumeData>, part: VolumeData) -> Result<()> {
+    fn push<T>(all: &mut Vec<T>, mut part: Vec<T>) -> Result<()> {
+        if all.try_reserve(part.len()).is_err() {
+            bail!("the voxels of all files together do not fit into this machine's memory");
+        }
+        all.append(&mut part);
+        Ok(())
+    }
+    match (all, part) {
+        (all @ None, part) => {
+            *all = Some(part);
+            Ok(())
+        }
+        (Some(VolumeData::U8(all)), VolumeData::U8(part)) => push(all, part),
+        (Some(VolumeData::U16(all)), VolumeData::U16(part)) => push(all, part),
+        (Some(VolumeData::I16(all)), VolumeData::I16(part)) => push(all, part),
+        (Some(VolumeData::F32(all)), VolumeData::F32(part)) => push(all, part),
+        _ => bail!("the files hold voxels of different types"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn patterns_count_in_both_directions_and_fill_with_zeros() {
+        let names = |value: &str| Several::pattern(value).map(|s| s.map(|s| s.names));
+        assert_eq!(names("a%02d.raw 8 10 1").unwrap().unwrap(), ["a08.raw", "a09.raw", "a10.raw"]);
+        assert_eq!(names("%d_%% 5 1 -2 3").unwrap().unwrap(), ["5_%", "3_%", "1_%"]);
+        assert_eq!(names("plain.raw").unwrap(), None);
+        assert_eq!(names("100%.raw").unwrap(), None);
+        assert_eq!(names("100% of it.raw").unwrap(), None);
+        for wrong in [
+            "a%d.raw 1 5 0",
+            "a%d.raw 5 1 1",
+            "a%d.raw 5 4 2",
+            "a%d.raw 1 2",
+            "a%s.raw 1 2 1",
+            "a%d%d.raw 1 2 1",
+            "a%999999d 1 2 1",
+            "a%d 0 2000000000 1",
+        ] {
+            assert!(names(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn every_file_holds_the_same_part_of_the_axes() {
+        let each = |files: usize, axes: Option<usize>| {
+            Several { names: vec![String::new(); files], axes }.voxels_each(&[12, 10, 8])
+        };
+        assert_eq!(each(8, None).unwrap(), 120);
+        assert_eq!(each(80, Some(1)).unwrap(), 12);
+        assert_eq!(each(4, Some(3)).unwrap(), 240);
+        assert!(each(7, None).unwrap_err().to_string().contains("over 8 files of 2 axes each, 7 are named"));
+        assert!(each(3, Some(3)).unwrap_err().to_string().contains("equal slabs"));
+        assert!(each(3, Some(4)).is_err() && each(3, Some(0)).is_err());
+    }
+}
