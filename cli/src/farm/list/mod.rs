@@ -12,7 +12,7 @@ pub use bound::lower_bound;
 pub use exchange::exchange;
 pub use queue::{Span, Timeline, simulate_queue};
 
-use crate::files::read_bytes;
+use crate::files::{decode_text, read_bytes};
 use anyhow::{Context, Result, ensure};
 use entire_core::schedule::{Assignment, assign_longest_first, longest_first};
 use rand_chacha::ChaCha8Rng;
@@ -90,7 +90,8 @@ pub struct Task {
     pub load_s: f64,
 }
 
-/// Reads a task list, JSON where the name ends so, else CSV.
+/// Reads a task list, JSON where the name ends so, else CSV (with commas, or with semicolons or tabs and decimal
+/// commas); UTF-8, or UTF-16 with a byte order mark.
 ///
 /// # Errors
 /// Names the file, the task and what is wrong.
@@ -105,15 +106,8 @@ pub fn read_tasks(path: &Path) -> Result<Vec<Task>> {
 /// # Errors
 /// Names the task and what is wrong.
 pub fn parse_tasks(bytes: &[u8], json: bool) -> Result<Vec<Task>> {
-    let mut tasks: Vec<Task> = if json {
-        serde_json::from_slice(bytes)?
-    } else {
-        csv::ReaderBuilder::new()
-            .trim(csv::Trim::All)
-            .from_reader(bytes)
-            .deserialize()
-            .collect::<std::result::Result<_, _>>()?
-    };
+    let text = decode_text(bytes)?;
+    let mut tasks: Vec<Task> = if json { serde_json::from_str(&text)? } else { parse_csv(&text)? };
     ensure!(!tasks.is_empty(), "it holds no task");
     for (i, t) in tasks.iter_mut().enumerate() {
         if t.task.is_empty() {
@@ -135,6 +129,33 @@ pub fn parse_tasks(bytes: &[u8], json: bool) -> Result<Vec<Task>> {
                 t.task
             );
         }
+    }
+    Ok(tasks)
+}
+
+/// Reads CSV as programs write it, or spreadsheets: with semicolons or tabs where commas stand in numbers.
+fn parse_csv(text: &str) -> Result<Vec<Task>> {
+    let first = text.lines().next().unwrap_or("");
+    let delimiter = [b',', b';', b'\t'].into_iter().find(|&d| first.as_bytes().contains(&d)).unwrap_or(b',');
+    let mut reader =
+        csv::ReaderBuilder::new().trim(csv::Trim::All).delimiter(delimiter).from_reader(text.as_bytes());
+    if delimiter == b',' {
+        return Ok(reader.deserialize().collect::<std::result::Result<_, _>>()?);
+    }
+    let headers = reader.headers()?.clone();
+    let mut tasks = Vec::new();
+    for record in reader.records() {
+        let record = record?;
+        let mut pointed: csv::StringRecord = record
+            .iter()
+            .zip(&headers)
+            .map(|(field, column)| match column {
+                "predicted_s" | "measured_s" | "load_s" => field.replacen(',', ".", 1),
+                _ => field.to_owned(),
+            })
+            .collect();
+        pointed.set_position(record.position().cloned());
+        tasks.push(pointed.deserialize(Some(&headers))?);
     }
     Ok(tasks)
 }

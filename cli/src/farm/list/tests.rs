@@ -39,6 +39,39 @@ fn lists_are_read_in_both_forms_and_every_mistake_is_named() {
 }
 
 #[test]
+fn lists_of_spreadsheets_are_read() {
+    let plain = "task,predicted_s\na,3.5\n\"b, part 2\",1.25\nc,2.0\nd,4.0\n";
+    let right = parse_tasks(plain.as_bytes(), false).unwrap();
+    let names: Vec<&str> = right.iter().map(|t| t.task.as_str()).collect();
+    let seconds: Vec<f64> = right.iter().filter_map(|t| t.predicted_s).collect();
+    assert_eq!((names, seconds), (vec!["a", "b, part 2", "c", "d"], vec![3.5, 1.25, 2.0, 4.0]));
+    let semicolons = "task;predicted_s\na;3,5\nb, part 2;1,25\nc;2,0\nd;4,0\n";
+    let marked = format!("\u{feff}{plain}");
+    let utf16 = |text: &str| text.encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<u8>>();
+    for (bytes, what) in [
+        (semicolons.as_bytes().to_vec(), "semicolons and decimal commas"),
+        (semicolons.replace(';', "\t").into_bytes(), "tabs"),
+        (semicolons.replace(',', ".").replace("b. ", "b, ").into_bytes(), "semicolons and points"),
+        (plain.replace('\n', "\r\n").into_bytes(), "CRLF"),
+        (marked.clone().into_bytes(), "a byte order mark"),
+        (utf16(&marked), "UTF-16"),
+        (utf16(&format!("\u{feff}{}", semicolons.replace(';', "\t"))), "UTF-16 with tabs"),
+    ] {
+        assert_eq!(parse_tasks(&bytes, false).unwrap(), right, "{what}");
+    }
+    let json = "\u{feff}[{\"task\": \"a\", \"predicted_s\": 1.0}]";
+    assert_eq!(parse_tasks(json.as_bytes(), true).unwrap()[0].predicted_s, Some(1.0));
+    for (bytes, expected) in [
+        (&b"task;predicted_s\na;1.234,5\n"[..], "invalid float"),
+        (b"task;speed\na;1\n", "unknown field"),
+        (b"task,predicted_s\n\xe4,1\n", "byte 17 is not UTF-8"),
+    ] {
+        let message = format!("{:#}", parse_tasks(bytes, false).unwrap_err());
+        assert!(message.contains(expected), "{message}");
+    }
+}
+
+#[test]
 fn a_queue_is_as_long_as_its_longest_task_where_that_goes_first() {
     let mut times = vec![1.0; 20];
     times[19] = 100.0;
