@@ -45,6 +45,7 @@ pub enum OrderOption {
 /// Finished images are recorded in NAME.cdb/.farm; --resume goes on after whatever happened.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
+  entire farm job.toml --list
   entire farm job.toml --dry-run --deadline 2h --price 0.4
   entire farm job.toml --slots 2 --report out/farm.html
   entire farm job.toml --engine hyperqueue --slots 16 --python venv/bin/python
@@ -72,6 +73,9 @@ pub struct Options {
     /// Render a coarse subset first: every eighth view at the smallest size and the coarsest step.
     #[arg(long)]
     pub preview: bool,
+    /// Render nothing: print the volume files in the order in which they are taken, with their time steps.
+    #[arg(long, conflicts_with_all = ["dry_run", "openjd", "resume", "report", "save_tasks"])]
+    pub list: bool,
     /// Render nothing: print plan, cost and expected end.
     #[arg(long)]
     pub dry_run: bool,
@@ -151,6 +155,10 @@ pub fn run(options: &Options) -> Result<()> {
         "--overhead is {}; it must be seconds, not negative",
         options.overhead.unwrap_or(f64::NAN)
     );
+    if options.list {
+        print!("{}", job.listing());
+        return Ok(());
+    }
     let base = predict::base(&job)?;
     if options.dry_run {
         return dry_run(&job, base, options);

@@ -1,9 +1,11 @@
 //! The job file: what a database of images holds and who renders it.
 
 use super::command::{self, Placeholders};
+use super::natural;
 use crate::files::{fnv1a, read_text};
 use crate::options::parse_size;
 use crate::path::Transfer;
+use crate::report::{Column, Table};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
 use serde::{Deserialize, Serialize};
@@ -62,7 +64,7 @@ fn default_steps() -> Vec<f32> {
 pub struct VolumesEntry {
     /// Its name; the first file's stem where it is not given, and each file its own where `series` is false.
     pub name: Option<String>,
-    /// Files or glob patterns, sorted by name with numbers in them by value.
+    /// Files or glob patterns, sorted by name with numbers in them by value (see [`natural::sort`]).
     pub files: Vec<String>,
     /// Whether the files are time steps of one volume.
     #[serde(default)]
@@ -285,6 +287,7 @@ pub struct Job {
     pub predict: Predict,
     /// What happens to tasks that fail.
     pub retry: Retry,
+    folder: PathBuf,
     hashes: [Vec<u64>; 5],
     salt: u64,
 }
@@ -372,6 +375,7 @@ impl Job {
             renderer,
             predict,
             retry: file.retry,
+            folder: folder.to_owned(),
             hashes,
             salt,
         };
@@ -432,6 +436,32 @@ impl Job {
         x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         x ^ (x >> 31)
+    }
+
+    /// A volume's file as messages name it: from the job file's folder where it is below it.
+    pub fn shown(&self, volume: usize) -> String {
+        let path = &self.volumes[volume].path;
+        path.strip_prefix(&self.folder).unwrap_or(path).display().to_string()
+    }
+
+    /// The order of the volumes: number, time step, name and file, a line each.
+    pub fn listing(&self) -> String {
+        let mut table = Table::new(vec![
+            Column::number("index"),
+            Column::number("time"),
+            Column::text("volume"),
+            Column::text("file"),
+        ]);
+        for (i, volume) in self.volumes.iter().enumerate() {
+            let time = volume.time.to_string();
+            table.row(vec![
+                i.to_string().into(),
+                time.into(),
+                volume.name.as_str().into(),
+                self.shown(i).into(),
+            ]);
+        }
+        table.to_text()
     }
 
     /// Where a task's image goes, relative to the database.
@@ -521,7 +551,7 @@ fn volumes(entries: &[VolumesEntry], folder: &Path) -> Result<Vec<VolumeFile>> {
                 folder.display()
             );
         }
-        paths.sort_by_cached_key(|p| natural(&p.to_string_lossy()));
+        natural::sort(&mut paths);
         paths.dedup();
         let stem = |p: &Path| p.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let single = paths.len() == 1;
@@ -539,27 +569,6 @@ fn volumes(entries: &[VolumesEntry], folder: &Path) -> Result<Vec<VolumeFile>> {
         }
     }
     Ok(out)
-}
-
-/// Text and numbers by turns, so that step 10 comes after step 9.
-fn natural(text: &str) -> Vec<(String, u128)> {
-    let mut out: Vec<(String, u128)> = vec![(String::new(), 0)];
-    let mut digits = false;
-    for c in text.chars() {
-        let digit = c.to_digit(10);
-        if digits && digit.is_none() {
-            out.push((String::new(), 0));
-        }
-        digits = digit.is_some();
-        if let Some(last) = out.last_mut() {
-            match digit {
-                Some(d) => last.1 = last.1.saturating_mul(10).saturating_add(u128::from(d)),
-                None => last.0.push(c),
-            }
-        }
-    }
-    out.push((text.to_owned(), 0));
-    out
 }
 
 fn cameras(entries: &[CamerasEntry]) -> Result<Vec<Arcball>> {

@@ -18,6 +18,7 @@ pub mod journal;
 pub mod learn;
 pub mod list;
 pub mod load;
+pub mod natural;
 pub mod openjd;
 pub mod planner;
 pub mod predict;

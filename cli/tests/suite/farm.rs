@@ -277,3 +277,47 @@ fn plans_cost_nothing_and_mistakes_are_named() {
         &["no-such-python", "--python"],
     );
 }
+
+/// Writes a volume of 8³ voxels of one level; one voxel of 255 makes the range.
+fn write_level(path: &Path, level: u8) {
+    let head = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 8 8 8\nencoding: raw\n\n";
+    let mut bytes = head.as_bytes().to_vec();
+    bytes.push(255);
+    bytes.resize(head.len() + 512, level);
+    std::fs::write(path, bytes).unwrap();
+}
+
+const STEPS: &str = "name = \"db\"\nsizes = [\"16x12\"]\nsteps = [1.0]\n\
+    [[volumes]]\nfiles = [\"step*.nrrd\"]\nseries = true\nname = \"run\"\n\
+    [[cameras]]\nkind = \"orbit\"\nviews = 2\ndistances_radii = [2.5]\n\
+    [[transfer]]\nname = \"ramp\"\npoints = [[0, 0, 0, 0, 0.5], [1, 1, 1, 1, 0.5]]\n";
+
+/// A folder with `step10.nrrd` and `step20.nrrd` and a job of both, of two views each.
+fn steps(renderer: &str) -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    write_level(&dir.path().join("step10.nrrd"), 60);
+    write_level(&dir.path().join("step20.nrrd"), 160);
+    write_job(dir.path(), &format!("{STEPS}{renderer}"));
+    dir
+}
+
+fn write_job(folder: &Path, text: &str) {
+    std::fs::write(folder.join("job.toml"), text).unwrap();
+}
+
+#[test]
+fn the_order_of_volumes_is_listed_and_nothing_is_rendered() {
+    let dir = steps(RENDERER);
+    for name in ["step0.5", "step0.25", "step9", "step1e2"] {
+        write_level(&dir.path().join(format!("{name}.nrrd")), 9);
+    }
+    let said = succeeds(dir.path(), &["farm", "job.toml", "--list"]);
+    let lines: Vec<Vec<&str>> = said.lines().map(|l| l.split_whitespace().collect()).collect();
+    let at = lines.iter().position(|l| l.first() == Some(&"0")).unwrap();
+    let expected = ["step0.25", "step0.5", "step9", "step10", "step20", "step1e2"];
+    assert_eq!(lines.len() - at, expected.len(), "{said}");
+    for (i, (line, name)) in lines[at..].iter().zip(expected).enumerate() {
+        assert_eq!(line[..], [&i.to_string(), &i.to_string(), "run", &format!("{name}.nrrd")], "{said}");
+    }
+    assert!(!dir.path().join("db.cdb").exists());
+}

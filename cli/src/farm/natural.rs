@@ -1,0 +1,213 @@
+//! The order of file names whose numbers stand for something: numbers are compared as the numbers that they are.
+
+use std::cmp::Ordering;
+use std::collections::HashSet;
+use std::path::PathBuf;
+
+/// Sorts paths by text, and by value where numbers stand in them.
+///
+/// A number is digits of any count, with a fraction where exactly one point stands between digits (`0.25`, but
+/// `1.2.3` is three numbers) and an exponent where one follows (`1e-3`, `2.5E+4`; without a sign and a fraction
+/// only where nothing begins with a zero, so that `s01e02` is two numbers) and no letter or digit comes after
+/// it. `+` before it is its sign. `-` is its sign behind anything but letters and digits (`t_-1`); behind a
+/// letter where another of the names has a number there without it (`t-1` beside `t0`); else it is a hyphen
+/// (`run-1`, `2024-01-05`). Numbers that are equal (`1`, `01`, `1.0`) are ordered by what follows them, then by
+/// text.
+pub fn sort(paths: &mut Vec<PathBuf>) {
+    let texts: Vec<String> = paths.iter().map(|p| p.to_string_lossy().into_owned()).collect();
+    let mut keys: Vec<Vec<Token>> = texts.iter().map(|t| tokens(t)).collect();
+    let plain: HashSet<(usize, String)> = keys
+        .iter()
+        .flat_map(|k| k.iter().enumerate())
+        .filter(|(_, t)| t.number.is_some())
+        .map(|(i, t)| (i, t.text.strip_suffix('+').unwrap_or(&t.text).to_owned()))
+        .collect();
+    for key in &mut keys {
+        let mut after_number = false;
+        for (i, token) in key.iter_mut().enumerate() {
+            token.take_sign(after_number, |bare| plain.contains(&(i, bare.to_owned())));
+            after_number = token.number.is_some();
+        }
+    }
+    let mut order: Vec<_> = keys.into_iter().zip(texts).zip(std::mem::take(paths)).collect();
+    order.sort_by(|a, b| a.0.cmp(&b.0));
+    paths.extend(order.into_iter().map(|(_, path)| path));
+}
+
+/// A text and the number behind it; the last text has none.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Token {
+    text: String,
+    number: Option<Number>,
+}
+
+impl Token {
+    /// Makes the sign at the text's end the number's, where it is one.
+    fn take_sign(&mut self, after_number: bool, is_there: impl Fn(&str) -> bool) {
+        let Some(number) = &mut self.number else { return };
+        let mut rest = self.text.chars();
+        let sign = rest.next_back();
+        let before = rest.clone().next_back();
+        let bare = rest.as_str();
+        let is_sign = match (sign, before) {
+            (Some('+' | '-'), None) => !after_number,
+            (Some('+'), Some(_)) => true,
+            (Some('-'), Some('-')) => false,
+            (Some('-'), Some(c)) => !c.is_alphanumeric() || is_there(bare),
+            _ => false,
+        };
+        if is_sign {
+            number.negative = sign == Some('-');
+            self.text = bare.to_owned();
+        }
+    }
+}
+
+/// 0.DIGITS · 10^point, exactly.
+#[derive(Debug, PartialEq, Eq)]
+struct Number {
+    negative: bool,
+    point: i64,
+    digits: String,
+}
+
+impl Number {
+    fn new(whole: &str, fraction: &str, exponent: i64) -> Self {
+        let all = format!("{whole}{fraction}");
+        let digits = all.trim_start_matches('0');
+        let point = whole.len() as i64 - (all.len() - digits.len()) as i64;
+        let digits = digits.trim_end_matches('0').to_owned();
+        let point = if digits.is_empty() { 0 } else { point.saturating_add(exponent) };
+        Self { negative: false, point, digits }
+    }
+}
+
+impl Ord for Number {
+    fn cmp(&self, other: &Self) -> Ordering {
+        let side = |n: &Self| match (n.digits.is_empty(), n.negative) {
+            (true, _) => 0,
+            (false, true) => -1,
+            (false, false) => 1,
+        };
+        let size = (self.point, &self.digits).cmp(&(other.point, &other.digits));
+        side(self).cmp(&side(other)).then(if side(self) < 0 { size.reverse() } else { size })
+    }
+}
+
+impl PartialOrd for Number {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+/// The digits that a text begins with.
+fn digits(text: &str) -> &str {
+    &text[..text.bytes().position(|b| !b.is_ascii_digit()).unwrap_or(text.len())]
+}
+
+/// A point and the digits behind it, where a text begins so.
+fn fraction(text: &str) -> &str {
+    text.strip_prefix('.').map_or("", digits)
+}
+
+/// An exponent that a text begins with: its length and value. Behind an integer without a fraction one without
+/// a sign counts only where neither is padded with zeros.
+fn exponent(text: &str, fraction: bool, padded: bool) -> Option<(usize, i64)> {
+    let rest = text.strip_prefix(['e', 'E'])?;
+    let unsigned = rest.strip_prefix(['+', '-']);
+    let found = digits(unsigned.unwrap_or(rest));
+    let length = 1 + usize::from(unsigned.is_some()) + found.len();
+    let ends = text[length..].chars().next().is_none_or(|c| !c.is_alphanumeric());
+    let counts = unsigned.is_some() || fraction || !(padded || found.starts_with('0'));
+    if found.is_empty() || !ends || !counts {
+        return None;
+    }
+    let size = found.bytes().fold(0i64, |n, b| n.saturating_mul(10).saturating_add(i64::from(b - b'0')));
+    let size = size.min(1 << 60);
+    Some((length, if rest.starts_with('-') { -size } else { size }))
+}
+
+fn tokens(text: &str) -> Vec<Token> {
+    let mut out = Vec::new();
+    let (mut rest, mut before) = (text, String::new());
+    // Numbers left of one such as 1.2.3.
+    let mut parts = 0usize;
+    while let Some(c) = rest.chars().next() {
+        if !c.is_ascii_digit() {
+            before.push(c);
+            rest = &rest[c.len_utf8()..];
+            continue;
+        }
+        let whole = digits(rest);
+        let behind = &rest[whole.len()..];
+        if parts == 0 {
+            let mut end = behind;
+            while !fraction(end).is_empty() {
+                end = &end[1 + fraction(end).len()..];
+                parts += 1;
+            }
+            // The first of several, or one with a fraction of its own.
+            parts = if parts > 1 { parts + 1 } else { 0 };
+        }
+        let (mut part, mut length, mut power) = ("", whole.len(), 0);
+        if parts > 0 {
+            parts -= 1;
+        } else {
+            part = fraction(behind);
+            length += if part.is_empty() { 0 } else { 1 + part.len() };
+            let padded = whole.len() > 1 && whole.starts_with('0');
+            if let Some((more, value)) = exponent(&rest[length..], !part.is_empty(), padded) {
+                length += more;
+                power = value;
+            }
+        }
+        let number = Some(Number::new(whole, part, power));
+        out.push(Token { text: std::mem::take(&mut before), number });
+        rest = &rest[length..];
+    }
+    out.push(Token { text: before, number: None });
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sorts the names from their reversed order.
+    fn stays(names: &[&str]) {
+        let want: Vec<PathBuf> = names.iter().map(PathBuf::from).collect();
+        let mut paths: Vec<PathBuf> = want.iter().rev().cloned().collect();
+        sort(&mut paths);
+        assert_eq!(paths, want);
+    }
+
+    #[test]
+    fn numbers_sort_by_value() {
+        stays(&["a/step1.nrrd", "a/step2.nrrd", "a/step10.nrrd", "a/step100.nrrd"]);
+        stays(&["t0.25.vti", "t0.5.vti", "t1.vti", "t1.05.vti", "t1.5.vti", "t10.vti"]);
+        // Longer than any integer type.
+        stays(&[
+            "t9",
+            "t99999999999999999999999999999999999999999999",
+            "t100000000000000000000000000000000000000000000",
+        ]);
+        stays(&["t1e-3.vti", "t2.5e-2.vti", "t1.vti", "t1e1.vti", "t15.vti", "t2E+1.vti"]);
+        stays(&["s01e02.mha", "s01e10.mha", "s02e01.mha"]);
+        stays(&["v1.2.9", "v1.2.10", "v1.10.1"]);
+        stays(&["m1_t2.mha", "m1_t10.mha", "m2_t1.mha", "m10_t1.mha"]);
+        // Equal numbers by what follows, then by text.
+        stays(&["t01.a", "t1.a", "t01.b", "t1.b"]);
+        stays(&["1e3f", "1e20f"]);
+    }
+
+    #[test]
+    fn a_minus_is_a_sign_where_it_can_be_told() {
+        stays(&["t-10.vti", "t-2.vti", "t0.vti", "t3.vti"]);
+        stays(&["t-0.5.vti", "t+0.25.vti", "t+1.vti"]);
+        stays(&["t_-2.vti", "t_-1.vti", "t_1.vti"]);
+        stays(&["-2", "-1", "0", "1"]);
+        // A hyphen.
+        stays(&["run-1.vti", "run-2.vti", "run-10.vti"]);
+        stays(&["2023-12-31", "2024-01-05", "2024-02-01"]);
+    }
+}
