@@ -14,6 +14,7 @@ pub mod evaluation;
 pub mod farm;
 pub mod files;
 pub mod fit;
+pub mod identity;
 pub mod inputs;
 pub mod interrupt;
 pub mod machine;

@@ -7,11 +7,12 @@ use super::journal::Journal;
 use super::learn::{Shape, TOLD, UNKNOWN};
 use super::load::Loads;
 use super::planner::{Planner, Setting};
-use super::record::{Answer, Entry, JOURNAL_FORMAT, Line, Order, parse_id};
+use super::record::{Answer, BARE_JOURNAL_FORMAT, Entry, JOURNAL_FORMAT, Line, Order, parse_id};
 use super::spool;
-use crate::files::{make_folder, write_whole};
+use crate::files::{make_folder, note, write_whole};
+use crate::identity::{self, Identity};
 use anyhow::{Context, Result, ensure};
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 
 /// The number of the run that is under way.
@@ -45,21 +46,25 @@ impl<'a> Database<'a> {
         let numbers = job.numbers();
         ensure!(numbers.len() == job.len(), "two tasks have one id; change the job's name of a volume");
         let (mut done, mut quarantined) = (HashMap::new(), HashMap::new());
-        let mut begun = false;
+        let (mut begun, mut inputs, mut gone) = (false, None, HashSet::new());
         let number = |task: &str| parse_id(task).and_then(|id| numbers.get(&id).copied());
         let journal = Journal::open(&state, |entry| {
             match entry {
                 Entry::Run { format, .. } => {
                     begun = true;
                     ensure!(
-                        format == JOURNAL_FORMAT,
+                        format == JOURNAL_FORMAT || format == BARE_JOURNAL_FORMAT,
                         "its format is {format:?}; this version reads {JOURNAL_FORMAT:?}"
                     );
                 }
+                Entry::Inputs { files } => inputs = Some(files),
                 Entry::Done { answer, predicted_s } => {
                     if let Some(task) = number(&answer.task) {
                         quarantined.remove(&task);
-                        done.entry(task).or_insert(Row { answer, predicted_s });
+                        // The last: a picture that was gone was rendered again.
+                        done.insert(task, Row { answer, predicted_s });
+                    } else {
+                        gone.extend(parse_id(&answer.task));
                     }
                 }
                 Entry::Quarantined { task, error, .. } => {
@@ -85,9 +90,71 @@ impl<'a> Database<'a> {
             quarantined.clear();
         }
         let mut new = Self { job, journal, numbers, done, quarantined, run };
+        new.compare_inputs(inputs, gone)?;
         new.take_over()?;
         new.check_images(options.verify)?;
+        if begun {
+            new.write_table()?;
+        }
         Ok(new)
+    }
+
+    /// Says which pictures that the journal names are none of the job's as it is now, removes those of files
+    /// that were written anew, and keeps what the files are. `then` is what they were.
+    fn compare_inputs(
+        &mut self,
+        then: Option<BTreeMap<String, Vec<Identity>>>,
+        mut gone: HashSet<u64>,
+    ) -> Result<()> {
+        let job = self.job;
+        gone.retain(|id| job.output.join(job.image(*id)).exists());
+        let volumes = 0..job.volumes.len();
+        let now = volumes.clone().map(|i| (job.shown(i), job.volumes[i].files.clone())).collect();
+        if then.as_ref() == Some(&now) && gone.is_empty() {
+            return Ok(());
+        }
+        let known = then.is_some();
+        let then = then.unwrap_or_default();
+        let ids_then = job.ids_then(&then);
+        let (mut files, mut count) = (Vec::new(), 0);
+        for i in volumes {
+            let shown = job.shown(i);
+            let changed = then.get(&shown).and_then(|f| identity::difference(f, &job.volumes[i].files));
+            let Some(what) = changed else { continue };
+            let stale: Vec<u64> = ids_then(i).into_iter().filter(|id| gone.remove(id)).collect();
+            for id in &stale {
+                let path = job.output.join(job.image(*id));
+                std::fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
+            }
+            count += stale.len();
+            if !stale.is_empty() {
+                files.push(format!("{shown} ({what})"));
+            }
+        }
+        if let Some(first) = files.first() {
+            let more = match files.len() - 1 {
+                0 => String::new(),
+                n => format!(" and {n} other files"),
+            };
+            note(&format!(
+                "{first}{more}: another input than before; {count} pictures of what it was are removed and \
+                 rendered anew"
+            ));
+        }
+        if !gone.is_empty() {
+            let why = if known {
+                "belong to no task of the job as it is now"
+            } else {
+                "do not tell what they were made of and are rendered anew"
+            };
+            note(&format!(
+                "{} pictures in {} {why}; they are left out of the table",
+                gone.len(),
+                job.output.join("image").display()
+            ));
+        }
+        self.journal.add(&Entry::Inputs { files: now })?;
+        self.journal.flush()
     }
 
     /// The number of this run.
@@ -153,7 +220,7 @@ impl<'a> Database<'a> {
             self.done.remove(task);
         }
         if !missing.is_empty() {
-            crate::files::note(&format!(
+            note(&format!(
                 "{} images that the journal names are gone or damaged; they are rendered again",
                 missing.len()
             ));
@@ -191,6 +258,7 @@ impl<'a> Database<'a> {
             step: job.steps[at.step],
             image: job.image(id),
             predicted_s,
+            files: volume.files.clone(),
         }
     }
 
@@ -203,7 +271,7 @@ impl<'a> Database<'a> {
     }
 }
 
-/// The tasks that a job's journal names as done, with their seconds.
+/// The tasks that a job's journal names as done and whose pictures are there, with their seconds.
 ///
 /// # Errors
 /// When there is a journal that cannot be read.
@@ -212,15 +280,16 @@ pub fn done(job: &Job) -> Result<Vec<(u32, f64)>> {
         return Ok(Vec::new());
     }
     let numbers = job.numbers();
-    let mut out = Vec::new();
+    let mut out = BTreeMap::new();
     for entry in super::journal::entries(&job.state())? {
         if let Entry::Done { answer, .. } = entry
-            && let Some(&task) = parse_id(&answer.task).and_then(|id| numbers.get(&id))
+            && let Some((&id, &task)) = parse_id(&answer.task).and_then(|id| numbers.get_key_value(&id))
+            && job.output.join(job.image(id)).exists()
         {
-            out.push((task, answer.seconds));
+            out.insert(task, answer.seconds);
         }
     }
-    Ok(out)
+    Ok(out.into_iter().collect())
 }
 
 /// Whether volumes are loaded apart from rendering.

@@ -3,13 +3,15 @@
 use super::command::{self, Placeholders};
 use super::natural;
 use crate::files::{fnv1a, read_text};
+use crate::identity::{self, Identity};
 use crate::options::parse_size;
 use crate::path::Transfer;
 use crate::report::{Column, Table};
 use anyhow::{Context, Result, bail, ensure};
 use entire_core::scene::{Arcball, Camera, DEFAULT_FOV_Y_DEGREES};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 /// Largest job file, in bytes.
@@ -232,10 +234,12 @@ pub struct VolumeFile {
     pub time: u32,
     /// Where it is, absolute.
     pub path: PathBuf,
-    /// Its size.
+    /// Its size and that of its data files.
     pub bytes: u64,
     /// Scalar range that maps to 0 … 1.
     pub range: Option<[f32; 2]>,
+    /// What its files are: it and the data files that its header names.
+    pub files: Vec<Identity>,
 }
 
 /// A transfer function with its name.
@@ -262,7 +266,8 @@ pub struct Place {
     pub step: usize,
 }
 
-/// A checked job. Its tasks are all combinations; a task is its number, and its id stays when the job grows.
+/// A checked job. Its tasks are all combinations; a task is its number. Its id is what its picture is made of:
+/// it stays when the job grows, and is another when an input file was written anew.
 #[derive(Clone, Debug)]
 pub struct Job {
     /// The database's name.
@@ -355,14 +360,25 @@ impl Job {
             "predict: both model and list are given; give one of them"
         );
         let text = |v: &dyn erased::Text| fnv1a(v.text().as_bytes());
+        let mut names = HashSet::new();
+        if let Some(volume) =
+            volumes.iter().find(|v| !names.insert(format!("{} {} {:?}", v.name, v.time, v.range)))
+        {
+            bail!(
+                "volumes: {} is not the first by the name {}; give it a name",
+                volume.path.display(),
+                volume.name
+            );
+        }
+        let told = Told::by(&renderer);
         let hashes = [
-            volumes.iter().map(|v| text(v)).collect(),
+            volume_hashes(&volumes, &told),
             cameras.iter().map(|v| text(v)).collect(),
             transfers.iter().map(|v| text(v)).collect(),
             sizes.iter().map(|v| text(v)).collect(),
             file.steps.iter().map(|v| text(v)).collect(),
         ];
-        let salt = fnv1a(format!("{} {fov}", serde_json::to_string(&renderer)?).as_bytes());
+        let salt = fnv1a(format!("{} {fov}", settings(&renderer)?).as_bytes());
         let job = Self {
             name: file.name,
             output,
@@ -390,13 +406,6 @@ impl Job {
         for (what, hashes) in ["volumes", "cameras", "transfer", "sizes", "steps"].iter().zip(&job.hashes) {
             let mut seen = HashSet::new();
             if let Some(i) = hashes.iter().position(|h| !seen.insert(h)) {
-                if let Some(volume) = job.volumes.get(i).filter(|_| *what == "volumes") {
-                    bail!(
-                        "volumes: {} is not the first by the name {}; give it a name",
-                        volume.path.display(),
-                        volume.name
-                    );
-                }
                 bail!("{what}: entry {i} is there twice; give each once");
             }
         }
@@ -422,20 +431,49 @@ impl Job {
         Place { volume: rest / c, camera: rest % c, transfer, size, step }
     }
 
-    /// A task's id: 64 bits of what it shows and who renders it.
+    /// A task's id: 64 bits of what its picture is made of and who renders it. Where a volume stands and what it
+    /// is called count only where the renderer is told.
     pub fn id(&self, task: usize) -> u64 {
         let at = self.place(task);
-        let parts = [at.volume, at.camera, at.transfer, at.size, at.step];
+        self.id_with(self.hashes[0][at.volume], at)
+    }
+
+    fn id_with(&self, volume: u64, at: Place) -> u64 {
+        let parts = [
+            self.salt,
+            volume,
+            self.hashes[1][at.camera],
+            self.hashes[2][at.transfer],
+            self.hashes[3][at.size],
+            self.hashes[4][at.step],
+        ];
         let mut bytes = [0u8; 48];
-        bytes[..8].copy_from_slice(&self.salt.to_le_bytes());
-        for (k, &i) in parts.iter().enumerate() {
-            bytes[8 + 8 * k..16 + 8 * k].copy_from_slice(&self.hashes[k][i].to_le_bytes());
+        for (part, place) in parts.iter().zip(bytes.chunks_exact_mut(8)) {
+            place.copy_from_slice(&part.to_le_bytes());
         }
         // FNV-1a leaves its last bytes in the low bits; the finalizer of SplitMix64 spreads them.
         let mut x = fnv1a(&bytes);
         x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
         x ^ (x >> 31)
+    }
+
+    /// The numbers of a volume's tasks.
+    pub fn tasks_of(&self, volume: usize) -> std::ops::Range<usize> {
+        let each = self.len() / self.volumes.len();
+        volume * each..(volume + 1) * each
+    }
+
+    /// The ids that tasks had when volumes' files were these (by [`Job::shown`]), volume by volume.
+    pub fn ids_then(&self, then: &BTreeMap<String, Vec<Identity>>) -> impl Fn(usize) -> Vec<u64> {
+        let mut volumes = self.volumes.clone();
+        for (i, volume) in volumes.iter_mut().enumerate() {
+            if let Some(files) = then.get(&self.shown(i)) {
+                volume.files.clone_from(files);
+            }
+        }
+        let hashes = volume_hashes(&volumes, &Told::by(&self.renderer));
+        move |volume| self.tasks_of(volume).map(|t| self.id_with(hashes[volume], self.place(t))).collect()
     }
 
     /// A volume's file as messages name it: from the job file's folder where it is below it.
@@ -476,24 +514,69 @@ impl Job {
     }
 
     /// Numbers of the tasks that [`Predict::list`] and journals name by id.
-    pub fn numbers(&self) -> std::collections::HashMap<u64, u32> {
+    pub fn numbers(&self) -> HashMap<u64, u32> {
         (0..self.len()).map(|i| (self.id(i), i as u32)).collect()
     }
 }
 
+/// What a renderer is told of a volume beside its file.
+struct Told {
+    name: bool,
+    time: bool,
+}
+
+impl Told {
+    fn by(renderer: &Renderer) -> Self {
+        match renderer {
+            Renderer::Entire { .. } => Self { name: false, time: false },
+            Renderer::Command { command, .. } => {
+                let holds = |word: &str| command.iter().any(|a| a.contains(word));
+                Self { name: holds("{volume_name}"), time: holds("{time}") }
+            }
+            Renderer::Session { .. } | Renderer::Pvbatch { .. } => Self { name: true, time: true },
+        }
+    }
+}
+
+/// What volumes are for the ids of their tasks. Files that are the same are told apart by their order alone:
+/// their pictures are the same too.
+fn volume_hashes(volumes: &[VolumeFile], told: &Told) -> Vec<u64> {
+    let mut same: HashMap<String, usize> = HashMap::new();
+    let text = |v: &VolumeFile| {
+        let name = if told.name { v.name.as_str() } else { "" };
+        let time = if told.time { v.time.to_string() } else { String::new() };
+        format!("{}\n{:?}\n{name}\n{time}", identity::key(&v.files), v.range)
+    };
+    let number = |text: String| {
+        let count = same.entry(text.clone()).or_insert(0);
+        *count += 1;
+        fnv1a(format!("{text}\n{count}").as_bytes())
+    };
+    volumes.iter().map(text).map(number).collect()
+}
+
+/// What of a renderer decides pictures.
+fn settings(renderer: &Renderer) -> Result<String> {
+    let mut renderer = renderer.clone();
+    let mut script_key = String::new();
+    match &mut renderer {
+        Renderer::Entire { .. } => {}
+        Renderer::Command { timeout_s, .. } | Renderer::Session { timeout_s, .. } => *timeout_s = None,
+        Renderer::Pvbatch { timeout_s, script, .. } => {
+            *timeout_s = None;
+            script_key = Identity::of(script, "")?.key();
+        }
+    }
+    Ok(serde_json::to_string(&renderer)? + &script_key)
+}
+
 /// The canonical text of an entry, from which ids are made.
 mod erased {
-    use super::{NamedTransfer, VolumeFile};
+    use super::NamedTransfer;
     use entire_core::scene::Arcball;
 
     pub(super) trait Text {
         fn text(&self) -> String;
-    }
-
-    impl Text for VolumeFile {
-        fn text(&self) -> String {
-            format!("{}\n{}\n{:?}", self.name, self.time, self.range)
-        }
     }
 
     impl Text for Arcball {
@@ -565,9 +648,15 @@ fn volumes(entries: &[VolumesEntry], folder: &Path) -> Result<Vec<VolumeFile>> {
             let meta = std::fs::metadata(path).with_context(|| format!("cannot read {}", path.display()))?;
             ensure!(meta.is_file(), "volumes: {} is no file; give volume files", path.display());
             let time = if entry.series { time as u32 } else { 0 };
-            out.push(VolumeFile { name, time, path: path.clone(), bytes: meta.len(), range: entry.range });
+            let (path, range, files) = (path.clone(), entry.range, Vec::new());
+            out.push(VolumeFile { name, time, path, bytes: 0, range, files });
         }
     }
+    out.par_iter_mut().try_for_each(|volume| -> Result<()> {
+        volume.files = identity::of_volume(&volume.path)?;
+        volume.bytes = volume.files.iter().map(|f| f.bytes).sum();
+        Ok(())
+    })?;
     Ok(out)
 }
 

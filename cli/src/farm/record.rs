@@ -1,7 +1,9 @@
 //! What goes between driver, workers and journal, one JSON object per line.
 
+use crate::identity::Identity;
 use crate::path::Transfer;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// A task as a worker gets it: everything that it needs.
@@ -33,6 +35,9 @@ pub struct Order {
     pub image: String,
     /// Seconds that it is expected to take.
     pub predicted_s: f64,
+    /// What the volume's files are: the picture must be of no others.
+    #[serde(default)]
+    pub files: Vec<Identity>,
 }
 
 /// Tasks that are done by one worker, one after the other.
@@ -115,6 +120,11 @@ pub enum Entry {
         /// When, seconds since 1970.
         at: f64,
     },
+    /// What the volumes' files are from here on, by path.
+    Inputs {
+        /// The files.
+        files: BTreeMap<String, Vec<Identity>>,
+    },
     /// A task is done, its image in place.
     Done {
         /// What was measured.
@@ -157,7 +167,10 @@ pub enum Entry {
 }
 
 /// The journal's format.
-pub const JOURNAL_FORMAT: &str = "entire-farm-journal-1";
+pub const JOURNAL_FORMAT: &str = "entire-farm-journal-2";
+
+/// The format of journals that do not tell what pictures were made of.
+pub const BARE_JOURNAL_FORMAT: &str = "entire-farm-journal-1";
 
 /// Seconds since 1970.
 pub fn unix_now() -> f64 {

@@ -3,13 +3,13 @@
 
 use super::job::Job;
 use super::planner::queue_end;
-use super::record::{Answer, Entry};
+use super::record::{Answer, Entry, parse_id};
 use super::show::duration;
 use crate::farm::list::lower_bound;
 use crate::machine::Provenance;
 use crate::report::{Axis, Chart, Column, Mark, Page, Rule, Series, Table};
 use anyhow::{Result, ensure};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 
 /// Lanes of the Gantt chart.
@@ -45,6 +45,7 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
                     run.done.push((answer, predicted_s));
                 }
             }
+            Entry::Inputs { .. } => {}
             Entry::Failed { .. } => failed += 1,
             Entry::Lost { .. } => lost += 1,
             Entry::Quarantined { task, error, log } => {
@@ -59,13 +60,16 @@ pub fn write(job: &Job, file: &Path) -> Result<()> {
     }
     let all: Vec<&(Answer, f64)> = runs.iter().flat_map(|r| &r.done).collect();
     ensure!(!all.is_empty(), "{} holds no image yet; render some first", job.output.display());
+    let mut wanted: HashSet<u64> = job.numbers().into_keys().collect();
+    let images = all.iter().filter(|(a, _)| parse_id(&a.task).is_some_and(|id| wanted.remove(&id))).count();
     let work: f64 = all.iter().map(|(a, _)| a.seconds + a.load_s).sum();
     let mut page = Page::new(
         format!("Farm: {}", job.name),
         &format!(
-            "{} of {} images in {} of node time; {failed} failures, {lost} losses, {} quarantined.",
-            all.len(),
+            "{images} of {} images, {} rendered in {} of node time; {failed} failures, {lost} losses, {} \
+             quarantined.",
             job.len(),
+            all.len(),
             duration(work),
             quarantined.len()
         ),
@@ -245,7 +249,7 @@ fn slowest(page: &mut Page, job: &Job, all: &[&(Answer, f64)]) {
         Column::number("measured / s"),
     ]);
     for (a, p) in late.into_iter().take(10) {
-        let task = super::record::parse_id(&a.task).and_then(|id| names.get(&id));
+        let task = parse_id(&a.task).and_then(|id| names.get(&id));
         let volume = task.map(|t| job.volumes[job.place(*t as usize).volume].name.clone());
         table.row(vec![
             a.task.as_str().into(),

@@ -116,6 +116,9 @@ impl Session {
         let running = self.running.insert(running);
         let mut log_file = File::create(log).with_context(|| format!("cannot write {}", log.display()))?;
         let mut value = serde_json::to_value(order)?;
+        if let Some(fields) = value.as_object_mut() {
+            fields.remove("files");
+        }
         value["out"] = out.to_str().context("the image's path is not UTF-8")?.into();
         let sent = writeln!(running.input, "{value}").and_then(|()| running.input.flush());
         let clock = Instant::now();

@@ -7,6 +7,7 @@ use super::record::{Answer, BundleOrder, Line, Order, unix_now};
 use super::session::Session;
 use crate::device::{self, Device};
 use crate::files::{make_folder_of, open_volume, write_whole};
+use crate::identity;
 use crate::options::{ShadeOption, SkipOption};
 use crate::report::encode_png;
 use anyhow::{Context, Result, anyhow, bail, ensure};
@@ -228,6 +229,12 @@ impl Worker {
             }
         };
         check_png(&png, order.size)?;
+        if let Some(what) = identity::changed(&order.volume, &order.files)? {
+            bail!(
+                "{} was written anew while the farm was at work: {what}; go on with --resume when it is whole",
+                order.volume.display()
+            );
+        }
         write_whole(&out, &png)?;
         Ok((painted, png.len() as u64, crc32fast::hash(&png)))
     }

@@ -305,6 +305,198 @@ fn write_job(folder: &Path, text: &str) {
     std::fs::write(folder.join("job.toml"), text).unwrap();
 }
 
+/// What a database shows: the parameters of every row, and the bytes of its picture.
+fn shown(folder: &Path, database: &str) -> Vec<(String, Vec<u8>)> {
+    let mut reader = csv::Reader::from_path(folder.join(database).join("data.csv")).unwrap();
+    let rows = reader.deserialize().map(|r| r.unwrap()).map(|row: BTreeMap<String, String>| {
+        let keys = ["volume", "time", "rx_deg", "ry_deg", "dz_radii", "transfer", "width", "height", "step"];
+        let picture = std::fs::read(folder.join(database).join(&row["FILE"])).unwrap();
+        (keys.map(|k| row[k].as_str()).join(" "), picture)
+    });
+    rows.collect()
+}
+
+/// Goes on with the database and compares it with one that is rendered afresh; gives what was said on both
+/// outputs.
+fn resumed_is_fresh(folder: &Path, case: &str) -> (String, String) {
+    let output = entire(folder, &["farm", "job.toml", "--slots", "1", "--quiet", "--resume"]);
+    assert_eq!(output.status.code(), Some(0), "{case}: {}", stderr(&output));
+    let text = std::fs::read_to_string(folder.join("job.toml")).unwrap();
+    std::fs::write(folder.join("fresh.toml"), format!("output = \"fresh.cdb\"\n{text}")).unwrap();
+    let _ = std::fs::remove_dir_all(folder.join("fresh.cdb"));
+    succeeds(folder, &["farm", "fresh.toml", "--slots", "1", "--quiet"]);
+    assert_eq!(shown(folder, "db.cdb"), shown(folder, "fresh.cdb"), "{case}");
+    (String::from_utf8(output.stdout.clone()).unwrap(), stderr(&output))
+}
+
+#[test]
+fn a_resumed_database_shows_what_its_files_are_now() {
+    let dir = steps(RENDERER);
+    let at = |name: &str| dir.path().join(name);
+    let resumed = |case: &str, expected: &str| {
+        let (said, notes) = resumed_is_fresh(dir.path(), case);
+        assert!(said.contains(expected), "{case}: {said}");
+        notes
+    };
+    let said = succeeds(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
+    assert!(said.contains("4 of 4 images"), "{said}");
+    let first = shown(dir.path(), "db.cdb");
+    assert_ne!(first[0].1, first[2].1);
+    // The same bytes written anew are the same.
+    write_level(&at("step20.nrrd"), 160);
+    assert_eq!(resumed("touched", "4 of 4 images, 0 of them"), "");
+    write_level(&at("step20.nrrd"), 240);
+    let notes = resumed("content", "4 of 4 images, 2 of them");
+    assert!(
+        notes.contains("step20.nrrd") && notes.contains("2 pictures") && notes.contains("anew"),
+        "{notes}"
+    );
+    assert_eq!(notes.lines().count(), 1, "{notes}");
+    assert_eq!(resumed("said once", "4 of 4 images, 0 of them"), "");
+    // A step between two, and one before: those that were there keep their pictures, at their new times.
+    write_level(&at("step15.nrrd"), 100);
+    write_level(&at("step9.nrrd"), 30);
+    resumed("addition", "8 of 8 images, 4 of them");
+    std::fs::remove_file(at("step10.nrrd")).unwrap();
+    let notes = resumed("deletion", "6 of 6 images, 0 of them");
+    assert!(notes.contains("2 pictures") && notes.contains("no task"), "{notes}");
+    // It comes back, and its pictures with it.
+    write_level(&at("step10.nrrd"), 60);
+    resumed("the same again", "8 of 8 images, 0 of them");
+    // Another content under the name, while others come and go.
+    write_level(&at("step10.nrrd"), 61);
+    std::fs::remove_file(at("step9.nrrd")).unwrap();
+    write_level(&at("step12.nrrd"), 30);
+    resumed("all at once", "8 of 8 images, 4 of them");
+    // Two files change places.
+    std::fs::rename(at("step12.nrrd"), at("x")).unwrap();
+    std::fs::rename(at("step20.nrrd"), at("step12.nrrd")).unwrap();
+    std::fs::rename(at("x"), at("step20.nrrd")).unwrap();
+    resumed("names", "8 of 8 images, 4 of them");
+    std::fs::rename(at("step15.nrrd"), at("step30.nrrd")).unwrap();
+    resumed("another name and place", "8 of 8 images");
+}
+
+#[test]
+fn a_resumed_database_follows_the_settings() {
+    let dir = steps(RENDERER);
+    succeeds(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
+    let job = format!("{STEPS}{RENDERER}");
+    for (from, to, now) in [
+        ("16x12", "12x16", 4),
+        ("[1.0]", "[2.0]", 4),
+        ("0.5]]", "0.25]]", 4),
+        ("views = 2", "views = 3", 4),
+        ("[2.5]", "[3.0]", 4),
+        ("series = true", "series = true\nrange = [0.0, 200.0]", 4),
+        ("device = ", "termination = 0.5\ndevice = ", 4),
+        ("device = ", "shade = \"local\"\ndevice = ", 4),
+        ("name = \"db\"", "name = \"db\"\nfov_y_deg = 40.0", 4),
+        // Names of volumes are no part of what the raycaster draws.
+        ("name = \"run\"", "name = \"other\"", 0),
+        // Nor is where they stand.
+        ("files = [\"step*.nrrd\"]", "files = [\"step20.nrrd\", \"step10.nrrd\"]", 0),
+        ("series = true\nname = \"run\"", "series = false", 0),
+    ] {
+        let text = job.replace(from, to);
+        assert_ne!(text, job, "{from}");
+        write_job(dir.path(), &text);
+        let (said, _) = resumed_is_fresh(dir.path(), to);
+        assert!(said.contains(&format!("images, {now} of them")), "{to}: {said}");
+        // What was there comes back without being rendered.
+        write_job(dir.path(), &job);
+        let (said, _) = resumed_is_fresh(dir.path(), from);
+        assert!(said.contains("4 of 4 images, 0 of them"), "{from}: {said}");
+    }
+}
+
+#[test]
+fn data_files_of_headers_count_too() {
+    let dir = steps(RENDERER);
+    for (name, level) in [("step10", 60u8), ("step20", 160)] {
+        std::fs::remove_file(dir.path().join(format!("{name}.nrrd"))).unwrap();
+        let header = format!(
+            "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 8 8 8\nencoding: raw\ndata file: {name}.dat\n\n"
+        );
+        std::fs::write(dir.path().join(format!("{name}.nhdr")), header).unwrap();
+        std::fs::write(dir.path().join(format!("{name}.dat")), [vec![255], vec![level; 511]].concat())
+            .unwrap();
+    }
+    write_job(dir.path(), &format!("{STEPS}{RENDERER}").replace("step*.nrrd", "step*.nhdr"));
+    succeeds(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
+    std::fs::write(dir.path().join("step20.dat"), [vec![255], vec![240; 511]].concat()).unwrap();
+    let (said, notes) = resumed_is_fresh(dir.path(), "data");
+    assert!(said.contains("4 of 4 images, 2 of them") && notes.contains("step20.dat"), "{said}{notes}");
+}
+
+#[cfg(unix)]
+#[test]
+fn programs_that_are_told_times_draw_them_anew() {
+    let renderer = "[renderer]\nkind = \"command\"\n\
+                    command = [\"sh\", \"-c\", \"cp p$0.png $1\", \"{time}\", \"{out}\"]\n";
+    let dir = steps(renderer);
+    write_job(dir.path(), &format!("{STEPS}{renderer}").replace("16x12", "48x32"));
+    ball::write(&dir.path().join("second.nrrd"));
+    for (time, next) in [128, 80, 0].into_iter().enumerate() {
+        render_picture(dir.path());
+        std::fs::rename(dir.path().join("picture.png"), dir.path().join(format!("p{time}.png"))).unwrap();
+        write_level(&dir.path().join("second.nrrd"), next);
+    }
+    succeeds(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
+    write_level(&dir.path().join("step15.nrrd"), 100);
+    let (said, _) = resumed_is_fresh(dir.path(), "times");
+    assert!(said.contains("6 of 6 images, 4 of them"), "{said}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_file_that_changes_while_it_is_drawn_gives_no_picture() {
+    let renderer = "[renderer]\nkind = \"command\"\ncommand = [\"sh\", \"draw.sh\", \"{volume}\", \"{out}\"]\n\
+                    [retry]\nattempts = 1\n";
+    let dir = steps(renderer);
+    write_job(dir.path(), &format!("{STEPS}{renderer}").replace("16x12", "48x32"));
+    ball::write(&dir.path().join("second.nrrd"));
+    render_picture(dir.path());
+    std::fs::write(dir.path().join("draw.sh"), "cp picture.png \"$2\"; echo more >> \"$1\"\n").unwrap();
+    let output = entire(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
+    assert!(stderr(&output).contains("4 tasks were given up"), "{}", stderr(&output));
+    assert!(journal(dir.path()).contains("was written anew while the farm was at work"));
+    assert!(table(dir.path()).is_empty());
+    std::fs::write(dir.path().join("draw.sh"), "cp picture.png \"$2\"\n").unwrap();
+    let (said, _) = resumed_is_fresh(dir.path(), "mended");
+    assert!(said.contains("4 of 4 images, 4 of them"), "{said}");
+}
+
+#[test]
+fn a_database_that_does_not_say_what_it_was_made_of_is_rendered_anew() {
+    let dir = steps(RENDERER);
+    succeeds(dir.path(), &["farm", "job.toml", "--slots", "1", "--quiet"]);
+    // As before: no inputs in the journal, and ids of names and positions.
+    std::fs::remove_dir_all(dir.path().join("db.cdb/.farm/spool")).unwrap();
+    let text = journal(dir.path());
+    let old: Vec<String> = text
+        .lines()
+        .filter(|l| !l.contains("{\"inputs\""))
+        .map(|l| l.replace("farm-journal-2", "farm-journal-1").replace("\"task\":\"", "\"task\":\"0"))
+        .map(|l| match l.split_once("\"task\":\"0") {
+            Some((a, b)) => {
+                let id = format!("0{}", &b[..15]);
+                let folder = dir.path().join("db.cdb/image").join(&id[..2]);
+                std::fs::create_dir_all(&folder).unwrap();
+                let picture = dir.path().join("db.cdb/image").join(&b[..2]).join(format!("{}.png", &b[..16]));
+                std::fs::copy(picture, folder.join(format!("{id}.png"))).unwrap();
+                format!("{a}\"task\":\"{id}{}", &b[16..])
+            }
+            None => l,
+        })
+        .collect();
+    assert!(old.len() < text.lines().count());
+    std::fs::write(dir.path().join("db.cdb/.farm/journal.jsonl"), old.join("\n") + "\n").unwrap();
+    let (said, notes) = resumed_is_fresh(dir.path(), "old");
+    assert!(said.contains("4 of 4 images, 4 of them"), "{said}");
+    assert!(notes.contains("4 pictures") && notes.contains("rendered anew"), "{notes}");
+}
+
 #[test]
 fn the_order_of_volumes_is_listed_and_nothing_is_rendered() {
     let dir = steps(RENDERER);

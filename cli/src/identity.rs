@@ -1,0 +1,301 @@
+//! What a file was when something was made of it: size, time of its last change and a hash of its content, so
+//! that what is kept (pictures, timing tables) is never taken for one of a file that was written anew.
+
+use crate::volume::{Companions, Folder, Format, Stream, Volume};
+use anyhow::{Context, Result, bail};
+use serde::{Deserialize, Serialize};
+use std::cell::RefCell;
+use std::fs::{File, Metadata};
+use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
+use std::time::UNIX_EPOCH;
+
+/// Files of no more bytes are hashed whole.
+pub const WHOLE: u64 = 16 << 20;
+
+/// Bytes that are hashed of a larger file at its beginning, in its middle and at its end.
+const PART: u64 = 1 << 20;
+
+/// Bytes in which a header names its data file.
+const HEADER: u64 = 1 << 16;
+
+/// Nanoseconds of a second.
+const SECOND: u64 = 1_000_000_000;
+
+/// What a file is.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Identity {
+    /// Its name; of a data file as the header gives it.
+    pub name: String,
+    /// Its size.
+    pub bytes: u64,
+    /// When it was last changed, nanoseconds since 1970. It counts where only parts were hashed.
+    pub modified_ns: u64,
+    /// FNV-1a (64 bits) and CRC-32 of what was read, hexadecimal.
+    pub hash: String,
+    /// Whether that was all of it.
+    pub whole: bool,
+}
+
+impl Identity {
+    /// What a file is now.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn of(path: &Path, name: &str) -> Result<Self> {
+        Self::read(path, name).with_context(|| format!("cannot read {}", path.display()))
+    }
+
+    fn read(path: &Path, name: &str) -> Result<Self> {
+        let mut file = File::open(path)?;
+        let metadata = file.metadata()?;
+        let bytes = metadata.len();
+        let whole = bytes <= WHOLE;
+        let mut hash = Hash::default();
+        if whole {
+            hash.take(&mut file, bytes)?;
+        } else {
+            for at in [0, (bytes - PART) / 2, bytes - PART] {
+                file.seek(SeekFrom::Start(at))?;
+                hash.take(&mut file, PART)?;
+            }
+        }
+        Ok(Self {
+            name: name.to_owned(),
+            bytes,
+            modified_ns: modified_ns(&metadata),
+            hash: hash.text(),
+            whole,
+        })
+    }
+
+    /// The text that stands for it: equal for files that are taken for the same.
+    pub fn key(&self) -> String {
+        let Self { name, bytes, hash, .. } = self;
+        let modified = if self.whole { 0 } else { self.modified_ns };
+        format!("{name}\n{bytes}\n{hash}\n{modified}\n")
+    }
+
+    /// What tells another from this one, if anything.
+    fn difference(&self, now: &Self) -> Option<String> {
+        let Self { name, .. } = self;
+        if now.name != *name {
+            return Some(format!("it was called {name} and is called {}", now.name));
+        }
+        if now.bytes != self.bytes {
+            return Some(format!("{name} had {} bytes and has {}", self.bytes, now.bytes));
+        }
+        if now.hash != self.hash {
+            return Some(format!("the content of {name} is another (hash {}, was {})", now.hash, self.hash));
+        }
+        (now.key() != self.key()).then(|| format!("{name} was written anew (the time of its last change)"))
+    }
+}
+
+fn modified_ns(metadata: &Metadata) -> u64 {
+    let since = metadata.modified().ok().and_then(|t| t.duration_since(UNIX_EPOCH).ok());
+    since.map_or(0, |d| u64::try_from(d.as_nanos()).unwrap_or(u64::MAX))
+}
+
+/// What a volume file and the data files that its header names are now, the volume file first.
+///
+/// # Errors
+/// When one of them cannot be read. A header that names no data, or that cannot be understood, is a file as any
+/// other.
+pub fn of_volume(path: &Path) -> Result<Vec<Identity>> {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let mut out = vec![Identity::of(path, &name)?];
+    let folder = path.parent().unwrap_or(Path::new(""));
+    for name in data_files(path, &name) {
+        let data = folder.join(&name);
+        if data.is_file() {
+            out.push(Identity::of(&data, &name)?);
+        }
+    }
+    Ok(out)
+}
+
+/// The text that stands for a volume's files.
+pub fn key(files: &[Identity]) -> String {
+    files.iter().map(Identity::key).collect()
+}
+
+/// What tells a volume's files now from what they were, if anything.
+pub fn difference(then: &[Identity], now: &[Identity]) -> Option<String> {
+    let missing = |of: &[Identity], than: &[Identity]| {
+        let lone = of.iter().skip(1).find(|f| than.iter().all(|g| g.name != f.name));
+        lone.map(|f| f.name.clone())
+    };
+    if let Some(name) = missing(then, now) {
+        return Some(format!("its data file {name} is gone"));
+    }
+    if let Some(name) = missing(now, then) {
+        return Some(format!("{name} is a new data file of it"));
+    }
+    then.iter().zip(now).find_map(|(a, b)| a.difference(b))
+}
+
+/// What tells a volume's files now from what they were, if anything, as another machine sees them: sizes and
+/// times are looked at first, and only where they differ the files are read. Times may come in whole seconds.
+///
+/// # Errors
+/// When a file cannot be read.
+pub fn changed(path: &Path, then: &[Identity]) -> Result<Option<String>> {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let untouched = then.iter().enumerate().all(|(i, file)| {
+        let place = if i == 0 { path.to_owned() } else { folder.join(&file.name) };
+        std::fs::metadata(place).is_ok_and(|m| m.len() == file.bytes && modified_ns(&m) == file.modified_ns)
+    });
+    if untouched {
+        return Ok(None);
+    }
+    let mut now = of_volume(path)?;
+    for (file, then) in now.iter_mut().zip(then) {
+        if file.modified_ns / SECOND == then.modified_ns / SECOND {
+            file.modified_ns = then.modified_ns;
+        }
+    }
+    Ok(difference(then, &now))
+}
+
+/// The data files that a volume's header names.
+fn data_files(path: &Path, name: &str) -> Vec<String> {
+    let mut head = Vec::new();
+    let read = File::open(path).and_then(|f| f.take(HEADER).read_to_end(&mut head));
+    let format = Format::of_name(name).or_else(|| Format::of_content(&head));
+    let (Ok(_), Some(format)) = (read, format) else { return Vec::new() };
+    let folder = Folder::new(path.parent().unwrap_or(Path::new("")));
+    let noted = Noted { folder, names: RefCell::default() };
+    // It ends at the latest where data would be read: what it says of that is of no interest.
+    let _ = Volume::read(format, Stream::from_bytes(&head), name, &noted);
+    noted.names.into_inner()
+}
+
+/// Notes which files are asked for, and gives none.
+struct Noted {
+    folder: Folder,
+    names: RefCell<Vec<String>>,
+}
+
+impl Companions for Noted {
+    fn open(&self, name: &str) -> Result<Stream<'_>> {
+        let mut names = self.names.borrow_mut();
+        if names.iter().all(|n| n != name) {
+            names.push(name.to_owned());
+        }
+        bail!("{name} is noted")
+    }
+
+    fn exists(&self, name: &str) -> bool {
+        self.folder.exists(name)
+    }
+
+    fn ending_in(&self, suffix: &str) -> Vec<String> {
+        self.folder.ending_in(suffix)
+    }
+}
+
+/// Two hashes of the same bytes.
+struct Hash {
+    fnv: u64,
+    crc: crc32fast::Hasher,
+}
+
+impl Default for Hash {
+    fn default() -> Self {
+        Self { fnv: 0xcbf2_9ce4_8422_2325, crc: crc32fast::Hasher::new() }
+    }
+}
+
+impl Hash {
+    fn take(&mut self, file: &mut File, most: u64) -> std::io::Result<()> {
+        let mut buffer = vec![0; 1 << 16];
+        let mut file = file.take(most);
+        loop {
+            let count = match file.read(&mut buffer) {
+                Ok(0) => return Ok(()),
+                Ok(count) => count,
+                Err(e) if e.kind() == std::io::ErrorKind::Interrupted => continue,
+                Err(e) => return Err(e),
+            };
+            let bytes = &buffer[..count];
+            self.crc.update(bytes);
+            self.fnv = bytes.iter().fold(self.fnv, |h, b| (h ^ u64::from(*b)).wrapping_mul(0x0100_0000_01b3));
+        }
+    }
+
+    fn text(self) -> String {
+        format!("{:016x}{:08x}", self.fnv, self.crc.finalize())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HEADER: &str = "NRRD0004\ntype: uint8\ndimension: 3\nsizes: 2 2 2\nencoding: raw\n";
+
+    #[test]
+    fn a_file_is_its_content_and_a_copy_is_the_same() {
+        let dir = tempfile::tempdir().unwrap();
+        let (a, b) = (dir.path().join("a.nrrd"), dir.path().join("b").join("a.nrrd"));
+        std::fs::create_dir(dir.path().join("b")).unwrap();
+        std::fs::write(&a, format!("{HEADER}\nabcdefgh")).unwrap();
+        std::fs::write(&b, format!("{HEADER}\nabcdefgh")).unwrap();
+        let was = of_volume(&a).unwrap();
+        assert_eq!((was.len(), key(&was)), (1, key(&of_volume(&b).unwrap())));
+        // Written anew with the same bytes it is the same; with others it is not, whatever its size.
+        File::options()
+            .write(true)
+            .open(&a)
+            .unwrap()
+            .set_modified(UNIX_EPOCH + std::time::Duration::from_secs(9))
+            .unwrap();
+        assert_eq!(difference(&was, &of_volume(&a).unwrap()), None);
+        std::fs::write(&a, format!("{HEADER}\nabcdefgX")).unwrap();
+        assert!(difference(&was, &of_volume(&a).unwrap()).unwrap().contains("content of a.nrrd"));
+        assert!(changed(&a, &was).unwrap().is_some());
+        std::fs::write(&a, format!("{HEADER}\nabcdefghi")).unwrap();
+        assert!(difference(&was, &of_volume(&a).unwrap()).unwrap().contains("bytes"));
+        assert_eq!(changed(&b, &was).unwrap(), None);
+    }
+
+    #[test]
+    fn data_beside_a_header_belongs_to_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let header = dir.path().join("a.nhdr");
+        std::fs::write(&header, format!("{HEADER}data file: voxels.raw\n\n")).unwrap();
+        std::fs::write(dir.path().join("voxels.raw"), "abcdefgh").unwrap();
+        let was = of_volume(&header).unwrap();
+        assert_eq!(was.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(), ["a.nhdr", "voxels.raw"]);
+        assert_eq!(changed(&header, &was).unwrap(), None);
+        std::fs::write(dir.path().join("voxels.raw"), "abcdXfgh").unwrap();
+        assert!(difference(&was, &of_volume(&header).unwrap()).unwrap().contains("voxels.raw"));
+        assert!(changed(&header, &was).unwrap().is_some());
+        std::fs::remove_file(dir.path().join("voxels.raw")).unwrap();
+        assert!(difference(&was, &of_volume(&header).unwrap()).unwrap().contains("is gone"));
+    }
+
+    #[test]
+    fn a_large_file_is_its_ends_its_middle_and_its_time() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("large.raw");
+        let mut bytes = vec![7u8; WHOLE as usize + 8];
+        let write = |bytes: &[u8], seconds: u64| {
+            std::fs::write(&path, bytes).unwrap();
+            let time = UNIX_EPOCH + std::time::Duration::from_secs(seconds);
+            File::options().write(true).open(&path).unwrap().set_modified(time).unwrap();
+            of_volume(&path).unwrap()
+        };
+        let was = write(&bytes, 1000);
+        assert!(!was[0].whole);
+        assert_eq!(key(&was), key(&write(&bytes, 1000)));
+        assert!(difference(&was, &write(&bytes, 1001)).unwrap().contains("time"));
+        let middle = bytes.len() / 2;
+        for at in [0, middle, bytes.len() - 1] {
+            bytes[at] = 8;
+            assert!(difference(&was, &write(&bytes, 1000)).unwrap().contains("content"), "{at}");
+            bytes[at] = 7;
+        }
+    }
+}
