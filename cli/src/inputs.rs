@@ -357,7 +357,8 @@ pub fn measure<T: Send>(
 /// Opens the volume that a frame names, enlarged where the table's size is a whole multiple of the file's.
 ///
 /// # Errors
-/// When it is not found, cannot be read, or has another size than the table says.
+/// When it is not found, cannot be read, has another size than the table says, or was written anew since its
+/// frames were measured.
 pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> {
     let path = table.resolve_volume(name).with_context(|| {
         format!(
@@ -368,6 +369,16 @@ pub fn open_volume(table: &Table, name: &str, dims: [u32; 3]) -> Result<Volume> 
         )
     })?;
     let volume = Volume::open(&path)?;
+    if let Some(manifest) = &table.manifest
+        && let Some(what) = manifest.changed(name, &path)?
+    {
+        bail!(
+            "{} was written anew since the frames of {} were measured: {what}; put the file back, or collect \
+             its frames anew into another table",
+            path.display(),
+            table.path.display()
+        );
+    }
     let want = dims.map(|n| n as usize);
     let have = volume.dims();
     if have == want {

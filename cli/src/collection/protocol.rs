@@ -42,6 +42,11 @@ impl Job {
         Self { path: path.to_owned(), member, time_step }
     }
 
+    /// Its name in tables: the path as it was given.
+    pub fn name(&self) -> String {
+        self.path.to_string_lossy().into_owned()
+    }
+
     /// The name under which random scenes are drawn: the file's name, for a time step with the two folders
     /// above it. It does not depend on the working directory or on where the data lie.
     pub fn seed_name(&self) -> String {
@@ -153,7 +158,7 @@ impl Protocol {
     pub fn scene(&self, job: &Job, dims: [usize; 3], index: u64) -> Scene {
         let drawn = self.scenes.draw(self.seed, &job.seed_name(), index);
         Scene {
-            volume: job.path.to_string_lossy().into_owned(),
+            volume: job.name(),
             member: job.member.clone(),
             time_step: job.time_step,
             dims: dims.map(|n| n as u32),
@@ -202,6 +207,7 @@ impl Protocol {
             repeats,
             step_reference: "smallest voxel spacing".into(),
             settings: self.settings(jobs),
+            files: BTreeMap::new(),
             other: BTreeMap::new(),
         })
     }

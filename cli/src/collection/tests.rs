@@ -194,6 +194,7 @@ fn a_table_is_gone_on_with_under_the_same_settings_alone() {
         repeats: p.repeats,
         step_reference: String::new(),
         settings: p.settings(jobs),
+        files: BTreeMap::new(),
         other: BTreeMap::new(),
     };
     let base = manifest(&protocol(), &some_jobs(), "d");

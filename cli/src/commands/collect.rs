@@ -4,6 +4,7 @@ use crate::collection::{Job, Outcome, Protocol, collect_passes, differences, pas
 use crate::dataset::{Clock, Manifest, Table, Writer, noise_floor};
 use crate::device;
 use crate::files::read_model_file;
+use crate::identity::{self, Identity};
 use crate::interrupt;
 use crate::machine;
 use crate::options::RenderArgs;
@@ -14,7 +15,8 @@ use crate::volume::Volume;
 use anyhow::{Context, Result, bail, ensure};
 use entire_vk_raycaster::Renderer;
 use serde_json::json;
-use std::path::PathBuf;
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
 
 /// Render many random frames of volumes and write down how long each took.
 ///
@@ -96,7 +98,8 @@ pub struct Options {
     /// frames.
     #[arg(long, value_name = "EDGE", conflicts_with = "enlarge")]
     pub proxy: Option<usize>,
-    /// Go on with a table that was interrupted. Settings and machine must be those of its manifest.
+    /// Go on with a table that was interrupted. Settings, machine and volume files must be those of its
+    /// manifest.
     #[arg(long)]
     pub resume: bool,
 }
@@ -179,6 +182,14 @@ pub fn run(options: &Options) -> Result<()> {
             protocol.passes = options.passes.unwrap_or(protocol.passes);
             protocol.warm_up_repeats = options.warm_up_repeats.unwrap_or(protocol.warm_up_repeats);
             check(&jobs, "run from the folder that its volume names start from")?;
+            for job in &jobs {
+                if let Some(what) = manifest.changed(&job.name(), &job.path)? {
+                    crate::files::note(&format!(
+                        "{} is another than {shown} was collected from: {what}",
+                        job.path.display()
+                    ));
+                }
+            }
             (protocol, jobs)
         }
         None => (protocol(options), jobs(options)?),
@@ -204,6 +215,9 @@ pub fn run(options: &Options) -> Result<()> {
     };
 
     let mut manifest = protocol.manifest(&jobs, renderer.as_ref())?;
+    for job in &jobs {
+        manifest.files.insert(job.name(), identity::of_volume(&job.path)?);
+    }
     let mut runs = Vec::new();
     let mut table = if options.resume {
         if let Some(old) = Manifest::read(&options.out)? {
@@ -214,6 +228,22 @@ pub fn run(options: &Options) -> Result<()> {
                 options.out.display(),
                 differences.join("; ")
             );
+            for job in &jobs {
+                if let Some(what) = old.changed(&job.name(), &job.path)? {
+                    bail!(
+                        "cannot go on with {}: {} was written anew since the table was begun: {what}; put the \
+                         file back, or collect into another --out",
+                        options.out.display(),
+                        job.path.display()
+                    );
+                }
+            }
+            if old.files.is_empty() {
+                crate::files::note(&format!(
+                    "{} does not say what the volumes' files were; they are taken for unchanged",
+                    Manifest::path_for(&options.out).display()
+                ));
+            }
             runs = old.other.get("runs").and_then(|r| r.as_array().cloned()).unwrap_or_default();
             if old.commit != manifest.commit {
                 eprintln!("note: the table was begun by version {}, this is {}", old.commit, manifest.commit);
@@ -256,13 +286,26 @@ pub fn run(options: &Options) -> Result<()> {
     };
     manifest.other.insert("runs".into(), note(None));
     manifest.write(&options.out)?;
+    let files: HashMap<PathBuf, Vec<Identity>> =
+        jobs.iter().filter_map(|j| Some((j.path.clone(), manifest.files.get(&j.name())?.clone()))).collect();
+    let mut open = |path: &Path| {
+        let volume = Volume::open(path)?;
+        if let Some(then) = files.get(path)
+            && let Some(what) = identity::difference(then, &identity::of_volume(path)?)
+        {
+            bail!(
+                "it was written anew while frames were collected: {what}; put it back, or begin another table"
+            );
+        }
+        Ok(volume)
+    };
 
     let bar = progress_bar("collect");
     let result = collect_passes(
         &jobs,
         &protocol,
         renderer.as_mut(),
-        &mut |path| Volume::open(path),
+        &mut open,
         &mut table,
         &options.out,
         &|| interrupt::requested(&stop),

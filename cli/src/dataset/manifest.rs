@@ -2,6 +2,7 @@
 
 use super::feature_table::stem;
 use crate::files::{read_text, write_whole};
+use crate::identity::{self, Identity};
 use anyhow::{Context, Result, ensure};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -40,6 +41,9 @@ pub struct Manifest {
     /// Everything else that the collector was told, free form.
     #[serde(default)]
     pub settings: serde_json::Value,
+    /// What the volumes' files were, by the volumes' names in the table; empty where that was not kept.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub files: BTreeMap<String, Vec<Identity>>,
     /// Keys that this version does not know, kept as they are.
     #[serde(flatten)]
     pub other: BTreeMap<String, serde_json::Value>,
@@ -62,6 +66,18 @@ impl Manifest {
         let mut text = serde_json::to_string_pretty(self)?;
         text.push('\n');
         write_whole(&path, text.as_bytes())
+    }
+
+    /// What tells a volume's files now from those that the frames were measured with, if anything; nothing where
+    /// the manifest does not say what they were.
+    ///
+    /// # Errors
+    /// When a file cannot be read.
+    pub fn changed(&self, name: &str, path: &Path) -> Result<Option<String>> {
+        match self.files.get(name) {
+            Some(then) => Ok(identity::difference(then, &identity::of_volume(path)?)),
+            None => Ok(None),
+        }
     }
 
     /// Reads the manifest beside `table`; `None` when there is none.

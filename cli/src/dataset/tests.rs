@@ -295,6 +295,7 @@ fn manifests_keep_unknown_keys_and_refuse_other_formats() {
         repeats: 3,
         step_reference: "smallest voxel spacing".into(),
         settings: serde_json::json!({"frames": 10}),
+        files: BTreeMap::new(),
         other: BTreeMap::from([("weather".to_owned(), serde_json::json!("fine"))]),
     };
     manifest.write(&table).unwrap();

@@ -194,3 +194,63 @@ fn a_table_is_collected_anew_from_its_manifest() {
     let gone = like(&first, &dir.path().join("x.csv"), &[]);
     assert!(stderr(&gone).contains("v.nrrd: no such file; run from the folder"), "{}", stderr(&gone));
 }
+
+#[test]
+fn a_table_is_not_gone_on_with_after_its_volume_was_written_anew() {
+    let (dir, volume) = setting();
+    let out = dir.path().join("t.csv");
+    let settings = ["--frames", "3", "--max-size", "48"];
+    let output = collect(&volume, &out, &settings).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    let whole = frames(&out);
+    // As if it had been interrupted before the last frame.
+    let text = std::fs::read_to_string(&out).unwrap();
+    let cut: Vec<&str> = text.lines().take(1 + 2 * 2).collect();
+    std::fs::write(&out, cut.join("\n") + "\n").unwrap();
+
+    let bytes = std::fs::read(&volume).unwrap();
+    let mut other = bytes.clone();
+    *other.last_mut().unwrap() ^= 0x55;
+    std::fs::write(&volume, &other).unwrap();
+    let resume = [&settings[..], &["--resume"]].concat();
+    let output = collect(&volume, &out, &resume).output().unwrap();
+    let said = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    for part in ["v.nrrd was written anew", "content", "another --out"] {
+        assert!(said.contains(part), "{said}");
+    }
+    assert_eq!(frames(&out), whole[..5]);
+
+    // What reads the volumes again refuses them too.
+    let program = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_entire"));
+        command.current_dir(dir.path()).args(arguments).output().unwrap()
+    };
+    let model = concat!(env!("CARGO_MANIFEST_DIR"), "/../models/unshaded-distilled.safetensors");
+    let evaluate = ["evaluate", "--quiet", "--model", model, "--data", "t.csv"];
+    let train = ["train", "--quiet", "--data", "t.csv", "--out", "m.safetensors"];
+    for arguments in [&["features", "--quiet", "--data", "t.csv"][..], &evaluate, &train] {
+        let output = program(arguments);
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {said}");
+        assert!(said.contains("v.nrrd was written anew since the frames of t.csv"), "{arguments:?}: {said}");
+    }
+
+    // Put back, also as a file that was written later, it is the same.
+    std::fs::write(&volume, &bytes).unwrap();
+    let output = program(&["features", "--quiet", "--data", "t.csv"]);
+    assert!(output.status.success(), "{}", stderr(&output));
+    std::fs::remove_file(dir.path().join("t.features.csv.gz")).unwrap();
+    let output = collect(&volume, &out, &resume).output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(frames(&out), whole);
+
+    // A table that does not say what its volumes were is gone on with, and that is said.
+    let manifest = dir.path().join("t.manifest.json");
+    let mut kept: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&manifest).unwrap()).unwrap();
+    assert!(kept.as_object_mut().unwrap().remove("files").is_some());
+    std::fs::write(&manifest, kept.to_string()).unwrap();
+    let output = collect(&volume, &out, &resume).output().unwrap();
+    assert!(output.status.success() && stderr(&output).contains("does not say"), "{}", stderr(&output));
+}

@@ -425,6 +425,7 @@ fn what_cannot_be_done_is_said() {
         repeats: 2,
         step_reference: String::new(),
         settings: serde_json::Value::Null,
+        files: Default::default(),
         other: Default::default(),
     };
     manifest.write(&data.csv).unwrap();
