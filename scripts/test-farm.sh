@@ -143,6 +143,9 @@ display=()
 if command -v xvfb-run >/dev/null && [[ -z ${DISPLAY:-} ]]; then
     display=(xvfb-run -a -s "-screen 0 1280x900x24 -noreset")
 fi
+# ParaView's modules as plugins/paraview/run.sh unpacks them, where they are not installed.
+modules=${PARAVIEW_PYTHON:-$target/paraview/python3-paraview}/usr/lib/python3/dist-packages
+if [[ -d $modules ]]; then export PYTHONPATH=$modules; fi
 echo "import paraview.simple" >"$work/import.py"
 if ! command -v pvbatch >/dev/null; then
     skip "test-farm, paraview" "there is no pvbatch (apt-get install paraview python3-paraview)"

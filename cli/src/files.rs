@@ -1,6 +1,7 @@
 //! Files as commands read and write them: models, volumes, whole files, and what is said about them.
 
-use crate::volume::{Stream, Volume, without_mark};
+pub use crate::volume::without_mark;
+use crate::volume::{Stream, Volume};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use entire_core::model::{Model, ModelFile};
 use flate2::{Compression, read::MultiGzDecoder, write::GzEncoder};

@@ -16,6 +16,8 @@ pub mod device;
 pub mod farm;
 #[path = "../../cli/src/files.rs"]
 pub mod files;
+#[path = "../../cli/src/identity.rs"]
+pub mod identity;
 #[path = "../../cli/src/machine.rs"]
 pub mod machine;
 #[path = "../../cli/src/metrics.rs"]

@@ -10,8 +10,7 @@
 //! `volumenet_ID_I` where ID tells the encoder's weights.
 
 use super::TimedFrame;
-use crate::files::{fnv1a, gzip, read_decompressed, write_whole};
-use crate::volume::without_mark;
+use crate::files::{fnv1a, gzip, read_decompressed, without_mark, write_whole};
 use anyhow::{Context, Result, anyhow, ensure};
 use entire_core::features::{PROBE_SIDE, SceneQuantity};
 use entire_core::nn::VolumeNetParts;

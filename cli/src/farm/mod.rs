@@ -14,6 +14,7 @@ pub mod drive;
 pub mod engine;
 mod gauss;
 pub mod job;
+mod job_file;
 pub mod journal;
 pub mod learn;
 pub mod list;
