@@ -177,13 +177,23 @@ struct Noted {
     names: RefCell<Vec<String>>,
 }
 
-impl Companions for Noted {
-    fn open(&self, name: &str) -> Result<Stream<'_>> {
+impl Noted {
+    fn note(&self, name: &str) {
         let mut names = self.names.borrow_mut();
         if names.iter().all(|n| n != name) {
             names.push(name.to_owned());
         }
+    }
+}
+
+impl Companions for Noted {
+    fn open(&self, name: &str) -> Result<Stream<'_>> {
+        self.note(name);
         bail!("{name} is noted")
+    }
+
+    fn announce(&self, names: &[String]) {
+        names.iter().for_each(|name| self.note(name));
     }
 
     fn exists(&self, name: &str) -> bool {
@@ -274,6 +284,19 @@ mod tests {
         assert!(changed(&header, &was).unwrap().is_some());
         std::fs::remove_file(dir.path().join("voxels.raw")).unwrap();
         assert!(difference(&was, &of_volume(&header).unwrap()).unwrap().contains("is gone"));
+    }
+
+    #[test]
+    fn all_of_several_data_files_belong_to_their_header() {
+        let dir = tempfile::tempdir().unwrap();
+        let header = dir.path().join("a.nhdr");
+        std::fs::write(&header, format!("{HEADER}data file: LIST\none.raw\ntwo.raw\n")).unwrap();
+        std::fs::write(dir.path().join("one.raw"), "abcd").unwrap();
+        std::fs::write(dir.path().join("two.raw"), "efgh").unwrap();
+        let was = of_volume(&header).unwrap();
+        assert_eq!(was.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(), ["a.nhdr", "one.raw", "two.raw"]);
+        std::fs::write(dir.path().join("two.raw"), "efgX").unwrap();
+        assert!(difference(&was, &of_volume(&header).unwrap()).unwrap().contains("two.raw"));
     }
 
     #[test]

@@ -54,6 +54,7 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
         Some(several) => {
             let each = [several.voxels_each(&sizes)?, 1, 1];
             let mut all = None;
+            companions.announce(&several.names);
             for name in &several.names {
                 append(&mut all, voxels(companions.open(name)?, &header, element, each, &mut notes)?)?;
             }

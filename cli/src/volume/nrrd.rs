@@ -103,6 +103,7 @@ pub(super) fn read(mut stream: Stream<'_>, companions: &dyn Companions) -> Resul
         Some(several) => {
             let each = [several.voxels_each(&file_sizes)?, 1, 1];
             let mut all = None;
+            companions.announce(&several.names);
             for name in &several.names {
                 let stream = companions.open(name)?;
                 append(&mut all, voxels(stream, &header, element, endian, each, &mut notes)?)?;

@@ -447,6 +447,9 @@ pub trait Companions {
     /// Whether there is a file of that name.
     fn exists(&self, name: &str) -> bool;
 
+    /// Tells which files a header names, where it names several, before the first of them is opened.
+    fn announce(&self, _names: &[String]) {}
+
     /// The names that end in `suffix`, in capitals or not, sorted; for formats whose header does not name its data.
     fn ending_in(&self, suffix: &str) -> Vec<String>;
 }
