@@ -1,19 +1,73 @@
 //! Pictures: their sizes, and how far one lies from another.
 
 use entire_vk_raycaster::Image;
-use image_compare::Algorithm;
 
 /// Pictures that are equal, or closer than this, count as this many decibels.
 pub const BEST_PSNR: f64 = 100.0;
 
-/// A picture brought to another size, bilinearly.
+/// A picture brought to another size, bilinearly; where it shrinks, by a triangle as wide as the new pixels. `None`
+/// for a picture without pixels.
 pub fn resized(picture: &Image, width: u32, height: u32) -> Option<Image> {
-    if (picture.width, picture.height) == (width, height) {
+    let (from, to) =
+        ([picture.width, picture.height].map(|n| n as usize), [width, height].map(|n| n as usize));
+    if from == to {
         return Some(picture.clone());
     }
-    let full = image::RgbaImage::from_raw(picture.width, picture.height, picture.rgba.clone())?;
-    let out = image::imageops::resize(&full, width, height, image::imageops::FilterType::Triangle);
-    Some(Image { width, height, rgba: out.into_raw() })
+    if from.contains(&0) || to.contains(&0) || picture.rgba.len() != 4 * from[0] * from[1] {
+        return None;
+    }
+    let (columns, rows) = (Taps::new(from[0], to[0]), Taps::new(from[1], to[1]));
+    let mut tall = Vec::with_capacity(4 * from[0] * to[1]);
+    for (first, weights) in rows.iter() {
+        tall.extend((0..4 * from[0]).map(|i| {
+            weights
+                .iter()
+                .enumerate()
+                .map(|(k, w)| w * f32::from(picture.rgba[4 * from[0] * (first + k) + i]))
+                .sum::<f32>()
+        }));
+    }
+    let mut rgba = Vec::with_capacity(4 * to[0] * to[1]);
+    for row in tall.chunks_exact(4 * from[0]) {
+        for (first, weights) in columns.iter() {
+            for channel in 0..4 {
+                let sum: f32 =
+                    weights.iter().enumerate().map(|(k, w)| w * row[4 * (first + k) + channel]).sum();
+                rgba.push(sum.round().clamp(0.0, 255.0) as u8);
+            }
+        }
+    }
+    Some(Image { width, height, rgba })
+}
+
+/// Pixels of one axis that each new pixel is made of, and their weights, which sum to 1.
+struct Taps {
+    /// For each new pixel, its first pixel and the range of its weights.
+    places: Vec<(usize, std::ops::Range<usize>)>,
+    weights: Vec<f32>,
+}
+
+impl Taps {
+    fn new(from: usize, to: usize) -> Self {
+        let ratio = from as f32 / to as f32;
+        let reach = ratio.max(1.0);
+        let mut taps = Self { places: Vec::with_capacity(to), weights: Vec::new() };
+        for new in 0..to {
+            let center = (new as f32 + 0.5) * ratio;
+            let first = ((center - reach).floor().max(0.0) as usize).min(from - 1);
+            let end = ((center + reach).ceil() as usize).clamp(first + 1, from);
+            let begin = taps.weights.len();
+            let weight = |i: usize| (1.0 - ((i as f32 + 0.5 - center) / reach).abs()).max(0.0);
+            let sum: f32 = (first..end).map(weight).sum();
+            taps.weights.extend((first..end).map(|i| weight(i) / sum));
+            taps.places.push((first, begin..taps.weights.len()));
+        }
+        taps
+    }
+
+    fn iter(&self) -> impl Iterator<Item = (usize, &[f32])> {
+        self.places.iter().map(|(first, range)| (*first, &self.weights[range.clone()]))
+    }
 }
 
 /// Side lengths of an image whose rays stand `distance` pixels apart, as [`entire_core::control::Plan`] has it.
@@ -50,27 +104,52 @@ pub fn rmse(a: &[u8], b: &[u8]) -> Option<f64> {
     Some(255.0 * 10f64.powf(-decibels / 20.0))
 }
 
-/// Luma of a picture.
-fn luma(picture: &Image) -> Option<image::GrayImage> {
-    let gray = picture
+/// Side length in pixels of the windows that [`ssim`] compares.
+const SSIM_WINDOW: usize = 8;
+
+/// Luma of a picture, 0 to 255 in whole numbers.
+fn luma(picture: &Image) -> Vec<f64> {
+    picture
         .rgba
         .chunks_exact(4)
         .map(|p| {
-            ((54 * u32::from(p[0]) + 183 * u32::from(p[1]) + 18 * u32::from(p[2]) + 127) / 255).min(255) as u8
+            let luma = (54 * u32::from(p[0]) + 183 * u32::from(p[1]) + 18 * u32::from(p[2]) + 127) / 255;
+            f64::from(luma.min(255))
         })
-        .collect();
-    image::GrayImage::from_raw(picture.width, picture.height, gray)
+        .collect()
 }
 
-/// Structural similarity of two pictures of one size, 0 to 1 (mean SSIM over windows of 8 × 8 pixels of their
-/// luma). `None` when they differ in size.
+/// Structural similarity of two pictures of one size, 0 to 1: SSIM over windows of 8 × 8 pixels of their luma that do
+/// not overlap, averaged by area. Variances and covariance are sums over a window, as `image-compare` 0.5 has them.
+/// `None` when the pictures differ in size or have no pixels.
 pub fn ssim(a: &Image, b: &Image) -> Option<f64> {
-    if (a.width, a.height) != (b.width, b.height) {
+    let (width, height) = (a.width as usize, a.height as usize);
+    let (first, second) = (luma(a), luma(b));
+    if (a.width, a.height) != (b.width, b.height) || width * height == 0 || first.len() != second.len() {
         return None;
     }
-    let found =
-        image_compare::gray_similarity_structure(&Algorithm::MSSIMSimple, &luma(a)?, &luma(b)?).ok()?;
-    Some(found.score.clamp(0.0, 1.0))
+    let (c1, c2) = ((0.01f64 * 255.0).powi(2), (0.03f64 * 255.0).powi(2));
+    let mut total = 0.0;
+    for y in (0..height).step_by(SSIM_WINDOW) {
+        for x in (0..width).step_by(SSIM_WINDOW) {
+            let rows = y..(y + SSIM_WINDOW).min(height);
+            let columns = x..(x + SSIM_WINDOW).min(width);
+            let area = (rows.len() * columns.len()) as f64;
+            let pixels = || rows.clone().flat_map(|y| columns.clone().map(move |x| y * width + x));
+            let mean = |luma: &[f64]| pixels().map(|i| luma[i]).sum::<f64>() / area;
+            let (mean_a, mean_b) = (mean(&first), mean(&second));
+            let (mut variances, mut covariance) = (0.0, 0.0);
+            for i in pixels() {
+                let (p, q) = (first[i] - mean_a, second[i] - mean_b);
+                variances += p * p + q * q;
+                covariance += p * q;
+            }
+            let likeness = (2.0 * mean_a * mean_b + c1) * (2.0 * covariance + c2)
+                / ((mean_a * mean_a + mean_b * mean_b + c1) * (variances + c2));
+            total += area * likeness;
+        }
+    }
+    Some((total / (width * height) as f64).clamp(0.0, 1.0))
 }
 
 #[cfg(test)]
@@ -110,5 +189,29 @@ mod tests {
         let (a, b) = ([10u8, 20, 30, 255].repeat(64), [17u8, 13, 37, 0].repeat(64));
         assert!((rmse(&a, &b).unwrap() - 7.0).abs() < 1e-9);
         assert_eq!(rmse(&a, &b[4..]), None);
+    }
+
+    fn pattern(width: u32, height: u32, f: &dyn Fn(u32, u32) -> u8) -> Image {
+        let pixel = |i: u32| {
+            let v = f(i % width, i / width);
+            [v, v / 2, 255 - v, v.wrapping_mul(7)]
+        };
+        Image { width, height, rgba: (0..width * height).flat_map(pixel).collect() }
+    }
+
+    /// The right values are those of the crates `image` 0.25 (filter Triangle) and `image-compare` 0.5 (MSSIMSimple).
+    #[test]
+    fn sizes_and_likeness_are_those_of_the_image_crates() {
+        let f = |x: u32, y: u32| (x * x + 3 * y * y + x * y) as u8;
+        let a = pattern(45, 27, &f);
+        let b = pattern(45, 27, &|x, y| f(x, y).saturating_add((x % 5) as u8 * 4));
+        assert!((ssim(&a, &b).unwrap() - 0.9959286713820774).abs() < 1e-12);
+        for (width, height, hash) in
+            [(90, 61, 0xcfc2_94db_c68f_9085), (20, 11, 0x2af2_6f27_4830_acb6), (7, 50, 0x2058_c1e8_bd30_44ec)]
+        {
+            let picture = resized(&a, width, height).unwrap();
+            assert_eq!(crate::files::fnv1a(&picture.rgba), hash, "{width} x {height}");
+        }
+        assert_eq!(resized(&a, 0, 5), None);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Chart, Table};
 use crate::files::write_whole;
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use askama::Template;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -97,12 +97,20 @@ impl Page {
 /// When the buffer does not fit the size.
 pub fn encode_png(picture: &Image) -> Result<Vec<u8>> {
     let rgb: Vec<u8> = picture.rgba.chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
-    let buffer = image::RgbImage::from_raw(picture.width, picture.height, rgb).with_context(|| {
-        format!("a {} x {} picture came with {} bytes", picture.width, picture.height, picture.rgba.len())
-    })?;
-    let mut png = std::io::Cursor::new(Vec::new());
-    buffer.write_to(&mut png, image::ImageFormat::Png).context("cannot encode a PNG")?;
-    Ok(png.into_inner())
+    ensure!(
+        rgb.len() == 3 * picture.width as usize * picture.height as usize,
+        "a {} x {} picture came with {} bytes",
+        picture.width,
+        picture.height,
+        picture.rgba.len()
+    );
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, picture.width, picture.height);
+    encoder.set_color(png::ColorType::Rgb);
+    let mut writer = encoder.write_header().context("cannot encode a PNG")?;
+    writer.write_image_data(&rgb).context("cannot encode a PNG")?;
+    writer.finish().context("cannot encode a PNG")?;
+    Ok(bytes)
 }
 
 #[cfg(test)]

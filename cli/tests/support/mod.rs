@@ -154,8 +154,12 @@ pub(crate) fn fixture(name: &str) -> PathBuf {
 
 /// The pixels of a PNG picture: width, height, RGB.
 pub(crate) fn picture(path: &Path) -> (u32, u32, Vec<u8>) {
-    let image = image::open(path).unwrap().into_rgb8();
-    (image.width(), image.height(), image.into_raw())
+    let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
+    let mut reader = png::Decoder::new(file).read_info().unwrap();
+    let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
+    let info = reader.next_frame(&mut rgb).unwrap();
+    assert_eq!((info.color_type, info.bit_depth), (png::ColorType::Rgb, png::BitDepth::Eight));
+    (info.width, info.height, rgb)
 }
 
 /// `render` of a volume with the CPU twin, further arguments behind; gives the arguments.
